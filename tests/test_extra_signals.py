@@ -13,8 +13,7 @@ from hil.core.errors import BadInputError
 from hil.core.signals import SIGNAL_NAMES
 from hil.core.types import CommandMode, State, Twist
 from hil.laws.afdsc import Afdsc
-from hil.laws.fuzzy import FuzzyBlock
-from hil.laws.fuzzy_gains import FuzzyLaw
+from hil.laws.fuzzy import FuzzyBlock, FuzzyLaw
 from hil.laws.registry import SHIPPED, make_controller
 from hil.review import read
 from hil.runtime.assembly import RunOptions, run_scenario

@@ -9,8 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hil.core.types import Acceleration, Pose, State, Twist, Wheels
-from hil.laws.observer import ExtendedStateObserver, observer_gains
-from hil.laws.prediction import DelayPredictor, PendingCommands, acceleration_of
+from hil.laws.prediction import DelayPredictor, ExtendedStateObserver, PendingCommands, acceleration_of, observer_gains
 from hil.references import Hold
 from tests.closed_loop import AT_REST, PAPER_ROBOT
 

@@ -17,8 +17,7 @@ from scipy.stats import chi2, kstest
 from hil.core.errors import BadInputError
 from hil.core.types import NAN, MeasuredPose, Pose, PoseFix, Twist
 from hil.estimation.localisation import SimulatedFixes, SimulatedOptions, UdpFixes
-from hil.estimation.localisation.address import parse_address
-from hil.estimation.localisation.message import Refused, parse
+from hil.estimation.localisation.message import Refused, parse, parse_address
 from hil.runtime.assembly import RunOptions, run_scenario
 from hil.runtime.loop import Loop
 from hil.scenario import load

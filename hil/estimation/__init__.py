@@ -1,7 +1,7 @@
-"""Where the robot is: by ground truth, by odometry, or by odometry and pose fixes together (ESTIMATORS.md).
+"""Estimators of pose and twist: ground truth, odometry, or odometry with pose fixes (ESTIMATORS.md).
 
-May import: `core`. Estimators are pure: they are given what was received, and hold no clock.
-To add an estimator: one file here and a row in `choice.py`.
+May import: `core`. Estimators are pure: they get received data and have no clock.
+To add an estimator: one file here and its name in `choice.py`. To add an option: the dataclass of its table.
 """
 
 from hil.estimation.choice import EstimatorOptions, make_estimator

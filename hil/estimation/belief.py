@@ -1,6 +1,6 @@
-"""The error-state Kalman filter: what is believed of pose and gyro bias, moved by wheels, corrected by pose fixes.
+"""The error-state Kalman filter: belief in pose and gyro bias, moved by the wheels, corrected by pose fixes.
 
-Pure functions from one belief to the next, so that a past can be gone through again. The error is (x, y, heading,
+Pure functions from one belief to the next, so that the past can be recomputed. The error is (x, y, heading,
 gyro bias), in the world frame. Written out in plain floats: with NumPy a step costs ten times as much.
 
 Sources: J. Solà, Quaternion kinematics for the error-state Kalman filter, 2017, section 5, here in the plane;
@@ -33,12 +33,11 @@ class Covariance(NamedTuple):
 
 
 class Belief(NamedTuple):
-    """What is believed at one instant of robot time.
+    """The estimate at one instant of robot time.
 
-    ``is_known`` is False before the first fix of a robot that was told no start. ``fixed_ns`` is the time of the
-    newest accepted fix, ``streak`` how many rejected ones in a row agree with one another; of the last of them and of
-    the belief that rejected it ``streak_fix`` and ``streak_belief`` are kept. ``restarts`` counts how often a streak
-    was believed.
+    ``is_known`` is False before the first fix of a robot without a known start. ``fixed_ns`` is the time of the newest
+    accepted fix. ``streak`` is the number of rejected fixes in a row that agree with one another, ``streak_fix`` the
+    last of them, and ``streak_belief`` the belief that rejected it. ``restarts`` counts the streaks that were accepted.
     """
 
     time_ns: int
@@ -58,7 +57,7 @@ class Belief(NamedTuple):
 
 
 class Step(NamedTuple):
-    """What leads from one measurement to the next: motion in the body frame, and variances of its errors.
+    """The step from one measurement to the next: motion in the body frame, and variances of its errors.
 
     ``biased_s`` is the time over which the gyro's bias turned the robot: the step's duration, or 0 when
     ``turned_rad`` is the wheels'.
@@ -74,9 +73,9 @@ class Step(NamedTuple):
 
 
 class Acceptance(NamedTuple):
-    """When fixes are believed: the largest squared Mahalanobis distance, and after how many rejected ones in a row.
+    """When fixes are accepted: the largest squared Mahalanobis distance, or after how many rejected ones in a row.
 
-    ``bias_rad2_s2`` is the variance that the gyro's bias has then at least: a gyro that leapt may be what was wrong.
+    ``bias_rad2_s2`` is the least variance of the bias after a restart, whose cause may be a jump of the bias.
     """
 
     gate: float
@@ -85,14 +84,14 @@ class Acceptance(NamedTuple):
 
 
 def start(time_ns: int, pose: Pose, sigma_m: float, sigma_rad: float, bias_sigma_rad_s: float) -> Belief:
-    """Return the belief in a start that is known so well."""
+    """Return the belief in a start with these standard deviations."""
     place, heading = sigma_m**2, sigma_rad**2
     covariance = Covariance(place, 0.0, 0.0, 0.0, place, 0.0, 0.0, heading, 0.0, bias_sigma_rad_s**2)
     return Belief(time_ns, *pose, 0.0, covariance, is_known=True, fixed_ns=time_ns)
 
 
 def start_unknown(time_ns: int, bias_sigma_rad_s: float) -> Belief:
-    """Return the belief in nothing: the first fix will be taken as it is."""
+    """Return the belief without a start: the first fix is taken as it is."""
     covariance = Covariance(
         _UNKNOWN_VARIANCE, 0.0, 0.0, 0.0, _UNKNOWN_VARIANCE, 0.0, 0.0, _UNKNOWN_VARIANCE, 0.0, bias_sigma_rad_s**2
     )
@@ -144,9 +143,9 @@ def moved(belief: Belief, step: Step, time_ns: int, share: float = 1.0) -> Belie
 def corrected(belief: Belief, fix: MeasuredPose, acceptance: Acceptance) -> Belief:
     """Return the belief after a fix of its own instant.
 
-    A fix beyond the gate is rejected, and one whose covariance is none, or next to singular. When so many of the former
-    in a row agree with one another and with the motion between them, the last of them is taken as a new start: the
-    robot was elsewhere than believed.
+    A fix beyond the gate is rejected, and so is one whose covariance is invalid or nearly singular. When enough fixes
+    beyond the gate in a row agree with one another and with the motion between them, the last of them is taken as a new
+    start: the robot was elsewhere than believed.
     """
     if not _is_covariance(fix.covariance):
         return belief._replace(rejected=belief.rejected + 1)
@@ -225,7 +224,7 @@ def position_sigma_m(covariance: Covariance) -> float:
 
 
 def gate_of(probability: float) -> float:
-    """Return the squared Mahalanobis distance below which a right fix is with this probability: χ² with 3 degrees."""
+    """Return the squared Mahalanobis distance that bounds right fixes with this probability (χ², 3 degrees)."""
     low, high = 0.0, 1000.0
     while high - low > 1e-9:
         middle = 0.5 * (low + high)
@@ -249,7 +248,7 @@ def _rejected(belief: Belief, fix: MeasuredPose, acceptance: Acceptance) -> Beli
 
 
 def _restarted(belief: Belief, fix: MeasuredPose, acceptance: Acceptance) -> Belief:
-    """Return the belief in a fix alone; of the gyro's bias there is doubt."""
+    """Return the belief of a fix alone, with more variance of the gyro's bias."""
     r = fix.covariance
     bias_rad2_s2 = max(belief.covariance.bb, acceptance.bias_rad2_s2)
     turned = math.remainder(fix.pose.heading_rad - belief.heading_rad, math.tau)
@@ -269,11 +268,11 @@ def _restarted(belief: Belief, fix: MeasuredPose, acceptance: Acceptance) -> Bel
 
 
 def _agree(belief: Belief, fix: MeasuredPose, gate: float) -> bool:
-    """Return whether the last rejected fix, moved on as the robot moved since, and this one are of one pose."""
+    """Return whether this fix agrees with the last rejected one, moved on by the robot's motion since."""
     last, then = belief.streak_fix, belief.streak_belief
     if last is None or then is None:
         return False
-    # The way since, turned from the heading that was believed into the heading that the last fix says.
+    # The motion since, turned from the believed heading into that of the last fix.
     c = math.cos(last.pose.heading_rad - then.heading_rad)
     s = math.sin(last.pose.heading_rad - then.heading_rad)
     way_x, way_y = belief.x_m - then.x_m, belief.y_m - then.y_m
@@ -301,7 +300,7 @@ def _agree(belief: Belief, fix: MeasuredPose, gate: float) -> bool:
 
 
 def _is_covariance(r: PoseCovariance) -> bool:
-    """Return whether Cholesky's pivots are positive, and none is next to nothing of its variance."""
+    """Return whether Cholesky's pivots are positive, and each is a significant share of its variance."""
     if min(r.xx_m2, r.yy_m2, r.hh_rad2) <= 0.0:
         return False
     second = r.yy_m2 - r.xy_m2 * r.xy_m2 / r.xx_m2
@@ -312,7 +311,7 @@ def _is_covariance(r: PoseCovariance) -> bool:
 
 
 def _less(variance: float, known: float) -> float:
-    """Return what is left of a variance; at least what rounding may have made of it, so that it stays positive."""
+    """Return the rest of a variance, at least its rounding error, so that it stays positive."""
     return max(variance - known, _ROUNDING * variance)
 
 

@@ -8,7 +8,7 @@ from hil.core.model import RobotModel
 from hil.core.options import Range
 from hil.core.types import Pose
 from hil.estimation.fused import FilterOptions, FusedEstimator
-from hil.estimation.localisation.address import parse_address
+from hil.estimation.localisation.message import parse_address
 from hil.estimation.localisation.simulated import SimulatedOptions
 from hil.estimation.measurement import Estimator
 from hil.estimation.odometry import OdometryEstimator

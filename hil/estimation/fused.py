@@ -1,4 +1,4 @@
-"""Where the robot is by wheels, gyro and pose fixes that come late, out of order, wrong, or not at all."""
+"""The pose by wheels, gyro and pose fixes, which may be late, out of order, wrong or missing."""
 
 import math
 from collections.abc import Sequence
@@ -9,7 +9,7 @@ from hil.core.kinematics import to_world
 from hil.core.model import RobotModel
 from hil.core.options import Range
 from hil.core.signals import EstimatorSignals
-from hil.core.types import MeasuredPose, Pose, PoseFix, State
+from hil.core.types import Axes, MeasuredPose, Pose, PoseFix, State
 from hil.estimation.belief import (
     Acceptance,
     Belief,
@@ -24,16 +24,57 @@ from hil.estimation.belief import (
 from hil.estimation.history import History
 from hil.estimation.measurement import DEGRADED, GOOD, LOST, NO_STATUS, Measurement, measured_twist
 from hil.estimation.motion import Motion, MotionReader
-from hil.estimation.release import Release
 from hil.estimation.slip import SlipDetector
+
+_NONE = (0.0, 0.0, 0.0)
+_MOST_M = 0.01
+_MOST_RAD = 0.01
+
+
+class Release:
+    """Spreads the correction of a pose fix over time, with the time constant ``release_s`` [s]; with 0 the pose jumps.
+
+    A correction is no motion, and a law must not take it for one. At most 10 mm and 10 mrad are held back. The rest of
+    a larger correction, as after slip, is applied at once: acting on a wrong pose does more harm than a jump.
+    """
+
+    def __init__(self, release_s: float) -> None:
+        self._release_s = release_s
+        self._held: Axes = _NONE
+
+    def correct(self, before: Belief, after: Belief) -> None:
+        """Hold back the change that fixes made. A restart of the filter is applied at once."""
+        if not before.is_known or after.restarts != before.restarts or self._release_s == 0.0:
+            self._held = _NONE
+            return
+        x, y, heading = self._held
+        x += after.x_m - before.x_m
+        y += after.y_m - before.y_m
+        heading += after.heading_rad - before.heading_rad
+        # One factor for all three, so that the reported pose lies between both poses.
+        share = min(1.0, _MOST_M / max(math.hypot(x, y), 1e-9), _MOST_RAD / max(abs(heading), 1e-9))
+        self._held = share * x, share * y, share * heading
+
+    def advance(self, dt_s: float) -> None:
+        """Release the share that belongs to ``dt_s`` [s]."""
+        if self._held is not _NONE:
+            rest = math.exp(-dt_s / self._release_s)
+            x, y, heading = self._held
+            self._held = rest * x, rest * y, rest * heading
+
+    def pose(self, belief: Belief) -> Pose:
+        """Return the pose to report."""
+        x, y, heading = self._held
+        return Pose(belief.x_m - x, belief.y_m - y, belief.heading_rad - heading)
+
 
 _NS = 1e9
 _AHEAD_NS = 100_000_000
 _WAITING_AT_MOST = 32
-# What a robot may have rolled unseen before its reset: the shipped ramp of 0.2 s, from 1.5 m/s and 2 rad/s.
+# Unmeasured motion around a reset of the robot: the shipped ramp of 0.2 s, from 1.5 m/s and 2 rad/s.
 _UNSEEN_M = 0.15
 _UNSEEN_RAD = 0.2
-# Slip of one direction lasts about so long: over it errors add up, beyond it as their squares.
+# Slip keeps its direction for about this time: within it errors add up, beyond it their variances do.
 _SLIP_LASTS_S = 0.2
 
 
@@ -64,11 +105,11 @@ class FilterOptions:
 class FusedEstimator:
     """An error-state Kalman filter on odometry (``belief``), with its recent past (``history``).
 
-    Between fixes the pose follows wheels and gyro, and the covariance grows with the way; while slip is detected it
-    grows with the slip's speed too. A fix of a time to come, which a robot's clock and the link's latency make
-    possible, waits for it up to 0.1 s. Without fixes for ``fix_timeout_s`` the health is DEGRADED; when the position's
-    standard deviation exceeds ``lost_sigma_m`` it is LOST, until fixes bring it back. What a fix changes in the pose is
-    told over ``release_s``.
+    Between fixes the pose follows wheels and gyro, and the covariance grows with the distance, and with the speed of
+    detected slip. A fix may have a stamp up to 0.1 s ahead of the newest measurement, because of the robot's clock and
+    the link's latency: it waits until then. Without fixes for ``fix_timeout_s`` the health is DEGRADED. When the
+    position's standard deviation exceeds ``lost_sigma_m`` the health is LOST, until fixes reduce it. The pose follows a
+    correction with the time constant ``release_s``.
     """
 
     uses_truth = False
@@ -99,11 +140,11 @@ class FusedEstimator:
 
     @property
     def status(self) -> EstimatorSignals:
-        """How sure the last update is."""
+        """Uncertainty and health of the last update."""
         return self._status
 
     def fix_figures(self) -> dict[str, int]:
-        """Return what became of the fixes; ``restarts`` are streaks of rejected ones that were believed."""
+        """Return the number of fixes by outcome; ``restarts`` counts streaks of rejected ones that were accepted."""
         belief = self._history.newest if self._history is not None else self._before
         accepted, rejected, restarts = (belief.accepted, belief.rejected, belief.restarts) if belief else (0, 0, 0)
         return {"accepted": accepted, "rejected": rejected, **self._refused, "restarts": restarts}
@@ -111,7 +152,7 @@ class FusedEstimator:
     def update(
         self, measurement: Measurement, truth: PoseFix | None, fixes: Sequence[MeasuredPose] = ()
     ) -> State | None:
-        """Return the pose by all that is known; None before the first fix where the start is not known."""
+        """Return the estimate; None before the first fix if the start is unknown."""
         last = self._last
         if last is None or self._history is None:
             self._history = self._begun(measurement.robot_time_ns)
@@ -124,17 +165,17 @@ class FusedEstimator:
             self._last = last = measurement
         if fixes or self._waiting:
             before = self._history.newest
-            self._take(self._history, last.robot_time_ns, fixes)
+            self._sort(self._history, last.robot_time_ns, fixes)
             self._release.correct(before, self._history.newest)
         belief = self._history.newest
-        self._status = self._told(belief)
+        self._status = self._signals(belief)
         if not belief.is_known:
             return None
         pose = self._release.pose(belief)
         return State(pose, to_world(measured_twist(self._model, last, belief.bias_rad_s), pose.heading_rad))
 
     def restart(self) -> None:
-        """Go on from the last belief, less sure by what the robot may have rolled unseen; its bias is the same."""
+        """Continue from the last belief, with more variance for unmeasured motion, and the same gyro bias."""
         if self._history is not None:
             self._before = self._history.newest
         self._history = None
@@ -171,8 +212,8 @@ class FusedEstimator:
         heading_rad2 = (options.gyro_noise_rad_s * dt_s) ** 2
         return Step(motion.forward_m, motion.left_m, motion.gyro_rad, dt_s, position_m2, heading_rad2, bias_rad2_s2)
 
-    def _take(self, history: History, now_ns: int, fixes: Sequence[MeasuredPose]) -> None:
-        """Sort fixes by when they are of: past, to come, or out of reach."""
+    def _sort(self, history: History, now_ns: int, fixes: Sequence[MeasuredPose]) -> None:
+        """Insert due fixes, keep those ahead of the newest measurement, count those out of reach."""
         due: list[MeasuredPose] = []
         later: list[MeasuredPose] = []
         for fix in (*self._waiting, *fixes):
@@ -188,7 +229,7 @@ class FusedEstimator:
         if due:
             self._refused["double"] += history.insert(due)
 
-    def _told(self, belief: Belief) -> EstimatorSignals:
+    def _signals(self, belief: Belief) -> EstimatorSignals:
         sigma_m = position_sigma_m(belief.covariance)
         age_ns = belief.time_ns - belief.fixed_ns
         if not belief.is_known or sigma_m > self._options.lost_sigma_m:
@@ -208,7 +249,7 @@ class FusedEstimator:
 
 
 def _unsure(belief: Belief) -> Belief:
-    """Return the belief after a reset of the robot: its pose moved by an unknown way, its streak of fixes is over."""
+    """Return the belief after a reset of the robot: it moved by an unknown way, and the streak of fixes ends."""
     p: Covariance = belief.covariance
     grown = p._replace(xx=p.xx + _UNSEEN_M**2, yy=p.yy + _UNSEEN_M**2, hh=p.hh + _UNSEEN_RAD**2)
     return belief._replace(covariance=grown, streak=0, streak_fix=None, streak_belief=None)

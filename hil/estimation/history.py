@@ -1,4 +1,4 @@
-"""The recent past of a filter, to be gone through again when a pose fix arrives late."""
+"""The recent past of a filter, which is recomputed when a pose fix arrives late."""
 
 from bisect import bisect_left, insort
 from collections import deque
@@ -23,9 +23,8 @@ class _Node:
 class History:
     """Beliefs at the measurements of the last ``length_ns``, in order.
 
-    A fix is taken at its own instant, within the step that contains it: what is believed afterwards is exactly what
-    would be had every fix come at once and in order. The price is to go again through the steps since, of which
-    there are at most those of ``length_ns``.
+    A fix is applied at its own instant, within the step that contains it. The result is exactly that of fixes without
+    delay and in order. The cost is to recompute the steps since that instant, at most those of ``length_ns``.
     """
 
     def __init__(self, first: Belief, length_ns: int, correct: Correct) -> None:
@@ -40,19 +39,19 @@ class History:
 
     @property
     def begin_ns(self) -> int:
-        """The instant from which on fixes can be taken; those of it are too late."""
+        """Fixes must be later than this instant."""
         return self._nodes[0].belief.time_ns
 
     def append(self, step: Step, time_ns: int) -> None:
-        """Go on by one step and forget what is too long ago."""
+        """Add one step and drop steps older than ``length_ns``."""
         self._nodes.append(_Node(moved(self.newest, step, time_ns), step))
         while self._nodes[1].belief.time_ns <= time_ns - self._length_ns:
             self._nodes.popleft()
 
     def insert(self, fixes: list[MeasuredPose]) -> int:
-        """Take fixes of after ``begin_ns`` and not after the newest measurement, in any order.
+        """Apply fixes later than ``begin_ns`` and not later than the newest measurement, in any order.
 
-        Returns how many of them were there already and are not taken twice.
+        Returns the number of duplicates, which are not applied twice.
         """
         earliest, doubles = len(self._nodes), 0
         for fix in fixes:
@@ -64,14 +63,14 @@ class History:
             if place < len(held) and held[place] == fix:
                 doubles += 1
                 continue
-            # By all their numbers, so that fixes of one instant have one order too.
+            # Ordered by all their numbers, so that fixes of one instant have a fixed order too.
             insort(held, fix)
             earliest = min(earliest, index)
         for index in range(earliest, len(self._nodes)):
-            self._go_again(self._nodes[index - 1].belief, self._nodes[index])
+            self._recompute(self._nodes[index - 1].belief, self._nodes[index])
         return doubles
 
-    def _go_again(self, belief: Belief, node: _Node) -> None:
+    def _recompute(self, belief: Belief, node: _Node) -> None:
         assert node.step is not None, "the first node has no step, and no fix is before it"
         begin_ns, end_ns = belief.time_ns, node.belief.time_ns
         for fix in node.fixes:

@@ -1,4 +1,4 @@
-"""What an estimator is given and what it gives back. Time is robot time in nanoseconds; nobody here has a clock."""
+"""Input and interface of an estimator. Time is robot time in nanoseconds; estimators have no clock."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -18,7 +18,7 @@ NO_STATUS = EstimatorSignals(*[NAN] * len(EstimatorSignals._fields))
 
 
 class Measurement(Protocol):
-    """What one feedback snapshot has for an estimator (``hil.robot.snapshot.Feedback`` has more)."""
+    """The part of a feedback snapshot that estimators use (``hil.robot.snapshot.Feedback`` has more)."""
 
     @property
     def robot_time_ns(self) -> int:
@@ -46,26 +46,26 @@ class Estimator(Protocol):
 
     @property
     def uses_truth(self) -> bool:
-        """Whether the state rests on the truth, and is too old when the truth is."""
+        """Whether the state depends on the truth, and is too old when the truth is."""
 
     @property
     def status(self) -> EstimatorSignals:
-        """How sure the last update is; NaN for what an estimator does not know."""
+        """Uncertainty and health of the last update; NaN for what an estimator does not know."""
 
     def update(
         self, measurement: Measurement, truth: PoseFix | None, fixes: Sequence[MeasuredPose] = ()
     ) -> State | None:
         """Return the state at the newest measurement, or None while it is not known.
 
-        ``truth`` is the newest there is, ``fixes`` are those that have arrived since the last call. The same
-        measurement or truth may be given again.
+        ``truth`` is the newest sample, ``fixes`` are those that arrived since the last call. The same measurement or
+        truth may be given again.
         """
 
     def fix_figures(self) -> Mapping[str, int]:
-        """Return what became of the pose fixes so far; empty for an estimator that takes none."""
+        """Return the number of pose fixes by outcome; empty for an estimator that takes none."""
 
     def restart(self) -> None:
-        """Go on with a robot that was reset: its clock and its counts began anew, the pose is the last one known."""
+        """Continue after a reset of the robot: its clock and counts restart, the pose is the last known one."""
 
 
 def measured_twist(model: RobotModel, measurement: Measurement, gyro_bias_rad_s: float = 0.0) -> BodyTwist:

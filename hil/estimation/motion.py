@@ -1,4 +1,4 @@
-"""How the robot moved between two measurements, as its wheels and its inertial sensors tell."""
+"""The robot's motion between two measurements, by its wheels and its inertial sensors."""
 
 import math
 import operator
@@ -10,18 +10,18 @@ from hil.core.model import RobotModel
 from hil.core.types import NAN, Wheels
 from hil.estimation.measurement import Measurement
 
-# Over a longer gap the two ends of a rate say little of what was between them; encoders have counted on. No robot is
-# driven while its feedback is as old, and the slowest base tells its own every 50 ms.
+# Over a longer gap the two ends of a rate say little about the time between them, while encoders count on. No robot is
+# driven on feedback this old, and the slowest base sends its own every 50 ms.
 _LONGEST_S = 0.1
 
 
 class Motion(NamedTuple):
-    """Displacement in the body frame between two measurements, and what contradicts it.
+    """Displacement in the body frame between two measurements, and the measures of its consistency.
 
-    ``turned_rad`` is by the wheels, ``gyro_rad`` by the gyro. ``disagreement_m`` is by how much more the front wheels
-    rolled than the rear ones: four wheels with three degrees of freedom roll without slip only where it is zero. What
-    was gained in velocity is by the accelerometer. What gyro and accelerometer tell is NaN without one, and over a
-    gap of more than 0.1 s between the measurements.
+    ``turned_rad`` is by the wheels, ``gyro_rad`` by the gyro. ``disagreement_m`` is how much further the front wheels
+    rolled than the rear ones: four wheels with three degrees of freedom roll without slip only if it is zero. The gain
+    in velocity is by the accelerometer. Values of a sensor that is missing are NaN, and so are those over a gap of
+    more than 0.1 s between the measurements.
     """
 
     dt_s: float
@@ -34,7 +34,7 @@ class Motion(NamedTuple):
     gained_left_m_s: float
 
     def and_then(self, after: "Motion") -> "Motion":
-        """Return both motions as one, so short that the turn within it does not count."""
+        """Return both motions as one. They must be so short that the turn within them is negligible."""
         return Motion(*map(operator.add, self, after))
 
 
@@ -45,9 +45,9 @@ class MotionReader:
     less than 32768 counts (8 revolutions at 4096 a revolution). Without counts it comes from the wheel's speed.
 
     Over a gap of more than 0.1 s, as after a lost link, no rate is integrated: the robot may have stopped just after
-    the first measurement. Gyro and accelerometer then tell nothing, and a speed counts for 0.1 s at most.
+    the first measurement. Gyro and accelerometer then give NaN, and a speed counts for at most 0.1 s.
 
-    Raises BadInputError for counts that make no encoder.
+    Raises BadInputError for less than one count a revolution.
     """
 
     def __init__(self, model: RobotModel, counts_per_revolution: int) -> None:
@@ -65,7 +65,7 @@ class MotionReader:
         radius_m = self._model.wheel_radius_m
         forward, left, turned = body_twist(angles, radius_m, self._model.lever_m)
         fl, fr, rr, rl = angles
-        # Of means over the two intervals this is what their mean velocities, as the wheels tell them, differ by.
+        # For means over the two intervals this is the difference of the wheels' mean velocities.
         before, after = last.acceleration_m_s2, now.acceleration_m_s2
         rate_s = NAN if dt_s > _LONGEST_S else dt_s
         return Motion(

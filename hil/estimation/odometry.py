@@ -1,4 +1,4 @@
-"""Where the robot is by its wheels and its gyro alone."""
+"""The pose by wheels and gyro alone."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -13,11 +13,11 @@ from hil.estimation.slip import SlipDetector
 
 
 class OdometryEstimator:
-    """Integrates the motion of the wheels (``MotionReader``) from a known pose; truth and fixes have no part in it.
+    """Integrates the motion of the wheels (``MotionReader``) from a known pose. It uses neither truth nor fixes.
 
-    The heading comes from the gyro where there is one, because rollers slip sideways first in a turn; over a gap of
-    more than 0.1 s between two measurements it comes from the wheels. The displacement is taken at the heading half way
-    (midpoint rule). Slip is told, and changes nothing: there is nothing better here.
+    The heading comes from the gyro if there is one, because rollers slip sideways first in a turn. Over a gap of more
+    than 0.1 s between two measurements it comes from the wheels. The displacement is taken at the heading half way
+    (midpoint rule). Slip is reported and not corrected.
 
     Raises BadInputError as ``MotionReader``.
     """
@@ -33,7 +33,7 @@ class OdometryEstimator:
 
     @property
     def status(self) -> EstimatorSignals:
-        """Tell of slip alone."""
+        """Slip; everything else is NaN."""
         return NO_STATUS._replace(slip=float(self._slip.is_slipping))
 
     def update(
@@ -50,11 +50,11 @@ class OdometryEstimator:
         return State(self._pose, to_world(measured_twist(self._model, last), self._pose.heading_rad))
 
     def fix_figures(self) -> Mapping[str, int]:
-        """Fixes have no part in it."""
+        """Empty: it takes no fixes."""
         return {}
 
     def restart(self) -> None:
-        """Count from the next measurement on; how far the wheels rolled meanwhile is not known."""
+        """Continue from the next measurement; the motion in between is unknown."""
         self._last = None
         self._slip.restart()
 

@@ -1,10 +1,10 @@
-"""Slip: what the wheels say of the motion contradicts itself, the gyro or the accelerometer."""
+"""Slip detection: the motion by the wheels contradicts itself, the gyro or the accelerometer."""
 
 import math
 
 from hil.estimation.motion import Motion
 
-# One count within 1 ms is 0.1 m/s: faster measurements are taken together up to 200 Hz, the rate of GYRO.
+# One count within 1 ms is 0.1 m/s, so faster measurements are combined to 200 Hz, the rate of GYRO.
 _SHORTEST_S = 0.0049
 _WINDOW_S = 0.1
 _ACCELEROMETER_WINDOW_S = 0.2
@@ -15,12 +15,12 @@ class SlipDetector:
 
     - Front and rear wheels: the one combination of four wheel speeds that no motion of a rigid robot has.
     - Wheels and gyro: the difference of the yaw rates times the lever L.
-    - Wheels and accelerometer: the difference of the changes of velocity; the only one that tells when all four wheels
+    - Wheels and accelerometer: the difference of the changes of velocity; the only one that shows that all four wheels
       spin alike.
 
-    Each difference is summed up and forgotten over 0.1 s (0.2 s for the accelerometer), so that quantisation, which
-    does not sum up, has little part in it. Slip begins where one exceeds ``threshold_m_s`` and ends where all are
-    below half of it. A gyro's bias counts times L, an accelerometer's times 0.2 s.
+    Each difference goes through a leaky integrator of 0.1 s (0.2 s for the accelerometer), in which quantisation
+    cancels out. Slip begins when one exceeds ``threshold_m_s`` and ends when all are below half of it. A bias of the
+    gyro enters times L, one of the accelerometer times 0.2 s.
     """
 
     def __init__(self, lever_m: float, threshold_m_s: float) -> None:
@@ -29,7 +29,7 @@ class SlipDetector:
         self.restart()
 
     def restart(self) -> None:
-        """Forget everything: the wheels roll."""
+        """Start anew, without slip."""
         self.is_slipping = False
         self._found_m_s = 0.0
         self._together: Motion | None = None
@@ -40,7 +40,7 @@ class SlipDetector:
         self._last_m_s: tuple[float, float] | None = None
 
     def update(self, motion: Motion, gyro_bias_rad_s: float = 0.0) -> float:
-        """Take the next motion; return the speed of the slip [m/s], 0 without slip."""
+        """Add the next motion; return the speed of the slip [m/s], 0 without slip."""
         if self._together is not None:
             motion = self._together.and_then(motion)
         if motion.dt_s < _SHORTEST_S:
@@ -67,7 +67,7 @@ class SlipDetector:
         dt_s = motion.dt_s
         forward_m_s, left_m_s = motion.forward_m / dt_s, motion.left_m / dt_s
         if math.isnan(motion.gained_forward_m_s + motion.gained_left_m_s):
-            # How the velocity changed is not known: what was compared is over.
+            # The change of velocity is unknown, so the comparison starts anew.
             self._last_m_s, self._forward_m_s, self._left_m_s = None, 0.0, 0.0
             return 0.0
         last, self._last_m_s = self._last_m_s, (forward_m_s, left_m_s)

@@ -1,4 +1,4 @@
-"""Where the robot is by ground truth: for reference, not for a robot that has to find out itself."""
+"""The pose by ground truth, for reference: a real robot has none."""
 
 from collections.abc import Mapping, Sequence
 from math import isfinite
@@ -10,15 +10,15 @@ from hil.estimation.measurement import NO_STATUS, Measurement, measured_twist
 
 
 class TruthEstimator:
-    """Takes the pose from the truth, and the twist too where it has one and ``twist`` is not ``"wheels"``.
+    """Takes the pose from the truth, and the twist too if it has one and ``twist`` is not ``"wheels"``.
 
-    Else the twist is that of the wheels and the gyro. Between two samples of the truth the last one stands. One whose
-    pose is not finite is ignored. None until there is one.
+    Otherwise the twist is that of wheels and gyro. Between two samples of the truth the last one holds. A sample whose
+    pose is not finite is ignored. Before the first sample the state is None.
     """
 
     uses_truth = True
     status = NO_STATUS
-    """Nothing to tell: the truth is not estimated."""
+    """All NaN: the truth is not estimated."""
 
     def __init__(self, model: RobotModel, twist: str = "source") -> None:
         self._model = model
@@ -28,7 +28,7 @@ class TruthEstimator:
     def update(
         self, measurement: Measurement, truth: PoseFix | None, fixes: Sequence[MeasuredPose] = ()
     ) -> State | None:
-        """Return the newest true pose and the twist."""
+        """Return the newest true pose, and the twist."""
         if truth is not None:
             x, y, heading = truth.pose
             if isfinite(x + y + heading):
@@ -42,7 +42,7 @@ class TruthEstimator:
         return make_state((pose, twist))
 
     def fix_figures(self) -> Mapping[str, int]:
-        """Fixes have no part in it."""
+        """Empty: it takes no fixes."""
         return {}
 
     def restart(self) -> None:

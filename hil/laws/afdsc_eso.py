@@ -6,8 +6,7 @@ from typing import Annotated
 from hil.core.model import RobotModel
 from hil.core.options import POSITIVE
 from hil.core.types import Applied, CommandMode, Reference, State, WheelCommand
-from hil.laws.fuzzy import Tables
-from hil.laws.fuzzy_gains import FuzzyLaw, FuzzyRanges
+from hil.laws.fuzzy import FuzzyLaw, FuzzyRanges, Tables
 from hil.laws.observed_surface import ObservedSurface
 from hil.laws.surface import tracking_error
 

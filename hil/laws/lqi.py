@@ -8,7 +8,7 @@ from hil.core.model import RobotModel
 from hil.core.options import POSITIVE
 from hil.core.types import NO_GAINS, Applied, Axes, CommandMode, Reference, State, WheelCommand
 from hil.laws.prediction import DelayPredictor, Prediction, extrapolate
-from hil.laws.wheel_commands import speed_command
+from hil.laws.surface import speed_command
 
 if TYPE_CHECKING:
     import numpy as np

@@ -11,10 +11,8 @@ extended state observer estimates it. All values are predicted for the time when
 
 from hil.core.model import RobotModel
 from hil.core.types import Applied, Axes, CommandMode, Pairs, Reference, State, WheelCommand
-from hil.laws.observer import ExtendedStateObserver
-from hil.laws.prediction import DelayPredictor, Prediction, extrapolate
-from hil.laws.surface import FirstOrderFilter
-from hil.laws.wheel_commands import speed_command
+from hil.laws.prediction import DelayPredictor, ExtendedStateObserver, Prediction, extrapolate
+from hil.laws.surface import FirstOrderFilter, speed_command
 
 _LIMIT_M_S2 = 3.0
 _LIMIT_RAD_S2 = 10.0

@@ -7,7 +7,7 @@ from hil.core.model import RobotModel
 from hil.core.options import NOT_NEGATIVE, POSITIVE
 from hil.core.types import NO_GAINS, ZERO_WHEELS, Applied, Axes, CommandMode, Reference, State, WheelCommand, Wheels
 from hil.laws.prediction import extrapolate
-from hil.laws.wheel_commands import speed_command
+from hil.laws.surface import speed_command
 
 
 class Pid:

@@ -33,9 +33,8 @@ from hil.core.types import (
     WheelCommand,
     Wheels,
 )
-from hil.laws.observer import ExtendedStateObserver
-from hil.laws.prediction import DelayPredictor, Prediction, extrapolate
-from hil.laws.wheel_commands import speed_command
+from hil.laws.prediction import DelayPredictor, ExtendedStateObserver, Prediction, extrapolate
+from hil.laws.surface import speed_command
 
 SQRT2 = math.sqrt(2.0)
 

@@ -13,7 +13,7 @@ from types import TracebackType
 from typing import Any, Self
 
 from hil.core.subprocesses import child_environment
-from hil.estimation.localisation.address import parse_address
+from hil.estimation.localisation.message import parse_address
 from hil.record.decimate import Decimator
 from hil.record.ring import RingReader
 from hil.record.ring_child import Record, RefusedError, run

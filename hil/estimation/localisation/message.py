@@ -4,11 +4,41 @@
  "covariance": [4e-4, 0, 0, 4e-4, 0, 1e-4]}
 """
 
+import ipaddress
 import json
 import math
 from typing import NamedTuple
+from urllib.parse import urlsplit
 
+from hil.core.errors import BadInputError
 from hil.core.types import Pose, PoseCovariance
+
+LOOPBACK = "127.0.0.1"
+_EXPECTED = 'expected "simulated" or udp://127.0.0.1:PORT with a port from 1 to 65535'
+
+
+def parse_address(address: str, named: str = "estimator.fix", expected: str = _EXPECTED) -> tuple[str, int]:
+    """Return host and port of ``udp://HOST:PORT``; without a host it is 127.0.0.1.
+
+    The address of another network must be given in numbers, because whoever can send there moves the robot's pose.
+    Raises BadInputError, which begins with ``named``, for anything else.
+    """
+    refusal = f"{named} = {address!r}"
+    try:
+        parts = urlsplit(address)
+        host, port = parts.hostname or LOOPBACK, parts.port
+    except ValueError:
+        raise BadInputError(f"{refusal}: no address; {expected}") from None
+    extra = parts.path or parts.query or parts.fragment or parts.username
+    if parts.scheme != "udp" or not parts.netloc or extra or port is None or port == 0:
+        raise BadInputError(f"{refusal}: no address; {expected}")
+    try:
+        return str(ipaddress.IPv4Address(LOOPBACK if host == "localhost" else host)), port
+    except ValueError:
+        raise BadInputError(
+            f"{refusal}: {host!r} is no IPv4 address in numbers; expected 127.0.0.1, or that of a network card"
+        ) from None
+
 
 VERSION = 1
 LONGEST_BYTES = 1024
@@ -20,7 +50,7 @@ _STAMPS = ("age_s", "unix_time_s")
 
 
 class Refused(Exception):  # noqa: N818 - no error of ours: a datagram is refused and counted
-    """A datagram is no fix; ``cause`` is what it is counted as."""
+    """A datagram is no valid fix; it is counted by ``cause``."""
 
     def __init__(self, cause: str) -> None:
         super().__init__(cause)
@@ -36,7 +66,7 @@ class Received(NamedTuple):
     covariance: PoseCovariance
 
     def age_at(self, unix_time_s: float) -> float:
-        """Return how old its sample is, read at this Unix time [s]."""
+        """Return the age [s] of its sample at this Unix time [s]."""
         if self.unix_time_s is not None:
             return unix_time_s - self.unix_time_s
         assert self.age_s is not None
@@ -88,8 +118,8 @@ def _number(value: object) -> float:
 def _is_covariance(covariance: PoseCovariance) -> bool:
     """Return whether it is positive definite and far from singular, so that a filter can invert it.
 
-    No sigma is below 10 µm or 10 µrad; none is known to less than a twentieth of itself by the others, which two with a
-    correlation of 0.9987 are.
+    No sigma is below 10 µm or 10 µrad, and the other two components determine none to less than a twentieth of its
+    sigma, which is a correlation of 0.9987.
     """
     xx, xy, xh, yy, yh, hh = covariance
     if max(xx, yy, hh) > LARGEST or min(xx, yy, hh) < LEAST_VARIANCE:

@@ -1,4 +1,4 @@
-"""Pose fixes as a lidar's SLAM gives them, made of the truth: seldom, late, noisy, sometimes wrong or missing."""
+"""Pose fixes like those of a lidar's SLAM, made from the truth: late, noisy, sometimes wrong or missing."""
 
 import math
 import random
@@ -33,11 +33,11 @@ class SimulatedFixes:
 
     The first sample of the truth of each period of 1 / ``rate_hz`` becomes a fix, stamped with its own time, which
     arrives ``latency_s`` later. An outlier is off by ``outlier_m`` in any direction and turned by up to that many
-    radians; the covariance, as a real one's, does not tell. The random numbers of a fix are drawn in the same order
-    whatever becomes of it, so that an option changes what it says and nothing else.
+    radians; its covariance does not show it, as in reality. Every fix draws the same random numbers in the same order,
+    so an option changes nothing but its own effect.
 
-    ``truth_age_ns`` is how old the truth is when it is told: the link's feedback latency. A reset of the robot leaves
-    the truth's clock, which is the plant's, as it is; what its clock says then follows from this age.
+    ``truth_age_ns`` is the age of the truth when it arrives: the link's feedback latency. A reset of the robot does not
+    change the truth's clock, which is the plant's. The offset of the robot's new clock follows from this age.
     """
 
     def __init__(self, options: SimulatedOptions, seed: int, truth_age_ns: int = 0) -> None:
@@ -55,7 +55,7 @@ class SimulatedFixes:
         self._counts = {"made": 0, "outliers": 0, "dropped": 0, "received": 0}
 
     def poll(self, now_ns: int, truth: PoseFix | None) -> Sequence[MeasuredPose]:
-        """Take the newest truth and return the fixes that arrive by now."""
+        """Add the newest truth and return the fixes that have arrived."""
         if truth is not None and math.isfinite(sum(truth.pose)):
             if self._ahead_ns is None:
                 self._ahead_ns = now_ns - self._truth_age_ns - truth.time_ns
@@ -67,20 +67,20 @@ class SimulatedFixes:
         return arrived
 
     def skip(self) -> None:
-        """Nothing waits that would be taken for newer than it is: each fix has its stamp."""
+        """Do nothing: each fix has its stamp, so none looks newer than it is."""
 
     def restart(self) -> None:
-        """Stamp by the new clock; what was on its way had the stamps of the old one and is lost."""
+        """Stamp by the new clock; fixes under way had stamps of the old one and are lost."""
         self._on_their_way.clear()
         self._ahead_ns = None
         self._period = None
 
     def figures(self) -> dict[str, Any]:
-        """Return how many fixes were made, and what became of them."""
+        """Return the number of fixes made, and of each outcome."""
         return dict(self._counts)
 
     def close(self) -> None:
-        """Nothing is held."""
+        """Do nothing: it holds nothing open."""
 
     def _sample(self, truth: PoseFix, time_ns: int) -> None:
         if self._first_ns is None:
@@ -89,11 +89,11 @@ class SimulatedFixes:
         if period == self._period:
             return
         self._period = period
-        fix = self._made(truth.pose, time_ns, (truth.time_ns - self._first_ns) / _NS)
+        fix = self._make(truth.pose, time_ns, (truth.time_ns - self._first_ns) / _NS)
         if fix is not None:
             self._on_their_way.append(fix)
 
-    def _made(self, truth: Pose, time_ns: int, t_s: float) -> MeasuredPose | None:
+    def _make(self, truth: Pose, time_ns: int, t_s: float) -> MeasuredPose | None:
         options, chance = self._options, self._random
         x_m, y_m = (chance.gauss(0.0, options.sigma_m) for _ in "xy")
         heading_rad = chance.gauss(0.0, options.sigma_rad)

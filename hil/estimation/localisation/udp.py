@@ -8,24 +8,22 @@ from typing import Any
 
 from hil.core.errors import BadInputError
 from hil.core.types import MeasuredPose, PoseFix
-from hil.estimation.localisation.address import parse_address
-from hil.estimation.localisation.message import Refused, parse
+from hil.estimation.localisation.message import Refused, parse, parse_address
 
-_AT_MOST = 16  # datagrams a poll; the rest waits for the next one
-_SKIPPED_AT_MOST = 1024  # more than a socket of the usual size holds; a flood does not hold up the tick for ever
+_AT_MOST = 16  # datagrams a poll; the rest waits for the next poll
+_SKIPPED_AT_MOST = 1024  # more than a usual socket holds; a flood cannot delay the tick for ever
 _BUFFER_BYTES = 65536
 _FUTURE_S = 0.010
 _NS = 1e9
 
 
 class UdpFixes:
-    """A FixSource that takes datagrams as they come, without waiting; what is no fix is counted by cause.
+    """A FixSource that reads datagrams without waiting, and counts refused ones by cause.
 
-    ``oldest_s`` is the age beyond which a fix is refused as ``stale``; one more than 10 ms from the future, which is
-    more than clocks of one machine differ, is refused as ``future``. ``unix_time_s`` is the clock that stamps of Unix
-    time are held against.
+    A fix older than ``oldest_s`` is refused as ``stale``. One more than 10 ms from the future, more than clocks of one
+    machine differ, is refused as ``future``. ``unix_time_s`` is the clock with which stamps of Unix time are compared.
 
-    Raises BadInputError for an address that is none or is taken.
+    Raises BadInputError for an address that is invalid or in use.
     """
 
     def __init__(self, address: str, oldest_s: float, unix_time_s: Callable[[], float] = time.time) -> None:
@@ -45,17 +43,17 @@ class UdpFixes:
             raise BadInputError(f"estimator.fix = {address!r} cannot be opened ({error}); choose another") from error
 
     def poll(self, now_ns: int, truth: PoseFix | None) -> Sequence[MeasuredPose]:
-        """Return the fixes that have come; ``truth`` has no part in it."""
+        """Return the fixes that have arrived; ``truth`` is not used."""
         fixes: list[MeasuredPose] = []
         for datagram in self._datagrams(_AT_MOST):
             try:
-                fixes.append(self._taken(datagram, now_ns))
+                fixes.append(self._read(datagram, now_ns))
             except Refused as refused:
                 self._refused[refused.cause] += 1
         return fixes
 
     def skip(self) -> None:
-        """Refuse what has come as ``waited``: read later, an age would be counted from a time that is too late."""
+        """Refuse waiting datagrams as ``waited``: an age read later would count from too late a time."""
         for _ in self._datagrams(_SKIPPED_AT_MOST):
             self._refused["waited"] += 1
 
@@ -66,24 +64,24 @@ class UdpFixes:
             except BlockingIOError:
                 break
             except OSError:
-                # Windows reports with a receiving socket what became of datagrams that were sent: none of ours.
+                # Windows reports errors of sent datagrams here, and this socket sends none.
                 self._refused["socket"] += 1
                 continue
             self._received += 1
             yield datagram
 
     def restart(self) -> None:
-        """Nothing is held: what came without the robot was skipped."""
+        """Do nothing: what arrived without the robot was skipped."""
 
     def figures(self) -> dict[str, Any]:
-        """Return how many datagrams were read and how many of them were refused, by cause."""
+        """Return the number of datagrams read, and of those refused by cause."""
         return {"received": self._received, "refused": dict(self._refused)}
 
     def close(self) -> None:
         """Release the port. Closing twice is allowed."""
         self._socket.close()
 
-    def _taken(self, datagram: bytes, now_ns: int) -> MeasuredPose:
+    def _read(self, datagram: bytes, now_ns: int) -> MeasuredPose:
         message = parse(datagram)
         age_s = message.age_at(self._unix_time_s())
         if age_s > self._oldest_s:
