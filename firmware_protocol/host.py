@@ -237,7 +237,7 @@ class HostNode:
         return frames
 
     def count_unsent(self, frames: int) -> None:
-        """Take note that so many frames that were taken could not be sent (DBC PORT_COUNTERS.transmit_overrun)."""
+        """Count frames that were taken and could not be sent (DBC PORT_COUNTERS.transmit_overrun)."""
         self._lib.wheel_host_count_unsent(self.handle, frames)
 
     def look(self) -> View:

@@ -86,7 +86,7 @@ def value_attributes(variable: Variable) -> dict[str, str]:
 
 
 def outputs(definition: Definition) -> Iterator[tuple[Variable, tuple[str, ...], tuple[str, ...]]]:
-    """Give each output with the names it depends on at a communication point, and those in initialization mode.
+    """Yield each output with the names it depends on at a communication point, and those in initialization mode.
 
     At a communication point an output that names nothing follows from the states alone: it has no direct
     feedthrough. Initially the states follow from the parameters, of which any may count; that the other inputs do

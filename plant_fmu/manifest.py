@@ -38,7 +38,7 @@ def manifest() -> str:
 
 
 def _related() -> Iterator[tuple[Path, str, str, str]]:
-    """Give each file with its MIME type, its role and what it is."""
+    """Return each file with its MIME type, its role and what it is."""
     yield REFERENCE / "README.md", "text/markdown", "document", "What the cases are and how to run them"
     yield REFERENCE / "cases.toml", "application/toml", "testcase", "Start values, steps and tolerances of the cases"
     for name, case in tomllib.loads((REFERENCE / "cases.toml").read_text(encoding="utf-8")).items():

@@ -15,7 +15,7 @@ from hil.batch.plan import run_jobs, run_plan
 from hil.batch.pool import LocalPool
 from hil.batch.store import KEY, Store, outcome_of, read_rows, row_of
 from hil.core.errors import BadInputError, LinkError
-from hil.core.subprocesses import IS_TOLD
+from hil.core.subprocesses import MEMORY_IS_KNOWN
 from hil.scenario import Scenario, load
 
 SHORT = {"loop.duration_s": 0.2, "loop.rate_hz": 200, "expect": []}
@@ -119,7 +119,7 @@ def test_outcomes_are_in_the_order_of_the_jobs_and_equal_jobs_are_done_once() ->
     assert run_jobs([]) == []
 
 
-@pytest.mark.skipif(not IS_TOLD, reason="this system does not tell how much memory a process takes")
+@pytest.mark.skipif(not MEMORY_IS_KNOWN, reason="this system does not tell how much memory a process takes")
 def test_a_job_beyond_a_limit_is_lost_with_its_process_and_the_next_is_done(tmp_path: Path) -> None:
     (tmp_path / "laws.py").write_text(LAWS, encoding="utf-8")
     grows, hangs, rests = (

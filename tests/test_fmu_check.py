@@ -94,7 +94,7 @@ def kind_of(fault: str) -> Kind:
 
 def found(result: CheckResult) -> list[str]:
     """Return all that was found, of whatever kind."""
-    return [words for kind in Kind for words in result.told(kind)]
+    return [words for kind in Kind for words in result.texts(kind)]
 
 
 def test_nothing_is_found_in_the_shipped_fmu() -> None:
@@ -115,7 +115,7 @@ def test_a_fault_is_found_by_its_part_and_is_of_its_kind(fmi: int, fault: str, t
     fmu = lag(tmp_path, fmi, fault)
     result = check(fmu, longest_s=1.0) if fault == "HANG_IN_STEP" else check(fmu)
     assert [p.name for p in result.parts[2:]] == [title(p) for p in PARTS]
-    told = result.told(kind_of(fault))
+    told = result.texts(kind_of(fault))
     assert any(words in one for one in told), found(result)
     assert found(result) == told
     assert {one.split(":")[0] for one in told} == {part}

@@ -15,7 +15,7 @@ import pytest
 
 from firmware_protocol.built import FLAGS
 from hil.core.errors import BadInputError, DeviceError
-from hil.core.subprocesses import IS_TOLD
+from hil.core.subprocesses import MEMORY_IS_KNOWN
 from hil.core.types import Wheels
 from hil.plant import shim
 from hil.plant.built import PLANT_PORT
@@ -149,7 +149,7 @@ def test_an_fmu_that_makes_no_instance_and_says_nothing_may_be_of_two_builds(
         RemotePlant(other, {})
 
 
-@pytest.mark.skipif(not IS_TOLD, reason="this system does not tell how much memory a process takes")
+@pytest.mark.skipif(not MEMORY_IS_KNOWN, reason="this system does not tell how much memory a process takes")
 def test_an_fmu_that_takes_more_memory_than_it_may_is_ended(flawed: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """50 MB a tick; within the tenth of a second between two looks it may take a little more than its limit."""
     monkeypatch.setenv("FLAW", "hog 0.02")
@@ -162,7 +162,7 @@ def test_an_fmu_that_takes_more_memory_than_it_may_is_ended(flawed: Path, monkey
 
 
 def test_where_memory_is_not_told_that_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("hil.plant.remote.IS_TOLD", False)
+    monkeypatch.setattr("hil.plant.remote.MEMORY_IS_KNOWN", False)
     with RemotePlant(FMU, {}) as plant:
         assert plant.output.take() == ["nothing yet; its limit of 2000 MB is not watched on this system"]
 

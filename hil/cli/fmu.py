@@ -120,9 +120,9 @@ def _print_check(fmu: Path, result: "CheckResult") -> None:
         rows.append((part.name, outcome, part.skipped or ""))
     _print_rich_table(("part", "outcome", "reason"), rows)
     for kind in Kind:
-        for finding in result.told(kind):
+        for finding in result.texts(kind):
             print(one_line(f"{kind}: {finding}"))
-    counts = {kind: len(result.told(kind)) for kind in Kind}
+    counts = {kind: len(result.texts(kind)) for kind in Kind}
     violations = counts[Kind.VIOLATION]
     words = [f"{violations or 'no'} violation{'' if violations == 1 else 's'} of the standard"]
     if count := counts[Kind.ADVICE]:

@@ -25,8 +25,8 @@ class UnknownSignalError(BadInputError, KeyError):
 
     def __init__(self, name: object, known: Iterable[str]) -> None:
         hint = nearest(str(name), known)  # the whole vocabulary is too long for a sentence
-        told = hint if "did you mean" in hint else "; `hil list signals` prints them all"
-        super().__init__(f"the run has no signal {name!r}{told}")
+        rest = hint if "did you mean" in hint else "; `hil list signals` prints them all"
+        super().__init__(f"the run has no signal {name!r}{rest}")
 
 
 class LinkError(HilError):
@@ -81,7 +81,7 @@ def near(word: str, known: Iterable[str]) -> list[str]:
 
 
 def _is_part(word: str, known: str) -> bool:
-    """Tell whether a word is the begin of another one, or some of its parts."""
+    """Return whether a word is the beginning of another one, or some of its parts."""
     parts, words = (f"_{one}_".replace(".", "_") for one in (word, known))
     return len(word) > 1 and (known.startswith(word) or parts in words)
 

@@ -46,10 +46,10 @@ class Extensions:
         """Return the ``package.module:Name`` that is registered under a name that is not shipped, or None."""
         return next((p.value for p in self.registered() if p.name == name and name not in self.shipped), None)
 
-    def find(self, name: str, said: str) -> EntryPoint:
+    def find(self, name: str, subject: str) -> EntryPoint:
         """Return the entry point of a name that is not shipped, or of a ``package.module:Name`` that nobody registered.
 
-        ``said`` begins the messages, as ``key = 'name'``.
+        ``subject`` begins the messages, as ``key = 'name'``.
         Raises BadInputError for a name that nobody has registered (with the nearest), one that two packages have
         registered, and one that is not registered as ``package.module:Name``.
         """
@@ -57,24 +57,24 @@ class Extensions:
             return EntryPoint(name, name, self.group)
         same = [point for point in self.registered() if point.name == name]
         if not same:
-            raise BadInputError(f"{said}: unknown{nearest(name, self.names())}")
+            raise BadInputError(f"{subject}: unknown{nearest(name, self.names())}")
         if len(same) > 1:
             packages = " and ".join(f"{package_of(point)} ({point.value})" for point in same)
-            raise BadInputError(f"{said}: registered by {packages}; name one as 'package.module:Class'")
+            raise BadInputError(f"{subject}: registered by {packages}; name one as 'package.module:Class'")
         if ":" not in same[0].value:
-            told = f"{said}, of the package {package_of(same[0])}: registered as {same[0].value!r}"
-            raise BadInputError(f"{told}, expected 'package.module:Class'")
+            begin = f"{subject}, of the package {package_of(same[0])}: registered as {same[0].value!r}"
+            raise BadInputError(f"{begin}, expected 'package.module:Class'")
         return same[0]
 
-    def load(self, name: str, said: str) -> Any:
+    def load(self, name: str, subject: str) -> Any:
         """Return the object that is registered under a name that is not shipped. Raises BadInputError as ``find``
         does, and where the package cannot be imported or has no such object."""
-        point = self.find(name, said)
+        point = self.find(name, subject)
         try:
             return point.load()
         except Exception as error:
-            told = f"{said}, of the package {package_of(point)}: {point.value!r} cannot be loaded"
-            raise BadInputError(f"{told}: {type(error).__name__}: {error}") from error
+            begin = f"{subject}, of the package {package_of(point)}: {point.value!r} cannot be loaded"
+            raise BadInputError(f"{begin}: {type(error).__name__}: {error}") from error
 
     def _line(self, point: EntryPoint, names: list[str]) -> str:
         if point.name in self.shipped:

@@ -84,8 +84,8 @@ class LineReader:
 class LinePoll:
     """Reads the records that are at hand, without ever waiting; for a loop that has no time (0.6 µs when none is).
 
-    ``ended`` tells that the pipe has ended, after its last record. (Windows cannot look into a pipe without waiting:
-    there a thread reads.)
+    ``ended`` is true once the pipe has ended and its last record was taken. (Windows cannot poll a pipe
+    without waiting: there a thread reads.)
     """
 
     ended = False

@@ -67,7 +67,7 @@ def release(path: Path, existing: Existing = "refuse") -> None:
 
 @contextlib.contextmanager
 def whole_file(path: Path, what: str = "file", existing: Existing = "refuse") -> Iterator[Path]:
-    """Give the path of an unfinished file, with the same suffix, that becomes ``path`` when the block ends.
+    """Yield the path of an unfinished file, with the same suffix, that becomes ``path`` when the block ends.
 
     After an error of the block, on a full disk for one, nothing of it stays; a file that was to be replaced is then as
     it was. ``what`` it is to be is named by BadInputError, which is raised when a file is there that must stay, and

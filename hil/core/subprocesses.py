@@ -50,8 +50,8 @@ def wait_for_end(descriptor: int) -> None:
 _PROCESSES = Path("/proc")
 _BYTES_A_MB = 1e6
 DEFAULT_LIMIT_MB = 2000.0
-IS_TOLD = (_PROCESSES / "self" / "statm").exists()
-"""Whether this system tells: Linux does."""
+MEMORY_IS_KNOWN = (_PROCESSES / "self" / "statm").exists()
+"""Whether the system tells how much memory a process has: Linux does."""
 
 
 def resident_bytes(process: int | str = "self") -> int:
@@ -64,7 +64,7 @@ def resident_bytes(process: int | str = "self") -> int:
 
 
 def excess(process: int, limit_mb: float) -> str | None:
-    """Say that a process has taken more than its limit; None while it has not."""
+    """Return a sentence about a process that has taken more memory than its limit; None while it has not."""
     taken_mb = resident_bytes(process) / _BYTES_A_MB
     return (
         None if taken_mb <= limit_mb else f"it took {taken_mb:.0f} MB of memory, more than the limit of {limit_mb:g} MB"

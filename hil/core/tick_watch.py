@@ -102,7 +102,7 @@ class TickWatch:
     def _end(self, sentence: str) -> None:
         """End the process: the control thread does not run Python any more."""
         stack = "".join(traceback.format_stack(sys._current_frames().get(self._ident), _FRAMES))
-        # The sentence last: of a worker that ends, its last line is told.
+        # The sentence comes last: of a worker that has ended, the last line is shown.
         _say(lambda: self._last_words(sentence), _LAST_WORDS_S)
         _say(lambda: print(f"{stack}hil: {sentence}", file=sys.stderr, flush=True), _PRINT_S)
         os._exit(OverdueError.exit_code)
@@ -116,7 +116,7 @@ def _say(words: Callable[[], None], limit_s: float) -> None:
 
 
 def _is_debugged(frame: FrameType | None) -> bool:
-    """Tell whether a debugger's own code is on the stack: it holds the thread, and waits for its user."""
+    """Return whether a debugger's own code is on the stack: it holds the thread, and waits for its user."""
     while frame is not None:
         if str(frame.f_globals.get("__name__")).partition(".")[0].startswith(_DEBUGGERS):
             return True

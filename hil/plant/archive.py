@@ -1,4 +1,4 @@
-"""Finds FMUs and tells, without running anything of theirs, whether and how one can be run here.
+"""Finds FMUs and checks whether and how one can be run here, without running anything of it.
 
 Every refusal is a BadInputError of one sentence that names the file.
 """
@@ -97,12 +97,12 @@ def sha256(fmu: Path) -> str:
 
 
 def is_ours(fmu: Path) -> bool:
-    """Tell whether this is where an FMU is that ships with this package, MuJoCo's among them."""
+    """Return whether this is where an FMU is that ships with this package, MuJoCo's among them."""
     return fmu in SHIPPED.values()
 
 
 def is_shipped(fmu: Path) -> bool:
-    """Tell whether this is, byte for byte, the plant that ships with this package, for either FMI version.
+    """Return whether this is, byte for byte, the plant that ships with this package, for either FMI version.
 
     MuJoCo's is not: its code is not ours, and where MuJoCo gives up it ends its process.
     """
@@ -175,7 +175,7 @@ def platforms(fmu: Path) -> tuple[str, ...]:
 
 
 def holds(fmu: Path, member: str, text: bytes) -> bool:
-    """Tell whether a member of the archive has these bytes in it. Raises BadInputError."""
+    """Return whether a member of the archive has these bytes in it. Raises BadInputError."""
     with opened(fmu) as archive:
         return text in b"".join(pieces(fmu, archive, archive.getinfo(member)))
 

@@ -32,7 +32,7 @@ class FmuPlant(shim.PlantPort):
 
     With ``prints_log`` all that the FMU says to its logger is printed on stderr, a line for each message.
 
-    ``lacks`` names the sensors, keys of ``signals.SENSORS``, that the FMU has not.
+    ``lacks`` names the sensors, keys of ``signals.SENSORS``, that the FMU does not have.
 
     The FMU's code runs here: where it crashes or hangs, this process does.
 
@@ -96,7 +96,7 @@ class FmuPlant(shim.PlantPort):
         return int(self._ffi.cast("uintptr_t", self._context.signal))
 
     def wire(self, wheel_of_channel: Sequence[int], sign_of_channel: Sequence[int]) -> None:
-        """Say which wheel (0 to 3: FL, FR, RR, RL) each channel of the plant port drives, and in which sense.
+        """Set which wheel (0 to 3: FL, FR, RR, RL) each channel of the plant port drives, and in which sense.
 
         Raises BadInputError unless that is a permutation with signs 1 and -1.
         """
@@ -206,5 +206,5 @@ class FmuPlant(shim.PlantPort):
 
 
 def _is_needed(folder: Path, member: str) -> bool:
-    """Tell whether a loaded FMU may want more of its files: resources, or libraries beside its own."""
+    """Return whether a loaded FMU may need more of its files: resources, or libraries beside its own."""
     return (folder / "resources").is_dir() or len(list((folder / member).parent.iterdir())) > 1

@@ -57,7 +57,7 @@ class Instance:
 
     @property
     def words(self) -> str:
-        """What the FMU said last, of warnings and worse, or why the shim stopped."""
+        """The newest message of the FMU that is a warning or worse, or why the shim stopped."""
         return one_line(load()[0].string(self._context.text).decode(errors="replace"))
 
     def access(self, call: str, kind: str) -> Any:
@@ -87,7 +87,7 @@ class Instance:
         self._context.component = load()[0].cast("void *", self.fmu.component)
 
     def _guess(self) -> str:
-        """Say what may be wrong where the FMU made no instance and gave no reason."""
+        """Return what may be wrong where the FMU made no instance and gave no reason."""
         guid = self.description.guid
         if archive.holds(self._file, self._library.member, guid.encode()):
             return "it did not say why"
@@ -156,7 +156,7 @@ class Instance:
         _ALIVE.discard(self.description.guid)
 
     def unload(self) -> None:
-        """Unload the library, unless the FMU said that nothing of it may be called any more."""
+        """Unload the library, unless the FMU said that none of its functions may be called any more."""
         if not self._context.fatal:
             self.fmu.freeLibrary()
 
@@ -209,7 +209,7 @@ class Instance:
 
         path = str(self._folder / library.member)
         try:
-            # FMPy raises a plain Exception for this; asked first, the loader tells what is wrong.
+            # FMPy raises a plain Exception for this; the loader, asked first, says what is wrong.
             probe = ctypes.CDLL(path)
         except OSError as error:
             raise BadInputError(f"FMU {self._file}: its library cannot be loaded ({error}); build it anew") from error

@@ -1,4 +1,4 @@
-"""A child process that may crash or hang: started, watched, ended, and what there is to say of its end."""
+"""A child process that may crash or hang: start, watch, end, reason of its end; and its own side."""
 
 import contextlib
 import json
@@ -105,12 +105,12 @@ class ChildProcess:
 
     @property
     def read_end(self) -> int:
-        """Descriptor of what it answers."""
+        """Descriptor from which its answers are read."""
         return _pipe(self._process.stdout).fileno()
 
     @property
     def write_end(self) -> int:
-        """Descriptor of what it is asked."""
+        """Descriptor to which requests are written."""
         return _pipe(self._process.stdin).fileno()
 
     def send(self, record: Mapping[str, object]) -> None:
@@ -139,11 +139,11 @@ class ChildProcess:
                 os.killpg(self._process.pid, signal.SIGKILL)
 
     def give_up(self, waited_s: float) -> None:
-        """End it at once, since it has not answered for so long."""
+        """End it at once, because it has not answered for so long [s]."""
         self._end_because(f"it gave no answer within {waited_s:g} s and was ended")
 
     def limit_memory(self, limit_mb: float, setting: str = "") -> None:
-        """End it at once when it has taken more memory; where the system does not tell, it takes what it likes.
+        """End it at once when it has taken more memory; there is no limit where the system does not tell.
 
         ``setting`` is what a user may set the limit by.
         """
@@ -159,7 +159,7 @@ class ChildProcess:
         return self._end(_END_S)
 
     def ending(self) -> str:
-        """Wait for its end as ``wait`` does, and say how it was."""
+        """Wait for its end as ``wait`` does, and return the reason in words."""
         status = self.wait()
         return self._why_ended or f"its process {_how(status)}"
 
@@ -184,13 +184,13 @@ class ChildProcess:
         return self._process.wait()
 
     def _has_ended(self) -> bool:
-        """Tell whether it has ended; on Linux it keeps its number until ``Popen.wait``, so that ``kill`` may follow."""
+        """Return whether it has ended; on Linux its number stays taken until ``Popen.wait``, for ``kill``."""
         if sys.platform == "linux" and self._process.returncode is None:
             return os.waitid(os.P_PID, self.pid, os.WEXITED | os.WNOHANG | os.WNOWAIT) is not None
         return self._process.poll() is not None
 
     def _read_words(self) -> None:
-        """Take in all that is printed, so that nobody who prints has to wait."""
+        """Read all output at once, so that the child never waits for a reader."""
         with _pipe(self._process.stderr) as words:
             while printed := words.read(65536):
                 self._output.feed(printed.replace(b"\0", b""))  # the child's question whether we are still here
@@ -214,7 +214,7 @@ def _record(line: bytes) -> dict[str, Any] | None:
 
 
 def _how(status: int) -> str:
-    """Say how a process ended, from the status that Popen gives."""
+    """Return how a process ended in words, from the status that Popen gives."""
     if status < 0:
         number = -status
         # Real-time signals have no name in Python, but for the first and the last.
@@ -248,7 +248,7 @@ class Parent:
         self.send(here=True)
 
     def receive(self) -> dict[str, Any]:
-        """Return what the parent tells next; end when there will be nothing more."""
+        """Return the next record of the parent; end this process when there will be none."""
         with open(self.requests, "rb", buffering=0, closefd=False) as lines:
             line = lines.readline()
         if not line.endswith(b"\n"):
@@ -257,7 +257,7 @@ class Parent:
         return heard
 
     def send(self, **record: object) -> None:
-        """Answer with a line; end when nobody hears it."""
+        """Send a record; end this process when nobody reads it."""
         line = json.dumps(record).encode() + b"\n"
         try:
             while line:

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
 from hil.core.errors import BadInputError, DeviceError
-from hil.core.subprocesses import DEFAULT_LIMIT_MB, IS_TOLD
+from hil.core.subprocesses import DEFAULT_LIMIT_MB, MEMORY_IS_KNOWN
 from hil.core.types import Pose, PoseFix, Twist, Wheels
 from hil.plant import shim
 from hil.plant.child_output import ChildOutput, one_line
@@ -24,9 +24,9 @@ class RemotePlant(shim.PlantPort):
 
     ``timeout_s`` is how long a tick may take until the FMU counts as hung; opening it and going back to the start
     may take ten times as long. A process that takes more memory than ``memory_limit_mb`` is ended, where the system
-    tells how much it takes; where it does not, that is the first thing in ``output``, which has all that the FMU prints
-    and logs. What ends the child is a failure of the plant: the exchange fails, and ``message`` says why. The child
-    never outlives this process.
+    tells how much it takes; where it does not, the first line of ``output`` says so. ``output`` has all that the FMU
+    prints and logs. The end of the child is a failure of the plant: the exchange fails, and ``message`` says why. The
+    child never outlives this process.
 
     Raises BadInputError as ``FmuPlant`` does, and DeviceError when the FMU fails, crashes or hangs while it is opened.
     """
@@ -60,7 +60,7 @@ class RemotePlant(shim.PlantPort):
         self._wiring: tuple[Sequence[int], Sequence[int]] = ((0, 1, 2, 3), (1, 1, 1, 1))
         self._closed = False
         self.output = ChildOutput()
-        if not IS_TOLD:
+        if not MEMORY_IS_KNOWN:
             self.output.feed(
                 f"nothing yet; its limit of {memory_limit_mb:g} MB is not watched on this system\n".encode()
             )
@@ -116,7 +116,7 @@ class RemotePlant(shim.PlantPort):
         return int(self._ffi.cast("uintptr_t", self._context.newest.pose))
 
     def wire(self, wheel_of_channel: Sequence[int], sign_of_channel: Sequence[int]) -> None:
-        """Say which wheel (0 to 3: FL, FR, RR, RL) each channel of the plant port drives, and in which sense.
+        """Set which wheel (0 to 3: FL, FR, RR, RL) each channel of the plant port drives, and in which sense.
 
         Raises BadInputError unless that is a permutation with signs 1 and -1, DeviceError when the FMU fails.
         """
@@ -185,7 +185,7 @@ class RemotePlant(shim.PlantPort):
             raise DeviceError(f"the plant stopped at {self.truth().time_ns / 1e9:g} s: {self.message}")
 
     def _last_reply(self) -> str:
-        """Return why the FMU failed. Its process is of no use any more, and ends: so all that it has said is here."""
+        """Return why the FMU failed. Waits for the end of its process, after which all its output is here."""
         self._child.wait()
         words = self._words()
         return self._with_last_words(words) if words.endswith(_NO_WHY) else words
@@ -204,7 +204,7 @@ class RemotePlant(shim.PlantPort):
 
     @contextlib.contextmanager
     def _waiting(self, limit_s: float) -> Iterator[None]:
-        """Give what is asked in this block another time limit."""
+        """Set another time limit for the requests in this block."""
         self._watch.limit_s = limit_s
         self._context.asked += 1
         try:

@@ -149,7 +149,7 @@ def _size(variable: Any) -> int:
 
 
 def _starts(variables: Iterable[Any]) -> Iterable[float | int]:
-    """Give the start of every element: where no signal drives an element of an input, it stays there."""
+    """Yield the start of every element; an element of an input that no signal drives keeps it."""
     for variable in variables:
         number = float if variable.type in ("Real", "Float64", "Float32") else int
         given = [number(text) for text in (variable.start or "").split()] or [number(0)]

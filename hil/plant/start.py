@@ -37,12 +37,12 @@ def start_values(start: Mapping[str, Value], fmu: Path, variables: Variables) ->
 
 
 def is_settable(variable: Any) -> bool:
-    """Tell whether the importer may set the start of a variable (FMI 2.0 section 2.2.7, FMI 3.0 section 2.4.7.5)."""
+    """Return whether the importer may set the start of a variable (FMI 2.0 section 2.2.7, FMI 3.0 section 2.4.7.5)."""
     return variable.variability != "constant" and variable.initial in ("exact", "approx")
 
 
 def resize(starts: Iterable[Start], variables: Variables) -> None:
-    """Give the arrays the sizes that structural parameters start with (FMI 3.0 section 2.4.7.3)."""
+    """Set the sizes of arrays that structural parameters start with (FMI 3.0 section 2.4.7.3)."""
     sizes = {start.variable.valueReference: start.value for start in starts}
     for variable in variables.values():
         variable.shape = tuple(

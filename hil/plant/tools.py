@@ -1,4 +1,4 @@
-"""What ``hil fmu check`` finds out: FMPy's validator, and a run of the FMU in a process of its own.
+"""What ``hil fmu check`` does: FMPy's validator, and a run of the FMU in a process of its own.
 
 A foreign FMU may crash or hang; that ends one part of the run, and the next one goes on in a new process.
 """
@@ -44,9 +44,9 @@ class CheckResult:
     @property
     def violations(self) -> list[str]:
         """Return every violation of the standard; none for a good FMU."""
-        return self.told(Kind.VIOLATION)
+        return self.texts(Kind.VIOLATION)
 
-    def told(self, kind: Kind) -> list[str]:
+    def texts(self, kind: Kind) -> list[str]:
         """Return what was found of a kind, one sentence each, after the name of its part."""
         return [f"{part.name}: {one.text}" for part in self.parts for one in part.findings if one.kind == kind]
 
@@ -62,7 +62,7 @@ def check(fmu: Path, longest_s: float = _LONGEST_CALL_S) -> CheckResult:
     started.
     """
     archive.read_header(fmu)
-    shim.load()  # the child needs it; what is missing is said here
+    shim.load()  # the child needs it: raise here what is missing
     from fmpy.validation import validate_fmu
 
     from hil.plant.conformance.order import PARTS, title
@@ -144,7 +144,7 @@ def _run_child(job: _Job, todo: Sequence[str]) -> list[Part]:
 
 
 class _Progress:
-    """What a child has said so far: the parts that began, and where it is."""
+    """The parts that a child has begun so far, and the call in which it is."""
 
     def __init__(self) -> None:
         self.parts: list[Part] = []
@@ -157,7 +157,7 @@ class _Progress:
         return f"{self._doing}{self._trying and f' ({self._trying})'}{self._doing and ', '}"
 
     def take(self, entry: Mapping[str, Any]) -> None:
-        """Take a line of the child's."""
+        """Add a record of the child."""
         if "part" in entry:
             self.parts.append(Part(entry["part"]))
             self.is_done = False

@@ -31,7 +31,7 @@ _DAMAGED = (zipfile.BadZipFile, zlib.error, struct.error, RuntimeError, ValueErr
 
 @contextlib.contextmanager
 def opened(fmu: Path) -> Iterator[zipfile.ZipFile]:
-    """Give the archive, with every entry's name and size checked. Raises BadInputError."""
+    """Yield the archive, with every entry's name and size checked. Raises BadInputError."""
     refuse_folder(fmu)
     if not fmu.is_file():
         raise BadInputError(f"FMU {fmu} does not exist; give the path of an .fmu file, or a shipped name")
@@ -97,7 +97,7 @@ def _write(fmu: Path, archive: zipfile.ZipFile, entry: zipfile.ZipInfo, target: 
 
 
 def _unsafe(entries: list[zipfile.ZipInfo]) -> str | None:
-    """Say what is wrong with the list of entries."""
+    """Return what is wrong with the list of entries, None where nothing is."""
     if len(entries) > _MOST_ENTRIES:
         return f"it has {len(entries)} entries; expected at most {_MOST_ENTRIES}"
     total = sum(entry.file_size for entry in entries)

@@ -76,7 +76,7 @@ class Channel:
         self._stepping.exchange(self.link, step, self.take)
 
     def take(self, received: Received) -> None:
-        """Take frames that arrived together. Raises RobotStoppedError for a step that ended at a wrong tick."""
+        """Process frames that arrived together. Raises RobotStoppedError for a step that ended at a wrong tick."""
         frames, stamp_ns = received
         packed = frames.packed if type(frames) is PackedFrames else pack(frames)
         reader, begin, size = self._reader, 0, len(packed)
@@ -103,7 +103,7 @@ class Channel:
             self.lost = reader.lost + reader.incomplete
 
     def _take_other(self, packed: bytes, begin: int, stamp_ns: int) -> int:
-        """Take a frame that is neither of a snapshot nor the end of a step; return where the next one begins."""
+        """Process a frame that is neither of a snapshot nor the end of a step; return where the next one begins."""
         frame, end = packed_frame(packed, begin)
         message = decode(frame)
         if message is None:

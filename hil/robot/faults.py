@@ -15,7 +15,7 @@ from hil.plant.start import Settable
 
 
 class Body(NamedTuple):
-    """What faults have to know of the robot: which wheel each channel drives, where the wheels are, how it stands."""
+    """What faults need of the robot: the wheel of each channel, the wheels' places, whether contact is rigid."""
 
     wheel_of_channel: Sequence[int]
     half_length_m: float
@@ -31,7 +31,7 @@ class Body(NamedTuple):
 class RobotFaults:
     """The faults of one virtual robot. ``exchange_address`` and ``context_address`` stand for the plant's own.
 
-    Nothing happens before ``begin``. Not safe between threads: whoever runs the robot calls.
+    Nothing happens before ``begin``. Not thread-safe: only the thread that runs the robot may call.
 
     Attributes:
         can_reset: whether there is a row that may switch the firmware off.
@@ -69,7 +69,7 @@ class RobotFaults:
         self._faults.pose = cast("const double *", plant.pose_address)
 
     def arm(self, rows: Sequence[FaultRow]) -> None:
-        """Take rows that act on the device and on the plant, of a robot that stands at its start.
+        """Set the faults of the device and of the plant, for a robot that stands at its start.
 
         Raises BadInputError with a sentence for each row that this robot or its plant has no part for.
         """
@@ -90,11 +90,11 @@ class RobotFaults:
         self._faults.account, self._faults.row, self._faults.rows = accounts, row_memory, len(found)
 
     def begin(self, tick: int) -> None:
-        """Say at which tick of the firmware's the scenario's time began."""
+        """Set the firmware tick at which the scenario's time began."""
         self._lib.robot_faults_begin(self._faults, tick)
 
     def power_on(self) -> None:
-        """Say that the firmware is powered on, and its ticks begin at 0."""
+        """Begin to count the firmware's ticks at 0: it was powered on."""
         self._lib.robot_faults_power_on(self._faults)
 
     @property

@@ -60,13 +60,13 @@ class RobotInfo(NamedTuple):
             f"{self._last_reset()}"
         )
 
-    def warnings(self, told: m.ResetCause | None, ours_rad_s: float) -> tuple[str, ...]:
+    def warnings(self, newer_cause: m.ResetCause | None, ours_rad_s: float) -> tuple[str, ...]:
         """Return a sentence about a last reset that came of trouble, and one where it takes less speed than is wanted.
 
-        ``told`` is the cause of the reset that a later STATUS tells; ``ours_rad_s`` the limit of the scenario.
+        ``newer_cause`` is that of a STATUS after the handshake; ``ours_rad_s`` is the limit of the scenario.
         """
         sentences = []
-        cause = self.reset_cause if told is None else told
+        cause = self.reset_cause if newer_cause is None else newer_cause
         if cause in _TROUBLE:
             words = reset_words(cause, self.processor_fault)
             sentences.append(f"the robot began anew since its power came on ({cause.name}): {words}; find out why")
@@ -102,7 +102,7 @@ class Greeting:
         self._status: m.Status | None = None
 
     def feed(self, message: codec.Message | None) -> RobotInfo | None:
-        """Take a message; return what the robot is once all pages are there, and again with the STATUS after them.
+        """Add a message; return what the robot is once all pages are there, and again with the STATUS after them.
 
         Raises BadInputError when it speaks another version.
         """

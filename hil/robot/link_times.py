@@ -36,11 +36,11 @@ class RoundTrip:
         self.ms = NAN
 
     def sent(self, sequence: int, now_ns: int) -> None:
-        """Note that a command was sent."""
+        """Record that a command was sent."""
         self._sent_ns[sequence] = now_ns
 
     def echoed(self, sequence: int, stamp_ns: int) -> None:
-        """Note that a TICK was received."""
+        """Record that a TICK was received."""
         if sequence == self._echoed:
             return
         self._echoed = sequence
@@ -62,9 +62,9 @@ class RoundTrip:
 
 
 class CommandLatency:
-    """From the instant that a command was worked out from to the first firmware tick that used it (``Applied``).
+    """Latency of commands: from the sampling instant of the feedback to the first firmware tick that uses the command.
 
-    The robot tells it: a TICK says which command is in force and how old it is (TICK.sequence, TICK.command_age_ms),
+    The robot reports it: a TICK says which command is in force and how old it is (TICK.sequence, TICK.command_age_ms),
     and the host knows the sample that each command rests on. Both instants are on the robot's clock, so that no clock
     has to be compared with another; the result has the firmware's grain of 1 ms. ``s`` is the median of the last 33
     commands, so that a command that was held up changes nothing, and ``configured_s`` until 9 were seen. What is
@@ -78,11 +78,11 @@ class CommandLatency:
         self.s = configured_s
 
     def sent(self, sequence: int, sampled_ns: int | None) -> None:
-        """Note on which sample, by the robot's clock, a command rests; None for one that rests on none."""
+        """Record when, on the robot's clock, the feedback behind a command was sampled; None without feedback."""
         self._sampled_ns[sequence] = sampled_ns
 
     def acted(self, sequence: int, at_ns: int, age_ms: int) -> None:
-        """Note that this command was in force, ``age_ms`` old, at an instant of the robot's clock."""
+        """Record that this command was in force, ``age_ms`` old, at an instant of the robot's clock."""
         sampled_ns = self._sampled_ns[sequence]
         if sampled_ns is None or age_ms >= _AGE_AT_MOST_MS:
             return
@@ -144,7 +144,7 @@ class ClockSync:
         self.awaiting = False
 
     def answered(self, sequence: int, received_us: int, held_us: int, stamp_ns: int) -> None:
-        """Take an answer; one to another request, one held too long to say, and one from the future, is ignored."""
+        """Add an answer. One to another request, one that was held too long, and one from the future are ignored."""
         if not self.awaiting or sequence != self._sequence:
             return
         self.awaiting = False

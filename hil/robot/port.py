@@ -22,30 +22,30 @@ class Identity(Protocol):
         """Return what it is, in words."""
 
 
-class Told(Protocol):
-    """What a robot tells beside its feedback."""
+class Report(Protocol):
+    """What a robot reports beside its feedback."""
 
     @property
     def health(self) -> Health:
-        """What it says of its battery and its motors."""
+        """Battery and motors as it measures them."""
 
     def stop_reason(self) -> str:
         """Return why the robot last stopped, in the terms of its protocol."""
 
     def explains(self, state: State) -> bool:
-        """Tell whether it has told why it is in this state; feedback may be there before."""
+        """Return whether it has reported why it is in this state, which may come after the feedback."""
 
     @property
     def knows_no_reason(self) -> bool:
-        """Whether it says that nothing has stopped it."""
+        """Whether it reports that nothing has stopped it."""
 
     @property
     def last_reset(self) -> str:
-        """Why it began anew the last time, in words; empty where it does not tell."""
+        """The cause of its last reset in words; empty where it does not report one."""
 
     @property
     def trouble(self) -> str | None:
-        """What a person has to know now, such as that a stop could not be sent; None while there is nothing."""
+        """A warning that a user has to see now, such as a stop that could not be sent; None without one."""
 
 
 class Device(Protocol):
@@ -62,8 +62,8 @@ class Device(Protocol):
         """In lockstep: the firmware tick that the robot has reached."""
 
     @property
-    def report(self) -> Told:
-        """What the robot tells beside its feedback."""
+    def report(self) -> Report:
+        """What the robot reports beside its feedback."""
 
     # Connecting
 
@@ -116,7 +116,7 @@ class Device(Protocol):
     # The way to ACTIVE and back
 
     def attend(self, clock: Clock) -> None:
-        """Be there on this clock; nothing is asked of the robot yet."""
+        """Set the clock of the run; nothing is asked of the robot yet."""
 
     def start(self, clock: Clock, period_ns: int) -> int:
         """Arm and begin with zero commands; return the clock's time of the first ACTIVE tick [ns].
@@ -125,7 +125,7 @@ class Device(Protocol):
         """
 
     def armed(self) -> bool:
-        """Take one step of the way to ACTIVE; tell whether the robot is there, in our session. Raises as ``start``."""
+        """Do one step of arming; return whether the robot is ACTIVE in our session. Raises as ``start``."""
 
     def why_not_active(self) -> str:
         """Return what keeps the robot from being driven, and what to do."""
@@ -148,7 +148,7 @@ class Device(Protocol):
         """Let time pass on the clock. Returns the lateness [ns]."""
 
     def poll(self) -> Feedback | None:
-        """Take what has arrived; return the newest feedback so far. Once a tick: it keeps the session alive."""
+        """Read what has arrived; return the newest feedback so far. Call it once a tick: it keeps the session alive."""
 
     @property
     def poll_age_ns(self) -> int:

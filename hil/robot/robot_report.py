@@ -70,7 +70,7 @@ def reset_words(cause: m.ResetCause, fault: ProcessorFault = NO_FAULT) -> str:
 
 
 class Health(NamedTuple):
-    """What the robot says at 10 Hz of its battery and its motors; NaN where it says nothing, or nothing yet."""
+    """Battery and motors, as the robot reports them at 10 Hz; NaN before the first report and without such a sensor."""
 
     battery_v: float = NAN
     battery_a: float = NAN
@@ -96,7 +96,7 @@ class RobotReport:
         self._last_counters.clear()
 
     def feed(self, message: Message) -> None:
-        """Take a message; one of another kind changes nothing."""
+        """Add a message; one of another kind changes nothing."""
         if isinstance(message, m.Status):
             self.status = message
         elif isinstance(message, m.LinkCounters | m.PortCounters):
@@ -116,13 +116,13 @@ class RobotReport:
     def stop_reason(self) -> str:
         """Return why the robot last stopped, in words of the DBC (STATUS.stop_reason, STATUS.fault)."""
         if self.status is None:
-            return "a reason that it has not told yet"
+            return "a reason that it has not reported yet"
         reason = m.StopReason(self.status.stop_reason).name
         fault = self._fault()
         return f"{reason} ({fault})" if fault else reason
 
     def _fault(self) -> str:
-        """Return the fault that STATUS tells, with the wheel where it is one wheel's; empty without any."""
+        """Return the fault in STATUS, with the wheel where it is one wheel's; empty without a fault."""
         if self.status is None or not self.status.fault:
             return ""
         fault = m.Fault(self.status.fault).name
@@ -132,7 +132,7 @@ class RobotReport:
         return f"{fault} of wheel {WHEEL_NAMES[wheel]}"
 
     def explains(self, state: m.State) -> bool:
-        """Tell whether STATUS has told of a robot in this state; feedback may be there before."""
+        """Return whether STATUS has reported this state, which may come after the feedback."""
         return self.status is not None and self.status.state == state
 
     @property
@@ -142,12 +142,12 @@ class RobotReport:
 
     @property
     def last_reset(self) -> str:
-        """Why the robot began anew the last time (STATUS.reset_cause), in words; empty before it has told."""
+        """The cause of its last reset (STATUS.reset_cause) in words; empty before the first STATUS."""
         return "" if self.status is None else reset_words(m.ResetCause(self.status.reset_cause))
 
     @property
     def trouble(self) -> str | None:
-        """Nothing: a robot that has a session of its own stops by itself where it cannot be told to."""
+        """None: our firmware stops by itself when its host falls silent."""
         return None
 
     def why_not_active(self, state: m.State | None) -> str:

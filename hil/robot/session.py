@@ -48,7 +48,7 @@ class Step(Enum):
     WAIT = "the robot has to do something first, or another host's session to end"
     STRANGER = "give up: the robot has not said what it is since the link was lost"
     REFUSED = "give up: it refuses to arm, and another nonce would not help"
-    LATCHED = "give up: FAULT or ESTOP is latched, and STATUS says why"
+    LATCHED = "give up: FAULT or ESTOP is latched, and STATUS has the cause"
 
 
 class Session:
@@ -74,7 +74,7 @@ class Session:
     # Who the robot is
 
     def accept(self, info: RobotInfo) -> None:
-        """Take what the robot said of itself. Raises BadInputError when it is not the robot of the scenario, or not
+        """Accept what the robot said of itself. Raises BadInputError when it is not the robot of the scenario, or not
         the one with which the run began."""
         handshake.check(info, self._expected)
         if self.info is not None and not self.info.is_same_robot(info):
@@ -108,7 +108,7 @@ class Session:
         return m.HelloRequest(m.PROTOCOL_VERSION)
 
     def feed(self, message: Message) -> bool:
-        """Take a message; return whether it completed the answer to HELLO. Raises BadInputError as ``accept``."""
+        """Add a message; return whether it completed the answer to HELLO. Raises BadInputError as ``accept``."""
         if self._greeting is None or (info := self._greeting.feed(message)) is None:
             return False
         self.accept(info)
@@ -118,7 +118,7 @@ class Session:
     # What is asked of it
 
     def renew(self) -> None:
-        """Take the next nonce."""
+        """Begin a session with the next nonce."""
         self.nonce = next(self._nonces)
 
     def heartbeat(self, request: m.Request, now_ns: int | None) -> m.HostHeartbeat:
@@ -141,7 +141,7 @@ class Session:
         return next(fitting, Step.WAIT)
 
     def is_ours(self, status: m.Status | None) -> bool:
-        """Return whether STATUS tells of our session: another host may have armed the robot meanwhile."""
+        """Return whether STATUS is of our session: another host may have armed the robot meanwhile."""
         return status is not None and status.nonce == self.nonce
 
     def _is_stranger(self, _status: m.Status | None) -> bool:
@@ -159,8 +159,8 @@ def _is_refused(_: Session, status: m.Status | None) -> bool:
     return status is not None and status.arm_refusal != m.ArmRefusal.NONE
 
 
-def _told(state: m.State) -> Callable[[Session, m.Status | None], bool]:
-    """Return whether STATUS tells of a state; feedback may tell of it before."""
+def _reports(state: m.State) -> Callable[[Session, m.Status | None], bool]:
+    """Return a condition: STATUS reports this state. Feedback may report it earlier."""
     return lambda _, status: status is not None and status.state == state
 
 
@@ -172,6 +172,6 @@ _TO_ACTIVE: tuple[tuple[m.State, Callable[[Session, m.Status | None], bool], Ste
     (m.State.IDLE, Session._has_not_asked, Step.ARM),
     (m.State.IDLE, _nonce_is_spent, Step.ARM_ANEW),
     (m.State.IDLE, _is_refused, Step.REFUSED),
-    (m.State.FAULT, _told(m.State.FAULT), Step.LATCHED),
-    (m.State.ESTOP, _told(m.State.ESTOP), Step.LATCHED),
+    (m.State.FAULT, _reports(m.State.FAULT), Step.LATCHED),
+    (m.State.ESTOP, _reports(m.State.ESTOP), Step.LATCHED),
 )

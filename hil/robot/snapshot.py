@@ -2,7 +2,7 @@
 
 A part out of its turn means that something was lost: the snapshot is dropped whole. Parts of two sampling instants are
 not mixed where the snapshot has inertial parts, which name their instant. In one without them, a loss of all from one
-part up to that same part of a later snapshot cannot be told; the later one counts as lost.
+part up to that same part of a later snapshot cannot be detected; the later one counts as lost.
 """
 
 import struct
@@ -40,7 +40,7 @@ class Feedback(NamedTuple):
 
 
 class SnapshotReader:
-    """Puts snapshots together and hears what ends a step, by the host library; pure.
+    """Puts snapshots together and finds the end of a step, in the host library; pure.
 
     Attributes:
         feedback: the newest snapshot, None before the first.
@@ -76,11 +76,11 @@ class SnapshotReader:
         self.frames = self.incomplete = self.lost = 0
 
     def restart(self) -> None:
-        """Begin anew with a robot that was lost or reset: its numbers and its clock may have begun anew too."""
+        """Begin again with a robot that was lost or reset: its numbers and its clock may have begun anew too."""
         self._restart(self._reader)
 
     def take(self, packed: bytes, begin: int) -> int:
-        """Take packed frames from a place on; return the place of the first that is none of its own.
+        """Read packed frames from an offset on; return the offset of the first that is none of its own.
 
         Its own are valid messages of snapshots, and a STEP_DONE behind them, after which it ends.
         """

@@ -1,4 +1,4 @@
-"""Lockstep from the host's side: STEP is repeated until the robot has answered it, and a wrong tick is noticed."""
+"""Lockstep on the host's side: STEP is repeated until the robot answers, and the tick in the answer is checked."""
 
 import time
 from collections.abc import Callable
@@ -20,7 +20,7 @@ class Stepping:
         self._is_awaiting = False
 
     def exchange(self, link: Link, step: m.Step, take: Callable[[Received], None]) -> None:
-        """Give ``take`` what comes until the answer to a STEP that was sent; 0 substeps only ask for the tick.
+        """Call ``take`` with what arrives until a STEP is answered; 0 substeps only ask for the tick.
 
         ``take`` hands each STEP_DONE to ``answered``. Raises RobotStoppedError when none comes within 2 s of wall-clock
         time, or one with a tick that was not expected.
@@ -45,7 +45,7 @@ class Stepping:
                 sent_ns = now_ns
 
     def answered(self, tick: int) -> bool:
-        """Take an answer; return whether it is the one that was awaited. Raises RobotStoppedError for a wrong tick."""
+        """Record an answer; return whether it is the awaited one. Raises RobotStoppedError for a wrong tick."""
         # One with the tick where this step begins is the second answer to a step that was sent twice.
         if not self._is_awaiting or (self._expected is not None and tick == self._from):
             return False

@@ -78,7 +78,7 @@ class Stm32:
 
     @property
     def speed_limit_rad_s(self) -> float:
-        """To what the robot scales speeds (DBC HELLO_LIMITS); infinite in TORQUE mode, and before it has told it."""
+        """The speed to which the robot scales commands (DBC HELLO_LIMITS); infinite in TORQUE mode and before HELLO."""
         if self.info is None or self._mode is CommandMode.TORQUE:
             return math.inf
         return self.info.limits.speed_limit_rad_s
@@ -88,9 +88,9 @@ class Stm32:
         """What trouble led to its last reset, and that it takes less speed than the scenario's limit."""
         if self.info is None:
             return ()
-        told = None if self.report.status is None else m.ResetCause(self.report.status.reset_cause)
+        cause = None if self.report.status is None else m.ResetCause(self.report.status.reset_cause)
         ours_rad_s = 0.0 if self._mode is CommandMode.TORQUE else self._expected.speed_limit_rad_s
-        return self.info.warnings(told, ours_rad_s)
+        return self.info.warnings(cause, ours_rad_s)
 
     def describe_link(self) -> str:
         return self._link.describe()
@@ -149,7 +149,7 @@ class Stm32:
             raise
 
     def armed(self) -> bool:
-        """Take the step that ``session`` says is next; return whether the robot is ACTIVE in our session."""
+        """Do the step that ``session`` says is next; return whether the robot is ACTIVE in our session."""
         feedback, status = self.poll(), self.report.status
         step = self._session.next_step(None if feedback is None else feedback.state, status)
         match step:
@@ -229,7 +229,7 @@ class Stm32:
             self._channel.take(received)
 
     def poll(self) -> Feedback | None:
-        """Take what has arrived; return the newest snapshot so far. Sends heartbeat and TIME_SYNC when they are due.
+        """Read what has arrived; return the newest snapshot so far. Sends heartbeat and TIME_SYNC when they are due.
 
         In lockstep ``step`` alone takes: what else the line already has of an answer depends on the wall clock.
         """

@@ -48,7 +48,7 @@ class TruthClient:
 
     ``not_before`` gives, in lockstep, the robot time that the next fix must have; ``poll`` then waits for it.
 
-    Raises BadInputError for a URL that is none, DeviceError when nobody listens or the scenarios differ.
+    Raises BadInputError for a URL that is none, DeviceError when no robot listens there or the scenarios differ.
     """
 
     def __init__(
@@ -64,13 +64,13 @@ class TruthClient:
             raise DeviceError(f"truth {url!r}: {answer['error']}")
 
     def arm(self, rows: Sequence[FaultRow]) -> None:
-        """Give the robot the faults of the run. Raises BadInputError when it has no part for one of them."""
+        """Send the faults of the run to the robot. Raises BadInputError when it has no part for one of them."""
         answer = self._ask_faults({"arm": rows})
         if "error" in answer:
             raise BadInputError(str(answer["error"]))
 
     def begin(self, tick: int) -> None:
-        """Say at which tick of the firmware's the scenario's time began. Raises DeviceError when that is refused."""
+        """Send the firmware tick at which the scenario's time began. Raises DeviceError when that is refused."""
         answer = self._ask_faults({"begin": tick})
         if "error" in answer:
             raise DeviceError(f"truth {self._url!r}: {answer['error']}")
@@ -82,8 +82,8 @@ class TruthClient:
             raise DeviceError(f"truth {self._url!r}: the robot does not say how often a fault was applied")
         return [int(count) for count in applied]
 
-    def _ask_faults(self, wish: Mapping[str, object]) -> Mapping[str, object]:
-        connection, answer, _ = _greet(self._url, {"scenario": self._scenario_hash, "reset": False, "faults": wish})
+    def _ask_faults(self, request: Mapping[str, object]) -> Mapping[str, object]:
+        connection, answer, _ = _greet(self._url, {"scenario": self._scenario_hash, "reset": False, "faults": request})
         connection.close()
         return answer
 
@@ -106,7 +106,7 @@ class TruthClient:
         return [unpack(self._whole[at : at + RECORD.size]) for at in range(0, len(self._whole), RECORD.size)]
 
     def _read(self, *, blocking: bool) -> None:
-        """Take all that has arrived; with ``blocking``, wait for something first."""
+        """Read all that has arrived; with ``blocking``, wait for something first."""
         timeout_s = ANSWER_S if blocking else 0.0
         try:
             # One system call where it can be: a tick has no time for those that change nothing and find nothing.
@@ -131,11 +131,11 @@ class TruthClient:
             del self._data[:whole]
 
     def close(self) -> None:
-        """Leave."""
+        """Close the connection."""
         self._connection.close()
 
 
-def _greet(url: str, wish: Mapping[str, object]) -> tuple[socket.socket, dict[str, object], bytearray]:
+def _greet(url: str, request: Mapping[str, object]) -> tuple[socket.socket, dict[str, object], bytearray]:
     """Connect and send the first line; return the connection, the answer and what came after it.
 
     Raises BadInputError for a URL that is none, DeviceError when nobody of ours listens.
@@ -144,7 +144,7 @@ def _greet(url: str, wish: Mapping[str, object]) -> tuple[socket.socket, dict[st
     try:
         connection = socket.create_connection(_address(url), timeout=2 * ANSWER_S)
         connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-        connection.sendall(json.dumps(wish).encode() + b"\n")
+        connection.sendall(json.dumps(request).encode() + b"\n")
         return connection, *_read_answer(connection)
     except (OSError, ValueError) as error:
         if connection is not None:

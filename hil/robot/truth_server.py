@@ -41,7 +41,7 @@ class _Client:
         self._connection.close()
 
 
-class _Wish(NamedTuple):
+class _Request(NamedTuple):
     """The line that a client begins with."""
 
     scenario: str
@@ -49,13 +49,13 @@ class _Wish(NamedTuple):
     faults: Mapping[str, Any] | None
 
     @classmethod
-    def parse(cls, line: bytes) -> "_Wish":
+    def parse(cls, line: bytes) -> "_Request":
         """Read a line. Raises DeviceError when it is none of ours."""
         try:
-            wish = json.loads(line)
-            faults = wish.get("faults")
+            request = json.loads(line)
+            faults = request.get("faults")
             if faults is None or isinstance(faults, dict):
-                return cls(str(wish["scenario"]), bool(wish["reset"]), faults)
+                return cls(str(request["scenario"]), bool(request["reset"]), faults)
         except (ValueError, KeyError, TypeError, AttributeError, RecursionError):
             pass
         raise DeviceError("the request was not understood")
@@ -75,9 +75,9 @@ def _await(ask: Callable[[Callable[[Answer], None]], None]) -> Answer:
 
 
 class TruthServer:
-    """Publishes the truth of a virtual robot on loopback. ``request_reset`` is told when a client wants the start.
+    """Publishes the truth of a virtual robot on loopback. ``request_reset`` is called when a client asks for the start.
 
-    ``ask_faults`` has something done with the robot's faults, in the robot's own thread.
+    ``ask_faults`` runs a function on the robot's faults, in the robot's own thread.
 
     ``port`` 0 takes any free port. Raises BadInputError when the port is taken.
     """
@@ -130,13 +130,13 @@ class TruthServer:
         connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         answer: dict[str, object]
         try:
-            wish = _Wish.parse(connection.makefile("rb").readline(LONGEST_ANSWER))
-            self._grant(wish)
-            answer = {"ok": True} if wish.faults is None else self._answer_faults(wish.faults)
+            request = _Request.parse(connection.makefile("rb").readline(LONGEST_ANSWER))
+            self._grant(request)
+            answer = {"ok": True} if request.faults is None else self._answer_faults(request.faults)
         except HilError as refusal:
             answer = {"error": str(refusal)}
         connection.sendall(json.dumps(answer).encode() + b"\n")
-        if "error" in answer or wish.faults is not None:
+        if "error" in answer or request.faults is not None:
             connection.close()
             return
         client = _Client(connection)
@@ -145,28 +145,28 @@ class TruthServer:
                 client.send(self._newest)
             self._clients = [*self._clients, client]
 
-    def _grant(self, wish: _Wish) -> None:
+    def _grant(self, request: _Request) -> None:
         """Do what is asked for before anything else. Raises DeviceError with the reason when it is refused."""
-        if wish.scenario != self._hash:
+        if request.scenario != self._hash:
             raise DeviceError(
-                f"the robot runs another scenario (hash {self._hash[:12]}, asked for {wish.scenario[:12]}); start both "
-                "from the same scenario and overrides"
+                f"the robot runs another scenario (hash {self._hash[:12]}, asked for {request.scenario[:12]}); start "
+                "both from the same scenario and overrides"
             )
-        if wish.reset and self.request_reset is not None and not _await(self.request_reset):
+        if request.reset and self.request_reset is not None and not _await(self.request_reset):
             raise DeviceError(
                 "the robot is armed or moves, and was not put back to its start; stop its controller first"
             )
 
-    def _answer_faults(self, wish: Mapping[str, Any]) -> dict[str, object]:
+    def _answer_faults(self, request: Mapping[str, Any]) -> dict[str, object]:
         ask = self.ask_faults
         if ask is None:
             raise DeviceError("this robot takes no faults")
 
         def work(faults: RobotFaults) -> dict[str, object]:
-            if "arm" in wish:
-                faults.arm([FaultRow(*row) for row in wish["arm"]])
-            elif "begin" in wish:
-                faults.begin(int(wish["begin"]))
+            if "arm" in request:
+                faults.arm([FaultRow(*row) for row in request["arm"]])
+            elif "begin" in request:
+                faults.begin(int(request["begin"]))
             return {"applied": faults.applied()}
 
         def guarded(faults: RobotFaults, answer: Callable[[dict[str, object]], None]) -> None:

@@ -147,7 +147,7 @@ class VirtualStm32:
         self.node = self._power_on()
 
     def awake(self) -> RobotNode:
-        """Return the firmware to be heard: where a reset has switched one off, it is switched on again."""
+        """Return the firmware; where a reset has switched it off, it is switched on again."""
         if self.faults.is_off:
             self.restart()
         return self.node
@@ -189,7 +189,7 @@ class KeptRobot:
 
     @contextlib.contextmanager
     def robot(self, made_of: VirtualRobot, make_node: MakeNode) -> Iterator[VirtualStm32]:
-        """Give a robot that is as if it had been made for this run. Raises as ``VirtualStm32``."""
+        """Yield a robot in the state of a new one. Raises as ``VirtualStm32``."""
         robot, self._robot = self._robot, None
         with contextlib.ExitStack() as resources:
             if robot is not None:

@@ -55,14 +55,14 @@ class WallClockNode:
 
 
 class TruthSink(Protocol):
-    """Whoever wants the truth: the loop in this process, or the truth socket."""
+    """The receiver of the truth: the loop in this process, or the truth socket."""
 
     def publish(self, fix: PoseFix, view: View | None) -> None:
-        """Take the newest truth; never blocks."""
+        """Publish the newest truth; never blocks."""
 
     @property
     def wants_view(self) -> bool:
-        """Whether the firmware's inner state is wanted too."""
+        """Whether the firmware's inner state is needed too."""
 
 
 class VirtualServer:
@@ -93,7 +93,7 @@ class VirtualServer:
         self._reset = answer
 
     def ask(self, work: Callable[[RobotFaults], None]) -> None:
-        """Have something done with the robot's faults before the next exchange, in the thread that serves."""
+        """Run a function on the robot's faults before the next exchange, in the thread that serves."""
         self._asked.put(lambda: work(self._robot.faults))
 
     def serve(self) -> None:

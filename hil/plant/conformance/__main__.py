@@ -1,7 +1,7 @@
 """``python -m hil.plant.conformance FOLDER``: the child of the check, which runs an FMU that is unpacked in FOLDER.
 
-It is told the FMU, its library and the parts to run, and says when a part begins, every call of the FMU before it is
-made, each finding, and when the part is done: a crash tells where it happened, and silence where the FMU hangs.
+Its first line on stdin names the FMU, its library and the parts to run. It reports the begin and the end of each part,
+each finding, and every call of the FMU before the call is made: so the parent knows where it crashed or hangs.
 """
 
 import os

@@ -4,7 +4,7 @@ import gc
 import time
 from collections.abc import Callable
 
-from hil.core.subprocesses import IS_TOLD, resident_bytes
+from hil.core.subprocesses import MEMORY_IS_KNOWN, resident_bytes
 from hil.plant.conformance.slave import NotTestedError
 
 _LONGEST_S = 0.25  # of one call: what takes longer cannot be done often enough
@@ -21,7 +21,7 @@ def bytes_per_instance(live: Callable[[], None]) -> float:
     settles grew by 88 and 156 KB in two or three of five. From 330 bytes a call on, a leak is found, more where a call
     takes longer than 5 ms. Raises NotTestedError where memory cannot be measured.
     """
-    if not IS_TOLD:
+    if not MEMORY_IS_KNOWN:
         raise NotTestedError("resident memory can be read on Linux only")
     live()
     begin = time.perf_counter()

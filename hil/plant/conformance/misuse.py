@@ -140,7 +140,7 @@ def _first(model: Model, fits: Callable[[ModelVariable], bool]) -> list[ModelVar
 
 
 def _is_free(model: Model, reference: int, kind: str) -> bool:
-    """Tell that no variable with this getter has the value reference: FMI 2.0 gives it out once a type."""
+    """Return whether no variable with this getter has the value reference: FMI 2.0 gives it out once a type."""
     kinds = model.slave.kinds
     return all(v.valueReference != reference or kinds.get(v.type, v.type) != kind for v in model.variables)
 

@@ -2,7 +2,7 @@
 
 from hil.plant.conformance import misuse, parts
 
-GATES: tuple[parts.Part, ...] = (parts.functions, parts.life_cycle)  # where these fail, nothing else can be said
+GATES: tuple[parts.Part, ...] = (parts.functions, parts.life_cycle)  # where these fail, no other part can run
 PARTS: tuple[parts.Part, ...] = (
     *GATES,
     parts.start_values,

@@ -120,7 +120,7 @@ class Slave(abc.ABC):
         return [value for variable in self.model.outputs for value in self.get(variable)]
 
     def simulate(self, first: int, last: int) -> list[Outputs]:
-        """Take the steps from ``first`` to ``last`` - 1, and return the outputs after each."""
+        """Do the steps from ``first`` to ``last`` - 1, and return the outputs after each."""
         rows = []
         for step in range(first, last):
             self.drive(step)
@@ -171,7 +171,7 @@ class Model:
 
     @contextlib.contextmanager
     def instance(self, *, initialised: bool = True) -> Iterator[Slave]:
-        """Give an instance, freed at the end."""
+        """Yield an instance, and free it at the end."""
         self.message = ""
         slave = self.slave(self)
         slave.instantiate()
@@ -230,10 +230,10 @@ def start(variable: ModelVariable) -> list[Value] | None:
 
 
 def is_float(variable: ModelVariable) -> bool:
-    """Tell whether the variable is of a floating-point type."""
+    """Return whether the variable is of a floating-point type."""
     return variable.type in _FLOATS
 
 
 def same(left: object, right: object) -> bool:
-    """Tell whether two results are equal bit for bit, NaN included."""
+    """Return whether two results are equal bit for bit, NaN included."""
     return repr(left) == repr(right)

@@ -13,7 +13,7 @@ from hil.core.errors import DeviceError
 
 _NEVER = 0xFFFF_FFFF  # age of the newest command when there was none, as in the host library
 _OLDEST_MS = 255  # TICK.command_age_ms goes no further
-_TOLD_IN = (m.Tick.ID, m.Status.ID, m.LinkCounters.ID)
+_OBSERVED = (m.Tick.ID, m.Status.ID, m.LinkCounters.ID)
 _UNSEEN = (math.nan,) * 4
 _AT_REST = (0.0,) * 4
 
@@ -25,7 +25,7 @@ class _PlantFailedError(Exception):
 class PlantLine:
     """Answers the plant port from a C function of the type ``wheel_plant_exchange`` and its context.
 
-    ``ticks`` counts the milliseconds that have passed in the plant. ``has_failed`` tells that it failed: from then on
+    ``ticks`` counts the milliseconds that have passed in the plant. ``has_failed`` is true once it has failed: then
     nothing is answered, and no time passes.
     """
 
@@ -41,7 +41,7 @@ class PlantLine:
         self.drive: Drive | None = None
 
     def feed(self, data: bytes) -> bytes:
-        """Take bytes of the firmware, whatever they are, and return the answer."""
+        """Feed bytes of the firmware, whatever they are, and return the answer."""
         if self.has_failed:
             return b""
         try:
@@ -89,8 +89,8 @@ class Observer:
         self.unsent = 0
 
     def take(self, frame: Frame) -> None:
-        """Take a frame that the board sent."""
-        if frame.id not in _TOLD_IN:
+        """Add a frame that the board sent."""
+        if frame.id not in _OBSERVED:
             return
         match codec.decode(frame):
             case m.Tick() as tick:

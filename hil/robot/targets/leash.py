@@ -1,7 +1,7 @@
 """Runs a program that must not outlive us: ``ChildProcess`` starts this module, which starts the program.
 
 The first line on stdin is ``{"command": [...], "inherited": [...]}``; the program gets these descriptors of ours. When
-stdin ends, because its owner closed it or died, or when we are told to end, the program is killed; on Linux also when
+stdin ends, because its owner closed it or died, or when we get SIGTERM, the program is killed; on Linux also when
 we are killed. Its stderr is ours, and so is its exit code. The folder of its files, the argument, is removed then.
 """
 
@@ -22,8 +22,8 @@ _PR_SET_PDEATHSIG = 1  # linux/prctl.h
 
 def main() -> int:
     """Start the program, wait for its end, and return its exit code."""
-    told = json.loads(sys.stdin.buffer.readline())
-    command, inherited = told["command"], told["inherited"]
+    request = json.loads(sys.stdin.buffer.readline())
+    command, inherited = request["command"], request["inherited"]
     try:
         process = subprocess.Popen(
             command,

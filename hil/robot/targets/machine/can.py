@@ -107,7 +107,7 @@ class Can(Peripheral):
         self._interrupts()
 
     def acknowledge(self, peer_is_there: bool) -> None:
-        """Say whether another node acknowledges what is sent; without one a frame stays in its mailbox."""
+        """Set whether another node acknowledges what is sent; without one a frame stays in its mailbox."""
         self._is_acknowledged = peer_is_there
         self._transmit_all()
         self._interrupts()

@@ -53,7 +53,7 @@ class Bus(Protocol):
 class Core:
     """A core with memory: ``rom`` by (address, bytes), ``ram`` and further regions of the bus by (address, size).
 
-    ``where`` names an address for messages. The core does nothing until ``reset`` tells it where to begin.
+    ``where`` names an address for messages. The core does nothing until ``reset`` sets where it begins.
     """
 
     def __init__(
@@ -141,7 +141,7 @@ class Core:
         return self._nvic.due(primask=primask, basepri=self._uc.reg_read(arm.UC_ARM_REG_BASEPRI))
 
     def _wakes(self) -> bool:
-        """Tell whether WFI returns at once (B1.5.19): PRIMASK does not keep it from that."""
+        """Return whether WFI returns at once (B1.5.19): PRIMASK does not keep it from that."""
         return self._nvic.due(basepri=self._uc.reg_read(arm.UC_ARM_REG_BASEPRI)) is not None
 
     def _enter(self, number: int) -> None:

@@ -41,6 +41,6 @@ class Rcc(Peripheral):
         super().reset()
         self._register[CSR] = flags
 
-    def tell_reset(self, *, by_watchdog: bool) -> None:
-        """Note why the machine was reset; the flags stay until the firmware removes them."""
+    def record_reset(self, *, by_watchdog: bool) -> None:
+        """Record why the machine was reset; the flags stay until the firmware removes them."""
         self._register[CSR] |= _PIN_RESET | (_WATCHDOG_RESET if by_watchdog else _SOFTWARE_RESET)

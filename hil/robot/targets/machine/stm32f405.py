@@ -96,7 +96,7 @@ class Stm32f405:
         self._cycle_counter.advance(cycles)
         for peripheral in self._peripherals:
             peripheral.advance(cycles)
-        if self.watchdog.has_bitten:
+        if self.watchdog.has_expired:
             self._reset(by_watchdog=True)
 
     def hard_fault(self, cfsr: int, *, mmfar: int = 0, bfar: int = 0, stacked: bool = True) -> int:
@@ -195,7 +195,7 @@ class Stm32f405:
         self._cycle_counter.reset()
         for peripheral in self._peripherals:
             peripheral.reset()
-        self.rcc.tell_reset(by_watchdog=by_watchdog)
+        self.rcc.record_reset(by_watchdog=by_watchdog)
         self._begin()
 
     def _begin(self) -> None:

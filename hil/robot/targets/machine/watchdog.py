@@ -9,7 +9,7 @@ _CLOCK_HZ = 32_000  # of the low-speed oscillator, which is only this exact here
 
 
 class Watchdog(Peripheral):
-    """``has_bitten`` tells that the firmware did not reload it in time, and the machine has to be reset."""
+    """``has_expired``: the firmware did not reload it in time, and the machine has to be reset."""
 
     def __init__(self, core_hz: int) -> None:
         super().__init__("IWDG", {KR: 0, PR: 0, RLR: 0xFFF, SR: 0})
@@ -22,7 +22,7 @@ class Watchdog(Peripheral):
 
     def _clear(self) -> None:
         self.is_running = False
-        self.has_bitten = False
+        self.has_expired = False
         self._unlocked = False
         self._elapsed_cycles = 0
 
@@ -33,7 +33,7 @@ class Watchdog(Peripheral):
     def advance(self, cycles: int) -> None:
         if self.is_running:
             self._elapsed_cycles += cycles
-            self.has_bitten = self._elapsed_cycles >= self.timeout_s() * self._core_hz
+            self.has_expired = self._elapsed_cycles >= self.timeout_s() * self._core_hz
 
     def write(self, offset: int, value: int) -> None:
         if offset == KR:
