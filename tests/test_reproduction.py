@@ -18,7 +18,7 @@ from PIL import Image
 from typer.testing import CliRunner
 
 from hil import review
-from hil.batch.reproduction import page, published, reproduce, tables, verdicts
+from hil.batch.reproduction import page, published, reproduce, verdicts
 from hil.batch.reproduction.analysis import delay_margin, oscillation
 from hil.batch.reproduction.plan import EXPERIMENT, EXPERIMENT_PERIOD_S, Case, Result, cases
 from hil.cli.main import app
@@ -357,7 +357,7 @@ def test_the_page_has_every_equation_table_and_figure() -> None:
 def test_the_page_has_the_figures_of_a_run(summary: dict[str, Any]) -> None:
     """Every run of the quick plan is on the page with the same figures, and every verdict has its row."""
     text = page.PAGE.read_text(encoding="utf-8")
-    for row in tables.circle(summary)[1:]:
+    for row in page.circle(summary)[1:]:
         assert f"| {' | '.join(row)} |" in text
     for case in cases():
         if case.group == "transition":

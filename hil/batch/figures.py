@@ -38,8 +38,12 @@ class Column(NamedTuple):
     meaning: str
     is_instant: bool
 
+    def shown(self, value: float | None) -> float | None:
+        """Return a value in the shown unit."""
+        return None if value is None else value * self.scale
+
     def text(self, value: float | None) -> str:
-        """Return a value in the shown unit, or a dash for None."""
+        """Return a value in the shown unit as text, or a dash for None."""
         return "-" if value is None else f"{value * self.scale:.{self.digits}f}"
 
 

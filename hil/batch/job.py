@@ -29,7 +29,7 @@ class Job(NamedTuple):
         memory_mb: memory [MB] at which its process is ended, where the system tells; None for no limit.
         retries_crash: whether it is done once more when its process ends by itself.
         record: one of ``NEVER``, ``IF_FAILED``, ``ALWAYS``. recording: the file for it.
-        signals_file: file (.npz) for the signals that ``options["signals"]`` names, or "".
+        signals_file: file (.npz) on this machine for the signals that ``options["signals"]`` names, or "".
         allow_motion: whether real motors may move.
     """
 

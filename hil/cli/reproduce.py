@@ -52,22 +52,22 @@ def reproduce(
 
 def print_reproduction(summary: Mapping[str, Any]) -> None:
     """Print the tables of a reproduction, then what comes out of the paper and what does not."""
-    from hil.batch.reproduction import tables
+    from hil.batch.reproduction import page
     from hil.cli import report
 
     print("Assumed, for the paper does not say\n")
-    for place, what, ours, why in tables.assumptions(summary)[1:]:
+    for place, what, ours, why in page.assumptions(summary)[1:]:
         print(f"  {place}, {what}: {ours}\n    {why}")
     for title, table in (
-        ("Section IV.A, the circle", tables.circle(summary)),
-        ("Section IV.B, the experiment: oscillation over latency", tables.delay(summary)),
-        ("Section IV.B, the experiment: the transition", tables.transition(summary)),
+        ("Section IV.A, the circle", page.circle(summary)),
+        ("Section IV.B, the experiment: oscillation over latency", page.delay(summary)),
+        ("Section IV.B, the experiment: the transition", page.transition(summary)),
     ):
         if len(table) > 1:
             print(f"\n{title}\n")
             report.print_table(table)
     print("\nWhat comes out\n")
-    for place, claim, paper, ours, tolerance, verdict, why in tables.verdicts(summary)[1:]:
+    for place, claim, paper, ours, tolerance, verdict, why in page.verdicts(summary)[1:]:
         within = "" if tolerance == "-" else f", within {tolerance}"
         print(f"  {verdict}: {claim} ({place}): the paper {paper}, ours {ours}{within}")
         print(f"    {why}")

@@ -1,4 +1,4 @@
-"""The runs of a campaign: each with each of samples, seeds, grids, lists, faults and laws, always in the same order.
+"""The runs of a campaign: all combinations of samples, seeds, grids, lists, faults and laws, always in this order.
 
 Laws vary fastest and samples slowest, so that the runs of a campaign that was stopped are those of a smaller one.
 """
@@ -20,17 +20,15 @@ Sets = Mapping[str, object]
 
 
 class Point(NamedTuple):
-    """A run to be done.
+    """A run of a campaign.
 
     Attributes:
-        number: its place in the campaign, from 0 on.
         axes: the value of each axis.
-        law, fault: what they are called. seed: ``loop.seed``.
+        law, fault: their names. seed: ``loop.seed``.
         sample: which draw of the random axes, 0 without any.
         sets: the keys of the scenario that make it, in the order in which ``load`` takes them.
     """
 
-    number: int
     axes: Mapping[str, Any]
     law: str
     fault: str
@@ -46,20 +44,11 @@ class Point(NamedTuple):
         return ", ".join((self.law, *axes, *fault, f"seed {self.seed}"))
 
 
-def count(plan: Plan) -> int:
-    """Return how many runs there are."""
-    tables = plan.tables
-    grids = math.prod(len(axis.values) for axis in tables.axes.values() if axis.kind == "grid")
-    lists = max((len(axis.values) for axis in tables.axes.values() if axis.kind == "list"), default=1)
-    kinds = (tables.samples, len(tables.seeds), len(tables.fault), len(tables.laws))
-    return grids * lists * math.prod(number or 1 for number in kinds)
-
-
 def points(plan: Plan) -> Iterator[Point]:
     """Yield the runs. Raises BadInputError where the base scenario itself cannot be, or two laws have one name."""
     tables = plan.tables
     base = plan.scenario(tables.set)
-    laws = [_law(law, base) for law in tables.laws] or [(short_name(base.controller.law), {})]
+    laws = [_law(law) for law in tables.laws] or [(short_name(base.controller.law), {})]
     called = [label for label, _ in laws]
     if twice := next((label for number, label in enumerate(called) if label in called[:number]), None):
         raise BadInputError(
@@ -72,14 +61,14 @@ def points(plan: Plan) -> Iterator[Point]:
     grids, lists = _grids(tables.axes), _lists(tables.axes)
     draws = _draws(tables.axes, tables.samples or 1, tables.seed, latin=tables.latin)
     product = itertools.product(enumerate(draws), seeds, grids, lists, faults, laws)
-    for number, ((sample, drawn), seed, grid, listed, (fault, rows), (law, choice)) in enumerate(product):
+    for (sample, drawn), seed, grid, listed, (fault, rows), (law, choice) in product:
         axes = {key: (grid | listed | drawn)[key] for key in tables.axes}
         sets = {**tables.set, **rows, **expect, **choice, **axes, "loop.seed": seed}
-        yield Point(number, axes, law, fault, seed, sample, sets)
+        yield Point(axes, law, fault, seed, sample, sets)
 
 
-def _law(table: LawTable, base: Scenario) -> tuple[str, dict[str, object]]:
-    """Return what a law is called, and the keys of the scenario that choose it."""
+def _law(table: LawTable) -> tuple[str, dict[str, object]]:
+    """Return a law's name, and the keys of the scenario that choose it."""
     options = [f"{name}={format_value(value)}" for name, value in table.gains.items()]
     options += [table.command] if table.command is not None else []
     label = table.name or ",".join((short_name(table.law), *options))
@@ -93,7 +82,7 @@ def _faults(table: AlternativeTable, base: Scenario) -> dict[str, object]:
 
 
 def _row(row: Any) -> dict[str, object]:
-    """Return a row of the scenario's own as it may be written again: without what was not given."""
+    """Return a row of the scenario without the keys that were not given, so that it can be given again."""
     return {key: value for key, value in row if value is not None and value != math.inf}
 
 

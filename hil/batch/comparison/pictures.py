@@ -26,7 +26,7 @@ _APPROACH_S = 3.0
 _PANELS = 3
 _LOGARITHMIC = ("steady_rms_m", "steady_max_m", "torque_variation_n_m_per_s")
 _TITLE, _SMALL_TITLE = 64, 42
-"""Letters that a line above half or a third of a picture has room for."""
+"""How many letters fit on a line above half or a third of a picture."""
 
 
 def draw(comparison: Comparison, folder: Path, files: list[Path]) -> None:
@@ -48,17 +48,13 @@ def _figures(comparison: Comparison, file: Path) -> Path:
             bars = []
             for label in labels:
                 rows = [row for row in comparison.rows if row.entry.label == label]
-                nominal = [_scaled(row.value(column.name), column.scale) for row in rows]
-                bars.append(Bar(label, nominal, [_scaled(row.worst(column.name), column.scale) for row in rows]))
+                nominal = [column.shown(row.value(column.name)) for row in rows]
+                bars.append(Bar(label, nominal, [column.shown(row.worst(column.name)) for row in rows]))
             worst = "; lighter the worst" if len(comparison.rows[0].runs) > 1 else ""
             title = textwrap.fill(f"{column.head}: {column.meaning}{worst}", _TITLE)
             log = column.name in _LOGARITHMIC
             draw_bars(panel, groups, bars, title=title, y_label=f"{column.head} [{column.unit}]", log=log)
     return file
-
-
-def _scaled(value: float | None, scale: float) -> float | None:
-    return None if value is None else value * scale
 
 
 def _condition(comparison: Comparison, condition: Condition, rows: Sequence[Row], folder: Path) -> Iterator[Path]:

@@ -1,7 +1,7 @@
 """``hil reproduce``: section IV of Nguyen Minh et al. 2023 through the wire and the FMU, beside what the paper prints.
 
 ``plan.py`` has the cases, ``runs.py`` does them, ``verdicts.py`` says what comes out; ``summary.py`` has the results as
-data, ``tables.py``, ``pictures.py`` and ``page.py`` show them.
+data, ``page.py`` and ``pictures.py`` show them.
 """
 
 from hil.batch.reproduction.runs import NotWrittenError, reproduce

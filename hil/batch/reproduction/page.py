@@ -1,16 +1,21 @@
-"""The page PAPER.md: ``python -m hil.batch.reproduction.page SUMMARY.json`` writes the results of a run between its
-marks.
+"""The tables of a summary, and the page PAPER.md: ``python -m hil.batch.reproduction.page SUMMARY.json`` writes them
+between its marks.
 
 The part of the summary that the page shows is kept beside it, so that ``--check`` can compare them without a run.
 """
 
 import json
 import sys
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from hil.batch.reproduction import tables
+from hil.batch.reproduction.plan import DRIVEN, FILTERS, LAWS, LIMITS
+
+Table = list[tuple[str, ...]]
+Summary = Mapping[str, Any]
+
+_UNIT = {"s": ("s", 1.0, 2), "m": ("mm", 1e3, 2), "rad": ("mrad", 1e3, 2)}
 
 PAGE = Path(__file__).with_name("PAPER.md")
 KEPT = Path(__file__).with_name("paper.json")
@@ -19,19 +24,106 @@ _OF_ONE_RUN = ("folder", "pictures", "recordings", "wall_s")
 _BEGIN, _END = "<!-- results begin -->\n", "<!-- results end -->\n"
 
 
-def results(summary: Mapping[str, Any]) -> str:
+def circle(summary: Summary) -> Table:
+    """Return the figures of section IV.A, ours and the paper's, with a header."""
+    printed = {(row["law"], row["figure"]): row["value"] for row in summary["paper"]}
+    rows: Table = [("law", "filter", "limit", "tracked", "the paper", "steady error", "the paper", "within 10 mm")]
+    for row in summary["circle"]:
+        # The paper's figures stand once, beside the runs that are nearest to what it says of them.
+        is_paper = row["filter"] == "common" and row["limit"] == "together"
+        tracked, steady = (
+            printed.get((row["law"], figure)) if is_paper else None for figure in ("tracked_s", "steady_rms_m")
+        )
+        words = (LAWS[row["law"]][1].words, FILTERS[row["filter"]].words, LIMITS[row["limit"]].words)
+        if row["failure"] is not None:
+            rows.append((*words, row["failure"], *("",) * 4))
+            continue
+        figures = (
+            number(row["tracked_s"], "s"),
+            number(tracked, "s", 1) if tracked is not None else "",
+            number(row["steady_rms_m"], "m"),
+            number(steady, "m") if steady is not None else "",
+            number(row["t10_s"], "s"),
+        )
+        rows.append((*words, *figures))
+    return rows
+
+
+def delay(summary: Summary) -> Table:
+    """Return the oscillation for each latency, with a header."""
+    head = ("command", "latency", "amplitude", "frequency", "steady error", "largest", "transition")
+    return [head, *(_delayed(row) for row in summary["delay"])]
+
+
+def _delayed(row: Mapping[str, Any]) -> tuple[str, ...]:
+    words = (DRIVEN[row["driven"]].words, f"{row['latency_ms']:g} ms")
+    if row["failure"] is not None:
+        return (*words, row["failure"], "", "", "", "")
+    frequency = row["frequency_hz"]
+    return (
+        *words,
+        number(row["amplitude_m"], "m"),
+        "-" if frequency is None else f"{frequency:.1f} Hz",
+        number(row["steady_rms_m"], "m"),
+        number(row["steady_max_m"], "m"),
+        number(row["transition_s"], "s"),
+    )
+
+
+def transition(summary: Summary) -> Table:
+    """Return how long the robot takes to the path, from where and how fast it may go, with a header."""
+    rows: Table = [("command", "case", "distance", "transition")]
+    for row in summary["transition"]:
+        distance = "-" if row["from_m"] is None else f"{row['from_m']:.2f} m"
+        took = number(row["transition_s"], "s") if row["failure"] is None else row["failure"]
+        rows.append((DRIVEN[row["driven"]].words, row["name"], distance, took))
+    return rows
+
+
+def verdicts(summary: Summary) -> Table:
+    """Return what comes out and what does not, with a header."""
+    rows: Table = [("place", "result", "the paper", "ours", "tolerance", "verdict", "why")]
+    for row in summary["verdicts"]:
+        unit = row["unit"]
+        figures = (number(row[name], unit) for name in ("paper", "ours", "tolerance"))
+        rows.append((row["place"], row["claim"], *figures, row["verdict"], row["why"]))
+    return rows
+
+
+def assumptions(summary: Summary) -> Table:
+    """Return what the paper leaves out and what stands for it, with a header."""
+    rows: Table = [("section", "left out", "ours", "why")]
+    return rows + [(row["place"], row["what"], row["value"] or "-", row["why"]) for row in summary["assumptions"]]
+
+
+def number(value: float | None, unit: str, digits: int | None = None) -> str:
+    """Return a figure with its unit, errors in mm and mrad; "-" where there is none."""
+    if value is None:
+        return "-"
+    shown, scale, usual = _UNIT[unit]
+    return f"{value * scale:.{usual if digits is None else digits}f} {shown}"
+
+
+def markdown(table: Sequence[Sequence[str]]) -> str:
+    """Return a table for a page in Markdown."""
+    head, *rows = table
+    lines = [head, ("---",) * len(head), *rows]
+    return "\n".join(f"| {' | '.join(cell.replace('|', '/') for cell in line)} |" for line in lines) + "\n"
+
+
+def results(summary: Summary) -> str:
     """Return the part of the page that follows from a summary."""
     sections = (
-        ("Verdicts", tables.verdicts(summary)),
-        ("Section IV.A: the circle", tables.circle(summary)),
-        ("Section IV.B: oscillation over latency", tables.delay(summary)),
-        ("Section IV.B: the transition", tables.transition(summary)),
-        ("What the paper leaves out", tables.assumptions(summary)),
+        ("Verdicts", verdicts(summary)),
+        ("Section IV.A: the circle", circle(summary)),
+        ("Section IV.B: oscillation over latency", delay(summary)),
+        ("Section IV.B: the transition", transition(summary)),
+        ("What the paper leaves out", assumptions(summary)),
     )
-    return "\n".join(f"### {title}\n\n{tables.markdown(table)}" for title, table in sections)
+    return "\n".join(f"### {title}\n\n{markdown(table)}" for title, table in sections)
 
 
-def with_results(page: str, summary: Mapping[str, Any]) -> str:
+def with_results(page: str, summary: Summary) -> str:
     """Return the page with the results of a summary between its marks."""
     before, _, rest = page.partition(_BEGIN)
     _, _, after = rest.partition(_END)
