@@ -134,6 +134,7 @@ class _Service:
         self._statuses = StatusMaker(constant, self.records, self._counts)
         self._t_s = 0.0
         self._estop_owed = False
+        self._phase = Phase.AWAY
         self._bench: Bench | None = None
 
     def run(self, reload: Callable[[], Scenario]) -> None:
@@ -218,7 +219,6 @@ class _Service:
         bench.begin(origin_ns)
         every = max(1, round(1e9 / _STATUS_HZ / timing.period_ns))
         stall_ns = self.scenario.service.twist_timeout_s * 1e9
-        phase = pilot.phase
         tick_us = NAN
         polled_ns = time.perf_counter_ns()
         for _ in self._until_stopped(pilot, desk):
@@ -244,13 +244,8 @@ class _Service:
                 watch.turn += 1
                 pilot.tick(now, sampling.fix_of(number))
                 watch.turn += 1
-            if pilot.phase is not phase or number % every == 0:
-                if pilot.phase is not phase:
-                    phase = pilot.phase
-                    self._note_phase(pilot)
-                self.api.send(self._statuses.status(pilot, bench, granted))
-                if bench.plant_output:
-                    log_lines(bench.plant_output.take(), t_s, self.records.note)
+            if pilot.phase is not self._phase or number % every == 0:
+                self._report(pilot, bench, granted)
             self.notifier.beat(begin_ns)
             tick_us = (time.perf_counter_ns() - begin_ns) * 1e-3
             following = sampling.following(number)
@@ -284,8 +279,14 @@ class _Service:
         self.records.note(self._t_s, "error", sentence)
         self.records.finish()
 
-    def _note_phase(self, pilot: Pilot) -> None:
-        """Report a new phase to the log, the recording and systemd."""
+    def _report(self, pilot: Pilot, bench: Bench, granted: RealTime) -> None:
+        """Send the status, log what the plant has printed, and report a new phase to log, recording and systemd."""
+        self.api.send(self._statuses.status(pilot, bench, granted))
+        if bench.plant_output:
+            log_lines(bench.plant_output.take(), self._t_s, self.records.note)
+        if pilot.phase is self._phase:
+            return
+        self._phase = pilot.phase
         is_bad = pilot.phase in (Phase.AWAY, Phase.FAULT, Phase.ESTOP) or pilot.why is not None
         sentence = f"the robot is {pilot.phase}" + (f": {pilot.why}" if pilot.why is not None else "")
         self.records.note(self._t_s, "warning" if is_bad else "info", sentence)
