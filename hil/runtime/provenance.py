@@ -1,4 +1,4 @@
-"""What a run was: the texts that its recording carries, so that a file explains itself."""
+"""The properties of a recording, which say what run it is of."""
 
 import hashlib
 import json
@@ -20,8 +20,8 @@ if TYPE_CHECKING:
 def ingredients(scenario: "Scenario") -> dict[str, str]:
     """Return what decides a run beside its scenario's text, as it is now: options of the law, and SHA-256 hashes.
 
-    To be asked when the parts of the run are made, for files may change before a recording begins. Beside what
-    ``law_ingredients`` returns: ``map_sha256`` is of ``[plant.map]``, ``reference_file_sha256`` and
+    Call it when the parts of the run are made: files may change before a recording begins. Beside what
+    ``law_ingredients`` returns, ``map_sha256`` is of ``[plant.map]``, ``reference_file_sha256`` and
     ``motors_file_sha256`` of files that the scenario names, ``reference_sha256`` of the code of another package's kind
     of reference, ``fmu_sha256`` of the FMU where it is on this machine.
     ``wheel_host_sha256`` and ``cosim_sha256`` are of the native libraries that this process runs with, as they were

@@ -1,7 +1,7 @@
-"""Real time, as far as the operating system grants it: asked for by name, and each answer a sentence.
+"""Real time, as far as the operating system grants it. The answer to each request is a sentence.
 
-A process takes the settings for the time of a run and is afterwards what it was. What is not granted ends nothing: the
-run is only later now and then, and its summary says why. LIMITS.md shows how to set a machine up.
+A process takes the settings for the time of a run and gives them back. A refusal does not end the run: some ticks are
+later, and the summary says why. LIMITS.md shows how to set a machine up.
 """
 
 import contextlib
@@ -30,7 +30,7 @@ _MCL_CURRENT, _MCL_FUTURE, _MCL_ONFAULT = 1, 2, 4
 
 
 class Setting(NamedTuple):
-    """What became of something that was asked for, with a sentence that names it."""
+    """The answer to one request, as a sentence."""
 
     name: str
     granted: bool
@@ -38,7 +38,7 @@ class Setting(NamedTuple):
 
 
 class RealTime:
-    """The settings of a process while it runs in real time. ``settings`` has one for each thing that was asked for."""
+    """The settings of a process while it runs in real time: ``settings`` has the answer to each request."""
 
     def __init__(self, settings: Sequence[Setting]) -> None:
         self.settings = tuple(settings)
@@ -69,7 +69,7 @@ def real_time(wanted: RealtimeTable, threads: Sequence[int] = ()) -> Iterator[Re
                 "idle states": _stay_awake,
                 "processors": lambda undo: _pin(wanted.cpus, every, undo),
                 "memory": lambda undo: _lock_memory(undo) if wanted.lock_memory else None,
-                # Last, so that nothing of the above is done while others have to wait.
+                # Last, so that no other process waits for the requests above.
                 "priority": lambda undo: _raise_priority(wanted.priority, every, undo) if wanted.priority else None,
             }
         else:
@@ -78,14 +78,14 @@ def real_time(wanted: RealtimeTable, threads: Sequence[int] = ()) -> Iterator[Re
 
 
 class _RefusedError(Exception):
-    """It was not granted; the text is the sentence that says why, and what to do."""
+    """A request was refused; the text says why, and what to do."""
 
 
 _Ask = Callable[[contextlib.ExitStack], str | None]
 
 
 def _answer(name: str, ask: _Ask, undo: contextlib.ExitStack) -> Setting | None:
-    """Ask for one thing; None where it was not wanted. What is refused halfway is taken back at once."""
+    """Make one request; None where it was not wanted. What was taken before a refusal is given back at once."""
     with contextlib.ExitStack() as attempt:
         try:
             sentence = ask(attempt)
@@ -100,7 +100,7 @@ def _refuse(_: contextlib.ExitStack) -> str:
 
 
 def _quieten_collector(undo: contextlib.ExitStack) -> str:
-    """Have the garbage collector never look at what there is by now, and rarely at what comes.
+    """Freeze the objects that exist, so that the garbage collector skips them, and let it run rarely.
 
     It is not switched off: a law that makes cycles would take all memory in the end.
     """
@@ -120,14 +120,14 @@ def _quieten_collector(undo: contextlib.ExitStack) -> str:
 
 
 def _shorten_switch_interval(undo: contextlib.ExitStack) -> str:
-    """Have another thread that holds the interpreter give it up sooner."""
+    """Let another thread that holds the interpreter give it up sooner."""
     undo.callback(sys.setswitchinterval, sys.getswitchinterval())
     sys.setswitchinterval(min(SWITCH_INTERVAL_S, sys.getswitchinterval()))
     return f"switch interval: {sys.getswitchinterval() * 1e3:g} ms"
 
 
 def _tighten_timers(undo: contextlib.ExitStack) -> str:
-    """Have the kernel wake this thread when it asked for it; it may else wait up to 50 µs, to save power."""
+    """Let the kernel wake this thread on time. By default it may wait 50 µs more, to save power."""
     prctl = _libc().prctl
     before_ns = prctl(_PR_GET_TIMERSLACK, 0, 0, 0, 0)
     if before_ns < 0 or prctl(_PR_SET_TIMERSLACK, _TIMER_SLACK_NS, 0, 0, 0):
@@ -138,7 +138,7 @@ def _tighten_timers(undo: contextlib.ExitStack) -> str:
 
 
 def _stay_awake(undo: contextlib.ExitStack) -> str:
-    """Keep the processors out of sleep from which they wake too slowly; the kernel does it while the file is open."""
+    """Keep the processors out of deep sleep, from which they wake slowly. It holds while the file is open."""
     if not DMA_LATENCY.exists():
         raise _RefusedError(f"idle states: this machine has no {DMA_LATENCY}, by which to forbid deep ones")
     try:

@@ -1,4 +1,4 @@
-"""The ticks of a run in which its law drove nothing, and which of them a fault of the scenario explains."""
+"""The ticks of a run in which the robot was not driven, and which of them a fault of the scenario explains."""
 
 from collections.abc import Sequence
 

@@ -25,13 +25,14 @@ _FILTERING_INTERFACES = ("socketcan", "ixxat")
 
 
 class CanLink:
-    """Frames over a CAN bus; ``hears`` names whose are received, the other side being this one.
+    """Frames over a CAN bus. ``hears`` is the side whose frames are received; the other side is this one.
 
     What is not of the ``protocol`` is dropped and counted: ``foreign`` (in ours, extended or remote), ``garbled`` (an
-    slcan line that is none), error frames by their class (``error_bus_off``, ``error_passive``, ...) and, for a host
-    that hears the robot, ``unknown_id`` and ``length``. A robot that hears the host gets all standard data frames that
-    pass the filters: its firmware counts those by itself. Dropped and not counted are this side's own messages, which
-    some buses give back (python-can's ``udp_multicast``, without a mark). A bus-off is a lost link, to be reopened.
+    slcan line that is no frame), error frames by their class (``error_bus_off``, ``error_passive``, ...) and, for a
+    host that hears the robot, ``unknown_id`` and ``length``. A robot that hears the host gets all standard data frames
+    that pass the filters, and its firmware counts those. This side's own messages, which some buses give back
+    (python-can's ``udp_multicast``, without a mark), are dropped and not counted. A bus-off is a lost link, to be
+    reopened.
     Raises BadInputError for what python-can or its interface does not know, LinkError when it cannot be opened.
 
     Attributes:
@@ -145,7 +146,7 @@ class CanLink:
         self._rejected["garbled"] += 1
 
     def _count(self, cause: str, message: Any) -> None:
-        """Count what is refused, an error frame by what it tells."""
+        """Count a refused frame by its cause, an error frame by its classes. Raises LinkError for a bus-off."""
         causes = causes_of(message.arbitration_id, bytes(message.data)) if message.is_error_frame else (cause,)
         if self.on_foreign is not None:
             self.on_foreign(message)
@@ -188,7 +189,7 @@ def _is_queue_full(error: Exception) -> bool:
 
 
 def _socketcand(url: CanUrl) -> Iterator[tuple[str, Any]]:
-    """Yield what socketcand needs of a channel HOST:PORT/CHANNEL."""
+    """Yield python-can's options for a socketcand channel HOST:PORT/CHANNEL. Raises BadInputError."""
     server, _, channel = url.channel.rpartition("/")
     host, _, port = server.rpartition(":")
     if not (host and channel and port.isdecimal()):

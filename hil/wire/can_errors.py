@@ -1,4 +1,4 @@
-"""What a CAN bus tells of its errors: the causes in an error frame, and one sentence for each failure of an interface.
+"""Errors of a CAN bus: the causes that an error frame names, and one sentence for each failure of an interface.
 
 Classes of error frames are those of SocketCAN (Linux, include/uapi/linux/can/error.h).
 """
@@ -36,7 +36,7 @@ CAUSES = (
 
 
 def causes_of(identifier: int, data: bytes) -> tuple[str, ...]:
-    """Return what an error frame tells, at least one of ``CAUSES``; interfaces without classes give ``error_other``."""
+    """Return the causes in an error frame, at least one of ``CAUSES``; ``error_other`` where the interface has none."""
     found = tuple(dict.fromkeys(_causes(identifier, data.ljust(8, b"\0"))))
     return found or ("error_other",)
 
@@ -68,7 +68,7 @@ _LIBRARIES = {
     "canalystii": "the canalystii package: pip install 'python-can[canalystii]'",
     "udp_multicast": "msgpack: pip install 'python-can[multicast]'",
 }
-# What the system and python-can number their errors with; their words follow, or stand before.
+# The error numbers of the system and of python-can in a message.
 _NUMBERS = re.compile(r"\[(Errno|Error Code) -?\d+\] ?")
 _SERIAL_INTERFACES = ("slcan", "serial", "robotell", "seeedstudio")
 

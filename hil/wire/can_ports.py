@@ -1,7 +1,7 @@
-"""An open CAN bus, by python-can: frames to it, and what comes from it, ``raw`` until somebody asks what it is.
+"""An open CAN bus: frames to it, and from it whatever comes, ``raw`` until it is asked for as a frame or a message.
 
-What can go wrong is raised as it comes, for ``CanLink`` to explain. ``SocketCan`` goes past python-can where that is
-dear: six system calls a frame each way, where one does.
+Errors are raised as python-can has them; ``CanLink`` explains them. ``SocketCan`` uses the socket itself: one system
+call a frame, where python-can makes six.
 """
 
 import contextlib
@@ -17,10 +17,10 @@ from firmware_protocol.framing import Frame
 from hil.core.ports import EXTENDED, REMOTE
 from hil.wire.url import CanUrl
 
-# Here python-can keeps no frame back, and its own wait is not good enough: slcan's polls, and both slcan's and the
-# multicast's end early at what is no frame.
+# Interfaces that select waits for: python-can's own wait polls (slcan), or ends early at what is no frame (both). They
+# keep no frame back, which select would not see.
 _SELECTABLE_INTERFACES = ("slcan", "udp_multicast")
-# Where python-can parses lines of text, and raises these at one that is cut or garbled.
+# Interfaces whose lines of text python-can parses. It raises these errors at a line that is cut or garbled.
 _TEXT_INTERFACES = ("slcan",)
 _NO_FRAME = (IndexError, ValueError)
 _WRITE_TIMEOUT_S = 1.0  # as of a serial line: one that takes no byte for so long is lost
@@ -33,7 +33,7 @@ _SWITCHED, _ERROR_STATE, _IS_FD = 0x01, 0x02, 0x04
 
 
 class CanPort(Protocol):
-    """A bus as it is needed here."""
+    """What ``CanLink`` needs of an open bus."""
 
     def send(self, frame: Frame) -> None:
         """Send a frame."""
@@ -58,7 +58,7 @@ class PythonCan:
         self._garbled = garbled
         self._failures = (can.CanError, OSError, ValueError)
         self._descriptor = self._find_descriptor()
-        # Without one an adapter that takes no bytes any more would hold its sender for ever.
+        # Without it an adapter that takes no bytes any more would block its sender for ever.
         self._send_timeout_s = _WRITE_TIMEOUT_S if url.interface in _TEXT_INTERFACES else None
 
     def _find_descriptor(self) -> int | None:
@@ -83,7 +83,7 @@ class PythonCan:
             self._bus.send(message, self._send_timeout_s)
         except self._failures:
             if self._url.interface in _TEXT_INTERFACES:
-                # What the adapter has not taken would keep closing, and opening anew, waiting for ever.
+                # Closing and opening anew would wait for ever for the bytes that the adapter has not taken.
                 with contextlib.suppress(*self._failures):
                     self._bus.serialPortOrig.reset_output_buffer()
             raise

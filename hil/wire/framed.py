@@ -1,4 +1,4 @@
-"""A link over a byte stream: the framing of what is spoken, in both directions."""
+"""A link over a byte stream, by the framing of its protocol in both directions."""
 
 import time
 from collections import Counter
@@ -10,7 +10,7 @@ from hil.core.ports import Received
 from hil.wire.streams import HostStream
 
 _MOST_AT_ONCE = 50
-"""Frames that are given together: what some ticks have to say. A host that has a backlog decides how much it takes."""
+"""The most frames that one call gives: those of a few ticks. A host with a backlog decides how many it takes."""
 
 _MOST_NOISE = 65536  # bytes without a frame in one call: more than any buffer of a line holds
 
@@ -59,8 +59,8 @@ class StreamLink:
                         return self._part_of(frames, stamp_ns)
                     self.received_frames += count
                     return Received(frames, stamp_ns)
-                # Bytes came that completed no frame: the rest of one may be there too, or come in what is left of the
-                # time. A line full of noise must not keep a tick.
+                # These bytes completed no frame; the rest of one may come in the time that is left. But a line full of
+                # noise must not hold up a tick.
                 of_no_frame += len(data)
                 if of_no_frame > _MOST_NOISE:
                     return None
@@ -87,7 +87,7 @@ class StreamLink:
 
     def reopen(self) -> None:
         self._stream.reopen()
-        # A new framing: the half of a frame, and the gap in the numbers, belong to the line that was lost.
+        # A new framing: half a frame, and the gap in the numbers, belong to the line that was lost.
         self._earlier = Counter(self.rejected())
         self._framing = self._make_framing()
         self._waiting = None

@@ -1,4 +1,4 @@
-"""Faults of a serial line: the framed bytes themselves are spoilt, and the framing at the other end does its work."""
+"""Faults of a serial line: they spoil the framed bytes, and the framing at the other end finds the errors."""
 
 import math
 from collections.abc import Iterator, Sequence
@@ -14,10 +14,10 @@ _LONGEST_GARBAGE = 16
 
 
 class FaultLine:
-    """A byte stream whose frames are spoilt, both ways; around the host's end of the line.
+    """The host's end of a line, whose frames are spoilt in both directions.
 
-    Nothing happens before the scenario's time has begun. Frames that carry lockstep are spared: a zero before each of
-    them keeps what was cut before from taking them along.
+    Nothing happens before the scenario's time has begun. Frames that carry lockstep are spared. A zero before each of
+    them separates it from a frame that was cut before it.
     """
 
     def __init__(
@@ -31,7 +31,7 @@ class FaultLine:
         self._time = time
         self._faults = faults
         self._protocol = protocol
-        self._rest = b""  # the begin of a frame of which not all has arrived
+        self._rest = b""  # the beginning of a frame that has not arrived completely
 
     def write(self, data: bytes) -> None:
         t_ns = self._time.now_ns()
@@ -61,7 +61,7 @@ class FaultLine:
         self._stream.close()
 
     def _spoil(self, data: bytes, direction: str, t_ns: int) -> bytes:
-        """Return what becomes of whole frames."""
+        """Return what whole frames become."""
         said = [
             self._say(fault, t_ns) for fault in self._faults if fault.kind == "babble" and _babbles(fault, direction)
         ]
@@ -97,7 +97,7 @@ def _id_of(frame: bytes) -> int | None:
 
 
 def _wrong_bits(fault: LinkFault, bits: int) -> Iterator[int]:
-    """Yield the places of wrong bits: each by itself, so that the gaps between them are geometric."""
+    """Yield the places of wrong bits. Each bit is wrong by itself, so the gaps have a geometric distribution."""
     scale = 1.0 / math.log1p(-fault.row.value)
     place = -1
     while True:
@@ -120,7 +120,7 @@ def _cut(frame: bytes, fault: LinkFault) -> bytes:
 
 
 def _foreign(fault: LinkFault, number: int, protocol: LinkProtocol) -> bytes:
-    """Return garbage, or in our own protocol every other time a whole frame with a foreign id."""
+    """Return what a babbling node says: random bytes, or in our own protocol every other time a foreign frame."""
     if number % 2 or protocol is not WHEEL_DBC:
         return fault.chance.randbytes(fault.chance.randint(1, _LONGEST_GARBAGE))
     body = foreign_id(fault, protocol).to_bytes(2, "little") + fault.chance.randbytes(fault.chance.randint(1, 9))

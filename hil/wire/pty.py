@@ -11,12 +11,12 @@ from hil.core.link_protocol import WHEEL_DBC, LinkProtocol
 
 _CHUNK = 65536
 _PATIENCE_S = 2.0
-_AHEAD_S = 0.05  # what the line carries in this time may come at once: as much as a robot that stalled makes up for
+_AHEAD_S = 0.05  # what the line carries in this time may come at once: a robot that stalled makes up for as much
 _BITS_PER_BYTE = 10  # start, eight data bits, stop
 
 
 class _Pace:
-    """How much a line of a bit rate can have brought by now."""
+    """How many bytes a line of a bit rate can have carried by now."""
 
     def __init__(self, baud: int) -> None:
         self._per_s = baud / _BITS_PER_BYTE
@@ -31,19 +31,20 @@ class _Pace:
         return int(self._left)
 
     def take(self, count: int) -> None:
-        """Take note that so many were taken."""
+        """Record that so many were taken."""
         self._left -= count
 
 
 class PtyStream:
     """The master side of a new pseudo-terminal; ``port`` names the other side for any serial program.
 
-    What nobody reads is lost once the line's buffer is full, as on a UART, but in whole frames (up to the protocol's
-    delimiter; without one, what is written at once), so that the next one can be read; ``lost_frames`` counts them.
+    Once the line's buffer is full, what is written is lost, as on a UART, but in whole frames, so that the next one can
+    be read. A frame ends with the protocol's delimiter; without one, it is what is written at once. ``lost_frames``
+    counts them.
+
     With ``waits``, for lockstep, where time stands still until the host has read, nothing is lost unless no byte is
-    taken for 2 s.
-    With ``baud`` no more is read than a line of that bit rate carries; the rest waits, and so does who writes it.
-    With ``symlink`` the port has a fixed name as well; a link that is left from an earlier process is replaced.
+    taken for 2 s. With ``baud`` no more is read than a line of that bit rate carries; the rest waits in the line. With
+    ``symlink`` the port has a fixed name as well; a link that is left from an earlier process is replaced.
 
     Raises BadInputError when the symlink cannot be made.
     """
@@ -100,7 +101,7 @@ class PtyStream:
         self._begun = data[at:end]
 
     def _put(self, data: bytes) -> int:
-        """Return how many bytes were taken, 0 when the line is full; wait for a reader where there is time for it."""
+        """Return how many bytes were taken, 0 when the line is full. With ``waits`` it waits for a reader first."""
         while True:
             try:
                 return os.write(self._master, data)

@@ -28,7 +28,7 @@ class Node(Protocol):
         """Return all that there is to send, as frames."""
 
     def count_unsent(self, frames: int) -> None:
-        """Take note that so many frames that were to be sent could not be."""
+        """Count so many frames that could not be sent."""
 
 
 class Wire(Protocol):
@@ -102,11 +102,11 @@ class CanWire:
 
 
 class ReopeningWire:
-    """A wire of a robot that outlives its link, as a board does: while it is lost the firmware goes on.
+    """A wire that is opened anew after it was lost. The firmware goes on meanwhile, as on a board.
 
-    Its watchdog stops the wheels meanwhile. ``reopen`` is tried after 0.1 s first and twice as long each time, up to
-    2 s, in a thread of its own: an slcan adapter alone takes 2 s. ``say`` gets a sentence when the link is lost and
-    when it is back.
+    Its watchdog stops the wheels. ``reopen`` is tried after 0.1 s first and twice as long each time, up to 2 s, in a
+    thread of its own: an slcan adapter alone takes 2 s. ``say`` gets a sentence when the link is lost and when it is
+    back.
     """
 
     def __init__(self, wire: Wire, reopen: Callable[[], None], say: Callable[[str], None]) -> None:
@@ -117,11 +117,11 @@ class ReopeningWire:
         self._waits = BackOff()
         self._due_ns = 0
         self._opener = ThreadPoolExecutor(1, "reopening")
-        self._attempt: Future[None] | None = None  # while there is one, the wire is left to it
+        self._attempt: Future[None] | None = None  # while it runs, nobody else uses the wire
 
     def receive_into(self, node: Node, timeout_ns: int) -> bool:
         if not self._is_there():
-            # The server gives its time here, and must not spin while there is nothing to wait for.
+            # The server waits here: it must not spin while there is nothing to receive.
             time.sleep(max(0, timeout_ns) * 1e-9)
             return False
         try:

@@ -1,4 +1,4 @@
-"""What is the matter with a serial port, and what to do about it, for a line and for an adapter that is one."""
+"""Failures of serial ports in words: what is wrong and what to do. For lines, and for CAN adapters on a serial port."""
 
 import errno
 import os
@@ -16,7 +16,7 @@ PORT_ERRORS: tuple[type[Exception], ...] = (OSError, *_TERMIOS_ERROR)
 
 LIST_PORTS = "list the ports with: python -m serial.tools.list_ports"
 SHARED = "is busy: another program reads it too, and takes what is meant for this one; close that program"
-"""What is the matter with a port that ``is_shared``, to follow its name."""
+"""What is wrong with a port that ``is_shared``, to follow its name."""
 
 _GONE = (errno.EIO, errno.ENODEV, errno.ENXIO, errno.EBADF)
 # pyserial's words under POSIX where there was something to read and then nothing: the device has hung up, or another
@@ -39,13 +39,13 @@ def _number_of(error: BaseException | None) -> int | None:
 
 
 def words_of(error: Exception) -> str:
-    """Return what the system said, without its number and pyserial's words around it."""
+    """Return the system's message, without its number and pyserial's words around it."""
     number = _number_of(error)
     return os.strerror(number) if number is not None else " ".join(str(error).split())
 
 
 def opening_problem(error: Exception) -> str | None:
-    """Return what is the matter with a port that could not be opened, to follow its name; None for anything else."""
+    """Return what is wrong with a port that could not be opened, to follow its name; None for any other error."""
     number, text = _number_of(error), str(error)
     if number == errno.ENOENT or "FileNotFoundError" in text:
         return f"does not exist; {LIST_PORTS}"
@@ -62,7 +62,7 @@ def opening_problem(error: Exception) -> str | None:
 
 
 def is_shared(port: str, error: Exception) -> bool:
-    """Tell whether a port was lost because another program reads it too: its bytes went there, and it is still there.
+    """Tell whether another program reads the port too: bytes had come and were gone, and the port is still there.
 
     pyserial has the same words for a port that was unplugged.
     """

@@ -36,8 +36,9 @@ _URL_HANDLERS = ("socket", "rfc2217", "loop", "spy", "hwgrep", "alt")
 class Reader:
     """A thread that blocks in the port's own read, so that ``read`` can wait for any time.
 
-    The port's timeout is set once: for RFC 2217 each change of it is a negotiation over the network. ``unread_bytes``
-    counts those that were dropped because nobody read them.
+    It is for ports without a descriptor to wait on: COM ports, and URLs of pyserial that are no file. The port's
+    timeout is set once: for RFC 2217 each change of it is a negotiation over the network. ``unread_bytes`` counts bytes
+    that were dropped because nobody read them.
     """
 
     def __init__(self, port: Any) -> None:
@@ -89,7 +90,7 @@ class Reader:
 
 
 def _open_failure(port: str, baud: int, error: Exception) -> LinkError:
-    """Say what is the matter with a port and what to do about it."""
+    """Return the error for a port that cannot be opened: what is wrong, and what to do."""
     text = str(error)
     scheme, is_url, _ = port.partition("://")
     if is_url and "protocol" in text and "not known" in text:
@@ -133,8 +134,8 @@ def _rate_of(port: Any) -> int | None:
 class SerialStream:
     """A serial port as a byte stream, opened exclusively.
 
-    Reads wait in ``select`` where the port has a descriptor; elsewhere a thread waits by pyserial's timeout. Where the
-    driver has a low-latency mode it is set. A write that is not taken within 1 s means that the line is lost.
+    Reads wait in ``select`` where the port has a descriptor, elsewhere in a ``Reader``. The driver's low-latency mode
+    is set where it has one. A write that is not taken within 1 s means that the line is lost.
 
     Raises LinkError when the port does not exist, is busy, is forbidden, is no serial port or refuses the baud rate.
     """
@@ -154,8 +155,8 @@ class SerialStream:
     def reopen(self) -> None:
         """Close the port and open it anew. Raises LinkError as the class does.
 
-        Connecting to a server may take seconds, and goes on beside: until it is done LinkError says so, and the next
-        call asks again.
+        Connecting to a server may take seconds, and goes on in a thread of its own. Until it is done LinkError says so,
+        and the next call asks again.
         """
         self._release()
         if not self._name.startswith(_SERVERS):
@@ -196,7 +197,7 @@ class SerialStream:
         self._low_latency = self._set_low_latency()
 
     def _check_baud(self) -> None:
-        """A driver that cannot have a rate may take another one in silence: ask what it took."""
+        """Ask the driver for its rate: one that cannot have ours may take another one in silence. Raises LinkError."""
         taken = _rate_of(self._port)
         if taken is not None and abs(taken - self._baud) > 0.03 * self._baud:
             self._release()

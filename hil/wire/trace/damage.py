@@ -1,8 +1,8 @@
-"""Where a trace file is cut or damaged, which python-can's readers pass over in silence.
+"""Finds where a trace file is cut or damaged, which python-can's readers pass over in silence.
 
-They take the text forms line by line and skip or complete what they cannot read, so the lines are checked on their way
-to them. In Vector's binary form frames come in compressed blocks that carry a checksum: a block is read whole or not at
-all, because what inflates before a damaged bit cannot be told from what inflates after it.
+They read the text forms line by line, and skip or complete what they cannot read. So the lines are checked before they
+get them. In Vector's binary form frames come in compressed blocks with a checksum. A block is read whole or not at all:
+what inflates before a damaged bit cannot be told from what inflates after it.
 """
 
 import re

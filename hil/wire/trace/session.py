@@ -1,4 +1,4 @@
-"""The run's side of a trace: gives what is on the wire to a process that writes it, and takes its report."""
+"""The trace of a link: what is on the wire goes to a process that writes it, at the host's end or at the robot's."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -162,13 +162,13 @@ class TracedWire:
 
     def __init__(self, wire: Wire, trace: Trace, now_ns: Callable[[], int], protocol: LinkProtocol = WHEEL_DBC) -> None:
         self._wire = wire
-        self._ear = _Ear(trace, now_ns, protocol)
+        self._tap = _Tap(trace, now_ns, protocol)
 
     def receive_into(self, node: Node, timeout_ns: int) -> bool:
-        return self._wire.receive_into(_Tapped(node, self._ear), timeout_ns)
+        return self._wire.receive_into(_Tapped(node, self._tap), timeout_ns)
 
     def send_from(self, node: Node) -> None:
-        self._wire.send_from(_Tapped(node, self._ear))
+        self._wire.send_from(_Tapped(node, self._tap))
 
     def drop_from(self, node: Node) -> None:
         self._wire.drop_from(node)
@@ -177,8 +177,8 @@ class TracedWire:
         self._wire.close()
 
 
-class _Ear:
-    """Listens in: bytes of a serial line are read with a framing of its own, one for each direction."""
+class _Tap:
+    """Traces frames. Bytes of a serial line are read with a framing of its own, one for each direction."""
 
     def __init__(self, trace: Trace, now_ns: Callable[[], int], protocol: LinkProtocol) -> None:
         self._trace = trace
@@ -187,14 +187,14 @@ class _Ear:
         self._received = make_framing()
         self._sent = make_framing()
 
-    def hear_bytes(self, data: bytes, *, sent: bool) -> None:
+    def trace_bytes(self, data: bytes, *, sent: bool) -> None:
         framing = self._sent if sent else self._received
         before = _noise(framing)
-        self.hear(framing.feed(data), sent=sent)
+        self.trace(framing.feed(data), sent=sent)
         if noise := _noise(framing) - before:
             self._trace.rejected(self._now_ns(), noise)
 
-    def hear(self, frames: Sequence[Frame], *, sent: bool) -> None:
+    def trace(self, frames: Sequence[Frame], *, sent: bool) -> None:
         now_ns = self._now_ns()
         for frame in frames:
             self._trace.frame(now_ns, frame, sent=sent)
@@ -205,29 +205,29 @@ def _noise(framing: Framing) -> int:
 
 
 class _Tapped:
-    """A firmware with an ear at its end of the wire. What comes is heard before the firmware acts on it."""
+    """A firmware whose end of the wire is traced. What comes is traced before the firmware acts on it."""
 
-    def __init__(self, node: Node, ear: _Ear) -> None:
+    def __init__(self, node: Node, tap: _Tap) -> None:
         self._node = node
-        self._ear = ear
+        self._tap = tap
 
     def feed(self, data: bytes) -> None:
-        self._ear.hear_bytes(data, sent=False)
+        self._tap.trace_bytes(data, sent=False)
         self._node.feed(data)
 
     def receive(self, frame: Frame) -> None:
-        self._ear.hear([frame], sent=False)
+        self._tap.trace([frame], sent=False)
         self._node.receive(frame)
 
     def take_bytes(self) -> bytes:
         data = self._node.take_bytes()
         if data:
-            self._ear.hear_bytes(data, sent=True)
+            self._tap.trace_bytes(data, sent=True)
         return data
 
     def take_frames(self) -> list[Frame]:
         frames = self._node.take_frames()
-        self._ear.hear(frames, sent=True)
+        self._tap.trace(frames, sent=True)
         return frames
 
     def count_unsent(self, frames: int) -> None:
