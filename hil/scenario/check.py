@@ -1,4 +1,4 @@
-"""Checking a stacked scenario: each table by itself, then the tables against each other."""
+"""Checks a stacked scenario: each table by itself, then the tables against each other. Words its problems."""
 
 import re
 from collections.abc import Iterator, Mapping, Sequence
@@ -34,9 +34,9 @@ def derived(tree: Tree) -> Tree:
 
 
 def check(tree: Tree, scenario: str, directory: FilePath) -> Tables:
-    """Return the validated tables; ``scenario`` begins the messages about what was not given anywhere.
+    """Return the validated tables; ``scenario`` begins the messages about keys that were not given anywhere.
 
-    ``directory`` is where relative paths start from.
+    ``directory`` is the folder from which relative paths start.
 
     Raises BadInputError with one line for each problem.
     """
@@ -56,10 +56,10 @@ def check(tree: Tree, scenario: str, directory: FilePath) -> Tables:
 
 
 def describe(problems: Sequence[Problem], tree: Tree, scenario: str) -> list[str]:
-    """Return one sentence for each problem, with its place; ``scenario`` stands for the place of what nobody gave."""
+    """Return one sentence for each problem, with its place: ``scenario`` for a key that was not given."""
     sentences = []
     for problem in problems:
-        path, told = problem.path, problem
+        path, worded = problem.path, problem
         if problem.kind == "missing":
             # A table may be given in many files, but a row of an array is given in one place.
             where = place(tree, path[:2], scenario) if len(path) > 2 and path[1].isdigit() else scenario
@@ -72,13 +72,13 @@ def describe(problems: Sequence[Problem], tree: Tree, scenario: str) -> list[str
         else:
             where = place(tree, path, scenario)
             if problem.kind == "unknown" and path[0] != "reference" and path[:2] != ("device", "motors"):
-                told = problem._replace(words=_did_you_mean(path))
-        sentences.append(f"{where}: {told.sentence}")
+                worded = problem._replace(words=_did_you_mean(path))
+        sentences.append(f"{where}: {worded.sentence}")
     return sentences
 
 
 def place(tree: Tree, path: Path, scenario: str) -> str:
-    """Return where the value at a path, or the first one below it, was given, and whether another was on the line."""
+    """Return the place of the value at a path, or of the first below it, and "and --set" if both gave some."""
     node: Node | None = tree
     for key in path:
         if isinstance(node, Given):
@@ -142,7 +142,7 @@ def _unknown_signals(tables: Tables, directory: FilePath) -> Iterator[tuple[str,
     ]
     if all(name in INDEX for _, name in named):
         return
-    # Only now, because it runs the code of laws that are not ours.
+    # Only now, because it runs the code of laws of other people.
     known = make_laws(tables, directory).signals
     for key, name in named:
         if name not in known:
@@ -152,7 +152,7 @@ def _unknown_signals(tables: Tables, directory: FilePath) -> Iterator[tuple[str,
 
 
 def _contradictions(tables: Tables) -> Iterator[tuple[str, object, str]]:
-    """Yield key, value and expectation of what cannot work together."""
+    """Yield key, value and expectation of values that contradict each other."""
     estimator, firmware, loop, robot = tables.estimator, tables.firmware, tables.loop, tables.robot
     shadows = tables.controller.shadow_names
     for name in sorted({name for name in shadows if shadows.count(name) > 1}):
@@ -176,7 +176,7 @@ def _contradictions(tables: Tables) -> Iterator[tuple[str, object, str]]:
             "firmware.overspeed_rad_s",
             firmware.overspeed_rad_s,
             f"expected more than robot.speed_limit_rad_s = {robot.speed_limit_rad_s:g}, "
-            "or the robot would trip at a speed that it may be told",
+            "or the robot would trip at a speed that may be commanded",
         )
     if tables.device.is_makers:
         yield from motors.contradictions(tables)

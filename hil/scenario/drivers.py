@@ -1,4 +1,4 @@
-"""The drivers that ``[device] driver`` takes, and what each can do: ``hil list drivers``."""
+"""The table of `hil list drivers`: the names for ``[device] driver``, and the abilities of each."""
 
 from collections.abc import Sequence
 from dataclasses import MISSING, fields
@@ -19,7 +19,7 @@ _AS_MAPPED = ("as its file says",) * 5
 
 
 def driver_rows() -> Sequence[tuple[str, ...]]:
-    """Return a row of COLUMNS for each, with the settings that it has without [device.motors]."""
+    """Return a row of COLUMNS for each driver, with its default settings."""
     facts = robot_facts(load("circle_speed", set={"device.driver": next(iter(DIALECTS)), "loop.rate_hz": _RATE_HZ}))
     rows: list[tuple[str, ...]] = [(OUR_DRIVER, *_OURS, "latched", "our own firmware")]
     for name, what in DIALECTS.items():

@@ -20,12 +20,12 @@ class Laws(NamedTuple):
 
     @property
     def extra(self) -> tuple[OwnSignals, ...]:
-        """What has signals behind those of the vocabulary, in the order of a row."""
+        """The laws whose signals follow those of the vocabulary, in the order of a row."""
         return own_signals(self.controller) + (() if self.shadows is None else (self.shadows,))
 
     @property
     def extra_may_fail(self) -> bool:
-        """Whether a law of somebody else's brings signals: only who asks for them learns that they fail."""
+        """Whether a law that is not shipped has signals, which may fail when they are read."""
         return any(isinstance(own, UserLaw) for own in self.extra)
 
     @property
@@ -35,7 +35,7 @@ class Laws(NamedTuple):
 
 
 def make_laws(tables: Tables, directory: Path) -> Laws:
-    """Make the laws; ``directory`` is what relative paths start from. Raises BadInputError as ``make_controller``."""
+    """Return the laws; relative paths start from ``directory``. Raises BadInputError as ``make_controller``."""
     table = tables.controller
     model = tables.robot
     controller = make_controller(table.law, directory, model, table.mode, table.gains)

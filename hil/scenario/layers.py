@@ -1,10 +1,10 @@
-"""Layers of a scenario: trees of values that remember where each was given, and how they are put together.
+"""Layers of a scenario: trees of values, each with the place where it was given, and how layers are stacked.
 
 Tables merge key by key, the later layer wins. Everything else, arrays of tables too, is replaced as a whole.
-A layer that names another ``controller.law``, ``reference.kind`` or ``device.driver`` drops the options of the one
-before: they belong to that law, kind or driver. So do ``plant.start`` and ``plant.map`` to a foreign FMU; of the
-shipped ones one takes over from another the start values that it knows. A row of ``plant.map`` that names a variable
-replaces the row before.
+A layer that names another ``controller.law``, ``reference.kind`` or ``device.driver`` drops the options of the layers
+below, because they belong to the other law, kind or driver. A change to or from a foreign FMU drops ``plant.start`` and
+``plant.map`` in the same way; a change between shipped FMUs keeps the start values that the new one knows. A row of
+``plant.map`` that names a variable replaces the row below.
 """
 
 from collections.abc import Iterator, Mapping
@@ -22,7 +22,7 @@ Path = tuple[str, ...]
 
 
 class Given(NamedTuple):
-    """A value of a scenario, and where it was given."""
+    """A value of a scenario, and the place where it was given."""
 
     value: object
     where: str
@@ -43,7 +43,7 @@ _DEFAULTS = {"fmu": Given(PlantTable().fmu, "default"), "driver": Given(OUR_DRIV
 
 
 def dotted(path: Path) -> str:
-    """Return the path as it is written in messages, in --set and by `hil show`."""
+    """Return the path as in messages, ``--set`` and `hil show`."""
     return ".".join(path)
 
 
@@ -144,7 +144,7 @@ def _annotate(value: object, source: str, lines: Mapping[Path, int], path: Path)
 
 
 def _flatten_plant(tree: Tree) -> None:
-    """Make ``wheel.fl.angle_rad = 1`` under ``[plant.start]`` and ``[plant.map]`` the name with these dots."""
+    """Join keys under ``[plant.start]`` and ``[plant.map]`` into dotted names, as in ``wheel.fl.angle_rad = 1``."""
     plant = tree.get("plant")
     if not isinstance(plant, dict):
         return
@@ -161,7 +161,7 @@ def _flatten_plant(tree: Tree) -> None:
 
 
 def _entries(table: Tree, path: Path = ()) -> Iterator[tuple[Path, Node]]:
-    """Yield all below a table that is no table, and the empty ones."""
+    """Yield path and node of everything below a table that is not a table, or an empty one."""
     for key, node in table.items():
         if isinstance(node, dict) and node:
             yield from _entries(node, (*path, key))
@@ -170,7 +170,7 @@ def _entries(table: Tree, path: Path = ()) -> Iterator[tuple[Path, Node]]:
 
 
 def _signal_and_key(path: Path) -> tuple[str, str]:
-    """Split a path below ``[plant.map]``; a row that is no table is the variable's name."""
+    """Split a path below ``[plant.map]`` into signal and key; a row that is a text alone is the variable's name."""
     ends = [end for end in range(1, len(path)) if dotted(path[:end]) in PLANT_SIGNALS]
     if not ends and path[-1] in options_of(MapRow):
         ends = [len(path) - 1]
@@ -178,7 +178,7 @@ def _signal_and_key(path: Path) -> tuple[str, str]:
 
 
 def _kept_rows(below: Node, above: Node) -> Node:
-    """Return the rows of ``[plant.map]`` without those whose variable the layer above names anew."""
+    """Return the rows of ``[plant.map]`` without those whose variable the layer above names."""
     if not (isinstance(below, dict) and isinstance(above, dict)):
         return below
     named = {signal for signal, row in above.items() if isinstance(row, dict) and "name" in row}
@@ -186,7 +186,7 @@ def _kept_rows(below: Node, above: Node) -> Node:
 
 
 def _known_start(below: Node, fmu: Node | None) -> Node:
-    """Return the start values without those that the shipped FMU which the layer above names does not know."""
+    """Return the start values that the shipped FMU of the layer above knows; all, if it names none."""
     if not (isinstance(below, dict) and isinstance(fmu, Given) and fmu.value in SHIPPED_FMUS):
         return below
     known = variable_names(str(fmu.value))

@@ -23,7 +23,7 @@ from hil.scenario.values import is_path
 
 SHIPPED_DIRECTORY = Path(__file__).parent / "shipped"
 ROBOT_TABLES = ("robot", "firmware", "device", "link", "realtime")
-"""What a robot's own file may hold, so that any scenario runs on it."""
+"""Tables that a robot's own file may hold, so that any scenario runs on it."""
 
 _SUFFIX = ".toml"
 _OPTIONS = {"mode": "loop.mode", "link": "link.url", "seed": "loop.seed"}
@@ -73,7 +73,7 @@ def load(
 
 
 class Sources(NamedTuple):
-    """The files of a scenario, read once and stacked: what many scenarios can be made of."""
+    """The files of a scenario, read and stacked once, from which many scenarios can be made."""
 
     file: _File
     tree: Tree
@@ -122,7 +122,7 @@ def read(name_or_path: str | Path, *, robot: str | Path | None = None) -> Source
 
 
 def set_texts(given: Mapping[str, object] | Sequence[str]) -> list[str]:
-    """Return what ``load`` takes as ``set`` as the command line has it: texts ``key=value``, the value in TOML."""
+    """Return the ``set`` of ``load`` as the command line writes it: texts ``key=value``, the value in TOML."""
     if isinstance(given, Mapping):
         return [f"{key}={format_value(_plain_python(value))}" for key, value in given.items()]
     return [given] if isinstance(given, str) else list(given)
@@ -190,8 +190,8 @@ def _read(path: Path, display: str, prefix: str) -> _File:
 def _assignments(given: Mapping[str, object] | Sequence[str]) -> list[tuple[str, object]]:
     """Return the keys and values of ``set``.
 
-    The choice of a law drops the gains of another, so it goes first, wherever it stands on the command line; the
-    choice of an FMU too.
+    The choice of a law, reference, FMU or driver drops the options of another, so it goes first, wherever it stands on
+    the command line.
     """
     if isinstance(given, Mapping):
         pairs = [(str(key), _plain_python(value)) for key, value in given.items()]
@@ -211,7 +211,7 @@ def _key_and_value(text: str) -> tuple[str, object]:
 
 
 def _plain_python(value: object) -> object:
-    """Return a value of a caller as TOML would hold it: paths and classes as text, NumPy's numbers as Python's."""
+    """Return a caller's value as TOML holds it: paths and classes as text, NumPy's numbers as Python's."""
     if isinstance(value, type):
         return give_law(value)
     if isinstance(value, os.PathLike):
@@ -226,9 +226,9 @@ def _plain_python(value: object) -> object:
 
 
 def _rebase(tree: Tree, source: Path, target: Path, only: str | None = None) -> Tree:
-    """Make relative paths of files absolute where they do not start from the scenario's own folder.
+    """Make relative paths of files absolute unless they start from the scenario's own folder.
 
-    That of a driver's settings always is: the driver knows no scenario.
+    The path in a driver's settings always becomes absolute, because the driver does not know the scenario.
     """
     tree = _rebase_motors(tree, source, only)
     if source == target:

@@ -1,4 +1,4 @@
-"""The driver of a scenario whose robot has another maker's motor controllers, and what that cannot do."""
+"""The driver of a scenario's robot with another maker's motor controllers, and its limits."""
 
 from collections.abc import Collection, Iterator, Mapping
 
@@ -30,7 +30,7 @@ _SENSOR_OF: Mapping[str, Sensor] = {
 
 
 def robot_facts(tables: Tables) -> RobotFacts:
-    """Return what a driver is told of the robot beside its own settings."""
+    """Return the facts about the robot that a driver gets besides its own settings."""
     robot, firmware, device = tables.robot, tables.firmware, tables.device
     return RobotFacts(
         robot.wheel_radius_m,
@@ -53,7 +53,7 @@ def make_driver(tables: Tables) -> Driver:
 
 
 def contradictions(tables: Tables) -> Iterator[tuple[str, object, str]]:
-    """Yield key, value and expectation of what the maker's controllers cannot do."""
+    """Yield key, value and expectation of everything that the maker's controllers cannot do."""
     device, title = tables.device, dialect(tables.device.driver).title
     wires = dialect(device.driver).wires
     if wire_of(parse_link(tables.link.url), wires) not in wires:
@@ -104,5 +104,5 @@ def contradictions(tables: Tables) -> Iterator[tuple[str, object, str]]:
 
 
 def wire_of(url: LinkUrl, wires: Collection[Wire]) -> Wire:
-    """Return what a link is to a dialect that is spoken over these wires; memory is whatever is wanted."""
+    """Return the kind of wire of a link for a dialect that supports ``wires``; memory can be any of them."""
     return url.wire or ("serial" if "serial" in wires else sorted(wires)[0])

@@ -12,7 +12,7 @@ from hil.scenario.plant import SHIPPED_FMUS
 from hil.scenario.tables import Tables
 
 HASH_FORMAT = 3
-"""Counts changes of what the hash covers, so that two versions of this package do not agree by chance."""
+"""Version of the hash, so that two versions of this package do not agree by chance."""
 _ARRAYS_OF_TABLES = ("fault", "expect")
 
 
@@ -27,7 +27,7 @@ class Scenario(Tables):
 
     @property
     def hash(self) -> str:
-        """SHA-256, in hex, of what a controller and a device in two processes must agree on.
+        """SHA-256, in hex, of the values on which a controller and a device in two processes must agree.
 
         That is [robot], [plant], [firmware], the wheel map of [device], there the driver and motors of other makers,
         loop.rate_hz and loop.seed, resolved: it does not matter in which file or order they were given. An FMU that is
@@ -85,7 +85,7 @@ def resolved(scenario: Scenario) -> list[tuple[str, object, str]]:
 
 
 def values(tables: Tables) -> Iterator[tuple[str, object]]:
-    """Yield every value that is there with its dotted key, in the order of the tables."""
+    """Yield dotted key and value of every value except None, in the order of the tables."""
     for name in options_of(Tables):
         yield from _walk(getattr(tables, name), name)
 

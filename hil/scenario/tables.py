@@ -77,7 +77,7 @@ def _processors(cpus: tuple[int, ...]) -> tuple[int, ...]:
 
 @dataclass(frozen=True)
 class FirmwareTable:
-    """``[firmware]``: what the firmware runs with. A real board's values are compared with these by hash."""
+    """``[firmware]``: the firmware's parameters. A real board's are compared with these by hash."""
 
     counts_per_revolution: Annotated[int, Range(ge=4, le=32768), "encoder counts of one turn of a wheel"]
     torque_limit_n_m: Annotated[float, Range(gt=0, le=15.99609375), "of one wheel; all four are scaled together"]
@@ -172,7 +172,7 @@ class ControllerTable:
     """``[controller]``: the law. Its gains are its own and are checked against the law when it is made."""
 
     law: Annotated[Text, "a shipped name, ./my_law.py:MyLaw or package.module:Class"]
-    command: Annotated[Literal["speed", "torque"], "what the wheels are told; fixed at arming"] = "speed"
+    command: Annotated[Literal["speed", "torque"], "the command of the wheels; fixed at arming"] = "speed"
     gains: Annotated[Mapping[Text, AnyOption], "the law's own numbers"] = field(default_factory=dict)
     shadow: Annotated[tuple[Text, ...], "laws that are computed beside it and drive nothing"] = ()
     shadow_gains: Annotated[
@@ -228,7 +228,7 @@ class LoopTable:
 
 @dataclass(frozen=True)
 class RealtimeTable:
-    """``[realtime]``: what is asked of the operating system in mode realtime; a run says what of it was refused."""
+    """``[realtime]``: requests to the operating system in mode realtime; a run reports those refused."""
 
     priority: Annotated[
         int, Range(ge=0, le=98), "of SCHED_FIFO, 0 for none; a real-time kernel's interrupt threads have 50"
@@ -241,7 +241,7 @@ class RealtimeTable:
 
 @dataclass(frozen=True)
 class ServiceTable:
-    """``[service]``: what hil serve lets be asked of the robot; limits are those of twists and of ways to a pose."""
+    """``[service]``: settings of `hil serve`; limits are those of twists and of ways to a pose."""
 
     port: Annotated[int, Range(ge=0, le=65_535), "of the API on 127.0.0.1; 0 takes a free one"] = 8770
     twist_timeout_s: Annotated[float, Range(ge=0.02, le=2), "silence that ends a drive by twist"] = 0.2

@@ -21,7 +21,7 @@ def parse(text: str, name: str) -> dict[str, Any]:
 
 
 def parse_value(text: str) -> object:
-    """Return what ``text`` means as a TOML value (``24``, ``[1, 2]``), or the text itself (``memory:``)."""
+    """Return ``text`` read as a TOML value (``24``, ``[1, 2]``), or the text itself (``memory:``)."""
     try:
         document = tomllib.loads(f"value = {text}")
     except (tomllib.TOMLDecodeError, RecursionError):

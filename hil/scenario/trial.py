@@ -1,4 +1,4 @@
-"""What makes a scenario a test: ``[[fault]]``, what goes wrong, ``[[expect]]``, what must hold, and ``[allow]``."""
+"""The tables that make a scenario a test: ``[[fault]]``, ``[[expect]]`` and ``[allow]``."""
 
 import math
 import re
@@ -34,7 +34,7 @@ class FaultTable:
     radius_m: Annotated[float | None, "of slip_patch: radius of the circle"] = None
 
     def __post_init__(self) -> None:
-        """Give the row the target and the numbers that its kind has by default; refuse what its kind does not take."""
+        """Fill in the defaults of the kind; raise ValueError for values that the kind does not take."""
         kind = find(self.kind, self.target or None)
         defaults: dict[str, Any] = {
             quantity.name: quantity.default for quantity in (kind.value, *kind.further) if quantity is not None
@@ -57,7 +57,7 @@ class FaultTable:
 
     @property
     def row(self) -> FaultRow:
-        """The row as what applies it needs it."""
+        """The row in the form in which it is applied."""
         return FaultRow(
             self.kind,
             find(self.kind, self.target).acts_on,
@@ -69,7 +69,7 @@ class FaultTable:
 
     @property
     def counts(self) -> str:
-        """What the row's account counts."""
+        """The unit of the count of this fault in a report."""
         return find(self.kind, self.target).counts
 
     @property
@@ -82,7 +82,7 @@ class FaultTable:
 
 @dataclass(frozen=True)
 class ExpectTable:
-    """``[[expect]]``: what holds of a signal in from_s <= t <= to_s of the run.
+    """``[[expect]]``: a claim about a signal in from_s <= t <= to_s of the run.
 
     One of: ``below`` or ``above`` or both; ``within`` = [low, high], both included; ``equals`` with a ``tolerance``;
     ``settles_to`` with a ``tolerance``: from some time on it stays that near, until to_s.
@@ -134,9 +134,9 @@ Limit = Annotated[Any, _limit]
 
 @dataclass(frozen=True)
 class AllowTable:
-    """``[allow]``: what no fault of the scenario explains, and how much of it a run may have and still pass.
+    """``[allow]``: the most that a passing run may have of events that no fault of the scenario explains.
 
-    A key is the name of a figure of the run, its description says of what. These defaults are those of lockstep.
+    A key is the name of a figure of the run. The defaults are those of lockstep.
     """
 
     stale_ticks: Annotated[Limit, "ticks not driven because the feedback or the truth was too old"] = 0
@@ -146,11 +146,11 @@ class AllowTable:
 
 
 REALTIME_ALLOW: dict[str, int | str] = {"stale_ticks": "5%", "held_ticks": "5%"}
-"""The defaults in real time where they are others: a shared machine stalls now and then."""
+"""The defaults in real time, where they differ: a shared machine stalls now and then."""
 
 
 def most(limit: int | str, ticks: int) -> int:
-    """Return the greatest number that a limit lets be in a run of so many ticks."""
+    """Return the greatest number that a limit allows in a run of ``ticks``."""
     if isinstance(limit, int):
         return limit
     return int(Fraction(limit.rstrip("% ")) * ticks / 100)

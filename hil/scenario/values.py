@@ -1,4 +1,4 @@
-"""What a value of a scenario may be at all, where its table says no more."""
+"""Types of values that are not only a number: texts, options of unknown type, start values, milliseconds."""
 
 import math
 import re
@@ -12,7 +12,7 @@ StartValue = float | bool | str
 
 
 def is_path(name: str) -> bool:
-    """Return whether a name is a path to a file, and not the name of something shipped."""
+    """Return whether a name is the path of a file, and not a shipped name."""
     return "/" in name or "\\" in name or PurePath(name).suffix != ""
 
 
@@ -23,7 +23,7 @@ def _text(value: str) -> str:
 
 
 def _option(value: object) -> OptionValue:
-    """Accept what an option may be at all; its law or reference checks the names, types and ranges."""
+    """Accept any option; its law or reference checks the names, types and ranges."""
     if isinstance(value, list | tuple):
         return tuple(map(_scalar, value))
     return _scalar(value)
@@ -36,7 +36,7 @@ def _scalar(value: object) -> Scalar:
 
 
 def _start(value: object) -> StartValue:
-    """Accept what a variable of an FMU may start with; the FMU's description tells the type and range."""
+    """Accept any start value; the FMU's description has the type and range."""
     if isinstance(value, bool | str):
         return value
     if isinstance(value, int) and -(2**63) <= value < 2**64:
@@ -47,7 +47,7 @@ def _start(value: object) -> StartValue:
 
 
 def _setting(value: object) -> object:
-    """Accept what a setting of a driver may be at all: an option, or a table of them."""
+    """Accept any setting of a driver: an option, or a table of settings."""
     if isinstance(value, Mapping):
         return {_text(str(key)): _setting(item) for key, item in value.items()}
     return _option(value)
