@@ -8,13 +8,16 @@ from typing import Any
 import pytest
 
 from firmware_protocol.built import HERE, SOURCES
-from hil.batch.catalogue.plan import Request, alone, pairs
-from hil.batch.catalogue.verdicts import run_trials
+from hil.batch.catalogue.plan import Request, alone, pairs, scenarios
+from hil.batch.catalogue.verdicts import job_of, run_trials
+from hil.batch.keys import make_job
+from hil.batch.plan import run_jobs
 from hil.cli.progress import runs_progress
 from hil.core.errors import BadInputError
 from hil.core.options import build
 from hil.faults.cases import CASES, DURATION_S, Outcome
 from hil.faults.kinds import KINDS, find
+from hil.scenario import Scenario
 from hil.scenario.trial import FaultTable
 from tests.processes import hil
 from tests.trials import done_here
@@ -162,7 +165,7 @@ def test_a_sample_of_the_pairs_is_chosen_by_its_seed_and_all_seeds_together_take
 
 
 @pytest.mark.parametrize("flaw", UNSAFE)
-def test_an_unsafe_firmware_is_caught(flaw, tmp_path, monkeypatch) -> None:
+def test_an_unsafe_firmware_is_caught(flaw, tmp_path) -> None:
     name, before, after, kinds = UNSAFE[flaw]
     text = (HERE / "firmware" / name).read_text(encoding="utf-8")
     assert text.count(before) == 1
@@ -171,10 +174,15 @@ def test_an_unsafe_firmware_is_caught(flaw, tmp_path, monkeypatch) -> None:
     sources = [changed if source.name == name else source for source in SOURCES]
     library = tmp_path / "libunsafe.so"
     compile_shared(sources, library, flags=("-w", "-O0", f"-I{HERE / 'firmware'}"))
-    monkeypatch.setenv("WHEEL_HOST_LIBRARY", str(library))
     request = Request("circle_speed", [], ["memory"], kinds, tmp_path)
-    verdicts = run_trials(request, alone(request), 1, 60.0)
-    assert any(verdict.verdict.startswith("unsafe") for verdict in verdicts), verdicts
+    trials = alone(request)
+    jobs = []
+    for trial, scenario in zip(trials, scenarios(request, trials), strict=True):
+        assert isinstance(scenario, Scenario)
+        job = job_of(trial, scenario)
+        jobs.append(make_job(scenario, job.kind, job.options, library, recording=job.recording))
+    outcomes = run_jobs(jobs, 1)
+    assert any(str(outcome.reason).startswith("unsafe") for outcome in outcomes), outcomes
 
 
 def test_a_run_that_hangs_is_ended_and_one_that_crashes_is_told(tmp_path) -> None:

@@ -62,15 +62,11 @@ def catalogue(
     request.recordings.mkdir(parents=True, exist_ok=True)
     total = len(lockstep) + len(in_real_time)
 
-    def progress(done: int, _total: int, trouble: str | None) -> None:
-        if on_progress is not None:
-            on_progress(done, total, trouble)
+    def progress_after(before: int) -> OnProgress | None:
+        return on_progress and (lambda done, _, trouble: on_progress(before + done, total, trouble))
 
-    def later(done: int, _total: int, trouble: str | None) -> None:
-        progress(len(lockstep) + done, total, trouble)
-
-    verdicts = run_trials(request, lockstep, workers, limit_s, progress)
-    verdicts += run_trials(request, in_real_time, 1, limit_s, later)
+    verdicts = run_trials(request, lockstep, workers, limit_s, progress_after(0))
+    verdicts += run_trials(request, in_real_time, 1, limit_s, progress_after(len(lockstep)))
     with contextlib.suppress(OSError):  # what is not empty has recordings to look at
         request.recordings.rmdir()
     return verdicts
