@@ -129,7 +129,7 @@ def test_ticks_that_are_missing_are_told(recorded):
     ("law", "message"),
     [
         ("dcs", "--law = 'dcs': unknown"),
-        ("dsc,k1=3", "--law dsc: unknown option 'k1'; did you mean 'k1_1_s'?"),
+        ("dsc,k1=3", "unknown key --law dsc.k1; did you mean 'k1_1_s'?"),
         ("dsc,k1_1_s", "'k1_1_s' is no gain; expected key=value"),
         ("./no.py:Law", "no file"),
     ],
