@@ -30,6 +30,7 @@ from hil.batch.pool import MODULE
 from hil.batch.store import RECORDINGS, ROWS, read_rows
 from hil.cli.main import app
 from hil.core.errors import BadInputError, LinkError
+from hil.core.subprocesses import MEMORY_IS_KNOWN
 from hil.review import read
 from hil.robot.virtual import KeptRobot
 from hil.runtime.assembly import RunOptions, run_scenario
@@ -153,6 +154,16 @@ def test_a_run_that_fails_is_a_row_with_its_reason_which_can_be_done_again(
     again = do(plan, tmp_path / "out", redo=["lost"])
     assert [row["outcome"] for row in again] == ["passed", "ended", "failed", "ended", "passed", "passed", "passed"]
     assert again[:5] == rows[:5]
+
+
+@pytest.mark.skipif(not MEMORY_IS_KNOWN, reason="this system does not tell how much memory a process takes")
+def test_a_run_that_takes_more_memory_than_it_may_is_lost_and_says_so(tmp_path: Path) -> None:
+    (tmp_path / "laws.py").write_text(LAWS, encoding="utf-8")
+    (tmp_path / "ill").touch()
+    plan = write_plan(tmp_path, 'laws = ["./laws.py:Light"]\nkeep = "none"', "robot.mass_kg = 23")
+    (row,) = do(plan, tmp_path / "out", Place(None, 1, LIMIT_S, memory_mb=10.0))
+    assert row["outcome"] == "lost"
+    assert row["reason"].endswith("MB of memory, more than the limit of 10 MB")
 
 
 def test_a_foreign_fmu_is_opened_anew_for_each_run_for_its_reset_may_leave_something(flawed: Path, monkeypatch) -> None:
