@@ -34,7 +34,7 @@ def test_a_run_warns_once_of_a_reset_that_came_of_trouble(cause: m.ResetCause) -
 
 def test_a_service_tells_once_of_a_watchdog(monkeypatch: pytest.MonkeyPatch) -> None:
     make_node = functools.partial(HostNode, reset_cause=m.ResetCause.WATCHDOG)
-    monkeypatch.setattr("hil.runtime.bench.node_maker", lambda _scenario: make_node)
+    monkeypatch.setattr("hil.runtime.local_robot.node_maker", lambda _device: make_node)
     with PilotBench() as bench:
         bench.run_until(Phase.DISARMED)
         bench.pilot.arm()

@@ -5,9 +5,6 @@ import math
 from hil.core.errors import BadInputError
 from hil.core.types import ZERO_WHEELS, CommandMode, WheelCommand, Wheels, make_command
 
-_TORQUE = CommandMode.TORQUE  # a member of an enumeration takes longer to look up than a global name
-
-
 # Of the firmware's own speed loop, which is closed at 1 kHz without the link: this one has the link's latency in it.
 _SHARE = 0.25
 
@@ -47,7 +44,7 @@ class Guard:
         gives a stop (all zero) of the same mode.
         """
         mode, speed, torque = command
-        if mode is _TORQUE and speed is not ZERO_WHEELS:
+        if mode is CommandMode.TORQUE and speed is not ZERO_WHEELS:
             speed = ZERO_WHEELS
             command = make_command((mode, speed, torque))
         if _is_within(torque, self.torque_limit_n_m) and (

@@ -1,6 +1,6 @@
 """The signals between the bridge and a plant, by the names that ``[plant.map]`` uses. The unit ends the name.
 
-The outputs are in the order of the enumeration in plant/cosim.h, the inputs too.
+Outputs and inputs are in the order of the enumerations in ``cosim.h``.
 """
 
 from hil.core.types import WHEEL_NAMES, Pose, Twist
