@@ -68,7 +68,7 @@ class Shadows:
                 if begins:
                     law.reset(state, reference)
                 wanted = law.update(reference, state, applied, dt_s)
-            except Exception as error:  # noqa: BLE001 - whatever it is, the run goes on, and it is told
+            except Exception as error:  # noqa: BLE001 - the run goes on whatever it is, and reports it
                 why = str(error) if isinstance(error, HilError) else f"{type(error).__name__}: {error}"
                 sentence = f"shadow {name} dropped at t = {t_s:.3f} s: {why}"
                 self.dropped[name] = (t_s, sentence)
