@@ -1,7 +1,7 @@
 """Scenarios as tests: the plugin that pytest loads wherever this package is installed.
 
 It collects every ``*.hil.toml`` file as a test and has the fixtures ``virtual_robot``, ``hil_link`` and ``hil_run``.
-hil/testing/PYTEST.md documents it. pytest imports this module at every start: heavy imports wait until a
+hil/cli/testing/PYTEST.md documents it. pytest imports this module at every start: heavy imports wait until a
 scenario is collected or a fixture is used.
 """
 

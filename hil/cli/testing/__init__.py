@@ -10,7 +10,7 @@ three fixtures, of these types:
         link = hil_link(virtual_robot("paper_circle"))
         assert link.ask(HelloRequest(PROTOCOL_VERSION), HelloIdentity).schema_hash == SCHEMA_HASH
 
-hil/testing/PYTEST.md documents all of it.
+hil/cli/testing/PYTEST.md documents all of it.
 """
 
 from hil.cli.testing.fixtures import OpenLink, RunScenario, StartRobot
