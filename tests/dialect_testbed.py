@@ -7,9 +7,8 @@ from typing import Any
 from firmware_protocol.framing import Frame
 from hil.core.options import build
 from hil.core.types import CommandMode, FourWheels
-from hil.drivers.emulated_registry import emulated
 from hil.drivers.port import Driver, RobotFacts, Sample, Wire
-from hil.drivers.registry import dialect
+from hil.drivers.registry import dialect, emulated
 from hil.plant import archive
 from hil.plant.description import parameter_names
 from hil.plant.fmu import FmuPlant

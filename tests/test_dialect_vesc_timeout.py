@@ -10,7 +10,6 @@ import pytest
 from firmware_protocol.framing import Frame
 from hil.core.errors import BadInputError
 from hil.drivers.port import EXTENDED, Wire
-from hil.drivers.registry import dialect
 from hil.drivers.vesc.frames import SET_RPM, SerialFraming
 from hil.drivers.vesc.wires import Line
 from hil.runtime.assembly import RunOptions, run_scenario
@@ -289,7 +288,7 @@ def test_the_guardians_stop_brakes_to_rest_whatever_a_reader_waits_for(held: str
     """At 19200 baud, where one wheel brakes before the others: let go, they would roll for ever on this plant."""
     rig = set_all(ready("serial"), 0)
     rig.drive(0.6, ramp_to(FORWARD))
-    stop = b"".join(map(SerialFraming().encode, dialect("vesc").last_stop(rig.driver)))
+    stop = b"".join(map(SerialFraming().encode, rig.driver.last_stop()))
     rig.node.feed(bytes.fromhex(held))
     for at in range(0, len(stop), 2):
         rig.node.feed(stop[at : at + 2])

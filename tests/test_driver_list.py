@@ -7,7 +7,7 @@ import pytest
 from hil.cli.list import listing
 from hil.core.errors import BadInputError
 from hil.core.types import CommandMode
-from hil.drivers.registry import DIALECTS, driver_names
+from hil.drivers.registry import SHIPPED, driver_names
 from hil.scenario import load
 from hil.scenario.drivers import COLUMNS
 from hil.scenario.motors import make_driver
@@ -20,7 +20,7 @@ def test_every_driver_is_listed_with_what_it_states() -> None:
     for row in rows:
         said = dict(zip(columns, row, strict=True))
         assert all(said.values())
-        if said["driver"] in DIALECTS and said["driver"] != "dbc":
+        if said["driver"] in SHIPPED and said["driver"] != "dbc":
             can = make_driver(load("circle_speed", set={"device.driver": said["driver"]})).capabilities
             assert set(said["sensors"].split(", ")) == can.sensors
             assert ("with torque" in said["commands"]) is can.adds_torque
@@ -85,7 +85,7 @@ def test_a_gyro_that_is_there_may_be_wrong() -> None:
     load("circle_speed", set={"device.driver": "rosmaster", "fault": [GYRO]})
 
 
-@pytest.mark.parametrize("driver", [name for name in DIALECTS if name != "dbc"])
+@pytest.mark.parametrize("driver", [name for name in SHIPPED if name != "dbc"])
 def test_torques_that_would_be_dropped_are_warned_of(driver: str) -> None:
     made = make_driver(load("circle_speed", set={"device.driver": driver}))
     dropped = [warning for warning in made.warnings if "takes no torque beside a speed" in warning]

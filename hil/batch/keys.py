@@ -15,6 +15,7 @@ from firmware_protocol.built import WHEEL_HOST
 from firmware_protocol.generated.messages import SCHEMA_HASH
 from hil.batch.job import Job
 from hil.core.errors import BadInputError
+from hil.drivers.registry import driver_module
 from hil.laws.code import code_of_module
 from hil.laws.registry import law_sha256
 from hil.plant import archive
@@ -100,6 +101,9 @@ def _files(scenario: Scenario) -> Iterator[tuple[str, str]]:
     module = reference_module(scenario.reference.kind)
     if module is not None and (digest := code_of_module(module)) is not None:
         yield "reference.kind", digest
+    module = driver_module(scenario.device.driver)
+    if module is not None and (digest := code_of_module(module)) is not None:
+        yield "device.driver", digest
     for name, table in (("reference.file", scenario.reference.options), ("device.motors.file", scenario.device.motors)):
         if isinstance(path := table.get("file"), str):
             yield name, _digest(scenario.directory / path)

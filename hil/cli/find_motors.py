@@ -20,7 +20,7 @@ from hil.core.errors import BadInputError
 from hil.core.link_protocol import WHEEL_DBC, LinkProtocol
 from hil.core.ports import Framing, Link
 from hil.drivers.port import Found, Probe
-from hil.drivers.registry import DIALECTS, OUR_DRIVER, dialect
+from hil.drivers.registry import OUR_DRIVER, dialect, driver_names
 from hil.robot import handshake
 from hil.robot.handshake import Greeting, RobotInfo
 from hil.scenario import load
@@ -111,7 +111,7 @@ class _Candidate:
     claimed: set[int] = field(default_factory=set)
 
 
-class _OurProbe:
+class _OurProbe(Probe):
     """Queries HELLO: every version of our firmware answers its first page."""
 
     def __init__(self) -> None:
@@ -157,11 +157,11 @@ def find_motors(link: str, driver: str | None = None, say: Callable[[str], None]
     url = parse_link(link)
     if url.is_within_process:
         raise BadInputError(f"link {link!r} reaches nothing outside this process; name a port or a bus")
-    names = [driver] if driver is not None else [OUR_DRIVER, *DIALECTS]
+    names = [driver] if driver is not None else driver_names()
     candidates = [one for name in names if (one := _candidate(name, link)) is not None]
     elsewhere = _elsewhere(url, names)
     if not candidates:
-        raise BadInputError(elsewhere or f"a probe for {driver!r} over {link!r} does not exist; see DIALECTS.md")
+        raise BadInputError(elsewhere or f"a probe for {driver!r} over {link!r} does not exist; see DRIVERS.md")
     result = Result(elsewhere=elsewhere)
     look = _probe_bus if url.is_bus else _probe_port
     look(candidates, driver is not None, result, say)

@@ -40,7 +40,7 @@ def _print(result: Result) -> None:
         for sentence in answer.found.sentences:
             _say(sentence)
         if answer.robot_file is None:
-            _say(f"this is no whole robot with four motors; see DIALECTS.md for [device.motors] of {answer.driver!r}")
+            _say(f"this is no whole robot with four motors; see DRIVERS.md for [device.motors] of {answer.driver!r}")
         else:
             _say(answer.wiring)
             print(answer.robot_file)

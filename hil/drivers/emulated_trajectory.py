@@ -2,7 +2,7 @@
 
 import math
 
-from hil.drivers.emulated_motors import limited
+from hil.drivers.emulated import limited
 
 _TICK_S = 0.001
 _NEAR_REV = 2e-6

@@ -76,5 +76,5 @@ def watch_over(made: Dialect, driver: Driver, url: LinkUrl, silence_s: float, pr
     from hil.drivers.guardian import Guardian  # a thread and a process: not for every run
 
     framing = made.make_framing()
-    stop = b"".join(framing.encode(frame) for frame in made.last_stop(driver))
+    stop = b"".join(framing.encode(frame) for frame in driver.last_stop())
     return Guardian(*url.serial_port, stop, silence_s=silence_s, priority=priority)

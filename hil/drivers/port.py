@@ -1,12 +1,15 @@
-"""What a driver of a maker's motor controllers is: pure, frames in and frames out, told the time and asked no clock.
+"""What a driver of another maker's motors is: frames in and frames out, no I/O. It is told the time and asks no clock.
 
 Quantities are those of the wheels' axles, in the order of the robot's channels (``[device] wheels`` says which wheel
-each of them drives): a driver knows its maker's units, gear ratio and node ids, and nothing of how the robot is wired.
+each channel drives). A driver knows its maker's units, gear ratio and node ids, and nothing of the robot's wiring.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+import math
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from types import MappingProxyType
-from typing import Any, Literal, NamedTuple, Protocol
+from typing import Any, Literal, NamedTuple
 
 from firmware_protocol.framing import Frame
 from hil.core.ports import EXTENDED, REMOTE, Framing
@@ -15,6 +18,7 @@ from hil.core.types import NAN, CommandMode, FourWheels
 __all__ = [
     "ANSWER_S",
     "EXTENDED",
+    "NO_CHANNELS",
     "REMOTE",
     "Capabilities",
     "Dialect",
@@ -26,25 +30,33 @@ __all__ = [
     "Sample",
     "Sensor",
     "Wire",
+    "check_ids",
+    "chosen",
+    "holds_back",
+    "late_ns",
+    "lowest",
+    "oldest",
     "torques_dropped",
 ]
 
 Wire = Literal["can", "can_fd", "serial"]
-"""What a dialect may be spoken over."""
-
 Sensor = Literal["position", "current", "temperature", "battery_voltage", "battery_current", "gyro", "accelerometer"]
-"""What they may measure beside the wheels' speeds."""
+"""What controllers may measure beside the wheels' speeds."""
 
 NO_CHANNELS: FourWheels = (NAN, NAN, NAN, NAN)
 
 
 class Capabilities(NamedTuple):
-    """What a maker's controllers can do. ``feedback_hz`` is the lowest rate of what odometry rests on.
+    """What a maker's controllers can do.
 
-    ``is_twist``: they take a velocity of the body and close the loop of the wheels themselves. ``adds_torque``: they
-    add a torque to a speed. ``watchdog``: whether the wheels stop by themselves when commands end: set and read back by
-    the driver, there as the maker's tool has set it, or not as far as is known. ``latches_estop``: a stop of its own,
-    that commands do not end.
+    Attributes:
+        modes: the commands that they take.
+        is_twist: they take a velocity of the body, and close the wheels' loops themselves.
+        feedback_hz: the lowest rate of the measurements that odometry uses.
+        adds_torque: they add a torque to a speed.
+        watchdog: whether the wheels stop by themselves when commands end. "set": the driver sets it and reads it back.
+            "fixed": it is as the maker's tool has set it. "none": no watchdog is known.
+        latches_estop: they have a stop that later commands do not end.
     """
 
     modes: frozenset[CommandMode]
@@ -57,9 +69,9 @@ class Capabilities(NamedTuple):
 
 
 class RobotFacts(NamedTuple):
-    """What a driver is told of the robot beside its own settings, from [robot], [firmware], [loop] and the link.
+    """What a driver is told of the robot beside its own settings: from [robot], [firmware], [loop] and the link.
 
-    ``wire`` is that of ``Dialect.wires`` which the link is, for a maker that speaks differently on each.
+    ``wire`` is the kind of the link, one of ``Dialect.wires``.
     """
 
     wheel_radius_m: float
@@ -76,11 +88,10 @@ class RobotFacts(NamedTuple):
 
 
 class Sample(NamedTuple):
-    """What the channels measured, NaN where the maker does not say.
+    """What the four channels measured; NaN for what the maker does not measure, or what came too long ago.
 
-    ``stamp_ns`` is when the oldest of the four speeds arrived: a channel that has gone silent makes all of it old, and
-    so does a position that comes in messages of its own. Other values are NaN once theirs have fallen silent.
-    ``position_rad`` is not wrapped and counts from anywhere.
+    ``stamp_ns`` is when the oldest of the four speeds arrived, so one silent channel makes the whole sample old, as
+    does a silent position that comes in messages of its own. ``position_rad`` is not wrapped and may begin anywhere.
     """
 
     stamp_ns: int
@@ -94,75 +105,100 @@ class Sample(NamedTuple):
     yaw_rate_rad_s: float = NAN
 
 
-class Driver(Protocol):
-    """Drives four motors, or a base, of one maker.
+class Driver(ABC):
+    """Drives four motors, or a base, of one maker. A maker's class derives from it.
 
-    The order of a session: ``ask`` until ``identity`` is known, and then while nothing is commanded; ``arm`` once a
-    tick until ``is_armed``, ``command`` once a tick, ``disarm``. ``feed`` takes all that arrives, at any time. Nothing
-    but ``arm`` may lead to motion, and ``arm`` itself asks for standstill. How old speeds may be to arm by is not the
-    driver's business.
+    The order of a session: ``ask`` until ``identity`` is known, and later while nothing is commanded; ``arm`` once a
+    tick until ``is_armed``; ``command`` once a tick; ``disarm``. ``feed`` may come at any time. Only ``arm`` may lead
+    to motion, and ``arm`` itself commands standstill. The caller checks how old the speeds are before it arms.
     """
+
+    _capabilities: Capabilities  # for ``capabilities``, of a class that does not define it
+    _warnings: Sequence[str] = ()
+    _is_armed = False
 
     @property
     def capabilities(self) -> Capabilities:
-        """What they can do; what only some firmwares can is there until another firmware is known."""
-
-    def ask(self) -> Sequence[Frame]:
-        """Return frames that ask who is there and in which version; once that is known, those that ask for the state.
-
-        Nothing moves by them. Who tells the state by itself is not asked for it: a question may feed a watchdog.
-        """
+        """What the controllers can do. What only some firmwares can is included until the firmware is known."""
+        return self._capabilities
 
     @property
-    def identity(self) -> str | None:
-        """What answered, in words, with its firmware where it says; None until all that has to answer has.
+    def warnings(self) -> Sequence[str]:
+        """Sentences for the user before anything moves, such as that nothing stops the wheels when the host dies."""
+        return self._warnings
 
-        Raises BadInputError when it is nothing that this driver can drive, with what to do.
+    def ask(self) -> Sequence[Frame]:
+        """Return frames that ask for identity and version; once these are known, frames that ask for the state.
+
+        They move nothing. Controllers that send their state by themselves are not asked: it may feed a watchdog.
+        """
+        return ()
+
+    @property
+    @abstractmethod
+    def identity(self) -> str | None:
+        """What answered, in words, with the firmware if known; None until all have answered.
+
+        Raises BadInputError for something that this driver cannot drive, with what to do.
         """
 
     @property
     def missing(self) -> str:
-        """What has not answered ``ask`` yet, in words, and what to check; empty when nothing is missing."""
+        """What has not answered ``ask`` yet, and what to check; empty when nothing is missing."""
+        return ""
 
-    @property
-    def warnings(self) -> Sequence[str]:
-        """Sentences to be said before anything moves, such as that nothing stops the wheels when the host dies."""
-
+    @abstractmethod
     def arm(self, now_ns: int) -> Sequence[Frame]:
-        """Return what the next step towards closed loop at standstill needs; called once a tick until ``is_armed``.
+        """Return the frames of the next step towards closed loop at standstill; called once a tick until ``is_armed``.
 
-        Errors that were there before are not cleared. A watchdog is set first, and read back.
+        Errors from before are not cleared. A watchdog is set first, and read back.
         """
 
     @property
     def is_armed(self) -> bool:
-        """Whether all four follow commands, as far as they say; True ends when one says that it does not."""
+        """Whether all four follow commands, as far as they report; ends as soon as one reports that it does not."""
+        return self._is_armed
 
+    @abstractmethod
     def command(self, speed_rad_s: FourWheels, torque_n_m: FourWheels, now_ns: int) -> Sequence[Frame]:
         """Return the frames of a command: in mode SPEED with torques to be added, in mode TORQUE torques alone."""
 
+    @abstractmethod
     def disarm(self) -> Sequence[Frame]:
-        """Return what stops the motors and leaves closed loop; also right in any other state, and twice."""
+        """Return frames that stop the motors and leave closed loop; valid in any state, and repeatedly."""
 
     def estop(self) -> Sequence[Frame]:
-        """Return the quickest stop that there is, latched where the maker can."""
+        """Return the frames of the quickest stop, latched where the maker can do that."""
+        return self.disarm()
+
+    def last_stop(self) -> Sequence[Frame]:
+        """Return what the guardian sends on a serial line when the host has died.
+
+        It stops the motors whatever they were told before, and also in the middle of an unfinished frame.
+        """
+        return self.disarm()
 
     def clear(self) -> Sequence[Frame]:
-        """Return what clears the latched errors of the maker's; moves nothing."""
+        """Return frames that clear the maker's latched errors; they move nothing."""
+        return ()
 
+    @abstractmethod
     def feed(self, frame: Frame, stamp_ns: int) -> None:
-        """Take a frame that arrived then. One that is not of this maker's, or damaged, changes nothing."""
+        """Take a frame that arrived at ``stamp_ns``. A foreign or damaged frame changes nothing."""
 
     @property
+    @abstractmethod
     def sample(self) -> Sample | None:
-        """The newest measurement of all four channels, None before there is one."""
+        """The newest measurement of all four channels, None before the first."""
 
     @property
     def errors(self) -> Sequence[str]:
-        """The errors that the controllers report now, in the maker's terms, with the wheel's name; empty for none."""
+        """The errors reported now, in the maker's terms, with the wheel's name; empty for none."""
+        return ()
 
     def restart(self) -> None:
         """Forget what was heard: the link was lost, and what answers next may have been reset or exchanged."""
+        self._is_armed = False
 
 
 def torques_dropped(title: str) -> str:
@@ -176,9 +212,9 @@ def torques_dropped(title: str) -> str:
 class Found(NamedTuple):
     """What a probe has found: a sentence for each device, and the [device.motors] that would drive them.
 
-    ``motors`` is None where what was found is not enough for a robot. ``known`` are values of a robot's file that the
-    devices told, ``unknown`` the keys on which the motion depends and that nobody can be asked for; both by their
-    dotted names, such as ``robot.wheel_radius_m`` and ``device.motors.gear_ratio``.
+    ``motors`` is None if the devices found do not make a robot. ``known`` are values of a robot's file that the devices
+    reported. ``unknown`` are keys that the motion depends on and no device can report. Both use dotted names, such as
+    ``robot.wheel_radius_m`` and ``device.motors.gear_ratio``.
     """
 
     sentences: Sequence[str]
@@ -191,48 +227,94 @@ ANSWER_S = 0.1
 """``Probe.patience_s`` of devices that answer at once."""
 
 
-class Probe(Protocol):
-    """Finds one maker's devices without moving anything; it hears what comes before its first ``ask`` too."""
-
-    def ask(self) -> Sequence[Frame]:
-        """Return what is still to be asked; it reads, and writes nothing. Empty for who speaks by itself."""
+class Probe(ABC):
+    """Finds one maker's devices without moving anything. It also hears frames from before its first ``ask``."""
 
     @property
     def patience_s(self) -> float:
-        """How long after the newest ``ask`` an answer may still come; 0 when nothing is awaited."""
+        """How long after the newest ``ask`` an answer may still come [s]; 0 when no answer is expected."""
+        return 0.0
 
+    def ask(self) -> Sequence[Frame]:
+        """Return the questions that are left. They read, and write nothing; none for devices that speak unasked."""
+        return ()
+
+    @abstractmethod
     def feed(self, frame: Frame) -> bool:
         """Take a frame that arrived, and return whether it may be one of this maker's."""
 
+    @abstractmethod
     def found(self) -> Found | None:
         """Return what answered so far, None while nothing of this maker's has."""
 
 
-def by_disarming(driver: Driver) -> Sequence[Frame]:
-    """Return the last stop of controllers whose disarming is right for that."""
-    return driver.disarm()
+@dataclass(frozen=True)
+class Dialect:
+    """One maker's protocol: all that ``[device] driver = "NAME"`` brings. Others register one in ``hil.drivers``.
 
-
-class Dialect(NamedTuple):
-    """One maker's protocol as the registry has it.
-
-    ``settings`` is a dataclass: the options of [device.motors], checked by ``hil.core.options.build``. ``wires`` says
-    what it is spoken over: ``can``, ``can_fd`` or ``serial``; ``baud`` is the rate of a serial line as delivered, None
-    where there is no such line. ``probe`` is None where nothing can be found without a risk; ``serial_probe`` takes its
-    place on a serial line where a dialect that is spoken on a bus too has other questions there. ``watchdog_setting``
-    says in words what a driver that has no watchdog without it needs for one, None where nothing gives it one.
-    ``last_stop`` returns, of a driver of this dialect, what the guardian sends on a serial line when the host has died:
-    it stops them whatever they were told last, and in the middle of a frame too. A setting ``file`` is a path, and an
-    absolute one by the time that a driver sees it.
+    Attributes:
+        title: what messages call the motors.
+        wires: the kinds of link that it is spoken over.
+        settings: a dataclass of options for [device.motors], checked by ``hil.core.options.build``. An option ``file``
+            is a path, made absolute before a driver sees it.
+        make: makes the driver of the settings and the robot. Raises BadInputError if they contradict each other.
+        emulated: the emulated device, as "package.module:Class" of an ``EmulatedMotors``; it is imported when used.
+        make_framing: the framing of a serial line, None without one. baud: its rate as delivered.
+        probe: finds the devices, None if that cannot be done without risk. serial_probe: the probe for a serial line,
+            where the questions differ from those on a bus.
+        watchdog_setting: what a driver without a watchdog needs for one, in words; None if nothing gives it one.
     """
 
     title: str
     wires: frozenset[Wire]
     settings: type[Any]
     make: Callable[[Any, RobotFacts], Driver]
+    emulated: str
     make_framing: Callable[[], Framing] | None = None
     probe: Callable[[], Probe] | None = None
     serial_probe: Callable[[], Probe] | None = None
     baud: int | None = None
     watchdog_setting: str | None = None
-    last_stop: Callable[[Any], Sequence[Frame]] = by_disarming
+
+
+# What drivers of four controllers, each with an id of its own, have in common
+
+
+def check_ids(name: str, ids: Sequence[int], low: int, high: int) -> None:
+    """Raise ValueError unless there are four different ids within a range; for a ``__post_init__``."""
+    if len(ids) != 4 or len(set(ids)) != 4 or not all(low <= number <= high for number in ids):
+        raise ValueError(f"{name} = {list(ids)}: expected four different ones, each {low} to {high}")
+
+
+def chosen(ids: Iterable[int], flags: Iterable[bool | None]) -> str:
+    """Return the ids whose flag is set, in words; empty when none is."""
+    return ", ".join(str(number) for number, flag in zip(ids, flags, strict=True) if flag)
+
+
+def oldest(stamps: Iterable[int | None]) -> int | None:
+    """Return the oldest of the channels' stamps, None while one of them has none."""
+    found = list(stamps)
+    return None if None in found else min(stamp for stamp in found if stamp is not None)
+
+
+# How long a value counts. A driver asks no clock: it learns the time from other frames. A value is too old when others
+# have come for longer than ``late_ns`` since. When nothing comes at all, the sample grows old, and the robot is held.
+
+
+def late_ns(period_s: float) -> int:
+    """Return how long a periodic value counts after it came: five periods, at least 0.1 s."""
+    return round(max(5 * period_s, 0.1) * 1e9)
+
+
+def holds_back(stamp_ns: int, other_ns: int, limit_ns: int) -> int:
+    """Return the stamp of a sample that also depends on another value, which came at ``other_ns``.
+
+    It follows the speeds' stamp until the other value is older than ``limit_ns``; then it stands still. So a sample
+    never goes back in time, and still grows old.
+    """
+    return min(stamp_ns, other_ns + limit_ns)
+
+
+def lowest(*values: float) -> float:
+    """Return the lowest known value, NaN if none is known: four controllers measure the voltage of one battery."""
+    return min((value for value in values if not math.isnan(value)), default=NAN)

@@ -1,12 +1,24 @@
-"""The dialects by name; each is imported when it is asked for."""
+"""From the name in ``[device] driver`` to a maker's protocol; each is imported when it is first used."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import is_dataclass
 from importlib import import_module
+from pkgutil import resolve_name
+from typing import TYPE_CHECKING, Any, get_args
 
-from hil.core.errors import BadInputError, nearest
-from hil.drivers.port import Dialect
+from hil.core.errors import BadInputError
+from hil.core.extensions import Extensions, failures_of, package_of
+from hil.core.options import build
+from hil.drivers.port import Dialect, Driver, RobotFacts, Wire
 
-DIALECTS: Mapping[str, str] = {
+if TYPE_CHECKING:
+    from hil.drivers.emulated import EmulatedMotors
+
+OUR_DRIVER = "stm32"
+"""``[device] driver`` of a robot with our own firmware."""
+
+SHIPPED: Mapping[str, str] = {
     "c620": "RoboMaster C620 with M3508, or C610 with M2006",
     "odrive": "ODrive, CANSimple of firmware 0.5 and 0.6",
     "dbc": "a device of your own, by its DBC and a mapping",
@@ -15,21 +27,77 @@ DIALECTS: Mapping[str, str] = {
     "vesc": "VESC, over CAN or UART",
     "moteus": "mjbots moteus, over CAN FD",
 }
-"""What ``[device] driver`` takes beside ``stm32``, with what it is. The module of the same name has ``DIALECT``."""
+"""The makers' drivers of this package by name. ``hil.drivers.NAME.driver`` has ``DIALECT``."""
 
-
-OUR_DRIVER = "stm32"
-"""``[device] driver`` of a robot with our own firmware."""
-
-
-def dialect(name: str) -> Dialect:
-    """Return a dialect. Raises BadInputError when there is none of this name."""
-    if name not in DIALECTS:
-        raise BadInputError(f"no driver is named {name!r}{nearest(name, DIALECTS)}")
-    found: Dialect = import_module(f"hil.drivers.{name}.driver").DIALECT
-    return found
+EXTENSIONS = Extensions("hil.drivers", (OUR_DRIVER, *SHIPPED))
 
 
 def driver_names() -> tuple[str, ...]:
-    """Return every name that ``[device] driver`` takes: our own firmware's, then the makers'."""
-    return (OUR_DRIVER, *DIALECTS)
+    """Return every name that ``[device] driver`` takes: our own firmware's, the makers', those of other packages."""
+    return tuple(EXTENSIONS.names())
+
+
+def dialect(name: str) -> Dialect:
+    """Return a maker's protocol. Raises BadInputError if there is none of this name, or it cannot be used."""
+    if name in SHIPPED:
+        shipped: Dialect = import_module(f"hil.drivers.{name}.driver").DIALECT
+        return shipped
+    where = _where(name)
+    made = EXTENSIONS.load(name, where)
+    if not isinstance(made, Dialect):
+        raise BadInputError(f"{where}: {made!r} is no hil.drivers.port.Dialect")
+    if not made.wires or not made.wires <= set(get_args(Wire)):
+        raise BadInputError(f"{where}: wires = {set(made.wires)}: expected some of {', '.join(get_args(Wire))}")
+    if not (isinstance(made.settings, type) and is_dataclass(made.settings)):
+        raise BadInputError(f"{where}: settings = {made.settings!r}: expected a dataclass of options")
+    return made
+
+
+def make_settings(name: str, values: Mapping[str, Any], key: str) -> Any:
+    """Return the settings of a driver from plain values; ``key`` is what messages call their table.
+
+    Raises BadInputError as ``build`` does, and for a failure of another package's code.
+    """
+    made = dialect(name)
+    with _failures_of_others(name, "making its settings"):
+        return build(made.settings, values, key)
+
+
+def make_driver(name: str, settings: Any, robot: RobotFacts) -> Driver:
+    """Make a driver. Raises BadInputError for settings that do not fit the robot, and as ``dialect`` does."""
+    made = dialect(name)
+    with _failures_of_others(name, "making the driver"):
+        return made.make(settings, robot)
+
+
+def emulated(name: str) -> "Callable[..., EmulatedMotors]":
+    """Return the class of a maker's emulated device; it is made of settings and the arguments of ``EmulatedMotors``."""
+    from hil.drivers.emulated import EmulatedMotors  # with the plant: not for every command
+
+    made = dialect(name)
+    with _failures_of_others(name, f"importing {made.emulated!r}"):
+        kind = resolve_name(made.emulated)
+    if not (isinstance(kind, type) and issubclass(kind, EmulatedMotors)):
+        raise BadInputError(f"{_where(name)}: {made.emulated!r} is no hil.drivers.emulated.EmulatedMotors")
+    return kind
+
+
+def driver_module(name: str) -> str | None:
+    """Return the module in which another package has a driver; None for a shipped or unknown one."""
+    value = EXTENSIONS.value(name)
+    return None if value is None else value.rpartition(":")[0]
+
+
+def _where(name: str) -> str:
+    return f"device.driver = {name!r}"
+
+
+@contextmanager
+def _failures_of_others(name: str, activity: str) -> Iterator[None]:
+    """Turn what another package's code raises into a BadInputError; an error of ours is a defect, and stays."""
+    if name in SHIPPED:
+        yield
+        return
+    where = _where(name)
+    with failures_of(f"{where}, of the package {package_of(EXTENSIONS.find(name, where))}", activity):
+        yield

@@ -22,8 +22,8 @@ def ingredients(scenario: "Scenario") -> dict[str, str]:
 
     Call it when the parts of the run are made: files may change before a recording begins. Beside what
     ``law_ingredients`` returns, ``map_sha256`` is of ``[plant.map]``, ``reference_file_sha256`` and
-    ``motors_file_sha256`` of files that the scenario names, ``reference_sha256`` of the code of another package's kind
-    of reference, ``fmu_sha256`` of the FMU where it is on this machine.
+    ``motors_file_sha256`` of files that the scenario names, ``reference_sha256`` and ``driver_sha256`` of the code of
+    another package's kind of reference and driver, ``fmu_sha256`` of the FMU where it is on this machine.
     ``wheel_host_sha256`` and ``cosim_sha256`` are of the native libraries that this process runs with, as they were
     loaded; ``wheel_host_sources_sha256`` and ``cosim_sources_sha256`` of the sources that these were built from, which
     are the same on every machine. What is not here is left out.
@@ -36,6 +36,7 @@ def ingredients(scenario: "Scenario") -> dict[str, str]:
         "map_sha256": hashlib.sha256(json.dumps(plain(scenario.plant.map), sort_keys=True).encode()).hexdigest(),
         **{f"{name}_sha256": _sha256_of(table.get("file"), directory) for name, table in files.items()},
         "reference_sha256": _reference_sha256(scenario.reference.kind),
+        "driver_sha256": _driver_sha256(scenario.device.driver),
         **_plant_and_libraries(scenario),
     }
     return law_ingredients(scenario) | {name: text for name, text in found.items() if text is not None}
@@ -116,6 +117,15 @@ def _reference_sha256(kind: str) -> str | None:
     from hil.references import reference_module
 
     module = reference_module(kind)
+    return None if module is None else code_of_module(module)
+
+
+def _driver_sha256(name: str) -> str | None:
+    """Return the hash of the code of another package's driver; None for a shipped one."""
+    from hil.drivers.registry import driver_module
+    from hil.laws.code import code_of_module
+
+    module = driver_module(name)
     return None if module is None else code_of_module(module)
 
 

@@ -11,8 +11,7 @@ from hil.core.link_protocol import WHEEL_DBC, LinkProtocol
 from hil.core.options import plain
 from hil.core.outputs import Existing
 from hil.core.types import Pose
-from hil.drivers.emulated_registry import emulated
-from hil.drivers.registry import dialect
+from hil.drivers.registry import dialect, emulated
 from hil.estimation import EstimatorOptions
 from hil.plant import archive
 from hil.plant.description import check_start, parameter_names

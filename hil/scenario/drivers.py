@@ -3,10 +3,10 @@
 from collections.abc import Sequence
 from dataclasses import MISSING, fields
 
-from hil.core.options import build
+from hil.core.errors import BadInputError
 from hil.core.types import CommandMode
 from hil.drivers.port import Capabilities, Dialect, RobotFacts
-from hil.drivers.registry import DIALECTS, OUR_DRIVER, dialect
+from hil.drivers.registry import EXTENSIONS, OUR_DRIVER, SHIPPED, dialect, make_driver, make_settings
 from hil.scenario.load import load
 from hil.scenario.motors import robot_facts
 
@@ -19,14 +19,26 @@ _AS_MAPPED = ("as its file says",) * 5
 
 
 def driver_rows() -> Sequence[tuple[str, ...]]:
-    """Return a row of COLUMNS for each driver, with its default settings."""
-    facts = robot_facts(load("circle_speed", set={"device.driver": next(iter(DIALECTS)), "loop.rate_hz": _RATE_HZ}))
+    """Return a row of COLUMNS for each driver, with its settings by default: ours, then those of other packages.
+
+    Of one that cannot be loaded the row says why, and the other columns are empty.
+    """
+    facts = robot_facts(load("circle_speed", set={"device.driver": next(iter(SHIPPED)), "loop.rate_hz": _RATE_HZ}))
     rows: list[tuple[str, ...]] = [(OUR_DRIVER, *_OURS, "latched", "our own firmware")]
-    for name, what in DIALECTS.items():
-        made = dialect(name)
-        wires = ", ".join(sorted(made.wires))
-        rows.append((name, wires, *(_words(made, facts) if _has_defaults(made) else _AS_MAPPED), what))
+    rows += [(name, *_abilities(name, facts), what) for name, what in SHIPPED.items()]
+    for name, package, line in EXTENSIONS.lines():
+        try:
+            abilities = ("",) * 6 if name in EXTENSIONS.shipped else _abilities(name, facts)
+        except BadInputError as error:
+            abilities, line = ("",) * 6, str(error)
+        rows.append((name, *abilities, f"{line} ({package})"))
     return rows
+
+
+def _abilities(name: str, facts: RobotFacts) -> tuple[str, ...]:
+    made = dialect(name)
+    wires = ", ".join(sorted(made.wires))
+    return (wires, *(_words(name, made, facts) if _has_defaults(made) else _AS_MAPPED))
 
 
 def _has_defaults(made: Dialect) -> bool:
@@ -35,13 +47,13 @@ def _has_defaults(made: Dialect) -> bool:
     )
 
 
-def _words(made: Dialect, facts: RobotFacts) -> tuple[str, ...]:
-    settings = build(made.settings, {}, "device.motors")
+def _words(name: str, made: Dialect, facts: RobotFacts) -> tuple[str, ...]:
+    settings = make_settings(name, {}, "device.motors")
     rates = {}
     for wire in sorted(made.wires):
         at = facts._replace(wire=wire)
-        can = made.make(settings, at).capabilities
-        slower = made.make(settings, at._replace(period_s=2.0 * at.period_s)).capabilities
+        can = make_driver(name, settings, at).capabilities
+        slower = make_driver(name, settings, at._replace(period_s=2.0 * at.period_s)).capabilities
         follows = f" at loop.rate_hz = {_RATE_HZ}" if slower.feedback_hz != can.feedback_hz else ""
         rates[wire] = f"{can.feedback_hz:.4g} Hz{follows}"
     same = len(set(rates.values())) == 1

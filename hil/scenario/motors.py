@@ -3,6 +3,7 @@
 from collections.abc import Collection, Iterator, Mapping
 
 from hil.core.types import WHEEL_NAMES
+from hil.drivers import registry
 from hil.drivers.port import Driver, RobotFacts, Sensor, Wire
 from hil.drivers.registry import dialect
 from hil.faults.kinds import MESSAGES
@@ -49,7 +50,7 @@ def robot_facts(tables: Tables) -> RobotFacts:
 
 def make_driver(tables: Tables) -> Driver:
     """Make the driver. Raises BadInputError for settings that it refuses."""
-    return dialect(tables.device.driver).make(tables.device.settings, robot_facts(tables))
+    return registry.make_driver(tables.device.driver, tables.device.settings, robot_facts(tables))
 
 
 def contradictions(tables: Tables) -> Iterator[tuple[str, object, str]]:

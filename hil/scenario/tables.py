@@ -11,9 +11,9 @@ from typing import Annotated, Any, Literal
 
 from hil.core.errors import BadInputError, nearest
 from hil.core.model import RobotModel
-from hil.core.options import OTHERS, OptionsError, Problem, Range, build
+from hil.core.options import OTHERS, OptionsError, Problem, Range
 from hil.core.types import WHEEL_NAMES, CommandMode
-from hil.drivers.registry import OUR_DRIVER, dialect, driver_names
+from hil.drivers.registry import OUR_DRIVER, driver_names, make_settings
 from hil.estimation import EstimatorOptions
 from hil.laws.own_signals import short_name
 from hil.scenario.plant import PlantTable
@@ -126,7 +126,7 @@ class DeviceTable:
     ] = 0.3
     motors: Annotated[
         Mapping[Text, Setting],
-        "what the driver has to know of another maker's controllers (DIALECTS.md)",
+        "what the driver has to know of another maker's controllers (DRIVERS.md)",
     ] = field(default_factory=dict)
     settings: Any = field(init=False, default=None, repr=False, compare=False)
 
@@ -134,7 +134,7 @@ class DeviceTable:
         """Make the settings once: a driver may have files to read for them."""
         try:
             if self.is_makers:
-                object.__setattr__(self, "settings", build(dialect(self.driver).settings, self.motors, "motors"))
+                object.__setattr__(self, "settings", make_settings(self.driver, self.motors, "motors"))
             elif self.motors:
                 raise BadInputError("belongs to the drivers of other makers; set device.driver, or leave it out")
         except OptionsError:

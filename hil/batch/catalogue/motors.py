@@ -18,7 +18,7 @@ from typing import NamedTuple
 import numpy as np
 
 from hil.core.types import WHEEL_NAMES, CommandMode, FourWheels
-from hil.drivers.emulated_motors import EmulatedMotors
+from hil.drivers.emulated import EmulatedMotors
 from hil.scenario import FirmwareTable
 
 _BEYOND_RAD_S = 1.0

@@ -11,7 +11,7 @@ from hil.batch.catalogue.recording import RecordingHere
 from hil.batch.catalogue.watched import WatchedNode
 from hil.batch.job import FAILED, PASSED, Job, Outcome
 from hil.batch.run import attempt
-from hil.drivers.emulated_motors import EmulatedMotors
+from hil.drivers.emulated import EmulatedMotors
 from hil.faults.cases import Outcome as Ending
 from hil.record import Recording
 from hil.review.contents import DamagedError

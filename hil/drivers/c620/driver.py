@@ -16,8 +16,7 @@ from typing import Annotated, Literal, NamedTuple
 from firmware_protocol.framing import Frame
 from hil.core.options import NOT_NEGATIVE, POSITIVE
 from hil.core.types import WHEEL_NAMES, CommandMode, FourWheels
-from hil.drivers.channels import check_ids, chosen, oldest
-from hil.drivers.port import Capabilities, Dialect, Found, RobotFacts, Sample
+from hil.drivers.port import Capabilities, Dialect, Driver, Found, Probe, RobotFacts, Sample, check_ids, chosen, oldest
 
 _CURRENTS = Struct(">4h")
 _FEEDBACK = Struct(">HhhB")
@@ -109,7 +108,7 @@ class _Channel:
         self._before_ns = self.stamp_ns
 
 
-class C620:
+class C620(Driver):
     """Four of them on one bus."""
 
     def __init__(self, settings: Settings, robot: RobotFacts) -> None:
@@ -123,7 +122,7 @@ class C620:
         self._by_id = {_FEEDBACK_BASE + number: self._channels[i] for i, number in enumerate(settings.ids)}
         self._is_armed = False
         self._commanded_ns: int | None = None
-        self.capabilities = Capabilities(
+        self._capabilities = Capabilities(
             modes=frozenset(CommandMode),
             is_twist=False,
             feedback_hz=1000.0,
@@ -132,14 +131,11 @@ class C620:
             watchdog="none",
             latches_estop=False,
         )
-        self.warnings = (
+        self._warnings = (
             f"what a {settings.controller.upper()} does when commands end is not known to us: keep an e-stop that cuts "
             "the motors' power within reach",
             f"a {settings.controller.upper()} that is stopped lets its wheel coast: it does not brake it",
         )
-
-    def ask(self) -> Sequence[Frame]:
-        return ()
 
     @property
     def identity(self) -> str | None:
@@ -164,10 +160,6 @@ class C620:
         self._commanded_ns = None
         self._is_armed = not self.missing
         return self._currents(_NONE)
-
-    @property
-    def is_armed(self) -> bool:
-        return self._is_armed
 
     def command(self, speed_rad_s: FourWheels, torque_n_m: FourWheels, now_ns: int) -> Sequence[Frame]:
         if self._robot.mode is CommandMode.SPEED:
@@ -214,12 +206,6 @@ class C620:
         self._is_armed = False
         return self._currents(_NONE)
 
-    def estop(self) -> Sequence[Frame]:
-        return self.disarm()
-
-    def clear(self) -> Sequence[Frame]:
-        return ()
-
     def feed(self, frame: Frame, stamp_ns: int) -> None:
         channel = self._by_id.get(frame.id)
         if channel is not None and len(frame.payload) == 8:
@@ -260,21 +246,16 @@ class C620:
         ]
 
     def restart(self) -> None:
-        self._is_armed = False
+        super().restart()
         for channel in self._channels:
             channel.stamp_ns = None
 
 
-class _Probe:
+class _Probe(Probe):
     """Listens: each motor speaks by itself."""
 
     def __init__(self) -> None:
         self._ids: set[int] = set()
-
-    patience_s = 0.0
-
-    def ask(self) -> Sequence[Frame]:
-        return ()
 
     def feed(self, frame: Frame) -> bool:
         number = frame.id - _FEEDBACK_BASE
@@ -298,5 +279,6 @@ DIALECT = Dialect(
     wires=frozenset({"can"}),
     settings=Settings,
     make=C620,
+    emulated="hil.drivers.c620.emulated:EmulatedC620",
     probe=_Probe,
 )

@@ -9,7 +9,7 @@ import struct
 from firmware_protocol.framing import Frame
 from hil.core.types import FourWheels
 from hil.drivers.c620.driver import Settings
-from hil.drivers.emulated_motors import EmulatedMotors
+from hil.drivers.emulated import EmulatedMotors
 
 _FULL_SCALE = {"c620": (16384, 20.0), "c610": (10000, 10.0)}
 _GEARS = {"c620": 3591 / 187, "c610": 36.0}
@@ -59,6 +59,3 @@ class EmulatedC620(EmulatedMotors):
 
 def _int16(value: int) -> int:
     return min(max(value, -32768), 32767)
-
-
-EMULATED = EmulatedC620

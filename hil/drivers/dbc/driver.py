@@ -13,7 +13,7 @@ from hil.drivers.dbc.heard import Heard
 from hil.drivers.dbc.mapping import Bound, Step
 from hil.drivers.dbc.robot import check_limits, check_wheels, gains, warnings, watchdog_raw
 from hil.drivers.dbc.settings import PHASES, Settings
-from hil.drivers.port import EXTENDED, NO_CHANNELS, Capabilities, Dialect, RobotFacts, Sample, Sensor
+from hil.drivers.port import EXTENDED, NO_CHANNELS, Capabilities, Dialect, Driver, RobotFacts, Sample, Sensor
 
 _NONE: Mapping[str, float] = {}
 _NO_STEP: Mapping[str, Packer] = {}
@@ -30,7 +30,7 @@ _SENSORS: Mapping[str, Sensor] = {
 }
 
 
-class DbcDriver:
+class DbcDriver(Driver):
     """See ``hil.drivers.port.Driver``. Raises BadInputError where mapping and robot do not go together."""
 
     def __init__(self, settings: Settings, robot: RobotFacts) -> None:
@@ -53,7 +53,7 @@ class DbcDriver:
         bound = plan.watchdog.set
         self._watchdog = None if bound is None else self._packers("watchdog", {bound.signal.message: {}})
         self._restart_arming()
-        self.capabilities = Capabilities(
+        self._capabilities = Capabilities(
             modes=frozenset({CommandMode.TORQUE if plan.motion == "torque" else CommandMode.SPEED}),
             is_twist=self._is_twist,
             feedback_hz=plan.feedback_hz,
@@ -62,7 +62,7 @@ class DbcDriver:
             watchdog="set" if plan.watchdog.set else "fixed" if plan.watchdog.timeout_s else "none",
             latches_estop=settings.estop_latches,
         )
-        self.warnings = tuple(warnings(plan, robot))
+        self._warnings = tuple(warnings(plan, robot))
 
     # Made once
 
@@ -266,4 +266,5 @@ DIALECT = Dialect(
     wires=frozenset({"can"}),
     settings=Settings,
     make=DbcDriver,
+    emulated="hil.drivers.dbc.emulated:EmulatedDbc",
 )

@@ -17,7 +17,7 @@ from hil.drivers.dbc.file import Signal, parse
 from hil.drivers.dbc.mapping import Bound, Condition, Quantity, Step
 from hil.drivers.dbc.settings import Settings
 from hil.drivers.dbc.units import at_wheel
-from hil.drivers.emulated_motors import EmulatedMotors
+from hil.drivers.emulated import EmulatedMotors
 from hil.drivers.port import EXTENDED
 
 _STILL: FourWheels = (0.0, 0.0, 0.0, 0.0)
@@ -284,6 +284,3 @@ def _another(condition: Condition) -> float:
     signal = condition.signal
     some = [*signal.texts, *(int(signal.low) + i for i in range(len(condition.raws) + 1))]
     return next(value for value in some if value not in condition.raws)
-
-
-EMULATED = EmulatedDbc

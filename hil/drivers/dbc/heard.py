@@ -11,7 +11,7 @@ from hil.drivers.dbc.file import Message, Signal
 from hil.drivers.dbc.mapping import Condition, ErrorSignal
 from hil.drivers.dbc.robot import Gain
 from hil.drivers.dbc.settings import Plan
-from hil.drivers.silence import holds_back
+from hil.drivers.port import holds_back
 
 
 class Hearing:

@@ -9,7 +9,7 @@ from hil.core.options import POSITIVE
 from hil.drivers.dbc import mapping
 from hil.drivers.dbc.file import Dbc, Message, Signal, load
 from hil.drivers.dbc.mapping import Condition, ErrorSignal, Quantity, Step, Table, Watchdog
-from hil.drivers.silence import late_ns
+from hil.drivers.port import late_ns
 
 PHASES = ("ask", "enable", "disable", "estop", "clear")
 _UNKNOWN_LATE_NS = 250_000_000

@@ -15,10 +15,22 @@ from firmware_protocol.framing import Frame
 from hil.core.errors import BadInputError
 from hil.core.options import POSITIVE
 from hil.core.types import NAN, WHEEL_NAMES, CommandMode, FourWheels
-from hil.drivers.channels import check_ids, chosen, oldest
 from hil.drivers.moteus import frames
-from hil.drivers.port import ANSWER_S, EXTENDED, Capabilities, Dialect, Found, RobotFacts, Sample
-from hil.drivers.silence import lowest
+from hil.drivers.port import (
+    ANSWER_S,
+    EXTENDED,
+    Capabilities,
+    Dialect,
+    Driver,
+    Found,
+    Probe,
+    RobotFacts,
+    Sample,
+    check_ids,
+    chosen,
+    lowest,
+    oldest,
+)
 
 _STOPPED, _FAULT, _POSITION, _TIMEOUT = 0, 1, 10, 11
 _REGISTER_MAPS = (4, 5)  # velocities have been in these units since 4; 5 changed only what homing says
@@ -84,10 +96,8 @@ class _Channel:
         self.temperature_degc = get(frames.TEMPERATURE, self.temperature_degc)
 
 
-class Moteus:
+class Moteus(Driver):
     """Four of them on one bus."""
-
-    warnings: Sequence[str] = ()
 
     def __init__(self, settings: Settings, robot: RobotFacts) -> None:
         self._settings = settings
@@ -103,7 +113,7 @@ class Moteus:
         self._has_armed = False  # where a controller is in mode 11, our silence may have led there
         self._is_ending = False
         self._was_lost = False
-        self.capabilities = Capabilities(
+        self._capabilities = Capabilities(
             modes=frozenset(CommandMode),
             is_twist=False,
             feedback_hz=1.0 / robot.period_s,
@@ -162,10 +172,6 @@ class Moteus:
         )
         still = self._position(0.0, 0.0, watchdog)
         return [Frame(number, frames.padded(still + _STATE + _TIMEOUT_BACK)) for number in self._ids]
-
-    @property
-    def is_armed(self) -> bool:
-        return self._is_armed
 
     def command(self, speed_rad_s: FourWheels, torque_n_m: FourWheels, now_ns: int) -> Sequence[Frame]:
         watchdog, is_speed = self._robot.watchdog_s, self._robot.mode is CommandMode.SPEED
@@ -281,13 +287,15 @@ class Moteus:
             channel.forget()
 
 
-class _Probe:
+class _Probe(Probe):
     """Asks every id for model, firmware and register map."""
 
     def __init__(self) -> None:
         self._versions: dict[int, Mapping[int, float]] = {}
 
-    patience_s = ANSWER_S
+    @property
+    def patience_s(self) -> float:
+        return ANSWER_S
 
     def ask(self) -> Sequence[Frame]:
         return [Frame(EXTENDED | _REPLY_WANTED | number, _IDENTITY) for number in _ALL_IDS]
@@ -319,5 +327,6 @@ DIALECT = Dialect(
     wires=frozenset({"can_fd"}),
     settings=Settings,
     make=Moteus,
+    emulated="hil.drivers.moteus.emulated:EmulatedMoteus",
     probe=_Probe,
 )

@@ -8,7 +8,7 @@ import math
 
 from firmware_protocol.framing import Frame
 from hil.core.types import FourWheels
-from hil.drivers.emulated_motors import EmulatedMotors, Shaft
+from hil.drivers.emulated import EmulatedMotors, Shaft
 from hil.drivers.moteus import emulated_registers as registers
 from hil.drivers.moteus.driver import Settings
 from hil.drivers.moteus.emulated_console import Console
@@ -116,6 +116,3 @@ def _converse(servo: Servo, console: Console, payload: bytes) -> bytes | None:
     if not is_whole:
         servo.refuse()
     return answer.payload()
-
-
-EMULATED = EmulatedMoteus

@@ -8,7 +8,7 @@ import struct
 from collections.abc import Mapping
 from typing import NamedTuple
 
-from hil.drivers.emulated_motors import limited
+from hil.drivers.emulated import limited
 
 INT8, INT16, INT32, FLOAT = 0, 1, 2, 3
 MODE, FAULT = 0x00, 0x0F

@@ -10,17 +10,27 @@ from collections.abc import Sequence
 from firmware_protocol.framing import Frame
 from hil.core.errors import BadInputError
 from hil.core.types import NAN, WHEEL_NAMES, CommandMode, FourWheels
-from hil.drivers.channels import oldest
 from hil.drivers.odrive import tables as can
 from hil.drivers.odrive.axis import Axis
 from hil.drivers.odrive.probe import OdriveProbe
 from hil.drivers.odrive.settings import Settings, setup
 from hil.drivers.odrive.tables import FIRMWARE_05, FIRMWARE_06
-from hil.drivers.port import EXTENDED, REMOTE, Capabilities, Dialect, RobotFacts, Sample, Sensor
-from hil.drivers.silence import late_ns, lowest
+from hil.drivers.port import (
+    EXTENDED,
+    REMOTE,
+    Capabilities,
+    Dialect,
+    Driver,
+    RobotFacts,
+    Sample,
+    Sensor,
+    late_ns,
+    lowest,
+    oldest,
+)
 
 
-class ODrive:
+class ODrive(Driver):
     """Four axes on one bus, in the order of the channels."""
 
     def __init__(self, settings: Settings, robot: RobotFacts) -> None:
@@ -152,10 +162,6 @@ class ODrive:
         self._is_armed = all(axis.is_closed_loop for axis in self._axes)
         return frames
 
-    @property
-    def is_armed(self) -> bool:
-        return self._is_armed
-
     def command(self, speed_rad_s: FourWheels, torque_n_m: FourWheels, now_ns: int) -> Sequence[Frame]:
         gear_ratio, to_rad = self._settings.gear_ratio, self._to_rad
         frames = []
@@ -261,6 +267,7 @@ DIALECT = Dialect(
     wires=frozenset({"can"}),
     settings=Settings,
     make=ODrive,
+    emulated="hil.drivers.odrive.emulated:EmulatedODrive",
     probe=OdriveProbe,
     watchdog_setting="device.motors.watchdog_endpoints",
 )

@@ -12,7 +12,7 @@ from collections.abc import Mapping
 
 from firmware_protocol.framing import Frame
 from hil.core.types import FourWheels
-from hil.drivers.emulated_motors import EmulatedMotors
+from hil.drivers.emulated import EmulatedMotors
 from hil.drivers.odrive.emulated_axis import CLOSED_LOOP, ESTOP, IDLE, TRAP_TRAJ, UNADDRESSED, EmulatedAxis
 from hil.drivers.odrive.settings import Settings
 
@@ -235,6 +235,3 @@ class EmulatedODrive(EmulatedMotors):
 def _version(dotted: str) -> tuple[int, int, int]:
     major, minor, revision = map(int, dotted.split("."))
     return major, minor, revision
-
-
-EMULATED = EmulatedODrive

@@ -7,13 +7,13 @@ from hil.drivers.odrive import tables as can
 from hil.drivers.odrive.axis import Axis
 from hil.drivers.odrive.settings import Setup
 from hil.drivers.odrive.tables import FIRMWARE_05
-from hil.drivers.port import ANSWER_S, EXTENDED, REMOTE, Found
+from hil.drivers.port import ANSWER_S, EXTENDED, REMOTE, Found, Probe
 
 _NOTHING = Setup(0, (0, b""), ())
 _STATES = 15  # 0 to 14 are in use
 
 
-class OdriveProbe:
+class OdriveProbe(Probe):
     """A node is one of these once it has answered: the ids alone are also those of other makers' frames, and of ours.
 
     So what came before anything was asked is no answer, and neither is a version that there cannot be. No other command
@@ -24,7 +24,9 @@ class OdriveProbe:
         self._axes: dict[int, Axis] = {}
         self._has_asked = False
 
-    patience_s = ANSWER_S
+    @property
+    def patience_s(self) -> float:
+        return ANSWER_S
 
     def ask(self) -> Sequence[Frame]:
         self._has_asked = True

@@ -7,8 +7,8 @@ from typing import Annotated, Literal, NamedTuple
 
 from hil.core.options import NOT_NEGATIVE, POSITIVE
 from hil.core.types import CommandMode
-from hil.drivers.channels import check_ids
 from hil.drivers.odrive import tables as can
+from hil.drivers.port import check_ids
 
 _VERSION = re.compile(r"\d+\.\d+\.\d+")
 

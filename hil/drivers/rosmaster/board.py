@@ -7,7 +7,7 @@ from typing import Annotated, Literal, NamedTuple
 
 from firmware_protocol.framing import Frame
 from hil.core.options import NOT_NEGATIVE, POSITIVE
-from hil.drivers.port import ANSWER_S, Found
+from hil.drivers.port import ANSWER_S, Found, Probe
 
 BAUD = 115_200
 CAR_TYPE, REQUEST, VERSION = 0x15, 0x50, 0x51
@@ -91,13 +91,15 @@ class Identity:
         )
 
 
-class RosmasterProbe:
+class RosmasterProbe(Probe):
     """Asks for version and car, which moves nothing and writes nothing."""
 
     def __init__(self) -> None:
         self._identity = Identity()
 
-    patience_s = ANSWER_S
+    @property
+    def patience_s(self) -> float:
+        return ANSWER_S
 
     def ask(self) -> Sequence[Frame]:
         return self._identity.ask()

@@ -17,10 +17,9 @@ from typing import NamedTuple
 from firmware_protocol.framing import Frame
 from hil.core.errors import BadInputError
 from hil.core.types import NAN, CommandMode, FourWheels
-from hil.drivers.port import Capabilities, Dialect, RobotFacts, Sample, torques_dropped
+from hil.drivers.port import Capabilities, Dialect, Driver, RobotFacts, Sample, holds_back, torques_dropped
 from hil.drivers.rosmaster.board import BAUD, CARS, KNOWN_MAJOR, Identity, RosmasterProbe, Settings, car_name
 from hil.drivers.rosmaster.line import RosmasterFraming
-from hil.drivers.silence import holds_back
 from hil.drivers.twist_base import LATE_NS, TwistBase, is_still
 
 AUTO_REPORT, RESET_STATE, MOTION = 0x01, 0x0F, 0x12
@@ -46,7 +45,7 @@ class Imu(NamedTuple):
 IMUS = {MPU_REPORT: Imu(-3754.9, 1671.84), ICM_REPORT: Imu(1000.0, 1000.0)}
 
 
-class Rosmaster:
+class Rosmaster(Driver):
     """One board with four Mecanum wheels."""
 
     def __init__(self, settings: Settings, robot: RobotFacts) -> None:
@@ -55,7 +54,7 @@ class Rosmaster:
         self._base = TwistBase(
             "a Rosmaster", robot, self._car.wheel_radius_m, self._car.lever_m, self._car.rim_limit_m_s
         )
-        self.capabilities = Capabilities(
+        self._capabilities = Capabilities(
             modes=frozenset({CommandMode.SPEED}),
             is_twist=True,
             feedback_hz=25.0,
@@ -64,7 +63,7 @@ class Rosmaster:
             watchdog="none",
             latches_estop=False,
         )
-        self.warnings = (
+        self._warnings = (
             "a Rosmaster drives on for ever with the newest command when commands end: if this computer loses its "
             "power, hangs, or loses the cable, nothing stops the robot; keep its power switch within reach",
             torques_dropped("a Rosmaster"),
@@ -72,8 +71,8 @@ class Rosmaster:
         self.restart()
 
     def restart(self) -> None:
+        super().restart()
         self._identity = Identity()
-        self._is_armed = False
         self._arming = 0
         self._twist: tuple[int, int, int] | None = None
         self._twist_ns = 0
@@ -141,10 +140,6 @@ class Rosmaster:
         self._arming += 1
         return (self._motion((0, 0, 0)) if is_fresh or self._arming % 2 else _REPORT_ON,)
 
-    @property
-    def is_armed(self) -> bool:
-        return self._is_armed
-
     def command(self, speed_rad_s: FourWheels, torque_n_m: FourWheels, now_ns: int) -> Sequence[Frame]:
         if not self._base.is_due(now_ns):
             return ()
@@ -154,12 +149,6 @@ class Rosmaster:
         """Two frames, each of which brakes by itself: the board throws away what is damaged."""
         self._is_armed = False
         return self._motion((0, 0, 0)), Frame(RESET_STATE, bytes([_CONFIRM]))
-
-    def estop(self) -> Sequence[Frame]:
-        return self.disarm()
-
-    def clear(self) -> Sequence[Frame]:
-        return ()
 
     def _motion(self, counts: tuple[int, int, int]) -> Frame:
         return Frame(MOTION, _MOTION.pack(self._car.number, *counts))
@@ -234,6 +223,7 @@ DIALECT = Dialect(
     wires=frozenset({"serial"}),
     settings=Settings,
     make=Rosmaster,
+    emulated="hil.drivers.rosmaster.emulated:EmulatedRosmaster",
     make_framing=RosmasterFraming,
     probe=RosmasterProbe,
     baud=BAUD,

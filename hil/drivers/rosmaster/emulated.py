@@ -14,7 +14,7 @@ from collections.abc import Sequence
 
 from firmware_protocol.framing import Frame
 from hil.core.types import FourWheels
-from hil.drivers.emulated_motors import EmulatedMotors, limited
+from hil.drivers.emulated import EmulatedMotors, limited
 from hil.drivers.rosmaster.board import Settings
 
 _BYTES_PER_TICK = 115200 / 10 / 1000
@@ -297,6 +297,3 @@ def _int16(value: float) -> int:
 def _framed(frame: Frame) -> bytes:
     body = bytes([len(frame.payload) + 3, frame.id]) + frame.payload
     return b"\xff\xfb" + body + bytes([sum(body) % 256])
-
-
-EMULATED = EmulatedRosmaster

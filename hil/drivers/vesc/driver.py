@@ -16,9 +16,21 @@ from firmware_protocol.framing import Frame
 from hil.core.errors import BadInputError
 from hil.core.options import NOT_NEGATIVE, POSITIVE
 from hil.core.types import WHEEL_NAMES, CommandMode, FourWheels
-from hil.drivers.channels import check_ids, chosen, oldest
-from hil.drivers.port import EXTENDED, Capabilities, Dialect, RobotFacts, Sample, torques_dropped
-from hil.drivers.silence import holds_back, late_ns, lowest
+from hil.drivers.port import (
+    EXTENDED,
+    Capabilities,
+    Dialect,
+    Driver,
+    RobotFacts,
+    Sample,
+    check_ids,
+    chosen,
+    holds_back,
+    late_ns,
+    lowest,
+    oldest,
+    torques_dropped,
+)
 from hil.drivers.vesc import frames
 from hil.drivers.vesc.channel import Channel
 from hil.drivers.vesc.probe import BusProbe, LineProbe
@@ -65,7 +77,7 @@ class Settings:
             )
 
 
-class Vesc:
+class Vesc(Driver):
     """Four of them."""
 
     def __init__(self, settings: Settings, robot: RobotFacts) -> None:
@@ -215,10 +227,6 @@ class Vesc:
         for channel in self._channels:
             channel.fault = channel.status = channel.asked_ns = None
 
-    @property
-    def is_armed(self) -> bool:
-        return self._is_armed
-
     def command(self, speed_rad_s: FourWheels, torque_n_m: FourWheels, now_ns: int) -> Sequence[Frame]:
         """See ``Driver``. A VESC takes a speed or a current: in mode SPEED the torques are not carried."""
         self._has_commanded = True
@@ -344,10 +352,10 @@ DIALECT = Dialect(
     wires=frozenset({"can", "serial"}),
     settings=Settings,
     make=Vesc,
+    emulated="hil.drivers.vesc.emulated:EmulatedVesc",
     make_framing=frames.SerialFraming,
     probe=BusProbe,
     serial_probe=LineProbe,
     baud=_BAUD,
     watchdog_setting="a Timeout of at most firmware.watchdog_s, set in VESC Tool",
-    last_stop=Vesc.last_stop,
 )

@@ -12,7 +12,7 @@ from collections.abc import Mapping
 
 from firmware_protocol.framing import Frame
 from hil.core.types import FourWheels
-from hil.drivers.emulated_motors import EmulatedMotors
+from hil.drivers.emulated import EmulatedMotors
 from hil.drivers.vesc import emulated_wire as wire
 from hil.drivers.vesc.driver import Settings
 from hil.drivers.vesc.emulated_controller import Reply, VescController
@@ -166,6 +166,3 @@ def _obey(vesc: VescController, command: int, data: bytes) -> None:
 
 def _unanswered(_message: bytes) -> None:
     """Send no answer, as whoever asks does not want one."""
-
-
-EMULATED = EmulatedVesc

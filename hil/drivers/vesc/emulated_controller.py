@@ -9,7 +9,7 @@ import math
 import struct
 from collections.abc import Callable, Mapping
 
-from hil.drivers.emulated_motors import Shaft, SpeedLoop
+from hil.drivers.emulated import Shaft, SpeedLoop
 from hil.drivers.vesc import emulated_wire as wire
 
 _TIMEOUT_TICKS, _FAULT_TICKS = 1000, 500

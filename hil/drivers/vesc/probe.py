@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 
 from firmware_protocol.framing import Frame
-from hil.drivers.port import ANSWER_S, EXTENDED, Found
+from hil.drivers.port import ANSWER_S, EXTENDED, Found, Probe
 from hil.drivers.vesc import frames
 
 _HOST = 253
@@ -12,13 +12,15 @@ _SCAN_S = 4.0  # it waits 10 ms for each of 255 ids
 _UNKNOWN = ("device.motors.pole_pairs", "device.motors.gear_ratio", "firmware.torque_constant_n_m_a")
 
 
-class BusProbe:
+class BusProbe(Probe):
     """Pings, and hears status messages."""
 
     def __init__(self) -> None:
         self._ids: set[int] = set()
 
-    patience_s = ANSWER_S
+    @property
+    def patience_s(self) -> float:
+        return ANSWER_S
 
     def ask(self) -> Sequence[Frame]:
         return [
@@ -45,7 +47,7 @@ class BusProbe:
         return Found(sentences, {"ids": ids} if len(ids) == 4 else None, unknown=_UNKNOWN)
 
 
-class LineProbe:
+class LineProbe(Probe):
     """Asks the one at the line for its firmware and id, then once to ping those behind it, which takes it 3 s."""
 
     def __init__(self) -> None:

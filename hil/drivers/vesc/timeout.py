@@ -2,8 +2,7 @@
 
 from collections.abc import Callable, Iterable, Mapping
 
-from hil.drivers.channels import chosen
-from hil.drivers.port import RobotFacts
+from hil.drivers.port import RobotFacts, chosen
 from hil.drivers.vesc.channel import Channel
 from hil.drivers.vesc.frames import LEAST_CURRENT_A, Timeout
 

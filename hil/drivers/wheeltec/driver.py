@@ -19,7 +19,7 @@ from typing import Annotated
 from firmware_protocol.framing import Frame
 from hil.core.options import NOT_NEGATIVE, POSITIVE
 from hil.core.types import NAN, CommandMode, FourWheels
-from hil.drivers.port import Capabilities, Dialect, Found, RobotFacts, Sample, torques_dropped
+from hil.drivers.port import Capabilities, Dialect, Driver, Found, Probe, RobotFacts, Sample, torques_dropped
 from hil.drivers.twist_base import LATE_NS, TwistBase, is_still
 from hil.drivers.wheeltec.line import COMMAND, COMMAND_NUMBERS, HEAD, REPORTS, TAIL, WheeltecFraming, checksum
 
@@ -82,7 +82,7 @@ class Report:
         return True
 
 
-class Wheeltec:
+class Wheeltec(Driver):
     """One base with four Mecanum wheels."""
 
     def __init__(self, settings: Settings, robot: RobotFacts) -> None:
@@ -96,7 +96,7 @@ class Wheeltec:
             rim_limit_m_s=limit,
             yaw_limit_rad_s=limit,
         )
-        self.capabilities = Capabilities(
+        self._capabilities = Capabilities(
             modes=frozenset({CommandMode.SPEED}),
             is_twist=True,
             feedback_hz=20.0,
@@ -105,7 +105,7 @@ class Wheeltec:
             watchdog="fixed" if settings.stops_on_silence else "none",
             latches_estop=False,
         )
-        self.warnings = (
+        self._warnings = (
             "for 12 s after it is switched on a WHEELTEC base obeys nothing, and drives 0.4 m forward to test itself",
             "a WHEELTEC base may drive on for 1 s when commands end"
             if settings.stops_on_silence
@@ -117,12 +117,9 @@ class Wheeltec:
         self.restart()
 
     def restart(self) -> None:
+        super().restart()
         self._report = Report()
-        self._is_armed = False
         self._has_stopped = False
-
-    def ask(self) -> Sequence[Frame]:
-        return ()
 
     @property
     def identity(self) -> str | None:
@@ -152,10 +149,6 @@ class Wheeltec:
         self._has_stopped = True
         return (_STOP,)
 
-    @property
-    def is_armed(self) -> bool:
-        return self._is_armed
-
     def command(self, speed_rad_s: FourWheels, torque_n_m: FourWheels, now_ns: int) -> Sequence[Frame]:
         if not self._base.is_due(now_ns):
             return ()
@@ -165,12 +158,6 @@ class Wheeltec:
         """Twice, for a frame that the line damages is one that was never sent."""
         self._is_armed = False
         return _STOP, _STOP
-
-    def estop(self) -> Sequence[Frame]:
-        return self.disarm()
-
-    def clear(self) -> Sequence[Frame]:
-        return ()
 
     def feed(self, frame: Frame, stamp_ns: int) -> None:
         if self._report.feed(frame, stamp_ns) and self._report.is_stopped:
@@ -206,16 +193,11 @@ class Wheeltec:
         )
 
 
-class _Probe:
+class _Probe(Probe):
     """Listens: the base reports by itself."""
 
     def __init__(self) -> None:
         self._report = Report()
-
-    patience_s = 0.0
-
-    def ask(self) -> Sequence[Frame]:
-        return ()
 
     def feed(self, frame: Frame) -> bool:
         self._report.feed(frame, 0)
@@ -238,6 +220,7 @@ DIALECT = Dialect(
     wires=frozenset({"serial", "can"}),
     settings=Settings,
     make=Wheeltec,
+    emulated="hil.drivers.wheeltec.emulated:EmulatedWheeltec",
     make_framing=WheeltecFraming,
     probe=_Probe,
     baud=_BAUD,

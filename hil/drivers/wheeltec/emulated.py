@@ -9,7 +9,7 @@ import struct
 
 from firmware_protocol.framing import Frame
 from hil.core.types import FourWheels
-from hil.drivers.emulated_motors import EmulatedMotors
+from hil.drivers.emulated import EmulatedMotors
 from hil.drivers.wheeltec.driver import Settings
 
 _CONTROL_TICKS, _REPORT_TICKS = 10, 50
@@ -116,6 +116,3 @@ class EmulatedWheeltec(EmulatedMotors):
         whole = body + bytes([total, 0x7D])
         for part in range(3):
             self.say(Frame(0x101 + part, whole[8 * part : 8 * part + 8]))
-
-
-EMULATED = EmulatedWheeltec
