@@ -13,7 +13,7 @@ from hil.core.kinematics import BodyTwist, to_world, wheel_speeds
 from hil.core.model import RobotModel
 from hil.core.options import build
 from hil.core.types import NAN, NAN_POSE, ZERO_WHEELS, Pose, PoseFix, Twist, Wheels
-from hil.drivers.angles import Angles
+from hil.drivers.makers_feedback import Angles
 from hil.drivers.port import Sample
 from hil.estimation import (
     Estimator,

@@ -16,8 +16,7 @@ from hil.core.errors import BadInputError, DeviceError, HilError, LinkError
 from hil.core.ports import Clock
 from hil.core.types import CommandMode, FourWheels, WheelCommand
 from hil.drivers.host_watch import HostWatch
-from hil.drivers.makers_feedback import MotorFeedback
-from hil.drivers.makers_report import MakersReport, MotorsInfo
+from hil.drivers.makers_feedback import MakersReport, MotorFeedback, MotorsInfo
 from hil.drivers.motor_line import MotorLine
 from hil.drivers.motor_stop import REPEAT_NS, REST, MotorStop, StopTerms
 from hil.drivers.port import Driver

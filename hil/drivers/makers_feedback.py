@@ -1,12 +1,79 @@
-"""Feedback as the loop takes it, of what the driver of a maker's controllers has measured."""
+"""Feedback and report of makers' motors, as the loop takes them, made of what their driver has measured."""
+
+import math
+from typing import NamedTuple
 
 from firmware_protocol.generated.messages import State
-from hil.core.types import Wheels
-from hil.drivers.angles import Angles
-from hil.drivers.port import Driver
+from hil.core.types import FourWheels, Wheels
+from hil.drivers.port import Driver, Sample
 from hil.robot.robot_report import Health
 from hil.robot.snapshot import Feedback
 from hil.robot.wheel_map import WheelMap
+
+# Over a longer gap, which is a lost link or a stall of this process, two speeds say nothing of what was between them.
+_LONGEST_S = 0.25
+
+
+class Angles:
+    """Follows the positions that controllers tell, or their speeds where they tell none.
+
+    After a loss it goes on from where it was: a controller that was reset counts from zero again, and how far the
+    wheels rolled meanwhile is not known. Nor is it over a gap of more than 0.25 s where only speeds are told.
+    """
+
+    def __init__(self, counts_per_revolution: int) -> None:
+        self._per_rad = counts_per_revolution / math.tau
+        self._turned_rad: FourWheels = (0.0, 0.0, 0.0, 0.0)
+        self._last: Sample | None = None
+
+    def take(self, sample: Sample) -> tuple[int, int, int, int]:
+        """Take the newest sample and return the counts, which wrap."""
+        last, self._last = self._last, sample
+        if last is not None and last is not sample:
+            self._turned_rad = self._moved(last, sample)
+        fl, fr, rr, rl = (round(angle * self._per_rad) & 0xFFFF for angle in self._turned_rad)
+        return fl, fr, rr, rl
+
+    def restart(self) -> None:
+        """Go on with controllers that may have been reset."""
+        self._last = None
+
+    def _moved(self, last: Sample, sample: Sample) -> FourWheels:
+        dt_s = max(0.0, (sample.stamp_ns - last.stamp_ns) * 1e-9)
+        counted_s = dt_s if dt_s <= _LONGEST_S else 0.0
+        fl, fr, rr, rl = (
+            turned + (0.5 * (slow + fast) * counted_s if math.isnan(now - before) else now - before)
+            for turned, before, now, slow, fast in zip(
+                self._turned_rad,
+                last.position_rad,
+                sample.position_rad,
+                last.speed_rad_s,
+                sample.speed_rad_s,
+                strict=True,
+            )
+        )
+        return fl, fr, rr, rl
+
+
+_MOVES_RAD_S = 0.5  # one encoder count in 10 ms, which is how some makers measure a speed
+_LASTS_NS = 500_000_000
+
+
+class UnaskedMotion:
+    """Told the newest sample of a base that was not armed; ``lasts`` when its wheels have turned for half a second."""
+
+    def __init__(self) -> None:
+        self._since_ns: int | None = None
+
+    def lasts(self, sample: Sample | None) -> bool:
+        """Take a sample; None also stands for a base that may move."""
+        if sample is None or max(map(abs, sample.speed_rad_s)) < _MOVES_RAD_S:
+            self._since_ns = None
+            return False
+        if self._since_ns is None:
+            self._since_ns = sample.stamp_ns
+        return sample.stamp_ns - self._since_ns > _LASTS_NS
+
 
 _AGE_UNKNOWN_MS = 255  # as TICK.command_age_ms: this and more
 
@@ -65,3 +132,56 @@ class MotorFeedback:
                 sample.yaw_rate_rad_s,
             )
         )
+
+
+class MotorsInfo(NamedTuple):
+    """What the controllers said of themselves."""
+
+    words: str
+    has_power_stage: bool = True
+
+    def describe(self) -> str:
+        """Return the same in words."""
+        return self.words
+
+
+class MakersReport:
+    """What the controllers tell beside the feedback."""
+
+    def __init__(self, feedback: MotorFeedback) -> None:
+        self._feedback = feedback
+        self.why: str | None = None  # they stopped, None where nothing but the host did
+        self.trouble: str | None = None
+        self._unasked = UnaskedMotion()
+
+    def look(self, stop_problem: str | None, sample: Sample | None) -> None:
+        """Find out what a person has to know now, by why a stop did not go out, and a sample of who should stand."""
+        is_unasked = self._unasked.lasts(sample)
+        self.trouble = None
+        if stop_problem is not None:
+            self.trouble = f"the stop could not be sent: {stop_problem}"
+        elif is_unasked:
+            self.trouble = "the wheels turn, and not by us: an e-stop stops them"
+
+    @property
+    def health(self) -> Health:
+        """What they say of the battery and the motors."""
+        return self._feedback.health
+
+    def stop_reason(self) -> str:
+        """Return why the robot last stopped, in words that follow on "because of"."""
+        return f"this: {self.why}" if self.why else "no error that it tells"
+
+    def explains(self, state: State) -> bool:
+        """They tell their errors before they are stopped for them."""
+        return state is not State.FAULT or self.why is not None
+
+    @property
+    def last_reset(self) -> str:
+        """Empty: they do not tell."""
+        return ""
+
+    @property
+    def knows_no_reason(self) -> bool:
+        """Whether nothing has stopped them."""
+        return False

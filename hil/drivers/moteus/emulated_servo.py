@@ -12,8 +12,7 @@ that asks for one is not obeyed.
 import math
 from collections.abc import Mapping
 
-from hil.drivers.emulated import limited
-from hil.drivers.emulated_trajectory import Trajectory
+from hil.drivers.emulated import Trajectory, limited
 from hil.drivers.moteus import emulated_registers as registers
 from hil.drivers.moteus.emulated_registers import COMMAND, MEASURED, SHADOWS
 

@@ -7,8 +7,7 @@ torque, velocity and position, disarms itself with the error of a wrong configur
 import math
 from collections.abc import Mapping
 
-from hil.drivers.emulated import Shaft, SpeedLoop, limited
-from hil.drivers.emulated_trajectory import Trajectory
+from hil.drivers.emulated import Shaft, SpeedLoop, Trajectory, limited
 
 IDLE, CLOSED_LOOP = 1, 8
 TORQUE, VELOCITY, POSITION = 1, 2, 3
