@@ -14,7 +14,7 @@ from hil.core.options import build
 from hil.core.types import FourWheels
 from hil.drivers.port import RobotFacts
 from hil.drivers.registry import dialect
-from hil.drivers.rosmaster.line import PAUSE
+from hil.drivers.rosmaster.driver import PAUSE
 from tests.dialect_testbed import STILL, Rig, assert_near, ramp_to
 from tests.examples import share_of_examples
 

@@ -13,7 +13,7 @@ from hil.core.kinematics import BodyTwist, wheel_speeds
 from hil.core.options import build
 from hil.core.types import FourWheels
 from hil.drivers.registry import dialect
-from hil.drivers.wheeltec.line import IN_STEP
+from hil.drivers.wheeltec.driver import IN_STEP
 from tests.dialect_testbed import STILL, Rig, assert_near, ramp_to
 from tests.examples import share_of_examples
 

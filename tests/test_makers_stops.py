@@ -20,8 +20,7 @@ from hil.drivers.c620.emulated import EmulatedC620
 from hil.drivers.guardian import Guardian
 from hil.drivers.makers import MakersRobot
 from hil.drivers.port import Wire
-from hil.drivers.rosmaster.driver import MOTION
-from hil.drivers.rosmaster.line import RosmasterFraming
+from hil.drivers.rosmaster.driver import MOTION, RosmasterFraming
 from hil.runtime.assembly import run_scenario
 from hil.runtime.bench import Bench
 from hil.runtime.parts import RunParts

@@ -2,6 +2,7 @@
 
 import math
 import struct
+from binascii import crc_hqx
 from collections.abc import Iterator
 
 _LONGEST = 512
@@ -20,14 +21,14 @@ def can_parts(sender: int, message: bytes) -> Iterator[tuple[int, bytes]]:
         else:
             yield 6, offset.to_bytes(2, "big") + message[offset : offset + 6]
             offset += 6
-    yield 7, struct.pack(">BBHH", sender, 1, len(message), crc16(message))
+    yield 7, struct.pack(">BBHH", sender, 1, len(message), crc_hqx(message, 0))
 
 
 def packet(message: bytes) -> bytes:
     """Return a message as it goes over the serial line."""
     size = len(message)
     head = bytes((3, size >> 8, size & 0xFF)) if size > 255 else bytes((2, size))
-    return head + message + crc16(message).to_bytes(2, "big") + b"\x03"
+    return head + message + crc_hqx(message, 0).to_bytes(2, "big") + b"\x03"
 
 
 def first_packet(data: bytes) -> tuple[int, bytes]:
@@ -44,7 +45,7 @@ def first_packet(data: bytes) -> tuple[int, bytes]:
     if len(data) < size:
         return 0, b""
     message = data[head : head + length]
-    if data[size - 1] != 3 or crc16(message) != int.from_bytes(data[size - 3 : size - 1], "big"):
+    if data[size - 1] != 3 or crc_hqx(message, 0) != int.from_bytes(data[size - 3 : size - 1], "big"):
         return 1, b""
     return size, message
 
@@ -56,14 +57,3 @@ def float32_auto(value: float) -> bytes:
     significand, exponent = math.frexp(abs(value))
     bits = (value < 0.0) << 31 | exponent + 126 << 23 | int((significand - 0.5) * 2**24)
     return bits.to_bytes(4, "big")
-
-
-def crc16(message: bytes) -> int:
-    """Return the CRC-16 with the polynomial 0x1021, begun with 0."""
-    crc = 0
-    for byte in message:
-        crc ^= byte << 8
-        for _ in range(8):
-            crc = crc << 1 ^ 0x1021 if crc & 0x8000 else crc << 1
-        crc &= 0xFFFF
-    return crc
