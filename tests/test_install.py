@@ -50,7 +50,7 @@ def test_a_machine_without_a_compiler_builds_installs_and_runs_the_wheel(tmp_pat
     assert {"hil/cli/pytest_plugin.py", "hil/py.typed", "firmware_protocol/py.typed", "plant_fmu/py.typed"} <= names
     pages = {
         "runtime/LIMITS.md",
-        "testing/PYTEST.md",
+        "cli/testing/PYTEST.md",
         "laws/LAWS.md",
         "laws/SHADOWS.md",
         "record/STREAMS.md",

@@ -118,7 +118,7 @@ def test_a_users_test_is_typed(tmp_path: Path):
 
 def test_the_page_is_true(suite: pytest.Pytester):
     """Its files run as they stand there, and its failure is what a failure looks like."""
-    page = (ROOT / "hil" / "testing" / "PYTEST.md").read_text()
+    page = (ROOT / "hil" / "cli" / "testing" / "PYTEST.md").read_text()
     files = re.findall(r"```\w+\n# (tests/\S+)\n(.*?)```", page, re.DOTALL)
     assert len(files) == 2
     (suite.path / "tests").mkdir()
