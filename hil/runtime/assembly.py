@@ -55,21 +55,23 @@ def run(
     force: bool = False,
     allow_motion: bool = False,
 ) -> RunResult:
-    """Run a scenario and return its result, as ``hil run`` does; nothing is recorded unless ``record`` names a file.
+    """Run a scenario, as ``hil run`` does, and return its result.
 
-    ``hil run`` records into ``runs/`` by itself, for its process ends with the run; here the result has all signals.
+    The result holds all signals. A file is recorded only when ``record`` names one (``hil run`` records into ``runs/``
+    by default).
 
     ``scenario`` is a shipped name or a path; ``set`` overrides any of its keys, ``robot`` merges a robot's own file.
-    ``law`` is the control law: a class, or a text as ``controller.law`` takes it.
-    ``truth`` is the URL of the truth socket of a robot in another process, ``record`` an ``.rrd`` or ``.mcap``
-    file, ``rotate`` when it goes on in another, as in ``1GB|10min``, ``trace`` a ``.blf``, ``.asc`` or ``.log`` file
-    for what is on the wire, ``stream`` the URL ``udp://127.0.0.1:PORT`` of a program that plots JSON datagrams.
-    ``force`` replaces a recording and a trace that are there already.
+    ``law`` is the control law: a class, or a text as ``controller.law`` takes it. ``truth`` is the URL of the truth
+    socket of a robot in another process. ``record`` is an ``.rrd`` or ``.mcap`` file; ``rotate`` is the size or
+    duration after which the recording continues in a new file, as in ``1GB|10min``. ``trace`` is a ``.blf``, ``.asc``
+    or ``.log`` file for the frames on the wire. ``stream`` is the URL ``udp://127.0.0.1:PORT`` of a program that plots
+    JSON datagrams. ``force`` replaces an existing recording or trace.
 
-    Raises BadInputError for a wrong scenario or option and for a file that is there already, LinkError or DeviceError
-    when the robot cannot be reached or does not arm. What fails later is in the result. A law that is stuck longer than
-    ``loop.tick_limit_s`` where no exception gets to, in a sleep or in C, ends the calling process with ``os._exit(3)``,
-    which runs nothing of the caller's; ``set={"loop.tick_limit_s": 0}`` has it wait for ever instead.
+    Raises BadInputError for a wrong scenario or option and for an output file that exists already, LinkError or
+    DeviceError when the robot cannot be reached or does not arm. Later failures are in the result. A law that takes
+    longer than ``loop.tick_limit_s`` and cannot be interrupted by an exception (in a sleep or in C) ends the calling
+    process with ``os._exit(3)``: no ``finally`` or exit handler of the caller runs. ``set={"loop.tick_limit_s": 0}``
+    removes the limit.
     """
     if law is not None:
         set = [*set_texts(set), *set_texts({"controller.law": law})]  # noqa: A001
@@ -92,22 +94,23 @@ def run(
 
 @dataclass(frozen=True, kw_only=True)
 class RunOptions:
-    """How a scenario is run, beside what it says itself.
+    """Options of a run that are not part of the scenario.
 
     Attributes:
         truth, rotate, trace, stream, allow_motion: as of ``run``.
         record: the file of a recording, or None.
-        existing: what is done where ``record`` is there already; a ``trace`` is never numbered, but refused.
+        existing: what to do when ``record`` exists already. A ``trace`` is never numbered: "number" counts as "refuse"
+            there.
         live_port: serves live viewers on this port of 127.0.0.1.
-        watch: entered with the loop while it runs.
-        warn: called with each sentence on what the robot will not be able to follow, before anything is opened, and on
-            what the robot warns of, before it is armed.
-        linger: called when all is done and recorded, while the viewers are still served.
-        on_stuck: called with a sentence, in a thread of its own, before a law that is stuck in a tick where no
-            exception gets to ends this process (``hil.core.tick_watch``).
+        watch: a context manager made from the loop, entered while the loop runs.
+        warn: called with each warning: what the robot cannot follow, before anything is opened, and the robot's own
+            warnings, before it is armed.
+        linger: called when everything is recorded, while live viewers are still served.
+        on_stuck: called with a sentence, in its own thread, before this process is ended because the law takes too long
+            and cannot be interrupted (``hil.core.tick_watch``).
         make_robot: makes a robot in this process; make_node: its firmware; make_recording: the recording.
-        keep_signals: without it the result has no signals, and memory does not grow with the length of the run. Extra
-            signals are then asked for only where somebody else reads them.
+        keep_signals: False leaves signals out of the result, so that memory does not grow with the run. Extra signals
+            are then computed only if something else reads them.
     """
 
     truth: str | None = None
@@ -129,7 +132,7 @@ class RunOptions:
 
     @property
     def is_recorded(self) -> bool:
-        """Whether there is a recording, in a file or for viewers alone."""
+        """Whether the run is recorded, in a file or only for live viewers."""
         return self.record is not None or self.live_port is not None
 
 
@@ -143,15 +146,15 @@ def run_scenario(scenario: Scenario, options: RunOptions = RunOptions()) -> RunR
 
 
 def check_scenario(scenario: Scenario) -> Feasibility:
-    """Make what a run of the scenario needs, without any robot; return what its reference asks of the wheels.
+    """Make the parts of a run without a robot; return the wheel speeds and torques that the reference demands.
 
-    Raises BadInputError for what the law or the reference refuse.
+    Raises BadInputError when the law or the reference rejects its options.
     """
     return RunParts(scenario).demands()
 
 
 class _Run:
-    """One run: prepared when it is made, then opened, driven and reported."""
+    """One run. The constructor prepares it; then ``open``, ``drive`` and ``report`` are called in this order."""
 
     def __init__(self, scenario: Scenario, options: RunOptions) -> None:
         self._scenario = scenario
@@ -172,7 +175,7 @@ class _Run:
         self._stream: UdpStream | None = None
 
     def open(self, resources: contextlib.ExitStack) -> None:
-        """Open the robot and what is written, and make the loop. Raises as ``run``."""
+        """Open the robot and the outputs, and make the loop. Raises as ``run``."""
         scenario, options, laws = self._scenario, self._options, self._parts.laws
         resources.enter_context(device_held(parse_link(scenario.link.url), f"hil run {scenario.name}"))
         if options.trace is not None:
@@ -187,7 +190,7 @@ class _Run:
             signals=laws.signals,
         )
         self._bench = resources.enter_context(bench)
-        # First the robot, then the recorder: a robot that is not there leaves no empty recording behind.
+        # First the robot, then the recorder: a failed connection leaves no empty recording behind.
         robot = self._reach(bench.connect)
         self._warn(bench.device.warnings)
         if options.is_recorded:
@@ -203,7 +206,7 @@ class _Run:
 
     def _open_recording(self) -> RunRecording:
         options = self._options
-        # What is not asked for is not passed on: another maker of recordings need not know it.
+        # Pass only options that are set: another package's ``make_recording`` need not know the others.
         further: dict[str, Any] = {"rotation": options.rotate} if any(options.rotate) else {}
         if options.existing != "refuse":
             further["existing"] = options.existing
@@ -238,8 +241,10 @@ class _Run:
         )
 
     def _names(self) -> Sequence[str]:
-        """Return the signals of the rows. Where only the run reads them, extra ones are left out unless the scenario
-        names one, or only who asks for them learns that they fail.
+        """Return the names of the signals in a row.
+
+        When only this run reads the rows, a law's extra signals are left out, unless the scenario names one or
+        computing them can fail (a failure must be noticed).
         """
         scenario, laws, options = self._scenario, self._parts.laws, self._options
         if options.keep_signals or options.is_recorded or self._destination is not None or laws.extra_may_fail:
@@ -249,7 +254,9 @@ class _Run:
         return laws.signals if is_named else SIGNAL_NAMES
 
     def _end_stuck(self, sentence: str) -> None:
-        """Do what cannot be left undone when the law holds the thread that would do it at the end of the run."""
+        """Finish what the run's end would, in another thread, because the law blocks the main thread: stop the robot,
+        close the files.
+        """
         with contextlib.suppress(HilError):
             self._bench.device.close()
         if self._trace is not None:
@@ -263,9 +270,12 @@ class _Run:
             self._options.on_stuck(sentence)
 
     def drive(self) -> tuple[Report, RealTime | None]:
-        """Arm the robot and run the loop; return how it went, and what was granted of real time."""
+        """Arm the robot and run the loop; return its report, and the real-time settings that were granted (None in
+        lockstep).
+        """
         scenario, bench = self._scenario, self._bench
-        # Behind all other processes, which inherit the processors, and before the robot arms: locking takes its time.
+        # After all other processes were started, which would inherit the processors; before arming, because locking
+        # memory takes time.
         taken = contextlib.nullcontext() if self._is_lockstep else real_time(scenario.realtime, bench.robot_threads)
         with taken as granted:
             origin_ns = self._reach(lambda: bench.device.start(bench.clock, scenario.loop.period_ns))
@@ -275,7 +285,7 @@ class _Run:
                 return self._loop.run(origin_ns, round(scenario.loop.duration_s * NS)), granted
 
     def report(self, report: Report, granted: RealTime | None) -> RunResult:
-        """Stop what still runs, work out the figures and finish what is written."""
+        """Stop the robot, compute the figures, and finish the trace, stream and recording."""
         scenario, loop, laws = self._scenario, self._loop, self._parts.laws
         report = report._replace(failure=self._bench.stop_robot() or report.failure)
         outcomes = self._events.finish(loop.t_s, is_cut=is_cut(scenario, loop, report))
@@ -300,7 +310,9 @@ class _Run:
                 self._options.warn(sentence)
 
     def _reach(self, step: Callable[[], T]) -> T:
-        """Take a step towards ACTIVE. When it fails because the robot in this process did, say that instead."""
+        """Take a step towards ACTIVE. If it fails because the robot in this process failed, raise that failure
+        instead.
+        """
         try:
             return step()
         except (DeviceError, LinkError):
@@ -310,4 +322,4 @@ class _Run:
 
 
 def _ignore(_t_s: float, _level: str, _text: str) -> None:
-    """Take a line of the event log of a run that keeps none."""
+    """Discard a line of the event log, for a run without a recording."""

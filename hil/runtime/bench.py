@@ -1,4 +1,4 @@
-"""The bench of a run: what stands at each end of the link, opened from a scenario and closed in one place."""
+"""The bench of a run: robot, link, clock and truth, opened from a scenario and closed together."""
 
 import contextlib
 import random
@@ -47,9 +47,9 @@ NS = 1_000_000_000
 class Bench:
     """Link, robot, clock and truth of a run; a context manager that closes them all.
 
-    A link within this process makes the virtual robot here too. Else the robot is elsewhere, and ``truth`` is the URL
-    of its truth socket, if it has one. ``trace`` is shown what is on the wire. ``make_robot`` makes a robot that is
-    made here, ``make_node`` its firmware; ``signals`` are those of the run.
+    If the link is within this process, the virtual robot is made here too. Otherwise the robot is elsewhere, and
+    ``truth`` is the URL of its truth socket, if it has one. ``trace`` records the frames on the wire. ``make_robot``
+    makes a robot in this process, ``make_node`` its firmware. ``signals`` are the names of the run's signals.
 
     Raises BadInputError, LinkError or DeviceError when a part cannot be opened.
 
@@ -57,7 +57,7 @@ class Bench:
         clock, device: the run's clock, and the host's session with the robot.
         wire: statistics of the link.
         faults: the faults of the run.
-        truth, fixes: where true poses and pose fixes come from, or None.
+        truth, fixes: sources of true poses and of pose fixes, or None.
         local: the robot in this process, or None.
     """
 
@@ -92,7 +92,7 @@ class Bench:
                 self.truth, link = local.truth, local.link
             else:
                 self._open_truth(truth, resources)
-                resources.enter_context(guarding)  # which ends after the link was closed
+                resources.enter_context(guarding)  # released only after the link was closed
                 link = link_of(scenario).open_host(self.faults.line, self._protocol)
                 resources.callback(link.close)
             conditioned = self._conditioned(link, trace)
@@ -112,7 +112,7 @@ class Bench:
             )
 
     def _open_truth(self, truth: str | None, resources: contextlib.ExitStack) -> None:
-        """Open the truth socket of a robot elsewhere, if it is given, and give the robot its faults."""
+        """Open the truth socket of a robot in another process, if given, and send the robot its faults."""
         scenario = self._scenario
         if self._is_lockstep and scenario.device.is_makers:
             raise no_lockstep(scenario.device.driver)
@@ -130,7 +130,7 @@ class Bench:
         self.faults.arm(client)
 
     def _conditioned(self, link: Link, trace: Trace | None) -> ConditionedLink:
-        """Return the link with its conditions and its statistics, which the trace is fed by."""
+        """Wrap the link with its latencies, faults and statistics; the trace gets its frames from the statistics."""
         url, latency = link_of(self._scenario), self._scenario.link
         if trace is not None:
             trace.begin(time.time_ns() - self.clock.now_ns())
@@ -150,7 +150,9 @@ class Bench:
     def _makers_robot(
         self, link: ConditionedLink, guarding: contextlib.ExitStack, *, allow_motion: bool
     ) -> MakersRobot:
-        """Return the session with another maker's motor controllers; one elsewhere is watched over."""
+        """Return the session with third-party motor controllers. If they are in another process, a watchdog guards
+        them.
+        """
         scenario, local = self._scenario, self.local
         firmware, mode, driver = scenario.firmware, scenario.controller.mode, make_driver(scenario)
         watch: HostWatch = Unwatched()
@@ -171,7 +173,7 @@ class Bench:
         return MakersRobot(link, self.clock, driver, wheel_map(scenario.device), terms)
 
     def _stm32(self, link: ConditionedLink, *, allow_motion: bool) -> Stm32:
-        """Return the session with our own firmware."""
+        """Return the session with this project's firmware."""
         scenario = self._scenario
         expected = Expected(
             parameter_hash(firmware_values(scenario)),
@@ -183,11 +185,11 @@ class Bench:
         return Stm32(link, scenario.controller.mode, expected, nonces, wheel_map(scenario.device))
 
     def begin(self, origin_ns: int) -> None:
-        """Let the scenario's time begin at this time of the clock, the first ACTIVE tick."""
+        """Set the start of the scenario's time: ``origin_ns`` on the clock, the first ACTIVE tick."""
         tick = self.device.tick
         feedback = self.device.poll()
         if not self._is_lockstep:
-            if isinstance(self.device, MakersRobot):  # its feedback has the time of this clock
+            if isinstance(self.device, MakersRobot):  # its feedback is stamped with this process's clock
                 fix = self.truth.poll() if self.truth is not None else None
                 tick = fix.time_ns // TICK_NS if fix is not None else tick
             elif feedback is not None:
@@ -200,30 +202,30 @@ class Bench:
         return self.device.connect()
 
     def start_pose(self) -> Pose:
-        """Return where odometry begins, asked before the robot moves.
+        """Return the pose at which odometry starts; call it before the robot moves.
 
-        Where the scenario leaves that to a foreign FMU it is the true pose, without truth the origin.
+        If the scenario leaves it to a foreign FMU, this is the true pose, or the origin when no truth is available.
         """
         given = start_pose(self._scenario)
         fix = self.truth.poll() if given is None and self.truth is not None else None
         return given or (fix.pose if fix is not None else Pose(0.0, 0.0, 0.0))
 
     def robot_failure(self) -> HilError | None:
-        """Return what ended the robot in this process while it ran beside the controller, or None."""
+        """Return the error that ended the thread of the robot in this process, or None."""
         return self.local.thread_failure() if self.local is not None else None
 
     def stop_robot(self) -> HilError | None:
-        """Stop the robot in this process, when the run is over, and return what ended it before, if something did."""
+        """Stop the robot in this process at the end of the run. Return the error that ended it earlier, or None."""
         return self.local.stop() if self.local is not None else None
 
     @property
     def plant_output(self) -> ChildOutput | None:
-        """What the plant of the robot in this process prints and logs, where it has a process of its own."""
+        """Output and log lines of the plant's own process, or None."""
         return self.local.plant_output if self.local is not None else None
 
     @property
     def robot_threads(self) -> tuple[int, ...]:
-        """Native ids of the threads that are the robot in this process."""
+        """Native ids of the threads that run the robot in this process."""
         return self.local.threads if self.local is not None else ()
 
     @property
@@ -243,7 +245,7 @@ class Bench:
 
 
 def _fix_source(scenario: Scenario) -> FixSource | None:
-    """Open where pose fixes come from; None where the estimator takes none."""
+    """Open the source of pose fixes; None if the estimator uses none."""
     estimator = scenario.estimator
     if estimator.source != "fused":
         return None
@@ -253,7 +255,9 @@ def _fix_source(scenario: Scenario) -> FixSource | None:
 
 
 def _nonces(seed: int | None) -> Iterator[int]:
-    """Yield session nonces: from the seed in lockstep, which repeats exactly; else from the system's random source."""
+    """Yield session nonces: in lockstep from the seed, so that runs repeat exactly; otherwise from the system's random
+    source.
+    """
     source = random.SystemRandom() if seed is None else random.Random(seed)
     while True:
         yield source.randrange(1, 0x10000)

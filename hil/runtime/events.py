@@ -1,4 +1,4 @@
-"""The event log of a run: faults that begin and end, and expectations when they are decided."""
+"""Writes the event log of a run: begin and end of faults, and the outcome of expectations."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -15,10 +15,10 @@ _LEVELS = {True: "info", None: "warning", False: "error"}
 
 
 class RunEvents:
-    """A sink that watches each row and writes a line of the log when something happens.
+    """A sink that looks at each row and writes a line of the event log when something happens.
 
-    A tick costs two comparisons, and one more for each expectation that is open then. ``names`` are the signals of the
-    run, ``loop.t_s`` among them; ``output`` is that of a plant in a process of its own.
+    A tick costs two comparisons, and one more per expectation in its time window. ``names`` are the signals of the run,
+    which must include ``loop.t_s``; ``output`` is the output of a plant that runs in its own process.
     """
 
     def __init__(
@@ -35,7 +35,7 @@ class RunEvents:
         self._watches = [(names.index(row.signal), Watch(row)) for row in expect]
         self._open: tuple[tuple[int, Watch], ...] = ()
         self._undecided = [watch for _, watch in self._watches]
-        self._noted: dict[int, str] = {}  # the sentence of an expectation when it failed
+        self._noted: dict[int, str] = {}  # what was logged when an expectation failed
         self._in_force: list[str] = []
         edges: list[tuple[float, Callable[[], None]]] = []
         for fault in faults:
@@ -45,13 +45,13 @@ class RunEvents:
         for place, watch in self._watches:
             row = watch.expect
             edges.append((row.from_s, partial(self._watch, place, watch)))
-            # A sample at to_s still counts.
+            # A sample at exactly to_s is still checked.
             edges.append((math.nextafter(row.to_s, math.inf), partial(self._close, watch)))
         self._edges = sorted(edges, key=lambda edge: edge[0], reverse=True)
         self._next_s = self._edges[-1][0] if edges else math.inf
 
     def put(self, row: tuple[float, ...]) -> None:
-        """Look at the row of a tick."""
+        """Process the row of a tick."""
         t_s = row[self._t_place]
         if t_s >= self._next_s:
             self._cross(t_s)
@@ -62,9 +62,9 @@ class RunEvents:
                 self._note_failure(watch)
 
     def finish(self, t_s: float, *, is_cut: bool) -> list[dict[str, Any]]:
-        """Say that the run has ended, with its last tick at ``t_s``; return the figures of all expectations.
+        """End the log after the last tick, at ``t_s``; return the figures of all expectations.
 
-        ``is_cut`` says that it ended before it should have.
+        ``is_cut``: the run ended before its planned duration.
         """
         log_lines(self._output.end(), t_s, self._note)
         for words in self._in_force:
@@ -75,7 +75,7 @@ class RunEvents:
         return [outcome_figures(watch.expect, watch.outcome(cut_s)) for _, watch in self._watches]
 
     def _cross(self, t_s: float) -> None:
-        """Do what is due at a tick. Edges at infinity never are."""
+        """Run the actions that are due at a tick. Those at infinity never are."""
         while self._edges and self._edges[-1][0] <= t_s:
             self._edges.pop()[1]()
         self._next_s = self._edges[-1][0] if self._edges else math.inf
@@ -95,7 +95,7 @@ class RunEvents:
         self._decide(watch, watch.expect.to_s, None)
 
     def _note_failure(self, watch: Watch) -> None:
-        """Log at once that an expectation has failed. How bad it became is logged when its time is over."""
+        """Log at once that an expectation has failed. The worst value is logged when its time window ends."""
         outcome = watch.outcome()
         assert outcome.violation_s is not None, "it was violated"
         self._noted[id(watch)] = outcome.text

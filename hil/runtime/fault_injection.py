@@ -1,4 +1,4 @@
-"""The faults of one run: each row is given to the part that applies it, and how often it was applied is collected."""
+"""The faults of one run: gives each row to the part that applies it, and collects how often it was applied."""
 
 import contextlib
 from collections.abc import Sequence
@@ -19,19 +19,19 @@ class RobotWithFaults(Protocol):
     """A virtual robot, in this process or behind its truth socket."""
 
     def arm(self, rows: Sequence[FaultRow]) -> None:
-        """Take the rows. Raises BadInputError when the robot has no part for one of them."""
+        """Take the rows. Raises BadInputError when the robot cannot apply one of them."""
 
     def begin(self, tick: int) -> None:
-        """Say at which tick of the firmware's the scenario's time began."""
+        """Set the firmware tick at which the scenario's time began."""
 
     def applied(self) -> list[int]:
-        """Return how often each row was applied so far. Raises DeviceError when the robot has gone."""
+        """Return how often each row was applied so far. Raises DeviceError when the robot is gone."""
 
 
 class RunFaults:
-    """Gives every row to its part: link, signals of the tick, or the robot with its plant.
+    """Gives every row to the part that applies it: link, signals of the tick, or the robot with its plant.
 
-    ``names`` are the signals of the run.
+    ``names`` are the names of the run's signals.
 
     Attributes:
         time: the scenario's time.
@@ -59,13 +59,14 @@ class RunFaults:
         self.signals = SignalFaults(of_signals, names, seed) if of_signals else None
 
     def line(self, stream: HostStream) -> HostStream:
-        """Return the host's end of a serial line with what acts on its bytes; as it is where nothing does."""
+        """Return the host's end of a serial line, wrapped with the faults of its bytes if there are any."""
         return FaultLine(stream, self.time, self._of_bytes, self._protocol) if self._of_bytes else stream
 
     def bus(self, url: LinkUrl) -> BusFaults | None:
-        """Return what acts on the bus of a link; None on any other link, and where no row does.
+        """Return the faults of a link's bus; None for a link that is no bus, or without such faults.
 
-        Raises BadInputError for frames in memory, which have no bits, LinkError when a babbling node cannot be opened.
+        Raises BadInputError for frames in memory, which have no bits, and LinkError when a babbling node cannot be
+        opened.
         """
         if not self._of_bytes or not (url.is_bus or self._protocol.make_framing is None):
             return None
@@ -77,9 +78,9 @@ class RunFaults:
         return BusFaults(self._of_bytes, babbler, self._protocol)
 
     def arm(self, robot: RobotWithFaults | None) -> None:
-        """Give the robot what acts on it and its plant.
+        """Give the robot the faults of the robot and its plant.
 
-        Raises BadInputError when it has no part for a row, or when nothing could tell how often it was applied.
+        Raises BadInputError when the robot cannot apply a row, or when no robot can be reached for them.
         """
         if not self._of_robot:
             return
@@ -93,15 +94,16 @@ class RunFaults:
         self._robot = robot
 
     def begin(self, origin_ns: int, tick: int) -> None:
-        """Let the scenario's time begin: on the clock, and in ticks of the firmware."""
+        """Set the start of the scenario's time: on the clock, and in firmware ticks."""
         self.time.begin(origin_ns)
         if self._robot is not None:
             self._robot.begin(tick)
 
     def applied(self) -> list[int | None]:
-        """Return how often each row of the run was applied; None where the robot that knew has gone.
+        """Return how often each row of the run was applied; None if the robot that counted is gone.
 
-        Also where it has other rows now: its process was started anew, or somebody else gave it faults.
+        Also None if the robot now has another number of rows: its process was restarted, or another client set its
+        faults.
         """
         of_robot: Sequence[int | None] = [None] * len(self._of_robot)
         with contextlib.suppress(HilError):

@@ -1,4 +1,4 @@
-"""The newest feedback of the robot and the newest truth: how old they are, and whether they may drive anything."""
+"""The age of the robot's newest feedback and of the newest truth, and whether they are fresh enough to drive by."""
 
 from math import isfinite
 
@@ -11,23 +11,25 @@ from hil.robot.snapshot import Feedback
 from hil.runtime.sampling import Timing
 from hil.runtime.signal_faults import SignalFaults
 
-_LOST_NS = 250_000_000  # silence that ends the run, and the greatest age of feedback on the link while driving
-# How far a robot's clock may be from where it should be and still be the same: feedback on its way, and HSI's accuracy.
+_LOST_NS = 250_000_000  # silence that ends the run, and the greatest age of unread feedback while driving
+# Tolerance between a robot's clock and its expected time, beyond which it counts as reset: feedback in transit, and the
+# HSI oscillator's accuracy.
 _CLOCK_PERIODS = 4
 _CLOCKS_APART_NS = 50_000_000
 _CLOCK_SHARE = 50
-# No stall of this machine, or of a virtual robot's, is so long and leaves the link as it is.
+# A jump of the clock by more than this is a reset: no stall of this machine or of a virtual robot lasts that long with
+# the link intact.
 _LEAP_NS = 1_000_000_000
 
 
 class Freshness:
-    """Takes the robot's feedback once a tick, and the truth where the state rests on it.
+    """Reads the robot's feedback once a tick, and notes the truth if the state estimate uses it.
 
     Attributes, as of the last ``poll``:
-        silent_ns: how long the newest feedback has been the newest.
+        silent_ns: time since new feedback last came.
         truth_ns: time of the newest truth by the robot's clock; None before any.
-        is_stale: whether the feedback or the truth is older than the firmware's watchdog allows of us, so that nothing
-            may be driven by it. A truth is too old by its stamp, or where no other has come for so long.
+        is_stale: whether the feedback or the truth is too old to drive by: older than the firmware's watchdog time. A
+            truth is too old by its time stamp, or if no new one came for that long.
     """
 
     def __init__(self, clock: Clock, device: Device, faults: SignalFaults | None, timing: Timing) -> None:
@@ -41,16 +43,18 @@ class Freshness:
         self._heard_ns: int | None = None
         self._stamp_ns: int | None = None  # of the newest truth, by its own clock
         self._truth_heard_ns = 0
-        self._ahead_ns: int | None = 0  # the robot's clock ahead of the truth's; None until both are heard again
+        self._ahead_ns: int | None = 0  # the robot's clock minus the truth's; None until both are received again
         self.silent_ns = 0
         self.truth_ns: int | None = None
         self.is_stale = False
 
     def poll(self, t_s: float, truth: PoseFix | None = None, active: bool = True) -> Feedback:
-        """Return the newest feedback; ``t_s`` is the tick's, for messages, ``truth`` that on which the state rests.
+        """Return the newest feedback. ``t_s`` is the tick's time, for messages; ``truth`` the pose that the state
+        estimate uses.
 
         Raises RobotStoppedError or DeviceError for a robot that is not ACTIVE, LinkError after a long silence of the
-        robot, or of this process. One that need not be ``active`` is only stopped when it was reset.
+        robot, or a stall of this process. Without ``active`` any state is allowed, and RobotStoppedError means that the
+        robot was reset.
         """
         feedback = self._device.poll()
         age_ns = 0 if self._is_lockstep else self._device.poll_age_ns
@@ -60,8 +64,8 @@ class Freshness:
         if self._faults is not None:
             feedback = self._faults.feedback(feedback)
         robot_time_ns, stale_ns = feedback.robot_time_ns, self._stale_ns
-        # What was taken after this process stood still may be as old as that. It makes nothing newer, and the robot's
-        # clock is not judged by it: what comes next is fresh.
+        # After a stall of this process, the feedback may be as old as the stall. It does not count as new, and the
+        # robot's clock is not judged by it; the next feedback is fresh.
         if self._heard_ns is None or (robot_time_ns != self._newest_ns and age_ns <= stale_ns):
             if not active and self._heard_ns is not None and self._began_anew(feedback, now_ns - self._heard_ns):
                 raise RobotStoppedError(f"the robot was reset at t = {t_s:.3f} s")
@@ -80,11 +84,11 @@ class Freshness:
         return feedback
 
     def _check_not_lost(self, age_ns: int, longest_ns: int, t_s: float) -> None:
-        """Raise LinkError after a long silence: of this process, or of the robot."""
+        """Raise LinkError after a long silence: a stall of this process, or no feedback from the robot."""
         if age_ns > longest_ns:
             raise LinkError(
                 f"feedback lay unread for {age_ns * 1e-6:.0f} ms at t = {t_s:.3f} s: this process stood still "
-                "or is slower than the robot; what the link holds is too old to be driven by"
+                "or is slower than the robot; what the link holds is too old to drive by"
             )
         if age_ns <= self._stale_ns:
             raise LinkError(
@@ -92,10 +96,10 @@ class Freshness:
             )
 
     def _take_truth(self, truth: PoseFix, robot_time_ns: int, now_ns: int) -> None:
-        """Note when a truth was sampled and heard; one that is no number makes nothing newer.
+        """Note when a truth was sampled and received; a pose with NaN or infinity does not count as new.
 
-        A reset of the robot leaves the truth's clock, which is the plant's, as it is. The first sample after it, or
-        after a truth that began anew, is taken to be as old as the feedback.
+        The truth has the plant's clock, which a reset of the robot does not change. The first sample after a reset, or
+        after the truth's own clock jumped back, is taken to be as old as the feedback.
         """
         time_ns, (x, y, heading), _ = truth
         if not isfinite(x + y + heading):
@@ -108,10 +112,11 @@ class Freshness:
         self.truth_ns = time_ns + self._ahead_ns
 
     def robot_now_ns(self, feedback: Feedback) -> int:
-        """Return the robot time of this instant: by the newest feedback, in real time by TIME_SYNC once it is known.
+        """Return the present robot time: from TIME_SYNC in real time once its offset is known, otherwise from the
+        newest feedback.
 
-        Feedback tells it only to a tick, because its age on the link is not known. A TIME_SYNC offset that differs by
-        50 ms or more is that of the clock before a reset.
+        From feedback it is exact only to a tick, because its age on the link is not known. A TIME_SYNC offset that
+        differs by 50 ms or more belongs to the clock before a reset and is not used.
         """
         now_ns = feedback.robot_time_ns + self._timing.feedback_latency_ns + self.silent_ns
         offset_us = self._device.clock_sync.offset_us
@@ -121,17 +126,19 @@ class Freshness:
         return synced_ns if abs(synced_ns - now_ns) < _CLOCKS_APART_NS else now_ns
 
     def is_silent(self) -> bool:
-        """Whether the feedback itself is too old to be driven by."""
+        """Whether the feedback itself is too old to drive by."""
         return self.silent_ns > self._stale_ns
 
     def has_aged(self) -> bool:
-        """Whether the truth has become too old since ``poll``, because this process stood still; never in lockstep."""
+        """Whether the truth has become too old since ``poll``, because this process stalled; not for use in
+        lockstep.
+        """
         return self.truth_ns is not None and self._clock.now_ns() - self._truth_heard_ns > self._stale_ns
 
     def restart(self) -> bool:
-        """Begin anew with a robot that came back; return whether it was reset.
+        """Start again with a robot that came back; return whether it was reset.
 
-        Then its clock, and with it its encoder counts, began anew since it was last heard.
+        After a reset its clock and its encoder counts start again from zero.
         """
         was_reset = self._was_reset()
         self._heard_ns = None
@@ -140,7 +147,9 @@ class Freshness:
         return was_reset
 
     def _began_anew(self, feedback: Feedback, passed_ns: int) -> bool:
-        """A clock that was begun anew seems to leap ahead, by what is left until it wraps."""
+        """Whether the robot's clock restarted since the last feedback: it jumped by 1 s or more (a restart looks like a
+        jump ahead, to the wrap-around).
+        """
         return not -_LEAP_NS < feedback.robot_time_ns - self._newest_ns - passed_ns < _LEAP_NS
 
     def _was_reset(self) -> bool:
@@ -153,9 +162,9 @@ class Freshness:
         return robot_passed_ns < 0 or abs(robot_passed_ns - passed_ns) > apart_ns
 
     def _stop(self, state: RobotState, t_s: float) -> DeviceError | RobotStoppedError:
-        """Return the error for a robot that is not ACTIVE; DeviceError where it latched that."""
+        """Return the error for a robot that is not ACTIVE: DeviceError in the latched states FAULT and ESTOP."""
         report = self._device.report
-        # A robot that stopped by itself knows why, and passes through STOPPING, which tells it.
+        # A robot that stopped by itself passes through STOPPING and reports the reason; one that was reset knows none.
         was_reset = state in (RobotState.BOOT, RobotState.IDLE) and report.knows_no_reason
         reset = f"it was reset ({report.last_reset})" if report.last_reset else "it was reset"
         why = reset if was_reset else f"it is {state.name} because of {report.stop_reason()}"

@@ -1,4 +1,4 @@
-"""The virtual robot that a run makes in this process: the link to it, its thread, its truth and its faults."""
+"""The virtual robot that a run makes in this process: its link, thread, truth and faults."""
 
 import contextlib
 import threading
@@ -20,15 +20,15 @@ _ANSWER_S = 2.0
 
 
 class LocalRobot:
-    """Makes the robot of a scenario, with its ``faults``, and opens both ends of its link; ``resources`` close them.
+    """Makes a scenario's robot, with its ``faults``, and opens both ends of its link; ``resources`` closes them.
 
     ``make_robot`` makes the robot, ``make_node`` its firmware. Raises BadInputError, LinkError or DeviceError.
 
     Attributes:
         robot: the robot itself.
         link: the host's end.
-        truth: where the robot really is.
-        advance: lets so many ticks pass, for motor controllers in lockstep; None for any other robot.
+        truth: source of the robot's true pose.
+        advance: lets a number of ticks pass, for motor controllers in lockstep; None for any other robot.
     """
 
     link: Link
@@ -47,7 +47,7 @@ class LocalRobot:
         self._server: VirtualServer | None = None
         self._thread: ServerThread | None = None
         self.advance: Callable[[int], None] | None = None
-        faults.arm(self)  # before the link is opened: how that is done depends on the rows
+        faults.arm(self)  # before the link is opened: how it is opened depends on the rows
         url, is_makers, lockstep = link_of(scenario), scenario.device.is_makers, scenario.loop.mode == "lockstep"
         if lockstep and not is_makers and url.is_direct:
             self.truth = DirectTruth(robot)
@@ -68,11 +68,11 @@ class LocalRobot:
     # Faults that act inside the robot
 
     def arm(self, rows: Sequence[FaultRow]) -> None:
-        """Take the rows. Raises BadInputError when the robot has no part for one of them."""
+        """Take the rows. Raises BadInputError when the robot cannot apply one of them."""
         self.robot.faults.arm(rows)
 
     def begin(self, tick: int) -> None:
-        """Set the tick of the firmware at which the scenario's time began, between two exchanges; wait until it is."""
+        """Set the firmware tick at which the scenario's time began, between two exchanges, and wait until it is set."""
 
         def begin(faults: RobotFaults) -> None:
             faults.begin(tick)
@@ -89,16 +89,16 @@ class LocalRobot:
         """Return how often each row was applied so far."""
         return self.robot.faults.applied()
 
-    # How it is
+    # State and end
 
     def thread_failure(self) -> HilError | None:
-        """Return what ended the robot while it ran beside the controller, or None."""
+        """Return the error that ended the robot's thread, or None."""
         return self._thread.failure if self._thread is not None else None
 
     def stop(self) -> HilError | None:
-        """Stop the robot when the run is over, and return what ended it before, if something did.
+        """Stop the robot at the end of the run. Return the error that ended it earlier, or None.
 
-        A plant that hangs is waited for: its time limit ends it.
+        Waits for a plant that hangs, until the plant's own time limit ends it.
         """
         if self._thread is not None:
             self._thread.close()
@@ -106,12 +106,12 @@ class LocalRobot:
 
     @property
     def plant_output(self) -> ChildOutput | None:
-        """What its plant prints and logs, where that has a process of its own."""
+        """Output and log lines of the plant's own process, or None."""
         return self.robot.output
 
     @property
     def threads(self) -> tuple[int, ...]:
-        """Native ids of the threads that are the robot."""
+        """Native ids of the threads that run the robot."""
         native_id = None if self._thread is None else self._thread.native_id
         return () if native_id is None else (native_id,)
 

@@ -1,4 +1,4 @@
-"""The schedule of a run: when a tick is due, in lockstep and in real time, and how a lost robot is brought back."""
+"""The schedule of a run: when each tick is due, in lockstep and in real time, and the recovery of a lost robot."""
 
 import contextlib
 from collections.abc import Callable, Sequence
@@ -21,12 +21,12 @@ _STOP_LIMIT_NS = 5_000_000_000
 
 
 class Report(NamedTuple):
-    """How the loop went.
+    """The result of the loop.
 
     Attributes:
-        counted: how many ticks were not driven, by the keys of ``[allow]``.
-        robot_s, wall_s: the robot time and the wall-clock time that it took.
-        stopped: whether the robot came to rest.
+        counted: number of ticks that were not driven, by the keys of ``[allow]``.
+        robot_s, wall_s: the duration in robot time and in wall-clock time.
+        stopped: whether the robot came to rest at the end.
         failure: what ended the loop early, or None.
         recoveries: the losses that it recovered from.
     """
@@ -44,14 +44,14 @@ class Report(NamedTuple):
 class Loop:
     """Runs the tick at a fixed period for a given time.
 
-    ``t`` = 0 is the first ACTIVE tick. A tick's ``t`` is its sampling instant; it is computed a feedback latency
-    later, when what was sampled then has arrived. A tick that would begin after the next one is due is skipped and
-    counted, never made up in a burst.
+    ``t`` = 0 is the first ACTIVE tick. A tick's ``t`` is its sampling instant; the tick is computed one feedback
+    latency later, when the samples have arrived. A tick that would begin after the next one is due is skipped and
+    counted as a deadline miss; missed ticks are not caught up.
 
     With ``rearm`` a lost link or a stopped robot does not end the run. The robot is brought back while the ticks go on
-    with nothing commanded, and the law begins anew at the reference of the present ``t``. ``warn`` is called with the
-    warnings of its device that are new then. ``faults`` are the scenario's, which explain ticks that are not driven.
-    A tick that takes longer than ``tick_limit_s`` of wall-clock time ends the run (``TickWatch``; 0 for no limit).
+    without commands; then the law is reset at the reference of the present ``t``. ``warn`` is called with each new
+    warning of the device. ``faults`` are the scenario's faults, which may explain undriven ticks. A tick that takes
+    longer than ``tick_limit_s`` of wall-clock time ends the run (``TickWatch``; 0 for no limit).
     """
 
     def __init__(
@@ -88,12 +88,12 @@ class Loop:
     def run(self, origin_ns: int, duration_ns: int) -> Report:
         """Run from the first ACTIVE tick at ``origin_ns`` on the clock, then stop the robot.
 
-        What ends the run early is in the report: a lost link or device, or a law that fails or does not return. In
-        each case the robot is commanded to stop while it can be reached.
+        A failure that ends the run early is returned in the report: a lost link or device, or a law that fails or does
+        not return. The robot is then commanded to stop, if it can be reached.
         """
         begin = perf_counter()
         failure: HilError | None = None
-        self._warned()  # since it was armed the robot has sent more
+        self._warned()  # warnings that the robot sent since it was armed
         try:
             with self._watch:
                 self._run(origin_ns, duration_ns)
@@ -110,7 +110,7 @@ class Loop:
         wall_s = perf_counter() - begin
         stopped = False
         try:
-            # A robot that has not come back is not waited for: it may be somebody else's by now.
+            # Do not stop a robot that has not come back: another host may control it by now.
             if isinstance(failure, DeviceError | LinkError) or self._recovery is not None:
                 failure = self._give_up(failure)
             else:
@@ -126,18 +126,20 @@ class Loop:
 
     @property
     def commands_refused(self) -> int:
-        """How many commands of the law were no numbers; each was replaced by a stop."""
+        """Number of the law's commands that held NaN or infinity; each was replaced by a stop."""
         return self._parts.guard.refused
 
     def pose_fixes(self) -> dict[str, Any] | None:
-        """Return the counts of pose fixes, from the source to the filter; None where the estimator takes none."""
+        """Return the counts of pose fixes, from the source to the filter; None if the estimator uses none."""
         return self._ticker.pose_fixes()
 
     def _stop(self) -> bool:
         return self._parts.device.stop(self._timing.period_ns, _STOP_LIMIT_NS)
 
     def _give_up(self, failure: HilError | None) -> HilError | None:
-        """Stop what may still be driven; return the failure, with the device's trouble where that did not work."""
+        """Close the device. Return the failure, with the device's own trouble appended if closing did not stop the
+        robot.
+        """
         device = self._parts.device
         device.close()
         trouble = device.report.trouble
@@ -151,7 +153,7 @@ class Loop:
         number = self._sampling.begin(origin_ns)
         is_lockstep = self._parts.device.is_lockstep
         self._ticker.skip_fixes()
-        # The ways in which waits failed since time last passed: False for a lost link, True for a stopped robot.
+        # How waits have failed since robot time last advanced: False for a lost link, True for a stopped robot.
         in_vain: set[bool] = set()
         while number < ticks:
             try:
@@ -164,32 +166,33 @@ class Loop:
                 self._keep_armed()
             else:
                 self._tick(number, late_ns)
-            if is_lockstep:  # where no tick is late
+            if is_lockstep:  # no tick is late in lockstep
                 number += 1
                 continue
             following = self._sampling.following(number)
             if following != number + 1:
-                # Only ticks of the run count, also where no later one records them.
+                # Count only ticks of this run; the last misses appear in no later row.
                 self._misses += max(0, min(following, ticks) - max(number, -1) - 1)
             number = following
         if self._recovery is not None:
             raise LinkError(f"{self._recovery.why}; it did not come back until the end: {self._recovery.problem}")
 
     def _wait_again(self, error: HilError, in_vain: set[bool]) -> None:
-        """Prepare another wait for the same tick after one that failed."""
+        """After a failed wait, prepare another wait for the same tick."""
         recovery = self._lose(error)
         is_stopped = isinstance(error, RobotStoppedError)
         if self._parts.device.is_lockstep:
             if is_stopped in in_vain:
-                # No command in the queue can be the cause any more, so it is STEP: without the robot time stands still.
+                # It failed twice in the same way, so no queued command is the cause: STEP itself is lost, and robot
+                # time stands still.
                 recovery.revive()
             elif is_stopped:
-                # A robot that was reset counts its ticks from 0, and has to be asked for the present one.
+                # After a reset the robot counts its ticks from 0: ask it for the present one.
                 recovery.begin_now()
         in_vain.add(is_stopped)
 
     def _keep_armed(self) -> None:
-        """Command zeros until the first feedback is here. These ticks are none of the run."""
+        """Command zeros before the first feedback arrives. These ticks are not counted in the run."""
         self._ticker.skip_fixes()
         if self._recovery is not None:
             self._come_back(self._recovery)
@@ -200,7 +203,7 @@ class Loop:
             self._lose(error)
 
     def _tick(self, number: int, late_ns: int) -> None:
-        """Do one tick of the run: drive the robot, or bring it back, and write the row."""
+        """Do one tick of the run: drive the robot or go on with its recovery, and write the row."""
         begin_s = perf_counter()
         self._watch.turn += 1
         ticker, faults, t_ns = self._ticker, self._faults, number * self._period_ns
@@ -231,7 +234,7 @@ class Loop:
         self._tick_us = (perf_counter() - begin_s) * 1e6
 
     def _lose(self, error: HilError) -> Recovery:
-        """Begin to bring the robot back, or begin again; without ``rearm`` end the run."""
+        """Begin the recovery of the robot, or restart it; without ``rearm`` raise the error, which ends the run."""
         self._ticker.raise_robot_failure()
         if not self._rearm:
             raise type(error)(f"{error}; to reconnect and arm anew in such a case, set loop.rearm = true") from error

@@ -1,4 +1,4 @@
-"""From a scenario to the parts of its ticks. The robot and the link to it are the bench's (``bench.py``)."""
+"""Makes the parts of a tick from a scenario. The robot and its link come from the bench (``bench.py``)."""
 
 from collections.abc import Sequence
 
@@ -14,9 +14,9 @@ from hil.scenario.laws import make_laws
 
 
 class RunParts:
-    """The parts that follow from a scenario alone, made before anything is opened, so that bad input is found first.
+    """The parts that need only the scenario. They are made before anything is opened, so that bad input is found first.
 
-    Raises BadInputError for what the law or the reference refuse.
+    Raises BadInputError when the law or the reference rejects its options.
     """
 
     def __init__(self, scenario: Scenario) -> None:
@@ -34,12 +34,12 @@ class RunParts:
         self._brake = Brake(scenario.controller.mode, self._guard, scenario.firmware.speed_kp_n_m_s_rad)
 
     def demands(self) -> Feasibility:
-        """Return what the reference asks of the wheels."""
+        """Return the wheel speeds and torques that the reference demands."""
         loop = self._scenario.loop
         return feasibility(self.reference, self.model, loop.duration_s, loop.period_ns / NS)
 
     def make(self, bench: Bench, sinks: Sequence[Sink], note: Note) -> TickParts:
-        """Return the parts of the ticks on a bench, once its robot can be asked where it starts."""
+        """Return the parts of a tick. The bench's robot must be connected: it is asked for its start pose."""
         counts = self._scenario.firmware.counts_per_revolution
         return TickParts(
             bench.clock,

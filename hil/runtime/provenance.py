@@ -1,4 +1,4 @@
-"""The properties of a recording, which say what run it is of."""
+"""The properties of a recording: they identify the run and what it was made from."""
 
 import hashlib
 import json
@@ -18,15 +18,14 @@ if TYPE_CHECKING:
 
 
 def ingredients(scenario: "Scenario") -> dict[str, str]:
-    """Return what decides a run beside its scenario's text, as it is now: options of the law, and SHA-256 hashes.
+    """Return what decides a run besides its scenario's text: the law's options, and SHA-256 hashes of files and code.
 
-    Call it when the parts of the run are made: files may change before a recording begins. Beside what
-    ``law_ingredients`` returns, ``map_sha256`` is of ``[plant.map]``, ``reference_file_sha256`` and
-    ``motors_file_sha256`` of files that the scenario names, ``reference_sha256`` and ``driver_sha256`` of the code of
-    another package's kind of reference and driver, ``fmu_sha256`` of the FMU where it is on this machine.
-    ``wheel_host_sha256`` and ``cosim_sha256`` are of the native libraries that this process runs with, as they were
-    loaded; ``wheel_host_sources_sha256`` and ``cosim_sources_sha256`` of the sources that these were built from, which
-    are the same on every machine. What is not here is left out.
+    Call it when the parts of the run are made: files may change before a recording begins. Adds to ``law_ingredients``:
+    ``map_sha256`` of ``[plant.map]``; ``reference_file_sha256`` and ``motors_file_sha256`` of files that the scenario
+    names; ``reference_sha256`` and ``driver_sha256`` of the code of another package's reference and driver;
+    ``fmu_sha256`` of the FMU if it is on this machine; ``wheel_host_sha256`` and ``cosim_sha256`` of the native
+    libraries that this process has loaded; ``wheel_host_sources_sha256`` and ``cosim_sources_sha256`` of the sources
+    they were built from, which are the same on every machine. A key without a value is left out.
 
     Raises BadInputError as ``law_ingredients``, and for an FMU or a native library that cannot be used.
     """
@@ -43,11 +42,11 @@ def ingredients(scenario: "Scenario") -> dict[str, str]:
 
 
 def law_ingredients(scenario: "Scenario") -> dict[str, str]:
-    """Return what ``ingredients`` says of the laws.
+    """Return the part of ``ingredients`` that concerns the laws.
 
-    ``gains`` is a JSON object of all options of the law, given or left to their defaults; ``law_sha256`` is of the
-    law's code (``hil.laws.code``), ``shadow_laws_sha256`` a JSON object of the shadows'. Raises BadInputError
-    as ``gains_in_force``.
+    ``gains``: a JSON object of all options of the law, including defaults. ``law_sha256``: hash of the law's code
+    (``hil.laws.code``). ``shadow_laws_sha256``: a JSON object of the shadow laws' hashes. Raises BadInputError as
+    ``gains_in_force``.
     """
     from hil.laws.registry import gains_in_force, law_sha256
 
@@ -62,10 +61,10 @@ def law_ingredients(scenario: "Scenario") -> dict[str, str]:
 
 
 def properties(scenario: "Scenario", made_of: Mapping[str, str] | None = None) -> dict[str, str]:
-    """Return a recording's properties; ``made_of`` are the ``ingredients`` of its parts, by default those of now.
+    """Return a recording's properties. ``made_of`` are its ``ingredients``; by default they are computed now.
 
     ``scenario`` is a JSON object of every resolved value by its dotted key, ``scenario_sources`` one of where each was
-    given; ``scenario_sha256`` is the hash that a controller and a device compare. ``commit`` is there only when the
+    given; ``scenario_sha256`` is the hash that a controller and a device compare. ``commit`` is present only when the
     code runs from a checkout.
     """
     from hil.scenario import resolved
@@ -89,7 +88,7 @@ def properties(scenario: "Scenario", made_of: Mapping[str, str] | None = None) -
 
 
 def _plant_and_libraries(scenario: "Scenario") -> dict[str, str | None]:
-    """Return the hashes of the FMU, and of the native libraries that a run has in this process."""
+    """Return the hashes of the FMU, and of the native libraries that a run uses in this process."""
     from firmware_protocol import host
     from firmware_protocol.built import BuildError
     from hil.plant import archive, shim
@@ -107,7 +106,7 @@ def _plant_and_libraries(scenario: "Scenario") -> dict[str, str | None]:
         found["fmu_sha256"] = archive.sha256(archive.locate(scenario.plant.fmu, scenario.directory))
         found |= {"cosim_sha256": shim.loaded().sha256, "cosim_sources_sha256": shim.loaded().sources_sha256}
     elif (fmu := archive.place(scenario.plant.fmu, scenario.directory)).is_file():
-        found["fmu_sha256"] = archive.sha256(fmu)  # the robot is elsewhere, and needs it there alone
+        found["fmu_sha256"] = archive.sha256(fmu)  # the robot runs elsewhere; only there the FMU is required
     return found
 
 
@@ -130,7 +129,7 @@ def _driver_sha256(name: str) -> str | None:
 
 
 def _sha256_of(file: object, directory: Path) -> str | None:
-    """Return the hash of a file that an option names, None where it names none, or one that is not there."""
+    """Return the hash of the file that an option names; None if it names none or the file cannot be read."""
     try:
         return hashlib.sha256((directory / file).read_bytes()).hexdigest() if isinstance(file, str) else None
     except OSError:

@@ -1,7 +1,7 @@
-"""Real time, as far as the operating system grants it. The answer to each request is a sentence.
+"""Asks the operating system for real-time behaviour: priority, processors, locked memory, exact timers.
 
-A process takes the settings for the time of a run and gives them back. A refusal does not end the run: some ticks are
-later, and the summary says why. LIMITS.md shows how to set a machine up.
+A process takes the settings for the duration of a run and restores them at the end. A refusal does not end the run:
+some ticks are later, and the summary gives the reason. LIMITS.md shows how to set a machine up.
 """
 
 import contextlib
@@ -38,13 +38,13 @@ class Setting(NamedTuple):
 
 
 class RealTime:
-    """The settings of a process while it runs in real time: ``settings`` has the answer to each request."""
+    """The real-time settings of a process during a run: ``settings`` has the answer to each request."""
 
     def __init__(self, settings: Sequence[Setting]) -> None:
         self.settings = tuple(settings)
 
     def figures(self) -> dict[str, dict[str, str]]:
-        """Return the sentences by name, under ``granted`` and ``refused``."""
+        """Return two dicts of sentences by setting, under ``granted`` and ``refused``."""
         return {
             kind: {name: sentence for name, granted, sentence in self.settings if granted is wanted}
             for kind, wanted in (("granted", True), ("refused", False))
@@ -53,9 +53,9 @@ class RealTime:
 
 @contextlib.contextmanager
 def real_time(wanted: RealtimeTable, threads: Sequence[int] = ()) -> Iterator[RealTime]:
-    """Take what is wanted and granted, for the calling thread and others of this process; give it back at the end.
+    """Request the ``wanted`` settings for the calling thread and ``threads`` (native ids); restore all at the end.
 
-    ``threads`` are native ids. Processes and threads that these start meanwhile begin with ordinary priority.
+    Processes and threads that these start meanwhile begin with ordinary priority.
     """
     every = (threading.get_native_id(), *threads)
     with contextlib.ExitStack() as undo:
@@ -78,14 +78,14 @@ def real_time(wanted: RealtimeTable, threads: Sequence[int] = ()) -> Iterator[Re
 
 
 class _RefusedError(Exception):
-    """A request was refused; the text says why, and what to do."""
+    """A request was refused; the text gives the reason and the remedy."""
 
 
 _Ask = Callable[[contextlib.ExitStack], str | None]
 
 
 def _answer(name: str, ask: _Ask, undo: contextlib.ExitStack) -> Setting | None:
-    """Make one request; None where it was not wanted. What was taken before a refusal is given back at once."""
+    """Make one request; None if it was not wanted. After a refusal, its partial changes are undone at once."""
     with contextlib.ExitStack() as attempt:
         try:
             sentence = ask(attempt)
@@ -102,7 +102,7 @@ def _refuse(_: contextlib.ExitStack) -> str:
 def _quieten_collector(undo: contextlib.ExitStack) -> str:
     """Freeze the objects that exist, so that the garbage collector skips them, and let it run rarely.
 
-    It is not switched off: a law that makes cycles would take all memory in the end.
+    It is not switched off: a law that creates reference cycles would use up all memory.
     """
     thresholds = gc.get_threshold()
     had_frozen = gc.get_freeze_count() > 0
@@ -132,13 +132,13 @@ def _tighten_timers(undo: contextlib.ExitStack) -> str:
     before_ns = prctl(_PR_GET_TIMERSLACK, 0, 0, 0, 0)
     if before_ns < 0 or prctl(_PR_SET_TIMERSLACK, _TIMER_SLACK_NS, 0, 0, 0):
         raise _RefusedError(f"timer slack: refused ({_errno_words()}); timers may be up to 50 µs late")
-    # 0 would mean the value that the thread began with.
+    # 0 would restore the thread's default value instead.
     undo.callback(prctl, _PR_SET_TIMERSLACK, before_ns or 1, 0, 0, 0)
     return f"timer slack: {_TIMER_SLACK_NS} ns"
 
 
 def _stay_awake(undo: contextlib.ExitStack) -> str:
-    """Keep the processors out of deep sleep, from which they wake slowly. It holds while the file is open."""
+    """Keep the processors out of deep sleep, from which they wake slowly, as long as the file is open."""
     if not DMA_LATENCY.exists():
         raise _RefusedError(f"idle states: this machine has no {DMA_LATENCY}, by which to forbid deep ones")
     try:
@@ -196,12 +196,12 @@ def _lock_memory(undo: contextlib.ExitStack) -> str:
     if int((_status("VmLck") or "0").split()[0]):
         return "memory: locked before already"
     limit = memory_limit_bytes()
-    # With a limit the lock might be granted now and the next allocation refused, in the middle of the run.
+    # With a limit, the lock might be granted now and a later allocation refused, in the middle of the run.
     if limit is not None and not has_capability(CAP_IPC_LOCK):
         remedy = LIMITS_REMEDY.format(item="memlock unlimited", capability="CAP_IPC_LOCK")
         raise _RefusedError(f"memory: not locked, for only {limit >> 10} KiB may be; {remedy}")
     libc = _libc()
-    # On fault: a process of much address space and little memory would else be given all of it now.
+    # On fault: otherwise all reserved address space would be filled with real memory now.
     if libc.mlockall(_MCL_CURRENT | _MCL_FUTURE | _MCL_ONFAULT):
         raise _RefusedError(f"memory: not locked ({_errno_words()}); a page that was swapped out makes a tick late")
     undo.callback(libc.munlockall)
@@ -233,12 +233,12 @@ def _restore_priority(thread: int, policy: int, param: "os.sched_param") -> None
         try:
             os.sched_setscheduler(thread, policy, param)
         except PermissionError:
-            # Only root may take back that children begin as ordinary; for a thread that is ordinary it changes nothing.
+            # Only root may clear SCHED_RESET_ON_FORK; for a thread with ordinary priority it makes no difference.
             os.sched_setscheduler(thread, policy | os.SCHED_RESET_ON_FORK, param)
 
 
 def _is_ours(thread: int) -> bool:
-    """Tell whether a thread of this process still runs; its number may by now be another process's."""
+    """Whether a thread of this process still runs; by now its id may belong to another process."""
     return Path(f"/proc/self/task/{thread}").exists()
 
 
@@ -259,12 +259,12 @@ def memory_limit_bytes() -> int | None:
 
 
 def has_capability(bit: int) -> bool:
-    """Tell whether this process has a capability of Linux in force."""
+    """Whether this process has an effective Linux capability."""
     return bool(int(_status("CapEff") or "0", 16) >> bit & 1)
 
 
 def _status(key: str) -> str | None:
-    """Return a value of /proc/self/status, None where there is none."""
+    """Return a value of /proc/self/status; None if the file or the key is missing."""
     try:
         text = Path("/proc/self/status").read_text("utf-8")
     except OSError:

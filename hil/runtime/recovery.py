@@ -1,4 +1,4 @@
-"""Bringing a robot back that was lost or stopped: reopen the link, shake hands, arm anew. One step a tick."""
+"""Recovers a robot that was lost or stopped: reopen the link, repeat the handshake, arm again. One step per tick."""
 
 import time
 from collections.abc import Callable, Sequence
@@ -11,12 +11,12 @@ from hil.wire.reopening import BackOff
 
 _GREETING_LIMIT_NS = 2_000_000_000
 _ARMING_LIMIT_NS = 4_000_000_000
-# In lockstep time stands still without the robot; by the wall clock this is how long one is waited for.
+# In lockstep robot time stands still without the robot; this is how long the host waits for it, in wall-clock time.
 _STANDSTILL_LIMIT_NS = 60_000_000_000
 
 
 class Recovered(NamedTuple):
-    """A loss that was recovered from: scenario time of the loss and of ACTIVE again [s], and the cause."""
+    """A successful recovery: scenario time of the loss and of the return to ACTIVE [s], and the cause."""
 
     lost_s: float
     armed_s: float
@@ -24,9 +24,9 @@ class Recovered(NamedTuple):
 
 
 class Warned:
-    """Passes on the warnings of a device: each once, and what is new after it came back.
+    """Passes on each warning of a device once, and again if it is new after a reconnection.
 
-    Warnings in ``said`` were passed on before.
+    ``said`` are warnings that were passed on before.
     """
 
     def __init__(self, device: Device, say: Callable[[str], None], said: Sequence[str] = ()) -> None:
@@ -35,7 +35,7 @@ class Warned:
         self._said = said
 
     def __call__(self) -> None:
-        """Pass on what is new, after the device has answered."""
+        """Pass on new warnings; call it after the device has answered."""
         warnings = tuple(self._device.warnings)
         for sentence in warnings:
             if sentence not in self._said:
@@ -44,14 +44,14 @@ class Warned:
 
 
 class Recovery:
-    """The steps back to ACTIVE, one a tick, for a loop whose time goes on meanwhile. Nothing is commanded.
+    """The steps back to ACTIVE, one per tick, while the loop's time goes on. Nothing is commanded.
 
-    A lost link is closed and opened, after 0.1 s first and twice as long each time up to 2 s, by the loop's clock. The
-    handshake is repeated, the parameters are compared again, and the robot is armed with a new nonce. When a step
-    fails, it all begins again from the link.
+    A lost link is closed and reopened after 0.1 s, then after twice as long each time, up to 2 s, by the loop's clock.
+    The handshake is repeated, the parameters are compared again, and the robot is armed with a new nonce. When a step
+    fails, recovery starts again from the link.
 
-    ``why`` is what was lost at ``lost_s`` of the scenario's time. ``warned`` is called after each handshake, before
-    the robot is armed, and at the end. Without ``arm`` the first feedback after the handshake is the end.
+    ``why`` is the error that was raised at scenario time ``lost_s``. ``warned`` is called after each handshake, before
+    the robot is armed, and at the end. Without ``arm`` recovery ends with the first feedback after the handshake.
     """
 
     def __init__(
@@ -65,7 +65,7 @@ class Recovery:
         self.problem = self.why
         self._waits = BackOff()
         self._due_ns = 0
-        self._standstill_ns: int | None = None  # wall-clock time since which time stands still
+        self._standstill_ns: int | None = None  # wall-clock time at which robot time stopped
         self._step: Callable[[], bool] = self._reopen
         self._last_step = self._arm if arm else self._hear
         device.leave()
@@ -75,9 +75,11 @@ class Recovery:
             self._step = self._begin
 
     def advance(self) -> bool:
-        """Take the step that is due; return whether the robot is ACTIVE again, or heard where it is not to arm.
+        """Take the next step if it is due; return whether recovery is complete: ACTIVE, or feedback received if ``arm``
+        is False.
 
-        Raises DeviceError when it refuses to arm or has latched FAULT or ESTOP, BadInputError when it is another robot.
+        Raises DeviceError when the robot refuses to arm or is in FAULT or ESTOP, BadInputError when it is another
+        robot.
         """
         self._standstill_ns = None
         try:
@@ -87,23 +89,24 @@ class Recovery:
             return False
 
     def begin_now(self) -> None:
-        """Lockstep: shake hands at once. No time passes until the robot's tick is known.
+        """Lockstep: repeat the handshake at once. No time passes until the robot's tick is known.
 
-        That is so after a lost link too: what carries STEP is still there, or it would have failed itself.
+        This also holds after a lost link: the link that carries STEP still works, otherwise STEP itself would have
+        failed.
         """
         self._step = self._begin
         self.advance()
 
     def fail(self, error: HilError) -> None:
-        """Begin again from the link."""
+        """Start again from the link."""
         self.problem = str(error)
         self._device.leave()
         self._back_off()
 
     def revive(self) -> None:
-        """Lockstep: bring back, by the wall clock, a robot without which time stands still.
+        """Lockstep: bring the robot back in wall-clock time, because without it robot time stands still.
 
-        Raises LinkError when that takes more than 60 s.
+        Raises LinkError after 60 s.
         """
         if self._standstill_ns is None:
             self._standstill_ns = time.monotonic_ns()
@@ -145,7 +148,7 @@ class Recovery:
 
     def _arm(self) -> bool:
         if self._device.armed():
-            self._warned()  # by now the cause of its reset is known
+            self._warned()  # the cause of its reset is known only now
             return True
         if self._clock.now_ns() > self._due_ns:
             raise RobotStoppedError(self._device.why_not_active())

@@ -1,4 +1,4 @@
-"""The figures of a run that is over, and the end of its recording."""
+"""Computes the figures of a finished run, and finishes its recording."""
 
 import math
 from typing import Any
@@ -27,7 +27,7 @@ _NO_VALUE = {
 def run_figures(
     scenario: Scenario, bench: Bench, memory: MemorySink, loop: Loop, report: Report, outcomes: list[dict[str, Any]]
 ) -> dict[str, Any]:
-    """Return the figures of a run by name; ``outcomes`` are those of its expectations."""
+    """Return the figures of a run by name; ``outcomes`` are the figures of its expectations."""
     failure, duration_s = report.failure, scenario.loop.duration_s
     figures, reasons = memory.figures(cut_words(loop.t_s, duration_s) if is_cut(scenario, loop, report) else None)
     applied: list[dict[str, Any]] = [
@@ -36,7 +36,8 @@ def run_figures(
         for row, count in zip(scenario.fault, bench.faults.applied(), strict=True)
     ]
     allow = allow_figures(scenario.allow, report.counted, report.ticks)
-    # A fault that never happened proves nothing, nor does a run whose law gave no number, so that the robot was held.
+    # A fault that was never applied proves nothing. Nor does a run whose law gave NaN, because the robot was then
+    # stopped.
     judged = (*(row["passed"] for row in (*outcomes, *allow)), *(row["applied"] for row in applied))
     if not report.ticks:
         reasons["realtime_factor"] = "the run has no ticks"
@@ -53,7 +54,7 @@ def run_figures(
         "seed": scenario.loop.seed,
         **figures,
         "lateness_us": loop.lateness.figures(),
-        "deadline_misses": report.deadline_misses,  # the rows do not know of those after the last one
+        "deadline_misses": report.deadline_misses,  # the rows miss those after the last row
         "realtime_factor": report.robot_s / report.wall_s if report.ticks else None,
         "frames": {"sent": device.sent, "received": device.received, "rejected": device.rejected()},
         "link_statistics": _link_statistics(bench, memory.feedback_age_ms()),
@@ -74,12 +75,12 @@ def run_figures(
 
 
 def is_cut(scenario: Scenario, loop: Loop, report: Report) -> bool:
-    """Tell whether a run ended before it should have."""
+    """Whether a run ended before its planned duration."""
     return report.failure is not None and loop.t_s < scenario.loop.duration_s - 2.0 / scenario.loop.rate_hz
 
 
 def _link_statistics(bench: Bench, age_ms: Percentiles | None) -> dict[str, Any]:
-    """Return what became of the link (hil/wire/STATISTICS.md); for a figure that is None, ``reasons`` tells why."""
+    """Return the figures of the link (hil/wire/STATISTICS.md); ``reasons`` explains each that is None."""
     device, wire = bench.device, bench.wire
     rejected = device.rejected()
     counted = wire.counts_frames
@@ -101,9 +102,9 @@ def _link_statistics(bench: Bench, age_ms: Percentiles | None) -> dict[str, Any]
 
 
 def close_recording(recording: RunRecording, t_s: float, metrics: dict[str, Any], *, keep_live: bool) -> None:
-    """Finish the recording at ``t_s`` with the figures in it, and say in them what became of it.
+    """Finish the recording at ``t_s`` with the figures in it, and add the recorder's report to the figures.
 
-    The event log gets what is only known now; what happened during the run is in it already.
+    The event log gets what is known only at the end; events of the run are in it already.
     """
     for row in metrics["fault"]:
         recording.event(t_s, "info" if row["applied"] else "error", f"fault: {applied_words(row)}")

@@ -1,4 +1,4 @@
-"""What the robot of a scenario is made of: its firmware or motor controllers, its plant, its wiring, its protocol."""
+"""Makes the parts of a scenario's robot: its firmware or motor controllers, plant, wiring and protocol."""
 
 import functools
 from collections.abc import Collection, Mapping
@@ -30,7 +30,7 @@ _NS = 1_000_000_000
 def firmware_values(scenario: Scenario) -> dict[str, float]:
     """Return the firmware's parameters by the names of its own table.
 
-    Raises BadInputError when the host library is not that of the sources beside it, and cannot be built anew.
+    Raises BadInputError when the host library does not match its sources and cannot be rebuilt.
     """
     robot = scenario.robot
     size = {name: getattr(robot, name) for name in ("wheel_radius_m", "half_length_m", "half_width_m")}
@@ -42,9 +42,10 @@ def firmware_values(scenario: Scenario) -> dict[str, float]:
 
 
 def plant_start(scenario: Scenario, known: Collection[str]) -> dict[str, StartValue]:
-    """Return the FMU's start values: what [robot] and [firmware] say, and over them what [plant.start] says.
+    """Return the FMU's start values: those of [robot] and [firmware], overridden by [plant.start].
 
-    Of the former only what is ``known``, the names of the FMU's parameters: a foreign FMU may have none of them.
+    ``known`` are the names of the FMU's parameters; values of [robot] and [firmware] for other names are left out,
+    because a foreign FMU may lack them.
     """
     robot, firmware, start = scenario.robot, scenario.firmware, scenario.plant.start
     gear_ratio = start.get("gear_ratio")
@@ -67,13 +68,13 @@ def plant_start(scenario: Scenario, known: Collection[str]) -> dict[str, StartVa
 
 
 def check_plant_start(scenario: Scenario) -> None:
-    """Raise BadInputError for start values that the scenario's FMU refuses, without opening it."""
+    """Raise BadInputError if the scenario's FMU rejects the start values; the FMU is not opened."""
     fmu = archive.locate(scenario.plant.fmu, scenario.directory)
     check_start(fmu, plant_start(scenario, parameter_names(fmu)))
 
 
 def signal_map(scenario: Scenario) -> SignalMap:
-    """Return [plant.map], with what the signals that the FMU lacks follow from."""
+    """Return [plant.map], with the constants that replace signals the FMU lacks."""
     firmware = scenario.firmware
     return SignalMap(
         {signal: Row(row.name, row.scale, row.offset, row.sign) for signal, row in scenario.plant.map.items()},
@@ -83,9 +84,9 @@ def signal_map(scenario: Scenario) -> SignalMap:
 
 
 def start_pose(scenario: Scenario) -> Pose | None:
-    """Return where the scenario says that the robot starts.
+    """Return the start pose that the scenario gives.
 
-    None when it does not say: where a foreign FMU starts only that knows.
+    None if it gives none: a foreign FMU's own start pose is known only to the FMU.
     """
     given = [scenario.plant.start.get(f"start_{name}") for name in Pose._fields]
     if scenario.plant.fmu in SHIPPED_FMUS:
@@ -95,7 +96,7 @@ def start_pose(scenario: Scenario) -> Pose | None:
 
 
 def virtual_robot(scenario: Scenario) -> VirtualRobot:
-    """Return what the scenario's virtual robot is made of. Raises BadInputError when its FMU is missing or none."""
+    """Return the parts of the scenario's virtual robot. Raises BadInputError when its FMU is missing or not an FMU."""
     fmu = archive.locate(scenario.plant.fmu, scenario.directory)
     known = parameter_names(fmu)
     start = plant_start(scenario, known)
@@ -109,7 +110,7 @@ def virtual_robot(scenario: Scenario) -> VirtualRobot:
 
 
 def _body(scenario: Scenario, start: Mapping[str, StartValue], known: Collection[str]) -> Body:
-    """Return what faults have to know of the robot as it is in the plant."""
+    """Return what faults need to know about the robot as the plant has it."""
     robot = scenario.robot
     given = (start.get("half_length_m", robot.half_length_m), start.get("half_width_m", robot.half_width_m))
     half_length_m, half_width_m = (float(length) for length in given)
@@ -118,43 +119,43 @@ def _body(scenario: Scenario, start: Mapping[str, StartValue], known: Collection
 
 
 def wheel_map(device: DeviceTable) -> WheelMap:
-    """Return how the robot is wired."""
+    """Return which wheel is on which channel, and which are reversed."""
     return WheelMap(device.wheels, device.reversed)
 
 
 def protocol_of(device: DeviceTable) -> LinkProtocol:
-    """Return what is spoken on the robot's link."""
+    """Return the protocol of the robot's link."""
     return LinkProtocol(dialect(device.driver).make_framing) if device.is_makers else WHEEL_DBC
 
 
 def node_maker(device: DeviceTable) -> MakeNode:
-    """Return what makes the firmware of a virtual robot, or its motor controllers."""
+    """Return a function that makes a virtual robot's firmware, or its motor controllers."""
     return functools.partial(emulated(device.driver), device.settings) if device.is_makers else HostNode
 
 
 def link_of(scenario: Scenario) -> LinkUrl:
-    """Return the scenario's link, a serial one of which it says no rate at that of the robot's motors."""
+    """Return the scenario's link; a serial URL without a bit rate gets the one of the robot's motor controllers."""
     baud = dialect(scenario.device.driver).baud if scenario.device.is_makers else None
     return parse_link(scenario.link.url, baud=baud or DEFAULT_BAUD)
 
 
 def needed_truth(estimator: EstimatorOptions) -> str | None:
-    """Return the setting that needs the true pose; None where it is not needed."""
+    """Return the setting that needs the true pose; None if none does."""
     if estimator.source == "fused" and estimator.fix == "simulated":
         return 'estimator.fix = "simulated"'
     return 'estimator.source = "truth"' if estimator.source == "truth" else None
 
 
 def no_lockstep(driver: str) -> BadInputError:
-    """Return the refusal of lockstep with makers' motors in another process."""
+    """Return the error for lockstep with third-party motor controllers in another process."""
     return BadInputError(
-        f"the protocol of {driver!r} has no STEP, so that nobody can let its time pass from outside; "
+        f"the protocol of {driver!r} has no STEP, so that its time cannot be advanced from outside; "
         "add --mode realtime, or run it within one process with --link memory:"
     )
 
 
 def open_trace(scenario: Scenario, path: Path, existing: Existing = "refuse") -> Trace:
-    """Start writing a trace of the scenario's link; ``existing`` and what is raised are those of ``Trace``."""
+    """Start a trace of the scenario's link; ``existing`` and the errors raised are those of ``Trace``."""
     url = link_of(scenario)
     blocking, fd = scenario.loop.mode == "lockstep", url.wire == "can_fd"
     return Trace(path, blocking=blocking, fd=fd, switched=url.is_switched, existing=existing)

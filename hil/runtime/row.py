@@ -13,11 +13,13 @@ from hil.wire.statistics import LinkStatistics
 
 _NO_STATE = State(NAN_POSE, Twist(NAN, NAN, NAN))
 _NO_FEEDBACK = (NAN, NAN, NAN, NAN, NAN_WHEELS, NAN_WHEELS, NAN_WHEELS, (NAN, NAN, NAN), NAN)
-_REJECTED_EVERY = 100  # ticks; the sum over all causes is too dear for each of them
+_REJECTED_EVERY = 100  # ticks; the sum over all causes is too slow for every tick
 
 
 class RowWriter:
-    """Puts one row a tick into sinks: the values of ``SIGNALS`` in their order, then what each of ``extra`` has."""
+    """Puts one row per tick into sinks: the values of ``SIGNALS`` in their order, then the signals of each of
+    ``extra``.
+    """
 
     def __init__(
         self,
@@ -51,10 +53,10 @@ class RowWriter:
         estimator: EstimatorSignals,
         is_held: bool,
     ) -> None:
-        """Write the row of a tick: what it rests on, and what came of it.
+        """Write the row of a tick: its inputs and its results.
 
-        ``silent_ns`` is how long ``feedback`` has been the newest. ``feedback`` is None after a loss, ``fix`` and
-        ``state`` are None where nothing is known. ``is_held`` says that the law was not asked.
+        ``silent_ns`` is the time since new feedback last came. ``feedback`` is None after a loss; ``fix`` and ``state``
+        are None if unknown. ``is_held``: the law was not called.
         """
         device, wire = self._device, self._wire
         if tick.tick % _REJECTED_EVERY == 0:
@@ -72,8 +74,8 @@ class RowWriter:
             feedback if feedback is not None else _NO_FEEDBACK
         )
         battery_v, battery_a, temperature_degc = device.report.health
-        # The order of hil.core.signals.Sample, which tests/test_row.py holds it to. One named tuple for each group, by
-        # name, was measured: 8 µs a row where this takes 1, of a tick of 30.
+        # The order of hil.core.signals.Sample; tests/test_row.py checks it. Named tuples per group were measured at 8
+        # µs a row where this takes 1, in a tick of 30.
         row = [
             *tick,
             *reference.pose,

@@ -1,4 +1,4 @@
-"""The loop's times: when a tick samples, when what it sampled has arrived, and the truth at each sampling instant."""
+"""The loop's times: when a tick samples, when its samples have arrived, and the truth at each sampling instant."""
 
 from collections import deque
 from typing import NamedTuple
@@ -11,7 +11,7 @@ from hil.robot.port import Device
 class Timing(NamedTuple):
     """The loop's times [ns]. The latencies are those of the scenario's ``[link]``.
 
-    ``stale_ns`` is the greatest age of feedback or truth by which the robot is driven.
+    ``stale_ns`` is the greatest age of feedback or truth at which the robot is still driven.
     """
 
     period_ns: int
@@ -21,14 +21,16 @@ class Timing(NamedTuple):
 
     @property
     def latency_s(self) -> float:
-        """From the sampling instant to the first firmware tick that uses the command [s], but for the line's own."""
+        """Time from the sampling instant to the first firmware tick that uses the command [s], without the line's own
+        delay.
+        """
         return (self.command_latency_ns + self.feedback_latency_ns) * 1e-9
 
 
 class Sampling:
     """Waits for the ticks of a run, and keeps the truth of each sampling instant until its tick.
 
-    Tick ``number`` samples ``number`` periods after ``begin``, and is computed a feedback latency later.
+    Tick ``number`` samples ``number`` periods after ``begin``, and is computed one feedback latency later.
     """
 
     def __init__(self, clock: Clock, device: Device, truth: PoseSource | None, timing: Timing) -> None:
@@ -49,9 +51,10 @@ class Sampling:
         return -self._late_periods
 
     def wait(self, number: int) -> int:
-        """Wait until what was sampled at the tick's instant has arrived; return the lateness [ns].
+        """Wait until the samples of the tick's instant have arrived; return the lateness [ns].
 
-        Raises LinkError or RobotStoppedError where robot time stands still without the robot.
+        Raises LinkError or RobotStoppedError when robot time stands still because the robot is lost or stopped
+        (lockstep).
         """
         instant = number + self._late_periods
         late_ns = self._device.wait_until(self._origin_ns + instant * self._period_ns)
@@ -65,7 +68,7 @@ class Sampling:
         return late_ns
 
     def fix_of(self, number: int) -> PoseFix | None:
-        """Return the truth of the tick's sampling instant, or of the last one before it when ticks were skipped."""
+        """Return the truth of the tick's sampling instant; when ticks were skipped, the last one before it."""
         while self._fixes and self._fixes[0][0] <= number:
             self._fix = self._fixes.popleft()[1]
         return self._fix

@@ -1,7 +1,8 @@
-"""Faults of the signals of a tick: bias, override and reset, each where its signal enters.
+"""Faults of the signals of a tick: bias, override and reset, each applied where its signal is produced.
 
-Sensors act before the estimator, the reference before the law, commands before the guard, so that everything behind
-sees them and nothing gets round the guard. A signal that nothing reads changes what is recorded and judged.
+Sensor faults act before the estimator, reference faults before the law, command faults before the guard: all later
+stages see them, and the guard limits them. A fault of a signal that nothing reads changes only the recording and the
+judging.
 """
 
 import random
@@ -36,10 +37,10 @@ class _Fault:
         make = find(row.kind, row.target).on_signal
         self._effect = None if make is None else make(row, chance)
         self.applied = 0
-        self.is_over = False  # a reset has ended it
+        self.is_over = False  # ended by a reset
 
     def changed(self, value: float, t_ns: int) -> float:
-        """Return what a value becomes while the row is in force."""
+        """Return the value with the fault applied."""
         assert self._effect is not None, "a kind of signal that happens in a window"
         new = self._effect(value, t_ns)
         self.applied += new != value and not (new != new and value != value)
@@ -47,7 +48,7 @@ class _Fault:
 
 
 def _place(signal: str, names: Sequence[str]) -> tuple[str, int]:
-    """Return the group of signals that a signal of the run is faulted with, and its place in the group."""
+    """Return the group in which a signal is faulted, and its index in that group."""
     group, *wheel, name = signal.split(".")
     if wheel and name in _PER_WHEEL:
         return _PER_WHEEL[name], WHEEL_NAMES.index(wheel[0])
@@ -63,7 +64,7 @@ def _place(signal: str, names: Sequence[str]) -> tuple[str, int]:
 
 
 def can_hold(row: FaultRow) -> bool:
-    """Tell whether a fault of any kind can keep a tick from being driven: it takes feedback, state or robot away."""
+    """Whether a fault can keep a tick from being driven: it cuts off feedback, state or robot."""
     kind = find(row.kind, row.target)
     return kind.explains and (kind.acts_on != "signal" or _place(row.target, (row.target,))[0] in _MAKES_THE_STATE)
 
@@ -72,10 +73,10 @@ Made = TypeVar("Made")
 
 
 class SignalFaults:
-    """The faults of a run that act on signals. ``at`` begins a tick; then each group is passed through once.
+    """The faults of a run that act on signals. ``at`` begins a tick; then each method is called once with its group.
 
-    Rows act in the order of the scenario, each on what the one before it made of the value. ``names`` are the signals
-    of the run, ``seed`` that of its chance.
+    Rows act in the order of the scenario, each on the result of the one before. ``names`` are the names of the run's
+    signals; ``seed`` is that of the random faults.
     """
 
     def __init__(self, rows: Sequence[FaultRow], names: Sequence[str] = SIGNAL_NAMES, seed: int = 1) -> None:
@@ -93,7 +94,7 @@ class SignalFaults:
         return [fault.applied for fault in self._faults]
 
     def at(self, t_ns: int) -> None:
-        """Begin the tick of this time."""
+        """Begin the tick at this time."""
         self._t_ns = t_ns
         while self._resets and self._resets[0].row.start_ns <= t_ns:
             reset = self._resets.pop(0)
@@ -105,7 +106,7 @@ class SignalFaults:
                 fault.is_over = True
 
     def feedback(self, feedback: Feedback) -> Feedback:
-        """Return the feedback with what acts on it: before anything is made of it."""
+        """Return the feedback with its faults, before anything is computed from it."""
         if not any(group in self._groups for group in _FEEDBACK):
             return feedback
         numbers = (
@@ -118,7 +119,7 @@ class SignalFaults:
         time_s, state, age_ms, yaw_rate_rad_s, *acceleration = self._passed("robot", numbers, list)
         forward, left, up = acceleration
         return feedback._replace(
-            # Untouched it stays exact: a double has no room for its nanoseconds.
+            # An unchanged time stays an exact integer: a double cannot hold its nanoseconds.
             robot_time_ns=feedback.robot_time_ns if time_s == numbers[0] else round(time_s * _NS),
             state=RobotState(int(state)),
             command_age_ms=round(age_ms),
@@ -129,27 +130,27 @@ class SignalFaults:
         )
 
     def truth(self, fix: PoseFix | None) -> PoseFix | None:
-        """Return the truth with what acts on it."""
+        """Return the truth with its faults."""
         if fix is None or "truth" not in self._groups:
             return fix
         return fix._replace(pose=self._passed("truth", fix.pose, Pose._make))
 
     def state(self, state: State | None) -> State | None:
-        """Return what the estimator says, as the law hears it."""
+        """Return the estimated state with its faults, as input of the law."""
         if state is None or "pose" not in self._groups:
             return state
         numbers = self._passed("pose", (*state.pose, *state.twist), list)
         return State(Pose._make(numbers[:3]), Twist._make(numbers[3:]))
 
     def reference(self, reference: Reference) -> Reference:
-        """Return the reference as the law hears it."""
+        """Return the reference with its faults, as input of the law."""
         if "reference" not in self._groups:
             return reference
         numbers = self._passed("reference", (*reference.pose, *reference.twist, *reference.acceleration), list)
         return Reference(Pose._make(numbers[:3]), Twist._make(numbers[3:6]), Acceleration._make(numbers[6:]))
 
     def command(self, command: WheelCommand) -> WheelCommand:
-        """Return what the law says, as the guard hears it."""
+        """Return the law's command with its faults, as input of the guard."""
         if "speed_command" not in self._groups and "torque_command" not in self._groups:
             return command
         return command._replace(
@@ -158,7 +159,7 @@ class SignalFaults:
         )
 
     def recorded(self, row: tuple[float, ...]) -> tuple[float, ...]:
-        """Return the row of the tick, with what acts on signals that nothing reads."""
+        """Return the row with the faults of signals that nothing reads."""
         return self._passed("recorded", row, tuple) if "recorded" in self._groups else row
 
     def _passed(self, group: str, numbers: Sequence[float], make: Callable[[list[float]], Made]) -> Made:

@@ -1,4 +1,4 @@
-"""One tick: sense, estimate, control, guard, command, and write the row. Its caller decides when it is due."""
+"""One tick: sense, estimate, control, guard, command, and write the row. The caller decides when it is due."""
 
 from collections.abc import Callable, Sequence
 from math import dist, isfinite
@@ -32,12 +32,12 @@ from hil.wire.statistics import LinkStatistics
 
 
 class TickParts(NamedTuple):
-    """What a tick is made of.
+    """The parts that a tick uses.
 
     Attributes:
-        note: takes lines of the event log, such as losses.
-        robot_failure: returns what ended the robot in this process, or None.
-        extra: who has signals that are recorded behind those of ``hil.core.signals``.
+        note: writes a line of the event log, such as a loss.
+        robot_failure: returns the error that ended the robot in this process, or None.
+        extra: parts with signals of their own, recorded after those of ``hil.core.signals``.
     """
 
     clock: Clock
@@ -67,16 +67,16 @@ _Asked = tuple[State, float, bool]
 class Tick:
     """Does one tick after another, and writes a row for each.
 
-    A tick is ``sense`` and then ``drive``, or ``record_away`` for a robot that is not to be driven or not there.
+    A tick is ``sense`` and then ``drive``; for a robot that must not be driven or is not connected, ``record_away``.
 
-    The law is given the latency: in lockstep that of the scenario's ``[link]``, without that of faults; in real time
-    the measured one, which includes faults.
+    The law is given the latency: in lockstep the scenario's ``[link]`` latencies, without faults; in real time the
+    measured one, which includes faults.
 
     Attributes:
         count: ticks that have a row.
-        is_stale: whether the last tick held the robot at rest because its feedback was too old, or the truth that the
-            state is made of. In TORQUE mode it is braked by its wheel speeds. While these are old too, no torque holds
-            it, and it coasts.
+        is_stale: whether the last tick stopped the robot because its feedback, or the truth used by the state estimate,
+            was too old. In TORQUE mode the robot is braked by its wheel speeds; when these are too old as well, no
+            torque is commanded and it coasts.
     """
 
     def __init__(self, parts: TickParts, mode: CommandMode, timing: Timing) -> None:
@@ -90,15 +90,15 @@ class Tick:
         self._nothing = WheelCommand(mode, NAN_WHEELS, NAN_WHEELS)
         self._latency = CommandLatency(timing.latency_s, timing.stale_ns)
         self._applied = Applied(self._rest, False, timing.latency_s)
-        self._before: int | None = None  # the law's last tick; None before it begins, or begins anew
+        self._before: int | None = None  # the law's last tick; None before its first and before a reset
         self.count = 0
         self.is_stale = False
 
     def sense(self, t_s: float, fix: PoseFix | None, active: bool = True) -> Sensed:
-        """Take what has arrived and estimate; ``fix`` is the truth of the sampling instant.
+        """Read the newest feedback and update the estimate; ``fix`` is the truth of the sampling instant.
 
         Raises RobotStoppedError or DeviceError for a robot that is not ACTIVE, LinkError for one that is lost. Without
-        ``active`` it may be in any state, and RobotStoppedError means that it was reset.
+        ``active`` any state is allowed, and RobotStoppedError means that the robot was reset.
         """
         fixes = self._fixes
         feedback = self._freshness.poll(t_s, fix if self._uses_truth else None, active)
@@ -106,25 +106,25 @@ class Tick:
         return feedback, self._estimator.update(feedback, fix, measured)
 
     def drive(self, now: LoopSignals, fix: PoseFix | None, sensed: Sensed, reference: Reference) -> None:
-        """Ask the law, guard and send its command, and write the row. Raises LinkError when the link is lost."""
+        """Call the law, guard and send its command, and write the row. Raises LinkError when the link is lost."""
         feedback, state = sensed
         faults, status, tick = self._faults, self._estimator.status, now.tick
         if faults is not None:
             state, reference = faults.state(state), faults.reference(reference)
         if state is not None:
             pose, twist = state
-            if not isfinite(dist(pose, twist)):  # one call for all six: a distance between what is no number is none
-                state = None  # a law that integrates it would give no number for ever
+            if not isfinite(dist(pose, twist)):  # one call checks all six numbers
+                state = None  # a law that integrates it would return NaN from then on
         self.is_stale = is_stale = self._freshness.is_stale or (not self._is_lockstep and self._freshness.has_aged())
         if state is None or status.health == LOST or is_stale:
             asked = None
             measured = None if self._freshness.is_silent() else feedback.speed_rad_s
             command, saturated = self._parts.brake.command(measured)
-            self._before = None  # after a hold the law begins anew: what it has integrated is out of date
+            self._before = None  # the law is reset after a stop: its integrated state is out of date
         else:
             before = self._before
             if before is not None and (tick - before) * self._period_ns > self._timing.stale_ns:
-                before = None  # nothing was commanded for so long: the law must not integrate over it
+                before = None  # no command for so long: the law must not integrate over the gap
             begins = before is None
             if before is None:
                 self._controller.reset(state, reference)
@@ -159,7 +159,7 @@ class Tick:
     def record_away(
         self, now: LoopSignals, fix: PoseFix | None, reference: Reference, state: State | None = None
     ) -> None:
-        """Write the row of a tick in which nothing is commanded, with what is heard of the robot, if anything."""
+        """Write the row of a tick in which nothing is commanded, with the newest feedback, if any."""
         parts = self._parts
         self.is_stale = False
         if parts.shadows is not None:
@@ -182,33 +182,35 @@ class Tick:
 
     @property
     def parts(self) -> TickParts:
-        """What the ticks are made of."""
+        """The parts that the ticks use."""
         return self._parts
 
     @property
     def is_held(self) -> bool:
-        """Whether the last tick held the robot at rest, or only recorded it."""
+        """Whether the last tick did not call the law: the robot was stopped, or only recorded."""
         return self._before is None
 
     @property
     def feedback_age_ms(self) -> float:
-        """Age of the newest feedback at the last tick: since it arrived, and the link's latency."""
+        """Age of the newest feedback at the last tick: time since it arrived, plus the link's feedback latency."""
         return (self._freshness.silent_ns + self._timing.feedback_latency_ns) * 1e-6
 
     def keep_armed(self) -> None:
-        """Command zeros while no feedback is here yet; no row is written. Raises as ``sense``."""
+        """Command zeros before the first feedback arrives; no row is written. Raises LinkError when the link is
+        lost.
+        """
         self._parts.device.poll()
         self._parts.device.send(self._rest)
 
     def begin(self) -> None:
-        """Let the law begin anew with a robot that has just become ACTIVE."""
+        """Reset the law for a robot that has just become ACTIVE."""
         self._before = None
         self._heed_limits()
         self._latency.restart()
         self._applied = Applied(self._rest, False, self._latency.s)
 
     def restart(self) -> None:
-        """Begin anew with a robot that was lost or stopped and is heard again."""
+        """Start again with a robot that was lost or stopped and answers again."""
         self.begin()
         was_reset = self._freshness.restart()
         if was_reset or not self._device.keeps_counts:
@@ -217,23 +219,23 @@ class Tick:
             self._fixes.restart()
 
     def use(self, parts: TickParts) -> None:
-        """Go on with other laws."""
+        """Continue with other laws."""
         self._take(parts)
         self._rows = self._make_rows()
         self._before = None
 
     def raise_robot_failure(self) -> None:
-        """Raise what ended a robot in this process: one whose plant has failed cannot come back."""
+        """Raise the error that ended a robot in this process: after a plant failure it cannot come back."""
         if (failure := self._parts.robot_failure()) is not None:
             raise failure
 
     def skip_fixes(self) -> None:
-        """Drop the pose fixes of this tick, which are of no use without the robot."""
+        """Drop the pose fixes of this tick, which cannot be used without the robot."""
         if self._parts.fixes is not None:
             self._parts.fixes.skip()
 
     def pose_fixes(self) -> dict[str, Any] | None:
-        """Return where pose fixes were lost, from the source to the filter; None where none are taken."""
+        """Return the counts of pose fixes, from the source to the filter; None if none are used."""
         fixes = self._parts.fixes
         return None if fixes is None else {**fixes.figures(), **self._parts.estimator.fix_figures()}
 
@@ -246,7 +248,7 @@ class Tick:
         self._heed_limits()
 
     def _heed_limits(self) -> None:
-        """Limit commands to the wheel speed that the robot accepts; it may be another one than before."""
+        """Limit commands to the wheel speed that the robot accepts; after a reconnection it may be another robot."""
         limit_rad_s = self._device.speed_limit_rad_s
         self._guard.heed(limit_rad_s)
         if self._shadows is not None:
@@ -269,7 +271,7 @@ class Tick:
     def _measure_latency(self, sequence: int, feedback: Feedback) -> None:
         """Real time: note the age of the state behind this command, and when the command now in force took effect.
 
-        A state that is made of the truth is as old as that, any other as the feedback.
+        The state is as old as the truth if the estimate uses it, otherwise as old as the feedback.
         """
         truth_ns = self._freshness.truth_ns
         self._latency.acted(feedback.command_sequence, feedback.robot_time_ns, feedback.command_age_ms)

@@ -8,7 +8,7 @@ from hil.judge.expectations import TickCount
 from hil.runtime.sampling import Timing
 from hil.runtime.signal_faults import can_hold
 
-_LATE_KINDS = ("delay", "jitter")  # their value is a time for which frames are still on their way after the window
+_LATE_KINDS = ("delay", "jitter")  # their value is a time [s] by which frames may arrive after the window
 
 
 class Undriven:
