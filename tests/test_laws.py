@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 
 from hil.core.errors import BadInputError
 from hil.core.guard import Guard
+from hil.core.options import build
 from hil.core.types import (
     ZERO_WHEELS,
     Acceleration,
@@ -169,17 +170,17 @@ def test_computed_torque_refuses_speed_commands():
 @pytest.mark.parametrize(
     ("name", "options", "message"),
     [
-        ("computed_torque", {"damping": 0.0}, "damping = 0.0: expected a finite number, more than zero"),
-        ("pid", {"ki_1_s2": -1.0}, "ki_1_s2 = -1.0: expected a finite number, zero or more"),
-        ("lqi", {"speed_error_1_s2": 0.0}, "speed_error_1_s2 = 0.0: expected a finite number, more than zero"),
-        ("dsc_eso", {"observer_rad_s": -1.0}, "observer_rad_s = -1.0: expected a finite number, more than zero"),
-        ("afdsc_eso", {"error_range_m": 0.0}, "error_range_m = 0.0: expected a finite number, more than zero"),
-        ("afdsc_eso", {"filter_s": 0.0}, "filter_s = 0.0: expected a finite number, more than zero"),
+        ("computed_torque", {"damping": 0.0}, "damping = 0.0; expected a number greater than 0"),
+        ("pid", {"ki_1_s2": -1.0}, "ki_1_s2 = -1.0; expected a number of at least 0"),
+        ("lqi", {"speed_error_1_s2": 0.0}, "speed_error_1_s2 = 0.0; expected a number greater than 0"),
+        ("dsc_eso", {"observer_rad_s": -1.0}, "observer_rad_s = -1.0; expected a number greater than 0"),
+        ("afdsc_eso", {"error_range_m": 0.0}, "error_range_m = 0.0; expected a number greater than 0"),
+        ("afdsc_eso", {"filter_s": 0.0}, "filter_s = 0.0; expected a number greater than 0"),
     ],
 )
 def test_options_out_of_range(name, options, message):
-    with pytest.raises(ValueError, match=message):
-        SHIPPED[name].Options(**options)
+    with pytest.raises(BadInputError, match=f"controller.gains.{message}"):
+        build(SHIPPED[name].Options, options, "controller.gains")
 
 
 # ---------------------------------------------------------------------------------------------------- one by one

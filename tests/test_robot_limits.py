@@ -61,4 +61,4 @@ def test_a_jog_keeps_within_what_the_robot_takes():
     said: list[str] = []
     jogged = turn_wheel(scenario, "fl", 3.0, 1.2, said.append)
     assert jogged.asked_rad == pytest.approx(1.671875 * 0.7)
-    assert said[-1] == "the wheel is turned with 1.672 rad/s, the limit, and not with 3"
+    assert said[-1] == "the wheel turns at 1.672 rad/s, the limit, and not at 3"
