@@ -1,7 +1,7 @@
-"""The views that a recording ships with: the whole run in review, the last ten seconds when live.
+"""The rerun blueprint of a recording: the views that the viewer opens. In review they show the whole run, live 10 s.
 
-Tabs: the robot with its errors first, then wheels, law, link and loop, sensors, and the run in words. A view of which
-the run has no signal is left out.
+Tabs: the robot with its errors first, then wheels, law, link and loop, sensors, and the run in words. A view is left
+out if the run has none of its signals.
 """
 
 from collections.abc import Mapping, Sequence
@@ -52,7 +52,7 @@ def blueprint(
 
 
 def _column_pair(name: str, views: Sequence[Part | None]) -> Part | None:
-    """Put the views that there are into two columns, read row by row; None when there is none."""
+    """Put the views that are not None into two columns, filled row by row; return None when there is none."""
     there = _there(*views)
     columns = [rrb.Vertical(*one) for one in (there[::2], there[1::2]) if one]
     return rrb.Horizontal(*columns, name=name) if columns else None
@@ -75,7 +75,7 @@ class _Views:
     def plot(
         self, name: str, *paths: str, limits: bool = True, y_range: tuple[float, float] | None = None
     ) -> rrb.TimeSeriesView | None:
-        """Return a plot of the entities that the run has of these, with their limits or without; None for none."""
+        """Return a plot of those ``paths`` that the run has, by default with their limits; None if it has none."""
         shown = [path for path in paths if path in self._paths]
         if not shown:
             return None
@@ -89,7 +89,7 @@ class _Views:
         )
 
     def robot(self, shape: RobotShape | None) -> Part:
-        """The tab that says most: the robot, its path, its errors, its wheels and its states."""
+        """Return the first tab: the robot, its path, its errors, its wheels and its states."""
         spaces = [self.plan()] if shape is None else [self.scene(shape), self.plan()]
         errors = (
             self.plot("Position error: truth minus reference [m]", _POSITION_ERROR, limits=False),

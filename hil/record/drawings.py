@@ -1,7 +1,7 @@
 """What the viewer draws of a run besides its signals: trails of the robot, and the robot itself in 3D.
 
-Trails are those of reference, estimate and truth, on the floor of the 3D scene and in the plan: a segment for each
-time, so a view shows as much of one as its range of time covers.
+The reference, the estimate and the truth each leave a trail on the floor of the 3D scene and in the plan. A trail has
+one segment for each time, so a view shows the part that its time range covers.
 """
 
 import tempfile
@@ -42,7 +42,7 @@ def indexes(times: Times) -> list[rr.TimeColumn]:
 
 
 class RowTimes:
-    """Returns time and tick of rows; the last finite one, also of earlier calls, replaces one that is not finite."""
+    """Returns time and tick of each row; a value that is not finite becomes the last finite one of any call."""
 
     def __init__(self, column: Mapping[str, int]) -> None:
         self._columns = [column["loop.t_s"], column["loop.tick"]]
@@ -123,7 +123,7 @@ class Trails:
         self._rerun.log(f"{PLAN}/axes", axes, static=True)
 
     def rows(self, rows: Rows, times: Times) -> None:
-        """Draw what rows of shape (n, signals) add."""
+        """Draw rows of shape (n, signals)."""
         keep = self._decimator.keep(times[:, 0])
         if not len(keep):
             return
@@ -169,8 +169,8 @@ _ABOVE_WHEEL = 2.15
 class Scene:
     """Draws the robot at 50 Hz; wheel angles are the integral of the wheel speeds at full rate.
 
-    The force of a wheel is F = Hᵀ τ / r (``hil.core.kinematics``), with τ of this wheel alone by its motor current: the
-    four arrows add up to the force on the body.
+    The force of a wheel is F = Hᵀ τ / r (``hil.core.kinematics``), where τ is the torque of this wheel alone, by its
+    motor current. So the four arrows add up to the force on the body.
     """
 
     def __init__(
@@ -209,7 +209,7 @@ class Scene:
         self._rerun.log(f"{SCENE}/reference", reference, static=True)
 
     def rows(self, rows: Rows, times: Times) -> None:
-        """Draw what rows of shape (n, signals) add."""
+        """Draw rows of shape (n, signals)."""
         angles = self._turn(rows[:, self._speeds], times[:, 0])
         keep = self._decimator.keep(times[:, 0])
         known = np.isfinite(drawn_pose(rows[keep], self._column)).all(axis=1)
@@ -223,7 +223,7 @@ class Scene:
         self._reference(drawn, pose(rows, self._column, "reference"), times)
 
     def _turn(self, speeds_rad_s: Rows, t_s: Rows) -> Rows:
-        """Return the wheel angles at each row [rad], shape (n, 4); a wheel whose speed is not known stands."""
+        """Return the wheel angles at each row [rad], shape (n, 4); a wheel of unknown speed does not turn."""
         before = t_s[0] if self._last_s is None else self._last_s
         steps = np.maximum(np.diff(t_s, prepend=before), 0.0)
         angles: Rows = self._angles_rad + np.cumsum(np.nan_to_num(speeds_rad_s) * steps[:, None], axis=0)

@@ -1,17 +1,17 @@
-"""The environment of a Python process of ours that uses rerun."""
+"""The environment of our child processes that use rerun, and a guard against a slow import."""
 
 import sys
 
 from hil.core.subprocesses import child_environment
 
 WITH_RERUN = "rerun"
-"""An argument of the recorder: import rerun before there is a config."""
+"""Argument of the recorder process: import rerun at once, before the config comes."""
 
 
 def rerun_environment() -> dict[str, str]:
-    """Return an environment that finds our packages and lacks the user's settings for rerun.
+    """Return environment variables with which a child finds our packages, without the user's settings for rerun.
 
-    RERUN=0, for one, would leave a recording empty.
+    A setting such as RERUN=0 would leave a recording empty.
     """
     kept = {name: value for name, value in child_environment().items() if not name.startswith("RERUN")}
     return kept | {"RUST_LOG": "error"}
@@ -25,8 +25,8 @@ class _WithoutPandas:
 
 
 def refuse_pandas() -> None:
-    """Keep this process, which must be one of our own, from importing pandas, which takes 0.2 s.
+    """Make every import of pandas fail in this process, which saves 0.2 s. Call it only in our own child processes.
 
-    pyarrow imports it where it is installed, only to check whether its arguments are tables.
+    pyarrow imports pandas, where it is installed, only to check whether its arguments are pandas tables.
     """
     sys.meta_path.insert(0, _WithoutPandas)

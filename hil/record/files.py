@@ -1,4 +1,4 @@
-"""Files that a run writes: their names, and whether they can be written, checked before anything is started."""
+"""Output files of a run: their names, and checks before the start that they can be written."""
 
 import errno
 import os
@@ -20,21 +20,22 @@ OUTPUTS = {
     "export": (".csv", ".parquet", ".mcap"),
     "trajectory": (".csv",),
 }
-"""The files of a run or its review, and the endings of their names.
+"""The kinds of output file of a run or its review, each with the extensions that it may have.
 
 A trace has Vector's binary or text format, or that of ``candump -L``.
 """
 _MAGICS = {".rrd": b"RRF2", ".mcap": b"\x89MCAP0\r\n"}
-_ENDS = {".rrd": (b"RRF2FOOT", 4), ".mcap": (b"\x89MCAP0\r\n", 0)}  # and how many bytes follow
-_BEGINNING_BYTES = 1 << 18  # more than a recording begins with
+_ENDS = {".rrd": (b"RRF2FOOT", 4), ".mcap": (b"\x89MCAP0\r\n", 0)}  # and the bytes after it
+_BEGINNING_BYTES = 1 << 18  # larger than what a recording writes first
 _PROBE_BYTES = 1 << 20
 _SMALLEST_BYTES = 1_000_000
 
 
 def check_output_path(what: str, path: Path, existing: Existing = "refuse") -> None:
-    """Raise BadInputError unless one of ``OUTPUTS`` can be written to ``path``; touches nothing.
+    """Raise BadInputError unless a file of the kind ``what``, a key of ``OUTPUTS``, can be written; touches nothing.
 
-    ``existing`` says what is done where a file is there. A later part of another recording is never replaced.
+    ``existing`` says what to do if the file exists. A file that by its name is a later part of another recording
+    (``RUN-2.rrd``) is never replaced.
     """
     folder = path.absolute().parent
     *others, last = OUTPUTS[what]
@@ -68,15 +69,16 @@ def _first_part(path: Path) -> Path | None:
 
 
 def check_writable(folder: Path, size_bytes: int = _BEGINNING_BYTES) -> None:
-    """Raise OSError unless a file in the folder can have this size, by default a beginning; leaves none behind."""
+    """Raise OSError unless a file of this size can be written in the folder; the trial file is removed."""
     with tempfile.TemporaryFile(dir=folder) as probe:
         probe.write(bytes(size_bytes))
 
 
 def why_not_written(path: Path, error: Exception) -> str:
-    """Return why a file that was begun could not be written any more.
+    """Return as text why writing to an open file failed.
 
-    rerun's errors do not have the system's reason, so this tries to write to the same folder.
+    rerun's errors lack the system's reason. For them this tries to write in the same folder, and takes the reason from
+    there.
     """
     if not isinstance(error, OSError):
         try:
@@ -90,9 +92,9 @@ def why_not_written(path: Path, error: Exception) -> str:
 
 
 def check_is_recording(path: Path) -> str:
-    """Return the format of a recording, ``.rrd`` or ``.mcap``, by how it begins.
+    """Return the format of a recording, ``.rrd`` or ``.mcap``, by its first bytes.
 
-    Raises BadInputError unless the path is a file that begins like one.
+    Raises BadInputError for a file that cannot be read or begins with other bytes.
     """
     try:
         with path.open("rb") as file:
@@ -133,7 +135,7 @@ def later_parts(path: Path) -> list[Path]:
 
 
 class Rotation(NamedTuple):
-    """When a recording goes on in another file: at a size, after a time of the run, or whichever comes first."""
+    """When a recording continues in the next file: at a size, after a scenario time, or at the first of both."""
 
     size_bytes: int | None = None
     duration_s: float | None = None
@@ -159,9 +161,9 @@ def rotation(text: str) -> Rotation:
 
 
 def new_in_runs(name: str, suffix: str, remedy: str) -> Path:
-    """Return a path in ``runs/`` that is free; the folder is made.
+    """Return the path of a new file ``runs/NAME-TIMESUFFIX``; the folder is made if missing.
 
-    Raises BadInputError, with ``remedy``, when it cannot be.
+    Raises BadInputError, whose message ends with ``remedy``, when the folder cannot be made.
     """
     folder = Path("runs")
     try:

@@ -38,9 +38,9 @@ _ROBOT_COLOURS = {
 _GOOD, _LOSSY, _STALE, _SILENT = range(4)
 _LINK_STATES = {_GOOD: "GOOD", _LOSSY: "LOSSY", _STALE: "STALE", _SILENT: "SILENT"}
 _LOSSY_S = 0.1
-"""The link counts as lossy for so long after a frame was lost or rejected."""
+"""The link's state is LOSSY for this time after a frame was lost or rejected."""
 _STALE_MS = 100.0
-"""Feedback older than this is stale, where the scenario lacks the firmware's watchdog."""
+"""Age above which feedback is stale, if the scenario has no ``firmware.watchdog_s``."""
 
 
 class Lane(NamedTuple):
@@ -56,7 +56,7 @@ class Lane(NamedTuple):
 
 
 def lanes(column: Columns, values: Mapping[str, Any]) -> list[Lane]:
-    """Return the lanes of a run; ``column`` is each signal's place in a row, ``values`` are the scenario's."""
+    """Return the lanes of a run. ``column``: index of each signal in a row; ``values``: the scenario's, by key."""
     robot = state_names()
     found = [
         Lane(

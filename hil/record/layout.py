@@ -1,7 +1,7 @@
 """Where each signal is in a recording: few entities, each a vector of signals of one kind.
 
 The number of entities, not of signals, drives a recording's size and cost. The file says which signals an entity holds,
-so a reader needs no table of its own, and an old file stays readable when the vocabulary grows.
+so a reader needs no table of its own, and an old file stays readable when signals are added.
 """
 
 import itertools
@@ -71,7 +71,7 @@ def _dim(colour: Colour) -> Colour:
 
 
 def _axes(path: str, pattern: str) -> Entity:
-    """Three signals of x, y and heading, by a name with ``{}`` in it or by the group of a pose or twist."""
+    """Return an entity of x, y and heading; ``pattern`` is a name with ``{}`` for the axis, or a group of signals."""
     names = {"pose": ("x_m", "y_m", "heading_rad"), "twist": ("vx_m_s", "vy_m_s", "yaw_rate_rad_s")}
     names["acceleration"] = ("ax_m_s2", "ay_m_s2", "yaw_acceleration_rad_s2")
     signals = [pattern.format(axis) for axis in _AXES]
@@ -155,9 +155,9 @@ _ENTITIES = (
 def layout(signals: Sequence[str]) -> tuple[Entity, ...]:
     """Return the entities that hold exactly these signals.
 
-    Signals that the table above does not place go to ``/more/GROUP/UNIT``, one entity for each first part of a name
-    and each unit: what one plot can show. The group of a shadow law is ``shadow/LAW``. A quantity that each axis has,
-    as ``fuzzy.x.rule``, is a group of its own, ``fuzzy/rule``: its numbers share no scale with those of another one.
+    A signal that is not in ``_ENTITIES`` goes to ``/more/GROUP/UNIT``. GROUP is the first part of its name, for a
+    shadow law ``shadow/LAW``: so one plot shows one entity. A quantity that each axis has, such as ``fuzzy.x.rule``,
+    gets a group of its own, ``fuzzy/rule``, because its scale differs from that of other quantities.
     """
     missing = dict.fromkeys(signals)
     placed = []
@@ -180,7 +180,7 @@ def _remaining(signals: Iterable[str]) -> list[Entity]:
 
 
 def _group(signal: str) -> tuple[str, str]:
-    """Split a name into its group and its label in there."""
+    """Return the group of a signal's name, and its label within that group."""
     parts = signal.split(".")
     depth = 2 if parts[0] == SHADOW_GROUP and len(parts) > 2 else 1
     if len(parts) > depth + 1 and parts[-2] in _AXES:

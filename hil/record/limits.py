@@ -1,4 +1,4 @@
-"""Limits that are drawn beside signals: of expectations while they are claimed, and of torque and current."""
+"""Limits drawn as lines beside signals: bounds of expectations during their time, and limits of torque and current."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -12,7 +12,7 @@ from hil.record.layout import Entity
 from hil.record.properties import table_rows
 
 LIMITS_PATH = "/limits"
-"""The limits of an entity's signals are at this path, followed by the entity's."""
+"""Prefix of an entity's path: there the limits of its signals are recorded."""
 
 _OF_WHEELS = (("torque_command_n_m", "robot.torque_limit_n_m"), ("current_a", "firmware.current_limit_a"))
 
@@ -51,7 +51,7 @@ def limits(values: Mapping[str, Any], entities: Sequence[Entity]) -> dict[str, t
 
 
 def limit_values(lines: Sequence[Limit], t_s: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-    """Return the limits at times of shape (n,): shape (n, limits), NaN where a limit is not claimed."""
+    """Return the limits at times of shape (n,): shape (n, limits), NaN at times outside the limit's span."""
     value, begin, end = (np.array([line[i] for line in lines]) for i in (1, 2, 3))
     claimed = (t_s[:, None] >= begin) & (t_s[:, None] <= end)
     return np.where(claimed, value, np.nan)

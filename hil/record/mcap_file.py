@@ -2,8 +2,8 @@
 
 Each row is one message on ``/hil``, of a ROS 2 message definition that holds the signals by their names, as in
 ``/hil.wheel.fl.speed_rad_s``, encoded as CDR: floats of 64 bits one after the other. Events are ``foxglove.Log`` on
-``/events``. The properties and the summary are metadata records with the names of an .rrd file's properties. A chunk
-is closed whenever the recorder flushes, so that a file without its end has everything that was flushed.
+``/events``. The properties and the summary are metadata records with the names of an .rrd file's properties. A chunk is
+closed whenever the recorder flushes, so a file that was cut off keeps everything that was flushed.
 """
 
 import json
@@ -30,7 +30,7 @@ EVENTS_TOPIC = "/events"
 ZERO_KEY = "zero_unix_ns"
 CDR_HEADER = b"\0\1\0\0"  # little-endian
 LEVELS = {"debug": 1, "info": 2, "warning": 3, "error": 4}
-"""As ``foxglove.Log`` counts them."""
+"""The numbers of the levels in ``foxglove.Log``."""
 _LOG_SCHEMA = {
     "title": "foxglove.Log",
     "type": "object",

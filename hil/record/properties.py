@@ -1,4 +1,4 @@
-"""What a recording says of its run: names that its writer and reader share, the scenario's values, and the page."""
+"""Metadata of a recording: property names that writer and reader share, the scenario's values, and the run's page."""
 
 import json
 import re
@@ -11,14 +11,14 @@ SIGNALS_PROPERTY = "signals"
 SUMMARY_PROPERTY = "summary"
 RECORDER_PROPERTY = "recorder"
 OVERLAY_PROPERTY = "overlay"
-"""The two recordings that a file is the overlay of; such a file is for the viewer, and no recording of a run."""
+"""The two recordings that an overlay file compares; such a file is only for the viewer, not a recording of a run."""
 SIGNALS_PATH = "/signals"
 """The entity of an .rrd file that holds every signal of every row."""
 PART_PROPERTY = "part"
-"""Which file of the run it is: the run's ``recording_id``, its ``number`` from 1, ``first_row`` and ``first_event``.
+"""Which part of a recording the file is: ``recording_id``, ``number`` from 1, ``first_row`` and ``first_event``.
 
-The last two count the run's rows and events from 0. A row may be in two files, where a recorder was killed before it
-could count it as written; a reader then takes it from the later file.
+The last two count the run's rows and events from 0. A row is in two files if a recorder was killed before it could
+count the row as written; a reader then takes it from the later file.
 """
 
 PROPERTY_WORDS = {
@@ -47,14 +47,14 @@ PROPERTY_WORDS = {
 }
 """Labels of a recording's properties (see ``hil.runtime.provenance``)."""
 HASHES = tuple(name for name in PROPERTY_WORDS if name.endswith("_sha256") and name != "scenario_sha256")
-"""The hashes of what the run was made of, in the order in which they are shown."""
+"""Hashes of a run's inputs (law, FMU, libraries, files), in the order in which they are shown."""
 _HASH_LETTERS = 12  # enough to tell one hash from another
 
 
 def hash_text(text: str) -> str:
     """Return a recorded hash, or a JSON object of hashes by name, shortened for a reader.
 
-    The hash of a law whose source was not there is null.
+    A null, the hash of a law whose source was not found, becomes "not known".
     """
     if not text.startswith("{"):
         return text[:_HASH_LETTERS]
@@ -70,7 +70,7 @@ def state_names() -> dict[int, str]:
 
 
 def scenario_values(properties: Mapping[str, str]) -> dict[str, Any]:
-    """Return the scenario's values by their dotted keys; none when the properties have no scenario."""
+    """Return the scenario's values by dotted key; empty when the properties have no scenario."""
     values: dict[str, Any] = json.loads(properties.get("scenario", "{}"))
     return values
 
@@ -86,7 +86,7 @@ def table_rows(values: Mapping[str, Any], table: str) -> list[dict[str, Any]]:
 
 
 def page(properties: Mapping[str, str], summary: Mapping[str, Any] | None) -> str:
-    """Return the page as Markdown: the rows that the summary has as ``page``, and what the run was."""
+    """Return the run's page as Markdown: a table of figures (``page`` of the summary) and one of properties."""
     text = _table("run", _about(properties))
     return text if not summary else _table("figure", summary.get("page", ())) + "\n" + text
 
@@ -108,5 +108,5 @@ def _table(title: str, rows: Iterable[tuple[str, str]]) -> str:
 
 
 def _cell(text: str) -> str:
-    """Return a text that neither ends its cell nor its row."""
+    """Escape a text so that it stays within one cell of a Markdown table."""
     return text.replace("|", "\\|").replace("\n", " ")

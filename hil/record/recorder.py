@@ -25,9 +25,8 @@ BATCH_AGE_S = 0.08
 class Recorder:
     """Moves rows from the ring to the files and the live server, and events to both.
 
-    A recorder that takes the place of another (``restarts`` above 0) refuses nothing: the run is under way.
-
-    Raises RefusedError when the file cannot be written or the port not be bound.
+    Raises RefusedError when the file cannot be written or the port cannot be bound. A recorder that replaces one that
+    died (``restarts`` above 0) never raises it, because the run is under way.
     """
 
     def __init__(self, config: Record, ring: RingReader) -> None:
@@ -48,7 +47,7 @@ class Recorder:
         self._batch_since = time.monotonic()
 
     def poll(self) -> None:
-        """Take the rows that have settled in the ring."""
+        """Pass new rows to live viewers at once, and to the files when a batch is full or old enough."""
         settled = self._ring.settled()
         self._pass_to_live(settled)
         waiting = settled - self._ring.tail
@@ -62,7 +61,7 @@ class Recorder:
             self._files.check()
 
     def line(self, record: Record) -> None:
-        """Pass a line of the event log on."""
+        """Write a line of the event log to the files and to live viewers."""
         t_s, level, text = record["event"]
         if self._files is not None:
             self._files.event(t_s, level, text)
@@ -72,7 +71,7 @@ class Recorder:
             self._live.event(t_s, level, text)
 
     def finish(self, summary: Record | None) -> Record:
-        """Drain the ring, close the file, and return the report; live viewers stay served."""
+        """Write the rows still in the ring, close the file and return the report; live viewers are still served."""
         end = self._ring.head
         self._pass_to_live(end)
         if self._files is not None:
@@ -107,14 +106,14 @@ class Recorder:
 
 
 def main() -> int:
-    """Record until told to finish, or until the run has gone; returns only when nothing was to be recorded."""
+    """Record until the run sends "finish" or ends; returns an exit code only when there was nothing to record."""
     return run(Recorder, _import_rerun if WITH_RERUN in sys.argv else None)
 
 
 def _import_rerun() -> None:
-    """Import what writes with rerun, before there is a config; without rerun it fails where it is needed."""
+    """Import rerun before the config comes. If it is missing, opening a file or the port reports that later."""
     refuse_pandas()
-    # What is imported stays, so the garbage collector need not go through it.
+    # Imported modules stay in memory, so the garbage collector need not scan them.
     gc.disable()
     with contextlib.suppress(ImportError):
         import hil.record.stream  # noqa: F401

@@ -1,4 +1,4 @@
-"""The run's side of a recording: starts the recorder process, gives it rows, and takes its report."""
+"""The run's side of a recording: starts the recorder process, sends it rows, and receives its report."""
 
 import time
 import uuid
@@ -21,19 +21,20 @@ from hil.record.started_process import StartedProcess
 
 @dataclass(frozen=True, slots=True)
 class RecordingReport:
-    """What became of the rows of a run.
+    """How many rows and events of a run were recorded, and what went wrong.
 
     Attributes:
-        path: the file, or None for a live view alone.
-        rows_put: rows that the run gave.
+        path: the file, or None if there was only a live view.
+        rows_put: rows that the run passed to ``put``.
         rows_written: rows that are safe in the files.
-        rows_dropped: rows that found the ring full and were given up.
-        rows_lost: rows that were taken, but are not known to be in a file: the recorder ended, or could not write.
+        rows_dropped: rows that were discarded because the ring was full.
+        rows_lost: rows that entered the ring but are not known to be in a file: the recorder ended, or could not write.
         events_lost: events that are not known to be in a file.
-        error: why something is missing, a row, an event or the summary, or None.
-        parts: the files that are there, in order; several when it was rotated, or went on elsewhere after a trouble.
-        restarts: how often the recorder ended before its time and was started again.
-        troubles: what went wrong on the way, also where nothing is missing in the end.
+        error: why a row, an event or the summary is missing; None if nothing is.
+        parts: the existing files, in order; several if the recording was rotated, or continued in a new file after an
+            error.
+        restarts: how often the recorder process died and was started again.
+        troubles: all problems during the run, also those that lost nothing.
     """
 
     path: Path | None
@@ -49,16 +50,16 @@ class RecordingReport:
 
     @property
     def complete(self) -> bool:
-        """Whether everything that the run gave was recorded."""
+        """Whether everything that the run put was recorded."""
         return self.error is None and not (self.rows_dropped or self.rows_lost or self.events_lost)
 
 
 class RunRecording(Protocol):
-    """What a run needs of its recording, a context manager: see ``Recording``."""
+    """The part of ``Recording`` that a run uses; a context manager."""
 
     @property
     def path(self) -> Path | None:
-        """The file, or None for a live view alone."""
+        """The file, or None if there is only a live view."""
 
     def put(self, row: tuple[float, ...]) -> None:
         """Take one row in the order of the signals."""
@@ -67,7 +68,7 @@ class RunRecording(Protocol):
         """Add a line to the event log."""
 
     def finish(self, summary: Mapping[str, object], *, keep_live: bool = False) -> RecordingReport:
-        """Write the rest and the summary."""
+        """Write the remaining rows and the summary, and return the report."""
 
     def __enter__(self) -> Self: ...
 
@@ -83,10 +84,11 @@ def _start_recorder(suffix: str | None, *, live: bool) -> StartedProcess:
 
 @contextmanager
 def early_recorder(suffix: str | None, *, live: bool = False) -> Iterator[Callable[..., "Recording"]]:
-    """Start a recorder now, which imports its libraries while a run gets ready; gives what makes its Recording.
+    """Start the recorder process now, so that it imports its libraries while the run gets ready.
 
-    ``suffix`` is that of the file, None for none; with neither a file nor live viewers nothing is started. A recorder
-    that no recording was made of is ended with the context. Raises OSError when it cannot be started.
+    Yields a callable that makes the Recording. ``suffix`` is the file's, None for no file; with neither a file nor live
+    viewers no process is started. A process that no Recording uses ends with the context. Raises OSError when it cannot
+    be started.
     """
     if suffix is None and not live:
         yield Recording
@@ -96,30 +98,31 @@ def early_recorder(suffix: str | None, *, live: bool = False) -> Iterator[Callab
 
 
 class Recording:
-    """A sink that records in a process of its own; a context manager.
+    """A sink that records in a separate process; a context manager.
 
-    The constructor returns when the recorder is ready, half a second later unless it was ``started`` before. When the
-    run dies, the recorder finishes the file by itself. When the recorder dies, the run goes on, and another takes its
-    place and writes the next file (``RUN-2.rrd``), with the rows that were not safe yet. See RECORDING.md.
+    The constructor returns when the recorder is ready: after half a second, or sooner if it was ``started`` before. If
+    the run dies, the recorder finishes the file by itself. If the recorder dies, the run goes on: a new recorder
+    continues in the next file (``RUN-2.rrd``), beginning with the rows that were not safe yet. See RECORDING.md.
 
     Args:
-        path: the ``.rrd`` or ``.mcap`` file, or None for a live view alone.
-        properties: what the run is, as texts by name (see ``hil.runtime.provenance``).
-        blocking: ``put`` waits for room in the ring, as in lockstep; else it drops the row and counts.
+        path: the ``.rrd`` or ``.mcap`` file, or None if there is only a live view.
+        properties: facts about the run, as texts by name (see ``hil.runtime.provenance``).
+        blocking: ``put`` waits while the ring is full (for lockstep); otherwise it drops the row and counts it.
         live_port: serve live viewers on this port of 127.0.0.1.
         capacity: rows that the ring holds.
-        signals: the names of a row's values; ``loop.t_s``, ``loop.tick`` and what is drawn must be among them.
-        rotation: when the recording goes on in another file.
-        existing: what is done where the file is there already; ``path`` then has the name that was taken.
-        started: a recorder that was started for such a file (see ``early_recorder``); by default it is started now.
+        signals: the names of a row's values; they must include ``loop.t_s``, ``loop.tick`` and the signals that are
+            drawn.
+        rotation: when the recording continues in the next file.
+        existing: what to do if the file exists; attribute ``path`` has the name that was chosen.
+        started: a recorder process that is already running (see ``early_recorder``); by default one is started now.
 
     Raises:
-        BadInputError: the path cannot be written, or the port not be used.
+        BadInputError: the path cannot be written, or the port cannot be used.
         DeviceError: the recorder process did not start.
 
     Attributes:
-        path: the file, or None for a live view alone.
-        put: takes one row in the order of the signals; raises struct.error when its length is another.
+        path: the file, or None if there is only a live view.
+        put: takes one row in the order of the signals; raises struct.error when its length is wrong.
     """
 
     def __init__(
@@ -174,17 +177,17 @@ class Recording:
 
     @property
     def rows_saved(self) -> int:
-        """Rows that are safe in a file by now."""
+        """Number of rows that are safe in a file so far."""
         return self._process.rows_saved
 
     @property
     def rows_dropped(self) -> int:
-        """Rows that found the ring full and were given up by now."""
+        """Number of rows discarded so far because the ring was full."""
         return self._process.rows_dropped
 
     @property
     def restarts(self) -> int:
-        """How often the recorder was started again by now."""
+        """How often the recorder was started again so far."""
         return self._process.restarts
 
     def event(self, t_s: float, level: str, text: str) -> None:
@@ -192,9 +195,10 @@ class Recording:
         self._process.send({"event": [t_s, level, text]})
 
     def finish(self, summary: Mapping[str, object], *, keep_live: bool = False) -> RecordingReport:
-        """Write the rest and the summary, and return the report; never raises for a recorder that died.
+        """Write the rows that are still in the ring, then the summary; close the file and return the report.
 
-        With ``keep_live`` the file is finished, but live viewers are served until ``close``.
+        If the recorder process died, the report says so; no exception is raised. With ``keep_live`` live viewers are
+        still served after that, until ``close``.
         """
         if self._report is None:
             keep_live = keep_live and self._live_port is not None
@@ -204,7 +208,7 @@ class Recording:
         return self._report
 
     def close(self) -> None:
-        """End the recorder, if need be without a summary, and free everything. Closing twice is allowed."""
+        """End the recorder, with or without a summary, and free everything. Closing twice is allowed."""
         self._process.close()
 
     def __enter__(self) -> Self:

@@ -42,7 +42,7 @@ class SharedBlock:
     resource tracker of whichever process ends first.)
 
     Attributes:
-        buffer: the bytes, writable by both sides; none before they are allocated.
+        buffer: the bytes, writable by both sides; empty before ``allocate``.
         token: ``"fd:N"`` or ``"tag:NAME"``, which the child gives to ``attach``.
         pass_fds: descriptors that ``subprocess.Popen`` has to hand on (empty on Windows).
     """
@@ -56,7 +56,7 @@ class SharedBlock:
 
     @classmethod
     def reserve(cls) -> "SharedBlock":
-        """Make a block without bytes, which a child process can be told of before its size is known."""
+        """Make an empty block, whose ``token`` a child process can get before the size is known."""
         if sys.platform == "win32":
             return cls(f"tag:hil-{uuid.uuid4()}", None)
         if sys.platform == "linux":
@@ -76,7 +76,7 @@ class SharedBlock:
 
     @classmethod
     def attach(cls, token: str, size: int) -> "SharedBlock":
-        """Map the block that ``token`` names, in the child process, when the run has allocated it."""
+        """Map, in the child process, the block that ``token`` names; the run must have allocated it."""
         kind, _, where = token.partition(":")
         if sys.platform != "win32" and kind != "fd":
             raise ValueError(f"shared block {token!r}: expected 'fd:N' on this system")
@@ -103,7 +103,7 @@ class SharedBlock:
 
 
 class Kept(NamedTuple):
-    """How many rows and lines are in a file."""
+    """How many rows, and lines of the event log, are in a file."""
 
     rows: int
     lines: int
@@ -126,7 +126,7 @@ class _Counts:
 
     @property
     def tail(self) -> int:
-        """Rows that the consumer is done with."""
+        """Rows that the consumer has saved or given up."""
         return self._words[_TAIL]
 
     @property
@@ -141,12 +141,12 @@ class _Counts:
 
     @property
     def lines_saved(self) -> int:
-        """Lines of the event log, which do not pass the ring, that the consumer has written."""
+        """Lines of the event log that the consumer has written; they come through a pipe, not through the ring."""
         return self._words[_LINES]
 
     @property
     def lines_lost(self) -> int:
-        """Of these, the lines in a file that is lost."""
+        """Those of ``lines_saved`` that were in a file that was removed."""
         return self._words[_LINES_LOST]
 
     @property
@@ -155,7 +155,7 @@ class _Counts:
         return self._words[_PART]
 
     def parts(self) -> dict[int, Kept]:
-        """Return what is in each file by its number; the last of ``MOST_PARTS`` has what came in others after it."""
+        """Return how much is in each file, by the file's number; ``MOST_PARTS`` also counts the files after it."""
         begun = {number: self._begun(number) for number in range(1, min(self.part, MOST_PARTS) + 1)}
         numbers = [number for number, kept in begun.items() if kept.rows != _SKIPPED]
         ends = [*(begun[number] for number in numbers[1:]), Kept(self.saved, self.lines_saved - self.lines_lost)]
@@ -165,7 +165,7 @@ class _Counts:
         }
 
     def _begun(self, number: int) -> Kept:
-        """Return what had been saved when a file was begun."""
+        """Return how much had been saved in all when file ``number`` was begun."""
         at = _TABLE + 2 * (number - 1)
         return Kept(self._words[at], self._words[at + 1])
 
@@ -174,8 +174,8 @@ class RingWriter(_Counts):
     """The producer's side. Raises ValueError for a capacity or width below one.
 
     Attributes:
-        try_put: stores one row. When the ring is full, it stores and counts nothing and returns what ``when_full``
-            makes of the row. Raises struct.error when the row has another width or holds what is no number.
+        try_put: stores one row and returns True. When the ring is full, it stores nothing and returns
+            ``when_full(row)``. Raises struct.error for a row of the wrong width, or with a value that is not a number.
     """
 
     def __init__(
@@ -195,7 +195,7 @@ class RingWriter(_Counts):
         return self.head - self.tail >= self._capacity
 
     def count_dropped(self) -> None:
-        """Count one row that was given up."""
+        """Count one row that was dropped."""
         self._words[_DROPPED] += 1
 
     def close(self) -> None:
@@ -211,7 +211,7 @@ def _putter(
     width: int,
     when_full: Callable[[Row], bool],
 ) -> Callable[[Row], bool]:
-    """Return ``RingWriter.try_put``. It is called in each tick: a closure looks nothing up in an object."""
+    """Return ``RingWriter.try_put``: a closure, which needs no attribute look-ups; it is called in each tick."""
     pack = struct.Struct(f"{width}d").pack
     row_bytes = width * 8
     head = tail_seen = 0
@@ -236,7 +236,7 @@ class RingReader(_Counts):
     """The consumer's side. Raises ValueError when the block is smaller than its header says."""
 
     def __init__(self, block: SharedBlock) -> None:
-        import numpy as np  # not above: a run starts its recorder first, and imports NumPy beside it
+        import numpy as np  # not above: a run starts its recorder before it imports NumPy
 
         self._words = block.buffer[:_HEADER_BYTES].cast("q")
         self.capacity, self.width = self._words[_CAPACITY], self._words[_WIDTH]
@@ -249,7 +249,7 @@ class RingReader(_Counts):
         self._head_seen = self.tail
 
     def settled(self) -> int:
-        """Return up to where rows may be read: the head at the last call."""
+        """Return the number up to which rows are safe to read: the value of ``head`` at the previous call."""
         settled, self._head_seen = self._head_seen, self.head
         return settled
 
@@ -276,7 +276,7 @@ class RingReader(_Counts):
         self._words[_LINES] += count
 
     def begin_part(self, number: int) -> None:
-        """Note that the file of this number was opened, and that numbers after the last one were left out."""
+        """Record that file ``number`` was opened, and that the numbers skipped before it have no file of this run."""
         for skipped in range(self.part + 1, min(number, MOST_PARTS + 1)):
             self._words[_TABLE + 2 * (skipped - 1)] = _SKIPPED
         if number <= MOST_PARTS:
@@ -285,7 +285,7 @@ class RingReader(_Counts):
         self._words[_PART] = number
 
     def lose_part(self) -> None:
-        """Count what is in the file that was opened last as lost."""
+        """Count the rows and lines in the newest file as lost."""
         kept = self.parts()[min(self.part, MOST_PARTS)]
         self._words[_LOST] += kept.rows
         self._words[_LINES_LOST] += kept.lines

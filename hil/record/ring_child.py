@@ -1,7 +1,7 @@
-"""The child's side of ``hil.record.ring_process``: takes rows and lines until told to finish, or the run has gone.
+"""The child's side of ``hil.record.ring_process``: takes rows and lines until "finish" comes or the run ends.
 
-It notices that at the end of the pipe, or when it has another parent. Either way its file is finished with all that was
-in the ring. SIGINT is ignored: the run handles it.
+It sees the end of the run by the end of the pipe, or because its parent process has changed. In both cases it finishes
+the file with all rows in the ring. SIGINT is ignored: the run handles it.
 """
 
 import os
@@ -23,30 +23,30 @@ _Inbox = queue.SimpleQueue[Record | None]
 
 
 class RefusedError(Exception):
-    """A file cannot be made as it was asked for; the text is a sentence for the user."""
+    """The process cannot do what the config asks for; the text is a sentence for the user."""
 
 
 class RowWriter(Protocol):
-    """What such a process does with rows and lines."""
+    """What the child process does with rows and lines."""
 
     def poll(self) -> None:
         """Look for rows in the ring; called every ``POLL_S`` and after each line."""
 
     def line(self, record: Record) -> None:
-        """Take a line."""
+        """Take a line: a JSON object that the run sent."""
 
     def finish(self, record: Record | None) -> Record:
-        """Drain the ring, close the file, and return the report; ``record`` is None when the run has gone."""
+        """Drain the ring, close the file, return the report; ``record`` is None when the run ended without "finish"."""
 
     def close(self) -> None:
         """Release what is left."""
 
 
 def run(make: Callable[[Record, RingReader], RowWriter], prepare: Callable[[], None] | None = None) -> int:
-    """Make the writer from the run's config and serve it; ends the process when the writer is done.
+    """Read the config, make the writer, pass it rows and lines, and end the process when it is done.
 
-    ``prepare`` does what needs no config; ``make`` raises RefusedError for what the user must change. Returns only
-    when nothing was to be written, with the exit code: 0 without a config, 2 for a refused one.
+    ``prepare`` is called before the config comes. ``make`` raises RefusedError for a config that the user must change.
+    Returns an exit code only when there was nothing to write: 0 if no config came, 2 if it was refused.
     """
     _step_back()
     signal.signal(signal.SIGINT, signal.SIG_IGN)
@@ -71,7 +71,7 @@ def run(make: Callable[[Record, RingReader], RowWriter], prepare: Callable[[], N
     threading.Thread(target=_read_lines, args=(lines, inbox), name="lines", daemon=True).start()
     _serve(writer, inbox, replies, config["parent_pid"])
     writer.close()
-    # All is in the file, and the run waits: an orderly exit of the libraries would take 0.1 s and more.
+    # Everything is written and the run waits: a normal exit, with the libraries' clean-up, would take 0.1 s or more.
     os._exit(0)
 
 
@@ -100,7 +100,7 @@ def _serve(writer: RowWriter, inbox: _Inbox, replies: LineWriter, parent_pid: in
 
 
 def _next(inbox: _Inbox, parent_pid: int) -> Record | None:
-    """Return the next record, an empty one after POLL_S, or None when the run has gone."""
+    """Return the next record, an empty one after POLL_S, or None when the run has ended."""
     try:
         return inbox.get(timeout=POLL_S)
     except queue.Empty:

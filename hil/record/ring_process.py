@@ -1,8 +1,8 @@
-"""A process of its own that writes down what a run gives it: rows through a ring, lines through a pipe.
+"""A separate process that writes or sends a run's data: rows come through a ring, lines through a pipe.
 
-Nothing that it does can delay a tick. When the run dies, the process finishes its file by itself. When the process
-dies, the run goes on, and on request another takes its place: rows that were not safe yet are still in the ring, and
-lines that were not are sent again. ``hil.record.ring_child`` is the other side.
+Without ``blocking`` it cannot delay a tick: a row that finds the ring full is dropped. If the run dies, the process
+finishes its file by itself. If the process dies, the run goes on, and with ``restart`` a new process replaces it:
+unsaved rows are still in the ring, and unsaved lines are sent again. ``hil.record.ring_child`` is the other side.
 """
 
 import os
@@ -19,30 +19,30 @@ from hil.record.ring import Kept, RingWriter, Row, ring_bytes
 from hil.record.started_process import StallTimeout, StartedProcess
 
 _STALL_WAITS = 60_000  # of 0.5 ms, without any progress of the other process: about 30 s
-_WAITS_A_TURN = 11  # of these in a turn that also waits 5 ms for a reply
+_WAITS_A_TURN = 11  # as many waits take as long as 5 ms for a reply and one wait
 _FLUSH_PERIOD_S = 0.005
 _EXIT_TIMEOUT_S = 10.0
 _STARTS_IN_A_ROW = 6
 _FIRST_BACK_OFF_S = 0.1
-_LONG_LIFE_S = 60.0  # a process that lived longer begins a new row of starts
+_LONG_LIFE_S = 60.0  # after a longer life the starts are counted from one again
 
 
 class RingProcess:
-    """Gives a ``StartedProcess`` rows and lines, and takes its report. The constructor returns when it is ready.
+    """Sends rows and lines to a ``StartedProcess`` and receives its report. The constructor returns when it is ready.
 
     Args:
-        config: the process's own, as JSON has it.
-        blocking: a put waits for room in the ring, as lockstep may; else it drops the row and counts.
-        name: how messages call the process. remedy: what they advise.
-        restart: start a process that ends too early again, at most six times in a row, after 0.1 s and then twice as
-            long each time; its config then has ``restarts`` above 0.
+        config: settings of the process, as JSON values.
+        blocking: ``put`` waits while the ring is full (for lockstep); otherwise it drops the row and counts it.
+        name: of the process, for messages. remedy: what the messages advise the user to do.
+        restart: start a process that died again, at most six times in a row, after a pause of 0.1 s that doubles each
+            time; its config then has ``restarts`` above 0.
 
     Raises BadInputError when the process refuses the config, DeviceError when it does not start.
 
     Attributes:
-        put: takes one row; raises struct.error when its width is another.
+        put: takes one row; raises struct.error when its width is wrong.
         restarts: how often the process was started again.
-        troubles: how each of those before it ended, in words.
+        troubles: for each process that died, how it ended, as text.
     """
 
     def __init__(
@@ -67,7 +67,7 @@ class RingProcess:
         self._ring = RingWriter(self._block, capacity, width, self._put_later)
         self.put = cast(Callable[[Row], None], self._ring.try_put)
         self._config = {**config, "block": self._block.token, "block_bytes": size, "parent_pid": os.getpid()}
-        self._swap = threading.Lock()  # held while the process is exchanged for the next
+        self._swap = threading.Lock()  # held while lines are sent, and while the process is replaced
         self._unsent: deque[Mapping[str, object]] = deque()
         self._unsaved: deque[Mapping[str, object]] = deque()
         self._lines_dropped = 0
@@ -89,7 +89,7 @@ class RingProcess:
                 raise BadInputError(str(reply["refused"]))
             if not self._ready:
                 raise DeviceError(f"{name} did not start: {self.troubles[-1]}; {remedy}")
-        except BaseException:  # an interrupt too, or what follows it would find this memory in use
+        except BaseException:  # also for KeyboardInterrupt: the shared memory must be freed
             self.close()
             raise
 
@@ -105,35 +105,35 @@ class RingProcess:
 
     @property
     def rows_saved(self) -> int:
-        """Rows that are safe in the file by now."""
+        """Rows that are safe in a file so far."""
         return self._ring.saved
 
     @property
     def rows_dropped(self) -> int:
-        """Rows that found the ring full and were given up."""
+        """Rows that were dropped because the ring was full."""
         return self._ring.dropped
 
     @property
     def parts(self) -> dict[int, Kept]:
-        """What is in each file by its number, from 1, without files that had to be given up."""
+        """How much is in each file, by the file's number from 1; a number that was skipped is left out."""
         return self._ring.parts()
 
     @property
     def lines_lost(self) -> int:
-        """Lines that are not known to be safe; those on their way are among them."""
+        """Lines that are not known to be safe, including those that are still being sent."""
         with self._swap:
             self._send_unsent()
             return self._lines_dropped + len(self._unsaved) + self._ring.lines_lost
 
     def send(self, record: Mapping[str, object]) -> None:
-        """Pass a line on. Never waits: not for the process, and not for the start of another in its place."""
+        """Send a line. Never waits, neither for the process nor for its restart."""
         self._unsent.append(record)
         self._send_waiting()
 
     def finish(self, record: Mapping[str, object]) -> dict[str, Any]:
-        """Have the rest written, and return the report, ``rows_written`` and ``error`` among it.
+        """Send ``record`` as the last line and return the process's report.
 
-        Never raises for a process that died: the report then says so.
+        Never raises for a process that died: the report then has ``error`` alone.
         """
         with self._swap:
             self._send_unsent()
@@ -143,7 +143,7 @@ class RingProcess:
         return self._report() or {"error": f"{self._name} ended before the run: {self.troubles[-1]}"}
 
     def close(self) -> None:
-        """End the process, if need be without a report, and free everything. Closing twice is allowed."""
+        """End the process, with or without a report, and free everything. Closing twice is allowed."""
         self._closing.set()
         with self._swap:
             self._child.end_lines()
@@ -159,7 +159,7 @@ class RingProcess:
         self._child.lines.send({**self._config, "restarts": self.restarts}, always=True)
 
     def _report(self) -> dict[str, Any]:
-        """Return the next reply; empty when the process ended without one for good, or makes no progress."""
+        """Return the next reply; empty when the process has ended for good, or was killed for lack of progress."""
         stall = StallTimeout(_STALL_WAITS // _WAITS_A_TURN)
         while True:
             ended = self._gone.is_set()
@@ -175,7 +175,7 @@ class RingProcess:
                 self._child.process.kill()
 
     def _keep(self) -> None:
-        """Take replies, and start the process again when it ends too early; the body of the keeper thread."""
+        """Receive replies, and start the process again when it ends too early; the body of the keeper thread."""
         start_children_as_ordinary()
         starts = 0
         finished = False
@@ -202,7 +202,7 @@ class RingProcess:
         self._gone.set()
 
     def _start_next(self) -> bool:
-        """Start another process in the place of one that ended; False when that fails, or the run is over."""
+        """Start a process that replaces the one that ended; False when that fails, or the run is over."""
         with self._swap:
             if self._closing.is_set():
                 return False
@@ -219,7 +219,7 @@ class RingProcess:
         return True
 
     def _send_again(self) -> None:
-        """Send the lines that the last process had not saved to the new one, which has just become ready."""
+        """Send the lines that the last process had not saved to the new one, which is ready now."""
         with self._swap:
             self._ready = True
             self._forget_saved_lines()
@@ -228,7 +228,7 @@ class RingProcess:
         self._send_waiting()
 
     def _send_waiting(self) -> None:
-        """Send what waits, unless another thread holds the process: that one then does this when it lets go."""
+        """Send the unsent lines, unless another thread holds ``_swap``: that thread calls this after it releases it."""
         while self._unsent and self._swap.acquire(blocking=False):
             try:
                 self._send_unsent()
@@ -260,7 +260,7 @@ class RingProcess:
             self._lines_seen_saved += 1
 
     def _put_later(self, row: Row) -> bool:
-        """Wait for room in lockstep; otherwise, or when the process stalls, drop the row and count it."""
+        """With ``blocking`` wait for room; otherwise, or when the process stalls, drop the row and count it."""
         stall = StallTimeout(_STALL_WAITS)
         while self._waits and not self._gone.is_set() and stall.wait((self._ring.tail, self.restarts)):
             if not self._ring.full:

@@ -127,8 +127,8 @@ def _template(name: str) -> Template:
 def _rollers(radius_m: float, sideways: float) -> Points:
     """Return the triangles of a wheel's rollers, shape (n, 3 corners, 3), about its centre, axle along y.
 
-    The envelope of the rollers is a cylinder of the wheel's radius r: where a roller's axis, at 45 degrees to the
-    axle, is s from its middle, its own radius is r - √((r - ρ)² + s² / 2), ρ the one in the middle.
+    The envelope of the rollers is a cylinder of the wheel's radius r: where a roller's axis, at 45 degrees to the axle,
+    is s from its middle, its own radius is r - √((r - ρ)² + s² / 2), where ρ is its radius in the middle.
     """
     middle = (1 - _ROLLER_RADIUS) * radius_m
     along = np.linspace(-0.5, 0.5, _RINGS) * _ROLLER_LENGTH * radius_m

@@ -1,7 +1,7 @@
-"""The files of a recording: the next one begins when one is long enough, cannot be written any more, or is gone.
+"""The files of a recording: a new one begins when the current one is long enough, cannot be written, or was removed.
 
-Rows stay in the ring until they are safe in a file, so the next file begins where the last one ended. While none can be
-written, the newest half of the ring is kept for later; what is older is lost, and counted.
+Rows stay in the ring until they are safe in a file, so the next file begins where the last one ended. While no file can
+be written, the newest half of the ring is kept for later; older rows are lost, and counted.
 """
 
 import errno
@@ -35,7 +35,7 @@ class RunFile(Protocol):
         """Write a line of the event log."""
 
     def finish(self, summary: Mapping[str, object] | None, recorder: Mapping[str, int]) -> None:
-        """Write what the recorder says of this part and, when there is one, the run's summary."""
+        """Write the recorder's counts for this file and, unless it is None, the run's summary."""
 
     def flush(self) -> None:
         """Hand everything to the operating system."""
@@ -45,12 +45,12 @@ class RunFile(Protocol):
 
 
 class RunFiles:
-    """Writes what is in the ring, and events, to the file in ``config`` and to those after it.
+    """Writes the rows in the ring and the events to the file that ``config`` names, then to the files that follow it.
 
-    Raises RefusedError when the first of a run cannot be opened.
+    Raises RefusedError when the first file of a run cannot be opened.
 
     Attributes:
-        trouble: why a file could not be written, or None; the newest reason.
+        trouble: the newest reason why a file could not be written, or None.
         summary_trouble: why the run's summary is in none of the files, or None.
     """
 
@@ -68,7 +68,7 @@ class RunFiles:
         self._identity: tuple[int, int] | None = None
         self._begun_s: float | None = None
         # Files that could not be written are kept and never closed: rerun may wait for ever to close one whose disk is
-        # full. A half made one is held by rerun's error.
+        # full. rerun's error holds a file that was opened only in part.
         self._abandoned: list[object] = []
         self._next_try_s = self._back_off_s = 0.0
         try:
@@ -84,7 +84,7 @@ class RunFiles:
         self._events.append((t_s, level, text))
 
     def check(self) -> None:
-        """Write waiting events, and begin another file if this one is gone."""
+        """Write waiting events, and begin a new file if the current one was removed."""
         if self._events or (self._file is not None and _identity(self._part_path) != self._identity):
             self._write(lambda _file: None)
 
@@ -102,18 +102,18 @@ class RunFiles:
                 return
 
     def finish(self, summary: Record | None) -> None:
-        """Write all that is in the ring and close the file; what cannot be written now is lost."""
+        """Write all rows in the ring and close the file; with a summary, rows that cannot be written now are lost."""
         self._next_try_s = 0.0
         self.take(self._ring.head)
-        if self._ring.tail < self._ring.head:  # the file failed at the last rows: another may take what is in the ring
+        if self._ring.tail < self._ring.head:  # the file failed at the last rows: try the next one
             self._next_try_s = 0.0
             self.take(self._ring.head)
         if summary is None:
-            # The run may go on: rows that came meanwhile are for the process that takes the place of this one.
+            # The run may go on: rows that came meanwhile are left for the process that replaces this one.
             self._finish_file(None)
             return
         self._ring.give_up(self._ring.head)
-        if not self._finish_file(summary) and not self._finish_file(summary):  # the second try is another file
+        if not self._finish_file(summary) and not self._finish_file(summary):  # the second try writes a new file
             self.summary_trouble = f"its summary could not be written: {self.trouble}"
 
     def _finish_file(self, summary: Record | None, next_part: int | None = None) -> bool:
@@ -161,7 +161,7 @@ class RunFiles:
         return True
 
     def _opened(self) -> bool:
-        """Open the next file, unless the last try was a moment ago; return whether it is open."""
+        """Open the next file, unless the pause after the last failure is not over; return whether it is open."""
         if time.monotonic() < self._next_try_s:
             return False
         try:
@@ -187,7 +187,8 @@ class RunFiles:
             "first_row": self._ring.tail,
             "first_event": self._ring.lines_saved,
         }
-        # The first file was claimed by the run; two processes may want the same later one at the same time.
+        # The run has made the first file. A later one must be new: two processes may want the same name at the same
+        # time.
         if number > 1:
             path.open("xb").close()
         try:
@@ -200,14 +201,14 @@ class RunFiles:
         self._part_path = path
 
     def _next_number(self) -> int:
-        """Return the number of the next file: one that is not there, for that would be another run's."""
+        """Return the number of the next file; a number whose file exists is skipped: that file is another run's."""
         number = self._ring.part + 1
         while number > 1 and part_path(self._path, number).exists():
             number += 1
         return number
 
     def _give_up(self, error: Exception) -> None:
-        """Leave the file as it is, and try the next one after a while, then after twice as long."""
+        """Stop writing to the file; the next one is tried after a pause, which doubles with each failure."""
         self.trouble = why_not_written(part_path(self._path, max(1, self._ring.part)), error)
         if isinstance(error, RuntimeError):
             self._abandoned.append(error)
@@ -219,13 +220,13 @@ class RunFiles:
         self._back_off_s = min(max(2 * self._back_off_s, _FIRST_BACK_OFF_S), _LONGEST_BACK_OFF_S)
 
     def _check_there(self) -> None:
-        """Raise FileNotFoundError, and count its rows as lost, when the file has been removed."""
+        """Raise FileNotFoundError, and count the file's rows as lost, when it has been removed."""
         if _identity(self._part_path) != self._identity:
             self._ring.lose_part()
             raise FileNotFoundError(errno.ENOENT, f"{self._part_path.name} was removed")
 
     def _of_one_part(self, rows: Rows) -> Rows:
-        """End the file if its time is over before these rows; return those of them that belong into one file."""
+        """Close the file if its duration is over before these rows; return as many of them as one file may have."""
         duration_s = self._rotation.duration_s
         if duration_s is None:
             return rows
@@ -242,7 +243,7 @@ class RunFiles:
             self._end()
 
     def _end(self) -> None:
-        """Close the file, unless there may be no other; the next rows open the next."""
+        """Close the file, unless ``MOST_PARTS`` is reached; the next rows open the next file."""
         if self._ring.part < MOST_PARTS:
             self._finish_file(None, self._next_number())
             self._file = None

@@ -1,4 +1,4 @@
-"""A Python process of ours with its pipes, started before its task is known, and how long to wait for one."""
+"""A child process that runs one of our modules, started before its task is known, and a timeout for waits on it."""
 
 import subprocess
 import sys
@@ -15,7 +15,7 @@ from hil.record.ring import SharedBlock
 class StallTimeout:
     """Ends a wait for another process that makes no progress.
 
-    It counts waits and not seconds: a program that was suspended must not take its own absence for a dead peer.
+    It counts waits and not seconds: while this program is suspended, the other process must not count as stalled.
     """
 
     def __init__(self, waits: int, wait_s: float = 0.0005) -> None:
@@ -36,13 +36,13 @@ class StallTimeout:
 class StartedProcess:
     """``python -m module`` with its pipes and the block that it shares; a context manager that leaves nothing behind.
 
-    It may be started before its task is known: it imports its libraries meanwhile, which takes as long as everything
-    else before a run's first tick, and then waits for its config. Give it to one ``RingProcess``, which sends that and
-    ends it. Without one it does nothing, and ends with the context.
+    It is started before its task is known, because importing its libraries takes as long as everything else before a
+    run's first tick. It then waits for its config. Give it to one ``RingProcess``, which sends the config and ends the
+    process. Without one it does nothing, and ends with the context.
 
     Args:
-        arguments: what the module needs to know before its config.
-        block: the block of the process whose place it takes; by default a new one without bytes yet.
+        arguments: command-line arguments that the module needs before its config.
+        block: the shared memory of the process that it replaces; by default a new block, not allocated yet.
 
     Raises OSError when the process cannot be started.
 
@@ -78,16 +78,16 @@ class StartedProcess:
         self.replies = LineReader(self.process.stdout.fileno())
 
     def again(self) -> "StartedProcess":
-        """Start another in its place, with the same block. Raises OSError when that fails."""
+        """Start a process that replaces this one, with the same block. Raises OSError when that fails."""
         return StartedProcess(self._module, self._environment, *self._arguments, block=self.block)
 
     def end_lines(self) -> None:
-        """Close the pipe of lines; the process ends at its end."""
+        """Close the pipe of lines; the process ends when it reads the end."""
         if self.process.stdin is not None:
             self.process.stdin.close()
 
     def trouble(self) -> str:
-        """Wait for its end and return how it ended: its last words, or else its exit status."""
+        """Wait for the process to end and return how it ended: the last line of its stderr, or else its exit status."""
         status = self.process.wait()
         self._stderr.seek(0)
         words = self._stderr.read().decode(errors="replace").strip().splitlines()

@@ -53,9 +53,9 @@ class Stream:
         sink: ``rr.FileSink`` or ``rr.GrpcServerSink``.
         recording_id: the same for the file and the live stream of a run: viewers merge them.
         signals: names of the columns of every row.
-        properties: what the run was, as texts by name. Its ``scenario`` has the robot's size, the limits and the
-            faults; what it lacks is not drawn.
-        live: for live viewers: they get only what is drawn, and views of the last seconds.
+        properties: facts about the run, as texts by name. Its ``scenario`` gives the robot's size, the limits and the
+            faults; what is missing there is not drawn.
+        live: for live viewers, which get only the signals that are drawn, and views of the last seconds.
         part: which file of the run it is (see ``hil.record.properties``); None for a run in one file.
     """
 
@@ -98,10 +98,10 @@ class Stream:
         self.flush()
 
     def rows(self, rows: Rows) -> None:
-        """Write rows of shape (n, signals) as they are, all in one entity, from which they are read back.
+        """Write rows of shape (n, signals), unchanged, to the one entity from which they are read back.
 
-        They are drawn up to ``_DRAWN_AT_ONCE`` rows later: few large pieces take less of the disk, and a reader's index
-        takes 2.8 kB for each piece.
+        The views get them later, about ``_DRAWN_AT_ONCE`` rows at once: few large pieces need less disk, and each piece
+        takes 2.8 kB in a reader's index.
         """
         index = indexes(self._times(rows))
         self._rerun.send_columns(SIGNALS_PATH, indexes=index, columns=rr.Scalars.columns(scalars=rows))
@@ -110,7 +110,7 @@ class Stream:
             self._draw_rest()
 
     def draw(self, rows: Rows) -> None:
-        """Write what is drawn of rows of shape (n, signals): signals at most once each ``DRAWN_PERIOD_S``."""
+        """Write what the views show of rows of shape (n, signals): each signal at most once per ``DRAWN_PERIOD_S``."""
         times = self._drawn_times(rows)
         for lane in self._lanes:
             self._state_changes(lane, rows, times)
@@ -132,12 +132,12 @@ class Stream:
         )
 
     def finish(self, summary: Mapping[str, object] | None, recorder: Mapping[str, int]) -> None:
-        """Write the run's summary, when there is one, also on the page; last the recorder's counts."""
+        """Write the run's summary, also to the page, unless it is None; then the recorder's counts."""
         self._draw_rest()
         if summary is not None:
             self._rerun.send_property(SUMMARY_PROPERTY, rr.AnyValues(json=json.dumps(summary)))
             self._page(summary)
-        # A file with these is complete: by them a reader knows one that was cut.
+        # A reader takes a file without these for one that was cut off.
         self._rerun.send_property(RECORDER_PROPERTY, rr.AnyValues(json=json.dumps(recorder)))
 
     def flush(self) -> None:
@@ -184,7 +184,7 @@ class Stream:
         self._page(None)
 
     def _page(self, summary: Mapping[str, object] | None) -> None:
-        """Log the page: what the run was and, in the end, its figures."""
+        """Log the page: the run's properties and, at the end, its figures."""
         text = rr.TextDocument(page(self._properties, summary), media_type=rr.MediaType.MARKDOWN)
         self._rerun.log("/run", text, static=True)
 
@@ -207,7 +207,7 @@ class Stream:
                 self._rerun.send_columns(lane.path, indexes=indexes(times[i : i + 1]), columns=state)
 
     def _draw_limits(self, times: Times) -> None:
-        # At the pace of the run: a live view follows the newest point.
+        # No further than the run has come: a live view follows the newest point.
         t_s = times[self._limit_decimator.keep(times[:, 0]), 0]
         if not len(t_s):
             return
@@ -221,8 +221,8 @@ class Stream:
 class LiveServer:
     """A gRPC server on 127.0.0.1 with the run's rows at 100 Hz, in a thread of its own.
 
-    Viewers pull. The server's memory and the queue to the thread are bounded, and the oldest data go first: whatever a
-    viewer does, the file's recorder never waits for it. Raises OSError for a port that is in use.
+    Viewers pull the data. The server's memory and the queue to the thread are bounded and drop the oldest data first,
+    so the recorder never waits for a viewer. Raises OSError for a port that is in use.
     """
 
     def __init__(self, port: int, *, recording_id: str, signals: Sequence[str], properties: Mapping[str, str]) -> None:
@@ -245,7 +245,7 @@ class LiveServer:
         self._thread.start()
 
     def rows(self, rows: Rows) -> None:
-        """Queue rows of shape (n, signals); one each 10 ms of scenario time is served."""
+        """Queue rows of shape (n, signals); one per 10 ms of scenario time is served."""
         kept = rows[self._decimator.keep(rows[:, self._t_column])]
         if len(kept):
             self._put(lambda: self._stream.draw(kept))

@@ -1,6 +1,6 @@
 """A run as JSON datagrams over UDP, as PlotJuggler's UDP server reads them (STREAMS.md).
 
-``UdpStream`` is the run's side. It gives rows to a process of its own, ``python -m hil.record.udp``, which sends them.
+``UdpStream`` is the run's side. It passes rows to a separate process, ``python -m hil.record.udp``, which sends them.
 """
 
 import json
@@ -24,7 +24,7 @@ _CAPACITY = 16384
 PERIOD_S = 0.01
 _BATCH = 1000
 _PAUSE_S = 0.0002  # between rows, so that a receiver's buffer outlasts a run in lockstep
-MOST_BYTES = 1400  # a row is more than a frame of Ethernet holds, and some servers take no more than 2048 bytes
+MOST_BYTES = 1400  # a row does not fit into one Ethernet frame, and some receivers take at most 2048 bytes
 _LONGEST = -1.2345678901234567e-100  # as many characters as a float can have
 
 
@@ -38,11 +38,11 @@ def parse_destination(url: str) -> tuple[str, int]:
 
 
 class UdpStream:
-    """A sink that sends about 100 rows a second of scenario time as JSON, in a process of its own; a context manager.
+    """A sink that sends about 100 rows per second of scenario time as JSON, in a separate process; a context manager.
 
-    With ``blocking``, as in lockstep, ``put`` waits for room in the ring; else it drops the row and counts.
+    With ``blocking`` (for lockstep) ``put`` waits while the ring is full; otherwise it drops the row and counts it.
 
-    Raises BadInputError when there is no way to the address, DeviceError when the process does not start.
+    Raises BadInputError when there is no route to the address, DeviceError when the process does not start.
     """
 
     def __init__(self, destination: tuple[str, int], *, signals: Sequence[str], blocking: bool) -> None:
@@ -68,11 +68,11 @@ class UdpStream:
         self._process.put(row)
 
     def finish(self) -> dict[str, Any]:
-        """Have the rest sent, end the process, and return what became of it; never raises for one that died.
+        """Send the remaining rows, end the process and return its counts; never raises for a process that died.
 
-        ``sent`` counts the datagrams that the system took, ``lost`` those that it did not or that nobody listened to;
-        None where the process died. ``rows_dropped`` counts rows for which the ring had no room. A receiver that is too
-        slow sees its own losses in ``sequence``.
+        ``sent`` counts the datagrams that the system accepted, ``lost`` those that it did not, and those that nobody
+        listened to; both are None when the process died. ``rows_dropped`` counts rows that found the ring full. A
+        receiver that is too slow sees its own losses in ``sequence``.
         """
         if self._figures is None:
             process = self._process
@@ -97,9 +97,9 @@ class UdpStream:
 
 
 class UdpSender:
-    """Sends a row for each 10 ms of scenario time, and waits for nobody.
+    """Sends one row per 10 ms of scenario time; never waits for a receiver.
 
-    A datagram that the system does not take, or that nobody listened to, is counted as lost. Raises RefusedError when
+    A datagram that the system does not accept, or that nobody listened to, is counted as lost. Raises RefusedError when
     there is no route to the address.
     """
 
@@ -121,14 +121,14 @@ class UdpSender:
             ) from error
 
     def poll(self) -> None:
-        """Send rows that have settled in the ring."""
+        """Send the rows that are safe to read."""
         self._take(self._ring.settled())
 
     def line(self, _record: Record) -> None:
-        """Ignore lines: there are none but the last."""
+        """Ignore lines: a run sends none before "finish"."""
 
     def finish(self, _record: Record | None) -> Record:
-        """Send the rest."""
+        """Send the remaining rows and return the counts."""
         self._take(self._ring.head)
         if self._socket.getsockopt(socket.SOL_SOCKET, socket.SO_ERROR):
             self._count_unheard()
@@ -152,7 +152,7 @@ class UdpSender:
         try:
             try:
                 self._socket.send(datagram)
-            except ConnectionError:  # nobody listened to the last datagram; this one was not tried
+            except ConnectionError:  # about the last datagram, to which nobody listened; this one was not sent
                 self._count_unheard()
                 self._socket.send(datagram)
             self._sent += 1
@@ -167,10 +167,10 @@ class UdpSender:
 
 
 class DatagramWriter:
-    """Cuts rows into datagrams of at most ``MOST_BYTES``; ``loop.t_s`` must be among the signals.
+    """Splits rows into datagrams of at most ``MOST_BYTES``; ``loop.t_s`` must be among the signals.
 
-    A row is always cut at the same signals. Each datagram has ``timestamp``, the scenario's time [s], and ``sequence``,
-    which counts datagrams from 0 so that a receiver sees its losses. A missing value is null, which PlotJuggler skips.
+    Every row is split at the same signals. Each datagram has ``timestamp``, the scenario's time [s], and ``sequence``,
+    which counts datagrams from 0, so that a receiver sees its losses. A missing value is null, which PlotJuggler skips.
     """
 
     def __init__(self, signals: Sequence[str]) -> None:
@@ -184,14 +184,14 @@ class DatagramWriter:
             self._pieces[-1].append(place)
 
     def datagrams(self, row: Sequence[float]) -> Iterator[bytes]:
-        """Yield the pieces of one row."""
+        """Yield the datagrams of one row."""
         for piece in self._pieces:
             yield _encoded(row[self._time], self._sequence, piece, row)
             self._sequence += 1
 
 
 def _encoded(t_s: float, sequence: int, piece: list[tuple[int, tuple[str, ...]]], row: Sequence[float] | None) -> bytes:
-    """Return a datagram; without a row the longest that it can be."""
+    """Return a datagram as JSON; without a row, the longest that these signals can give."""
     tree: dict[str, object] = {"timestamp": t_s, "sequence": sequence}
     for index, (*groups, name) in piece:
         table = tree

@@ -1,7 +1,7 @@
-"""Rerun's viewer: opened on a recording (``hil view``), or on the run under way and each one after it (``hil live``).
+"""Rerun's viewer: opened on a recording (``hil view``), or on the current run and each later one (``hil live``).
 
 A run serves its rows on a port of this machine while it lasts (``hil.record.stream``). Neither rerun's viewer nor its
-page reconnects by itself: ``hil live`` has it do so, each time that something begins to listen on the port.
+web page reconnects by itself: ``hil live`` reconnects it each time a program begins to listen on the port.
 """
 
 import contextlib
@@ -33,7 +33,7 @@ def view(path: Path, *, web: bool, say: Callable[[str], None] = print) -> None:
     """Show a recording until the viewer is closed, or, in a browser, until Ctrl-C.
 
     Raises:
-        BadInputError: the file is no recording, or there is no display for the native viewer.
+        BadInputError: the file is not a recording, or there is no display for the native viewer.
         DeviceError: the viewer was not found, did not start, or ended with an error.
     """
     check_is_recording(path)
@@ -52,7 +52,7 @@ def view(path: Path, *, web: bool, say: Callable[[str], None] = print) -> None:
 
 
 def live(port: int, *, web: bool, say: Callable[[str], None]) -> None:
-    """Show the run that is served on a port, and each one after it, until the viewer is closed or Ctrl-C.
+    """Show the run that is served on a port, and each later one, until the viewer is closed or Ctrl-C.
 
     Raises:
         BadInputError: there is no display for the native viewer.
@@ -60,12 +60,12 @@ def live(port: int, *, web: bool, say: Callable[[str], None]) -> None:
     """
     if not web and not has_display():
         raise BadInputError("no display to open the viewer on; use 'hil live --web' and a browser")
-    with contextlib.suppress(KeyboardInterrupt):  # the way to end it
+    with contextlib.suppress(KeyboardInterrupt):  # Ctrl-C is the normal end
         (_live_in_browser if web else _live_in_window)(port, say)
 
 
 def on_each_run(port: int, *, found: Callable[[], None], going_on: Callable[[], bool]) -> None:
-    """Call ``found`` whenever something begins to listen on the port, for as long as ``going_on``."""
+    """Call ``found`` each time a program begins to listen on the port, until ``going_on`` returns False."""
     listened = False
     while going_on():
         listens = _listens(port)
@@ -81,14 +81,14 @@ def live_address(port: int) -> str:
 
 
 def live_hint(port: int) -> str:
-    """Return a sentence that says how to look at a run under way."""
+    """Return a sentence that tells the user how to watch the current run."""
     return f"live view: run 'hil live --port {port}' on this machine; with --web in a browser"
 
 
 def show_live(port: int) -> bool:
-    """Open a native viewer on a run under way; False when there is no display or no viewer to open.
+    """Open a native viewer on the current run; False when there is no display or no viewer to open.
 
-    The viewer outlives the run, with what it has received.
+    The viewer stays open after the run, with the data that it received.
     """
     if not has_display():
         return False
@@ -113,7 +113,7 @@ def has_display() -> bool:
 
 
 def viewer_executable() -> Path:
-    """Return the viewer that came with rerun-sdk, or else a ``rerun`` on the path.
+    """Return the viewer that came with rerun-sdk, or else a ``rerun`` on the search path.
 
     Raises DeviceError when there is neither.
     """
@@ -130,12 +130,12 @@ def viewer_executable() -> Path:
 
 
 def viewer_command(*options: str) -> list[str]:
-    """Return the command of a viewer that listens on this machine alone. Raises DeviceError when there is none."""
+    """Return the command of a viewer that listens on this machine only. Raises DeviceError when there is no viewer."""
     return [str(viewer_executable()), "--bind", HOST, *options]
 
 
 def viewer_environment() -> dict[str, str]:
-    """Return the environment of a viewer: ours, with a log of errors alone."""
+    """Return the environment of a viewer: this process's, with a log of errors only."""
     return {**os.environ, "RUST_LOG": "error"}
 
 
@@ -159,7 +159,7 @@ def wait_until_listening(process: "subprocess.Popen[bytes]", port: int) -> None:
 
 
 class Window:
-    """A native viewer, listening on ``port``, that can be told what to show."""
+    """Controls a native viewer that listens on ``port``."""
 
     def __init__(self, port: int) -> None:
         from rerun.experimental import ViewerClient
@@ -167,9 +167,9 @@ class Window:
         self._client = ViewerClient.connect(live_address(port))
 
     def show(self, run_port: int) -> None:
-        """Show the run on this port, in place of the one that was there before. Raises DeviceError."""
+        """Show the run on this port in place of the last one. Raises DeviceError when the viewer does not."""
         address = live_address(run_port)
-        # The viewer would show the run again that it has from the same address, and not the new one.
+        # Otherwise the viewer would show the old run from the same address, not the new one.
         with contextlib.suppress(RuntimeError, ConnectionError):
             self._client.close(address)
         try:
@@ -190,7 +190,7 @@ def _check_ended(viewer: "subprocess.Popen[bytes]", remedy: str) -> None:
 
 @contextlib.contextmanager
 def _web_viewer(*sources: str) -> Iterator[tuple["subprocess.Popen[bytes]", int, int]]:
-    """Serve rerun's page; gives the process, the port of the data and that of the page."""
+    """Serve rerun's web page; yields the process, the port of the data and the port of the page."""
     data_port, page_port = free_port(), free_port()
     viewer = _start("--serve-web", "--port", str(data_port), "--web-viewer-port", str(page_port), *sources)
     try:
@@ -202,7 +202,7 @@ def _web_viewer(*sources: str) -> Iterator[tuple["subprocess.Popen[bytes]", int,
 
 
 def _web_address(port: int, source: str) -> str:
-    """Return where a browser finds rerun's page, served on this port, with what the source serves."""
+    """Return the URL of rerun's page, served on ``port``, that shows the data at ``source``."""
     return f"http://{HOST}:{port}/?url={quote(source, safe='')}"
 
 
@@ -231,7 +231,7 @@ def _live_in_browser(port: int, say: Callable[[str], None]) -> None:
 
 
 class _Page:
-    """Serves a page that frames rerun's and loads it anew for each run; a context manager."""
+    """Serves a page that embeds rerun's viewer and reloads it for each run; a context manager."""
 
     def __init__(self, port: int, viewer_address: str) -> None:
         self._runs = 0
@@ -256,18 +256,18 @@ class _Page:
                 self.wfile.write(content)
 
             def log_message(self, *_: object) -> None:
-                """Say nothing of requests."""
+                """Log no requests."""
 
         self._server = ThreadingHTTPServer((HOST, 0), Handler)
         self._thread = threading.Thread(target=self._server.serve_forever, name="page", daemon=True)
 
     @property
     def address(self) -> str:
-        """Where a browser finds the page."""
+        """The page's URL."""
         return f"http://{HOST}:{self._server.server_port}/"
 
     def next_run(self) -> None:
-        """Have the page load the viewer anew."""
+        """Make the page reload the viewer."""
         self._runs += 1
 
     def __enter__(self) -> "_Page":
