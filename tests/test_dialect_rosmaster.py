@@ -231,9 +231,9 @@ def test_a_board_that_cannot_be_driven_is_refused(version: tuple[int, int], car_
 
 def test_what_has_not_answered_is_named() -> None:
     driver = rig().driver
-    assert driver.missing.startswith("the Rosmaster board has not told its version and its car;")
+    assert driver.missing.startswith("the Rosmaster board has not reported its version and its car;")
     driver.feed(report(0x51, "0305"), 0)
-    assert driver.missing.startswith("the Rosmaster board has not told its car;")
+    assert driver.missing.startswith("the Rosmaster board has not reported its car;")
 
 
 @pytest.mark.parametrize("wiring", [((1, 0, 2, 3), (1, 1, 1, 1)), ((0, 1, 2, 3), (1, -1, 1, 1))])

@@ -171,7 +171,7 @@ def test_a_low_battery_is_told_and_keeps_from_arming() -> None:
     for _ in range(40):
         made.step(made.driver.arm(made.now_ns))
     [error] = made.driver.errors
-    assert "its battery has 19.5 V, less than the 20 of device.motors.battery_low_v" in error
+    assert "its battery has 19.5 V, less than device.motors.battery_low_v = 20" in error
     assert not made.driver.is_armed
 
 
@@ -191,7 +191,7 @@ def test_on_can_a_report_that_lacks_a_part_or_mixes_two_is_none() -> None:
             driver.feed(frame, 1)
         assert driver.sample is None
         assert driver.identity is None
-    assert driver.missing.startswith("no report of a WHEELTEC base; check its power")
+    assert driver.missing.startswith("no report from a WHEELTEC base; check its power")
 
 
 @share_of_examples(0.5)

@@ -1,10 +1,10 @@
-"""RoboMaster C620 with M3508, and C610 with M2006: currents to the motors, their speed loop closed here.
+"""RoboMaster C620 with M3508, and C610 with M2006. They take currents; the speed loops are closed in this driver.
 
-CAN 1 Mbit/s, standard identifiers, big-endian: 0x200 carries the currents of motors 1 to 4, 0x1FF those of 5 to 8, and
-each motor answers at 1 kHz with 0x200 + its id: rotor angle (8192 a turn), rotor speed [rpm], current, temperature.
+CAN 1 Mbit/s, standard identifiers, big-endian. 0x200 carries the currents of motors 1 to 4, 0x1FF those of 5 to 8.
+Each motor sends 0x200 + its id at 1 kHz: rotor angle (8192 steps a turn), rotor speed [rpm], current, temperature.
 Source: RoboMaster C620 user guide; RoboRTS-Firmware, components/devices/motor.c.
 
-Its controllers know no arming, no version and no error: one that is there says so by its feedback.
+The controllers have no arming, version or error message. A controller is present when its feedback arrives.
 """
 
 import math
@@ -28,10 +28,10 @@ _FEEDBACK_NS = 1_000_000
 
 
 class Motor(NamedTuple):
-    """A controller and its motor: current [A] of one count, the largest count, rotor turns in one of the wheel."""
+    """A controller and its motor: current of one count [A], the largest count, rotor turns per turn of the wheel."""
 
     amperes: float
-    most: int
+    max_count: int
     gear_ratio: float
 
 
@@ -43,10 +43,10 @@ MOTORS = {
 
 @dataclass(frozen=True, slots=True)
 class Settings:
-    """``[device.motors]``: ``ids`` of the channels in order, as set with the button of each controller.
+    """``[device.motors]``. ``ids``: of the channels in order, as set with the button of each controller.
 
-    ``gear_ratio`` 0 takes that of the motor's own gearbox. The gains are those of the speed loop, at the wheel;
-    ``temperature_limit_degc`` is of a motor, beyond which the robot is stopped.
+    ``gear_ratio``: 0 stands for the ratio of the motor's own gearbox. The gains belong to the speed loop, at the wheel.
+    ``temperature_limit_degc``: the robot is stopped when a motor is hotter.
     """
 
     controller: Literal["c620", "c610"] = "c620"
@@ -61,7 +61,7 @@ class Settings:
 
 
 class _Channel:
-    """What one motor said, and its speed loop."""
+    """The feedback of one motor, and the integral of its speed loop."""
 
     def __init__(self) -> None:
         self.stamp_ns: int | None = None
@@ -83,22 +83,24 @@ class _Channel:
         self.rpm = rpm
 
     def turned(self) -> int:
-        """Return the angle steps since the first frame; to be asked when all that has come was fed."""
+        """Return the angle steps since the first frame. Call it after all frames that have arrived were fed."""
         self._unwrap()
         return self._turned
 
     def _unwrap(self) -> None:
-        """Frames that were read at once came a millisecond apart, the first of them after what is left of the time.
+        """Add the turns of the frames with the newest stamp.
 
-        Where frames were lost the rotor may have turned more than half round in it: its speed tells how often.
+        Frames that were read together were sent 1 ms apart; the rest of the time since the last stamp lies before the
+        first of them. The rotor may have turned more than half a turn in that time, if frames were lost: the number of
+        whole turns follows from the speed.
         """
         batch, self._batch = self._batch, []
-        for place, (angle, rpm) in enumerate(batch):
+        for i, (angle, rpm) in enumerate(batch):
             if self._before_ns is None or self.stamp_ns is None:
                 step = 0
             else:
                 apart_ns = _FEEDBACK_NS
-                if place == 0:
+                if i == 0:
                     apart_ns = max(self.stamp_ns - self._before_ns - (len(batch) - 1) * _FEEDBACK_NS, _FEEDBACK_NS)
                 expected = rpm / 60.0 * _ANGLES * apart_ns * 1e-9
                 step = angle - self._angle
@@ -109,14 +111,14 @@ class _Channel:
 
 
 class C620(Driver):
-    """Four of them on one bus."""
+    """Drives four controllers on one bus."""
 
     def __init__(self, settings: Settings, robot: RobotFacts) -> None:
         motor = MOTORS[settings.controller]
         self._settings = settings
         self._robot = robot
         self._amperes = motor.amperes
-        self._most = motor.most
+        self._max_count = motor.max_count
         self._gear_ratio = settings.gear_ratio or motor.gear_ratio
         self._channels = tuple(_Channel() for _ in settings.ids)
         self._by_id = {_FEEDBACK_BASE + number: self._channels[i] for i, number in enumerate(settings.ids)}
@@ -132,9 +134,9 @@ class C620(Driver):
             latches_estop=False,
         )
         self._warnings = (
-            f"what a {settings.controller.upper()} does when commands end is not known to us: keep an e-stop that cuts "
+            f"it is not known what a {settings.controller.upper()} does when commands end: keep an e-stop that cuts "
             "the motors' power within reach",
-            f"a {settings.controller.upper()} that is stopped lets its wheel coast: it does not brake it",
+            f"a stopped {settings.controller.upper()} lets its wheel coast and does not brake it",
         )
 
     @property
@@ -159,28 +161,28 @@ class C620(Driver):
             channel.integral_n_m = 0.0
         self._commanded_ns = None
         self._is_armed = not self.missing
-        return self._currents(_NONE)
+        return self._currents(_NO_CURRENT)
 
     def command(self, speed_rad_s: FourWheels, torque_n_m: FourWheels, now_ns: int) -> Sequence[Frame]:
         if self._robot.mode is CommandMode.SPEED:
             torque_n_m = self._speed_loops(speed_rad_s, torque_n_m, now_ns)
         self._commanded_ns = now_ns
         scale = 1.0 / (self._robot.torque_constant_n_m_a * self._amperes)
-        fl, fr, rr, rl = (min(max(round(torque * scale), -self._most), self._most) for torque in torque_n_m)
-        return self._currents((fl, fr, rr, rl))
+        most = self._max_count
+        return self._currents([min(max(round(torque * scale), -most), most) for torque in torque_n_m])
 
-    def _is_heard(self, channel: _Channel, now_ns: int) -> bool:
+    def _is_fresh(self, channel: _Channel, now_ns: int) -> bool:
         return channel.stamp_ns is not None and now_ns - channel.stamp_ns < self._robot.watchdog_s * 1e9
 
     def _speed_loops(self, speed_rad_s: FourWheels, torque_n_m: FourWheels, now_ns: int) -> FourWheels:
         settings, limit = self._settings, self._robot.torque_limit_n_m
         dt_s = self._robot.period_s if self._commanded_ns is None else (now_ns - self._commanded_ns) * 1e-9
-        dt_s = min(dt_s, 2.0 * self._robot.period_s)  # a stall is no time in which the loop was closed
-        wanted = []
+        dt_s = min(dt_s, 2.0 * self._robot.period_s)  # the loop was open during a stall: do not integrate over it
+        torques = []
         for channel, target, feedforward in zip(self._channels, speed_rad_s, torque_n_m, strict=True):
-            if not self._is_heard(channel, now_ns):
+            if not self._is_fresh(channel, now_ns):
                 channel.integral_n_m = 0.0
-                wanted.append(0.0)  # no loop is closed on a speed of long ago
+                torques.append(0.0)  # no torque on an outdated speed
                 continue
             error = target - channel.rpm * _RPM / self._gear_ratio
             torque = feedforward + settings.kp_n_m_s_rad * error + channel.integral_n_m
@@ -188,12 +190,12 @@ class C620(Driver):
             if torque == limited or error * torque < 0.0:  # no windup at the limit
                 integral = channel.integral_n_m + settings.ki_n_m_rad * error * dt_s
                 channel.integral_n_m = min(max(integral, -limit), limit)
-            wanted.append(limited)
-        fl, fr, rr, rl = wanted
+            torques.append(limited)
+        fl, fr, rr, rl = torques
         return fl, fr, rr, rl
 
-    def _currents(self, counts: tuple[int, int, int, int]) -> Sequence[Frame]:
-        """Return the frame or two that carry the currents; the other motors of those frames get none."""
+    def _currents(self, counts: Sequence[int]) -> Sequence[Frame]:
+        """Return the one or two frames that carry the currents. The other motors of these frames get no current."""
         slots = {_LOW: [0, 0, 0, 0], _HIGH: [0, 0, 0, 0]}
         used = set()
         for number, count in zip(self._settings.ids, counts, strict=True):
@@ -204,7 +206,7 @@ class C620(Driver):
 
     def disarm(self) -> Sequence[Frame]:
         self._is_armed = False
-        return self._currents(_NONE)
+        return self._currents(_NO_CURRENT)
 
     def feed(self, frame: Frame, stamp_ns: int) -> None:
         channel = self._by_id.get(frame.id)
@@ -237,8 +239,8 @@ class C620(Driver):
     def errors(self) -> Sequence[str]:
         limit = self._settings.temperature_limit_degc
         return [
-            f"motor {number} of wheel {WHEEL_NAMES[wheel]} has {channel.temperature_degc} °C, more than the {limit:g} "
-            "of device.motors.temperature_limit_degc"
+            f"motor {number} of wheel {WHEEL_NAMES[wheel]} has {channel.temperature_degc} °C, more than "
+            f"device.motors.temperature_limit_degc = {limit:g}"
             for number, channel, wheel in zip(
                 self._settings.ids, self._channels, self._robot.wheel_of_channel, strict=True
             )
@@ -252,7 +254,7 @@ class C620(Driver):
 
 
 class _Probe(Probe):
-    """Listens: each motor speaks by itself."""
+    """Listens only: each motor sends its feedback without being asked."""
 
     def __init__(self) -> None:
         self._ids: set[int] = set()
@@ -273,7 +275,7 @@ class _Probe(Probe):
         return Found(sentences, {"ids": ids} if len(ids) == 4 else None, unknown=unknown)
 
 
-_NONE = (0, 0, 0, 0)
+_NO_CURRENT = (0, 0, 0, 0)
 DIALECT = Dialect(
     title="RoboMaster C620 and C610",
     wires=frozenset({"can"}),

@@ -1,6 +1,6 @@
-"""Four RoboMaster C620 or C610 as their guide describes them: current loops, and a feedback frame each a millisecond.
+"""Four RoboMaster C620 or C610 as their guide describes them: current loops, and one feedback frame each per ms.
 
-On command loss this one goes on with the newest currents for ever, the worst that a real one might do.
+When commands end, the emulated controller keeps its last currents for ever: the worst that a real one might do.
 """
 
 import math
@@ -16,30 +16,30 @@ _GEARS = {"c620": 3591 / 187, "c610": 36.0}
 
 
 class EmulatedC620(EmulatedMotors):
-    """See ``EmulatedMotors``. The rotor turns ``gear_ratio`` times as fast as the wheel."""
+    """Emulates four C620 or C610. A rotor turns ``gear_ratio`` times as fast as its wheel."""
 
     def __init__(self, settings: Settings, *node: object, **keywords: object) -> None:
         self._ids = settings.ids
         self._gear = settings.gear_ratio or _GEARS[settings.controller]
         self._counts, self._amperes = _FULL_SCALE[settings.controller]
-        self._wanted_a = [0.0] * 4
-        self._was_told = False
+        self._set_point_a = [0.0] * 4
+        self._was_commanded = False
         super().__init__(*node, **keywords)  # type: ignore[arg-type]
 
     @property
     def is_driving(self) -> bool:
-        return any(self._wanted_a)
+        return any(self._set_point_a)
 
     def take(self, frame: Frame) -> None:
         first = {0x200: 1, 0x1FF: 5}.get(frame.id)
         if first is None or len(frame.payload) != 8:
             return
-        self._was_told = True
+        self._was_commanded = True
         for slot in range(4):
             if first + slot in self._ids:
                 (raw,) = struct.unpack_from(">h", frame.payload, 2 * slot)
                 limited = min(max(raw, -self._counts), self._counts)
-                self._wanted_a[self._ids.index(first + slot)] = limited * self._amperes / self._counts
+                self._set_point_a[self._ids.index(first + slot)] = limited * self._amperes / self._counts
 
     def tick(self) -> FourWheels | None:
         for channel, number in enumerate(self._ids):
@@ -50,10 +50,10 @@ class EmulatedC620(EmulatedMotors):
             temperature = min(max(round(self.temperature_degc[channel]), 0), 255)
             payload = struct.pack(">HhhBB", angle, _int16(rpm), _int16(raw_current), temperature, 0)
             self.say(Frame(0x200 + number, payload))
-        if not self._was_told:
+        if not self._was_commanded:
             return None
         constant = self.values["torque_constant_n_m_a"]
-        a, b, c, d = (constant * current for current in self._wanted_a)
+        a, b, c, d = (constant * current for current in self._set_point_a)
         return a, b, c, d
 
 

@@ -1,4 +1,4 @@
-"""What a Rosmaster board can be set to be, how it is asked for that, and the settings of its driver."""
+"""The cars that a Rosmaster board can be set to, the questions for version and car, and the driver's settings."""
 
 import math
 from collections.abc import Sequence
@@ -15,7 +15,7 @@ KNOWN_MAJOR = 3
 
 
 class Car(NamedTuple):
-    """What a board is told to be, and with what its firmware then computes (app_mecanum.h, app_motion.h)."""
+    """A type of car, by its number, and the geometry that the firmware uses for it (app_mecanum.h, app_motion.h)."""
 
     number: int
     wheel_radius_m: float
@@ -33,9 +33,10 @@ _OTHER_CARS = {3: "car of type 3", 4: "X1, without Mecanum wheels", 5: "R2, with
 
 @dataclass(frozen=True, slots=True)
 class Settings:
-    """``[device.motors]``. ``wheel_radius_m``, ``lever_m`` and ``counts_per_turn`` are the firmware's, not the robot's.
+    """``[device.motors]``. ``wheel_radius_m``, ``lever_m`` and ``counts_per_turn``: of the firmware, not of the robot.
 
-    0 takes those of the ``car``. Beyond the two voltages, for 2 s, the firmware switches the motors off until a reset.
+    0 stands for the value of the ``car``. When the battery is outside the two voltages for 2 s, the firmware switches
+    the motors off until a reset.
     """
 
     car: Literal["x3", "x3_plus"] = "x3"
@@ -53,7 +54,7 @@ class Settings:
 
     @property
     def geometry(self) -> Car:
-        """The car with what is given in its place."""
+        """The geometry of the car, with the values that the settings replace."""
         car = CARS[self.car]
         return car._replace(
             wheel_radius_m=self.wheel_radius_m or car.wheel_radius_m,
@@ -63,7 +64,7 @@ class Settings:
 
 
 class Identity:
-    """Asks a board for its version and its car in turn, and keeps what it answered."""
+    """Asks a board for its version and its car in turn, and keeps the answers."""
 
     def __init__(self) -> None:
         self.version: tuple[int, int] | None = None
@@ -71,12 +72,12 @@ class Identity:
         self._turn = 0
 
     def ask(self) -> Sequence[Frame]:
-        """One question a call: the board has room for one."""
+        """Return one question: the board has room for one message only."""
         self._turn += 1
         return (_request(VERSION if self._turn % 2 else CAR_TYPE),)
 
     def feed(self, frame: Frame) -> None:
-        """Take a frame; one that answers neither question changes nothing."""
+        """Take a frame. It changes nothing unless it answers one of the questions."""
         if len(frame.payload) != 2:
             return
         if frame.id == VERSION:
@@ -85,14 +86,14 @@ class Identity:
             self.car_number = frame.payload[0]
 
     def describe(self) -> str:
-        """Return what answered, in words."""
+        """Return firmware version and car in words."""
         return (
             f"a Rosmaster board, firmware {'.'.join(map(str, self.version or ()))}, set to {car_name(self.car_number)}"
         )
 
 
 class RosmasterProbe(Probe):
-    """Asks for version and car, which moves nothing and writes nothing."""
+    """Asks for version and car. This moves nothing and writes nothing."""
 
     def __init__(self) -> None:
         self._identity = Identity()
@@ -109,16 +110,17 @@ class RosmasterProbe(Probe):
         return True  # others' frames do not begin with FF FB
 
     def found(self) -> Found | None:
-        who = self._identity
-        if who.version is None or who.car_number is None:
+        board = self._identity
+        if board.version is None or board.car_number is None:
             return None
-        names = [name for name, car in CARS.items() if car.number == who.car_number and who.version[0] == KNOWN_MAJOR]
+        is_known = board.version[0] == KNOWN_MAJOR
+        names = [name for name, car in CARS.items() if car.number == board.car_number and is_known]
         if not names:
-            return Found([who.describe()], None)
+            return Found([board.describe()], None)
         car = CARS[names[0]]
         geometry = (
-            f"its firmware computes with wheels of {car.wheel_radius_m:.4g} m and with half the length and half the "
-            f"width together of {car.lever_m:.4g} m, of which each is given one half"
+            f"its firmware computes with a wheel radius of {car.wheel_radius_m:.4g} m, and with {car.lever_m:.4g} m "
+            "for half the length plus half the width; each of the two is set to half of that"
         )
         known = {
             "robot.wheel_radius_m": car.wheel_radius_m,
@@ -127,7 +129,7 @@ class RosmasterProbe(Probe):
             "robot.speed_limit_rad_s": car.rim_limit_m_s / car.wheel_radius_m,
             "firmware.counts_per_revolution": car.counts_per_turn,
         }
-        return Found([who.describe(), geometry], {"car": names[0]}, known)
+        return Found([board.describe(), geometry], {"car": names[0]}, known)
 
 
 def _request(function: int) -> Frame:
@@ -135,6 +137,6 @@ def _request(function: int) -> Frame:
 
 
 def car_name(number: int | None) -> str:
-    """Return what the maker calls a car of this number."""
+    """Return the maker's name for a car of this number."""
     known = {car.number: name.upper().replace("_", " ") for name, car in CARS.items()}
     return known.get(number or 0) or _OTHER_CARS.get(number or 0, f"car of type {number}")

@@ -1,12 +1,12 @@
-"""Yahboom Rosmaster expansion board (X3, X3 PLUS): a velocity of the body, the wheels' loops closed by the board.
+"""Yahboom Rosmaster expansion board (X3, X3 PLUS). It takes a velocity of the body and closes the wheels' loops itself.
 
-Serial, 115200 baud, little-endian: ``FF FC length function data sum`` to the board and ``FF FB …`` from it, where
-``length`` counts itself to the sum, and the sum leaves out the two first bytes. The board reports its twist, an IMU,
+Serial, 115200 baud, little-endian: ``FF FC length function data sum`` to the board and ``FF FB …`` from it. ``length``
+counts the bytes from itself to the sum; the sum leaves out the first two bytes. The board reports its twist, an IMU,
 an attitude and four encoder counts in turn, 10 ms apart, each at 25 Hz.
 Sources: Yahboom Rosmaster_Lib 3.3.9; Yahboom's STM32 firmware 3.3.9 and 3.5.1 (protocol.c, app.c, app_motion.c,
-app_mecanum.c, app_bat.c). ROSMASTER.md has what follows from them.
+app_mecanum.c, app_bat.c). ROSMASTER.md says what follows from them.
 
-It knows no arming, no error code, and no limit of time for a command: the newest one is obeyed for ever.
+The board has no arming, no error codes and no watchdog: it obeys the last command for ever.
 """
 
 import math
@@ -21,10 +21,10 @@ from hil.drivers.port import Capabilities, Dialect, Driver, RobotFacts, Sample, 
 from hil.drivers.rosmaster.board import BAUD, CARS, KNOWN_MAJOR, Identity, RosmasterProbe, Settings, car_name
 from hil.drivers.twist_base import LATE_NS, TwistBase, is_still
 
-# The board has one receive buffer and reads it once a millisecond. Two frames within that time may destroy each other,
-# even two stops. So a pause follows each frame, made of bytes that begin none.
+# The board has one receive buffer and reads it once per millisecond. Two frames within that time may destroy each
+# other, even two stops. So a pause follows each frame, made of bytes that cannot begin a frame.
 PAUSE = bytes(18)
-"""1.6 ms at 115200 baud; the maker's library, which waits 2 ms from write to write, leaves half of that."""
+"""1.6 ms at 115200 baud. The maker's library waits 2 ms from write to write, which leaves half as long a pause."""
 
 _TO_BOARD = b"\xff\xfc"
 _FROM_BOARD = b"\xff\xfb"
@@ -33,14 +33,14 @@ _MOST = 32  # the longest report, of an IMU, has 21
 
 
 class RosmasterFraming:
-    """The host's side. ``rejected`` counts lengths and sums that are wrong, and bytes that belong to no frame."""
+    """The host's framing. ``rejected`` counts wrong lengths, wrong checksums, and bytes that belong to no frame."""
 
     def __init__(self) -> None:
         self.rejected = {"length": 0, "checksum": 0, "stray": 0}
         self._buffer = bytearray()
 
     def encode(self, frame: Frame) -> bytes:
-        """Return the bytes for the wire. Raises ValueError for a payload that the board has no room for."""
+        """Return the bytes for the wire. Raises ValueError for a payload that is too long for the board."""
         length = _LEAST + len(frame.payload)
         if length > _MOST:
             raise ValueError(f"a payload of {len(frame.payload)} bytes: expected at most {_MOST - _LEAST}")
@@ -48,7 +48,7 @@ class RosmasterFraming:
         return _TO_BOARD + body + bytes([sum(body) & 0xFF]) + PAUSE
 
     def feed(self, data: bytes) -> list[Frame]:
-        """Take bytes in pieces of any size, and return the frames that they complete."""
+        """Take received bytes, in pieces of any size, and return the frames that they complete."""
         buffer = self._buffer
         buffer += data
         frames: list[Frame] = []
@@ -66,7 +66,7 @@ class RosmasterFraming:
             elif end > len(buffer):
                 break
             elif sum(buffer[begin + 2 : end - 1]) & 0xFF != buffer[end - 1]:
-                # A frame that was cut may have the next one's beginning in it: look for it there.
+                # The next frame may begin within one that was cut off: search from its third byte.
                 self.rejected["checksum"] += 1
                 at += 2
             else:
@@ -90,11 +90,11 @@ _IMU = Struct("<9h")
 _CONFIRM = 0x5F
 _WHEEL_OF_MOTOR = (0, 3, 1, 2)  # M1 to M4 are FL, RL, FR, RR
 _WRAP = 1 << 32
-_BATTERY_NS = 1_500_000_000  # the firmware waits 2 s before it switches itself off: time for a stop in order
+_BATTERY_NS = 1_500_000_000  # the firmware switches off after 2 s: this leaves time for a controlled stop
 
 
 class Imu(NamedTuple):
-    """Counts of 1 rad/s about the vertical, and of 1 m/s²; the maker's library turns the MPU9250's rates round."""
+    """Counts per rad/s about the vertical, negative where the maker's library inverts the rate, and per m/s²."""
 
     yaw_per_rad_s: float
     per_m_s2: float
@@ -104,7 +104,7 @@ IMUS = {MPU_REPORT: Imu(-3754.9, 1671.84), ICM_REPORT: Imu(1000.0, 1000.0)}
 
 
 class Rosmaster(Driver):
-    """One board with four Mecanum wheels."""
+    """Drives one board with four Mecanum wheels."""
 
     def __init__(self, settings: Settings, robot: RobotFacts) -> None:
         self._settings = settings
@@ -122,8 +122,8 @@ class Rosmaster(Driver):
             latches_estop=False,
         )
         self._warnings = (
-            "a Rosmaster drives on for ever with the newest command when commands end: if this computer loses its "
-            "power, hangs, or loses the cable, nothing stops the robot; keep its power switch within reach",
+            "when commands end a Rosmaster drives on for ever with the last one: if this computer loses power, hangs, "
+            "or loses the cable, nothing stops the robot; keep its power switch within reach",
             torques_dropped("a Rosmaster"),
         )
         self.restart()
@@ -149,45 +149,45 @@ class Rosmaster(Driver):
 
     @property
     def identity(self) -> str | None:
-        who = self._identity
-        if who.version is None or who.car_number is None:
+        board = self._identity
+        if board.version is None or board.car_number is None:
             return None
-        major, minor = who.version
+        major, minor = board.version
         if major != KNOWN_MAJOR:
             raise BadInputError(
                 f"the Rosmaster board has firmware {major}.{minor}, and this driver knows {KNOWN_MAJOR}.x; load that, "
                 "as Yahboom's page of the board says"
             )
-        if who.car_number != self._car.number:
-            known = [name for name, car in CARS.items() if car.number == who.car_number]
+        if board.car_number != self._car.number:
+            known = [name for name, car in CARS.items() if car.number == board.car_number]
             remedy = (
                 f'write device.motors.car = "{known[0]}"'
                 if known
                 else "set the board to X3 or X3 PLUS with Yahboom's tool"
             )
             raise BadInputError(
-                f"the Rosmaster board is set to {car_name(who.car_number)}, and device.motors.car is "
+                f"the Rosmaster board is set to {car_name(board.car_number)}, and device.motors.car is "
                 f"{self._settings.car!r}; {remedy}"
             )
-        return who.describe()
+        return board.describe()
 
     @property
     def missing(self) -> str:
-        who = self._identity
-        silent = [name for name, is_known in (("version", who.version), ("car", who.car_number)) if is_known is None]
-        if not silent:
+        answers = {"version": self._identity.version, "car": self._identity.car_number}
+        unknown = [name for name, answer in answers.items() if answer is None]
+        if not unknown:
             return ""
         return (
-            f"the Rosmaster board has not told its {' and its '.join(silent)}; check its power, the cable, "
+            f"the Rosmaster board has not reported its {' and its '.join(unknown)}; check its power, the cable, "
             f"baud={BAUD} in the link, that the port is the board's, and that no other program reads from it"
         )
 
     def arm(self, now_ns: int) -> Sequence[Frame]:
-        """Stop what may still be driving, have reports sent, and wait for one that says that the wheels stand."""
+        """Send stops and, while no reports come, the request for them, until a report says that the wheels stand."""
         sample = self.sample
         is_fresh = sample is not None and now_ns - sample.stamp_ns < LATE_NS
         self._is_armed = (
-            self._arming > 0  # a stop has gone out
+            self._arming > 0  # a stop was sent
             and is_fresh
             and sample is not None
             and is_still(sample.speed_rad_s)
@@ -204,7 +204,7 @@ class Rosmaster(Driver):
         return (self._motion(self._base.counts(speed_rad_s) if self._is_armed else (0, 0, 0)),)
 
     def disarm(self) -> Sequence[Frame]:
-        """Two frames, each of which brakes by itself: the board throws away what is damaged."""
+        """Return two frames, each of which brakes alone: the board discards a damaged frame."""
         self._is_armed = False
         return self._motion((0, 0, 0)), Frame(RESET_STATE, bytes([_CONFIRM]))
 
@@ -216,9 +216,9 @@ class Rosmaster(Driver):
         if number == TWIST_REPORT and len(payload) == _TWIST.size:
             x, y, turn, battery = _TWIST.unpack(payload)
             self._twist, self._twist_ns = (x, y, turn), stamp_ns
-            self._take_battery(battery / 10.0, stamp_ns)
+            self._feed_battery(battery / 10.0, stamp_ns)
         elif number == ENCODER_REPORT and len(payload) == _COUNTS.size:
-            self._take_counts(_COUNTS.unpack(payload))
+            self._feed_counts(_COUNTS.unpack(payload))
             self._counts_ns = stamp_ns
         elif number in IMUS and len(payload) == _IMU.size:
             imu = IMUS[number]
@@ -229,7 +229,7 @@ class Rosmaster(Driver):
         else:
             self._identity.feed(frame)
 
-    def _take_battery(self, battery_v: float, stamp_ns: int) -> None:
+    def _feed_battery(self, battery_v: float, stamp_ns: int) -> None:
         self._battery_v = battery_v
         if self._settings.battery_low_v < battery_v < self._settings.battery_high_v:
             self._battery_bad_ns = None
@@ -238,7 +238,7 @@ class Rosmaster(Driver):
         self._is_battery_bad = self._battery_bad_ns is not None and stamp_ns - self._battery_bad_ns >= _BATTERY_NS
         self._is_armed = self._is_armed and not self._is_battery_bad
 
-    def _take_counts(self, counts: tuple[int, ...]) -> None:
+    def _feed_counts(self, counts: tuple[int, ...]) -> None:
         for motor, count in enumerate(counts):
             step = 0 if self._counts is None else count - self._counts[motor]
             self._turned[_WHEEL_OF_MOTOR[motor]] += (step + _WRAP // 2) % _WRAP - _WRAP // 2
@@ -246,9 +246,10 @@ class Rosmaster(Driver):
 
     @property
     def sample(self) -> Sample | None:
-        """The newest twist with what else was reported last: positions of the wheels are at most 40 ms older.
+        """The newest twist, with the last values of the other reports: wheel positions may be 40 ms older.
 
-        None before both have come: odometry would leap from angles by speed to those of the encoders.
+        None before both twist and encoder counts have come: odometry would jump from angles that are integrated from
+        speeds to those of the encoders.
         """
         if self._twist is None or self._counts is None:
             return None
@@ -270,12 +271,12 @@ class Rosmaster(Driver):
             return ()
         low, high = self._settings.battery_low_v, self._settings.battery_high_v
         return (
-            f"the battery of the Rosmaster has {self._battery_v:g} V, and its firmware switches all motors off until a "
-            f"reset beyond {low:g} to {high:g} V (device.motors.battery_low_v and battery_high_v)",
+            f"the battery of the Rosmaster has {self._battery_v:g} V; outside {low:g} to {high:g} V "
+            "(device.motors.battery_low_v and battery_high_v) its firmware switches all motors off until a reset",
         )
 
 
-_REPORT_ON = Frame(AUTO_REPORT, bytes([1, 0]))  # 0: not for ever
+_REPORT_ON = Frame(AUTO_REPORT, bytes([1, 0]))  # 0: not saved, so a reset ends it
 DIALECT = Dialect(
     title="Yahboom Rosmaster",
     wires=frozenset({"serial"}),

@@ -1,11 +1,11 @@
-"""A Yahboom Rosmaster board as its firmware 3.5 is: one receive buffer, loops of four wheels, four reports in turn.
+"""A Yahboom Rosmaster board, after its firmware 3.5: one receive buffer, loops of four wheels, four reports in turn.
 
-Bytes come in at 115200 baud into one buffer, which is looked at once a millisecond, so that frames without a pause
-between them destroy each other as on the board. Commands never grow old. The wheels' loops are those of the other
-emulated controllers, at 1 kHz, where the board's run at 100 Hz on the counts of 10 ms; what it reports are such counts.
+Bytes arrive at 115200 baud in one buffer, which is read once per millisecond. So frames without a pause between them
+destroy each other, as on the board. Commands do not expire. The speed loops are those of the other emulated
+controllers and run at 1 kHz; the board's run at 100 Hz on the counts of 10 ms. The reports use the counts of 10 ms.
 
-Of the functions there are those that drive, stop, report, configure and answer; what has lamps, a beeper or servos as
-its only effect is passed over.
+Emulated are the functions that drive, stop, report, configure and answer. Functions that only affect lamps, the beeper
+or servos are ignored.
 """
 
 import math
@@ -19,22 +19,22 @@ from hil.drivers.rosmaster.board import Settings
 
 _BYTES_PER_TICK = 115200 / 10 / 1000
 _BUFFER = 50
-_HOST_BUFFER = 4096  # what a serial driver takes before it makes a writer wait; beyond it bytes are lost here
+_HOST_BUFFER = 4096  # bytes that a serial driver accepts before a writer has to wait; here further bytes are lost
 _CAR_NUMBERS = {"x3": 1, "x3_plus": 2}
 _WHEELS = {"x3": (204.203, 164.555, 1320, 1000), "x3_plus": (251.327, 214.1, 2464, 700)}  # mm, mm, counts, mm/s
 _REPORT_TICKS = 40
 _BATTERY_CHECKS = 20
 _TICK_S = 0.001
-_SAVE = 0x5F  # behind what is to be kept, or is not to be done by mistake
-_MOST_SHARE, _DEAD_PULSE, _MOST_PULSE = 100, 2000, 3600  # of the motors' voltage: the least pulse is the dead zone's
-_PID = (800, 60, 500)  # kp, ki, kd of the wheels, as delivered, in thousandths
+_SAVE = 0x5F  # follows settings that are to be stored, and confirms functions that must not happen by mistake
+_MAX_PERCENT, _DEAD_PULSE, _MAX_PULSE = 100, 2000, 3600  # of the motors' voltage; pulses begin beyond the dead zone
+_PID = (800, 60, 500)  # default kp, ki, kd of the wheels, in thousandths
 _SPIN = 5  # mrad/s of a turn for each mm/s
-_WAYS = {1: (1, 0, 0), 2: (-1, 0, 0), 3: (0, 1, 0), 4: (0, -1, 0), 5: (0, 0, _SPIN), 6: (0, 0, -_SPIN)}
+_DIRECTIONS = {1: (1, 0, 0), 2: (-1, 0, 0), 3: (0, 1, 0), 4: (0, -1, 0), 5: (0, 0, _SPIN), 6: (0, 0, -_SPIN)}
 _STOP, _BRAKE = 0, 7  # the other states of FUNC_CAR_RUN
 
 
 class _Receiver:
-    """The board's interrupt: bytes into the one buffer, whatever is still in there."""
+    """The board's receive interrupt: writes bytes into the one buffer, over whatever it still holds."""
 
     def __init__(self) -> None:
         self._buffer = bytearray(_BUFFER)
@@ -64,7 +64,7 @@ class _Receiver:
                 self._step = 0
 
     def look(self) -> tuple[int, bytes] | None:
-        """Return what a task finds in the buffer: function and data, if something is new and its sum is right."""
+        """Return function and data of a new frame in the buffer; None without a new one, or for a wrong checksum."""
         if not self._is_new:
             return None
         found = bytes(self._buffer[2 : self._length])
@@ -76,7 +76,7 @@ class _Receiver:
 
 
 class EmulatedRosmaster(EmulatedMotors):
-    """See ``EmulatedMotors``. ``version`` and ``car_number`` are what the board says of itself."""
+    """Emulates the board. ``version`` and ``car_number`` are what it answers when asked for them."""
 
     def __init__(self, settings: Settings, *node: object, **keywords: object) -> None:
         self._settings = settings
@@ -86,8 +86,8 @@ class EmulatedRosmaster(EmulatedMotors):
         self._line = bytearray()
         self._credit = 0.0
         self._receiver = _Receiver()
-        self._targets_mm_s: tuple[float, ...] | None = None  # None: no loop, the motors brake, are off or have voltages
-        self._shares: list[int] | None = None  # of the motors' voltages, in percent
+        self._targets_mm_s: tuple[float, ...] | None = None  # None while no speed loop runs
+        self._percents: list[int] | None = None  # of the motors' voltages; None where no voltage is commanded
         self._pid = _PID
         self._yaw_rad = 0.0
         self._is_braking = False
@@ -101,7 +101,7 @@ class EmulatedRosmaster(EmulatedMotors):
 
     @property
     def is_driving(self) -> bool:
-        return self._targets_mm_s is not None or self._shares is not None
+        return self._targets_mm_s is not None or self._percents is not None
 
     def _set_car(self, car: str) -> None:
         circle_mm, lever_mm, counts, self._limit_mm_s = _WHEELS[car]
@@ -118,16 +118,16 @@ class EmulatedRosmaster(EmulatedMotors):
         return b"".join(map(_framed, self.take_frames()))
 
     def take(self, frame: Frame) -> None:
-        """Obey a function; the board has no CAN dialect of its own here."""
+        """Execute one function of the serial protocol."""
         data = frame.payload
         if frame.id == 0x50 and len(data) == 2:
             self._answer(data[0], data[1])
         elif frame.id == 0x0F and data == bytes((_SAVE,)):
             self._stop(is_braking=True)
         elif frame.id == 0xA0 and data == bytes((_SAVE,)):
-            self._start_anew()
+            self._reset()
         elif self._is_off:
-            return  # a board that has switched itself off does nothing else any more
+            return  # a board that has switched its motors off ignores the rest
         elif frame.id == 0x12 and len(data) == 7:
             self._move(*struct.unpack("<3h", data[1:]))
         elif frame.id == 0x01 and len(data) == 2:
@@ -144,7 +144,7 @@ class EmulatedRosmaster(EmulatedMotors):
                     self._set_car(car)
 
     def receive(self, frame: Frame) -> None:
-        """The board is on a serial line."""
+        """Ignore CAN frames: the board is on a serial line."""
 
     def _answer(self, function: int, parameter: int) -> None:
         answers = {0x51: bytes(self.version), 0x15: bytes([self.car_number, 0])}
@@ -160,48 +160,50 @@ class EmulatedRosmaster(EmulatedMotors):
         self._go(x_mm_s, y_mm_s, turn_mrad_s)
 
     def _go(self, x_mm_s: int, y_mm_s: int, turn_mrad_s: int) -> None:
-        self._shares = None
+        self._percents = None
         turn = turn_mrad_s / 1000.0 * self._lever_mm
         limit = self._limit_mm_s
-        wanted = (x_mm_s - y_mm_s - turn, x_mm_s + y_mm_s + turn, x_mm_s - y_mm_s + turn, x_mm_s + y_mm_s - turn)
-        self._targets_mm_s = tuple(min(max(int(speed), -limit), limit) for speed in wanted)
+        speeds = (x_mm_s - y_mm_s - turn, x_mm_s + y_mm_s + turn, x_mm_s - y_mm_s + turn, x_mm_s + y_mm_s - turn)
+        self._targets_mm_s = tuple(min(max(int(speed), -limit), limit) for speed in speeds)
 
     def _run(self, state: int, speed_cm_s: int) -> None:
-        """Go one way, as FUNC_CAR_RUN has it; arithmetic of 16 bits lets a negative speed go the other way."""
+        """Drive in one direction (FUNC_CAR_RUN). In 16-bit arithmetic a negative speed drives the opposite way."""
         speed = speed_cm_s * 10 % 65536
         if self.car_number == _CAR_NUMBERS["x3_plus"]:
             speed = min(speed, self._limit_mm_s)
         if state in (_STOP, _BRAKE):
             self._stop(is_braking=state == _BRAKE or speed != 0)
-        elif state in _WAYS:
-            x, y, turn = ((way * speed + 0x8000) % 65536 - 0x8000 for way in _WAYS[state])
+        elif state in _DIRECTIONS:
+            x, y, turn = ((sign * speed + 0x8000) % 65536 - 0x8000 for sign in _DIRECTIONS[state])
             self._go(x, y, turn)
 
-    def _set_voltages(self, shares: Sequence[int]) -> None:
-        """Drive without loops, M1 to M4. While there are targets the loops have the motors, and go on having them.
+    def _set_voltages(self, percents: Sequence[int]) -> None:
+        """Drive M1 to M4 without speed loops; ignored while the loops have targets.
 
-        More than 100 leaves a motor as it was.
+        A value beyond ±100 leaves its motor unchanged.
         """
         if self._targets_mm_s is not None:
             return
-        before = self._shares or [0, 0, 0, 0]
-        self._shares = [share if abs(share) <= _MOST_SHARE else old for share, old in zip(shares, before, strict=True)]
+        before = self._percents or [0, 0, 0, 0]
+        self._percents = [
+            percent if abs(percent) <= _MAX_PERCENT else old for percent, old in zip(percents, before, strict=True)
+        ]
 
     def _set_pid(self, kp: int, ki: int, kd: int) -> None:
-        """Take other gains; those of the loops here change by the same factors, and there is no kd."""
+        """Set the gains: those of the emulated loops change by the same factors. kd is stored but has no effect."""
         self._pid = (kp, ki, kd)
         for loop in self._loops:
             loop.set_gains(
                 self.values["speed_kp_n_m_s_rad"] * kp / _PID[0], self.values["speed_ki_n_m_rad"] * ki / _PID[1]
             )
 
-    def _start_anew(self) -> None:
+    def _reset(self) -> None:
         self._stop(is_braking=False)
         self._set_pid(*_PID)
         self._is_reporting, self._is_off, self._bad_checks = True, False, 0
 
     def _stop(self, *, is_braking: bool) -> None:
-        self._targets_mm_s = self._shares = None
+        self._targets_mm_s = self._percents = None
         self._is_braking = is_braking
         for loop in self._loops:
             loop.reset()
@@ -220,22 +222,23 @@ class EmulatedRosmaster(EmulatedMotors):
             targets = [speed / self._radius_mm for speed in self._targets_mm_s]
             a, b, c, d = (loop.torque(*pair) for loop, *pair in zip(self._loops, targets, speeds, strict=True))
             return a, b, c, d
-        if self._shares is not None:
+        if self._percents is not None:
             fl, rl, fr, rr = (
-                self._torque_of(share, speeds[at]) for share, at in zip(self._shares, (0, 3, 1, 2), strict=True)
+                self._torque_of(percent, speeds[at]) for percent, at in zip(self._percents, (0, 3, 1, 2), strict=True)
             )
             return fl, fr, rr, rl
         if self._is_braking:
-            # Windings that are shorted: the motor's own voltage drives the current that brakes it.
+            # The windings are shorted: the motor's back-EMF drives the current that brakes it.
             a, b, c, d = (self._torque_of(0, speed) for speed in speeds)
             return a, b, c, d
         return None
 
-    def _torque_of(self, share: int, speed_rad_s: float) -> float:
-        """Return the torque of a motor at a part of the battery's voltage, which begins beyond the dead zone."""
-        pulse = math.copysign(_DEAD_PULSE, share) + share * (_MOST_PULSE - _DEAD_PULSE) / _MOST_SHARE if share else 0.0
+    def _torque_of(self, percent: int, speed_rad_s: float) -> float:
+        """Return the torque [N·m] of a motor at a commanded voltage, whose pulses begin beyond the dead zone."""
+        per_percent = (_MAX_PULSE - _DEAD_PULSE) / _MAX_PERCENT
+        pulse = math.copysign(_DEAD_PULSE, percent) + percent * per_percent if percent else 0.0
         constant, resistance = self.values["torque_constant_n_m_a"], self.values["motor_resistance_ohm"]
-        volts = pulse / _MOST_PULSE * self.battery_v - constant * speed_rad_s
+        volts = pulse / _MAX_PULSE * self.battery_v - constant * speed_rad_s
         return limited(constant * volts / resistance, self.values["torque_limit_n_m"])
 
     def _receive_bytes(self) -> None:
@@ -250,7 +253,7 @@ class EmulatedRosmaster(EmulatedMotors):
             self.take(Frame(*found))
 
     def _measure(self) -> None:
-        """Speeds from the counts of 10 ms: one count is 15 mm/s on an X3."""
+        """Compute the speeds from the counts of 10 ms; one count is 15 mm/s on an X3."""
         counts = tuple(math.floor(shaft.position_rad / math.tau * self._counts_per_turn) for shaft in self.shafts)
         per_count = 100.0 * math.tau * self._radius_mm / self._counts_per_turn
         before = self._counts if self._has_counts else counts

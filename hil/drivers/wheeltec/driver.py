@@ -1,13 +1,14 @@
-"""WHEELTEC base with a C50X board: a velocity of the body, the wheels' loops closed by the board.
+"""WHEELTEC base with a C50X board. It takes a velocity of the body, and closes the wheels' loops itself.
 
-Serial, 115200 baud, big-endian: 11 bytes ``7B 00 00 vx vy wz xor 7D`` to the board, and 24 from it at 20 Hz: ``7B``,
-stop flag, twist, acceleration, angular velocity, battery, xor, ``7D``. On CAN, 1 Mbit/s, the same numbers: 0x181 has
-the three of the command, and the 24 bytes come in 0x101, 0x102 and 0x103. Here a message is always those CAN frames;
-the serial line's framing makes them.
+Serial, 115200 baud, big-endian: a command has 11 bytes ``7B 00 00 vx vy wz xor 7D``, a report 24 bytes at 20 Hz:
+``7B``, stop flag, twist, acceleration, angular velocity, battery, xor, ``7D``. CAN, 1 Mbit/s, carries the same numbers:
+0x181 has the three of the command; 0x101, 0x102 and 0x103 have the 24 bytes of a report. The driver handles CAN frames
+only; ``WheeltecFraming`` translates between them and the serial line.
 Sources: WHEELTEC's STM32 firmware for the C50X (data_task.c, uartx_callback.c, can_callback.c, balance_task.c, sys.c,
-robot_init.h); its ROS driver turn_on_wheeltec_robot. WHEELTEC.md has what follows from them.
+robot_init.h); its ROS driver turn_on_wheeltec_robot. WHEELTEC.md says what follows from them.
 
-It knows no arming and no version. Whether it stops when commands end is compiled in, and by default it does not.
+The base has no arming and reports no version. Its firmware is compiled either to stop when commands end, or, which is
+the default, not to.
 """
 
 import math
@@ -31,22 +32,22 @@ REPORT_BYTES = 24
 
 COMMAND_NUMBERS = Struct(">3hxx")
 IN_STEP = bytes(10)
-"""Before each command on the serial line. The board takes eleven bytes from the first 7B that it sees, and the sum of a
-stop is 7B: once a byte is lost, it would read stop after stop from the wrong place for ever. Ten bytes complete
-whatever it has begun."""
+"""Sent before each command on the serial line. The board reads eleven bytes from the first 7B that it sees, and the
+checksum of a stop is 7B. So after a lost byte it could read all following stops from a wrong position. Ten zero bytes
+complete whatever message it has begun."""
 
 _COMMAND_WIRE = Struct(">Bxx3h")
 
 
 def checksum(data: bytes | bytearray) -> int:
-    """Return the xor of bytes."""
+    """Return the xor of all bytes."""
     return reduce(xor, data, 0)
 
 
 class WheeltecFraming:
-    """A serial line's 24 bytes as the three frames of CAN, and a command's frame as its 11 bytes.
+    """Translates the 24 bytes of a serial report to three CAN frames, and the CAN frame of a command to 11 bytes.
 
-    ``rejected`` counts what had no end where it should, wrong sums, and bytes that belong to no frame.
+    ``rejected`` counts packets without their tail byte, wrong checksums, and bytes that belong to no packet.
     """
 
     def __init__(self) -> None:
@@ -54,15 +55,15 @@ class WheeltecFraming:
         self._buffer = bytearray()
 
     def encode(self, frame: Frame) -> bytes:
-        """Return the bytes for the wire. Raises ValueError for what is no command."""
+        """Return the bytes of a command for the serial line. Raises ValueError for any other frame."""
         if frame.id != COMMAND or len(frame.payload) != COMMAND_NUMBERS.size:
             raise ValueError(f"frame 0x{frame.id:X} with {len(frame.payload)} bytes: expected 0x181 with 8")
-        # The third byte is 0 in newer firmware for: stop when commands end.
+        # In newer firmware a third byte of 0 asks the board to stop when commands end.
         body = _COMMAND_WIRE.pack(HEAD, *COMMAND_NUMBERS.unpack(frame.payload))
         return IN_STEP + body + bytes([checksum(body), TAIL])
 
     def feed(self, data: bytes) -> list[Frame]:
-        """Take bytes in pieces of any size, and return the frames that they complete."""
+        """Take received bytes, in pieces of any size, and return the frames that they complete."""
         buffer = self._buffer
         buffer += data
         frames: list[Frame] = []
@@ -94,10 +95,10 @@ _BAUD = 115_200
 
 @dataclass(frozen=True, slots=True)
 class Settings:
-    """``[device.motors]``. ``wheel_radius_m`` and ``lever_m`` are the firmware's; 0 takes those of [robot].
+    """``[device.motors]``. ``wheel_radius_m`` and ``lever_m``: of the firmware; 0 stands for the values of [robot].
 
-    ``speed_limit_m_s`` is the firmware's, for each rim and, in rad/s, for the yaw rate. ``stops_on_silence``: whether
-    this board's firmware was seen to stop the wheels 1 s after the last command (WHEELTEC.md says how to try).
+    ``speed_limit_m_s``: the firmware's limit of each rim speed and, in rad/s, of the yaw rate. ``stops_on_silence``:
+    whether the firmware stops the wheels 1 s after the last command (WHEELTEC.md says how to find out).
     """
 
     wheel_radius_m: Annotated[float, NOT_NEGATIVE] = 0.0
@@ -108,10 +109,10 @@ class Settings:
 
 
 class Report:
-    """The 24 bytes as numbers: put together from frames, and checked again, for on CAN one of them may be lost."""
+    """The newest report, assembled from three CAN frames. Its checksum is verified, as CAN may lose one of them."""
 
     def __init__(self) -> None:
-        self._parts = b""
+        self._received = b""
         self.stamp_ns: int | None = None
         self.is_stopped = False
         self.twist = (0, 0, 0)
@@ -120,18 +121,18 @@ class Report:
         self.battery_v = NAN
 
     def feed(self, frame: Frame, stamp_ns: int) -> bool:
-        """Take a frame, and tell whether it has completed a report."""
+        """Take a frame, and return whether it completed a report."""
         if frame.id not in REPORTS or len(frame.payload) != 8:
             return False
-        part = REPORTS.index(frame.id)
-        if len(self._parts) != 8 * part:
-            self._parts = b""
-            if part:
+        index = REPORTS.index(frame.id)
+        if len(self._received) != 8 * index:
+            self._received = b""
+            if index:
                 return False
-        self._parts += frame.payload
-        if part < 2:
+        self._received += frame.payload
+        if index < 2:
             return False
-        whole, self._parts = self._parts, b""
+        whole, self._received = self._received, b""
         head, stopped, x, y, turn, ax, ay, az, _, _, yaw, battery, total, tail = _REPORT.unpack(whole)
         if (head, tail) != (HEAD, TAIL) or checksum(whole[:-2]) != total:
             return False
@@ -145,7 +146,7 @@ class Report:
 
 
 class Wheeltec(Driver):
-    """One base with four Mecanum wheels."""
+    """Drives one base with four Mecanum wheels."""
 
     def __init__(self, settings: Settings, robot: RobotFacts) -> None:
         self._settings = settings
@@ -168,12 +169,13 @@ class Wheeltec(Driver):
             latches_estop=False,
         )
         self._warnings = (
-            "for 12 s after it is switched on a WHEELTEC base obeys nothing, and drives 0.4 m forward to test itself",
+            "for 12 s after it is switched on a WHEELTEC base ignores commands, and drives 0.4 m forward to test "
+            "itself",
             "a WHEELTEC base may drive on for 1 s when commands end"
             if settings.stops_on_silence
-            else "a WHEELTEC base drives on for ever with the newest command when commands end, unless its firmware "
-            "was built with SecurityLevel 0: if this computer loses its power, hangs, or loses the cable, nothing "
-            "stops the robot; keep its emergency stop within reach",
+            else "when commands end a WHEELTEC base drives on for ever with the last one, unless its firmware was "
+            "built with SecurityLevel 0: if this computer loses power, hangs, or loses the cable, nothing stops the "
+            "robot; keep its emergency stop within reach",
             torques_dropped("a WHEELTEC base"),
         )
         self.restart()
@@ -185,19 +187,19 @@ class Wheeltec(Driver):
 
     @property
     def identity(self) -> str | None:
-        return None if self._report.stamp_ns is None else "a WHEELTEC base (it does not tell its version)"
+        return None if self._report.stamp_ns is None else "a WHEELTEC base (it reports no version)"
 
     @property
     def missing(self) -> str:
         if self._report.stamp_ns is not None:
             return ""
         return (
-            "no report of a WHEELTEC base; check its power, the cable, and that this is its port for a ROS computer, "
+            "no report from a WHEELTEC base; check its power, the cable, that this is its port for a ROS computer, "
             f"with baud={_BAUD} in the link, or its CAN, at 1 Mbit/s"
         )
 
     def arm(self, now_ns: int) -> Sequence[Frame]:
-        """Stop what may still be driving, and wait for a report that says that the wheels stand and may turn."""
+        """Send stops, until a fresh report says that the wheels stand still and the motors are on."""
         report = self._report
         self._is_armed = (
             self._has_stopped
@@ -217,7 +219,7 @@ class Wheeltec(Driver):
         return (_command(self._base.counts(speed_rad_s)) if self._is_armed else _STOP,)
 
     def disarm(self) -> Sequence[Frame]:
-        """Twice, for a frame that the line damages is one that was never sent."""
+        """Return the stop twice: the base ignores a frame that the line has damaged."""
         self._is_armed = False
         return _STOP, _STOP
 
@@ -246,17 +248,17 @@ class Wheeltec(Driver):
         low = self._settings.battery_low_v
         if report.battery_v < low:
             return (
-                f"the WHEELTEC base has switched its motors off: its battery has {report.battery_v:g} V, less than the "
-                f"{low:g} of device.motors.battery_low_v",
+                f"the WHEELTEC base has switched its motors off: its battery has {report.battery_v:g} V, less than "
+                f"device.motors.battery_low_v = {low:g}",
             )
         return (
-            "the WHEELTEC base has switched its motors off: its emergency stop is pressed, its key turned off, or its "
-            "test at the start has failed",
+            "the WHEELTEC base has switched its motors off: its emergency stop is pressed, its key is off, or its "
+            "self-test at the start has failed",
         )
 
 
 class _Probe(Probe):
-    """Listens: the base reports by itself."""
+    """Listens only: the base sends reports without being asked."""
 
     def __init__(self) -> None:
         self._report = Report()

@@ -1,11 +1,13 @@
-"""A WHEELTEC base with a C50X board as its firmware is: 100 Hz control, targets that are ramped, reports at 20 Hz.
+"""A WHEELTEC base with a C50X board, after its firmware: control at 100 Hz, ramped targets, reports at 20 Hz.
 
-It has been on for a while: the 12 s in which a real one obeys nothing and tests itself by driving are over. The wheels'
-loops are those of the other emulated controllers, at 1 kHz, where the board's run at 100 Hz. Charging, remote controls
-and the parking mode are not there.
+It starts after the 12 s in which a real base ignores commands and drives to test itself. Its speed loops are those of
+the other emulated controllers and run at 1 kHz; the board's run at 100 Hz. Charging, remote controls and the parking
+mode are not emulated.
 """
 
 import struct
+from functools import reduce
+from operator import xor
 
 from firmware_protocol.framing import Frame
 from hil.core.types import FourWheels
@@ -14,11 +16,11 @@ from hil.drivers.wheeltec.driver import Settings
 
 _CONTROL_TICKS, _REPORT_TICKS = 10, 50
 _STEP = 0.02  # m/s or rad/s in 10 ms
-_SILENT = 100  # times of control without a command
+_SILENT_STEPS = 100  # control steps without a command, after which the board stops
 
 
 class EmulatedWheeltec(EmulatedMotors):
-    """See ``EmulatedMotors``. ``is_switched_off`` is its emergency stop, for whoever tests to press and release."""
+    """Emulates the base. ``is_switched_off`` is its emergency stop button, which a test presses and releases."""
 
     def __init__(self, settings: Settings, *node: object, **keywords: object) -> None:
         self._settings = settings
@@ -26,7 +28,7 @@ class EmulatedWheeltec(EmulatedMotors):
         self._received = bytearray()
         self._targets = [0.0, 0.0, 0.0]
         self._ramped = [0.0, 0.0, 0.0]
-        self._silent = 0
+        self._steps_without_command = 0
         self._is_off = False
         super().__init__(*node, **keywords)  # type: ignore[arg-type]
         self._radius_m = settings.wheel_radius_m or self.values["wheel_radius_m"]
@@ -38,7 +40,7 @@ class EmulatedWheeltec(EmulatedMotors):
         return any(self._targets) or any(self._ramped)
 
     def feed(self, data: bytes) -> None:
-        """As the board's interrupt: eleven bytes from the first 7B, which is not always the head."""
+        """Take eleven bytes from the first 7B on, as the board's interrupt does, also where that 7B is no head."""
         for byte in data:
             if not self._received and byte != 0x7B:
                 continue
@@ -46,10 +48,7 @@ class EmulatedWheeltec(EmulatedMotors):
             if len(self._received) == 11:
                 whole = bytes(self._received)
                 self._received.clear()
-                total = 0
-                for one in whole[:9]:
-                    total ^= one
-                if whole[10] == 0x7D and whole[9] == total and whole[1] == 0:
+                if whole[10] == 0x7D and whole[9] == reduce(xor, whole[:9]) and whole[1] == 0:
                     self._obey(whole[3:9])
 
     def take(self, frame: Frame) -> None:
@@ -60,7 +59,7 @@ class EmulatedWheeltec(EmulatedMotors):
         return b"".join(frame.payload for frame in self.take_frames())
 
     def _obey(self, numbers: bytes) -> None:
-        self._silent = 0
+        self._steps_without_command = 0
         self._targets = [number / 1000 for number in struct.unpack(">hhh", numbers)]
 
     def tick(self) -> FourWheels | None:
@@ -81,8 +80,8 @@ class EmulatedWheeltec(EmulatedMotors):
 
     def _control(self) -> None:
         if self._settings.stops_on_silence:
-            self._silent += 1
-            if self._silent > _SILENT:
+            self._steps_without_command += 1
+            if self._steps_without_command > _SILENT_STEPS:
                 self._targets = [0.0, 0.0, 0.0]
         limit = self._settings.speed_limit_m_s
         for axis in range(3):
@@ -110,9 +109,6 @@ class EmulatedWheeltec(EmulatedMotors):
         numbers += [rate * 57.30 * 65.5 for rate in rates]
         body = struct.pack(">BB9h", 0x7B, self._is_off, *(min(max(int(n), -32768), 32767) for n in numbers))
         body += struct.pack(">H", min(max(int(self.battery_v * 1000), 0), 65535))
-        total = 0
-        for byte in body:
-            total ^= byte
-        whole = body + bytes([total, 0x7D])
-        for part in range(3):
-            self.say(Frame(0x101 + part, whole[8 * part : 8 * part + 8]))
+        whole = body + bytes([reduce(xor, body), 0x7D])
+        for i in range(3):
+            self.say(Frame(0x101 + i, whole[8 * i : 8 * i + 8]))
