@@ -124,7 +124,7 @@ def test_a_queue_that_is_full_for_a_moment_loses_nothing(monkeypatch):
 def test_a_queue_that_stays_full_is_a_lost_link(monkeypatch):
     with host_and_stranger("full") as (host, _):
         refuse(monkeypatch, 1_000_000)
-        with pytest.raises(LinkError, match=r"transmit queue stays full; nobody acknowledges"):
+        with pytest.raises(LinkError, match=r"transmit queue stays full; no node acknowledges"):
             host.send(COMMAND)
 
 

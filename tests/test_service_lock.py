@@ -157,7 +157,7 @@ def test_a_link_in_place_of_the_folder_for_locks_is_refused_and_not_followed(
     private.mkdir(mode=0o700)
     link.symlink_to(private)
     monkeypatch.setattr("hil.wire.device_lock._folder", lambda: link)
-    with pytest.raises(LinkError, match=f"see to it that {link} may be written to"):
+    with pytest.raises(LinkError, match=f"make sure that {link} can be written"):
         device_held(SerialUrl(str(port)), "hil run").__enter__()
     assert stat.S_IMODE(private.stat().st_mode) == 0o700
     assert list(private.iterdir()) == []

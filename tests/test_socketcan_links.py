@@ -128,7 +128,7 @@ def test_frames_are_read_and_written_as_python_can_does(options: str):
 
 def test_a_queue_that_stays_full_is_a_lost_link(bus: str, link: Link):
     subprocess.run(["tc", "qdisc", "add", "dev", bus, "root", "netem", "delay", "100s"], check=True)
-    with pytest.raises(LinkError, match=r"the transmit queue stays full; nobody acknowledges"):
+    with pytest.raises(LinkError, match=r"the transmit queue stays full; no node acknowledges"):
         send_often(link, END)
 
 

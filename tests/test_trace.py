@@ -144,7 +144,7 @@ def test_a_frame_that_the_format_has_no_room_for_ends_the_trace_with_a_sentence(
         trace.frame(2 * 10**19, frame, sent=True)  # BLF has room for 584 years
         report = trace.finish()
     assert "is incomplete" in report.trouble()
-    assert "python-can's writer takes no more" in report.trouble()
+    assert "python-can's writer refused a frame" in report.trouble()
     assert [one.arbitration_id for one in frames(tmp_path / "bus.blf")] == [m.TimeSyncRequest.ID]
 
 

@@ -14,10 +14,10 @@ from hil.runtime.loop import Loop, Report
 from hil.scenario import Scenario
 
 _NO_VALUE = {
-    "load": "memory has no bit rate",
-    "foreign": "a line between two has no third",
-    "frames_to_host": "frames carry no count of their own here",
-    "frames_to_robot": "frames carry no count of their own here",
+    "load": "a link in memory has no bit rate",
+    "foreign": "a line between two ends has no other nodes",
+    "frames_to_host": "frames carry no running number on this link",
+    "frames_to_robot": "frames carry no running number on this link",
     "feedback_age_ms": "the run has no ticks",
     "round_trip_ms": "no feedback said that a command of the run was in force",
     "clock": "the robot answered no TIME_SYNC_REQUEST",

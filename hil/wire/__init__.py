@@ -1,4 +1,4 @@
-"""Links and what happens on them: URLs, transports, framing, latency, faults, statistics, traces (LINKS.md).
+"""Links to robots: URLs, transports, framing, latency, faults, statistics and traces (LINKS.md).
 
 May import: `faults`, `record`, `core`, `firmware_protocol`.
 To add a kind of link: a subclass of `LinkUrl` (`link.py`) and its line in `url.py`, or an entry point of `hil.links`.

@@ -1,4 +1,4 @@
-"""CAN by python-can: any of its interfaces, classic and FD."""
+"""A CAN bus through any interface of python-can, classic or FD."""
 
 import errno
 import logging
@@ -19,32 +19,32 @@ _QUEUE_FULL_S = 0.05  # at 1 Mbit/s and full load a queue of 100 frames is empty
 _QUEUE_RETRY_S = 0.0005
 _MOST_FILTERS = 8
 _IDENTIFIER_BITS = 11
-# Where the filters are in the kernel or the driver, and error frames come past them. Others would filter in Python, and
-# drop error frames too; there ``_refusal`` does it at no further cost.
+# Interfaces with filters in the kernel or the driver, which pass error frames on. python-can would filter the others in
+# Python, and drop error frames too; ``_refusal`` filters there at no further cost.
 _FILTERING_INTERFACES = ("socketcan", "ixxat")
 
 
 class CanLink:
-    """Frames over a CAN bus. ``hears`` is the side whose frames are received; the other side is this one.
+    """Frames over a CAN bus. ``hears`` is the side whose frames are received; this link sends for the other side.
 
-    What is not of the ``protocol`` is dropped and counted: ``foreign`` (in ours, extended or remote), ``garbled`` (an
-    slcan line that is no frame), error frames by their class (``error_bus_off``, ``error_passive``, ...) and, for a
-    host that hears the robot, ``unknown_id`` and ``length``. A robot that hears the host gets all standard data frames
-    that pass the filters, and its firmware counts those. This side's own messages, which some buses give back
-    (python-can's ``udp_multicast``, without a mark), are dropped and not counted. A bus-off is a lost link, to be
-    reopened.
-    Raises BadInputError for what python-can or its interface does not know, LinkError when it cannot be opened.
+    Frames that are not of the ``protocol`` are dropped and counted: ``foreign`` (in this project's protocol: extended
+    or remote), ``garbled`` (an slcan line that is no frame), error frames by their class (``error_bus_off``,
+    ``error_passive``, ...) and, for a host that receives from the robot, ``unknown_id`` and ``length``. A robot
+    receives all standard data frames that pass the filters, and its firmware counts the wrong ones. This side's own
+    messages, which some buses echo (python-can's ``udp_multicast``, without a mark), are dropped and not counted. After
+    a bus-off the link is lost and must be reopened. Raises BadInputError for an interface or option that python-can
+    does not know, LinkError when the bus cannot be opened.
 
     Attributes:
-        on_foreign: where set, is shown each frame that was counted, as a ``can.Message``.
-        now_ns: the clock that stamps what is received.
+        on_foreign: if set, is called with each dropped and counted frame, as a ``can.Message``.
+        now_ns: the clock that stamps received frames.
     """
 
     def __init__(self, url: CanUrl, hears: Side, protocol: LinkProtocol = WHEEL_DBC) -> None:
         import can
 
         self._can = can
-        # python-can warns of packages that it would like to have; whoever sets up logging still gets that.
+        # python-can logs a warning about optional packages that are missing. It still appears once logging is set up.
         logging.getLogger("can").addHandler(logging.NullHandler())
         self._url = url
         self._hears = hears
@@ -63,12 +63,12 @@ class CanLink:
         self.reopen()
 
     def reopen(self) -> None:
-        """Close the bus and open it anew. Raises LinkError when that fails."""
+        """Close the bus and open it again. Raises LinkError when that fails."""
         self.close()
         options = dict(self._options())
         try:
             self._bus = self._can.Bus(interface=self._url.interface, **options)
-        # NameError, AttributeError: python-can's own, where a vendor's library is missing.
+        # NameError, AttributeError: raised by python-can itself when a vendor's library is missing.
         except (*self._failures, TypeError, ImportError, NotImplementedError, NameError, AttributeError) as error:
             raise failure(self._url, error) from error
         if self._url.fd and self._bus.protocol is self._can.CanProtocol.CAN_20:
@@ -146,7 +146,7 @@ class CanLink:
         self._rejected["garbled"] += 1
 
     def _count(self, cause: str, message: Any) -> None:
-        """Count a refused frame by its cause, an error frame by its classes. Raises LinkError for a bus-off."""
+        """Count a dropped frame by its cause, an error frame by its classes. Raises LinkError for a bus-off."""
         causes = causes_of(message.arbitration_id, bytes(message.data)) if message.is_error_frame else (cause,)
         if self.on_foreign is not None:
             self.on_foreign(message)
@@ -179,7 +179,7 @@ class CanLink:
             try:
                 bus.shutdown()
             except self._failures as error:
-                # An adapter that was unplugged cannot be told to close; its channel is gone all the same.
+                # Closing an adapter that was unplugged fails; its channel is released all the same.
                 logging.getLogger(__name__).info("%s: closing failed: %s", self.describe(), error)
 
 
@@ -207,7 +207,7 @@ class Filter(NamedTuple):
     mask: int
 
     def passes(self, identifier: int) -> bool:
-        """Return whether a frame with the identifier passes."""
+        """Whether a frame with the identifier passes."""
         return not (identifier ^ self.identifier) & self.mask
 
     def joined(self, other: "Filter") -> "Filter":
@@ -217,15 +217,15 @@ class Filter(NamedTuple):
 
     @property
     def width(self) -> int:
-        """How many identifiers pass."""
+        """Number of identifiers that pass."""
         return 1 << (_IDENTIFIER_BITS - self.mask.bit_count())
 
 
 def filters_for(identifiers: Iterable[int], most: int) -> list[Filter]:
-    """Return at most ``most`` filters that pass all of these identifiers of 11 bits.
+    """Return at most ``most`` filters that pass all of these 11-bit identifiers.
 
-    From one exact filter for each, the two whose union passes the fewest others are joined until there are few enough,
-    and further while a union costs nothing.
+    Starts with one exact filter each. Joins the two whose union passes the fewest further identifiers, until there are
+    few enough filters; then goes on as long as a union passes no further identifier.
     """
     filters = [Filter(identifier, (1 << _IDENTIFIER_BITS) - 1) for identifier in sorted(set(identifiers))]
     while len(filters) > 1:

@@ -1,4 +1,4 @@
-"""Errors of a CAN bus: the causes that an error frame names, and one sentence for each failure of an interface.
+"""Errors of a CAN bus: the causes in an error frame, and a sentence for each failure of a CAN interface.
 
 Classes of error frames are those of SocketCAN (Linux, include/uapi/linux/can/error.h).
 """
@@ -36,7 +36,7 @@ CAUSES = (
 
 
 def causes_of(identifier: int, data: bytes) -> tuple[str, ...]:
-    """Return the causes in an error frame, at least one of ``CAUSES``; ``error_other`` where the interface has none."""
+    """Return the causes in an error frame as members of ``CAUSES``; ``error_other`` if the interface reports none."""
     found = tuple(dict.fromkeys(_causes(identifier, data.ljust(8, b"\0"))))
     return found or ("error_other",)
 
@@ -47,7 +47,7 @@ def _causes(identifier: int, data: bytes) -> Iterator[str]:
             yield cause
     for bit, byte, details in (
         (_CONTROLLER, _CONTROLLER_BYTE, _CONTROLLER_DETAILS),
-        # The kernel's drivers set BUSERROR beside PROT; alone it comes with the details of PROT.
+        # The kernel's drivers set BUSERROR beside PROT. An error frame with BUSERROR alone has the details of PROT.
         (_PROTOCOL | _BUS_ERROR, _PROTOCOL_BYTE, _PROTOCOL_DETAILS),
     ):
         if identifier & bit:
@@ -68,13 +68,13 @@ _LIBRARIES = {
     "canalystii": "the canalystii package: pip install 'python-can[canalystii]'",
     "udp_multicast": "msgpack: pip install 'python-can[multicast]'",
 }
-# The error numbers of the system and of python-can in a message.
+# Error numbers in the messages of the system and of python-can, to be removed.
 _NUMBERS = re.compile(r"\[(Errno|Error Code) -?\d+\] ?")
 _SERIAL_INTERFACES = ("slcan", "serial", "robotell", "seeedstudio")
 
 
 def failure(url: CanUrl, error: Exception) -> LinkError:
-    """Return the sentence for a failure of python-can."""
+    """Return the error for an exception of python-can: what is wrong, and what to do."""
     where = f"CAN interface {url.interface!r}, channel {url.channel!r}"
     number, text = _number(error), " ".join(_NUMBERS.sub("", str(error)).split())
     if url.interface in _SERIAL_INTERFACES and "bitrate" not in text:
@@ -87,25 +87,25 @@ def failure(url: CanUrl, error: Exception) -> LinkError:
     if number == errno.EAFNOSUPPORT or "Address family not supported" in text:
         return LinkError(f"{where}: this system's kernel has no CAN; load it with: modprobe can_raw")
     if number == errno.ENOBUFS or "No buffer space" in text or "buffer full" in text.lower():
-        return LinkError(f"{where}: the transmit queue stays full; nobody acknowledges, check bit rate and cable")
+        return LinkError(f"{where}: the transmit queue stays full; no node acknowledges, check bit rate and cable")
     if number == errno.ENETUNREACH:
         return LinkError(
             f"{where}: no network reaches the multicast group; add a route to it, such as: "
             "ip route add 224.0.0.0/4 dev lo"
         )
     if _lacks_library(error, text):
-        needs = _LIBRARIES.get(url.interface, f"software of its maker, which python-can asks for: {text}")
+        needs = _LIBRARIES.get(url.interface, f"its manufacturer's software, which python-can asks for: {text}")
         return LinkError(f"{where} cannot be used: install {needs}")
     if "bitrate" in text:
         return LinkError(f"{where} cannot run at {url.bitrate} bit/s ({text}); set bitrate= to one of these")
     if url.interface == "socketcand":
         return LinkError(f"{where} failed ({text}); start socketcand on that host, with the channel in its list")
-    return LinkError(f"{where} failed ({text}); check that the adapter is plugged in and that nobody else uses it")
+    return LinkError(f"{where} failed ({text}); check that the adapter is plugged in and used by no other program")
 
 
 def _of_serial_adapter(where: str, url: CanUrl, error: Exception) -> LinkError:
     if "Write timeout" in str(error.__cause__):
-        return LinkError(f"{where} takes no bytes any more; plug the adapter out and in again")
+        return LinkError(f"{where} takes no bytes any more; unplug the adapter and plug it in again")
     if is_shared(url.channel.partition("@")[0], error):
         return LinkError(f"{where} {SHARED}")
     if is_gone(error):

@@ -1,9 +1,9 @@
-"""What a CAN frame takes on the bus: its bits, stuff bits included, by the rules of ISO 11898-1:2015.
+"""The length of a CAN frame on the bus in bits, including stuff bits, by ISO 11898-1:2015.
 
-Counted from the start of frame to the end of the three bits between frames. After five equal bits a transmitter puts in
+Counted from the start of frame to the end of the three bits between frames. After five equal bits a transmitter inserts
 their complement: in a classic frame from the start of frame to the end of the CRC, in an FD frame to the end of the
 data; the FD frame's CRC field has its stuff bits at fixed places. So the length of a classic frame depends on its CRC,
-and is worked out here with tables, a byte at a time.
+which is computed here with tables, a byte at a time.
 """
 
 from bisect import bisect_left
@@ -18,21 +18,25 @@ _FD_LENGTHS = (0, 1, 2, 3, 4, 5, 6, 7, 8, 12, 16, 20, 24, 32, 48, 64)
 
 
 class FrameBits(NamedTuple):
-    """Bits of an FD frame at the nominal bit rate, and at the one of the data phase where that is switched."""
+    """Bits of an FD frame at the nominal bit rate, and at the data phase's own bit rate (0 if it has none)."""
 
     nominal: int
     data: int
 
 
 class _Run(NamedTuple):
-    """The last bit on the bus, and how many equal ones end there: 1 to 4, as after the fifth comes a stuff bit."""
+    """The last bit on the bus, and the number of equal bits that end with it: 1 to 4, because after the fifth comes a
+    stuff bit.
+    """
 
     bit: int
     length: int
 
 
 class _Header(NamedTuple):
-    """A frame up to its data: bits, stuff bits among them at the nominal bit rate and after it, run, and CRC."""
+    """A frame up to its data: all bits, stuff bits at the nominal bit rate and after it, run, whether a stuff bit ends
+    it, and CRC.
+    """
 
     bits: int
     stuffed: int
@@ -52,7 +56,9 @@ _PLACES = {run: place for place, run in enumerate(_RUNS)}
 
 
 def _stuffing(width: int) -> tuple[bytes, bytes, bytes]:
-    """Tables by ``run << width | bits``: the run after the bits, their stuff bits, whether the last of it is one."""
+    """Return tables by ``run << width | bits``: the run after the bits, the number of stuff bits, whether the last bit
+    is one.
+    """
     after, count, last = bytearray(), bytearray(), bytearray()
     for start in _RUNS:
         for value in range(1 << width):
@@ -79,9 +85,9 @@ _AFTER_7, _COUNT_7, _ = _stuffing(7)
 _CRC_OF = tuple(_crc(f"{byte:08b}") for byte in range(256))
 
 
-@lru_cache(maxsize=4096)  # foreign traffic may have any identifier
+@lru_cache(maxsize=4096)  # other nodes' frames may have any identifier
 def _header(bits: str, slow: int) -> _Header:
-    """Walk a header from its start of frame; the first ``slow`` bits have the nominal bit rate."""
+    """Process a header from its start of frame; the first ``slow`` bits have the nominal bit rate."""
     run, stuffed = _Run(0, 1), False
     slowly = fast = 0
     for place, bit in enumerate(bits[1:], start=1):
@@ -94,14 +100,14 @@ def _header(bits: str, slow: int) -> _Header:
 
 
 def _identifier(number: int, extended: bool, classic_remote: int) -> str:
-    """Return start of frame, arbitration field and the bit that tells the format."""
+    """Return start of frame, arbitration field and the bit that gives the identifier format."""
     if extended:
         return f"0{number >> 18:011b}11{number & 0x3FFFF:018b}{classic_remote}"
     return f"0{number:011b}{classic_remote}0"
 
 
 def classic_bits(number: int, payload: bytes, *, extended: bool = False, remote_length: int | None = None) -> int:
-    """Return the bits of a classic frame; ``remote_length`` is the data length that a remote frame asks for."""
+    """Return the bits of a classic frame; ``remote_length`` is the data length that a remote frame requests."""
     if remote_length is None:
         bits = _classic_header(number, extended, 0, len(payload))
     else:
@@ -125,7 +131,7 @@ def _classic_header(number: int, extended: bool, remote: int, length: int) -> st
 
 
 def fd_bits(number: int, payload: bytes, *, extended: bool = False, switched: bool) -> FrameBits:
-    """Return the bits of an FD frame; ``switched`` says that its data phase has a bit rate of its own."""
+    """Return the bits of an FD frame; ``switched``: its data phase has its own bit rate."""
     length_code = bisect_left(_FD_LENGTHS, len(payload))
     arbitration = f"{_identifier(number, extended, 0)}10{int(switched)}"
     header = _header(f"{arbitration}0{length_code:04b}", len(arbitration))
@@ -135,7 +141,7 @@ def fd_bits(number: int, payload: bytes, *, extended: bool = False, switched: bo
         stuffed += _COUNT[place]
         ends_stuffed = bool(_LAST[place])
         run = _AFTER[place]
-    # The fixed stuff bit before the CRC field stands for one that would come there anyway.
+    # The fixed stuff bit before the CRC field replaces a stuff bit that would come there.
     stuffed -= ends_stuffed
     crc_field = 4 + (17 if len(payload) <= 16 else 21)
     fixed = -(-crc_field // 4)

@@ -1,7 +1,7 @@
-"""An open CAN bus: frames to it, and from it whatever comes, ``raw`` until it is asked for as a frame or a message.
+"""An open CAN bus. It receives messages as ``raw`` objects, and converts them to frames or ``can.Message`` on request.
 
-Errors are raised as python-can has them; ``CanLink`` explains them. ``SocketCan`` uses the socket itself: one system
-call a frame, where python-can makes six.
+Errors are raised as python-can raises them; ``CanLink`` explains them. ``SocketCan`` uses the socket itself: one system
+call per frame, where python-can makes six.
 """
 
 import contextlib
@@ -17,13 +17,13 @@ from firmware_protocol.framing import Frame
 from hil.core.ports import EXTENDED, REMOTE
 from hil.wire.url import CanUrl
 
-# Interfaces that select waits for: python-can's own wait polls (slcan), or ends early at what is no frame (both). They
-# keep no frame back, which select would not see.
+# Interfaces on which select is used: python-can's own wait polls (slcan), or ends early after a message that is no
+# frame (both). They buffer no received frame, which select would not see.
 _SELECTABLE_INTERFACES = ("slcan", "udp_multicast")
-# Interfaces whose lines of text python-can parses. It raises these errors at a line that is cut or garbled.
+# Interfaces of text lines that python-can parses. It raises ``_NO_FRAME`` for a line that is cut or garbled.
 _TEXT_INTERFACES = ("slcan",)
 _NO_FRAME = (IndexError, ValueError)
-_WRITE_TIMEOUT_S = 1.0  # as of a serial line: one that takes no byte for so long is lost
+_WRITE_TIMEOUT_S = 1.0  # as for a serial line: one that accepts no byte for that long is lost
 
 # struct can_frame, struct canfd_frame and the flags of their identifier, include/uapi/linux/can.h
 _CLASSIC, _FD, _HEADER = struct.Struct("=IBB2x8s"), struct.Struct("=IBB2x64s"), struct.Struct("=IBB")
@@ -39,17 +39,17 @@ class CanPort(Protocol):
         """Send a frame."""
 
     def receive(self, timeout_ns: int) -> Any:
-        """Return the next of whatever comes, raw, or None after the timeout; 0 never waits."""
+        """Return the next raw message, or None after the timeout; 0 never waits."""
 
     def frame_of(self, raw: Any) -> Frame | None:
-        """Return what came with its id flagged by EXTENDED and REMOTE; None for an error frame."""
+        """Return the raw message as a frame, its id flagged with EXTENDED and REMOTE; None for an error frame."""
 
     def message_of(self, raw: Any) -> Any:
-        """Return it as a ``can.Message``."""
+        """Return the raw message as a ``can.Message``."""
 
 
 class PythonCan:
-    """Any bus of python-can. ``garbled`` is called for each line of text that was no frame."""
+    """Any bus of python-can. ``garbled`` is called for each line of text that is no frame."""
 
     def __init__(self, can: Any, bus: Any, url: CanUrl, garbled: Callable[[], None]) -> None:
         self._can = can
@@ -58,11 +58,11 @@ class PythonCan:
         self._garbled = garbled
         self._failures = (can.CanError, OSError, ValueError)
         self._descriptor = self._find_descriptor()
-        # Without it an adapter that takes no bytes any more would block its sender for ever.
+        # Without it an adapter that accepts no more bytes would block the sender for ever.
         self._send_timeout_s = _WRITE_TIMEOUT_S if url.interface in _TEXT_INTERFACES else None
 
     def _find_descriptor(self) -> int | None:
-        """Return what to wait on, or None where python-can is to wait."""
+        """Return the file descriptor for select; None if python-can has to wait itself."""
         if self._url.interface not in _SELECTABLE_INTERFACES:
             return None
         try:
@@ -83,7 +83,7 @@ class PythonCan:
             self._bus.send(message, self._send_timeout_s)
         except self._failures:
             if self._url.interface in _TEXT_INTERFACES:
-                # Closing and opening anew would wait for ever for the bytes that the adapter has not taken.
+                # Otherwise closing the port would wait for ever for the bytes that the adapter has not accepted.
                 with contextlib.suppress(*self._failures):
                     self._bus.serialPortOrig.reset_output_buffer()
             raise
@@ -95,12 +95,12 @@ class PythonCan:
         while select.select([self._descriptor], [], [], max(0, timeout_ns) * 1e-9)[0]:
             if (message := self._recv(0)) is not None:
                 return message
-            # What came was no frame, such as an adapter's reply: wait on for what is left of the time.
+            # What came was no frame, for example an adapter's reply: wait for the rest of the time.
             timeout_ns = deadline_ns - time.monotonic_ns()
         return None
 
     def _recv(self, timeout_s: float) -> Any:
-        """Return python-can's next frame, or None when there is none, or when what came was none."""
+        """Return python-can's next frame; None if there is none, or if what came was no frame."""
         try:
             return self._bus.recv(timeout_s)
         except (IndexError, *self._failures) as error:
@@ -108,7 +108,7 @@ class PythonCan:
             if self._url.interface not in _TEXT_INTERFACES or not (is_not_text or isinstance(error, _NO_FRAME)):
                 raise
             if is_not_text:
-                self._bus.flush()  # python-can would try to decode the same bytes with the next line again
+                self._bus.flush()  # otherwise python-can would decode the same bytes again with the next line
             self._garbled()
             return None
 
@@ -123,7 +123,7 @@ class PythonCan:
 
 
 class SocketCan:
-    """The raw socket of python-can's socketcan bus, which opened it, set its filters and will close it."""
+    """The raw socket of python-can's socketcan bus; the bus opens it, sets its filters and closes it."""
 
     def __init__(self, can: Any, bus: Any, url: CanUrl) -> None:
         self._can = can
@@ -135,7 +135,7 @@ class SocketCan:
         data = self._layout.pack(frame.id, len(frame.payload), self._flags, frame.payload)
         try:
             self._socket.send(data, socket.MSG_DONTWAIT)
-        except BlockingIOError as error:  # of the two queues the socket's own is full, not the interface's
+        except BlockingIOError as error:  # the socket's own queue is full, not the interface's
             raise OSError(errno.ENOBUFS, "No buffer space available") from error
 
     def receive(self, timeout_ns: int) -> bytes | None:

@@ -1,7 +1,7 @@
-"""The conditions of a link: latency and faults of frames, both ways, in one layer directly on the transport.
+"""The conditions of a link, directly above the transport: latency and faults of frames, in both directions.
 
-A command passes the latency, then the rows of faults, then those of the bus. Feedback passes them the other way round.
-What has to wait does so in one queue for each direction. An observer sees what crosses the wire, below all conditions.
+A command passes the latency, then the fault rows, then the faults of the bus; feedback passes them in reverse order.
+Each direction has one queue of delayed frames. An observer sees what crosses the wire, below all conditions.
 """
 
 import heapq
@@ -21,10 +21,10 @@ _LATENCY = -1
 
 
 class _Waiting(NamedTuple):
-    """Frames in the queue of a direction, in the order in which they go on.
+    """Frames in the queue of a direction, in the order in which they continue.
 
-    ``place`` says what they wait for: the latency before the rows, the row of that number (only ``reorder`` holds
-    frames), the delay of all rows, or the latency behind them. ``number`` counts what was queued.
+    ``place`` is the stage at which they wait: the latency before the rows, the row of that number (only ``reorder``
+    holds frames), the delay of all rows, or the latency behind them. ``number`` is a running number in the queue.
     """
 
     due_ns: int
@@ -34,7 +34,7 @@ class _Waiting(NamedTuple):
 
 
 class _Way:
-    """One direction: its rows, and the queue of what waits, by the time of the clock."""
+    """One direction: its fault rows, and the queue of delayed frames, by the time of the clock."""
 
     def __init__(self, direction: str, rows: Sequence[LinkFault], time: ScenarioTime) -> None:
         self.direction = direction
@@ -46,12 +46,14 @@ class _Way:
         self._count = 0
 
     def hold(self, frames: Sequence[Frame], due_ns: int, place: int) -> None:
-        """Let frames wait until a time of the clock."""
+        """Delay frames until a time of the clock."""
         self._count += 1
         heapq.heappush(self._queue, _Waiting(due_ns, place, self._count, frames))
 
     def pass_rows(self, frames: list[Frame], t_ns: int, first: int = 0, delay_ns: int = 0) -> None:
-        """Let a frame and its copies meet the rows from ``first`` on, at a time of the scenario; the rest is queued."""
+        """Apply the rows from ``first`` on to a frame and its copies, at a time of the scenario; queue what comes
+        out.
+        """
         for place, fault in enumerate(self.rows[first:], first):
             if not frames:
                 return
@@ -71,14 +73,14 @@ class _Way:
             elif fault.chance.random() < fault.row.value:
                 self.hold(frames, self._time.on_clock_ns(fault.row.end_ns), place)
                 return
-        # Nothing overtakes what waits behind the rows already.
+        # Nothing overtakes frames that already wait behind the rows.
         waiting = (one.due_ns for one in self._queue if one.place == self.behind_rows)
         due_ns = max([self._time.on_clock_ns(t_ns + delay_ns), *waiting])
         for frame in frames:
             self.hold((frame,), due_ns, self.behind_rows)
 
     def _take_overtaken(self, place: int) -> list[Frame] | None:
-        """Return what the row of this number holds, and hold it no more."""
+        """Return the frames that the row of this number holds, and remove them from the queue."""
         held = next((one for one in self._queue if one.place == place), None)
         if held is None:
             return None
@@ -87,11 +89,11 @@ class _Way:
         return list(held.frames)
 
     def next_due_ns(self) -> int | None:
-        """Return the time of the clock at which the next of the queue goes on, or None when it is empty."""
+        """Return the clock time at which the next queued frames are due, or None when the queue is empty."""
         return self._queue[0].due_ns if self._queue else None
 
     def due(self, now_ns: int, t_ns: int | None, *, everything: bool = False) -> Iterator[_Waiting]:
-        """Take out of the queue and yield what goes on by now, in order; with ``everything`` also what is not due."""
+        """Remove and yield what is due by now, in order; with ``everything`` also what is not yet due."""
         while self._queue and (everything or self._queue[0].due_ns <= now_ns):
             one = heapq.heappop(self._queue)
             if t_ns is not None and 0 <= one.place < self.behind_rows:  # nothing overtook it in the row's window
@@ -101,19 +103,19 @@ class _Way:
                 yield one
 
     def forget(self, *, but_latency: bool = False) -> None:
-        """Lose what is queued; ``but_latency`` keeps what has not met the rows."""
+        """Discard the queue; ``but_latency`` keeps what has not reached the rows yet."""
         self._queue = [one for one in self._queue if but_latency and one.place == _LATENCY]
 
 
 class ConditionedLink:
-    """A link with its conditions. Rows act in the scenario's time, so not before that has begun; latency always does.
+    """A link with its conditions. Fault rows act from the start of the scenario's time; latency always acts.
 
-    Frames that carry lockstep (``LinkProtocol.exempt_from``) meet no condition. ``service`` lets go the commands that
-    are due, and ``next_due_ns`` says when it is to be called again. A direction without conditions and observer is that
-    of the transport itself, with no step between.
+    Frames that carry lockstep (``LinkProtocol.exempt_from``) pass without conditions. ``service`` sends the commands
+    that are due; ``next_due_ns`` says when to call it again. A direction without conditions and observer calls the
+    transport's own method directly.
 
     Attributes:
-        may_hold: whether commands ever wait; where not, nothing is ever due.
+        may_hold: whether commands can be delayed at all; if not, nothing is ever due.
     """
 
     def __init__(
@@ -138,7 +140,7 @@ class ConditionedLink:
         self._observer = observer
         self._exempt_from = protocol.exempt_from
         self._disconnects = [fault for fault in faults if fault.kind == "disconnect"]
-        self._cut: LinkFault | None = None  # the row that the link was lost by
+        self._cut: LinkFault | None = None  # the row that cut the link
         rows = [fault for fault in faults if fault.kind != "disconnect"]
         self._has_rows = bool(faults)
         self._out = _Way("command", rows, self._time)
@@ -179,7 +181,7 @@ class ConditionedLink:
             self.service()
 
     def _enter(self, frame: Frame) -> None:
-        """Let a command meet the rows. Raises LinkError while the link is cut."""
+        """Apply the rows to a command. Raises LinkError while the link is cut."""
         t_ns = self._time.now_ns() if self._has_rows else None
         if t_ns is None:
             self._put(frame)
@@ -188,7 +190,7 @@ class ConditionedLink:
         self._out.pass_rows([frame], t_ns)
 
     def service(self, *, everything: bool = False) -> None:
-        """Hand over the commands that are due, or ``everything`` that waits."""
+        """Send the commands that are due, or with ``everything`` all that wait."""
         if not self.may_hold:
             return
         t_ns = self._time.now_ns()
@@ -202,18 +204,18 @@ class ConditionedLink:
                     self._put(frame)
 
     def next_due_ns(self) -> int | None:
-        """Return when, on the clock, the next command is due, or None when none waits."""
+        """Return the clock time at which the next command is due, or None when none waits."""
         return self._out.next_due_ns()
 
     def hand_over_until(self, clock: Clock, t_ns: int) -> None:
-        """Let time pass on the clock as long as something becomes due before ``t_ns``, and hand that over."""
+        """Let time pass on the clock while a command becomes due before ``t_ns``, and send it."""
         self.service()
         while (due_ns := self.next_due_ns()) is not None and due_ns < t_ns:
             clock.wait_until(due_ns)
             self.service()
 
     def flush(self) -> None:
-        """Hand over everything that waits, in order: nobody will wait for it to be due."""
+        """Send all waiting commands now, in order, because time will no longer pass for them."""
         self.service(everything=True)
 
     # Feedback
@@ -231,7 +233,7 @@ class ConditionedLink:
             timeout_ns = max(0, deadline_ns - time.monotonic_ns())
 
     def _admit(self, received: Received) -> None:
-        """Let what came from the wire meet the conditions."""
+        """Apply the conditions to what came from the wire."""
         t_ns = self._time.now_ns()
         frames, stamp_ns = received
         if self._bus is not None:
@@ -256,7 +258,7 @@ class ConditionedLink:
                 self._ready.append(Received(at_once, stamp_ns))
 
     def _let_in(self) -> None:
-        """Make ready what is due of the feedback; its stamp is the time at which it is due."""
+        """Make the feedback that is due available; its time stamp is when it was due."""
         now_ns, latency_ns = self._clock.now_ns(), self._feedback_latency_ns
         for one in self._in.due(now_ns, self._time.now_ns()):
             if one.place == self._in.latency_behind_rows:
@@ -269,7 +271,7 @@ class ConditionedLink:
     # The link itself
 
     def _is_cut(self, t_ns: int) -> bool:
-        """Tell whether the link is lost: a cable that was pulled has to be opened again, also when it is back."""
+        """Whether the link is lost. It stays so until it is reopened, even after the fault's window."""
         if self._disconnects and self._cut is None:
             self._cut = next((fault for fault in self._disconnects if fault.row.is_in_force(t_ns)), None)
         return self._cut is not None
@@ -280,13 +282,13 @@ class ConditionedLink:
             raise LinkError(f"the link was cut by the fault disconnect, seen at t = {t_ns * 1e-9:.3f} s")
 
     def discard(self) -> None:
-        """Forget what waits: the link was lost, and an old command must not follow a new arming."""
+        """Discard what waits: the link was lost, and an old command must not follow a new arming."""
         self._out.forget()
         self._in.forget()
         self._ready.clear()
 
     def reopen(self) -> None:
-        """Open the link anew after it was lost; what was on its way is forgotten. Raises LinkError while it is cut."""
+        """Reopen the link after it was lost, and discard what was on its way. Raises LinkError while it is cut."""
         self.discard()
         self._cut = None
         if (t_ns := self._time.now_ns()) is not None:
@@ -296,13 +298,13 @@ class ConditionedLink:
             self._bus.reopen()
 
     def rejected(self) -> dict[str, int]:
-        """Return how many received frames were dropped so far, by cause."""
+        """Return the number of received frames dropped so far, by cause."""
         causes = self._link.rejected()
         own = {} if self._bus is None else self._bus.rejected
         return causes | {cause: causes.get(cause, 0) + count for cause, count in own.items()}
 
     def describe(self) -> str:
-        """Return what the link is, in words for a person."""
+        """Return a description of the link, for a person."""
         return self._link.describe()
 
     def close(self) -> None:

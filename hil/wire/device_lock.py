@@ -1,6 +1,6 @@
-"""One process a device: who drives a robot holds a lock that goes by the device, not by the way it was spelt.
+"""One process per device: who drives a robot holds a lock named after the device, however its URL is spelt.
 
-The lock is for the whole machine, so that another user's process is kept out too.
+The lock holds for the whole machine, so that it also keeps out another user's process.
 """
 
 import contextlib
@@ -21,9 +21,9 @@ from hil.wire.link import LinkUrl
 
 @contextlib.contextmanager
 def device_held(url: LinkUrl, command: str) -> Iterator[None]:
-    """Hold the device of a link for the body of a ``with``; ``command`` is how others are told who has it.
+    """Hold the lock on a link's device for the body of a ``with``; other processes are told ``command`` as its holder.
 
-    Raises LinkError, naming the process that holds it, when another one does.
+    Raises LinkError with the holder's name and process id when another process holds it.
     """
     name = url.device_name()
     if name is None:
@@ -33,14 +33,14 @@ def device_held(url: LinkUrl, command: str) -> Iterator[None]:
     record = {"pid": os.getpid(), "command": command, "since": f"{datetime.now():%Y-%m-%d %H:%M:%S}"}  # noqa: DTZ005
     try:
         _make_for_all(folder)
-        # Anybody may lock: in the temporary folder itself a file may be opened for writing by its owner only.
+        # Any user may lock: in the temporary folder itself only its owner may open a file for writing.
         claim = ProcessLock(folder, _file_name(name), record, mode=0o666)
     except LockHeldError as taken:
         raise LinkError(_refusal(str(url), taken)) from None
     except OSError as error:
         raise LinkError(
-            f"link {str(url)!r}: the lock that keeps a second process from the device cannot be taken "
-            f"({error.strerror}); see to it that {folder} may be written to"
+            f"link {str(url)!r}: the lock that keeps other processes from the device cannot be taken "
+            f"({error.strerror}); make sure that {folder} can be written"
         ) from error
     try:
         yield
@@ -51,7 +51,7 @@ def device_held(url: LinkUrl, command: str) -> Iterator[None]:
 def _refusal(link: str, taken: LockHeldError) -> str:
     holder = taken.holder
     if not holder:
-        return f"link {link!r}: another process is about to use the device, or to leave it; try again"
+        return f"link {link!r}: another process is starting or ending its use of the device; try again"
     served = str(holder["command"]).startswith("hil serve")
     remedy = "drive it with 'hil ctl', or end it with 'hil ctl shutdown'" if served else "wait for its end, or end it"
     return (
@@ -61,17 +61,19 @@ def _refusal(link: str, taken: LockHeldError) -> str:
 
 
 def _file_name(device: str) -> str:
-    """Return a name for a file: legible, and different for devices that differ in what a file name cannot hold."""
+    """Return a legible file name, with a hash because it cannot hold every character of a device's name."""
     digest = hashlib.sha256(device.encode("utf-8", "surrogateescape")).hexdigest()[:8]
     return f"{re.sub('[^A-Za-z0-9_.-]', '_', device).strip('_')[-60:]}-{digest}"
 
 
 def _make_for_all(folder: Path) -> None:
-    """Make the folder so that every user may lock in it. Raises OSError, also where a link stands in its place."""
+    """Make the folder so that every user may lock in it. Raises OSError, also if a symbolic link stands in its
+    place.
+    """
     try:
         folder.mkdir(parents=sys.platform == "win32")
     except FileExistsError:
-        # Anybody may have put it there. To change the mode of what a link leads to would be to do his bidding.
+        # Any user may have made it. Changing the mode through a symbolic link could open up another folder.
         if folder.is_symlink() or not folder.is_dir():
             raise
     else:
@@ -79,10 +81,10 @@ def _make_for_all(folder: Path) -> None:
 
 
 def _folder() -> Path:
-    """Return the folder that all users of this machine agree on."""
+    """Return the folder that all users of this machine share."""
     if sys.platform == "win32":
         return site_data_path("mecanum-hil", appauthor=False) / "locks"
-    # Not TMPDIR, which may be a user's own, nor /run/lock, which is root's alone on newer systems. /tmp may be private
-    # to a unit of systemd, or read-only; Linux has a folder in memory that is neither.
+    # Not TMPDIR, which may be private to a user, nor /run/lock, which only root may write on newer systems. /tmp may be
+    # private to a systemd unit, or read-only; Linux has /dev/shm, a folder in memory that is neither.
     shared = Path("/dev/shm")
     return (shared if shared.is_dir() else Path("/tmp")) / "mecanum-hil-locks"

@@ -1,4 +1,4 @@
-"""Faults of a link: the scenario's time, a row with its chance and its count, and what a CAN bus does to frames."""
+"""Faults of a link: the scenario's time, a row with its random generator and count, and the faults of a CAN bus."""
 
 import random
 from collections.abc import Sequence
@@ -14,10 +14,11 @@ from hil.faults.kinds import DIRECTIONS, find
 BYTE_KINDS = ("bit_errors", "truncation", "babble")
 """The kinds that act on the bytes of a serial line (``line_faults``), or on a bus (``BusFaults``)."""
 
-# Answers of diagnosis (ISO 15765-4): no motor controller that we know listens there. To its requests, from 7E0 to 7E7,
-# some do: 7E2 stops every ODrive on the bus.
+# Response ids of diagnosis (ISO 15765-4): no supported motor controller listens to them. Some listen to the request
+# ids, 7E0 to 7E7: 7E2 stops every ODrive on the bus.
 _STRANGERS = range(0x7E8, 0x7F0)
-# ISO 11898-1: bits of a classic frame with an 11-bit id, without stuff bits; and the transmit error counter.
+# ISO 11898-1: bits of a classic frame with an 11-bit id, without stuff bits; increment and limit of the transmit error
+# counter.
 _BITS_OF_FRAME = 47
 _ERROR_COUNTS = 8
 _BUS_OFF = 256
@@ -25,14 +26,14 @@ _MOST_DATA = 8
 
 
 class ScenarioTime:
-    """The scenario's time [ns], counted on a clock from the first ACTIVE tick; there is none before ``begin``."""
+    """The scenario's time [ns] on a clock, from the first ACTIVE tick; it is None before ``begin``."""
 
     def __init__(self, clock: Clock) -> None:
         self._clock = clock
         self._origin_ns: int | None = None
 
     def begin(self, origin_ns: int) -> None:
-        """Set when, on the clock, the scenario's time began."""
+        """Set the clock time at which the scenario's time began."""
         self._origin_ns = origin_ns
 
     def now_ns(self) -> int | None:
@@ -40,15 +41,15 @@ class ScenarioTime:
         return None if self._origin_ns is None else self._clock.now_ns() - self._origin_ns
 
     def on_clock_ns(self, t_ns: int) -> int:
-        """Return a time of the scenario as the clock has it."""
+        """Convert a time of the scenario to clock time."""
         return t_ns + (self._origin_ns or 0)
 
 
 class LinkFault:
-    """A row that acts on a link, with its own chance.
+    """A row that acts on a link, with its own random generator.
 
     Attributes:
-        applied: how often it did something.
+        applied: number of times that it had an effect.
     """
 
     def __init__(self, row: FaultRow, chance: random.Random, protocol: LinkProtocol) -> None:
@@ -63,28 +64,30 @@ class LinkFault:
         self._effect = None if make is None else make(row, chance)
         make = find(row.kind, row.target).on_frames
         self._effect = None if make is None else make(row, chance)
-        self._newest: dict[tuple[str, int], Frame] = {}  # what freeze repeats, by direction and id
+        self._newest: dict[tuple[str, int], Frame] = {}  # frames that freeze repeats, by direction and id
 
     def concerns(self, direction: str, number: int | None) -> bool:
-        """Tell whether the row means frames of this direction and id; None, an unknown id, is of no message."""
+        """Whether the row acts on frames of this direction and id; None is an unknown id, which belongs to no
+        message.
+        """
         if self._message is not None:
             return number is not None and self._names.get(number) == self._message
         return self._direction in (None, direction)
 
     def strikes(self) -> bool:
-        """Tell, by chance, whether a frame is hit, and count it."""
+        """Decide at random whether a frame is hit, and count it."""
         if self.chance.random() >= self.row.value:
             return False
         self.applied += 1
         return True
 
     def notice(self, direction: str, frame: Frame, t_ns: int) -> None:
-        """Take a frame that passes outside the window: before it, ``freeze`` keeps the newest."""
+        """Note a frame that passes outside the window; before it, ``freeze`` keeps the newest."""
         if self.kind == "freeze" and t_ns < self.row.start_ns:
             self._newest[direction, frame.id] = frame
 
     def changed(self, direction: str, frames: list[Frame]) -> list[Frame]:
-        """Return what the row, in force, makes of a frame and its copies; in order, and none where it is lost."""
+        """Apply the row, in force, to a frame and its copies; return the frames in order, none if they are lost."""
         if self.kind == "freeze":
             old = self._newest.get((direction, frames[0].id))
             self.applied += old is not None
@@ -96,7 +99,7 @@ class LinkFault:
         return changed
 
     def delay_ns(self) -> int:
-        """Return by how much the row, in force, delays a frame: whole ticks, as robot time in lockstep."""
+        """Return the delay of a frame by the row, in force: whole ticks, like robot time in lockstep."""
         if self.kind not in ("delay", "jitter"):
             return 0
         seconds = self.row.value * (self.chance.random() if self.kind == "jitter" else 1.0)
@@ -105,9 +108,9 @@ class LinkFault:
         return ticks * TICK_NS
 
     def due(self, t_ns: int) -> int:
-        """Return how often a babble speaks now, to keep its rate since its window began; they are counted.
+        """Return and count the frames that a babble sends now, to keep its rate since the start of its window.
 
-        What it still owed at the end of the window is never said.
+        After the window nothing more is sent, even if frames are missing.
         """
         row = self.row
         if not row.is_in_force(t_ns):
@@ -118,12 +121,12 @@ class LinkFault:
 
 
 def link_faults(rows: Sequence[FaultRow], seed: int, protocol: LinkProtocol = WHEEL_DBC) -> list[LinkFault]:
-    """Return the rows with a chance and a count each."""
+    """Return the rows, each with a random generator and a count."""
     return [LinkFault(row, chance, protocol) for row, chance in zip(rows, generators(rows, seed), strict=True)]
 
 
 def foreign_id(fault: LinkFault, protocol: LinkProtocol) -> int:
-    """Return an id of 11 bits that is none of the protocol's."""
+    """Return an 11-bit id that the protocol does not use."""
     if protocol.senders is None:
         return fault.chance.choice(_STRANGERS)
     while (number := fault.chance.randrange(STANDARD_IDS + 1)) in protocol.senders:
@@ -132,13 +135,13 @@ def foreign_id(fault: LinkFault, protocol: LinkProtocol) -> int:
 
 
 class BusFaults:
-    """Bit errors, truncation and babble on a CAN bus, as the controllers on it would see them.
+    """Bit errors, truncation and babble on a CAN bus, as the bus's controllers would see them.
 
-    A destroyed frame costs the time on the wire of itself and of the error frame, some 0.15 ms at 1 Mbit/s each time;
-    that time is not modelled. ``babbler`` is the node that babbles, None where no row wants one.
+    A destroyed frame occupies the wire for its own time and an error frame, some 0.15 ms at 1 Mbit/s each time; that
+    time is not modelled. ``babbler`` is the node that babbles; None if no row needs one.
 
     Attributes:
-        rejected: what was destroyed or cut, by the causes of ``Link.rejected``.
+        rejected: number of destroyed or cut frames, by the causes of ``Link.rejected``.
     """
 
     def __init__(self, faults: Sequence[LinkFault], babbler: Link | None, protocol: LinkProtocol = WHEEL_DBC) -> None:
@@ -150,7 +153,9 @@ class BusFaults:
         self.rejected = {"error_bit": 0, "error_bus_off": 0, "length": 0}
 
     def sent(self, frame: Frame, t_ns: int) -> Frame:
-        """Return a command as it gets over the bus. Raises LinkError when our controller went bus-off over it."""
+        """Return a command as it arrives at the robot. Raises LinkError when the host's controller went bus-off over
+        it.
+        """
         passed = self._passed(frame, "command", t_ns)
         if passed is None:
             self.rejected["error_bus_off"] += 1
@@ -158,14 +163,14 @@ class BusFaults:
         return passed
 
     def arrives(self, frame: Frame, t_ns: int) -> bool:
-        """Tell whether a frame of the robot's comes through whole."""
+        """Whether a frame of the robot arrives undamaged."""
         passed = self._passed(frame, "feedback", t_ns)
         is_short = passed is not None and len(passed.payload) < len(frame.payload)
         self.rejected["length"] += is_short
         return passed is not None and not is_short
 
     def babble(self, t_ns: int | None) -> None:
-        """Let the babbling node say what its rate is due, in the scenario's time."""
+        """Let the babbling node send the frames that its rate demands by now, in the scenario's time."""
         if t_ns is None or self._babbler is None:
             return
         for fault in self._babbles:
@@ -173,10 +178,10 @@ class BusFaults:
                 data = fault.chance.randbytes(fault.chance.randint(0, _MOST_DATA))
                 self._babbler.send(Frame(foreign_id(fault, self._protocol), data))
         while self._babbler.receive(0) is not None:
-            pass  # it hears everybody, and does not listen
+            pass  # it receives every frame, and ignores them
 
     def reopen(self) -> None:
-        """Open the babbling node's end of the bus anew."""
+        """Reopen the babbling node's end of the bus."""
         if self._babbler is not None:
             self._babbler.reopen()
 
@@ -186,7 +191,7 @@ class BusFaults:
             self._babbler.close()
 
     def _passed(self, frame: Frame, direction: str, t_ns: int) -> Frame | None:
-        """Return the frame as it comes through, or None when its sender went bus-off over it."""
+        """Return the frame as it arrives, or None when its sender went bus-off over it."""
         for fault in self._faults:
             if not (fault.row.is_in_force(t_ns) and fault.concerns(direction, frame.id)):
                 continue
@@ -198,14 +203,16 @@ class BusFaults:
         return frame
 
     def _comes_through(self, fault: LinkFault, direction: str, length: int) -> bool:
-        """Send a frame until it is whole, with an error frame for each time that it is not."""
+        """Send a frame until it arrives intact, with an error frame for each failed attempt; return False if its sender
+        goes bus-off.
+        """
         whole = (1.0 - fault.row.value) ** (_BITS_OF_FRAME + 8 * length)
         while fault.chance.random() >= whole:
             fault.applied += 1
             self.rejected["error_bit"] += 1
             self._errors[direction] += _ERROR_COUNTS
             if self._errors[direction] >= _BUS_OFF:
-                self._errors[direction] = 0  # it recovers, without the frame
+                self._errors[direction] = 0  # it recovers, but the frame is lost
                 return False
         self._errors[direction] = max(0, self._errors[direction] - 1)
         return True

@@ -1,4 +1,4 @@
-"""A link over a byte stream, by the framing of its protocol in both directions."""
+"""A link over a byte stream, with the framing of its protocol in both directions."""
 
 import time
 from collections import Counter
@@ -10,27 +10,29 @@ from hil.core.ports import Received
 from hil.wire.streams import HostStream
 
 _MOST_AT_ONCE = 50
-"""The most frames that one call gives: those of a few ticks. A host with a backlog decides how many it takes."""
+"""The most frames that one call returns: those of a few ticks. A host with a backlog decides how many calls it
+makes.
+"""
 
 _MOST_NOISE = 65536  # bytes without a frame in one call: more than any buffer of a line holds
 
 
 class StreamLink:
-    """Frames over a byte stream. Wrong bytes are dropped and counted by cause, never raised.
+    """Frames over a byte stream. Wrong bytes are dropped and counted by cause; they raise no error.
 
     Attributes:
-        now_ns: the clock that stamps what is received.
-        sent_frames, sent_bytes, received_frames, received_bytes: so far; received are frames that were given, and
-            all bytes.
+        now_ns: the clock that stamps received frames.
+        sent_frames, sent_bytes, received_frames, received_bytes: numbers so far. received_frames counts the frames that
+            ``receive`` returned, received_bytes all bytes.
     """
 
     def __init__(self, stream: HostStream, protocol: LinkProtocol = WHEEL_DBC) -> None:
         self._stream = stream
         assert protocol.make_framing is not None, "a protocol of buses only"
         self._make_framing = protocol.make_framing
-        self._framing = protocol.make_framing()  # of what is received
-        self._encode = protocol.make_framing().encode  # the count of what is sent goes on over a loss
-        self._earlier: Counter[str] = Counter()  # what was rejected before the link was reopened
+        self._framing = protocol.make_framing()  # for received bytes
+        self._encode = protocol.make_framing().encode  # kept over ``reopen``: the running number continues
+        self._earlier: Counter[str] = Counter()  # rejected before the link was reopened
         self._waiting: tuple[Sequence[Frame], int] | None = None
         self.now_ns: Callable[[], int] = time.monotonic_ns
         self.sent_frames = 0
@@ -59,8 +61,8 @@ class StreamLink:
                         return self._part_of(frames, stamp_ns)
                     self.received_frames += count
                     return Received(frames, stamp_ns)
-                # These bytes completed no frame; the rest of one may come in the time that is left. But a line full of
-                # noise must not hold up a tick.
+                # These bytes completed no frame; the rest may come within the timeout. But a line full of noise must
+                # not hold up a tick.
                 of_no_frame += len(data)
                 if of_no_frame > _MOST_NOISE:
                     return None
@@ -71,11 +73,11 @@ class StreamLink:
 
     @property
     def counts_frames(self) -> bool:
-        """Whether the frames carry a count by which lost ones are noticed."""
+        """Whether frames carry a running number by which lost ones are noticed."""
         return "lost" in self._framing.rejected
 
     def _part_of(self, frames: Sequence[Frame], stamp_ns: int) -> Received:
-        """Give the first of many frames; the others wait for the next calls."""
+        """Return the first of many frames; the others wait for the next calls."""
         part, rest = frames[:_MOST_AT_ONCE], frames[_MOST_AT_ONCE:]
         self._waiting = (rest, stamp_ns) if rest else None
         self.received_frames += len(part)
@@ -87,7 +89,7 @@ class StreamLink:
 
     def reopen(self) -> None:
         self._stream.reopen()
-        # A new framing: half a frame, and the gap in the numbers, belong to the line that was lost.
+        # A new framing: a partial frame and the gap in the running number belong to the line that was lost.
         self._earlier = Counter(self.rejected())
         self._framing = self._make_framing()
         self._waiting = None

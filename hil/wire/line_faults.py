@@ -1,4 +1,4 @@
-"""Faults of a serial line: they spoil the framed bytes, and the framing at the other end finds the errors."""
+"""Faults of a serial line: they corrupt the framed bytes, and the framing at the other end finds the errors."""
 
 import math
 from collections.abc import Iterator, Sequence
@@ -14,10 +14,10 @@ _LONGEST_GARBAGE = 16
 
 
 class FaultLine:
-    """The host's end of a line, whose frames are spoilt in both directions.
+    """The host's end of a line, with faults in both directions.
 
-    Nothing happens before the scenario's time has begun. Frames that carry lockstep are spared. A zero before each of
-    them separates it from a frame that was cut before it.
+    Nothing happens before the scenario's time has begun. Frames that carry lockstep are not changed. A zero byte before
+    each of them separates it from a frame that was cut before it.
     """
 
     def __init__(
@@ -61,7 +61,7 @@ class FaultLine:
         self._stream.close()
 
     def _spoil(self, data: bytes, direction: str, t_ns: int) -> bytes:
-        """Return what whole frames become."""
+        """Return whole frames with the faults applied."""
         said = [
             self._say(fault, t_ns) for fault in self._faults if fault.kind == "babble" and _babbles(fault, direction)
         ]
@@ -88,7 +88,7 @@ def _babbles(fault: LinkFault, direction: str) -> bool:
 
 
 def _id_of(frame: bytes) -> int | None:
-    """Return the id of a framed frame, or None when it is none."""
+    """Return the id of an encoded frame, or None when it cannot be decoded."""
     try:
         body = cobs.decode(frame[:-1])
     except cobs.DecodeError:
@@ -97,7 +97,7 @@ def _id_of(frame: bytes) -> int | None:
 
 
 def _wrong_bits(fault: LinkFault, bits: int) -> Iterator[int]:
-    """Yield the places of wrong bits. Each bit is wrong by itself, so the gaps have a geometric distribution."""
+    """Yield the positions of wrong bits. Each bit is wrong independently, so the gaps have a geometric distribution."""
     scale = 1.0 / math.log1p(-fault.row.value)
     place = -1
     while True:
@@ -120,7 +120,9 @@ def _cut(frame: bytes, fault: LinkFault) -> bytes:
 
 
 def _foreign(fault: LinkFault, number: int, protocol: LinkProtocol) -> bytes:
-    """Return what a babbling node says: random bytes, or in our own protocol every other time a foreign frame."""
+    """Return the bytes of a babbling node: random ones, or in this project's protocol every other time a foreign
+    frame.
+    """
     if number % 2 or protocol is not WHEEL_DBC:
         return fault.chance.randbytes(fault.chance.randint(1, _LONGEST_GARBAGE))
     body = foreign_id(fault, protocol).to_bytes(2, "little") + fault.chance.randbytes(fault.chance.randint(1, 9))

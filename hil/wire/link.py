@@ -1,7 +1,7 @@
-"""What a kind of link is: the URL that names it, what it can do, and how its two ends are opened.
+"""The base class of all kinds of link: the URL that names a link, its properties, and how its two ends are opened.
 
-A new kind is a frozen subclass of ``LinkUrl`` that says what differs from a serial line of bytes. A shipped one has a
-line in ``SHIPPED`` of ``hil.wire.url``; another package's is an entry point of the group ``hil.links``, named like the
+A new kind is a frozen subclass of ``LinkUrl`` that overrides what differs from a serial line. A shipped one has a line
+in ``SHIPPED`` of ``hil.wire.url``; another package's is an entry point of the group ``hil.links``, named like the
 scheme of its URLs.
 """
 
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from hil.wire.streams import HostStream
 
 Line = Callable[["HostStream"], "HostStream"]
-"""What a link's byte stream goes through at the host's end: faults of the line, or nothing."""
+"""Wraps a link's byte stream at the host's end with faults of the line, or returns it unchanged."""
 
 
 class Pair(NamedTuple):
@@ -32,25 +32,25 @@ class Pair(NamedTuple):
 
 
 def unchanged(stream: "HostStream") -> "HostStream":
-    """Return a stream as it is: a line without faults."""
+    """Return a stream unchanged: a line without faults."""
     return stream
 
 
 class LinkUrl(ABC):
-    """A link of one kind, as its URL names it. Nothing is open; ``str`` of it is the shortest URL that names it.
+    """A link of one kind, as named by its URL. Nothing is open; ``str`` of it is its shortest URL.
 
-    ``open_host`` and ``open_robot`` are of links to another process, ``open_pair`` of those within this one. Opening
-    raises LinkError, or BadInputError where the URL asks for what there is not.
+    ``open_host`` and ``open_robot`` are for links to another process, ``open_pair`` for links within this one. Opening
+    raises LinkError, or BadInputError when the URL asks for something that does not exist.
 
     Attributes:
         example: a URL, for messages.
-        forms: the URLs of this kind, each with what it is for.
-        settings: the names of what may follow the question mark.
-        wire: what carries the frames; None where that may be whatever a robot speaks.
-        is_switched: whether FD frames have a bit rate of their own for the data.
+        forms: the URLs of this kind, each with its purpose.
+        settings: the names of the settings that may follow the question mark.
+        wire: the medium of the frames; None if it depends on the robot's protocol.
+        is_switched: whether the data of FD frames has its own bit rate.
         is_within_process: whether the robot is made inside this process.
-        is_direct: whether in lockstep host and robot may call each other in one thread, without a stream.
-        serial_port: name and speed [baud] of a port that a guardian process may open too, or None.
+        is_direct: whether host and robot may call each other in one thread in lockstep, without a stream.
+        serial_port: name and speed [baud] of a port that a guardian process may also open, or None.
     """
 
     example: ClassVar[str]
@@ -79,23 +79,23 @@ class LinkUrl(ABC):
 
     @property
     def is_bus(self) -> bool:
-        """Whether it is a CAN bus, which carries frames and no bytes, and others than host and robot."""
+        """Whether it is a CAN bus: it carries frames, not bytes, and may have other nodes than host and robot."""
         return self.wire in ("can", "can_fd")
 
     @classmethod
     @abstractmethod
     def read(cls, address: str, settings: Mapping[str, str], baud: int) -> Self:
-        """Return what a URL says; ``baud`` is the speed of a line of which it says nothing. Raises BadInputError."""
+        """Return the link of a URL; ``baud`` is the speed of a line whose URL gives none. Raises BadInputError."""
 
     @abstractmethod
     def __str__(self) -> str: ...
 
     def device_name(self) -> str | None:
-        """Return the name of the device behind the link, the same for each spelling; None where it makes its own."""
+        """Return the device's name, the same for each spelling of the URL; None if the link makes its own device."""
         return None if self.is_within_process else str(self)
 
     def open_host(self, line: Line = unchanged, protocol: LinkProtocol = WHEEL_DBC) -> Link:
-        """Open the host's end of a link to a robot elsewhere."""
+        """Open the host's end of a link to a robot in another process."""
         raise BadInputError(f"{self} has no other end outside this process; use serial:... or can:...")
 
     def open_robot(
@@ -103,7 +103,7 @@ class LinkUrl(ABC):
     ) -> tuple["Wire", str]:
         """Open the robot's end of a link, and return it with the URL that a host uses to reach it.
 
-        When it is lost later it is opened anew, and ``say`` gets a sentence.
+        When the link is lost later, it is reopened, and ``say`` is called with a sentence.
         """
         raise BadInputError(
             f"{self} does not reach another process; use --link serial:pty, serial:PATH or can:INTERFACE/CHANNEL"
@@ -114,7 +114,7 @@ class LinkUrl(ABC):
         raise BadInputError(f"{self} does not stay within this process")
 
     def meter(self, link: Any) -> "Meter":
-        """Return what counts on a link that was opened from this URL."""
+        """Return the counter of traffic for a link that was opened from this URL."""
         from hil.wire.meters import LineMeter
 
         return LineMeter(link, None)
@@ -122,7 +122,7 @@ class LinkUrl(ABC):
 
 @contextlib.contextmanager
 def closed_on_failure(end: Any) -> Iterator[None]:
-    """Close the one end of a link when the other cannot be opened."""
+    """Close ``end``, one end of a link, if the body raises because the other cannot be opened."""
     with contextlib.ExitStack() as resources:
         resources.callback(end.close)
         yield
@@ -133,7 +133,7 @@ def closed_on_failure(end: Any) -> Iterator[None]:
 
 
 def number(settings: Mapping[str, str], key: str, default: int) -> int:
-    """Return a whole number of the settings. Raises BadInputError."""
+    """Return a setting that is a whole number. Raises BadInputError."""
     if key not in settings:
         return default
     # int() would also take "1_000", " 5" and digits of other scripts.
@@ -143,7 +143,7 @@ def number(settings: Mapping[str, str], key: str, default: int) -> int:
 
 
 def flag(settings: Mapping[str, str], key: str) -> bool:
-    """Return a yes or no of the settings, by default no. Raises BadInputError."""
+    """Return a setting that is 0 or 1, by default False. Raises BadInputError."""
     value = settings.get(key, "0")
     if value not in ("0", "1"):
         raise BadInputError(f"{key} = {value!r}; expected 0 or 1")
@@ -151,7 +151,7 @@ def flag(settings: Mapping[str, str], key: str) -> bool:
 
 
 def check_range(name: str, value: int, low: int, high: int) -> None:
-    """Raise BadInputError for a number out of its range."""
+    """Raise BadInputError for a number outside its range."""
     if not low <= value <= high:
         raise BadInputError(f"{name} = {value}; expected {low} to {high}")
 
@@ -163,7 +163,7 @@ def join(address: str, settings: Mapping[str, str | int | None]) -> str:
 
 
 def split(text: str, kind: str, known: tuple[str, ...]) -> tuple[str, dict[str, str]]:
-    """Return the address, still escaped, and the settings of what follows the colon of a URL. Raises BadInputError."""
+    """Split what follows the colon of a URL into the address, still escaped, and the settings. Raises BadInputError."""
     address, question_mark, query = text.partition("?")
     settings: dict[str, str] = {}
     for item in query.split("&") if question_mark else ():
@@ -181,7 +181,7 @@ def split(text: str, kind: str, known: tuple[str, ...]) -> tuple[str, dict[str, 
 
 
 def escape(text: str) -> str:
-    """Return a text as an address or a value has it: reserved characters as %XX."""
+    """Return a text as it is written in an address or a value: reserved characters as %XX."""
 
     def percent(match: re.Match[str]) -> str:
         return "".join(f"%{byte:02X}" for byte in match.group().encode("utf-8", "surrogateescape"))
@@ -192,7 +192,7 @@ def escape(text: str) -> str:
 def unescape(text: str) -> str:
     """Decode %XX. Bytes that are not UTF-8 become surrogates, as Python keeps them in paths (PEP 383)."""
     if bad := re.search("%(?![0-9A-Fa-f]{2}).{0,2}", text):
-        raise BadInputError(f"{bad.group()!r} is no escape; write a percent sign as %25")
+        raise BadInputError(f"{bad.group()!r} is not an escape sequence; write a percent sign as %25")
     data = text.encode("utf-8", "surrogateescape")
     data = re.sub(rb"%(..)", lambda match: bytes.fromhex(match.group(1).decode("ascii")), data)
     return data.decode("utf-8", "surrogateescape")

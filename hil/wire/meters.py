@@ -1,4 +1,4 @@
-"""What frames take on the wire: bytes, bits and time, of a line of bytes and of a CAN bus."""
+"""What frames use on the wire: bytes, bits and time, on a serial line and on a CAN bus."""
 
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
@@ -12,11 +12,11 @@ if TYPE_CHECKING:
     from hil.wire.streams import MemoryBus
 
 _BITS_PER_BYTE = 10  # start, eight data bits, stop
-_REMOTE_LENGTH = 8  # a request asks for as much as its answer may have
+_REMOTE_LENGTH = 8  # a remote frame requests the most that its answer may have
 
 
 class Usage(NamedTuple):
-    """What something took on the wire. ``bytes`` of a CAN frame are those of its data field."""
+    """What a frame used on the wire; ``bytes`` of a CAN frame counts its data field only."""
 
     bytes: int
     bits: int
@@ -31,16 +31,16 @@ class Count(NamedTuple):
     bits: int = 0
 
     def and_one(self, usage: Usage) -> "Count":
-        """Return the count with a frame more."""
+        """Return the count with one more frame."""
         return Count(self.frames + 1, self.bytes + usage.bytes, self.bits + usage.bits)
 
 
 class Meter(Protocol):
-    """How a kind of link turns frames into bytes, bits and time on the wire.
+    """Converts the frames of a kind of link to bytes, bits and time on the wire.
 
     Attributes:
-        duplex: whether the two directions have a line each, as serial has, or share one, as CAN does.
-        timed: whether the link has a bit rate. One without need not be shown what is sent and received.
+        duplex: whether each direction has its own line (serial), or both share one (CAN).
+        timed: whether the link has a bit rate. Without one, ``sent`` and ``received`` need not be called.
     """
 
     duplex: bool
@@ -48,33 +48,35 @@ class Meter(Protocol):
 
     @property
     def foreign(self) -> Count | None:
-        """Frames of others so far, or None where there are only two ends."""
+        """Frames of other nodes so far, or None if the link has only two ends."""
 
     @property
     def counts_frames(self) -> bool:
-        """Whether the frames carry a count by which lost ones are noticed."""
+        """Whether frames carry a running number by which lost ones are noticed."""
 
     def begin(self) -> None:
-        """Count from now on."""
+        """Start all counts at zero."""
 
     def sent(self, frame: Frame) -> int:
-        """Take a frame that was just sent; return for how long it keeps the wire busy [ns]."""
+        """Count a frame that was just sent; return how long it occupies the wire [ns]."""
 
     def received(self, frames: Sequence[Frame]) -> int:
-        """Take what was received since the last call, these frames as the last of it; return how long that took."""
+        """Count the ``frames`` that were received since the last call; return how long they occupied the wire [ns]."""
 
     def overheard(self, message: Any) -> int:
-        """Take a ``can.Message`` of somebody else; return for how long it kept the bus busy [ns]."""
+        """Count a ``can.Message`` of another node; return how long it occupied the bus [ns]."""
 
     def counts(self) -> tuple[Count, Count]:
         """Return what was sent and what was received since ``begin``."""
 
     def byte_counts(self) -> tuple[int, int]:
-        """Return the bytes of both alone, which is done at every tick."""
+        """Return only the bytes sent and received; fast, for every tick."""
 
 
 class LineMeter:
-    """A serial line, or its like without a bit rate (``baud`` None). All bytes count, also those of no frame."""
+    """A serial line, or a similar link without a bit rate (``baud`` None). All bytes count, also those outside
+    frames.
+    """
 
     duplex = True
     foreign = None
@@ -83,7 +85,7 @@ class LineMeter:
         self._link = link
         self._byte_ns = _BITS_PER_BYTE * 1_000_000_000 / baud if baud else 0.0
         self.timed = baud is not None
-        self._sent_bytes, self._received_bytes = link.sent_bytes, link.received_bytes  # that were taken
+        self._sent_bytes, self._received_bytes = link.sent_bytes, link.received_bytes  # already counted
         self.begin()
 
     def begin(self) -> None:
@@ -99,7 +101,7 @@ class LineMeter:
         return round((self._received_bytes - before) * self._byte_ns)
 
     def overheard(self, _message: Any) -> int:
-        raise NotImplementedError("a line between two has no third")
+        raise NotImplementedError("a line between two ends has no other nodes")
 
     def counts(self) -> tuple[Count, Count]:
         (sent, _, received, _), (sent_bytes, received_bytes) = self._before, self.byte_counts()
@@ -118,7 +120,9 @@ class LineMeter:
 
 
 class BusMeter:
-    """A CAN bus with its bit rates [bit/s], classic or FD; ``data_bitrate`` is of FD's data phase where it has one."""
+    """A CAN bus with its bit rates [bit/s], classic or FD; ``data_bitrate`` is that of FD's data phase, if it has its
+    own.
+    """
 
     duplex = False
     timed = True
@@ -168,7 +172,7 @@ class BusMeter:
         return self._classic(identifier, payload, extended=extended)
 
     def _others(self, message: Any) -> Usage:
-        """Return what a ``can.Message`` of somebody else took; an error frame's bits cannot be known."""
+        """Return what a ``can.Message`` of another node used; an error frame's bits cannot be known."""
         number, payload, extended = message.arbitration_id, bytes(message.data), message.is_extended_id
         if message.is_error_frame:
             return Usage(0, 0, 0)

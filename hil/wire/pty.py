@@ -11,12 +11,12 @@ from hil.core.link_protocol import WHEEL_DBC, LinkProtocol
 
 _CHUNK = 65536
 _PATIENCE_S = 2.0
-_AHEAD_S = 0.05  # what the line carries in this time may come at once: a robot that stalled makes up for as much
+_AHEAD_S = 0.05  # bytes of this time may come in a burst: a robot that stalled may catch up by this much
 _BITS_PER_BYTE = 10  # start, eight data bits, stop
 
 
 class _Pace:
-    """How many bytes a line of a bit rate can have carried by now."""
+    """The number of bytes that a line of a bit rate can have carried by now."""
 
     def __init__(self, baud: int) -> None:
         self._per_s = baud / _BITS_PER_BYTE
@@ -31,20 +31,20 @@ class _Pace:
         return int(self._left)
 
     def take(self, count: int) -> None:
-        """Record that so many were taken."""
+        """Record that ``count`` bytes were taken."""
         self._left -= count
 
 
 class PtyStream:
     """The master side of a new pseudo-terminal; ``port`` names the other side for any serial program.
 
-    Once the line's buffer is full, what is written is lost, as on a UART, but in whole frames, so that the next one can
-    be read. A frame ends with the protocol's delimiter; without one, it is what is written at once. ``lost_frames``
-    counts them.
+    When the buffer is full, further frames are dropped whole and counted in ``lost_frames``; a frame that has begun is
+    finished first. A frame ends with the protocol's delimiter; if it has none, each call of ``write`` is one frame.
 
-    With ``waits``, for lockstep, where time stands still until the host has read, nothing is lost unless no byte is
-    taken for 2 s. With ``baud`` no more is read than a line of that bit rate carries; the rest waits in the line. With
-    ``symlink`` the port has a fixed name as well; a link that is left from an earlier process is replaced.
+    With ``waits`` (for lockstep, where time stands still until the host has read) a write waits for the reader, and
+    drops only after 2 s in which no byte was read. With ``baud`` bytes from the other side are read no faster than that
+    bit rate, except for a burst of up to 50 ms' worth; the rest stays in the buffer. With ``symlink`` the port also has
+    a fixed name; a symlink left by an earlier process is replaced.
 
     Raises BadInputError when the symlink cannot be made.
     """
@@ -58,7 +58,7 @@ class PtyStream:
         protocol: LinkProtocol = WHEEL_DBC,
     ) -> None:
         self._master, slave = os.openpty()
-        # Held open, so that a client that leaves does not hang up the line.
+        # Held open, so that the line stays up when a client closes it.
         self._slave = slave
         tty.setraw(slave)
         os.set_blocking(self._master, False)
@@ -75,7 +75,7 @@ class PtyStream:
     def _make_symlink(self, symlink: Path) -> None:
         if symlink.exists() and not symlink.is_symlink():
             self.close()
-            raise BadInputError(f"symlink {str(symlink)!r} exists and is no symbolic link; choose another path")
+            raise BadInputError(f"symlink {str(symlink)!r} exists and is not a symbolic link; choose another path")
         try:
             symlink.unlink(missing_ok=True)
             symlink.symlink_to(self.port)
@@ -91,7 +91,7 @@ class PtyStream:
         at = 0
         while at < len(data) and (taken := self._put(data[at:])):
             at += taken
-        # What has begun must end, or the next frame would be glued to it.
+        # A frame that has begun must be completed, or the next frame would be joined to it.
         if self._delimiter is None:
             end = begun if at <= begun else len(data)
             self.lost_frames += end < len(data)
@@ -101,7 +101,7 @@ class PtyStream:
         self._begun = data[at:end]
 
     def _put(self, data: bytes) -> int:
-        """Return how many bytes were taken, 0 when the line is full. With ``waits`` it waits for a reader first."""
+        """Return how many bytes were written, 0 when the line is full. With ``waits`` first wait for a reader."""
         while True:
             try:
                 return os.write(self._master, data)
@@ -113,7 +113,7 @@ class PtyStream:
 
     def read(self, timeout_ns: int) -> bytes:
         most = _CHUNK if self._pace is None else min(_CHUNK, self._pace.left())
-        if most == 0:  # what waits is still on its way
+        if most == 0:  # by the bit rate, the waiting bytes have not arrived yet
             time.sleep(max(0, timeout_ns) * 1e-9)
             return b""
         if timeout_ns > 0:

@@ -1,4 +1,4 @@
-"""Opening a link anew after it was lost: how long to wait between attempts, and an attempt that may take seconds."""
+"""Reopening a lost link: the waits between attempts, and an attempt that may take seconds."""
 
 import threading
 from collections.abc import Callable
@@ -15,7 +15,7 @@ class BackOff:
         self.wait_ns = _FIRST_NS
 
     def take_ns(self) -> int:
-        """Return the next wait, and go on to the one after it."""
+        """Return the next wait, and double the one after it."""
         wait_ns, self.wait_ns = self.wait_ns, min(2 * self.wait_ns, _LONGEST_NS)
         return wait_ns
 
@@ -24,9 +24,9 @@ T = TypeVar("T")
 
 
 class OpeningBeside(Generic[T]):
-    """Calls ``opened`` in a thread of its own at once. Either ``take`` what it returns, or ``abandon`` it.
+    """Calls ``opened`` at once in its own thread. Afterwards either ``take`` the result, or ``abandon`` it.
 
-    What it returns has a method ``close``.
+    The result must have a method ``close``.
     """
 
     def __init__(self, opened: Callable[[], T]) -> None:
@@ -41,7 +41,7 @@ class OpeningBeside(Generic[T]):
     def _run(self) -> None:
         try:
             result: Any = self._opened()
-        except Exception as error:  # noqa: BLE001 - take() raises it where it is seen
+        except Exception as error:  # noqa: BLE001 - take() raises it in the caller's thread
             self._failure = error
         else:
             with self._lock:
@@ -52,7 +52,7 @@ class OpeningBeside(Generic[T]):
         self._done.set()
 
     def take(self, within_s: float) -> T | None:
-        """Return what was opened, None when it is not open within this time. Raises what the opening raised."""
+        """Return what was opened; None if that takes longer than ``within_s``. Raises what ``opened`` raised."""
         if not self._done.wait(within_s):
             return None
         if self._failure is not None:

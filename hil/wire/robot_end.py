@@ -13,7 +13,7 @@ from hil.wire.streams import ByteStream
 
 
 class Node(Protocol):
-    """A firmware's end of the wire, wherever it runs: bytes of a serial line, or CAN frames."""
+    """A firmware's end of the wire: it takes and gives bytes of a serial line, or CAN frames."""
 
     def feed(self, data: bytes) -> None:
         """Take bytes of a serial line."""
@@ -22,37 +22,37 @@ class Node(Protocol):
         """Take one CAN frame."""
 
     def take_bytes(self) -> bytes:
-        """Return all that there is to send, as bytes of a serial line."""
+        """Return all waiting output, as bytes of a serial line."""
 
     def take_frames(self) -> list[Frame]:
-        """Return all that there is to send, as frames."""
+        """Return all waiting output, as frames."""
 
     def count_unsent(self, frames: int) -> None:
-        """Count so many frames that could not be sent."""
+        """Count a number of frames that could not be sent."""
 
 
 class Wire(Protocol):
     """Connects a firmware to a transport."""
 
     def receive_into(self, node: Node, timeout_ns: int) -> bool:
-        """Hand over what has arrived, waiting at most ``timeout_ns``; return whether there was anything."""
+        """Pass on what has arrived, waiting at most ``timeout_ns``; return whether anything arrived."""
 
     def send_from(self, node: Node) -> None:
-        """Send what the robot has to send."""
+        """Send the robot's waiting output."""
 
     def drop_from(self, node: Node) -> None:
-        """Take what the robot has to send, and lose it: the transport is not there."""
+        """Discard the robot's waiting output, because the transport is lost."""
 
     def close(self) -> None:
         """Release the transport."""
 
 
 class SerialWire:
-    """A byte stream; framing and its counters are the firmware's own. It learns how many frames nobody read."""
+    """A byte stream; the firmware does the framing and counts errors. It is told how many frames nobody read."""
 
     def __init__(self, stream: ByteStream) -> None:
         self._stream = stream
-        self._lost = 0  # frames that the firmware knows of
+        self._lost = 0  # lost frames that the firmware was told of
 
     def receive_into(self, node: Node, timeout_ns: int) -> bool:
         data = self._stream.read(timeout_ns)
@@ -102,10 +102,11 @@ class CanWire:
 
 
 class ReopeningWire:
-    """A wire that is opened anew after it was lost. The firmware goes on meanwhile, as on a board.
+    """A wire that is reopened after it was lost. Meanwhile the firmware goes on, as on a board; its watchdog stops the
+    wheels.
 
-    Its watchdog stops the wheels. ``reopen`` is tried after 0.1 s first and twice as long each time, up to 2 s, in a
-    thread of its own: an slcan adapter alone takes 2 s. ``say`` gets a sentence when the link is lost and when it is
+    ``reopen`` is called after 0.1 s, then after twice as long each time, up to 2 s, in its own thread, because it may
+    take seconds (an slcan adapter alone takes 2 s). ``say`` gets a sentence when the link is lost and when it is
     back.
     """
 
@@ -117,11 +118,11 @@ class ReopeningWire:
         self._waits = BackOff()
         self._due_ns = 0
         self._opener = ThreadPoolExecutor(1, "reopening")
-        self._attempt: Future[None] | None = None  # while it runs, nobody else uses the wire
+        self._attempt: Future[None] | None = None  # while it runs, nothing else may use the wire
 
     def receive_into(self, node: Node, timeout_ns: int) -> bool:
         if not self._is_there():
-            # The server waits here: it must not spin while there is nothing to receive.
+            # The server waits here, so that it does not spin while there is nothing to receive.
             time.sleep(max(0, timeout_ns) * 1e-9)
             return False
         try:
@@ -168,5 +169,5 @@ class ReopeningWire:
         return True
 
     def close(self) -> None:
-        self._opener.shutdown()  # after an attempt that is under way: what it opens is to be closed too
+        self._opener.shutdown()  # waits for a running attempt, so that what it opens is closed too
         self._wire.close()

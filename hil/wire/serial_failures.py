@@ -1,4 +1,6 @@
-"""Failures of serial ports in words: what is wrong and what to do. For lines, and for CAN adapters on a serial port."""
+"""Failures of serial ports, as sentences: what is wrong and what to do. For lines and for CAN adapters on serial
+ports.
+"""
 
 import errno
 import os
@@ -9,25 +11,25 @@ _TERMIOS_ERROR: tuple[type[Exception], ...] = ()
 if sys.platform != "win32":
     import termios
 
-    # pyserial lets it through, and it is no OSError: it has number and words as a pair.
+    # pyserial lets termios.error pass. It is not an OSError; its arguments are an error number and a text.
     _TERMIOS_ERROR = (termios.error,)
 PORT_ERRORS: tuple[type[Exception], ...] = (OSError, *_TERMIOS_ERROR)
-"""What a port raises besides pyserial's own, which is an OSError mostly without a number."""
+"""What a port raises, besides pyserial's own exceptions (an OSError, mostly without a number)."""
 
 LIST_PORTS = "list the ports with: python -m serial.tools.list_ports"
-SHARED = "is busy: another program reads it too, and takes what is meant for this one; close that program"
-"""What is wrong with a port that ``is_shared``, to follow its name."""
+SHARED = "is busy: another program reads it too, and takes bytes meant for this one; close that program"
+"""The problem of a port that ``is_shared``, to follow its name in a sentence."""
 
 _GONE = (errno.EIO, errno.ENODEV, errno.ENXIO, errno.EBADF)
-# pyserial's words under POSIX where there was something to read and then nothing: the device has hung up, or another
-# program has been quicker.
+# pyserial's words on POSIX when a port was readable but had no bytes: the device has hung up, or another program has
+# read them first.
 _NOTHING_LEFT = "multiple access on port"
-# pyserial's words where a device is gone: on reading, on Windows, and python-can's.
+# The words of pyserial (on reading, and on Windows) and of python-can for a device that is gone.
 _GONE_WORDS = ("disconnected", "ClearCommError failed", "Could not read from serial", "Could not write to serial")
 
 
 def _number_of(error: BaseException | None) -> int | None:
-    """Return the system's error number, which pyserial and python-can may have wrapped or put into words."""
+    """Return the system's error number, which pyserial and python-can may have wrapped or written into the text."""
     while error is not None:
         number = error.args[0] if isinstance(error, _TERMIOS_ERROR) else getattr(error, "errno", None)
         if isinstance(number, int):
@@ -45,7 +47,9 @@ def words_of(error: Exception) -> str:
 
 
 def opening_problem(error: Exception) -> str | None:
-    """Return what is wrong with a port that could not be opened, to follow its name; None for any other error."""
+    """Return the problem of a port that could not be opened, to follow its name in a sentence; None for any other
+    error.
+    """
     number, text = _number_of(error), str(error)
     if number == errno.ENOENT or "FileNotFoundError" in text:
         return f"does not exist; {LIST_PORTS}"
@@ -62,9 +66,9 @@ def opening_problem(error: Exception) -> str | None:
 
 
 def is_shared(port: str, error: Exception) -> bool:
-    """Tell whether another program reads the port too: bytes had come and were gone, and the port is still there.
+    """Whether another program reads the port too: bytes had come and were gone, and the port still exists.
 
-    pyserial has the same words for a port that was unplugged.
+    pyserial uses the same words for a port that was unplugged.
     """
     cause: BaseException | None = error
     while cause is not None and _NOTHING_LEFT not in str(cause):
@@ -82,5 +86,5 @@ def is_shared(port: str, error: Exception) -> bool:
 
 
 def is_gone(error: Exception) -> bool:
-    """Tell whether a port that was open is there no more."""
+    """Whether a port that was open no longer exists."""
     return _number_of(error) in _GONE or any(words in str(error) for words in _GONE_WORDS)

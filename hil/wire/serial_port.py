@@ -15,11 +15,11 @@ from hil.wire.reopening import OpeningBeside
 from hil.wire.serial_failures import LIST_PORTS, PORT_ERRORS, SHARED, is_gone, is_shared, opening_problem, words_of
 
 _CHUNK = 65536
-_READ_S = 0.05  # how long one read of a Reader blocks, and so how long stopping it may take
-_LONGEST = 1 << 20  # bytes that wait for a host that does not read; older ones are no use to it
-_WRITE_TIMEOUT_S = 1.0  # a line that takes no byte for so long is lost
+_READ_S = 0.05  # how long one read of a Reader blocks, which is also how long it takes to stop
+_LONGEST = 1 << 20  # bytes kept for a host that does not read; older ones are dropped
+_WRITE_TIMEOUT_S = 1.0  # a line that accepts no byte for that long is lost
 _OUTPUT_SPEED = 10  # c_ospeed of Linux' struct termios2, in ints
-# re.error: hwgrep:// takes a pattern.
+# re.error: from hwgrep://, which takes a pattern.
 _OPENING_FAILURES: tuple[type[Exception], ...] = (
     serial.SerialException,
     ValueError,
@@ -29,14 +29,14 @@ _OPENING_FAILURES: tuple[type[Exception], ...] = (
 )
 _LOSSES: tuple[type[Exception], ...] = (serial.SerialException, TypeError, *PORT_ERRORS)
 _SERVERS = ("socket:", "rfc2217:")
-_CONNECTING_S = 0.1  # a server that is there has answered; no tick of a service waits longer
+_CONNECTING_S = 0.1  # enough for a server that answers; limits how long a service's tick waits
 _URL_HANDLERS = ("socket", "rfc2217", "loop", "spy", "hwgrep", "alt")
 
 
 class Reader:
     """A thread that blocks in the port's own read, so that ``read`` can wait for any time.
 
-    It is for ports without a descriptor to wait on: COM ports, and URLs of pyserial that are no file. The port's
+    It is for ports that select cannot wait on: COM ports, and pyserial's URLs without a file descriptor. The port's
     timeout is set once: for RFC 2217 each change of it is a negotiation over the network. ``unread_bytes`` counts bytes
     that were dropped because nobody read them.
     """
@@ -55,7 +55,7 @@ class Reader:
     def _run(self) -> None:
         try:
             while not self._stopping:
-                # The first byte is waited for in the driver; in_waiting only says how many came with it.
+                # The driver waits for the first byte; in_waiting gives the number that came with it.
                 data = self._port.read(1)
                 if data:
                     data += self._port.read(self._port.in_waiting)
@@ -64,13 +64,13 @@ class Reader:
                         self.unread_bytes += max(0, len(self._received) - _LONGEST)
                         del self._received[:-_LONGEST]
                         self._arrived.notify()
-        except Exception as error:  # noqa: BLE001 - read() raises it where it is seen
+        except Exception as error:  # noqa: BLE001 - read() raises it in the caller's thread
             with self._arrived:
                 self._failure = error
                 self._arrived.notify()
 
     def read(self, timeout_ns: int) -> bytes:
-        """Return what has arrived, waiting at most ``timeout_ns`` for it. Raises OSError when the port is lost."""
+        """Return what has arrived, waiting at most ``timeout_ns``. Raises OSError when the port is lost."""
         with self._arrived:
             if not self._received and self._failure is None and timeout_ns > 0:
                 self._arrived.wait(timeout_ns * 1e-9)
@@ -85,7 +85,7 @@ class Reader:
         self._stopping = True
 
     def join(self) -> None:
-        """Wait for it, after the port was closed."""
+        """Wait for the thread; call it after the port was closed."""
         self._thread.join()
 
 
@@ -101,7 +101,7 @@ def _open_failure(port: str, baud: int, error: Exception) -> LinkError:
         reason = "its port number is missing" if "NoneType" in text else words_of(error)
         return LinkError(
             f"serial URL {port!r} could not be opened ({reason}); expected {scheme}://HOST:PORT, with the "
-            "serial server running there and nobody else connected to it"
+            "serial server running there and no other client connected to it"
         )
     if (problem := opening_problem(error)) is not None:
         return LinkError(f"serial port {port!r} {problem}")
@@ -116,7 +116,7 @@ def _baud_refused(port: str, baud: int, alternative: int | None = None) -> LinkE
 
 
 def _rate_of(port: Any) -> int | None:
-    """Return the rate that the driver set, or None where it cannot be asked: only Linux tells any rate."""
+    """Return the rate that the driver set; None if it cannot be read (only Linux reports it)."""
     if sys.platform != "linux":
         return None
     import fcntl
@@ -127,20 +127,20 @@ def _rate_of(port: Any) -> int | None:
     try:
         fcntl.ioctl(port.fileno(), TCGETS2, termios2)
     except (AttributeError, OSError, ValueError):
-        return None  # a URL: no terminal is behind it
+        return None  # a URL without a terminal
     return termios2[_OUTPUT_SPEED] or None
 
 
 class SerialStream:
     """A serial port as a byte stream, opened exclusively.
 
-    Reads wait in ``select`` where the port has a descriptor, elsewhere in a ``Reader``. The driver's low-latency mode
-    is set where it has one. A write that is not taken within 1 s means that the line is lost.
+    Reads wait in ``select`` if the port has a file descriptor, otherwise in a ``Reader``. The driver's low-latency mode
+    is set if it has one. A write that is not accepted within 1 s means that the line is lost.
 
     Raises LinkError when the port does not exist, is busy, is forbidden, is no serial port or refuses the baud rate.
     """
 
-    lost_frames = 0  # what nobody reads is lost without a trace
+    lost_frames = 0  # unknown: a port does not report bytes that nobody reads
 
     def __init__(self, port: str, baud: int) -> None:
         self._name = port
@@ -148,15 +148,15 @@ class SerialStream:
         self._port: Any = None
         self._reader: Reader | None = None
         self._low_latency = False
-        self._unread_bytes = 0  # of the readers before this one
+        self._unread_bytes = 0  # of earlier readers
         self._opening: OpeningBeside[Any] | None = None
         self._use(self._opened())
 
     def reopen(self) -> None:
-        """Close the port and open it anew. Raises LinkError as the class does.
+        """Close the port and open it again. Raises LinkError as the class does.
 
-        Connecting to a server may take seconds, and goes on in a thread of its own. Until it is done LinkError says so,
-        and the next call asks again.
+        Connecting to a server may take seconds, and continues in its own thread. Until it is done each call raises a
+        LinkError that says so; a later call takes the result.
         """
         self._release()
         if not self._name.startswith(_SERVERS):
@@ -170,11 +170,11 @@ class SerialStream:
         self._use(port)
 
     def _opened(self) -> Any:
-        """Return the port, open. Raises LinkError."""
+        """Open the port and return it. Raises LinkError."""
         port: Any = None
         try:
             port = serial.serial_for_url(self._name, baudrate=self._baud, timeout=0, do_not_open=True)
-            if not self._name.startswith("rfc2217:"):  # its writes end by a limit of 5 s of its own
+            if not self._name.startswith("rfc2217:"):  # its writes have their own limit of 5 s
                 port.write_timeout = _WRITE_TIMEOUT_S
             if "://" not in self._name:
                 port.exclusive = True
@@ -187,7 +187,7 @@ class SerialStream:
     def _use(self, port: Any) -> None:
         self._port = port
         try:
-            # What was sent before we listened is not meant for us.
+            # Bytes sent before the port was opened are not for this run.
             port.reset_input_buffer()
         except _OPENING_FAILURES as error:
             self._release()
@@ -197,7 +197,7 @@ class SerialStream:
         self._low_latency = self._set_low_latency()
 
     def _check_baud(self) -> None:
-        """Ask the driver for its rate: one that cannot have ours may take another one in silence. Raises LinkError."""
+        """Compare the driver's rate with the requested one: a driver may silently set another. Raises LinkError."""
         taken = _rate_of(self._port)
         if taken is not None and abs(taken - self._baud) > 0.03 * self._baud:
             self._release()
@@ -207,15 +207,15 @@ class SerialStream:
         try:
             select.select([self._port.fileno()], [], [], 0)
         except (AttributeError, OSError, ValueError):
-            return False  # Windows, and URLs that are no file
+            return False  # Windows, and URLs without a file descriptor
         return True
 
     def _set_low_latency(self) -> bool:
-        """Linux: deliver bytes at once (ASYNC_LOW_LATENCY), where USB adapters else collect them for up to 16 ms."""
+        """Linux: deliver bytes at once (ASYNC_LOW_LATENCY); USB adapters otherwise collect them for up to 16 ms."""
         try:
             self._port.set_low_latency_mode(True)
         except (AttributeError, NotImplementedError, ValueError):
-            return False  # pyserial's answers where the platform or the driver has no such mode
+            return False  # raised by pyserial if the platform or the driver has no such mode
         return True
 
     def write(self, data: bytes) -> None:
@@ -270,6 +270,6 @@ class SerialStream:
 
 def _close(port: Any) -> None:
     if port is not None:
-        # A device that was unplugged may refuse even that; its descriptor is gone all the same.
+        # Even closing may fail for an unplugged device; its descriptor is released all the same.
         with contextlib.suppress(*_LOSSES):
             port.close()

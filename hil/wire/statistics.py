@@ -1,7 +1,7 @@
-"""Statistics of a link: an observer that counts what crosses the wire, exactly, and shows it to a trace.
+"""Statistics of a link: an observer that counts exactly what crosses the wire, and passes it to a trace.
 
-It observes the transport itself, below latency and faults of frames. Only the faults that spoil the bytes of a serial
-line are below it. Stamps are on the clock of the run. STATISTICS.md says what each figure means.
+It observes the transport itself, below latency and faults of frames. Only the faults that corrupt the bytes of a serial
+line are below it. Time stamps are by the run's clock. STATISTICS.md explains each figure.
 """
 
 from typing import TYPE_CHECKING, Any
@@ -22,9 +22,9 @@ _NO_NOISE = ("lost", "unread_bytes")
 
 
 class LoadWindow:
-    """How busy a line is: in the newest window of 100 ms, in the worst one, and in all.
+    """The load of a line: in the newest window of 100 ms, in the worst one, and in total.
 
-    A window begins at a multiple of 10 ms on the clock.
+    Windows begin at multiples of 10 ms on the clock.
     """
 
     def __init__(self) -> None:
@@ -35,7 +35,7 @@ class LoadWindow:
         self._total_ns = 0
 
     def add(self, now_ns: int, busy_ns: int) -> None:
-        """Count a frame that keeps the line busy for so long."""
+        """Count a frame that occupies the line for ``busy_ns``."""
         self._advance(now_ns)
         self._buckets[self._newest % _BUCKETS] += busy_ns
         self._sum_ns += busy_ns
@@ -57,7 +57,7 @@ class LoadWindow:
         return 100.0 * self._sum_ns / WINDOW_NS
 
     def figures(self, lasted_ns: int) -> dict[str, float | None]:
-        """Return the mean over a time and the worst window [%]."""
+        """Return the mean load over ``lasted_ns`` and that of the worst window [%]."""
         mean = 100.0 * self._total_ns / lasted_ns if lasted_ns > 0 else None
         return {"mean_percent": mean, "worst_100_ms_percent": 100.0 * self._worst_ns / WINDOW_NS}
 
@@ -67,7 +67,8 @@ class LinkStatistics:
 
     Attributes:
         byte_counts: a function that returns the bytes sent and received since ``begin``.
-        is_needed: whether it has to be shown each frame; a link without a bit rate and a trace counts by itself.
+        is_needed: whether ``sent`` and ``received`` must be called; not for a link without a bit rate and a trace,
+            which counts by itself.
     """
 
     def __init__(self, link: Link, meter: Meter, clock: Clock, trace: "Trace | None" = None) -> None:
@@ -81,14 +82,14 @@ class LinkStatistics:
         self.begin()
 
     def begin(self) -> None:
-        """Count from now on: the first ACTIVE tick. What the handshake took depends on the wall clock."""
+        """Start all counts at zero, at the first ACTIVE tick: the handshake's traffic depends on the wall clock."""
         self._since_ns = self._clock.now_ns()
         self._meter.begin()
         self._down = LoadWindow()
         self._up = LoadWindow() if self._meter.duplex else self._down
 
     def sent(self, frame: Frame) -> None:
-        """Take a frame that was just sent."""
+        """Count and trace a frame that was just sent."""
         now_ns = self._clock.now_ns()
         if self._meter.timed:
             self._down.add(now_ns, self._meter.sent(frame))
@@ -96,7 +97,7 @@ class LinkStatistics:
             self._trace.frame(now_ns, frame, sent=True)
 
     def received(self, received: Received | None) -> None:
-        """Take what one call of ``receive`` on the transport returned."""
+        """Count and trace the result of one call of the transport's ``receive``."""
         trace = self._trace
         if trace is not None:
             self._trace_noise(trace)
@@ -110,14 +111,16 @@ class LinkStatistics:
                 trace.frame(stamp_ns, frame, sent=False)
 
     def overhear(self, message: Any) -> None:
-        """Take a ``can.Message`` on the bus that is none of ours."""
+        """Count and trace a ``can.Message`` that is not of this link's protocol."""
         now_ns = self._clock.now_ns()
         self._down.add(now_ns, self._meter.overheard(message))
         if self._trace is not None:
             self._trace.foreign(now_ns, message)
 
     def _noise(self) -> int:
-        """Return how many frames the framing could not read; what CAN refuses is heard one by one."""
+        """Return how many frames the framing could not decode; 0 for CAN, whose refused frames arrive one by one
+        (``overhear``).
+        """
         if not self._meter.duplex:
             return 0
         return sum(count for cause, count in self._link.rejected().items() if cause not in _NO_NOISE)
@@ -129,7 +132,7 @@ class LinkStatistics:
             self._noise_seen = count
 
     def load_percent(self) -> float:
-        """Return the load of the last 100 ms [%], of the busier direction of a serial line; NaN without a bit rate."""
+        """Return the load of the last 100 ms [%], on a serial line of the busier direction; NaN without a bit rate."""
         if not self._meter.timed:
             return NAN
         now_ns = self._clock.now_ns()
@@ -137,7 +140,9 @@ class LinkStatistics:
 
     @property
     def counts_frames(self) -> bool:
-        """Whether the frames carry a count by which lost ones are noticed, as ours on a serial line do."""
+        """Whether frames carry a running number by which lost ones are noticed, as this project's frames on a serial
+        line do.
+        """
         return self._meter.counts_frames
 
     def figures(self) -> dict[str, Any]:
@@ -157,7 +162,9 @@ class LinkStatistics:
 
 
 def observe(link: Any, url: LinkUrl, clock: Clock, trace: "Trace | None" = None) -> LinkStatistics:
-    """Return the statistics of a transport that was opened from a URL; from now on it stamps by the run's clock."""
+    """Return the statistics of a transport that was opened from ``url``, and let the transport stamp by the run's
+    clock.
+    """
     statistics = LinkStatistics(link, url.meter(link), clock, trace)
     link.now_ns = clock.now_ns
     if url.is_bus:

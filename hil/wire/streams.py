@@ -1,4 +1,4 @@
-"""Byte streams, which are to the framing what a serial line is; and the two ends of a link in memory."""
+"""Byte streams: serial lines as the framing sees them, and both ends of a link in memory."""
 
 import queue
 import time
@@ -11,10 +11,10 @@ from hil.core.ports import Received
 
 
 class ByteStream(Protocol):
-    """A line of bytes with no boundaries.
+    """A stream of bytes without boundaries.
 
     Attributes:
-        lost_frames: frames that were lost so far because nobody read them; only a pseudo-terminal knows.
+        lost_frames: number of frames lost so far because nobody read them; only a pseudo-terminal can tell.
     """
 
     lost_frames: int
@@ -30,31 +30,31 @@ class ByteStream(Protocol):
 
 
 class HostStream(Protocol):
-    """The host's end of a line, which can be opened anew after it was lost."""
+    """The host's end of a line, which can be reopened after it was lost."""
 
     def write(self, data: bytes) -> None: ...
     def read(self, timeout_ns: int) -> bytes: ...
     def close(self) -> None: ...
 
     def unread_bytes(self) -> int:
-        """Return how many bytes were dropped because nobody read them; the count goes on when it is reopened."""
+        """Return how many bytes were dropped because nobody read them; reopening does not reset the count."""
 
     def reopen(self) -> None:
-        """Close the line and open it anew; bytes that had arrived are forgotten. Raises LinkError when that fails."""
+        """Close the line and open it again, without the bytes that had arrived. Raises LinkError when that fails."""
 
     def describe(self) -> str:
-        """Return what the line is, in words for a person."""
+        """Return a description of the line, for a person."""
 
 
 def closed() -> LinkError:
-    """Return the error of sending on a link in memory that was closed."""
+    """Return the error for sending on a memory link that was closed."""
     return LinkError("the memory link was closed; open a new one")
 
 
 class DirectStream:
-    """The host's end of a line to a robot in the same thread, in lockstep: a read lets it answer what was written.
+    """The host's end of a line to a robot in the same thread, in lockstep: ``read`` calls the robot.
 
-    ``answer`` takes all bytes written since the last read, and returns all that the robot sends then.
+    ``answer`` takes all bytes written since the last read, and returns all bytes that the robot then sends.
     """
 
     def __init__(self, answer: Callable[[bytes], bytes]) -> None:
@@ -74,7 +74,7 @@ class DirectStream:
         return self._answer(data)
 
     def reopen(self) -> None:
-        """Nothing to do: all that the robot sent was read."""
+        """Do nothing: everything that the robot sent was read."""
 
     def unread_bytes(self) -> int:
         return 0
@@ -90,7 +90,7 @@ T = TypeVar("T", bytes, Frame)
 
 
 class _End(Generic[T]):
-    """One end of a link in memory. Safe between two threads, where one alone reads this end."""
+    """One end of a link in memory. Two threads may use it, if only one of them reads."""
 
     def __init__(self) -> None:
         self._received: queue.SimpleQueue[T] = queue.SimpleQueue()
@@ -106,7 +106,7 @@ class _End(Generic[T]):
         self._peer._received.put(item)
 
     def _take(self, timeout_ns: int) -> list[T]:
-        """Return all that has arrived, waiting at most ``timeout_ns`` for the first."""
+        """Return everything that has arrived, waiting at most ``timeout_ns`` for the first item."""
         received = self._received
         try:
             items = [received.get(timeout_ns > 0, max(0, timeout_ns) * 1e-9)]
@@ -124,7 +124,7 @@ class _End(Generic[T]):
 
 
 class MemoryStream(_End[bytes]):
-    """One end of a line in memory; made in pairs by ``memory_pair``."""
+    """One end of a line in memory; ``memory_pair`` makes both."""
 
     lost_frames = 0
 
@@ -142,11 +142,12 @@ class MemoryStream(_End[bytes]):
 
 
 class MemoryBus(_End[Frame]):
-    """One end of a bus of two in memory, with no bit rate; made in pairs by ``memory_bus``. Bytes are of payloads.
+    """One end of a bus with two nodes in memory, without a bit rate; ``memory_bus`` makes both. Bytes are those of
+    payloads.
 
     Attributes:
-        now_ns: the clock that stamps what is received.
-        sent_frames, sent_bytes, received_frames, received_bytes: so far.
+        now_ns: the clock that stamps received frames.
+        sent_frames, sent_bytes, received_frames, received_bytes: numbers so far.
     """
 
     counts_frames = False

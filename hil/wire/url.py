@@ -1,4 +1,4 @@
-"""The table of link kinds, and the three that are shipped. A URL is read to a frozen value, and nothing is opened.
+"""The table of link kinds, and the three that are shipped. Parsing a URL gives a frozen value and opens nothing.
 
     memory:                                       both sides in one process
     serial:PATH?baud=921600                       PATH is any port name or URL that pyserial takes
@@ -30,11 +30,11 @@ if TYPE_CHECKING:
     from hil.wire.pty import PtyStream
     from hil.wire.robot_end import Wire
 
-# Transports are imported when they are opened: a machine may have only one of them, and pseudo-terminals are POSIX's.
+# Transports are imported only when opened: a machine may lack some of their packages, and pseudo-terminals need POSIX.
 
 _PSEUDO_TERMINAL = "pty"
 DEFAULT_BAUD = 921_600
-"""Of our own firmware's serial line."""
+"""Bit rate of the serial line of this project's firmware."""
 _DEFAULT_BITRATE = 1_000_000
 
 
@@ -75,8 +75,8 @@ class MemoryUrl(LinkUrl):
 class SerialUrl(LinkUrl):
     """A serial line: pyserial's name or URL of the port, and its speed [baud].
 
-    The port ``pty`` asks for a new pseudo-terminal, and ``symlink`` for a fixed name for it. Raises BadInputError when
-    a field is out of its range.
+    The port ``pty`` makes a new pseudo-terminal, and ``symlink`` gives it a fixed name. Raises BadInputError when a
+    field is out of range.
     """
 
     example: ClassVar[str] = "serial:/dev/ttyACM0"
@@ -149,7 +149,7 @@ class SerialUrl(LinkUrl):
             raise BadInputError(
                 "serial:pty needs a POSIX system; on Windows use memory:, or a pair of virtual COM ports"
             ) from error
-        # In lockstep time stands still while bytes are on their way.
+        # In lockstep, time stands still while bytes are on their way.
         baud = None if lockstep else self.baud
         return PtyStream(Path(self.symlink) if self.symlink else None, waits=lockstep, baud=baud, protocol=protocol)
 
@@ -161,9 +161,9 @@ class SerialUrl(LinkUrl):
 
 @dataclass(frozen=True, slots=True)
 class CanUrl(LinkUrl):
-    """A CAN bus as python-can names it, with its bit rates [bit/s]; ``data_bitrate`` is for FD's data phase.
+    """A CAN bus with python-can's names and its bit rates [bit/s]; ``data_bitrate`` is for FD's data phase.
 
-    Raises BadInputError when a field is out of its range (ISO 11898-2: 1 Mbit/s; data phase 8 Mbit/s).
+    Raises BadInputError when a field is out of range (ISO 11898-2: 1 Mbit/s; data phase 8 Mbit/s).
     """
 
     example: ClassVar[str] = "can:socketcan/can0"
@@ -181,7 +181,7 @@ class CanUrl(LinkUrl):
     def __post_init__(self) -> None:
         if not re.fullmatch(r"[A-Za-z0-9_.-]+", self.interface):
             raise BadInputError(
-                f"{self.interface!r} is no name of a CAN interface; write can:INTERFACE/CHANNEL, such as {self.example}"
+                f"{self.interface!r} is no CAN interface; write can:INTERFACE/CHANNEL, such as {self.example}"
             )
         _check_text("the CAN channel", self.channel)
         link.check_range("bitrate", self.bitrate, 10_000, 1_000_000)
@@ -221,7 +221,7 @@ class CanUrl(LinkUrl):
     def device_name(self) -> str | None:
         if self.is_within_process:
             return None
-        path = self.channel.partition("@")[0]  # of an adapter that is a serial port (slcan)
+        path = self.channel.partition("@")[0]  # the path of an adapter that is a serial port (slcan)
         return _port_name(path) if Path(path).is_absolute() else f"{self.interface}/{self.channel}"
 
     def open_host(self, line: Line = unchanged, protocol: LinkProtocol = WHEEL_DBC) -> Link:
@@ -260,16 +260,16 @@ _EXTENSIONS = Extensions("hil.links", SHIPPED)
 
 
 def link_forms() -> dict[str, str]:
-    """Return every form of link URL with what it is for; of another package's kind, where it comes from."""
+    """Return every form of link URL with its purpose; for another package's kind, with its origin."""
     shipped = {form: meaning for kind in SHIPPED.values() for form, meaning in kind.forms.items()}
     others = {f"{scheme}:": f"from the package {package} ({line})" for scheme, package, line in _EXTENSIONS.lines()}
     return shipped | others
 
 
 def parse_link(url: str, *, baud: int = DEFAULT_BAUD) -> LinkUrl:
-    """Return what a link URL says; ``baud`` is that of a serial line of which it says nothing.
+    """Parse a link URL; ``baud`` is the speed of a serial line whose URL gives none.
 
-    Raises BadInputError naming the URL, the wrong part and the remedy.
+    Raises BadInputError with the URL, the wrong part and the remedy.
     """
     try:
         scheme, colon, rest = url.partition(":")
@@ -283,7 +283,7 @@ def parse_link(url: str, *, baud: int = DEFAULT_BAUD) -> LinkUrl:
 
 
 def _kind_of_others(url: str, scheme: str, *, is_complete: bool) -> type[LinkUrl]:
-    """Return the kind of a URL that no shipped kind reads. Raises BadInputError."""
+    """Return the kind of a URL whose scheme is not shipped. Raises BadInputError."""
     if re.match(r"/dev/|COM[0-9]|\\\\", url):
         raise BadInputError(f"the kind of link is missing; for a serial port write serial:{url}")
     known = _EXTENSIONS.names()
@@ -299,7 +299,7 @@ def _kind_of_others(url: str, scheme: str, *, is_complete: bool) -> type[LinkUrl
 
 
 def _port_name(port: str) -> str:
-    """Return the real path of a serial port: ``/dev/serial/by-id/...`` is the same as ``/dev/ttyACM0``."""
+    """Return the real path of a serial port: ``/dev/serial/by-id/...`` becomes ``/dev/ttyACM0``."""
     if "://" in port:
         return port
     if sys.platform == "win32":
@@ -311,4 +311,4 @@ def _check_text(name: str, text: str) -> None:
     if not text:
         raise BadInputError(f"{name} is missing; write a link such as {SerialUrl.example} or {CanUrl.example}")
     if re.search(r"[\x00-\x1f\x7f]", text):
-        raise BadInputError(f"{name} = {text!r}; a control character has no place in it")
+        raise BadInputError(f"{name} = {text!r}; remove the control character")

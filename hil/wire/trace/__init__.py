@@ -1,4 +1,4 @@
-"""Traces of the bus in the files of other tools: ``session`` writes them, ``decode`` reads them in our terms."""
+"""Traces: files of all frames on a link, for bus tools. ``session`` writes them, ``decode`` reads and decodes them."""
 
 from hil.wire.trace.session import Trace, TracedWire, TraceReport
 

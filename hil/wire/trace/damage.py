@@ -1,8 +1,8 @@
-"""Finds where a trace file is cut or damaged, which python-can's readers pass over in silence.
+"""Finds where a trace file is cut or damaged; python-can's readers silently skip such places.
 
-They read the text forms line by line, and skip or complete what they cannot read. So the lines are checked before they
-get them. In Vector's binary form frames come in compressed blocks with a checksum. A block is read whole or not at all:
-what inflates before a damaged bit cannot be told from what inflates after it.
+They read the text formats line by line, and skip or complete what they cannot read. So the lines are checked before
+they get them. In Vector's binary format frames come in compressed blocks with a checksum. A block is read whole or not
+at all: data inflated before a damaged bit cannot be told from data inflated after it.
 """
 
 import re
@@ -11,7 +11,7 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
-# A stamp and an event, of a bus (by number) or not (by name); or what stands around the events.
+# An event on a bus (by number) or elsewhere (by name), after its time stamp; or a line of the header or footer.
 _ASC_LINE = re.compile(
     r"""//.* | (?:date|base|version|previous\ log|(?:no\s+)?internal\s+events|(?:begin|end)\s+triggerblock)\b.*
     | \d+\.\d+\s+ (?: [a-z].* | \d+\s+ (?: \w+\s+[tr]x\w*\s.* | (?![\da-f]+x?\s)[a-z].* ) )""",
@@ -27,13 +27,13 @@ _FORMS = {".asc": _ASC_LINE, ".log": _LOG_LINE, ".trc": _TRC_LINE}
 
 
 class DamagedError(Exception):
-    """The file cannot be trusted from here on; the words say why."""
+    """The file is damaged from here on; the text gives the reason."""
 
 
 def sound_lines(file: Iterable[bytes], ending: str) -> Iterator[str]:
-    """Yield the lines of a text trace, as a file for python-can's readers.
+    """Check and yield the lines of a text trace, in place of the file, to python-can's readers.
 
-    Raises DamagedError at a line without its line feed, at one that the format does not have, and at the end of an
+    Raises DamagedError at a line without its line feed, at one that the format does not allow, and at the end of an
     .asc file whose trigger block is open.
     """
     open_block = False
@@ -43,7 +43,7 @@ def sound_lines(file: Iterable[bytes], ending: str) -> Iterator[str]:
         if not (ended or raw.endswith(b"\n")):
             raise DamagedError(f"it is cut within line {number}, which is not read")
         if line and not _FORMS[ending].fullmatch(line):
-            raise DamagedError(f"line {number} is no line of {ending}, the file is damaged there")
+            raise DamagedError(f"line {number} is not a line of a {ending} file, the file is damaged there")
         open_block = not ended and (open_block or (ending == ".asc" and _ASC_BEGIN.match(line) is not None))
         yield line
     if open_block:
@@ -51,8 +51,8 @@ def sound_lines(file: Iterable[bytes], ending: str) -> Iterator[str]:
 
 
 def check_length(message: Any) -> None:
-    """Raise DamagedError where a line of text has less data than the length in it says."""
-    most = 64 if message.is_fd else 8  # a classic frame may tell a length code of up to 15
+    """Raise DamagedError if a line of text has less data than its length field says."""
+    most = 64 if message.is_fd else 8  # a classic frame may have a length code of up to 15
     if message.is_error_frame or message.is_remote_frame:
         return
     if len(message.data) < min(message.dlc, most):
@@ -60,9 +60,9 @@ def check_length(message: Any) -> None:
 
 
 def check_blocks(path: Path) -> None:
-    """Raise DamagedError where a block of a .blf file is damaged; a file cut at its end passes.
+    """Raise DamagedError if a block of a .blf file is damaged; a file that is cut at its end passes.
 
-    The blocks are those of ``can.io.blf``, which does not check where one ends.
+    The blocks are those of ``can.io.blf``, which does not check their ends.
     """
     from can.io import blf
 

@@ -1,4 +1,4 @@
-"""A trace in the terms of the wheel-command protocol, whichever tool wrote it."""
+"""Reads a trace and decodes its frames by the wheel-command protocol, whichever tool wrote the file."""
 
 import logging
 import math
@@ -17,20 +17,20 @@ from hil.core.errors import BadInputError, nearest
 from hil.wire.trace import damage
 
 READABLE = (".blf", ".asc", ".log", ".trc")
-"""Endings of the files that are read: Vector's two, that of ``candump -L``, and PEAK's."""
+"""Extensions of the files that can be read: Vector's two, that of ``candump -L``, and PEAK's."""
 
 FOREIGN, ERROR = "foreign", "error"
 _KINDS = (*NAMES.values(), FOREIGN, ERROR)
 _SIGNS = {"us": "µs", "N.m": "N·m", "m/s2": "m/s²", "degC": "°C"}
-# What python-can's readers raise on a file that is cut, damaged, or not of its ending.
+# What python-can's readers raise for a file that is cut, damaged, or of another format.
 _BROKEN = (ValueError, LookupError, struct.error, zlib.error, EOFError, ArithmeticError, AssertionError)
 
 
 class Selection(NamedTuple):
-    """Which frames are wanted: by kind (none: all), and by seconds after the first frame, both ends included.
+    """Which frames are wanted: by kind (empty: all), and by seconds after the first frame, both ends included.
 
-    ``raw``: none of them is taken for ours. An identifier does not tell whose a frame is, and motor controllers of
-    other makers use those of our messages for theirs.
+    ``raw``: do not decode frames. Third-party motor controllers use the same identifiers as this project's messages,
+    and an identifier does not tell whose frame it is.
     """
 
     kinds: frozenset[str]
@@ -40,7 +40,7 @@ class Selection(NamedTuple):
 
     @classmethod
     def of(cls, names: Collection[str], from_s: float, to_s: float, *, raw: bool = False) -> Self:
-        """Return the selection. Raises BadInputError for a name that no message has, and for an empty time."""
+        """Return the selection. Raises BadInputError for a name that is no message, and for an empty time range."""
         if raw and names:
             raise BadInputError(f"--message {next(iter(names))!r} with --raw: raw frames have no names; leave one out")
         by_name = {kind.casefold(): kind for kind in _KINDS}
@@ -57,14 +57,14 @@ class Entry(NamedTuple):
 
     Attributes:
         t_s: seconds after the first frame of the file.
-        unix_s: the file's own stamp.
-        direction: ``Tx`` or ``Rx``, of whoever wrote the trace; ``Rx`` in a file that does not say.
-        kind: the name of one of our messages, ``foreign`` or ``error``.
+        unix_s: the file's own time stamp.
+        direction: ``Tx`` or ``Rx``, as seen by the writer of the trace; ``Rx`` if the file does not say.
+        kind: the name of a message of this project, ``foreign`` or ``error``.
         number: the identifier.
-        extended: whether it is one of 29 bits.
+        extended: whether the identifier has 29 bits.
         payload: the data.
-        message: our message, or None where there is none or it is not valid.
-        refusal: why it is not valid, in words, or None.
+        message: the decoded message, or None if the frame is foreign or not valid.
+        refusal: why it is not valid, or None.
     """
 
     t_s: float
@@ -91,7 +91,7 @@ class Entry(NamedTuple):
         return f"{text.strip()} [{len(self.payload)}] {self.payload.hex(' ')}"
 
     def record(self) -> dict[str, Any]:
-        """Return the same for ``--json``."""
+        """Return the entry as a dict, for ``--json``."""
         record: dict[str, Any] = {
             "t_s": round(self.t_s, 9),
             "unix_s": self.unix_s,
@@ -122,7 +122,9 @@ def _signals(message: codec.Message) -> Iterator[str]:
 
 
 class Reading:
-    """The frames of a file that were asked for, one by one; ``trouble`` then says in a sentence where it broke off."""
+    """Iterates over the selected frames of a file; afterwards ``trouble`` says in a sentence where reading broke
+    off.
+    """
 
     def __init__(self, path: Path, selection: Selection) -> None:
         self._path = path
@@ -141,24 +143,24 @@ class Reading:
     def _messages(self) -> Iterator[Any]:
         from can.io.blf import BLFParseError
 
-        # What it has to say of a bad file goes into ``trouble``.
+        # python-can's log about a bad file is not shown; ``trouble`` says it.
         logging.getLogger("can").addHandler(logging.NullHandler())
         try:
             yield from self._binary() if self._path.suffix.lower() == ".blf" else self._text()
         except damage.DamagedError as broken:
             self._break_off(str(broken))
         except (*_BROKEN, BLFParseError):
-            self._break_off("what follows makes no sense, it is cut or damaged")
+            self._break_off("the rest cannot be read, it is cut or damaged")
         else:
             if not self.frames:
-                self._break_off(f"it is no {self._path.suffix} file, or an empty one")
+                self._break_off(f"it is not a {self._path.suffix} file, or it is empty")
 
     def _text(self) -> Iterator[Any]:
         import can
 
         ending = self._path.suffix.lower()
         with self._path.open("rb") as file:
-            # Vector's text form has seconds since its start, which its head tells.
+            # Vector's text format has seconds since its start, whose time is in its header.
             readers: dict[str, Any] = {
                 ".asc": partial(can.ASCReader, relative_timestamp=False),
                 ".log": can.CanutilsLogReader,
@@ -182,7 +184,7 @@ class Reading:
                 damage.check_blocks(self._path)
                 raise
             damage.check_blocks(self._path)
-            if reader.file_size != self._path.stat().st_size:  # what it was when it was finished
+            if reader.file_size != self._path.stat().st_size:  # its size when it was finished
                 raise damage.DamagedError("it was not finished, or is cut")
 
     def _break_off(self, why: str) -> None:
@@ -215,12 +217,12 @@ class Reading:
 
 
 def read(path: Path, selection: Selection) -> Reading:
-    """Return the frames of a trace.
+    """Return an iterator over the frames of a trace file that ``selection`` asks for.
 
-    Raises BadInputError when there is no such file, or its ending tells of no format that is read.
+    Raises BadInputError when the file cannot be opened or its extension is not one of ``READABLE``.
     """
     if path.suffix.lower() not in READABLE:
-        raise BadInputError(f"{path}: its ending tells the format{nearest(path.suffix.lower(), READABLE)}")
+        raise BadInputError(f"{path}: unknown file extension{nearest(path.suffix.lower(), READABLE)}")
     try:
         with path.open("rb"):
             pass
@@ -230,7 +232,9 @@ def read(path: Path, selection: Selection) -> Reading:
 
 
 class Tally(NamedTuple):
-    """How often a kind of frame occurs; ``per_s`` from the first frame counted to the last, None for an instant."""
+    """Number of frames of a kind; ``per_s`` is its rate between the first and the last frame counted, None if these
+    coincide.
+    """
 
     message: str
     id: int | None

@@ -1,4 +1,4 @@
-"""A frame as a row of floats, as the ring between a run and its writers takes them.
+"""A frame as a row of floats, for the ring buffer between a run and its trace writer.
 
 A row is: Unix time [µs], flags, identifier, length, and 64 bytes of payload in 16 words of 32 bits. All are whole
 numbers that a float64 holds exactly.
@@ -21,7 +21,7 @@ Row = tuple[float, ...]
 
 
 def pack(unix_us: int, flags: int, number: int, length: int, payload: bytes) -> Row:
-    """Return the row; ``length`` is that of the payload, or what a remote frame asks for."""
+    """Return the row; ``length`` is that of the payload, or the one that a remote frame requests."""
     if len(payload) <= _SHORT.size:
         return (unix_us, flags, number, length, *_SHORT.unpack(payload.ljust(_SHORT.size, b"\0")), *_REST)
     return (unix_us, flags, number, length, *_PAD.unpack(payload.ljust(_PAD.size, b"\0")))

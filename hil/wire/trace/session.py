@@ -1,4 +1,6 @@
-"""The trace of a link: what is on the wire goes to a process that writes it, at the host's end or at the robot's."""
+"""The trace of a link: frames on the wire go to a process that writes them to a file; at the host's end or the
+robot's.
+"""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -23,14 +25,14 @@ _CAPACITY = 16384
 
 @dataclass(frozen=True, slots=True)
 class TraceReport:
-    """What became of a trace.
+    """The result of a trace.
 
     Attributes:
         path: the file.
-        frames: frames that are in it, error frames among them.
-        dropped: frames that the writer was too slow to take.
-        lost: frames that were taken, but are not known to be in the file.
-        error: what went wrong with the writer, or None.
+        frames: frames in the file, including error frames.
+        dropped: frames that were dropped because the writer was too slow.
+        lost: frames that were passed to the writer, but may not be in the file.
+        error: the writer's error, or None.
     """
 
     path: Path
@@ -45,12 +47,12 @@ class TraceReport:
         return self.error is None and not (self.dropped or self.lost)
 
     def figures(self) -> dict[str, Any]:
-        """Return it for the figures of a run."""
+        """Return the report as figures of a run."""
         counts = {"frames": self.frames, "dropped": self.dropped, "lost": self.lost}
         return {"path": str(self.path), **counts, "trouble": self.trouble()}
 
     def trouble(self) -> str | None:
-        """Return in one sentence what is missing, or None."""
+        """Return a sentence on what is missing, or None."""
         if self.complete:
             return None
         why = self.error or "the writer was too slow"
@@ -59,12 +61,11 @@ class TraceReport:
 
 
 class Trace:
-    """Writes what is on the wire to a file for bus tools, in a process of its own; a context manager.
+    """Writes the frames on the wire to a file for bus tools, in its own process; a context manager.
 
-    The ending of ``path`` tells the format. ``fd`` says that our frames go in CAN FD frames, ``switched`` that these
-    have a bit rate of their own for the data. With ``blocking``, as in lockstep, frames wait for room; else they are
-    dropped, and counted. When the run dies, the file is finished with what it gave. ``existing`` says what is done
-    where the file is there already.
+    The extension of ``path`` sets the format. ``fd``: the link uses CAN FD frames; ``switched``: their data has its own
+    bit rate. With ``blocking``, as in lockstep, frames wait for room; otherwise they are dropped and counted. When the
+    run dies, the process still finishes the file. ``existing`` says what to do when the file exists already.
 
     Raises BadInputError when the file cannot be written, DeviceError when the process does not start.
     """
@@ -103,11 +104,13 @@ class Trace:
         return self._process.pid
 
     def begin(self, zero_unix_ns: int) -> None:
-        """Say at what Unix time the clock of the stamps was zero."""
+        """Set the Unix time at which the clock of the time stamps was zero."""
         self._zero_unix_us = zero_unix_ns // 1000
 
     def frame(self, stamp_ns: int, frame: Frame, *, sent: bool) -> None:
-        """Take one of our frames. What only a serial line carries is in the trace as CAN FD, in pieces of 64 bytes."""
+        """Trace a frame of this link. Payloads that only a serial line can carry become CAN FD frames of up to 64
+        bytes.
+        """
         number, payload = frame
         if len(payload) > packing.MOST_BYTES:
             for at in range(0, len(payload), packing.MOST_BYTES):
@@ -115,24 +118,24 @@ class Trace:
             return
         flags = self._flags + packing.SENT * sent
         if len(payload) > packing.MOST_CLASSIC_BYTES:
-            flags |= packing.FD  # of a frame without it Vector's formats keep the first eight bytes
+            flags |= packing.FD  # without this flag Vector's formats keep only the first eight bytes
         if number >= REMOTE:
             flags += packing.EXTENDED * (number >= EXTENDED) + packing.REMOTE * bool(number & REMOTE)
             number &= ~(EXTENDED | REMOTE)
         self._process.put(packing.pack(self._zero_unix_us + stamp_ns // 1000, flags, number, len(payload), payload))
 
     def foreign(self, stamp_ns: int, message: Any) -> None:
-        """Take a ``can.Message`` that is none of ours."""
+        """Trace a ``can.Message`` that is not of this link's protocol."""
         self._process.put(packing.pack_message(self._zero_unix_us + stamp_ns // 1000, message))
 
     def rejected(self, stamp_ns: int, count: int) -> None:
-        """Take note of so many frames that the framing could not read: each becomes an error frame."""
+        """Trace ``count`` frames that the framing could not decode, each as an error frame."""
         row = packing.pack(self._zero_unix_us + stamp_ns // 1000, packing.ERROR, 0, 0, b"")
         for _ in range(count):
             self._process.put(row)
 
     def finish(self) -> TraceReport:
-        """Have the rest written, end the process and return the report; never raises for a writer that died."""
+        """Write the rest, end the process and return the report; raises no error for a writer that died."""
         if self._report is None:
             process = self._process
             reply = process.finish({"finish": {}, "keep_live": False})
@@ -158,7 +161,7 @@ class Trace:
 
 
 class TracedWire:
-    """Shows a trace every frame between a transport and a firmware. ``now_ns`` is the robot's clock."""
+    """Traces every frame between a transport and a firmware. ``now_ns`` is the robot's clock."""
 
     def __init__(self, wire: Wire, trace: Trace, now_ns: Callable[[], int], protocol: LinkProtocol = WHEEL_DBC) -> None:
         self._wire = wire
@@ -178,7 +181,7 @@ class TracedWire:
 
 
 class _Tap:
-    """Traces frames. Bytes of a serial line are read with a framing of its own, one for each direction."""
+    """Traces frames. Bytes of a serial line are decoded here once more, each direction with its own framing."""
 
     def __init__(self, trace: Trace, now_ns: Callable[[], int], protocol: LinkProtocol) -> None:
         self._trace = trace
@@ -205,7 +208,7 @@ def _noise(framing: Framing) -> int:
 
 
 class _Tapped:
-    """A firmware whose end of the wire is traced. What comes is traced before the firmware acts on it."""
+    """Wraps a firmware and traces its end of the wire. Input is traced before the firmware acts on it."""
 
     def __init__(self, node: Node, tap: _Tap) -> None:
         self._node = node

@@ -33,11 +33,11 @@ class TraceWriter:
             raise RefusedError(f"trace {self._path}: {error.strerror}; choose a path that can be written") from error
 
     def poll(self) -> None:
-        """Write the frames that have settled in the ring."""
+        """Write the frames that are complete in the ring buffer."""
         self._take(self._ring.settled())
 
     def line(self, _record: Record) -> None:
-        """There are no lines but the last."""
+        """Do nothing: no lines come before the last."""
 
     def finish(self, _record: Record | None) -> Record:
         """Write the rest and close the file."""
@@ -46,13 +46,13 @@ class TraceWriter:
         return {"rows_written": self._ring.saved, "error": self._error}
 
     def close(self) -> None:
-        """Nothing is left to release."""
+        """Do nothing: nothing is left to release."""
 
     def _take(self, stop: int) -> None:
         while self._ring.tail < stop:
             end = min(stop, self._ring.tail + _BATCH)
             table = self._ring.rows(self._ring.tail, end)
-            # After the first failure frames are only taken, so that the run never waits.
+            # After the first failure frames are only discarded, so that the run never waits.
             if self._error is None and self._attempt(partial(self._write, table)):
                 self._ring.release(end)
             else:
@@ -61,17 +61,17 @@ class TraceWriter:
     def _write(self, table: Any) -> None:
         for row in table:
             self._file.on_message_received(can.Message(**packing.unpack(row)))
-        # So that the file is good up to here if the machine or this process dies. A BLF file is written by the block.
+        # Keeps the file valid up to here if the machine or this process dies. A BLF file is written in blocks.
         self._file.file.flush()
 
     def _attempt(self, write: Callable[[], None]) -> bool:
-        """Do something with the file; keep in words what went wrong first."""
+        """Write to the file; keep the text of the first failure. Return whether it succeeded."""
         try:
             write()
         except OSError as error:
             self._error = self._error or why_not_written(self._path, error)
-        except (ValueError, struct.error) as error:  # a number that the file's format has no room for
-            self._error = self._error or f"python-can's writer takes no more: {error}"
+        except (ValueError, struct.error) as error:  # a number that the file's format cannot hold
+            self._error = self._error or f"python-can's writer refused a frame: {error}"
         else:
             return True
         return False
