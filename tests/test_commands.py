@@ -67,7 +67,7 @@ def test_help_lists_them_and_imports_none(outside: Path) -> None:
     assert "wheels  outside-package: outside_package:wheels" in " ".join(shown.split()).replace(
         "wheels out", "wheels  out"
     )
-    assert "run outside-package: not taken: the shipped one has this name" in " ".join(shown.split())
+    assert "run outside-package: not used: a shipped one has this name" in " ".join(shown.split())
     CliRunner().invoke(app, ["list", "links"])
     assert "outside_package" not in sys.modules
 

@@ -271,7 +271,7 @@ def test_what_cannot_be_written_is_said_after_the_table_and_keeps_nothing_else_b
     done = CliRunner().invoke(app, ["compare", *words, "--out", str(tmp_path), "--markdown", str(page), "--force"])
     assert "\ndsc " in done.stdout
     assert isinstance(done.exception, BadInputError)
-    assert str(done.exception).startswith(f"picture {tmp_path / 'figures.png'}: it is there already")
+    assert str(done.exception).startswith(f"picture {tmp_path / 'figures.png'}: the file exists already")
     assert page.stat().st_size
     assert (tmp_path / "comparison.csv").stat().st_size
     older = [path.name for path in tmp_path.iterdir() if path.is_file() and path.read_bytes() == b"older"]

@@ -72,7 +72,7 @@ def test_by_flags_both_files_are_written_and_never_over_others(
     hint = capsys.readouterr().out.splitlines()[1]
     assert hint.startswith(f"Next: hil run {folder / SCENARIO_FILE} --link memory:")
     assert load("paper_circle", robot=folder / ROBOT_FILE).robot.mass_kg == 12.0
-    with pytest.raises(BadInputError, match="it is there already; choose another name, or replace it with --force"):
+    with pytest.raises(BadInputError, match="the file exists already; choose another name, or replace it with --force"):
         init(folder, defaults=True)
     init(folder, defaults=True, force=True)
     assert tomllib.loads((folder / ROBOT_FILE).read_text("utf-8"))["robot"]["mass_kg"] == 20.0

@@ -88,7 +88,7 @@ def test_force_replaces_it(words, file, tmp_path, monkeypatch) -> None:
 def test_a_run_in_python_refuses_and_replaces_alike(tmp_path: Path) -> None:
     path, short = tmp_path / "run.mcap", {"loop.duration_s": 0.1, "expect": []}
     path.write_bytes(KEPT)
-    with pytest.raises(BadInputError, match=r"recording .*run\.mcap: it is there already"):
+    with pytest.raises(BadInputError, match=r"recording .*run\.mcap: the file exists already"):
         hil.run("circle_speed", set=short, record=path)
     assert hil.run("circle_speed", set=short, record=path, force=True).metrics["recording"] == str(path)
     assert len(read(path).signals["loop.t_s"])
@@ -99,7 +99,7 @@ def test_a_recording_for_a_service_is_refused_before_it_is_asked(tmp_path: Path)
     path.write_bytes(KEPT)
     done = CliRunner().invoke(ctl, ["record", str(path)])
     assert isinstance(done.exception, BadInputError)
-    assert "it is there already" in str(done.exception)
+    assert "the file exists already" in str(done.exception)
 
 
 @pytest.mark.parametrize(
@@ -113,7 +113,7 @@ def test_a_recording_for_a_service_is_refused_before_it_is_asked(tmp_path: Path)
 def test_what_writes_refuses_too(write: Callable[[Path], object], tmp_path: Path) -> None:
     path = tmp_path / "run.rrd"
     path.write_bytes(KEPT)
-    with pytest.raises(BadInputError, match="it is there already; choose another name, or replace it with --force"):
+    with pytest.raises(BadInputError, match="the file exists already; choose another name, or replace it with --force"):
         write(path)
     assert path.read_bytes() == KEPT
 
@@ -121,7 +121,7 @@ def test_what_writes_refuses_too(write: Callable[[Path], object], tmp_path: Path
 def test_a_trace_refuses_too(tmp_path: Path) -> None:
     path = tmp_path / "bus.log"
     path.write_bytes(KEPT)
-    with pytest.raises(BadInputError, match=r"trace .*bus\.log: it is there already"):
+    with pytest.raises(BadInputError, match=r"trace .*bus\.log: the file exists already"):
         Trace(path, blocking=True)
     assert path.read_bytes() == KEPT
 
@@ -177,7 +177,7 @@ def test_a_name_that_a_broken_link_has_is_taken(tmp_path: Path) -> None:
     path = tmp_path / "run.rrd"
     path.symlink_to(tmp_path / "gone.rrd")
     assert free_name(path) == tmp_path / "run_2.rrd"
-    with pytest.raises(BadInputError, match="it is there already"):
+    with pytest.raises(BadInputError, match="the file exists already"):
         claim("recording", path)
 
 

@@ -69,7 +69,7 @@ def test_the_list_names_the_package_and_loads_nothing(install):
 def test_a_shipped_name_wins_and_the_list_says_so(install):
     install("lazy-laws", "lazy_laws", STAND_STILL, dsc="lazy_laws:StandStill")
     assert load_law("dsc", Path()) is Dsc
-    assert row_of("dsc", "lazy-laws") == "not taken: the shipped one has this name; use 'lazy_laws:StandStill'"
+    assert row_of("dsc", "lazy-laws") == "not used: a shipped one has this name; use 'lazy_laws:StandStill'"
     assert load_law("lazy_laws:StandStill", Path()).__name__ == "StandStill"
 
 

@@ -1,4 +1,4 @@
-"""Clocks: robot time passes only here. A deadline is absolute; time is never accumulated from sleeps."""
+"""The two clocks of a run. Deadlines are absolute times; time is never accumulated from sleeps."""
 
 import time
 from collections.abc import Callable
@@ -7,7 +7,7 @@ TICK_NS = 1_000_000  # the firmware's tick
 
 
 class WallClock:
-    """Real time, counted from when the clock was made."""
+    """Real time since the clock was made."""
 
     def __init__(self) -> None:
         self._start_ns = time.monotonic_ns()
@@ -22,9 +22,9 @@ class WallClock:
 
 
 class LockstepClock:
-    """Robot time that passes by STEP: waiting runs the robot, and is never late.
+    """Time in lockstep: it advances only while ``wait_until`` runs the robot, so it is never late.
 
-    ``step`` lets so many firmware ticks pass and returns when the robot has answered.
+    ``step`` runs the robot for a number of firmware ticks and returns when the robot has answered.
     """
 
     def __init__(self, step: Callable[[int], None]) -> None:
@@ -38,12 +38,12 @@ class LockstepClock:
         now_ns = self._now_ns
         ticks = (t_ns - now_ns) // TICK_NS
         if ticks > 0:
-            # What the robot sends during the step is stamped with the step's end.
+            # Frames that the robot sends during the step get the time of the step's end.
             self._now_ns = now_ns + ticks * TICK_NS
             try:
                 self._step(ticks)
             except BaseException:
-                # The robot did not get there; when it is back, the same ticks are still to come.
+                # The robot did not complete the step. Once it is back, the same ticks are run.
                 self._now_ns = now_ns
                 raise
         return 0

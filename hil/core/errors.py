@@ -9,7 +9,7 @@ from collections.abc import Iterable
 
 
 class HilError(Exception):
-    """Base of every error that a user is meant to read."""
+    """Base class of the errors whose messages are shown to the user."""
 
     exit_code = 2
 
@@ -19,12 +19,12 @@ class BadInputError(HilError):
 
 
 class UnknownSignalError(BadInputError, KeyError):
-    """A run has no signal of this name. A KeyError too, so that ``in`` and ``get`` of a mapping take it as one."""
+    """A run has no signal of this name. It is also a KeyError, because ``in`` and ``get`` of a mapping expect one."""
 
-    __str__ = Exception.__str__  # that of KeyError puts quotation marks around it
+    __str__ = Exception.__str__  # KeyError.__str__ would put quotation marks around the message
 
     def __init__(self, name: object, known: Iterable[str]) -> None:
-        hint = nearest(str(name), known)  # the whole vocabulary is too long for a sentence
+        hint = nearest(str(name), known)  # the list of all signals is too long for a sentence
         rest = hint if "did you mean" in hint else "; `hil list signals` prints them all"
         super().__init__(f"the run has no signal {name!r}{rest}")
 
@@ -42,17 +42,17 @@ class DeviceError(HilError):
 
 
 class RobotStoppedError(DeviceError):
-    """The robot left ACTIVE, was reset or is silent, but not in FAULT or ESTOP: arming it anew may bring it back."""
+    """The robot left ACTIVE, was reset or is silent, but is not in FAULT or ESTOP. Arming it again may help."""
 
 
 class OverdueError(HilError):
-    """A tick took longer than the scenario lets it, as where the law does not return (exit code 3)."""
+    """A tick took longer than ``loop.tick_limit_s``, for example because the law does not return (exit code 3)."""
 
     exit_code = 3
 
 
 class RunInterruptedError(HilError):
-    """Somebody ended the run with Ctrl-C or SIGTERM (exit code 130, as shells have it)."""
+    """Ctrl-C or SIGTERM ended the run (exit code 130, as in a shell)."""
 
     exit_code = 130
 
@@ -62,10 +62,11 @@ _MOST_NAMED = 3
 
 
 def near(word: str, known: Iterable[str]) -> list[str]:
-    """Return the known words that somebody may have meant who wrote ``word``: at most three, none when none is near.
+    """Return the known words that are similar to ``word``: at most three, or an empty list.
 
-    Capitals and hyphens do not count, and a word may have been given in part. Only what comes after the names that
-    both have in front, as in ``wheel.fl.``, is compared for the rest: else all signals of a wheel were near each other.
+    Case is ignored, a hyphen equals an underscore, and a part of a known word matches it. Otherwise the similarity of
+    the letters decides, after a common prefix such as ``wheel.fl.`` is removed: it would make all signals of a wheel
+    similar.
     """
     folded = {one: _folded(one) for one in known}
     meant = _folded(word)
@@ -81,7 +82,7 @@ def near(word: str, known: Iterable[str]) -> list[str]:
 
 
 def _is_part(word: str, known: str) -> bool:
-    """Return whether a word is the beginning of another one, or some of its parts."""
+    """Return whether ``known`` begins with ``word``, or contains it as whole parts between dots or underscores."""
     parts, words = (f"_{one}_".replace(".", "_") for one in (word, known))
     return len(word) > 1 and (known.startswith(word) or parts in words)
 
@@ -96,12 +97,12 @@ def _likeness(word: str, known: str) -> float:
     if word_dot and dot and word_head == head:
         return _likeness(word_rest, rest)
     if sorted(word) == sorted(known):
-        return 1.0  # the right letters in another order, which matters in short names
+        return 1.0  # the same letters in another order: the ratio below is too low for this in a short name
     return difflib.SequenceMatcher(None, known, word).ratio()
 
 
 def nearest(word: str, known: Iterable[str]) -> str:
-    """Return ``"; did you mean 'x'?"`` for the known words near to ``word``, or the choice itself where none is.
+    """Return ``"; did you mean 'x'?"`` with the similar known words, or the list of all known words if none is.
 
     >>> nearest("mas_kg", ["mass_kg", "law"])
     "; did you mean 'mass_kg'?"

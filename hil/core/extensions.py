@@ -1,11 +1,11 @@
-"""What other packages add by entry points: laws, references, drivers, links, faults, commands and figures.
+"""Finds what other packages register as entry points: laws, references, drivers, links, faults, commands, figures.
 
 Each kind has a group, such as ``hil.laws``. A package registers a name in it:
 
     [project.entry-points."hil.laws"]
     my_law = "my_package.my_law:MyLaw"
 
-A shipped thing keeps its name: another package cannot take it. Nothing is imported before it is asked for.
+Another package cannot replace a shipped name. An entry point is imported only when it is used.
 """
 
 import traceback
@@ -28,16 +28,16 @@ class Extensions:
     shipped: Collection[str]
 
     def registered(self) -> list[EntryPoint]:
-        """Return the entry points of other packages by name. One that is found twice on the path counts once."""
+        """Return the entry points of other packages, sorted by name. A package that is installed twice gives one."""
         points = {(point.name, package_of(point)): point for point in entry_points(group=self.group)}
         return [points[key] for key in sorted(points)]
 
     def names(self) -> list[str]:
-        """Return every name that can be asked for: the shipped ones first."""
+        """Return every name, the shipped ones first."""
         return [*self.shipped, *dict.fromkeys(p.name for p in self.registered() if p.name not in self.shipped)]
 
     def lines(self) -> list[tuple[str, str, str]]:
-        """Return name, package and one line about each registered thing, for a list. Imports none of them."""
+        """Return (name, package, description) of each registered entry point, for a list. Imports none of them."""
         points = self.registered()
         names = [point.name for point in points]
         return [(point.name, package_of(point), self._line(point, names)) for point in points]
@@ -47,11 +47,11 @@ class Extensions:
         return next((p.value for p in self.registered() if p.name == name and name not in self.shipped), None)
 
     def find(self, name: str, subject: str) -> EntryPoint:
-        """Return the entry point of a name that is not shipped, or of a ``package.module:Name`` that nobody registered.
+        """Return the entry point of a name that is not shipped. ``package.module:Name`` need not be registered.
 
-        ``subject`` begins the messages, as ``key = 'name'``.
-        Raises BadInputError for a name that nobody has registered (with the nearest), one that two packages have
-        registered, and one that is not registered as ``package.module:Name``.
+        ``subject`` begins the error messages, for example ``law.name = 'my_law'``. Raises BadInputError for a name that
+        no package registers (with similar names), that two packages register, or whose entry point is not of the form
+        ``package.module:Name``.
         """
         if ":" in name:
             return EntryPoint(name, name, self.group)
@@ -67,8 +67,8 @@ class Extensions:
         return same[0]
 
     def load(self, name: str, subject: str) -> Any:
-        """Return the object that is registered under a name that is not shipped. Raises BadInputError as ``find``
-        does, and where the package cannot be imported or has no such object."""
+        """Import and return the object that is registered under a name that is not shipped. Raises BadInputError as
+        ``find`` does, and when the package cannot be imported or has no such object."""
         point = self.find(name, subject)
         try:
             return point.load()
@@ -78,20 +78,20 @@ class Extensions:
 
     def _line(self, point: EntryPoint, names: list[str]) -> str:
         if point.name in self.shipped:
-            return f"not taken: the shipped one has this name; use {point.value!r}"
+            return f"not used: a shipped one has this name; use {point.value!r}"
         if names.count(point.name) > 1:
             return f"registered by more than one package; use {point.value!r}"
         return point.value
 
 
 def package_of(point: EntryPoint) -> str:
-    """Return the name of the package that has registered an entry point."""
+    """Return the name of the package that registers an entry point."""
     return point.dist.name if point.dist is not None else "unknown"
 
 
 @contextmanager
 def failures_of(where: str, activity: str) -> Iterator[None]:
-    """Turn whatever another package's code raises into a BadInputError, as ``failure`` words it."""
+    """Turn every exception that another package's code raises in the block into the BadInputError of ``failure``."""
     try:
         yield
     except BadInputError:
@@ -101,7 +101,7 @@ def failures_of(where: str, activity: str) -> Iterator[None]:
 
 
 def failure(where: str, activity: str, error: BaseException) -> BadInputError:
-    """Return ``where: activity failed at FILE:LINE: ...`` for an error of another package's code."""
+    """Return a BadInputError with the text ``where: activity failed at FILE:LINE: ...`` for another package's error."""
     return BadInputError(f"{where}: {activity} failed at {_place(error)}: {type(error).__name__}: {error}")
 
 

@@ -1,20 +1,20 @@
-"""The last check before the wire: commands are limited and finite, and a robot that is held at rest brakes."""
+"""The last step before the wire: limits the command, replaces NaN and infinity by a stop, and brakes at rest."""
 
 import math
 
 from hil.core.errors import BadInputError
 from hil.core.types import ZERO_WHEELS, CommandMode, WheelCommand, Wheels, make_command
 
-# Of the firmware's own speed loop, which is closed at 1 kHz without the link: this one has the link's latency in it.
+# Share of the gain of the firmware's own speed loop. That loop runs at 1 kHz; ours also has the link's latency.
 _SHARE = 0.25
 
 
 class Guard:
-    """Limits the commands of a law; the only place on the host that does.
+    """Limits the commands of a law; nothing else on the host does.
 
-    All four wheels are scaled by one factor: the direction of motion, or of force, is kept. Speeds are kept within the
-    smaller of ``speed_limit_rad_s`` and what the robot says that it takes (``heed``). ``refused`` counts commands that
-    were not finite and were replaced by a stop. Raises BadInputError for a limit that is not a finite number above
+    All four wheels are scaled by one factor, so that the direction of motion, or of force, is kept. The speed limit is
+    the smaller of ``speed_limit_rad_s`` and the robot's own, which is set with ``heed``. ``refused`` counts commands
+    with a NaN or an infinity; a stop replaced them. Raises BadInputError for a limit that is not a finite number above
     zero.
     """
 
@@ -29,19 +29,19 @@ class Guard:
         self.refused = 0
 
     def heed(self, robot_speed_limit_rad_s: float) -> None:
-        """Keep speeds within what the robot says that it takes as well; infinite where it says nothing.
+        """Apply the wheel speed limit that the robot reports, too; infinity if it reports none.
 
-        The robot's limit has the margin for the overshoot of its speed loop in it: our firmware's is 0.8 times the
-        speed that is a fault (PROTOCOL.md, "Limits").
+        The robot's limit includes the margin for the overshoot of its speed loop: our firmware reports 0.8 times the
+        speed at which it goes to FAULT (PROTOCOL.md, "Limits").
         """
         self.speed_limit_rad_s = min(self._own_speed_limit_rad_s, max(0.0, robot_speed_limit_rad_s))
 
     def apply(self, command: WheelCommand) -> tuple[WheelCommand, bool]:
-        """Return the command within the limits, and whether it had to be scaled.
+        """Return the limited command, and whether it was scaled.
 
-        In SPEED mode set points and torque feedforward are scaled each by a factor of their own. In TORQUE
-        mode the speeds, which mean nothing there, are returned as zeros. A command with a NaN or an infinity
-        gives a stop (all zero) of the same mode.
+        In SPEED mode the speeds are scaled by one factor and the torque feedforward by another. In TORQUE
+        mode the speeds have no meaning and are returned as zeros. A command with a NaN or an infinity
+        gives a stop (all zero) in the same mode.
         """
         mode, speed, torque = command
         if mode is CommandMode.TORQUE and speed is not ZERO_WHEELS:
@@ -60,10 +60,10 @@ class Guard:
 
 
 class Brake:
-    """Holds the robot at rest. In SPEED mode the firmware does it; in TORQUE mode zero torque would let it roll.
+    """Commands that hold the robot at rest. In SPEED mode: zero speed. In TORQUE mode zero torque would let it roll.
 
-    There each wheel has a torque against its measured speed, with a quarter of the firmware's ``speed_kp_n_m_s_rad``,
-    within the guard's limit; zero without a speed to go by.
+    In TORQUE mode each wheel gets a torque against its measured speed. The gain is a quarter of the firmware's
+    ``speed_kp_n_m_s_rad``, and the guard limits the torque. Without a measured speed the torque is zero.
     """
 
     def __init__(self, mode: CommandMode, guard: Guard, speed_kp_n_m_s_rad: float) -> None:
@@ -72,7 +72,7 @@ class Brake:
         self._gain = _SHARE * speed_kp_n_m_s_rad
 
     def command(self, speed_rad_s: Wheels | None) -> tuple[WheelCommand, bool]:
-        """Return the command and whether it had to be limited; ``speed_rad_s`` is None where it is too old."""
+        """Return the command, and whether it was limited. ``speed_rad_s`` is None if the measured speed is too old."""
         if self._rest.mode is CommandMode.SPEED or speed_rad_s is None or not math.isfinite(sum(speed_rad_s)):
             return self._rest, False
         fl, fr, rr, rl = speed_rad_s
@@ -81,16 +81,16 @@ class Brake:
 
 
 def _is_within(value: Wheels, limit: float) -> bool:
-    """Whether every wheel is within the limit, which no NaN is."""
+    """Return whether every wheel is within the limit. NaN is not."""
     fl, fr, rr, rl = value
     return -limit <= fl <= limit and -limit <= fr <= limit and -limit <= rr <= limit and -limit <= rl <= limit
 
 
 def _scaled(value: Wheels, limit: float) -> Wheels:
-    """Return finite wheels within the limit; the same object when none is beyond it."""
+    """Return the values scaled to the limit; the same object if none exceeds it. All values must be finite."""
     fl, fr, rr, rl = value
     largest = max(abs(fl), abs(fr), abs(rr), abs(rl))
     if largest <= limit:
         return value
-    # First the ratio, which is at most 1: the product then cannot round beyond the limit.
+    # The ratio first: it is at most 1, so the product cannot round to a value beyond the limit.
     return Wheels(limit * (fl / largest), limit * (fr / largest), limit * (rr / largest), limit * (rl / largest))

@@ -1,4 +1,4 @@
-"""One JSON text a line over a pipe: how processes of ours talk to each other."""
+"""Messages between the processes of this project: one JSON object per line over a pipe."""
 
 import json
 import math
@@ -14,11 +14,11 @@ KEPT_BACK_BYTES = 256 * 1024
 
 
 class LineWriter:
-    """Writes lines to a process that may not be reading, without ever waiting for it.
+    """Writes lines to another process without waiting for it to read.
 
-    What the pipe does not take is kept back and written before the next line, up to ``KEPT_BACK_BYTES``; a
-    line beyond that, or to a process that has ended, is lost and counted in ``lost``. (Windows before Python
-    3.12 cannot write to a pipe without waiting: there, a full pipe waits for the reader.)
+    What does not fit into the pipe is kept in a buffer of ``KEPT_BACK_BYTES`` and written before the next line.
+    A line that does not fit into the buffer, or that is for a process that has ended, is counted in ``lost``.
+    (On Windows, Python before 3.12 cannot write to a pipe without waiting: a full pipe then blocks.)
     """
 
     def __init__(self, fd: int) -> None:
@@ -30,9 +30,9 @@ class LineWriter:
             os.set_blocking(fd, False)
 
     def send(self, record: Mapping[str, object], *, always: bool = False) -> bool:
-        """Write one record, or keep it back, or count it as lost; ``always`` keeps it back whatever its size.
+        """Write or buffer one record; with ``always`` the buffer grows as needed.
 
-        Return False when it was lost because too much is kept back already.
+        Return False if the record was lost because the buffer is full.
         """
         line = json.dumps(record).encode() + b"\n"
         full = len(self._kept_back) + len(line) > KEPT_BACK_BYTES and not always
@@ -44,14 +44,14 @@ class LineWriter:
         return self._broken or not full
 
     def flush(self) -> bool:
-        """Write what was kept back as far as the pipe takes it; True when there is nothing left to write."""
+        """Write as much of the buffer as the pipe accepts. Return whether the buffer is empty."""
         while self._kept_back and not self._broken:
             try:
                 self._kept_back = self._kept_back[os.write(self._fd, self._kept_back) :]
             except BlockingIOError:
                 return False
             except OSError:
-                # The reader has ended. What it never took is lost.
+                # The reader has ended. Lines that are still in the buffer are lost.
                 self._broken = True
                 self.lost += self._kept_back.count(b"\n")
                 self._kept_back = b""
@@ -59,10 +59,10 @@ class LineWriter:
 
 
 class LineReader:
-    """Reads records from a descriptor; the pipe's end, and only that, ends the iteration.
+    """Reads records from a file descriptor.
 
-    ``os.read`` and not a buffered file: a thread that waits here must not hold a lock at the interpreter's
-    end.
+    It uses ``os.read``, not a buffered file: a thread that waits in a buffered read holds a lock, which is fatal
+    when the interpreter ends.
     """
 
     def __init__(self, fd: int) -> None:
@@ -70,7 +70,7 @@ class LineReader:
         self._buffer = b""
 
     def read(self) -> dict[str, object] | None:
-        """Return the next record, or None at the end of the pipe. A last line cut short is dropped."""
+        """Wait for the next record; None at the end of the pipe. A last line that is cut short is dropped."""
         while b"\n" not in self._buffer:
             data = os.read(self._fd, 65536)
             if not data:
@@ -82,9 +82,9 @@ class LineReader:
 
 
 class LinePoll:
-    """Reads the records that are at hand, without ever waiting; for a loop that has no time (0.6 µs when none is).
+    """Reads the records that have arrived, without waiting; for the control loop (0.6 µs if none has).
 
-    ``ended`` is true once the pipe has ended and its last record was taken. (Windows cannot poll a pipe
+    ``ended`` is true once the pipe has ended and all its records were returned. (Windows cannot poll a pipe
     without waiting: there a thread reads.)
     """
 
@@ -118,7 +118,7 @@ class LinePoll:
         def __init__(self, fd: int) -> None:
             self._fd = fd
             self._buffer = b""
-            # Half as long as a read that fails for want of data, which raises.
+            # poll takes half the time of a non-blocking read, which raises BlockingIOError if there is no data.
             self._poll = select.poll()
             self._poll.register(fd, select.POLLIN)
 
@@ -133,7 +133,7 @@ class LinePoll:
 
 
 def json_safe(value: Any) -> Any:
-    """Return a value for JSON, which has neither NaN nor infinity: null takes their place."""
+    """Return a value with None in place of every NaN and infinity, which JSON does not have."""
     if isinstance(value, dict):
         return {key: json_safe(item) for key, item in value.items()}
     if isinstance(value, list | tuple):

@@ -7,9 +7,9 @@ third row of equation 7 is printed with an entry missing, it is (-1, 1, 1, -1) /
 - wheel speeds    ω = H v / r                     v = (r / 4) diag(1, 1, 1 / L²) Hᵀ ω
 - wheel torques   τ = (r / 4) H diag(1, 1, 1 / L²) F    F = Hᵀ τ / r
 
-The second line is the first one's dual: the power τ·ω of the wheels is the power F·v of the body. Four
-wheels drive three degrees of freedom: of all torques with the wrench F the map gives those of the least sum
-of squares (``hil.core.model.RobotModel.wheel_torques``).
+The second line is the dual of the first: the power τ·ω of the wheels is the power F·v of the body. Four
+wheels drive three degrees of freedom, so many torques give the same wrench F; the map gives those with the
+least sum of squares (``hil.core.model.RobotModel.wheel_torques``).
 """
 
 import math
@@ -35,18 +35,18 @@ class BodyWrench(NamedTuple):
 
 
 def wrap_angle(angle_rad: float) -> float:
-    """Return the same direction in [-π, π]. Raises ValueError for an infinite angle; NaN stays NaN."""
+    """Return the angle wrapped to [-π, π]. Raises ValueError for an infinite angle; NaN stays NaN."""
     return math.remainder(angle_rad, math.tau)
 
 
 def to_body(twist: Twist, heading_rad: float) -> BodyTwist:
-    """Turn a world twist into the body frame of a robot with this heading (equation 9)."""
+    """Return a world twist in the body frame of a robot with this heading (equation 9)."""
     c, s = math.cos(heading_rad), math.sin(heading_rad)
     return BodyTwist(c * twist.vx_m_s + s * twist.vy_m_s, c * twist.vy_m_s - s * twist.vx_m_s, twist.yaw_rate_rad_s)
 
 
 def to_world(body: BodyTwist, heading_rad: float) -> Twist:
-    """Turn a body twist into the world frame (equation 8, which the paper calls inverse; it is forward)."""
+    """Return a body twist in the world frame (equation 8; the paper calls it inverse, but it is the forward map)."""
     c, s = math.cos(heading_rad), math.sin(heading_rad)
     return Twist(
         c * body.forward_m_s - s * body.left_m_s,
@@ -56,7 +56,7 @@ def to_world(body: BodyTwist, heading_rad: float) -> Twist:
 
 
 def wheel_speeds(body: Axes, wheel_radius_m: float, lever_m: float) -> FourWheels:
-    """Return the wheel speeds [rad/s] with which the robot moves like this ``BodyTwist``: ω = H v / r."""
+    """Return the wheel speeds [rad/s] for a body twist (forward, left, yaw rate): ω = H v / r."""
     forward, left, yaw_rate = body
     turn = lever_m * yaw_rate
     minus, plus = forward - left, forward + left
@@ -69,9 +69,10 @@ def wheel_speeds(body: Axes, wheel_radius_m: float, lever_m: float) -> FourWheel
 
 
 def body_twist(wheel_speed_rad_s: FourWheels, wheel_radius_m: float, lever_m: float) -> BodyTwist:
-    """Return the body twist of these wheel speeds [rad/s], in the least-squares sense: rollers may disagree.
+    """Return the body twist of these wheel speeds [rad/s], as a least-squares fit: four speeds, three velocities.
 
-    The map is linear: wheel angles [rad] give a displacement [m, m, rad] in the same way.
+    ``lever_m`` is half the length plus half the width between the wheel centres. The map is linear: wheel angles [rad]
+    in place of speeds give a displacement [m, m, rad] in the body frame.
     """
     fl, fr, rr, rl = wheel_speed_rad_s
     quarter = wheel_radius_m / 4.0
@@ -83,7 +84,7 @@ def body_twist(wheel_speed_rad_s: FourWheels, wheel_radius_m: float, lever_m: fl
 
 
 def body_wrench(wheel_torque_n_m: FourWheels, wheel_radius_m: float, lever_m: float) -> BodyWrench:
-    """Return the wrench of these wheel torques [N·m] on the body: B in the body frame, F = Hᵀ τ / r."""
+    """Return the wrench of these wheel torques [N·m] on the body, in the body frame: F = Hᵀ τ / r."""
     fl, fr, rr, rl = wheel_torque_n_m
     return BodyWrench(
         (fl + fr + rr + rl) / wheel_radius_m,

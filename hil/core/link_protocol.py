@@ -1,4 +1,4 @@
-"""What a link knows of the protocol on it: framing, names and lengths of messages, and which side sends each."""
+"""What a link needs to know of its protocol: framing, names and lengths of messages, and which side sends each."""
 
 from collections.abc import Callable, Mapping
 from types import MappingProxyType
@@ -22,12 +22,13 @@ class LinkProtocol(NamedTuple):
     """The protocol of both sides of a link.
 
     Attributes:
-        make_framing: makes the framing for a line of bytes; None for a protocol of buses only.
-        names: of messages, by id.
+        make_framing: makes the framing for a byte stream (serial, TCP); None for a protocol that only CAN buses carry.
+        names: name of each message, by id.
         senders: the side that sends each id; None where either side may send any id.
-        lengths: of the payload, by id [bytes].
-        exempt_from: frames from this id on carry no control, such as STEP. Faults and latency leave them alone.
-        delimiter: the last byte of each frame on a line of bytes; None where each write is one frame.
+        lengths: payload length of each message [bytes], by id.
+        exempt_from: frames with this id or a higher one carry no control data (STEP, for example). They are exempt from
+            injected faults and latency.
+        delimiter: the last byte of each frame on a byte stream; None where each write is one frame.
     """
 
     make_framing: Callable[[], Framing] | None = None
@@ -38,9 +39,10 @@ class LinkProtocol(NamedTuple):
     delimiter: bytes | None = None
 
     def refusal(self, number: int, length: int, hears: Side) -> str | None:
-        """Return why the side that ``hears`` drops a frame of a bus; None where it takes the frame.
+        """Return why a received CAN frame is dropped; None if it is accepted. ``hears`` is the side that sends to us.
 
-        ``own`` stands for a frame that this side has sent itself. Frames of the host are checked by the firmware.
+        ``foreign``: a 29-bit id or a remote frame. ``own``: an id that only the receiving side sends. ``unknown_id``
+        and ``length`` are checked for frames of the robot only: the firmware checks those of the host.
         """
         if self.senders is None:
             return None
@@ -56,18 +58,18 @@ class LinkProtocol(NamedTuple):
         return None if length == expected else "length"
 
     def whole(self, data: bytes) -> int:
-        """Return the number of bytes from the start that are whole frames."""
+        """Return the length of the whole frames at the start of ``data`` [bytes]."""
         return len(data) if self.delimiter is None else data.rfind(self.delimiter) + len(self.delimiter)
 
     def pieces(self, data: bytes) -> list[bytes]:
-        """Split whole frames into single ones."""
+        """Split ``data``, which must be whole frames, into one item per frame."""
         if self.delimiter is None:
             return [data] if data else []
         return [piece + self.delimiter for piece in data.split(self.delimiter)[:-1]]
 
 
 def _wheel_framing() -> Framing:
-    """Return the framing of our own protocol. Raises BadInputError where the host library cannot be loaded."""
+    """Return the framing of our own protocol. Raises BadInputError when the host library cannot be built or loaded."""
     try:
         return HostLine()
     except BuildError as error:
@@ -75,4 +77,4 @@ def _wheel_framing() -> Framing:
 
 
 WHEEL_DBC = LinkProtocol(_wheel_framing, NAMES, SENDERS, LENGTHS, 0x300, b"\0")
-"""Our own protocol. STEP, STEP_DONE and the HELLO pages carry no control."""
+"""Our own protocol. STEP, STEP_DONE and the HELLO pages carry no control data."""

@@ -1,11 +1,11 @@
-"""What a controller believes of the robot: inverse dynamics of a rigid platform on four Mecanum wheels.
+"""The controller's model of the robot: inverse dynamics of a rigid platform on four Mecanum wheels.
 
     M q̈ + C + B ξ = B τ,    M = diag(m + k, m + k, I + k L²),    C = k θ̇ (ẏ, -ẋ, 0),    k = 4 Ib / r²
 
 in the world frame, q = (x, y, θ). Nguyen Minh et al. 2023, AFDSC, equation 15, prints m + k in place of k in
-C (and equation 14 ẋ in place of ẏ). That comes from Lagrange's equation on four wheel angles that are not
-independent. The rotating wheels alone give C: their momentum is fixed in the body frame, that of the mass m
-in the world frame. See I. Zeidis and K. Zimmermann, "Dynamics of a four-wheeled mobile robot with Mecanum
+C (and equation 14 ẋ in place of ẏ). That error comes from Lagrange's equation on four wheel angles that are
+not independent. Only the rotating wheels contribute to C: their momentum turns with the body, that of the mass
+m does not. See I. Zeidis and K. Zimmermann, "Dynamics of a four-wheeled mobile robot with Mecanum
 wheels", ZAMM 99 (2019).
 """
 
@@ -19,15 +19,15 @@ from hil.core.types import Axes, FourWheels, Twist, Wheels, make_wheels
 
 GRAVITY_M_S2 = 9.81
 FRICTION_SPEED_RAD_S = 0.3
-"""Wheel speed over which sign(ω) is smoothed to tanh, so that compensated friction does not chatter."""
+"""Friction uses tanh(ω / this speed) in place of sign(ω), so that its compensation does not chatter."""
 
 
 @dataclass(frozen=True, slots=True)
 class RobotModel:
-    """``[robot]`` of a scenario: the robot in numbers, as the controller believes it, and what follows from them.
+    """``[robot]`` of a scenario: the parameters of the controller's model, and quantities computed from them.
 
-    Letters are those of the paper. The bounds of the two limits are what WHEEL_COMMAND and TORQUE_COMMAND can carry;
-    the others keep a value in the wrong unit out. Raises OptionsError for a number out of its range.
+    Symbols are those of the paper. The bounds of the two limits are the largest values that WHEEL_COMMAND and
+    TORQUE_COMMAND can carry; the other bounds detect a wrong unit. Raises OptionsError for a number out of its range.
     """
 
     mass_kg: Annotated[float, Range(gt=0, le=10_000), "mass with wheels"]
@@ -41,12 +41,12 @@ class RobotModel:
     speed_limit_rad_s: Annotated[
         float,
         Range(gt=0, le=63.984375),
-        "of one wheel; the robot's own limit counts where that is smaller",
+        "of one wheel; the robot's own limit applies if it is smaller",
     ] = field(kw_only=True)
     lever_m: float = field(init=False, repr=False, compare=False)
     """L = l1 + l2 [m]."""
     wheels_mass_kg: float = field(init=False, repr=False, compare=False)
-    """k = 4 Ib / r² [kg]: what the wheels' rotation adds to the mass."""
+    """k = 4 Ib / r² [kg]: the mass that is equivalent to the wheels' rotational inertia."""
     effective_mass_kg: float = field(init=False, repr=False, compare=False)
     """m + k [kg]."""
     effective_inertia_kg_m2: float = field(init=False, repr=False, compare=False)
@@ -77,17 +77,17 @@ class RobotModel:
         return to_world(body_twist(wheel_speed_rad_s, self.wheel_radius_m, self.lever_m), heading_rad)
 
     def wheel_torques(self, acceleration: Axes, twist: Axes, heading_rad: float, moving: Axes) -> Wheels:
-        """Return the wheel torques [N·m] for a world acceleration, not limited: τ = B⁺ (M q̈ + C) + ξ.
+        """Return the wheel torques [N·m] for a world acceleration, without limits: τ = B⁺ (M q̈ + C) + ξ.
 
-        ``twist`` is the world twist in C. Friction ξ (``friction_torques``) is that of wheels that turn as the world
-        twist ``moving`` has them: the intended one, because a measured one would feed its noise back.
+        ``twist`` is the world twist in C. Friction ξ (``friction_torques``) is computed for the wheel speeds of the
+        world twist ``moving``: pass the intended twist, because a measured one would feed its noise back.
         """
         ax, ay, yaw_acceleration = acceleration
         vx, vy, yaw_rate = twist
         mass, coupling = self.effective_mass_kg, self.wheels_mass_kg * yaw_rate
         fx = mass * ax + coupling * vy
         fy = mass * ay - coupling * vx
-        # B⁺, the torques of least norm: into the body frame, there to the wheels by (r / 4) H diag(1, 1, 1 / L²).
+        # B⁺ gives the torques of least norm: rotate into the body frame, then apply (r / 4) H diag(1, 1, 1 / L²).
         c, s = cos(heading_rad), sin(heading_rad)
         quarter = self.wheel_radius_m / 4.0
         forward, left = quarter * (c * fx + s * fy), quarter * (c * fy - s * fx)

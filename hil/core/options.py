@@ -1,16 +1,16 @@
-"""Options: a frozen dataclass is the one definition of a table of a scenario, or of a law's or reference's options.
+"""Options: a frozen dataclass defines a table of a scenario, or the options of a law or a reference.
 
-Its fields are the names, its annotations the types, its defaults the defaults. ``Annotated`` adds what a type cannot
-say, in any order: a ``Range``, a text that explains the option, ``Expected`` words for messages, and functions that
-return the value or raise ValueError with what was expected:
+Its fields give the names, types and defaults. ``Annotated`` adds, in any order: a ``Range``, a text that explains the
+option, ``Expected`` words for messages, and functions that return the checked value or raise ValueError with what was
+expected:
 
     @dataclass(frozen=True)
     class Options:
         rate_hz: Annotated[float, Range(ge=0.1, le=1000), "fixes a second"] = 10.0
 
-``__post_init__`` may raise ValueError for options that contradict each other. ``build`` makes the dataclass from plain
-values. It knows float (for which an int is taken), int, bool, str, Literal, tuples, mappings, ``X | None`` and
-dataclasses; a value of another type is not checked here.
+``__post_init__`` may raise ValueError for options that contradict each other. ``build`` makes the dataclass from the
+values of a TOML table. It checks float (an int is converted), int, bool, str, Literal, tuples, mappings, ``X | None``
+and dataclasses; fields of other types are not checked.
 """
 
 import functools
@@ -26,14 +26,14 @@ T = TypeVar("T")
 Path = tuple[str, ...]
 
 ABSENT = object()
-"""In place of the value of a problem that has none to show."""
+"""The value of a ``Problem`` that has no value to show."""
 OTHERS = object()
-"""Marks, within ``Annotated``, the mapping that takes every key of the table which is not a field."""
+"""In ``Annotated``: marks the mapping field that receives all keys of the table that are not fields."""
 
 
 @dataclass(frozen=True)
 class Range:
-    """Bounds of a number: greater than, from, up to. NaN is never within, infinity only where it is allowed."""
+    """Bounds of a number: ``gt`` exclusive, ``ge`` and ``le`` inclusive. NaN is never within."""
 
     gt: float | None = None
     ge: float | None = None
@@ -50,7 +50,7 @@ class Range:
         )
 
     def __str__(self) -> str:
-        """Return the bounds in words, to follow "a number"."""
+        """Return the bounds in words that follow "a number", for example " from 0 to 1"."""
         if self.gt is not None:
             return f" greater than {self.gt:.12g}" + ("" if self.le is None else f" and at most {self.le:.12g}")
         if self.ge is not None:
@@ -59,7 +59,7 @@ class Range:
 
 
 class Expected(str):
-    """Words, within ``Annotated``, in place of those that follow from the type: "expected" and these."""
+    """In ``Annotated``: the words after "expected" in messages, in place of those derived from the type."""
 
     __slots__ = ()
 
@@ -68,7 +68,7 @@ POSITIVE, NOT_NEGATIVE = Range(gt=0), Range(ge=0)
 
 
 class Option(NamedTuple):
-    """One field of a dataclass of options. ``default`` is MISSING for an option that has to be given."""
+    """One field of a dataclass of options. ``default`` is MISSING for a required option."""
 
     name: str
     type: Any
@@ -81,12 +81,12 @@ class Option(NamedTuple):
 
     @property
     def expected(self) -> str:
-        """What the option takes, as ``expected a number from 0 to 1``."""
+        """Which values are valid, for example ``expected a number from 0 to 1``."""
         return f"expected {self.words or _words(self)}"
 
 
 class Problem(NamedTuple):
-    """What is wrong with one value: its place in the table, and what was expected."""
+    """One wrong, missing or unknown value: the keys that lead to it, and what was expected."""
 
     path: Path
     kind: Literal["unknown", "missing", "value"]
@@ -95,7 +95,7 @@ class Problem(NamedTuple):
 
     @property
     def sentence(self) -> str:
-        """The problem as one sentence, with the value if it is a single one."""
+        """The problem as one sentence, with the value unless it is a table."""
         key = ".".join(self.path)
         if self.kind == "unknown":
             return f"unknown key {key}{self.words}"
@@ -107,7 +107,7 @@ class Problem(NamedTuple):
 
 
 class OptionsError(BadInputError, ValueError):
-    """Options are wrong; ``problems`` has each. Raised in a ``__post_init__``, its paths start from that table."""
+    """Options are wrong; ``problems`` lists each. If a ``__post_init__`` raises it, paths start at that table."""
 
     def __init__(self, problems: Sequence[Problem]) -> None:
         self.problems = tuple(problems)
@@ -115,10 +115,11 @@ class OptionsError(BadInputError, ValueError):
 
 
 def build(kind: type[T], given: Mapping[str, object], where: str = "") -> T:
-    """Return the dataclass ``kind`` made of plain values; ``where`` is the dotted key of the table, for messages.
+    """Make the dataclass ``kind`` from the values of a table; ``where`` is its dotted key, for messages.
 
-    Raises OptionsError, with one line for each problem, for unknown and missing names (the latter only where no name is
-    unknown: they are most likely the same mistake), wrong types, numbers out of range, and what the dataclass refuses.
+    Raises OptionsError, with one line for each problem: unknown names, missing names, wrong types, numbers out of
+    range, and errors of the dataclass itself. Missing names are left out if a name is unknown, because that is most
+    likely the same mistake.
     """
     if not is_dataclass(kind):
         raise BadInputError(f"{where}: {kind.__qualname__} that holds its defaults must be a dataclass")
@@ -132,7 +133,7 @@ def build(kind: type[T], given: Mapping[str, object], where: str = "") -> T:
 
 
 def require_ranges(options: object, where: str) -> None:
-    """Raise OptionsError unless each option is as defined; for the ``__post_init__`` of what code makes directly."""
+    """Raise OptionsError if an option is wrong; for the ``__post_init__`` of a dataclass made without ``build``."""
     problems: list[Problem] = []
     for name, option in _options(options).items():
         _read(option, getattr(options, name), (where, name), problems)
@@ -142,7 +143,7 @@ def require_ranges(options: object, where: str) -> None:
 
 @functools.cache
 def options_of(kind: Any) -> Mapping[str, Option]:
-    """Return the options of a dataclass, which is given as a class, by name."""
+    """Return the options of a dataclass type, by name."""
     hints = get_type_hints(kind, include_extras=True)
     return {
         f.name: _parsed(hints[f.name], f.name)._replace(
@@ -159,14 +160,14 @@ def _options(made: Any) -> Mapping[str, Option]:
 
 
 def items(options: object) -> Iterator[tuple[str, Any]]:
-    """Yield name and value of each option of a dataclass, as a table has them."""
+    """Yield name and value of each option of a dataclass instance, as in its table."""
     for name, option in _options(options).items():
         value = getattr(options, name)
         yield from value.items() if option.takes_others else [(name, value)]
 
 
 def plain(value: Any) -> Any:
-    """Return a dataclass of options as dictionaries, as far down as there are any; other values as they are."""
+    """Convert a dataclass of options, and the dataclasses in it, to dictionaries; return other values unchanged."""
     if is_dataclass(value):
         return {name: plain(one) for name, one in items(value)}
     if isinstance(value, Mapping):
@@ -175,7 +176,7 @@ def plain(value: Any) -> Any:
 
 
 def format_value(value: object) -> str:
-    """Return a value as TOML writes it, and what TOML has no word for as Python does."""
+    """Return a value in TOML notation; a value that TOML cannot express in Python's."""
     if isinstance(value, bool):
         return "true" if value else "false"
     if isinstance(value, str):
@@ -204,7 +205,7 @@ def _parsed(annotation: Any, name: str = "") -> Option:
 
 
 def _table(kind: type, given: Mapping[str, object], path: Path, problems: list[Problem]) -> Any:
-    """Return the dataclass, or None where that adds problems."""
+    """Return the dataclass made of a table. Append to ``problems`` and return None if the table is wrong."""
     before, options = len(problems), options_of(kind)
     rest = next((option for option in options.values() if option.takes_others), None)
     named = {name: value for name, value in given.items() if name in options and options[name] is not rest}
@@ -230,7 +231,7 @@ def _table(kind: type, given: Mapping[str, object], path: Path, problems: list[P
 
 
 def _read(option: Option, value: Any, path: Path, problems: list[Problem]) -> Any:
-    """Return a value as its option has it; None where that adds problems."""
+    """Return a value, converted and checked for its option. Append to ``problems`` if it is wrong."""
     before = len(problems)
     try:
         value = _typed(option, value, path, problems)
@@ -245,7 +246,7 @@ def _read(option: Option, value: Any, path: Path, problems: list[Problem]) -> An
 
 
 def _typed(option: Option, value: Any, path: Path, problems: list[Problem]) -> Any:
-    """Return a value as the option's type has it. Raises ValueError for one that has not this type or range."""
+    """Return a value, converted to the option's type. Raises ValueError for a wrong type or a number out of range."""
     kind, origin, inner = option.type, get_origin(option.type), get_args(option.type)
     if type(None) in inner:
         return None if value is None else _read(option._replace(type=inner[0]), value, path, problems)

@@ -1,4 +1,4 @@
-"""Files that commands write: whole or not at all, and none that is there is replaced unless the user said so."""
+"""Output files: they are written completely or not at all, and replace an existing file only with ``--force``."""
 
 import contextlib
 import os
@@ -10,28 +10,28 @@ from typing import Literal
 from hil.core.errors import BadInputError
 
 Existing = Literal["refuse", "number", "replace"]
-"""What is done where a file of the wanted name is there already.
+"""What to do when the file exists already.
 
-``refuse`` raises BadInputError, ``number`` takes the next free name (``run_2.rrd`` after ``run.rrd``), and ``replace``
-is what ``--force`` asks for.
+``refuse`` raises BadInputError, ``number`` uses the next free name (``run_2.rrd`` after ``run.rrd``), and ``replace``
+(``--force``) replaces the file.
 """
 
 
 def existing_files(*, force: bool) -> Existing:
-    """Return what a command does where a file is there, by its option ``--force``."""
+    """Return what a command does with an existing file, given its option ``--force``."""
     return "replace" if force else "refuse"
 
 
 def check_free(what: str, path: Path, existing: Existing = "refuse") -> None:
-    """Raise BadInputError, which names ``what`` was to be written, when there is a file that must stay."""
+    """Raise BadInputError when the file exists and must not be replaced. ``what`` names the output in the message."""
     if existing == "refuse" and _is_there(path):
         raise _taken(what, path)
 
 
 def free_name(path: Path) -> Path:
-    """Return the path itself while nothing is there, else the first free one of run_2.rrd, run_3.rrd and so on.
+    """Return the path if no file has it, else the first free one of run_2.rrd, run_3.rrd and so on.
 
-    A recording's later parts have a hyphen before their number (run-2.rrd), so that the two are never confused.
+    The later parts of one recording have a hyphen (run-2.rrd), so that the two cannot be confused.
     """
     return next(name for name in _names(path) if not _is_there(name))
 
@@ -39,9 +39,9 @@ def free_name(path: Path) -> Path:
 def claim(what: str, path: Path, existing: Existing = "refuse") -> Path:
     """Reserve a file for this process to write, and return its path.
 
-    The file is created empty now, so that of two processes that ask for the same name at once only one gets it. With
-    ``replace`` nothing is created or reserved: the path is returned as it is. Raises BadInputError when the name is
-    taken, and when the file cannot be created.
+    The file is created empty, so that only one of two processes gets the name. With ``replace`` nothing is created or
+    reserved, and the path is returned unchanged. Raises BadInputError when the file exists (``refuse``) or cannot be
+    created.
     """
     if existing == "replace":
         return path
@@ -59,7 +59,7 @@ def claim(what: str, path: Path, existing: Existing = "refuse") -> Path:
 
 
 def release(path: Path, existing: Existing = "refuse") -> None:
-    """Remove a claimed file again, for nothing came of it; a file that was to be replaced is not ours to remove."""
+    """Remove a claimed file that was not written. With ``replace`` nothing is removed: the file is the user's."""
     if existing != "replace":
         with contextlib.suppress(OSError):  # on Windows it may still be open
             path.unlink(missing_ok=True)
@@ -67,15 +67,15 @@ def release(path: Path, existing: Existing = "refuse") -> None:
 
 @contextlib.contextmanager
 def whole_file(path: Path, what: str = "file", existing: Existing = "refuse") -> Iterator[Path]:
-    """Yield the path of an unfinished file, with the same suffix, that becomes ``path`` when the block ends.
+    """Yield the path of a temporary file with the same suffix, and rename it to ``path`` when the block ends.
 
-    After an error of the block, on a full disk for one, nothing of it stays; a file that was to be replaced is then as
-    it was. ``what`` it is to be is named by BadInputError, which is raised when a file is there that must stay, and
-    when none can be created. OSError is raised when the finished file cannot take its place.
+    After an error in the block (a full disk, for example) the temporary file is removed, and an existing file is
+    unchanged. Raises BadInputError, which names ``what``, when the file exists and must not be replaced, or cannot be
+    created; OSError when the rename fails.
     """
     path = claim(what, path, existing)
     if existing == "replace":
-        path = path.resolve()  # what a link leads to, and not the link
+        path = path.resolve()  # replace the target of a symbolic link, not the link
     unfinished = path.with_name(f".{path.stem}.{os.getpid()}{path.suffix}")
     try:
         yield unfinished
@@ -88,14 +88,14 @@ def whole_file(path: Path, what: str = "file", existing: Existing = "refuse") ->
 
 
 def write_whole(path: Path, data: bytes, what: str = "file", existing: Existing = "refuse") -> None:
-    """Write a file. Raises BadInputError as ``whole_file``, and when it cannot be written."""
+    """Write a file completely or not at all. Raises BadInputError as ``whole_file`` does, and when writing fails."""
     try:
         with whole_file(path, what, existing) as unfinished:
             unfinished.write_bytes(data)
     except OSError as error:
         raise BadInputError(
-            f"{what} {path}: it cannot be written ({error.strerror}); name a folder that exists, has room and may be "
-            "written to"
+            f"{what} {path}: it cannot be written ({error.strerror}); choose a folder that exists, is writable and has "
+            "free space"
         ) from error
 
 
@@ -106,8 +106,8 @@ def _names(path: Path) -> Iterator[Path]:
 
 
 def _taken(what: str, path: Path) -> BadInputError:
-    return BadInputError(f"{what} {path}: it is there already; choose another name, or replace it with --force")
+    return BadInputError(f"{what} {path}: the file exists already; choose another name, or replace it with --force")
 
 
 def _is_there(path: Path) -> bool:
-    return path.exists() or path.is_symlink()  # a link to nothing is a name that somebody has given
+    return path.exists() or path.is_symlink()  # exists() is false for a broken symbolic link

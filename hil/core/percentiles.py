@@ -9,7 +9,7 @@ import numpy.typing as npt
 Series = npt.NDArray[np.float64]
 
 CAPACITY = 1 << 20
-"""Up to so many values percentiles are exact; beyond that they are those of a random sample of this size."""
+"""Percentiles are exact up to this number of values; beyond it they are those of a random sample of this size."""
 _BLOCK = 1024
 
 
@@ -21,7 +21,7 @@ class Percentiles(NamedTuple):
 
 
 class Reservoir:
-    """A reservoir sample of a series: all values up to ``CAPACITY``, then a uniform random choice of that many."""
+    """A reservoir sample of a series: all values up to ``CAPACITY``, then a uniform random sample of that size."""
 
     def __init__(self) -> None:
         self._pending = array("d")

@@ -1,4 +1,4 @@
-"""The ports of the house: what the tick needs, and nothing of how it is provided."""
+"""The interfaces that the control loop uses: clock, link, control law, pose sources and sinks."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple, Protocol
@@ -8,9 +8,9 @@ from hil.core.types import Applied, Gains, MeasuredPose, PoseFix, Reference, Sta
 
 
 class Received(NamedTuple):
-    """Frames that arrived together, at least one, oldest first, and when that was, on the clock of the link.
+    """Frames that arrived together (at least one, oldest first), and their time of arrival on the link's clock.
 
-    A line of bytes brings all that a tick has to say at once: what is done once for them costs a fifth.
+    On a byte stream all messages of a tick arrive at once. Handling them together takes a fifth of the time.
     """
 
     frames: Sequence[Frame]
@@ -18,89 +18,89 @@ class Received(NamedTuple):
 
 
 EXTENDED, REMOTE = 0x8000_0000, 0x4000_0000
-"""In ``Frame.id`` of a CAN frame: an identifier of 29 bits, a frame that asks for one (Linux, struct can_frame)."""
+"""Flags in ``Frame.id`` of a CAN frame: 29-bit identifier, remote frame (as in Linux's ``struct can_frame``)."""
 
 
 class Framing(Protocol):
-    """Frames on a line of bytes, both ways. No byte raises: what is no valid frame is dropped and counted."""
+    """Encodes and decodes frames on a byte stream. Invalid bytes are dropped and counted; they raise no exception."""
 
     @property
     def rejected(self) -> Mapping[str, int]:
-        """How many pieces were no frame, by cause; ``lost`` are frames that the other side counted and did not come."""
+        """Number of dropped pieces, by cause; ``lost`` counts frames that the other side sent and that never came."""
 
     def encode(self, frame: Frame) -> bytes:
         """Return the bytes for the wire."""
 
     def feed(self, data: bytes) -> Sequence[Frame]:
-        """Take bytes in pieces of any size, and return the frames that they complete. Memory is bounded."""
+        """Add received bytes, any number, and return the frames that they complete. The buffer is bounded."""
 
 
 class Clock(Protocol):
-    """Robot time passes only here: by the wall in real time, by STEP in lockstep."""
+    """The time of a run: wall-clock time in real time; in lockstep it advances with STEP messages."""
 
     def now_ns(self) -> int:
         """Return the time since the clock was made."""
 
     def wait_until(self, t_ns: int) -> int:
-        """Return at ``t_ns`` or later, with the lateness [ns]."""
+        """Wait until ``t_ns`` and return how much later it is [ns]."""
 
 
 class Link(Protocol):
-    """A way for frames to reach the other side; bytes that are not a valid frame are counted, never raised."""
+    """Carries frames to and from the other side. Bytes that are not a valid frame are counted; they raise nothing."""
 
     def send(self, frame: Frame) -> None:
         """Send one frame. Raises LinkError when the link is lost."""
 
     def receive(self, timeout_ns: int) -> Received | None:
-        """Return valid frames that have arrived, or None after ``timeout_ns``; 0 never waits.
+        """Return valid frames that have arrived, or None after ``timeout_ns``; with 0 it does not wait.
 
-        There may be more: only None says that there was nothing left. Raises LinkError when the link is lost.
+        More frames may be left until it returns None. Raises LinkError when the link is lost.
         """
 
     def rejected(self) -> dict[str, int]:
-        """Return how many received frames were dropped so far, by cause."""
+        """Return the number of received frames dropped so far, by cause."""
 
     def reopen(self) -> None:
-        """Close the link and open it anew after it was lost; what was on its way is forgotten, counters go on.
+        """Close a lost link and open it again. Frames in transit are discarded; the counters continue.
 
-        Raises LinkError while that is not possible; it may be tried again.
+        Raises LinkError when that fails; the call may be repeated.
         """
 
     def describe(self) -> str:
-        """Return what the link is, in words for a person."""
+        """Return a description of the link for the user."""
 
     def close(self) -> None:
         """Release the link. Closing twice is allowed."""
 
 
 class Controller(Protocol):
-    """A control law: pure, no clock, no link, no plant."""
+    """A control law. It has no access to the clock, the link or the plant."""
 
     @property
     def gains(self) -> Gains:
-        """Gains of the last update, for telemetry; NO_GAINS where the law has none."""
+        """Gains of the last update, for telemetry; NO_GAINS for a law without gains."""
 
     def reset(self, state: State, reference: Reference) -> None:
-        """Forget everything and start from this state and reference."""
+        """Reset all internal state and start from this state and reference."""
 
     def update(self, reference: Reference, state: State, applied: Applied, dt_s: float) -> WheelCommand:
         """Return the command for this tick."""
 
 
 class OwnSignals(Protocol):
-    """What has signals of its own, recorded behind those of ``hil.core.signals.SIGNALS``. A law may be one."""
+    """A component with signals of its own, such as a law. They are recorded after ``hil.core.signals.SIGNALS``."""
 
     @property
     def signals(self) -> tuple[str, ...]:
-        """Their names, always the same: dotted, the unit at the end, as ``fuzzy.x.rule`` or ``observer.x_m_s2``."""
+        """The signal names, constant: dotted, with the unit at the end (``fuzzy.x.rule``, ``observer.x_m_s2``)."""
 
     @property
     def telemetry(self) -> tuple[float, ...]:
-        """Their values as of the last update, NaN before the first."""
+        """The signal values of the last update; NaN before the first."""
 
 
 class PoseSource(Protocol):
-    """Ground truth; never travels on the wheel link."""
+    """A source of the true pose. It does not use the link to the robot."""
 
     def poll(self) -> PoseFix | None:
         """Return the newest fix, or None when there is none yet. Raises DeviceError when the source is lost."""
@@ -110,36 +110,36 @@ class PoseSource(Protocol):
 
 
 class FixSource(Protocol):
-    """A localisation of the robot's: pose fixes, late and with errors. Not the ground truth."""
+    """The robot's localisation (a lidar's, for example): pose fixes with delay and errors, not the true pose."""
 
     def poll(self, now_ns: int, truth: PoseFix | None) -> Sequence[MeasuredPose]:
-        """Return the fixes that have arrived since the last call, in the order of their arrival; never waits.
+        """Return the fixes that have arrived since the last call, in order of arrival, without waiting.
 
-        ``now_ns`` is the robot time of this call; ``truth`` is the newest, of which only a simulation makes use.
+        ``now_ns`` is the robot time of this call; ``truth`` is the newest true pose, which only a simulation uses.
         """
 
     def skip(self) -> None:
-        """Do a tick in which no fix can be used, before the first one or without the robot; never waits."""
+        """Called in place of ``poll`` in ticks that cannot use a fix: before the first tick or without the robot."""
 
     def restart(self) -> None:
-        """Go on with a robot that was reset: its clock began anew."""
+        """Continue after a reset of the robot: its clock started again at zero."""
 
     def figures(self) -> Mapping[str, Any]:
-        """Return what was received and what was refused, for the figures of a run."""
+        """Return the numbers of received and refused fixes, for the results of a run."""
 
     def close(self) -> None:
         """Release the source."""
 
 
 class Sink(Protocol):
-    """Takes samples; in real time it never blocks, and counts what it had to drop."""
+    """Receives samples. In real time it does not block; it drops and counts what it cannot accept."""
 
     def put(self, row: tuple[float, ...]) -> None:
-        """Take one row in the order of the run's signals: ``hil.core.signals.SIGNALS``, then the extra ones."""
+        """Accept one row of values, in the order of the run's signals: ``hil.core.signals.SIGNALS``, then others."""
 
 
 class Note(Protocol):
-    """Takes a line of a run's event log; never waits."""
+    """Adds a line to a run's event log, without waiting."""
 
     def __call__(self, t_s: float, level: str, text: str, /) -> None:
-        """``t_s`` is the scenario's time [s], ``level`` debug, info, warning or error."""
+        """Add ``text``. ``t_s`` is the scenario's time [s]; ``level`` is debug, info, warning or error."""

@@ -1,7 +1,7 @@
-"""A lock that one process holds until it ends, with a record that says who holds it.
+"""A lock that one process holds until it ends, with a record that describes the holder.
 
 The lock is a file that the operating system locks (``flock``, on Windows ``LockFileEx``); the record is a JSON file
-beside it. A process loses its lock however it dies, so nothing has to be cleaned up and no process id is checked.
+beside it. The operating system releases the lock however the process ends, so no cleanup is needed.
 """
 
 import contextlib
@@ -13,12 +13,12 @@ from typing import Any
 
 from filelock import FileLock, Timeout
 
-# ``held`` takes each lock for a moment to find out whether it is free.
+# Longer than ``held`` keeps each lock when it tests whether it is free.
 _TIMEOUT_S = 0.3
 
 
 class LockHeldError(Exception):
-    """Another process holds the lock; ``holder`` is its record, empty where it has not written it yet."""
+    """Another process holds the lock. ``holder`` is its record, or empty if it has not written one yet."""
 
     def __init__(self, holder: Mapping[str, Any]) -> None:
         super().__init__("another process holds the lock")
@@ -26,10 +26,10 @@ class LockHeldError(Exception):
 
 
 class ProcessLock:
-    """Holds ``folder/name.lock`` until ``release`` or the process's end, with ``record`` in ``folder/name.json``.
+    """Holds ``folder/name.lock`` until ``release`` or the process's end, and writes ``record`` to ``folder/name.json``.
 
-    ``mode`` is that of both files. Raises LockHeldError when another process holds it, and OSError when the folder
-    cannot be written to.
+    ``mode`` gives the permissions of both files. Raises LockHeldError when another process holds the lock,
+    and OSError when the folder is not writable.
     """
 
     def __init__(self, folder: Path, name: str, record: Mapping[str, Any], mode: int = 0o600) -> None:
@@ -53,7 +53,7 @@ class ProcessLock:
 
 
 def held(folder: Path) -> Iterator[dict[str, Any]]:
-    """Yield the records of the locks in a folder that are held, by name; remove the record of a dead holder."""
+    """Yield the records of the held locks in a folder, sorted by name; remove records whose holder has ended."""
     for record in sorted(folder.glob("*.json")):
         lock = _lock(folder, record.stem, 0o600)
         try:
@@ -67,20 +67,21 @@ def held(folder: Path) -> Iterator[dict[str, Any]]:
 
 
 def write_private(path: Path, text: str, mode: int = 0o600) -> None:
-    """Write a whole file at once, never readable by more than ``mode`` says. Raises OSError."""
+    """Write a file and move it into place, with the permissions ``mode`` from the start. Raises OSError."""
     new = path.with_name(f".{path.name}.{os.getpid()}")
     with contextlib.suppress(FileNotFoundError):
         new.unlink()
     descriptor = os.open(new, os.O_WRONLY | os.O_CREAT | os.O_EXCL, mode)
     with os.fdopen(descriptor, "w", encoding="utf-8") as file:
         if hasattr(os, "fchmod"):
-            os.fchmod(descriptor, mode)  # whatever the umask; not by name, under which others may put a link
+            # Independent of the umask. By descriptor, because the name could become a symbolic link.
+            os.fchmod(descriptor, mode)
         file.write(text)
     new.replace(path)
 
 
 def _lock(folder: Path, name: str, mode: int) -> FileLock:
-    # Released by any thread, and never by a lock of another kind where there is no real one.
+    # thread_local=False: any thread may release the lock.
     return FileLock(folder / f"{name}.lock", mode=mode, thread_local=False)
 
 
@@ -88,5 +89,5 @@ def _read(path: Path) -> dict[str, Any]:
     try:
         record = json.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError):
-        return {}  # its holder is about to write it, or to go
+        return {}  # the holder has not written it yet, or is just removing it
     return record if isinstance(record, dict) else {}

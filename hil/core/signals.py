@@ -1,8 +1,8 @@
-"""The one vocabulary of signals: expectations, recordings and exports all use these names.
+"""All signals of a run: expectations, recordings and exports use these names.
 
 A sample is one row of floats in the order of ``SIGNALS``. The names and their order come from the fields of the
-groups below, so that a signal is defined once; the unit is the end of its name. A run may have extra ones behind them
-(``hil.core.ports.OwnSignals``), with the unit at the end of the name too.
+groups below, so each signal is defined once; its name ends with the unit. A run may add signals after these
+(``hil.core.ports.OwnSignals``); their names end with the unit too.
 """
 
 from typing import NamedTuple
@@ -84,7 +84,7 @@ class LinkSignals(NamedTuple):
 
 
 class Sample(NamedTuple):
-    """The groups of a row in their order; ``hil.runtime.row`` writes it. NaN stands for what was not there."""
+    """The signal groups of a row, in order; ``hil.runtime.row`` fills them. NaN marks a missing value."""
 
     loop: LoopSignals
     reference: ReferenceSignals
@@ -106,7 +106,7 @@ class Sample(NamedTuple):
 
 
 class Signal(NamedTuple):
-    """A name of the vocabulary: dotted, with its unit at the end."""
+    """A signal. Its name is dotted and ends with the unit."""
 
     name: str
     unit: str
@@ -122,7 +122,7 @@ _MEANING = {
     "reference.*": "pose, twist and acceleration that the robot should have, world frame",
     "pose.*": "pose that the controller acts on, world frame",
     "twist.*": "twist that the controller acts on, world frame",
-    "truth.*": "true pose, by a path of its own; no value without one",
+    "truth.*": "true pose, not sent over the link to the robot; no value without a source",
     "error.*": "truth minus reference; no value without truth",
     "error.planar_m": "distance between truth and reference; no value without truth",
     "gain.*": "gain in force; no value where the law has none",
@@ -138,29 +138,29 @@ _MEANING = {
     "robot.acceleration_y_m_s2": "accelerometer, left; no value where the robot has none",
     "robot.acceleration_z_m_s2": "accelerometer, up, 9.81 at rest; no value where the robot has none",
     "battery.*": "as the robot measures it, our own firmware over a feedback period; no value where it does not",
-    "wheel.*.temperature_degc": "of the motor's winding; no value where the robot measures none",
+    "wheel.*.temperature_degc": "of the motor winding; no value where the robot does not measure it",
     "estimator.sigma_position_m": "standard deviation of the estimated position, its worst direction; only fused",
     "estimator.sigma_heading_rad": "standard deviation of the estimated heading; only fused",
     "estimator.gyro_bias_rad_s": "bias of the gyro as estimated; only fused",
-    "estimator.fixes_accepted": "pose fixes that the filter took so far; only fused",
-    "estimator.fixes_rejected": "pose fixes that were too far from the estimate so far; only fused",
+    "estimator.fixes_accepted": "pose fixes accepted so far; only fused",
+    "estimator.fixes_rejected": "pose fixes rejected so far, as too far from the estimate; only fused",
     "estimator.fix_age_ms": "age of the newest accepted pose fix; only fused",
-    "estimator.slip": "1 when wheels, gyro and accelerometer contradict one another; no value with true poses",
+    "estimator.slip": "1 when wheels, gyro and accelerometer disagree; no value with true poses",
     "estimator.health": "0 good, 1 degraded: no fix for too long, 2 lost: the robot is held at rest; only fused",
     "guard.saturated": "1 when the guard scaled the four wheels at a limit",
-    "guard.held": "1 when the law was not asked: nothing to rely on, the robot held at rest, or the robot away",
-    "link.sent": "frames sent so far, but for HELLO",
-    "link.received": "valid frames received so far, but for HELLO",
-    "link.rejected": "frames dropped so far, all causes; looked up every 100 ticks",
+    "guard.held": "1 when the law was not called: no usable state, the robot held at rest, or the robot not there",
+    "link.sent": "frames sent so far, without HELLO",
+    "link.received": "valid frames received so far, without HELLO",
+    "link.rejected": "received frames dropped so far, for any cause; updated every 100 ticks",
     "link.feedback_age_ms": "age of the newest feedback at the tick: time since it arrived, and the link's latency",
-    "link.lost": "feedback snapshots so far that are missing in the robot's count, or came in part",
+    "link.lost": "feedback snapshots so far that never came (a gap in the robot's count) or came incomplete",
     "link.sent_bytes": "bytes sent since t = 0; on CAN those of the data fields",
     "link.received_bytes": "bytes received since t = 0; on CAN those of the data fields",
-    "link.load_percent": "how busy the wire was in the last 100 ms; no value on memory:",
-    "link.rtt_ms": "from sending a command to the first feedback that says it is in force; no value before the first",
-    "link.latency_ms": "from a sampling instant to the tick of the firmware that uses the command, as the law is told",
-    "link.clock_offset_us": "the robot's clock ahead of the run's, by TIME_SYNC; no value before the first answer",
-    "link.clock_drift_ppm": "how much faster the robot's clock goes than the run's; no value in the first second",
+    "link.load_percent": "load of the wire in the last 100 ms; no value on memory:",
+    "link.rtt_ms": "from sending a command to the first feedback that reports it as applied; no value before the first",
+    "link.latency_ms": "from a sampling instant to the firmware tick that uses the command, as passed to the law",
+    "link.clock_offset_us": "robot's clock minus the run's, from TIME_SYNC; no value before the first answer",
+    "link.clock_drift_ppm": "how much faster the robot's clock runs than the run's; no value in the first second",
 }
 
 _WHEEL_GROUPS = {
@@ -194,7 +194,7 @@ _UNITS = (
 
 
 def unit_of(name: str) -> str:
-    """Return the unit that ends a name, or ``""`` for a count or a state."""
+    """Return the unit at the end of a signal's name, or ``""`` for a count or a state."""
     return next((unit for ending, unit in _UNITS if name.endswith(ending)), "")
 
 

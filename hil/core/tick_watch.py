@@ -1,4 +1,4 @@
-"""A limit of wall-clock time for a tick: a law that never returns is found out, said, and ended."""
+"""A wall-clock time limit for a tick: a law that does not return is detected, reported and ended."""
 
 import ctypes
 import os
@@ -12,17 +12,17 @@ from typing import Self
 
 from hil.core.errors import OverdueError
 
-_LOOKS = 8  # in the time of the limit
+_LOOKS = 8  # checks during one time limit
 _LONGEST_LOOK_S = 1.0
 _GRACE_S = 1.0  # from the exception in the tick to the end of the process
-_LAST_WORDS_S = 15.0  # for what is to be done before that end
+_LAST_WORDS_S = 15.0  # time that ``last_words`` has before that end
 _PRINT_S = 2.0
-_FRAMES = 8  # of the stack, the newest: the law's own, and who asked it
+_FRAMES = 8  # innermost stack frames that are printed: the law's, and its callers'
 _DEBUGGERS = ("bdb", "pdb", "pydevd", "debugpy")
 
 
 class TickOverdue(BaseException):
-    """Raised in the middle of a tick that took too long. No law that catches all its errors catches it."""
+    """Raised in the middle of a tick that took too long. ``except Exception`` in a law does not catch it."""
 
     sentence = ""
 
@@ -100,23 +100,23 @@ class TickWatch:
         ctypes.pythonapi.PyThreadState_SetAsyncExc(ctypes.c_ulong(self._ident), ctypes.py_object(overdue))
 
     def _end(self, sentence: str) -> None:
-        """End the process: the control thread does not run Python any more."""
+        """End the process, because the control thread no longer runs Python code."""
         stack = "".join(traceback.format_stack(sys._current_frames().get(self._ident), _FRAMES))
-        # The sentence comes last: of a worker that has ended, the last line is shown.
+        # The sentence is printed last, because the last line of a worker's output is shown to the user.
         _say(lambda: self._last_words(sentence), _LAST_WORDS_S)
         _say(lambda: print(f"{stack}hil: {sentence}", file=sys.stderr, flush=True), _PRINT_S)
         os._exit(OverdueError.exit_code)
 
 
 def _say(words: Callable[[], None], limit_s: float) -> None:
-    """Do it for so long at most: the thread that is stuck may hold what it needs."""
+    """Call ``words`` and wait at most ``limit_s``: the stuck thread may hold a lock that it needs."""
     thread = threading.Thread(target=words, name="last words", daemon=True)
     thread.start()
     thread.join(limit_s)
 
 
 def _is_debugged(frame: FrameType | None) -> bool:
-    """Return whether a debugger's own code is on the stack: it holds the thread, and waits for its user."""
+    """Return whether a debugger's code is on the stack: the thread then waits for the user."""
     while frame is not None:
         if str(frame.f_globals.get("__name__")).partition(".")[0].startswith(_DEBUGGERS):
             return True

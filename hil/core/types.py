@@ -1,7 +1,7 @@
 """The data of one tick. Plain floats with the unit in the name; time is integer nanoseconds.
 
-Frames: the world frame is fixed, x and y in the plane, heading counted from x to y. The body frame is x forward,
-y left. Wheels are FL, FR, RR, RL everywhere (the paper's 1 to 4).
+Frames: the world frame is fixed, x and y in the plane, heading positive from x to y. In the body frame x is forward
+and y left. The order of wheels is FL, FR, RR, RL everywhere (the paper's 1 to 4).
 """
 
 from collections.abc import Callable
@@ -14,7 +14,7 @@ WHEEL_NAMES = ("fl", "fr", "rr", "rl")
 
 
 class Wheels(NamedTuple):
-    """One number a wheel; the name of the field that holds it gives the quantity and the unit."""
+    """One number per wheel. The name of the variable that holds it gives quantity and unit."""
 
     fl: float
     fr: float
@@ -47,25 +47,25 @@ class Acceleration(NamedTuple):
 
 
 Axes = tuple[float, float, float]
-"""A Pose, a Twist or another triple along x, y and heading, where a class of its own would cost a law its time."""
+"""Three numbers along x, y and heading, such as a Pose or a Twist. Laws use plain tuples: they are faster to make."""
 
 Pairs = tuple[float, float, float, float, float, float]
-"""Two quantities along x, y and heading: the three of the first, such as errors, then the three of the second, such as
-their rates. For laws too: a plain tuple is made in a tenth of the time that a named one takes."""
+"""Two quantities along x, y and heading: three numbers of the first (errors, for example), then three of the second
+(their rates). Laws use it because a plain tuple is made in a tenth of the time of a named one."""
 
 FourWheels = tuple[float, float, float, float]
-"""One number a wheel, as ``Wheels``, on its way between the functions of a law."""
+"""One number per wheel, as in ``Wheels``; a plain tuple is faster to make."""
 
 
 class State(NamedTuple):
-    """What the controller believes of the robot's motion."""
+    """The robot's motion as the controller knows it: measured or estimated."""
 
     pose: Pose
     twist: Twist
 
 
 class Reference(NamedTuple):
-    """Where the robot should be, how it should move there, and how that changes."""
+    """Pose, twist and acceleration that the robot should have, in the world frame."""
 
     pose: Pose
     twist: Twist
@@ -92,11 +92,11 @@ class WheelCommand(NamedTuple):
 
 
 class Applied(NamedTuple):
-    """What was really commanded at the last tick, after the guard, and how late it takes effect.
+    """The command of the last tick, after the guard, and its latency.
 
     ``latency_s`` is the time from the sampling instant to the first firmware tick that uses the command, both
-    directions together: that of the scenario in lockstep, in real time what was measured of late. ``saturated`` says
-    that the guard scaled the wheels.
+    directions together: the scenario's value in lockstep, a recent measurement in real time. ``saturated`` is true if
+    the guard scaled the command.
     """
 
     command: WheelCommand
@@ -105,7 +105,7 @@ class Applied(NamedTuple):
 
 
 class Gains(NamedTuple):
-    """Gains in force, for telemetry: K1 and K2 of x, y and heading [1/s]; NaN where a law has none."""
+    """The law's current gains, for telemetry: K1 and K2 of x, y and heading [1/s]; NaN if the law has none."""
 
     k1_x_1_s: float
     k1_y_1_s: float
@@ -116,7 +116,7 @@ class Gains(NamedTuple):
 
 
 class PoseFix(NamedTuple):
-    """Ground truth: robot time of the sample, the pose, and, if known, the twist."""
+    """A true pose: robot time of the sample, the pose, and the twist if known."""
 
     time_ns: int
     pose: Pose
@@ -135,15 +135,15 @@ class PoseCovariance(NamedTuple):
 
 
 class MeasuredPose(NamedTuple):
-    """A pose fix by a localisation of the robot's, such as a lidar's: robot time of its sample, pose, covariance."""
+    """A pose fix of the robot's localisation (a lidar's, for example): robot time of the sample, pose, covariance."""
 
     time_ns: int
     pose: Pose
     covariance: PoseCovariance
 
 
-# What a tick makes of a tuple, in half the time that calling the class takes: bound methods, as a functools.partial
-# makes a tuple of its own on the way. Of fields that are checked by name the class itself is the better maker.
+# Make a named tuple from a plain one in half the time of calling the class. They are bound methods because a
+# functools.partial makes one more tuple per call. Where speed does not matter, call the class with field names.
 make_wheels: Callable[[FourWheels], Wheels] = MethodType(tuple.__new__, Wheels)
 make_pose: Callable[[Axes], Pose] = MethodType(tuple.__new__, Pose)
 make_twist: Callable[[Axes], Twist] = MethodType(tuple.__new__, Twist)
