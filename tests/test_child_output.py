@@ -14,10 +14,10 @@ def test_a_quiet_process_is_heard_whole_and_in_order() -> None:
     assert not output
     output.feed(b"one\ntw")
     assert output
-    assert output.take() == ["one"]
+    assert output.new_lines() == ["one"]
     assert not output
     output.feed(b"o\n\n\x1b[31mthree")
-    assert (output.take(), output.last()) == (["two"], "[31mthree")
+    assert (output.new_lines(), output.last()) == (["two"], "[31mthree")
     assert output.end() == ["[31mthree"]
 
 
@@ -25,7 +25,7 @@ def test_of_a_process_that_never_stops_the_first_and_the_newest_lines_are_kept()
     output = ChildOutput()
     for first in range(0, 50_000, 1000):
         output.feed(lines(first, first + 1000))
-    told = [*output.take(), *output.end()]
+    told = [*output.new_lines(), *output.end()]
     assert told[:100] == [f"line {number}" for number in range(100)]
     assert told[100:] == ["49880 lines are left out here", *(f"line {number}" for number in range(49_980, 50_000))]
     assert output.last() == "line 49999"
@@ -35,7 +35,7 @@ def test_nothing_is_told_twice_and_nothing_lost_between_the_first_and_the_newest
     for count in (99, 100, 101, 119, 120, 121):
         output = ChildOutput()
         output.feed(lines(0, count))
-        told = [*output.take(), *output.end()]
+        told = [*output.new_lines(), *output.end()]
         left_out = [line for line in told if "left out" in line]
         assert len(told) - len(left_out) + (int(left_out[0].split()[0]) if left_out else 0) == count
         assert bool(left_out) == (count > 120)
@@ -56,11 +56,11 @@ def test_whoever_takes_nothing_holds_up_nobody() -> None:
     feeder.start()
     feeder.join(20)
     assert not feeder.is_alive()
-    assert len(output.take()) == 100
+    assert len(output.new_lines()) == 100
 
 
 def test_a_second_process_has_last_words_of_its_own() -> None:
     output = ChildOutput()
     output.feed(b"the first\n")
     output.forget_newest()
-    assert (output.last(), output.take()) == ("", ["the first"])
+    assert (output.last(), output.new_lines()) == ("", ["the first"])

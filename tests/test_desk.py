@@ -69,12 +69,12 @@ class Served(PilotBench):
 
     def order(self, action: Action, *, stalled: bool = False, **arguments: Any) -> int:
         number = next(self._numbers)
-        self.desk.take([Order(number, action, arguments)], 0.0, stalled=stalled)
+        self.desk.handle([Order(number, action, arguments)], 0.0, stalled=stalled)
         return number
 
     def finish(self) -> None:
         self.beside.work()
-        self.desk.take([], 0.0)
+        self.desk.handle([], 0.0)
 
     def refusal(self, number: int) -> str:
         return str(self.answers[number].refused)
@@ -124,7 +124,7 @@ def test_a_path_that_was_being_read_when_the_service_stood_still_is_not_followed
         served.armed()
         number = served.order(Action.TRACK, **TRACK)
         served.beside.work()
-        served.desk.take([], 0.0, stalled=True)
+        served.desk.handle([], 0.0, stalled=True)
         assert "stood still while this order waited" in served.refusal(number)
         served.finish()
         assert served.pilot.conduct.task is Task.HOLD

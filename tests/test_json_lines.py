@@ -67,19 +67,19 @@ def test_what_is_at_hand_is_taken_whole_and_nothing_is_waited_for(
 ) -> None:
     _, writer, ends = pipe
     lines = LinePoll(ends[0])
-    assert lines.take() == []
+    assert lines.receive() == []
     writer.send({"n": 1})
     os.write(ends[1], b'{"n": 2}\n{"n"')
     assert taken(lines, 2) == [{"n": 1}, {"n": 2}]
-    assert (lines.take(), lines.ended) == ([], False)
+    assert (lines.receive(), lines.ended) == ([], False)
     os.write(ends[1], b': 3}\n{"n": 4')
     os.close(ends.pop())
     assert taken(lines, 1) == [{"n": 3}]
-    wait_for(lambda: lines.take() or lines.ended)
+    wait_for(lambda: lines.receive() or lines.ended)
     assert lines.ended, "and the line cut short is none"
 
 
 def taken(lines: LinePoll, number: int) -> list[dict[str, object]]:
     records: list[dict[str, object]] = []
-    wait_for(lambda: records.extend(lines.take()) or len(records) >= number)
+    wait_for(lambda: records.extend(lines.receive()) or len(records) >= number)
     return records

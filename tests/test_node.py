@@ -296,7 +296,7 @@ def test_a_sensor_fault_is_still_told():
     rig.run(20)
     reader = SnapshotReader()
     for message in rig.heard():
-        reader.take(pack([codec.encode(message)]), 0)
+        reader.read(pack([codec.encode(message)]), 0)
     assert reader.feedback is not None
     assert reader.feedback.state is m.State.FAULT
     assert reader.incomplete == 0

@@ -147,7 +147,7 @@ def test_what_the_program_on_a_leash_has_started_ends_with_it(tmp_path: Path):
     )
     child = ChildProcess("hil.robot.targets.leash", tmp_path / "scratch")
     child.tell({"command": [sys.executable, "-c", program, str(note)], "inherited": []})
-    assert child.hear() is None, "the leash has ended"
+    assert child.receive() is None, "the leash has ended"
     grandchild = int(note.read_text())
     assert not has_gone(grandchild)
     child.close(30.0)
@@ -201,7 +201,7 @@ def test_whatever_ends_the_relay_is_told():
 
 @on_linux
 def test_qemu_that_takes_nothing_does_not_hold_its_host_for_ever(monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr(qemu_board, "TAKEN_S", 0.3)
+    monkeypatch.setattr(qemu_board, "ACCEPT_S", 0.3)
     with open_board() as board:
         os.kill(qemu_of(os.getpid()), signal.SIGSTOP)
         with pytest.raises(DeviceError, match=r"QEMU has taken no byte of a line for 0\.3 s"):

@@ -164,7 +164,7 @@ def test_an_fmu_that_takes_more_memory_than_it_may_is_ended(flawed: Path, monkey
 def test_where_memory_is_not_told_that_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("hil.plant.remote.MEMORY_IS_KNOWN", False)
     with RemotePlant(FMU, {}) as plant:
-        assert plant.output.take() == ["nothing yet; its limit of 2000 MB is not watched on this system"]
+        assert plant.output.new_lines() == ["nothing yet; its limit of 2000 MB is not watched on this system"]
 
 
 @pytest.mark.parametrize("kind", [FmuPlant, RemotePlant])

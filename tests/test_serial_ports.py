@@ -142,7 +142,7 @@ def test_a_port_that_opens_when_nobody_waits_for_it_any_more_is_closed() -> None
         return Port()
 
     beside = OpeningBeside(opened)
-    assert beside.take(0.0) is None
+    assert beside.result(0.0) is None
     beside.abandon()
     opens.set()
     assert closed.wait(30)

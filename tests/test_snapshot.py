@@ -32,7 +32,7 @@ def feed(reader, messages):
     heard = []
     for message in messages:
         before, frame = reader.feedback, pack([codec.encode(message)])
-        assert reader.take(frame, 0) == len(frame)
+        assert reader.read(frame, 0) == len(frame)
         if reader.feedback is not before:
             heard.append(reader.feedback)
     return heard
@@ -122,11 +122,11 @@ def test_an_invalid_message_stays_where_it_is_and_breaks_the_snapshot_that_lacks
     whole[place] = Frame(kind.ID, whole[place].payload[:-1])
     before, packed = reader.feedback, pack(whole)
     spoilt_at = len(pack(whole[:place]))
-    at = reader.take(packed, 0) if place else 0
-    assert reader.take(packed, at) == at == spoilt_at, "again and again, until who asks steps over it"
+    at = reader.read(packed, 0) if place else 0
+    assert reader.read(packed, at) == at == spoilt_at, "again and again, until who asks steps over it"
     behind = len(pack(whole[: place + 1]))
     while behind < len(packed):
-        behind = reader.take(packed, behind)
+        behind = reader.read(packed, behind)
     if kind is m.StepDone:
         assert (reader.incomplete, reader.lost) == (0, 0)
     else:
@@ -152,9 +152,9 @@ def test_it_begins_anew_with_another_robot():
 @given(data=st.binary(max_size=60), begin=st.integers(0, 70), frame=st.sampled_from(snapshot(1)), cut=st.integers(1, 8))
 def test_packed_bytes_are_not_read_beyond_their_end(data, begin, frame, cut):
     reader = SnapshotReader()
-    assert begin <= reader.take(data, begin) <= max(begin, len(data))
+    assert begin <= reader.read(data, begin) <= max(begin, len(data))
     whole = pack([codec.encode(message) for message in snapshot(1)[:-1]])
-    assert reader.take(whole + pack([codec.encode(frame)])[:-cut], 0) == len(whole)
+    assert reader.read(whole + pack([codec.encode(frame)])[:-cut], 0) == len(whole)
 
 
 def test_every_sequence_is_told_once_also_of_many_at_once_and_of_partial_snapshots():
@@ -162,8 +162,8 @@ def test_every_sequence_is_told_once_also_of_many_at_once_and_of_partial_snapsho
     ticks = pack([codec.encode(m.Tick(n, n & 0xFF, 0, m.State.ACTIVE, 3, n & 0xFF)) for n in range(500)])
     at = 0
     while at < len(ticks):
-        at = reader.take(ticks, at)
+        at = reader.read(ticks, at)
         told += reader.sequences
     assert told == [n & 0xFF for n in range(500)]
-    assert reader.take(pack([codec.encode(m.Encoders(1, 2, 3, 4))]), 0) > 0
+    assert reader.read(pack([codec.encode(m.Encoders(1, 2, 3, 4))]), 0) > 0
     assert list(reader.sequences) == []

@@ -87,7 +87,7 @@ def test_it_reads_what_the_python_twin_does(pieces, chance) -> None:
         for batch in batches(spoilt(piece, accident), chance):
             packed, at = pack(batch), 0
             while batch:
-                at, step_done, sequences = reader.take(packed, at), None, []
+                at, step_done, sequences = reader.read(packed, at), None, []
                 while batch and step_done is None and type(message := codec.decode(batch[0])) in OWN:
                     step_done = message.tick if isinstance(message, m.StepDone) else None
                     sequences += [message.sequence] if isinstance(message, m.Tick) else []

@@ -189,7 +189,7 @@ def test_snapshots_that_a_fault_swallows_are_counted_as_lost():
 def test_a_tick_that_is_repeated_leaves_no_gap_in_the_count():
     reader = SnapshotReader()
     for number in (254, 255, 255, 0, 1, 1, 5):
-        reader.take(pack([codec.encode(m.Tick(0, 0, 0, m.State.ACTIVE, 0, number))]), 0)
+        reader.read(pack([codec.encode(m.Tick(0, 0, 0, m.State.ACTIVE, 0, number))]), 0)
     assert reader.lost == 3
 
 

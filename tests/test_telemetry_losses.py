@@ -126,7 +126,7 @@ def test_what_a_killed_recorder_had_no_time_to_count_is_in_the_recording_once(me
         memory.writer.try_put(row)
     before = memory.copy()
     first.event(0.01, "info", "written")
-    first.take(20)
+    first.write_until(20)
     memory.restore(before)  # the file has them; the recorder was killed before it could say so
     second = memory.parts(restarts=1)
     second.event(0.01, "info", "written")

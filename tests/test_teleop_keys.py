@@ -74,12 +74,12 @@ def test_a_sequence_without_end_is_the_esc_key_and_a_number_without_end_is_nothi
 def test_told_keys_are_those_pressed_and_not_released_since(changes: list[tuple[str, Change]]) -> None:
     keys = ToldKeys()
     for name, change in changes:
-        keys.take(Key(name, change), 0.0)
+        keys.on_key(Key(name, change), 0.0)
     last = {name: change for name, change in changes if change is not Change.REPEAT}
     assert keys.held(1e9).keys == {name for name, change in last.items() if change is Change.PRESS}
     keys.release()
     for name in last:
-        keys.take(Key(name, Change.REPEAT), 0.0)
+        keys.on_key(Key(name, Change.REPEAT), 0.0)
     assert not keys.held(0.0).keys
 
 
@@ -90,7 +90,7 @@ def test_repeated_keys_hold_one_key_and_no_longer_than_they_say(
     keys, now_s = RepeatedKeys(), 0.0
     for name, pause_s in presses:
         now_s += pause_s
-        keys.take(Key(name), now_s)
+        keys.on_key(Key(name), now_s)
     name, pause_s = presses[-1]
     is_repeat = keys.held(now_s).share == 1.0
     assert keys.held(now_s).keys == {name}
@@ -154,7 +154,7 @@ def test_more_stick_is_never_less_speed(shares: tuple[float, float], dead_zone: 
 def test_only_an_enter_right_after_an_a_arms(typed: list[str]) -> None:
     operator = Operator(ToldKeys(), SPEEDS, 0.1, 0.5)
     names = ["enter" if name == "\r" else name for name in typed]
-    wishes = [operator.take(Key(name), 0.0) for name in names]
+    wishes = [operator.on_key(Key(name), 0.0) for name in names]
     arms = [index for index, wish in enumerate(wishes) if wish is Wish.ARM]
     assert arms == [i for i in range(1, len(names)) if names[i - 1 : i + 1] == ["a", "enter"]]
     assert 0.0 < operator.speeds.speed_m_s <= SPEEDS.speed_m_s
@@ -174,38 +174,38 @@ def test_only_an_enter_right_after_an_a_arms(typed: list[str]) -> None:
 )
 def test_of_what_was_typed_while_nobody_looked_only_what_stops_counts(name: str, ctrl: bool, wish: Wish | None) -> None:
     operator = Operator(ToldKeys(), SPEEDS, 0.1, 0.5)
-    operator.take(Key("i"), 0.0)
-    operator.take(Key("a"), 0.0)
-    assert operator.take_late(Key(name, ctrl=ctrl)) is wish
+    operator.on_key(Key("i"), 0.0)
+    operator.on_key(Key("a"), 0.0)
+    assert operator.on_late_key(Key(name, ctrl=ctrl)) is wish
     assert operator.twist(0.0) is None
-    assert operator.take(Key("enter"), 0.0) is None
+    assert operator.on_key(Key("enter"), 0.0) is None
 
 
 @pytest.mark.parametrize("stop", ["space", "escape", "k", "e"])
 def test_after_a_stop_everything_must_be_pressed_anew(stop: str) -> None:
     operator = Operator(ToldKeys(), SPEEDS, 0.1, 0.5)
     pad = Pad(dead_man=True, estop=False, sticks=Sticks(1.0, 0.0, 0.0))
-    operator.take_pad(pad._replace(dead_man=False))
-    operator.take_pad(pad)
-    operator.take(Key("up"), 0.0)
+    operator.on_pad(pad._replace(dead_man=False))
+    operator.on_pad(pad)
+    operator.on_key(Key("up"), 0.0)
     assert operator.twist(0.0) is not None
-    assert operator.take(Key(stop), 0.0) is (Wish.ESTOP if stop == "e" else Wish.STOP)
-    operator.take(Key("up", Change.REPEAT), 0.0)
-    operator.take_pad(pad)
+    assert operator.on_key(Key(stop), 0.0) is (Wish.ESTOP if stop == "e" else Wish.STOP)
+    operator.on_key(Key("up", Change.REPEAT), 0.0)
+    operator.on_pad(pad)
     assert operator.twist(0.0) is None
 
 
 def test_a_lost_gamepad_and_its_emergency_stop_let_go() -> None:
     operator = Operator(ToldKeys(), SPEEDS, 0.1, 0.0)
     pad = Pad(dead_man=True, estop=False, sticks=Sticks(1.0, 0.0, 0.0))
-    operator.take_pad(pad)
+    operator.on_pad(pad)
     assert operator.twist(0.0) is None, "held before it was looked at"
-    operator.take_pad(pad._replace(dead_man=False))
-    operator.take_pad(pad)
+    operator.on_pad(pad._replace(dead_man=False))
+    operator.on_pad(pad)
     assert operator.twist(0.0) == (0.5, 0.0, 0.0)
-    operator.take_pad(None)
+    operator.on_pad(None)
     assert operator.twist(0.0) is None
-    operator.take_pad(pad)
+    operator.on_pad(pad)
     assert operator.twist(0.0) is None, "held when it came back"
-    assert operator.take_pad(pad._replace(estop=True)) is Wish.ESTOP
-    assert operator.take_pad(pad._replace(estop=True)) is None, "once a press"
+    assert operator.on_pad(pad._replace(estop=True)) is Wish.ESTOP
+    assert operator.on_pad(pad._replace(estop=True)) is None, "once a press"

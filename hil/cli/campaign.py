@@ -189,9 +189,9 @@ class _Stop:
         for name in ("SIGINT", "SIGTERM", "SIGHUP"):
             number = getattr(signal, name, None)  # Windows has no SIGHUP
             if number is not None and signal.getsignal(number) is not signal.SIG_IGN:
-                signal.signal(number, self._take)
+                signal.signal(number, self._on_signal)
 
-    def _take(self, _number: int, _frame: FrameType | None) -> None:
+    def _on_signal(self, _number: int, _frame: FrameType | None) -> None:
         self._count += 1
         if self._count > 1:
             raise RunInterruptedError("interrupted twice; what is written is safe, and the same command goes on")

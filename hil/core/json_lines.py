@@ -102,7 +102,7 @@ class LinePoll:
                 record = lines.read()
                 self._arrived.append(record)
 
-        def take(self) -> list[dict[str, object]]:
+        def receive(self) -> list[dict[str, object]]:
             """Return the records that have arrived, oldest first."""
             records = []
             while self._arrived:
@@ -122,7 +122,7 @@ class LinePoll:
             self._poll = select.poll()
             self._poll.register(fd, select.POLLIN)
 
-        def take(self) -> list[dict[str, object]]:
+        def receive(self) -> list[dict[str, object]]:
             """Return the records that have arrived, oldest first."""
             if not self._poll.poll(0):
                 return []

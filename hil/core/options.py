@@ -75,7 +75,7 @@ class Option(NamedTuple):
     range: Range
     checks: tuple[Callable[[Any], Any], ...]
     meaning: str
-    takes_others: bool
+    accepts_others: bool
     words: str
     default: Any = MISSING
 
@@ -163,7 +163,7 @@ def items(options: object) -> Iterator[tuple[str, Any]]:
     """Yield name and value of each option of a dataclass instance, as in its table."""
     for name, option in _options(options).items():
         value = getattr(options, name)
-        yield from value.items() if option.takes_others else [(name, value)]
+        yield from value.items() if option.accepts_others else [(name, value)]
 
 
 def plain(value: Any) -> Any:
@@ -207,7 +207,7 @@ def _parsed(annotation: Any, name: str = "") -> Option:
 def _table(kind: type, given: Mapping[str, object], path: Path, problems: list[Problem]) -> Any:
     """Return the dataclass made of a table. Append to ``problems`` and return None if the table is wrong."""
     before, options = len(problems), options_of(kind)
-    rest = next((option for option in options.values() if option.takes_others), None)
+    rest = next((option for option in options.values() if option.accepts_others), None)
     named = {name: value for name, value in given.items() if name in options and options[name] is not rest}
     others = {name: value for name, value in given.items() if name not in named}
     values = {name: _read(options[name], value, (*path, name), problems) for name, value in named.items()}

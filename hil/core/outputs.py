@@ -25,7 +25,7 @@ def existing_files(*, force: bool) -> Existing:
 def check_free(what: str, path: Path, existing: Existing = "refuse") -> None:
     """Raise BadInputError when the file exists and must not be replaced. ``what`` names the output in the message."""
     if existing == "refuse" and _is_there(path):
-        raise _taken(what, path)
+        raise _exists_already(what, path)
 
 
 def free_name(path: Path) -> Path:
@@ -55,7 +55,7 @@ def claim(what: str, path: Path, existing: Existing = "refuse") -> Path:
                 f"{what} {name}: it cannot be written ({error.strerror}); choose a path that can be written"
             ) from error
         return name
-    raise _taken(what, path)
+    raise _exists_already(what, path)
 
 
 def release(path: Path, existing: Existing = "refuse") -> None:
@@ -105,7 +105,7 @@ def _names(path: Path) -> Iterator[Path]:
         yield path.with_name(f"{path.stem}_{number}{path.suffix}")
 
 
-def _taken(what: str, path: Path) -> BadInputError:
+def _exists_already(what: str, path: Path) -> BadInputError:
     return BadInputError(f"{what} {path}: the file exists already; choose another name, or replace it with --force")
 
 

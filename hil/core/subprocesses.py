@@ -65,7 +65,7 @@ def resident_bytes(process: int | str = "self") -> int:
 
 def excess(process: int, limit_mb: float) -> str | None:
     """Return an error message if a process uses more memory than its limit, else None."""
-    taken_mb = resident_bytes(process) / _BYTES_A_MB
+    used_mb = resident_bytes(process) / _BYTES_A_MB
     return (
-        None if taken_mb <= limit_mb else f"it took {taken_mb:.0f} MB of memory, more than the limit of {limit_mb:g} MB"
+        None if used_mb <= limit_mb else f"it took {used_mb:.0f} MB of memory, more than the limit of {limit_mb:g} MB"
     )

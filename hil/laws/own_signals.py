@@ -11,7 +11,7 @@ if TYPE_CHECKING:
     from hil.core.ports import Controller, OwnSignals
 
 _NAME = re.compile(r"[a-z][a-z0-9_]*(\.[a-z0-9_]+)+")
-_TAKEN = GROUPS | {"shadow", "replay", "timestamp", "sequence"}
+_RESERVED = GROUPS | {"shadow", "replay", "timestamp", "sequence"}
 
 
 def own_signals(law: "Controller") -> "tuple[OwnSignals, ...]":
@@ -36,7 +36,7 @@ def check_names(named: str, names: Sequence[object]) -> tuple[str, ...]:
                 f"{named}: signals has {name!r}; expected dotted names in small letters, such as 'observer.x_m_s2'"
             )
         group = name.partition(".")[0]
-        if group in _TAKEN:
+        if group in _RESERVED:
             raise BadInputError(f"{named}: signals has {name!r}; {group!r} is taken, begin the name with another word")
         for other in checked:
             if name == other:

@@ -45,7 +45,7 @@ def check_class(law: type, named: str) -> type:
         function = getattr(law, method, None)
         if not callable(function):
             raise BadInputError(f"{named}: the class has no {method}; expected {expected}")
-        if not _takes(function, arguments):
+        if not _accepts(function, arguments):
             found = f"{method}{inspect.signature(function)}"
             raise BadInputError(f"{named}: found {found}, expected {expected}")
     return law
@@ -163,14 +163,14 @@ def _import_module(named: str, name: str) -> ModuleType:
 
 def _constructor_arguments(named: str, law: type, choices: list[tuple[object, ...]]) -> tuple[object, ...]:
     for arguments in choices:
-        if _takes(law, arguments):
+        if _accepts(law, arguments):
             return arguments
     names = ", ".join(("self", "model", "mode", "options")[: 1 + len(choices[0])])
     hint = "" if len(choices[0]) == 3 else "; for options, define a dataclass Options in the class"
     raise BadInputError(f"{named}: found {law.__name__}{inspect.signature(law)}, expected __init__({names}){hint}")
 
 
-def _takes(function: Any, arguments: tuple[object, ...]) -> bool:
+def _accepts(function: Any, arguments: tuple[object, ...]) -> bool:
     try:
         inspect.signature(function).bind(*arguments)
     except TypeError:

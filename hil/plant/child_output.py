@@ -16,8 +16,8 @@ _KEPT_BYTES = 8192  # of a line that has not ended, and of the newest lines
 class ChildOutput:
     """The first lines and the newest lines of a process's output, and the number of lines between them.
 
-    One thread calls ``feed``, another one ``take``; neither waits for the other. Memory is bounded, also for a process
-    that prints without end.
+    One thread calls ``feed``, another one ``new_lines``; neither waits for the other. Memory is bounded, also for a
+    process that prints without end.
     """
 
     def __init__(self) -> None:
@@ -42,7 +42,7 @@ class ChildOutput:
                 self._waiting.append(_words(line))
 
     def __bool__(self) -> bool:
-        """Return whether ``take`` has lines to return."""
+        """Return whether ``new_lines`` has lines to return."""
         return bool(self._waiting)
 
     def forget_newest(self) -> None:
@@ -50,7 +50,7 @@ class ChildOutput:
         with self._lock:
             self._newest = b""
 
-    def take(self) -> list[str]:
+    def new_lines(self) -> list[str]:
         """Return the lines since the last call, as far as they are among the first ones."""
         lines = [self._waiting.popleft() for _ in range(len(self._waiting))]
         return [line for line in lines if line]
@@ -66,7 +66,7 @@ class ChildOutput:
             left_out = rest - len(newest)
             note = [f"{left_out} lines are left out here"] if left_out else []
             lines = [*map(_words, newest), _words(unfinished)]
-            return self.take() + note + [line for line in lines if line]
+            return self.new_lines() + note + [line for line in lines if line]
 
     def last(self) -> str:
         """Return the last line that is not blank; empty when there is none."""

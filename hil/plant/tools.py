@@ -133,7 +133,7 @@ def _run_child(job: _Job, todo: Sequence[str]) -> list[Part]:
         )
         for entry in child.receive_all():
             heard += 1
-            progress.take(entry)
+            progress.add(entry)
             watch.limit_s = job.longest_s if progress.parts else THERE_S
         if child.wait() == 0 and progress.is_done:
             return progress.parts
@@ -156,7 +156,7 @@ class _Progress:
         """Return the newest call, and what was tried with it, as the beginning of a sentence."""
         return f"{self._doing}{self._trying and f' ({self._trying})'}{self._doing and ', '}"
 
-    def take(self, entry: Mapping[str, Any]) -> None:
+    def add(self, entry: Mapping[str, Any]) -> None:
         """Add a record of the child."""
         if "part" in entry:
             self.parts.append(Part(entry["part"]))

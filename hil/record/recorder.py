@@ -55,7 +55,7 @@ class Recorder:
         if waiting <= 0:
             self._batch_since = now
         elif waiting >= self._batch_rows or now - self._batch_since >= BATCH_AGE_S:
-            self._take(settled)
+            self._write_until(settled)
             self._batch_since = now
         if self._files is not None:
             self._files.check()
@@ -77,7 +77,7 @@ class Recorder:
         if self._files is not None:
             self._files.finish(summary)
         else:
-            self._take(end)
+            self._write_until(end)
         if self._live is not None:
             self._live.finish(summary, {"rows_written": self._ring.saved, "rows_dropped": self._ring.dropped})
             self._live_error = self._live.error
@@ -98,9 +98,9 @@ class Recorder:
             self._live.rows(self._ring.rows(self._passed_on, stop))
             self._passed_on = stop
 
-    def _take(self, stop: int) -> None:
+    def _write_until(self, stop: int) -> None:
         if self._files is not None:
-            self._files.take(stop)
+            self._files.write_until(stop)
         else:
             self._ring.give_up(stop)
 

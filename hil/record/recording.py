@@ -226,7 +226,7 @@ class Recording:
         gone = [number for number, path in paths.items() if not path.exists()]
         rows_gone, events_gone = sum(kept[number].rows for number in gone), sum(kept[number].lines for number in gone)
         written = process.rows_saved - rows_gone
-        lost = 0 if self.path is None else process.rows_taken - written
+        lost = 0 if self.path is None else process.rows_accepted - written
         events_lost = process.lines_lost + events_gone
         troubles = [f"the recorder ended: {trouble}" for trouble in process.troubles]
         if reply.get("trouble"):
@@ -238,7 +238,7 @@ class Recording:
         why = "; ".join(dict.fromkeys(troubles)) if missing else None
         return RecordingReport(
             path=self.path,
-            rows_put=process.rows_taken + process.rows_dropped,
+            rows_put=process.rows_accepted + process.rows_dropped,
             rows_written=written,
             rows_dropped=process.rows_dropped,
             rows_lost=lost,

@@ -99,7 +99,7 @@ class RingProcess:
         return self._child.process.pid
 
     @property
-    def rows_taken(self) -> int:
+    def rows_accepted(self) -> int:
         """Rows that found room in the ring."""
         return self._ring.head
 

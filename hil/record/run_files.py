@@ -88,7 +88,7 @@ class RunFiles:
         if self._events or (self._file is not None and _identity(self._part_path) != self._identity):
             self._write(lambda _file: None)
 
-    def take(self, stop: int) -> None:
+    def write_until(self, stop: int) -> None:
         """Write the rows of the ring before ``stop``, and release those that are safe."""
         while (start := self._ring.tail) < stop:
             rows = self._of_one_part(self._ring.rows(start, min(stop, start + BATCH_ROWS)))
@@ -104,10 +104,10 @@ class RunFiles:
     def finish(self, summary: Record | None) -> None:
         """Write all rows in the ring and close the file; with a summary, rows that cannot be written now are lost."""
         self._next_try_s = 0.0
-        self.take(self._ring.head)
+        self.write_until(self._ring.head)
         if self._ring.tail < self._ring.head:  # the file failed at the last rows: try the next one
             self._next_try_s = 0.0
-            self.take(self._ring.head)
+            self.write_until(self._ring.head)
         if summary is None:
             # The run may go on: rows that came meanwhile are left for the process that replaces this one.
             self._finish_file(None)

@@ -122,14 +122,14 @@ class UdpSender:
 
     def poll(self) -> None:
         """Send the rows that are safe to read."""
-        self._take(self._ring.settled())
+        self._send_until(self._ring.settled())
 
     def line(self, _record: Record) -> None:
         """Ignore lines: a run sends none before "finish"."""
 
     def finish(self, _record: Record | None) -> Record:
         """Send the remaining rows and return the counts."""
-        self._take(self._ring.head)
+        self._send_until(self._ring.head)
         if self._socket.getsockopt(socket.SOL_SOCKET, socket.SO_ERROR):
             self._count_unheard()
         return {"sent": self._sent, "lost": self._lost, "why": self._why}
@@ -138,7 +138,7 @@ class UdpSender:
         """Close the socket."""
         self._socket.close()
 
-    def _take(self, stop: int) -> None:
+    def _send_until(self, stop: int) -> None:
         while self._ring.tail < stop:
             end = min(stop, self._ring.tail + _BATCH)
             rows = self._ring.rows(self._ring.tail, end)

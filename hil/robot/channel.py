@@ -73,16 +73,16 @@ class Channel:
         """
         step = m.Step(tick, substeps)
         self.send(step)
-        self._stepping.exchange(self.link, step, self.take)
+        self._stepping.exchange(self.link, step, self.receive)
 
-    def take(self, received: Received) -> None:
+    def receive(self, received: Received) -> None:
         """Process frames that arrived together. Raises RobotStoppedError for a step that ended at a wrong tick."""
         frames, stamp_ns = received
         packed = frames.packed if type(frames) is PackedFrames else pack(frames)
         reader, begin, size = self._reader, 0, len(packed)
         try:
             while begin < size:
-                end = reader.take(packed, begin)
+                end = reader.read(packed, begin)
                 for sequence in reader.sequences:
                     self._round_trip.echoed(sequence, stamp_ns)
                 if (snapshot := reader.feedback) is not self._snapshot and snapshot is not None:
@@ -96,13 +96,13 @@ class Channel:
                 elif end > begin:
                     self.hash.received(packed[begin:end])
                 else:
-                    end = self._take_other(packed, begin, stamp_ns)
+                    end = self._receive_other(packed, begin, stamp_ns)
                 begin = end
         finally:
             self.received = reader.frames + self._others
             self.lost = reader.lost + reader.incomplete
 
-    def _take_other(self, packed: bytes, begin: int, stamp_ns: int) -> int:
+    def _receive_other(self, packed: bytes, begin: int, stamp_ns: int) -> int:
         """Process a frame that is neither of a snapshot nor the end of a step; return where the next one begins."""
         frame, end = packed_frame(packed, begin)
         message = decode(frame)

@@ -47,8 +47,8 @@ class SnapshotReader:
         frames: how many were taken.
         incomplete: snapshots of which a part was lost.
         lost: gaps in the snapshots' numbers; 128 and more in a row go unseen.
-        sequences: TICK.sequence of each TICK that the newest ``take`` took.
-        step_done: the tick of the STEP_DONE that the newest ``take`` ended with, None where it did not.
+        sequences: TICK.sequence of each TICK in the newest ``read``.
+        step_done: the tick of the STEP_DONE that the newest ``read`` ended with, None where it did not.
 
     Raises BadInputError when the host library cannot be loaded.
     """
@@ -67,7 +67,7 @@ class SnapshotReader:
         self._fast_bytes = ffi.buffer(address, slow)
         self._slow_bytes = ffi.buffer(address + slow, sequences - slow)
         self._ring = memoryview(ffi.buffer(address + sequences, ffi.sizeof("wheel_snapshot") - sequences))
-        self._take, self._restart = lib.wheel_reader_take, lib.wheel_reader_restart
+        self._read, self._restart = lib.wheel_reader_take, lib.wheel_reader_restart
         self._completed = self._slow = self._ticks = self._steps_done = 0
         self.sequences: Sequence[int] = ()
         self._held: tuple[Wheels, tuple[float, float, float], float] = (NAN_WHEELS, (NAN, NAN, NAN), NAN)
@@ -79,12 +79,12 @@ class SnapshotReader:
         """Begin again with a robot that was lost or reset: its numbers and its clock may have begun anew too."""
         self._restart(self._reader)
 
-    def take(self, packed: bytes, begin: int) -> int:
+    def read(self, packed: bytes, begin: int) -> int:
         """Read packed frames from an offset on; return the offset of the first that is none of its own.
 
         Its own are valid messages of snapshots, and a STEP_DONE behind them, after which it ends.
         """
-        end: int = self._take(self._reader, packed, begin, len(packed))
+        end: int = self._read(self._reader, packed, begin, len(packed))
         values = _unpack(self._fast_bytes)
         time_us, self.frames, completed, slow, ticks, self.incomplete, self.lost, steps_done, step_done = values[:9]
         if ticks == self._ticks + 1:  # as nearly always

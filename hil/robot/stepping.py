@@ -19,11 +19,11 @@ class Stepping:
         self._expected: int | None = None
         self._is_awaiting = False
 
-    def exchange(self, link: Link, step: m.Step, take: Callable[[Received], None]) -> None:
-        """Call ``take`` with what arrives until a STEP is answered; 0 substeps only ask for the tick.
+    def exchange(self, link: Link, step: m.Step, on_received: Callable[[Received], None]) -> None:
+        """Call ``on_received`` with what arrives until a STEP is answered; 0 substeps only ask for the tick.
 
-        ``take`` hands each STEP_DONE to ``answered``. Raises RobotStoppedError when none comes within 2 s of wall-clock
-        time, or one with a tick that was not expected.
+        ``on_received`` hands each STEP_DONE to ``answered``. Raises RobotStoppedError when none comes within 2 s of
+        wall-clock time, or one with a tick that was not expected.
         """
         tick, substeps = step
         self._from = tick
@@ -33,7 +33,7 @@ class Stepping:
         while True:
             received = link.receive(RETRY_NS)
             if received is not None:
-                take(received)
+                on_received(received)
                 if not self._is_awaiting:
                     return
             now_ns = time.monotonic_ns()

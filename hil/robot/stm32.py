@@ -54,7 +54,7 @@ class Stm32:
         self.report = RobotReport(wheel_map)
         self.round_trip = RoundTrip()
         self.clock_sync = ClockSync()
-        self._channel = Channel(link, wheel_map, self.round_trip, self._take_message)
+        self._channel = Channel(link, wheel_map, self.round_trip, self._on_message)
         self._poll_age = PollAge()
         self._next_sync_ns = 0
         self._sequence = 0
@@ -226,7 +226,7 @@ class Stm32:
             received = self._link.receive(left_ns)
             if received is None:
                 return
-            self._channel.take(received)
+            self._channel.receive(received)
 
     def poll(self) -> Feedback | None:
         """Read what has arrived; return the newest snapshot so far. Sends heartbeat and TIME_SYNC when they are due.
@@ -237,7 +237,7 @@ class Stm32:
         if not self._is_lockstep:
             # The rest is for the next tick: a host that is slower than its robot would never be done.
             while taken < _MOST_A_POLL and (received := self._link.receive(0)) is not None:
-                self._channel.take(received)
+                self._channel.receive(received)
                 taken += len(received.frames)
         self._channel.hash.keep_up()
         if self._clock is not None:
@@ -298,7 +298,7 @@ class Stm32:
         now_ns = None if self._clock is None else self._clock.now_ns()
         self._channel.send(self._session.heartbeat(request, now_ns))
 
-    def _take_message(self, message: Message, stamp_ns: int) -> None:
+    def _on_message(self, message: Message, stamp_ns: int) -> None:
         if self._session.feed(message):
             return
         if isinstance(message, m.TimeSyncResponse):

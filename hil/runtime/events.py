@@ -56,7 +56,7 @@ class RunEvents:
         if t_s >= self._next_s:
             self._cross(t_s)
         if self._output:
-            log_lines(self._output.take(), t_s, self._note)
+            log_lines(self._output.new_lines(), t_s, self._note)
         for place, watch in self._open:
             if watch.add(t_s, row[place]):
                 self._note_failure(watch)

@@ -76,7 +76,7 @@ class Freshness:
         if age_ns > stale_ns or silent_ns > _LOST_NS:
             self._check_not_lost(age_ns, _LOST_NS if active else _LEAP_NS, t_s)
         if truth is not None:
-            self._take_truth(truth, robot_time_ns, now_ns)
+            self._update_truth(truth, robot_time_ns, now_ns)
         truth_ns = self.truth_ns
         self.is_stale = silent_ns > stale_ns or (
             truth_ns is not None and (robot_time_ns - truth_ns > stale_ns or now_ns - self._truth_heard_ns > stale_ns)
@@ -95,7 +95,7 @@ class Freshness:
                 f"no feedback for {self.silent_ns * 1e-6:.0f} ms at t = {t_s:.3f} s: the link or the robot was lost"
             )
 
-    def _take_truth(self, truth: PoseFix, robot_time_ns: int, now_ns: int) -> None:
+    def _update_truth(self, truth: PoseFix, robot_time_ns: int, now_ns: int) -> None:
         """Note when a truth was sampled and received; a pose with NaN or infinity does not count as new.
 
         The truth has the plant's clock, which a reset of the robot does not change. The first sample after a reset, or

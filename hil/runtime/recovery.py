@@ -123,7 +123,7 @@ class Recovery:
 
     def _back_off(self) -> None:
         self._step = self._reopen
-        self._due_ns = self._clock.now_ns() + self._waits.take_ns()
+        self._due_ns = self._clock.now_ns() + self._waits.next_ns()
 
     def _reopen(self) -> bool:
         if self._clock.now_ns() >= self._due_ns:

@@ -80,7 +80,7 @@ class Tick:
     """
 
     def __init__(self, parts: TickParts, mode: CommandMode, timing: Timing) -> None:
-        self._take(parts)
+        self._set_parts(parts)
         self._timing = timing
         self._period_ns = timing.period_ns
         self._is_lockstep = parts.device.is_lockstep
@@ -220,7 +220,7 @@ class Tick:
 
     def use(self, parts: TickParts) -> None:
         """Continue with other laws."""
-        self._take(parts)
+        self._set_parts(parts)
         self._rows = self._make_rows()
         self._before = None
 
@@ -239,7 +239,7 @@ class Tick:
         fixes = self._parts.fixes
         return None if fixes is None else {**fixes.figures(), **self._parts.estimator.fix_figures()}
 
-    def _take(self, parts: TickParts) -> None:
+    def _set_parts(self, parts: TickParts) -> None:
         self._parts = parts
         self._device, self._fixes, self._estimator = parts.device, parts.fixes, parts.estimator
         self._controller, self._guard = parts.controller, parts.guard

@@ -123,7 +123,7 @@ def _keys(kind: Any, path: Path = ()) -> Iterator[tuple[Path, tuple[str, ...]]]:
     for one in (kind, *get_args(kind)):
         if isinstance(one, type) and is_dataclass(one):
             options = options_of(one)
-            yield path, tuple(name for name, option in options.items() if not option.takes_others)
+            yield path, tuple(name for name, option in options.items() if not option.accepts_others)
             for name, option in options.items():
                 yield from _keys(option.type, (*path, name))
 

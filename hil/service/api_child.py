@@ -83,10 +83,10 @@ class ApiChild:
         self._polled_s = time.monotonic()
         if lines is None:
             return _NONE
-        records = lines.take()
+        records = lines.receive()
         if not records and not lines.ended:
             return _NONE
-        orders = [order for record in records if (order := self._take(record)) is not None]
+        orders = [order for record in records if (order := self._handle(record)) is not None]
         if lines.ended:
             self._restart()
         return sorted(orders, key=lambda order: order.action is not Action.ESTOP)
@@ -142,10 +142,10 @@ class ApiChild:
         deadline_s = time.monotonic() + _READY_S
         while not self._ready and time.monotonic() < deadline_s:
             assert self._lines is not None
-            for record in self._lines.take():
+            for record in self._lines.receive():
                 if "refused" in record:
                     raise BadInputError(str(record["refused"]))
-                self._take(record)
+                self._handle(record)
             if self._lines.ended:
                 break
             time.sleep(0.005)
@@ -155,7 +155,7 @@ class ApiChild:
                 "uvicorn' helps where a package of it is broken"
             )
 
-    def _take(self, record: dict[str, Any]) -> Order | None:
+    def _handle(self, record: dict[str, Any]) -> Order | None:
         """Return the order of a line, and handle lines of other kinds."""
         if "ready" in record:
             self.url = record["ready"]["url"]

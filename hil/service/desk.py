@@ -75,7 +75,7 @@ class Desk:
             Action.SHUTDOWN: self._shut_down,
         }
 
-    def take(self, orders: Iterable[Order], t_s: float, *, stalled: bool = False) -> None:
+    def handle(self, orders: Iterable[Order], t_s: float, *, stalled: bool = False) -> None:
         """Carry out orders, and answer them and the long ones that have ended. Never waits.
 
         ``t_s`` is the service's time [s] of the next row. If the ticks were ``stalled`` for longer than a twist is in

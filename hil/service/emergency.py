@@ -25,7 +25,7 @@ class EmergencyStop:
         self.owed, self._asked_s, self._clear_next = True, t_s, False
 
     def may_clear(self) -> bool:
-        """Return whether it may be cleared now. If not, the clear is kept, and ``take_clear`` returns it later."""
+        """Return whether it may be cleared now. If not, the clear is kept, and ``pop_clear`` returns it later."""
         self._clear_next = self.owed
         return not self.owed
 
@@ -39,7 +39,7 @@ class EmergencyStop:
             self.owed = False
         return self.owed
 
-    def take_clear(self) -> bool:
+    def pop_clear(self) -> bool:
         """Return once whether to clear it now, because that was asked for while it was owed."""
         clear, self._clear_next = self._clear_next and not self.owed, False
         return clear

@@ -51,7 +51,7 @@ class _Handler(logging.Handler):
         self._dropped = 0
 
     def emit(self, record: logging.LogRecord) -> None:
-        if not self._takes_a_line():
+        if not self._may_write_line():
             self._dropped += 1
             return
         if self._dropped:
@@ -67,7 +67,7 @@ class _Handler(logging.Handler):
         except OSError:
             self._dropped += 1  # the reader has gone
 
-    def _takes_a_line(self) -> bool:
+    def _may_write_line(self) -> bool:
         if sys.platform == "win32":
             return True  # which cannot poll a pipe
         poll = select.poll()

@@ -179,13 +179,13 @@ class Pilot:
         try:
             part()
         except HilError as error:
-            self._take_failure(error)
+            self._handle_failure(error)
         except TickOverdue as overdue:
-            self._take_failure(BadInputError(str(overdue)))
+            self._handle_failure(BadInputError(str(overdue)))
         except (ArithmeticError, ValueError) as error:  # from a law or a path, as an overflow
-            self._take_failure(BadInputError(f"the law or the path failed: {type(error).__name__}: {error}"))
+            self._handle_failure(BadInputError(f"the law or the path failed: {type(error).__name__}: {error}"))
 
-    def _take_failure(self, error: HilError) -> None:
+    def _handle_failure(self, error: HilError) -> None:
         if isinstance(error, BadInputError):
             self._law_failed = True
             self._tick.use(without_law(self._parts))
@@ -291,7 +291,7 @@ class Pilot:
         if self.emergency.is_sent(robot, now.t_s):
             device.estop()
             return
-        if self.emergency.take_clear():
+        if self.emergency.pop_clear():
             self.clear()
             return
         if robot is RobotState.IDLE:

@@ -166,7 +166,7 @@ class _Service:
         while True:
             opening = OpeningBeside(self._opened)
             try:
-                while (bench := opening.take(_POLL_S)) is None:
+                while (bench := opening.result(_POLL_S)) is None:
                     if not self._attend(why):
                         opening.abandon()
                         return None
@@ -175,7 +175,7 @@ class _Service:
                 logs.warning("link cannot be opened", why=why)
             else:
                 return resources.enter_context(bench)
-            until_ns = time.monotonic_ns() + waits.take_ns()
+            until_ns = time.monotonic_ns() + waits.next_ns()
             while time.monotonic_ns() < until_ns:
                 if not self._attend(why):
                     return None
@@ -233,7 +233,7 @@ class _Service:
             stalled = time.perf_counter_ns() - polled_ns > stall_ns
             polled_ns = begin_ns
             t_s = max(number, 0) * timing.period_ns * 1e-9
-            desk.take(orders, t_s, stalled=stalled)
+            desk.handle(orders, t_s, stalled=stalled)
             if not self.api.alive and pilot.phase in (Phase.ARMING, Phase.ACTIVE):
                 pilot.disarm("the API process ended or hangs, so that nobody could have stopped the robot")
             if number >= 0:
@@ -283,7 +283,7 @@ class _Service:
         """Send the status, log what the plant has printed, and report a new phase to log, recording and systemd."""
         self.api.send(self._statuses.status(pilot, bench, granted))
         if bench.plant_output:
-            log_lines(bench.plant_output.take(), self._t_s, self.records.note)
+            log_lines(bench.plant_output.new_lines(), self._t_s, self.records.note)
         if pilot.phase is self._phase:
             return
         self._phase = pilot.phase

@@ -65,7 +65,7 @@ class _Way:
             if fault.kind != "reorder":
                 delay_ns += fault.delay_ns()
                 frames = fault.changed(self.direction, frames)
-            elif (overtaken := self._take_overtaken(place)) is not None:
+            elif (overtaken := self._remove_overtaken(place)) is not None:
                 fault.applied += 1
                 self.pass_rows(frames, t_ns, place + 1, delay_ns)
                 self.pass_rows(overtaken, t_ns, place + 1, delay_ns)
@@ -79,7 +79,7 @@ class _Way:
         for frame in frames:
             self.hold((frame,), due_ns, self.behind_rows)
 
-    def _take_overtaken(self, place: int) -> list[Frame] | None:
+    def _remove_overtaken(self, place: int) -> list[Frame] | None:
         """Return the frames that the row of this number holds, and remove them from the queue."""
         held = next((one for one in self._queue if one.place == place), None)
         if held is None:
@@ -149,9 +149,9 @@ class ConditionedLink:
         self.may_hold = self._has_rows or command_latency_ns > 0
         is_plain = observer is None and bus is None
         self._put = link.send if is_plain else self._put_on_wire
-        self._take = link.receive if observer is None else self._take_from_wire
+        self._receive_now = link.receive if observer is None else self._receive_from_wire
         self.send = self._send if self.may_hold else self._put
-        self.receive = self._receive if self._has_rows or bus is not None or feedback_latency_ns else self._take
+        self.receive = self._receive if self._has_rows or bus is not None or feedback_latency_ns else self._receive_now
 
     def _put_on_wire(self, frame: Frame) -> None:
         if self._bus is not None:
@@ -163,7 +163,7 @@ class ConditionedLink:
         if self._observer is not None:
             self._observer.sent(frame)
 
-    def _take_from_wire(self, timeout_ns: int) -> Received | None:
+    def _receive_from_wire(self, timeout_ns: int) -> Received | None:
         received = self._link.receive(timeout_ns)
         if self._observer is not None:
             self._observer.received(received)
@@ -226,7 +226,7 @@ class ConditionedLink:
             self._let_in()
             if self._ready:
                 return self._ready.popleft()
-            received = self._take(timeout_ns)
+            received = self._receive_now(timeout_ns)
             if received is None:
                 return None
             self._admit(received)

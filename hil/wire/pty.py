@@ -30,7 +30,7 @@ class _Pace:
         self._at_s = now_s
         return int(self._left)
 
-    def take(self, count: int) -> None:
+    def use(self, count: int) -> None:
         """Record that ``count`` bytes were taken."""
         self._left -= count
 
@@ -125,7 +125,7 @@ class PtyStream:
         except OSError as error:
             raise LinkError(f"pseudo-terminal {self.port!r} was lost: {error.strerror}") from error
         if self._pace is not None:
-            self._pace.take(len(data))
+            self._pace.use(len(data))
         return data
 
     def close(self) -> None:

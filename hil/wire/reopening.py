@@ -14,7 +14,7 @@ class BackOff:
     def __init__(self) -> None:
         self.wait_ns = _FIRST_NS
 
-    def take_ns(self) -> int:
+    def next_ns(self) -> int:
         """Return the next wait, and double the one after it."""
         wait_ns, self.wait_ns = self.wait_ns, min(2 * self.wait_ns, _LONGEST_NS)
         return wait_ns
@@ -24,7 +24,7 @@ T = TypeVar("T")
 
 
 class OpeningBeside(Generic[T]):
-    """Calls ``opened`` at once in its own thread. Afterwards either ``take`` the result, or ``abandon`` it.
+    """Calls ``opened`` at once in its own thread. Afterwards either ``result`` the result, or ``abandon`` it.
 
     The result must have a method ``close``.
     """
@@ -51,7 +51,7 @@ class OpeningBeside(Generic[T]):
                 result.close()
         self._done.set()
 
-    def take(self, within_s: float) -> T | None:
+    def result(self, within_s: float) -> T | None:
         """Return what was opened; None if that takes longer than ``within_s``. Raises what ``opened`` raised."""
         if not self._done.wait(within_s):
             return None

@@ -146,7 +146,7 @@ class ReopeningWire:
     def _lose(self, error: LinkError) -> None:
         self._lost = True
         self._waits = BackOff()
-        self._due_ns = time.monotonic_ns() + self._waits.take_ns()
+        self._due_ns = time.monotonic_ns() + self._waits.next_ns()
         self._say(f"link lost, reopening: {error}")
 
     def _is_there(self) -> bool:
@@ -162,7 +162,7 @@ class ReopeningWire:
         try:
             attempt.result()
         except LinkError:
-            self._due_ns = time.monotonic_ns() + self._waits.take_ns()
+            self._due_ns = time.monotonic_ns() + self._waits.next_ns()
             return False
         self._lost = False
         self._say("link reopened")

@@ -163,7 +163,7 @@ class SerialStream:
             self._use(self._opened())
             return
         opening, self._opening = self._opening or OpeningBeside(self._opened), None
-        port = opening.take(_CONNECTING_S)
+        port = opening.result(_CONNECTING_S)
         if port is None:
             self._opening = opening
             raise LinkError(f"serial URL {self._name!r} is being connected to; its server has not answered yet")

@@ -105,7 +105,7 @@ class _End(Generic[T]):
             raise closed()
         self._peer._received.put(item)
 
-    def _take(self, timeout_ns: int) -> list[T]:
+    def _receive(self, timeout_ns: int) -> list[T]:
         """Return everything that has arrived, waiting at most ``timeout_ns`` for the first item."""
         received = self._received
         try:
@@ -117,7 +117,7 @@ class _End(Generic[T]):
         return items
 
     def reopen(self) -> None:
-        self._take(0)
+        self._receive(0)
 
     def close(self) -> None:
         self._peer = None
@@ -132,7 +132,7 @@ class MemoryStream(_End[bytes]):
         self._put(data)
 
     def read(self, timeout_ns: int) -> bytes:
-        return b"".join(self._take(timeout_ns))
+        return b"".join(self._receive(timeout_ns))
 
     def unread_bytes(self) -> int:
         return 0
@@ -163,7 +163,7 @@ class MemoryBus(_End[Frame]):
         self.sent_bytes += len(frame.payload)
 
     def receive(self, timeout_ns: int) -> Received | None:
-        frames = self._take(timeout_ns)
+        frames = self._receive(timeout_ns)
         if not frames:
             return None
         self.received_frames += len(frames)

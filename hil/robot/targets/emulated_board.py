@@ -88,7 +88,7 @@ class Observer:
         self._rejected: dict[str, int] = {}
         self.unsent = 0
 
-    def take(self, frame: Frame) -> None:
+    def add(self, frame: Frame) -> None:
         """Add a frame that the board sent."""
         if frame.id not in _OBSERVED:
             return

@@ -21,7 +21,7 @@ from hil.robot.targets.emulated_board import EmulatedBoard
 SILENCE_S = 2.0
 """How long a STEP may stay without any sign of life."""
 
-TAKEN_S = 10.0
+ACCEPT_S = 10.0
 """How long QEMU may take no byte of a line that is full. Busy, it takes a few thousand a second."""
 
 _BOOT_S = 20.0
@@ -53,7 +53,7 @@ class QemuBoard(EmulatedBoard):
         self._alive_at_s = time.monotonic()
         try:
             for line in (self._process.host, self._process.plant):
-                line.settimeout(TAKEN_S)
+                line.settimeout(ACCEPT_S)
             self._boot()
         except BaseException:
             self._process.close()
@@ -142,7 +142,7 @@ class QemuBoard(EmulatedBoard):
 
     def _hear(self, data: bytes) -> None:
         for frame in self._said.feed(data):
-            self._observer.take(frame)
+            self._observer.add(frame)
             if frame.id == m.StepDone.ID:
                 self._step_is_open = False
         with self._lock:

@@ -107,4 +107,4 @@ class UnicornBoard(EmulatedBoard):
         self._bytes += data
         self._frames += frames
         for frame in (*self._deframer.feed(data), *frames):
-            self._observer.take(frame)
+            self._observer.add(frame)

@@ -83,13 +83,13 @@ class LiveClient:
             message = await self._socket.receive()
             if message["type"] == "websocket.disconnect":
                 return
-            self._take(message.get("text") or "")
+            self._handle(message.get("text") or "")
             if len(self._answers) + len(self._pending) > _LONGEST_BACKLOG:
                 logs.warning("live client is closed: it does not read its answers", unread=len(self._answers))
                 self._reads = False
                 return
 
-    def _take(self, text: str) -> None:
+    def _handle(self, text: str) -> None:
         try:
             order = _Message.model_validate_json(text).order
         except ValidationError as error:

@@ -87,15 +87,15 @@ class _Session:
 
     def _step(self) -> None:
         if self._terminal.wait(self._due_s, self._signals.fd):
-            self._take_signals()
+            self._handle_signals()
         now_s = time.monotonic()
         late = now_s - self._seen_s > _STANDSTILL_S
         if late:
             self._let_go("teleop stood still for a while; press again")
         self._seen_s = now_s
-        self._take_keys(now_s, late=late)
+        self._handle_keys(now_s, late=late)
         if now_s >= self._due_s:
-            self._take_gamepad()
+            self._handle_gamepad()
         self._check_terminal(now_s)
         self._hear(now_s)
         self._drive(now_s)
@@ -103,14 +103,14 @@ class _Session:
             self._due_s = now_s + PERIOD_S
             self._show(now_s)
 
-    def _take_signals(self) -> None:
-        came = self._signals.take()
+    def _handle_signals(self) -> None:
+        came = self._signals.received()
         _end_for(came)
         if signal.SIGTSTP in came:
             self._stop()
             self._terminal.leave()
             self._signals.suspend()
-            _end_for(self._signals.take())
+            _end_for(self._signals.received())
             self._come_back()
         elif signal.SIGCONT in came:  # after a SIGSTOP, which cannot be handled
             self._terminal.leave()
@@ -122,22 +122,22 @@ class _Session:
         self._let_go("continued; press again")
         self._seen_s = time.monotonic()
 
-    def _take_keys(self, now_s: float, *, late: bool) -> None:
+    def _handle_keys(self, now_s: float, *, late: bool) -> None:
         for event in self._terminal.read():
             if isinstance(event, Flags):
                 self._heartbeat.answered()
             elif isinstance(event, Focus) and not event.gained:
                 self._let_go("the window has lost the focus, and gets no releases")
             elif isinstance(event, Key):
-                self._do(self._operator.take_late(event) if late else self._operator.take(event, now_s))
+                self._do(self._operator.on_late_key(event) if late else self._operator.on_key(event, now_s))
         if self._operator.may_arm:
             self._message = "Enter arms the robot; any other key leaves it as it is"
 
-    def _take_gamepad(self) -> None:
+    def _handle_gamepad(self) -> None:
         if self._gamepads is None:
             return
         pad = self._gamepads.poll()
-        self._do(self._operator.take_pad(pad))
+        self._do(self._operator.on_pad(pad))
         if pad is None:
             self._gamepad = "none; plug one in, or press a button on it"
         else:
@@ -188,9 +188,9 @@ class _Session:
 
     def _hear(self, now_s: float) -> None:
         while (message := self._live.hear(0.0)) is not None:
-            self._take(message, now_s)
+            self._handle(message, now_s)
 
-    def _take(self, message: dict[str, Any], now_s: float) -> None:
+    def _handle(self, message: dict[str, Any], now_s: float) -> None:
         if "status" in message:
             self._status, self._heard_s = message["status"], now_s
             return
@@ -211,7 +211,7 @@ class _Session:
             message = self._live.hear(max(end_s - time.monotonic(), 0.0))
             if message is None:
                 raise LinkError(STOP_UNANSWERED)
-            self._take(message, time.monotonic())
+            self._handle(message, time.monotonic())
 
     def _show(self, now_s: float) -> None:
         view = View(

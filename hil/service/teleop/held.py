@@ -23,7 +23,7 @@ class ToldKeys:
     def __init__(self) -> None:
         self._held: set[str] = set()
 
-    def take(self, key: Key, now_s: float) -> None:
+    def on_key(self, key: Key, now_s: float) -> None:
         """Process a key."""
         if key.change is Change.PRESS:
             self._held.add(key.name)
@@ -55,7 +55,7 @@ class RepeatedKeys:
         self._hold = Hold(frozenset(), 1.0)
         self._until_s = -math.inf
 
-    def take(self, key: Key, now_s: float) -> None:
+    def on_key(self, key: Key, now_s: float) -> None:
         """Process a key."""
         if key.change is Change.RELEASE:  # such a terminal sends none
             self.release()

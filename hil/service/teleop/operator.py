@@ -130,10 +130,10 @@ class Operator:
         """The present speeds of full deflection."""
         return Speeds(self._full.speed_m_s * self.share, self._full.yaw_rate_rad_s * self.share)
 
-    def take(self, key: Key, now_s: float) -> Wish | None:
+    def on_key(self, key: Key, now_s: float) -> Wish | None:
         """Process a key; return its wish."""
         if key.name in KEYS and (key.change is Change.RELEASE or not (key.ctrl or key.other)):
-            self._keys.take(key, now_s)
+            self._keys.on_key(key, now_s)
         if key.change is not Change.PRESS:
             return None
         may_arm, self.may_arm = self.may_arm, False
@@ -151,13 +151,13 @@ class Operator:
         self.may_arm = key.name == "a"
         return wish
 
-    def take_late(self, key: Key) -> Wish | None:
+    def on_late_key(self, key: Key) -> Wish | None:
         """Process a key that was read too late: it moves nothing, but wishes that stop are returned."""
         self.release()
         wish = _wish_of(key) if key.change is Change.PRESS else None
         return wish if wish in _NEVER_TOO_LATE else None
 
-    def take_pad(self, pad: Pad | None) -> Wish | None:
+    def on_pad(self, pad: Pad | None) -> Wish | None:
         """Process the state of the gamepad, None without one; return its wish."""
         if pad is None:
             self._button.release()

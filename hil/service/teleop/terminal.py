@@ -171,7 +171,7 @@ class Signals:
         os.close(self.fd)
         os.close(self._write_fd)
 
-    def take(self) -> set[int]:
+    def received(self) -> set[int]:
         """Return the signals that have come since the last call."""
         try:
             return set(os.read(self.fd, 4096))

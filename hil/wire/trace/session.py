@@ -141,7 +141,7 @@ class Trace:
             reply = process.finish({"finish": {}, "keep_live": False})
             written = int(reply["rows_written"]) if "rows_written" in reply else process.rows_saved
             self._report = TraceReport(
-                self._path, written, process.rows_dropped, process.rows_taken - written, reply.get("error")
+                self._path, written, process.rows_dropped, process.rows_accepted - written, reply.get("error")
             )
             process.close()
         return self._report

@@ -34,21 +34,21 @@ class TraceWriter:
 
     def poll(self) -> None:
         """Write the frames that are complete in the ring buffer."""
-        self._take(self._ring.settled())
+        self._write_until(self._ring.settled())
 
     def line(self, _record: Record) -> None:
         """Do nothing: no lines come before the last."""
 
     def finish(self, _record: Record | None) -> Record:
         """Write the rest and close the file."""
-        self._take(self._ring.head)
+        self._write_until(self._ring.head)
         self._attempt(self._file.stop)
         return {"rows_written": self._ring.saved, "error": self._error}
 
     def close(self) -> None:
         """Do nothing: nothing is left to release."""
 
-    def _take(self, stop: int) -> None:
+    def _write_until(self, stop: int) -> None:
         while self._ring.tail < stop:
             end = min(stop, self._ring.tail + _BATCH)
             table = self._ring.rows(self._ring.tail, end)

@@ -65,7 +65,7 @@ class FlashInterface(Peripheral):
 
     def write(self, offset: int, value: int) -> None:
         if offset == KEYR:
-            self._take_key(value)
+            self._write_key(value)
         elif offset == SR:
             self._register[SR] &= ~value
         elif offset == CR:
@@ -91,7 +91,7 @@ class FlashInterface(Peripheral):
         self._memory.bytes[offset : offset + size] = (old & value).to_bytes(size, "little")
         self._register[SR] |= _EOP
 
-    def _take_key(self, value: int) -> None:
+    def _write_key(self, value: int) -> None:
         if self._keys_seen < 2 and value == _KEYS[self._keys_seen]:
             self._keys_seen += 1
             if self._keys_seen == 2:

@@ -54,7 +54,7 @@ class Usart(Peripheral):
             self._idle_seen = self._status & _IDLE != 0
             return self._status
         if offset == DR:
-            return self._take()
+            return self._pop()
         return super().read(offset)
 
     def write(self, offset: int, value: int) -> None:
@@ -65,7 +65,7 @@ class Usart(Peripheral):
             super().write(offset, value)
             self._drive_line()
 
-    def _take(self) -> int:
+    def _pop(self) -> int:
         if self._idle_seen:
             self._status &= ~_IDLE
             self._idle_seen = False
