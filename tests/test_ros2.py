@@ -122,7 +122,7 @@ def test_the_bridge_drives_and_publishes_through_a_real_service(side: ControlSid
         bridge = _bridge(live, published, warnings)
         bridge.drive(twist(0.3, -0.1, 0.5))
         bridge.drive(twist(math.nan, 0.0, 0.0))
-        wait_for(lambda: bridge.hear(1.0) and len(published) == 3 and side.orders)
+        wait_for(lambda: bridge.receive(1.0) and len(published) == 3 and side.orders)
         assert [(order.action, order.arguments) for order in side.orders] == [
             (Action.TWIST, {"vx_m_s": 0.3, "vy_m_s": -0.1, "yaw_rate_rad_s": 0.5})
         ]
@@ -135,7 +135,7 @@ def test_the_bridge_drives_and_publishes_through_a_real_service(side: ControlSid
         side.answer = lambda order: Answer(order.number, "the robot is disarmed; arm it first")
         side.status = replace(STATUS, pose=None, twist=None)
         bridge.drive(twist(0.1, 0.0, 0.0))
-        wait_for(lambda: bridge.hear(1.0) and "refused: the robot is disarmed; arm it first" in warnings)
+        wait_for(lambda: bridge.receive(1.0) and "refused: the robot is disarmed; arm it first" in warnings)
 
 
 @pytest.mark.skipif(importlib.util.find_spec("rclpy") is not None, reason="ROS 2 is here")

@@ -42,11 +42,11 @@ class Robot:
         self.sequence = 250
 
     def wish(self, request: Request, nonce: int, mode: Mode = Mode.SPEED, schema: int = SCHEMA_HASH) -> None:
-        self.judge.hear(encode(HostHeartbeat(nonce, schema, request, mode, 0)))
+        self.judge.observe(encode(HostHeartbeat(nonce, schema, request, mode, 0)))
 
     def command(self, target=NONE, *, ahead: int = 1, session: int | None = None, message=WheelCommand) -> None:
         self.sequence = self.sequence + ahead & 0xFF
-        self.judge.hear(encode(message(*target, self.sequence, self.session if session is None else session)))
+        self.judge.observe(encode(message(*target, self.sequence, self.session if session is None else session)))
 
     def arm(self, nonce: int = 0x1234, mode: Mode = Mode.SPEED, message=WheelCommand) -> None:
         self.wish(Request.IDLE, nonce, mode)
@@ -151,7 +151,7 @@ def test_an_idle_request_ramps_and_an_estop_does_not(driving) -> None:
     driving.arm(0x77)
     driving.command(SPEEDS)
     driving.hold(drive(SPEEDS))
-    driving.judge.hear(encode(Estop(0, 0)))
+    driving.judge.observe(encode(Estop(0, 0)))
     driving.hold(drive(), 1000)
     assert driving.is_sound
     driving.hold(drive((0.1, 0.0, 0.0, 0.0)))
@@ -269,7 +269,7 @@ def test_a_wheel_that_is_beyond_what_was_asked_is_not_driven_further(driving, ho
 
 
 def test_a_loop_that_drives_on_in_a_stop_is_caught_though_its_set_point_is_zero(driving) -> None:
-    driving.judge.hear(encode(Estop(0, 0)))
+    driving.judge.observe(encode(Estop(0, 0)))
     driving.hold(drive(speed=SPEEDS, torque=(1.5, 0.0, 0.0, 0.0)), OVERSHOOT_TICKS)
     assert driving.is_sound
     driving.hold(drive(speed=SPEEDS, torque=(1.5, 0.0, 0.0, 0.0)))

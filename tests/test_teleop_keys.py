@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hil.service.teleop.gamepad import Pad, Sticks
-from hil.service.teleop.held import DeadManButton, Heartbeat, RepeatedKeys, ToldKeys
+from hil.service.teleop.held import DeadManButton, Heartbeat, ReleasingKeys, RepeatedKeys
 from hil.service.teleop.keys import Attributes, Change, Event, Flags, Focus, Key, KeyDecoder
 from hil.service.teleop.operator import KEYS, Operator, Speeds, Wish, of_keys, of_sticks, twist_of
 
@@ -72,7 +72,7 @@ def test_a_sequence_without_end_is_the_esc_key_and_a_number_without_end_is_nothi
 
 @given(st.lists(st.tuples(KEY, st.sampled_from(Change))))
 def test_told_keys_are_those_pressed_and_not_released_since(changes: list[tuple[str, Change]]) -> None:
-    keys = ToldKeys()
+    keys = ReleasingKeys()
     for name, change in changes:
         keys.on_key(Key(name, change), 0.0)
     last = {name: change for name, change in changes if change is not Change.REPEAT}
@@ -152,7 +152,7 @@ def test_more_stick_is_never_less_speed(shares: tuple[float, float], dead_zone: 
 
 @given(st.lists(st.one_of(st.sampled_from("ae\rkdcq+-="), KEY), max_size=30))
 def test_only_an_enter_right_after_an_a_arms(typed: list[str]) -> None:
-    operator = Operator(ToldKeys(), SPEEDS, 0.1, 0.5)
+    operator = Operator(ReleasingKeys(), SPEEDS, 0.1, 0.5)
     names = ["enter" if name == "\r" else name for name in typed]
     wishes = [operator.on_key(Key(name), 0.0) for name in names]
     arms = [index for index, wish in enumerate(wishes) if wish is Wish.ARM]
@@ -173,7 +173,7 @@ def test_only_an_enter_right_after_an_a_arms(typed: list[str]) -> None:
     ],
 )
 def test_of_what_was_typed_while_nobody_looked_only_what_stops_counts(name: str, ctrl: bool, wish: Wish | None) -> None:
-    operator = Operator(ToldKeys(), SPEEDS, 0.1, 0.5)
+    operator = Operator(ReleasingKeys(), SPEEDS, 0.1, 0.5)
     operator.on_key(Key("i"), 0.0)
     operator.on_key(Key("a"), 0.0)
     assert operator.on_late_key(Key(name, ctrl=ctrl)) is wish
@@ -183,7 +183,7 @@ def test_of_what_was_typed_while_nobody_looked_only_what_stops_counts(name: str,
 
 @pytest.mark.parametrize("stop", ["space", "escape", "k", "e"])
 def test_after_a_stop_everything_must_be_pressed_anew(stop: str) -> None:
-    operator = Operator(ToldKeys(), SPEEDS, 0.1, 0.5)
+    operator = Operator(ReleasingKeys(), SPEEDS, 0.1, 0.5)
     pad = Pad(dead_man=True, estop=False, sticks=Sticks(1.0, 0.0, 0.0))
     operator.on_pad(pad._replace(dead_man=False))
     operator.on_pad(pad)
@@ -196,7 +196,7 @@ def test_after_a_stop_everything_must_be_pressed_anew(stop: str) -> None:
 
 
 def test_a_lost_gamepad_and_its_emergency_stop_let_go() -> None:
-    operator = Operator(ToldKeys(), SPEEDS, 0.1, 0.0)
+    operator = Operator(ReleasingKeys(), SPEEDS, 0.1, 0.0)
     pad = Pad(dead_man=True, estop=False, sticks=Sticks(1.0, 0.0, 0.0))
     operator.on_pad(pad)
     assert operator.twist(0.0) is None, "held before it was looked at"

@@ -45,9 +45,9 @@ class Bridge:
         except BadInputError as error:
             self._warn(str(error))
 
-    def hear(self, within_s: float) -> bool:
+    def receive(self, within_s: float) -> bool:
         """Publish one status, or warn of one refusal; return whether anything came. Raises LinkError."""
-        told = self._live.hear(within_s)
+        told = self._live.receive(within_s)
         if told is None:
             return False
         if "answer" in told:
@@ -122,7 +122,7 @@ def main() -> None:
         try:
             while rclpy.ok():
                 rclpy.spin_once(node, timeout_sec=_SPIN_S)
-                while bridge.hear(0.0):
+                while bridge.receive(0.0):
                     pass
         except (KeyboardInterrupt, ExternalShutdownException):
             return

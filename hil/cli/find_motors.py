@@ -196,8 +196,8 @@ def _elsewhere(url: LinkUrl, names: Iterable[str]) -> str | None:
 def _probe_bus(candidates: Sequence[_Candidate], is_chosen: bool, result: Result, say: Callable[[str], None]) -> None:
     with contextlib.closing(candidates[0].url.open_host(protocol=LinkProtocol())) as link:
         say(f"listening for {_LISTEN_S:g} s")
-        heard = _listen(link, candidates, lambda: _LISTEN_S)
-        for one in _whom_to_ask(candidates, is_silent=is_chosen or not heard):
+        counts = _listen(link, candidates, lambda: _LISTEN_S)
+        for one in _whom_to_ask(candidates, is_silent=is_chosen or not counts):
             _ask(link, one, say)
             if one.driver == OUR_DRIVER and one.probe.found() is not None:
                 candidates = [one]  # its frames may look like those of others
@@ -205,10 +205,10 @@ def _probe_bus(candidates: Sequence[_Candidate], is_chosen: bool, result: Result
     for one in candidates:
         if _add(result, one):
             for number in one.claimed:
-                heard.pop(number, None)
-    result.strangers = heard
-    if heard and not result.answers and not is_chosen:
-        result.not_asked = _not_asked(f"{sum(heard.values())} frames")
+                counts.pop(number, None)
+    result.strangers = counts
+    if counts and not result.answers and not is_chosen:
+        result.not_asked = _not_asked(f"{sum(counts.values())} frames")
 
 
 def _probe_port(candidates: Sequence[_Candidate], is_chosen: bool, result: Result, say: Callable[[str], None]) -> None:
@@ -269,16 +269,16 @@ def _ask(link: Link, one: _Candidate, say: Callable[[str], None]) -> None:
 
 def _listen(link: Link, candidates: Iterable[_Candidate], patience_s: Callable[[], float]) -> Counter[int]:
     """Feed frames to the candidates until ``patience_s`` is over; return the number of frames by id."""
-    candidates, heard = list(candidates), Counter[int]()
+    candidates, counts = list(candidates), Counter[int]()
     begin_ns = time.monotonic_ns()
     while (left_ns := begin_ns + round(patience_s() * 1e9) - time.monotonic_ns()) > 0:
         if (received := link.receive(left_ns)) is not None:
             for frame in received.frames:
-                heard[frame.id] += 1
+                counts[frame.id] += 1
                 for one in candidates:
                     if one.probe.feed(frame):
                         one.claimed.add(frame.id)
-    return heard
+    return counts
 
 
 def _add(result: Result, one: _Candidate) -> bool:

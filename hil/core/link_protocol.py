@@ -38,8 +38,8 @@ class LinkProtocol(NamedTuple):
     exempt_from: int = _BEYOND_ALL_IDS
     delimiter: bytes | None = None
 
-    def refusal(self, number: int, length: int, hears: Side) -> str | None:
-        """Return why a received CAN frame is dropped; None if it is accepted. ``hears`` is the side that sends to us.
+    def refusal(self, number: int, length: int, sender: Side) -> str | None:
+        """Return why a received CAN frame is dropped; None if it is accepted. ``sender`` is the side that sends to us.
 
         ``foreign``: a 29-bit id or a remote frame. ``own``: an id that only the receiving side sends. ``unknown_id``
         and ``length`` are checked for frames of the robot only: the firmware checks those of the host.
@@ -48,9 +48,9 @@ class LinkProtocol(NamedTuple):
             return None
         if number > STANDARD_IDS:
             return "foreign"
-        if self.senders.get(number, hears) != hears:
+        if self.senders.get(number, sender) != sender:
             return "own"
-        if hears == "HOST":
+        if sender == "HOST":
             return None
         expected = self.lengths.get(number)
         if expected is None:

@@ -59,8 +59,8 @@ def held(folder: Path) -> Iterator[dict[str, Any]]:
         try:
             lock.acquire(blocking=False)
         except Timeout:
-            if said := _read(record):
-                yield said
+            if found := _read(record):
+                yield found
             continue
         record.unlink(missing_ok=True)
         lock.release()

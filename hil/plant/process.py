@@ -253,8 +253,8 @@ class Parent:
             line = lines.readline()
         if not line.endswith(b"\n"):
             self.end()
-        heard: dict[str, Any] = json.loads(line)
-        return heard
+        record: dict[str, Any] = json.loads(line)
+        return record
 
     def send(self, **record: object) -> None:
         """Send a record; end this process when nobody reads it."""

@@ -116,11 +116,11 @@ def _run_child(job: _Job, todo: Sequence[str]) -> list[Part]:
     from hil.plant.conformance.order import ADVISORY, title
 
     progress = _Progress()
-    heard = 0
+    received = 0
     with contextlib.ExitStack() as resources:
         child = ChildProcess("hil.plant.conformance", job.folder)
         resources.callback(child.close, 0.0)
-        watch = Watch(lambda: heard, child.give_up, job.longest_s, lambda: child.limit_memory(DEFAULT_LIMIT_MB))
+        watch = Watch(lambda: received, child.give_up, job.longest_s, lambda: child.limit_memory(DEFAULT_LIMIT_MB))
         resources.callback(watch.stop)
         watch.limit_s = THERE_S
         child.send(
@@ -132,7 +132,7 @@ def _run_child(job: _Job, todo: Sequence[str]) -> list[Part]:
             }
         )
         for entry in child.receive_all():
-            heard += 1
+            received += 1
             progress.add(entry)
             watch.limit_s = job.longest_s if progress.parts else THERE_S
         if child.wait() == 0 and progress.is_done:

@@ -148,7 +148,7 @@ def greet(link: Link, send: Callable[[codec.Message], None], *, status: bool = F
     """
     greeting = Greeting()
     before = link.rejected()
-    heard = 0
+    received_frames = 0
     deadline_ns = time.monotonic_ns() + SILENCE_NS
     retry_ns = 0
     found: RobotInfo | None = None
@@ -160,19 +160,21 @@ def greet(link: Link, send: Callable[[codec.Message], None], *, status: bool = F
             retry_ns = now_ns + RETRY_NS
         received = link.receive(RETRY_NS)
         for frame in received.frames if received is not None else ():
-            heard += 1
+            received_frames += 1
             found = greeting.feed(codec.decode(frame)) or found
     rejected = {cause: count - before.get(cause, 0) for cause, count in link.rejected().items()}
-    raise DeviceError(f"the robot did not answer HELLO within 2 s ({link.describe()}); {_why_silent(heard, rejected)}")
+    raise DeviceError(
+        f"the robot did not answer HELLO within 2 s ({link.describe()}); {_why_silent(received_frames, rejected)}"
+    )
 
 
-def _why_silent(heard: int, rejected: Mapping[str, int]) -> str:
+def _why_silent(received_frames: int, rejected: Mapping[str, int]) -> str:
     """Return what the traffic of a handshake in vain says of its cause, and what to do."""
     bus_errors = sum(count for cause, count in rejected.items() if cause.startswith("error_"))
     noise = rejected.get("cobs", 0) + rejected.get("crc", 0) + rejected.get("overrun", 0)
     strangers = rejected.get("foreign", 0) + rejected.get("unknown_id", 0)
-    if heard:
-        return f"{heard} frames of a robot came but not its HELLO; reset the robot and try again"
+    if received_frames:
+        return f"{received_frames} frames of a robot came but not its HELLO; reset the robot and try again"
     if rejected.get("error_acknowledgement") and bus_errors == rejected["error_acknowledgement"]:
         return "nobody on the bus acknowledges our frames; check that the robot is powered, the cable, and its bit rate"
     if bus_errors and not strangers:

@@ -78,7 +78,7 @@ class VirtualServer:
         self._lockstep = lockstep
         self._stopping = threading.Event()
         self._start_ns = time.monotonic_ns()
-        self._heard_ns = self._start_ns
+        self._received_ns = self._start_ns
         self._ticks = 0
         self._reset: Callable[[bool], None] | None = None
         self._asked: queue.SimpleQueue[Callable[[], None]] = queue.SimpleQueue()
@@ -111,7 +111,7 @@ class VirtualServer:
             self._do_what_was_asked()
         if self._lockstep:
             if self._wire.receive_into(self._robot.node, timeout_ns):
-                self._heard_ns = time.monotonic_ns()
+                self._received_ns = time.monotonic_ns()
                 self._publish()
                 self._send()
         else:
@@ -172,7 +172,7 @@ class VirtualServer:
         answer, self._reset = self._reset, None
         at_rest = self._robot.node.look().state not in (State.ARMED, State.ACTIVE, State.STOPPING)
         # In lockstep time stands still without a host, and the watchdog with it: one that has gone left the robot so.
-        abandoned = self._lockstep and time.monotonic_ns() - self._heard_ns > _ABANDONED_NS
+        abandoned = self._lockstep and time.monotonic_ns() - self._received_ns > _ABANDONED_NS
         at_rest = at_rest or abandoned
         if at_rest:
             self._robot.power_cycle()

@@ -40,9 +40,9 @@ class Freshness:
         self._timing = timing
         self._stale_ns = timing.stale_ns
         self._newest_ns = 0
-        self._heard_ns: int | None = None
+        self._received_ns: int | None = None
         self._stamp_ns: int | None = None  # of the newest truth, by its own clock
-        self._truth_heard_ns = 0
+        self._truth_received_ns = 0
         self._ahead_ns: int | None = 0  # the robot's clock minus the truth's; None until both are received again
         self.silent_ns = 0
         self.truth_ns: int | None = None
@@ -66,11 +66,11 @@ class Freshness:
         robot_time_ns, stale_ns = feedback.robot_time_ns, self._stale_ns
         # After a stall of this process, the feedback may be as old as the stall. It does not count as new, and the
         # robot's clock is not judged by it; the next feedback is fresh.
-        if self._heard_ns is None or (robot_time_ns != self._newest_ns and age_ns <= stale_ns):
-            if not active and self._heard_ns is not None and self._began_anew(feedback, now_ns - self._heard_ns):
+        if self._received_ns is None or (robot_time_ns != self._newest_ns and age_ns <= stale_ns):
+            if not active and self._received_ns is not None and self._began_anew(feedback, now_ns - self._received_ns):
                 raise RobotStoppedError(f"the robot was reset at t = {t_s:.3f} s")
-            self._newest_ns, self._heard_ns = robot_time_ns, now_ns
-        self.silent_ns = silent_ns = now_ns - self._heard_ns
+            self._newest_ns, self._received_ns = robot_time_ns, now_ns
+        self.silent_ns = silent_ns = now_ns - self._received_ns
         if active and feedback.state is not RobotState.ACTIVE:
             raise self._stop(feedback.state, t_s)
         if age_ns > stale_ns or silent_ns > _LOST_NS:
@@ -79,7 +79,8 @@ class Freshness:
             self._update_truth(truth, robot_time_ns, now_ns)
         truth_ns = self.truth_ns
         self.is_stale = silent_ns > stale_ns or (
-            truth_ns is not None and (robot_time_ns - truth_ns > stale_ns or now_ns - self._truth_heard_ns > stale_ns)
+            truth_ns is not None
+            and (robot_time_ns - truth_ns > stale_ns or now_ns - self._truth_received_ns > stale_ns)
         )
         return feedback
 
@@ -108,7 +109,7 @@ class Freshness:
         if self._ahead_ns is None or (stamp_ns is not None and time_ns < stamp_ns - self._stale_ns):
             self._ahead_ns = robot_time_ns - time_ns
         if time_ns != stamp_ns:
-            self._stamp_ns, self._truth_heard_ns = time_ns, now_ns
+            self._stamp_ns, self._truth_received_ns = time_ns, now_ns
         self.truth_ns = time_ns + self._ahead_ns
 
     def robot_now_ns(self, feedback: Feedback) -> int:
@@ -133,7 +134,7 @@ class Freshness:
         """Whether the truth has become too old since ``poll``, because this process stalled; not for use in
         lockstep.
         """
-        return self.truth_ns is not None and self._clock.now_ns() - self._truth_heard_ns > self._stale_ns
+        return self.truth_ns is not None and self._clock.now_ns() - self._truth_received_ns > self._stale_ns
 
     def restart(self) -> bool:
         """Start again with a robot that came back; return whether it was reset.
@@ -141,7 +142,7 @@ class Freshness:
         After a reset its clock and its encoder counts start again from zero.
         """
         was_reset = self._was_reset()
-        self._heard_ns = None
+        self._received_ns = None
         if was_reset:
             self._ahead_ns = self.truth_ns = None
         return was_reset
@@ -154,9 +155,9 @@ class Freshness:
 
     def _was_reset(self) -> bool:
         feedback = self._device.feedback
-        if feedback is None or self._heard_ns is None:
+        if feedback is None or self._received_ns is None:
             return True
-        passed_ns = self._clock.now_ns() - self._heard_ns
+        passed_ns = self._clock.now_ns() - self._received_ns
         robot_passed_ns = feedback.robot_time_ns - self._newest_ns
         apart_ns = _CLOCK_PERIODS * self._timing.period_ns + passed_ns // _CLOCK_SHARE
         return robot_passed_ns < 0 or abs(robot_passed_ns - passed_ns) > apart_ns

@@ -75,7 +75,7 @@ class Loop:
         self._ticker = Tick(parts, mode, timing)
         self._sampling = Sampling(parts.clock, parts.device, parts.truth, timing)
         self._warn = warn
-        self._warned = Warned(parts.device, self._on_warning, said=tuple(parts.device.warnings))
+        self._warned = Warned(parts.device, self._on_warning, reported=tuple(parts.device.warnings))
         self._undriven = Undriven(faults, timing)
         self._recovery: Recovery | None = None
         self._recoveries: list[Recovered] = []

@@ -26,21 +26,21 @@ class Recovered(NamedTuple):
 class Warned:
     """Passes on each warning of a device once, and again if it is new after a reconnection.
 
-    ``said`` are warnings that were passed on before.
+    ``reported`` are warnings that were passed on before.
     """
 
-    def __init__(self, device: Device, say: Callable[[str], None], said: Sequence[str] = ()) -> None:
+    def __init__(self, device: Device, report: Callable[[str], None], reported: Sequence[str] = ()) -> None:
         self._device = device
-        self._say = say
-        self._said = said
+        self._report = report
+        self._reported = reported
 
     def __call__(self) -> None:
         """Pass on new warnings; call it after the device has answered."""
         warnings = tuple(self._device.warnings)
         for sentence in warnings:
-            if sentence not in self._said:
-                self._say(sentence)
-        self._said = warnings
+            if sentence not in self._reported:
+                self._report(sentence)
+        self._reported = warnings
 
 
 class Recovery:
@@ -67,7 +67,7 @@ class Recovery:
         self._due_ns = 0
         self._standstill_ns: int | None = None  # wall-clock time at which robot time stopped
         self._step: Callable[[], bool] = self._reopen
-        self._last_step = self._arm if arm else self._hear
+        self._last_step = self._arm if arm else self._await_feedback
         device.leave()
         if isinstance(why, LinkError):
             self._back_off()
@@ -154,7 +154,7 @@ class Recovery:
             raise RobotStoppedError(self._device.why_not_active())
         return False
 
-    def _hear(self) -> bool:
+    def _await_feedback(self) -> bool:
         if self._device.poll() is not None:
             self._warned()
             return True

@@ -77,7 +77,7 @@ class Client:
         """Yield the status as it comes. Raises LinkError when the service ends."""
         with self.live() as live:
             while True:
-                message = live.hear(None) or {}
+                message = live.receive(None) or {}
                 if "status" in message:
                     yield message["status"]
 
@@ -88,7 +88,7 @@ class Client:
         with self.live() as live:
             try:
                 while (now_s := time.monotonic()) < end_s:
-                    _hear(live, min(now_s + TWIST_PERIOD_S, end_s))
+                    _await_answer(live, min(now_s + TWIST_PERIOD_S, end_s))
                     live.order(Action.TWIST, arguments)
             except KeyboardInterrupt:
                 _stop(live)
@@ -162,7 +162,7 @@ class Live:
         self._socket.send(json.dumps({"order": order}))
         return number
 
-    def hear(self, timeout_s: float | None) -> dict[str, Any] | None:
+    def receive(self, timeout_s: float | None) -> dict[str, Any] | None:
         """Return the next ``{"status": ...}`` or ``{"answer": ...}``, or None at the timeout. None waits for ever."""
         try:
             message: dict[str, Any] = json.loads(self._socket.recv(timeout=timeout_s))
@@ -172,16 +172,16 @@ class Live:
 
 
 def _stop(live: Live) -> None:
-    if not _hear(live, time.monotonic() + _TIMEOUT_S, live.order(Action.STOP)):
+    if not _await_answer(live, time.monotonic() + _TIMEOUT_S, live.order(Action.STOP)):
         raise LinkError(STOP_UNANSWERED)
 
 
-def _hear(live: Live, until_s: float, number: int | None = None) -> bool:
+def _await_answer(live: Live, until_s: float, number: int | None = None) -> bool:
     """Read messages until ``until_s``, or until the answer to ``number``; return whether that came.
 
     Raises DeviceError when an order was refused.
     """
-    while (left_s := until_s - time.monotonic()) > 0.0 and (message := live.hear(left_s)) is not None:
+    while (left_s := until_s - time.monotonic()) > 0.0 and (message := live.receive(left_s)) is not None:
         answer = message.get("answer")
         if answer is not None and answer["refused"] is not None:
             raise DeviceError(f"refused: {answer['refused']}")

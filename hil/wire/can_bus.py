@@ -25,7 +25,7 @@ _FILTERING_INTERFACES = ("socketcan", "ixxat")
 
 
 class CanLink:
-    """Frames over a CAN bus. ``hears`` is the side whose frames are received; this link sends for the other side.
+    """Frames over a CAN bus. ``sender`` is the side whose frames are received; this link sends for the other side.
 
     Frames that are not of the ``protocol`` are dropped and counted: ``foreign`` (in this project's protocol: extended
     or remote), ``garbled`` (an slcan line that is no frame), error frames by their class (``error_bus_off``,
@@ -40,14 +40,14 @@ class CanLink:
         now_ns: the clock that stamps received frames.
     """
 
-    def __init__(self, url: CanUrl, hears: Side, protocol: LinkProtocol = WHEEL_DBC) -> None:
+    def __init__(self, url: CanUrl, sender: Side, protocol: LinkProtocol = WHEEL_DBC) -> None:
         import can
 
         self._can = can
         # python-can logs a warning about optional packages that are missing. It still appears once logging is set up.
         logging.getLogger("can").addHandler(logging.NullHandler())
         self._url = url
-        self._hears = hears
+        self._sender = sender
         self._protocol = protocol
         self._failures = (can.CanError, OSError, ValueError)
         self._rejected = dict.fromkeys(("foreign", "garbled", "unknown_id", "length", *CAUSES), 0)
@@ -91,12 +91,12 @@ class CanLink:
         if url.interface == "virtual" and url.fd:
             yield "protocol", self._can.CanProtocol.CAN_FD
         if url.interface in _FILTERING_INTERFACES and (senders := self._protocol.senders) is not None:
-            heard = [number for number, sender in senders.items() if sender == self._hears]
+            accepted_ids = [number for number, sender in senders.items() if sender == self._sender]
             yield (
                 "can_filters",
                 [
                     {"can_id": f.identifier, "can_mask": f.mask, "extended": False}
-                    for f in filters_for(heard, _MOST_FILTERS)
+                    for f in filters_for(accepted_ids, _MOST_FILTERS)
                 ],
             )
         if url.interface == "socketcand":
@@ -163,7 +163,7 @@ class CanLink:
         )
 
     def _refusal(self, number: int, payload: bytes) -> str | None:
-        return self._protocol.refusal(number, len(payload), self._hears)
+        return self._protocol.refusal(number, len(payload), self._sender)
 
     def rejected(self) -> dict[str, int]:
         return dict(self._rejected)

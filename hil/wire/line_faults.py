@@ -62,11 +62,11 @@ class FaultLine:
 
     def _spoil(self, data: bytes, direction: str, t_ns: int) -> bytes:
         """Return whole frames with the faults applied."""
-        said = [
+        babbled = [
             self._say(fault, t_ns) for fault in self._faults if fault.kind == "babble" and _babbles(fault, direction)
         ]
         frames = (self._spoil_frame(piece, direction, t_ns) for piece in self._protocol.pieces(data))
-        return b"".join((*said, *frames))
+        return b"".join((*babbled, *frames))
 
     def _spoil_frame(self, frame: bytes, direction: str, t_ns: int) -> bytes:
         number = _id_of(frame) if self._protocol is WHEEL_DBC else None

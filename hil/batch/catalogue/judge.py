@@ -208,7 +208,7 @@ class SafetyJudge:
         self._session: _Session | None = None
         self._ending: _Session | None = None  # the one before, whose stop may still go on
 
-    def hear(self, frame: Frame) -> None:
+    def observe(self, frame: Frame) -> None:
         """Record a frame that the firmware gets now, between two ticks."""
         match decode(frame):
             case HostHeartbeat() as heartbeat:

@@ -52,13 +52,13 @@ class WatchedNode(HostNode):
             end = data.find(b"\0", start) + 1 or len(data)
             piece = data[start:end]
             for frame in self._deframer.feed(piece):
-                self._judge.hear(frame)
+                self._judge.observe(frame)
             super().feed(piece)
             self._check()
             start = end
 
     def receive(self, frame: Frame) -> None:
-        self._judge.hear(frame)
+        self._judge.observe(frame)
         super().receive(frame)
         self._check()
 

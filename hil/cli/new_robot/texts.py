@@ -37,7 +37,9 @@ def robot_text(answers: Answers, driver: str | None = None, found: Found | None 
     }
     values = {**answers, **more}
     head = "# A robot. Runs any scenario on it: hil run SCENARIO --robot FILE\n"
-    notes = {} if found is None else {name: _not_told(name, found) for name in ("robot", "firmware", "device.motors")}
+    notes = (
+        {} if found is None else {name: _not_reported(name, found) for name in ("robot", "firmware", "device.motors")}
+    )
     tables = [_table(name, values, notes.get(name, ())) for name in ("robot", "firmware", "device", "link")]
     if found is not None and (found.motors or notes["device.motors"]):
         tables.insert(-1, "\n" + _head("device.motors", notes["device.motors"]))
@@ -82,7 +84,7 @@ below = 0.02
 """
 
 
-def _not_told(table: str, found: Found) -> Sequence[str]:
+def _not_reported(table: str, found: Found) -> Sequence[str]:
     """Return sentences on the values of a table that are not measured, for the lines above it."""
     known, unknown = (
         ", ".join(key.removeprefix(f"{table}.") for key in keys if key.rpartition(".")[0] == table)
@@ -91,8 +93,8 @@ def _not_told(table: str, found: Found) -> Sequence[str]:
     sentences = [f"cannot be asked for: {unknown}"] if unknown else []
     if table == "device.motors":
         return [f"{sentence}; write them here, or the defaults hold" for sentence in sentences]
-    told = f", but for {known}" if known else ""
-    return [f"not measured{told}: the paper's robot; replace before anything moves", *sentences]
+    exceptions = f", but for {known}" if known else ""
+    return [f"not measured{exceptions}: the paper's robot; replace before anything moves", *sentences]
 
 
 def _head(name: str, notes: Sequence[str]) -> str:

@@ -42,7 +42,7 @@ class QemuBoard(EmulatedBoard):
     def __init__(self, elf: Path, exchange_address: int, context_address: int, stored: bytes | None) -> None:
         self.on_output: Callable[[], None] = _nobody
         super().__init__(exchange_address, context_address)
-        self._asked, self._said = Deframer(), Deframer()
+        self._from_host, self._from_board = Deframer(), Deframer()
         self._step_is_open = False
         self._output = bytearray()
         self._lock = threading.Lock()
@@ -63,7 +63,7 @@ class QemuBoard(EmulatedBoard):
 
     def feed(self, data: bytes) -> None:
         """Take bytes of the host's serial line. Raises DeviceError when the process has ended or takes none."""
-        if any(frame.id == m.Step.ID for frame in self._asked.feed(data)):
+        if any(frame.id == m.Step.ID for frame in self._from_host.feed(data)):
             self._alive_at_s = time.monotonic()
             self._step_is_open = True
         try:
@@ -132,7 +132,7 @@ class QemuBoard(EmulatedBoard):
                 if line is self._process.plant:
                     _send(line, self._plant.feed(data))
                 else:
-                    self._hear(data)
+                    self._receive(data)
             except OSError:
                 data = b""
             if not data:
@@ -140,8 +140,8 @@ class QemuBoard(EmulatedBoard):
             self._alive_at_s = time.monotonic()
         return readable
 
-    def _hear(self, data: bytes) -> None:
-        for frame in self._said.feed(data):
+    def _receive(self, data: bytes) -> None:
+        for frame in self._from_board.feed(data):
             self._observer.add(frame)
             if frame.id == m.StepDone.ID:
                 self._step_is_open = False

@@ -90,7 +90,7 @@ class QemuServer(VirtualServer):
         assert isinstance(board, QemuBoard)
         board.on_output = self._forward
         if self._wire.receive_into(board, timeout_ns):
-            self._heard_ns = time.monotonic_ns()
+            self._received_ns = time.monotonic_ns()
         board.check()
         self._robot.awake()
 

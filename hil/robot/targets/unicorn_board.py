@@ -86,18 +86,18 @@ class UnicornBoard(EmulatedBoard):
         try:
             machine.run()
             while line.sent:
-                asked = bytes(line.sent)
+                request = bytes(line.sent)
                 line.sent.clear()
-                answer = self._plant.feed(asked)
+                answer = self._plant.feed(request)
                 machine.advance((self._plant.ticks - self._ticks) * _TICK_CYCLES)
                 self._ticks = self._plant.ticks
                 line.receive(answer)
                 machine.run()
         except MachineError as error:
             raise DeviceError(f"the emulated board stopped: {error} (firmware {self._elf.name})") from error
-        self._hear()
+        self._receive()
 
-    def _hear(self) -> None:
+    def _receive(self) -> None:
         """Take what the board has sent to its host."""
         machine = self.machine
         data = bytes(machine.usart[HOST_USART].sent)

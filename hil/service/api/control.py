@@ -50,7 +50,7 @@ class Control:
         self._number = secrets.randbits(48)
         self._open: dict[int, asyncio.Future[Answer]] = {}
         self.watchers: set[asyncio.Event] = set()
-        self._heard_s = time.monotonic()
+        self._received_s = time.monotonic()
         self.received: Status | None = None
         self.status: dict[str, Any] | None = None
         self.gone = asyncio.Event()
@@ -64,7 +64,7 @@ class Control:
     @property
     def status_age_s(self) -> float:
         """Age of the newest status; before the first one, the age of this object."""
-        return time.monotonic() - self._heard_s
+        return time.monotonic() - self._received_s
 
     def fresh_status(self) -> dict[str, Any]:
         """Return the newest status. Raises NoAnswerError when the control process has sent none for a second."""
@@ -133,9 +133,9 @@ class Control:
         record: dict[str, Any] | None = {}
         while record is not None:
             record = lines.read()
-            self._loop.call_soon_threadsafe(self._heard, record)
+            self._loop.call_soon_threadsafe(self._on_record, record)
 
-    def _heard(self, record: dict[str, Any] | None) -> None:
+    def _on_record(self, record: dict[str, Any] | None) -> None:
         self._writer.flush()
         if record is None:
             self._end()
@@ -147,7 +147,7 @@ class Control:
                 future.set_result(message)
         elif isinstance(message, Status):
             self.received, self.status = message, json_safe(record["status"])
-            self._heard_s = time.monotonic()
+            self._received_s = time.monotonic()
             for event in self.watchers:
                 event.set()
 

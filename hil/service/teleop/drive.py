@@ -14,7 +14,7 @@ from hil.core.kinematics import BodyTwist
 from hil.service.client import STOP_UNANSWERED, Client, Live
 from hil.service.messages import Action
 from hil.service.teleop.gamepad import Gamepads
-from hil.service.teleop.held import Heartbeat, RepeatedKeys, ToldKeys
+from hil.service.teleop.held import Heartbeat, ReleasingKeys, RepeatedKeys
 from hil.service.teleop.keys import Flags, Focus, Key
 from hil.service.teleop.operator import Operator, Speeds, Wish
 from hil.service.teleop.screen import View, lines
@@ -45,7 +45,7 @@ def teleop(client: Client, speeds: Speeds, *, gamepad: bool, dead_zone: float, e
         with client.live() as live, Signals() as signals:
             try:
                 terminal.enter()
-                keys = ToldKeys() if terminal.tells_releases else RepeatedKeys()
+                keys = ReleasingKeys() if terminal.reports_releases else RepeatedKeys()
                 operator = Operator(keys, speeds, dead_zone, expo)
                 return _Session(live, terminal, signals, gamepads, operator).run()
             finally:
@@ -70,7 +70,7 @@ class _Session:
         self._heartbeat = Heartbeat()
         self._asked: BodyTwist | None = None
         self._status: dict[str, Any] | None = None
-        self._heard_s = self._seen_s = self._due_s = time.monotonic()
+        self._received_s = self._seen_s = self._due_s = time.monotonic()
         self._orders: dict[int, Action] = {}
         self._gamepad: str | None = None
         self._message = ""
@@ -97,7 +97,7 @@ class _Session:
         if now_s >= self._due_s:
             self._handle_gamepad()
         self._check_terminal(now_s)
-        self._hear(now_s)
+        self._receive(now_s)
         self._drive(now_s)
         if now_s >= self._due_s:
             self._due_s = now_s + PERIOD_S
@@ -159,7 +159,7 @@ class _Session:
 
     def _check_terminal(self, now_s: float) -> None:
         """Query a terminal that reports releases while the robot drives."""
-        if not self._terminal.tells_releases or self._asked is None:
+        if not self._terminal.reports_releases or self._asked is None:
             return
         if self._heartbeat.due(now_s):
             self._terminal.ask()
@@ -186,13 +186,13 @@ class _Session:
         self._orders[number] = action
         return number
 
-    def _hear(self, now_s: float) -> None:
-        while (message := self._live.hear(0.0)) is not None:
+    def _receive(self, now_s: float) -> None:
+        while (message := self._live.receive(0.0)) is not None:
             self._handle(message, now_s)
 
     def _handle(self, message: dict[str, Any], now_s: float) -> None:
         if "status" in message:
-            self._status, self._heard_s = message["status"], now_s
+            self._status, self._received_s = message["status"], now_s
             return
         answer = message["answer"]
         action = self._orders.pop(answer["number"], None)
@@ -208,7 +208,7 @@ class _Session:
         self._asked = None
         end_s = time.monotonic() + _STOPPED_S
         while number in self._orders:
-            message = self._live.hear(max(end_s - time.monotonic(), 0.0))
+            message = self._live.receive(max(end_s - time.monotonic(), 0.0))
             if message is None:
                 raise LinkError(STOP_UNANSWERED)
             self._handle(message, time.monotonic())
@@ -216,10 +216,10 @@ class _Session:
     def _show(self, now_s: float) -> None:
         view = View(
             self._status,
-            now_s - self._heard_s,
+            now_s - self._received_s,
             self._asked,
             self._operator.speeds,
-            self._terminal.tells_releases,
+            self._terminal.reports_releases,
             self._gamepad,
             self._message,
         )

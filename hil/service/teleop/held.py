@@ -17,7 +17,7 @@ class Hold(NamedTuple):
     share: float
 
 
-class ToldKeys:
+class ReleasingKeys:
     """For a terminal that reports releases. A repeat of a released key is no press."""
 
     def __init__(self) -> None:

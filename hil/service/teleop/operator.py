@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 from hil.core.kinematics import BodyTwist
 from hil.service.teleop.gamepad import Pad, Sticks
-from hil.service.teleop.held import DeadManButton, RepeatedKeys, ToldKeys
+from hil.service.teleop.held import DeadManButton, ReleasingKeys, RepeatedKeys
 from hil.service.teleop.keys import Change, Key
 
 _FASTER = 1.25
@@ -114,7 +114,7 @@ class Operator:
         share: of the full speeds; + and - change it. may_arm: whether the next Enter arms, as after an a.
     """
 
-    def __init__(self, keys: ToldKeys | RepeatedKeys, speeds: Speeds, dead_zone: float, expo: float) -> None:
+    def __init__(self, keys: ReleasingKeys | RepeatedKeys, speeds: Speeds, dead_zone: float, expo: float) -> None:
         self._keys = keys
         self._button = DeadManButton()
         self._sticks = REST

@@ -9,7 +9,7 @@ from hil.core.types import Twist
 from hil.service.teleop.held import RepeatedKeys
 from hil.service.teleop.operator import Speeds
 
-_TELLS = "this terminal reports when a key is released: the robot is stopped at once"
+_REPORTS_RELEASES = "this terminal reports when a key is released: the robot is stopped at once"
 _REPEATS = (
     f"this terminal does not report when a key is released. A press drives for {RepeatedKeys.FIRST_S:g} s at "
     f"{RepeatedKeys.FIRST_SHARE:.0%} of the speed,",
@@ -30,7 +30,7 @@ class View(NamedTuple):
     status_age_s: float
     asked: BodyTwist | None
     speeds: Speeds
-    tells_releases: bool
+    reports_releases: bool
     gamepad: str | None
     message: str
 
@@ -48,7 +48,7 @@ def lines(view: View) -> list[str]:
     ]
     if view.gamepad is not None:
         shown.append(f"gamepad   {view.gamepad}")
-    return [*shown, "", *_HELP, "", *((_TELLS,) if view.tells_releases else _REPEATS), "", view.message]
+    return [*shown, "", *_HELP, "", *((_REPORTS_RELEASES,) if view.reports_releases else _REPEATS), "", view.message]
 
 
 def _status(status: Mapping[str, Any], age_s: float) -> list[str]:

@@ -35,7 +35,7 @@ class LostTerminalError(LinkError):
 class Terminal:
     """The controlling terminal, between ``enter`` and ``leave``.
 
-    ``tells_releases``: whether it has kitty's keyboard protocol. Every method raises LostTerminalError.
+    ``reports_releases``: whether it has kitty's keyboard protocol. Every method raises LostTerminalError.
     """
 
     def __init__(self) -> None:
@@ -47,7 +47,7 @@ class Terminal:
         self._before: _Attributes | None = None
         self._decoder = KeyDecoder()
         self._esc_s = 0.0
-        self.tells_releases = False
+        self.reports_releases = False
 
     def enter(self) -> None:
         """Read keys as they are pressed, without echo, and switch to the alternate screen."""
@@ -61,12 +61,12 @@ class Terminal:
             self._before = before
             termios.tcsetattr(self._in, termios.TCSAFLUSH, changed)
         self._write(_ENTER, _ANSWER_S)
-        self.tells_releases = self._ask_flags() is not None
-        if self.tells_releases:
+        self.reports_releases = self._ask_flags() is not None
+        if self.reports_releases:
             self._write(_PUSH_FLAGS, _ANSWER_S)
             if ((self._ask_flags() or 0) & _WANTED_FLAGS) != _WANTED_FLAGS:
                 self._write(_POP_FLAGS, _ANSWER_S)
-                self.tells_releases = False
+                self.reports_releases = False
 
     def leave(self) -> None:
         """Restore the terminal as far as possible. Calling twice is allowed."""
@@ -74,7 +74,7 @@ class Terminal:
             return
         before, self._before = self._before, None
         with contextlib.suppress(LostTerminalError):
-            self._write((_POP_FLAGS if self.tells_releases else b"") + _LEAVE, _ANSWER_S)
+            self._write((_POP_FLAGS if self.reports_releases else b"") + _LEAVE, _ANSWER_S)
         with contextlib.suppress(termios.error):
             termios.tcsetattr(self._in, termios.TCSAFLUSH, before)
 

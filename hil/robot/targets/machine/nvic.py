@@ -77,7 +77,7 @@ class Nvic:
             self._latched |= self._lines & 1 << number - FIRST_IRQ
             self._refresh()
 
-    def tell_fault(self, cfsr: int, hfsr: int, mmfar: int, bfar: int) -> None:
+    def record_fault(self, cfsr: int, hfsr: int, mmfar: int, bfar: int) -> None:
         """Set the fault status and address registers."""
         self._plain |= {0xD28: cfsr, 0xD2C: hfsr, 0xD34: mmfar, 0xD38: bfar}
 

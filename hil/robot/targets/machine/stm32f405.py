@@ -106,7 +106,7 @@ class Stm32f405:
 
         What the firmware does by itself that a processor does not allow ends ``run`` with a MachineError instead.
         """
-        self.nvic.tell_fault(cfsr, _FORCED, mmfar, bfar)
+        self.nvic.record_fault(cfsr, _FORCED, mmfar, bfar)
         return self._core.hard_fault(stacked=stacked)
 
     def memory(self, address: int, size: int) -> bytes:
