@@ -47,14 +47,14 @@ class Bridge:
 
     def receive(self, within_s: float) -> bool:
         """Publish one status, or warn of one refusal; return whether anything came. Raises LinkError."""
-        told = self._live.receive(within_s)
-        if told is None:
+        message = self._live.receive(within_s)
+        if message is None:
             return False
-        if "answer" in told:
-            if told["answer"]["refused"] is not None:
-                self._warn(f"refused: {told['answer']['refused']}")
+        if "answer" in message:
+            if message["answer"]["refused"] is not None:
+                self._warn(f"refused: {message['answer']['refused']}")
             return True
-        status = told["status"]
+        status = message["status"]
         for topic, values in (
             ("odom", odometry(status, self._names, self._deviations)),
             ("/tf", transform(status, self._names)),
