@@ -46,7 +46,7 @@ def unexplained(*faults: FaultRow, held_ms: range, ticks: int = 1000) -> int:
             undriven.hold(t_ms * MS, is_stale=False)
         else:
             undriven.drive()
-    counted = undriven.counted(ticks)["held_ticks"]
+    counted = undriven.counts(ticks)["held_ticks"]
     assert counted.all == len(held_ms)
     return counted.unexplained
 

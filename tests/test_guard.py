@@ -87,8 +87,8 @@ def test_a_limit_must_be_a_limit(value):
 @given(commands, limit, limit | st.just(math.inf) | st.floats(-5.0, 0.0))
 def test_what_the_robot_takes_is_a_limit_too_and_the_last_word_counts(command, own, robot):
     guard = Guard(own, 5.0)
-    guard.heed(0.1)
-    guard.heed(robot)
+    guard.limit_to(0.1)
+    guard.limit_to(robot)
     result, _ = guard.apply(command)
     assert robot < own or result == Guard(own, 5.0).apply(command)[0]
     assert max(map(abs, result.speed_rad_s)) <= min(own, max(robot, 0.0))

@@ -33,7 +33,7 @@ def test_a_drive_keeps_its_limits_and_its_derivatives_are_its_own(pose: Pose, wa
     drive = Drive(at_rest(pose), 0.0, OPTIONS)
     before = at_rest(pose)
     for number in range(1, 60 * len(wanted)):
-        drive.want(wanted[number // 60])
+        drive.set_target(wanted[number // 60])
         now = drive.at(number * DT_S, None)
         speed = math.hypot(now.twist.vx_m_s, now.twist.vy_m_s)
         assert speed <= OPTIONS.speed_m_s + 1e-9
@@ -47,10 +47,10 @@ def test_a_drive_keeps_its_limits_and_its_derivatives_are_its_own(pose: Pose, wa
 @given(poses, twists)
 def test_a_drive_without_a_wish_comes_to_rest_and_stays(pose: Pose, wanted: BodyTwist) -> None:
     drive = Drive(at_rest(pose), 0.0, OPTIONS)
-    drive.want(wanted)
+    drive.set_target(wanted)
     for number in range(1, 100):
         drive.at(number * DT_S, None)
-    drive.want(BodyTwist(0.0, 0.0, 0.0))
+    drive.set_target(BodyTwist(0.0, 0.0, 0.0))
     for number in range(100, 200):
         drive.at(number * DT_S, None)
     assert drive.rests
@@ -61,8 +61,8 @@ def test_a_drive_without_a_wish_comes_to_rest_and_stays(pose: Pose, wanted: Body
 @given(poses, poses)
 def test_a_held_robot_is_never_pulled_from_far(place: Pose, pose: Pose) -> None:
     reference = Drive(at_rest(place), 0.0, OPTIONS).at(DT_S, pose)
-    assert math.dist(reference.pose[:2], pose[:2]) <= Drive.LEASH_M + 1e-9
-    assert abs(math.remainder(reference.pose.heading_rad - pose.heading_rad, math.tau)) <= Drive.LEASH_RAD + 1e-9
+    assert math.dist(reference.pose[:2], pose[:2]) <= Drive.MOST_AHEAD_M + 1e-9
+    assert abs(math.remainder(reference.pose.heading_rad - pose.heading_rad, math.tau)) <= Drive.MOST_AHEAD_RAD + 1e-9
 
 
 @given(poses, poses)

@@ -120,34 +120,34 @@ def test_killed_qemu_is_told_in_a_sentence():
     wait_for(lambda: descendants(os.getpid()) == [])
 
 
-def leash_of(pid: int) -> int:
+def deadman_of(pid: int) -> int:
     """Return the process that watches over QEMU among the descendants of a process."""
-    (found,) = [n for n in descendants(pid) if "leash" in Path(f"/proc/{n}/cmdline").read_text()]
+    (found,) = [n for n in descendants(pid) if "deadman" in Path(f"/proc/{n}/cmdline").read_text()]
     return found
 
 
 @on_linux
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGTERM, signal.SIGINT])
-def test_qemu_does_not_outlive_its_leash(number: signal.Signals):
+def test_qemu_does_not_outlive_its_deadman_process(number: signal.Signals):
     with open_board() as board:
         qemu = qemu_of(os.getpid())
-        os.kill(leash_of(os.getpid()), number)
+        os.kill(deadman_of(os.getpid()), number)
         assert str(wait_for(lambda: _failure(board))).startswith("QEMU is gone: its process ")
         wait_for(lambda: has_gone(qemu))
 
 
 @on_linux
-def test_what_the_program_on_a_leash_has_started_ends_with_it(tmp_path: Path):
-    """A grandchild, which no signal at its parent's death reaches; the leash itself has ended before anybody asks."""
+def test_what_a_program_under_the_deadman_process_has_started_ends_with_it(tmp_path: Path):
+    """A grandchild, which no signal at its parent's death reaches; the deadman process has ended before we look."""
     note = tmp_path / "pid"
     program = (
         "import subprocess, sys, pathlib; quiet = subprocess.DEVNULL\n"
         "p = subprocess.Popen([sys.executable, '-c', 'import time; time.sleep(600)'], stdout=quiet, stderr=quiet)\n"
         "pathlib.Path(sys.argv[1]).write_text(str(p.pid))\n"
     )
-    child = ChildProcess("hil.robot.targets.leash", tmp_path / "scratch")
+    child = ChildProcess("hil.robot.targets.deadman", tmp_path / "scratch")
     child.tell({"command": [sys.executable, "-c", program, str(note)], "inherited": []})
-    assert child.receive() is None, "the leash has ended"
+    assert child.receive() is None, "the deadman process has ended"
     grandchild = int(note.read_text())
     assert not has_gone(grandchild)
     child.close(30.0)

@@ -45,10 +45,10 @@ def test_nothing_outlives_a_killed_caller(tmp_path: Path):
     assert process.stdout is not None
     assert process.stdout.readline() == b"begun\n"
     children = subprocess.run(["ps", "-o", "pid=", "--ppid", str(process.pid)], capture_output=True, check=True)
-    leash = int(children.stdout)
+    deadman = int(children.stdout)
     process.kill()
     process.communicate()
-    wait_for(lambda: not is_running(leash))
+    wait_for(lambda: not is_running(deadman))
     wait_for(lambda: not list(tmp_path.iterdir()))
 
 

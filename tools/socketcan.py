@@ -44,7 +44,7 @@ _PROBE_S = 20.0
 # Runs the rest as a process group, which is killed when stdin ends: when we close it, or die. Nothing of the guest may
 # stay behind, and a kernel that is killed alone leaves its helpers. The folder, $0, goes last.
 # Real time must pass inside, so it has precedence where that is allowed, which is to root.
-_LEASH = """
+_DEADMAN = """
 { echo -15 >/proc/self/autogroup; renice -n -15 $$; } >/dev/null 2>&1
 set -m; "$@" </dev/null & exec >&- 2>&-
 read -r _; kill -KILL %1; wait; rm -rf "$0"
@@ -97,7 +97,7 @@ class Inside:
             inside = [sys.executable, "-P", str(ROOT / "tools" / "socketcan_inside.py"), str(self._folder)]
             started = [*namespace, *inside] if namespace else self._guest(inside)
             self._process = subprocess.Popen(
-                ["bash", "-c", _LEASH, str(self._folder), *started],
+                ["bash", "-c", _DEADMAN, str(self._folder), *started],
                 stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,
                 stderr=subprocess.STDOUT,

@@ -24,12 +24,12 @@ def check(
     from hil.scenario import load
 
     resolved = load(scenario, set=sets or [], robot=robot, mode=mode, link=link, seed=seed)
-    demands = check_scenario(resolved)
+    feasibility = check_scenario(resolved)
     if as_json:
-        print_json({"scenario": resolved.name, "reference": {"kind": resolved.reference.kind, **demands.figures()}})
+        print_json({"scenario": resolved.name, "reference": {"kind": resolved.reference.kind, **feasibility.figures()}})
     else:
-        _print_demands(demands)
-    raise typer.Exit(1 if demands.sentences else 0)
+        _print_feasibility(feasibility)
+    raise typer.Exit(1 if feasibility.sentences else 0)
 
 
 def show(
@@ -52,12 +52,12 @@ def show(
     report.print_table([(key, format_value(value), where) for key, value, where in rows])
 
 
-def _print_demands(demands: "Feasibility") -> None:
+def _print_feasibility(feasibility: "Feasibility") -> None:
     """Print the speed and torque that a reference needs, and why it is not feasible, if so."""
-    for label, demand in (("wheel speed", demands.speed), ("wheel torque", demands.torque)):
-        most = f"at most {demand.worst:.3g} {demand.unit}, of wheel {demand.worst_wheel} at t = {demand.worst_s:.3g} s"
-        print(f"  {label:<22} {most}; the limit is {demand.limit:g} {demand.unit}")
-    for sentence in demands.sentences:
+    for label, needed in (("wheel speed", feasibility.speed), ("wheel torque", feasibility.torque)):
+        most = f"at most {needed.worst:.3g} {needed.unit}, of wheel {needed.worst_wheel} at t = {needed.worst_s:.3g} s"
+        print(f"  {label:<22} {most}; the limit is {needed.limit:g} {needed.unit}")
+    for sentence in feasibility.sentences:
         print(f"  {'not feasible':<22} {sentence}")
-    for sentence in demands.notes:
+    for sentence in feasibility.notes:
         print(f"  {'note':<22} {sentence}")

@@ -159,7 +159,7 @@ def turn_wheel(
 def _limited(model: RobotModel, robot_rad_s: float, speed_rad_s: float, warn: Callable[[str], None]) -> float:
     """Return the speed as limited by the guard."""
     guard = Guard(model.speed_limit_rad_s, model.torque_limit_n_m)
-    guard.heed(robot_rad_s)
+    guard.limit_to(robot_rad_s)
     asked = WheelCommand(CommandMode.SPEED, ZERO_WHEELS._replace(fl=speed_rad_s), ZERO_WHEELS)
     limited, is_scaled = guard.apply(asked)
     if is_scaled:

@@ -13,7 +13,7 @@ class Guard:
     """Limits the commands of a law; nothing else on the host does.
 
     All four wheels are scaled by one factor, so that the direction of motion, or of force, is kept. The speed limit is
-    the smaller of ``speed_limit_rad_s`` and the robot's own, which is set with ``heed``. ``refused`` counts commands
+    the smaller of ``speed_limit_rad_s`` and the robot's own, which is set with ``limit_to``. ``refused`` counts commands
     with a NaN or an infinity; a stop replaced them. Raises BadInputError for a limit that is not a finite number above
     zero.
     """
@@ -28,7 +28,7 @@ class Guard:
         self.torque_limit_n_m = torque_limit_n_m
         self.refused = 0
 
-    def heed(self, robot_speed_limit_rad_s: float) -> None:
+    def limit_to(self, robot_speed_limit_rad_s: float) -> None:
         """Apply the wheel speed limit that the robot reports, too; infinity if it reports none.
 
         The robot's limit includes the margin for the overshoot of its speed loop: our firmware reports 0.8 times the

@@ -92,5 +92,5 @@ class MotionReader:
                 scale * (((g - c + 0x8000) & 0xFFFF) - 0x8000),
                 scale * (((h - d + 0x8000) & 0xFFFF) - 0x8000),
             )
-        counted_s = min(dt_s, _LONGEST_S)
-        return Wheels(*(0.5 * (a + b) * counted_s for a, b in zip(last.speed_rad_s, now.speed_rad_s, strict=True)))
+        at_s = min(dt_s, _LONGEST_S)
+        return Wheels(*(0.5 * (a + b) * at_s for a, b in zip(last.speed_rad_s, now.speed_rad_s, strict=True)))

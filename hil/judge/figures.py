@@ -1,7 +1,7 @@
 """Every figure of a run in one place: what it is called, how it is computed, and how it is shown.
 
 ``SHIPPED`` holds the measures that compute figures from the recorded rows, so that a run and a review of its recording
-have the same figures. Other packages add theirs by entry points of the group ``hil.figures``. ``_COUNTED`` holds the
+have the same figures. Other packages add theirs by entry points of the group ``hil.figures``. ``_OF_RUNS`` holds the
 figures that only the run itself knows.
 """
 
@@ -95,7 +95,7 @@ SHIPPED: tuple[type[Measure], ...] = (
     DeadlineMisses,
 )
 _AGE, _ROUND_TRIP = "age of the feedback that a tick used", "from a command to the feedback that it was in force"
-_COUNTED = (
+_OF_RUNS = (
     Figure("realtime_factor", "times real time", "", 1.0, "robot time over wall time", None),
     Figure("frames.sent", "frames sent", "", 1, "frames to the robot", None, printed=False),
     Figure("frames.received", "frames received", "", 1, "frames from the robot", None, printed=False),
@@ -137,13 +137,13 @@ def measures() -> Sequence[type[Measure]]:
 def _measures(_path: tuple[str, ...]) -> Sequence[type[Measure]]:
     """See ``measures``. Packages are looked for once for each module search path, which takes milliseconds."""
     found = list(SHIPPED)
-    taken = {_key(figure.name) for figure in (*_COUNTED, *(one for measure in SHIPPED for one in measure.figures))}
+    taken = {_key(figure.name) for figure in (*_OF_RUNS, *(one for measure in SHIPPED for one in measure.figures))}
     for point in _EXTENSIONS.registered():
         named = f"figure {point.name!r}, of the package {package_of(point)}"
         measure = _EXTENSIONS.load(point.name, f"figure {point.name!r}")
-        if lacking := [name for name in ("figures", "signals", "add", "value") if not hasattr(measure, name)]:
+        if missing := [name for name in ("figures", "signals", "add", "value") if not hasattr(measure, name)]:
             expected = "expected a class as hil.judge.measure.Measure describes it"
-            raise BadInputError(f"{named}: {point.value!r} has no {lacking[0]}; {expected}")
+            raise BadInputError(f"{named}: {point.value!r} has no {missing[0]}; {expected}")
         for name in (_key(figure.name) for figure in measure.figures):
             if name in taken:
                 raise BadInputError(f"{named}: the name {name!r} is taken; choose another")
@@ -154,7 +154,7 @@ def _measures(_path: tuple[str, ...]) -> Sequence[type[Measure]]:
 
 def figures() -> list[Figure]:
     """Return every figure, those that reports print on a line of their own first. Raises as ``measures``."""
-    found = [*(figure for measure in measures() for figure in measure.figures), *_COUNTED]
+    found = [*(figure for measure in measures() for figure in measure.figures), *_OF_RUNS]
     return sorted(found, key=lambda figure: not figure.printed)
 
 

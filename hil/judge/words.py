@@ -48,8 +48,8 @@ def figure_rows(metrics: Mapping[str, Any]) -> Iterator[Row]:
     frames = metrics.get("frames")
     if frames is not None:
         rejected = _by_cause(frames["rejected"]) or "none"
-        counted = f"{frames['sent']} sent, {frames['received']} received since connecting, but for HELLO"
-        yield "frames", f"{counted}; rejected: {rejected}"
+        traffic = f"{frames['sent']} sent, {frames['received']} received since connecting, but for HELLO"
+        yield "frames", f"{traffic}; rejected: {rejected}"
 
 
 def link_rows(metrics: Mapping[str, Any]) -> Iterator[Row]:

@@ -46,10 +46,10 @@ class Shadows:
             row += command
         return row
 
-    def heed(self, robot_speed_limit_rad_s: float) -> None:
+    def limit_to(self, robot_speed_limit_rad_s: float) -> None:
         """Keep the set points within what the robot takes, as those of the law in command."""
         for guard in self._guards.values():
-            guard.heed(robot_speed_limit_rad_s)
+            guard.limit_to(robot_speed_limit_rad_s)
 
     def hold(self) -> None:
         """Do one tick in which no law is asked."""

@@ -124,10 +124,10 @@ class _Resolver:
         self._refuse_shared(inputs.values())
         if self._problems:
             raise BadInputError("\n".join(self._problems))
-        unread = {angle for angle, *others in zip(ANGLES, COUNTS, SPEEDS, strict=True) if not derived & set(others)}
+        unused = {angle for angle, *others in zip(ANGLES, COUNTS, SPEEDS, strict=True) if not derived & set(others)}
         return Wiring(
             tuple(inputs.values()),
-            tuple(connection for signal, connection in outputs.items() if signal not in unread),
+            tuple(connection for signal, connection in outputs.items() if signal not in unused),
             frozenset(map(OUTPUTS.index, derived)),
         )
 

@@ -149,12 +149,12 @@ class _Progress:
     def __init__(self) -> None:
         self.parts: list[Part] = []
         self.is_done = False  # with the newest part
-        self._trying = self._doing = ""
+        self._trying = self._call = ""
 
     @property
     def place(self) -> str:
         """Return the newest call, and what was tried with it, as the beginning of a sentence."""
-        return f"{self._doing}{self._trying and f' ({self._trying})'}{self._doing and ', '}"
+        return f"{self._call}{self._trying and f' ({self._trying})'}{self._call and ', '}"
 
     def add(self, entry: Mapping[str, Any]) -> None:
         """Add a record of the child."""
@@ -162,10 +162,10 @@ class _Progress:
             self.parts.append(Part(entry["part"]))
             self.is_done = False
         if "part" in entry or "trying" in entry:
-            self._trying, self._doing = entry.get("trying", ""), ""
+            self._trying, self._call = entry.get("trying", ""), ""
         if "found" in entry:
             self.parts[-1] = self.parts[-1].having(Finding(Kind(entry["kind"]), entry["found"]))
         if "skipped" in entry:
             self.parts[-1] = replace(self.parts[-1], skipped=entry["skipped"])
-        self._doing = entry.get("doing", self._doing)
+        self._call = entry.get("doing", self._call)
         self.is_done = entry.get("done", self.is_done)

@@ -150,7 +150,7 @@ def check_scenario(scenario: Scenario) -> Feasibility:
 
     Raises BadInputError when the law or the reference rejects its options.
     """
-    return RunParts(scenario).demands()
+    return RunParts(scenario).feasibility()
 
 
 class _Run:
@@ -167,9 +167,9 @@ class _Run:
         self._destination = parse_destination(options.stream) if options.stream is not None else None
         self._parts = RunParts(scenario)
         self._ingredients = ingredients(scenario) if options.is_recorded else {}
-        self._demands = self._parts.demands()
+        self._feasibility = self._parts.feasibility()
         self._is_lockstep = scenario.loop.mode == "lockstep"
-        self._warn(self._demands.sentences)
+        self._warn(self._feasibility.sentences)
         self._trace: Trace | None = None
         self._recording: RunRecording | None = None
         self._stream: UdpStream | None = None
@@ -197,7 +197,7 @@ class _Run:
             self._recording = resources.enter_context(self._open_recording())
             self._recording.event(0.0, "info", f"robot: {robot.describe()}")
             self._recording.event(0.0, "info", f"link: {bench.device.describe_link()}")
-            for sentence in (*self._demands.sentences, *bench.device.warnings):
+            for sentence in (*self._feasibility.sentences, *bench.device.warnings):
                 self._recording.event(0.0, "warning", sentence)
         if self._destination is not None:
             stream = UdpStream(self._destination, signals=laws.signals, blocking=self._is_lockstep)
@@ -292,7 +292,7 @@ class _Run:
         metrics = run_figures(scenario, self._bench, self._memory, loop, report, outcomes)
         metrics["realtime"] = None if granted is None else granted.figures()
         metrics["shadows"] = [] if laws.shadows is None else laws.shadows.figures()
-        metrics["reference"] = {"kind": scenario.reference.kind, **self._demands.figures()}
+        metrics["reference"] = {"kind": scenario.reference.kind, **self._feasibility.figures()}
         if self._trace is not None:
             metrics["trace"] = self._trace.finish().figures()
         if self._stream is not None:

@@ -24,7 +24,7 @@ class Report(NamedTuple):
     """The result of the loop.
 
     Attributes:
-        counted: number of ticks that were not driven, by the keys of ``[allow]``.
+        undriven: number of ticks that were not driven, by the keys of ``[allow]``.
         robot_s, wall_s: the duration in robot time and in wall-clock time.
         stopped: whether the robot came to rest at the end.
         failure: what ended the loop early, or None.
@@ -33,7 +33,7 @@ class Report(NamedTuple):
 
     ticks: int
     deadline_misses: int
-    counted: dict[str, TickCount]
+    undriven: dict[str, TickCount]
     robot_s: float
     wall_s: float
     stopped: bool
@@ -121,8 +121,8 @@ class Loop:
         ticks = self._ticker.count
         robot_s = self.t_s + self._timing.period_ns * 1e-9 if ticks else 0.0
         recoveries = tuple(self._recoveries)
-        counted = self._undriven.counted(ticks)
-        return Report(ticks, self._misses, counted, robot_s, wall_s, stopped, failure, recoveries)
+        undriven = self._undriven.counts(ticks)
+        return Report(ticks, self._misses, undriven, robot_s, wall_s, stopped, failure, recoveries)
 
     @property
     def commands_refused(self) -> int:

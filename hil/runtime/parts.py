@@ -33,7 +33,7 @@ class RunParts:
         self._guard = Guard(self.model.speed_limit_rad_s, self.model.torque_limit_n_m)
         self._brake = Brake(scenario.controller.mode, self._guard, scenario.firmware.speed_kp_n_m_s_rad)
 
-    def demands(self) -> Feasibility:
+    def feasibility(self) -> Feasibility:
         """Return the wheel speeds and torques that the reference demands."""
         loop = self._scenario.loop
         return feasibility(self.reference, self.model, loop.duration_s, loop.period_ns / NS)

@@ -35,7 +35,7 @@ def run_figures(
         | {"start_s": row.start_s, "end_s": row.end_s if math.isfinite(row.end_s) else None, "value": row.value}
         for row, count in zip(scenario.fault, bench.faults.applied(), strict=True)
     ]
-    allow = allow_figures(scenario.allow, report.counted, report.ticks)
+    allow = allow_figures(scenario.allow, report.undriven, report.ticks)
     # A fault that was never applied proves nothing. Nor does a run whose law gave NaN, because the robot was then
     # stopped.
     judged = (*(row["passed"] for row in (*outcomes, *allow)), *(row["applied"] for row in applied))
@@ -62,7 +62,7 @@ def run_figures(
         "wire_sha256": device.wire_sha256(),
         "stopped": report.stopped,
         "commands_refused": loop.commands_refused,
-        **{name: count.all for name, count in report.counted.items()},
+        **{name: count.all for name, count in report.undriven.items()},
         "allow": allow,
         "recoveries": [recovered._asdict() for recovered in report.recoveries],
         "robot_slipped_ticks": bench.slipped_ticks,
@@ -83,11 +83,11 @@ def _link_statistics(bench: Bench, age_ms: Percentiles | None) -> dict[str, Any]
     """Return the figures of the link (hil/wire/STATISTICS.md); ``reasons`` explains each that is None."""
     device, wire = bench.device, bench.wire
     rejected = device.rejected()
-    counted = wire.counts_frames
+    counts_frames = wire.counts_frames
     lost = {
         "snapshots": device.snapshots_lost,
-        "frames_to_host": rejected.pop("lost", 0) if counted else None,
-        "frames_to_robot": rejected.pop("robot_serial_lost", 0) if counted else None,
+        "frames_to_host": rejected.pop("lost", 0) if counts_frames else None,
+        "frames_to_robot": rejected.pop("robot_serial_lost", 0) if counts_frames else None,
     }
     figures = {
         **wire.figures(),

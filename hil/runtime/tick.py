@@ -205,7 +205,7 @@ class Tick:
     def begin(self) -> None:
         """Reset the law for a robot that has just become ACTIVE."""
         self._before = None
-        self._heed_limits()
+        self._update_limits()
         self._latency.restart()
         self._applied = Applied(self._rest, False, self._latency.s)
 
@@ -245,14 +245,14 @@ class Tick:
         self._controller, self._guard = parts.controller, parts.guard
         self._faults, self._shadows = parts.faults, parts.shadows
         self._uses_truth = parts.estimator.uses_truth
-        self._heed_limits()
+        self._update_limits()
 
-    def _heed_limits(self) -> None:
+    def _update_limits(self) -> None:
         """Limit commands to the wheel speed that the robot accepts; after a reconnection it may be another robot."""
         limit_rad_s = self._device.speed_limit_rad_s
-        self._guard.heed(limit_rad_s)
+        self._guard.limit_to(limit_rad_s)
         if self._shadows is not None:
-            self._shadows.heed(limit_rad_s)
+            self._shadows.limit_to(limit_rad_s)
 
     def _make_rows(self) -> RowWriter:
         parts = self._parts

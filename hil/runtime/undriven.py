@@ -53,7 +53,7 @@ class Undriven:
             self._held += 1
             self._held_explained += self._is_explained
 
-    def counted(self, ticks: int) -> dict[str, TickCount]:
+    def counts(self, ticks: int) -> dict[str, TickCount]:
         """Return all and the unexplained ticks of each kind, by its key in ``[allow]``; ``ticks`` is all of the run."""
         if self._stale + self._held == ticks:
             return {"stale_ticks": TickCount(self._stale, self._stale), "held_ticks": TickCount(self._held, self._held)}

@@ -67,7 +67,7 @@ class Conduct:
         drive = self._motion if self.task is Task.TWIST and isinstance(self._motion, Drive) else self._rest()
         self.task = Task.TWIST
         self._twist_until_s = self._t_s + self._options.twist_timeout_s
-        return drive.want(twist)
+        return drive.set_target(twist)
 
     def track(self, path: ReferenceSource, *, here: bool) -> None:
         """Follow a path once the robot rests: from where it stands (``here``), or in the world from its begin."""

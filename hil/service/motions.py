@@ -22,15 +22,15 @@ _LEAP_M, _LEAP_RAD = 0.02, 0.04
 class Drive:
     """Drives by a twist in the body frame, with limited acceleration; without a twist it comes to rest and holds.
 
-    The reference is ahead of the robot by at most ``LEASH_M`` and ``LEASH_RAD``: a robot that was blocked does not jump
-    when it is free, and one that is carried away is not driven back far. Where the pose jumps, as a localisation's may,
-    the motion begins anew there, at rest.
+    The reference is ahead of the robot by at most ``MOST_AHEAD_M`` and ``MOST_AHEAD_RAD``: a robot that was blocked
+    does not jump when it is free, and one that is carried away is not driven back far. Where the pose jumps, as a
+    localisation's may, the motion begins anew there, at rest.
 
     ``start`` is the reference, or the robot's state, at ``t_s``; ``options`` has the limits of speed and acceleration.
     """
 
-    LEASH_M = 0.1
-    LEASH_RAD = 0.2
+    MOST_AHEAD_M = 0.1
+    MOST_AHEAD_RAD = 0.2
 
     def __init__(self, start: Reference, t_s: float, options: ServiceTable) -> None:
         self._pose = start.pose
@@ -38,20 +38,20 @@ class Drive:
         self._t_s = t_s
         self._options = options
         self._robot: Pose | None = None
-        self.wanted = _NO_TWIST
+        self.target = _NO_TWIST
 
     @property
     def rests(self) -> bool:
         """Whether the reference stands still."""
         return self._twist == _NO_TWIST
 
-    def want(self, twist: BodyTwist) -> BodyTwist:
+    def set_target(self, twist: BodyTwist) -> BodyTwist:
         """Drive by this twist, scaled to the limits, from now on; return the scaled one."""
         options = self._options
         forward, left, yaw_rate = twist
         largest = max(math.hypot(forward, left) / options.speed_m_s, abs(yaw_rate) / options.yaw_rate_rad_s, 1.0)
-        self.wanted = BodyTwist(forward / largest, left / largest, yaw_rate / largest)
-        return self.wanted
+        self.target = BodyTwist(forward / largest, left / largest, yaw_rate / largest)
+        return self.target
 
     def at(self, t_s: float, pose: Pose | None) -> Reference:
         """Return the reference of this tick."""
@@ -66,7 +66,7 @@ class Drive:
         vx_m_s, vy_m_s, _ = to_world(BodyTwist(forward, left, yaw_rate), heading_rad + yaw_rate * dt_s / 2.0)
         self._pose = Pose(x_m + vx_m_s * dt_s, y_m + vy_m_s * dt_s, heading_rad + yaw_rate * dt_s)
         if pose is not None:
-            self._pose = _on_leash(self._pose, pose)
+            self._pose = _limit_lead(self._pose, pose)
         twist = to_world(self._twist, self._pose.heading_rad)
         return Reference(self._pose, twist, self._acceleration(before, dt_s, twist))
 
@@ -82,14 +82,14 @@ class Drive:
         )
 
     def _towards(self, dt_s: float) -> BodyTwist:
-        """Return the twist after this time, on the way to the wanted twist."""
+        """Return the twist after this time, on the way to the target twist."""
         options = self._options
-        forward, left, yaw_rate = (b - a for a, b in zip(self._twist, self.wanted, strict=True))
+        forward, left, yaw_rate = (b - a for a, b in zip(self._twist, self.target, strict=True))
         plane, turn = math.hypot(forward, left), abs(yaw_rate)
         share = min(1.0, options.acceleration_m_s2 * dt_s / plane) if plane else 1.0
         turn_share = min(1.0, options.yaw_acceleration_rad_s2 * dt_s / turn) if turn else 1.0
         if share == turn_share == 1.0:
-            return self.wanted
+            return self.target
         now = self._twist
         return BodyTwist(
             now.forward_m_s + share * forward, now.left_m_s + share * left, now.yaw_rate_rad_s + turn_share * yaw_rate
@@ -104,11 +104,11 @@ class Drive:
         return Acceleration(ax - twist.yaw_rate_rad_s * twist.vy_m_s, ay + twist.yaw_rate_rad_s * twist.vx_m_s, yaw)
 
 
-def _on_leash(reference: Pose, pose: Pose) -> Pose:
+def _limit_lead(reference: Pose, pose: Pose) -> Pose:
     x_m, y_m = reference.x_m - pose.x_m, reference.y_m - pose.y_m
     turn_rad = wrap_angle(reference.heading_rad - pose.heading_rad)
-    share = min(1.0, Drive.LEASH_M / max(math.hypot(x_m, y_m), Drive.LEASH_M))
-    limit = Drive.LEASH_RAD
+    share = min(1.0, Drive.MOST_AHEAD_M / max(math.hypot(x_m, y_m), Drive.MOST_AHEAD_M))
+    limit = Drive.MOST_AHEAD_RAD
     if share == 1.0 and abs(turn_rad) <= limit:
         return reference
     return Pose(pose.x_m + share * x_m, pose.y_m + share * y_m, pose.heading_rad + min(max(turn_rad, -limit), limit))

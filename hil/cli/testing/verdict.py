@@ -78,9 +78,9 @@ class Verdict:
         failed = [row for row in in_order(metrics["expect"]) if row["passed"] is False]
         yield from (f"expectation: {row['text']}" for row in failed)
         yield from (f"allow: {row['text']}" for row in metrics["allow"] if not row["passed"])
-        for row, counted in _faults(self.scenario.fault, metrics):
-            if not counted["applied"]:
-                yield f"fault: {_fault(row, counted)}"
+        for row, counts in _faults(self.scenario.fault, metrics):
+            if not counts["applied"]:
+                yield f"fault: {_fault(row, counts)}"
 
     def _recorded(self) -> list[tuple[str, str]]:
         if self.recording is None:
@@ -139,8 +139,8 @@ def _link_figures(metrics: Mapping[str, Any]) -> Iterator[tuple[str, float | Non
     yield "recoveries", len(metrics["recoveries"])
 
 
-def _fault(row: FaultTable, counted: Mapping[str, Any]) -> str:
+def _fault(row: FaultTable, counts: Mapping[str, Any]) -> str:
     end = "the end" if math.isinf(row.end_s) else f"{row.end_s:g} s"
-    count = counted["applied"]
+    count = counts["applied"]
     outcome = f"applied {count} times" if count else "never applied, so the run shows nothing about it"
     return f"{row.kind} {row.target} from {row.start_s:g} s to {end}: {outcome}"

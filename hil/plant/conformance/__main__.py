@@ -22,12 +22,12 @@ def main() -> None:
     """Run the parts that were asked for, up to one that nothing can follow."""
     parent = Parent()
     report = parent.send
-    asked = parent.receive()
-    library = Path(asked["library"])
+    job = parent.receive()
+    library = Path(job["library"])
     os.chdir(library.parent)  # some libraries look for others where they are
-    model = Model(Path(asked["fmu"]), parent.scratch, library, SLAVES[asked["version"]], report)
+    model = Model(Path(job["fmu"]), parent.scratch, library, SLAVES[job["version"]], report)
     for part in PARTS:
-        if title(part) not in asked["parts"]:
+        if title(part) not in job["parts"]:
             continue
         report(part=title(part))
         failed = False

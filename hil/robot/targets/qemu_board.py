@@ -203,7 +203,7 @@ class QemuProcess:
                 ours, lines = zip(*(socket.socketpair() for _ in range(2)), strict=True)
                 self.host, self.plant = (resources.enter_context(line) for line in ours)
                 numbers = [theirs.enter_context(line).fileno() for line in lines]
-                self._child = ChildProcess("hil.robot.targets.leash", Path(self._folder.name), numbers)
+                self._child = ChildProcess("hil.robot.targets.deadman", Path(self._folder.name), numbers)
             resources.callback(self._child.close, _END_S)
             for line in ours:
                 line.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _SEND_BUFFER)
