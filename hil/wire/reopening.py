@@ -41,7 +41,7 @@ class OpeningBeside(Generic[T]):
     def _run(self) -> None:
         try:
             result: Any = self._opened()
-        except Exception as error:  # noqa: BLE001 - take() raises it in the caller's thread
+        except Exception as error:  # noqa: BLE001 - result() raises it in the caller's thread
             self._failure = error
         else:
             with self._lock:
