@@ -81,10 +81,11 @@ _AGE_UNKNOWN_MS = 255  # as TICK.command_age_ms: this and more
 class MotorFeedback:
     """Turns samples in the order of the channels into feedback of the wheels.
 
-    Older than ``stale_s`` nothing begins: a first sample may rest on a speed of long ago, from before the greeting of
-    the others.
+    No first feedback is made of a sample older than ``stale_s``: it may hold a speed of long ago, from before the
+    others answered.
 
     Attributes:
+        stale_s: as given.
         newest: None before all four were heard of late.
         health: what they say of battery and motors.
     """
@@ -93,7 +94,7 @@ class MotorFeedback:
         self._driver = driver
         self._map = wheel_map
         self._angles = Angles(counts_per_revolution)
-        self._stale_ns = round(stale_s * 1e9)
+        self.stale_s = stale_s
         self.newest: Feedback | None = None
         self.health = Health()
 
@@ -109,7 +110,7 @@ class MotorFeedback:
     def is_fresh(self, now_ns: int) -> bool:
         """Tell whether the oldest of the four speeds is no older than ``stale_s``."""
         sample = self._driver.sample
-        return sample is not None and now_ns - sample.stamp_ns <= self._stale_ns
+        return sample is not None and now_ns - sample.stamp_ns <= self.stale_s * 1e9
 
     def renew(self, now_ns: int, state: State, sequence: int) -> None:
         """Make feedback of the newest sample. Its time is that of the oldest speed, by the clock of the run."""
@@ -171,6 +172,22 @@ class MakersReport:
     def stop_reason(self) -> str:
         """Return why the robot last stopped, in words that follow on "because of"."""
         return f"this: {self.why}" if self.why else "no error that it tells"
+
+    def why_not_active(self, state: State, missing: str, now_ns: int) -> str:
+        """Return what keeps the robot from being driven, and what to do. ``missing`` is the driver's."""
+        if state is State.ESTOP:
+            return "an e-stop is latched; clear it when the robot may be armed again"
+        if state is State.FAULT:
+            return (
+                f"the motor controllers reported {self.why}; find the cause, then clear it with their maker's "
+                "tool, or with hil serve and hil ctl clear"
+            )
+        if not self._feedback.is_fresh(now_ns):
+            return missing or (
+                "the motor controllers send no feedback of all four wheels that is younger than the "
+                f"{self._feedback.stale_s:g} s of firmware.watchdog_s; look at its rate, and whether all four send it"
+            )
+        return "the motor controllers did not go into closed loop within 4 s; look at them with their maker's tool"
 
     def explains(self, state: State) -> bool:
         """They tell their errors before they are stopped for them."""

@@ -18,13 +18,22 @@ _ROLLS_OUT_NS = 1_000_000_000
 _LOST_NS = 1_000_000_000
 
 
-class StopTerms(NamedTuple):
-    """``brake`` holds against the wheels' speeds in mode TORQUE, while feedback is younger than ``stale_s``."""
+class Terms(NamedTuple):
+    """What a session with a maker's motors takes from the scenario.
+
+    ``ramp_s`` is the time in which a stop in mode SPEED goes to rest. In mode TORQUE ``brake`` holds against the
+    wheels' speeds, while feedback is younger than ``stale_s``. ``rearm``: the loop arms again a robot that comes back.
+    ``advance`` lets so many ticks of 1 ms pass for an emulated robot in this process (lockstep); else None.
+    """
 
     mode: CommandMode
     ramp_s: float
     stale_s: float
     brake: Brake
+    counts_per_revolution: int
+    allow_motion: bool
+    rearm: bool
+    advance: Callable[[int], None] | None
 
 
 class Line(Protocol):
@@ -43,7 +52,7 @@ class MotorStop:
         problem: why the newest stop did not go out whole; None where it did.
     """
 
-    def __init__(self, driver: Driver, terms: StopTerms, line: Line) -> None:
+    def __init__(self, driver: Driver, terms: Terms, line: Line) -> None:
         self._driver = driver
         self._terms = terms
         self._line = line

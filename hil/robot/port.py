@@ -1,14 +1,21 @@
 """What the tick, the loop and the service need of a robot behind a link, whatever its motors speak."""
 
+import math
+from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from typing import Protocol
 
 from firmware_protocol.generated.messages import State
+from hil.core.errors import DeviceError
 from hil.core.ports import Clock
 from hil.core.types import WheelCommand
-from hil.robot.link_times import ClockSync, RoundTrip
+from hil.robot.link_times import ClockSync, PollAge, RoundTrip
 from hil.robot.robot_report import Health
 from hil.robot.snapshot import Feedback
+from hil.robot.wire_hash import WireHash
+from hil.wire.conditions import ConditionedLink
+
+_START_LIMIT_NS = 4_000_000_000
 
 
 class Identity(Protocol):
@@ -186,3 +193,110 @@ class Device(Protocol):
 
     def close(self) -> None:
         """Stop what may still be driven, at once and at best effort. Closing twice is allowed."""
+
+
+class Line(Protocol):
+    """Counts and hashes the frames of a device: ``sent`` and ``received`` are their numbers."""
+
+    sent: int
+    received: int
+    hash: WireHash
+
+
+class LinkedDevice(ABC):
+    """What all devices have in common: link, clock, counters, the wait for ACTIVE. ``Device`` documents the calls.
+
+    A subclass sets ``_line``, through which its frames pass.
+    """
+
+    _clock: Clock | None = None
+    _line: Line
+
+    def __init__(self, link: ConditionedLink, *, is_lockstep: bool) -> None:
+        self._is_lockstep = is_lockstep
+        self.round_trip = RoundTrip()
+        self.clock_sync = ClockSync()
+        self._link = link
+        self._poll_age = PollAge()
+        self._sequence = 0
+
+    @property
+    def is_lockstep(self) -> bool:
+        return self._is_lockstep
+
+    def describe_link(self) -> str:
+        return self._link.describe()
+
+    def reopen(self) -> None:
+        self._link.reopen()
+
+    def attend(self, clock: Clock) -> None:
+        self._clock = clock
+
+    def start(self, clock: Clock, period_ns: int) -> int:
+        self.attend(clock)
+        begin_ns = clock.now_ns()
+        try:
+            for now_ns in range(begin_ns, begin_ns + _START_LIMIT_NS + 1, period_ns):
+                self.wait_until(now_ns)
+                if self.armed():
+                    return now_ns
+            raise DeviceError(self.why_not_active())
+        except BaseException:
+            self.close()
+            raise
+
+    @abstractmethod
+    def armed(self) -> bool: ...
+
+    @abstractmethod
+    def why_not_active(self) -> str: ...
+
+    @abstractmethod
+    def close(self) -> None: ...
+
+    def wait_until(self, t_ns: int) -> int:
+        """Let time pass on the clock; frames that the link delays go out meanwhile. Returns the lateness [ns]."""
+        clock, link = self._clock, self._link
+        assert clock is not None
+        if link.may_hold:
+            link.hand_over_until(clock, t_ns)
+        self._receive_until(clock, t_ns)
+        late_ns = clock.wait_until(t_ns)
+        if link.may_hold:
+            link.service()
+        return late_ns
+
+    def _receive_until(self, clock: Clock, t_ns: int) -> None:  # noqa: B027 - most devices have nothing to do here
+        """Receive what needs a time stamp of its own arrival, until ``t_ns`` at the latest."""
+
+    @property
+    def poll_age_ns(self) -> int:
+        return self._poll_age.ns
+
+    def _discard(self) -> None:
+        """Forget what the link holds, in both directions: the link was lost."""
+        self._poll_age.restart()
+        self._link.discard()
+
+    @property
+    def speed_limit_rad_s(self) -> float:
+        return math.inf
+
+    @property
+    def sent(self) -> int:
+        return self._line.sent
+
+    @property
+    def received(self) -> int:
+        return self._line.received
+
+    @property
+    def snapshots_lost(self) -> int:
+        return 0
+
+    def wire_sha256(self) -> str:
+        return self._line.hash.hexdigest()
+
+    def rejected(self) -> dict[str, int]:
+        return {cause: count for cause, count in self._link.rejected().items() if count}

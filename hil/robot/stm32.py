@@ -16,7 +16,8 @@ from hil.core.types import ZERO_WHEELS, CommandMode, WheelCommand
 from hil.robot import handshake
 from hil.robot.channel import Channel
 from hil.robot.handshake import Expected, RobotInfo
-from hil.robot.link_times import SYNC_PERIOD_NS, ClockSync, PollAge, RoundTrip
+from hil.robot.link_times import SYNC_PERIOD_NS
+from hil.robot.port import LinkedDevice
 from hil.robot.robot_report import RobotReport
 from hil.robot.session import Session, Step
 from hil.robot.snapshot import Feedback
@@ -24,12 +25,11 @@ from hil.robot.wheel_map import WheelMap
 from hil.wire.conditions import ConditionedLink
 
 _MOST_A_POLL = 200  # frames; a robot sends at most some ten a tick
-_START_LIMIT_NS = 4_000_000_000
 _ESTOP_BY_HOST = 1
 _AT_REST = (m.State.IDLE, m.State.FAULT, m.State.ESTOP)
 
 
-class Stm32:
+class Stm32(LinkedDevice):
     """A robot that speaks wheel.dbc, at the other end of a link. ``hil.robot.port.Device`` says what each call does.
 
     ``nonces`` gives the session nonces to try, in order. Raises DeviceError when the robot does not answer, refuses
@@ -44,26 +44,16 @@ class Stm32:
         nonces: Iterator[int],
         wheel_map: WheelMap,
     ) -> None:
-        self._link = link
+        super().__init__(link, is_lockstep=expected.lockstep)
         self._mode = mode
         self._expected = expected
-        self._is_lockstep = expected.lockstep
         self._map = wheel_map
-        self._clock: Clock | None = None
         self._session = Session(nonces, mode, expected)
         self.report = RobotReport(wheel_map)
-        self.round_trip = RoundTrip()
-        self.clock_sync = ClockSync()
-        self._channel = Channel(link, wheel_map, self.round_trip, self._on_message)
-        self._poll_age = PollAge()
+        self._channel = self._line = Channel(link, wheel_map, self.round_trip, self._on_message)
         self._next_sync_ns = 0
-        self._sequence = 0
 
     # Connecting
-
-    @property
-    def is_lockstep(self) -> bool:
-        return self._is_lockstep
 
     def connect(self) -> RobotInfo:
         """Ask for HELLO and check the answer against what the scenario expects."""
@@ -92,9 +82,6 @@ class Stm32:
         ours_rad_s = 0.0 if self._mode is CommandMode.TORQUE else self._expected.speed_limit_rad_s
         return self.info.warnings(cause, ours_rad_s)
 
-    def describe_link(self) -> str:
-        return self._link.describe()
-
     # Coming back after a loss, in steps that do not wait: the tick of the loop goes on meanwhile
 
     @property
@@ -105,13 +92,9 @@ class Stm32:
     def leave(self) -> None:
         self._session.leave()
         self._channel.feedback = None
-        self._poll_age.restart()
         self.report.status = None
         self.clock_sync.give_up()
-        self._link.discard()
-
-    def reopen(self) -> None:
-        self._link.reopen()
+        self._discard()
 
     def begin_again(self) -> None:
         """Begin with a new nonce and the handshake. Raises RobotStoppedError when it does not answer in lockstep."""
@@ -131,22 +114,6 @@ class Stm32:
         return self._session.is_greeted
 
     # The way to ACTIVE and back
-
-    def attend(self, clock: Clock) -> None:
-        self._clock = clock
-
-    def start(self, clock: Clock, period_ns: int) -> int:
-        self.attend(clock)
-        begin_ns = clock.now_ns()
-        try:
-            for now_ns in range(begin_ns, begin_ns + _START_LIMIT_NS + 1, period_ns):
-                self.wait_until(now_ns)
-                if self.armed():
-                    return now_ns
-            raise DeviceError(self.why_not_active())
-        except BaseException:
-            self.disarm()
-            raise
 
     def armed(self) -> bool:
         """Do the step that ``session`` says is next; return whether the robot is ACTIVE in our session."""
@@ -207,22 +174,9 @@ class Stm32:
 
     # One tick
 
-    def wait_until(self, t_ns: int) -> int:
-        """Let time pass on the clock; commands that the link delays go out meanwhile. Returns the lateness [ns]."""
-        clock, link = self._clock, self._link
-        assert clock is not None
-        if link.may_hold:
-            link.hand_over_until(clock, t_ns)
-        if self.clock_sync.awaiting and not self._is_lockstep:
-            self._await_clock(clock, t_ns)
-        late_ns = clock.wait_until(t_ns)
-        if link.may_hold:
-            link.service()
-        return late_ns
-
-    def _await_clock(self, clock: Clock, t_ns: int) -> None:
+    def _receive_until(self, clock: Clock, t_ns: int) -> None:
         """Wait for TIME_SYNC's answer on the link itself: what is found at the next tick has no stamp of its own."""
-        while self.clock_sync.awaiting and (left_ns := t_ns - clock.now_ns()) > 0:
+        while not self._is_lockstep and self.clock_sync.awaiting and (left_ns := t_ns - clock.now_ns()) > 0:
             received = self._link.receive(left_ns)
             if received is None:
                 return
@@ -249,10 +203,6 @@ class Stm32:
             if not self._is_lockstep:
                 self._poll_age.record_poll(now_ns, everything=taken < _MOST_A_POLL)
         return self._channel.feedback
-
-    @property
-    def poll_age_ns(self) -> int:
-        return self._poll_age.ns
 
     @property
     def feedback(self) -> Feedback | None:
@@ -309,20 +259,8 @@ class Stm32:
     # Accounts
 
     @property
-    def sent(self) -> int:
-        return self._channel.sent
-
-    @property
-    def received(self) -> int:
-        return self._channel.received
-
-    @property
     def snapshots_lost(self) -> int:
         return self._channel.lost
-
-    def wire_sha256(self) -> str:
-        """Return the hash of all frames but HELLO and repeated STEPs, whose number depends on the wall clock."""
-        return self._channel.hash.hexdigest()
 
     def rejected(self) -> dict[str, int]:
         robot = {f"robot_{cause}": count for cause, count in self.report.rejected.items()}

@@ -14,8 +14,8 @@ from hil.core.ports import Clock, FixSource, Link, PoseSource
 from hil.core.signals import SIGNAL_NAMES
 from hil.core.types import Pose
 from hil.drivers.host_watch import HostWatch, Unwatched, watch_over
-from hil.drivers.makers import MakersRobot, Terms
-from hil.drivers.motor_stop import StopTerms
+from hil.drivers.makers import MakersRobot
+from hil.drivers.motor_stop import Terms
 from hil.drivers.registry import dialect
 from hil.estimation.localisation import SimulatedFixes, UdpFixes
 from hil.plant.child_output import ChildOutput
@@ -163,14 +163,16 @@ class Bench:
         torque_limit_n_m = min(firmware.torque_limit_n_m, scenario.robot.torque_limit_n_m)
         guard = Guard(scenario.robot.speed_limit_rad_s, torque_limit_n_m)
         terms = Terms(
-            StopTerms(mode, firmware.ramp_s, firmware.watchdog_s, Brake(mode, guard, firmware.speed_kp_n_m_s_rad)),
+            mode,
+            firmware.ramp_s,
+            firmware.watchdog_s,
+            Brake(mode, guard, firmware.speed_kp_n_m_s_rad),
             firmware.counts_per_revolution,
             allow_motion or local is not None,
             scenario.loop.rearm,
             local.advance if local is not None else None,
-            watch,
         )
-        return MakersRobot(link, self.clock, driver, wheel_map(scenario.device), terms)
+        return MakersRobot(link, self.clock, driver, wheel_map(scenario.device), terms, watch)
 
     def _stm32(self, link: ConditionedLink, *, allow_motion: bool) -> Stm32:
         """Return the session with this project's firmware."""
