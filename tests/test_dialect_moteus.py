@@ -274,7 +274,7 @@ def test_who_does_not_answer_is_named() -> None:
     rig = Rig("moteus", {"ids": [1, 2, 3, 7]}, emulated_settings={"ids": [1, 2, 3, 4]})
     rig.step(rig.driver.ask())
     assert rig.driver.identity is None
-    assert rig.driver.missing.startswith("no answer of the moteus 7;")
+    assert rig.driver.missing.startswith("no answer from the moteus 7;")
 
 
 def test_a_restart_forgets_all() -> None:
@@ -291,7 +291,7 @@ def test_a_restart_forgets_all() -> None:
         ({"ids": [1, 2, 3, 127]}, "expected four different ones, each 1 to 126"),
         ({"ids": [1, 2, 3, 3]}, "expected four different ones"),
         ({"ids": 4}, "expected an array, each item a whole number"),
-        ({"can_prefix": 8192}, "expected 0 to 8191"),
+        ({"can_prefix": 8192}, "from 0 to 8191"),
         ({"gear_ratio": 0.0}, "greater than 0"),
     ],
 )

@@ -1,8 +1,8 @@
-"""mjbots moteus: a speed, a torque and a time within which the next command has to come, in every frame.
+"""mjbots moteus: every command has a speed, a torque, and a timeout within which the next command must come.
 
-CAN FD, 1 Mbit/s and 5 Mbit/s in the data; identifier prefix << 16 | source << 8 | destination, where bit 15 asks for a
-reply. A command's position of NaN stands for where the wheel is: velocity mode. When no command comes in time a
-controller brakes and stays in mode 11 until a stop.
+CAN FD at 1 Mbit/s, data at 5 Mbit/s. Identifier: prefix << 16 | source << 8 | destination; bit 15 asks for a reply. A
+commanded position of NaN stands for the current one, which makes a velocity mode. After its timeout a controller brakes
+and stays in mode 11 until a stop.
 Source: mjbots moteus, docs/protocol/can.md, docs/protocol/registers.md, docs/guides/control-modes.md.
 """
 
@@ -13,7 +13,7 @@ from typing import Annotated, Any
 
 from firmware_protocol.framing import Frame
 from hil.core.errors import BadInputError
-from hil.core.options import POSITIVE
+from hil.core.options import POSITIVE, Range
 from hil.core.types import NAN, WHEEL_NAMES, CommandMode, FourWheels
 from hil.drivers.moteus import frames
 from hil.drivers.port import (
@@ -33,10 +33,10 @@ from hil.drivers.port import (
 )
 
 _STOPPED, _FAULT, _POSITION, _TIMEOUT = 0, 1, 10, 11
-_REGISTER_MAPS = (4, 5)  # velocities have been in these units since 4; 5 changed only what homing says
-_REPLY_WANTED = 0x8000
+_REGISTER_MAPS = (4, 5)  # velocities have these units since 4; 5 changed only the report of homing
+_REPLY_BIT = 0x8000
 _ESTOP_S = 0.001
-_ALL_IDS = range(1, 127)  # 127 is all of them at once
+_ALL_IDS = range(1, 127)  # 127 is the broadcast id
 
 _STATE = (
     frames.read(frames.INT8, frames.MODE)
@@ -44,30 +44,28 @@ _STATE = (
     + frames.read(frames.FLOAT, frames.Q_CURRENT)
     + frames.read(frames.INT16, frames.VOLTAGE, 3)
 )
-_TIMEOUT_BACK = frames.read(frames.FLOAT, frames.COMMAND_TIMEOUT)
+_READ_TIMEOUT = frames.read(frames.FLOAT, frames.COMMAND_TIMEOUT)
 _IDENTITY = frames.read(frames.INT32, frames.MODEL, 3)
 
 
 @dataclass(frozen=True, slots=True)
 class Settings:
-    """``[device.motors]``: ``ids`` of the channels in order (``id.id``), and ``can_prefix`` (``can.prefix``) of all.
+    """``[device.motors]``. ``ids``: ``id.id`` of the channels in order. ``can_prefix``: ``can.prefix`` of all four.
 
-    ``gear_ratio``: turns of what a moteus calls its output for one of the wheel, where its own
-    ``motor_position.rotor_to_output_ratio`` does not have the whole gear.
+    ``gear_ratio``: turns of the controller's output per turn of the wheel. It is 1 where the controller's own
+    ``motor_position.rotor_to_output_ratio`` covers the whole gear.
     """
 
     ids: tuple[int, ...] = (1, 2, 3, 4)
-    can_prefix: int = 0
+    can_prefix: Annotated[int, Range(ge=0, le=0x1FFF)] = 0
     gear_ratio: Annotated[float, POSITIVE] = 1.0
 
     def __post_init__(self) -> None:
         check_ids("ids", self.ids, _ALL_IDS[0], _ALL_IDS[-1])
-        if not 0 <= self.can_prefix <= 0x1FFF:
-            raise ValueError(f"can_prefix = {self.can_prefix}: expected 0 to 8191")
 
 
 class _Channel:
-    """What one controller said; quantities at its output."""
+    """The newest answers of one controller. Quantities are at its output."""
 
     def __init__(self) -> None:
         self.forget()
@@ -89,7 +87,7 @@ class _Channel:
             self.mode, self.fault = int(mode), int(get(frames.FAULT, 0))
         self.timeout_s = get(frames.COMMAND_TIMEOUT, self.timeout_s)
         position, velocity = get(frames.POSITION, NAN), get(frames.VELOCITY, NAN)
-        if math.isfinite(position) and math.isfinite(velocity):  # else the speed grows old, which stops the robot
+        if math.isfinite(position) and math.isfinite(velocity):  # otherwise the speed gets too old and the robot stops
             self.position_rev, self.velocity_rev_s, self.stamp_ns = position, velocity, stamp_ns
         self.current_a = get(frames.Q_CURRENT, self.current_a)
         self.voltage_v = get(frames.VOLTAGE, self.voltage_v)
@@ -97,12 +95,12 @@ class _Channel:
 
 
 class Moteus(Driver):
-    """Four of them on one bus."""
+    """Drives four controllers on one bus."""
 
     def __init__(self, settings: Settings, robot: RobotFacts) -> None:
         self._settings = settings
         self._robot = robot
-        self._ids = [EXTENDED | settings.can_prefix << 16 | _REPLY_WANTED | number for number in settings.ids]
+        self._ids = [EXTENDED | settings.can_prefix << 16 | _REPLY_BIT | number for number in settings.ids]
         self._channels = tuple(_Channel() for _ in settings.ids)
         self._by_id = {
             settings.can_prefix << 16 | number << 8: channel
@@ -110,9 +108,9 @@ class Moteus(Driver):
         }
         self._to_output = settings.gear_ratio / math.tau
         self._is_armed = False
-        self._has_armed = False  # where a controller is in mode 11, our silence may have led there
-        self._is_ending = False
-        self._was_lost = False
+        self._has_armed = False  # armed from here: a controller in mode 11 may be there because our commands ended
+        self._is_ending = False  # a stop was sent, and not all controllers have confirmed it yet
+        self._was_lost = False  # the link was lost while armed, so mode 11 is no error
         self._capabilities = Capabilities(
             modes=frozenset(CommandMode),
             is_twist=False,
@@ -155,12 +153,12 @@ class Moteus(Driver):
         if not silent:
             return ""
         return (
-            f"no answer of the moteus {silent}; check their power, the bus's termination and its 1 and 5 "
-            "Mbit/s, and their id.id (device.motors.ids) and can.prefix with moteus_tool --info"
+            f"no answer from the moteus {silent}; check their power, the bus's termination and its bit rates of 1 and "
+            "5 Mbit/s, and their id.id (device.motors.ids) and can.prefix with moteus_tool --info"
         )
 
     def arm(self, now_ns: int) -> Sequence[Frame]:
-        """See ``Driver``. The watchdog is a part of each command: it goes with the one that closes the loop."""
+        """See ``Driver``. Each command sets the watchdog, also the one that closes the loop."""
         watchdog = self._robot.watchdog_s
         modes = [channel.mode for channel in self._channels]
         if any(mode in (None, _FAULT, _TIMEOUT) for mode in modes):
@@ -171,7 +169,7 @@ class Moteus(Driver):
             for channel in self._channels
         )
         still = self._position(0.0, 0.0, watchdog)
-        return [Frame(number, frames.padded(still + _STATE + _TIMEOUT_BACK)) for number in self._ids]
+        return [Frame(number, frames.padded(still + _STATE + _READ_TIMEOUT)) for number in self._ids]
 
     def command(self, speed_rad_s: FourWheels, torque_n_m: FourWheels, now_ns: int) -> Sequence[Frame]:
         watchdog, is_speed = self._robot.watchdog_s, self._robot.mode is CommandMode.SPEED
@@ -191,7 +189,7 @@ class Moteus(Driver):
         )
 
     def _torque(self, _speed_rad_s: float, torque_n_m: float, timeout_s: float) -> bytes:
-        """Return a command of torque alone: the gains of the position loop are scaled to nothing."""
+        """Return a command of torque alone: the gains of the position loop are scaled to 0."""
         gear_ratio, limit = self._settings.gear_ratio, self._robot.torque_limit_n_m
         torque, most = torque_n_m / gear_ratio, limit / gear_ratio
         return (
@@ -202,9 +200,10 @@ class Moteus(Driver):
         )
 
     def disarm(self) -> Sequence[Frame]:
-        """See ``Driver``. A stop would clear a fault, and a mode 11 that others want: such a one is only asked.
+        """See ``Driver``. A controller is only asked for its state, and not stopped, in three cases.
 
-        So is one of which nothing is known since the link was lost: it brakes by its watchdog until it is.
+        A stop would clear its fault. It would also end a mode 11 that did not follow from our commands. And after a
+        loss of the link its mode is unknown until it answers; it brakes by its watchdog meanwhile.
         """
         self._end()
         stop = frames.write_mode(_STOPPED) + _STATE
@@ -219,14 +218,14 @@ class Moteus(Driver):
         return channel.mode not in (None, _FAULT)
 
     def estop(self) -> Sequence[Frame]:
-        """See ``Driver``. A watchdog that ends at once: braking, in mode 11, that no command ends but a stop."""
+        """See ``Driver``. The command has a timeout of 1 ms: then the controller brakes in mode 11 until a stop."""
         self._end()
         self._has_armed = self._was_lost = False
         payload = frames.padded(self._position(0.0, 0.0, _ESTOP_S) + _STATE)
         return [Frame(number, payload) for number in self._ids]
 
     def clear(self) -> Sequence[Frame]:
-        """See ``Driver``. The state is asked for by frames of their own: an answer to the stop has that of before."""
+        """See ``Driver``. Separate frames ask for the state: the answer to the stop has the state before it."""
         self._end()
         stop = frames.write_mode(_STOPPED)
         return [Frame(number, payload) for payload in (stop, frames.padded(_STATE)) for number in self._ids]
@@ -276,7 +275,7 @@ class Moteus(Driver):
             elif channel.mode == _TIMEOUT and not self._was_lost:
                 found.append(
                     f"moteus {number} of wheel {WHEEL_NAMES[wheel]} is in mode 11, position timeout: no command came "
-                    "in time, or an e-stop was asked for; it stays there until it is cleared"
+                    "in time, or an e-stop was sent; it stays there until it is cleared"
                 )
         return found
 
@@ -298,7 +297,7 @@ class _Probe(Probe):
         return ANSWER_S
 
     def ask(self) -> Sequence[Frame]:
-        return [Frame(EXTENDED | _REPLY_WANTED | number, _IDENTITY) for number in _ALL_IDS]
+        return [Frame(EXTENDED | _REPLY_BIT | number, _IDENTITY) for number in _ALL_IDS]
 
     def feed(self, frame: Frame) -> bool:
         number = (frame.id & ~EXTENDED) >> 8

@@ -1,7 +1,7 @@
-"""Four moteus on one CAN FD bus: the frames of their registers, and of their diagnostic stream.
+"""Four emulated moteus on one CAN FD bus: the frames of their registers, and of their diagnostic stream.
 
-Source: mjbots moteus, docs/protocol/can.md. Not there is the stream with acknowledgements, in which moteus_tool asks
-first.
+The stream with acknowledgements, which moteus_tool tries first, is not emulated.
+Source: mjbots moteus, docs/protocol/can.md.
 """
 
 import math
@@ -10,26 +10,28 @@ from firmware_protocol.framing import Frame
 from hil.core.types import FourWheels
 from hil.drivers.emulated import EmulatedMotors, Shaft
 from hil.drivers.moteus import emulated_registers as registers
+from hil.drivers.moteus import frames
 from hil.drivers.moteus.driver import Settings
 from hil.drivers.moteus.emulated_console import Console
 from hil.drivers.moteus.emulated_servo import FAULT, STOPPED, Servo
 
 _UNDER_VOLTAGE, _OVER_TEMPERATURE = 40, 38
-_BROADCAST, _STREAM, _MOST_STREAM_BYTES = 0x7F, 1, 61
+_BROADCAST, _STREAM, _MAX_STREAM_BYTES = 0x7F, 1, 61
+_STREAM_FROM_DEVICE = 0x41
 
 
 class EmulatedMoteus(EmulatedMotors):
-    """See ``EmulatedMotors``. Their output turns ``gear_ratio`` times as fast as the wheel.
+    """Emulates four moteus. Their outputs turn ``gear_ratio`` times as fast as the wheels.
 
     Attributes:
-        servos: the four, for what a test has to do to one of them.
+        servos: the four controllers, for tests that change one of them.
     """
 
     def __init__(self, settings: Settings, *node: object, **keywords: object) -> None:
         self._settings = settings
         super().__init__(*node, **keywords)  # type: ignore[arg-type]
         values, ratio = self.values, settings.gear_ratio
-        per_rev = math.tau / ratio / ratio  # from a gain at the wheel in radians to one at the output in turns
+        per_rev = math.tau / ratio / ratio  # converts a gain per radian of the wheel to one per turn of the output
         kp, kd = values["speed_ki_n_m_rad"] * per_rev, values["speed_kp_n_m_s_rad"] * per_rev
         self._constant = values["torque_constant_n_m_a"] / ratio
         resistance, limit = values["motor_resistance_ohm"], values["torque_limit_n_m"] / ratio
@@ -91,28 +93,33 @@ class EmulatedMoteus(EmulatedMotors):
 
 
 def _converse(servo: Servo, console: Console, payload: bytes) -> bytes | None:
-    """Do what a frame asks, and return the answer, None where another one by its UUID is asked."""
+    """Execute the subframes of a frame, and return the answer; None if its UUID mask selects another controller."""
     answer = registers.Answer()
-    parts, is_whole = registers.subframes(payload)
-    for part in parts:
-        if part.code == 0x00 and servo.is_masked_out(part.register, part.raw):
+    found, is_whole = frames.subframes(payload)
+    for one in found:
+        if one.code == frames.WRITE and servo.is_masked_out(one.register, one.raw):
             return None
-        if part.code in (0x40, 0x42) and part.register != _STREAM:
-            continue
-        if part.code == 0x40:
-            console.feed(part.data)
-        elif part.code == 0x42:
-            data = console.take(min(int(part.raw), _MOST_STREAM_BYTES))
-            answer.add(bytes((0x41, _STREAM, len(data))) + data)
-        elif part.code == 0x00:
-            if registers.UUID_MASK <= part.register < registers.UUID_MASK + 4:
+        if one.code in (frames.STREAM_TO_DEVICE, frames.STREAM_POLL):
+            if one.register != _STREAM:
                 continue
-            if error := servo.write(part.register, part.kind, part.raw):
-                answer.error(registers.WRITE_ERROR, part.register, error)
-        elif (value := servo.read(part.register, part.kind)) is None:
-            answer.error(registers.READ_ERROR, part.register, registers.NO_REGISTER)
-        else:
-            answer.value(part.register, part.kind, value)
+            if one.code == frames.STREAM_TO_DEVICE:
+                console.feed(one.data)
+            else:
+                data = console.take(min(int(one.raw), _MAX_STREAM_BYTES))
+                answer.add(bytes((_STREAM_FROM_DEVICE, _STREAM, len(data))) + data)
+        elif one.code == frames.WRITE:
+            if registers.UUID_MASK <= one.register < registers.UUID_MASK + 4:
+                continue
+            if error := servo.write(one.register, one.kind, one.raw):
+                answer.add_error(frames.WRITE_ERROR, one.register, error)
+        elif one.code == frames.READ:
+            if (value := servo.read(one.register, one.kind)) is None:
+                answer.add_error(frames.READ_ERROR, one.register, registers.NO_REGISTER)
+            else:
+                answer.add_value(one.register, one.kind, value)
+        else:  # an answer: not for a device
+            is_whole = False
+            break
     if not is_whole:
         servo.refuse()
     return answer.payload()

@@ -1,9 +1,9 @@
 """The diagnostic stream of an emulated moteus: the lines of text that moteus_tool, tview and a user's console send.
 
-Known are of ``tel``: stop, list, and schema, fmt and get of the binary channels; the ``conf`` commands; and of ``d``:
-stop, pos, tmt, zero, within, brake, dq, vdq, pwm, nearest, rezero, exact and recapture. A line that is not known, or
-has too few numbers, is answered with ERR and changes nothing. Motion that a line begins has no watchdog unless its
-option t gives one, as in the firmware.
+It has the commands stop, list, schema, fmt and get of ``tel``, the last three for the binary channels; the ``conf``
+commands; and of ``d``: stop, pos, tmt, zero, within, brake, dq, vdq, pwm, nearest, rezero, exact and recapture. An
+unknown line, or one with too few numbers, is answered with ERR and changes nothing. As in the firmware, a motion that a
+line begins has no watchdog, unless its option t sets one.
 Source: mjbots moteus, docs/protocol/diagnostic.md.
 """
 
@@ -13,11 +13,11 @@ from collections.abc import Callable, Mapping, Sequence
 from hil.drivers.moteus import emulated_servo as servos
 from hil.drivers.moteus import emulated_telemetry as telemetry
 
-_LONGEST_LINE, _MOST_UNREAD = 256, 8192
+_MAX_LINE, _MAX_OUTPUT = 256, 8192
 _OK, _UNKNOWN = "OK", "ERR unknown command"
 _OPTIONS: Mapping[str, int] = {"p": 0x23, "d": 0x24, "i": 0x2B, "s": 0x26, "f": 0x22, "t": 0x27, "v": 0x28, "a": 0x29}
 _OPTIONS_WITHIN = "pditf"
-_MOTIONS: Mapping[str, tuple[int, tuple[int, ...]]] = {  # mode, and the registers of the numbers that follow
+_MOTIONS: Mapping[str, tuple[int, tuple[int, ...]]] = {  # mode, and the registers for the numbers of the line
     "pos": (servos.POSITION, (0x20, 0x21, 0x25)),
     "tmt": (servos.TIMEOUT, (0x20, 0x21, 0x25)),
     "zero": (servos.ZERO_VELOCITY, (0x20, 0x21, 0x25)),
@@ -31,30 +31,30 @@ _MOTIONS: Mapping[str, tuple[int, tuple[int, ...]]] = {  # mode, and the registe
 
 
 class Console:
-    """The stream of one controller: bytes in, and what is to be read."""
+    """The stream of one controller: ``feed`` takes commands, ``take`` returns the output."""
 
     def __init__(self, servo: servos.Servo) -> None:
         self._servo = servo
         self._line = b""
-        self._unread = b""
-        self._delivered = dict(servo.config)
+        self._output = b""
+        self._defaults = dict(servo.config)
         self._stored = dict(servo.config)
 
     def feed(self, data: bytes) -> None:
-        """Take bytes, and do each line that they complete."""
+        """Take bytes, and execute each line that they complete."""
         self._line += data
         *lines, self._line = self._line.replace(b"\r", b"\n").split(b"\n")
-        if len(self._line) > _LONGEST_LINE:
+        if len(self._line) > _MAX_LINE:
             self._line = b""
         for line in lines:
             words = line.decode("latin1").split()
             if words:
-                self._unread = (self._unread + self._answer(words))[:_MOST_UNREAD]
+                self._output = (self._output + self._answer(words))[:_MAX_OUTPUT]
 
     def take(self, most: int) -> bytes:
-        """Return at most so many bytes of what there is to read."""
-        taken, self._unread = self._unread[:most], self._unread[most:]
-        return taken
+        """Remove at most ``most`` bytes from the output, and return them."""
+        first, self._output = self._output[:most], self._output[most:]
+        return first
 
     def _answer(self, words: Sequence[str]) -> bytes:
         if words[0] == "tel" and len(words) == 3 and words[1] in ("schema", "get"):
@@ -62,11 +62,11 @@ class Console:
             if fields is None:
                 return b"ERR unknown channel\r\n"
             blob = telemetry.schema(fields) if words[1] == "schema" else telemetry.data(fields)
-            said = "schema" if words[1] == "schema" else "emit"
-            return f"{said} {words[2]}\r\n".encode("latin1") + len(blob).to_bytes(4, "little") + blob
-        return "".join(f"{told}\r\n" for told in self._do(words)).encode("latin1")
+            head = "schema" if words[1] == "schema" else "emit"
+            return f"{head} {words[2]}\r\n".encode("latin1") + len(blob).to_bytes(4, "little") + blob
+        return "".join(f"{line}\r\n" for line in self._execute(words)).encode("latin1")
 
-    def _do(self, words: Sequence[str]) -> Sequence[str]:
+    def _execute(self, words: Sequence[str]) -> Sequence[str]:
         names = telemetry.channels(self._servo)
         if words == ["tel", "list"]:
             return [*names, _OK]
@@ -95,7 +95,7 @@ class Console:
         elif words == ["load"]:
             config.update(self._stored)
         elif words == ["default"]:
-            config.update(self._delivered)
+            config.update(self._defaults)
         else:
             return ["ERR unknown subcommand"]
         return [_OK]
@@ -106,7 +106,7 @@ class Console:
             return "ERR error setting"
         least, most = servos.SETTABLE[name]
         if name == "servo.max_current_A":
-            most = self._delivered[name]  # what the motor bears
+            most = self._defaults[name]  # the limit of the motor
         if math.isnan(value):
             if name not in servos.OPTIONAL:
                 return "ERR error setting"
@@ -130,20 +130,19 @@ class Console:
             return _OK
         if not words or words[0] not in _MOTIONS:
             return _UNKNOWN
-        mode, places = _MOTIONS[words[0]]
-        numbers = [_number(text) for text in words[1 : 1 + len(places)]]
-        known = [number for number in numbers if number is not None]
-        if len(known) < len(places):
+        mode, registers = _MOTIONS[words[0]]
+        numbers = [_number(text) for text in words[1 : 1 + len(registers)]]
+        valid = [number for number in numbers if number is not None]
+        if len(valid) < len(registers):
             return "ERR missing numbers"
-        values = dict(zip(places, known, strict=True))
+        values = dict(zip(registers, valid, strict=True))
         allowed: Callable[[str], bool] = {
             "within": lambda letter: letter in _OPTIONS_WITHIN,
             **dict.fromkeys(("pos", "tmt", "zero"), lambda letter: letter in _OPTIONS),
         }.get(words[0], lambda _letter: False)
         if words[0] == "pwm":
-            values[0x18] /= math.pi  # the register counts in half turns
-        rest = words[1 + len(places) :]
-        for text in rest:
+            values[0x18] /= math.pi  # the unit of the register is half a turn
+        for text in words[1 + len(registers) :]:
             value = _number(text[1:])
             if not allowed(text[0]) or value is None:
                 return "ERR unknown option"
@@ -162,5 +161,5 @@ def _number(text: str) -> float | None:
 
 
 def _text(value: float) -> str:
-    """Return a value as the stream tells it: whole numbers without a point, as those that are whole by their kind."""
+    """Return a value as text; an int has no decimal point."""
     return str(value) if isinstance(value, int) else f"{value:.9g}" if math.isfinite(value) else str(value)

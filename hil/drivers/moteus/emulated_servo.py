@@ -1,12 +1,12 @@
-"""One moteus of the emulated ones: its modes, the watchdog of its commands, and its loops.
+"""One emulated moteus: its modes, the watchdog of its commands, and its control loops.
 
-``servo.max_position_slip`` is set, as hil/drivers/moteus/MOTEUS.md asks for; the rest of the configuration is as
-delivered: after a timeout the wheel is braked by the loop's derivative term (``servo.timeout_mode`` 12), and there are
-no bounds.
+``servo.max_position_slip`` is set, as hil/drivers/moteus/MOTEUS.md requires; the rest of the configuration has the
+maker's defaults: after a timeout the loop's derivative term brakes the wheel (``servo.timeout_mode`` 12), and positions
+have no bounds.
 
-As in the firmware, the watchdog ends position mode and "stay within" alone. A voltage, a current, "zero velocity" and
-the brake go on until another command comes. Raw phase voltages and overrides of the control are not there: a command
-that asks for one is not obeyed.
+As in the firmware, the watchdog ends only position mode and "stay within". A voltage, a current, "zero velocity" and
+the brake hold until another command comes. Raw phase voltages and overrides of the control are not emulated: a command
+that contains one is ignored.
 """
 
 import math
@@ -14,6 +14,7 @@ from collections.abc import Mapping
 
 from hil.drivers.emulated import Trajectory, limited
 from hil.drivers.moteus import emulated_registers as registers
+from hil.drivers.moteus import frames
 from hil.drivers.moteus.emulated_registers import COMMAND, MEASURED, SHADOWS
 
 _TICK_S = 0.001
@@ -26,7 +27,7 @@ _STOP_POSITION_WITH_LIMITS = 45
 _MODEL, _FIRMWARE = 0x0500, 0x010D
 _OUTPUT_IS_REFERENCED = 2
 
-SETTABLE: Mapping[str, tuple[float, float]] = {  # least and most of what ``conf set`` takes
+SETTABLE: Mapping[str, tuple[float, float]] = {  # lowest and highest value that ``conf set`` accepts
     "servo.default_accel_limit": (0.0, math.inf),
     "servo.default_timeout_s": (0.0, math.inf),
     "servo.default_velocity_limit": (0.0, math.inf),
@@ -38,23 +39,23 @@ SETTABLE: Mapping[str, tuple[float, float]] = {  # least and most of what ``conf
     "servo.timeout_mode": (0, 15),
 }
 OPTIONAL = ("servo.default_accel_limit", "servo.default_velocity_limit", "servo.max_position_slip")
-"""Of these NaN is: none."""
+"""Those that accept NaN, which stands for no limit."""
 TIMEOUT_MODES = (STOPPED, ZERO_VELOCITY, BRAKE)
 
 
 class Servo:
-    """One controller; quantities in revolutions and newton metres at its output.
+    """One controller. Quantities are in revolutions and newton metres at its output.
 
     Args:
         number: ``id.id``.
         kp, kd: gains of the position loop [N·m/rev, N·m·s/rev].
-        constant: torque of 1 A [N·m/A]; by the same number the speed makes a voltage [V·s/rad].
+        constant: torque constant [N·m/A], and of the same value the back-EMF constant [V·s/rad].
         resistance_ohm: of the motor.
-        limit_n_m: the torque of ``servo.max_current_A``.
+        limit_n_m: torque at ``servo.max_current_A``.
 
     Attributes:
-        mode, fault: as the registers tell them.
-        measured: the registers that are measured.
+        mode, fault: values of the registers of these names.
+        measured: values of the measured registers.
         config: the configuration, by the firmware's names.
     """
 
@@ -83,27 +84,27 @@ class Servo:
             "servo.timeout_mode": ZERO_VELOCITY,
             "servopos.position_max": math.nan,
             "servopos.position_min": math.nan,
-        } | {f"uuid.uuid.{place}": byte for place, byte in enumerate(self.uuid)}
-        self.command = {register: start for register, (_, start) in COMMAND.items()}
+        } | {f"uuid.uuid.{i}": byte for i, byte in enumerate(self.uuid)}
+        self.command = dict(COMMAND)
         self.measured = dict.fromkeys(MEASURED, 0.0)
-        self._wanted: int | None = None  # the mode that the frame at hand asks for
-        self._target_mode = STOPPED  # what follows when it is ready
+        self._requested: int | None = None  # the mode that the current frame asks for
+        self._target_mode = STOPPED  # the mode after the preparation
         self.timeout_s = math.nan
-        self._left = 0
+        self._ticks_left = 0
         self.ticks = 0
         self._offset_rev = 0.0
         self._trajectory = Trajectory()
 
     @property
     def is_controlled(self) -> bool:
-        """Whether the driver is on and the windings have a voltage, or are shorted."""
+        """Whether the power stage is on: the windings have a voltage or are shorted."""
         return self.mode in _CONTROLLED and not (self.mode == TIMEOUT and self.config["servo.timeout_mode"] == STOPPED)
 
     # Registers
 
     def write(self, register: int, kind: int, raw: float) -> int:
-        """Take a value, and return what is wrong, 0 for nothing."""
-        if register == registers.MODE:
+        """Write a raw value, and return the error number, 0 for none."""
+        if register == frames.MODE:
             if raw not in (STOPPED, *_CONTROLLED):
                 return registers.NO_MODE
             self.begin(int(raw))
@@ -111,101 +112,101 @@ class Servo:
         register = SHADOWS.get(register, register)
         if register in registers.NOT_EMULATED:
             self.refuse()
-            return 0  # as the firmware, which knows it; the maker's package hears no answer that begins with an error
+            return 0  # the firmware has it; and the maker's package ignores an answer that begins with an error
         if register in COMMAND:
-            self.command[register] = registers.physical(kind, raw, COMMAND[register][0])
+            self.command[register] = frames.physical(register, kind, raw)
             return 0
         if register in (registers.SET_NEAREST, registers.SET_EXACT):
-            position = registers.physical(kind, raw, "position")
+            position = frames.physical(register, kind, raw)
             if math.isfinite(position):
                 self.set_output(position, nearest=register == registers.SET_NEAREST)
             return 0
         if register == registers.RECAPTURE:
             self.recapture()
             return 0
-        return registers.READ_ONLY if self.read(register, registers.INT32) is not None else registers.NO_REGISTER
+        return registers.READ_ONLY if self.read(register, frames.INT32) is not None else registers.NO_REGISTER
 
     def read(self, register: int, kind: int) -> float | None:
-        """Return what a register has as this type, None for one that it cannot be read as."""
+        """Return the raw value of a register as this type; None if it cannot be read, or not as this type."""
         register = SHADOWS.get(register, register)
         if register in MEASURED:
-            return registers.raw_of(kind, self.measured[register], MEASURED[register])
+            return frames.raw_of(register, kind, self.measured[register])
         if register in COMMAND:
-            return registers.raw_of(kind, self.command[register], COMMAND[register][0])
-        if register in (registers.MODE, registers.FAULT):
-            return self.mode if register == registers.MODE else self.fault
+            return frames.raw_of(register, kind, self.command[register])
+        if register in (frames.MODE, frames.FAULT):
+            return self.mode if register == frames.MODE else self.fault
         if register == registers.MILLISECONDS:
-            bits = 23 if kind == registers.FLOAT else (8 << kind) - 1
+            bits = 23 if kind == frames.FLOAT else (8 << kind) - 1
             return self.ticks % (1 << bits)
         if register in (registers.ID, registers.UUID_CAPABLE):
             return self.config["id.id"] if register == registers.ID else 1
-        if kind != registers.INT32:
+        if kind != frames.INT32:
             return None
         if registers.UUID <= register < registers.UUID + 4:
             return int.from_bytes(self._uuid_word(register - registers.UUID), "little", signed=True)
-        numbers = {registers.SERIAL_NUMBER + place: 0x1000 + place for place in range(3)}
-        versions = {registers.MODEL: _MODEL, registers.FIRMWARE: _FIRMWARE, registers.REGISTER_MAP: self.register_map}
-        return (versions | numbers).get(register)
+        serial = {registers.SERIAL_NUMBER + i: 0x1000 + i for i in range(3)}
+        versions = {frames.MODEL: _MODEL, frames.FIRMWARE: _FIRMWARE, frames.REGISTER_MAP: self.register_map}
+        return (versions | serial).get(register)
 
-    def _uuid_word(self, place: int) -> bytes:
-        return self.uuid[4 * place : 4 * place + 4]
+    def _uuid_word(self, i: int) -> bytes:
+        return self.uuid[4 * i : 4 * i + 4]
 
     def is_masked_out(self, register: int, raw: float) -> bool:
-        """Tell whether a write is one to the mask of the UUID, and this one has another: then the frame ends here."""
-        place = register - registers.UUID_MASK
-        return 0 <= place < 4 and raw != int.from_bytes(self._uuid_word(place), "little", signed=True)
+        """Return whether a value is written to the UUID mask that differs from this UUID: the frame is then ignored."""
+        i = register - registers.UUID_MASK
+        return 0 <= i < 4 and raw != int.from_bytes(self._uuid_word(i), "little", signed=True)
 
     # Commands
 
     def begin(self, mode: int) -> None:
-        """Begin a command of this mode, which the registers written behind it complete."""
-        self.command = {register: start for register, (_, start) in COMMAND.items()}
-        self._wanted = mode
+        """Begin a command of this mode; registers that are written after it complete the command."""
+        self.command = dict(COMMAND)
+        self._requested = mode
 
     def refuse(self) -> None:
-        """Forget the command of a frame that is cut off; a stop is one all the same."""
-        if self._wanted != STOPPED:
-            self._wanted = None
+        """Drop the command of a damaged frame, unless it is a stop."""
+        if self._requested != STOPPED:
+            self._requested = None
 
     def obey(self) -> None:
-        """Do what the frame that ends here has commanded."""
-        wanted, self._wanted = self._wanted, None
-        if wanted is None:
+        """Execute the command of the frame that ends here, if it had one."""
+        requested, self._requested = self._requested, None
+        if requested is None:
             return
         self.timeout_s = self.command[0x27] or self.config["servo.default_timeout_s"]
-        if wanted == STOPPED:
+        if requested == STOPPED:
             self.mode, self.fault = STOPPED, 0
             self.recapture()
         elif self.mode == STOPPED:
-            self.mode, self._left = _ENABLING, _PREPARING_TICKS[_ENABLING]
-            self._target_mode = wanted
+            self.mode, self._ticks_left = _ENABLING, _PREPARING_TICKS[_ENABLING]
+            self._target_mode = requested
         elif self.mode in _CONTROLLED and self.mode != TIMEOUT:
-            if wanted != self.mode:
+            if requested != self.mode:
                 self.recapture()
-            self.mode = wanted
+            self.mode = requested
         elif self.mode in _PREPARING_TICKS:
-            self._target_mode = wanted
+            self._target_mode = requested
 
     def recapture(self) -> None:
-        """Let the position loop begin anew where the output is."""
+        """Restart the position loop from the output's current position."""
         self._trajectory.forget()
 
     def set_output(self, position_rev: float, *, nearest: bool) -> None:
-        """Call the output's place by this position, or by the nearest one that is a whole number of turns away."""
+        """Set the current position of the output to this one; with ``nearest`` change it by whole turns only."""
         change = position_rev - self.measured[0x01]
         self._offset_rev += round(change) if nearest else change
         self.measured[0x01] += round(change) if nearest else change
         self.recapture()
 
     def fail(self, code: int) -> None:
-        """Go to fault, as by a reason of the hardware's."""
+        """Enter mode FAULT with this code, as after a hardware fault."""
         self.mode, self.fault = FAULT, code
         self.recapture()
 
     # Control
 
     def measure(self, quantities: Mapping[int, float]) -> None:
-        """Take what was measured, by register; positions without what ``set_output`` has added."""
+        """Take measured values by register. The position is without the offset of ``set_output``."""
         self.measured.update(quantities)
         self.measured[0x01] += self._offset_rev
         self.measured[0x0B] = self._trajectory.is_complete
@@ -214,16 +215,16 @@ class Servo:
         self.measured[0x50], self.measured[0x51] = quantities[0x01] % 1.0, quantities[0x02]
 
     def torque(self) -> float | None:
-        """Let a millisecond pass, and return the torque at the output, None where the driver is off."""
+        """Advance by 1 ms, and return the torque at the output [N·m]; None while the power stage is off."""
         self.ticks += 1
         if self.timeout_s > 0.0:
             self.timeout_s = max(self.timeout_s - _TICK_S, 0.0)
         if self.mode in _PREPARING_TICKS:
-            self._left -= 1
-            if self._left <= 0:
+            self._ticks_left -= 1
+            if self._ticks_left <= 0:
                 following = {_ENABLING: _CALIBRATING, _CALIBRATING: _READY, _READY: self._target_mode}
                 self.mode = following[self.mode]
-                self._left = _PREPARING_TICKS.get(self.mode, 0)
+                self._ticks_left = _PREPARING_TICKS.get(self.mode, 0)
         if self.mode in (POSITION, STAY_WITHIN) and self.timeout_s <= 0.0:
             self.mode = TIMEOUT
             self.recapture()
@@ -255,7 +256,7 @@ class Servo:
         return None
 
     def _torque_of(self, volts: float, lead_rad: float = math.pi / 2.0) -> float:
-        """Return the torque of a voltage that leads the rotor by this electrical angle, less that of its own one."""
+        """Return the torque [N·m] of a voltage that leads the rotor by this electrical angle, against the back-EMF."""
         most = self.measured[0x0D] / math.sqrt(3.0)
         turning = self._constant * math.tau * self.measured[0x02]
         return self._constant * (limited(volts, most) * math.sin(lead_rad) - turning) / self._resistance_ohm
@@ -289,9 +290,9 @@ class Servo:
         command, config = self.command, self.config
         position_error = control_rev - self.measured[0x01]
         velocity_error = control_velocity - self.measured[0x02]
-        wanted = command[0x23] * config["servo.pid_position.kp"] * position_error + _finite(command[0x22])
-        wanted += command[0x24] * config["servo.pid_position.kd"] * velocity_error
-        return limited(_finite(wanted), self._most(limit))
+        torque = command[0x23] * config["servo.pid_position.kp"] * position_error + _finite(command[0x22])
+        torque += command[0x24] * config["servo.pid_position.kd"] * velocity_error
+        return limited(_finite(torque), self._most(limit))
 
     def _most(self, limit: float) -> float:
         most = self.command[0x25]
@@ -303,6 +304,6 @@ def _finite(value: float) -> float:
 
 
 def _limit_of(commanded: float, default: float) -> float:
-    """Return a limit: NaN is the default's, a negative one is none."""
+    """Return the commanded limit, the default if it is NaN; infinity if the result is negative or NaN."""
     chosen = default if math.isnan(commanded) else commanded
     return chosen if chosen >= 0.0 else math.inf

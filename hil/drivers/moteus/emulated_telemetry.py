@@ -1,18 +1,18 @@
-"""The telemetry channels of an emulated moteus, in the binary form in which moteus_tool reads them: schema and data.
+"""The telemetry channels of an emulated moteus, in the binary form that moteus_tool reads: schema and data.
 
-A schema is an object: for each field its flags, name, aliases, type and whether it has a default; a field of the type 0
-ends it. Numbers are little-endian. Source: the reader of the maker's package ``moteus``.
+A schema is an object. It lists for each field flags, name, aliases, type, and whether it has a default; a field of type
+0 ends it. Numbers are little-endian. Source: the reader of the maker's package ``moteus``.
 """
 
 import struct
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
-from hil.drivers.moteus.emulated_registers import FIRMWARE, INT32, MODEL, varuint
 from hil.drivers.moteus.emulated_servo import Servo
+from hil.drivers.moteus.frames import FIRMWARE, INT32, MODEL, varuint
 
 _OBJECT, _END, _FIXED_ARRAY = 16, 0, 19
-_TYPES: Mapping[str, bytes] = {  # by the letter of ``struct``
+_TYPES: Mapping[str, bytes] = {  # by the format letter of ``struct``
     "?": b"\x02",
     "b": b"\x03\x01",
     "i": b"\x03\x04",
@@ -30,8 +30,8 @@ class _Field(NamedTuple):
 
 
 def channels(servo: Servo) -> Mapping[str, Sequence[_Field]]:
-    """Return what each channel tells now."""
-    serial = [int(servo.read(0x120 + place, INT32) or 0) for place in range(3)]
+    """Return the current fields of each channel, by its name."""
+    serial = [int(servo.read(0x120 + i, INT32) or 0) for i in range(3)]
     measured = servo.measured
     return {
         "firmware": [
@@ -58,18 +58,18 @@ def channels(servo: Servo) -> Mapping[str, Sequence[_Field]]:
 
 
 def schema(fields: Sequence[_Field]) -> bytes:
-    """Return how a channel's data is laid out."""
-    told = [bytes((_OBJECT, 0))]
+    """Return the binary schema of a channel with these fields."""
+    encoded = [bytes((_OBJECT, 0))]
     for field in fields:
         kind = _TYPES[field.letter]
         if isinstance(field.value, Sequence):
             kind = bytes((_FIXED_ARRAY,)) + varuint(len(field.value)) + kind
-        told.append(_named(field.name) + kind + b"\0")
-    return b"".join([*told, _named(""), bytes((_END, 0))])
+        encoded.append(_named(field.name) + kind + b"\0")
+    return b"".join([*encoded, _named(""), bytes((_END, 0))])
 
 
 def data(fields: Sequence[_Field]) -> bytes:
-    """Return a channel's data."""
+    """Return the binary data of a channel with these fields."""
     values = ((field.letter, field.value if isinstance(field.value, Sequence) else [field.value]) for field in fields)
     return b"".join(
         struct.pack(f"<{letter}", one if letter == "f" else int(one)) for letter, ones in values for one in ones

@@ -1,15 +1,16 @@
-"""The frames of moteus: registers written, read and answered, several in one CAN FD frame; numbers least byte first.
+"""The codec of moteus frames, for driver and emulated device: subframes that write, read and answer registers.
 
-A subframe is a code, the number of registers (in the code's two lowest bits where it is 1 to 3), the first register,
-and a value each where it writes or answers. Bits 2 and 3 of the code tell the type: int8, int16, int32 or float; the
-whole numbers count in steps of a size that the register's quantity gives, and the lowest of each type is NaN.
+One CAN FD frame carries several subframes; numbers are little-endian. A subframe is a code, the number of registers (in
+the code's two lowest bits for 1 to 3), the first register, and one value per register if it writes or answers. Bits 2
+and 3 of the code give the type: int8, int16, int32 or float. Whole numbers count in steps whose size depends on the
+register's quantity; the lowest number of each type stands for NaN.
 Source: mjbots moteus, docs/protocol/can.md and docs/protocol/registers.md.
 """
 
 import math
+import struct
 from collections.abc import Mapping
-from struct import Struct
-from struct import error as struct_error
+from typing import NamedTuple
 
 from hil.core.types import NAN
 
@@ -38,52 +39,142 @@ FAULTS: Mapping[int, str] = {
     47: "servo.bemf_feedforward without an acceleration limit",
     48: "invalid limits in servopos",
 }
-"""Fault codes of register 0x00f. Those from 96 on only say what limits the power."""
+"""Fault codes of register 0x00f. Codes from 96 on only say what limits the power."""
 
-_STEPS: Mapping[int, tuple[float, float, float]] = {
-    POSITION: (0.01, 0.0001, 0.00001),
-    VELOCITY: (0.1, 0.00025, 0.00001),
-    Q_CURRENT: (1.0, 0.1, 0.001),
-    VOLTAGE: (0.5, 0.1, 0.001),
-    TEMPERATURE: (1.0, 0.1, 0.001),
-    COMMAND_TIMEOUT: (0.01, 0.001, 0.000001),
+_STEPS: Mapping[str, tuple[float, float, float]] = {
+    "position": (1e-2, 1e-4, 1e-5),
+    "velocity": (1e-1, 2.5e-4, 1e-5),
+    "acceleration": (5e-2, 1e-3, 1e-5),
+    "torque": (5e-1, 1e-2, 1e-3),
+    "share": (1 / 127, 1 / 32767, 1 / 2147483647),
+    "time": (1e-2, 1e-3, 1e-6),
+    "current": (1.0, 1e-1, 1e-3),
+    "voltage": (5e-1, 1e-1, 1e-3),
+    "temperature": (1.0, 1e-1, 1e-3),
+    "power": (10.0, 5e-2, 1e-4),
+    "count": (1.0, 1.0, 1.0),
 }
-"""What one count is as int8, int16 and int32 [rev, rev/s, A, V, °C, s]. Registers that are not here count things."""
+"""One count as int8, int16 and int32, by quantity [rev, rev/s, rev/s², N·m, 1, s, A, V, °C, W, 1]."""
 
-_TYPES = (Struct("<b"), Struct("<h"), Struct("<i"), Struct("<f"))
-_LOWEST = (-(2**7), -(2**15), -(2**31))
-_WRITE, _READ, _REPLY = 0x00, 0x10, 0x20
-_ERRORS = (0x30, 0x31)  # a register that could not be written or read, and why
+_QUANTITIES: Mapping[int, str] = {
+    register: quantity
+    for quantity, registers in {
+        "position": (0x01, 0x20, 0x26, 0x38, 0x40, 0x41, 0x50, 0x130, 0x131),
+        "velocity": (0x02, 0x1E, 0x21, 0x28, 0x39, 0x51),
+        "acceleration": (0x29,),
+        "torque": (0x03, 0x22, 0x25, 0x3A),
+        "share": (0x18, 0x23, 0x24, 0x2B),
+        "time": (0x27,),
+        "current": (0x04, 0x05, 0x1C, 0x1D),
+        "voltage": (0x0D, 0x19, 0x1A, 0x1B),
+        "temperature": (0x0A, 0x0E),
+        "power": (0x07,),
+        "count": (0x0B, 0x0C, 0x2D),
+    }.items()
+    for register in registers
+}
+"""The quantity of each register. Registers that are not here have plain whole numbers."""
+
+WRITE, READ, REPLY = 0x00, 0x10, 0x20
+WRITE_ERROR, READ_ERROR = 0x30, 0x31
+STREAM_TO_DEVICE, STREAM_POLL = 0x40, 0x42
 _NOP = 0x50
-_LENGTHS = (12, 16, 20, 24, 32, 48, 64)  # of CAN FD frames with more than 8 bytes
+_LENGTHS = (*range(9), 12, 16, 20, 24, 32, 48, 64)  # that a CAN FD frame can have
+_MAX_REGISTERS = 64 * 8  # more than any frame can answer
+_FORMATS = ("<b", "<h", "<i", "<f")
+_MAX_FLOAT = 3.4028234663852886e38
+
+
+class Subframe(NamedTuple):
+    """One register or one piece of the diagnostic stream.
+
+    Attributes:
+        code: WRITE, READ, REPLY, WRITE_ERROR, READ_ERROR, STREAM_TO_DEVICE or STREAM_POLL.
+        register: of the stream its channel.
+        kind: the type, INT8 to FLOAT.
+        raw: the value; of an error its number, of a stream the number of bytes.
+        data: bytes of the stream.
+    """
+
+    code: int
+    register: int
+    kind: int = INT8
+    raw: float = 0.0
+    data: bytes = b""
 
 
 def write_mode(mode: int) -> bytes:
-    """Return the subframe that asks for a mode; it goes before all other registers of the frame."""
-    return bytes((_WRITE | 1, MODE, mode))
+    """Return the subframe that asks for a mode. It goes before all other registers of the frame."""
+    return bytes((WRITE | 1, MODE, mode))
 
 
 def write_floats(first: int, *values: float) -> bytes:
-    """Return the subframe that writes registers from ``first`` on as floats."""
-    return _header(_WRITE | FLOAT << 2, first, len(values)) + b"".join(map(_TYPES[FLOAT].pack, values))
+    """Return the subframe that writes consecutive registers from ``first`` on as floats."""
+    return header(WRITE, FLOAT, first, len(values)) + struct.pack(f"<{len(values)}f", *values)
 
 
 def read(kind: int, first: int, count: int = 1) -> bytes:
-    """Return the subframe that asks for registers from ``first`` on as one of the four types."""
-    return _header(_READ | kind << 2, first, count)
+    """Return the subframe that asks for ``count`` registers from ``first`` on as one of the four types."""
+    return header(READ, kind, first, count)
+
+
+def header(code: int, kind: int, first: int, count: int) -> bytes:
+    """Return the beginning of a subframe for ``count`` registers from ``first`` on; values follow it."""
+    code |= kind << 2
+    return (bytes((code | count,)) if count <= 3 else bytes((code,)) + varuint(count)) + varuint(first)
+
+
+def varuint(value: int) -> bytes:
+    """Return a number in bytes of 7 bits each, least significant first."""
+    encoded = bytearray()
+    while value > 0x7F:
+        encoded.append(value & 0x7F | 0x80)
+        value >>= 7
+    return bytes((*encoded, value))
+
+
+def pack(kind: int, raw: float) -> bytes:
+    """Return the bytes of a raw value."""
+    return struct.pack(_FORMATS[kind], raw)
 
 
 def padded(payload: bytes) -> bytes:
-    """Fill a payload with empty subframes to a length that a CAN FD frame can have."""
-    size = len(payload)
-    return (
-        payload if size <= 8 else payload.ljust(next(length for length in _LENGTHS if length >= size), bytes((_NOP,)))
-    )
+    """Return a payload of up to 64 bytes, filled with empty subframes to a length that a CAN FD frame can have."""
+    return payload.ljust(next(length for length in _LENGTHS if length >= len(payload)), bytes((_NOP,)))
+
+
+def physical(register: int, kind: int, raw: float) -> float:
+    """Return a raw value in rev, rev/s, N·m, s, A, V, °C or W; NaN for the lowest whole number of its type."""
+    quantity = _QUANTITIES.get(register)
+    if kind == FLOAT or quantity is None:
+        return raw
+    return NAN if raw == -(1 << (8 << kind) - 1) else raw * _STEPS[quantity][kind]
+
+
+def raw_of(register: int, kind: int, value: float) -> float:
+    """Return a value of a quantity as its type carries it, saturated; the lowest whole number if it is not finite."""
+    if kind == FLOAT:
+        return min(max(value, -_MAX_FLOAT), _MAX_FLOAT) if math.isfinite(value) else value
+    most = (1 << (8 << kind) - 1) - 1
+    if not math.isfinite(value):
+        return -most - 1
+    return int(min(max(value / _STEPS[_QUANTITIES[register]][kind], -most), most))
 
 
 def parse_reply(payload: bytes) -> dict[int, float] | None:
-    """Return the registers of an answer in rev, rev/s, A, V, °C and s; None for what is no whole answer."""
-    values: dict[int, float] = {}
+    """Return the registers of an answer in the units of ``physical``; None if it is damaged or not an answer."""
+    found, is_whole = subframes(payload)
+    if not is_whole or any(one.code not in (REPLY, WRITE_ERROR, READ_ERROR) for one in found):
+        return None
+    values = [one for one in found if one.code == REPLY]
+    if any(one.register not in _QUANTITIES and not math.isfinite(one.raw) for one in values):
+        return None
+    return {one.register: physical(one.register, one.kind, one.raw) for one in values}
+
+
+def subframes(payload: bytes) -> tuple[list[Subframe], bool]:
+    """Return the subframes up to the first unknown or incomplete one, and whether there was no such one."""
+    found: list[Subframe] = []
     at = 0
     try:
         while at < len(payload):
@@ -91,46 +182,41 @@ def parse_reply(payload: bytes) -> dict[int, float] | None:
             at += 1
             if code == _NOP:
                 continue
-            if code in _ERRORS:
-                _, at = _varuint(payload, at)
-                _, at = _varuint(payload, at)
+            if code in (WRITE_ERROR, READ_ERROR, STREAM_TO_DEVICE, STREAM_POLL):
+                register, at = _varuint(payload, at)
+                number, at = _varuint(payload, at)
+                size = number if code == STREAM_TO_DEVICE else 0
+                if at + size > len(payload):
+                    return found, False
+                found.append(Subframe(code, register, raw=number, data=payload[at : at + size]))
+                at += size
                 continue
-            if code & 0xF0 != _REPLY:
-                return None
-            kind, count = code >> 2 & 3, code & 3
+            operation, kind, count = code & 0xF0, code >> 2 & 3, code & 3
+            if operation > REPLY:
+                return found, False
             if not count:
                 count, at = _varuint(payload, at)
             first, at = _varuint(payload, at)
             for register in range(first, first + count):
-                (raw,) = _TYPES[kind].unpack_from(payload, at)
-                at += _TYPES[kind].size
-                if register not in _STEPS and not math.isfinite(raw):  # what counts things is a number
-                    return None
-                values[register] = _scaled(register, kind, raw)
-    except (IndexError, struct_error):  # cut off
-        return None
-    return values
+                raw = 0.0
+                if operation != READ:
+                    (raw,) = struct.unpack_from(_FORMATS[kind], payload, at)
+                    at += struct.calcsize(_FORMATS[kind])
+                found.append(Subframe(operation, register, kind, raw))
+                if len(found) > _MAX_REGISTERS:
+                    return found, False
+    except (IndexError, struct.error):
+        return found, False
+    return found, True
 
 
-def _scaled(register: int, kind: int, raw: float) -> float:
-    steps = _STEPS.get(register)
-    if kind == FLOAT or steps is None:
-        return raw
-    return NAN if raw == _LOWEST[kind] else raw * steps[kind]
-
-
-def _header(code: int, first: int, count: int) -> bytes:
-    begin = bytes((code | count,)) if count <= 3 else bytes((code, count))
-    return begin + (bytes((first,)) if first < 0x80 else bytes((first & 0x7F | 0x80, first >> 7)))
-
-
-def _varuint(data: bytes, at: int) -> tuple[int, int]:
-    """Return a number of 7 bits a byte, least first, and where the next thing is. Raises IndexError beyond the end."""
-    value = 0
-    for shift in range(0, 35, 7):
-        byte = data[at]
+def _varuint(payload: bytes, at: int) -> tuple[int, int]:
+    """Return the number at a position, and the position after it. Raises IndexError beyond the end."""
+    value = shift = 0
+    while True:
+        byte = payload[at]
         at += 1
         value |= (byte & 0x7F) << shift
+        shift += 7
         if byte < 0x80:
             return value, at
-    raise IndexError
