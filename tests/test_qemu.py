@@ -146,7 +146,7 @@ def test_what_a_program_under_the_deadman_process_has_started_ends_with_it(tmp_p
         "pathlib.Path(sys.argv[1]).write_text(str(p.pid))\n"
     )
     child = ChildProcess("hil.robot.targets.deadman", tmp_path / "scratch")
-    child.tell({"command": [sys.executable, "-c", program, str(note)], "inherited": []})
+    child.send({"command": [sys.executable, "-c", program, str(note)], "inherited": []})
     assert child.receive() is None, "the deadman process has ended"
     grandchild = int(note.read_text())
     assert not has_gone(grandchild)
