@@ -181,7 +181,7 @@ def test_where_bytes_come_that_nobody_understands_nothing_is_sent() -> None:
         is_over.set()
         speaker.join()
     assert result.answers == []
-    assert "bytes came of unknown senders" in (result.not_asked or "")
+    assert "bytes came of unknown senders" in (result.not_queried or "")
     assert select.select([master], [], [], 0)[0] == []
     os.close(master)
     os.close(slave)

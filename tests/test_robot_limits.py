@@ -60,5 +60,5 @@ def test_a_jog_keeps_within_what_the_robot_takes():
     scenario = load("circle_speed", set={"robot.speed_limit_rad_s": 2.0, "firmware.overspeed_rad_s": 2.1})
     said: list[str] = []
     jogged = turn_wheel(scenario, "fl", 3.0, 1.2, said.append)
-    assert jogged.asked_rad == pytest.approx(1.671875 * 0.7)
+    assert jogged.requested_rad == pytest.approx(1.671875 * 0.7)
     assert said[-1] == "the wheel turns at 1.672 rad/s, the limit, and not at 3"

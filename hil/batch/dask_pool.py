@@ -35,7 +35,7 @@ CONNECT_S = 10.0
 _AHEAD = 2
 """Jobs queued per worker besides the running one. Enough to keep it busy; the scheduler loses them if it dies."""
 _LEAST_AHEAD = 4
-_ASK_AGAIN_S = 2.0
+_QUERY_PERIOD_S = 2.0
 _PATIENCE_S = 300.0
 _GATHER_S = 60.0
 Done = tuple[Outcome, bytes | None]
@@ -118,7 +118,7 @@ class DaskPool:
         self._finished: queue.SimpleQueue[str] = queue.SimpleQueue()
         self._numbers = itertools.count()
         self._threads = 0
-        self._asked_s = -_ASK_AGAIN_S
+        self._queried_s = -_QUERY_PERIOD_S
         self._gone_s: float | None = None
 
     @property
@@ -227,9 +227,9 @@ class DaskPool:
     def _workers(self) -> int:
         """Return the threads of the workers that can do the jobs, as of two seconds ago at most."""
         now_s = time.monotonic()
-        if self._client is None or now_s - self._asked_s < _ASK_AGAIN_S:
+        if self._client is None or now_s - self._queried_s < _QUERY_PERIOD_S:
             return self._threads
-        self._asked_s = now_s
+        self._queried_s = now_s
         with contextlib.suppress(OSError):  # the scheduler has just gone
             workers = self._client.scheduler_info(n_workers=-1)["workers"].values()
             able = (one for one in workers if self._resources is None or BENCH in one.get("resources", {}))

@@ -158,7 +158,7 @@ def _perform(
             troubles[status.trouble] = None
             print(f"hil: {status.trouble}", file=sys.stderr, flush=True)
 
-    for rows in campaign.perform(folder, place, show_status, stop.is_wanted, redo):
+    for rows in campaign.perform(folder, place, show_status, stop.is_requested, redo):
         new = Counter(row["outcome"] for row in rows)
         outcomes += new
         if progress is None:
@@ -168,7 +168,7 @@ def _perform(
     if shown and progress is not None:
         progress.end()
     done = outcomes.total()
-    if stop.is_wanted() and (done < len(campaign.runs) or campaign.records_worst):
+    if stop.is_requested() and (done < len(campaign.runs) or campaign.records_worst):
         raise RunInterruptedError(
             f"interrupted; {done} of {len(campaign.runs)} runs are done and safe in {folder}; the same command goes on"
         )
@@ -196,7 +196,7 @@ class _Stop:
         if self._count > 1:
             raise RunInterruptedError("interrupted twice; what is written is safe, and the same command goes on")
 
-    def is_wanted(self) -> bool:
+    def is_requested(self) -> bool:
         """Whether the campaign is to end."""
         return self._count > 0
 

@@ -92,7 +92,7 @@ def _serve(
     granted = None if lockstep else resources.enter_context(real_time(scenario.realtime))
     server = open_server(robot, wire, truth, lockstep=lockstep)
     truth.request_reset = server.request_reset
-    truth.ask_faults = server.ask
+    truth.run_on_faults = server.run_on_faults
     for number in (signal.SIGTERM, signal.SIGINT):
         signal.signal(number, lambda *_: server.stop())
     if lifeline is not None:

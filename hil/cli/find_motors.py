@@ -73,13 +73,13 @@ class Result:
     Attributes:
         answers: what was found.
         strangers: number of frames of unknown senders on a bus, by id.
-        not_asked: why makers' controllers were not queried, or None.
+        not_queried: why makers' controllers were not queried, or None.
         elsewhere: which controllers can only be on another kind of bus, or None.
     """
 
     answers: list[Answer] = field(default_factory=list)
     strangers: Counter[int] = field(default_factory=Counter)
-    not_asked: str | None = None
+    not_queried: str | None = None
     elsewhere: str | None = None
 
     def record(self) -> dict[str, object]:
@@ -96,7 +96,7 @@ class Result:
             for answer in self.answers
         ]
         strangers = {f"{number:#x}": count for number, count in self.strangers.items()}
-        return {"found": found, "strangers": strangers, "not_asked": self.not_asked, "elsewhere": self.elsewhere}
+        return {"found": found, "strangers": strangers, "not_asked": self.not_queried, "elsewhere": self.elsewhere}
 
 
 @dataclass(frozen=True, slots=True)
@@ -116,7 +116,7 @@ class _OurProbe(Probe):
 
     def __init__(self) -> None:
         self._greeting = Greeting()
-        self._asked = 0
+        self._queries = 0
         self._info: RobotInfo | None = None
 
     @property
@@ -125,15 +125,15 @@ class _OurProbe(Probe):
         return 0.0 if is_done else handshake.RETRY_NS * 1e-9
 
     def ask(self) -> Sequence[Frame]:
-        if self._info is not None or self._asked == _GREETINGS:
+        if self._info is not None or self._queries == _GREETINGS:
             return ()
-        self._asked += 1
+        self._queries += 1
         return (codec.encode(m.HelloRequest(m.PROTOCOL_VERSION)),)
 
     def feed(self, frame: Frame) -> bool:
         if WHEEL_DBC.refusal(frame.id, len(frame.payload), "ROBOT") is not None:
             return False
-        if self._asked:
+        if self._queries:
             self._info = self._greeting.feed(codec.decode(frame)) or self._info
         return True
 
@@ -197,8 +197,8 @@ def _probe_bus(candidates: Sequence[_Candidate], is_chosen: bool, result: Result
     with contextlib.closing(candidates[0].url.open_host(protocol=LinkProtocol())) as link:
         say(f"listening for {_LISTEN_S:g} s")
         counts = _listen(link, candidates, lambda: _LISTEN_S)
-        for one in _whom_to_ask(candidates, is_silent=is_chosen or not counts):
-            _ask(link, one, say)
+        for one in _to_query(candidates, is_silent=is_chosen or not counts):
+            _query(link, one, say)
             if one.driver == OUR_DRIVER and one.probe.found() is not None:
                 candidates = [one]  # its frames may look like those of others
                 break
@@ -208,7 +208,7 @@ def _probe_bus(candidates: Sequence[_Candidate], is_chosen: bool, result: Result
                 counts.pop(number, None)
     result.strangers = counts
     if counts and not result.answers and not is_chosen:
-        result.not_asked = _not_asked(f"{sum(counts.values())} frames")
+        result.not_queried = _why_not_queried(f"{sum(counts.values())} frames")
 
 
 def _probe_port(candidates: Sequence[_Candidate], is_chosen: bool, result: Result, say: Callable[[str], None]) -> None:
@@ -221,13 +221,13 @@ def _probe_port(candidates: Sequence[_Candidate], is_chosen: bool, result: Resul
             came += link.received_bytes
         if one.claimed:
             break
-    for one in _whom_to_ask(candidates, is_silent=is_chosen or not came):
+    for one in _to_query(candidates, is_silent=is_chosen or not came):
         with _line(one) as link:
-            _ask(link, one, say)
+            _query(link, one, say)
         if _add(result, one):
             return
     if came and not is_chosen:
-        result.not_asked = _not_asked(f"{came} bytes")
+        result.not_queried = _why_not_queried(f"{came} bytes")
 
 
 def _line(one: _Candidate) -> contextlib.closing[StreamLink]:
@@ -236,7 +236,7 @@ def _line(one: _Candidate) -> contextlib.closing[StreamLink]:
     return contextlib.closing(link)
 
 
-def _whom_to_ask(candidates: Sequence[_Candidate], *, is_silent: bool) -> Sequence[_Candidate]:
+def _to_query(candidates: Sequence[_Candidate], *, is_silent: bool) -> Sequence[_Candidate]:
     """Return the candidates to query: our firmware if it may be there, and the makers that were heard.
 
     If none was identified, those that may be there; if there are none of those either, all on a silent line. A maker
@@ -248,14 +248,14 @@ def _whom_to_ask(candidates: Sequence[_Candidate], *, is_silent: bool) -> Sequen
     return [*ours, *speak] or (candidates if is_silent else ())
 
 
-def _not_asked(what: str) -> str:
+def _why_not_queried(what: str) -> str:
     return (
         f"{what} came of unknown senders, so no motor controller was queried: a query in one protocol may be a command "
         "in another; name the one to query with --driver"
     )
 
 
-def _ask(link: Link, one: _Candidate, say: Callable[[str], None]) -> None:
+def _query(link: Link, one: _Candidate, say: Callable[[str], None]) -> None:
     """Query a candidate, in rounds that follow from its answers."""
     say(f"asking for {one.title}")
     for _ in range(_ROUNDS):

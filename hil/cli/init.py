@@ -58,16 +58,16 @@ def init(
         "firmware.torque_constant_n_m_a": torque_constant_n_m_a,
         "link.url": link,
     }
-    asks = not defaults and sys.stdin.isatty()
+    is_interactive = not defaults and sys.stdin.isatty()
     missing = [question.flag for question in QUESTIONS if given[question.key] is None]
-    if missing and not defaults and not asks:
+    if missing and not defaults and not is_interactive:
         raise BadInputError(f"stdin is no terminal; give {', '.join(missing)}, or --defaults for what is proposed")
     answers: dict[str, Value] = {}
     for question in QUESTIONS:
         value = given[question.key]
         if value is None:
             proposed = question.proposed(answers)
-            value = _ask(question, proposed) if asks else proposed
+            value = _prompt(question, proposed) if is_interactive else proposed
         elif (problem := problem_with(question, value)) is not None:
             raise BadInputError(f"{question.flag}: {problem}")
         answers[question.key] = value
@@ -77,7 +77,7 @@ def init(
     print(f"Next: hil run {scenario}{elsewhere}    # on the virtual robot")
 
 
-def _ask(question: Question, proposed: Value) -> Value:
+def _prompt(question: Question, proposed: Value) -> Value:
     """Ask until the answer is valid in the scenario's table."""
     while True:
         text = typer.prompt(f"{question.key}: {question.description}", default=str(proposed))

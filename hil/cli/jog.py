@@ -69,10 +69,10 @@ def jog(
         raise RunInterruptedError("interrupted; the wheel was told to stop") from None
     is_right, sentence = done.verdict(wheel)
     if as_json:
-        print_json({"asked_rad": done.asked_rad, "turned_rad": done.turned_rad._asdict(), "verdict": sentence})
+        print_json({"asked_rad": done.requested_rad, "turned_rad": done.turned_rad._asdict(), "verdict": sentence})
     else:
         angles = ", ".join(f"{name} {angle:+.2f}" for name, angle in done.turned_rad._asdict().items())
-        print(f"asked {wheel} {done.asked_rad:+.2f} rad; the sensors saw {angles} rad")
+        print(f"asked {wheel} {done.requested_rad:+.2f} rad; the sensors saw {angles} rad")
         print(sentence)
     raise typer.Exit(0 if is_right else 1)
 
@@ -87,17 +87,17 @@ class Verdict(NamedTuple):
 class Jogged(NamedTuple):
     """Angle of the command to the chosen wheel, and angles by the wheels' own sensors [rad]."""
 
-    asked_rad: float
+    requested_rad: float
     turned_rad: Wheels
 
     def verdict(self, wheel: str) -> Verdict:
         """Judge by the sensors. Only a person can see whether the wheel that turned is the named one."""
         turned = dict(zip(WHEEL_NAMES, self.turned_rad, strict=True))
-        enough = min(_LEAST_SHARE * abs(self.asked_rad), _LEAST_RAD)
+        enough = min(_LEAST_SHARE * abs(self.requested_rad), _LEAST_RAD)
         least = max(enough, _MOST_SHARE * max(map(abs, self.turned_rad)))
         moved = [name for name, angle in turned.items() if abs(angle) > least]
         if moved == [wheel]:
-            if turned[wheel] * self.asked_rad > 0.0:
+            if turned[wheel] * self.requested_rad > 0.0:
                 short = self._short(turned[wheel])
                 seen = f"the sensor of {wheel} followed{short}; if you saw it turn the right way, its wiring is right"
                 return Verdict(True, seen)
@@ -109,7 +109,7 @@ class Jogged(NamedTuple):
         return Verdict(False, what)
 
     def _short(self, turned_rad: float) -> str:
-        if abs(turned_rad) >= _FREE_SHARE * abs(self.asked_rad):
+        if abs(turned_rad) >= _FREE_SHARE * abs(self.requested_rad):
             return ""
         return ", but not far: the wheels stand on the ground, as a virtual robot's always do, or something brakes it"
 
@@ -160,8 +160,8 @@ def _limited(model: RobotModel, robot_rad_s: float, speed_rad_s: float, warn: Ca
     """Return the speed as limited by the guard."""
     guard = Guard(model.speed_limit_rad_s, model.torque_limit_n_m)
     guard.limit_to(robot_rad_s)
-    asked = WheelCommand(CommandMode.SPEED, ZERO_WHEELS._replace(fl=speed_rad_s), ZERO_WHEELS)
-    limited, is_scaled = guard.apply(asked)
+    command = WheelCommand(CommandMode.SPEED, ZERO_WHEELS._replace(fl=speed_rad_s), ZERO_WHEELS)
+    limited, is_scaled = guard.apply(command)
     if is_scaled:
         warn(f"the wheel turns at {limited.speed_rad_s.fl:.4g} rad/s, the limit, and not at {speed_rad_s:g}")
     return limited.speed_rad_s.fl

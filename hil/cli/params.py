@@ -31,10 +31,10 @@ def params(
             f"link {link!r} reaches no robot outside this process, and one made for it would hold the values of "
             "the build; name the robot's port, such as serial:/dev/ttyACM0, or the link that 'hil device' prints"
         )
-    wanted = assignments(changes or [])
+    values = assignments(changes or [])
     with device_held(url, f"hil params {link}"), contextlib.closing(url.open_host()) as opened:
         client = ParameterClient(opened)
-        checked = client.check(wanted)  # all of them before anything is changed
+        checked = client.check(values)  # all of them before anything is changed
         if restore:
             client.restore()
         client.write(checked)

@@ -34,8 +34,8 @@ def _say(sentence: str) -> None:
 
 
 def _print(result: Result) -> None:
-    if result.not_asked is not None:
-        _say(result.not_asked)
+    if result.not_queried is not None:
+        _say(result.not_queried)
     for answer in result.answers:
         for sentence in answer.found.sentences:
             _say(sentence)

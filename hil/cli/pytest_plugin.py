@@ -173,15 +173,15 @@ def _folder(item: pytest.Item, request: pytest.FixtureRequest | None) -> Path | 
 
     ``request`` is given for a test with fixtures: its folder is ``tmp_path``.
     """
-    asked = item.config.getoption("hil_record")
-    if asked == "none":
+    requested = item.config.getoption("hil_record")
+    if requested == "none":
         return None
-    if asked is not None:
-        folder = item.config.invocation_params.dir.joinpath(asked, *_places(item.nodeid))
+    if requested is not None:
+        folder = item.config.invocation_params.dir.joinpath(requested, *_places(item.nodeid))
         try:
             folder.mkdir(parents=True, exist_ok=True)
         except OSError as error:
-            pytest.fail(f"--hil-record {asked}: {folder} cannot be made ({error.strerror})", pytrace=False)
+            pytest.fail(f"--hil-record {requested}: {folder} cannot be made ({error.strerror})", pytrace=False)
         return folder
     if request is not None:
         return Path(request.getfixturevalue("tmp_path"))

@@ -20,12 +20,12 @@ if TYPE_CHECKING:
 _REFRESH_HZ = 10
 
 
-def recording_path(name: str, asked: str | None) -> Path | None:
+def recording_path(name: str, requested: str | None) -> Path | None:
     """Return the file to record to: None for ``none``, by default a new one in ``runs/``, which is made."""
-    if asked == "none":
+    if requested == "none":
         return None
-    if asked is not None:
-        return Path(asked)
+    if requested is not None:
+        return Path(requested)
     return new_in_runs(name, ".rrd", "name a file with --record, or --record none")
 
 

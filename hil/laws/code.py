@@ -68,17 +68,17 @@ def forget(module: str) -> None:
 
 def _digest(place: _Place, first: Path, name: str) -> str | None:
     files: dict[Path, str] = {}
-    wanted = [(first, name)]
+    pending = [(first, name)]
     try:
-        while wanted:
-            file, module = wanted.pop()
+        while pending:
+            file, module = pending.pop()
             if file in files:
                 continue
             content = _content(file)
             files[file] = hashlib.sha256(content).hexdigest()
             if file.suffix == ".py":
                 imported = _imports(content, module, is_package=file.name == "__init__.py")
-                wanted += [(other, name) for name in imported if (other := place.file_of(name)) is not None]
+                pending += [(other, name) for name in imported if (other := place.file_of(name)) is not None]
     except OSError:
         return None
     if len(files) == 1:

@@ -47,5 +47,5 @@ class ComputedTorque:
         x, y, heading, vx, vy, yaw_rate = predicted.error
         ax, ay, ah = reference.acceleration
         kp, kd = self._to_error, self._to_rate
-        asked = ax - kp * x - kd * vx, ay - kp * y - kd * vy, ah - kp * heading - kd * yaw_rate
-        return self._predictor.command(asked, predicted)
+        desired = ax - kp * x - kd * vx, ay - kp * y - kd * vy, ah - kp * heading - kd * yaw_rate
+        return self._predictor.command(desired, predicted)

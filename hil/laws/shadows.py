@@ -34,7 +34,7 @@ class Shadows:
         self._mode = mode
         self._guards = {name: Guard(model.speed_limit_rad_s, model.torque_limit_n_m) for name in laws}
         self._commands: dict[str, Wheels] = dict.fromkeys(laws, NAN_WHEELS)
-        self._asked = dict.fromkeys(laws, 0)
+        self._updates = dict.fromkeys(laws, 0)
         self.dropped: dict[str, tuple[float, str]] = {}
         self.signals = tuple(one for name in laws for one in command_names(f"shadow.{name}", mode))
 
@@ -67,7 +67,7 @@ class Shadows:
             try:
                 if begins:
                     law.reset(state, reference)
-                wanted = law.update(reference, state, applied, dt_s)
+                requested = law.update(reference, state, applied, dt_s)
             except Exception as error:  # noqa: BLE001 - the run goes on whatever it is, and reports it
                 why = str(error) if isinstance(error, HilError) else f"{type(error).__name__}: {error}"
                 sentence = f"shadow {name} dropped at t = {t_s:.3f} s: {why}"
@@ -76,8 +76,8 @@ class Shadows:
                 self._commands[name] = NAN_WHEELS
                 del self._laws[name]
                 continue
-            command, _ = self._guards[name].apply(wanted)
-            self._asked[name] += 1
+            command, _ = self._guards[name].apply(requested)
+            self._updates[name] += 1
             self._commands[name] = command.speed_rad_s if self._mode is CommandMode.SPEED else command.torque_n_m
         return dropped
 
@@ -86,7 +86,7 @@ class Shadows:
         return [
             {
                 "name": name,
-                "asked": self._asked[name],
+                "asked": self._updates[name],
                 "commands_refused": guard.refused,
                 "dropped_s": self.dropped[name][0] if name in self.dropped else None,
                 "dropped": self.dropped[name][1] if name in self.dropped else None,

@@ -25,7 +25,7 @@ DESCRIPTIONS = ("modelDescription.xml", "sources/buildDescription.xml")  # all t
 INTERFACES = {"CoSimulation": "co_simulation", "ModelExchange": "model_exchange"}  # that with the better first
 _MOST_DESCRIPTION_BYTES = 64 * 1024 * 1024
 LIBRARY_SUFFIX = suffix(this_platform())
-_WANTS_MORE = {SHIPPED["mecanum_mujoco"]: "hil fmu build --mujoco"}
+_BUILT_BY = {SHIPPED["mecanum_mujoco"]: "hil fmu build --mujoco"}
 """What is not built by itself when it is missing, for it takes a package that not everyone has; and its command."""
 
 
@@ -69,12 +69,12 @@ def locate(name: str, directory: Path) -> Path:
     """
     path = place(name, directory)
     refuse_folder(path)
-    if is_ours(path) and (path.is_file() or path not in _WANTS_MORE):
+    if is_ours(path) and (path.is_file() or path not in _BUILT_BY):
         _make_current(path)
     if path.is_file():
         return path
     if name in SHIPPED:
-        raise BadInputError(f"the shipped FMU {path} is not built; run: {_WANTS_MORE[path]}")
+        raise BadInputError(f"the shipped FMU {path} is not built; run: {_BUILT_BY[path]}")
     raise BadInputError(f"FMU {name!r} does not exist at {path}{nearest(name, SHIPPED)}")
 
 

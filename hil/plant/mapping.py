@@ -95,25 +95,25 @@ class Wiring(NamedTuple):
     derived: frozenset[int]
 
 
-def resolve(wanted: SignalMap, fmu: Path, variables: Variables) -> Wiring:
+def resolve(signal_map: SignalMap, fmu: Path, variables: Variables) -> Wiring:
     """Find the variable of every signal.
 
     Raises BadInputError with a line for each row and each signal that does not fit.
     """
-    return _Resolver(wanted, fmu, variables).wiring()
+    return _Resolver(signal_map, fmu, variables).wiring()
 
 
 class _Resolver:
     """One resolution; collects problems rather than ending at the first."""
 
-    def __init__(self, wanted: SignalMap, fmu: Path, variables: Variables) -> None:
-        self._wanted = wanted
+    def __init__(self, signal_map: SignalMap, fmu: Path, variables: Variables) -> None:
+        self._map = signal_map
         self._fmu = fmu
         self._variables = variables
         self._problems: list[str] = []
 
     def wiring(self) -> Wiring:
-        for signal in self._wanted.rows:
+        for signal in self._map.rows:
             if signal not in (*INPUTS, *OUTPUTS):
                 self._complain(signal, f"the bridge has no such signal{nearest(signal, (*INPUTS, *OUTPUTS))}")
         inputs = self._connections(INPUTS, self._unfit_for_input)
@@ -137,8 +137,8 @@ class _Resolver:
     def _connections(self, signals: tuple[str, ...], unfit: Callable[[Any], str | None]) -> dict[str, Connection]:
         found = {}
         for place, signal in enumerate(signals):
-            row = self._wanted.rows.get(signal) or Row(signal)
-            if signal not in self._wanted.rows and signal not in self._variables:
+            row = self._map.rows.get(signal) or Row(signal)
+            if signal not in self._map.rows and signal not in self._variables:
                 continue
             if (problem := _unfit_numbers(row)) is not None:
                 self._complain(signal, problem)
@@ -192,11 +192,11 @@ class _Resolver:
 
     def _require_the_rest(self, inputs: Iterable[str], outputs: Iterable[str], derived: set[str]) -> None:
         # A row that names a wrong variable has been complained of already.
-        there = {*inputs, *outputs, *derived, *ANGLES, *DUTIES, *ENABLED, *self._wanted.rows}
+        there = {*inputs, *outputs, *derived, *ANGLES, *DUTIES, *ENABLED, *self._map.rows}
         driven = {torque for torque, duty in zip(TORQUES, DUTIES, strict=True) if duty in there & {*inputs}}
         missing = [signal for signal in (*INPUTS, *OUTPUTS) if signal not in there | driven]
         for angle, count, speed in zip(ANGLES, COUNTS, SPEEDS, strict=True):
-            if angle not in {*outputs, *self._wanted.rows} and derived & {count, speed} - set(self._wanted.rows):
+            if angle not in {*outputs, *self._map.rows} and derived & {count, speed} - set(self._map.rows):
                 missing.append(f"{angle} (or both {count} and {speed})")
         if missing:
             self._problems.append(
@@ -206,7 +206,7 @@ class _Resolver:
 
     def _require_numbers(self, derived: set[str]) -> None:
         for signals, name in ((COUNTS, "counts_per_revolution"), (CURRENTS, "torque_constant_n_m_a")):
-            value = getattr(self._wanted, name)
+            value = getattr(self._map, name)
             if derived & set(signals) and not (value is not None and math.isfinite(value) and value > 0):
                 which = ", ".join(sorted(derived & set(signals)))
                 self._problems.append(f"{name} = {value}; expected a positive number, since {which} is not mapped")

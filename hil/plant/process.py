@@ -224,7 +224,7 @@ def _how(status: int) -> str:
     return f"exited with code {code}"
 
 
-_ASK_S = 1.0
+_CHECK_S = 1.0
 
 
 class Parent:
@@ -273,7 +273,7 @@ class Parent:
     def _end_with_it(self, words: int) -> None:
         """End when nobody reads any more what is printed here."""
         while True:
-            time.sleep(_ASK_S)
+            time.sleep(_CHECK_S)
             try:
                 os.write(words, b"\0")
             except OSError:

@@ -120,7 +120,7 @@ class RemotePlant(shim.PlantPort):
 
         Raises BadInputError unless that is a permutation with signs 1 and -1, DeviceError when the FMU fails.
         """
-        self._ask(
+        self._request(
             {
                 "kind": self._lib.REMOTE_WIRE,
                 "wheel_of_channel": wheel_of_channel,
@@ -137,7 +137,7 @@ class RemotePlant(shim.PlantPort):
         first = self.truth().time_ns // self._step_ns
         drive = {"enabled": 1, "torque_n_m": list(torque_n_m)}
         for tick in range(first, first + ticks):
-            self._ask({"kind": self._lib.REMOTE_TICK, "drive": drive | {"tick": tick}})
+            self._request({"kind": self._lib.REMOTE_TICK, "drive": drive | {"tick": tick}})
 
     def truth(self) -> PoseFix:
         """Return pose and twist, world frame, with the time since the start."""
@@ -178,7 +178,7 @@ class RemotePlant(shim.PlantPort):
             self._resources.close()
             self._text = "the FMU is closed"
 
-    def _ask(self, request: Mapping[str, object]) -> None:
+    def _request(self, request: Mapping[str, object]) -> None:
         if self._lib.remote_ask(self._context, self._ffi.new("remote_request *", request)) != 0:
             if not self._context.failed:
                 raise BadInputError(self._words())
@@ -218,5 +218,5 @@ class RemotePlant(shim.PlantPort):
 
     def _pending(self) -> int | None:
         """Return the number of the request that waits for its reply, None when all have theirs."""
-        asked = int(self._context.asked)
-        return None if asked == self._context.answered else asked
+        number = int(self._context.asked)
+        return None if number == self._context.answered else number

@@ -11,7 +11,7 @@ from hil.core.signals import SIGNAL_NAMES
 from hil.record.properties import APPLICATION
 
 Series = npt.NDArray[np.float64]
-Wanted = Collection[str] | None
+Selection = Collection[str] | None
 """Names of the signals to read; None for all."""
 
 CUT_BEFORE_ROWS = "cut before its first rows"

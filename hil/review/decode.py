@@ -19,17 +19,17 @@ from hil.core.errors import BadInputError
 from hil.record.environment import refuse_pandas
 from hil.record.files import check_is_recording, later_parts
 from hil.record.properties import PART_PROPERTY, RECORDER_PROPERTY, RUN_PROPERTY, SIGNALS_PROPERTY, SUMMARY_PROPERTY
-from hil.review.contents import CLOCK, CUT_BEFORE_ROWS, Contents, DamagedError, Series, Wanted, check_plausible
+from hil.review.contents import CLOCK, CUT_BEFORE_ROWS, Contents, DamagedError, Selection, Series, check_plausible
 from hil.review.decode_rrd import decode_rrd
 
 
-def decode(path: Path, wanted: Wanted = None) -> tuple[dict[str, Any], dict[str, Series]]:
+def decode(path: Path, selection: Selection = None) -> tuple[dict[str, Any], dict[str, Series]]:
     """Return what a recording and its later files hold, and its signals by name. Raises DamagedError.
 
     The first is the answer's first line: ``signals`` names those whose values follow, in rows of length ``rows``; the
     rest are fields of ``RecordedRun``.
     """
-    parts, notes = _parts(path, wanted)
+    parts, notes = _parts(path, selection)
     first, last = parts[0][1], parts[-1][1]
     about = [contents.json(PART_PROPERTY) or {} for _, contents in parts]
     spans, missing = _spans(
@@ -87,9 +87,9 @@ def _cut(path: Path, contents: Contents, *, is_last: bool) -> str | None:
     return f"{path.name} has no index at its end: {why}{cut}; all that the run recorded is before that"
 
 
-def _parts(path: Path, wanted: Wanted) -> tuple[list[tuple[Path, Contents]], list[str]]:
+def _parts(path: Path, selection: Selection) -> tuple[list[tuple[Path, Contents]], list[str]]:
     """Return a file and the later ones of the same run, and sentences on those that could not be read."""
-    first = _read(path, wanted)
+    first = _read(path, selection)
     parts, notes = [(path, first)], []
     part = first.json(PART_PROPERTY)
     if part is not None and _is_later_part(part, first):
@@ -97,7 +97,7 @@ def _parts(path: Path, wanted: Wanted) -> tuple[list[tuple[Path, Contents]], lis
     for other in later_parts(path) if part is not None and part["number"] == 1 else ():
         try:
             check_is_recording(other)
-            contents = _read(other, wanted)
+            contents = _read(other, selection)
         except (DamagedError, BadInputError) as error:
             notes.append(f"{other.name}, by its name a part of it, is left out: {error}")
             continue
@@ -150,16 +150,16 @@ def _spans(starts: list[int | None], lengths: list[int]) -> tuple[list[int], int
     return used, missing
 
 
-def _read(path: Path, wanted: Wanted) -> Contents:
+def _read(path: Path, selection: Selection) -> Contents:
     if check_is_recording(path) == ".mcap":
         from hil.review.decode_mcap import decode_mcap
 
-        return decode_mcap(path, wanted)
-    contents = decode_rrd(path, None if wanted is None else CLOCK.union(wanted))
+        return decode_mcap(path, selection)
+    contents = decode_rrd(path, None if selection is None else CLOCK.union(selection))
     check_plausible(contents.signals)
-    if wanted is None:
+    if selection is None:
         return contents
-    return contents._replace(signals={name: series for name, series in contents.signals.items() if name in wanted})
+    return contents._replace(signals={name: series for name, series in contents.signals.items() if name in selection})
 
 
 def main() -> int:

@@ -15,7 +15,7 @@ from mcap.stream_reader import CRCValidationError, StreamReader, breakup_chunk, 
 
 from hil.record.mcap_file import CDR_HEADER, EVENTS_TOPIC, LEVELS, SIGNALS_TOPIC, ZERO_KEY
 from hil.record.properties import SIGNALS_PROPERTY
-from hil.review.contents import Contents, DamagedError, Series, Wanted, json_property, why_nothing
+from hil.review.contents import Contents, DamagedError, Selection, Series, json_property, why_nothing
 
 _LEVEL_NAMES = {number: {"warning": "WARN"}.get(name, name.upper()) for name, number in LEVELS.items()}
 _LONGEST_RECORD_BYTES = 256 << 20
@@ -26,12 +26,12 @@ _MAGIC = b"\x89MCAP0\r\n"  # a file begins and ends with it; between are records
 _RECORD = struct.Struct("<BQ")
 
 
-def decode_mcap(path: Path, wanted: Wanted = None) -> Contents:
+def decode_mcap(path: Path, selection: Selection = None) -> Contents:
     """Return what an MCAP recording holds; of one without its end, what was before the cut.
 
     A damaged chunk is left out, and named in ``damage``. Raises DamagedError for any other damage.
     """
-    reader = _Reader(wanted)
+    reader = _Reader(selection)
     with path.open("rb") as file:
         end, cut_bytes = _end_of_records(file)
         file.seek(0)
@@ -63,8 +63,8 @@ def _end_of_records(file: BinaryIO) -> tuple[int, int | None]:
 
 
 class _Reader:
-    def __init__(self, wanted: Wanted) -> None:
-        self._wanted = wanted
+    def __init__(self, selection: Selection) -> None:
+        self._selection = selection
         self._properties: dict[str, dict[str, str]] = {}
         self._events: list[tuple[float, str, str]] = []
         self._topics: dict[int, str] = {}
@@ -107,7 +107,7 @@ class _Reader:
             raise DamagedError("damaged: it does not say what its signals are")
         self._names = held[SIGNALS_TOPIC]
         self._zero_ns = int(self._properties[SIGNALS_PROPERTY][ZERO_KEY])
-        self._columns = [i for i, name in enumerate(self._names) if self._wanted is None or name in self._wanted]
+        self._columns = [i for i, name in enumerate(self._names) if self._selection is None or name in self._selection]
         self._row = np.dtype(
             [
                 ("opcode", "u1"),

@@ -16,7 +16,7 @@ import numpy.typing as npt
 
 from hil.record.files import has_end
 from hil.record.properties import OVERLAY_PROPERTY, SIGNALS_PATH, SIGNALS_PROPERTY
-from hil.review.contents import Contents, DamagedError, Series, Wanted, json_property, why_nothing
+from hil.review.contents import Contents, DamagedError, Selection, Series, json_property, why_nothing
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -71,8 +71,8 @@ class _Pieces:
 class _Entities:
     """The entities of a file, of which those that hold signals are kept."""
 
-    def __init__(self, wanted: Wanted) -> None:
-        self.wanted = wanted
+    def __init__(self, selection: Selection) -> None:
+        self.selection = selection
         self.pieces: dict[str, _Pieces] = {}
         self.properties: dict[str, dict[str, str]] = {}
         self.newest: dict[str, bytes] = {}  # the row id of each property's newest text
@@ -83,27 +83,27 @@ class _Entities:
         return json_property(self.properties, SIGNALS_PROPERTY)
 
 
-def decode_rrd(path: Path, wanted: Wanted) -> Contents:
+def decode_rrd(path: Path, selection: Selection) -> Contents:
     """Return what an .rrd file holds; of one without its end, what was before the cut. Raises DamagedError.
 
     A file whose index is damaged is read without it: every row is in the messages before it.
     """
     try:
-        return _decoded(path, wanted, has_index=has_end(path, ".rrd"))
+        return _decoded(path, selection, has_index=has_end(path, ".rrd"))
     except DamagedError as damage:
         if not has_end(path, ".rrd"):
             raise
         try:
-            contents = _decoded(path, wanted, has_index=False)
+            contents = _decoded(path, selection, has_index=False)
         except DamagedError:
             raise damage from None
         return contents._replace(cut_bytes=None, damage=("its index cannot be read; every row was read without it",))
 
 
-def _decoded(path: Path, wanted: Wanted, *, has_index: bool) -> Contents:
+def _decoded(path: Path, selection: Selection, *, has_index: bool) -> Contents:
     import rerun.chunk as rrc
 
-    entities = _Entities(wanted)
+    entities = _Entities(selection)
     with _whole_messages(path, has_index=has_index) as (readable, cut_bytes), warnings.catch_warnings():
         warnings.simplefilter("ignore")  # "has no footer": it has none after a kill
         try:
@@ -124,7 +124,7 @@ def _decoded(path: Path, wanted: Wanted, *, has_index: bool) -> Contents:
                     raise DamagedError("an overlay of two runs")
                 raise DamagedError(why_nothing(_programs(readable), cut_bytes))
             # Recordings received live, and older files, have their signals in the entities that are drawn.
-            drawn = [path for path, names in held.items() if path != SIGNALS_PATH and _columns(names, wanted)]
+            drawn = [path for path, names in held.items() if path != SIGNALS_PATH and _columns(names, selection)]
             if drawn:
                 for chunk in stream().filter(content=drawn):
                     _add(chunk.entity_path, chunk.to_record_batch(), entities, held)
@@ -166,8 +166,8 @@ def _programs(path: Path) -> set[str]:
         return set()
 
 
-def _columns(names: list[str], wanted: Wanted) -> list[int]:
-    return [i for i, name in enumerate(names) if wanted is None or name in wanted]
+def _columns(names: list[str], selection: Selection) -> list[int]:
+    return [i for i, name in enumerate(names) if selection is None or name in selection]
 
 
 def _add(entity: str, batch: "pa.RecordBatch", entities: _Entities, held: dict[str, list[str]] | None) -> None:
@@ -195,12 +195,12 @@ def _add(entity: str, batch: "pa.RecordBatch", entities: _Entities, held: dict[s
             raise DamagedError(
                 f"damaged: {entity} has {len(values)} values for {len(batch)} rows of {len(names)} signals"
             )
-        wanted = _columns(names, entities.wanted)
-        pieces = entities.pieces.setdefault(entity, _Pieces(len(wanted)))
+        columns_read = _columns(names, entities.selection)
+        pieces = entities.pieces.setdefault(entity, _Pieces(len(columns_read)))
         pieces.append(
             row_ids.reshape(len(batch), 2),
             columns["tick"].to_numpy(),
-            values.reshape(len(batch), -1)[:, wanted],
+            values.reshape(len(batch), -1)[:, columns_read],
         )
 
 
@@ -208,7 +208,7 @@ def _signals(held: dict[str, list[str]], entities: _Entities) -> dict[str, Serie
     """Return the signals of all entities, their rows in order."""
     joined: dict[str, tuple[list[str], _Piece]] = {}
     for path, names in held.items():
-        kept = [names[i] for i in _columns(names, entities.wanted)]
+        kept = [names[i] for i in _columns(names, entities.selection)]
         if kept:
             pieces = entities.pieces.get(path)
             joined[path] = kept, _nothing(len(kept)) if pieces is None else pieces.in_order()

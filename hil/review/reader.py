@@ -80,12 +80,12 @@ def read(path: Path, signals: Collection[str] | None = None) -> RecordedRun:
     Raises BadInputError when the file is missing, empty, no recording, damaged, or one of another program.
     """
     check_is_recording(path)
-    wanted = [] if signals is None else [json.dumps(sorted(signals))]
+    selection = [] if signals is None else [json.dumps(sorted(signals))]
     # In a process of its own: rerun aborts its process on some damaged files, and leaves its temporary files behind.
     with (
         tempfile.TemporaryDirectory() as scratch,
         subprocess.Popen(
-            module_command("hil.review.decode", str(path), *wanted),
+            module_command("hil.review.decode", str(path), *selection),
             stdout=subprocess.PIPE,
             stderr=subprocess.DEVNULL,
             env=rerun_environment() | {"TMPDIR": scratch},

@@ -37,12 +37,12 @@ def assignment(text: str) -> tuple[str, float]:
 
 def assignments(texts: Iterable[str]) -> dict[str, float]:
     """Return the values of ``name=value``, by name. Raises BadInputError, also for a name that is given twice."""
-    wanted: dict[str, float] = {}
+    values: dict[str, float] = {}
     for name, value in map(assignment, texts):
-        if name in wanted:
-            raise BadInputError(f"{name} is given twice, as {wanted[name]:g} and as {value:g}; keep one of them")
-        wanted[name] = value
-    return wanted
+        if name in values:
+            raise BadInputError(f"{name} is given twice, as {values[name]:g} and as {value:g}; keep one of them")
+        values[name] = value
+    return values
 
 
 class Held(NamedTuple):
@@ -74,31 +74,31 @@ class ParameterClient:
         self._transaction = 0
         self._changed: list[str] = []
         self._table = parameters()
-        self._reset_cause = self._ask_who(status=True).reset_cause
+        self._reset_cause = self._identify(status=True).reset_cause
 
     def greet(self) -> handshake.RobotInfo:
         """Return what the robot says of itself now; the hash is that of the parameters in force."""
-        return self._ask_who()._replace(reset_cause=self._reset_cause)
+        return self._identify()._replace(reset_cause=self._reset_cause)
 
-    def _ask_who(self, *, status: bool = False) -> handshake.RobotInfo:
+    def _identify(self, *, status: bool = False) -> handshake.RobotInfo:
         return handshake.greet(self._link, lambda message: self._link.send(codec.encode(message)), status=status)
 
     def read(self) -> list[Held]:
         """Return every parameter in the firmware's order."""
         operations = (m.Operation.READ, m.Operation.READ_MINIMUM, m.Operation.READ_MAXIMUM)
         return [
-            Held(row.name, row.type, *(self._value(self._ask(number, operation)) for operation in operations))
+            Held(row.name, row.type, *(self._value(self._request(number, operation)) for operation in operations))
             for number, row in enumerate(self._table)
         ]
 
-    def check(self, wanted: Mapping[str, float]) -> list[Change]:
+    def check(self, values: Mapping[str, float]) -> list[Change]:
         """Return the changes to these values, which change nothing yet.
 
         Raises BadInputError with a line for each name that is unknown, and each value outside of the robot's own range.
         """
         changes: list[Change] = []
         problems: list[str] = []
-        for name, value in wanted.items():
+        for name, value in values.items():
             try:
                 changes.append(self._change_to(name, value))
             except BadInputError as error:
@@ -119,7 +119,7 @@ class ParameterClient:
         held = value if whole else ctypes.c_float(value).value
         # A board may take less than the table has.
         least, most = (
-            self._value(self._ask(number, limit)) for limit in (m.Operation.READ_MINIMUM, m.Operation.READ_MAXIMUM)
+            self._value(self._request(number, limit)) for limit in (m.Operation.READ_MINIMUM, m.Operation.READ_MAXIMUM)
         )
         if not least <= held <= most:
             raise BadInputError(f"{name} = {value:g}; expected a number from {least:g} to {most:g}")
@@ -145,7 +145,7 @@ class ParameterClient:
     def _order(self, number: int, operation: m.Operation, value: int = 0) -> m.ParameterResponse:
         """Ask for what changes something. Raises DeviceError or LinkError, with what was changed before."""
         try:
-            return self._ask(number, operation, value)
+            return self._request(number, operation, value)
         except (DeviceError, LinkError) as error:
             raise type(error)(self._with_changes(str(error))) from error
 
@@ -154,7 +154,7 @@ class ParameterClient:
             return f"{sentence}; nothing was changed"
         return f"{sentence}; changed before that, and in force until a reset: {', '.join(self._changed)}"
 
-    def _ask(self, number: int, operation: m.Operation, value: int = 0) -> m.ParameterResponse:
+    def _request(self, number: int, operation: m.Operation, value: int = 0) -> m.ParameterResponse:
         self._transaction = (self._transaction + 1) & 0xFF
         request = m.ParameterRequest(number, operation, self._transaction, value)
         deadline_ns = time.monotonic_ns() + _SILENCE_NS

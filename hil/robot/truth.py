@@ -65,24 +65,24 @@ class TruthClient:
 
     def arm(self, rows: Sequence[FaultRow]) -> None:
         """Send the faults of the run to the robot. Raises BadInputError when it has no part for one of them."""
-        answer = self._ask_faults({"arm": rows})
+        answer = self._request_faults({"arm": rows})
         if "error" in answer:
             raise BadInputError(str(answer["error"]))
 
     def begin(self, tick: int) -> None:
         """Send the firmware tick at which the scenario's time began. Raises DeviceError when that is refused."""
-        answer = self._ask_faults({"begin": tick})
+        answer = self._request_faults({"begin": tick})
         if "error" in answer:
             raise DeviceError(f"truth {self._url!r}: {answer['error']}")
 
     def applied(self) -> list[int]:
         """Return how often each fault was applied so far. Raises DeviceError when the robot's process has gone."""
-        applied = self._ask_faults({"applied": True}).get("applied")
+        applied = self._request_faults({"applied": True}).get("applied")
         if not isinstance(applied, list):
             raise DeviceError(f"truth {self._url!r}: the robot does not say how often a fault was applied")
         return [int(count) for count in applied]
 
-    def _ask_faults(self, request: Mapping[str, object]) -> Mapping[str, object]:
+    def _request_faults(self, request: Mapping[str, object]) -> Mapping[str, object]:
         connection, answer, _ = _greet(self._url, {"scenario": self._scenario_hash, "reset": False, "faults": request})
         connection.close()
         return answer
@@ -92,9 +92,9 @@ class TruthClient:
         self._whole.clear()
         self._read(blocking=False)
         if self._not_before is not None:
-            wanted_ns = self._not_before()
+            expected_ns = self._not_before()
             deadline = time.monotonic() + ANSWER_S
-            while self.newest is None or self.newest.fix.time_ns < wanted_ns:
+            while self.newest is None or self.newest.fix.time_ns < expected_ns:
                 if time.monotonic() > deadline:
                     raise DeviceError(f"truth {self._url!r} is silent; the robot's process was lost")
                 self._read(blocking=True)

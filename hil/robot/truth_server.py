@@ -64,10 +64,10 @@ class _Request(NamedTuple):
 Answer = TypeVar("Answer")
 
 
-def _await(ask: Callable[[Callable[[Answer], None]], None]) -> Answer:
+def _await(start: Callable[[Callable[[Answer], None]], None]) -> Answer:
     """Ask the robot's own thread and wait for its answer. Raises DeviceError when there is none."""
     answers: queue.Queue[Answer] = queue.Queue()
-    ask(answers.put)
+    start(answers.put)
     try:
         return answers.get(timeout=ANSWER_S)
     except queue.Empty:
@@ -77,12 +77,12 @@ def _await(ask: Callable[[Callable[[Answer], None]], None]) -> Answer:
 class TruthServer:
     """Publishes the truth of a virtual robot on loopback. ``request_reset`` is called when a client asks for the start.
 
-    ``ask_faults`` runs a function on the robot's faults, in the robot's own thread.
+    ``run_on_faults`` runs a function on the robot's faults, in the robot's own thread.
 
     ``port`` 0 takes any free port. Raises BadInputError when the port is taken.
     """
 
-    wants_view = True
+    needs_view = True
 
     def __init__(self, scenario_hash: str, port: int = 0) -> None:
         self._hash = scenario_hash
@@ -95,7 +95,7 @@ class TruthServer:
         self._newest: bytes | None = None
         self._lock = threading.Lock()
         self.request_reset: Callable[[Callable[[bool], None]], None] | None = None
-        self.ask_faults: Callable[[Callable[[RobotFaults], None]], None] | None = None
+        self.run_on_faults: Callable[[Callable[[RobotFaults], None]], None] | None = None
         threading.Thread(target=self._accept, name="truth", daemon=True).start()
 
     def publish(self, fix: PoseFix, view: View | None) -> None:
@@ -158,11 +158,11 @@ class TruthServer:
             )
 
     def _answer_faults(self, request: Mapping[str, Any]) -> dict[str, object]:
-        ask = self.ask_faults
-        if ask is None:
+        run = self.run_on_faults
+        if run is None:
             raise DeviceError("this robot takes no faults")
 
-        def work(faults: RobotFaults) -> dict[str, object]:
+        def handle(faults: RobotFaults) -> dict[str, object]:
             if "arm" in request:
                 faults.arm([FaultRow(*row) for row in request["arm"]])
             elif "begin" in request:
@@ -171,13 +171,13 @@ class TruthServer:
 
         def guarded(faults: RobotFaults, answer: Callable[[dict[str, object]], None]) -> None:
             try:
-                answer(work(faults))
+                answer(handle(faults))
             except BadInputError as error:
                 answer({"error": str(error)})
             except (TypeError, ValueError) as error:
                 answer({"error": f"the request was not understood ({error})"})
 
-        return _await(lambda answer: ask(lambda faults: guarded(faults, answer)))
+        return _await(lambda answer: run(lambda faults: guarded(faults, answer)))
 
     def close(self) -> None:
         """Stop listening and let the readers go."""

@@ -61,7 +61,7 @@ class TruthSink(Protocol):
         """Publish the newest truth; never blocks."""
 
     @property
-    def wants_view(self) -> bool:
+    def needs_view(self) -> bool:
         """Whether the firmware's inner state is needed too."""
 
 
@@ -81,7 +81,7 @@ class VirtualServer:
         self._received_ns = self._start_ns
         self._ticks = 0
         self._reset: Callable[[bool], None] | None = None
-        self._asked: queue.SimpleQueue[Callable[[], None]] = queue.SimpleQueue()
+        self._requests: queue.SimpleQueue[Callable[[], None]] = queue.SimpleQueue()
         self.slipped_ticks = 0
         self._publish()
 
@@ -92,9 +92,9 @@ class VirtualServer:
         """
         self._reset = answer
 
-    def ask(self, work: Callable[[RobotFaults], None]) -> None:
+    def run_on_faults(self, action: Callable[[RobotFaults], None]) -> None:
         """Run a function on the robot's faults before the next exchange, in the thread that serves."""
-        self._asked.put(lambda: work(self._robot.faults))
+        self._requests.put(lambda: action(self._robot.faults))
 
     def serve(self) -> None:
         """Serve until ``stop``. Raises LinkError when the link is lost, DeviceError when the plant fails."""
@@ -107,8 +107,8 @@ class VirtualServer:
 
     def service(self, timeout_ns: int) -> None:
         """Do what is due, waiting at most ``timeout_ns`` for something to come."""
-        if self._reset is not None or not self._asked.empty():
-            self._do_what_was_asked()
+        if self._reset is not None or not self._requests.empty():
+            self._handle_requests()
         if self._lockstep:
             if self._wire.receive_into(self._robot.node, timeout_ns):
                 self._received_ns = time.monotonic_ns()
@@ -119,7 +119,7 @@ class VirtualServer:
 
     def advance(self, ticks: int) -> None:
         """Lockstep with a robot whose protocol has no STEP: take what was sent, and let so many ticks pass."""
-        self._do_what_was_asked()
+        self._handle_requests()
         # All of it: the system hands over in parts what was written in parts, and gives no sign of the last.
         while self._wire.receive_into(self._robot.node, 0):
             pass
@@ -128,11 +128,11 @@ class VirtualServer:
             self._send()
         self._publish()
 
-    def _do_what_was_asked(self) -> None:
+    def _handle_requests(self) -> None:
         if self._reset is not None:
             self._power_cycle()
-        while not self._asked.empty():
-            self._asked.get()()
+        while not self._requests.empty():
+            self._requests.get()()
 
     def _send(self) -> None:
         """Send what the robot has to send; where a reset switched it off, it is switched on again first."""
@@ -163,7 +163,7 @@ class VirtualServer:
         self._send()
 
     def _publish(self) -> None:
-        view = self._robot.node.look() if self._truth.wants_view else None
+        view = self._robot.node.look() if self._truth.needs_view else None
         self._truth.publish(self._robot.plant.truth(), view)
         if view is not None and view.plant_failed and (failure := self._robot.failure()) is not None:
             raise failure
@@ -186,7 +186,7 @@ class VirtualServer:
 class LocalTruth:
     """Ground truth within one process: the newest fix, by a direct call."""
 
-    wants_view = False
+    needs_view = False
 
     def __init__(self) -> None:
         self._fix: PoseFix | None = None

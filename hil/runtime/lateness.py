@@ -44,12 +44,12 @@ class Lateness:
         edges = [edge_ns * 1e-3 for edge_ns in EDGES_NS]
         return {**percentiles, "max": self.worst_ns * 1e-3, "edges": edges, "counts": list(self.counts)}
 
-    def _below_which(self, wanted: float) -> float:
-        """Return the lateness [ns] that ``wanted`` ticks do not exceed, interpolated within its bucket."""
+    def _below_which(self, target: float) -> float:
+        """Return the lateness [ns] that ``target`` ticks do not exceed, interpolated within its bucket."""
         passed = 0.0
         for low_ns, high_ns, count in self._buckets():
-            if count and passed + count >= wanted:
-                share = (wanted - passed) / count
+            if count and passed + count >= target:
+                share = (target - passed) / count
                 # Logarithmic like the buckets, except in the first one, which begins at 0.
                 return low_ns * (high_ns / low_ns) ** share if low_ns else high_ns * share
             passed += count

@@ -81,8 +81,8 @@ class LocalRobot:
             begin(self.robot.faults)
             return
         done = threading.Event()
-        self._server.ask(begin)
-        self._server.ask(lambda _: done.set())
+        self._server.run_on_faults(begin)
+        self._server.run_on_faults(lambda _: done.set())
         done.wait(_ANSWER_S)  # the run itself notices a robot that has failed
 
     def applied(self) -> list[int]:

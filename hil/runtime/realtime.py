@@ -46,49 +46,51 @@ class RealTime:
     def figures(self) -> dict[str, dict[str, str]]:
         """Return two dicts of sentences by setting, under ``granted`` and ``refused``."""
         return {
-            kind: {name: sentence for name, granted, sentence in self.settings if granted is wanted}
-            for kind, wanted in (("granted", True), ("refused", False))
+            kind: {name: sentence for name, granted, sentence in self.settings if granted is expected}
+            for kind, expected in (("granted", True), ("refused", False))
         }
 
 
 @contextlib.contextmanager
-def real_time(wanted: RealtimeTable, threads: Sequence[int] = ()) -> Iterator[RealTime]:
-    """Request the ``wanted`` settings for the calling thread and ``threads`` (native ids); restore all at the end.
+def real_time(options: RealtimeTable, threads: Sequence[int] = ()) -> Iterator[RealTime]:
+    """Request the ``options`` settings for the calling thread and ``threads`` (native ids); restore all at the end.
 
     Processes and threads that these start meanwhile begin with ordinary priority.
     """
     every = (threading.get_native_id(), *threads)
     with contextlib.ExitStack() as undo:
-        asked: dict[str, _Ask] = {
+        requests: dict[str, _Request] = {
             "garbage collector": _quieten_collector,
             "switch interval": _shorten_switch_interval,
         }
         if sys.platform == "linux":
-            asked |= {
+            requests |= {
                 "timer slack": _tighten_timers,
                 "idle states": _stay_awake,
-                "processors": lambda undo: _pin(wanted.cpus, every, undo),
-                "memory": lambda undo: _lock_memory(undo) if wanted.lock_memory else None,
+                "processors": lambda undo: _pin(options.cpus, every, undo),
+                "memory": lambda undo: _lock_memory(undo) if options.lock_memory else None,
                 # Last, so that no other process waits for the requests above.
-                "priority": lambda undo: _raise_priority(wanted.priority, every, undo) if wanted.priority else None,
+                "priority": lambda undo: _raise_priority(options.priority, every, undo) if options.priority else None,
             }
         else:
-            asked["priority"] = _refuse
-        yield RealTime([setting for name, ask in asked.items() if (setting := _answer(name, ask, undo)) is not None])
+            requests["priority"] = _refuse
+        yield RealTime(
+            [setting for name, request in requests.items() if (setting := _answer(name, request, undo)) is not None]
+        )
 
 
 class _RefusedError(Exception):
     """A request was refused; the text gives the reason and the remedy."""
 
 
-_Ask = Callable[[contextlib.ExitStack], str | None]
+_Request = Callable[[contextlib.ExitStack], str | None]
 
 
-def _answer(name: str, ask: _Ask, undo: contextlib.ExitStack) -> Setting | None:
+def _answer(name: str, request: _Request, undo: contextlib.ExitStack) -> Setting | None:
     """Make one request; None if it was not wanted. After a refusal, its partial changes are undone at once."""
     with contextlib.ExitStack() as attempt:
         try:
-            sentence = ask(attempt)
+            sentence = request(attempt)
         except _RefusedError as refused:
             return Setting(name, False, str(refused))
         undo.enter_context(attempt.pop_all())

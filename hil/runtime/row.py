@@ -64,10 +64,10 @@ class RowWriter:
         command, saturated, latency_s = applied
         pose, twist = state if state is not None else _NO_STATE
         truth = fix.pose if fix is not None else NAN_POSE
-        (x_m, y_m, heading_rad), (wanted_x_m, wanted_y_m, wanted_heading_rad) = truth, reference.pose
-        error_x_m, error_y_m = x_m - wanted_x_m, y_m - wanted_y_m
+        (x_m, y_m, heading_rad), (desired_x_m, desired_y_m, desired_heading_rad) = truth, reference.pose
+        error_x_m, error_y_m = x_m - desired_x_m, y_m - desired_y_m
         try:
-            error_heading_rad = remainder(heading_rad - wanted_heading_rad, tau)
+            error_heading_rad = remainder(heading_rad - desired_heading_rad, tau)
         except ValueError:  # an infinite heading
             error_heading_rad = NAN
         robot_time_ns, robot_state, _, command_age_ms, _, speed, current, acceleration, yaw_rate_rad_s = (

@@ -60,7 +60,7 @@ class TickParts(NamedTuple):
 
 Sensed = tuple[Feedback, State | None]
 """The newest feedback, and the state of the robot; None where the estimator has none."""
-_Asked = tuple[State, float, bool]
+_LawInputs = tuple[State, float, bool]
 """The arguments of a law: the state, dt [s], and whether it was reset for this tick."""
 
 
@@ -117,7 +117,7 @@ class Tick:
                 state = None  # a law that integrates it would return NaN from then on
         self.is_stale = is_stale = self._freshness.is_stale or (not self._is_lockstep and self._freshness.has_aged())
         if state is None or status.health == LOST or is_stale:
-            asked = None
+            inputs = None
             measured = None if self._freshness.is_silent() else feedback.speed_rad_s
             command, saturated = self._parts.brake.command(measured)
             self._before = None  # the law is reset after a stop: its integrated state is out of date
@@ -130,19 +130,19 @@ class Tick:
                 self._controller.reset(state, reference)
                 self._before = before = tick - 1
             dt_s = (tick - before) * self._period_ns * 1e-9
-            asked = state, dt_s, begins
-            wanted = self._controller.update(reference, state, self._applied, dt_s)
+            inputs = state, dt_s, begins
+            requested = self._controller.update(reference, state, self._applied, dt_s)
             self._before = tick
             if faults is not None:
-                wanted = faults.command(wanted)
-            command, saturated = self._guard.apply(wanted)
+                requested = faults.command(requested)
+            command, saturated = self._guard.apply(requested)
         sequence = self._device.send(command)
         if not self._is_lockstep:
             self._measure_latency(sequence, feedback)
         if self._shadows is not None:
-            self._ask_shadows(self._shadows, now.t_s, reference, asked)
+            self._update_shadows(self._shadows, now.t_s, reference, inputs)
         self._applied = applied = Applied(command, saturated, self._latency.s)
-        silent_ns, is_held = self._freshness.silent_ns, asked is None
+        silent_ns, is_held = self._freshness.silent_ns, inputs is None
         self._rows.write(
             tick=now,
             feedback=feedback,
@@ -259,12 +259,12 @@ class Tick:
         latency_ns = self._timing.feedback_latency_ns
         return RowWriter(parts.device, parts.wire, parts.controller, parts.extra, parts.sinks, latency_ns, parts.faults)
 
-    def _ask_shadows(self, shadows: Shadows, t_s: float, reference: Reference, asked: _Asked | None) -> None:
+    def _update_shadows(self, shadows: Shadows, t_s: float, reference: Reference, inputs: _LawInputs | None) -> None:
         """Compute the shadow laws from the same arguments, after the command was sent."""
-        if asked is None:
+        if inputs is None:
             shadows.hold()
         else:
-            state, dt_s, begins = asked
+            state, dt_s, begins = inputs
             for sentence in shadows.update(t_s, reference, state, self._applied, dt_s, begins=begins):
                 self._parts.note(t_s, "warning", sentence)
 

@@ -64,13 +64,13 @@ class Client:
 
     def status(self) -> dict[str, Any]:
         """Return the service's status, by the names of ``hil.service.messages.Status``."""
-        return self._ask("GET", "/v1/status", None)
+        return self._request("GET", "/v1/status", None)
 
     def order(self, action: Action, arguments: Mapping[str, Any] | None = None) -> dict[str, Any]:
         """Give an order, and return its result when it is done or begun."""
         method, path = route(action)
         timeout_s = _LONG_TIMEOUT_S if action in LONG else _TIMEOUT_S
-        result: dict[str, Any] = self._ask(method, path, arguments, timeout_s)["result"]
+        result: dict[str, Any] = self._request(method, path, arguments, timeout_s)["result"]
         return result
 
     def watch(self) -> Iterator[dict[str, Any]]:
@@ -95,7 +95,7 @@ class Client:
                 raise RunInterruptedError("interrupted; the robot was told to stop") from None
             _stop(live)
 
-    def _ask(
+    def _request(
         self, method: str, path: str, body: Mapping[str, Any] | None, timeout_s: float = _TIMEOUT_S
     ) -> dict[str, Any]:
         try:

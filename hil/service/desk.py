@@ -136,23 +136,25 @@ class Desk:
         return {}
 
     def _twist(self, order: Order) -> Result:
-        wanted = order.arguments
-        twist = self._pilot.active().twist(BodyTwist(wanted["vx_m_s"], wanted["vy_m_s"], wanted["yaw_rate_rad_s"]))
+        arguments = order.arguments
+        twist = self._pilot.active().twist(
+            BodyTwist(arguments["vx_m_s"], arguments["vy_m_s"], arguments["yaw_rate_rad_s"])
+        )
         return {"vx_m_s": twist.forward_m_s, "vy_m_s": twist.left_m_s, "yaw_rate_rad_s": twist.yaw_rate_rad_s}
 
     def _go(self, order: Order) -> Result:
-        wanted = order.arguments
-        self._pilot.active().go(Pose(wanted["x_m"], wanted["y_m"], wanted["heading_rad"]))
+        arguments = order.arguments
+        self._pilot.active().go(Pose(arguments["x_m"], arguments["y_m"], arguments["heading_rad"]))
         return {}
 
     def _track(self, order: Order) -> None:
         self._pilot.need_active()  # before a path is read for nothing
-        asked = self._pilot.motions_asked
-        here, wanted = bool(order.arguments["here"]), order.arguments["reference"]
+        requests_before = self._pilot.motion_requests
+        here, requested = bool(order.arguments["here"]), order.arguments["reference"]
         table = self._scenario.reference
         kind, options = table.kind, table.options
-        if wanted is not None:
-            kind, options = wanted["kind"], {name: value for name, value in wanted.items() if name != "kind"}
+        if requested is not None:
+            kind, options = requested["kind"], {name: value for name, value in requested.items() if name != "kind"}
 
         def make() -> ReferenceSource:
             path = make_reference(kind, options, self._scenario.directory)
@@ -160,7 +162,7 @@ class Desk:
             return path
 
         def then(path: Any) -> Result:
-            if self._pilot.motions_asked != asked:
+            if self._pilot.motion_requests != requests_before:
                 raise BadInputError("another order, or another phase of the robot, came before the path was read")
             self._pilot.active().track(path, here=here)
             return {"kind": kind}
@@ -172,8 +174,8 @@ class Desk:
             raise BadInputError("the gains are being changed by another order; give this one again")
 
         def make() -> Any:
-            wanted, now = order.arguments["gains"], self._scenario.controller
-            gains = self._reload_gains() if wanted is None else {**now.gains, **wanted}
+            requested, now = order.arguments["gains"], self._scenario.controller
+            gains = self._reload_gains() if requested is None else {**now.gains, **requested}
             tables = replace(self._scenario, controller=replace(now, gains=gains))
             return tables, make_laws(tables, tables.directory), law_ingredients(tables)
 
@@ -200,12 +202,12 @@ class Desk:
     def _record(self, order: Order) -> None:
         if self._are_records_busy or self._records.path is not None:
             raise BadInputError(f"{self._records.path or 'a recording'} is being written; stop that first")
-        wanted, force = order.arguments["path"], bool(order.arguments["force"])
+        requested, force = order.arguments["path"], bool(order.arguments["force"])
         made_of = dict(self._made_of)
 
         def make() -> Recording:
-            path = new_in_runs(self._scenario.name, ".rrd", "name a file") if wanted is None else Path(wanted)
-            existing: Existing = "number" if wanted is None else existing_files(force=force)
+            path = new_in_runs(self._scenario.name, ".rrd", "name a file") if requested is None else Path(requested)
+            existing: Existing = "number" if requested is None else existing_files(force=force)
             return recording_of(properties(self._scenario, made_of), self._signals, path, existing=existing)
 
         def then(recording: Any) -> Result:

@@ -6,7 +6,7 @@ from firmware_protocol.generated.messages import State as RobotState
 
 
 class EmergencyStop:
-    """An e-stop is owed from ``ask`` until the robot's feedback confirms it; only then may it be cleared.
+    """An e-stop is owed from ``request`` until the robot's feedback confirms it; only then may it be cleared.
 
     It is sent for at least ``repeat_s``, because feedback under way may show an earlier ESTOP.
 
@@ -16,13 +16,13 @@ class EmergencyStop:
 
     def __init__(self, repeat_s: float) -> None:
         self._repeat_s = repeat_s
-        self._asked_s = -math.inf
+        self._requested_s = -math.inf
         self._clear_next = False
         self.owed = False
 
-    def ask(self, t_s: float) -> None:
+    def request(self, t_s: float) -> None:
         """Begin to owe an e-stop; a clear that was asked for before is dropped."""
-        self.owed, self._asked_s, self._clear_next = True, t_s, False
+        self.owed, self._requested_s, self._clear_next = True, t_s, False
 
     def may_clear(self) -> bool:
         """Return whether it may be cleared now. If not, the clear is kept, and ``pop_clear`` returns it later."""
@@ -35,7 +35,7 @@ class EmergencyStop:
 
     def is_sent(self, robot: RobotState, t_s: float) -> bool:
         """Return whether to send it still, to a robot whose feedback has this state."""
-        if self.owed and robot is RobotState.ESTOP and t_s >= self._asked_s + self._repeat_s:
+        if self.owed and robot is RobotState.ESTOP and t_s >= self._requested_s + self._repeat_s:
             self.owed = False
         return self.owed
 

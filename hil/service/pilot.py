@@ -38,7 +38,7 @@ class Pilot:
     Attributes:
         phase: of the robot. state: estimated, None while it is away.
         conduct: the task of an ACTIVE robot, to be read; ``active`` returns it for orders. emergency: the e-stop.
-        motions_asked: counts phases and orders for a motion, so that a slow order can see that it is outdated.
+        motion_requests: counts phases and orders for a motion, so that a slow order can see that it is outdated.
         recoveries: how often a lost robot came back.
     """
 
@@ -53,7 +53,7 @@ class Pilot:
         self._law_failed = False
         self.conduct = Conduct(options)
         self.phase = Phase.AWAY
-        self.motions_asked = 0
+        self.motion_requests = 0
         self.state: State | None = None
         self.recoveries = 0
         self._was_connected = False
@@ -105,7 +105,7 @@ class Pilot:
         ``why`` is a sentence for the status.
         """
         self._why = why or self._why
-        self.motions_asked += 1
+        self.motion_requests += 1
         if self.phase in (Phase.ARMING, Phase.ACTIVE):
             self._parts.device.disarm()
             self._enter(Phase.STOPPING, _STOPPING_LIMIT_S)
@@ -116,11 +116,11 @@ class Pilot:
 
     def estop(self) -> None:
         """Stop at once, and latch it. A robot that is away is stopped as soon as it is back."""
-        self.emergency.ask(self._t_s)
+        self.emergency.request(self._t_s)
         self._why = "an e-stop was asked for"
         if self.phase is Phase.AWAY:
             self._why += "; the robot is away: it is sent blindly now, and again as soon as it is back"
-            self.motions_asked += 1
+            self.motion_requests += 1
         else:
             self._enter(Phase.ESTOP)
         with contextlib.suppress(LinkError):  # it is repeated at every tick, and when the robot is back
@@ -138,7 +138,7 @@ class Pilot:
     def active(self) -> Conduct:
         """Return the conduct of an ACTIVE robot, to give it a new motion. Raises BadInputError in other phases."""
         self.need_active()
-        self.motions_asked += 1
+        self.motion_requests += 1
         return self.conduct
 
     def need_active(self) -> None:
@@ -211,7 +211,7 @@ class Pilot:
         feedback = self._parts.device.feedback
         if isinstance(error, LinkError | RobotStoppedError):
             if self.phase is Phase.ESTOP:
-                self.emergency.ask(self._t_s)  # a robot that was reset meanwhile does not know of it
+                self.emergency.request(self._t_s)  # a robot that was reset meanwhile does not know of it
             self._enter(Phase.AWAY)
             self._recovery = self._new_recovery(error)
         elif isinstance(error, DeviceError) and feedback is not None and feedback.state in latched:
@@ -242,7 +242,7 @@ class Pilot:
         if not self._was_connected:
             self._was_connected, self._why = True, self._why if self.emergency.owed else None
         if self.emergency.owed:
-            self.emergency.ask(now.t_s)
+            self.emergency.request(now.t_s)
             self._enter(Phase.ESTOP)
             self._parts.device.estop()
         else:
@@ -314,7 +314,7 @@ class Pilot:
         if phase is Phase.ACTIVE:
             self._warned()  # of what the robot has reported since it was armed
         self.phase = phase
-        self.motions_asked += 1
+        self.motion_requests += 1
         self._deadline_s = self._t_s + limit_s
         self.conduct.end()
         if phase is Phase.AWAY:

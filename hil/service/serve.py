@@ -60,7 +60,7 @@ class _Ending:
     """Counts the signals to end: the first asks for it, a second one insists, unless it is a SIGHUP."""
 
     def __init__(self) -> None:
-        self.asked = 0
+        self.requests = 0
         numbers = [signal.SIGTERM, signal.SIGINT]
         # SIGHUP: the window was closed in which the service was started. nohup ignores it.
         if hasattr(signal, "SIGHUP") and signal.getsignal(signal.SIGHUP) is not signal.SIG_IGN:
@@ -70,8 +70,8 @@ class _Ending:
 
     def __call__(self, number: int, _frame: object) -> None:
         # Kernel and shell both send SIGHUP when a window is closed, so a second one does not insist.
-        if not self.asked or number in (signal.SIGTERM, signal.SIGINT):
-            self.asked += 1
+        if not self.requests or number in (signal.SIGTERM, signal.SIGINT):
+            self.requests += 1
         logs.info("signal to end", signal=signal.Signals(number).name)
 
 
@@ -200,7 +200,7 @@ class _Service:
                 self.api.send(Answer(order.number, f"the robot is away: {why}"))
         self.api.send(self._statuses.without_bench(why))
         self.notifier.beat(time.monotonic_ns())
-        return not self.ending.asked
+        return not self.ending.requests
 
     def _pilot(self, bench: Bench) -> Pilot:
         made = self.parts.make(bench, [self.records], self.records.note)
@@ -256,14 +256,14 @@ class _Service:
         """Yield until the service is to end and its robot is disarmed, or the wait for that is over."""
         limit_s = None
         while True:
-            if limit_s is None and (self.ending.asked or desk.shutdown):
+            if limit_s is None and (self.ending.requests or desk.shutdown):
                 pilot.disarm()
                 limit_s = time.monotonic() + _ENDING_LIMIT_S
             if limit_s is not None:
                 owed = pilot.emergency.owed and pilot.phase is not Phase.AWAY
                 if pilot.phase not in (Phase.ARMING, Phase.ACTIVE, Phase.STOPPING) and not owed:
                     return
-                if self.ending.asked > 1:
+                if self.ending.requests > 1:
                     logs.warning("second signal to end; the robot's watchdog stops it")
                     return
                 if time.monotonic() > limit_s:

@@ -122,8 +122,8 @@ def _place(file: Path, lines: Mapping[tuple[str, ...], int], path: tuple[str, ..
     """Return ``file:line`` of a key, whether it is written with dots or as tables."""
     dotted = {".".join(known) + ".": line for known, line in lines.items()}
     for end in range(len(path), 0, -1):
-        wanted = ".".join(path[:end]) + "."
-        if found := [line for known, line in dotted.items() if known.startswith(wanted)]:
+        prefix = ".".join(path[:end]) + "."
+        if found := [line for known, line in dotted.items() if known.startswith(prefix)]:
             return f"{file}:{min(found)}"
     return str(file)
 

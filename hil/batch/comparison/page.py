@@ -128,10 +128,10 @@ def _notes(comparison: Comparison, rows: Sequence[Row]) -> Iterator[str]:
             yield f"{row.entry.label}: {note}"
 
 
-def _shown(pictures: Sequence[Path], wanted: Sequence[str], file: Path) -> Iterator[str]:
+def _shown(pictures: Sequence[Path], names: Sequence[str], file: Path) -> Iterator[str]:
     """Yield the lines that show those of the pictures that have these names, by their paths from the page."""
     for picture in pictures:
-        if picture.stem in wanted:
+        if picture.stem in names:
             yield ""
             yield f"![{picture.stem}]({Path(os.path.relpath(picture, file.parent)).as_posix()})"
 

@@ -207,16 +207,16 @@ def _move(recording: Path, folder: Path) -> None:
 def _draw(folder: Path, results: Results, signals: Mapping[str, Signals], drawn: list[str]) -> None:
     """Draw what there are runs for, and add the name of each picture to ``drawn``."""
     shown = {label: one for label, one in signals.items() if one}
-    wanted: dict[str, Callable[[Path], None]] = {}
+    drawings: dict[str, Callable[[Path], None]] = {}
     if "dsc" in shown and "afdsc" in shown:
-        wanted["figure_8.png"] = lambda path: pictures.circle(path, shown["dsc"], shown["afdsc"])
-        wanted["convergence.png"] = lambda path: pictures.convergence(path, _labelled(shown))
+        drawings["figure_8.png"] = lambda path: pictures.circle(path, shown["dsc"], shown["afdsc"])
+        drawings["convergence.png"] = lambda path: pictures.convergence(path, _labelled(shown))
     if "experiment" in shown:
-        wanted["figure_10.png"] = lambda path: pictures.path_in_plane(path, shown["experiment"])
-        wanted["figure_11.png"] = lambda path: pictures.control_signals(path, shown["experiment"])
+        drawings["figure_10.png"] = lambda path: pictures.path_in_plane(path, shown["experiment"])
+        drawings["figure_11.png"] = lambda path: pictures.control_signals(path, shown["experiment"])
     if any(results.rows("delay")):
-        wanted["delay.png"] = lambda path: pictures.delay(path, results)
-    for name, draw in wanted.items():
+        drawings["delay.png"] = lambda path: pictures.delay(path, results)
+    for name, draw in drawings.items():
         draw(folder / name)
         drawn.append(name)
 

@@ -55,15 +55,15 @@ def start_values(model: Model) -> Iterator[Finding]:
     """Parameters, inputs and constants have the start values of the description."""
     with model.instance() as slave:
         for variable in model.variables:
-            wanted = start(variable)
-            if wanted is None or not (
+            expected = start(variable)
+            if expected is None or not (
                 variable.causality in ("parameter", "input") or variable.variability == "constant"
             ):
                 continue
             values = slave.get(variable)
-            if values != wanted:
+            if values != expected:
                 yield violation(
-                    f"{variable.name} reads {_text(values)} at the start; modelDescription.xml says {_text(wanted)}"
+                    f"{variable.name} reads {_text(values)} at the start; modelDescription.xml says {_text(expected)}"
                 )
 
 
@@ -75,10 +75,12 @@ def variables(model: Model) -> Iterator[Finding]:
             slave.drive(step)
             slave.step(model.time_s(step), model.step_s)
             for place, variable in enumerate(model.inputs):
-                wanted = [model.input_value(variable, step, place)] * count(variable)
+                expected = [model.input_value(variable, step, place)] * count(variable)
                 values = slave.get(variable)
-                if values != wanted:
-                    yield violation(f"input {variable.name} reads {_text(values)} after it was set to {_text(wanted)}")
+                if values != expected:
+                    yield violation(
+                        f"input {variable.name} reads {_text(values)} after it was set to {_text(expected)}"
+                    )
                     return
             problems = [*_not_finite(model, slave, f"after {step + 1} steps")]
             yield from problems

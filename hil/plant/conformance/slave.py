@@ -141,9 +141,9 @@ class Model:
         self.claims = self.description.coSimulation
         self.message = ""  # the FMU's newest message
         experiment = self.description.defaultExperiment
-        wanted = None if experiment is None else experiment.stepSize
+        suggested_s = None if experiment is None else experiment.stepSize
         begin = None if experiment is None else experiment.startTime
-        self.step_s = float(self.claims.fixedInternalStepSize or wanted or 1e-3)
+        self.step_s = float(self.claims.fixedInternalStepSize or suggested_s or 1e-3)
         self.start_s = float(begin or 0.0)
         variables = [v for v in self.description.modelVariables if v.type not in _NOT_NUMERIC and not v.clocks]
         self.variables = variables

@@ -54,11 +54,11 @@ def _dying_with_us() -> Callable[[], None] | None:
     prctl = ctypes.CDLL(None, use_errno=True).prctl  # looked up here: between fork and exec as little as possible
     ours = os.getpid()
 
-    def ask() -> None:
+    def request_kill() -> None:
         if prctl(_PR_SET_PDEATHSIG, signal.SIGKILL, 0, 0, 0) != 0 or os.getppid() != ours:
             os._exit(1)  # we have ended meanwhile
 
-    return ask
+    return request_kill
 
 
 def _kill_at_end_of_stdin(process: "subprocess.Popen[bytes]") -> None:

@@ -85,7 +85,7 @@ class QemuServer(VirtualServer):
 
     def service(self, timeout_ns: int) -> None:
         """Do what is due, waiting at most ``timeout_ns`` for something to come."""
-        self._do_what_was_asked()
+        self._handle_requests()
         board = self._robot.node
         assert isinstance(board, QemuBoard)
         board.on_output = self._forward

@@ -68,7 +68,7 @@ class _Session:
         self._gamepads = gamepads
         self._operator = operator
         self._heartbeat = Heartbeat()
-        self._asked: BodyTwist | None = None
+        self._requested: BodyTwist | None = None
         self._status: dict[str, Any] | None = None
         self._received_s = self._seen_s = self._due_s = time.monotonic()
         self._orders: dict[int, Action] = {}
@@ -155,14 +155,14 @@ class _Session:
             self._order(_ORDERS[wish])
             self._message = f"{wish.value} was asked for"
             if wish in (Wish.STOP, Wish.ESTOP):
-                self._asked = None
+                self._requested = None
 
     def _check_terminal(self, now_s: float) -> None:
         """Query a terminal that reports releases while the robot drives."""
-        if not self._terminal.reports_releases or self._asked is None:
+        if not self._terminal.reports_releases or self._requested is None:
             return
         if self._heartbeat.due(now_s):
-            self._terminal.ask()
+            self._terminal.query()
         if self._heartbeat.is_lost(now_s):
             self._let_go("the terminal does not answer, and could not report a release; press again")
 
@@ -171,15 +171,15 @@ class _Session:
         self._message = why
 
     def _drive(self, now_s: float) -> None:
-        wanted = self._operator.twist(now_s)
-        if wanted is None:
-            if self._asked is not None:
+        requested = self._operator.twist(now_s)
+        if requested is None:
+            if self._requested is not None:
                 self._order(Action.STOP)
                 self._heartbeat = Heartbeat()
-        elif wanted != self._asked or now_s >= self._due_s:
-            forward_m_s, left_m_s, yaw_rate_rad_s = wanted
+        elif requested != self._requested or now_s >= self._due_s:
+            forward_m_s, left_m_s, yaw_rate_rad_s = requested
             self._order(Action.TWIST, {"vx_m_s": forward_m_s, "vy_m_s": left_m_s, "yaw_rate_rad_s": yaw_rate_rad_s})
-        self._asked = wanted
+        self._requested = requested
 
     def _order(self, action: Action, arguments: dict[str, float] | None = None) -> int:
         number = self._live.order(action, arguments)
@@ -205,7 +205,7 @@ class _Session:
     def _stop(self) -> None:
         """Order a stop, and wait for the answer; a robot that is not active refuses it."""
         number = self._order(Action.STOP)
-        self._asked = None
+        self._requested = None
         end_s = time.monotonic() + _STOPPED_S
         while number in self._orders:
             message = self._live.receive(max(end_s - time.monotonic(), 0.0))
@@ -217,7 +217,7 @@ class _Session:
         view = View(
             self._status,
             now_s - self._received_s,
-            self._asked,
+            self._requested,
             self._operator.speeds,
             self._terminal.reports_releases,
             self._gamepad,

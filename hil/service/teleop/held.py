@@ -83,14 +83,14 @@ class Heartbeat:
     LIMIT_S = 0.3
 
     def __init__(self) -> None:
-        self._asked_s = -math.inf
+        self._queried_s = -math.inf
         self._unanswered_s = math.inf
 
     def due(self, now_s: float) -> bool:
         """Return whether to send a query now."""
-        if now_s - self._asked_s < self.PERIOD_S:
+        if now_s - self._queried_s < self.PERIOD_S:
             return False
-        self._asked_s = now_s
+        self._queried_s = now_s
         self._unanswered_s = min(self._unanswered_s, now_s)
         return True
 

@@ -24,11 +24,11 @@ _HELP = (
 
 
 class View(NamedTuple):
-    """Content of the screen. ``asked`` is None when no dead-man switch is held, ``gamepad`` None if not wanted."""
+    """Content of the screen. ``requested`` is None when no dead-man switch is held, ``gamepad`` None if not wanted."""
 
     status: Mapping[str, Any] | None
     status_age_s: float
-    asked: BodyTwist | None
+    requested: BodyTwist | None
     speeds: Speeds
     reports_releases: bool
     gamepad: str | None
@@ -37,12 +37,12 @@ class View(NamedTuple):
 
 def lines(view: View) -> list[str]:
     """Return the lines of the screen."""
-    status = view.status
+    status, requested = view.status, view.requested
     shown = [
         "hil teleop: hold a key to run, let go to stop",
         "",
         *(_status(status, view.status_age_s) if status is not None else ["phase     not known yet"]),
-        f"asked     {_twist(view.asked) if view.asked is not None else 'nothing: nobody holds a key or the button'}",
+        f"asked     {'nothing: nobody holds a key or the button' if requested is None else _twist(requested)}",
         f"got       {_got(status)}",
         f"speed     {view.speeds.speed_m_s:.2f} m/s, {view.speeds.yaw_rate_rad_s:.2f} rad/s",
     ]

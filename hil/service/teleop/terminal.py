@@ -14,9 +14,9 @@ from hil.core.errors import BadInputError, LinkError
 from hil.service.teleop.keys import Attributes, Event, Flags, KeyDecoder
 
 # Kitty's keyboard protocol: 1 no sequence of Esc is ambiguous, 2 press, repeat and release, 8 for every key.
-_WANTED_FLAGS = 1 | 2 | 8
+_REQUIRED_FLAGS = 1 | 2 | 8
 _PUSH_FLAGS, _POP_FLAGS = b"\x1b[>11u", b"\x1b[<u"
-_ASK_FLAGS, _ASK_ATTRIBUTES = b"\x1b[?u", b"\x1b[c"
+_QUERY_FLAGS, _QUERY_ATTRIBUTES = b"\x1b[?u", b"\x1b[c"
 # The alternate screen has keyboard flags of its own, so it comes first. 25: cursor; 1004: report the window's focus.
 _ENTER = b"\x1b[?1049h\x1b[?25l\x1b[?1004h"
 _LEAVE = b"\x1b[?1004l\x1b[?25h\x1b[?1049l"
@@ -61,10 +61,10 @@ class Terminal:
             self._before = before
             termios.tcsetattr(self._in, termios.TCSAFLUSH, changed)
         self._write(_ENTER, _ANSWER_S)
-        self.reports_releases = self._ask_flags() is not None
+        self.reports_releases = self._query_flags() is not None
         if self.reports_releases:
             self._write(_PUSH_FLAGS, _ANSWER_S)
-            if ((self._ask_flags() or 0) & _WANTED_FLAGS) != _WANTED_FLAGS:
+            if ((self._query_flags() or 0) & _REQUIRED_FLAGS) != _REQUIRED_FLAGS:
                 self._write(_POP_FLAGS, _ANSWER_S)
                 self.reports_releases = False
 
@@ -103,9 +103,9 @@ class Terminal:
         self._esc_s = now_s
         return self._decoder.feed(data)
 
-    def ask(self) -> None:
+    def query(self) -> None:
         """Query the terminal; its answer is an event of type Flags."""
-        self._write(_ASK_FLAGS)
+        self._write(_QUERY_FLAGS)
 
     def show(self, lines: Sequence[str]) -> None:
         """Show lines from the top, if the terminal accepts output now."""
@@ -117,9 +117,9 @@ class Terminal:
         shown = f"{_REST_OF_LINE}\r\n".join(line[:columns] for line in lines[:rows])
         self._write(f"{_HOME}{shown}{_REST_OF_LINE}{_REST_OF_SCREEN}".encode())
 
-    def _ask_flags(self) -> int | None:
+    def _query_flags(self) -> int | None:
         """Return the flags in force; None when the terminal does not support the protocol."""
-        self._write(_ASK_FLAGS + _ASK_ATTRIBUTES)
+        self._write(_QUERY_FLAGS + _QUERY_ATTRIBUTES)
         end_s = time.monotonic() + _ANSWER_S
         flags = None
         while (left_s := end_s - time.monotonic()) > 0.0:

@@ -134,10 +134,12 @@ class Reading:
         self.trouble: str | None = None
 
     def __iter__(self) -> Iterator[Entry]:
-        wanted = self._selection
+        selection = self._selection
         for message in self._messages():
             entry = self._entry(message)
-            if wanted.from_s <= entry.t_s <= wanted.to_s and (not wanted.kinds or entry.kind in wanted.kinds):
+            if selection.from_s <= entry.t_s <= selection.to_s and (
+                not selection.kinds or entry.kind in selection.kinds
+            ):
                 yield entry
 
     def _messages(self) -> Iterator[Any]:

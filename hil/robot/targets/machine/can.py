@@ -230,8 +230,8 @@ class Can(Peripheral):
             one, two = (self._register[FILTERS + 8 * bank + 4 * n] for n in range(2))
             rows = _wide(one, two, listed) if wide else _narrow(one, two, listed)
             if self._register[FA1R] >> bank & 1 and not self._register[FMR] & 1:
-                for n, (wanted, mask) in enumerate(rows):
-                    if not ((word if wide else half) ^ wanted) & mask:
+                for n, (expected, mask) in enumerate(rows):
+                    if not ((word if wide else half) ^ expected) & mask:
                         return fifo, index[fifo] + n
             index[fifo] += len(rows)
         return None
