@@ -10,7 +10,7 @@ Nothing heavy is imported until it is needed.
 
 from typing import TYPE_CHECKING, Any
 
-__version__ = "0.1.0"
+__version__ = "0.2.0"
 __all__ = ["RunResult", "__version__", "run"]
 
 if TYPE_CHECKING:
