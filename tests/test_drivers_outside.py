@@ -1,5 +1,7 @@
 """A maker's motors from another package: listed, its settings checked, and its emulated device driven in lockstep."""
 
+import importlib
+import re
 from pathlib import Path
 
 import pytest
@@ -66,7 +68,11 @@ MOTORS = '''
 
 
     class EmulatedTiny(EmulatedMotors):
+        made = []
+        was_driving = False
+
         def __init__(self, settings, *node, **keywords):
+            self.made.append(self)
             self._per_rad_s = settings.counts_per_rad_s
             self._targets = (0.0, 0.0, 0.0, 0.0)
             super().__init__(*node, **keywords)
@@ -81,18 +87,66 @@ MOTORS = '''
                 self._targets = tuple(count / self._per_rad_s for count in SPEEDS.unpack(frame.payload))
 
         def tick(self):
+            self.was_driving = self.was_driving or self.is_driving
             speeds = [shaft.speed_rad_s for shaft in self.shafts]
             self.say(Frame(0x11, SPEEDS.pack(*(round(speed * self._per_rad_s) for speed in speeds))))
             return tuple(loop.torque(*pair) for loop, *pair in zip(self._loops, self._targets, speeds))
 
 
+    class Failing(Tiny):
+        """Its member ``settings.fails`` raises from the 500th frame on."""
+
+        def __init__(self, settings, robot):
+            super().__init__(settings, robot)
+            self._fails = settings.fails
+            self._frames = 0
+
+        def feed(self, frame, stamp_ns):
+            self._frames += 1
+            self._check("feed")
+            super().feed(frame, stamp_ns)
+
+        def command(self, *arguments):
+            self._check("command")
+            yield from super().command(*arguments)
+
+        def disarm(self):
+            self._check("disarm")
+            return super().disarm()
+
+        @property
+        def sample(self):
+            self._check("sample")
+            return self._sample
+
+        @property
+        def errors(self):
+            self._check("errors")
+            return ()
+
+        def _check(self, name):
+            if name == self._fails and self._frames >= 500:
+                raise KeyError("a defect")
+
+
+    @dataclass(frozen=True)
+    class FailingSettings(Settings):
+        fails: str = ""
+
+
+    FAILING = Dialect("failing motors", frozenset({"can"}), FailingSettings, Failing, f"{__name__}:EmulatedTiny")
     DIALECT = Dialect(
         "tiny motors", frozenset({"can"}), Settings, Tiny, f"{__name__}:EmulatedTiny", watchdog_setting="a switch"
     )
     NO_DIALECT = Tiny
     BROKEN = Dialect("broken", frozenset({"can"}), Settings, lambda settings, robot: 1 / 0, "nowhere:Nothing")
 '''
-POINTS = {"tiny": "outside_package:DIALECT", "wrong": "outside_package:NO_DIALECT", "broken": "outside_package:BROKEN"}
+POINTS = {
+    "tiny": "outside_package:DIALECT",
+    "failing": "outside_package:FAILING",
+    "wrong": "outside_package:NO_DIALECT",
+    "broken": "outside_package:BROKEN",
+}
 
 
 @pytest.fixture(autouse=True)
@@ -126,7 +180,7 @@ def test_it_is_listed_with_what_it_can_do_and_a_shipped_name_is_not_taken() -> N
     outside = {row[0]: dict(zip(columns, row, strict=True)) for row in rows if "(outside-package)" in row[-1]}
     assert outside["tiny"]["wires"] == "can"
     assert outside["tiny"]["watchdog"] == "none without a switch"
-    assert "the shipped one has this name" in outside["odrive"]["what"]
+    assert "a shipped one has this name" in outside["odrive"]["what"]
     assert "is no hil.drivers.port.Dialect" in outside["wrong"]["what"]
     assert "ZeroDivisionError" in outside["broken"]["what"]
     assert [name for name in driver_names() if name in POINTS] == sorted(POINTS)
@@ -148,3 +202,20 @@ def test_what_cannot_be_used_is_refused(driver: str, sentence: str) -> None:
 def test_an_emulated_device_that_is_not_there_is_refused() -> None:
     with pytest.raises(BadInputError, match="importing 'nowhere:Nothing' failed"):
         emulated("broken")
+
+
+@pytest.mark.parametrize("member", ["feed", "command", "sample", "errors"])
+def test_a_failure_during_a_run_names_the_package_and_stops_the_motors(member: str) -> None:
+    result = run_scenario(scenario(**{"device.driver": "failing", "device.motors.fails": member}))
+    assert result.exit_code == 3
+    begin = f"device.driver = 'failing', of the package outside-package: {member} failed at "
+    assert re.search(re.escape(begin) + r".*outside_package\.py:\d+: KeyError: 'a defect'", str(result.failure))
+    (motors,) = importlib.import_module("outside_package").EmulatedTiny.made
+    assert motors.was_driving
+    assert not motors.is_driving
+
+
+def test_a_stop_that_fails_is_reported_as_not_sent() -> None:
+    result = run_scenario(scenario(**{"device.driver": "failing", "device.motors.fails": "disarm"}))
+    assert result.exit_code == 3
+    assert re.search(r"the stop could not be sent.*outside-package: disarm failed at .*KeyError", str(result.failure))

@@ -18,7 +18,7 @@ from hil.drivers.host_watch import HostWatch
 from hil.drivers.makers_feedback import MakersReport, MotorFeedback, MotorsInfo
 from hil.drivers.motor_line import MotorLine
 from hil.drivers.motor_stop import REPEAT_NS, REST, MotorStop, Terms
-from hil.drivers.port import Driver
+from hil.drivers.port import Driver, DriverError
 from hil.robot.handshake import SILENCE_NS
 from hil.robot.port import LinkedDevice
 from hil.robot.snapshot import Feedback
@@ -207,11 +207,10 @@ class MakersRobot(LinkedDevice):
         try:
             self._line.take(self._clock)
             self._supervise()
-        except HilError:
-            raise
-        except Exception:  # the driver's own: what it would send next is unknown
-            self.report.why = "a failure of its driver"
-            self._drop(State.FAULT)
+        except Exception as error:
+            if isinstance(error, DriverError) or not isinstance(error, HilError):
+                self.report.why = "a failure of its driver"  # what it would send next is unknown
+                self._drop(State.FAULT)
             raise
         now_ns = self._clock.now_ns()
         self._repeat_stop(now_ns)
@@ -322,6 +321,7 @@ class MakersRobot(LinkedDevice):
                 self.wait_until(begin_ns + n * REPEAT_NS)
             with contextlib.suppress(HilError):
                 self.poll()
-            self._repeat_stop(self._clock.now_ns())  # also if ``poll`` did not get that far
+            with contextlib.suppress(DriverError):
+                self._repeat_stop(self._clock.now_ns())  # also if ``poll`` did not get that far
             if not self._stop.is_owed:
                 return

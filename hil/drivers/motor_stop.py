@@ -8,7 +8,7 @@ from firmware_protocol.framing import Frame
 from hil.core.errors import HilError, LinkError
 from hil.core.guard import Brake
 from hil.core.types import CommandMode, FourWheels, Wheels
-from hil.drivers.port import Driver
+from hil.drivers.port import Driver, DriverError
 
 REST: FourWheels = (0.0, 0.0, 0.0, 0.0)
 REPEAT_NS = 50_000_000
@@ -139,9 +139,8 @@ class MotorStop:
         """
         if self._owed_since_ns is None or now_ns < self._tell_again_ns:
             return
-        rests = self._rests_since(self._owed_since_ns)
         self._tell(now_ns)
-        self._told_at_rest += rests and self.is_told
+        self._told_at_rest += self._rests_since(self._owed_since_ns) and self.is_told
         if self._told_at_rest >= _TIMES_AT_REST:
             self._owed_since_ns = None
 
@@ -165,10 +164,14 @@ class MotorStop:
 
     def _tell(self, now_ns: int) -> None:
         """Send the stop, each frame of it whatever became of the one before."""
-        frames = self._driver.estop() if self._is_latched else self._driver.disarm()
         self._tell_again_ns = now_ns + REPEAT_NS
         self.is_told, self.problem = False, None
         interrupt: KeyboardInterrupt | None = None
+        frames: Sequence[Frame] = ()
+        try:
+            frames = self._driver.estop() if self._is_latched else self._driver.disarm()
+        except DriverError as error:
+            self.problem = str(error)
         steps: list[Callable[[], None]] = [
             *(functools.partial(self._line.send, [frame]) for frame in frames),
             self._line.flush,

@@ -12,6 +12,7 @@ from types import MappingProxyType
 from typing import Any, Literal, NamedTuple
 
 from firmware_protocol.framing import Frame
+from hil.core.errors import DeviceError
 from hil.core.ports import EXTENDED, REMOTE, Framing
 from hil.core.types import NAN, CommandMode, FourWheels
 
@@ -23,6 +24,7 @@ __all__ = [
     "Capabilities",
     "Dialect",
     "Driver",
+    "DriverError",
     "Found",
     "Framing",
     "Probe",
@@ -103,6 +105,10 @@ class Sample(NamedTuple):
     battery_a: float = NAN
     acceleration_m_s2: tuple[float, float, float] = (NAN, NAN, NAN)
     yaw_rate_rad_s: float = NAN
+
+
+class DriverError(DeviceError):
+    """A driver of another package has failed during a run; the message names the package and the line of its code."""
 
 
 class Driver(ABC):

@@ -1,16 +1,18 @@
 """From the name in ``[device] driver`` to a maker's protocol; each is imported when it is first used."""
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import is_dataclass
+from functools import partial
 from importlib import import_module
 from pkgutil import resolve_name
-from typing import TYPE_CHECKING, Any, get_args
+from typing import TYPE_CHECKING, Any, cast, get_args
 
-from hil.core.errors import BadInputError
-from hil.core.extensions import Extensions, failures_of, package_of
+from firmware_protocol.framing import Frame
+from hil.core.errors import BadInputError, HilError
+from hil.core.extensions import Extensions, failure, failures_of, package_of
 from hil.core.options import build
-from hil.drivers.port import Dialect, Driver, RobotFacts, Wire
+from hil.drivers.port import Dialect, Driver, DriverError, RobotFacts, Wire
 
 if TYPE_CHECKING:
     from hil.drivers.emulated import EmulatedMotors
@@ -64,10 +66,15 @@ def make_settings(name: str, values: Mapping[str, Any], key: str) -> Any:
 
 
 def make_driver(name: str, settings: Any, robot: RobotFacts) -> Driver:
-    """Make a driver. Raises BadInputError for settings that do not fit the robot, and as ``dialect`` does."""
+    """Make a driver. Raises BadInputError for settings that do not fit the robot, and as ``dialect`` does.
+
+    What another package's driver raises later, during a run, becomes a DriverError that names the package.
+    """
     made = dialect(name)
     with _failures_of_others(name, "making the driver"):
-        return made.make(settings, robot)
+        driver = made.make(settings, robot)
+        driver.capabilities  # noqa: B018 - fails here, before anything starts, rather than later
+    return driver if name in SHIPPED else cast(Driver, _OutsideDriver(driver, _where_from(name)))
 
 
 def emulated(name: str) -> "Callable[..., EmulatedMotors]":
@@ -88,8 +95,43 @@ def driver_module(name: str) -> str | None:
     return None if value is None else value.rpartition(":")[0]
 
 
+_FRAMES = ("ask", "arm", "command", "disarm", "estop", "last_stop", "clear")  # methods that return frames
+
+
+class _OutsideDriver:
+    """Passes all calls to another package's driver; any error but a HilError becomes a DriverError."""
+
+    def __init__(self, driver: Driver, where: str) -> None:
+        self._driver = driver
+        self._where = where
+
+    def __getattr__(self, name: str) -> Any:
+        member = self._call(name, getattr, self._driver, name)
+        if not callable(member):
+            return member
+        call = partial(self._frames if name in _FRAMES else self._call, name, member)
+        setattr(self, name, call)  # the next call does not come here
+        return call
+
+    def _frames(self, name: str, method: Callable[..., Sequence[Frame]], *arguments: Any) -> Sequence[Frame]:
+        """Return the frames as a tuple: a generator would raise its errors later."""
+        return cast(Sequence[Frame], self._call(name, lambda: tuple(method(*arguments))))
+
+    def _call(self, name: str, function: Callable[..., Any], *arguments: Any) -> Any:
+        try:
+            return function(*arguments)
+        except HilError:
+            raise
+        except Exception as error:
+            raise DriverError(str(failure(self._where, name, error))) from error
+
+
 def _where(name: str) -> str:
     return f"device.driver = {name!r}"
+
+
+def _where_from(name: str) -> str:
+    return f"{_where(name)}, of the package {package_of(EXTENSIONS.find(name, _where(name)))}"
 
 
 @contextmanager
@@ -98,6 +140,5 @@ def _failures_of_others(name: str, activity: str) -> Iterator[None]:
     if name in SHIPPED:
         yield
         return
-    where = _where(name)
-    with failures_of(f"{where}, of the package {package_of(EXTENSIONS.find(name, where))}", activity):
+    with failures_of(_where_from(name), activity):
         yield
