@@ -58,7 +58,7 @@ def test_a_command_is_an_order(side: ControlSide, command: str, action: Action, 
         ("twist 9 0 0", "vx_m_s = 9.0: it should be less than or equal to 2"),
         ("twist 9 0 0 --for 1", "vx_m_s = 9.0: it should be less than or equal to 2"),
         ("record a.txt", "it should match pattern"),
-        ("--url http://127.0.0.1:1 status", "service http://127.0.0.1:1: it is none of yours; give the file"),
+        ("--url http://127.0.0.1:1 status", "service http://127.0.0.1:1: it is not one of yours; give the file"),
     ],
 )
 def test_bad_input_is_a_sentence(side: ControlSide, command: str, sentence: str) -> None:
@@ -182,7 +182,7 @@ def test_the_service_is_found_or_it_is_said_why_not(tmp_path: Path, side: Contro
         find(mine.url.replace("127.0.0.1", "localhost") + "/").order(Action.ARM)
         with pytest.raises(LinkError, match="no service of yours runs at port 1: yours are port"):
             find(port=1)
-    with pytest.raises(LinkError, match="it may be starting again"):
+    with pytest.raises(LinkError, match="it may be restarting"):
         find(port=port).status()
     claim.release()
     assert side.actions == [Action.ARM] * 3

@@ -116,7 +116,7 @@ def test_what_waited_through_a_stall_moves_nothing(action: Action) -> None:
     with Served() as served:
         served.run_until(Phase.DISARMED)
         number = served.order(action, stalled=True)
-        assert "stood still while this order waited" in served.refusal(number)
+        assert "stalled while this order waited" in served.refusal(number)
 
 
 def test_a_path_that_was_being_read_when_the_service_stood_still_is_not_followed() -> None:
@@ -125,7 +125,7 @@ def test_a_path_that_was_being_read_when_the_service_stood_still_is_not_followed
         number = served.order(Action.TRACK, **TRACK)
         served.beside.work()
         served.desk.handle([], 0.0, stalled=True)
-        assert "stood still while this order waited" in served.refusal(number)
+        assert "stalled while this order waited" in served.refusal(number)
         served.finish()
         assert served.pilot.conduct.task is Task.HOLD
 
@@ -182,7 +182,7 @@ def test_an_emergency_stop_that_waited_is_done() -> None:
     [
         (Action.GAINS, {"gains": {"k1_1_s": 10**400}}, "expected a finite number"),
         (Action.GAINS, {"gains": {"k3": 1.0}}, "unknown key controller.gains.k3; known: "),
-        (Action.TRACK, {"reference": {"kind": "rounded_square", "side_m": 1e308}}, "no pose at each time"),
+        (Action.TRACK, {"reference": {"kind": "rounded_square", "side_m": 1e308}}, "no finite pose at some time"),
         (Action.TRACK, {"reference": {"kind": "waypoints", "file": "none.csv"}}, "none.csv"),
     ],
 )

@@ -61,9 +61,9 @@ def test_websocket_orders_come_in_order_and_answers_by_the_clients_numbers(side:
     [
         ('{"order": {"number": 3, "action": "twist", "arguments": {"vx_m_s": NaN}}}', 3, "vx_m_s = nan: it should be"),
         ('{"order": {"number": 3, "action": "twist", "arguments": {"vx_m_s": 1}}}', 3, "vy_m_s is missing"),
-        ('{"order": {"number": 3, "action": "arm", "arguments": {"now": true}}}', 3, "now: there is no such name"),
+        ('{"order": {"number": 3, "action": "arm", "arguments": {"now": true}}}', 3, "now: unknown name"),
         ('{"order": {"number": 3, "action": "dance"}}', -1, "order.action = 'dance'"),
-        ("hello", -1, "no order"),
+        ("hello", -1, "not an order"),
     ],
 )
 def test_a_message_that_is_no_order_is_answered_with_a_sentence_and_the_client_stays(
@@ -128,7 +128,7 @@ def test_a_twist_that_waited_for_longer_than_it_would_be_in_force_is_not_taken(t
         order(live, 0, "twist", TWIST)
         time.sleep(limits.twist_timeout_s + 0.2)  # the stall itself, shorter than what makes the child count as gone
         os.kill(pid, signal.SIGCONT)
-        assert next_answer(live)["refused"] == "the API stood still while this order waited; give it again"
+        assert next_answer(live)["refused"] == "the API stalled while this order waited; give it again"
         assert Action.TWIST not in side.actions
 
         def is_taken() -> bool:
@@ -153,7 +153,7 @@ def test_a_burst_held_up_by_a_stalled_api_moves_nothing_but_its_estop_is_done(
         os.kill(pid, signal.SIGCONT)
         answers = {answer["number"]: answer["refused"] for answer in (next_answer(live) for _ in range(102))}
         assert answers.pop(101) is None
-        assert set(answers.values()) == {"the API stood still while this order waited; give it again"}
+        assert set(answers.values()) == {"the API stalled while this order waited; give it again"}
         assert side.actions == [Action.ESTOP]
         wait_for(lambda: side.child.alive)
 

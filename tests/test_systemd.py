@@ -122,5 +122,5 @@ def test_the_unit_names_this_program_and_the_configuration_and_systemd_takes_it(
 
 
 def test_a_line_break_in_a_unit_is_refused() -> None:
-    with pytest.raises(BadInputError, match="a line break has no place"):
+    with pytest.raises(BadInputError, match="a unit cannot hold a line break"):
         unit("a\nExecStartPre=b.toml")

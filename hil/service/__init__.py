@@ -1,5 +1,7 @@
-"""The controller as a service: one process ticks and owns the robot, another answers HTTP (SERVICE.md). Teleop.
+"""The controller as a service (SERVICE.md), and teleop: driving by hand.
 
-May import: `runtime` and the rooms below it.
-To add an order: `messages.py`, `desk.py`, and its arguments in `api/bodies.py`; `hil ctl` if it has arguments.
+One process runs the ticks and owns the robot; another answers HTTP.
+
+May import: `runtime` and the packages below it. To add an order: `messages.py`, `desk.py`, and its arguments in
+`api/bodies.py`; `hil ctl` if it has arguments.
 """

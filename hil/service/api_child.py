@@ -1,6 +1,6 @@
-"""The API process as the control process sees it: started, asked for orders and sent answers, without ever waiting.
+"""The control process's side of the API process: starts it, receives orders and sends answers, and never waits.
 
-When the API process ends it is started again; no orders come meanwhile. One that is silent for ``_HUNG_S`` is killed,
+An API process that ends is started again; no orders come meanwhile. One that is silent for ``_HUNG_S`` is killed,
 because an emergency stop must reach a process that listens.
 """
 
@@ -26,18 +26,18 @@ _EXIT_S = 5.0
 _HUNG_S = 5.0
 _FIRST_BACK_OFF_S = 0.1
 _LONGEST_BACK_OFF_S = 5.0
-_LONG_LIFE_S = 60.0  # after it the back-off begins anew
+_LONG_LIFE_S = 60.0  # after a life of this length the back-off starts again at its first value
 _NONE: list[Order] = []
 
 
 class ApiChild:
     """The API process of a service, from the constructor to ``close``; only the thread of the ticks uses it.
 
-    The constructor returns when the API listens, and ``hil ctl`` can find the service. Raises BadInputError when it
-    cannot listen or the token file is not usable, and DeviceError when the process does not start.
+    The constructor returns when the API listens and ``hil ctl`` can find the service. Raises BadInputError when the API
+    cannot listen or the token file cannot be used, and DeviceError when the process does not start.
 
     Attributes:
-        url: of the API; the same after a restart.
+        url: the API's URL; the same after a restart.
         token_file: the file with the clients' token.
         restarts: number of restarts.
     """
@@ -45,7 +45,7 @@ class ApiChild:
     def __init__(self, config: ApiConfig) -> None:
         self._config = config
         self._own_token = config.token_file is None
-        # The ticks may be pinned to a core later; the API is not to share it.
+        # The ticks may be pinned to a core later; the API process must not share that core.
         self._cores = os.sched_getaffinity(0) if hasattr(os, "sched_getaffinity") else None
         self._closing = threading.Event()
         self._starter: threading.Thread | None = None
@@ -78,7 +78,7 @@ class ApiChild:
         return None if self._process is None else self._process.pid
 
     def orders(self) -> list[Order]:
-        """Return the orders that have come, emergency stops first. Called in each tick (0.8 µs without orders)."""
+        """Return the orders that have arrived, emergency stops first. Called in each tick (0.8 µs without orders)."""
         lines = self._lines
         self._polled_s = time.monotonic()
         if lines is None:
@@ -98,7 +98,7 @@ class ApiChild:
             self._writer.send(to_line(message), always=isinstance(message, Answer))
 
     def _kill_if_hung(self) -> None:
-        """Kill a process that is silent or does not get ready; ``orders`` then sees the end of its pipe."""
+        """Kill a process that is silent or does not become ready; ``orders`` then sees the end of its pipe."""
         silent_s = self._polled_s - (self._alive_s if self._ready else self._started_s)
         process = self._process
         if process is not None and self._lines is not None and silent_s > (_HUNG_S if self._ready else _READY_S):
@@ -108,7 +108,9 @@ class ApiChild:
             process.kill()
 
     def close(self) -> None:
-        """End the API process, which informs its clients, and withdraw the announcement. Closing twice is allowed."""
+        """End the API process, which informs its clients, and withdraw the announcement of the service. Closing twice
+        is allowed.
+        """
         if self._claim is not None:
             self._claim.release()
         self._closing.set()
@@ -135,10 +137,12 @@ class ApiChild:
         self._started_s = self._alive_s = time.monotonic()
         self._writer = LineWriter(self._process.stdin.fileno())
         self._writer.send({"config": self._config.to_record()}, always=True)
-        self._lines = LinePoll(self._process.stdout.fileno())  # last: from here on the ticks poll it
+        self._lines = LinePoll(self._process.stdout.fileno())  # last, because the ticks poll it from here on
 
     def _wait_until_ready(self) -> None:
-        """Wait for the first start. Raises BadInputError for a refusal, DeviceError for no answer."""
+        """Wait until the first process is ready. Raises BadInputError if it refuses the config, DeviceError if it does
+        not answer.
+        """
         deadline_s = time.monotonic() + _READY_S
         while not self._ready and time.monotonic() < deadline_s:
             assert self._lines is not None
@@ -156,11 +160,11 @@ class ApiChild:
             )
 
     def _handle(self, record: dict[str, Any]) -> Order | None:
-        """Return the order of a line, and handle lines of other kinds."""
+        """Return the order in a line, or handle a line of another kind and return None."""
         if "ready" in record:
             self.url = record["ready"]["url"]
             self.token_file = Path(record["ready"]["token_file"])
-            # Clients find the service again after a restart.
+            # With a fixed port and token file, clients find the service again after a restart.
             port = int(self.url.rpartition(":")[2])
             self._config = replace(self._config, port=port, token_file=str(self.token_file))
             self._ready = True

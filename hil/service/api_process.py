@@ -1,7 +1,7 @@
 """The process that answers HTTP for a service; ``hil.service.api_child`` starts it.
 
 It reads the config and then answers and statuses from stdin, and writes orders to stdout and the log to stderr. When
-stdin ends, the control process has ended: it informs its clients and ends too. It owns nothing that moves.
+stdin ends, the control process has ended; then it informs its clients and ends too. It controls nothing that moves.
 """
 
 import asyncio
@@ -20,10 +20,10 @@ from hil.service.messages import ApiConfig
 
 
 def main() -> int:
-    """Serve until the control process ends; return 0 then, and 2 when the API cannot be served as configured."""
+    """Serve until the control process ends, and return 0. Return 2 when the API cannot be served as configured."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the control process handles it
     writer = LineWriter(os.dup(1))
-    os.dup2(2, 1)  # the prints of a library must not mix with the orders
+    os.dup2(2, 1)  # a library's prints must not mix with the orders
     lines = LineReader(0)
     record = lines.read()
     if record is None:
@@ -38,7 +38,7 @@ def main() -> int:
     except BadInputError as error:
         writer.send({"refused": str(error)})
         return error.exit_code
-    # Imported late, because it takes a second and a refusal is to be quick.
+    # Imported late: it takes a second, and a refusal should be quick.
     from hil.service.api.server import serve
 
     ready = {"url": f"http://{config.host}:{port}", "token_file": str(path)}
@@ -50,19 +50,19 @@ def _listen(config: ApiConfig) -> socket.socket:
     try:
         listener = socket.create_server((config.host, config.port))
     except OSError as error:
-        why = os.strerror(error.errno or 0)  # without the address, which Python's sentence repeats
+        why = os.strerror(error.errno or 0)  # without the address, which Python's message repeats
         raise BadInputError(
-            f"the API cannot listen on {config.host}:{config.port} ({why}); end the program that does, or choose "
+            f"the API cannot listen on {config.host}:{config.port} ({why}); end the program that uses it, or choose "
             "another port in service.port"
         ) from error
-    # Connections inherit it. Without it an answer's body waits 40 ms, until the client acknowledges its head; asyncio
-    # sets it only on sockets that it has made itself.
+    # Connections inherit it. Without it an answer's body waits 40 ms, until the client acknowledges its header; asyncio
+    # sets it only on sockets that it makes itself.
     listener.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
     return listener
 
 
 def _token_file(config: ApiConfig, port: int) -> Path:
-    """Return the file with the token; make it if it does not exist, or if each start has a new token."""
+    """Return the file with the token. Make it if it does not exist, or if each start has a new token."""
     if config.token_file is None:
         path = own_token_file(port)
         make_token(path)

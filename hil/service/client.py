@@ -1,4 +1,4 @@
-"""A client of a service's API: it finds the service, sends the token, and raises refusals as errors."""
+"""A client of a service's API: finds the service, sends the token, and raises an error when an order is refused."""
 
 import contextlib
 import itertools
@@ -19,16 +19,16 @@ from hil.service.messages import HOST, LONG, Action, route
 TWIST_PERIOD_S = 0.05
 STOP_UNANSWERED = "the service did not answer that it stops the robot; it does so when the twist times out"
 
-# More than the timeouts of the API process, for short and for long orders.
+# Longer than the API process's own timeouts for short and for long orders.
 _TIMEOUT_S = 5.0
 _LONG_TIMEOUT_S = 35.0
 _NONE_RUNS = "no service of yours runs on this machine; start one with 'hil serve CONFIG', or name one with --url"
 
 
 def find(url: str | None = None, port: int | None = None, token_file: Path | None = None) -> "Client":
-    """Return a client of the service at ``url``, or of the only one of this user that runs (at ``port``).
+    """Return a client of the service at ``url``, or of this user's only running service (at ``port``).
 
-    Raises LinkError when none runs, BadInputError when several do, or the token cannot be read.
+    Raises LinkError when none runs, BadInputError when several do or the token cannot be read.
     """
     url = None if url is None else url.rstrip("/").replace("//localhost:", f"//{HOST}:")
     if url is not None and token_file is not None:
@@ -37,7 +37,7 @@ def find(url: str | None = None, port: int | None = None, token_file: Path | Non
     if url is not None:
         found = [service for service in services if service.url == url]
         if not found:
-            raise BadInputError(f"service {url}: it is none of yours; give the file with its token by --token-file")
+            raise BadInputError(f"service {url}: it is not one of yours; give the file with its token by --token-file")
     else:
         found = [service for service in services if port in (None, service.port)]
     if not found:
@@ -67,7 +67,7 @@ class Client:
         return self._request("GET", "/v1/status", None)
 
     def order(self, action: Action, arguments: Mapping[str, Any] | None = None) -> dict[str, Any]:
-        """Give an order, and return its result when it is done or begun."""
+        """Give an order; return its result when it is done, or for a motion when it has begun."""
         method, path = route(action)
         timeout_s = _LONG_TIMEOUT_S if action in LONG else _TIMEOUT_S
         result: dict[str, Any] = self._request(method, path, arguments, timeout_s)["result"]
@@ -84,7 +84,7 @@ class Client:
     def twist(self, arguments: Mapping[str, float], for_s: float) -> None:
         """Drive by twist for ``for_s``, then stop. Ctrl-C stops at once, and raises RunInterruptedError."""
         end_s = time.monotonic() + for_s
-        self.order(Action.TWIST, arguments)  # over HTTP, which tells wrong arguments from a refusal
+        self.order(Action.TWIST, arguments)  # over HTTP, whose status tells wrong arguments from a refusal
         with self.live() as live:
             try:
                 while (now_s := time.monotonic()) < end_s:
@@ -99,20 +99,20 @@ class Client:
         self, method: str, path: str, body: Mapping[str, Any] | None, timeout_s: float = _TIMEOUT_S
     ) -> dict[str, Any]:
         try:
-            # No proxy of the environment on this machine, and without TLS no certificates to load (0.1 s).
+            # No proxy from the environment on this machine; without TLS there are no certificates to load (0.1 s).
             with httpx.Client(trust_env=False, verify=False, timeout=timeout_s) as http:
                 response = http.request(method, self._url + path, headers=self._headers, json=body)
         except httpx.TimeoutException:
             raise LinkError(f"service {self._url}: no answer within {timeout_s:g} s; see its log") from None
         except httpx.HTTPError as error:
-            raise LinkError(f"service {self._url}: {error}; it may be starting again, or has ended") from None
+            raise LinkError(f"service {self._url}: {error}; it may be restarting, or has ended") from None
         return self._checked(response.status_code, response.content)
 
     def _checked(self, status: int, content: bytes | bytearray) -> dict[str, Any]:
-        """Return the content of a response.
+        """Return the decoded content of a response.
 
         Raises BadInputError for a wrong token or wrong arguments, DeviceError when the service refuses, LinkError when
-        it cannot be reached or its control process does not answer.
+        the control process does not answer or another program answers.
         """
         try:
             body = json.loads(content)
@@ -134,7 +134,7 @@ class Client:
 
     @contextlib.contextmanager
     def live(self) -> Iterator["Live"]:
-        """Yield a WebSocket to the service. Its use raises LinkError when the service ends."""
+        """Yield a WebSocket to the service. Raises LinkError, also in the body, when the service ends."""
         address = "ws" + self._url.removeprefix("http") + "/v1/live"
         try:
             with connect(address, additional_headers=self._headers, proxy=None, open_timeout=_TIMEOUT_S) as socket:
@@ -145,18 +145,18 @@ class Client:
             why = error.rcvd.reason if error.rcvd is not None and error.rcvd.reason else "the connection was lost"
             raise LinkError(f"service {self._url}: {why}") from None
         except (OSError, WebSocketException) as error:
-            raise LinkError(f"service {self._url}: {error}; it may be starting again, or has ended") from None
+            raise LinkError(f"service {self._url}: {error}; it may be restarting, or has ended") from None
 
 
 class Live:
-    """A WebSocket to a service: orders, and answers and statuses as they come. ``Client.live`` makes it."""
+    """A WebSocket to a service: sends orders, receives answers and statuses. ``Client.live`` makes it."""
 
     def __init__(self, socket: ClientConnection) -> None:
         self._socket = socket
         self._numbers = itertools.count()
 
     def order(self, action: Action, arguments: Mapping[str, Any] | None = None) -> int:
-        """Send an order, and return the number that its answer will have."""
+        """Send an order; return the number that its answer will have."""
         number = next(self._numbers)
         order = {"number": number, "action": action.value, "arguments": dict(arguments or {})}
         self._socket.send(json.dumps({"order": order}))

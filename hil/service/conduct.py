@@ -1,4 +1,4 @@
-"""The tasks of an ACTIVE robot, one at a time; each begins and ends at rest. Pure."""
+"""The tasks of an ACTIVE robot, one at a time; each starts and ends at rest. Pure: no clock, no input or output."""
 
 import math
 from collections.abc import Callable
@@ -23,8 +23,9 @@ class Conduct:
     """The tasks of a robot from ``begin`` to ``end``. Orders are given between two ticks.
 
     Attributes:
-        task: None unless it has begun. reference: of the last tick, None before the first.
-        gave_up: why a task was ended and the robot is held; the reader sets it to None again.
+        task: the present task, or None outside ``begin`` to ``end``. reference: that of the last tick, None before the
+            first.
+        gave_up: why a task was ended and the robot stopped; the reader sets it to None again.
     """
 
     def __init__(self, options: ServiceTable) -> None:
@@ -39,7 +40,7 @@ class Conduct:
         self.gave_up: str | None = None
 
     def begin(self) -> None:
-        """Hold the robot where it is."""
+        """Start with the task HOLD: the robot rests where it is."""
         self.end()
         self.task = Task.HOLD
 
@@ -50,12 +51,12 @@ class Conduct:
 
     @property
     def twist_age_s(self) -> float | None:
-        """Age of the twist in force; None where none is."""
+        """Age of the twist in force; None if there is none."""
         if self.task is not Task.TWIST:
             return None
         return self._t_s - (self._twist_until_s - self._options.twist_timeout_s)
 
-    # Orders. Each raises BadInputError while the robot's pose is unknown.
+    # Orders. Each raises BadInputError if the robot's pose is not known.
 
     def stop(self) -> None:
         """Ramp down to rest and hold."""
@@ -63,14 +64,16 @@ class Conduct:
         self.task = Task.HOLD
 
     def twist(self, twist: BodyTwist) -> BodyTwist:
-        """Drive by a twist for ``twist_timeout_s``; return it as scaled to the limits."""
+        """Drive by a twist for ``twist_timeout_s``; return the twist, scaled to the limits."""
         drive = self._motion if self.task is Task.TWIST and isinstance(self._motion, Drive) else self._rest()
         self.task = Task.TWIST
         self._twist_until_s = self._t_s + self._options.twist_timeout_s
         return drive.set_target(twist)
 
     def track(self, path: ReferenceSource, *, here: bool) -> None:
-        """Follow a path once the robot rests: from where it stands (``here``), or in the world from its begin."""
+        """Follow a path once the robot rests: shifted to the robot's pose (``here``), or in the world frame, from the
+        path's start.
+        """
         begin = path.at(0.0).pose
 
         def follow(at: Reference) -> Motion:
@@ -94,7 +97,7 @@ class Conduct:
     # The tick
 
     def at(self, t_s: float, state: State | None) -> Reference:
-        """Return the reference of this tick for a robot in this state; NOWHERE while no state was ever known."""
+        """Return the reference of this tick for the robot's state; NOWHERE as long as no state was ever known."""
         self._t_s, self._state = t_s, state
         pose = state.pose if state is not None else None
         reference = self._where(pose)
@@ -106,12 +109,12 @@ class Conduct:
         return reference
 
     def held(self) -> None:
-        """Give up the task, because the tick held the robot at rest."""
+        """Give up the task, because the law was not called in this tick and the robot was stopped."""
         if self._motion is not None:
-            self.give_up("the robot was held at rest: what is known of it is too old, or not sure enough")
+            self.give_up("the robot was stopped: its feedback or pose is too old, or the estimate not sure enough")
 
     def give_up(self, why: str) -> None:
-        """End the task; the robot is held where it is."""
+        """End the task; the robot holds its position."""
         self.gave_up = why
         self._motion = self._after_rest = self.reference = None
         self.task = Task.HOLD
@@ -132,11 +135,11 @@ class Conduct:
         return Drive(at, self._t_s, self._options)
 
     def _rest(self) -> Drive:
-        """Begin to ramp down from the present motion, and return the drive that does."""
+        """Start to ramp down from the present motion, and return the motion that does so."""
         at = self.reference or NOWHERE
         if not math.isfinite(sum(at.pose)):
             if self._state is None:
-                raise BadInputError("it is not known where the robot is; wait until the status has a pose")
+                raise BadInputError("the robot's pose is not known; wait until the status has a pose")
             at = Reference(self._state.pose, *_REST)
         self._after_rest = None
         self._motion = drive = self._hold(at)

@@ -1,4 +1,4 @@
-"""Carries out the orders of a service: short ones at once, long ones by a thread beside the ticks."""
+"""Carries out the orders of a service: short ones at once, long ones in a second thread."""
 
 import contextlib
 import math
@@ -25,14 +25,14 @@ from hil.service.records import Records, finished, recording_of
 
 Result = Mapping[str, Any]
 Then = Callable[[Any], Result]
-"""Ends a long order in the thread of the ticks, with what the other thread made; returns the answer's result."""
+"""Ends a long order in the thread of the ticks: takes the second thread's result, and returns the answer's."""
 
 
 class Desk:
     """Carries out orders, and calls ``answer`` for each.
 
-    ``made_of`` are the ``ingredients`` of the served parts, ``signals`` those of a row. ``reload`` loads the
-    configuration again; ``beside`` is an executor with one thread.
+    ``made_of`` are the ``ingredients`` of the served parts, ``signals`` the names of a row's signals. ``reload`` loads
+    the configuration again; ``beside`` is an executor with one thread.
 
     Attributes:
         shutdown: whether the service was asked to end.
@@ -76,16 +76,16 @@ class Desk:
         }
 
     def handle(self, orders: Iterable[Order], t_s: float, *, stalled: bool = False) -> None:
-        """Carry out orders, and answer them and the long ones that have ended. Never waits.
+        """Carry out orders and answer them; also answer long orders that have ended. Never waits.
 
         ``t_s`` is the service's time [s] of the next row. If the ticks were ``stalled`` for longer than a twist is in
-        force, orders that could make the robot move are refused, waiting ones and those under way.
+        force, orders that could make the robot move are refused, both new ones and long ones under way.
         """
         self._t_s = t_s
         if stalled:
             orders = self._without_moving(orders)
         for order in orders:
-            if order.action is not Action.TWIST:  # there are many of those
+            if order.action is not Action.TWIST:  # twists are too many to log
                 logs.info("order", action=order.action.value, **order.arguments)
             self._try(order, lambda order=order: self._actions[order.action](order))  # type: ignore[misc]
         if self._under_way:
@@ -97,25 +97,25 @@ class Desk:
                     self._under_way.append((order, future, then))
 
     def _without_moving(self, orders: Iterable[Order]) -> list[Order]:
-        """Refuse the orders that could make the robot move, of these and of those under way; return the others."""
+        """Refuse all orders that could make the robot move, new and under way; return the other new ones."""
         stale = [order for order, _, _ in self._under_way if order.action in MOVING]
         self._under_way = [one for one in self._under_way if one[0].action not in MOVING]
         orders = list(orders)
         for order in [*stale, *(order for order in orders if order.action in MOVING)]:
-            self._refuse(order, "the service stood still while this order waited; give it again")
+            self._refuse(order, "the service stalled while this order waited; give it again")
         return [order for order in orders if order.action not in MOVING]
 
     def end(self) -> None:
         """Wait for a recording that is being started, so that it can be finished."""
         for order, future, then in self._under_way:
             if order.action is Action.RECORD:
-                with contextlib.suppress(HilError):  # nobody listens any more
+                with contextlib.suppress(HilError):  # nobody waits for its answer any more
                     then(future.result())
 
     def _try(self, order: Order, do: Callable[[], Result | None]) -> None:
         try:
             result = do()
-        except Exception as refusal:  # noqa: BLE001 - the e-stop must outlive any order that fails
+        except Exception as refusal:  # noqa: BLE001 - no failing order may end the process, which the e-stop needs
             self._refuse(
                 order, str(refusal) if isinstance(refusal, HilError) else f"{type(refusal).__name__}: {refusal}"
             )
@@ -148,7 +148,7 @@ class Desk:
         return {}
 
     def _track(self, order: Order) -> None:
-        self._pilot.need_active()  # before a path is read for nothing
+        self._pilot.need_active()  # before a path is read in vain
         requests_before = self._pilot.motion_requests
         here, requested = bool(order.arguments["here"]), order.arguments["reference"]
         table = self._scenario.reference
@@ -249,4 +249,4 @@ def _try_out(path: ReferenceSource) -> None:
         except (ArithmeticError, ValueError):
             is_finite = False
         if not is_finite:
-            raise BadInputError("the path has no pose at each time; its options are too large or too small")
+            raise BadInputError("the path has no finite pose at some time; its options are too large or too small")

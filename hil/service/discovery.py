@@ -1,4 +1,4 @@
-"""Discovery of services on this machine: a record and a token in the state folder of the user who runs them."""
+"""Finds services on this machine: each has a record and a token in its user's state folder."""
 
 import dataclasses
 import secrets
@@ -29,12 +29,12 @@ class Service:
 
 
 def state_folder() -> Path:
-    """Make and return the folder for the records of this user's services; only this user can read it."""
+    """Return the folder for the records of this user's services, made if missing; only this user can read it."""
     folder = user_state_path("mecanum-hil", appauthor=False) / "services"
     try:
         folder.mkdir(mode=0o700, parents=True, exist_ok=True)
     except OSError as error:
-        raise BadInputError(f"folder {folder}: it cannot be made ({error.strerror}); make it, for you alone") from error
+        raise BadInputError(f"folder {folder}: it cannot be made ({error.strerror}); make it yourself") from error
     return folder
 
 
@@ -69,7 +69,9 @@ def make_token(path: Path) -> None:
 
 
 def read_token(path: Path) -> str:
-    """Return the token in a file. Raises BadInputError when it cannot be read, is none, or others may read it."""
+    """Return the token in a file. Raises BadInputError when it cannot be read, is no token, or other users can read
+    it.
+    """
     try:
         text = path.read_text(encoding="ascii").strip()
         mode = path.stat().st_mode

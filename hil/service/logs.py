@@ -1,7 +1,7 @@
 """The log of a service: lines on stderr, as text for a person or as JSON objects for a collector.
 
-Logging never waits: a control loop must not stand still for a full pipe. When nobody reads stderr, lines are dropped,
-and the next line that is written has their number.
+Logging never waits: a full pipe must not stall a control loop. When nobody reads stderr, lines are dropped, and the
+next line that is written has their number.
 """
 
 import json
@@ -14,7 +14,7 @@ from typing import Any
 
 from hil.service.messages import LogStyle
 
-# A pipe takes so much as a whole, if it takes anything at once (POSIX: PIPE_BUF is at least 512, on Linux 4096).
+# A pipe takes this many bytes in one piece, if it takes any at once (POSIX: PIPE_BUF is at least 512, on Linux 4096).
 _LONGEST_LINE_BYTES = 4096 if sys.platform == "linux" else 512
 _LOGGER = logging.getLogger("hil.service")
 
@@ -25,7 +25,7 @@ def configure(style: LogStyle, process: str, descriptor: int = 2) -> None:
     handler.setFormatter(_JsonFormatter(process) if style == "json" else _TextFormatter(process))
     root = logging.getLogger()
     root.handlers[:] = [handler]
-    root.setLevel(logging.WARNING)  # of libraries
+    root.setLevel(logging.WARNING)  # for libraries
     _LOGGER.setLevel(logging.INFO)
 
 
@@ -35,7 +35,7 @@ def info(event: str, /, **fields: object) -> None:
 
 
 def warning(event: str, /, **fields: object) -> None:
-    """Log a problem that was solved, or that somebody should look at."""
+    """Log a problem that was solved, or that needs attention."""
     _LOGGER.warning(event, extra={"fields": fields})
 
 
@@ -65,11 +65,11 @@ class _Handler(logging.Handler):
             os.write(self._descriptor, line + b"\n")
             self._dropped = 0
         except OSError:
-            self._dropped += 1  # the reader has gone
+            self._dropped += 1  # the reader is gone
 
     def _may_write_line(self) -> bool:
         if sys.platform == "win32":
-            return True  # which cannot poll a pipe
+            return True  # Windows cannot poll a pipe
         poll = select.poll()
         poll.register(self._descriptor, select.POLLOUT)
         return bool(poll.poll(0))

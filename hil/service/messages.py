@@ -1,4 +1,4 @@
-"""Messages between the two processes of a service, one JSON text a line: orders one way, answers and status back.
+"""Messages between the two processes of a service, one JSON text per line: orders one way, answers and status back.
 
 The API process checks the form of an order. Only the control process knows whether it is possible now, and refuses it
 with a sentence if not.
@@ -18,11 +18,11 @@ class Phase(StrEnum):
     """The state of the robot, as the service sees it."""
 
     AWAY = "away"
-    """No link or no answer: it is being reconnected."""
+    """No link or no answer; reconnection is being tried."""
     DISARMED = "disarmed"
     ARMING = "arming"
     ACTIVE = "active"
-    """Armed: it moves, or is held at rest."""
+    """Armed: it moves, or rests under control."""
     STOPPING = "stopping"
     """Ramping down, to be disarmed."""
     FAULT = "fault"
@@ -42,7 +42,7 @@ class Task(StrEnum):
 
 
 class Action(StrEnum):
-    """An order to the control process. ``SUMMARIES`` says what each does, and here is what ``arguments`` it has."""
+    """An order to the control process. ``SUMMARIES`` says what each does; the texts here give its ``arguments``."""
 
     ARM = "arm"
     DISARM = "disarm"
@@ -50,16 +50,19 @@ class Action(StrEnum):
     CLEAR = "clear"
     TRACK = "track"
     """``reference``: kind and options as in ``[reference]``, or None for the configuration's. ``here``: whether the
-    path begins where the robot stands; else the robot drives to its begin first."""
+    path starts at the robot's present pose; otherwise the robot first drives to the path's start.
+    """
     GO = "go"
     """``x_m``, ``y_m``, ``heading_rad``: a pose in the world frame, by the shorter turn."""
     TWIST = "twist"
     """``vx_m_s``, ``vy_m_s``, ``yaw_rate_rad_s``: in the body frame, in force for ``service.twist_timeout_s``."""
     STOP = "stop"
     GAINS = "gains"
-    """``gains``: the law's gains, over those of the configuration; None reads ``[controller]`` again from its file."""
+    """``gains``: changes to the law's gains; None reads ``[controller]`` again from its file."""
     RECORD = "record"
-    """``path``: an .rrd or .mcap file, None for a name by scenario and time. ``force``: whether to replace the file."""
+    """``path``: an .rrd or .mcap file, None for a name from scenario and time. ``force``: whether to replace the
+    file.
+    """
     STOP_RECORDING = "stop_recording"
     SHUTDOWN = "shutdown"
 
@@ -95,7 +98,7 @@ MOVING = frozenset({Action.ARM, Action.CLEAR, Action.TRACK, Action.GO, Action.TW
 
 
 SILENT_S = 1.0
-"""An API process that is silent for so long, where a sign of life comes each 0.1 s, counts as hung."""
+"""An API process counts as hung after a silence this long [s]; a sign of life is due every 0.1 s."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -121,17 +124,17 @@ class Status:
     """The service at one instant; an unknown value is None. Sent 20 times a second, and at each change of phase.
 
     Attributes:
-        time_unix_s: of this status. phase, task: see there; ``task`` only while ACTIVE. why: the last problem as a
+        time_unix_s: when this status was made. phase, task: ``task`` only while ACTIVE. why: the last problem as a
             sentence, or None since the last success.
-        scenario, law, command: what is served. link, robot: in words. power_stage: whether the robot has motors; None
-            before it has answered.
+        scenario, law, command: what is served. link, robot: descriptions. power_stage: whether the robot has motors;
+            None before it has answered.
         pose: x [m], y [m], heading [rad]; twist: in the world frame [m/s, rad/s]; reference: pose, while ACTIVE.
         speed_rad_s: of the four wheels. battery_v. gains: of the law, by name. health: of the estimator.
         ticks: since the service began. deadline_misses. lateness_us: p50, p99 and p99.9 since the service began, by
             these names. feedback_age_ms, round_trip_ms.
         frames: sent, received, and rejected by cause. recoveries: how often a lost robot came back.
         recording: path of the file being written, or None. rows_dropped. twist_age_s: age of the twist in force.
-        realtime: sentences on what was asked of the operating system and what it granted, by name.
+        realtime: by setting, a sentence on whether the operating system granted it.
     """
 
     time_unix_s: float = 0.0
@@ -166,15 +169,15 @@ class Status:
 
 @dataclass(frozen=True, slots=True)
 class Limits:
-    """Limits of what an order may ask for. The API refuses more before the control process sees it."""
+    """Largest values that an order may ask for. The API refuses larger ones before the control process sees them."""
 
     speed_m_s: float
     """Along each axis of the robot's body."""
     yaw_rate_rad_s: float
     distance_m: float
-    """From the origin of the world to a pose to go to, along each axis."""
+    """From the origin of the world to a target pose, along each axis."""
     twist_timeout_s: float
-    """How long a twist is in force; one that has waited for longer is refused."""
+    """How long a twist is in force; one that has waited longer in the API is refused."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -182,9 +185,10 @@ class ApiConfig:
     """The API of one service.
 
     Attributes:
-        title: what is served, such as the scenario's name. device: its link, in words.
-        limits: see there. host: address to listen on. port: 0 takes a free one.
-        token_file: a user's file with the token, made if it does not exist; None for a new token at each start.
+        title: the scenario's name. device: URL of the link.
+        limits: largest values that an order may ask for. host: address to listen on. port: TCP port; 0 picks a free
+            one.
+        token_file: file that holds the access token, made if missing; None makes a new token at each start.
         log: format of the lines on stderr.
     """
 
@@ -208,7 +212,7 @@ class ApiConfig:
 
 def to_line(message: Order | Answer | Status) -> dict[str, Any]:
     """Return a message as the record of one line, such as ``{"order": {...}}``."""
-    # Not asdict, which copies deeply: the control process does this in a tick.
+    # asdict copies deeply, which is too slow: the control process does this in a tick.
     return {type(message).__name__.lower(): {one.name: getattr(message, one.name) for one in fields(message)}}
 
 
@@ -222,4 +226,4 @@ def from_line(record: Mapping[str, Any]) -> Order | Answer | Status:
     if kind == "status":
         task = None if values["task"] is None else Task(values["task"])
         return Status(**{**values, "phase": Phase(values["phase"]), "task": task})
-    raise ValueError(f"{kind!r} is no message of a service")
+    raise ValueError(f"{kind!r} is not a message of a service")

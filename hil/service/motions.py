@@ -1,6 +1,6 @@
-"""The motions of a served robot, as references: by twist, held, to a pose, or along a path. Pure.
+"""The motions of a served robot, as references: by twist, at rest, to a pose, or along a path. Pure.
 
-Time is the service's own, in seconds; it only grows.
+Time is the service's own, in seconds; it never decreases.
 """
 
 import math
@@ -15,7 +15,7 @@ from hil.scenario import ServiceTable
 _NO_TWIST = BodyTwist(0.0, 0.0, 0.0)
 _STILL = Acceleration(0.0, 0.0, 0.0)
 _SAME_M, _SAME_RAD = 0.001, 0.001
-"""A shorter way is not driven."""
+"""A shorter way is not driven: the robot is there already."""
 _LEAP_M, _LEAP_RAD = 0.02, 0.04
 
 
@@ -23,8 +23,8 @@ class Drive:
     """Drives by a twist in the body frame, with limited acceleration; without a twist it comes to rest and holds.
 
     The reference is ahead of the robot by at most ``MOST_AHEAD_M`` and ``MOST_AHEAD_RAD``: a robot that was blocked
-    does not jump when it is free, and one that is carried away is not driven back far. Where the pose jumps, as a
-    localisation's may, the motion begins anew there, at rest.
+    does not jump when it is free, and one that is carried away does not drive back far. When the estimated pose jumps
+    (a localisation may correct it), the motion starts again there, from rest.
 
     ``start`` is the reference, or the robot's state, at ``t_s``; ``options`` has the limits of speed and acceleration.
     """
@@ -46,7 +46,7 @@ class Drive:
         return self._twist == _NO_TWIST
 
     def set_target(self, twist: BodyTwist) -> BodyTwist:
-        """Drive by this twist, scaled to the limits, from now on; return the scaled one."""
+        """Drive by this twist from now on, scaled to the limits; return the scaled twist."""
         options = self._options
         forward, left, yaw_rate = twist
         largest = max(math.hypot(forward, left) / options.speed_m_s, abs(yaw_rate) / options.yaw_rate_rad_s, 1.0)
@@ -71,7 +71,7 @@ class Drive:
         return Reference(self._pose, twist, self._acceleration(before, dt_s, twist))
 
     def _leapt(self, pose: Pose, dt_s: float) -> bool:
-        """Whether the estimated pose is farther from the last one than the robot can have driven."""
+        """Whether the estimated pose moved farther since the last tick than the robot can have driven."""
         if self._robot is None:
             return False
         options = self._options
@@ -82,7 +82,7 @@ class Drive:
         )
 
     def _towards(self, dt_s: float) -> BodyTwist:
-        """Return the twist after this time, on the way to the target twist."""
+        """Return the twist after ``dt_s``, on the way to the target twist."""
         options = self._options
         forward, left, yaw_rate = (b - a for a, b in zip(self._twist, self.target, strict=True))
         plane, turn = math.hypot(forward, left), abs(yaw_rate)
@@ -115,9 +115,9 @@ def _limit_lead(reference: Pose, pose: Pose) -> Pose:
 
 
 class Follow:
-    """Follows a path from ``start_s`` on, after the ``way`` to its begin if there is one.
+    """Follows a path from ``start_s`` on, or from the end of the ``way`` to the path's start, if one is given.
 
-    ``frame`` is the pose of the path's own origin, None for that of the world.
+    ``frame`` is the pose of the path's own origin in the world; None for the world's origin.
     """
 
     def __init__(
@@ -138,7 +138,7 @@ class Follow:
 
 
 def way_to(start: Pose, end: Pose, options: ServiceTable) -> Route | None:
-    """Return the straight way from rest to rest, by the shorter turn; None when it is too short to drive."""
+    """Return a straight route from rest to rest, by the shorter turn; None when it is too short to drive."""
     turn_rad = wrap_angle(end.heading_rad - start.heading_rad)
     length_m = math.dist(start[:2], end[:2])
     if length_m < _SAME_M and abs(turn_rad) < _SAME_RAD:
@@ -151,7 +151,9 @@ def way_to(start: Pose, end: Pose, options: ServiceTable) -> Route | None:
 
 
 def frame_at(pose: Pose, begin: Pose) -> Pose:
-    """Return the pose of the origin of a path whose begin is ``begin`` in its own frame and ``pose`` in the world."""
+    """Return the pose of a path's origin in the world; ``begin`` is its start in its own frame, ``pose`` the same in
+    the world.
+    """
     turn_rad = pose.heading_rad - begin.heading_rad
     c, s = math.cos(turn_rad), math.sin(turn_rad)
     return Pose(pose.x_m - c * begin.x_m + s * begin.y_m, pose.y_m - s * begin.x_m - c * begin.y_m, turn_rad)

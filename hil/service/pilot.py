@@ -1,6 +1,6 @@
-"""The state machine of a served robot: reconnected, armed, driven, stopped. It moves only when armed and on an order.
+"""The state machine of a served robot: reconnect, arm, drive, stop. It moves only when armed and by an order.
 
-It has no clock of its own and knows nothing of HTTP: orders are method calls between two ticks, and one that is not
+It has no clock and does not depend on HTTP: orders are method calls between two ticks, and an order that is not
 possible in the present phase is refused with a sentence.
 """
 
@@ -30,15 +30,15 @@ _ESTOP_REPEAT_S = 0.3
 
 
 class Pilot:
-    """The state machine of a service. ``tick`` is called once a tick; it raises only for what ends the service.
+    """The state machine of a service. ``tick`` is called once a tick; it raises only errors that end the service.
 
-    A lost robot is reconnected for ever. It is disarmed then, and only ``arm`` arms it. When the phase ACTIVE ends, the
-    task ends too.
+    Reconnection to a lost robot is tried for ever. The robot comes back disarmed, and only ``arm`` arms it. When the
+    phase ACTIVE ends, the task ends too.
 
     Attributes:
         phase: of the robot. state: estimated, None while it is away.
         conduct: the task of an ACTIVE robot, to be read; ``active`` returns it for orders. emergency: the e-stop.
-        motion_requests: counts phases and orders for a motion, so that a slow order can see that it is outdated.
+        motions_asked: counts phases and orders for a motion, so that a slow order can tell that it is outdated.
         recoveries: how often a lost robot came back.
     """
 
@@ -72,14 +72,14 @@ class Pilot:
 
     @property
     def why(self) -> str | None:
-        """The last problem, in AWAY what keeps the robot away, and the robot's present trouble; None without any."""
+        """The last problem, what keeps an AWAY robot away, and trouble that the robot reports now; None without any."""
         problem = self._recovery.problem if self.phase is Phase.AWAY else None
         sentences = filter(None, (self._why, problem, self._parts.device.report.trouble))
         return "; ".join(dict.fromkeys(sentences)) or None
 
     @property
     def parts(self) -> TickParts:
-        """The parts of the ticks, with the law in command."""
+        """The parts of the ticks, with the law in use."""
         return self._tick.parts
 
     @property
@@ -90,7 +90,7 @@ class Pilot:
     # Orders
 
     def arm(self) -> None:
-        """Arm the robot, which is then held where it is. Raises BadInputError unless it is DISARMED."""
+        """Arm the robot, which then rests where it is. Raises BadInputError unless it is DISARMED."""
         if self.phase is not Phase.DISARMED:
             raise BadInputError(f"the robot is {self.phase}; it can be armed when it is disarmed{self._because()}")
         self._why = None
@@ -100,7 +100,7 @@ class Pilot:
         self._enter(Phase.ARMING, _ARMING_LIMIT_S)
 
     def disarm(self, why: str | None = None) -> None:
-        """Ramp down and go to IDLE. It ends arming and clearing too, and changes nothing where nothing is armed.
+        """Ramp down and disarm. Also ends arming and clearing; does nothing to a robot that is not armed.
 
         ``why`` is a sentence for the status.
         """
@@ -115,7 +115,7 @@ class Pilot:
             self._deadline_s = math.inf
 
     def estop(self) -> None:
-        """Stop at once, and latch it. A robot that is away is stopped as soon as it is back."""
+        """Stop at once, and latch it. A robot that is away is also stopped as soon as it is back."""
         self.emergency.request(self._t_s)
         self._why = "an e-stop was asked for"
         if self.phase is Phase.AWAY:
@@ -127,7 +127,7 @@ class Pilot:
             self._parts.device.estop()
 
     def clear(self) -> None:
-        """Leave FAULT or ESTOP, which arms nothing. Raises BadInputError where nothing is latched."""
+        """Leave FAULT or ESTOP, without arming. Raises BadInputError in other phases."""
         if self.phase not in (Phase.FAULT, Phase.ESTOP):
             raise BadInputError(f"the robot is {self.phase}; there is nothing to clear")
         if not self.emergency.may_clear():
@@ -147,7 +147,7 @@ class Pilot:
             raise BadInputError(f"the robot is {self.phase}; arm it first{self._because()}")
 
     def use(self, laws: Laws) -> None:
-        """Control by other laws, as with other gains, from the next tick on; their state begins anew there."""
+        """Use other laws, or the same with other gains, from the next tick on; they start from their reset state."""
         self._parts = self._parts._replace(controller=laws.controller, shadows=laws.shadows, extra=laws.extra)
         self._law_failed = False
         self._tick.use(self._parts)
@@ -155,11 +155,13 @@ class Pilot:
     # The tick
 
     def tick(self, now: LoopSignals, fix: PoseFix | None) -> None:
-        """Do one tick and write its row. Raises what ended a robot in this process, which cannot come back."""
+        """Do one tick and write its row. Raises the error that ended a robot in this process, which cannot come
+        back.
+        """
         self._t_s = now.t_s
         try:
             self._do(now, fix)
-        except TickOverdue as overdue:  # outside the law, as in a log whose reader stalls
+        except TickOverdue as overdue:  # not raised in the law but, for example, in a log whose reader stalls
             self.lose(OverdueError(str(overdue)))
 
     def _do(self, now: LoopSignals, fix: PoseFix | None) -> None:
@@ -170,7 +172,7 @@ class Pilot:
         self._attempt(lambda: self._steps[self.phase](now, fix))
         if self._tick.count == count:  # only a driven tick has written its row
             self._attempt(lambda: self._tick.record_away(now, fix, NOWHERE, self.state))
-        if self._tick.count == count:  # the law's own signals failed, and are left out from now on
+        if self._tick.count == count:  # the law's own signals failed; from now on they are NaN
             self._tick.record_away(now, fix, NOWHERE, self.state)
         self._note_trouble()
 
@@ -182,7 +184,7 @@ class Pilot:
             self._handle_failure(error)
         except TickOverdue as overdue:
             self._handle_failure(BadInputError(str(overdue)))
-        except (ArithmeticError, ValueError) as error:  # from a law or a path, as an overflow
+        except (ArithmeticError, ValueError) as error:  # raised by a law or a path, for example an overflow
             self._handle_failure(BadInputError(f"the law or the path failed: {type(error).__name__}: {error}"))
 
     def _handle_failure(self, error: HilError) -> None:
@@ -201,10 +203,10 @@ class Pilot:
         """Handle an error of a tick or of waiting for one. Raises as ``tick``."""
         self._tick.raise_robot_failure()
         if self.phase is Phase.AWAY:
-            # Also when another robot answers: recovery begins again, and never ends with an armed robot.
+            # Also when another robot answers: recovery starts again; it never ends with an armed robot.
             self._recovery.fail(error)
             return
-        # A consequence of a failed law, such as feedback that was not read meanwhile, does not replace its sentence.
+        # A failed law can cause further errors, such as unread feedback; they must not replace the law's own error.
         if not self._law_failed or isinstance(error, BadInputError):
             self._why = str(error)
         latched = {RobotState.FAULT: Phase.FAULT, RobotState.ESTOP: Phase.ESTOP}
@@ -232,7 +234,7 @@ class Pilot:
         self._tick.skip_fixes()
         try:
             is_back = self._recovery.advance()
-        except (BadInputError, DeviceError) as error:  # another robot, or one that refuses: it may be exchanged
+        except (BadInputError, DeviceError) as error:  # another robot, or one that refuses: it may be replaced
             self._recovery.fail(error)
             is_back = False
         if not is_back:
@@ -246,7 +248,7 @@ class Pilot:
             self._enter(Phase.ESTOP)
             self._parts.device.estop()
         else:
-            self._enter(Phase.STOPPING, _STOPPING_LIMIT_S)  # until its feedback says that it is at rest
+            self._enter(Phase.STOPPING, _STOPPING_LIMIT_S)  # until its feedback shows that it is at rest
 
     def _wait(self, now: LoopSignals, fix: PoseFix | None) -> None:
         robot = self._look(now, fix)
@@ -304,7 +306,7 @@ class Pilot:
             self._why = f"clearing was refused: {device.why_not_active()}"
 
     def _look(self, now: LoopSignals, fix: PoseFix | None) -> RobotState:
-        """Sense without driving; return the robot's own state."""
+        """Sense without driving; return the state that the robot reports."""
         feedback, self.state = self._tick.sense(now.t_s, fix, active=False)
         return feedback.state
 
@@ -312,7 +314,7 @@ class Pilot:
 
     def _enter(self, phase: Phase, limit_s: float = math.inf) -> None:
         if phase is Phase.ACTIVE:
-            self._warned()  # of what the robot has reported since it was armed
+            self._warned()  # warnings that the robot has sent since it was armed
         self.phase = phase
         self.motion_requests += 1
         self._deadline_s = self._t_s + limit_s
@@ -322,7 +324,7 @@ class Pilot:
 
     def _latch(self, robot: RobotState) -> None:
         if not self._parts.device.report.explains(robot):
-            return  # STATUS says why, and arrives a little later
+            return  # STATUS has the reason, and arrives a little later
         self._why = self._parts.device.why_not_active()
         self._enter(Phase.FAULT if robot is RobotState.FAULT else Phase.ESTOP)
 

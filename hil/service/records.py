@@ -1,4 +1,4 @@
-"""The sink of a service: a recording while there is one, and live viewers all the time."""
+"""The sink of a service: a recording that starts and ends on orders, and live viewers all the time."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -9,7 +9,7 @@ from hil.service import logs
 
 
 class Records:
-    """A sink of rows and events whose recording begins and ends on orders; only the thread of the ticks uses it.
+    """A sink of rows and events; its recording starts and ends on orders. Only the thread of the ticks uses it.
 
     ``live`` serves viewers, or is None.
     """
@@ -41,7 +41,7 @@ class Records:
         return recording
 
     def finish(self) -> None:
-        """Stop recording and finish the recording, if there is one; takes longer than a tick."""
+        """End and finish the recording, if there is one; takes longer than a tick."""
         if (recording := self.end()) is not None:
             finished(recording)
 
@@ -68,17 +68,17 @@ def recording_of(
     live_port: int | None = None,
     existing: Existing = "refuse",
 ) -> Recording:
-    """Start a recording of a service, to a file or for live viewers alone; takes longer than a tick.
+    """Start a recording of a service, to a file or only for live viewers; takes longer than a tick.
 
-    ``about`` are the recording's properties, of the parts that the service was made of. ``existing`` says what to do
-    when the file exists; a changed name is logged. Raises BadInputError and DeviceError as ``Recording``.
+    ``about`` are the recording's properties, which describe the parts of the service. ``existing`` says what to do when
+    the file exists; a changed name is logged. Raises BadInputError and DeviceError as ``Recording``.
     """
     recording = Recording(
         path, properties=about, blocking=False, live_port=live_port, signals=signals, existing=existing
     )
     if recording.path != path:
         logs.warning(
-            "a recording of this name is there already; another name was taken", asked=path, path=recording.path
+            "a recording of this name exists already; another name was chosen", asked=path, path=recording.path
         )
     return recording
 

@@ -1,4 +1,4 @@
-"""``hil serve``: the control process. It ticks, owns link, robot and recording, and starts the API process."""
+"""``hil serve``: the control process. It runs the ticks, owns link, robot and recording, and starts the API process."""
 
 import contextlib
 import signal
@@ -34,7 +34,7 @@ from hil.wire.reopening import BackOff, OpeningBeside
 from hil.wire.url import parse_link
 
 _STATUS_HZ = 20
-_FARTHEST_M = 1000.0  # of a pose to go to; beyond it a float32 loses millimetres
+_FARTHEST_M = 1000.0  # limit for target poses; beyond it a float32 loses millimetres
 _POLL_S = 0.02
 _ENDING_LIMIT_S = 7.0  # longer than the pilot waits for a robot to stop
 
@@ -43,9 +43,9 @@ _ENDING_LIMIT_S = 7.0  # longer than the pilot waits for a robot to stop
 class Options:
     """The options of ``hil serve`` besides the configuration.
 
-    ``record`` is a file to record to from the start, numbered where it exists; ``live_port`` serves viewers,
-    ``token_file`` has the API's token, ``truth`` is the URL of a virtual robot's truth socket, ``log`` the form of the
-    log's lines.
+    ``record`` is a file to record to from the start, numbered if it exists; ``live_port`` serves viewers;
+    ``token_file`` holds the API's token; ``truth`` is the URL of a virtual robot's truth socket; ``log`` is the format
+    of the log's lines.
     """
 
     record: Path | None = None
@@ -57,19 +57,19 @@ class Options:
 
 
 class _Ending:
-    """Counts the signals to end: the first asks for it, a second one insists, unless it is a SIGHUP."""
+    """Counts signals to end: the first ends the service gently, a second one at once, unless it is a SIGHUP."""
 
     def __init__(self) -> None:
         self.requests = 0
         numbers = [signal.SIGTERM, signal.SIGINT]
-        # SIGHUP: the window was closed in which the service was started. nohup ignores it.
+        # SIGHUP: the window in which the service was started was closed. nohup makes the process ignore it.
         if hasattr(signal, "SIGHUP") and signal.getsignal(signal.SIGHUP) is not signal.SIG_IGN:
             numbers.append(signal.SIGHUP)
         for number in numbers:
             signal.signal(number, self)
 
     def __call__(self, number: int, _frame: object) -> None:
-        # Kernel and shell both send SIGHUP when a window is closed, so a second one does not insist.
+        # Kernel and shell both send SIGHUP when a window is closed, so a second signal of this kind is not counted.
         if not self.requests or number in (signal.SIGTERM, signal.SIGINT):
             self.requests += 1
         logs.info("signal to end", signal=signal.Signals(number).name)
@@ -78,7 +78,7 @@ class _Ending:
 def serve(scenario: Scenario, options: Options, reload: Callable[[], Scenario]) -> None:
     """Serve a scenario's robot until a signal or an order to shut down; then stop it, disarm it and return.
 
-    ``reload`` loads the configuration again. Raises BadInputError for what is wrong with it, LinkError when another
+    ``reload`` loads the configuration again. Raises BadInputError for a bad configuration, LinkError when another
     process has the device, DeviceError when a robot in this process has failed.
     """
     if scenario.loop.mode == "lockstep":
@@ -160,7 +160,7 @@ class _Service:
                 self._loop(bench, pilot, desk, granted, watch)
 
     def _open_bench(self, resources: contextlib.ExitStack) -> Bench | None:
-        """Open link and robot, and retry while that fails; None when the service is to end before."""
+        """Open link and robot, and retry while that fails; None when the service should end first."""
         waits = BackOff()
         why = "its link is being opened"
         while True:
@@ -188,7 +188,7 @@ class _Service:
         return self._bench
 
     def _attend(self, why: str) -> bool:
-        """Answer the orders that have come for a robot that is away; False when the service is to end."""
+        """Answer the orders that have come while the robot is away; return False when the service should end."""
         for order in self.api.orders():
             if order.action is Action.SHUTDOWN:
                 self.api.send(Answer(order.number))
@@ -205,7 +205,7 @@ class _Service:
     def _pilot(self, bench: Bench) -> Pilot:
         made = self.parts.make(bench, [self.records], self.records.note)
         if made.truth is not None:
-            lost = "; a state that rests on it is unknown from now on: restart the service to have it again"
+            lost = "; a state estimate that uses it is unknown from now on: restart the service to have it again"
             made = made._replace(
                 truth=LastingTruth(made.truth, lambda why: self.records.note(self._t_s, "error", why + lost))
             )
@@ -226,16 +226,16 @@ class _Service:
                 late_ns = sampling.wait(number)
             except HilError as error:
                 pilot.lose(error)
-                continue  # waits for the same tick again; what failed has been taken from the link
+                continue  # waits for the same tick again; the failed input was removed from the link
             begin_ns = time.perf_counter_ns()
             orders = self.api.orders()
-            # Orders that waited while this process stood still, wherever in this loop, are out of date.
+            # Orders that waited while this process stalled, wherever in this loop, are out of date.
             stalled = time.perf_counter_ns() - polled_ns > stall_ns
             polled_ns = begin_ns
             t_s = max(number, 0) * timing.period_ns * 1e-9
             desk.handle(orders, t_s, stalled=stalled)
             if not self.api.alive and pilot.phase in (Phase.ARMING, Phase.ACTIVE):
-                pilot.disarm("the API process ended or hangs, so that nobody could have stopped the robot")
+                pilot.disarm("the API process ended or hangs, so that no order could have stopped the robot")
             if number >= 0:
                 counts.ticks += 1
                 counts.lateness.add(late_ns)
@@ -253,7 +253,7 @@ class _Service:
             number = following
 
     def _until_stopped(self, pilot: Pilot, desk: Desk) -> Iterator[None]:
-        """Yield until the service is to end and its robot is disarmed, or the wait for that is over."""
+        """Yield until the service should end and its robot is disarmed, or until the time for that is over."""
         limit_s = None
         while True:
             if limit_s is None and (self.ending.requests or desk.shutdown):
@@ -272,7 +272,7 @@ class _Service:
             yield
 
     def _last_words(self, sentence: str) -> None:
-        """Close the robot's link and the recording before a stuck law ends this process."""
+        """Close the robot's link and the recording before this process is ended because of a stuck law."""
         assert self._bench is not None
         with contextlib.suppress(HilError):
             self._bench.device.close()
@@ -280,7 +280,7 @@ class _Service:
         self.records.finish()
 
     def _report(self, pilot: Pilot, bench: Bench, granted: RealTime) -> None:
-        """Send the status, log what the plant has printed, and report a new phase to log, recording and systemd."""
+        """Send the status, log the plant's output, and report a new phase to log, recording and systemd."""
         self.api.send(self._statuses.status(pilot, bench, granted))
         if bench.plant_output:
             log_lines(bench.plant_output.new_lines(), self._t_s, self.records.note)

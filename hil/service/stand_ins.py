@@ -1,4 +1,4 @@
-"""Stand-ins among the parts of a service's ticks: for a law that has failed, and for a truth that was lost."""
+"""Replacements for parts of a service's ticks: for a law that has failed, and for a lost source of truth."""
 
 from collections.abc import Callable
 
@@ -9,9 +9,9 @@ from hil.runtime.tick import TickParts
 
 
 class LastingTruth:
-    """A PoseSource that has no more fixes once it was lost, instead of raising. ``lost`` gets the cause, once.
+    """A PoseSource that returns None once it was lost, instead of raising. ``lost`` is called once with the cause.
 
-    It is not reconnected: a virtual robot that was started anew has its truth at another address.
+    It is not reconnected: a virtual robot that was restarted has its truth at another address.
     """
 
     def __init__(self, source: PoseSource, lost: Callable[[str], None]) -> None:
@@ -37,7 +37,7 @@ class LastingTruth:
 
 
 class _NoLaw:
-    """Stands for a law that has failed; it is never asked for a command."""
+    """Replaces a law that has failed; it is never asked for a command."""
 
     gains = NO_GAINS
 
@@ -49,7 +49,7 @@ class _NoLaw:
 
 
 class _NoSignals:
-    """The own signals of a law that has failed: their names, and NaN for each."""
+    """Replaces the own signals of a law that has failed: the same names, NaN for each."""
 
     def __init__(self, signals: tuple[str, ...]) -> None:
         self.signals = signals
@@ -57,6 +57,6 @@ class _NoSignals:
 
 
 def without_law(parts: TickParts) -> TickParts:
-    """Return the parts without their law and its shadows, for a robot that is not driven until it is armed again."""
+    """Return the parts without their law and shadows, for a robot that is not driven until it is armed again."""
     silent = tuple(_NoSignals(own.signals) for own in parts.extra)
     return parts._replace(controller=_NoLaw(), shadows=None, extra=silent)

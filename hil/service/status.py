@@ -1,4 +1,4 @@
-"""The status of a service: made in a tick from the parts of the service."""
+"""The status of a service, made in a tick from its parts."""
 
 import math
 import time
@@ -27,7 +27,9 @@ class Counts:
 
 
 class StatusMaker:
-    """Makes statuses in a tick, so the constant part is made once; ``without_bench`` while the link is not open."""
+    """Makes statuses in a tick; the constant part is made once. ``without_bench`` is for a service whose link is not
+    open.
+    """
 
     def __init__(self, constant: Status, records: Records, counts: Counts) -> None:
         self._records = records
@@ -76,7 +78,7 @@ class StatusMaker:
         return {"time_unix_s": time.time(), "recording": recording, "rows_dropped": self._records.rows_dropped}
 
     def _describe(self, info: Identity | None, granted: RealTime) -> None:
-        """Keep the robot's identity and the settings that the operating system granted."""
+        """Store the robot's identity and the real-time settings that were granted or refused."""
         self._info, self._granted = info, granted
         self._constant = replace(
             self._constant,

@@ -18,10 +18,10 @@ _UNIT = Path(__file__).with_name("hil-serve.service")
 
 
 class Notifier:
-    """Notifies systemd when the service is ready, of its status, that it is alive, and when it ends.
+    """Tells systemd when the service is ready, its status, that it is alive, and when it ends.
 
-    ``environment`` has ``NOTIFY_SOCKET``, and ``WATCHDOG_USEC`` where the unit has a watchdog. Nothing here waits: a
-    message that the manager's full socket does not take is lost, except the beat, which is sent at the next call.
+    ``environment`` has ``NOTIFY_SOCKET``, and ``WATCHDOG_USEC`` if the unit has a watchdog. No method waits: when the
+    manager's socket is full a message is lost, except the beat, which is sent at the next call.
     """
 
     def __init__(self, environment: Mapping[str, str] = os.environ) -> None:
@@ -30,15 +30,15 @@ class Notifier:
         if sys.platform == "linux" and address[:1] in ("/", "@"):
             self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_NONBLOCK)
             try:
-                # A name that begins with @ is an abstract one, which begins with a zero byte.
+                # A name that begins with @ is an abstract one: its first byte is zero.
                 self._socket.connect("\0" + address[1:] if address[0] == "@" else address)
             except OSError:
                 self._socket.close()
-                self._socket = None  # the manager that started this process has gone
+                self._socket = None  # the manager that started this process is gone
         meant_for_us = environment.get("WATCHDOG_PID", str(os.getpid())) == str(os.getpid())
         watchdog_us = environment.get("WATCHDOG_USEC", "0")
         watched = self._socket is not None and meant_for_us and watchdog_us.isdecimal() and int(watchdog_us) > 0
-        # A third, so that one beat may be lost.
+        # A third of the period, so that one beat may be lost.
         self._beat_ns = int(watchdog_us) * 1000 // 3 if watched else 0
         # Without a watchdog the next beat is never due.
         self._next_beat_ns = 0 if watched else sys.maxsize
@@ -55,7 +55,7 @@ class Notifier:
             self._send("STATUS=" + sentence.replace("\n", " "))
 
     def beat(self, now_ns: int) -> None:
-        """Feed the watchdog; called in each tick (0.1 µs when no beat is due). ``now_ns`` is of any monotonic clock."""
+        """Feed the watchdog; called in each tick (0.1 µs when no beat is due). ``now_ns``: by any monotonic clock."""
         if now_ns >= self._next_beat_ns and self._send("WATCHDOG=1"):
             self._next_beat_ns = now_ns + self._beat_ns
 
@@ -80,16 +80,16 @@ class Notifier:
 
 
 def unit(config: str, options: Sequence[str] = ()) -> str:
-    """Return the unit that serves a configuration as the user who asks: a file, or a shipped name.
+    """Return the unit that serves a configuration (a file, or a shipped name) as the present user.
 
-    ``options`` are those of hil serve, such as ``--allow-motion``, for its command line; paths in them are taken from
-    the working directory, which is this one. Raises BadInputError for words that systemd cannot take in a unit.
+    ``options`` are options of hil serve, such as ``--allow-motion``; relative paths in them start from the unit's
+    working directory, which is the present one. Raises BadInputError for words that systemd cannot take in a unit.
     """
     path = Path(config)
     what = str(path.absolute()) if path.suffix == ".toml" else config
     for word in (what, *options):
         if any(character in word for character in "\n\r\0"):
-            raise BadInputError(f"{word!r}: a line break has no place in a unit; leave it out, or rename the file")
+            raise BadInputError(f"{word!r}: a unit cannot hold a line break; leave it out, or rename the file")
     hil = shutil.which("hil", path=str(Path(sys.executable).parent))
     command = [hil] if hil else [sys.executable, "-P", "-m", "hil.cli.main"]
     filled = {

@@ -1,7 +1,7 @@
-"""The arguments of orders, checked for form: names, types, finite numbers, ranges. Only the
-control process knows whether an order is possible now.
+"""The arguments of orders, checked for form: names, types, finite numbers, ranges.
 
-The same models check HTTP bodies and the arguments on the WebSocket, and make up the OpenAPI document.
+Only the control process knows whether an order is possible now. The same models check HTTP bodies and the arguments on
+the WebSocket, and make up the OpenAPI document.
 """
 
 import re
@@ -31,16 +31,16 @@ _OF_OURS = "Value error, "  # pydantic's prefix of a ValueError's text
 
 
 class Body(BaseModel):
-    """An order without arguments. Names that it does not know are refused, and so are numbers as strings."""
+    """An order without arguments. Unknown names are refused, and so are numbers written as strings."""
 
     model_config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
 
     @model_validator(mode="before")
     @classmethod
     def _of_characters(cls, values: object) -> object:
-        """Refuse half a pair of surrogates: JSON can carry it, but no file, log or answer can."""
+        """Refuse a lone surrogate: JSON can carry it, but no file, log or answer can."""
         if not _is_text(values):
-            raise ValueError("a text in it is no Unicode: it has half a pair of surrogates")
+            raise ValueError("a text in it is not Unicode: it has a lone surrogate")
         return values
 
 
@@ -129,9 +129,9 @@ def sentence(errors: Iterable[Mapping[str, Any]]) -> str:
 def _part(error: Mapping[str, Any]) -> str:
     where = ".".join(str(part) for part in error["loc"] if part != "body")
     if error["type"] == "extra_forbidden":
-        return f"{where}: there is no such name"
+        return f"{where}: unknown name"
     if error["type"] == "json_invalid":
-        return f"the body is no JSON: {error['ctx']['error']}"
+        return f"the body is not JSON: {error['ctx']['error']}"
     if error["type"] == "missing":
         return f"{where or 'the body'} is missing"
     value = error["input"]

@@ -1,4 +1,4 @@
-"""The API process's end of the pipe to the control process: orders go, answers and the status come."""
+"""The API process's end of the pipe to the control process: sends orders, receives answers and the status."""
 
 import asyncio
 import math
@@ -20,8 +20,8 @@ LONG_ANSWER_S = 30.0
 LIFE_PERIOD_S = 0.1
 _CATCHING_UP_S = 0.3
 
-# Orders without an answer so far. So many short lines never fill the pipe, so that an emergency stop, which does not
-# count, never waits behind them.
+# Orders without an answer so far. This many short lines never fill the pipe, so that an emergency stop, which is exempt
+# from the limit, never waits behind them.
 _MOST_OPEN = 64
 
 
@@ -34,10 +34,11 @@ class BusyError(Exception):
 
 
 class Control:
-    """Orders to the control process, its answers and statuses, for the tasks of one event loop.
+    """Sends orders to the control process and receives its answers and statuses, for the tasks of one event loop.
 
     Attributes:
-        status: the newest, for JSON (null in place of NaN), or None before the first. received: the same as sent.
+        status: the newest, for JSON (null in place of NaN), or None before the first. received: the same as it was
+            sent.
         gone: set when the control process has ended.
         watchers: events that are set at each new status.
         orders: number of orders by action and outcome (accepted, refused, unanswered).
@@ -46,7 +47,7 @@ class Control:
     def __init__(self, lines: LineReader, writer: LineWriter, twist_timeout_s: float) -> None:
         self._loop = asyncio.get_running_loop()
         self._writer = writer
-        # Random, so that an answer meant for the API process before this one matches no order.
+        # Random, so that an answer for an earlier API process matches no order.
         self._number = secrets.randbits(48)
         self._open: dict[int, asyncio.Future[Answer]] = {}
         self.watchers: set[asyncio.Event] = set()
@@ -54,7 +55,7 @@ class Control:
         self.received: Status | None = None
         self.status: dict[str, Any] | None = None
         self.gone = asyncio.Event()
-        self._turned_s = time.monotonic()  # the last sign that the event loop turns
+        self._turned_s = time.monotonic()  # last time at which the event loop was seen running
         self._twist_stall_s = min(SILENT_S, twist_timeout_s + LIFE_PERIOD_S)
         self._refuse_until_s = self._refuse_twists_until_s = -math.inf
         self.orders: dict[tuple[Action, str], int] = {}
@@ -73,15 +74,15 @@ class Control:
         return self.status
 
     def submit(self, action: Action, arguments: Mapping[str, Any]) -> "asyncio.Future[Answer]":
-        """Send an order and return the future of its answer. Raises BusyError, but not for an emergency stop."""
+        """Send an order; return the future of its answer. Raises BusyError, except for an emergency stop."""
         if self.gone.is_set():
             raise BusyError("the service is ending")
         if action in MOVING and self._has_stalled(action):
             self._count(action, "unanswered")
-            raise BusyError("the API stood still while this order waited; give it again")
+            raise BusyError("the API stalled while this order waited; give it again")
         if len(self._open) >= _MOST_OPEN and action is not Action.ESTOP:
             self._count(action, "unanswered")
-            raise BusyError(f"the control process has {len(self._open)} orders to answer; only estop is taken now")
+            raise BusyError(f"the control process has {len(self._open)} orders to answer; only estop is accepted now")
         self._number += 1
         future: asyncio.Future[Answer] = self._loop.create_future()
         self._open[self._number] = future
@@ -89,10 +90,10 @@ class Control:
         return future
 
     async def answer(self, action: Action, sent: "asyncio.Future[Answer]") -> Answer:
-        """Wait for the answer to an order. Raises NoAnswerError after its time, BusyError when the service ends."""
+        """Wait for the answer to an order. Raises NoAnswerError after the timeout, BusyError when the service ends."""
         timeout_s = LONG_ANSWER_S if action in LONG else ANSWER_S
         try:
-            # The future stays open when the wait is over: the control process still has the order.
+            # The future is kept when the wait is over: the control process still has the order.
             answer = await asyncio.wait_for(asyncio.shield(sent), timeout_s)
         except TimeoutError:
             self._count(action, "unanswered")
@@ -111,14 +112,14 @@ class Control:
             self._writer.send({"alive": True})
 
     def _has_stalled(self, action: Action) -> bool:
-        """Whether an order of this kind may have waited too long because this process or its loop stood still."""
+        """Whether an order of this kind may have waited too long because this process or its event loop stalled."""
         return self._notice_stall() < (self._refuse_twists_until_s if action is Action.TWIST else self._refuse_until_s)
 
     def _notice_stall(self) -> float:
-        """Measure for how long the event loop has not turned; return the time."""
+        """Measure how long the event loop did not run; return the present time."""
         now_s = time.monotonic()
         stood_s = now_s - self._turned_s
-        # Orders that have waited arrive within the next turns.
+        # Orders that waited meanwhile arrive within the next turns of the loop.
         if stood_s > self._twist_stall_s:
             self._refuse_twists_until_s = now_s + _CATCHING_UP_S
         if stood_s > SILENT_S:
@@ -156,5 +157,5 @@ class Control:
         for future in self._open.values():
             if not future.done():
                 future.set_exception(BusyError("the service has ended"))
-                future.exception()  # marks it as read, for nobody may wait for it any more
+                future.exception()  # marks it as read, because perhaps nobody waits for it
         self._open.clear()

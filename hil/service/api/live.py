@@ -1,11 +1,12 @@
-"""The WebSocket of the API: statuses as they come, and orders with their answers.
+"""The WebSocket of the API: sends statuses as they come; takes orders and sends their answers.
 
 Messages are JSON objects, as on the pipe between the processes:
 
     to the client    {"status": {...}}    {"answer": {"number": 7, "refused": null, "result": {}}}
     from the client  {"order": {"number": 7, "action": "twist", "arguments": {"vx_m_s": 0.2, ...}}}
 
-The number is the client's own. A client that reads slowly gets fewer statuses, the newest each time, but every answer.
+The number is chosen by the client. A client that reads slowly gets fewer statuses, each time the newest, but all
+answers.
 """
 
 import asyncio
@@ -57,7 +58,7 @@ class LiveClient:
         self._reads = True
 
     async def serve(self) -> None:
-        """Serve the client until it or the control process goes."""
+        """Serve the client until it or the control process ends."""
         await self._socket.accept()
         self._control.watchers.add(self._news)
         self._news.set()
@@ -78,7 +79,7 @@ class LiveClient:
                 raise end
 
     async def _listen(self) -> None:
-        """Submit orders as they come, until the client goes."""
+        """Submit orders as they come, until the client disconnects."""
         while True:
             message = await self._socket.receive()
             if message["type"] == "websocket.disconnect":
@@ -94,7 +95,7 @@ class LiveClient:
             order = _Message.model_validate_json(text).order
         except ValidationError as error:
             # Without a number the answer belongs to no order.
-            self._put(Answer(_NO_NUMBER, f"this is no order: {sentence(error.errors())}"))
+            self._put(Answer(_NO_NUMBER, f"this is not an order: {sentence(error.errors())}"))
             return
         try:
             body = self._bodies[order.action].model_validate(order.arguments)

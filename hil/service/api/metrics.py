@@ -1,4 +1,4 @@
-"""Prometheus metrics of a service: base units, ``_total`` for counters, one family a quantity."""
+"""Prometheus metrics of a service: base units, ``_total`` for counters, one family per quantity."""
 
 from collections.abc import Iterable, Iterator
 from typing import Any
@@ -22,7 +22,7 @@ _QUANTILES = {"p50": "0.5", "p99": "0.99", "p99.9": "0.999"}
 
 
 class ServiceMetrics(Collector):
-    """The metrics of a service, made from its newest status each time they are asked for."""
+    """The metrics of a service, made from its newest status at each request."""
 
     def __init__(self, control: Control) -> None:
         self._control = control
@@ -62,10 +62,10 @@ def _of_status(status: Status) -> Iterator[Metric]:
         {"scenario": status.scenario, "law": status.law, "command": status.command, "link": status.link},
     )
     yield StateSetMetricFamily(
-        "hil_phase", "Where the robot is on its way.", {phase.value: phase is status.phase for phase in Phase}
+        "hil_phase", "State of the robot.", {phase.value: phase is status.phase for phase in Phase}
     )
     yield StateSetMetricFamily(
-        "hil_task", "What an active robot is doing.", {task.value: task is status.task for task in Task}
+        "hil_task", "Task of an active robot.", {task.value: task is status.task for task in Task}
     )
     yield CounterMetricFamily("hil_ticks", "Ticks of the control loop.", status.ticks)
     yield CounterMetricFamily("hil_deadline_misses", "Ticks that began after their deadline.", status.deadline_misses)
@@ -77,7 +77,7 @@ def _of_status(status: Status) -> Iterator[Metric]:
 
 
 def _lateness(status: Status) -> Metric:
-    """Return the quantiles as a summary, for which the library has no family when they are computed elsewhere."""
+    """Return the quantiles as a summary; the library has no family for quantiles computed elsewhere."""
     lateness = Metric("hil_lateness_seconds", "Start of a tick after its deadline, since the service began.", "summary")
     for name, quantile in _QUANTILES.items():
         if name in status.lateness_us:
@@ -110,7 +110,7 @@ def _frames(frames: Any) -> Iterator[Metric]:
     for name, documentation in (("sent", "Frames to the robot."), ("received", "Frames from the robot.")):
         yield CounterMetricFamily(f"hil_frames_{name}", documentation, frames.get(name, 0))
     rejected = CounterMetricFamily(
-        "hil_frames_rejected", "Frames from the robot that were no good, by cause.", labels=("cause",)
+        "hil_frames_rejected", "Frames from the robot that were not valid, by cause.", labels=("cause",)
     )
     for cause, number in sorted(frames.get("rejected", {}).items()):
         rejected.add_metric((cause,), number)

@@ -1,4 +1,4 @@
-"""The routes of the API: one for each order, and those of the status, the metrics and the WebSocket."""
+"""The routes of the API: one for each order, and routes for the status, the metrics and the WebSocket."""
 
 from collections.abc import Awaitable, Callable
 from typing import Any
@@ -23,7 +23,7 @@ class Refusal(BaseModel):
 
 
 class Done(BaseModel):
-    """The order was accepted; a motion may go on for long after."""
+    """The order was accepted; its motion may go on for a long time."""
 
     result: dict[str, Any] = Field(description="further results, by name")
 
@@ -31,24 +31,24 @@ class Done(BaseModel):
 _REFUSALS: dict[int | str, dict[str, Any]] = {
     400: {"model": Refusal, "description": "The body cannot be read: nested too deeply, or a number too long"},
     401: {"model": Refusal, "description": "The token is missing or wrong"},
-    409: {"model": Refusal, "description": "The control process refuses: it makes no sense now"},
-    422: {"model": Refusal, "description": "The body is not as it should be"},
-    503: {"model": Refusal, "description": "The control process has too much to answer, or is ending"},
+    409: {"model": Refusal, "description": "The control process refuses: the order is not possible now"},
+    422: {"model": Refusal, "description": "The body is not valid"},
+    503: {"model": Refusal, "description": "The control process has too many orders to answer, or is ending"},
     504: {"model": Refusal, "description": "The control process does not answer within a second"},
 }
 
 
 def make_app(config: ApiConfig, control: Control) -> FastAPI:
-    """Return the application. ``server.Gate`` stands in front of it and decides who may use it."""
+    """Return the application. ``server.Gate`` is in front of it and checks who may use it."""
     app = FastAPI(
         title=f"hil serve: {config.title}",
         version="1",
         description=f"Drives the robot behind {config.device}.",
-        # Its page would be blank: it loads its scripts from another machine.
+        # FastAPI's page would be blank: it loads its scripts from another machine.
         docs_url=None,
         redoc_url=None,
         redirect_slashes=False,
-        # For the document only: Gate has checked it.
+        # Only for the OpenAPI document: Gate checks the token.
         dependencies=[Security(HTTPBearer(auto_error=False, description="the token of this start"))],
     )
     checked = bodies(config.limits)
@@ -104,7 +104,7 @@ def _endpoint(control: Control, action: Action, model: type[Body]) -> Callable[.
             return await order()
 
         return without_body
-    # The models have ranges of this service, which an annotation in the source cannot name.
+    # The models have this service's ranges, which an annotation in the source cannot name.
     may_be_empty = not any(field.is_required() for field in model.model_fields.values())
     order.__annotations__["body"] = model | None if may_be_empty else model
     if not may_be_empty:

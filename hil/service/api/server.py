@@ -1,7 +1,7 @@
 """The server of the API: one process, one event loop, one socket, and a gate in front of the application.
 
-The server listens on the loopback address only. A web page reaches that too: through a name of its own that it points
-at 127.0.0.1 (DNS rebinding), which the Host header gives away, or blindly, which the token prevents. There is no CORS.
+The server listens on the loopback address only. A web page can reach that too. If it uses its own host name that points
+to 127.0.0.1 (DNS rebinding), the Host header shows it; otherwise the token stops it. There is no CORS.
 """
 
 import asyncio
@@ -20,7 +20,7 @@ from hil.service.api.routes import make_app
 from hil.service.messages import ApiConfig
 
 _PING_S = 5.0
-_LONGEST_BYTES = 64 * 1024  # of a body and of a message
+_LONGEST_BYTES = 64 * 1024  # of a body or a WebSocket message
 _LAST_ANSWERS_S = 1
 
 Scope = MutableMapping[str, Any]
@@ -30,9 +30,9 @@ App = Callable[[Scope, Receive, Send], Awaitable[None]]
 
 
 class Gate:
-    """An ASGI application in front of another one: it refuses requests without the token or with a foreign Host.
+    """An ASGI application in front of another one: it refuses requests without the token or with a foreign Host header.
 
-    It also refuses a body of more than 64 KiB, before it is read.
+    It also refuses a body of more than 64 KiB before reading it.
     """
 
     def __init__(self, app: App, *, token: str, hosts: frozenset[bytes]) -> None:
@@ -41,7 +41,7 @@ class Gate:
         self._hosts = hosts
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Answer a request or a handshake that is refused, and pass on any other."""
+        """Refuse a request or a handshake, or pass it on."""
         refusal = self._refusal(scope)
         if refusal is None:
             await self._app(scope, receive, send)
@@ -79,7 +79,7 @@ def _too_long(headers: list[tuple[bytes, bytes]]) -> tuple[int, str] | None:
 
 
 class _Server(uvicorn.Server):
-    """Uvicorn, which reports to the control process when it listens."""
+    """Uvicorn, which tells the control process when it listens."""
 
     def __init__(self, config: uvicorn.Config, writer: LineWriter, ready: dict[str, str]) -> None:
         super().__init__(config)
@@ -94,7 +94,7 @@ class _Server(uvicorn.Server):
 async def serve(
     config: ApiConfig, listener: socket.socket, token: str, lines: LineReader, writer: LineWriter, ready: dict[str, str]
 ) -> None:
-    """Serve the API on a listening socket, until the control process has ended or this process gets a signal.
+    """Serve the API on a listening socket until the control process has ended or this process gets a signal.
 
     ``token`` is the one that clients must send; ``ready`` is sent to the control process when the server listens.
     """

@@ -1,1 +1,1 @@
-"""A robot driven by hand, from a keyboard or a gamepad, through the service that serves it."""
+"""Driving a robot by hand, from a keyboard or a gamepad, through its service."""

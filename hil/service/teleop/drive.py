@@ -1,4 +1,4 @@
-"""Teleop: reads keys and the gamepad, sends twists 30 times a second while a dead-man switch is held, and stops else.
+"""Teleop: reads keys and the gamepad; sends twists 30 times a second while a dead-man switch is held, then a stop.
 
 The robot stops in two ways. This program orders a stop when a key or the button is released, and whenever it ends. If
 it hangs or is killed, the twists cease, and the service stops the robot.
@@ -22,7 +22,7 @@ from hil.service.teleop.terminal import LostTerminalError, Signals, Terminal
 
 PERIOD_S = 1.0 / 30.0
 _STANDSTILL_S = 0.25
-"""After so long without reading keys, what was typed is too old to drive by; it may still stop the robot."""
+"""After this long without reading keys, what was typed is too old to drive by; it may still stop the robot."""
 _STOPPED_S = 2.0
 _ORDERS = {
     Wish.STOP: Action.STOP,
@@ -37,7 +37,7 @@ def teleop(client: Client, speeds: Speeds, *, gamepad: bool, dead_zone: float, e
     """Drive a served robot until the operator quits; return a sentence on its final state.
 
     Raises LostTerminalError, LinkError when the service is lost, RunInterruptedError for SIGINT and SIGTERM, and
-    BadInputError. In any case the robot was ordered to stop, if it could be reached, and the terminal is restored.
+    BadInputError. In any case the robot was told to stop, if it could be reached, and the terminal is restored.
     """
     terminal = Terminal()
     gamepads = Gamepads() if gamepad else None
@@ -91,7 +91,7 @@ class _Session:
         now_s = time.monotonic()
         late = now_s - self._seen_s > _STANDSTILL_S
         if late:
-            self._let_go("teleop stood still for a while; press again")
+            self._let_go("teleop stalled for a while; press again")
         self._seen_s = now_s
         self._handle_keys(now_s, late=late)
         if now_s >= self._due_s:
@@ -150,10 +150,10 @@ class _Session:
         if wish is Wish.QUIT:
             self._quits = True
         elif wish is Wish.SUSPEND:
-            os.kill(0, signal.SIGTSTP)  # as the terminal does it, for its whole foreground group
+            os.kill(0, signal.SIGTSTP)  # as the terminal does, for its whole foreground group
         else:
             self._order(_ORDERS[wish])
-            self._message = f"{wish.value} was asked for"
+            self._message = f"{wish.value} was ordered"
             if wish in (Wish.STOP, Wish.ESTOP):
                 self._requested = None
 
@@ -197,13 +197,13 @@ class _Session:
         answer = message["answer"]
         action = self._orders.pop(answer["number"], None)
         if answer["refused"] is not None:
-            # So that the robot does not start by itself when it is armed meanwhile.
+            # Otherwise the robot would start by itself if it is armed meanwhile.
             if action is Action.TWIST:
                 self._operator.release()
             self._message = f"refused: {answer['refused']}"
 
     def _stop(self) -> None:
-        """Order a stop, and wait for the answer; a robot that is not active refuses it."""
+        """Order a stop, and wait for the answer; a robot that is not active refuses the order."""
         number = self._order(Action.STOP)
         self._requested = None
         end_s = time.monotonic() + _STOPPED_S
@@ -228,6 +228,6 @@ class _Session:
 
 def _end_for(came: set[int]) -> None:
     if signal.SIGHUP in came:
-        raise LostTerminalError("the terminal has gone; the robot was told to stop")
+        raise LostTerminalError("the terminal is gone; the robot was told to stop")
     if signal.SIGINT in came or signal.SIGTERM in came:
         raise RunInterruptedError("interrupted; the robot was told to stop")

@@ -1,4 +1,4 @@
-"""A gamepad, through SDL, which knows the layouts of hundreds. The left shoulder is the dead-man button.
+"""A gamepad, through SDL, which knows the layouts of hundreds of models. The left shoulder is the dead-man button.
 
 SDL is the extra ``teleop``: PySDL2 with its library.
 """
@@ -28,7 +28,7 @@ class Pad(NamedTuple):
 
 
 class Gamepads:
-    """The first gamepad found; another one when it has gone. Raises BadInputError where SDL is not installed."""
+    """The first gamepad found, or another one after it was unplugged. Raises BadInputError if SDL is not installed."""
 
     def __init__(self) -> None:
         self._sdl = _sdl()
@@ -88,13 +88,13 @@ def _sdl() -> Any:
     """Return SDL, ready for gamepads only."""
     try:
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # it names the library that it has found
+            warnings.simplefilter("ignore")  # it warns with the name of the library that it found
             import sdl2
     except ImportError as error:
         raise BadInputError(
             f"a gamepad needs SDL, and it is not installed ({error}); pip install 'mecanum-hil[teleop]'"
         ) from error
-    # We handle the signals, and no window can have the focus.
+    # Teleop handles signals itself, and has no window that could have the focus.
     sdl2.SDL_SetHint(sdl2.SDL_HINT_NO_SIGNAL_HANDLERS, b"1")
     sdl2.SDL_SetHint(sdl2.SDL_HINT_JOYSTICK_ALLOW_BACKGROUND_EVENTS, b"1")
     if sdl2.SDL_Init(sdl2.SDL_INIT_GAMECONTROLLER) != 0:

@@ -1,6 +1,6 @@
 """The dead-man switches: which keys are held, and whether the terminal is still there. Pure.
 
-Time is the caller's own, in seconds; it only grows.
+Time is the caller's own, in seconds; it never decreases.
 """
 
 import math
@@ -18,7 +18,7 @@ class Hold(NamedTuple):
 
 
 class ReleasingKeys:
-    """For a terminal that reports releases. A repeat of a released key is no press."""
+    """The held keys of a terminal that reports releases. A repeat of a released key does not count as a press."""
 
     def __init__(self) -> None:
         self._held: set[str] = set()
@@ -40,11 +40,11 @@ class ReleasingKeys:
 
 
 class RepeatedKeys:
-    """For a terminal that does not report releases: a key is held as long as the keyboard repeats it.
+    """The held keys of a terminal that does not report releases: a key is held as long as the keyboard repeats it.
 
-    The keyboard waits before the first repeat, and until then a tap looks like a held key. So a press counts
-    for ``FIRST_S`` at ``FIRST_SHARE`` of the speed, and each repeat for ``REPEAT_S`` at all of it. Keyboards repeat the
-    last key only, so only one is ever held.
+    The keyboard waits before the first repeat, and until then a tap looks like a held key. So a press counts for
+    ``FIRST_S`` at ``FIRST_SHARE`` of the speed, and each repeat for ``REPEAT_S`` at full speed. Keyboards repeat only
+    the last key, so only one key is ever held.
     """
 
     FIRST_S = 0.6
@@ -76,7 +76,7 @@ class RepeatedKeys:
 class Heartbeat:
     """Queries to a terminal that reports releases: one that does not answer could not report a release either.
 
-    Key repeats do not show it: when a second key is held, the first is not repeated any more.
+    Key repeats cannot replace the queries: when a second key is held, the first is no longer repeated.
     """
 
     PERIOD_S = 0.1
@@ -104,13 +104,15 @@ class Heartbeat:
 
 
 class DeadManButton:
-    """A gamepad's dead-man button. At first, and after a release, it counts only once it was seen released."""
+    """A gamepad's dead-man button. At first and after ``release`` it must be seen released before it can count as
+    held.
+    """
 
     def __init__(self) -> None:
         self._was_released = False
 
     def held(self, *, pressed: bool) -> bool:
-        """Return whether it counts as held."""
+        """Return whether the button counts as held."""
         self._was_released = self._was_released or not pressed
         return pressed and self._was_released
 

@@ -17,7 +17,7 @@ class Change(enum.Enum):
 
 
 class Key(NamedTuple):
-    """A key by its name, a lower-case character or one of ``_NAMED``; ``other`` is Alt or another modifier."""
+    """A key by its name: a lower-case character or one of ``_NAMED``. ``other``: Alt or another modifier is held."""
 
     name: str
     change: Change = Change.PRESS
@@ -26,13 +26,13 @@ class Key(NamedTuple):
 
 
 class Flags(NamedTuple):
-    """The terminal's answer to ``CSI ? u``: the protocol's enhancements in force."""
+    """The terminal's answer to ``CSI ? u``: the protocol's options in force."""
 
     flags: int
 
 
 class Attributes(NamedTuple):
-    """The terminal's answer to ``CSI c``. Every terminal gives it, after its answers to earlier queries."""
+    """The terminal's answer to ``CSI c``. Every terminal sends it, after its answers to earlier queries."""
 
 
 class Focus(NamedTuple):
@@ -53,7 +53,7 @@ _LONGEST_SEQUENCE = 64
 
 
 class KeyDecoder:
-    """Makes events of bytes, in chunks of any size. Keys that teleop does not use give no event."""
+    """Turns bytes, in chunks of any size, into events. Keys that teleop does not use give no event."""
 
     def __init__(self) -> None:
         self._rest = b""
@@ -78,7 +78,7 @@ class KeyDecoder:
         return events
 
     def settle(self) -> list[Event]:
-        """End the sequence that has begun, because nothing more came: it was the Esc key."""
+        """End a sequence that has begun but got no more bytes: it was the Esc key."""
         self._rest = b""
         return [Key("escape")]
 
@@ -135,7 +135,7 @@ def _arrow(final: str) -> Key | None:
 
 
 def _character(code: int) -> Key | None:
-    """Return the key of a character; those from 1 to 26 are letters with Ctrl."""
+    """Return the key of a character; codes 1 to 26 are letters with Ctrl."""
     if code in _NAMED:
         return Key(_NAMED[code])
     if 1 <= code <= 26:

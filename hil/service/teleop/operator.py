@@ -1,4 +1,4 @@
-"""From keys and a gamepad to wishes and twists. Pure; time is the caller's own, in seconds."""
+"""Turns keys and the state of a gamepad into wishes and twists. Pure; time is the caller's own, in seconds."""
 
 import enum
 import math
@@ -15,7 +15,7 @@ _LEAST_SHARE = 0.05
 
 
 class Speeds(NamedTuple):
-    """The speeds of full deflection, in the plane and in yaw."""
+    """The speeds at full deflection, in the plane and in yaw."""
 
     speed_m_s: float
     yaw_rate_rad_s: float
@@ -31,7 +31,7 @@ class Direction(NamedTuple):
 
 REST = Direction(0.0, 0.0, 0.0)
 
-# A compass around k on every keyboard, and the arrows.
+# A compass around k, at the same place on every keyboard, and the arrows.
 KEYS = {
     "up": Direction(1, 0, 0),
     "down": Direction(-1, 0, 0),
@@ -60,8 +60,8 @@ def of_keys(keys: AbstractSet[str]) -> Direction:
 def of_sticks(sticks: Sticks, dead_zone: float, expo: float) -> Direction:
     """Return the direction of the sticks.
 
-    Within ``dead_zone`` (0 to below 1) of its centre a stick is at rest, and from there its travel counts from 0.
-    ``expo`` (0 to 1) makes it finer near the centre: (1 - expo) r + expo r³. The left stick's angle is not changed.
+    A stick within ``dead_zone`` (0 to below 1) of its centre is at rest; beyond, its travel counts from 0. ``expo`` (0
+    to 1) makes it finer near the centre: (1 - expo) r + expo r³. The left stick's angle is not changed.
     """
     length = math.hypot(sticks.forward, sticks.left)
     share = _shaped(length, dead_zone, expo) / length if length else 0.0
@@ -83,7 +83,7 @@ def twist_of(direction: Direction, speeds: Speeds, share: float) -> BodyTwist:
 
 
 class Wish(enum.Enum):
-    """The meaning of a key, other than driving."""
+    """A wish of the operator other than driving."""
 
     STOP = "stop"
     ESTOP = "estop"
@@ -108,10 +108,12 @@ _NEVER_TOO_LATE = (Wish.STOP, Wish.ESTOP, Wish.DISARM, Wish.QUIT)
 
 
 class Operator:
-    """Makes wishes and twists of keys and a gamepad. The gamepad has priority while its dead-man button is held.
+    """Turns keys and the state of a gamepad into wishes and twists. The gamepad has priority while its dead-man button
+    is held.
 
     Attributes:
-        share: of the full speeds; + and - change it. may_arm: whether the next Enter arms, as after an a.
+        share: share of the full speeds; + and - change it. may_arm: whether Enter arms next, as it does after the key
+            a.
     """
 
     def __init__(self, keys: ReleasingKeys | RepeatedKeys, speeds: Speeds, dead_zone: float, expo: float) -> None:
@@ -127,7 +129,7 @@ class Operator:
 
     @property
     def speeds(self) -> Speeds:
-        """The present speeds of full deflection."""
+        """The present speeds at full deflection."""
         return Speeds(self._full.speed_m_s * self.share, self._full.yaw_rate_rad_s * self.share)
 
     def on_key(self, key: Key, now_s: float) -> Wish | None:
@@ -152,13 +154,13 @@ class Operator:
         return wish
 
     def on_late_key(self, key: Key) -> Wish | None:
-        """Process a key that was read too late: it moves nothing, but wishes that stop are returned."""
+        """Process a key that was read too late: it drives nothing, but wishes that stop the robot are returned."""
         self.release()
         wish = _wish_of(key) if key.change is Change.PRESS else None
         return wish if wish in _NEVER_TOO_LATE else None
 
     def on_pad(self, pad: Pad | None) -> Wish | None:
-        """Process the state of the gamepad, None without one; return its wish."""
+        """Process the state of the gamepad (None without one); return its wish."""
         if pad is None:
             self._button.release()
             self._is_on_sticks = self._estop_pressed = False
@@ -179,7 +181,7 @@ class Operator:
         return twist_of(of_keys(keys), self.speeds, share) if keys else None
 
     def release(self) -> None:
-        """Release everything: keys and button count again when they are pressed anew, and arming begins anew."""
+        """Release everything: keys and button count again only after a new press, and so does arming."""
         self.may_arm = False
         self._keys.release()
         self._button.release()

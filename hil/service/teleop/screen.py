@@ -24,7 +24,7 @@ _HELP = (
 
 
 class View(NamedTuple):
-    """Content of the screen. ``requested`` is None when no dead-man switch is held, ``gamepad`` None if not wanted."""
+    """Content of the screen. ``asked``: None if no dead-man switch is held; ``gamepad``: None if not used."""
 
     status: Mapping[str, Any] | None
     status_age_s: float
@@ -66,7 +66,7 @@ def _ms(time_s: float | None) -> float | None:
 
 
 def _got(status: Mapping[str, Any] | None) -> str:
-    """Return the robot's twist in its own frame, like the wanted one."""
+    """Return the robot's twist in its body frame, like the wanted one."""
     if status is None or status["twist"] is None or status["pose"] is None:
         return "not known"
     return _twist(to_body(Twist(*status["twist"]), status["pose"][2]))

@@ -1,4 +1,4 @@
-"""The terminal of teleop: keys as they are pressed and a screen of its own, restored at the end. POSIX only."""
+"""The terminal of teleop: reads single key presses, shows its own screen, and is restored at the end. POSIX only."""
 
 import contextlib
 import os
@@ -13,23 +13,24 @@ from types import FrameType
 from hil.core.errors import BadInputError, LinkError
 from hil.service.teleop.keys import Attributes, Event, Flags, KeyDecoder
 
-# Kitty's keyboard protocol: 1 no sequence of Esc is ambiguous, 2 press, repeat and release, 8 for every key.
+# Kitty's keyboard protocol: 1 makes the Esc key unambiguous, 2 reports press, repeat and release, 8 does so for every
+# key.
 _REQUIRED_FLAGS = 1 | 2 | 8
 _PUSH_FLAGS, _POP_FLAGS = b"\x1b[>11u", b"\x1b[<u"
 _QUERY_FLAGS, _QUERY_ATTRIBUTES = b"\x1b[?u", b"\x1b[c"
-# The alternate screen has keyboard flags of its own, so it comes first. 25: cursor; 1004: report the window's focus.
+# The alternate screen has its own keyboard flags, so it comes first. 25: cursor; 1004: report the window's focus.
 _ENTER = b"\x1b[?1049h\x1b[?25l\x1b[?1004h"
 _LEAVE = b"\x1b[?1004l\x1b[?25h\x1b[?1049l"
 _Attributes = list[int | list[bytes | int]]
 _HOME, _REST_OF_LINE, _REST_OF_SCREEN = "\x1b[H", "\x1b[K", "\x1b[J"
 _ANSWER_S = 1.0
-"""Timeout for the slowest network; a local terminal answers at once."""
+"""Timeout for an answer over a slow network; a local terminal answers at once."""
 _ESC_S = 0.05
-"""After it an ESC is the key, and not the beginning of a sequence."""
+"""After this time an ESC byte is the Esc key, not the start of a sequence."""
 
 
 class LostTerminalError(LinkError):
-    """The terminal has gone, and with it the operator."""
+    """The terminal is gone, and with it the operator."""
 
 
 class Terminal:
@@ -40,8 +41,8 @@ class Terminal:
 
     def __init__(self) -> None:
         if not (sys.stdin.isatty() and sys.stdout.isatty()):
-            raise BadInputError("teleop needs a terminal for keys and screen; begin it in one, without pipes")
-        # Asked now, because the answer is no after the terminal has gone.
+            raise BadInputError("teleop needs a terminal for keys and screen; start it in one, without pipes")
+        # Asked now, because isatty returns False once the terminal is gone.
         self._streams = [stream.fileno() for stream in (sys.stdin, sys.stdout, sys.stderr) if stream.isatty()]
         self._in, self._out = self._streams[:2]
         self._before: _Attributes | None = None
@@ -79,7 +80,7 @@ class Terminal:
             termios.tcsetattr(self._in, termios.TCSAFLUSH, before)
 
     def forget(self) -> None:
-        """Send the output to the null device after the terminal has gone, so that no print fails."""
+        """Send the output to the null device after the terminal is gone, so that no print fails."""
         null = os.open(os.devnull, os.O_RDWR)
         for stream in self._streams:
             os.dup2(null, stream)
@@ -92,14 +93,14 @@ class Terminal:
         return other in ready
 
     def read(self) -> list[Event]:
-        """Return the events that have come; does not wait."""
+        """Return the events that have arrived; does not wait."""
         now_s = time.monotonic()
         if not self._is_ready():
             return self._decoder.settle() if self._decoder.waits and now_s - self._esc_s >= _ESC_S else []
         with _lost():
             data = os.read(self._in, 4096)
         if not data:
-            raise LostTerminalError("the terminal has gone")
+            raise LostTerminalError("the terminal is gone")
         self._esc_s = now_s
         return self._decoder.feed(data)
 
@@ -112,7 +113,7 @@ class Terminal:
         try:
             size = os.get_terminal_size(self._out)
         except OSError:
-            raise LostTerminalError("the terminal has gone") from None
+            raise LostTerminalError("the terminal is gone") from None
         columns, rows = size.columns or 80, size.lines or 24
         shown = f"{_REST_OF_LINE}\r\n".join(line[:columns] for line in lines[:rows])
         self._write(f"{_HOME}{shown}{_REST_OF_LINE}{_REST_OF_SCREEN}".encode())
@@ -136,7 +137,7 @@ class Terminal:
         return bool(ready)
 
     def _write(self, data: bytes, within_s: float = 0.0) -> None:
-        """Write, unless the terminal is blocked: that must not delay stopping the robot."""
+        """Write, unless the terminal is blocked, because that must not delay stopping the robot."""
         with _lost():
             _, ready, _ = select.select([], [self._out], [], within_s)
             if ready:
@@ -148,11 +149,11 @@ def _lost() -> Iterator[None]:
     try:
         yield
     except (OSError, termios.error):
-        raise LostTerminalError("the terminal has gone") from None
+        raise LostTerminalError("the terminal is gone") from None
 
 
 class Signals:
-    """Signals to wait for like keys: when one comes, ``fd`` becomes readable."""
+    """Makes signals wait for like keys: ``fd`` becomes readable when one comes."""
 
     NOTED = (signal.SIGHUP, signal.SIGINT, signal.SIGTERM, signal.SIGTSTP, signal.SIGCONT)
 
@@ -186,4 +187,4 @@ class Signals:
 
 
 def _note(_number: int, _frame: FrameType | None) -> None:
-    """Do nothing: the wakeup pipe has the number."""
+    """Do nothing: Python writes the signal's number to the wakeup pipe."""
