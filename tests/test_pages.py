@@ -8,8 +8,15 @@ import pytest
 from hil.cli.commands import SHIPPED
 from tests.processes import ROOT
 
-OUTSIDE = {".git", ".venv", "build", "dist", "node_modules", "runs"}
-PAGES = sorted(page for page in ROOT.rglob("*.md") if not any(part in OUTSIDE for part in page.relative_to(ROOT).parts))
+OUTSIDE = {"build", "dist", "node_modules", "runs"}
+
+
+def is_ours(page: Path) -> bool:
+    """Whether a page is none of what tools leave behind."""
+    return not any(part in OUTSIDE or part.startswith(".") for part in page.relative_to(ROOT).parts)
+
+
+PAGES = sorted(filter(is_ours, ROOT.rglob("*.md")))
 GUIDES = [ROOT / name for name in ("README.md", "ARCHITECTURE.md", "CONTRIBUTING.md")]
 # Rooms of ours in backticks. NAME stands for one's own; a file that is built is not in a fresh checkout.
 OURS = re.compile(r"`((?:hil|plant_fmu|firmware_protocol|tools|tests|docs)/[\w./-]*)`")
