@@ -18,7 +18,7 @@ from hil.cli.main import app
 from hil.core.errors import BadInputError
 from hil.core.outputs import claim, free_name, write_whole
 from hil.record import Recording
-from hil.record.files import check_output_path, new_in_runs, part_path
+from hil.record.files import check_output_path, new_in_runs, numbered_path
 from hil.review import read
 from hil.wire.trace import Trace
 from tests.recorded_circle import circle_rows
@@ -145,7 +145,7 @@ def test_a_numbered_recording_is_no_part_of_another(tmp_path: Path) -> None:
         report = recording.finish({})
     assert recording.path == report.path == tmp_path / "run_2.mcap"
     assert report.parts == (tmp_path / "run_2.mcap",)
-    assert recording.path not in [part_path(first, number) for number in range(1, 10)]
+    assert recording.path not in [numbered_path(first, number) for number in range(1, 10)]
     assert len(read(recording.path).signals["loop.t_s"]) == 20
 
 

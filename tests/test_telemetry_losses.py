@@ -17,7 +17,7 @@ from hil.core.errors import BadInputError
 from hil.core.signals import SIGNAL_NAMES
 from hil.judge.words import outcome_rows
 from hil.record import Recording, Rotation, check_output_path, ring_process
-from hil.record.files import has_end, part_path
+from hil.record.files import has_end, numbered_path
 from hil.record.ring import RingReader, RingWriter, SharedBlock, ring_bytes
 from hil.record.ring_child import RefusedError
 from hil.record.run_files import RunFiles
@@ -44,7 +44,7 @@ def rotated(tmp_path_factory: pytest.TempPathFactory) -> Path:
                 recording.event(row[0], "info", f"tick {tick}")
             recording.put(row)
         report = recording.finish({"passed": True})
-    assert report.parts == (path, part_path(path, 2), part_path(path, 3))
+    assert report.parts == (path, numbered_path(path, 2), numbered_path(path, 3))
     assert report.troubles == ()
     return path
 
@@ -60,7 +60,7 @@ class Memory:
         self._config: dict[str, Any] = {"path": str(path), "properties": {}, "signals": list(SIGNAL_NAMES)}
         self._config |= {"recording_id": "one", "zero_unix_ns": 0, "rotate": [None, None]}
 
-    def parts(self, restarts: int = 0) -> RunFiles:
+    def files(self, restarts: int = 0) -> RunFiles:
         return RunFiles({**self._config, "restarts": restarts}, self.ring)
 
     def copy(self) -> bytes:
@@ -119,7 +119,7 @@ def test_parts_that_are_removed_in_mid_run_are_counted_as_lost(tmp_path: Path) -
 
 def test_what_a_killed_recorder_had_no_time_to_count_is_in_the_recording_once(memory: Memory, tmp_path: Path) -> None:
     rows = list(circle_rows(30))
-    first = memory.parts()
+    first = memory.files()
     first.event(0.0, "info", "counted")
     first.check()
     for row in rows[:20]:
@@ -128,7 +128,7 @@ def test_what_a_killed_recorder_had_no_time_to_count_is_in_the_recording_once(me
     first.event(0.01, "info", "written")
     first.write_until(20)
     memory.restore(before)  # the file has them; the recorder was killed before it could say so
-    second = memory.parts(restarts=1)
+    second = memory.files(restarts=1)
     second.event(0.01, "info", "written")
     second.event(0.02, "info", "later")
     for row in rows[20:]:
@@ -137,7 +137,7 @@ def test_what_a_killed_recorder_had_no_time_to_count_is_in_the_recording_once(me
     whole, signals = decode(tmp_path / "run.mcap")
     assert [text for _, _, text in whole["events"]] == ["counted", "written", "later"]
     assert signals["loop.tick"].tolist() == list(range(30))
-    assert decode(part_path(tmp_path / "run.mcap", 2))[0]["rows"] == 30
+    assert decode(numbered_path(tmp_path / "run.mcap", 2))[0]["rows"] == 30
     assert whole["notes"] == []
 
 
@@ -146,7 +146,7 @@ def test_a_recorder_that_is_told_to_end_leaves_what_it_cannot_write_to_the_next(
     folder = tmp_path / "runs"
     folder.mkdir()
     memory_of_folder = Memory(folder / "run.mcap")
-    parts = memory_of_folder.parts()
+    parts = memory_of_folder.files()
     shutil.rmtree(folder)
     folder.write_text("in the place of the folder")
     for row in circle_rows(30):
@@ -184,35 +184,35 @@ def test_a_file_that_cannot_have_its_beginning_is_refused_at_once(tmp_path: Path
     """rerun now and then waits for ever for such a file: its constructor must not be reached."""
     memory = Memory(tmp_path / "run.rrd")
     with files_of_at_most(5000), pytest.raises(RefusedError, match="File too large"):
-        memory.parts()
+        memory.files()
     assert list(tmp_path.iterdir()) == []
     memory.close()
 
 
 def test_a_part_does_not_take_the_place_of_another_runs(tmp_path: Path) -> None:
     path = tmp_path / "run.mcap"
-    part_path(path, 2).write_text("of another run")
+    numbered_path(path, 2).write_text("of another run")
     with Recording(path, properties={}, blocking=True, rotation=ROTATION) as recording:
         for row in circle_rows(300):
             recording.put(row)
         report = recording.finish({})
-    assert part_path(path, 2).read_text() == "of another run"
+    assert numbered_path(path, 2).read_text() == "of another run"
     assert report.complete
-    assert report.parts == (path, part_path(path, 3))
+    assert report.parts == (path, numbered_path(path, 3))
     assert report.troubles == ("it did not go on in run-2.mcap: there was such a file before, which was left alone",)
-    part_path(path, 2).unlink()
+    numbered_path(path, 2).unlink()
     assert decode(path)[0]["rows"] == 300
 
 
 @pytest.mark.parametrize("what", ["recording", "overlay"])
 def test_a_later_part_is_not_written_over(rotated: Path, what: str) -> None:
     with pytest.raises(BadInputError, match=r"run-2\.rrd: by its name it is a later part of run\.rrd; choose another"):
-        check_output_path(what, part_path(rotated, 2))
-    check_output_path(what, part_path(rotated, 4))
+        check_output_path(what, numbered_path(rotated, 2))
+    check_output_path(what, numbered_path(rotated, 4))
 
 
 def test_a_part_alone_says_so_and_where_the_others_are(rotated: Path, tmp_path: Path) -> None:
-    assert decode(part_path(rotated, 2))[0]["notes"] == [
+    assert decode(numbered_path(rotated, 2))[0]["notes"] == [
         "run-2.rrd is part 2 of its run, from row 200 on, and read alone; review run.rrd for the whole run",
         "the run went on in part 3, which is not read here",
     ]
@@ -221,15 +221,15 @@ def test_a_part_alone_says_so_and_where_the_others_are(rotated: Path, tmp_path: 
     assert reviewed["notes"][0] == "the run went on in part 2, which is not read here"
     assert reviewed["failure"] == "the recording has no summary: it is in a later part, which was not read"
     for number in (2, 3):
-        shutil.copy(part_path(rotated, number), tmp_path / f"other-{number}.rrd")
+        shutil.copy(numbered_path(rotated, number), tmp_path / f"other-{number}.rrd")
     note = decode(tmp_path / "other-2.rrd")[0]["notes"][0]
     assert note.endswith("other.rrd, with which the run began, is not beside it, but other-3.rrd")
 
 
 def test_a_part_is_one_by_its_own_number(rotated: Path, tmp_path: Path) -> None:
-    for path in (rotated, part_path(rotated, 2), part_path(rotated, 3)):
+    for path in (rotated, numbered_path(rotated, 2), numbered_path(rotated, 3)):
         shutil.copy(path, tmp_path)
-    shutil.copy(part_path(rotated, 2), tmp_path / "run-7.rrd")
+    shutil.copy(numbered_path(rotated, 2), tmp_path / "run-7.rrd")
     decoded, signals = decode(tmp_path / "run.rrd")
     assert decoded["notes"] == ["run-7.rrd is left out: it is part 2 of the run, by what it says itself"]
     assert signals["loop.tick"].tolist() == list(range(500))
@@ -239,7 +239,7 @@ def test_a_part_is_one_by_its_own_number(rotated: Path, tmp_path: Path) -> None:
 def test_parts_that_rerun_has_made_one_file_of_are_one_run(rotated: Path, tmp_path: Path) -> None:
     """Its tool puts what a file says of itself behind the rows."""
     path = tmp_path / "one.rrd"
-    parts = [part_path(rotated, number) for number in (3, 1, 2)]
+    parts = [numbered_path(rotated, number) for number in (3, 1, 2)]
     subprocess.run([viewer_executable(), "rrd", "optimize", *parts, "-o", path], check=True, capture_output=True)
     decoded, signals = decode(path)
     assert signals["loop.tick"].tolist() == list(range(500))

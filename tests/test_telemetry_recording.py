@@ -16,7 +16,7 @@ from hil.core.errors import BadInputError, DeviceError
 from hil.core.signals import SIGNAL_NAMES
 from hil.record import Recording, RecordingReport, check_output_path, early_recorder, ring_process, rotation
 from hil.record.environment import rerun_environment
-from hil.record.files import part_path
+from hil.record.files import numbered_path
 from hil.record.started_process import StartedProcess
 from hil.review import Event, figures, read
 from hil.review.decode import decode
@@ -131,7 +131,7 @@ def test_a_recorder_that_is_killed_is_restarted_and_nothing_is_lost(tmp_path: Pa
     assert report.complete
     assert report.restarts == 1
     assert report.troubles == ("the recorder ended: exit status -9",)
-    assert report.parts == (tmp_path / name, part_path(tmp_path / name, 2))
+    assert report.parts == (tmp_path / name, numbered_path(tmp_path / name, 2))
     assert (report.rows_put, report.rows_written) == (3000, 3000)
     assert_same_bits(tmp_path / name, 3000)
     run = read(tmp_path / name)
@@ -169,14 +169,14 @@ def test_the_run_goes_on_when_the_recorder_dies_again_and_again(
 @pytest.mark.parametrize("name", ["run.rrd", "run.mcap"])
 def test_a_long_run_goes_on_in_another_file_each_of_which_is_whole(tmp_path: Path, name: str) -> None:
     path = tmp_path / name
-    part_path(path, 4).write_bytes(path_of_another_run(tmp_path, name).read_bytes())
+    numbered_path(path, 4).write_bytes(path_of_another_run(tmp_path, name).read_bytes())
     rotate = rotation("900MB|1s")
     with Recording(path, properties={"law": "none"}, blocking=True, rotation=rotate) as recording:
         for row in circle_rows(2500):
             recording.put(row)
         report = recording.finish({"passed": True})
     assert report.complete
-    assert report.parts == (path, part_path(path, 2), part_path(path, 3))
+    assert report.parts == (path, numbered_path(path, 2), numbered_path(path, 3))
     assert_same_bits(path, 2500)
     whole, _ = decode(path)
     assert (whole["parts"], whole["notes"], whole["summary"]) == ([*map(str, report.parts)], [], {"passed": True})
@@ -184,7 +184,7 @@ def test_a_long_run_goes_on_in_another_file_each_of_which_is_whole(tmp_path: Pat
         alone, _ = decode(part)
         assert alone["rows"] == rows
         assert alone["properties"] == {"law": "none"}
-    part_path(path, 2).unlink()
+    numbered_path(path, 2).unlink()
     broken, _ = decode(path)
     assert broken["rows_missing"] == 1000
     assert broken["notes"] == ["1000 rows between its parts were lost"]

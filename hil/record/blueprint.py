@@ -22,7 +22,7 @@ _POSITION_ERROR = "/ctrl/error/position"
 _SPEED = ("/ctrl/wheel/command/speed", "/ctrl/wheel/speed")
 _TORQUE = "/ctrl/wheel/command/torque"
 
-Part = rrb.View | rrb.Container
+Pane = rrb.View | rrb.Container
 
 
 def blueprint(
@@ -51,14 +51,14 @@ def blueprint(
     )
 
 
-def _column_pair(name: str, views: Sequence[Part | None]) -> Part | None:
+def _column_pair(name: str, views: Sequence[Pane | None]) -> Pane | None:
     """Put the views that are not None into two columns, filled row by row; return None when there is none."""
     there = _there(*views)
     columns = [rrb.Vertical(*one) for one in (there[::2], there[1::2]) if one]
     return rrb.Horizontal(*columns, name=name) if columns else None
 
 
-def _there(*views: Part | None) -> list[Part]:
+def _there(*views: Pane | None) -> list[Pane]:
     return [view for view in views if view is not None]
 
 
@@ -88,7 +88,7 @@ class _Views:
             plot_legend=rrb.PlotLegend(corner=self._corner),
         )
 
-    def robot(self, shape: RobotShape | None) -> Part:
+    def robot(self, shape: RobotShape | None) -> Pane:
         """Return the first tab: the robot, its path, its errors, its wheels and its states."""
         spaces = [self.plan()] if shape is None else [self.scene(shape), self.plan()]
         errors = (
@@ -112,14 +112,14 @@ class _Views:
             name="Robot",
         )
 
-    def position_error_close(self) -> Part | None:
+    def position_error_close(self) -> Pane | None:
         """The position error near zero, with its bounds."""
         bounds = [abs(limit.value) for limit in self._limits.get(_POSITION_ERROR, ()) if limit.value]
         half_m = _CLOSE_BOUNDS * min(bounds) if bounds else _CLOSE_M
         name = f"Position error within {half_m * 1e3:g} mm, and its bounds [m]"
         return self.plot(name, _POSITION_ERROR, y_range=(-half_m, half_m))
 
-    def wheels(self) -> list[Part | None]:
+    def wheels(self) -> list[Pane | None]:
         return [
             self.plot("Wheel speed: command (wide) and estimate, and bounds [rad/s]", *_SPEED),
             self.plot("Torque command and limits [N·m]", _TORQUE),
@@ -129,7 +129,7 @@ class _Views:
             self.plot("Battery [V] and [A]", "/robot/battery"),
         ]
 
-    def law(self) -> list[Part | None]:
+    def law(self) -> list[Pane | None]:
         shadows = [path for path in self._paths if path.startswith(f"{MORE_PATH}/{SHADOW_GROUP}/")]
         others = [path for path in self._paths if path.startswith(f"{MORE_PATH}/") and path not in shadows]
         return [
@@ -141,7 +141,7 @@ class _Views:
             *(self.plot(_words(path), path, limits=False) for path in others),
         ]
 
-    def link(self) -> list[Part | None]:
+    def link(self) -> list[Pane | None]:
         return [
             self.plot("Lateness and work of a tick [µs]", "/loop/timing"),
             self.plot("Round trip and latency [ms]", "/link/delay"),
@@ -153,7 +153,7 @@ class _Views:
             self.plot("Robot's clock faster [ppm]", "/link/clock/drift", limits=False),
         ]
 
-    def sensors(self) -> list[Part | None]:
+    def sensors(self) -> list[Pane | None]:
         return [
             self.plot("Standard deviation of the estimate [m] and [rad]", "/ctrl/estimator/sigma"),
             self.plot("Pose fixes so far", "/ctrl/estimator/fixes"),
@@ -163,16 +163,16 @@ class _Views:
             self.plot("Slip: 1 for yes; health: 0 good, 2 lost", "/ctrl/estimator/state", limits=False),
         ]
 
-    def states(self) -> Part:
+    def states(self) -> Pane:
         lanes = [ROBOT_LANE, "/link/state", "/ctrl/estimator/health", f"{FAULT_LANES}/**"]
         return rrb.StateTimelineView(
             origin="/", contents=lanes, name="States: robot, link, estimator, faults", time_ranges=self._window
         )
 
-    def events(self) -> Part:
+    def events(self) -> Pane:
         return rrb.TextLogView(origin="/events", name="Events: faults, expectations, warnings")
 
-    def scene(self, shape: RobotShape) -> Part:
+    def scene(self, shape: RobotShape) -> Pane:
         """The robot from behind and above; the camera follows it."""
         far = 1.3 * (shape.half_length_m + shape.half_width_m)
         scale = f"{1e3 * shape.force_scale_m_n:g} mm/N"
@@ -189,7 +189,7 @@ class _Views:
             ),
         )
 
-    def plan(self) -> Part:
+    def plan(self) -> Pane:
         return rrb.Spatial2DView(
             name="Plan [m]: reference orange, estimate green, truth blue",
             # From the root: a transform on the origin itself would not apply.

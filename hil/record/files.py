@@ -45,7 +45,7 @@ def check_output_path(what: str, path: Path, existing: Existing = "refuse") -> N
         problem = "it is a folder; name a file in it"
     elif path.is_fifo() or path.is_socket():
         problem = "it is a pipe or a socket; name a file"
-    elif existing != "number" and (first := _first_part(path)) is not None:
+    elif existing != "number" and (first := _first_file(path)) is not None:
         problem = f"by its name it is a later part of {first.name}; choose another name, or remove it before"
     elif not folder.is_dir():
         problem = f"there is no folder {folder}; make it, or choose another path"
@@ -59,7 +59,7 @@ def check_output_path(what: str, path: Path, existing: Existing = "refuse") -> N
     raise BadInputError(f"{what} {path}: {problem}")
 
 
-def _first_part(path: Path) -> Path | None:
+def _first_file(path: Path) -> Path | None:
     """Return the recording of which an existing file is a later part by its name, and so must not be replaced."""
     name = re.fullmatch(r"(.+)-([1-9]\d*)", path.stem)
     if name is None or int(name[2]) < 2 or path.suffix not in _MAGICS or not path.exists():
@@ -100,7 +100,7 @@ def check_is_recording(path: Path) -> str:
         with path.open("rb") as file:
             start = file.read(max(map(len, _MAGICS.values())))
     except OSError as error:
-        hint = f"; there is {parts[0]}, a later part of it" if (parts := later_parts(path)) else ""
+        hint = f"; there is {parts[0]}, a later part of it" if (parts := later_files(path)) else ""
         raise BadInputError(f"{path}: {error.strerror}; expected {EXPECTED_FILE}{hint}") from error
     if not start:
         raise BadInputError(f"{path}: the file is empty; expected {EXPECTED_FILE}")
@@ -110,7 +110,7 @@ def check_is_recording(path: Path) -> str:
     raise BadInputError(f"{path}: not a recording; expected {EXPECTED_FILE}")
 
 
-def part_path(path: Path, number: int) -> Path:
+def numbered_path(path: Path, number: int) -> Path:
     """Return the file of a recording's part: RUN.rrd is the first, RUN-2.rrd the second."""
     return path if number == 1 else path.with_name(f"{path.stem}-{number}{path.suffix}")
 
@@ -126,7 +126,7 @@ def has_end(path: Path, kind: str) -> bool:
         return False
 
 
-def later_parts(path: Path) -> list[Path]:
+def later_files(path: Path) -> list[Path]:
     """Return the files beside a recording that by their names are later parts of it, in order."""
     name = re.compile(rf"{re.escape(path.stem)}-([1-9]\d*){re.escape(path.suffix)}")
     others = path.parent.iterdir() if path.parent.is_dir() else ()

@@ -13,7 +13,7 @@ from typing import Any, Protocol, Self
 from hil.core.outputs import Existing, claim, release
 from hil.core.signals import SIGNAL_NAMES
 from hil.record.environment import WITH_RERUN, rerun_environment
-from hil.record.files import Rotation, check_output_path, part_path
+from hil.record.files import Rotation, check_output_path, numbered_path
 from hil.record.ring import Kept
 from hil.record.ring_process import RingProcess
 from hil.record.started_process import StartedProcess
@@ -221,8 +221,8 @@ class Recording:
 
     def _make_report(self, reply: Mapping[str, Any]) -> RecordingReport:
         process = self._process
-        kept = {} if self.path is None else process.parts
-        paths = {} if self.path is None else {number: part_path(self.path, number) for number in kept}
+        kept = {} if self.path is None else process.files
+        paths = {} if self.path is None else {number: numbered_path(self.path, number) for number in kept}
         gone = [number for number, path in paths.items() if not path.exists()]
         rows_gone, events_gone = sum(kept[number].rows for number in gone), sum(kept[number].lines for number in gone)
         written = process.rows_saved - rows_gone
@@ -252,5 +252,5 @@ class Recording:
     def _left_alone(self, kept: Mapping[int, Kept]) -> Iterator[str]:
         """Name the files of other runs that are where a file of this run would have been written."""
         if self.path is not None and len(kept) < max(kept, default=0):
-            others = [part_path(self.path, number).name for number in range(1, max(kept)) if number not in kept]
+            others = [numbered_path(self.path, number).name for number in range(1, max(kept)) if number not in kept]
             yield f"it did not go on in {', '.join(others)}: there was such a file before, which was left alone"

@@ -27,11 +27,11 @@ Row = tuple[float, ...]
 Rows: TypeAlias = "npt.NDArray[np.float64]"
 
 # Words of the header, 8 bytes each. What the two sides write lies in cache lines of its own.
-_CAPACITY, _WIDTH, _HEAD, _DROPPED, _TAIL, _LOST, _LINES, _LINES_LOST, _PART = 0, 1, 8, 9, 16, 17, 18, 19, 20
+_CAPACITY, _WIDTH, _HEAD, _DROPPED, _TAIL, _LOST, _LINES, _LINES_LOST, _FILE_NUMBER = 0, 1, 8, 9, 16, 17, 18, 19, 20
 _TABLE = 24  # from here on, for each file: the rows and lines that were saved when it was begun
-MOST_PARTS = 16384
+MOST_FILES = 16384
 _SKIPPED = -1
-_HEADER_BYTES = 8 * (_TABLE + 2 * MOST_PARTS)
+_HEADER_BYTES = 8 * (_TABLE + 2 * MOST_FILES)
 
 
 class SharedBlock:
@@ -150,13 +150,13 @@ class _Counts:
         return self._words[_LINES_LOST]
 
     @property
-    def part(self) -> int:
+    def file_number(self) -> int:
         """Number of the file that was opened last, by this consumer or the one before it; 0 before the first."""
-        return self._words[_PART]
+        return self._words[_FILE_NUMBER]
 
-    def parts(self) -> dict[int, Kept]:
-        """Return how much is in each file, by the file's number; ``MOST_PARTS`` also counts the files after it."""
-        begun = {number: self._begun(number) for number in range(1, min(self.part, MOST_PARTS) + 1)}
+    def files(self) -> dict[int, Kept]:
+        """Return how much is in each file, by the file's number; ``MOST_FILES`` also counts the files after it."""
+        begun = {number: self._begun(number) for number in range(1, min(self.file_number, MOST_FILES) + 1)}
         numbers = [number for number, kept in begun.items() if kept.rows != _SKIPPED]
         ends = [*(begun[number] for number in numbers[1:]), Kept(self.saved, self.lines_saved - self.lines_lost)]
         return {
@@ -275,18 +275,18 @@ class RingReader(_Counts):
         """Count so many more lines as safe in a file."""
         self._words[_LINES] += count
 
-    def begin_part(self, number: int) -> None:
+    def begin_file(self, number: int) -> None:
         """Record that file ``number`` was opened, and that the numbers skipped before it have no file of this run."""
-        for skipped in range(self.part + 1, min(number, MOST_PARTS + 1)):
+        for skipped in range(self.file_number + 1, min(number, MOST_FILES + 1)):
             self._words[_TABLE + 2 * (skipped - 1)] = _SKIPPED
-        if number <= MOST_PARTS:
+        if number <= MOST_FILES:
             at = _TABLE + 2 * (number - 1)
             self._words[at], self._words[at + 1] = self.saved, self.lines_saved - self.lines_lost
-        self._words[_PART] = number
+        self._words[_FILE_NUMBER] = number
 
-    def lose_part(self) -> None:
+    def lose_file(self) -> None:
         """Count the rows and lines in the newest file as lost."""
-        kept = self.parts()[min(self.part, MOST_PARTS)]
+        kept = self.files()[min(self.file_number, MOST_FILES)]
         self._words[_LOST] += kept.rows
         self._words[_LINES_LOST] += kept.lines
 

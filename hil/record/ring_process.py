@@ -114,9 +114,9 @@ class RingProcess:
         return self._ring.dropped
 
     @property
-    def parts(self) -> dict[int, Kept]:
+    def files(self) -> dict[int, Kept]:
         """How much is in each file, by the file's number from 1; a number that was skipped is left out."""
-        return self._ring.parts()
+        return self._ring.files()
 
     @property
     def lines_lost(self) -> int:

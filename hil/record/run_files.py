@@ -15,8 +15,8 @@ from typing import Protocol
 import numpy as np
 
 from hil.core.outputs import release
-from hil.record.files import Rotation, check_writable, has_end, part_path, why_not_written
-from hil.record.ring import MOST_PARTS, RingReader, Rows
+from hil.record.files import Rotation, check_writable, has_end, numbered_path, why_not_written
+from hil.record.ring import MOST_FILES, RingReader, Rows
 from hil.record.ring_child import Record, RefusedError
 
 BATCH_ROWS = 1000
@@ -64,7 +64,7 @@ class RunFiles:
         self._t_column = config["signals"].index("loop.t_s")
         self._events: list[tuple[float, str, str]] = []
         self._file: RunFile | None = None
-        self._part_path = self._path
+        self._file_path = self._path
         self._identity: tuple[int, int] | None = None
         self._begun_s: float | None = None
         # Files that could not be written are kept and never closed: rerun may wait for ever to close one whose disk is
@@ -85,13 +85,13 @@ class RunFiles:
 
     def check(self) -> None:
         """Write waiting events, and begin a new file if the current one was removed."""
-        if self._events or (self._file is not None and _identity(self._part_path) != self._identity):
+        if self._events or (self._file is not None and _identity(self._file_path) != self._identity):
             self._write(lambda _file: None)
 
     def write_until(self, stop: int) -> None:
         """Write the rows of the ring before ``stop``, and release those that are safe."""
         while (start := self._ring.tail) < stop:
-            rows = self._of_one_part(self._ring.rows(start, min(stop, start + BATCH_ROWS)))
+            rows = self._of_one_file(self._ring.rows(start, min(stop, start + BATCH_ROWS)))
             end = start + len(rows)
             if self._write(lambda file, rows=rows: file.rows(rows)):  # type: ignore[misc]
                 self._ring.release(end)
@@ -116,21 +116,21 @@ class RunFiles:
         if not self._finish_file(summary) and not self._finish_file(summary):  # the second try writes a new file
             self.summary_trouble = f"its summary could not be written: {self.trouble}"
 
-    def _finish_file(self, summary: Record | None, next_part: int | None = None) -> bool:
+    def _finish_file(self, summary: Record | None, next_number: int | None = None) -> bool:
         """Write the end of the file and close it; False when that could not be written."""
         self._next_try_s = 0.0
-        if not self._write(lambda file: file.finish(summary, self._counts(next_part))):
+        if not self._write(lambda file: file.finish(summary, self._counts(next_number))):
             return False
         self._write(lambda file: file.close(), flush=False)
-        if not has_end(self._part_path, self._part_path.suffix):
-            trouble = f"the index at the end of {self._part_path.name} could not be written"
+        if not has_end(self._file_path, self._file_path.suffix):
+            trouble = f"the index at the end of {self._file_path.name} could not be written"
             self.trouble = trouble if self.trouble is None else f"{self.trouble}; {trouble}"
         return True
 
-    def _counts(self, next_part: int | None) -> dict[str, int]:
+    def _counts(self, next_number: int | None) -> dict[str, int]:
         ring = self._ring
-        kept = ring.parts()
-        gone = [kept[number].rows for number in kept if not part_path(self._path, number).exists()]
+        kept = ring.files()
+        gone = [kept[number].rows for number in kept if not numbered_path(self._path, number).exists()]
         written = ring.saved - sum(gone)
         counts = {
             "rows_written": written,
@@ -138,7 +138,7 @@ class RunFiles:
             "rows_lost": ring.tail - written,
             "rows_in_part": kept[max(kept)].rows,
         }
-        return counts if next_part is None else {**counts, "next_part": next_part}
+        return counts if next_number is None else {**counts, "next_part": next_number}
 
     def _write(self, write: Callable[[RunFile], None], *, flush: bool = True) -> bool:
         """Write waiting events to the file, then call ``write`` with it; False when that failed."""
@@ -173,7 +173,7 @@ class RunFiles:
 
     def _open(self) -> None:
         number = self._next_number()
-        path = part_path(self._path, number)
+        path = numbered_path(self._path, number)
         if number > 1:
             path.parent.mkdir(parents=True, exist_ok=True)
             if shutil.disk_usage(path.parent).free < _ROOM_BYTES:
@@ -196,20 +196,20 @@ class RunFiles:
         except (RuntimeError, OSError):
             release(path)
             raise
-        self._ring.begin_part(number)
+        self._ring.begin_file(number)
         self._identity = _identity(path)
-        self._part_path = path
+        self._file_path = path
 
     def _next_number(self) -> int:
         """Return the number of the next file; a number whose file exists is skipped: that file is another run's."""
-        number = self._ring.part + 1
-        while number > 1 and part_path(self._path, number).exists():
+        number = self._ring.file_number + 1
+        while number > 1 and numbered_path(self._path, number).exists():
             number += 1
         return number
 
     def _give_up(self, error: Exception) -> None:
         """Stop writing to the file; the next one is tried after a pause, which doubles with each failure."""
-        self.trouble = why_not_written(part_path(self._path, max(1, self._ring.part)), error)
+        self.trouble = why_not_written(numbered_path(self._path, max(1, self._ring.file_number)), error)
         if isinstance(error, RuntimeError):
             self._abandoned.append(error)
         if self._file is not None:
@@ -221,11 +221,11 @@ class RunFiles:
 
     def _check_there(self) -> None:
         """Raise FileNotFoundError, and count the file's rows as lost, when it has been removed."""
-        if _identity(self._part_path) != self._identity:
-            self._ring.lose_part()
-            raise FileNotFoundError(errno.ENOENT, f"{self._part_path.name} was removed")
+        if _identity(self._file_path) != self._identity:
+            self._ring.lose_file()
+            raise FileNotFoundError(errno.ENOENT, f"{self._file_path.name} was removed")
 
-    def _of_one_part(self, rows: Rows) -> Rows:
+    def _of_one_file(self, rows: Rows) -> Rows:
         """Close the file if its duration is over before these rows; return as many of them as one file may have."""
         duration_s = self._rotation.duration_s
         if duration_s is None:
@@ -239,12 +239,12 @@ class RunFiles:
 
     def _end_by_size(self) -> None:
         size_bytes = self._rotation.size_bytes
-        if size_bytes is not None and _size_bytes(self._part_path) >= size_bytes:
+        if size_bytes is not None and _size_bytes(self._file_path) >= size_bytes:
             self._end()
 
     def _end(self) -> None:
-        """Close the file, unless ``MOST_PARTS`` is reached; the next rows open the next file."""
-        if self._ring.part < MOST_PARTS:
+        """Close the file, unless ``MOST_FILES`` is reached; the next rows open the next file."""
+        if self._ring.file_number < MOST_FILES:
             self._finish_file(None, self._next_number())
             self._file = None
             self._next_try_s = self._back_off_s = 0.0

@@ -37,7 +37,7 @@ class Waypoint(NamedTuple):
     dwell_s: float
 
 
-class Part(NamedTuple):
+class Segment(NamedTuple):
     """A time of constant jerk on a section."""
 
     section: Section
@@ -49,14 +49,14 @@ class Route:
 
     ends: ClassVar[bool] = True
 
-    def __init__(self, parts: Sequence[Part], end: Pose) -> None:
-        self._parts = parts
+    def __init__(self, segments: Sequence[Segment], end: Pose) -> None:
+        self._segments = segments
         self._starts_s = []
         self._end = Reference(end, Twist(0.0, 0.0, 0.0), Acceleration(0.0, 0.0, 0.0))
         t_s = 0.0
-        for part in parts:
+        for segment in segments:
             self._starts_s.append(t_s)
-            t_s += part.phase.duration_s
+            t_s += segment.phase.duration_s
         self.span_s = t_s
 
     def at(self, t_s: float) -> Reference:
@@ -64,7 +64,7 @@ class Route:
         if t_s >= self.span_s:
             return self._end
         number = max(bisect.bisect_right(self._starts_s, t_s) - 1, 0)
-        section, phase = self._parts[number]
+        section, phase = self._segments[number]
         way, speed, acceleration = after(phase, t_s - self._starts_s[number])
         return motion_through(section.point(way), speed, acceleration)
 
@@ -155,22 +155,22 @@ def plan(waypoints: Sequence[Waypoint], limits: Limits, yaw: Limits, blend_m: fl
         speeds[number + 1] = min(speeds[number + 1], reachable_speed(speeds[number], way, within))
     for number in reversed(range(len(legs))):
         speeds[number] = min(speeds[number], reachable_speed(speeds[number + 1], ways[number], leg_limits[number]))
-    parts: list[Part] = []
+    segments: list[Segment] = []
     for number, leg in enumerate(legs):
         if leg.begin is not None:
-            _drive_through(parts, leg.begin, leg.law_at_begin(leg.begin), 0.5 * leg.begin.length, speeds[number])
+            _drive_through(segments, leg.begin, leg.law_at_begin(leg.begin), 0.5 * leg.begin.length, speeds[number])
         else:
-            _wait(parts, leg.first)
+            _wait(segments, leg.first)
         section = leg.line()
-        parts += [
-            Part(section, phase)
+        segments += [
+            Segment(section, phase)
             for phase in profile(ways[number], speeds[number], speeds[number + 1], leg_limits[number])
         ]
         if leg.end is not None:
-            _drive_through(parts, leg.end, leg.law_at_end(), 0.0, speeds[number + 1])
-    _wait(parts, waypoints[-1])
+            _drive_through(segments, leg.end, leg.law_at_end(), 0.0, speeds[number + 1])
+    _wait(segments, waypoints[-1])
     end = waypoints[-1]
-    return Route(parts, Pose(end.x_m, end.y_m, end.heading_rad))
+    return Route(segments, Pose(end.x_m, end.y_m, end.heading_rad))
 
 
 def _round_off(before: _Leg, behind: _Leg, blend_m: float) -> None:
@@ -203,13 +203,13 @@ def _bend_speed(before: tuple[_Leg, Limits], behind: tuple[_Leg, Limits], limits
     return speed
 
 
-def _drive_through(parts: list[Part], bend: Bend, law: HeadingLaw, begin: float, speed: float) -> None:
+def _drive_through(segments: list[Segment], bend: Bend, law: HeadingLaw, begin: float, speed: float) -> None:
     """Add half of a bend."""
-    parts.append(Part(Section(bend, law), Phase(0.5 * bend.length / speed, begin, speed, 0.0, 0.0)))
+    segments.append(Segment(Section(bend, law), Phase(0.5 * bend.length / speed, begin, speed, 0.0, 0.0)))
 
 
-def _wait(parts: list[Part], at: Waypoint) -> None:
+def _wait(segments: list[Segment], at: Waypoint) -> None:
     """Add the dwell time of a waypoint."""
     if at.dwell_s > 0.0:
         there = Section(Line(at.x_m, at.y_m, 0.0, 0.0), Linear(at.heading_rad))
-        parts.append(Part(there, Phase(at.dwell_s, 0.0, 0.0, 0.0, 0.0)))
+        segments.append(Segment(there, Phase(at.dwell_s, 0.0, 0.0, 0.0, 0.0)))

@@ -17,7 +17,7 @@ import numpy as np
 
 from hil.core.errors import BadInputError
 from hil.record.environment import refuse_pandas
-from hil.record.files import check_is_recording, later_parts
+from hil.record.files import check_is_recording, later_files
 from hil.record.properties import PART_PROPERTY, RECORDER_PROPERTY, RUN_PROPERTY, SIGNALS_PROPERTY, SUMMARY_PROPERTY
 from hil.review.contents import CLOCK, CUT_BEFORE_ROWS, Contents, DamagedError, Selection, Series, check_plausible
 from hil.review.decode_rrd import decode_rrd
@@ -29,47 +29,47 @@ def decode(path: Path, selection: Selection = None) -> tuple[dict[str, Any], dic
     The first is the answer's first line: ``signals`` names those whose values follow, in rows of length ``rows``; the
     rest are fields of ``RecordedRun``.
     """
-    parts, notes = _parts(path, selection)
-    first, last = parts[0][1], parts[-1][1]
-    about = [contents.json(PART_PROPERTY) or {} for _, contents in parts]
+    files, notes = _files(path, selection)
+    first, last = files[0][1], files[-1][1]
+    about = [contents.json(PART_PROPERTY) or {} for _, contents in files]
     spans, missing = _spans(
-        [one.get("first_row") for one in about], [_length(contents) + contents.lost_rows for _, contents in parts]
+        [one.get("first_row") for one in about], [_length(contents) + contents.lost_rows for _, contents in files]
     )
     event_spans, events_missing = _spans(
-        [one.get("first_event") for one in about], [len(contents.events) for _, contents in parts]
+        [one.get("first_event") for one in about], [len(contents.events) for _, contents in files]
     )
     for count, what in ((missing, "rows"), (events_missing, "events")):
         if count:
             notes.append(f"{count} {what} between its parts were lost")
-    notes.extend(f"{one.name} is damaged: {sentence}" for one, contents in parts for sentence in contents.damage)
-    missing += sum(contents.lost_rows for _, contents in parts)
+    notes.extend(f"{one.name} is damaged: {sentence}" for one, contents in files for sentence in contents.damage)
+    missing += sum(contents.lost_rows for _, contents in files)
     signals = {
-        name: np.concatenate([c.signals[name][:n] for (_, c), n in zip(parts, spans, strict=True)])
-        if len(parts) > 1
+        name: np.concatenate([c.signals[name][:n] for (_, c), n in zip(files, spans, strict=True)])
+        if len(files) > 1
         else series
         for name, series in first.signals.items()
     }
     recorder = last.json(RECORDER_PROPERTY)
     if not len(next(iter(signals.values()), ())):
-        if any(contents.damage for _, contents in parts):
+        if any(contents.damage for _, contents in files):
             raise DamagedError("damaged: none of its rows can be read")
         if recorder is None:
             raise DamagedError(CUT_BEFORE_ROWS)
-    notes.extend(note for part in parts if (note := _cut(*part, is_last=part is parts[-1])))
-    next_part = (recorder or {}).get("next_part")
-    if next_part is not None:
-        notes.append(f"the run went on in part {next_part}, which is not read here")
+    notes.extend(note for part in files if (note := _cut(*part, is_last=part is files[-1])))
+    next_number = (recorder or {}).get("next_part")
+    if next_number is not None:
+        notes.append(f"the run went on in part {next_number}, which is not read here")
     decoded: dict[str, Any] = dict(  # noqa: C408 -- keys as of RecordedRun
         signals=list(signals),
         held=[name for names in (first.json(SIGNALS_PROPERTY) or {}).values() for name in names],
         rows=len(next(iter(signals.values()), ())),
-        events=[event for (_, c), n in zip(parts, event_spans, strict=True) for event in c.events[:n]],
+        events=[event for (_, c), n in zip(files, event_spans, strict=True) for event in c.events[:n]],
         properties=first.properties.get(RUN_PROPERTY, {}),
         summary=last.json(SUMMARY_PROPERTY),
         rows_dropped=None if recorder is None else recorder.get("rows_dropped"),
         rows_missing=missing,
-        goes_on=next_part is not None,
-        parts=[str(one) for one, _ in parts],
+        goes_on=next_number is not None,
+        parts=[str(one) for one, _ in files],
         notes=notes,
     )
     return decoded, signals
@@ -87,14 +87,14 @@ def _cut(path: Path, contents: Contents, *, is_last: bool) -> str | None:
     return f"{path.name} has no index at its end: {why}{cut}; all that the run recorded is before that"
 
 
-def _parts(path: Path, selection: Selection) -> tuple[list[tuple[Path, Contents]], list[str]]:
+def _files(path: Path, selection: Selection) -> tuple[list[tuple[Path, Contents]], list[str]]:
     """Return a file and the later ones of the same run, and sentences on those that could not be read."""
     first = _read(path, selection)
-    parts, notes = [(path, first)], []
+    files, notes = [(path, first)], []
     part = first.json(PART_PROPERTY)
-    if part is not None and _is_later_part(part, first):
+    if part is not None and _is_later_file(part, first):
         notes.append(_alone(path, part))
-    for other in later_parts(path) if part is not None and part["number"] == 1 else ():
+    for other in later_files(path) if part is not None and part["number"] == 1 else ():
         try:
             check_is_recording(other)
             contents = _read(other, selection)
@@ -107,11 +107,11 @@ def _parts(path: Path, selection: Selection) -> tuple[list[tuple[Path, Contents]
         if later["number"] != int(other.stem.rpartition("-")[2]):
             notes.append(f"{other.name} is left out: it is part {later['number']} of the run, by what it says itself")
             continue
-        parts.append((other, contents))
-    return parts, notes
+        files.append((other, contents))
+    return files, notes
 
 
-def _is_later_part(part: dict[str, Any], contents: Contents) -> bool:
+def _is_later_file(part: dict[str, Any], contents: Contents) -> bool:
     """Whether a file is one of the later files alone. In files that rerun has merged the properties are of the last."""
     in_part = (contents.json(RECORDER_PROPERTY) or {}).get("rows_in_part")
     return bool(part["number"] > 1 and (in_part is None or not contents.signals or _length(contents) <= in_part))
@@ -127,7 +127,7 @@ def _alone(path: Path, part: dict[str, Any]) -> str:
     first = path.with_name(stem + path.suffix)
     if first.exists():
         return f"{alone}; review {first.name} for the whole run"
-    others = ", ".join(other.name for other in later_parts(first) if other.name != path.name)
+    others = ", ".join(other.name for other in later_files(first) if other.name != path.name)
     return f"{alone}; {first.name}, with which the run began, is not beside it{', but ' * bool(others)}{others}"
 
 

@@ -36,7 +36,7 @@ def spectrum(t_s: Series, values: Series) -> Spectrum | None:
     if len(t_s) < LEAST_SAMPLES:
         return None
     period_s = float(np.median(np.diff(t_s)))
-    values = values[_longest_part(t_s, values, period_s)]
+    values = values[_longest_stretch(t_s, values, period_s)]
     if len(values) < LEAST_SAMPLES:
         return None
     size = min(LONGEST_STRETCH, 2 ** int(np.log2(max(LEAST_SAMPLES, 2 * len(values) // _STRETCHES))), len(values))
@@ -51,7 +51,7 @@ def spectrum(t_s: Series, values: Series) -> Spectrum | None:
     return Spectrum(np.asarray(np.fft.rfftfreq(size, period_s)), density, len(stretches), size * period_s)
 
 
-def _longest_part(t_s: Series, values: Series, period_s: float) -> slice:
+def _longest_stretch(t_s: Series, values: Series, period_s: float) -> slice:
     """Return the longest run of values that are finite and one period apart."""
     broken = np.zeros(len(t_s) + 1, dtype=bool)
     broken[1:-1] = np.abs(np.diff(t_s) - period_s) > period_s / 2

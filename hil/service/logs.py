@@ -80,7 +80,7 @@ class _Formatter(logging.Formatter):
         super().__init__()
         self._process = process
 
-    def parts(self, record: logging.LogRecord) -> tuple[datetime, str, dict[str, Any]]:
+    def split(self, record: logging.LogRecord) -> tuple[datetime, str, dict[str, Any]]:
         """Return time, event and fields of a line."""
         fields = dict(getattr(record, "fields", {}))
         if record.name != _LOGGER.name:
@@ -94,7 +94,7 @@ class _Formatter(logging.Formatter):
 
 class _JsonFormatter(_Formatter):
     def format(self, record: logging.LogRecord) -> str:
-        time, event, fields = self.parts(record)
+        time, event, fields = self.split(record)
         line = {
             "time": time.isoformat(timespec="milliseconds").replace("+00:00", "Z"),
             "level": record.levelname.lower(),
@@ -107,7 +107,7 @@ class _JsonFormatter(_Formatter):
 
 class _TextFormatter(_Formatter):
     def format(self, record: logging.LogRecord) -> str:
-        time, event, fields = self.parts(record)
+        time, event, fields = self.split(record)
         text = " ".join([event, *(f"{name}={_word(value)}" for name, value in fields.items())])
         clock = time.astimezone().strftime("%H:%M:%S.%f")[:-3]
         return f"{clock} {record.levelname.lower():7} {self._process}: {text}"

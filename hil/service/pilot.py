@@ -176,10 +176,10 @@ class Pilot:
             self._tick.record_away(now, fix, NOWHERE, self.state)
         self._note_trouble()
 
-    def _attempt(self, part: Callable[[], None]) -> None:
+    def _attempt(self, action: Callable[[], None]) -> None:
         """Do a part of a tick and handle its errors. Raises as ``tick``."""
         try:
-            part()
+            action()
         except HilError as error:
             self._handle_failure(error)
         except TickOverdue as overdue:

@@ -48,7 +48,7 @@ class StreamLink:
 
     def receive(self, timeout_ns: int) -> Received | None:
         if self._waiting is not None:
-            return self._part_of(*self._waiting)
+            return self._batch_of(*self._waiting)
         deadline_ns = time.monotonic_ns() + timeout_ns if timeout_ns > 0 else 0
         of_no_frame = 0
         while True:
@@ -58,7 +58,7 @@ class StreamLink:
                 frames = self._framing.feed(data)
                 if count := len(frames):
                     if count > _MOST_AT_ONCE:
-                        return self._part_of(frames, stamp_ns)
+                        return self._batch_of(frames, stamp_ns)
                     self.received_frames += count
                     return Received(frames, stamp_ns)
                 # These bytes completed no frame; the rest may come within the timeout. But a line full of noise must
@@ -76,7 +76,7 @@ class StreamLink:
         """Whether frames carry a running number by which lost ones are noticed."""
         return "lost" in self._framing.rejected
 
-    def _part_of(self, frames: Sequence[Frame], stamp_ns: int) -> Received:
+    def _batch_of(self, frames: Sequence[Frame], stamp_ns: int) -> Received:
         """Return the first of many frames; the others wait for the next calls."""
         part, rest = frames[:_MOST_AT_ONCE], frames[_MOST_AT_ONCE:]
         self._waiting = (rest, stamp_ns) if rest else None
