@@ -154,7 +154,7 @@ def test_a_recorder_that_is_told_to_end_leaves_what_it_cannot_write_to_the_next(
     parts.finish(None)
     assert (memory_of_folder.ring.tail, memory_of_folder.ring.saved) == (0, 0)
     folder.unlink()
-    memory_of_folder.parts(restarts=1).finish({})
+    memory_of_folder.files(restarts=1).finish({})
     assert memory_of_folder.ring.saved == 30
     assert decode(folder / "run-2.mcap")[0]["rows"] == 30
     memory_of_folder.close()
