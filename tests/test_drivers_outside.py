@@ -71,11 +71,10 @@ MOTORS = '''
         made = []
         was_driving = False
 
-        def __init__(self, settings, *node, **keywords):
+        def power_on(self):
             self.made.append(self)
-            self._per_rad_s = settings.counts_per_rad_s
+            self._per_rad_s = self.settings.counts_per_rad_s
             self._targets = (0.0, 0.0, 0.0, 0.0)
-            super().__init__(*node, **keywords)
             self._loops = self.speed_loops()
 
         @property

@@ -3,7 +3,7 @@
 import math
 from collections import deque
 from collections.abc import Callable, Mapping
-from typing import Any
+from typing import Any, Generic, TypeVar
 
 from firmware_protocol.framing import Frame
 from firmware_protocol.generated.messages import Fault, FaultWheel, Mode, State, StopReason
@@ -150,32 +150,34 @@ class Trajectory:
             self.velocity, self.is_complete = target, True
 
 
-def _unwatched(_node: "EmulatedMotors") -> None:
-    """Take no note of a tick."""
+SettingsT = TypeVar("SettingsT")
 
 
-class EmulatedMotors:
-    """Four channels in front of a plant: a ``RobotNode`` like the host library's, of another maker's protocol.
+class EmulatedMotors(Generic[SettingsT]):
+    """Emulated motor controllers of one maker, connected to a plant: a ``RobotNode``, as the host library's firmware.
 
-    A maker's own class says what a frame does (``take``), what happens in a tick of 1 ms (``tick``), and sends by
-    ``say``. On a serial line it overrides ``feed`` and ``take_bytes`` with the framing of its own. ``values`` are the
-    parameters of [firmware], of which the emulated controllers take what such a controller has: torque constant,
-    limits, encoder, loop gains.
+    A maker's class defines its state (``power_on``), what a frame does (``take``) and what happens in a tick of 1 ms
+    (``tick``), and sends frames with ``say``. For a serial line it overrides ``feed`` and ``take_bytes``.
 
     Attributes:
-        ticks: of 1 ms since the power came on.
-        shafts: of the four channels. current_a: of each motor, as measured.
-        battery_v: as measured.
-        on_tick: called after each tick.
+        settings: of [device.motors].
+        values: the parameters of [firmware]; used are the torque constant, limits, encoder and loop gains.
+        ticks: number of ticks of 1 ms since power-on.
+        shafts: of the four channels.
+        current_a: measured currents of the four motors.
+        battery_v: measured voltage.
+        on_tick: called with this object after each tick.
     """
 
     def __init__(
         self,
+        settings: SettingsT,
         values: Mapping[str, float],
         exchange_address: int,
         context_address: int,
-        **_robots: Any,  # what only a robot of our own protocol has: lockstep, sensors, stored parameters
+        **_of_firmware: Any,  # for a robot with our own protocol alone: lockstep, sensors, stored parameters
     ) -> None:
+        self.settings = settings
         self.values = values
         self._ffi, _ = shim.load()
         self._exchange = self._ffi.cast("wheel_plant_exchange", exchange_address)
@@ -192,20 +194,25 @@ class EmulatedMotors:
         self.battery_v = 0.0
         self.battery_a = 0.0
         self.torque_n_m: FourWheels = _STILL
-        self.on_tick: Callable[[EmulatedMotors], None] = _unwatched
+        self.on_tick: Callable[[Any], None] = lambda _motors: None
         self._plant_failed = False
         self._unsent = 0
         self._outgoing: deque[Frame] = deque()
         self._sample(None)
+        self.power_on()
 
-    # What a maker's class says
+    # Defined by a maker's class
+
+    def power_on(self) -> None:
+        """Set up the maker's own state; called once, at the end of the constructor."""
+        raise NotImplementedError
 
     def take(self, frame: Frame) -> None:
-        """Do what a frame asks; one that is not for this maker's devices is none of theirs."""
+        """Do what a frame asks. Ignore a frame that is not for this maker's devices."""
         raise NotImplementedError
 
     def tick(self) -> FourWheels | None:
-        """Return the torques of this tick [N·m], None for drives that are off; called before the plant goes on."""
+        """Return the torques of this tick [N·m], or None if the drives are off; called before the plant's step."""
         raise NotImplementedError
 
     @property

@@ -77,7 +77,7 @@ def make_driver(name: str, settings: Any, robot: RobotFacts) -> Driver:
     return driver if name in SHIPPED else cast(Driver, _OutsideDriver(driver, _where_from(name)))
 
 
-def emulated(name: str) -> "Callable[..., EmulatedMotors]":
+def emulated(name: str) -> "Callable[..., EmulatedMotors[Any]]":
     """Return the class of a maker's emulated device; it is made of settings and the arguments of ``EmulatedMotors``."""
     from hil.drivers.emulated import EmulatedMotors  # with the plant: not for every command
 

@@ -13,7 +13,7 @@ In torque mode rule 1 applies only to the time after the host has gone.
 """
 
 from collections.abc import Mapping, Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -55,7 +55,7 @@ class MotorsJudge:
     def _patience_s(self) -> float:
         return self._firmware.watchdog_s + self._firmware.ramp_s
 
-    def hold(self, node: EmulatedMotors) -> None:
+    def hold(self, node: EmulatedMotors[Any]) -> None:
         """Record a tick; to be called in each."""
         fl, fr, rr, rl = (shaft.speed_rad_s for shaft in node.shafts)
         self._ticks.append(_Tick(node.torque_n_m, (fl, fr, rr, rl)))

@@ -60,9 +60,9 @@ class _Motors:
     def __init__(self, scenario: Scenario) -> None:
         self._make = node_maker(scenario.device)
         self._judge = MotorsJudge(scenario.firmware, scenario.controller.mode)
-        self._node: EmulatedMotors | None = None
+        self._node: EmulatedMotors[Any] | None = None
 
-    def power_on(self, *arguments: Any, **options: Any) -> EmulatedMotors:
+    def power_on(self, *arguments: Any, **options: Any) -> EmulatedMotors[Any]:
         node = self._make(*arguments, **options)
         assert isinstance(node, EmulatedMotors)
         node.on_tick = self._judge.hold

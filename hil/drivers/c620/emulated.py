@@ -15,16 +15,16 @@ _FULL_SCALE = {"c620": (16384, 20.0), "c610": (10000, 10.0)}
 _GEARS = {"c620": 3591 / 187, "c610": 36.0}
 
 
-class EmulatedC620(EmulatedMotors):
+class EmulatedC620(EmulatedMotors[Settings]):
     """Emulates four C620 or C610. A rotor turns ``gear_ratio`` times as fast as its wheel."""
 
-    def __init__(self, settings: Settings, *node: object, **keywords: object) -> None:
+    def power_on(self) -> None:
+        settings = self.settings
         self._ids = settings.ids
         self._gear = settings.gear_ratio or _GEARS[settings.controller]
         self._counts, self._amperes = _FULL_SCALE[settings.controller]
         self._set_point_a = [0.0] * 4
         self._was_commanded = False
-        super().__init__(*node, **keywords)  # type: ignore[arg-type]
 
     @property
     def is_driving(self) -> bool:

@@ -24,7 +24,7 @@ _STILL: FourWheels = (0.0, 0.0, 0.0, 0.0)
 _STANDING_RAD_S = 0.05
 
 
-class EmulatedDbc(EmulatedMotors):
+class EmulatedDbc(EmulatedMotors[Settings]):
     """See ``EmulatedMotors``.
 
     Attributes:
@@ -33,9 +33,9 @@ class EmulatedDbc(EmulatedMotors):
         ignored: frames that were not as the mapping sends them.
     """
 
-    def __init__(self, settings: Settings, *node: Any, **keywords: Any) -> None:
+    def power_on(self) -> None:
+        settings = self.settings
         plan = self._plan = settings.plan
-        self._settings = settings
         database = parse(Path(settings.file))
         self._taken = {_id(one): one for one in map(database.get_message_by_name, plan.sent())}
         self._said = [(one, self._period_ticks(one)) for one in map(database.get_message_by_name, plan.heard())]
@@ -49,7 +49,6 @@ class EmulatedDbc(EmulatedMotors):
         self.is_stopped = False
         self.said_instead: dict[str, float] = {}
         self.ignored = 0
-        super().__init__(*node, **keywords)
         self._loops = self.speed_loops()
 
     def _period_ticks(self, message: Any) -> int:
@@ -59,7 +58,7 @@ class EmulatedDbc(EmulatedMotors):
         return bound.sign * at_wheel(
             bound.unit,
             bound.dimension,
-            gear_ratio=self._settings.gear_ratio,
+            gear_ratio=self.settings.gear_ratio,
             wheel_radius_m=self.values["wheel_radius_m"],
             torque_constant_n_m_a=self.values["torque_constant_n_m_a"],
         )
@@ -95,7 +94,7 @@ class EmulatedDbc(EmulatedMotors):
             for error in self._plan.errors:
                 self.said_instead.pop(str(error.signal), None)
         if self._is_last(message.name, raw, "estop"):
-            self.is_stopped = self._settings.estop_latches
+            self.is_stopped = self.settings.estop_latches
             self._switch_off()
         elif self._is_last(message.name, raw, "disable"):
             begins = self._begins(message.name, raw)

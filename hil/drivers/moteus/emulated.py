@@ -20,16 +20,15 @@ _BROADCAST, _STREAM, _MAX_STREAM_BYTES = 0x7F, 1, 61
 _STREAM_FROM_DEVICE = 0x41
 
 
-class EmulatedMoteus(EmulatedMotors):
+class EmulatedMoteus(EmulatedMotors[Settings]):
     """Emulates four moteus. Their outputs turn ``gear_ratio`` times as fast as the wheels.
 
     Attributes:
         servos: the four controllers, for tests that change one of them.
     """
 
-    def __init__(self, settings: Settings, *node: object, **keywords: object) -> None:
-        self._settings = settings
-        super().__init__(*node, **keywords)  # type: ignore[arg-type]
+    def power_on(self) -> None:
+        settings = self.settings
         values, ratio = self.values, settings.gear_ratio
         per_rev = math.tau / ratio / ratio  # converts a gain per radian of the wheel to one per turn of the output
         kp, kd = values["speed_ki_n_m_rad"] * per_rev, values["speed_kp_n_m_s_rad"] * per_rev
@@ -45,15 +44,15 @@ class EmulatedMoteus(EmulatedMotors):
 
     def take(self, frame: Frame) -> None:
         number = frame.id & 0x1FFF_FFFF
-        if number >> 16 != self._settings.can_prefix:
+        if number >> 16 != self.settings.can_prefix:
             return
         source, destination = number >> 8 & 0xFF, number & 0xFF
-        for servo_id, servo, console in zip(self._settings.ids, self.servos, self._consoles, strict=True):
+        for servo_id, servo, console in zip(self.settings.ids, self.servos, self._consoles, strict=True):
             if destination in (servo_id, _BROADCAST):
                 answer = _converse(servo, console, frame.payload)
                 servo.obey()
                 if source & 0x80 and answer is not None:
-                    reply_id = self._settings.can_prefix << 16 | servo_id << 8 | source & 0x7F
+                    reply_id = self.settings.can_prefix << 16 | servo_id << 8 | source & 0x7F
                     extended = 0x8000_0000 if reply_id > 0x7FF else 0
                     self.say(Frame(extended | reply_id, answer))
 
@@ -69,7 +68,7 @@ class EmulatedMoteus(EmulatedMotors):
         torques = [servo.torque() for servo in self.servos]
         if all(torque is None for torque in torques):
             return None
-        a, b, c, d = ((torque or 0.0) * self._settings.gear_ratio for torque in torques)
+        a, b, c, d = ((torque or 0.0) * self.settings.gear_ratio for torque in torques)
         return a, b, c, d
 
     def _measure(self) -> None:
@@ -77,7 +76,7 @@ class EmulatedMoteus(EmulatedMotors):
             servo.measure(self._quantities(channel, shaft))
 
     def _quantities(self, channel: int, shaft: Shaft) -> dict[int, float]:
-        turns = self._settings.gear_ratio / math.tau
+        turns = self.settings.gear_ratio / math.tau
         current = self.current_a[channel]
         copper_w = current * current * self.values["motor_resistance_ohm"]
         return {

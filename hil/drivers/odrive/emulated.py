@@ -27,10 +27,11 @@ _REBOOT_ACTIONS = (_RESTART, _SAVE, _ERASE) = (0, 1, 2)
 _COUNTS_PER_TURN = 8192  # of the encoder that 0.5 is delivered for
 
 
-class EmulatedODrive(EmulatedMotors):
+class EmulatedODrive(EmulatedMotors[Settings]):
     """See ``EmulatedMotors``. ``firmware`` and ``hardware`` may be set to others before the first tick."""
 
-    def __init__(self, settings: Settings, *node: object, **keywords: object) -> None:
+    def power_on(self) -> None:
+        settings = self.settings
         self.firmware = (0, 5, 6) if settings.firmware == "0.5" else (0, 6, 10)
         self.hardware = (4, 4, 58)
         if settings.endpoints_firmware:
@@ -39,7 +40,6 @@ class EmulatedODrive(EmulatedMotors):
         self._timeout_id, self._enable_id = settings.watchdog_endpoints or (419, 420)
         gear = self._gear = settings.gear_ratio
         self._estimates_ticks = round(1000.0 / settings.feedback_hz) if settings.feedback_hz else 0
-        super().__init__(*node, **keywords)  # type: ignore[arg-type]
         limit, constant = self.values["torque_limit_n_m"], self.values["torque_constant_n_m_a"]
         self.axes = [
             EmulatedAxis(node, 0x3868_0000_1000 + node, self.firmware[1], loop, gear, limit, constant)

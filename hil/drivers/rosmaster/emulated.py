@@ -75,11 +75,11 @@ class _Receiver:
         return found[1], found[2:-1]
 
 
-class EmulatedRosmaster(EmulatedMotors):
+class EmulatedRosmaster(EmulatedMotors[Settings]):
     """Emulates the board. ``version`` and ``car_number`` are what it answers when asked for them."""
 
-    def __init__(self, settings: Settings, *node: object, **keywords: object) -> None:
-        self._settings = settings
+    def power_on(self) -> None:
+        settings = self.settings
         self._battery_v_limits = settings.battery_low_v, settings.battery_high_v
         self.version = (3, 5)
         self._set_car(settings.car)
@@ -96,7 +96,6 @@ class EmulatedRosmaster(EmulatedMotors):
         self._bad_checks = 0
         self._counts = (0, 0, 0, 0)
         self._speeds_mm_s = (0.0, 0.0, 0.0, 0.0)
-        super().__init__(*node, **keywords)  # type: ignore[arg-type]
         self._loops = self.speed_loops()
 
     @property
@@ -106,9 +105,9 @@ class EmulatedRosmaster(EmulatedMotors):
     def _set_car(self, car: str) -> None:
         circle_mm, lever_mm, counts, self._limit_mm_s = _WHEELS[car]
         self.car_number = _CAR_NUMBERS[car]
-        self._radius_mm = self._settings.wheel_radius_m * 1e3 or circle_mm / math.tau
-        self._lever_mm = self._settings.lever_m * 1e3 or lever_mm
-        self._counts_per_turn = self._settings.counts_per_turn or counts
+        self._radius_mm = self.settings.wheel_radius_m * 1e3 or circle_mm / math.tau
+        self._lever_mm = self.settings.lever_m * 1e3 or lever_mm
+        self._counts_per_turn = self.settings.counts_per_turn or counts
         self._has_counts = False
 
     def feed(self, data: bytes) -> None:

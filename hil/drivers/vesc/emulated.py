@@ -33,19 +33,18 @@ _COUNTS_PER_SHARE = 1e5
 _WITH_DELAY_BYTES = 6
 
 
-class EmulatedVesc(EmulatedMotors):
+class EmulatedVesc(EmulatedMotors[Settings]):
     """See ``EmulatedMotors``.
 
     Attributes:
         vescs: the four, for what a test has to do to one of them.
     """
 
-    def __init__(self, settings: Settings, *node: object, **keywords: object) -> None:
-        self._settings = settings
+    def power_on(self) -> None:
+        settings = self.settings
         self._open = b""
         self._bytes = bytearray()
         self._scan_left = 0
-        super().__init__(*node, **keywords)  # type: ignore[arg-type]
         to_erpm = settings.gear_ratio * settings.pole_pairs * 60.0 / math.tau
         self._steps_per_rad = 6 * settings.pole_pairs * settings.gear_ratio / math.tau
         constant, resistance = self.values["torque_constant_n_m_a"], self.values["motor_resistance_ohm"]
@@ -67,7 +66,7 @@ class EmulatedVesc(EmulatedMotors):
             self._scan_left -= 1
             if not self._scan_left:
                 self._serial_reply(bytes((62, *self._behind())))
-        period = max(round(1000.0 / self._settings.status_hz), 1)
+        period = max(round(1000.0 / self.settings.status_hz), 1)
         for place, vesc in enumerate(self.vescs):
             if self.ticks % period == place * period // 4:
                 for command, data in vesc.statuses():
@@ -124,7 +123,7 @@ class EmulatedVesc(EmulatedMotors):
                 self._process(message)
 
     def _process(self, message: bytes) -> None:
-        near = self._settings.serial_id
+        near = self.settings.serial_id
         if message[0] == 62:
             # Each id in turn: whoever is there answers at once. Asked again meanwhile, it goes on with the first scan.
             self._scan_left = self._scan_left or _PING_TICKS * (_IDS - len(self._behind()))
@@ -135,7 +134,7 @@ class EmulatedVesc(EmulatedMotors):
             here.process(message, self._serial_reply)
 
     def _behind(self) -> list[int]:
-        return sorted(number for number in self._by_id if number != self._settings.serial_id)
+        return sorted(number for number in self._by_id if number != self.settings.serial_id)
 
     def _serial_reply(self, message: bytes) -> None:
         self._bytes += wire.packet(message)

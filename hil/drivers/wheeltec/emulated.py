@@ -19,18 +19,17 @@ _STEP = 0.02  # m/s or rad/s in 10 ms
 _SILENT_STEPS = 100  # control steps without a command, after which the board stops
 
 
-class EmulatedWheeltec(EmulatedMotors):
+class EmulatedWheeltec(EmulatedMotors[Settings]):
     """Emulates the base. ``is_switched_off`` is its emergency stop button, which a test presses and releases."""
 
-    def __init__(self, settings: Settings, *node: object, **keywords: object) -> None:
-        self._settings = settings
+    def power_on(self) -> None:
+        settings = self.settings
         self.is_switched_off = False
         self._received = bytearray()
         self._targets = [0.0, 0.0, 0.0]
         self._ramped = [0.0, 0.0, 0.0]
         self._steps_without_command = 0
         self._is_off = False
-        super().__init__(*node, **keywords)  # type: ignore[arg-type]
         self._radius_m = settings.wheel_radius_m or self.values["wheel_radius_m"]
         self._lever_m = settings.lever_m or self.values["half_length_m"] + self.values["half_width_m"]
         self._loops = self.speed_loops()
@@ -70,7 +69,7 @@ class EmulatedWheeltec(EmulatedMotors):
         if self._is_off:
             return None
         x, y, turn = self._ramped[0], self._ramped[1], self._ramped[2] * self._lever_m
-        limit = self._settings.speed_limit_m_s
+        limit = self.settings.speed_limit_m_s
         rims = (x - y - turn, x + y + turn, x - y + turn, x + y - turn)
         a, b, c, d = (
             loop.torque(min(max(rim, -limit), limit) / self._radius_m, shaft.speed_rad_s)
@@ -79,16 +78,16 @@ class EmulatedWheeltec(EmulatedMotors):
         return a, b, c, d
 
     def _control(self) -> None:
-        if self._settings.stops_on_silence:
+        if self.settings.stops_on_silence:
             self._steps_without_command += 1
             if self._steps_without_command > _SILENT_STEPS:
                 self._targets = [0.0, 0.0, 0.0]
-        limit = self._settings.speed_limit_m_s
+        limit = self.settings.speed_limit_m_s
         for axis in range(3):
             target = min(max(self._targets[axis], -limit), limit)
             step = min(max(target - self._ramped[axis], -_STEP), _STEP)
             self._ramped[axis] += step
-        was_off, self._is_off = self._is_off, self.is_switched_off or self.battery_v < self._settings.battery_low_v
+        was_off, self._is_off = self._is_off, self.is_switched_off or self.battery_v < self.settings.battery_low_v
         if self._is_off:
             for loop in self._loops:
                 loop.reset()
