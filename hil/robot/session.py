@@ -147,7 +147,7 @@ class Session:
     def _is_stranger(self, _status: m.Status | None) -> bool:
         return not self._is_known
 
-    def _has_not_asked(self, _status: m.Status | None) -> bool:
+    def _has_no_request(self, _status: m.Status | None) -> bool:
         return self.request is m.Request.IDLE
 
 
@@ -169,7 +169,7 @@ _TO_ACTIVE: tuple[tuple[m.State, Callable[[Session, m.Status | None], bool], Ste
     (m.State.ACTIVE, Session.is_ours, Step.DONE),
     (m.State.ARMED, Session.is_ours, Step.HOLD),
     (m.State.IDLE, Session._is_stranger, Step.STRANGER),
-    (m.State.IDLE, Session._has_not_asked, Step.ARM),
+    (m.State.IDLE, Session._has_no_request, Step.ARM),
     (m.State.IDLE, _nonce_is_spent, Step.ARM_ANEW),
     (m.State.IDLE, _is_refused, Step.REFUSED),
     (m.State.FAULT, _reports(m.State.FAULT), Step.LATCHED),

@@ -38,7 +38,7 @@ class Pilot:
     Attributes:
         phase: of the robot. state: estimated, None while it is away.
         conduct: the task of an ACTIVE robot, to be read; ``active`` returns it for orders. emergency: the e-stop.
-        motions_asked: counts phases and orders for a motion, so that a slow order can tell that it is outdated.
+        motion_requests: counts phases and orders for a motion, so that a slow order can tell that it is outdated.
         recoveries: how often a lost robot came back.
     """
 
