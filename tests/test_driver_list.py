@@ -56,9 +56,13 @@ GYRO = {"kind": "gyro_bias", "value": 0.1}
         (
             "c620",
             {"fault": [DROP]},
-            'fault.0.target = "WHEEL_COMMAND"; this message is ours and none of RoboMaster C620',
+            'fault.0.target = "WHEEL_COMMAND"; this message is of our firmware, not of RoboMaster C620',
         ),
-        ("odrive", {"fault": [DROP | {"target": "command"}, MUTE]}, 'fault.1.target = "TICK"; this message is ours'),
+        (
+            "odrive",
+            {"fault": [DROP | {"target": "command"}, MUTE]},
+            'fault.1.target = "TICK"; this message is of our firmware',
+        ),
         ("moteus", {"fault": [GYRO]}, 'fault.0.kind = "gyro_bias"; mjbots moteus as it is set up has no gyro'),
         ("c620", "robot.yaw_rate_rad_s", 'expect.0.signal = "robot.yaw_rate_rad_s"; RoboMaster C620'),
         ("moteus", "robot.acceleration_z_m_s2", "mjbots moteus as it is set up does not measure it"),

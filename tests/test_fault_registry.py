@@ -97,5 +97,5 @@ def test_a_package_whose_kind_cannot_be_used_is_named(
 
 def test_the_name_of_a_shipped_kind_is_taken(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     install(tmp_path, monkeypatch, DRIFT.replace('"drift", "s', '"bias", "s'), bias="outside_package:KIND")
-    with pytest.raises(BadInputError, match="of the package outside-package: the name is taken"):
+    with pytest.raises(BadInputError, match="of the package outside-package: the name is already in use"):
         kinds()

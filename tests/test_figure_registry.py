@@ -83,7 +83,7 @@ def test_a_figure_that_fails_has_a_reason_and_ends_no_run(
 @pytest.mark.parametrize(
     ("change", "problem"),
     [
-        (('"greatest_speed_m_s"', '"ticks"'), "the name 'ticks' is taken; choose another"),
+        (('"greatest_speed_m_s"', '"ticks"'), "the name 'ticks' is already in use; choose another"),
         (("def value", "def values"), "'outside_package:GreatestSpeed' has no value; expected a class as hil.judge"),
         (("class GreatestSpeed", "class Other"), "'outside_package:GreatestSpeed' cannot be loaded: AttributeError"),
     ],

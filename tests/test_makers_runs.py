@@ -186,7 +186,7 @@ def test_controllers_that_do_not_answer_are_named(built: Any) -> None:
         ({"driver": "c260"}, "expected the name of a driver; did you mean 'c620'"),
         ({"device.motors.gear_ration": 3.0}, "unknown key device.motors.gear_ration; did you mean 'gear_ratio'"),
         ({"device.motors.gear_ratio": -3.0}, "device.motors.gear_ratio = -3.0; expected a number of at least 0"),
-        ({"driver": "stm32", "device.motors.gear_ratio": 3.0}, "belongs to the drivers of other makers"),
+        ({"driver": "stm32", "device.motors.gear_ratio": 3.0}, "only for third-party motor controllers"),
     ],
 )
 def test_what_the_motors_cannot_be_told_is_refused_with_the_scenario(changes: dict[str, Any], sentence: str) -> None:

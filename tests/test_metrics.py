@@ -242,7 +242,7 @@ def test_demand_without_a_meaning_has_a_reason() -> None:
 
     gap = np.zeros((100, 4))
     gap[7, 2] = NAN
-    assert reasons()["effort_n_m_s"] == "nothing says which torque the motors make of a current"
+    assert reasons()["effort_n_m_s"] == "the torque constant of the motors is not known"
     assert reasons(torque_n_m=np.full((100, 4), NAN))["effort_n_m_s"] == "the robot measured no motor currents"
     assert reasons(torque_n_m=gap)["torque_variation_n_m_per_s"] == "the motor currents are missing at t = 0.07 s"
     assert "no ground truth" in reasons(error_m=NAN)["overshoot_m"]

@@ -130,7 +130,7 @@ def test_ticks_that_are_missing_are_told(recorded):
     [
         ("dcs", "--law = 'dcs': unknown"),
         ("dsc,k1=3", "unknown key --law dsc.k1; did you mean 'k1_1_s'?"),
-        ("dsc,k1_1_s", "'k1_1_s' is no gain; expected key=value"),
+        ("dsc,k1_1_s", "'k1_1_s' is not a gain; expected key=value"),
         ("./no.py:Law", "no file"),
     ],
 )
@@ -164,7 +164,7 @@ def test_a_law_that_refuses_the_mode_of_the_recording_is_refused(by_speed, tmp_p
         (lambda run: changed(run, "controller.command", "banana"), "it does not hold the scenario of its run"),
         (lambda run: changed(run, "robot.wings_m", 1.0), "its [robot] is that of another version"),
         (lambda run: changed(run, "robot.mass_kg", "heavy"), "its [robot] is that of another version"),
-        (lambda run: {"signals": {k: v[:0] for k, v in run.signals.items()}}, "no tick in which the law was asked"),
+        (lambda run: {"signals": {k: v[:0] for k, v in run.signals.items()}}, "the law was called in no tick"),
     ],
 )
 def test_a_recording_that_cannot_be_replayed_is_refused_in_one_sentence(recorded, change, message):

@@ -108,7 +108,7 @@ def test_an_expectation_of_a_run_that_was_cut_off_is_checked_over_what_there_is(
     cut.write_bytes(whole[: len(whole) // 2])  # the rows are in the first half, the summary is not
     found = review(cut)
     assert found["passed"] is None
-    assert found["failure"].endswith("it has no end: what became of the run is not known")
+    assert found["failure"].endswith("no end: how the run ended is not known")
     assert "has no end" in found["notes"][0]
     assert [row["signal"] for row in found["expect"]] == ["loop.t_s", "error.planar_m"]
 

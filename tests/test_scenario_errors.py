@@ -120,18 +120,18 @@ def test_a_key_that_is_unknown(text: str, sentence: str) -> None:
         (EXPECT + "below = 1\nabove = 2", "above = 2.0 is not less than below = 1.0"),
         (EXPECT + "below = 1\nfrom_s = 2\nto_s = 1", "to_s = 1.0 is before from_s = 2.0"),
         (EXPECT + "below = 1\nto_s = nan", "to_s = nan; expected a number greater than 0"),
-        (DROP.replace("drop", "drp"), "fault.0: kind = 'drp' is no kind of fault; did you mean 'drop'?"),
+        (DROP.replace("drop", "drp"), "fault.0: kind = 'drp' is not a kind of fault; did you mean 'drop'?"),
         (
             DROP.replace("'command'", "'comand'"),
-            "'comand' is nothing that drop acts on; did you mean 'command'?",
+            "'comand' is not a target of drop; did you mean 'command'?",
         ),
         (
             DROP + "value = 2",
             "fault.0: value = 2: expected more than 0, at most 1, the probability that a frame is lost",
         ),
         (DROP + "start_s = 2\nend_s = 1", "end_s = 1.0 is not after start_s = 2.0"),
-        (MUTE + "target = 'WHEEL_COMAND'", "is nothing that mute acts on; did you mean 'WHEEL_COMMAND'?"),
-        (MUTE + "target = 'STEP_DONE'", "'STEP_DONE' is nothing that mute acts on"),
+        (MUTE + "target = 'WHEEL_COMAND'", "is not a target of mute; did you mean 'WHEEL_COMMAND'?"),
+        (MUTE + "target = 'STEP_DONE'", "'STEP_DONE' is not a target of mute"),
         (MUTE + "target = 'TICK'\nvalue = 0.5", "mute takes no value"),
     ],
 )
@@ -215,7 +215,7 @@ def test_a_scenario_that_is_not_there(name: str, sentence: str) -> None:
 
 def test_a_file_named_without_its_ending() -> None:
     Path("mine.toml").write_text(BASE, "utf-8")
-    assert "a file is meant? write mine.toml" in message("mine")
+    assert "for the file write mine.toml" in message("mine")
 
 
 def test_a_file_that_is_not_text() -> None:
@@ -274,7 +274,7 @@ def test_an_option_that_is_wrong() -> None:
     ("text", "sentence"),
     [
         ("[robot]\nmass_kg = -3", "--robot r.toml:2: robot.mass_kg = -3; expected"),
-        ("[loop]\nrate_hz = 100", "--robot r.toml: 'loop' has no place in a robot's file"),
+        ("[loop]\nrate_hz = 100", "--robot r.toml: 'loop' cannot be in a robot's file"),
         ("[frimware]\nramp_s = 1", "did you mean 'firmware'?"),
         ("[robot", "--robot r.toml: not valid TOML"),
     ],

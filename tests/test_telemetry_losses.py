@@ -174,9 +174,7 @@ def test_a_summary_that_cannot_be_written_leaves_the_recording_incomplete(tmp_pa
     run = read(path)
     assert len(run.signals["loop.t_s"]) == 100
     assert run.notes[0].startswith("run-2.mcap has no end: the recorder was killed or could not write it")
-    assert figures(run)["failure"] == (
-        "the recording has no summary, for it has no end: what became of the run is not known"
-    )
+    assert figures(run)["failure"] == ("the recording has no summary and no end: how the run ended is not known")
 
 
 @linux_only
@@ -335,6 +333,8 @@ def test_an_export_without_its_library_is_one_sentence(tmp_path: Path, monkeypat
     for name in ("pyarrow", "pyarrow.csv", "pyarrow.parquet"):  # what has been imported is found without its parent
         monkeypatch.setitem(sys.modules, name, None)
     for name in ("run.csv", "run.parquet"):
-        with pytest.raises(BadInputError, match=rf"{name}: what writes .* install pyarrow, or export to \.mcap"):
+        with pytest.raises(
+            BadInputError, match=rf"{name}: no library to write .*; install pyarrow, or export to \.mcap"
+        ):
             write_export(run, tmp_path / name)
     assert list(tmp_path.iterdir()) == []

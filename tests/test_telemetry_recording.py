@@ -278,7 +278,7 @@ def test_mcap_needs_no_rerun(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
     with pytest.raises(DeviceError, match=r"the recorder did not start: .*no wheel"):
         record(tmp_path / "run.rrd")
     (tmp_path / "of_another.rrd").write_bytes(b"RRF2")
-    with pytest.raises(BadInputError, match=r"what reads it is not installed \(there is no wheel.*; install rerun-sdk"):
+    with pytest.raises(BadInputError, match=r"no library to read it \(there is no wheel.*; install rerun-sdk"):
         read(tmp_path / "of_another.rrd")
 
 

@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 DURATION_S = 1.3
 
-# The reasons in the sentences of a host without feedback and of a robot without commands.
+# Reasons in messages: the host got no feedback, or the robot got no commands.
 NO_FEEDBACK = "no feedback"
 SILENCE = "COMMAND_TIMEOUT"
 
@@ -21,15 +21,15 @@ class Outcome(StrEnum):
     """The outcome of a run, the best first."""
 
     GOES_ON = "goes on"
-    REARMS = "re-arms"  # it stops, and with loop.rearm it is back; without, the run ends with a sentence
-    ENDS = "ends"  # with a sentence and exit code 3, whatever loop.rearm says
+    REARMS = "re-arms"  # it stops; with loop.rearm it comes back, without it the run ends with an error
+    ENDS = "ends"  # with an error and exit code 3, also with loop.rearm
 
 
 class Case(NamedTuple):
-    """A fault as the catalogue runs it: rows of ``[[fault]]``, of which the last gives the case its kind.
+    """A fault as the catalogue runs it: rows of ``[[fault]]``; the last row's kind is the kind of the case.
 
-    ``on_can`` is the outcome over CAN where it differs. ``cause`` is part of the sentence that says why the robot was
-    lost, where it is lost. ``realtime``: the case is in the subset for real time.
+    ``on_can`` is the outcome over CAN where it differs. ``cause``, for a robot that is lost, is part of the message
+    that says why. ``realtime``: the case is in the subset for real time.
     """
 
     name: str
@@ -119,10 +119,10 @@ CASES: tuple[Case, ...] = (
 
 
 class MotorsCase(NamedTuple):
-    """A case for a robot with motor controllers of another maker.
+    """A case for a robot with third-party motor controllers.
 
-    Its outcome is one of ``outcomes``: some makers latch what others recover from. One of ``causes`` is part of the
-    sentence that says why the robot was lost, where it is lost.
+    Its outcome is one of ``outcomes``: some controllers latch faults from which others recover. For a robot that is
+    lost, one of ``causes`` is part of the message that says why.
     """
 
     case: Case
@@ -133,7 +133,8 @@ class MotorsCase(NamedTuple):
 _LOST = ("no feedback", "left closed loop", "reported", "the fault disconnect", "bus-off")
 _ALL = 1.0
 _OF_OUR_MESSAGES = ("mute",)
-# Other makers cannot recognise an old command by a sequence, or latch what our firmware recovers from.
+# Third-party controllers do not recognise an old command by a sequence number, or latch faults from which our firmware
+# recovers.
 _OTHERWISE = {
     "freeze command": {_GOES_ON, _REARMS, _ENDS},
     "freeze feedback": {_GOES_ON, _REARMS},
@@ -154,11 +155,11 @@ MOTORS_CASES: tuple[MotorsCase, ...] = tuple(
         _case("drop", "feedback", _REARMS, window=_LATER, value=_ALL)._replace(name="no feedback"),
     )
 )
-"""The catalogue's cases for motors of other makers."""
+"""The catalogue's cases for third-party motor controllers."""
 
 
 class Pair(NamedTuple):
-    """Two cases that together have another outcome than the worse of the two: the outcome, the cause, and why."""
+    """Two cases whose joint outcome is not the worse of their own: the joint outcome, its cause, and why."""
 
     outcome: Outcome
     cause: str | None

@@ -1,4 +1,4 @@
-"""What a kind of fault is, and what a row of ``[[fault]]`` is for the part that applies it."""
+"""What a kind of fault is, and a row of ``[[fault]]`` as numbers for the code that applies it."""
 
 import random
 from collections.abc import Callable, Mapping, Sequence
@@ -38,7 +38,7 @@ class FaultRow(NamedTuple):
 def generators(rows: Sequence[FaultRow], seed: int) -> list[random.Random]:
     """Return a random generator for each row, seeded by ``seed`` and by what the row says.
 
-    So removing a row changes no other. Equal rows get different generators.
+    So removing a row does not change the random numbers of the others. Equal rows get different generators.
     """
     seen: dict[FaultRow, int] = {}
     sources = []
@@ -51,11 +51,11 @@ def generators(rows: Sequence[FaultRow], seed: int) -> list[random.Random]:
 SignalEffect: TypeAlias = Callable[[float, int], float]
 """Takes a signal's value and the scenario's time [ns] inside the window; returns the value that is seen instead."""
 FrameEffect: TypeAlias = Callable[[str, list[Frame]], list[Frame]]
-"""Takes a direction, "command" or "feedback", and a frame with its copies; returns the frames that go on instead."""
+"""Takes a direction, "command" or "feedback", and a frame with its copies; returns the frames to pass on."""
 
 
 class Quantity(NamedTuple):
-    """A number of a row: its name, unit, range and default; None for one that has to be given."""
+    """A number of a row: its name, unit, range and default; None if the row must give it."""
 
     name: str
     unit: str
@@ -85,16 +85,17 @@ class Kind(NamedTuple):
     Attributes:
         acts_on: "link", "device", "plant" or "signal".
         targets: the targets that a row may name; empty where only the FMU knows them.
-        target_words: the same for a reader.
+        target_words: the targets in words, for the page.
         meaning: what happens.
-        counts: what ``applied`` counts.
+        counts: what the number ``applied`` in reports counts.
         example: the rest of a row, for the page.
         value: the row's ``value``, None for a kind without one.
         further: its other numbers, of which a row gives all or none.
         is_instant: it happens at start_s and has no end.
-        explains: it can take feedback, state or robot away, so it explains ticks that are not driven.
+        explains: it can interrupt feedback, state or robot, so ticks in which the robot is not driven are put down to
+            it.
         on_signal: for a kind that changes a value: called as ``on_signal(row, chance)`` once for each row, returns its
-            effect. ``applied`` then counts the values that came out different.
+            effect. ``applied`` then counts the changed values.
         on_frames: the same for a kind that loses, doubles or replaces frames.
     """
 
@@ -114,32 +115,32 @@ class Kind(NamedTuple):
 
     @property
     def unit(self) -> str:
-        """The unit of ``value``, for a list."""
+        """The unit of ``value`` in words."""
         if self.value is None:
             return "-"
         return self.value.unit or self.value.meaning
 
     def check_target(self, target: str, value: float | None) -> None:
-        """Raise ValueError, with part of a sentence, unless the kind acts on the target.
+        """Raise ValueError, with part of a message, unless the kind acts on the target.
 
         Whether the run has a signal of this name is checked with the scenario.
         """
         if self.acts_on == "signal":
             if target in SIGNAL_NAMES and target not in self.targets:
-                raise ValueError(f"target = {target!r} is nothing that {self.name} acts on; it is the time of the run")
+                raise ValueError(f"target = {target!r} is not a target of {self.name}; it is the time of the run")
         elif self.targets and target not in self.targets:
             hint = nearest(target, self.targets)
             if "did you mean" not in hint and len(self.targets) > 12:
                 hint = f"; expected {self.target_words.replace('`', '')}"
-            raise ValueError(f"target = {target!r} is nothing that {self.name} acts on{hint}")
+            raise ValueError(f"target = {target!r} is not a target of {self.name}{hint}")
         if target == "robot.state" and self.name == "bias":
-            raise ValueError("target = 'robot.state' is no quantity; use override with the number of a state")
+            raise ValueError("target = 'robot.state' is not a quantity; use override with the number of a state")
         if target == "robot.state" and self.name == "override" and value not in list(State):
             known = ", ".join(f"{state.value} {state.name}" for state in State)
-            raise ValueError(f"value = {value} is no state of the firmware; expected one of {known}")
+            raise ValueError(f"value = {value} is not a state of the firmware; expected one of {known}")
 
     def check_numbers(self, given: Mapping[str, float | None]) -> None:
-        """Raise ValueError, with part of a sentence, unless a row's numbers fit the kind; None for one not given."""
+        """Raise ValueError, with part of a message, unless a row's numbers fit the kind; None: not given."""
         known = {q.name: q for q in (self.value, *self.further) if q is not None}
         for name, value in given.items():
             quantity = known.get(name)

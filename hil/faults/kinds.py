@@ -20,7 +20,7 @@ from hil.faults.kind import FaultRow, FrameEffect, Kind, Quantity
 DIRECTIONS = ("command", "feedback")
 MESSAGES = tuple(name for number, name in WHEEL_DBC.names.items() if number < WHEEL_DBC.exempt_from)
 PUSHES = ("force_x_n", "force_y_n", "moment_n_m")
-# The time axis of the run itself: without it neither faults nor expectations had a place.
+# loop.t_s is the time axis by which faults and expectations are placed, so no fault may change it.
 FAULTY_SIGNALS = tuple(name for name in SIGNAL_NAMES if name != "loop.t_s")
 BATTERY_VARIABLE = "battery_voltage_v"
 GRIP_VARIABLES = tuple(f"wheel.{wheel}.grip_factor" for wheel in WHEEL_NAMES)
@@ -35,7 +35,7 @@ _ANY = 1e9
 
 
 def _by_chance(change: Callable[[list[Frame]], list[Frame]]) -> Callable[[FaultRow, random.Random], FrameEffect]:
-    """Return what changes each frame with the probability ``value``."""
+    """Return an effect on frames that applies ``change`` to each frame with the probability ``value``."""
 
     def make(row: FaultRow, chance: random.Random) -> FrameEffect:
         return lambda _direction, frames: change(frames) if chance.random() < row.value else frames
@@ -44,7 +44,7 @@ def _by_chance(change: Callable[[list[Frame]], list[Frame]]) -> Callable[[FaultR
 
 
 def _bursts(row: FaultRow, chance: random.Random) -> FrameEffect:
-    """Lose each frame in the bad state of a Gilbert-Elliott chain, which each direction has for itself."""
+    """Lose each frame in the bad state of a Gilbert-Elliott chain; each direction has its own chain."""
     bad: set[str] = set()
 
     def effect(direction: str, frames: list[Frame]) -> list[Frame]:
@@ -218,7 +218,7 @@ _EXTENSIONS = Extensions("hil.faults", [kind.name for kind in KINDS])
 def kinds() -> tuple[Kind, ...]:
     """Return every kind: the shipped ones, then those of other packages.
 
-    Raises BadInputError for one of another package that cannot be loaded, or is no kind that acts on signals or frames.
+    Raises BadInputError when another package's kind cannot be loaded, or does not act on signals or frames.
     """
     return _kinds(tuple(sys.path))
 
@@ -233,7 +233,7 @@ def _kinds(_path: tuple[str, ...]) -> tuple[Kind, ...]:
         if not isinstance(kind, Kind) or kind.name != point.name:
             raise BadInputError(f"{named}: {point.value!r} is {kind!r}; expected a hil.faults.kind.Kind of this name")
         if kind.name in names(KINDS):
-            raise BadInputError(f"{named}: the name is taken; choose another")
+            raise BadInputError(f"{named}: the name is already in use; choose another")
         effects = {"signal": kind.on_signal, "link": kind.on_frames}
         if effects.get(kind.acts_on) is None or kind.is_instant:
             expected = "expected 'signal' with on_signal, or 'link' with on_frames, and a window"
@@ -248,11 +248,11 @@ def names(some: tuple[Kind, ...] | None = None) -> tuple[str, ...]:
 
 
 def find(name: str, target: str | None) -> Kind:
-    """Return the kind of a row: of two with one name, the one that acts on the target.
+    """Return the kind of a row: of two kinds with the same name, the one that acts on the target.
 
-    Raises ValueError, with part of a sentence, when there is none of this name.
+    Raises ValueError, with part of a message, when there is none of this name.
     """
     same = [kind for kind in kinds() if kind.name == name]
     if not same:
-        raise ValueError(f"kind = {name!r} is no kind of fault{nearest(name, names())}")
+        raise ValueError(f"kind = {name!r} is not a kind of fault{nearest(name, names())}")
     return next((kind for kind in same if target in kind.targets), same[-1])

@@ -1,6 +1,6 @@
 """Writes the kinds and cases into FAULTS.md, between its marks; the text around them is written by hand.
 
-``python -m hil.faults.page`` writes it, ``--check`` fails when it is not as it would be written.
+``python -m hil.faults.page`` writes it, ``--check`` fails when it is out of date.
 """
 
 import re
@@ -18,7 +18,7 @@ _BLOCK = re.compile(r"(<!-- (?:kinds: )?(\w+) -->\n).*?(<!-- end -->\n)", re.DOT
 
 
 def page() -> str:
-    """Return the page as it is, with the blocks between its marks as the tables have them."""
+    """Return the page with the blocks between its marks made anew from the tables."""
     blocks = {"cases": _cases()}
     for kind in KINDS:
         blocks[kind.acts_on] = blocks.get(kind.acts_on, "") + _section(kind) + "\n"
@@ -32,14 +32,14 @@ def _cases() -> str:
         given = "; ".join(" ".join(_given(row)) for row in case.rows)
         marks = ("yes" if mark else "-" for mark in (case.in_pairs, case.realtime))
         rows.append(f"| {case.name} | {given} | {' | '.join([case.outcome, *marks])} |")
-    rows += ["", "Pairs of which one keeps the other from coming out as it does alone:", ""]
+    rows += ["", "Pairs in which one fault changes the outcome of the other:", ""]
     rows += ["| pair | outcome | why |", "|---|---|---|"]
     rows += [f"| {' + '.join(names)} | {pair.outcome} | {pair.why} |" for names, pair in PAIRS.items()]
     return "\n".join(rows) + "\n\n"
 
 
 def _given(row: Row) -> Iterator[str]:
-    """Yield what a case's row says, but for kind and target."""
+    """Yield KEY = VALUE for each key of a case's row except kind and target."""
     for key, value in row.items():
         if key not in ("kind", "target"):
             yield f"{key} = {value}"
@@ -73,7 +73,7 @@ def main(arguments: list[str]) -> int:
     if arguments == ["--check"]:
         is_current = PAGE.is_file() and PAGE.read_text(encoding="utf-8") == page()
         if not is_current:
-            print(f"{PAGE.name} is not what kinds.py says; run: python -m hil.faults.page", file=sys.stderr)
+            print(f"{PAGE.name} is out of date; run: python -m hil.faults.page", file=sys.stderr)
         return 0 if is_current else 1
     if arguments:
         print("usage: python -m hil.faults.page [--check]", file=sys.stderr)

@@ -1,5 +1,5 @@
-"""What a run is worth: expectations, figures, results, and the words for them. Pure, but for the results' arrays.
+"""How good a run was: expectations, figures, results, and their texts. No side effects, except on arrays of results.
 
-May import: `scenario`, `core`.
-To add a figure: a class as `measure.py` describes it, and its row in `SHIPPED` of `figures.py`.
+May import: `scenario`, `core`. To add a figure: a class as `measure.py` describes it, and its row in `SHIPPED` of
+`figures.py`.
 """

@@ -1,4 +1,4 @@
-"""How far a run went past the reference, and what it took from the motors."""
+"""Overshoot, control effort, torque variation and saturation of a run."""
 
 from collections.abc import Mapping
 from functools import reduce
@@ -9,7 +9,7 @@ from hil.core.types import WHEEL_NAMES
 from hil.judge.measure import RESOLUTION_M, Figure, Measure, NoFigureError, RunSetup, Series, TruthGaps
 
 AT_LIMIT = 0.999
-"""Share of a limit from which on a command counts as at the limit: codecs and rounding take a little."""
+"""A command counts as at its limit from this share of it on, because codecs and rounding reduce it slightly."""
 _CURRENTS = tuple(f"wheel.{wheel}.current_a" for wheel in WHEEL_NAMES)
 
 
@@ -48,7 +48,7 @@ class Overshoot(Measure):
         self._overshoot_m = max(self._overshoot_m, float(np.max(-error_m @ self._direction)))
 
     def value(self, _name: str) -> float:
-        """Return the overshoot. Raises NoFigureError where it has no meaning."""
+        """Return the overshoot. Raises NoFigureError where it is not defined."""
         self._gaps.require_truth()
         if self._initial_m is not None and self._initial_m < RESOLUTION_M:
             raise NoFigureError(
@@ -61,7 +61,7 @@ class Overshoot(Measure):
 class _Held:
     """Pairs each row with the time until the next one: a value holds until the next row.
 
-    The newest row waits for the rows that are added next, for it is not known yet how long it holds.
+    The newest row is kept until rows follow it, because its duration is not known before.
     """
 
     def __init__(self) -> None:
@@ -71,8 +71,8 @@ class _Held:
     def add(self, t_s: Series, values: Series) -> tuple[Series, Series]:
         """Add times of shape (n,) and values of shape (n, ...).
 
-        Returns how long each row up to the last held [s], shape (m,), and the values of these rows and of the one after
-        them, shape (m + 1, ...).
+        Returns the durations [s] of all rows but the newest, shape (m,), and the values of all rows, shape (m + 1,
+        ...), beginning with the row kept before.
         """
         if self._last is not None:
             t_s, values = (np.concatenate(both) for both in zip(self._last, (t_s, values), strict=True))
@@ -90,10 +90,10 @@ class _Held:
 class Effort(Measure):
     """Control effort and torque variation of the four wheels, from the measured motor currents.
 
-    Effort is ∫ Σ|τ| dt. Variation is the mean absolute slew of a wheel's torque: the total variation
-    Σ|τ(t + T) - τ(t)| over the time that it took, mean of the four wheels. What happens between two rows is not seen,
-    such as the variation that a firmware's speed loop makes faster than the ticks. Rows without any measured current,
-    as before the first feedback or while the robot is away, are left out.
+    Effort is ∫ Σ|τ| dt. Variation is the mean absolute slew of a wheel's torque: the total variation Σ|τ(t + T) - τ(t)|
+    over the time that it took, mean of the four wheels. Changes between two rows are not seen, such as those by a
+    firmware's speed loop, which is faster than the ticks. Rows without any measured current, as before the first
+    feedback or while the link is lost, are left out.
     """
 
     figures = (
@@ -125,7 +125,7 @@ class Effort(Measure):
             return
         current_a = np.column_stack([signals[name] for name in _CURRENTS])
         torque_n_m = (self._torque_constant_n_m_a * current_a)[active]
-        # Sums over four columns: as a product they cost a fifth.
+        # Sums over four columns: a matrix product takes a fifth of the time.
         ones = np.ones(torque_n_m.shape[1])
         measured = np.isfinite(torque_n_m) @ ones
         self._measured |= bool(measured.any())
@@ -142,9 +142,9 @@ class Effort(Measure):
         self._slewed_s += float(held_s[there].sum())
 
     def value(self, name: str) -> float:
-        """Return one of the figures. Raises NoFigureError where it has no meaning."""
+        """Return one of the figures. Raises NoFigureError where it is not defined."""
         if self._torque_constant_n_m_a is None:
-            raise NoFigureError("nothing says which torque the motors make of a current")
+            raise NoFigureError("the torque constant of the motors is not known")
         self._held.require_spans()
         if not self._measured:
             raise NoFigureError("the robot measured no motor currents")
@@ -160,7 +160,7 @@ class Effort(Measure):
 class Saturation(Measure):
     """For how long in all a wheel's command was at its limit, whether the guard or the law kept it there.
 
-    Without known limits only what the guard scaled counts.
+    Without known limits only ticks in which the guard scaled the command count.
     """
 
     figures = (

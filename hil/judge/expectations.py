@@ -1,7 +1,7 @@
-"""Expectations and allowances: what ``[[expect]]`` claims of signals, what ``[allow]`` permits, and the outcome.
+"""Expectations and allowances: what ``[[expect]]`` claims of signals, what ``[allow]`` permits, and the outcomes.
 
-Pure: numbers in, plain numbers and sentences out. A run adds sample by sample, so that it can say at once when an
-expectation has failed; a review checks a whole recording.
+No side effects. A run adds sample by sample, so it reports a failed expectation at once; a review checks a whole
+recording.
 """
 
 import math
@@ -15,20 +15,20 @@ from hil.scenario.trial import AllowTable, ExpectTable, most
 
 
 class Outcome(NamedTuple):
-    """What became of an expectation.
+    """The outcome of an expectation.
 
     Attributes:
-        passed: whether it held. False also when there was no sample to hold for; None when it is not judged, because
-            the run ended before its time and nothing until then was a violation.
-        violation_s: time of the first violation, or None. Of one that did not settle: of the last sample.
+        passed: whether it held. False also without any sample; None when it is not judged: the run ended early, without
+            a violation until then.
+        violation_s: time of the first violation, or None. For a ``settles_to`` that did not settle, the last sample's.
         violation_value: the signal's value there (NaN for a gap), or None.
-        worst_s: time of the worst violation, the value farthest from what was claimed, or None. One that did not
-            settle has none, for to be outside at first is no violation.
+        worst_s: time of the worst violation, the value farthest from the claim, or None. None also for a ``settles_to``
+            that did not settle: being outside at first is not a violation.
         worst_value: the signal's value there.
-        violated_s: how long it was violated in all [s]: each time from the first sample that violates it to the next
-            one that does not, or to the last one of all. None where ``worst_s`` is.
+        violated_s: total time of violation [s]: each violation lasts from its first sample to the next good one, or to
+            the last sample. None where ``worst_s`` is None.
         settled_s: of ``settles_to``: the first time from which it stayed within the tolerance.
-        text: the whole story for a person.
+        text: a sentence for the user with all of this.
     """
 
     passed: bool | None
@@ -42,7 +42,7 @@ class Outcome(NamedTuple):
 
 
 class _Claim(NamedTuple):
-    """What is claimed of a value: ``holds`` is false of a NaN; ``distance`` is how far one that violates it is off."""
+    """A claim about a value: ``holds`` is False for NaN; ``distance`` is how far a violating value is from it."""
 
     holds: Callable[[float], bool]
     distance: Callable[[float], float]
@@ -74,9 +74,9 @@ def _claim(expect: ExpectTable) -> _Claim:
 
 
 class Watch:
-    """One expectation that is checked sample by sample.
+    """Checks one expectation sample by sample.
 
-    It fails when there are no samples in its time, or when one that counts is NaN: nothing was shown then.
+    It fails when there are no samples in its time, or when one of them is NaN: neither shows that the claim holds.
     """
 
     def __init__(self, expect: ExpectTable) -> None:
@@ -84,17 +84,17 @@ class Watch:
         self._claim = _claim(expect)
         self._settles = expect.settles_to is not None
         self._samples = 0
-        self._held = 0  # samples at the end that hold without a break
+        self._held = 0  # number of newest samples in a row that hold
         self._held_since_s = 0.0
         self._first: tuple[float, float] | None = None  # violations, each with time and value
         self._worst = self._last = (math.nan, math.nan)
         self._worst_distance = -math.inf
         self._violations = 0
-        self._since_s = 0.0  # the violation that goes on began then
-        self._violated_s = 0.0  # those that are over
+        self._since_s = 0.0  # start of the current violation
+        self._violated_s = 0.0  # total of the violations that have ended
 
     def add(self, t_s: float, value: float) -> bool:
-        """Add a sample of the expectation's time; return whether it is the one by which the claim has failed."""
+        """Add a sample in the expectation's time; return whether the claim has just failed because of it."""
         self._samples += 1
         if self._claim.holds(value):
             if not self._held:
@@ -116,9 +116,9 @@ class Watch:
         return is_first and not self._settles
 
     def outcome(self, cut_s: float | None = None) -> Outcome:
-        """Return what became of it with the samples so far.
+        """Return the outcome for the samples so far.
 
-        ``cut_s`` is the time at which the run ended before it should have; None for one that came to its end.
+        ``cut_s`` is the time at which the run ended early; None for a complete run.
         """
         until = "to the end" if math.isinf(self.expect.to_s) else f"to {self.expect.to_s:g} s"
         claim = f"{self.expect.signal} {self._claim.text} from {self.expect.from_s:g} s {until}"
@@ -140,7 +140,7 @@ class Watch:
         return Outcome(True, f"{claim}: held over {self._samples} samples")
 
     def _until(self) -> str:
-        """Return how it was when the run ended before its time."""
+        """Return a phrase on how the claim stood when the run ended early."""
         if not self._samples:
             return ", before there was a sample of it"
         if not self._held:
@@ -157,7 +157,7 @@ def _found(sample: tuple[float, float]) -> str:
 def check_expectation(expect: ExpectTable, signals: Mapping[str, Series], cut_s: float | None = None) -> Outcome:
     """Check one expectation against the signals of a run, ``loop.t_s`` among them.
 
-    ``cut_s`` is the time at which the run ended before it should have, or None. Raises UnknownSignalError, with near
+    ``cut_s`` is the time at which the run ended early, or None. Raises UnknownSignalError, which suggests similar
     names, for a signal that is not there.
     """
     if expect.signal not in signals:
@@ -171,7 +171,7 @@ def check_expectation(expect: ExpectTable, signals: Mapping[str, Series], cut_s:
 
 
 def outcome_figures(expect: ExpectTable, outcome: Outcome) -> dict[str, Any]:
-    """Return an expectation with how it went, in words and numbers, as the JSON of a run has it."""
+    """Return an expectation's outcome, in words and numbers, as a run's JSON has it."""
     fields = outcome._asdict()
     text = fields.pop("text")
     return {"signal": expect.signal, **fields, "text": text}
@@ -180,7 +180,7 @@ def outcome_figures(expect: ExpectTable, outcome: Outcome) -> dict[str, Any]:
 def outcomes_of(
     rows: Sequence[ExpectTable], signals: Mapping[str, Series], cut_s: float | None = None
 ) -> list[dict[str, Any]]:
-    """Return the figures of each expectation, checked against the signals of a run; see ``check_expectation``."""
+    """Return the outcome of each expectation as a run's JSON has it, checked against the signals of a run."""
     return [outcome_figures(row, check_expectation(row, signals, cut_s)) for row in rows]
 
 
@@ -192,9 +192,9 @@ class TickCount(NamedTuple):
 
 
 def allow_figures(allow: AllowTable, counts: Mapping[str, TickCount], ticks: int) -> list[dict[str, Any]]:
-    """Return what became of each limit of ``[allow]``, in its order, in words and numbers.
+    """Return the outcome of each limit of ``[allow]``, in its order, in words and numbers, as a run's JSON has it.
 
-    ``counts`` has one for each key of the table; ``ticks`` is how many the run had.
+    ``counts`` has an entry for each key of the table; ``ticks`` is the number of ticks of the run.
     """
     figures = []
     for name, option in options_of(AllowTable).items():

@@ -24,7 +24,7 @@ BLOCK_ROWS = 1024
 
 
 class Ticks(Measure):
-    """How many rows there are."""
+    """The number of rows."""
 
     figures = (Figure("ticks", "ticks", "", 1, "control periods that were done", better=None),)
     signals = ("loop.t_s",)
@@ -37,7 +37,7 @@ class Ticks(Measure):
         self._ticks += len(signals["loop.t_s"])
 
     def value(self, _name: str) -> int:
-        """Return how many there are."""
+        """Return the number."""
         return self._ticks
 
 
@@ -66,7 +66,7 @@ class TickTime(Measure):
 
 
 class DeadlineMisses(Measure):
-    """How many ticks came too late by then: the newest row's count."""
+    """How many ticks began too late: the count in the newest row."""
 
     figures = (Figure("deadline_misses", "deadline misses", "", 1, "ticks that could not begin in time"),)
     signals = ("loop.deadline_misses",)
@@ -127,8 +127,8 @@ _EXTENSIONS = Extensions("hil.figures", [figure.name for measure in SHIPPED for 
 def measures() -> Sequence[type[Measure]]:
     """Return the classes that compute figures: the shipped ones, then those of other packages.
 
-    Raises BadInputError for one of another package that cannot be loaded, is no measure, or has a figure of a name that
-    is taken.
+    Raises BadInputError when another package's class cannot be loaded, does not have what ``Measure`` requires, or has
+    a figure whose name is already in use.
     """
     return _measures(tuple(sys.path))
 
@@ -146,7 +146,7 @@ def _measures(_path: tuple[str, ...]) -> Sequence[type[Measure]]:
             raise BadInputError(f"{named}: {point.value!r} has no {missing[0]}; {expected}")
         for name in (_key(figure.name) for figure in measure.figures):
             if name in taken:
-                raise BadInputError(f"{named}: the name {name!r} is taken; choose another")
+                raise BadInputError(f"{named}: the name {name!r} is already in use; choose another")
         taken |= {_key(figure.name) for figure in measure.figures}
         found.append(measure)
     return found
@@ -172,7 +172,7 @@ def check_figure(name: str, where: str, known: Collection[str]) -> None:
 def number(metrics: Mapping[str, Any], name: str) -> float | None:
     """Return a figure of a run from its JSON by its name, None where the run has none.
 
-    Of a table of counts that is their sum, of expectations how many failed, of other rows how many there are.
+    A table of counts gives their sum, expectations how many failed, other rows (such as recoveries) how many there are.
     """
     value: Any = metrics
     for part in name.split("."):
@@ -187,8 +187,8 @@ def number(metrics: Mapping[str, Any], name: str) -> float | None:
 class RunFigures:
     """Computes the figures of a run that follow from its rows, block by block, in bounded memory.
 
-    ``names`` are the run's signals. ``lacks`` is the reason why a figure is None that needs another one, given its
-    name. Raises BadInputError as ``measures``.
+    ``names`` are the run's signals. ``lacks`` returns, for the name of a missing signal, the reason why a figure that
+    needs it is None. Raises BadInputError as ``measures``.
     """
 
     def __init__(
@@ -198,7 +198,7 @@ class RunFigures:
         lacks: Callable[[str], str] = lambda name: f"the run has no signal {name}",
     ) -> None:
         self._made: list[tuple[type[Measure], Measure | None]] = []
-        self._reasons: dict[type[Measure], str] = {}  # why one has no figures
+        self._reasons: dict[type[Measure], str] = {}  # why a measure has no figures
         for kind in measures():
             measure = None
             if missing := [name for name in kind.signals if name not in names]:
@@ -219,7 +219,7 @@ class RunFigures:
     def figures(self, cut: str | None = None) -> tuple[dict[str, Any], dict[str, str]]:
         """Return the figures by their keys in a run's JSON, and the reason for each that is None.
 
-        ``cut`` is the reason why a run that was cut short has no figures of its end.
+        ``cut`` is the reason why a run that ended early has no figures of its end.
         """
         found: dict[str, Any] = {}
         reasons: dict[str, str] = {}
@@ -240,7 +240,7 @@ class RunFigures:
 
     @contextmanager
     def _contained(self, kind: type[Measure]) -> Iterator[None]:
-        """Let an error in a measure be the reason why it has no figures: it must not end a run that drives a robot."""
+        """Make an error in a measure the reason why it has no figures; it must not end a run that drives a robot."""
         try:
             yield
         except NoFigureError:
@@ -270,7 +270,7 @@ def figure_signals() -> frozenset[str]:
 
 
 def cut_words(t_s: float, duration_s: float | None) -> str:
-    """Return the reason why a run that ended before its time, where that is known, has no figures of its end."""
+    """Return the reason why a run that ended early at ``t_s`` has no figures of its end; ``duration_s`` may be None."""
     whole = "" if duration_s is None else f" of {duration_s:g} s"
     return f"there is nothing after t = {t_s:.6g} s{whole}, and this is a figure of the run's end"
 

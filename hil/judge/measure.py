@@ -1,4 +1,4 @@
-"""What a figure of a run is, and what computes it: a measure, which is given the run's rows block by block."""
+"""A figure of a run, and a measure: the class that computes figures from the run's rows, block by block."""
 
 from collections.abc import Mapping
 from typing import Any, ClassVar, NamedTuple, Protocol
@@ -17,12 +17,12 @@ class Figure(NamedTuple):
     Attributes:
         name: its key in the JSON of a run; ``table.key`` for a number in a table, as ``tick_us.p99``.
         label: what reports call it.
-        unit: the unit in which it is shown; ``scale`` of them are one of the unit in which it is stored.
+        unit: the unit in which it is shown: the stored value times ``scale``.
         meaning: one line that defines it.
         better: "less" or "more"; None where neither is better.
-        column: its column in tables of many runs (campaigns, comparisons); None for a figure that has none.
-        of_end: it describes the run's end, so a run that was cut short has no such figure.
-        printed: reports print it on a line of its own.
+        column: its column in tables of many runs (campaigns, comparisons); None if it has none there.
+        of_end: whether it describes the run's end; a run that ended early then lacks the figure.
+        printed: whether reports print it on a line of its own.
     """
 
     name: str
@@ -45,7 +45,7 @@ class CommandLimits(NamedTuple):
 
 
 class RunSetup(NamedTuple):
-    """What a measure may know of the run.
+    """Facts about the run that a measure may use.
 
     Attributes:
         torque_constant_n_m_a: torque at the wheel per motor current [N·m/A]; None where it is not known.
@@ -59,8 +59,8 @@ class RunSetup(NamedTuple):
 class Measure(Protocol):
     """Computes one figure, or several that share their work, from a run's rows in bounded memory.
 
-    The class is made as ``Class(setup)``, once for each run. Where the run lacks one of its ``signals``, or it raises
-    an exception, its figures are None with the reason.
+    An instance is made for each run, as ``Class(setup)``. If the run lacks one of the ``signals``, or the measure
+    raises, its figures are None and the exception is the reason.
     """
 
     figures: ClassVar[tuple[Figure, ...]]
@@ -70,17 +70,17 @@ class Measure(Protocol):
     def __init__(self, setup: RunSetup, /) -> None: ...
 
     def add(self, signals: Mapping[str, Series], /) -> None:
-        """Add the next rows: each signal by name, shape (n,), NaN for a gap. Rows before t = 0 come too."""
+        """Add the next rows: each signal by name, shape (n,), NaN for a gap. Rows before t = 0 are included."""
 
     def value(self, name: str, /) -> Any:
         """Return the figure of this key: a number, or for names ``table.key`` the table of numbers.
 
-        Raises NoFigureError where the figure has no meaning for this run.
+        Raises NoFigureError where the figure is not defined for this run.
         """
 
 
 class NoFigureError(Exception):
-    """A figure has no meaning for this run; the text says why."""
+    """A figure is not defined for this run; the text says why."""
 
 
 class TruthGaps:
@@ -100,7 +100,7 @@ class TruthGaps:
         self._missing += len(gaps)
 
     def require_truth(self) -> None:
-        """Raise NoFigureError unless there were rows, and the value in all of them."""
+        """Raise NoFigureError unless there were rows, and all of them had the truth."""
         if not self._rows:
             raise NoFigureError("the run has no samples")
         if self._missing == self._rows:

@@ -24,8 +24,8 @@ _PRINTED = ("tracked_s", "steady_rms_m", "steady_max_m", "ticks")
 class MemorySink:
     """Computes the figures of a run from its rows, and keeps the rows on request.
 
-    A block of rows is worked on in small steps, one in each tick, so that no tick pays for all of it. ``names`` are the
-    run's signals; with ``keep`` every row stays in memory: 0.8 MB a second at 1 kHz.
+    A block of rows is processed in small steps, one in each tick, so that no tick takes long. ``names`` are the run's
+    signals; with ``keep`` every row stays in memory: 0.8 MB a second at 1 kHz.
     """
 
     def __init__(self, names: Sequence[str], figures: RunFigures, *, keep: bool) -> None:
@@ -42,7 +42,7 @@ class MemorySink:
         self._new_block()
 
     def _new_block(self) -> None:
-        # Not zeroed: its pages are touched one by one as rows come, and no tick pays for all of them.
+        # Not zeroed: its memory pages are touched one by one as rows come, not all in one tick.
         self._block: Series = np.empty((BLOCK_ROWS, len(self._names)))
         self._bytes = self._block.data.cast("B")
         self._filled = 0  # bytes
@@ -70,7 +70,7 @@ class MemorySink:
         return self._age_ms.percentiles()
 
     def signals(self) -> dict[str, Series]:
-        """Return every signal by name, each of shape (ticks,); none of them when no rows are kept."""
+        """Return every signal by name, each of shape (ticks,); empty when no rows are kept."""
         if not self._keep:
             return {}
         self._blocks = [np.concatenate([*self._blocks, self._rest()])]
@@ -125,14 +125,14 @@ class Signals(Mapping[str, Series]):
 
 @dataclass(frozen=True, repr=False)
 class RunResult:
-    """A finished run; printed, it sums the run up in a few lines.
+    """A finished run; its ``repr`` sums it up in a few lines.
 
     Attributes:
         scenario: what was run.
-        metrics: the figures, as ``hil run --json`` prints them; one without a meaning is None, with a sentence in
+        metrics: the figures, as ``hil run --json`` prints them; one that is not defined is None, with a sentence in
             ``reasons``.
         signals: every signal of the run by name, each of shape (ticks,): those of ``hil list signals``, then the extra
-            ones. Empty when the run was told to keep none.
+            ones. Empty when the run kept none.
         failure: what ended the run early, or None.
     """
 
@@ -164,7 +164,7 @@ class RunResult:
 
     @property
     def exit_code(self) -> int:
-        """0 as expected, 1 when an expectation failed, 2 when the law failed, 3 when the link or the device did."""
+        """0 passed; 1 did not pass; else that of the failure: 2 for the law, 3 for link or device, 130 interrupted."""
         if self.failure is not None:
             return self.failure.exit_code
         return 0 if self.passed else 1

@@ -1,4 +1,4 @@
-"""How fast and how well the robot came to the reference, and how well it knew where it was."""
+"""Settling times and steady tracking error of a run, and the error of its pose estimate."""
 
 from collections.abc import Mapping
 
@@ -80,7 +80,7 @@ class Tracking(Measure):
         self._tail = (times[start:], errors[start:])
 
     def value(self, name: str) -> float:
-        """Return one of the figures. Raises NoFigureError where it has no meaning."""
+        """Return one of the figures. Raises NoFigureError where it is not defined."""
         match name:
             case "tracked_s":
                 return self._tracked()
@@ -96,7 +96,7 @@ class Tracking(Measure):
         if self._initial_m < RESOLUTION_M:
             raise NoFigureError(
                 f"the run began {self._initial_m * 1e3:.3g} mm from the reference: 2 % of less than "
-                f"{RESOLUTION_M * 1e3:g} mm says nothing"
+                f"{RESOLUTION_M * 1e3:g} mm is no usable limit"
             )
         return self._settled(self._ratio)
 
@@ -114,7 +114,7 @@ class Tracking(Measure):
         t_s, planar_m = self._tail
         if len(t_s) < 2:
             raise NoFigureError("the run has fewer than two samples")
-        # n samples cover n periods; the window's own length must not be refused for half of one.
+        # n samples cover n periods. Half a period of tolerance lets a run as long as the window pass.
         period_s = float(np.median(np.diff(t_s)))
         covered_s = float(t_s[-1] - self._first_s) + period_s
         if covered_s < STEADY_WINDOW_S - period_s / 2:

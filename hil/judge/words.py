@@ -1,6 +1,6 @@
-"""The figures of a run in words: what is printed of it, and what its page says.
+"""The figures of a run as text, for the terminal and for its page.
 
-Pure: the JSON of a run in, pairs of a label and a text out.
+No side effects: the JSON of a run in, pairs of a label and a text out.
 """
 
 import math
@@ -25,7 +25,7 @@ def with_page(metrics: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def figure_rows(metrics: Mapping[str, Any]) -> Iterator[Row]:
-    """Yield the figures that are numbers, with the reason where there is none, and the frames."""
+    """Yield the figures that are printed, the reason for each one that is None, tick times and frame counts."""
     reasons = metrics.get("reasons", {})
     for figure in figures():
         if not figure.printed:
@@ -48,7 +48,7 @@ def figure_rows(metrics: Mapping[str, Any]) -> Iterator[Row]:
     frames = metrics.get("frames")
     if frames is not None:
         rejected = _by_cause(frames["rejected"]) or "none"
-        traffic = f"{frames['sent']} sent, {frames['received']} received since connecting, but for HELLO"
+        traffic = f"{frames['sent']} sent, {frames['received']} received since connecting, without HELLO"
         yield "frames", f"{traffic}; rejected: {rejected}"
 
 
@@ -79,7 +79,7 @@ def link_rows(metrics: Mapping[str, Any]) -> Iterator[Row]:
 
 
 def belief_rows(metrics: Mapping[str, Any]) -> Iterator[Row]:
-    """Yield the estimate's error, the pose fixes, and the ticks in which the robot was held."""
+    """Yield the estimate's error, the pose fixes, and the ticks in which the robot was not driven."""
     error = metrics.get("estimation_error")
     if error is not None and error["rms_m"] > 0.0:
         yield "estimate's error", f"{error['rms_m'] * 1e3:.3g} mm rms, {error['max_m'] * 1e3:.3g} mm max"
@@ -93,7 +93,7 @@ def belief_rows(metrics: Mapping[str, Any]) -> Iterator[Row]:
     if refused := metrics.get("commands_refused"):
         yield "law", f"it gave no number {refused} times, and the robot was held still"
     if stale := metrics.get("stale_ticks"):
-        yield "stale", f"{stale} ticks, in which nothing fresh said where the robot is: it was not driven"
+        yield "stale", f"{stale} ticks, in which the feedback or the truth was too old: the robot was not driven"
     if held := metrics.get("held_ticks"):
         yield "held", f"{held} ticks, in which the state was unknown, the estimator lost, or the robot away"
     if slipped := metrics.get("robot_slipped_ticks"):
@@ -101,7 +101,7 @@ def belief_rows(metrics: Mapping[str, Any]) -> Iterator[Row]:
 
 
 def outcome_rows(metrics: Mapping[str, Any]) -> Iterator[Row]:
-    """Yield faults, recoveries, expectations as ``in_order``, broken allowances, and what the recording lacks."""
+    """Yield faults, recoveries, expectations (see ``in_order``), broken allowances, and what the recording lacks."""
     for row in metrics.get("fault") or ():
         yield "fault", applied_words(row)
     for row in metrics.get("recoveries") or ():
@@ -143,7 +143,7 @@ def in_order(expect: Iterable[Mapping[str, Any]]) -> list[Mapping[str, Any]]:
 def applied_words(fault: Mapping[str, Any]) -> str:
     """Return a sentence on what a fault of a run did, from its entry in the run's JSON."""
     if fault["applied"] is None:
-        return f"{fault['text']}: the robot that knew how often it was applied has gone"
+        return f"{fault['text']}: not known how often it was applied, because the robot has gone"
     return f"{fault['text']}: applied {fault['applied']} times ({fault['counts']})"
 
 

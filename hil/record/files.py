@@ -156,7 +156,7 @@ def rotation(text: str) -> Rotation:
             raise BadInputError(f"rotate {text!r}: expected a size, a time or both, as in 1GB, 10min or 1GB|10min")
         found[kind] = float(match[1]) * (sizes | times)[unit]
     if found.get("size", _SMALLEST_BYTES) < _SMALLEST_BYTES or found.get("time", 1.0) < 1.0:
-        raise BadInputError(f"rotate {text!r}: a part must have 1MB or 1s at least")
+        raise BadInputError(f"rotate {text!r}: expected at least 1MB or 1s for a part")
     return Rotation(round(found["size"]) if "size" in found else None, found.get("time"))
 
 

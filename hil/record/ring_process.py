@@ -34,8 +34,8 @@ class RingProcess:
         config: settings of the process, as JSON values.
         blocking: ``put`` waits while the ring is full (for lockstep); otherwise it drops the row and counts it.
         name: of the process, for messages. remedy: what the messages advise the user to do.
-        restart: start a process that died again, at most six times in a row, after a pause of 0.1 s that doubles each
-            time; its config then has ``restarts`` above 0.
+        restart: start another process when this one dies, at most six times in a row, after a pause of 0.1 s that
+            doubles each time; its config then has ``restarts`` above 0.
 
     Raises BadInputError when the process refuses the config, DeviceError when it does not start.
 

@@ -1,4 +1,4 @@
-"""What the file of a recording holds, whatever its format, and whether its rows can be what a run wrote."""
+"""The contents of a recording's file, in either format, and a check that its rows are plausible."""
 
 import json
 from collections.abc import Collection
@@ -22,16 +22,16 @@ class DamagedError(Exception):
 
 
 class Contents(NamedTuple):
-    """A file as it was read.
+    """What was read from one file.
 
     Attributes:
         signals: by name, each of shape (rows,).
         events: time [s], level and text of each.
         properties: the texts of each property.
-        cut_bytes: None for a file that ends as its format does; else the size of what was left out at its end: a
+        cut_bytes: None for a file with a proper end; otherwise the number of bytes that were left out at its end: a
             message or record that was cut short.
-        damage: a sentence for each piece in the middle that could not be read.
-        lost_rows: how many rows were in these pieces, as far as that is known.
+        damage: a sentence for each damaged piece in the middle that could not be read.
+        lost_rows: how many rows these pieces had, as far as that is known.
     """
 
     signals: dict[str, Series]
@@ -47,7 +47,7 @@ class Contents(NamedTuple):
 
 
 def why_nothing(programs: Collection[str], cut_bytes: int | None) -> str:
-    """Return why a file holds no run, by the programs that it says made it, and by whether it was cut."""
+    """Return the reason why a file holds no run, by the programs named in it and by whether it was cut."""
     if APPLICATION in programs:
         return "damaged: it does not say what its signals are" if cut_bytes is None else CUT_BEFORE_ROWS
     if programs or cut_bytes is None:
@@ -56,7 +56,7 @@ def why_nothing(programs: Collection[str], cut_bytes: int | None) -> str:
 
 
 def json_property(properties: dict[str, dict[str, str]], name: str) -> dict[str, Any] | None:
-    """Return a property that holds a JSON object, None where the file lacks it. Raises DamagedError for any other."""
+    """Return a property that holds a JSON object, None if it is missing. Raises DamagedError for other content."""
     texts = properties.get(name)
     if texts is None:
         return None
@@ -71,18 +71,18 @@ def json_property(properties: dict[str, dict[str, str]], name: str) -> dict[str,
 
 CLOCK = frozenset({"loop.t_s", "loop.tick"})
 """The signals by which every row is checked."""
-# No measured quantity comes near, not even a robot's clock in µs since 1970. Gains and a run's own signals are not
-# checked by it: a law may diverge.
+# No measured quantity comes near this, not even a robot's clock in µs since 1970. Gains and the laws' own signals are
+# not checked against it, because a law may diverge.
 _LARGEST = 1e18
 _MEASURED = frozenset(name for name in SIGNAL_NAMES if not name.startswith("gain."))
-_TOLERANCE = 0.01  # of a period; t_s is the tick times the period, but for rounding
+_TOLERANCE = 0.01  # of a period; t_s is the tick times the period, except for rounding
 
 
 def check_plausible(signals: dict[str, Series]) -> None:
     """Raise DamagedError, with the time, when the clock of the rows or a value makes no sense.
 
-    An .rrd file has no checksums, and damage decodes to numbers too. Signals have shape (n,). Each tick must take one
-    period, and ticks must ascend. Rows may be missing; in a file merged of several some may be there twice.
+    An .rrd file has no checksums, so damaged bytes decode to numbers too. Signals have shape (n,). Each tick must take
+    one period, and ticks must ascend. Rows may be missing; in a file merged from several some may be there twice.
     """
     if not signals.keys() >= CLOCK or not len(signals["loop.t_s"]):
         return

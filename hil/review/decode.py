@@ -1,8 +1,8 @@
-"""Decodes a recording in a process of its own: ``python -m hil.review.decode RUN.rrd [SIGNALS]``.
+"""Decodes a recording in a separate process: ``python -m hil.review.decode RUN.rrd [SIGNALS]``.
 
-rerun's reader aborts its whole process on some damaged files; ``hil.review.reader`` starts this one and outlives it.
-The answer on standard output is one line of JSON, then the values as float64, signal by signal. SIGNALS is a JSON list
-of the names to read.
+rerun's reader aborts its whole process on some damaged files, so ``hil.review.reader`` runs this module as a child. The
+answer on standard output is one line of JSON, then the values as float64, signal by signal. SIGNALS is a JSON list of
+the names to read.
 """
 
 import gc
@@ -24,10 +24,10 @@ from hil.review.decode_rrd import decode_rrd
 
 
 def decode(path: Path, selection: Selection = None) -> tuple[dict[str, Any], dict[str, Series]]:
-    """Return what a recording and its later files hold, and its signals by name. Raises DamagedError.
+    """Return the contents of a recording and its later files, and their signals by name. Raises DamagedError.
 
-    The first is the answer's first line: ``signals`` names those whose values follow, in rows of length ``rows``; the
-    rest are fields of ``RecordedRun``.
+    The contents are the answer's first line: ``signals`` names the signals in the order of their values, each with
+    ``rows`` values; the other keys are fields of ``RecordedRun``.
     """
     files, notes = _files(path, selection)
     first, last = files[0][1], files[-1][1]
@@ -76,7 +76,7 @@ def decode(path: Path, selection: Selection = None) -> tuple[dict[str, Any], dic
 
 
 def _cut(path: Path, contents: Contents, *, is_last: bool) -> str | None:
-    """Return what a file without its end has lost, as far as known; None when nothing, or when the next one has it."""
+    """Return a sentence on what a file without its end has lost; None if nothing, or if the next file has it."""
     why = "the recorder was killed or could not write it, or the file was cut"
     if contents.json(RECORDER_PROPERTY) is None:
         cut = f", with its last {contents.cut_bytes} bytes, which were cut short," if contents.cut_bytes else ""
@@ -88,7 +88,7 @@ def _cut(path: Path, contents: Contents, *, is_last: bool) -> str | None:
 
 
 def _files(path: Path, selection: Selection) -> tuple[list[tuple[Path, Contents]], list[str]]:
-    """Return a file and the later ones of the same run, and sentences on those that could not be read."""
+    """Return the file and the later files of its run, and notes on files that were left out."""
     first = _read(path, selection)
     files, notes = [(path, first)], []
     part = first.json(PART_PROPERTY)
@@ -112,18 +112,18 @@ def _files(path: Path, selection: Selection) -> tuple[list[tuple[Path, Contents]
 
 
 def _is_later_file(part: dict[str, Any], contents: Contents) -> bool:
-    """Whether a file is one of the later files alone. In files that rerun has merged the properties are of the last."""
+    """Whether the file is a single later file of its run. A file merged by rerun has the properties of the last."""
     in_part = (contents.json(RECORDER_PROPERTY) or {}).get("rows_in_part")
     return bool(part["number"] > 1 and (in_part is None or not contents.signals or _length(contents) <= in_part))
 
 
 def _alone(path: Path, part: dict[str, Any]) -> str:
-    """Return a sentence that names the part of the run that a file is, and where the other files should be."""
+    """Return a note that the file is only a later file of its run, and where the others should be."""
     number = part["number"]
     alone = f"{path.name} is part {number} of its run, from row {part['first_row']} on, and read alone"
     stem = path.stem.removesuffix(f"-{number}")
     if stem == path.stem:
-        return f"{alone}; the others are not known by its name"
+        return f"{alone}; its name does not tell where the others are"
     first = path.with_name(stem + path.suffix)
     if first.exists():
         return f"{alone}; review {first.name} for the whole run"
@@ -138,8 +138,8 @@ def _length(contents: Contents) -> int:
 def _spans(starts: list[int | None], lengths: list[int]) -> tuple[list[int], int]:
     """Return how many rows (or events) to use of each file, and how many are missing between the files.
 
-    ``starts`` are the numbers that the files begin with; older recordings have none for events. What a recorder had
-    written before it was killed, and could not count any more, is in the next file too.
+    ``starts`` has the number of each file's first row; older recordings have none for events. Rows that a recorder
+    wrote, but could not count before it was killed, are in the next file too.
     """
     used = list(lengths)
     missing = 0
@@ -163,7 +163,7 @@ def _read(path: Path, selection: Selection) -> Contents:
 
 
 def main() -> int:
-    """Write the answer; when the file cannot be read, the reason alone, and return 1."""
+    """Write the answer and return 0; if the file cannot be read, write only the reason and return 1."""
     output = os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)  # what a library prints must not get into the answer
     refuse_pandas()

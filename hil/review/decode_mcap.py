@@ -27,7 +27,7 @@ _RECORD = struct.Struct("<BQ")
 
 
 def decode_mcap(path: Path, selection: Selection = None) -> Contents:
-    """Return what an MCAP recording holds; of one without its end, what was before the cut.
+    """Return the contents of an MCAP recording; of a file that was cut off, those before the cut.
 
     A damaged chunk is left out, and named in ``damage``. Raises DamagedError for any other damage.
     """
@@ -46,7 +46,7 @@ def decode_mcap(path: Path, selection: Selection = None) -> Contents:
 
 
 def _end_of_records(file: BinaryIO) -> tuple[int, int | None]:
-    """Return where the last whole record ends, and the number of bytes after it; None for a file with its end."""
+    """Return the end of the last whole record, and the number of bytes after it; None if the file was not cut."""
     size = file.seek(0, os.SEEK_END)
     end, opcode = len(_MAGIC), None
     while opcode != Opcode.FOOTER:
@@ -130,7 +130,7 @@ class _Reader:
             self.add(inner)
 
     def _leave_out(self, chunk: Chunk, error: Exception) -> None:
-        """Note what is lost with a damaged chunk, by its head, which has no CRC of its own."""
+        """Note what a damaged chunk held, by its header, which has no CRC of its own."""
         begin_s, end_s = ((t_ns - self._zero_ns) / 1e9 for t_ns in (chunk.message_start_time, chunk.message_end_time))
         rows = chunk.uncompressed_size / self._row.itemsize if self._names is not None else 0.5
         are_rows = rows.is_integer() and chunk.uncompressed_size < _LONGEST_RECORD_BYTES
@@ -140,7 +140,7 @@ class _Reader:
         self._damage.append(f"{what} from t = {begin_s:.6g} s to {end_s:.6g} s cannot be read and are left out: {why}")
 
     def _rows_alone(self, chunk: Chunk) -> bool:
-        """Add a chunk at once when it holds nothing but rows; return whether it did."""
+        """Add all rows of a chunk at once if it holds nothing else; return whether it did."""
         if self._names is None:
             return False
         stream, length = get_chunk_data_stream(chunk, validate_crc=True)

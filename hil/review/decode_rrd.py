@@ -40,19 +40,19 @@ class _Piece(NamedTuple):
     values: Series
 
     def select(self, rows: slice | npt.NDArray[Any]) -> "_Piece":
-        """Return some of its rows."""
+        """Return the selected rows."""
         return _Piece(self.row_ids[rows], self.ticks[rows], self.values[rows])
 
 
 class _Pieces:
-    """The rows of an entity that were read so far, in arrays that grow: joining them later needs twice the room."""
+    """The rows read so far of an entity, in arrays that grow, because joining pieces later takes twice the memory."""
 
     def __init__(self, width: int) -> None:
         self._grown = _nothing(width)
         self._rows = 0
 
     def append(self, row_ids: npt.NDArray[np.uint64], ticks: npt.NDArray[np.int64], values: Series) -> None:
-        """Add a copy of the next piece, as of ``_Piece``."""
+        """Add a copy of the next piece, with the shapes of ``_Piece``."""
         start, self._rows = self._rows, self._rows + len(values)
         for grown, piece in zip(self._grown, (row_ids, ticks, values), strict=True):
             if self._rows > len(grown):
@@ -69,7 +69,7 @@ class _Pieces:
 
 
 class _Entities:
-    """The entities of a file, of which those that hold signals are kept."""
+    """What was read of a file: the rows of the entities that hold signals, the properties and the events."""
 
     def __init__(self, selection: Selection) -> None:
         self.selection = selection
@@ -79,12 +79,12 @@ class _Entities:
         self.events: list[tuple[bytes, tuple[float, str, str]]] = []  # with their row ids
 
     def held(self) -> dict[str, list[str]] | None:
-        """Return which signals each entity holds, or None while that was not read."""
+        """Return which signals each entity holds; None until that property has been read."""
         return json_property(self.properties, SIGNALS_PROPERTY)
 
 
 def decode_rrd(path: Path, selection: Selection) -> Contents:
-    """Return what an .rrd file holds; of one without its end, what was before the cut. Raises DamagedError.
+    """Return the contents of an .rrd file; of one that was cut off, those before the cut. Raises DamagedError.
 
     A file whose index is damaged is read without it: every row is in the messages before it.
     """
@@ -138,7 +138,7 @@ def _decoded(path: Path, selection: Selection, *, has_index: bool) -> Contents:
 
 
 def _indexed(reader: "RrdReader") -> "Callable[[], LazyChunkStream]":
-    """Return what streams chunks: by the index, so that only those wanted are read, or all of a file without one."""
+    """Return the function that streams chunks: with an index only the wanted ones, without one the whole file."""
     try:
         return reader.store().stream
     except (RuntimeError, ValueError, OSError):
@@ -146,7 +146,7 @@ def _indexed(reader: "RrdReader") -> "Callable[[], LazyChunkStream]":
 
 
 def _holds_recording(path: Path) -> bool:
-    """Whether rerun finds a recording in a file, and not only the layout of views, or nothing."""
+    """Whether rerun finds a recording in a file, not only a blueprint (the layout of views) or nothing."""
     import rerun.chunk as rrc
 
     try:
@@ -156,7 +156,7 @@ def _holds_recording(path: Path) -> bool:
 
 
 def _programs(path: Path) -> set[str]:
-    """Return the names of the programs that made what is in a file; none when they cannot be read."""
+    """Return the names of the programs that made what is in a file; empty when they cannot be read."""
     import rerun.chunk as rrc
 
     try:
@@ -226,11 +226,11 @@ def _nothing(width: int) -> _Piece:
 
 @contextmanager
 def _whole_messages(path: Path, *, has_index: bool) -> Iterator[tuple[Path, int | None]]:
-    """Give the file, or, if its last message was cut short, a temporary copy without that message.
+    """Yield the path to read, and how many bytes were left out (``Contents.cut_bytes``).
 
-    With it comes how many bytes were left out, as ``Contents.cut_bytes``. Without ``has_index`` what follows the
-    messages is left out too. ``hil.review.reader`` chooses the folder of temporary files, and removes the copy when
-    rerun aborts this process.
+    The path is the file's own or, if its last message was cut short, that of a temporary copy without that message.
+    Without ``has_index`` everything after the messages is left out too. ``hil.review.reader`` chooses the folder of
+    temporary files, and removes the copy if rerun aborts this process.
     """
     with path.open("rb") as file:
         size = file.seek(0, os.SEEK_END)

@@ -1,4 +1,4 @@
-"""Two runs side by side: the difference of every figure, which is better, and what differed before they began."""
+"""Comparison of two runs: the difference of every figure, which is better, and how their scenarios and code differ."""
 
 import json
 import math
@@ -16,8 +16,8 @@ _SAME = 1e-9
 class Difference(NamedTuple):
     """A figure of both runs; ``difference`` is second minus first, in the unit in which the figure is stored.
 
-    ``verdict`` is of the second run: better, worse or same. It is None where neither is better, where a run did not
-    come to its end (to stop early is no merit), and where one lacks the figure, for a reason in ``notes``.
+    ``verdict`` says whether the second run is better, worse or the same. It is None for a figure of which neither more
+    nor less is better, when a run ended early, and when a run lacks the figure (``notes`` has the reason).
     """
 
     label: str
@@ -39,9 +39,9 @@ class Change(NamedTuple):
     second: object
 
     def words(self) -> tuple[str, str, str]:
-        """Return the key and both values for a reader; hashes are shortened, and named by what they are of.
+        """Return the key and both values as text; of a hash a label and the first digits.
 
-        An older recording lacks some hashes: whether that code differed is not known.
+        Older recordings lack some hashes: they are "not recorded".
         """
         if self.key not in HASHES:
             return self.key, _text(self.first, "-"), _text(self.second, "-")
@@ -63,8 +63,8 @@ def differences(first: Mapping[str, Any], second: Mapping[str, Any]) -> list[Dif
 def changes(first: RecordedRun, second: RecordedRun) -> list[Change]:
     """Return what differs between the two runs.
 
-    First come code, FMU, map and native libraries by their hashes, then the scenario with all options of the law, and
-    last seed, versions, commit and machine.
+    First come code, FMU, map and native libraries, by their hashes; then the scenario with all options of the law; then
+    seed, versions, commit and machine.
     """
     runs = first, second
     hashes = [{name: run.properties[name] for name in HASHES if name in run.properties} for run in runs]
@@ -75,7 +75,7 @@ def changes(first: RecordedRun, second: RecordedRun) -> list[Change]:
 
 
 def _gains_of(run: RecordedRun) -> dict[str, object]:
-    """Return every option of a run's law by the scenario's keys, with those left to their defaults."""
+    """Return every option of a run's law, defaults included, by its key in the scenario."""
     try:
         gains = json.loads(run.properties.get("gains", "{}"))
     except ValueError:

@@ -28,10 +28,10 @@ _ROWS_AT_ONCE = 50_000
 
 
 def write_export(run: RecordedRun, file: Path, existing: Existing = "refuse") -> None:
-    """Write all signals of a run that was read whole; the ending of the file's name is the format.
+    """Write all signals of a run; the file's extension gives the format. The run must have been read whole.
 
-    ``existing`` says what is done where the file is there already. Raises BadInputError when the name tells none, and
-    where the file cannot be written.
+    ``existing`` says what to do if the file exists. Raises BadInputError for an unknown extension, when the file cannot
+    be written, and when the library that writes the format is not installed.
     """
     check_output_path("export", file, existing)
     write = {".csv": _write_csv, ".parquet": _write_parquet, ".mcap": _write_mcap}[file.suffix]
@@ -39,8 +39,8 @@ def write_export(run: RecordedRun, file: Path, existing: Existing = "refuse") ->
         with whole_file(file, "export", existing) as unfinished:
             write(run, unfinished)
     except ImportError as error:
-        remedy = "install pyarrow, or export to .mcap, which needs no more than this machine has"
-        raise BadInputError(f"export {file}: what writes {file.suffix} is not installed ({error}); {remedy}") from error
+        remedy = "install pyarrow, or export to .mcap, which does not need it"
+        raise BadInputError(f"export {file}: no library to write {file.suffix} ({error}); {remedy}") from error
     except OSError as error:
         raise BadInputError(f"export {file}: it cannot be written ({error.strerror or error})") from error
 
@@ -116,7 +116,7 @@ def _column(values: npt.NDArray[np.float64]) -> "pa.Array":
 
 
 def _zero_unix_ns(run: RecordedRun) -> int:
-    """Return the Unix time [ns] of t = 0, as near as the recording says; 0 where it does not."""
+    """Return the Unix time [ns] of about t = 0, by the property ``started``; 0 without it."""
     try:
         return int(datetime.fromisoformat(run.properties["started"]).timestamp() * 1e9)
     except (KeyError, ValueError):
@@ -129,8 +129,8 @@ _POSE = ("x_m", "y_m", "heading_rad")
 def write_trajectory(run: RecordedRun, path: Path, existing: Existing = "refuse") -> None:
     """Write time and pose of each tick that has one: the true pose where the run knew it, else the estimate.
 
-    ``existing`` says what is done where the file is there already. Raises BadInputError where the recording has no
-    pose, and where the file cannot be written.
+    ``existing`` says what to do if the file exists. Raises BadInputError when the recording has no pose, and when the
+    file cannot be written.
     """
     check_output_path("trajectory", path, existing)
     signals = run.signals
@@ -142,7 +142,7 @@ def write_trajectory(run: RecordedRun, path: Path, existing: Existing = "refuse"
             if len(rows):
                 break
     else:
-        raise BadInputError(f"{run.path}: no tick of it has a pose; a trajectory needs some")
+        raise BadInputError(f"{run.path}: no tick has a pose, which a trajectory needs")
     try:
         with (
             whole_file(path, "trajectory", existing) as unfinished,

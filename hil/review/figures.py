@@ -1,4 +1,4 @@
-"""The figures of a recorded run: computed from its signals again, or, where they need more, from the run's summary."""
+"""The figures of a recorded run: computed again from its signals or, where these do not suffice, from its summary."""
 
 import contextlib
 import json
@@ -17,9 +17,9 @@ from hil.review.reader import RecordedRun, read
 from hil.scenario.trial import ExpectTable
 
 _NO_SUMMARY = "the recording has no summary: the run did not come to its end"
-_NO_END = "the recording has no summary, for it has no end: what became of the run is not known"
+_NO_END = "the recording has no summary and no end: how the run ended is not known"
 _NOT_HERE = "the recording has no summary: it is in a later part, which was not read"
-_UNSAID = "the run's summary does not say"
+_UNSAID = "the run's summary does not have it"
 _WHAT_IT_WAS = {"scenario": "scenario_name", "law": "law", "mode": "mode", "link": "link", "seed": "seed"}
 _FROM_SUMMARY = ("passed", "realtime_factor", "lateness_us", "frames", "link_statistics", "pose_fixes", "wire_sha256")
 # No reason is given where one of these is None.
@@ -44,14 +44,14 @@ _LATE_S = 1.0  # a run in real time may have missed its first ticks
 def review(path: Path) -> dict[str, Any]:
     """Return the figures of a recording, as ``hil run --json`` has them, with ``reasons`` for those that are None.
 
-    Only the signals that they need are read. Raises BadInputError when the file is no recording of a run (see
+    Only the signals that they need are read. Raises BadInputError when the file is not a recording of a run (see
     ``hil.review.reader.read``).
     """
     return figures(read_for_figures(path))
 
 
 def read_for_figures(path: Path, more: Collection[str] = ()) -> RecordedRun:
-    """Read a recording with the signals that its figures and expectations need, and more. Raises BadInputError."""
+    """Read a recording: the signals for its figures and expectations, and those of ``more``. Raises BadInputError."""
     needed = figure_signals().union(more)
     run = read(path, needed)
     if run.summary is None and (further := {row.signal for row in expected(run)} - needed):
@@ -62,11 +62,11 @@ def read_for_figures(path: Path, more: Collection[str] = ()) -> RecordedRun:
 def figures(run: RecordedRun) -> dict[str, Any]:
     """Return the figures of a recording that was read; see ``review``.
 
-    ``made`` holds when and by what it was made, ``notes`` what was wrong with the file, and ``events`` the event log.
-    Expectations of a run that did not come to its end are checked over the rows that there are.
+    ``made`` says when and with which versions the run was made, ``notes`` what was wrong with the file, and ``events``
+    the event log. Without a summary the expectations are checked over the recorded rows.
     """
     if "loop.t_s" not in run.signals:
-        raise BadInputError(f"{run.path}: it has no signal 'loop.t_s'; no recording of a run")
+        raise BadInputError(f"{run.path}: it has no signal 'loop.t_s', so it is not a recording of a run")
     cut_s = _cut_s(run)
     found, reasons = signal_figures(
         run.signals,
@@ -123,7 +123,8 @@ def _number(run: RecordedRun, key: str) -> float | None:
 def _cut_s(run: RecordedRun) -> float | None:
     """Return the time of the last row of a run that was cut short; None for one that came to its end.
 
-    A run with a summary came to its end unless it has a failure. One without may have been at its end all the same.
+    A run with a summary came to its end unless it has a failure. A run without one did if its last row is at the end of
+    its duration.
     """
     if run.summary is not None and run.summary.get("failure") is None:
         return None
@@ -164,7 +165,7 @@ def _other_version(run: RecordedRun) -> list[str]:
 
 
 def _late_begin(run: RecordedRun) -> list[str]:
-    """Return a note where a recording begins later than its run or service, whose clock its rows have."""
+    """Return a note when the recording begins later than its run or service, from whose start its times count."""
     t_s = run.signals["loop.t_s"]
     if not len(t_s) or t_s[0] < _LATE_S:
         return []

@@ -1,4 +1,4 @@
-"""Pages that need nothing else: one HTML file with its style and its plots as SVG, made to read and to print."""
+"""Self-contained pages: one HTML file with its style and its plots as SVG, for the screen and for print."""
 
 import re
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -21,7 +21,7 @@ _WIDTH_IN = 7.2
 
 
 class Picture(NamedTuple):
-    """A plot: its title and caption, and the SVG as it stands in a page."""
+    """A plot: its title, its caption, and the SVG element for a page."""
 
     title: str
     caption: str
@@ -37,7 +37,7 @@ def picture(
     rows: int = 1,
     columns: int = 1,
 ) -> Picture:
-    """Return what ``draw`` draws on so many axes, as wide as a page."""
+    """Call ``draw`` with ``rows`` times ``columns`` axes, together as wide as a page, and return the plot."""
     buffer = BytesIO()
     with drawing(buffer, rows=rows, columns=columns, size_in=(_WIDTH_IN, height_in)) as axes:
         draw(axes)
@@ -50,7 +50,7 @@ def picture(
 
 
 def document(title: str, parts: Iterable[str]) -> str:
-    """Return a page of parts that are HTML already."""
+    """Return an HTML page; ``parts`` are HTML already."""
     return "\n".join(
         [
             "<!doctype html>",
@@ -66,9 +66,9 @@ def document(title: str, parts: Iterable[str]) -> str:
 
 
 def write_document(path: Path, text: str, existing: Existing = "refuse") -> None:
-    """Write a page; ``existing`` says what is done where the file is there already.
+    """Write a page; ``existing`` says what to do if the file exists.
 
-    Raises BadInputError when its name does not end in .html, and where it cannot be written.
+    Raises BadInputError when its name does not end in .html, and when it cannot be written.
     """
     check_output_path("page", path, existing)
     write_whole(path, text.encode("utf-8"), "page", existing)
@@ -81,12 +81,12 @@ def figure(drawn: Picture) -> Iterator[str]:
 
 
 def mark(text: str, good: bool) -> str:
-    """Return a text in the colour of what passed or failed."""
+    """Return a text in the colour for "passed" (``good``) or "failed"."""
     return f'<span class="{"passed" if good else "failed"}">{escape(text)}</span>'
 
 
 def table(head: Sequence[str], rows: Iterable[Sequence[str]], numbers: Sequence[int] = ()) -> Iterator[str]:
-    """Yield a table; cells are HTML already."""
+    """Yield a table, whose cells are HTML already; ``numbers`` are the columns that hold numbers."""
     kinds = ["n" if place in numbers else "t" for place in range(len(head))]
     heads = (f'<th class="{kind}">{cell}</th>' for kind, cell in zip(kinds, head, strict=True))
     yield f"<table><thead><tr>{''.join(heads)}</tr></thead><tbody>"

@@ -1,8 +1,8 @@
 """An overlay of two runs as a recording for the viewer: each signal of both over the scenario's time.
 
 Both begin at t = 0, their first ACTIVE tick, whatever their rates are. ``hil view`` opens the file, which has its own
-layout of views. A process of its own, ``python -m hil.review.overlay FIRST SECOND FILE``, writes it: a user's settings
-for rerun do not apply there.
+layout of views. A separate process, ``python -m hil.review.overlay FIRST SECOND FILE``, writes it, because the user's
+settings for rerun must not apply.
 """
 
 import json
@@ -42,9 +42,9 @@ _WIDTHS_PX = (3.0, 1.5)  # the second is drawn over the first, which must still 
 
 
 def write_overlay(first: Path, second: Path, file: Path, existing: Existing = "refuse") -> None:
-    """Write the overlay of two recordings; ``existing`` says what is done where the file is there already.
+    """Write the overlay of two recordings; ``existing`` says what to do if the file exists.
 
-    Raises BadInputError when a recording cannot be read, or the file not be written.
+    Raises BadInputError when a recording cannot be read, or the file cannot be written.
     """
     check_output_path("overlay", file, existing)
     with whole_file(file, "overlay", existing) as unfinished:
@@ -141,7 +141,7 @@ def _times(t_s: Series) -> "rr.TimeColumn":
 
 
 def _about(labels: Sequence[str], runs: Sequence[RecordedRun]) -> str:
-    """Return a page that names the runs and what differed before they began."""
+    """Return a page that names the runs and how their scenarios and code differ."""
     lines = [f"- **{label}**: {run.path}" for label, run in zip(labels, runs, strict=True)]
     table = [f"| {key} | {one:.24} | {other:.24} |" for key, one, other in (row.words() for row in changes(*runs))]
     return "\n".join([*lines, "", "| different | first | second |", "|---|---|---|", *table, ""])

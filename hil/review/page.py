@@ -1,4 +1,4 @@
-"""A review as one HTML file that needs nothing else: verdict, figures, plots, events, scenario; made to print."""
+"""A review as one self-contained HTML file: verdict, figures, plots, events, scenario; made to print."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from html import escape
@@ -30,8 +30,8 @@ def write_page(
 ) -> None:
     """Write the page of one run, or of two; ``figures`` are those of ``hil.review.figures.figures``.
 
-    ``existing`` says what is done where the file is there already. Raises BadInputError when the file's name does not
-    end in .html, and where it cannot be written.
+    ``existing`` says what to do if the file exists. Raises BadInputError when the file's name does not end in .html,
+    and when it cannot be written.
     """
     write_document(path, page(runs, figures), existing)
 
@@ -85,7 +85,7 @@ def _head(labels: Sequence[str], figures: Sequence[Mapping[str, Any]]) -> Iterat
 
 
 def _outcomes(figures: Mapping[str, Any]) -> Iterator[str]:
-    """Yield the expectations as ``in_order``, the faults, then what else happened on the way."""
+    """Yield the expectations in the order of ``in_order``, then the faults, then everything else that happened."""
     if rows := in_order(figures["expect"] or ()):
         yield "<h2>Expectations</h2>"
         cells = [(mark(_VERDICTS[row["passed"]], row["passed"] is not False), escape(row["text"])) for row in rows]

@@ -51,18 +51,18 @@ _LINK = (
 
 
 class Shown(NamedTuple):
-    """A run on a page: its label there, and what was read of it."""
+    """A run on a page: its label there, and its recording."""
 
     label: str
     run: RecordedRun
 
     def series(self, name: str) -> Series:
-        """Return a signal from t = 0 on; gaps alone where the recording does not have it."""
+        """Return a signal from t = 0 on; only NaN if the recording lacks it."""
         t_s = self.run.signals["loop.t_s"]
         return self.run.signals.get(name, np.full(len(t_s), np.nan))[t_s >= 0.0]
 
     def curve(self, name: str, label: str | None = None, scale: float = 1.0) -> Curve:
-        """Return a signal over time, as many points as a plot can show."""
+        """Return a signal over time, with no more points than a plot can show."""
         return thinned(Curve(label or self.label, self.series("loop.t_s"), scale * self.series(name)))
 
     def limit(self, key: str) -> float | None:
@@ -79,17 +79,17 @@ def pictures(runs: Sequence[Shown], faults: Sequence[Mapping[str, Any]]) -> Iter
     """Yield the plots that have something to show; ``faults`` of the first run are shaded in its errors."""
     if not any(len(shown.series("loop.t_s")) for shown in runs):
         return
-    yield _picture("Path", "Broad and orange the reference; a dot marks where a robot began.", 3.6, 2, _path, runs)
+    yield _picture("Path", "Broad orange line: the reference. Dot: where a robot began.", 3.6, 2, _path, runs)
     caption = "Truth minus reference. The dotted line is at 10 mm." + " Shaded: a fault is in force." * bool(faults)
     yield _picture("Errors", caption, 5.6, 1, partial(_errors, faults=faults), runs, rows=4)
-    caption = "Thin what the firmware measures, broad and pale what it was told; dotted the limit."
+    caption = "Thin: measured by the firmware. Broad and pale: the command. Dotted: the limit."
     yield _picture("Wheel speeds", caption, 4.3, 2, _speeds, runs, rows=2)
-    caption = "Thin what the motors make, by their currents; broad and pale the command; dotted the limit."
+    caption = "Thin: torque by the motor currents. Broad and pale: the command. Dotted: the limit."
     yield _picture("Wheel torques", caption, 4.3, 2, _torques, runs, rows=2)
     if gains := [gain for gain in ("k1", "k2") if any(shown.has(f"gain.{gain}_x_1_s") for shown in runs)]:
         height_in = 2.1 * len(gains)
         draw = partial(_gains, gains=gains)
-        yield _picture("Gains", "Those in force.", height_in, 3, draw, runs, rows=len(gains))
+        yield _picture("Gains", "The gains that the law applied.", height_in, 3, draw, runs, rows=len(gains))
     if any(_torque(shown, wheel) is not None for shown in runs for wheel in WHEEL_NAMES):
         caption = "Amplitude spectral density by Welch's method, Hann window, without the mean. " + _resolution(runs)
         yield _picture("Spectra of the wheel torques", caption, 4.3, 2, _spectra, runs, rows=2)
@@ -98,7 +98,7 @@ def pictures(runs: Sequence[Shown], faults: Sequence[Mapping[str, Any]]) -> Iter
     if not is_late:
         caption = "How long the work of a tick took. No tick was late: in lockstep none can be."
     yield _picture("Lateness", caption, 2.4, 2, _lateness, runs)
-    yield _picture("Link", "As each tick found it; counters since the start.", 4.4, 2, _link, runs, rows=2)
+    yield _picture("Link", "Values at each tick; counters since the start.", 4.4, 2, _link, runs, rows=2)
 
 
 def _picture(

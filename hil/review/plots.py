@@ -26,7 +26,8 @@ if TYPE_CHECKING:
 
 Series = npt.NDArray[np.float64]
 
-# The colours of Okabe and Ito, which colour-blind readers can tell apart, without the yellow that white paper swallows.
+# The colours of Okabe and Ito, which colour-blind readers can tell apart, without the yellow, which is hard to see on
+# white.
 _CYCLE: tuple[Colour, ...] = (
     (0, 114, 178), (213, 94, 0), (0, 158, 115), (204, 121, 167), (86, 180, 233),
     (230, 159, 0), (90, 90, 90), (120, 60, 160), (120, 80, 40),
@@ -54,7 +55,7 @@ _STYLE: Any = {
     "legend.fontsize": 8.0,
     "figure.dpi": 130.0,
     "savefig.facecolor": "white",
-    "svg.fonttype": "none",  # text stays text: it can be searched, and is as small
+    "svg.fonttype": "none",  # text stays text, which can be searched and is no larger
     "svg.hashsalt": "mecanum-hil",
 }
 _LEAST_ERROR_MM = 0.01  # below the encoders' resolution a logarithmic scale shows noise alone
@@ -65,7 +66,7 @@ _MOST_INSIDE = 5  # entries of a legend within the axes; a longer one is beside 
 class Curve(NamedTuple):
     """Points in the order in which they are joined; ``x`` and ``y`` of one shape (n,), NaN leaves a gap.
 
-    ``colour`` is the next of the cycle when None.
+    With ``colour`` None the curve takes the next colour of the cycle.
     """
 
     label: str
@@ -78,7 +79,7 @@ class Curve(NamedTuple):
 class Bar(NamedTuple):
     """The bars of one label, one for each group: the nominal value in full colour, the worst one lighter.
 
-    A mark takes the place of the bar where the nominal value is None.
+    Where the nominal value is None, a cross takes the place of the bar.
     """
 
     label: str
@@ -95,11 +96,11 @@ def drawing(
     size_in: tuple[float, float] = (6.4, 4.0),
     existing: Existing = "refuse",
 ) -> Iterator[list["Axes"]]:
-    """Give the axes to draw on, row by row, and write them: as PNG to a path, as SVG to a buffer, for a page.
+    """Yield axes to draw on, row by row, then write the picture: as PNG to a path, or as SVG to a buffer.
 
-    ``existing`` says what is done where the file is there already; ``size_in`` is the size of the whole picture [inch].
-    Everything drawn inside has the style of this module. Raises BadInputError when the file cannot be written; after an
-    error of the caller nothing is written.
+    ``existing`` says what to do if the file exists; ``size_in`` is the size of the whole picture [inch]. Everything
+    drawn inside has the style of this module. Raises BadInputError when the file cannot be written. If the caller
+    raises, nothing is written.
     """
     import matplotlib
     from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -120,7 +121,7 @@ def drawing(
 def thinned(curve: Curve, points: int = 1200) -> Curve:
     """Return a curve over time with about this many points that looks the same: minimum and maximum of each stretch.
 
-    Gaps (NaN) stay where a whole stretch is empty. A curve with no more points is returned as it is.
+    Gaps (NaN) stay where a whole stretch is empty. A curve that has no more points is returned unchanged.
     """
     count = len(curve.x)
     if count <= points:
@@ -139,7 +140,7 @@ def thinned(curve: Curve, points: int = 1200) -> Curve:
 
 
 def colour_of(number: int) -> Colour:
-    """Return the colour of the law, or of whatever is compared, with this number."""
+    """Return the colour of item ``number`` of a comparison, such as a law."""
     return _CYCLE[number % len(_CYCLE)]
 
 
@@ -151,7 +152,7 @@ def is_dashed(number: int) -> bool:
 def draw_curves(
     axes: "Axes", curves: Sequence[Curve], *, title: str = "", x_label: str = "t [s]", y_label: str = ""
 ) -> None:
-    """Draw curves with a legend; from the tenth on, where colours come again, they are dashed."""
+    """Draw curves with a legend; from the tenth on, where the colours repeat, they are dashed."""
     for number, curve in enumerate(curves):
         dashed = curve.dashed or (curve.colour is None and is_dashed(number))
         colour = rgb(curve.colour or colour_of(number))
@@ -186,7 +187,7 @@ def draw_path(axes: "Axes", reference: Curve, curves: Sequence[Curve], *, title:
 def draw_error(axes: "Axes", curves: Sequence[Curve], *, title: str = "Planar error", log: bool = True) -> None:
     """Draw the planar error over time, given in s and m and shown in mm, on a logarithmic scale or not.
 
-    On the logarithmic scale a line marks 10 mm, the error of t10, and what is less than 0.01 mm is shown as that.
+    On the logarithmic scale a line marks 10 mm, the error of t10, and errors below 0.01 mm are drawn at 0.01 mm.
     """
     label = "planar error [mm]"
     scaled = [curve._replace(y=curve.y * 1e3) for curve in curves]
@@ -209,12 +210,12 @@ def draw_wheels(axes: "Axes", t_s: Series, wheels: Mapping[str, Series], *, titl
 def draw_bars(
     axes: "Axes", groups: Sequence[str], bars: Sequence[Bar], *, title: str, y_label: str, log: bool = False
 ) -> None:
-    """Draw groups of bars, those of one label in one colour: nominal in full, the worst behind it lighter.
+    """Draw groups of bars, those of one label in one colour: the nominal value in full, the worst behind it lighter.
 
-    A logarithmic scale has no zero for a bar to stand on: there the two values are dots, joined by a line. A value of
-    zero makes the scale a linear one.
+    A logarithmic scale has no zero for a bar to start from: there the two values are dots, joined by a line. If a value
+    is zero or less, the scale is linear.
 
-    Raises ValueError when a bar has not one value for each group.
+    Raises ValueError when a bar does not have one value for each group.
     """
     there = [value for bar in bars for value in (*bar.nominal, *bar.worst) if value is not None]
     log = log and bool(there) and min(there) > 0.0

@@ -43,17 +43,18 @@ class Event(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class RecordedRun:
-    """What a recording holds.
+    """The contents of a recording.
 
     Attributes:
         path: the file; the first of its parts.
         signals: float64 arrays of one length by the signal's name, in the order in which the rows were recorded.
         events: the event log.
-        properties: what the run was, as texts by name.
+        properties: facts about the run, as texts by name.
         summary: the run's JSON; None when the run did not come to its end.
-        rows_dropped: rows that the run had to drop; None when the recorder did not come to its end.
+        rows_dropped: rows that the run dropped because the recorder was too slow; None when the recorder did not
+            finish.
         rows_missing: rows that are in none of its files.
-        goes_on: whether the run went on in a file that was not read.
+        goes_on: whether the run continued in a file that was not read.
         parts: the files, in order.
         held: the names of all signals of the recording, read or not.
         notes: sentences on what is missing in the files, or could not be read.
@@ -77,11 +78,11 @@ def read(path: Path, signals: Collection[str] | None = None) -> RecordedRun:
 
     ``signals`` names the signals to read, for a long run that would not fit memory; None reads all.
 
-    Raises BadInputError when the file is missing, empty, no recording, damaged, or one of another program.
+    Raises BadInputError when the file is missing, empty, damaged, or not a recording by this program.
     """
     check_is_recording(path)
     selection = [] if signals is None else [json.dumps(sorted(signals))]
-    # In a process of its own: rerun aborts its process on some damaged files, and leaves its temporary files behind.
+    # In a separate process: rerun aborts its process on some damaged files, and leaves its temporary files behind.
     with (
         tempfile.TemporaryDirectory() as scratch,
         subprocess.Popen(
@@ -97,7 +98,7 @@ def read(path: Path, signals: Collection[str] | None = None) -> RecordedRun:
             json.loads(line) if line.endswith(b"\n") else {"damage": "damaged: its content makes no sense"}
         )
         if "missing" in head:
-            raise BadInputError(f"{path}: what reads it is not installed ({head['missing']}); {_INSTALL}")
+            raise BadInputError(f"{path}: no library to read it ({head['missing']}); {_INSTALL}")
         if "damage" in head:
             repair = f"; {_REPAIR}" if path.suffix == ".rrd" and head["damage"].startswith("damaged:") else ""
             raise BadInputError(f"{path}: {head['damage']}; expected {EXPECTED_FILE}{repair}")
@@ -117,7 +118,7 @@ def _read_into(stream: IO[bytes], table: npt.NDArray[np.float64]) -> None:
     while len(left):
         piece = stream.read(min(len(left), 1 << 20))
         if not piece:
-            raise BadInputError("the decoder of the recording ended too early; is there memory enough for it?")
+            raise BadInputError("decoding the recording ended too early; there may be too little memory")
         left[: len(piece)] = piece
         left = left[len(piece) :]
 

@@ -1,12 +1,11 @@
 """A run as data: a scenario in TOML, its layers stacked, validated and frozen. The shipped ones are in `shipped/`.
 
-May import: `drivers`, `wire`, `faults`, `estimation`, `references`, `laws`, `core`.
-To add a key: the frozen dataclass of its table, here (`tables.py`, `plant.py`, `trial.py`) or in the room that uses it
-(`hil.core.model`, `hil.estimation`); `hil.core.options` says how ranges and meanings are written.
+May import: `drivers`, `wire`, `faults`, `estimation`, `references`, `laws`, `core`. To add a key: the frozen dataclass
+of its table, here (`tables.py`, `plant.py`, `trial.py`) or in the package that uses it (`hil.core.model`,
+`hil.estimation`); `hil.core.options` says how ranges and meanings are written.
 
-load("paper_circle", set=["robot.mass_kg=24"])    -> Scenario
-resolved(scenario)                                -> every value and where it came from
-shipped()                                         -> what can be loaded by name
+load("paper_circle", set=["robot.mass_kg=24"])    -> Scenario resolved(scenario)                                -> every
+value and where it came from shipped()                                         -> what can be loaded by name
 """
 
 from hil.core.options import format_value

@@ -1,4 +1,4 @@
-"""Checks a stacked scenario: each table by itself, then the tables against each other. Words its problems."""
+"""Checks a stacked scenario: each table by itself, then the tables against each other. Words the messages."""
 
 import re
 from collections.abc import Iterator, Mapping, Sequence
@@ -48,7 +48,7 @@ def check(tree: Tree, scenario: str, directory: FilePath) -> Tables:
         make_reference(tables.reference.kind, tables.reference.options, directory)
     except OptionsError as error:
         raise BadInputError("\n".join(describe(error.problems, tree, scenario))) from None
-    except BadInputError as error:  # of a reference's file: it begins with the key
+    except BadInputError as error:  # about a reference's file: it begins with the key
         named = re.match(r"reference(\.\w+)?", str(error))
         path = tuple(named[0].split(".")) if named is not None else ("reference",)
         raise BadInputError(f"{place(tree, path, scenario)}: {error}") from error
@@ -78,7 +78,7 @@ def describe(problems: Sequence[Problem], tree: Tree, scenario: str) -> list[str
 
 
 def place(tree: Tree, path: Path, scenario: str) -> str:
-    """Return the place of the value at a path, or of the first below it, and "and --set" if both gave some."""
+    """Return where the value at a path, or the first below it, was given, with "and --set" if both gave some."""
     node: Node | None = tree
     for key in path:
         if isinstance(node, Given):
@@ -133,7 +133,7 @@ _TABLES = dict(_keys(Tables))
 
 
 def _unknown_signals(tables: Tables, directory: FilePath) -> Iterator[tuple[str, object, str]]:
-    """Yield key, value and expectation of each row of a signal that the run does not have."""
+    """Yield key, value and message for each row that names a signal which the run does not have."""
     named = [(f"expect.{index}.signal", row.signal) for index, row in enumerate(tables.expect)]
     named += [
         (f"fault.{index}.target", table.target)
@@ -142,24 +142,24 @@ def _unknown_signals(tables: Tables, directory: FilePath) -> Iterator[tuple[str,
     ]
     if all(name in INDEX for _, name in named):
         return
-    # Only now, because it runs the code of laws of other people.
+    # Only when needed, because it runs the code of third-party laws.
     known = make_laws(tables, directory).signals
     for key, name in named:
         if name not in known:
-            hint = nearest(name, known)  # the whole vocabulary is too long for a sentence
+            hint = nearest(name, known)  # the names of all signals are too long for a message
             hint = hint if "did you mean" in hint else "; `hil list signals` prints them all"
             yield key, name, f"expected the name of a signal{hint}"
 
 
 def _contradictions(tables: Tables) -> Iterator[tuple[str, object, str]]:
-    """Yield key, value and expectation of values that contradict each other."""
+    """Yield key, value and message of values that contradict each other."""
     estimator, firmware, loop, robot = tables.estimator, tables.firmware, tables.loop, tables.robot
     shadows = tables.controller.shadow_names
     for name in sorted({name for name in shadows if shadows.count(name) > 1}):
         yield (
             "controller.shadow",
             tables.controller.shadow,
-            f"expected one law of the name {name!r}, which its signals go by; leave the others out",
+            f"expected one law of the name {name!r}, by which its signals are named; remove the others",
         )
     for name, gains in tables.controller.shadow_gains.items():
         if name not in shadows:
@@ -184,5 +184,5 @@ def _contradictions(tables: Tables) -> Iterator[tuple[str, object, str]]:
         yield (
             "estimator.fix",
             estimator.fix,
-            'expected "simulated" in lockstep, whose time no other program knows; or give loop.mode = "realtime"',
+            'expected "simulated" in lockstep: no other program follows its time; or give loop.mode = "realtime"',
         )

@@ -19,9 +19,9 @@ _AS_MAPPED = ("as its file says",) * 5
 
 
 def driver_rows() -> Sequence[tuple[str, ...]]:
-    """Return a row of COLUMNS for each driver, with its settings by default: ours, then those of other packages.
+    """Return a row of COLUMNS for each driver with its default settings: the shipped ones, then other packages'.
 
-    Of one that cannot be loaded the row says why, and the other columns are empty.
+    For a driver that cannot be loaded the last column says why, and the other columns are empty.
     """
     facts = robot_facts(load("circle_speed", set={"device.driver": next(iter(SHIPPED)), "loop.rate_hz": _RATE_HZ}))
     rows: list[tuple[str, ...]] = [(OUR_DRIVER, *_OURS, "latched", "our own firmware")]

@@ -1,4 +1,4 @@
-"""The laws of a scenario: the one in command and its shadows, and which signals the run has because of them."""
+"""The laws of a scenario: the one that drives the robot and its shadows, and the signals that they add to the run."""
 
 from pathlib import Path
 from typing import NamedTuple
@@ -13,24 +13,24 @@ from hil.scenario.tables import Tables
 
 
 class Laws(NamedTuple):
-    """``shadows`` is None for a scenario without any."""
+    """The law that drives the robot, and its shadows; None for a scenario without any."""
 
     controller: Controller
     shadows: Shadows | None
 
     @property
     def extra(self) -> tuple[OwnSignals, ...]:
-        """The laws whose signals follow those of the vocabulary, in the order of a row."""
+        """The objects whose signals follow the built-in ones in a row, in that order."""
         return own_signals(self.controller) + (() if self.shadows is None else (self.shadows,))
 
     @property
     def extra_may_fail(self) -> bool:
-        """Whether a law that is not shipped has signals, which may fail when they are read."""
+        """Whether a third-party law has signals, because reading them may fail."""
         return any(isinstance(own, UserLaw) for own in self.extra)
 
     @property
     def signals(self) -> tuple[str, ...]:
-        """Names of the run's signals: the vocabulary, then the extra ones."""
+        """Names of the run's signals: the built-in ones, then those of the laws."""
         return SIGNAL_NAMES + tuple(name for own in self.extra for name in own.signals)
 
 

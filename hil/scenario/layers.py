@@ -1,10 +1,10 @@
 """Layers of a scenario: trees of values, each with the place where it was given, and how layers are stacked.
 
-Tables merge key by key, the later layer wins. Everything else, arrays of tables too, is replaced as a whole.
-A layer that names another ``controller.law``, ``reference.kind`` or ``device.driver`` drops the options of the layers
-below, because they belong to the other law, kind or driver. A change to or from a foreign FMU drops ``plant.start`` and
-``plant.map`` in the same way; a change between shipped FMUs keeps the start values that the new one knows. A row of
-``plant.map`` that names a variable replaces the row below.
+Tables merge key by key, the later layer wins. Everything else, arrays of tables too, is replaced as a whole. A layer
+that names another ``controller.law``, ``reference.kind`` or ``device.driver`` drops the options of the layers below,
+because they belong to the other law, kind or driver. A change to or from an FMU that is not shipped drops
+``plant.start`` and ``plant.map`` in the same way; a change between shipped FMUs keeps the start values that the new one
+knows. A row of ``plant.map`` that names a variable replaces the row of the layer below.
 """
 
 from collections.abc import Iterator, Mapping
@@ -161,7 +161,7 @@ def _flatten_plant(tree: Tree) -> None:
 
 
 def _entries(table: Tree, path: Path = ()) -> Iterator[tuple[Path, Node]]:
-    """Yield path and node of everything below a table that is not a table, or an empty one."""
+    """Yield path and node of each value, and of each empty table, below a table."""
     for key, node in table.items():
         if isinstance(node, dict) and node:
             yield from _entries(node, (*path, key))
@@ -170,7 +170,7 @@ def _entries(table: Tree, path: Path = ()) -> Iterator[tuple[Path, Node]]:
 
 
 def _signal_and_key(path: Path) -> tuple[str, str]:
-    """Split a path below ``[plant.map]`` into signal and key; a row that is a text alone is the variable's name."""
+    """Split a path below ``[plant.map]`` into signal and key; a row that is only a text is the variable's name."""
     ends = [end for end in range(1, len(path)) if dotted(path[:end]) in PLANT_SIGNALS]
     if not ends and path[-1] in options_of(MapRow):
         ends = [len(path) - 1]

@@ -1,7 +1,7 @@
 """Loading a scenario: finding it, stacking its layers, validating the result.
 
-Layers, the later wins: built-in defaults, the chain of ``extends`` from its far end, the scenario's file, the
-robot's own file (--robot), the options of the command line (--mode, --link, --seed), --set.
+Layers, the later wins: built-in defaults, the chain of ``extends`` from its base, the scenario's file, the robot's own
+file (--robot), the options of the command line (--mode, --link, --seed), --set.
 """
 
 import numbers
@@ -134,7 +134,7 @@ def _open_scenario(name: str | Path, extended_by: _File | None) -> _File:
     prefix = f"scenario {text}" if extended_by is None else _extends(extended_by, text)
     if isinstance(name, str) and not is_path(name):
         if name not in shipped():
-            beside = f"; a file is meant? write {name}{_SUFFIX}" if Path(f"{name}{_SUFFIX}").is_file() else ""
+            beside = f"; for the file write {name}{_SUFFIX}" if Path(f"{name}{_SUFFIX}").is_file() else ""
             hint = beside or f"{nearest(name, shipped())}; the path of a file ends in {_SUFFIX}"
             raise BadInputError(f"{prefix}: no shipped scenario has this name{hint}")
         return _read(SHIPPED_DIRECTORY / f"{name}{_SUFFIX}", f"{name}{_SUFFIX}", prefix)
@@ -168,8 +168,7 @@ def _robot_layer(path: Path) -> Tree:
         if key not in ROBOT_TABLES:
             tables = ", ".join(f"[{table}]" for table in ROBOT_TABLES)
             raise BadInputError(
-                f"{file.display}: {key!r} has no place in a robot's file, which holds {tables}"
-                f"{nearest(key, ROBOT_TABLES)}"
+                f"{file.display}: {key!r} cannot be in a robot's file, which holds {tables}{nearest(key, ROBOT_TABLES)}"
             )
     return _rebase_motors(file.layer(), path.parent)
 
@@ -190,8 +189,8 @@ def _read(path: Path, display: str, prefix: str) -> _File:
 def _assignments(given: Mapping[str, object] | Sequence[str]) -> list[tuple[str, object]]:
     """Return the keys and values of ``set``.
 
-    The choice of a law, reference, FMU or driver drops the options of another, so it goes first, wherever it stands on
-    the command line.
+    The choice of a law, reference, FMU or driver drops the options of the one before, so it is applied first, wherever
+    it stands on the command line.
     """
     if isinstance(given, Mapping):
         pairs = [(str(key), _plain_python(value)) for key, value in given.items()]

@@ -1,4 +1,4 @@
-"""The driver of a scenario's robot with another maker's motor controllers, and its limits."""
+"""The driver of a robot with third-party motor controllers, and what these cannot do that a scenario asks for."""
 
 from collections.abc import Collection, Iterator, Mapping
 
@@ -27,7 +27,7 @@ _SENSOR_OF: Mapping[str, Sensor] = {
     "battery.voltage_v": "battery_voltage",
     "battery.current_a": "battery_current",
 }
-"""The sensor behind a signal that not every robot has."""
+"""The sensor behind each signal that not every robot measures."""
 
 
 def robot_facts(tables: Tables) -> RobotFacts:
@@ -54,7 +54,7 @@ def make_driver(tables: Tables) -> Driver:
 
 
 def contradictions(tables: Tables) -> Iterator[tuple[str, object, str]]:
-    """Yield key, value and expectation of everything that the maker's controllers cannot do."""
+    """Yield key, value and message for everything in the scenario that the motor controllers cannot do."""
     device, title = tables.device, dialect(tables.device.driver).title
     wires = dialect(device.driver).wires
     if wire_of(parse_link(tables.link.url), wires) not in wires:
@@ -64,7 +64,7 @@ def contradictions(tables: Tables) -> Iterator[tuple[str, object, str]]:
             "device.guardian_s",
             device.guardian_s,
             f"expected at least {_GUARDIAN_PERIODS} command periods of {1.0 / tables.loop.rate_hz:g} s, or a command "
-            "that is a little late would count as silence",
+            "that is a little late would be taken for silence",
         )
     can = make_driver(tables).capabilities
     if tables.controller.mode not in can.modes:
@@ -82,14 +82,14 @@ def contradictions(tables: Tables) -> Iterator[tuple[str, object, str]]:
             yield (
                 f"fault.{index}.target",
                 fault.target,
-                f'this message is ours and none of {title}, so that the fault could never strike; take "command" or '
+                f'this message is of our firmware, not of {title}, so the fault could never act; take "command" or '
                 '"feedback"',
             )
         if fault.kind == "gyro_bias" and "gyro" not in can.sensors:
             yield (
                 f"fault.{index}.kind",
                 fault.kind,
-                f"{title} as it is set up has no gyro, so that the fault could never strike; remove the row",
+                f"{title} as it is set up has no gyro, so the fault could never act; remove the row",
             )
     of_faults = [(f"fault.{i}.target", row.target) for i, row in enumerate(tables.fault) if row.row.acts_on == "signal"]
     of_expectations = [(f"expect.{i}.signal", row.signal) for i, row in enumerate(tables.expect)]

@@ -1,4 +1,4 @@
-"""``[plant]``: the FMU behind the wire, its variables, and where the truth differs from [robot]."""
+"""``[plant]``: the FMU that simulates the robot, its variables, and where the simulated robot differs from [robot]."""
 
 import re
 from collections.abc import Mapping
@@ -42,7 +42,7 @@ class MapRow:
 
 @dataclass(frozen=True)
 class PlantTable:
-    """``[plant]``: what stands behind the wire when no motors do."""
+    """``[plant]``: the simulation that takes the place of a real robot."""
 
     fmu: Annotated[Text, _fmu, "a shipped name, or a path relative to this file"] = "mecanum"
     timeout_s: Annotated[float, Range(ge=0.05, le=3600), "silence of a foreign FMU that counts as hung"] = 2.0

@@ -18,7 +18,7 @@ _ARRAYS_OF_TABLES = ("fault", "expect")
 
 @dataclass(frozen=True, kw_only=True)
 class Scenario(Tables):
-    """A run as data. Built by ``hil.scenario.load``, which raises BadInputError for whatever is wrong."""
+    """A run as data. Built by ``hil.scenario.load``, which raises BadInputError for anything that is wrong."""
 
     name: str
     path: Annotated[Path | None, "its file; None for a shipped one"]
@@ -29,11 +29,10 @@ class Scenario(Tables):
     def hash(self) -> str:
         """SHA-256, in hex, of the values on which a controller and a device in two processes must agree.
 
-        That is [robot], [plant], [firmware], the wheel map of [device], there the driver and motors of other makers,
-        loop.rate_hz and loop.seed, resolved: it does not matter in which file or order they were given. An FMU that is
-        not shipped counts by its bytes, or by the last part of its path where there is no such file; so does a file of
-        [device.motors].
-        The rest (link, mode, controller, reference, faults, expectations) concerns one process alone.
+        That is [robot], [plant], [firmware], loop.rate_hz and loop.seed; of [device] the wheel map and, for third-party
+        motor controllers, driver and motors. In which file or order the values were given does not matter. An FMU that
+        is not shipped enters by the hash of its bytes, or by its file name where it cannot be read; so does a file of
+        [device.motors]. The rest (link, mode, controller, reference, faults, expectations) concerns only one process.
         """
         shared = {
             "format": HASH_FORMAT,
@@ -107,9 +106,9 @@ def tables_of(tables: Tables) -> dict[str, Any]:
 
 
 def to_plain(scenario: Scenario) -> dict[str, Any]:
-    """Return a scenario as JSON can have it, for a process that need not have its files.
+    """Return a scenario as JSON values, for a process that need not have its files.
 
-    Infinite times are among the values, as Python's ``json`` writes them.
+    Infinite times stay infinite: Python's ``json`` writes them as ``Infinity``.
     """
     return {
         "tables": tables_of(scenario),
@@ -121,7 +120,7 @@ def to_plain(scenario: Scenario) -> dict[str, Any]:
 
 
 def from_plain(given: Mapping[str, Any]) -> Scenario:
-    """Return the scenario of which ``to_plain`` made these values."""
+    """Return the scenario from the values that ``to_plain`` returned."""
     path = given["path"]
     return scenario_of(
         build(Tables, given["tables"]),

@@ -1,8 +1,8 @@
 """The tables of a scenario: every key once, with the unit in its name, its range, default and meaning.
 
-A table that one room alone uses is defined there: [robot] in ``hil.core.model``, [estimator] in ``hil.estimation``.
-A key without a default has to be given: what describes the robot, its firmware and the run is never guessed.
-Ranges are physical sense and keep a value in the wrong unit out: a wheel radius of 75 is one in millimetres.
+A table that only one package uses is defined there: [robot] in ``hil.core.model``, [estimator] in ``hil.estimation``. A
+key without a default has to be given: what describes the robot, its firmware and the run is never guessed. Ranges
+follow physical sense and refuse values in the wrong unit: a wheel radius of 75 is in millimetres.
 """
 
 from collections.abc import Mapping
@@ -24,9 +24,9 @@ from hil.wire.url import parse_link
 TICKS_PER_SECOND = 1000  # the firmware loop
 LOWEST_RATE_HZ = 20  # two commands within the longest watchdog
 RATES_HZ = tuple(rate for rate in range(LOWEST_RATE_HZ, 1001) if TICKS_PER_SECOND % rate == 0)
-LEAST_TICK_LIMIT_S = 0.05  # a thread looks several times within it
+LEAST_TICK_LIMIT_S = 0.05  # the thread that watches it looks several times within it
 PRIORITY = 40
-"""Of SCHED_FIFO, by default. A real-time kernel's threads for interrupts, the serial port's among them, have 50."""
+"""Default priority of SCHED_FIFO: below the 50 of a real-time kernel's interrupt threads, such as the serial port's."""
 
 Wheel = Literal["fl", "fr", "rr", "rl"]
 
@@ -77,7 +77,7 @@ def _processors(cpus: tuple[int, ...]) -> tuple[int, ...]:
 
 @dataclass(frozen=True)
 class FirmwareTable:
-    """``[firmware]``: the firmware's parameters. A real board's are compared with these by hash."""
+    """``[firmware]``: the firmware's parameters. Those of a real board are compared with these by hash."""
 
     counts_per_revolution: Annotated[int, Range(ge=4, le=32768), "encoder counts of one turn of a wheel"]
     torque_limit_n_m: Annotated[float, Range(gt=0, le=15.99609375), "of one wheel; all four are scaled together"]
@@ -109,7 +109,7 @@ class FirmwareTable:
 
 @dataclass(frozen=True)
 class DeviceTable:
-    """``[device]``: how the robot is reached and wired. ``settings`` is ``motors`` as the driver has it."""
+    """``[device]``: how the robot is reached and wired. ``settings`` is ``motors`` as the driver read it."""
 
     driver: Annotated[Text, _driver, "who speaks to the board"] = OUR_DRIVER
     wheels: Annotated[tuple[Wheel, ...], _each_once, "the wheel at each motor output, in order"] = (
@@ -131,12 +131,12 @@ class DeviceTable:
     settings: Any = field(init=False, default=None, repr=False, compare=False)
 
     def __post_init__(self) -> None:
-        """Make the settings once: a driver may have files to read for them."""
+        """Make the settings once, because a driver may read files for them."""
         try:
             if self.is_makers:
                 object.__setattr__(self, "settings", make_settings(self.driver, self.motors, "motors"))
             elif self.motors:
-                raise BadInputError("belongs to the drivers of other makers; set device.driver, or leave it out")
+                raise BadInputError("only for third-party motor controllers; set device.driver, or leave it out")
         except OptionsError:
             raise
         except BadInputError as error:
@@ -144,7 +144,7 @@ class DeviceTable:
 
     @property
     def is_makers(self) -> bool:
-        """Whether the robot has motor controllers of another maker's, and not our firmware."""
+        """Whether the robot has third-party motor controllers instead of our firmware."""
         return self.driver != OUR_DRIVER
 
 
@@ -169,7 +169,7 @@ class LinkTable:
 
 @dataclass(frozen=True)
 class ControllerTable:
-    """``[controller]``: the law. Its gains are its own and are checked against the law when it is made."""
+    """``[controller]``: the control law. The law itself checks its gains when it is made."""
 
     law: Annotated[Text, "a shipped name, ./my_law.py:MyLaw or package.module:Class"]
     command: Annotated[Literal["speed", "torque"], "the command of the wheels; fixed at arming"] = "speed"
@@ -187,13 +187,13 @@ class ControllerTable:
 
     @property
     def mode(self) -> CommandMode:
-        """``command`` as the tick and the wire have it."""
+        """``command`` as the enum that the tick and the wire use."""
         return CommandMode[self.command.upper()]
 
 
 @dataclass(frozen=True)
 class ReferenceTable:
-    """``[reference]``: the path to follow. Keys other than ``kind`` are the kind's own; it checks them."""
+    """``[reference]``: the path to follow. Keys other than ``kind`` belong to the kind, which checks them."""
 
     kind: Annotated[Text, "circle, hold, ...; `hil list references` prints them all"]
     options: Annotated[Mapping[Text, AnyOption], OTHERS] = field(default_factory=dict)

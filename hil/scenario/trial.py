@@ -24,7 +24,7 @@ class FaultTable:
         Expected(f"a kind of fault, one of {', '.join(names())}"),
         "of the fault; `hil list faults` prints them all",
     ]
-    target: Annotated[Text, "what it acts on; may be left out where the kind has but one"] = ""
+    target: Annotated[Text, "what it acts on; may be left out where the kind has only one"] = ""
     start_s: Annotated[float, Range(ge=0, le=1000000.0)] = 0.0
     end_s: Annotated[float, Range(gt=0, infinite=True)] = math.inf
     value: Annotated[float | None, "how much, in the kind's unit"] = None
@@ -57,7 +57,7 @@ class FaultTable:
 
     @property
     def row(self) -> FaultRow:
-        """The row in the form in which it is applied."""
+        """The row as numbers, for the code that applies it."""
         return FaultRow(
             self.kind,
             find(self.kind, self.target).acts_on,
@@ -85,7 +85,7 @@ class ExpectTable:
     """``[[expect]]``: a claim about a signal in from_s <= t <= to_s of the run.
 
     One of: ``below`` or ``above`` or both; ``within`` = [low, high], both included; ``equals`` with a ``tolerance``;
-    ``settles_to`` with a ``tolerance``: from some time on it stays that near, until to_s.
+    ``settles_to`` with a ``tolerance``: from some time on it stays within it, until to_s.
     """
 
     signal: Annotated[

@@ -1,4 +1,4 @@
-"""Types of values that are not only a number: texts, options of unknown type, start values, milliseconds."""
+"""Types of values that are more than a number: texts, options of unknown type, start values, milliseconds."""
 
 import math
 import re
@@ -40,7 +40,7 @@ def _start(value: object) -> StartValue:
     if isinstance(value, bool | str):
         return value
     if isinstance(value, int) and -(2**63) <= value < 2**64:
-        return float(value) if abs(value) <= 2**53 else value  # 24 and 24.0 are one scenario
+        return float(value) if abs(value) <= 2**53 else value  # 24 and 24.0 give the same scenario
     if isinstance(value, float) and math.isfinite(value):
         return value
     raise ValueError("expected a finite number, a whole one within 64 bits, true or false, or text")

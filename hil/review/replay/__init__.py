@@ -1,8 +1,8 @@
 """Replay: another law computed afterwards from a recording. Open loop: its commands never drove the robot.
 
-The law gets the inputs of the law in command, tick by tick: the reference, the state, the command that was applied at
-the last tick and its latency. It is called and reset where that one was. The guard limits its commands, and they are
-compared with the recorded ones. The law that made the run gives its own commands again.
+The law gets the inputs of the law that drove the robot, tick by tick: the reference, the state, the command applied at
+the last tick and its latency. It is called and reset in the same ticks. The guard limits its commands, which are
+compared with the recorded ones. The law that made the run reproduces its own commands.
 """
 
 import array
@@ -55,15 +55,15 @@ class Replay:
     Attributes:
         path: the recording.
         law: as it was given, without its gains.
-        recorded_law: the law that was in command.
-        mode: of the recording; the law has no other choice.
-        gains: with which the law was made, where they are not its defaults.
-        ticks: ticks of the recording.
-        asked: of these, those in which the law was called.
-        commands_refused: replayed commands that were no numbers.
+        recorded_law: the law that drove the robot.
+        mode: the recording's command mode, in which the law is replayed.
+        gains: the gains set for the law; the others have their defaults.
+        ticks: number of ticks of the recording.
+        asked: number of ticks in which the law was called.
+        commands_refused: number of replayed commands that were not finite.
         commands: by the name of the recorded signal, NaN where the law was not called, each of shape (ticks,).
         differences: by the name of the recorded signal.
-        notes: sentences on inputs of the law in command that this one did not get.
+        notes: sentences on inputs of the recorded law that this one did not get.
     """
 
     path: Path
@@ -97,12 +97,13 @@ class Replay:
 
 
 def replay(run: RecordedRun, text: str) -> Replay:
-    """Feed a recording to the law of ``text``: LAW or LAW,KEY=VALUE,..., as in ``dsc,k1_1_s=8``.
+    """Run the law that ``text`` names, as LAW or LAW,KEY=VALUE,... (``dsc,k1_1_s=8``), on a recording's inputs.
 
-    The robot's model is the recording's. So are the gains where the law is the one in command, or one of its shadows;
-    gains of the text replace them. Raises BadInputError for a recording that lacks an input of a law, for a law or
-    gains as ``make_controller`` does, and for what a law that is not ours raises; OverdueError for a law that does not
-    return within the recording's ``loop.tick_limit_s``. One that is stuck ends the process, as in ``hil.run``.
+    The robot's model is the recording's. If the law drove the recorded run, or was one of its shadows, its recorded
+    gains apply; gains in the text replace them. Raises BadInputError for a recording that lacks an input of a law, for
+    a wrong law or gains (see ``make_controller``), and when a third-party law raises; OverdueError when a call of the
+    law takes longer than the recording's ``loop.tick_limit_s``. A law that never returns ends the process, as in
+    ``hil.run``.
     """
     check_signals(run)
     scenario = scenario_of(run)
@@ -127,7 +128,7 @@ def replay(run: RecordedRun, text: str) -> Replay:
     table = np.frombuffer(values, dtype=np.float64).reshape(-1, len(names))
     asked = np.isfinite(table[:, 0])
     if not asked.any():
-        raise BadInputError(f"{run.path}: there is no tick in which the law was asked; nothing can be replayed")
+        raise BadInputError(f"{run.path}: the law was called in no tick; nothing can be replayed")
     commands = dict(zip(names, table.T, strict=True))
     return Replay(
         path=run.path,
@@ -147,9 +148,9 @@ def replay(run: RecordedRun, text: str) -> Replay:
 def write_replay(run: RecordedRun, replayed: Replay, path: Path, existing: Existing = "refuse") -> None:
     """Record the run again with the replayed commands and their differences beside the recorded ones.
 
-    They are signals ``replay.LAW.wheel.fl.torque_command_n_m`` and ``..._difference_n_m``. ``existing`` says what
-    is done where the file is there already. Raises BadInputError for a path that cannot be written, or is the
-    recording's own, DeviceError when not all could be recorded.
+    They are signals ``replay.LAW.wheel.fl.torque_command_n_m`` and ``..._difference_n_m``. ``existing`` says what to do
+    if the file exists. Raises BadInputError for a path that cannot be written, or is the recording's own, DeviceError
+    when not all could be recorded.
     """
     if path.resolve() == run.path.resolve():
         raise BadInputError(f"--record {path}: this is the recording that is replayed; choose another name")
@@ -179,7 +180,7 @@ def _given(text: str, assignments: Sequence[str]) -> dict[str, object]:
     for assignment in assignments:
         key, equals, value = assignment.partition("=")
         if not (key.strip() and equals):
-            raise BadInputError(f"--law {text}: {assignment!r} is no gain; expected key=value, as in dsc,k1_1_s=8")
+            raise BadInputError(f"--law {text}: {assignment!r} is not a gain; expected key=value, as in dsc,k1_1_s=8")
         gains[key.strip()] = parse_value(value.strip())
     return gains
 
@@ -201,7 +202,7 @@ def _commands(
             applied = Applied(rest, False, row.applied.latency_s)
             continue
         if row.is_held:
-            before = None  # after a hold the law begins anew
+            before = None  # after a hold the law is reset
             yield None
         else:
             watch.turn += 1
@@ -242,7 +243,7 @@ def _notes(run: RecordedRun, scenario: Mapping[str, Any]) -> Iterator[str]:
         yield f"the recording begins at tick {ticks[0]:.0f}: the law was reset there, and not where the run began"
     missing = int(ticks[-1] - ticks[0] - (len(ticks) - 1) - (misses[-1] - misses[0]))
     if missing > 0:
-        yield f"{missing} ticks were not recorded: the law in command heard more than this one"
+        yield f"{missing} ticks were not recorded: the recorded law got more inputs than this one"
     for key, target in scenario.items():
         if key.startswith("fault.") and key.endswith(".target") and "_command_" in str(target):
-            yield f"the run had a fault of {target}, which changed what was commanded, not what the law said"
+            yield f"the run had a fault of {target}, which changed the applied command, not the law's output"

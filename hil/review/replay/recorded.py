@@ -77,7 +77,7 @@ def _below(scenario: Mapping[str, Any], table: str) -> dict[str, Any]:
 
 
 def model_of(run: RecordedRun, scenario: Mapping[str, Any]) -> RobotModel:
-    """Return the robot model of the law in command. Raises BadInputError for one of another version."""
+    """Return the robot model of the recorded law. Raises BadInputError for a recording of another version."""
     try:
         return RobotModel(**_below(scenario, "robot"))
     except (TypeError, ValueError) as error:
@@ -95,13 +95,13 @@ def recorded_gains(scenario: Mapping[str, Any], spec: str) -> dict[str, object]:
 
 
 def _is_same(spec: str, other: str) -> bool:
-    """Tell whether two texts name one law; a file counts by its name, because the paths start elsewhere."""
+    """Tell whether two texts name the same law; of a file only its name counts: paths start from different folders."""
     (file, _, name), (other_file, _, other_name) = spec.rpartition(":"), other.rpartition(":")
     return (PurePath(file).name, name) == (PurePath(other_file).name, other_name)
 
 
 class Row(NamedTuple):
-    """A tick as it was recorded; ``is_away`` where the robot was away, and nothing was commanded."""
+    """One recorded tick; with ``is_away`` the robot was away (its link was lost), and nothing was commanded."""
 
     tick: int
     is_away: bool
