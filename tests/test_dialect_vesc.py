@@ -243,7 +243,7 @@ def test_who_does_not_answer_is_named_and_the_others_are_heard(wire: Wire) -> No
     for _ in range(60):
         rig.step(rig.driver.ask())
     assert rig.driver.identity is None
-    assert rig.driver.missing.startswith("no answer of the VESC 9;")
+    assert rig.driver.missing.startswith("no answer from the VESC 9;")
 
 
 def test_who_sends_no_status_messages_is_told_where_to_switch_them_on() -> None:
@@ -251,7 +251,7 @@ def test_who_sends_no_status_messages_is_told_where_to_switch_them_on() -> None:
     for _ in range(12):
         rig.step(rig.driver.ask())
     assert rig.driver.missing.startswith(
-        "no status messages 1, 4 and 5 of the VESC 2, 3, 4; switch them on in VESC Tool"
+        "no status messages 1, 4 and 5 from the VESC 2, 3, 4; switch them on in VESC Tool"
     )
 
 
@@ -297,9 +297,9 @@ STRANGE = rig_of("can"), rig_of("serial")
         ({"ids": [1, 2, 3]}, "expected four different ones"),
         ({"ids": [1, 2, 3, 4.0]}, "ids.3 = 4.0; expected a whole number"),
         ({"ids": "1234"}, "expected an array, each item a whole number"),
-        ({"host_id": 3}, "expected 0 to 254, and none of device.motors.ids"),
-        ({"serial_id": 255}, "expected 0 to 254"),
-        ({"pole_pairs": 0}, "expected 1 or more"),
+        ({"host_id": 3}, "expected none of device.motors.ids"),
+        ({"serial_id": 255}, "from 0 to 254"),
+        ({"pole_pairs": 0}, "at least 1"),
         ({"gear_ratio": -1.0}, "greater than 0"),
         ({"brake_current_a": -1.0}, "at least 0"),
         ({"brake_current_a": 0.01}, "expected 0, or 0.05 and more, as a VESC does not brake with less"),

@@ -103,7 +103,7 @@ def test_a_message_that_no_packet_holds_is_an_error() -> None:
 
 
 def test_an_answer_cut_off_has_no_values_but_may_lack_the_last_of_newer_firmware() -> None:
-    wanted = vesc_frames.values_wanted(*vesc_frames.ALL_VALUES)
+    wanted = vesc_frames.request_values(*vesc_frames.ALL_VALUES)
     NODE.receive(Frame(EXTENDED | 0x0802, b"\xfd\x00" + wanted))
     messages = CanMessages(253)
     [(_, message)] = [heard for frame in NODE.take_frames() if (heard := messages.feed(frame))]

@@ -56,11 +56,11 @@ def test_a_timeout_that_is_short_with_a_brake_is_not_spoken_of(wire: Wire, versi
 @pytest.mark.parametrize(
     ("timeout_ms", "brake_a", "sentence"),
     [
-        (1000, 5.0, "the timeout of the VESC 7, 30 is 1000 ms, longer than firmware.watchdog_s: so long"),
-        (2**32 - 1, 5.0, "the timeout of the VESC 7, 30 is 4294967 s, longer than firmware.watchdog_s: so long"),
-        (101, 5.0, "the timeout of the VESC 7, 30 is 101 ms, longer than firmware.watchdog_s: so long"),
+        (1000, 5.0, "the timeout of the VESC 7, 30 is 1000 ms, longer than firmware.watchdog_s: its wheel"),
+        (2**32 - 1, 5.0, "the timeout of the VESC 7, 30 is 4294967 s, longer than firmware.watchdog_s: its wheel"),
+        (101, 5.0, "the timeout of the VESC 7, 30 is 101 ms, longer than firmware.watchdog_s: its wheel"),
         (5, 5.0, "the timeout of the VESC 7, 30 is 5 ms, no longer than the 5 ms between two commands"),
-        (0, 0.0, "the timeout of the VESC 7, 30 is 0: when commands end its wheel turns on with the newest one"),
+        (0, 0.0, "the timeout of the VESC 7, 30 is 0: when commands end its wheel turns on with the last one"),
         (100, 0.0, "the VESC 7, 30 brakes with no current after its timeout: when commands end its wheel rolls"),
         (100, 0.04, "the VESC 7, 30 brakes with no current after its timeout: when commands end its wheel rolls"),
         (100, -5.0, "the VESC 7, 30 brakes with no current after its timeout: when commands end its wheel rolls"),
@@ -84,7 +84,7 @@ def test_who_does_not_tell_its_timeout_holds_nobody_up_and_is_warned_of(wire: Wi
     """Two questions to each, one a call: at five calls a second that is less than the two seconds of a start."""
     rig = set_all(rig_of(wire))
     for vesc in rig.node.vescs:
-        vesc.tells_configuration = False
+        vesc.answers_configuration = False
     rig.step(ticks=50)  # status messages have come
     calls = 0
     while rig.driver.identity is None:
@@ -98,28 +98,28 @@ def test_who_does_not_tell_its_timeout_holds_nobody_up_and_is_warned_of(wire: Wi
     assert rig.driver.capabilities.watchdog == "none"
     rig.driver.restart()
     for vesc in rig.node.vescs:
-        vesc.tells_configuration = True
+        vesc.answers_configuration = True
     assert warnings_of(rig) == []
     assert rig.driver.capabilities.watchdog == "fixed"
 
 
 def test_who_is_asked_for_its_timeout_is_missing_until_it_told() -> None:
     rig = rig_of("can")
-    rig.node.vescs[2].tells_configuration = False
+    rig.node.vescs[2].answers_configuration = False
     for _ in range(4):
         rig.step(rig.driver.ask())
-    assert rig.driver.missing.startswith("no app configuration of the VESC 3 yet, which tells its timeout")
+    assert rig.driver.missing.startswith("no app configuration from the VESC 3 yet, which has its timeout")
 
 
 @pytest.mark.parametrize("told", [99, 3])
 @pytest.mark.parametrize("wire", WIRES)
 def test_a_configuration_of_another_id_is_not_believed_nor_taken_for_that_ones(wire: Wire, told: int) -> None:
     rig = set_all(rig_of(wire))
-    rig.node.vescs[1].told_number = told
+    rig.node.vescs[1].configured_number = told
     rig.node.vescs[2].timeout_ticks = 0
     unknown, strange, endless = warnings_of(rig)
     assert unknown.startswith("the timeout of the VESC 2 is not known")
-    assert strange.startswith(f"the app configuration that the VESC 2 tells is that of the id {told}, and not believed")
+    assert strange.startswith(f"the app configuration from the VESC 2 contains the id {told}, and is ignored")
     assert endless.startswith("the timeout of the VESC 3 is 0")
     assert rig.driver.capabilities.watchdog == "none"
 
@@ -163,16 +163,16 @@ def test_late_answers_of_a_line_are_of_whose_values_stand_beside_them(lost: int 
     assert [channel.version.hardware for channel in rig.driver._channels] == [  # type: ignore[attr-defined]
         f"of {vesc.number}" for vesc in rig.node.vescs
     ]
-    assert all(channel.strange_id is None for channel in rig.driver._channels)  # type: ignore[attr-defined]
+    assert all(channel.foreign_id is None for channel in rig.driver._channels)  # type: ignore[attr-defined]
 
 
 @pytest.mark.parametrize("wire", WIRES)
 def test_one_whose_timeout_is_not_known_and_does_not_run_out_may_have_none(wire: Wire) -> None:
     rig = set_all(rig_of(wire))
     dark, known = rig.node.vescs[1], rig.node.vescs[2]
-    dark.tells_configuration, dark.timeout_ticks = False, 0
+    dark.answers_configuration, dark.timeout_ticks = False, 0
     known.command("current", 0)  # by another of its apps
-    rig.node.vescs[3].knows_status = False
+    rig.node.vescs[3].has_status = False
     unknown, runs_on, commanded = warnings_of(rig)
     assert unknown.startswith("the timeout of the VESC 2 is not known")
     assert runs_on.startswith("the timeout of the VESC 2 has not run out")
@@ -226,11 +226,11 @@ def test_after_the_timeout_its_current_brakes(wire: Wire) -> None:
 def test_a_late_answer_of_another_on_the_bus_is_not_that_of_who_is_asked() -> None:
     rig = set_all(rig_of("can"))
     first, second = rig.node.vescs[:2]
-    first.tells_configuration = second.tells_configuration = False
+    first.answers_configuration = second.answers_configuration = False
     for _ in range(2):
         rig.step(rig.driver.ask())
     assert timeouts_asked_for(rig)[-1].id & 0xFF == second.number
-    first.tells_configuration = second.tells_configuration = True
+    first.answers_configuration = second.answers_configuration = True
     rig.node.receive(timeouts_asked_for(rig)[0])
     rig.step()
     assert warnings_of(rig) == []

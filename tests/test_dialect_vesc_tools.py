@@ -160,7 +160,7 @@ def test_a_share_is_of_the_largest_current(bus: Rig) -> None:
 
 def test_the_status_messages_are_those_that_are_switched_on(bus: Rig) -> None:
     for vesc in bus.node.vescs:
-        vesc.told_statuses = (1, 2, 3, 4, 5)
+        vesc.enabled_statuses = (1, 2, 3, 4, 5)
     bus.node.receive(Frame(EXTENDED | 0x0001, struct.pack(">i", 10_000)))
     bus.node.run(900)
     bus.node.take_frames()

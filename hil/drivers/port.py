@@ -32,8 +32,8 @@ __all__ = [
     "Sample",
     "Sensor",
     "Wire",
-    "check_ids",
     "chosen",
+    "four_ids",
     "holds_back",
     "late_ns",
     "lowest",
@@ -286,10 +286,15 @@ class Dialect:
 # What drivers of four controllers, each with an id of its own, have in common
 
 
-def check_ids(name: str, ids: Sequence[int], low: int, high: int) -> None:
-    """Raise ValueError unless there are four different ids within a range; for a ``__post_init__``."""
-    if len(ids) != 4 or len(set(ids)) != 4 or not all(low <= number <= high for number in ids):
-        raise ValueError(f"{name} = {list(ids)}: expected four different ones, each {low} to {high}")
+def four_ids(low: int, high: int) -> Callable[[tuple[int, ...]], tuple[int, ...]]:
+    """Return a check for an option (``Annotated``): four different ids within a range."""
+
+    def check(ids: tuple[int, ...]) -> tuple[int, ...]:
+        if len(ids) != 4 or len(set(ids)) != 4 or not all(low <= number <= high for number in ids):
+            raise ValueError(f"expected four different ones, each {low} to {high}")
+        return ids
+
+    return check
 
 
 def chosen(ids: Iterable[int], flags: Iterable[bool | None]) -> str:

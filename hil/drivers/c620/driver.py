@@ -16,7 +16,7 @@ from typing import Annotated, Literal, NamedTuple
 from firmware_protocol.framing import Frame
 from hil.core.options import NOT_NEGATIVE, POSITIVE
 from hil.core.types import WHEEL_NAMES, CommandMode, FourWheels
-from hil.drivers.port import Capabilities, Dialect, Driver, Found, Probe, RobotFacts, Sample, check_ids, chosen, oldest
+from hil.drivers.port import Capabilities, Dialect, Driver, Found, Probe, RobotFacts, Sample, chosen, four_ids, oldest
 
 _CURRENTS = Struct(">4h")
 _FEEDBACK = Struct(">HhhB")
@@ -50,14 +50,11 @@ class Settings:
     """
 
     controller: Literal["c620", "c610"] = "c620"
-    ids: tuple[int, ...] = (1, 2, 3, 4)
+    ids: Annotated[tuple[int, ...], four_ids(1, 8)] = (1, 2, 3, 4)
     gear_ratio: Annotated[float, NOT_NEGATIVE] = 0.0
     kp_n_m_s_rad: Annotated[float, NOT_NEGATIVE] = 0.6
     ki_n_m_rad: Annotated[float, NOT_NEGATIVE] = 8.0
     temperature_limit_degc: Annotated[float, POSITIVE] = 100.0
-
-    def __post_init__(self) -> None:
-        check_ids("ids", self.ids, 1, 8)
 
 
 class _Channel:

@@ -26,8 +26,8 @@ from hil.drivers.port import (
     Probe,
     RobotFacts,
     Sample,
-    check_ids,
     chosen,
+    four_ids,
     lowest,
     oldest,
 )
@@ -56,12 +56,9 @@ class Settings:
     ``motor_position.rotor_to_output_ratio`` covers the whole gear.
     """
 
-    ids: tuple[int, ...] = (1, 2, 3, 4)
+    ids: Annotated[tuple[int, ...], four_ids(_ALL_IDS[0], _ALL_IDS[-1])] = (1, 2, 3, 4)
     can_prefix: Annotated[int, Range(ge=0, le=0x1FFF)] = 0
     gear_ratio: Annotated[float, POSITIVE] = 1.0
-
-    def __post_init__(self) -> None:
-        check_ids("ids", self.ids, _ALL_IDS[0], _ALL_IDS[-1])
 
 
 class _Channel:

@@ -278,11 +278,11 @@ class Axis:
             if not (yield from self._until(lambda: self._answer is not None, _REPLY_NS)):
                 continue
             value = self._answer or b""
-            if value[: len(endpoint.wanted)] == endpoint.wanted:
+            if value[: len(endpoint.target)] == endpoint.target:
                 return ""
-            if not endpoint.can_be(value):
+            if not endpoint.is_plausible(value):
                 return f"endpoint {endpoint.number} is not {endpoint.name}; check device.motors.watchdog_endpoints"
-            yield (self.frame(can.WRITE_SDO, can.WRITE + head + endpoint.wanted),)
+            yield (self.frame(can.WRITE_SDO, can.WRITE + head + endpoint.target),)
             # From 0.6.11 on a write is confirmed by a frame like that of a read.
             yield from self._until(lambda: False, _CONFIRMATION_NS)
         return f"{endpoint.name} (endpoint {endpoint.number}) could not be set and read back"

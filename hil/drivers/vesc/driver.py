@@ -1,20 +1,17 @@
-"""VESC: electrical speed or current to each, over CAN, or over UART to one of them that passes on to the others.
+"""VESC: takes an electrical speed or a current, over CAN, or over UART through one VESC that forwards to the others.
 
 Over CAN the VESCs broadcast their state (STATUS 1, 4 and 5, switched on in VESC Tool), and are asked for their fault
-codes in turn. Over UART nothing comes unasked: the one on the line is asked in every tick, and one of the others.
-They know no arming: what is commanded is done, and when commands end a timeout of their own stops the motor. It is read
-at the start, and said to be missing, too long or too short.
+codes in turn. Over UART they send nothing unasked: every tick asks the VESC at the line and one of the others.
+A VESC has no arming: it obeys every command, and when commands end its own timeout stops the motor. The timeout is read
+at the start; the driver warns if it is missing, too long or too short.
 Source: see hil/drivers/vesc/frames.py.
 """
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Annotated
 
 from firmware_protocol.framing import Frame
 from hil.core.errors import BadInputError
-from hil.core.options import NOT_NEGATIVE, POSITIVE
 from hil.core.types import WHEEL_NAMES, CommandMode, FourWheels
 from hil.drivers.port import (
     EXTENDED,
@@ -23,7 +20,6 @@ from hil.drivers.port import (
     Driver,
     RobotFacts,
     Sample,
-    check_ids,
     chosen,
     holds_back,
     late_ns,
@@ -34,51 +30,19 @@ from hil.drivers.port import (
 from hil.drivers.vesc import frames
 from hil.drivers.vesc.channel import Channel
 from hil.drivers.vesc.probe import BusProbe, LineProbe
+from hil.drivers.vesc.settings import Settings
 from hil.drivers.vesc.timeout import has_timeout, timeout_warnings
-from hil.drivers.vesc.wires import Bus, Line, past_any_rest
+from hil.drivers.vesc.wires import Bus, Line, repeated_past_packet
 
 _OLDEST_MAJOR = 5
-_PATIENCE = 2  # calls of ask for an answer to one VESC's questions
-_UNANSWERED_NS = 1_000_000_000  # a fault cannot be known of one that is asked in vain for so long
+_MAX_CALLS = 2  # of ``ask``, in which one VESC may answer its questions
+_UNANSWERED_NS = 1_000_000_000  # a VESC that leaves the question for its fault unanswered so long is in error
 _STILL: FourWheels = (0.0, 0.0, 0.0, 0.0)
 _BAUD = 115_200
 
 
-@dataclass(frozen=True, slots=True)
-class Settings:
-    """``[device.motors]``: ``ids`` of the channels in order; ``pole_pairs`` of the motor, half of its magnets.
-
-    ``gear_ratio`` is motor turns for one of the wheel. ``status_hz`` is the rate of the status messages, as set in VESC
-    Tool. ``serial_id`` is the VESC at the serial line. ``host_id`` is ours on the bus, that no VESC may have.
-    ``brake_current_a`` is of an e-stop, 0 for what makes the torque limit.
-    """
-
-    ids: tuple[int, ...] = (1, 2, 3, 4)
-    pole_pairs: int = 7
-    gear_ratio: Annotated[float, POSITIVE] = 1.0
-    status_hz: Annotated[float, POSITIVE] = 50.0
-    serial_id: int = 1
-    host_id: int = 253
-    brake_current_a: Annotated[float, NOT_NEGATIVE] = 0.0
-
-    def __post_init__(self) -> None:
-        most = frames.MOST_IDS
-        check_ids("ids", self.ids, 0, most)
-        if self.host_id in self.ids or not 0 <= self.host_id <= most:
-            raise ValueError(f"host_id = {self.host_id}: expected 0 to {most}, and none of device.motors.ids")
-        if not 0 <= self.serial_id <= most:
-            raise ValueError(f"serial_id = {self.serial_id}: expected 0 to {most}")
-        if self.pole_pairs < 1:
-            raise ValueError(f"pole_pairs = {self.pole_pairs}: expected 1 or more")
-        if 0.0 < self.brake_current_a < frames.LEAST_CURRENT_A:
-            raise ValueError(
-                f"brake_current_a = {self.brake_current_a:g}: expected 0, or {frames.LEAST_CURRENT_A:g} and more, as a "
-                "VESC does not brake with less"
-            )
-
-
 class Vesc(Driver):
-    """Four of them."""
+    """Drives four VESCs."""
 
     def __init__(self, settings: Settings, robot: RobotFacts) -> None:
         self._settings = settings
@@ -91,10 +55,10 @@ class Vesc(Driver):
         self._rounds = self._wire.rounds
         self._round = 0
         self._asked: int | None = None  # the VESC whose answers are awaited
-        self._may_wait = not self._is_bus  # the near one, for the rest of a packet that nobody sends
-        self._nameless: Sequence[frames.Version] = ()  # versions of a serial line, until values tell whose
+        self._may_wait = not self._is_bus  # the VESC at the line may wait for the rest of an unfinished packet
+        self._unassigned: Sequence[frames.Version] = ()  # versions on a serial line, until values with an id follow
         self._turn = 0
-        self._waited = 0
+        self._calls = 0  # of ``ask`` since the newest questions
         self._is_armed = self._is_arming = False
         self._has_commanded = False
         self._to_erpm = settings.gear_ratio * settings.pole_pairs * 60.0 / math.tau
@@ -115,31 +79,31 @@ class Vesc(Driver):
 
     @property
     def capabilities(self) -> Capabilities:
-        """See ``Driver``. There is a watchdog when all four have told a timeout that is one."""
+        """See ``Driver``. There is a watchdog when all four have reported a timeout of at most ``watchdog_s``."""
         if all(has_timeout(channel, self._robot) for channel in self._channels):
             return self._capabilities._replace(watchdog="fixed")
         return self._capabilities
 
     def ask(self) -> Sequence[Frame]:
-        """See ``Driver``. One VESC is asked at a time, and the next when it has answered or had ``_PATIENCE`` calls.
+        """See ``Driver``. Ask one VESC at a time; the next one after an answer, or after ``_MAX_CALLS`` calls.
 
-        Who has said who it is, and has not told its timeout, does not keep the others waiting. When the first question
-        over a line was in vain, the near VESC may wait for the rest of a packet, with commands of long ago in what it
-        holds: stops go with the next one, so many that they are the last of what is done when that wait ends.
+        A missing timeout does not delay the others. When the first question over a line stays unanswered, the VESC at
+        the line may be waiting for the rest of a packet, and hold old commands. Then stops go before the next question,
+        so many of them that a stop is the last command that it executes when its wait ends.
         """
         before: Sequence[Frame] = ()
         if self._asked is not None:
-            self._waited += 1
+            self._calls += 1
             channel = self._by_id[self._asked]
-            if not channel.has_said_who and self._waited < _PATIENCE:
+            if not channel.is_identified and self._calls < _MAX_CALLS:
                 return ()
-            # Its values were lost, or its firmware has none: those of the next one are not to be taken for its.
-            if len(self._nameless) == 1 and channel.version is None:
-                channel.version = self._nameless[0]
-            self._nameless = ()
-            channel.miss_timeout()
+            # Its values were lost, or its firmware has none: the version must not be assigned to the next VESC.
+            if len(self._unassigned) == 1 and channel.version is None:
+                channel.version = self._unassigned[0]
+            self._unassigned = ()
+            channel.count_unanswered_timeout()
             if self._may_wait:
-                before = past_any_rest(self._all(frames.SET_CURRENT, _STILL))
+                before = repeated_past_packet(self._all(frames.SET_CURRENT, _STILL))
                 self._may_wait = False
                 self._has_commanded = True
         open_ids = [vesc for vesc, channel in self._by_id.items() if not channel.has_answered]
@@ -147,16 +111,16 @@ class Vesc(Driver):
             self._asked = None
             return self._poll()
         later = [vesc for vesc in open_ids if self._settings.ids.index(vesc) >= self._turn]
-        self._asked, self._waited = (later or open_ids)[0], 0
+        self._asked, self._calls = (later or open_ids)[0], 0
         self._turn = self._settings.ids.index(self._asked) + 1
         channel = self._by_id[self._asked]
-        questions = [] if channel.has_said_who else [*self._wire.questions]
-        if channel.is_asked_for_timeout:
+        questions = [] if channel.is_identified else [*self._wire.questions]
+        if channel.needs_timeout:
             questions.append(bytes((frames.GET_APPCONF,)))
         return [*before, *(self._wire.message(self._asked, question) for question in questions)]
 
     def _poll(self, now_ns: int | None = None) -> Sequence[Frame]:
-        """Ask the next; over the line the fault comes with the speed, and is as old as that."""
+        """Ask the next VESC. ``asked_ns`` is for CAN only: over a line the fault comes with the speed."""
         self._round = (self._round + 1) % len(self._rounds)
         if self._is_bus and now_ns is not None:
             self._now_ns = now_ns
@@ -170,8 +134,8 @@ class Vesc(Driver):
             version = channel.version
             if version is not None and version.major < _OLDEST_MAJOR:
                 raise BadInputError(
-                    f"VESC {vesc} has the firmware {version.major}.{version.minor:02}, and this driver knows those "
-                    f"from {_OLDEST_MAJOR}.00 on; update it in VESC Tool"
+                    f"VESC {vesc} has the firmware {version.major}.{version.minor:02}, and this driver knows "
+                    f"{_OLDEST_MAJOR}.00 and newer; update it in VESC Tool"
                 )
         if self.missing:
             return None
@@ -185,50 +149,48 @@ class Vesc(Driver):
     @property
     def missing(self) -> str:
         rate = "bit rate" if self._is_bus else f"baud= in the link, {_BAUD} as delivered"
-        silent = chosen(self._by_id, (not channel.has_said_who for channel in self._channels))
+        silent = chosen(self._by_id, (not channel.is_identified for channel in self._channels))
         if silent:
             return (
-                f"no answer of the VESC {silent}; check power, wiring and {rate}, and in VESC Tool App "
+                f"no answer from the VESC {silent}; check power, wiring and {rate}, and in VESC Tool App "
                 "Settings > General: VESC ID (device.motors.ids) and CAN Mode VESC"
             )
         awaited = chosen(self._by_id, (not channel.has_answered for channel in self._channels))
         if awaited:
             return (
-                f"no app configuration of the VESC {awaited} yet, which tells its timeout; a long message was lost: "
+                f"no app configuration from the VESC {awaited} yet, which has its timeout; a long message was lost: "
                 f"check wiring and {rate}, and start again"
             )
         mute = chosen(self._by_id, (not channel.has_measured for channel in self._channels))
         if mute:
             return (
-                f"no status messages 1, 4 and 5 of the VESC {mute}; switch them on in VESC Tool, App "
+                f"no status messages 1, 4 and 5 from the VESC {mute}; switch them on in VESC Tool, App "
                 "Settings > General > CAN Status Messages, at the rate of device.motors.status_hz"
             )
         return ""
 
     @property
     def warnings(self) -> Sequence[str]:
-        said = [*timeout_warnings(self._by_id, self._robot)]
-        if self._robot.mode is CommandMode.SPEED:
-            said.append(torques_dropped("a VESC"))
-        return said
+        dropped = [torques_dropped("a VESC")] if self._robot.mode is CommandMode.SPEED else []
+        return [*timeout_warnings(self._by_id, self._robot), *dropped]
 
     def arm(self, now_ns: int) -> Sequence[Frame]:
-        """See ``Driver``. There is nothing to arm: the first commands are of standstill, and who is fit follows.
+        """See ``Driver``. A VESC needs no arming. It counts as armed when it reports no fault and no kill switch.
 
-        Whether they are fit they have to say anew: what they said last may be of hours ago.
+        Faults are asked for again at the start of arming: the last answers may be hours old.
         """
         if not self._is_arming:
             self._is_arming = True
-            self._forget_fitness()
-        self._is_armed = all(channel.is_fit for channel in self._channels)
+            self._forget_faults()
+        self._is_armed = all(channel.is_healthy for channel in self._channels)
         return self.command(_STILL, _STILL, now_ns) if self._is_armed else self._poll(now_ns)
 
-    def _forget_fitness(self) -> None:
+    def _forget_faults(self) -> None:
         for channel in self._channels:
             channel.fault = channel.status = channel.asked_ns = None
 
     def command(self, speed_rad_s: FourWheels, torque_n_m: FourWheels, now_ns: int) -> Sequence[Frame]:
-        """See ``Driver``. A VESC takes a speed or a current: in mode SPEED the torques are not carried."""
+        """See ``Driver``. A VESC takes a speed or a current: in mode SPEED the torques are dropped."""
         self._has_commanded = True
         if self._robot.mode is CommandMode.SPEED:
             settings = self._all(frames.SET_RPM, [speed * self._to_erpm for speed in speed_rad_s])
@@ -246,7 +208,7 @@ class Vesc(Driver):
         return self._all(frames.SET_CURRENT, _STILL)
 
     def _stand_down(self) -> None:
-        """Nobody is asked from now on, so that nobody owes an answer. A stop is a command too, for a timeout."""
+        """Note that questions for faults end here, and that a stop is sent, which is a command for the timeout too."""
         self._is_armed = self._is_arming = False
         self._has_commanded = True
         for channel in self._channels:
@@ -257,49 +219,49 @@ class Vesc(Driver):
         return self._brakes()
 
     def last_stop(self) -> Sequence[Frame]:
-        """Return what the guardian sends: the brake, as nobody comes after it, and past the rest of any packet."""
-        return past_any_rest(self._brakes())
+        """See ``Driver``. Brake, and repeat it past the rest of an unfinished packet: no command follows."""
+        return repeated_past_packet(self._brakes())
 
     def _brakes(self) -> list[Frame]:
         return self._all(frames.SET_CURRENT_BRAKE, (self._brake_a,) * 4)
 
     def clear(self) -> Sequence[Frame]:
-        """See ``Driver``. A fault ends by itself, half a second after its cause as delivered: it is asked for anew."""
-        self._forget_fitness()
+        """See ``Driver``. A fault ends by itself, by default 0.5 s after its cause, so it is only asked for again."""
+        self._forget_faults()
         return ()
 
     def feed(self, frame: Frame, stamp_ns: int) -> None:
         if not self._is_bus:
             self._may_wait = False
             self._feed_message(None, bytes((frame.id & 0xFF,)) + frame.payload, stamp_ns)
-        elif (heard := self._messages.feed(frame)) is not None:
-            self._feed_message(*heard, stamp_ns)
+        elif (received := self._messages.feed(frame)) is not None:
+            self._feed_message(*received, stamp_ns)
         elif frame.id & EXTENDED and (channel := self._by_id.get(frame.id & 0xFF)) is not None:
             channel.feed_status((frame.id & ~EXTENDED) >> 8, frame.payload, stamp_ns)
             channel.forget_late(stamp_ns, self._late_ns)
 
     def _feed_message(self, sender: int | None, message: bytes, stamp_ns: int) -> None:
-        """Take a message. On a serial line it does not say whose it is, but for the values, as those have the id.
+        """Take a message. On a serial line (``sender`` None) only messages with values contain the sender's id.
 
-        A version there is of him whose values come next; two without values between them are nobody's. A timeout is
-        taken of who is asked, behind what it was asked before.
+        A version there belongs to the VESC whose values come next; two versions without values between them are
+        dropped. A timeout is accepted only from the VESC that is asked for it and has identified itself.
         """
         if (version := frames.parse_version(message)) is not None:
             if sender is None:
-                self._nameless = (*self._nameless[-1:], version)
+                self._unassigned = (*self._unassigned[-1:], version)
             elif sender in self._by_id:
                 self._by_id[sender].version = version
         elif (values := frames.parse_values(message)) is not None:
             channel = self._by_id.get(int(values.get("id", -1)) if sender is None else sender)
             if channel is not None:
-                if len(self._nameless) == 1:
-                    channel.version = self._nameless[0]
+                if len(self._unassigned) == 1:
+                    channel.version = self._unassigned[0]
                 channel.feed_values(values, stamp_ns, self._has_commanded)
-                self._is_armed = self._is_armed and channel.is_fit
-            self._nameless = ()
+                self._is_armed = self._is_armed and channel.is_healthy
+            self._unassigned = ()
         elif (timeout := frames.parse_timeout(message)) is not None:
             vesc = self._asked
-            if vesc is not None and sender in (None, vesc) and self._by_id[vesc].awaits_timeout:
+            if vesc is not None and sender in (None, vesc) and self._by_id[vesc].accepts_timeout:
                 self._by_id[vesc].feed_timeout(timeout, vesc)
 
     @property
@@ -324,25 +286,25 @@ class Vesc(Driver):
 
     @property
     def errors(self) -> Sequence[str]:
-        found = []
+        errors = []
         for vesc, channel, wheel in zip(self._settings.ids, self._channels, self._robot.wheel_of_channel, strict=True):
             name = f"VESC {vesc} of wheel {WHEEL_NAMES[wheel]}"
             if code := channel.fault:
                 words = (
                     frames.FAULTS[code] if code < len(frames.FAULTS) else "see mc_fault_code in the maker's datatypes.h"
                 )
-                found.append(f"{name} has the fault {code}: {words}")
+                errors.append(f"{name} has the fault {code}: {words}")
             if (channel.status or 0) & frames.KILL_SWITCH:
-                found.append(f"{name} is stopped by its kill switch")
+                errors.append(f"{name} is stopped by its kill switch")
             if channel.asked_ns is not None and self._now_ns - channel.asked_ns > _UNANSWERED_NS:
-                found.append(f"{name} has not answered for a second which fault it has")
-        return found
+                errors.append(f"{name} has not answered for a second which fault it has")
+        return errors
 
     def restart(self) -> None:
         self._is_armed = self._is_arming = self._has_commanded = False
         self._asked = None
         self._may_wait = not self._is_bus
-        self._nameless = ()
+        self._unassigned = ()
         for channel in self._channels:
             channel.forget()
 

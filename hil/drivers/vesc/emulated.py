@@ -1,9 +1,9 @@
-"""Four VESCs as their firmware is published: on one CAN bus, and one of them at a serial line that it passes on.
+"""Four emulated VESCs, after their published firmware: on one CAN bus, one of them also at a serial line.
 
-Their timeout is 1 s with no brake current, and a fault holds a motor off for half a second, both as delivered. Of the
-app configuration the front is told, where firmware 5 and 6 have the timeout; the rest is as long as in 6.00 or 6.05.
-The minimum ERPM of the speed controller is 0, as hil/drivers/vesc/VESC.md asks for; status messages go at
-``status_hz``.
+They have the maker's defaults: a timeout of 1 s without brake current, and faults that keep a motor off for 0.5 s. The
+app configuration has real values only at its beginning, where firmware 5 and 6 have the timeout; it is as long as that
+of 6.00 or 6.05. The minimum ERPM of the speed controller is 0, as hil/drivers/vesc/VESC.md requires. Status messages
+are sent at ``status_hz``.
 """
 
 import math
@@ -14,15 +14,15 @@ from firmware_protocol.framing import Frame
 from hil.core.types import FourWheels
 from hil.drivers.emulated import EmulatedMotors
 from hil.drivers.vesc import emulated_wire as wire
-from hil.drivers.vesc.driver import Settings
 from hil.drivers.vesc.emulated_controller import Reply, VescController
+from hil.drivers.vesc.settings import Settings
 
 _EXTENDED = 0x8000_0000
 _UNDER_VOLTAGE, _HOT_MOTOR = 2, 6
-_LEAST_V = 8.0
+_MIN_V = 8.0
 _IDS, _PING_TICKS = 255, 10
 _SET_CURRENT, _SHORT_MESSAGE, _PING, _PONG = 1, 8, 17, 18
-_COMMANDS: Mapping[int, tuple[str, float]] = {  # CAN_PACKET_SET_...: mode, and counts of one unit
+_COMMANDS: Mapping[int, tuple[str, float]] = {  # CAN_PACKET_SET_...: mode, and counts per unit
     0: ("duty", 1e5),
     _SET_CURRENT: ("current", 1e3),
     2: ("brake", 1e3),
@@ -34,10 +34,10 @@ _WITH_DELAY_BYTES = 6
 
 
 class EmulatedVesc(EmulatedMotors[Settings]):
-    """See ``EmulatedMotors``.
+    """Emulates four VESCs.
 
     Attributes:
-        vescs: the four, for what a test has to do to one of them.
+        vescs: the four controllers, for tests that change one of them.
     """
 
     def power_on(self) -> None:
@@ -67,13 +67,13 @@ class EmulatedVesc(EmulatedMotors[Settings]):
             if not self._scan_left:
                 self._serial_reply(bytes((62, *self._behind())))
         period = max(round(1000.0 / self.settings.status_hz), 1)
-        for place, vesc in enumerate(self.vescs):
-            if self.ticks % period == place * period // 4:
+        for channel, vesc in enumerate(self.vescs):
+            if self.ticks % period == channel * period // 4:
                 for command, data in vesc.statuses():
                     self.say(Frame(_EXTENDED | command << 8 | vesc.number, data))
-            if vesc.is_driving and self.battery_v < _LEAST_V:
+            if vesc.is_driving and self.battery_v < _MIN_V:
                 vesc.fail(_UNDER_VOLTAGE)
-            elif vesc.is_driving and self.temperature_degc[place] > self.values["temperature_limit_degc"]:
+            elif vesc.is_driving and self.temperature_degc[channel] > self.values["temperature_limit_degc"]:
                 vesc.fail(_HOT_MOTOR)
         torques = [vesc.torque() for vesc in self.vescs]
         if all(torque is None for torque in torques):
@@ -82,9 +82,9 @@ class EmulatedVesc(EmulatedMotors[Settings]):
         return a, b, c, d
 
     def _measure(self) -> None:
-        for place, vesc in enumerate(self.vescs):
-            vesc.measure(self.shafts[place], self._steps_per_rad)
-            vesc.current_a, vesc.degc = self.current_a[place], self.temperature_degc[place]
+        for channel, vesc in enumerate(self.vescs):
+            vesc.measure(self.shafts[channel], self._steps_per_rad)
+            vesc.current_a, vesc.degc = self.current_a[channel], self.temperature_degc[channel]
             vesc.input_v, vesc.input_a = self.battery_v, self.battery_a / 4.0
 
     # CAN
@@ -125,7 +125,7 @@ class EmulatedVesc(EmulatedMotors[Settings]):
     def _process(self, message: bytes) -> None:
         near = self.settings.serial_id
         if message[0] == 62:
-            # Each id in turn: whoever is there answers at once. Asked again meanwhile, it goes on with the first scan.
+            # Existing ids answer at once; the others take time. A request during a scan does not restart it.
             self._scan_left = self._scan_left or _PING_TICKS * (_IDS - len(self._behind()))
         elif message[0] == 34:
             if len(message) > 2 and message[1] != near and (behind := self._by_id.get(message[1])) is not None:
@@ -140,18 +140,18 @@ class EmulatedVesc(EmulatedMotors[Settings]):
         self._bytes += wire.packet(message)
 
     def take_bytes(self) -> bytes:
-        """Return what the near VESC says; what they broadcast on the bus between them reaches nobody here."""
+        """Return the answers of the near VESC. Broadcasts on the bus behind it are discarded."""
         self.take_frames()
-        said = bytes(self._bytes)
+        data = bytes(self._bytes)
         self._bytes.clear()
-        return said
+        return data
 
 
 def _obey(vesc: VescController, command: int, data: bytes) -> None:
-    """Do a command of a motor, of 4 bytes.
+    """Execute a motor command of 4 bytes.
 
-    A current with the delay after which it goes off has 6: the maker's page has the current first, the firmware reads
-    it last, and a current that is misread would drive. So it is obeyed in neither order.
+    A current with a switch-off delay has 6 bytes. It is ignored: the maker's page has the current first, the firmware
+    reads it last, and a misread current would drive the motor.
     """
     if len(data) < 4 or (command == _SET_CURRENT and len(data) >= _WITH_DELAY_BYTES):
         return
@@ -164,4 +164,4 @@ def _obey(vesc: VescController, command: int, data: bytes) -> None:
 
 
 def _unanswered(_message: bytes) -> None:
-    """Send no answer, as whoever asks does not want one."""
+    """Discard an answer: the sender of the message does not want one."""

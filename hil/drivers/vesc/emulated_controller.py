@@ -1,8 +1,8 @@
-"""One VESC of the emulated ones: the control modes of its motor, its timeout, and its answers to messages.
+"""One emulated VESC: the control modes of its motor, its timeout, and its answers to messages.
 
 Written from the source of firmware 6.05. It answers COMM_FW_VERSION, COMM_GET_VALUES, COMM_GET_VALUES_SELECTIVE and
-COMM_GET_APPCONF, and obeys COMM_SET_DUTY, COMM_SET_CURRENT, COMM_SET_CURRENT_BRAKE, COMM_SET_RPM and COMM_ALIVE. Any
-other message, and one that is too short for its number, changes nothing.
+COMM_GET_APPCONF, and obeys COMM_SET_DUTY, COMM_SET_CURRENT, COMM_SET_CURRENT_BRAKE, COMM_SET_RPM and COMM_ALIVE. It
+ignores all other messages, and those that are too short.
 """
 
 import math
@@ -15,35 +15,41 @@ from hil.drivers.vesc import emulated_wire as wire
 _TIMEOUT_TICKS, _FAULT_TICKS = 1000, 500
 _SIGNATURE = 486554156  # of an app configuration, as 6.00 lays it out
 _CONFIGURATION_BYTES = {(6, 5): 278}  # without the balance app, which 6.00 still has
-_MOST_CONFIGURATION_BYTES = 493
-_LEAST_A = 0.05
-_BRAKE_N_M_S_RAD = 1.0  # near standstill, where no brake drives; with 3 wheels swing, as their speed is told late
-_MOST_DUTY = 0.95  # of the battery's voltage, as delivered
+_MAX_CONFIGURATION_BYTES = 493
+_MIN_A = 0.05
+_BRAKE_N_M_S_RAD = 1.0  # near standstill, so that a brake never drives; with 3 the wheels oscillate
+_MAX_DUTY = 0.95  # of the battery's voltage, by default
 _TICKS_PER_HOUR = 3_600_000
 
 FW_VERSION, GET_VALUES, GET_APPCONF, ALIVE, GET_VALUES_SELECTIVE = 0, 4, 17, 30, 50
-_COMMANDS: Mapping[int, tuple[str, float]] = {  # COMM_SET_...: mode, and counts of one unit
+_COMMANDS: Mapping[int, tuple[str, float]] = {  # COMM_SET_...: mode, and counts per unit
     5: ("duty", 1e5),
     6: ("current", 1e3),
     7: ("brake", 1e3),
     8: ("rpm", 1.0),
 }
-_ENDS = {"B": (0, 255), "h": (-(2**15), 2**15 - 1), "i": (-(2**31), 2**31 - 1)}
+_RANGES = {"B": (0, 255), "h": (-(2**15), 2**15 - 1), "i": (-(2**31), 2**31 - 1)}
 _EVERY_VALUE = (1 << 22) - 1
 
 Reply = Callable[[bytes], None]
 
 
 class VescController:
-    """One controller and its motor; speeds and torques are of the wheel.
+    """One controller and its motor. Speeds and torques are those of the wheel.
 
     Args:
-        number: its VESC ID.
-        to_erpm: ERPM of 1 rad/s of the wheel.
-        constant: torque of 1 A of the motor [N·m/A]; by the same number the wheel's speed makes a voltage [V·s/rad].
+        number: VESC ID.
+        to_erpm: ERPM at 1 rad/s of the wheel.
+        constant: torque constant [N·m/A], and of the same value the back-EMF constant [V·s/rad].
         resistance_ohm: of the motor.
-        limit_n_m: the torque of its largest current.
+        limit_n_m: torque at the largest current.
         loop: the speed controller.
+
+    Attributes for tests:
+        answers_configuration: whether it answers COMM_GET_APPCONF.
+        configured_number: the VESC ID in its configuration.
+        enabled_statuses: numbers of the status messages that are switched on.
+        has_status: whether its firmware has the status among the selective values.
     """
 
     def __init__(
@@ -62,15 +68,15 @@ class VescController:
         self.hardware = b"60_MK6"
         self.timeout_ticks = _TIMEOUT_TICKS
         self.timeout_brake_a = 0.0
-        self.tells_configuration = True
-        self.told_number = number  # in the configuration
-        self.told_statuses: tuple[int, ...] = (1, 4, 5)  # the status messages that are switched on
+        self.answers_configuration = True
+        self.configured_number = number
+        self.enabled_statuses: tuple[int, ...] = (1, 4, 5)
         self.kill_switch = False
-        self.knows_status = True
+        self.has_status = True
         self.fault = 0
-        self._fault_left = 0
-        self._quiet_ticks = _TIMEOUT_TICKS + 1  # nobody has commanded since the power came on
-        self._control, self._wanted = "off", 0.0
+        self._fault_ticks_left = 0
+        self._quiet_ticks = _TIMEOUT_TICKS + 1  # no command since the power came on
+        self._control, self._set_point = "off", 0.0
         self.speed = self.current_a = self.duty = self.input_v = self.input_a = self.degc = 0.0
         self.tachometer_abs = self._steps = 0
         self._has_steps = False
@@ -82,43 +88,43 @@ class VescController:
 
     @property
     def is_driving(self) -> bool:
-        """Whether somebody's command has the motor; the brake of the timeout is nobody's."""
+        """Whether a command controls the motor; the brake after a timeout does not count."""
         return self._control != "off" and not self.has_timed_out
 
-    def command(self, control: str, wanted: float) -> None:
-        """Take a command: a part of the battery's voltage ("duty"), amperes ("current", "brake") or ERPM ("rpm").
+    def command(self, control: str, set_point: float) -> None:
+        """Take a command: a share of the battery's voltage ("duty"), amperes ("current", "brake") or ERPM ("rpm").
 
-        A fault keeps the motor off whatever comes.
+        During a fault the motor stays off.
         """
         self._quiet_ticks = 0
         if self.fault or self.kill_switch:
             return
-        if control in ("current", "brake") and abs(wanted) < _LEAST_A:
+        if control in ("current", "brake") and abs(set_point) < _MIN_A:
             control = "off"
         if control != self._control:
             self._loop.reset()
-        self._control, self._wanted = control, wanted
+        self._control, self._set_point = control, set_point
 
     def command_share(self, control: str, share: float) -> None:
         """Take a current as a share of the largest one."""
         self.command(control, share * self._limit_n_m / self._constant)
 
     def fail(self, code: int) -> None:
-        """Go to fault, as by a reason of the hardware's."""
-        self.fault, self._fault_left, self._control = code, _FAULT_TICKS, "off"
+        """Enter the fault with this code, as after a hardware fault."""
+        self.fault, self._fault_ticks_left, self._control = code, _FAULT_TICKS, "off"
 
     def torque(self) -> float | None:
-        """Let a millisecond pass, and return the torque at the wheel, None for a motor that is let go."""
+        """Advance by 1 ms, and return the torque at the wheel [N·m]; None for a motor without current."""
         self._quiet_ticks += 1
         if self.fault:
-            self._fault_left -= 1
-            if self._fault_left <= 0:
+            self._fault_ticks_left -= 1
+            if self._fault_ticks_left <= 0:
                 self.fault = 0
         if self.kill_switch:
             self._control = "off"
         elif self.has_timed_out and not self.fault:
-            self._control = "brake" if self.timeout_brake_a >= _LEAST_A else "off"
-            self._wanted = self.timeout_brake_a
+            self._control = "brake" if self.timeout_brake_a >= _MIN_A else "off"
+            self._set_point = self.timeout_brake_a
         torque = self._controlled()
         if self.input_v > 0.0:
             volts = (torque or 0.0) / self._constant * self._resistance_ohm + self._constant * self.speed
@@ -127,15 +133,15 @@ class VescController:
 
     def _controlled(self) -> float | None:
         if self._control == "rpm":
-            return self._loop.torque(self._wanted / self._to_erpm, self.speed)
+            return self._loop.torque(self._set_point / self._to_erpm, self.speed)
         if self._control == "current":
-            return self._limited(self._wanted * self._constant)
+            return self._limited(self._set_point * self._constant)
         if self._control == "brake":
-            most = abs(self._limited(self._wanted * self._constant))
+            most = abs(self._limited(self._set_point * self._constant))
             return min(max(-_BRAKE_N_M_S_RAD * self.speed, -most), most)
         if self._control == "duty":
             # A duty of 0 shorts the windings, which brakes.
-            volts = min(max(self._wanted, -_MOST_DUTY), _MOST_DUTY) * self.input_v
+            volts = min(max(self._set_point, -_MAX_DUTY), _MAX_DUTY) * self.input_v
             current_a = (volts - self._constant * self.speed) / self._resistance_ohm
             return self._limited(current_a * self._constant)
         return None
@@ -144,15 +150,15 @@ class VescController:
         return min(max(torque, -self._limit_n_m), self._limit_n_m)
 
     def measure(self, shaft: Shaft, steps_per_rad: float) -> None:
-        """Take the shaft's angle and speed, and count the battery's charge of a millisecond."""
+        """Take the shaft's angle and speed, and add the battery's charge and energy of 1 ms."""
         self.speed = shaft.speed_rad_s
         steps = math.floor(shaft.position_rad * steps_per_rad)
         if self._has_steps:
             self.tachometer_abs += abs(steps - self._steps)
         self._steps, self._has_steps = steps, True
-        way = self.input_a < 0.0
-        self._amp_hours[way] += abs(self.input_a) / _TICKS_PER_HOUR
-        self._watt_hours[way] += abs(self.input_a) * self.input_v / _TICKS_PER_HOUR
+        returned = self.input_a < 0.0
+        self._amp_hours[returned] += abs(self.input_a) / _TICKS_PER_HOUR
+        self._watt_hours[returned] += abs(self.input_a) * self.input_v / _TICKS_PER_HOUR
 
     @property
     def tachometer(self) -> int:
@@ -164,7 +170,7 @@ class VescController:
 
     @property
     def motor_a(self) -> float:
-        """The current, positive when it drives: the sign is not that of the torque."""
+        """The current, positive when it drives: its sign is not that of the torque."""
         return math.copysign(self.current_a, self.current_a * self.speed)
 
     def statuses(self) -> list[tuple[int, bytes]]:
@@ -177,17 +183,17 @@ class VescController:
             4: (16, _packed("hhhh", self.degc * 10, self.degc * 10, self.input_a * 10, 0)),
             5: (27, _packed("ihh", self.tachometer, self.input_v * 10, 0)),
         }
-        return [every[number] for number in self.told_statuses]
+        return [every[number] for number in self.enabled_statuses]
 
     def process(self, message: bytes, reply: Reply) -> None:
-        """Do what a message asks."""
+        """Execute a message, and send the answer, if it has one, with ``reply``."""
         code, data = message[0], message[1:]
         if code == FW_VERSION:
             # Unique id; paired, test version, kind of hardware, configurations, filters, two pages, radio; name; CRC.
             reply(bytes((0, *self.version)) + self.hardware + b"\0" + bytes(range(12)) + bytes(8) + b"\0" + bytes(4))
         elif code == GET_VALUES:
             reply(message[:1] + self._values(_EVERY_VALUE))
-        elif code == GET_APPCONF and self.tells_configuration:
+        elif code == GET_APPCONF and self.answers_configuration:
             reply(b"\x11" + self._configuration())
         elif code == GET_VALUES_SELECTIVE and len(data) >= 4:
             reply(message[:5] + self._values(int.from_bytes(data[:4], "big")))
@@ -198,10 +204,10 @@ class VescController:
             self.command(control, struct.unpack_from(">i", data)[0] / per_unit)
 
     def _configuration(self) -> bytes:
-        size = _CONFIGURATION_BYTES.get(self.version, _MOST_CONFIGURATION_BYTES)
-        front = struct.pack(">IBI", _SIGNATURE, self.told_number, self.timeout_ticks)
+        size = _CONFIGURATION_BYTES.get(self.version, _MAX_CONFIGURATION_BYTES)
+        front = struct.pack(">IBI", _SIGNATURE, self.configured_number, self.timeout_ticks)
         front += wire.float32_auto(self.timeout_brake_a)
-        return front + bytes(place & 0xFF for place in range(len(front), size))
+        return front + bytes(i & 0xFF for i in range(len(front), size))
 
     def _values(self, mask: int) -> bytes:
         nothing = 0
@@ -216,14 +222,14 @@ class VescController:
             16: ("i", nothing), 17: ("B", self.number), 18: ("hhh", self.degc * 10), 19: ("i", nothing),
             20: ("i", volts * 1000),
         }  # fmt: skip
-        if self.knows_status:
+        if self.has_status:
             every[21] = ("B", self.has_timed_out | self.kill_switch << 1)
-        parts = (every[bit] for bit in sorted(every) if mask >> bit & 1)
-        return b"".join(_packed(layout, *[value] * len(layout)) for layout, value in parts)
+        selected = (every[bit] for bit in sorted(every) if mask >> bit & 1)
+        return b"".join(_packed(layout, *[value] * len(layout)) for layout, value in selected)
 
 
 def _packed(layout: str, *values: float) -> bytes:
-    """Return numbers as a message carries them, cut at what each can be."""
-    ends = [_ENDS[letter] for letter in layout]
-    whole = (int(min(max(value, least), most)) for value, (least, most) in zip(values, ends, strict=True))
+    """Return the bytes of numbers in this layout, each saturated to its type."""
+    ranges = [_RANGES[letter] for letter in layout]
+    whole = (int(min(max(value, low), high)) for value, (low, high) in zip(values, ranges, strict=True))
     return struct.pack(">" + layout, *whole)

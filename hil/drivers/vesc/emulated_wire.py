@@ -1,15 +1,15 @@
-"""A VESC's messages on its wires as it makes and takes them, written from the format and not from the driver."""
+"""The wire format of a VESC's messages, written from its specification and independently of the driver."""
 
 import math
 import struct
 from binascii import crc_hqx
 from collections.abc import Iterator
 
-_LONGEST = 512
+_MAX_BYTES = 512
 
 
 def can_parts(sender: int, message: bytes) -> Iterator[tuple[int, bytes]]:
-    """Yield command and data of the frames in which an answer travels: one for up to 6 bytes, else parts and an end."""
+    """Yield command and data of the CAN frames of an answer: one for up to 6 bytes, else its pieces and a last one."""
     if len(message) <= 6:
         yield 8, bytes((sender, 1)) + message
         return
@@ -25,21 +25,21 @@ def can_parts(sender: int, message: bytes) -> Iterator[tuple[int, bytes]]:
 
 
 def packet(message: bytes) -> bytes:
-    """Return a message as it goes over the serial line."""
+    """Return the packet of a message on the serial line."""
     size = len(message)
     head = bytes((3, size >> 8, size & 0xFF)) if size > 255 else bytes((2, size))
     return head + message + crc_hqx(message, 0).to_bytes(2, "big") + b"\x03"
 
 
 def first_packet(data: bytes) -> tuple[int, bytes]:
-    """Return how many bytes to take off and the message that they carry, if any; 0 bytes where more are needed."""
+    """Return the number of bytes to remove and the message in them, if any; 0 bytes if the packet is incomplete."""
     if data[0] not in (2, 3):
         return 1, b""
     head = data[0]
     if len(data) < head:
         return 0, b""
     length = int.from_bytes(data[1:head], "big")
-    if not (1 if head == 2 else 255) <= length <= _LONGEST:
+    if not (1 if head == 2 else 255) <= length <= _MAX_BYTES:
         return 1, b""
     size = head + length + 3
     if len(data) < size:
@@ -51,7 +51,7 @@ def first_packet(data: bytes) -> tuple[int, bytes]:
 
 
 def float32_auto(value: float) -> bytes:
-    """Return a number as a configuration has it: sign, exponent of ``frexp`` plus 126, significand beyond a half."""
+    """Return a number as in a configuration: sign, exponent of ``frexp`` plus 126, significand minus one half."""
     if abs(value) < 1.5e-38:
         return bytes(4)
     significand, exponent = math.frexp(abs(value))

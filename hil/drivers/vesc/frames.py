@@ -1,10 +1,10 @@
 """The messages of VESC, over UART and over CAN; numbers are big-endian.
 
-A message is a code (COMM_...) and its data. On a serial line it travels as ``02 length payload CRC-16 03``, with ``03``
-and two bytes for more than 255. On CAN the identifier is command << 8 | VESC; the commands of a motor have a frame of
-their own, and any message fits into others: up to 6 bytes in one (``8: sender, 0, message``), longer ones in parts of 7
-(``5: offset, part``), of 6 from where the offset needs two bytes (``6``), that a last frame ends
-(``7: sender, 1, length, CRC-16``).
+A message is a code (COMM_...) and its data. On a serial line it is sent as ``02 length payload CRC-16 03``; a message
+of more than 255 bytes begins with ``03`` and has a length of two bytes. On CAN the identifier is command << 8 | VESC.
+Motor commands have frames of their own. Other messages: up to 6 bytes go in one frame (``8: sender, 0, message``).
+Longer ones go in pieces of 7 bytes (``5: offset, piece``), or of 6 where the offset needs two bytes (``6``), and a last
+frame (``7: sender, 1, length, CRC-16``).
 Source: VESC bldc, documentation/comm_can.md, comm/comm_can.c, comm/commands.c, comm/packet.c, confgenerator.c,
 util/buffer.c, datatypes.h.
 """
@@ -26,28 +26,27 @@ STATUS = Struct(">ihh")  # ERPM, current [0.1 A], duty [0.001]
 STATUS_4 = Struct(">hhhh")  # temperatures of FET and motor [0.1 °C], input current [0.1 A], position of the PID
 STATUS_5 = Struct(">ih")  # tachometer [a sixth of an electrical turn], input voltage [0.1 V]
 STEPS = 6  # of the tachometer in an electrical turn
-MOST_IDS = 254  # 255 is all of them at once
-_MOST_BYTES = 512  # of a message
-LONGEST_PACKET = _MOST_BYTES + 6  # in bytes of a serial line
+_MAX_BYTES = 512  # of a message
+LONGEST_PACKET = _MAX_BYTES + 6  # bytes on a serial line
 _INT32 = Struct(">i")
 _APPCONF = Struct(">xxxxxBIf")  # code and signature, id, timeout [ms], brake current [A]
-_LEAST_APPCONF = 200  # bytes; the shortest that is known has 278
+_MIN_APPCONF = 200  # bytes; the shortest known one has 278
 _OFFSET_BYTES = {CAN_FILL: 1, CAN_FILL_LONG: 2}
 
 
 class Setting(NamedTuple):
-    """A command of a motor: its code in a message, on CAN, and counts of one unit."""
+    """A motor command: its code in a message, its command on CAN, and the counts per unit of its value."""
 
     comm: int
     can: int
     per_unit: float
 
     def counts(self, value: float) -> bytes:
-        """Return the number of a command, saturated to what it can carry."""
+        """Return the bytes of a value, saturated to int32."""
         return _INT32.pack(min(max(round(value * self.per_unit), -(2**31)), 2**31 - 1))
 
 
-LEAST_CURRENT_A = 0.05  # a VESC lets its motor go when less is asked for, also of a brake
+MIN_CURRENT_A = 0.05  # a VESC releases its motor when less is commanded, also as a brake current
 
 SET_CURRENT = Setting(6, 1, 1000.0)
 SET_CURRENT_BRAKE = Setting(7, 2, 1000.0)
@@ -64,7 +63,7 @@ _VALUES: Mapping[int, tuple[str, str, float]] = {
     17: ("id", "B", 1.0),
     21: ("status", "B", 1.0),
 }
-"""By its bit in the mask of COMM_GET_VALUES_SELECTIVE: name, layout, and what one count is."""
+"""Name, layout and size of one count of each value, by its bit in the mask of COMM_GET_VALUES_SELECTIVE."""
 
 ALL_VALUES = tuple(_VALUES)
 FAULT_BIT, ID_BIT, STATUS_BIT = 15, 17, 21
@@ -102,18 +101,18 @@ FAULTS = (
     "encoder",
     "low-voltage output",
 )
-"""The words of mc_fault_code, by number."""
+"""The faults of mc_fault_code, by number."""
 
 
-def values_wanted(*bits: int) -> bytes:
-    """Return the message that asks for some values."""
+def request_values(*bits: int) -> bytes:
+    """Return the message that asks for the values of these bits."""
     return struct.pack(">BI", GET_VALUES_SELECTIVE, sum(1 << bit for bit in bits))
 
 
 def parse_values(message: bytes) -> dict[str, float] | None:
-    """Return the values that an answer carries, by name; None for what is none.
+    """Return the values of an answer by name; None for another or damaged message.
 
-    A firmware that does not know one leaves it out, which only can be seen of the last.
+    A firmware leaves out a value that it does not know. This can be recognised only of the last one, the status.
     """
     if len(message) < 5 or message[0] != GET_VALUES_SELECTIVE:
         return None
@@ -135,7 +134,7 @@ def parse_values(message: bytes) -> dict[str, float] | None:
 
 
 class Version(NamedTuple):
-    """What a VESC says of itself."""
+    """Firmware version and hardware name of a VESC."""
 
     major: int
     minor: int
@@ -143,7 +142,7 @@ class Version(NamedTuple):
 
 
 def parse_version(message: bytes) -> Version | None:
-    """Return what the answer to COMM_FW_VERSION says, None for another message."""
+    """Return the version of an answer to COMM_FW_VERSION; None for another message."""
     if len(message) < 3 or message[0] != FW_VERSION:
         return None
     hardware = message[3:].split(b"\0")[0].decode("ascii", "replace")
@@ -151,9 +150,10 @@ def parse_version(message: bytes) -> Version | None:
 
 
 class Timeout(NamedTuple):
-    """What a VESC does when commands end, of its app configuration: ``vesc`` is the id that stands there with it.
+    """The timeout of an app configuration: after ``timeout_s`` without a command the VESC brakes.
 
-    After ``timeout_s`` without a command it brakes with ``brake_current_a``; a timeout of 0 is none.
+    ``vesc``: the id in the configuration. A ``timeout_s`` of 0 stands for no timeout. ``brake_current_a``: current of
+    the brake.
     """
 
     vesc: int
@@ -162,22 +162,22 @@ class Timeout(NamedTuple):
 
 
 def parse_timeout(message: bytes) -> Timeout | None:
-    """Return the timeout of an answer to COMM_GET_APPCONF, None for another message or no finite current.
+    """Return the timeout of an answer to COMM_GET_APPCONF; None for another message or a current that is not finite.
 
-    The configuration begins alike in every firmware that was looked at, and goes on differently (VESC.md); what is much
-    shorter than any is none. Its numbers of ``float32_auto`` are IEEE 754 singles, but that those below the least
-    normal one are sent as 0.
+    Only the first bytes of the configuration are the same in all firmwares that were examined (VESC.md); a message much
+    shorter than any of them is not accepted. Numbers of ``float32_auto`` are IEEE 754 singles, except that subnormal
+    ones are sent as 0.
     """
-    if len(message) < _LEAST_APPCONF or message[0] != GET_APPCONF:
+    if len(message) < _MIN_APPCONF or message[0] != GET_APPCONF:
         return None
     vesc, timeout_ms, brake_current_a = _APPCONF.unpack_from(message)
     return Timeout(vesc, timeout_ms / 1000, brake_current_a) if math.isfinite(brake_current_a) else None
 
 
 class CanMessages:
-    """Messages from the frames that a host with an id of its own is sent; one VESC at a time is to be asked.
+    """Assembles messages from the CAN frames to the id ``host``.
 
-    The parts of a message do not say whose they are, its last frame does.
+    Only the last frame of a message names its sender, so one VESC at a time may be asked for a long message.
     """
 
     def __init__(self, host: int) -> None:
@@ -185,7 +185,7 @@ class CanMessages:
         self._open = b""
 
     def feed(self, frame: Frame) -> tuple[int, bytes] | None:
-        """Return sender and message when a frame completes one."""
+        """Return sender and message if the frame completes a message, else None."""
         command, payload = (frame.id & ~EXTENDED) >> 8, frame.payload
         if frame.id & 0xFF != self._host or not frame.id & EXTENDED:
             return None
@@ -195,7 +195,7 @@ class CanMessages:
         if head is not None and len(payload) > head:
             offset = int.from_bytes(payload[:head], "big")
             before = self._open if offset else b""
-            fits = offset == len(before) <= _MOST_BYTES
+            fits = offset == len(before) <= _MAX_BYTES
             self._open = before + payload[head:] if fits else b""
         elif command == CAN_PROCESS and len(payload) == 6:
             message, self._open = self._open, b""
@@ -211,8 +211,8 @@ CAUSES = ("start", "length", "end", "checksum")
 class SerialFraming:
     """The packets of a serial line. ``Frame.id`` is the message's code.
 
-    Bytes that make no packet count once for as long as they last, by what was wrong where they began: ``start`` (no
-    02 or 03), ``length``, ``end`` (no 03) or ``checksum``.
+    ``rejected`` counts runs of bytes that belong to no packet, by the cause at their first byte: ``start`` (not 02 or
+    03), ``length``, ``end`` (no 03) or ``checksum``.
     """
 
     def __init__(self) -> None:
@@ -223,8 +223,8 @@ class SerialFraming:
     def encode(self, frame: Frame) -> bytes:
         """Return the packet of a message. Raises ValueError when it is too long for one."""
         message = bytes((frame.id,)) + frame.payload
-        if len(message) > _MOST_BYTES:
-            raise ValueError(f"message {frame.id} of {len(message)} bytes: expected at most {_MOST_BYTES}")
+        if len(message) > _MAX_BYTES:
+            raise ValueError(f"message {frame.id} of {len(message)} bytes: expected at most {_MAX_BYTES}")
         head = bytes((2, len(message))) if len(message) < 256 else struct.pack(">BH", 3, len(message))
         return head + message + struct.pack(">HB", crc_hqx(message, 0), 3)
 
@@ -253,14 +253,17 @@ class SerialFraming:
 
 
 def _packet_end(data: bytes, at: int) -> tuple[int, str | None]:
-    """Return where the packet ends that may begin here, beyond the data when that cannot be told; or why none does."""
+    """Return the end of the packet that begins at ``at``, and None; or ``at`` and the reason why none begins there.
+
+    The end is beyond the data while the length is incomplete.
+    """
     head = data[at]
     if head not in (2, 3):
         return at, "start"
     if len(data) < at + head:
         return len(data) + 1, None
     length = data[at + 1] if head == 2 else data[at + 1] << 8 | data[at + 2]
-    if not (1 if head == 2 else 255) <= length <= _MOST_BYTES:
+    if not (1 if head == 2 else 255) <= length <= _MAX_BYTES:
         return at, "length"
     return at + head + length + 3, None
 

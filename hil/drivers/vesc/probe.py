@@ -1,19 +1,20 @@
-"""Finding VESCs: by a ping to every id on a bus, by the scan that one at a serial line makes of the bus behind it."""
+"""Finds VESCs: on a bus by a ping to every id; at a serial line by the scan that the VESC there makes of its bus."""
 
 from collections.abc import Sequence
 
 from firmware_protocol.framing import Frame
 from hil.drivers.port import ANSWER_S, EXTENDED, Found, Probe
 from hil.drivers.vesc import frames
+from hil.drivers.vesc.settings import MAX_ID
 
 _HOST = 253
-_IS_VESC = 0  # the hardware type; others are batteries' managers and modules
-_SCAN_S = 4.0  # it waits 10 ms for each of 255 ids
+_IS_VESC = 0  # the hardware type; other types are battery managers and modules
+_SCAN_S = 4.0  # the VESC waits 10 ms for each of 255 ids
 _UNKNOWN = ("device.motors.pole_pairs", "device.motors.gear_ratio", "firmware.torque_constant_n_m_a")
 
 
 class BusProbe(Probe):
-    """Pings, and hears status messages."""
+    """Pings every id, and listens for status messages."""
 
     def __init__(self) -> None:
         self._ids: set[int] = set()
@@ -25,7 +26,7 @@ class BusProbe(Probe):
     def ask(self) -> Sequence[Frame]:
         return [
             Frame(EXTENDED | frames.CAN_PING << 8 | number, bytes((_HOST,)))
-            for number in range(frames.MOST_IDS + 1)
+            for number in range(MAX_ID + 1)
             if number != _HOST
         ]
 
@@ -48,7 +49,7 @@ class BusProbe(Probe):
 
 
 class LineProbe(Probe):
-    """Asks the one at the line for its firmware and id, then once to ping those behind it, which takes it 3 s."""
+    """Asks the VESC at the line for firmware and id, and then, once, to ping those behind it, which takes 3 s."""
 
     def __init__(self) -> None:
         self._version: frames.Version | None = None
@@ -62,8 +63,8 @@ class LineProbe(Probe):
 
     def ask(self) -> Sequence[Frame]:
         if not self._is_known:
-            wanted = frames.values_wanted(frames.ID_BIT)
-            return [Frame(frames.FW_VERSION, b""), Frame(wanted[0], wanted[1:])]
+            request = frames.request_values(frames.ID_BIT)
+            return [Frame(frames.FW_VERSION, b""), Frame(request[0], request[1:])]
         if self._has_asked_for_scan:
             return ()
         self._has_asked_for_scan = True
@@ -82,7 +83,7 @@ class LineProbe(Probe):
             self._near = int(values["id"])
         if frame.id == frames.PING_CAN:
             self._behind = set(frame.payload)
-        return True  # its packets have a checksum that others' do not
+        return True  # other makers' packets fail the checksum
 
     def found(self) -> Found | None:
         if self._version is None or self._near is None:
@@ -90,7 +91,7 @@ class LineProbe(Probe):
         major, minor, hardware = self._version
         sentences = [f"a VESC ({hardware}, firmware {major}.{minor:02}) with the id {self._near} at the line"]
         if self._behind is None:
-            sentences.append(f"which others are on its CAN bus it has not told within {_SCAN_S:g} s")
+            sentences.append(f"it has not reported within {_SCAN_S:g} s which others are on its CAN bus")
             return Found(sentences, None, unknown=_UNKNOWN)
         sentences += [f"a VESC behind it with the id {number}" for number in sorted(self._behind)]
         ids = sorted(self._behind | {self._near})

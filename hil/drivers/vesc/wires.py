@@ -1,4 +1,4 @@
-"""How a VESC's messages get to it: over CAN as one more node, or over the serial line of one that passes them on."""
+"""Two ways to a VESC: over CAN, or over the serial line of one VESC that forwards messages to the others."""
 
 from collections.abc import Sequence
 
@@ -8,18 +8,18 @@ from hil.drivers.vesc import frames
 
 
 class Bus:
-    """CAN, where ``host`` is our id.
+    """CAN. ``host`` is the id of this computer.
 
     Attributes:
-        questions: to ask a VESC at the start; the values one by one, as each answer then fits into one frame.
-        rounds: what to ask tick by tick: fault and status of one of them each.
+        questions: messages that ask a VESC at the start, one value each, so that each answer fits into one frame.
+        rounds: frames to send in turn, one item per tick: each asks one VESC for fault and status.
     """
 
     def __init__(self, ids: Sequence[int], host: int) -> None:
         self._host = host
-        values = [frames.values_wanted(bit) for bit in (frames.FAULT_BIT, frames.STATUS_BIT)]
+        values = [frames.request_values(bit) for bit in (frames.FAULT_BIT, frames.STATUS_BIT)]
         self.questions: Sequence[bytes] = (bytes((frames.FW_VERSION,)), *values)
-        self.rounds: Sequence[Sequence[Frame]] = [[self.message(vesc, wanted) for wanted in values] for vesc in ids]
+        self.rounds: Sequence[Sequence[Frame]] = [[self.message(vesc, request) for request in values] for vesc in ids]
 
     def setting(self, setting: frames.Setting, vesc: int, value: float) -> Frame:
         """Return the frame of a motor's command."""
@@ -34,37 +34,38 @@ class Line:
     """A serial line to the VESC ``near``.
 
     Attributes:
-        questions: to ask a VESC at the start.
-        rounds: what to ask tick by tick: the near one, and one of those behind it, as the parts of two answers on the
-            bus between them would mix.
+        questions: messages that ask a VESC at the start.
+        rounds: frames to send in turn, one item per tick: each asks the near VESC and one of the others. Two answers of
+            the others at once would mix on the bus between them.
     """
 
     def __init__(self, ids: Sequence[int], near: int) -> None:
         self._near = near
-        wanted = frames.values_wanted(*frames.ALL_VALUES)
-        self.questions: Sequence[bytes] = (bytes((frames.FW_VERSION,)), wanted)
-        first = [self.message(near, wanted)] if near in ids else []
-        self.rounds: Sequence[Sequence[Frame]] = [[*first, self.message(vesc, wanted)] for vesc in ids if vesc != near]
+        request = frames.request_values(*frames.ALL_VALUES)
+        self.questions: Sequence[bytes] = (bytes((frames.FW_VERSION,)), request)
+        first = [self.message(near, request)] if near in ids else []
+        self.rounds: Sequence[Sequence[Frame]] = [[*first, self.message(vesc, request)] for vesc in ids if vesc != near]
 
     def setting(self, setting: frames.Setting, vesc: int, value: float) -> Frame:
         """Return the message of a motor's command."""
         return self.message(vesc, bytes((setting.comm,)) + setting.counts(value))
 
     def message(self, vesc: int, message: bytes) -> Frame:
-        """Return a message, to be passed on where it is not for the near one."""
+        """Return the frame of a message, which the near VESC forwards if it is for another one."""
         if vesc == self._near:
             return Frame(message[0], message[1:])
         return Frame(frames.FORWARD_CAN, bytes((vesc,)) + message)
 
 
-_AROUND_BYTES = 6  # of a short packet: begin, length, code, checksum and end
+_OVERHEAD_BYTES = 6  # of a short packet: begin, length, code, checksum and end
 
 
-def past_any_rest(commands: Sequence[Frame]) -> Sequence[Frame]:
-    """Return commands of a serial line so often that the last of them are done whatever a VESC's reader waits for.
+def repeated_past_packet(commands: Sequence[Frame]) -> Sequence[Frame]:
+    """Return commands for a serial line, repeated so often that they fill the longest packet.
 
-    After a byte that was lost, or that another program has sent, it may wait for the rest of the longest packet. Then
-    it reads anew what it held, with commands of long ago in it, and right behind those it reads these.
+    After a lost byte, or one that another program has sent, a VESC may wait for the rest of a packet as long as that.
+    When it is complete and its checksum wrong, the VESC reads the bytes again, with old commands among them. The last
+    commands that it then executes are these.
     """
-    size = sum(len(frame.payload) + _AROUND_BYTES for frame in commands)
+    size = sum(len(frame.payload) + _OVERHEAD_BYTES for frame in commands)
     return [*commands] * (frames.LONGEST_PACKET // size + 1)
