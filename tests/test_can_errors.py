@@ -132,11 +132,11 @@ def test_a_queue_that_stays_full_is_a_lost_link(monkeypatch):
     ("frame", "says"),
     [
         (error_frame(0x088, 0, 0, 0x04), r"error frames came and no valid one: the bit rate is wrong"),
-        (error_frame(0x020), r"nobody on the bus acknowledges our frames"),
-        (can.Message(arbitration_id=0x555, is_extended_id=False), r"frames of others came, so the bus works"),
+        (error_frame(0x020), r"no device on the bus acknowledges our frames"),
+        (can.Message(arbitration_id=0x555, is_extended_id=False), r"frames of other devices came, so the bus works"),
         (
             can.Message(arbitration_id=TICK.id, is_extended_id=False, data=TICK.payload),
-            r"frames of a robot came but not its HELLO",
+            r"frames of a robot came, but not its HELLO",
         ),
     ],
 )

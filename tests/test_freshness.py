@@ -106,7 +106,7 @@ def test_a_robot_that_was_reset_while_it_was_driven_says_why() -> None:
     robot = Robot().armed()
     assert not robot.tick()
     robot.rig = WheelRig(watchdog_s=0.05)
-    with pytest.raises(RobotStoppedError, match=r"left ACTIVE at t = 0.000 s: it was reset \(its power came on\)"):
+    with pytest.raises(RobotStoppedError, match=r"left ACTIVE at t = 0.000 s: it was reset \(it was powered on\)"):
         robot.tick()
 
 

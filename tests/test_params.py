@@ -100,7 +100,7 @@ class RigLink:
 def test_a_change_that_is_refused_after_others_says_which_are_in_force() -> None:
     client = ParameterClient(RigLink(writes=1))
     changes = client.check({"ramp_s": PARAMETERS["ramp_s"], "speed_kp_n_m_s_rad": 2.0})
-    with pytest.raises(DeviceError, match=r"not in IDLE; .*; changed before that, and in force until a reset: ramp_s$"):
+    with pytest.raises(DeviceError, match=r"not in IDLE; .*; changed before that, until the next reset: ramp_s$"):
         client.write(changes)
     assert {row.name: row.value for row in client.read()} == pytest.approx(PARAMETERS)
 

@@ -27,7 +27,7 @@ def test_a_run_warns_once_of_a_reset_that_came_of_trouble(cause: m.ResetCause) -
     said: list[str] = []
     make_node = functools.partial(HostNode, reset_cause=cause)
     run_scenario(load("circle_speed", set=SHORT), RunOptions(make_node=make_node, warn=said.append))
-    told = [sentence for sentence in said if "began anew" in sentence]
+    told = [sentence for sentence in said if "was reset since" in sentence]
     assert len(told) == (cause.name in {"BROWN_OUT", "WATCHDOG", "LOW_POWER", "PROCESSOR_FAULT"})
     assert all(f"({cause.name}): {reset_words(cause)}" in sentence for sentence in told)
 
@@ -61,4 +61,4 @@ def test_the_same_robot_is_known_again_after_a_fault() -> None:
 
 def test_params_tell_the_last_reset() -> None:
     with contextlib.closing(StreamLink(Line(WheelRig()))) as link:
-        assert "; last reset POWER_ON: its power came on" in parameters.ParameterClient(link).greet().describe()
+        assert "; last reset POWER_ON: it was powered on" in parameters.ParameterClient(link).greet().describe()

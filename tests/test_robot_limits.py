@@ -15,7 +15,7 @@ from tests.pilot_bench import PilotBench
 # The circle asks for up to 10 rad/s at its beginning; 5.5 are a fault here, and 0.8 of that is what is taken.
 SLOW = {"robot.speed_limit_rad_s": 5.0, "firmware.overspeed_rad_s": 5.5, "loop.rate_hz": 200, "expect": []}
 TAKEN_RAD_S = 4.390625
-SAYS = "the robot takes wheel speeds of at most 4.391 rad/s, as 5.5 rad/s are a fault there"
+SAYS = "the robot accepts wheel speeds of at most 4.391 rad/s, because 5.5 rad/s are a fault there"
 
 
 def run(scenario: str, changes: dict[str, Any], said: list[str]) -> RunResult:

@@ -302,7 +302,7 @@ def test_a_handshake_over_noise_says_that_the_baud_rate_is_wrong():
     with (
         contextlib.closing(master),
         contextlib.closing(StreamLink(SerialStream(master.port, 921_600))) as host,
-        pytest.raises(DeviceError, match=r"were not whole: set baud= in the link"),
+        pytest.raises(DeviceError, match=r"were damaged: set baud= in the link"),
     ):
         handshake.greet(host, lambda message: master.write(b"\x55\xaa noise \0"))
 

@@ -260,7 +260,7 @@ def test_a_second_controller_is_turned_away_and_the_first_drives_on(robot: Devic
             finally:
                 second.disarm()
             drive.go_on(robot_ms=100)  # a robot that its watchdog had stopped was free for the second one
-            assert "it is ACTIVE; another controller drives it; stop that one first" in refusal
+            assert "it is ACTIVE; another controller drives it; stop that controller first" in refusal
             drive.signal(signal.SIGTERM)
             code, errors = drive.end()
         check_not_stalled(code, errors, but="")

@@ -20,7 +20,7 @@ def test_a_robot_that_takes_no_faults_says_so_at_the_begin():
     with (
         contextlib.closing(TruthServer("a scenario")) as server,
         contextlib.closing(TruthClient(server.url, "a scenario", reset=False)) as client,
-        pytest.raises(DeviceError, match="this robot takes no faults"),
+        pytest.raises(DeviceError, match="this robot does not support faults"),
     ):
         client.begin(0)
 

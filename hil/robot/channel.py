@@ -1,4 +1,4 @@
-"""Messages of our protocol over a link, both ways: sent, taken apart, counted and hashed; STEP and its answer."""
+"""Sends, decodes, counts and hashes the messages of our protocol on a link; exchanges STEP and its answer."""
 
 from collections.abc import Callable
 
@@ -14,19 +14,20 @@ from hil.robot.wire_hash import WireHash
 from hil.wire.conditions import ConditionedLink
 
 _STEP_DONE_BYTES = len(pack([encode(m.StepDone(0))]))
-_FIRST_UNCOUNTED = m.HelloRequest.ID  # how often HELLO is asked depends on the wall clock
+_FIRST_UNCOUNTED = m.HelloRequest.ID  # the number of HELLO messages depends on the wall clock
 
 
 class Channel:
-    """Both directions of a link to a robot of ours. ``on_message`` gets each message that is not of a snapshot or step,
-    with its stamp.
+    """Sends and receives messages on a link to a robot with our firmware. ``on_message`` gets every message except
+    snapshots and the answers to STEP, with its time of arrival.
 
     Attributes:
-        link: as given.
-        hash: of every frame that counts, both directions.
-        feedback: the newest snapshot in our order of wheels; None before the first, and where its user clears it.
-        sent, received: messages, HELLO's not counted.
-        lost: snapshots that are missing in the robot's count (TICK.snapshot), or came in part.
+        link: the link that was given.
+        hash: of all frames in both directions, except HELLO and repeated STEPs: their number depends on the wall clock.
+        feedback: the newest snapshot, with the wheels in our order. None before the first, and once ``Stm32.leave``
+            has cleared it.
+        sent, received: number of messages, without HELLO.
+        lost: snapshots that never came (a gap in TICK.snapshot) or came incomplete.
     """
 
     def __init__(
@@ -41,8 +42,8 @@ class Channel:
         self._on_message = on_message
         self._stepping = Stepping()
         self._reader = SnapshotReader()
-        self._snapshot: Feedback | None = None  # the newest, as it came
-        self._others = 0  # that were received and counted, and are not of a snapshot
+        self._snapshot: Feedback | None = None  # the newest, in the robot's order of channels
+        self._others = 0  # counted messages that are not part of a snapshot
         self._out_of_range = 0
         self.link = link
         self.hash = WireHash(pack, b"".join)
@@ -50,11 +51,11 @@ class Channel:
         self.sent = self.received = self.lost = 0
 
     def restart(self) -> None:
-        """Begin with a robot that may have been reset."""
+        """Start again with a robot that may have been reset."""
         self._reader.restart()
 
     def send(self, message: Message) -> None:
-        """Send a message. Raises ValueError for one that cannot be sent, LinkError when the link is lost."""
+        """Send a message. Raises ValueError for one that cannot be encoded, LinkError when the link is lost."""
         frame = encode(message)
         self.link.send(frame)
         if message.ID < _FIRST_UNCOUNTED:
@@ -67,9 +68,9 @@ class Channel:
         return self._stepping.tick
 
     def step(self, tick: int, substeps: int) -> None:
-        """Send a STEP and take what comes until its answer; 0 substeps only ask for the tick.
+        """Send a STEP and process all frames until its answer; 0 substeps only ask for the robot's tick.
 
-        Raises RobotStoppedError when no answer comes, or one with another tick than was expected.
+        Raises RobotStoppedError when no answer comes, or the answer has an unexpected tick.
         """
         step = m.Step(tick, substeps)
         self.send(step)
@@ -91,7 +92,7 @@ class Channel:
                 if (tick := reader.step_done) is not None:
                     before = end - _STEP_DONE_BYTES
                     self.hash.received(packed[begin:before])
-                    if self._stepping.answered(tick):  # once, however often STEP was repeated
+                    if self._stepping.answered(tick):  # only one answer, even if STEP was repeated
                         self.hash.received(packed[before:end])
                 elif end > begin:
                     self.hash.received(packed[begin:end])
@@ -103,7 +104,7 @@ class Channel:
             self.lost = reader.lost + reader.incomplete
 
     def _receive_other(self, packed: bytes, begin: int, stamp_ns: int) -> int:
-        """Process a frame that is neither of a snapshot nor the end of a step; return where the next one begins."""
+        """Process a frame that is neither part of a snapshot nor a STEP_DONE; return the offset of the next frame."""
         frame, end = packed_frame(packed, begin)
         message = decode(frame)
         if message is None:
@@ -116,5 +117,5 @@ class Channel:
         return end
 
     def rejected(self) -> dict[str, int]:
-        """Return the received frames that were dropped on this side, by cause."""
+        """Return the number of received frames that this side dropped, by cause."""
         return self.link.rejected() | {"range": self._out_of_range, "incomplete_snapshot": self._reader.incomplete}

@@ -1,4 +1,4 @@
-"""A virtual robot in lockstep whose host is in the same thread: its truth, and the host's end of the line to it."""
+"""A virtual robot in lockstep with its host in the same thread: its true pose, and the host's end of the link."""
 
 from typing import Protocol, cast
 
@@ -14,7 +14,7 @@ from hil.wire.streams import DirectStream, closed
 
 
 class DirectTruth:
-    """Where the robot really is. Between two answers to its host no time passes."""
+    """The robot's true pose. In lockstep it does not change between two exchanges with the host."""
 
     def __init__(self, robot: VirtualStm32) -> None:
         self.poll = robot.plant.truth
@@ -32,20 +32,21 @@ def open_direct(robot: VirtualStm32, line: Line) -> Link:
 
     direct = DirectStream(answer)
     stream = line(direct)
-    # Faults of the line want the bytes, and so does a firmware that is watched. One that is reset is silent then.
+    # DirectLink bypasses the bytes, so it cannot be used with faults on the line, with a watched firmware, or with a
+    # reset fault, after which the robot is silent.
     if stream is direct and type(robot.node) is HostNode and not robot.faults.can_reset:
         return DirectLink(cast(LibraryRobot, robot), direct)
     return StreamLink(stream)
 
 
 class LibraryRobot(Protocol):
-    """A robot whose firmware is the host library's, also after a power cycle."""
+    """A robot whose firmware runs in the host library, also after a power cycle."""
 
     node: HostNode
 
 
 class DirectLink(StreamLink):
-    """A ``StreamLink`` over a stream to this robot, whose bytes stay within the library: a call for all of a tick."""
+    """A faster ``StreamLink``: the bytes stay in the host library, and one call exchanges all frames of a tick."""
 
     _framing: HostLine
 

@@ -1,4 +1,4 @@
-"""Faults of a virtual robot and its plant: rows for the C shim between the firmware and the plant."""
+"""Faults of a virtual robot and its plant. They become rows of a C shim that sits between firmware and plant."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
@@ -15,7 +15,7 @@ from hil.plant.start import Settable
 
 
 class Body(NamedTuple):
-    """What faults need of the robot: the wheel of each channel, the wheels' places, whether contact is rigid."""
+    """What faults need to know of the robot: the wheel of each channel, the geometry, whether contact is rigid."""
 
     wheel_of_channel: Sequence[int]
     half_length_m: float
@@ -23,18 +23,18 @@ class Body(NamedTuple):
     has_rigid_contact: bool
 
     def wheel_centres_m(self) -> tuple[tuple[float, float], ...]:
-        """Return forward and left of FL, FR, RR and RL."""
+        """Return the (forward, left) position of FL, FR, RR and RL in the body frame [m]."""
         l1, l2 = self.half_length_m, self.half_width_m
         return (l1, l2), (l1, -l2), (-l1, -l2), (-l1, l2)
 
 
 class RobotFaults:
-    """The faults of one virtual robot. ``exchange_address`` and ``context_address`` stand for the plant's own.
+    """The faults of one virtual robot. The firmware calls ``exchange_address`` in place of the plant's exchange.
 
-    Nothing happens before ``begin``. Not thread-safe: only the thread that runs the robot may call.
+    No fault acts before ``begin``. Not thread-safe: only the thread that runs the robot may use it.
 
     Attributes:
-        can_reset: whether there is a row that may switch the firmware off.
+        can_reset: whether a fault may switch the firmware off.
     """
 
     def __init__(self, plant: FmuPlant | RemotePlant, body: Body) -> None:
@@ -53,11 +53,11 @@ class RobotFaults:
 
     @property
     def context_address(self) -> int:
-        """Address of the context that belongs to ``exchange_address``."""
+        """Address of the context argument for ``exchange_address``."""
         return int(self._ffi.cast("uintptr_t", self._faults))
 
     def clear(self) -> None:
-        """Forget all rows; the robot stands at its start."""
+        """Remove all faults. To be called when the robot is at its start."""
         plant, cast = self._plant, self._ffi.cast
         self._memory = ()
         self._accounts = 0
@@ -69,9 +69,9 @@ class RobotFaults:
         self._faults.pose = cast("const double *", plant.pose_address)
 
     def arm(self, rows: Sequence[FaultRow]) -> None:
-        """Set the faults of the device and of the plant, for a robot that stands at its start.
+        """Set the faults of robot and plant. To be called when the robot is at its start.
 
-        Raises BadInputError with a sentence for each row that this robot or its plant has no part for.
+        Raises BadInputError with one line for each fault that this robot or its plant does not support.
         """
         found: list[dict[str, object]] = []
         problems = []
@@ -90,11 +90,11 @@ class RobotFaults:
         self._faults.account, self._faults.row, self._faults.rows = accounts, row_memory, len(found)
 
     def begin(self, tick: int) -> None:
-        """Set the firmware tick at which the scenario's time began."""
+        """Set the firmware tick at which the scenario's time starts."""
         self._lib.robot_faults_begin(self._faults, tick)
 
     def power_on(self) -> None:
-        """Begin to count the firmware's ticks at 0: it was powered on."""
+        """Count the firmware's ticks from 0 again, because it was powered on."""
         self._lib.robot_faults_power_on(self._faults)
 
     @property
@@ -104,15 +104,15 @@ class RobotFaults:
 
     @property
     def extra_ticks(self) -> int:
-        """Ticks that the plant went on and the firmware, with its slow clock, did not count."""
+        """Plant ticks that the firmware did not count because of its slow clock."""
         return int(self._faults.extra_ticks)
 
     def applied(self) -> list[int]:
-        """Return how often each row was applied so far."""
+        """Return how often each fault was applied so far."""
         return [int(self._memory[1][i].applied) for i in range(self._accounts)]
 
     def _parts(self, row: FaultRow) -> Iterator[Mapping[str, object]]:
-        """Yield the rows of the shim for one fault, without their times."""
+        """Yield the shim's rows for one fault, without times."""
         lib = self._lib
         match row.kind:
             case "reset":
@@ -134,11 +134,11 @@ class RobotFaults:
             case "slip_patch":
                 yield from self._patch(row)
             case _:
-                raise BadInputError("a virtual robot has no part for it")
+                raise BadInputError("a virtual robot does not support it")
 
     def _patch(self, row: FaultRow) -> Iterator[Mapping[str, object]]:
         if self._body.has_rigid_contact:
-            raise BadInputError('wheels that roll rigidly never slip; add plant.start.contact = "slip"')
+            raise BadInputError('wheels with rigid contact never slip; add plant.start.contact = "slip"')
         circle = {"radius_m": row.radius_m, "x_m": row.x_m, "y_m": row.y_m}
         for name, (forward_m, left_m) in zip(GRIP_VARIABLES, self._body.wheel_centres_m(), strict=True):
             start = self._find(name).start
@@ -162,7 +162,7 @@ class RobotFaults:
         if name in settable:
             return settable[name]
         if not settable:
-            raise BadInputError("the FMU has no variable that may change in a run; use another FMU, or remove the row")
+            raise BadInputError("the FMU has no variable that can change in a run; use another FMU, or remove the row")
         inputs = {f"push.{push}" for push in PUSHES}
         hint = nearest(name, settable.keys() - inputs) if name not in inputs else "; the FMU has no such input"
         raise BadInputError(f"the FMU has no tunable parameter or free input {name!r}{hint}")

@@ -1,4 +1,4 @@
-"""The handshake: HELLO and its pages, and what a host holds a robot to before anything moves."""
+"""The handshake: HELLO and its pages, and the checks of the robot before anything moves."""
 
 import time
 from collections.abc import Callable, Mapping
@@ -29,7 +29,7 @@ _TROUBLE = (m.ResetCause.BROWN_OUT, m.ResetCause.WATCHDOG, m.ResetCause.LOW_POWE
 
 
 class RobotInfo(NamedTuple):
-    """What the robot said of itself in HELLO."""
+    """What the robot reports in HELLO."""
 
     capabilities: int
     firmware: str
@@ -39,19 +39,19 @@ class RobotInfo(NamedTuple):
     geometry: m.HelloGeometry
     limits: m.HelloLimits
     processor_fault: ProcessorFault = NO_FAULT
-    reset_cause: m.ResetCause | None = None  # where a STATUS came with HELLO
+    reset_cause: m.ResetCause | None = None  # None if no STATUS came with HELLO
 
     def is_same_robot(self, other: "RobotInfo") -> bool:
-        """Whether the other one may be this robot, perhaps after a reset."""
+        """Whether the other one may be this robot, possibly after a reset."""
         return self == other._replace(processor_fault=self.processor_fault, reset_cause=self.reset_cause)
 
     @property
     def has_power_stage(self) -> bool:
-        """Whether it drives real motors."""
+        """Whether the robot drives real motors."""
         return bool(self.capabilities & Capability.POWER_STAGE)
 
     def describe(self) -> str:
-        """Return the same in words."""
+        """Return a description for the user."""
         return (
             f"firmware {self.firmware} (build {self.build:08x}), capabilities {self.capabilities:#06x}, parameters "
             f"{self.parameter_hash:08x}, watchdog {self.watchdog_ms} ms, wheels of "
@@ -61,19 +61,19 @@ class RobotInfo(NamedTuple):
         )
 
     def warnings(self, newer_cause: m.ResetCause | None, ours_rad_s: float) -> tuple[str, ...]:
-        """Return a sentence about a last reset that came of trouble, and one where it takes less speed than is wanted.
+        """Return a warning if the last reset had a bad cause, and one if the robot's speed limit is too low.
 
-        ``newer_cause`` is that of a STATUS after the handshake; ``ours_rad_s`` is the limit of the scenario.
+        ``newer_cause`` is the reset cause of a STATUS after the handshake; ``ours_rad_s`` is the scenario's limit.
         """
         sentences = []
         cause = self.reset_cause if newer_cause is None else newer_cause
         if cause in _TROUBLE:
             words = reset_words(cause, self.processor_fault)
-            sentences.append(f"the robot began anew since its power came on ({cause.name}): {words}; find out why")
+            sentences.append(f"the robot was reset since it was powered on ({cause.name}): {words}; find the cause")
         if self.limits.speed_limit_rad_s < ours_rad_s:
             sentences.append(
-                f"the robot takes wheel speeds of at most {self.limits.speed_limit_rad_s:.4g} rad/s, as "
-                f"{self.limits.overspeed_rad_s:.4g} rad/s are a fault there; commands are scaled to that and not to "
+                f"the robot accepts wheel speeds of at most {self.limits.speed_limit_rad_s:.4g} rad/s, because "
+                f"{self.limits.overspeed_rad_s:.4g} rad/s are a fault there; commands are limited to that and not to "
                 f"robot.speed_limit_rad_s = {ours_rad_s:g}"
             )
         return tuple(sentences)
@@ -86,28 +86,28 @@ class RobotInfo(NamedTuple):
 
 
 class Expected(NamedTuple):
-    """What the host holds the robot to, before anything moves."""
+    """What the host requires of the robot before anything moves."""
 
     parameter_hash: int
     lockstep: bool
     allow_motion: bool
-    speed_limit_rad_s: float  # of the scenario; the robot's may be smaller
+    speed_limit_rad_s: float  # the scenario's; the robot's own may be smaller
 
 
 class Greeting:
-    """Collects the HELLO pages; without I/O, so that it serves a host that waits and one whose tick goes on."""
+    """Collects the HELLO pages. It does no I/O, so the caller may wait or may keep its control loop running."""
 
     def __init__(self) -> None:
         self._pages: dict[type, codec.Message] = {}
         self._status: m.Status | None = None
 
     def feed(self, message: codec.Message | None) -> RobotInfo | None:
-        """Add a message; return what the robot is once all pages are there, and again with the STATUS after them.
+        """Add a message. Once all pages are there, each page or STATUS returns the robot's info; else None.
 
-        Raises BadInputError when it speaks another version.
+        Raises BadInputError when the robot uses another version of the protocol.
         """
         if isinstance(message, m.HelloIdentity):
-            # Page 0 is frozen for ever; the others may differ in a robot of another version.
+            # Page 0 is the same in all versions of the protocol; the other pages may differ.
             _check_version(message)
         if isinstance(message, m.Status):
             self._status = message
@@ -142,9 +142,9 @@ class Greeting:
 
 
 def greet(link: Link, send: Callable[[codec.Message], None], *, status: bool = False) -> RobotInfo:
-    """Ask for the HELLO pages until all have come; with ``status`` wait for a STATUS too, which comes at 10 Hz, or not.
+    """Request the HELLO pages until all have come. With ``status`` wait for a STATUS too, up to 0.2 s longer.
 
-    Raises DeviceError when the robot does not answer within 2 s, BadInputError when it speaks another version.
+    Raises DeviceError when the robot does not answer within 2 s, BadInputError when it uses another version.
     """
     greeting = Greeting()
     before = link.rejected()
@@ -169,14 +169,14 @@ def greet(link: Link, send: Callable[[codec.Message], None], *, status: bool = F
 
 
 def _why_silent(received_frames: int, rejected: Mapping[str, int]) -> str:
-    """Return what the traffic of a handshake in vain says of its cause, and what to do."""
+    """Return the likely cause of a failed handshake, judged by the traffic, and what to do."""
     bus_errors = sum(count for cause, count in rejected.items() if cause.startswith("error_"))
     noise = rejected.get("cobs", 0) + rejected.get("crc", 0) + rejected.get("overrun", 0)
     strangers = rejected.get("foreign", 0) + rejected.get("unknown_id", 0)
     if received_frames:
-        return f"{received_frames} frames of a robot came but not its HELLO; reset the robot and try again"
+        return f"{received_frames} frames of a robot came, but not its HELLO; reset the robot and try again"
     if rejected.get("error_acknowledgement") and bus_errors == rejected["error_acknowledgement"]:
-        return "nobody on the bus acknowledges our frames; check that the robot is powered, the cable, and its bit rate"
+        return "no device on the bus acknowledges our frames; check the robot's power, the cable and the bit rate"
     if bus_errors and not strangers:
         return (
             f"{bus_errors} error frames came and no valid one: the bit rate is wrong, or a terminator is missing; "
@@ -184,13 +184,13 @@ def _why_silent(received_frames: int, rejected: Mapping[str, int]) -> str:
         )
     if noise:
         return (
-            f"bytes came, but {noise} frames of them were not whole: set baud= in the link to the robot's rate, and "
-            "close any other program that reads the port"
+            f"bytes came, but {noise} frames were damaged: set baud= in the link to the robot's rate, and close any "
+            "other program that reads the port"
         )
     if strangers:
-        return f"{strangers} frames of others came, so the bus works; check that the robot is powered and on this bus"
+        return f"{strangers} frames of other devices came, so the bus works; check that the robot is on and on this bus"
     return (
-        "check that it is powered, that the link is the right one, that no other program reads it, and its baud or "
+        "check that it is powered, that the link is the right one, that no other program uses it, and the baud or "
         "bit rate"
     )
 
@@ -198,17 +198,17 @@ def _why_silent(received_frames: int, rejected: Mapping[str, int]) -> str:
 def _check_version(identity: m.HelloIdentity) -> None:
     if identity.protocol_version != m.PROTOCOL_VERSION or identity.schema_hash != m.SCHEMA_HASH:
         raise BadInputError(
-            f"the robot speaks protocol {identity.protocol_version} with schema {identity.schema_hash:08x}, this host "
-            f"{m.PROTOCOL_VERSION} with {m.SCHEMA_HASH:08x}; flash the firmware of this version, or install this "
-            "package in the firmware's version"
+            f"the robot uses protocol {identity.protocol_version} with schema {identity.schema_hash:08x}, this host "
+            f"{m.PROTOCOL_VERSION} with {m.SCHEMA_HASH:08x}; flash the firmware of this package's version, or install "
+            "the package of the firmware's version"
         )
 
 
 def check(info: RobotInfo, expected: Expected) -> None:
-    """Raise BadInputError unless the robot is the one that the scenario describes, and may move."""
+    """Raise BadInputError unless mode and parameters match the scenario, and real motors are allowed to move."""
     if info.has_power_stage and not expected.allow_motion:
         raise BadInputError(
-            "the robot reports a power stage: real motors would move; add --allow-motion when it may move"
+            "the robot reports a power stage: real motors would move; add --allow-motion if it may move"
         )
     if bool(info.capabilities & Capability.LOCKSTEP) != expected.lockstep:
         ours, theirs = ("lockstep", "realtime") if expected.lockstep else ("realtime", "lockstep")

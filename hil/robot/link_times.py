@@ -1,7 +1,7 @@
-"""Times over a link, from messages and stamps alone: round trip, latency, the robot's clock against the host's. Pure.
+"""Times of a link, from messages and their times: round trip, latency, the robot's clock against the host's. No I/O.
 
-Stamps are on the clock of the run [ns], taken where the host's side meets the link: latency and faults that a scenario
-puts on the link are part of what is measured, as those of a real one would be.
+Times are on the clock of the run [ns], taken at the host's end of the link. Latency and faults that a scenario adds to
+the link are therefore included, like those of a real link.
 """
 
 import statistics
@@ -18,15 +18,15 @@ _STEP_NS = 128_000_000
 _SHORTEST_FIT_NS = 1_000_000_000
 _COMMANDS = 33
 _FEWEST_COMMANDS = 9
-_AGE_AT_MOST_MS = 255  # TICK.command_age_ms stands for this and more
+_AGE_AT_MOST_MS = 255  # TICK.command_age_ms is limited to this
 _WRAP_US = 1 << 32
-_HELD_AT_MOST_US = 0xFFFF  # TIME_SYNC_RESPONSE.held_us stands for this and more
+_HELD_AT_MOST_US = 0xFFFF  # TIME_SYNC_RESPONSE.held_us is limited to this
 
 
 class RoundTrip:
-    """From sending a command to the first TICK that says that it is in force (TICK.sequence).
+    """Time from sending a command to the first TICK that reports it as applied (TICK.sequence).
 
-    ``ms`` is the newest round trip, NaN before the first. A command that another one overtakes before a TICK has none.
+    ``ms`` is the newest round trip, NaN before the first. A command that no TICK reports has no round trip.
     """
 
     def __init__(self) -> None:
@@ -51,11 +51,11 @@ class RoundTrip:
             self._all_ms.append(self.ms)
 
     def restart(self) -> None:
-        """Begin with a new session: an echo of the last one's commands is no round trip."""
+        """Start a new session: commands of the last one no longer give a round trip."""
         self._sent_ns = [None] * 256
 
     def figures(self) -> dict[str, Any] | None:
-        """Return median and 99th percentile [ms], and how many there were; None when there were none."""
+        """Return median, 99th percentile [ms] and number of the round trips; None if there were none."""
         if not len(self._all_ms):
             return None
         return {**_percentiles(self._all_ms), "count": len(self._all_ms)}
@@ -64,11 +64,11 @@ class RoundTrip:
 class CommandLatency:
     """Latency of commands: from the sampling instant of the feedback to the first firmware tick that uses the command.
 
-    The robot reports it: a TICK says which command is in force and how old it is (TICK.sequence, TICK.command_age_ms),
-    and the host knows the sample that each command rests on. Both instants are on the robot's clock, so that no clock
-    has to be compared with another; the result has the firmware's grain of 1 ms. ``s`` is the median of the last 33
-    commands, so that a command that was held up changes nothing, and ``configured_s`` until 9 were seen. What is
-    negative or longer than ``longest_ns``, the robot's own patience, is left out: no such command drives it.
+    A TICK reports which command is applied and how old it is (TICK.sequence, TICK.command_age_ms), and the host knows
+    the feedback that each command is based on. Both times are on the robot's clock, so clocks need not be compared.
+    The resolution is the firmware's 1 ms. ``s`` is the median of the last 33 commands, so that single delayed commands
+    do not matter; before 9 were seen it is ``configured_s``. Values that are negative or longer than ``longest_ns``
+    (the age at which a command is too old to be applied) are ignored.
     """
 
     def __init__(self, configured_s: float, longest_ns: int) -> None:
@@ -78,11 +78,11 @@ class CommandLatency:
         self.s = configured_s
 
     def sent(self, sequence: int, sampled_ns: int | None) -> None:
-        """Record when, on the robot's clock, the feedback behind a command was sampled; None without feedback."""
+        """Record the robot time [ns] at which the feedback behind a command was sampled; None without feedback."""
         self._sampled_ns[sequence] = sampled_ns
 
     def acted(self, sequence: int, at_ns: int, age_ms: int) -> None:
-        """Record that this command was in force, ``age_ms`` old, at an instant of the robot's clock."""
+        """Record that at robot time ``at_ns`` this command was applied and ``age_ms`` old."""
         sampled_ns = self._sampled_ns[sequence]
         if sampled_ns is None or age_ms >= _AGE_AT_MOST_MS:
             return
@@ -95,12 +95,12 @@ class CommandLatency:
             self.s = statistics.median_low(self._recent_ns) * 1e-9
 
     def restart(self) -> None:
-        """Begin with a new session, whose robot's clock may have begun anew; what was measured still holds."""
+        """Start a new session, in which the robot's clock may have restarted. ``s`` keeps its value."""
         self._sampled_ns = [None] * 256
 
 
 class Exchange(NamedTuple):
-    """One exchange of TIME_SYNC: when, how far the robot's clock was ahead, and how long both ways took."""
+    """One TIME_SYNC exchange: its time, the lead of the robot's clock, and the delay of both directions together."""
 
     at_ns: int
     offset_ns: float
@@ -110,13 +110,13 @@ class Exchange(NamedTuple):
 class ClockSync:
     """The robot's clock against the clock of the run, from TIME_SYNC's four instants.
 
-    Of the last 8 exchanges the one with the shortest way is believed, once, and never one older than the last believed
+    The one with the shortest delay of the last 8 exchanges is selected, unless it is older than the last selected one
     (the clock filter of RFC 5905, section 10); ``offset_us`` is its offset. ``drift_ppm`` is the slope of a straight
-    line through the last 64 believed; positive when the robot's clock is fast. An offset that leaps by more than
-    128 ms (RFC 5905, STEPT) is another clock, as after a reset: all begins anew, and ``steps`` counts it.
+    line through the last 64 selected ones, positive when the robot's clock is fast. A jump of the offset by more than
+    128 ms (RFC 5905, STEPT) means another clock, as after a reset: the filter starts again, and ``steps`` counts it.
 
-    TIME_SYNC carries 32 bits of microseconds: an offset is known but for whole multiples of 71.6 minutes, and the one
-    nearest to the last is taken, at first the one nearest to zero.
+    TIME_SYNC carries 32 bits of microseconds, so an offset is ambiguous by multiples of 71.6 minutes. The value nearest
+    to the last offset is used, at first the one nearest to zero.
     """
 
     def __init__(self) -> None:
@@ -132,7 +132,7 @@ class ClockSync:
         self.steps = 0
 
     def request(self, now_ns: int) -> int:
-        """Return the sequence of the request that is sent now. An exchange that is still open is given up."""
+        """Return the sequence number of the request that is sent now. An unanswered earlier request is dropped."""
         self._sequence = (self._sequence + 1) & 0xFF
         self._sent_ns = now_ns
         self.requests += 1
@@ -140,11 +140,11 @@ class ClockSync:
         return self._sequence
 
     def give_up(self) -> None:
-        """Expect no answer any more to what is open."""
+        """Stop waiting for the answer to the last request."""
         self.awaiting = False
 
     def answered(self, sequence: int, received_us: int, held_us: int, stamp_ns: int) -> None:
-        """Add an answer. One to another request, one that was held too long, and one from the future are ignored."""
+        """Add an answer. It is ignored if it is for another request, was held too long, or has a negative delay."""
         if not self.awaiting or sequence != self._sequence:
             return
         self.awaiting = False
@@ -170,7 +170,7 @@ class ClockSync:
             self.drift_ppm = NAN
             self.steps += 1
         self._stages.append(exchange)
-        # The newest of those that are equal: in lockstep all are.
+        # Of equal delays the newest: in lockstep all are equal.
         best = min(reversed(self._stages), key=lambda stage: stage.delay_ns)
         if self._believed and best.at_ns <= self._believed[-1].at_ns:
             return
@@ -182,13 +182,13 @@ class ClockSync:
         first = self._believed[0]
         if self._believed[-1].at_ns - first.at_ns < _SHORTEST_FIT_NS:
             return
-        # From the first one on, so that a float does not lose the nanoseconds of a long run.
+        # Relative to the first, so that a float keeps the nanoseconds in a long run.
         times = [(e.at_ns - first.at_ns) * 1e-9 for e in self._believed]
         offsets_us = [(e.offset_ns - first.offset_ns) * 1e-3 for e in self._believed]
         self.drift_ppm, _ = statistics.linear_regression(times, offsets_us)
 
     def figures(self) -> dict[str, Any] | None:
-        """Return the figures of the exchanges, None when none was answered."""
+        """Return the results of the exchanges; None if none was answered."""
         if not len(self._delays_us):
             return None
         return {
@@ -202,7 +202,7 @@ class ClockSync:
 
 
 class PollAge:
-    """Upper bound on the age of polled data: the time since the link was last read empty.
+    """Upper bound on the age of polled data: the time since the last poll that emptied the link.
 
     Call ``record_poll`` after each poll; ``ns`` then holds the bound for that poll.
     """
@@ -212,13 +212,13 @@ class PollAge:
         self.ns = 0
 
     def record_poll(self, now_ns: int, *, everything: bool) -> None:
-        """Record a poll, and whether it took all that there was."""
+        """Record a poll, and whether it read everything that had arrived."""
         before_ns = now_ns if self._emptied_ns is None else self._emptied_ns
         self._emptied_ns = now_ns if everything else before_ns
         self.ns = now_ns - before_ns
 
     def restart(self) -> None:
-        """Begin anew: what the link held was discarded."""
+        """Start again: the data in the link was discarded."""
         self._emptied_ns = None
 
 

@@ -1,4 +1,4 @@
-"""The firmware's parameters over the link: read, written, kept (PROTOCOL.md, "Parameters")."""
+"""Reads, writes and stores the firmware's parameters over the link (PROTOCOL.md, "Parameters")."""
 
 import ctypes
 import math
@@ -17,9 +17,9 @@ from hil.robot import handshake
 _RETRY_NS = 200_000_000
 _SILENCE_NS = 4_000_000_000  # a board may erase its flash for 2 s before it answers a STORE
 _WHY_NOT = {
-    m.Result.PARAMETER: "it knows no such parameter",
+    m.Result.PARAMETER: "it has no such parameter",
     m.Result.STATE: "it is not in IDLE; stop its controller first",
-    m.Result.STORAGE: "it cannot keep parameters",
+    m.Result.STORAGE: "it cannot store parameters",
 }
 
 
@@ -36,7 +36,7 @@ def assignment(text: str) -> tuple[str, float]:
 
 
 def assignments(texts: Iterable[str]) -> dict[str, float]:
-    """Return the values of ``name=value``, by name. Raises BadInputError, also for a name that is given twice."""
+    """Return the values of texts like ``name=value``, by name. Raises BadInputError, also for a repeated name."""
     values: dict[str, float] = {}
     for name, value in map(assignment, texts):
         if name in values:
@@ -46,7 +46,7 @@ def assignments(texts: Iterable[str]) -> dict[str, float]:
 
 
 class Held(NamedTuple):
-    """A parameter as the robot holds it."""
+    """A parameter with its value and range in the robot."""
 
     name: str
     type: m.Type
@@ -56,7 +56,7 @@ class Held(NamedTuple):
 
 
 class Change(NamedTuple):
-    """A change that the robot will take: ``number`` is the parameter's, ``bits`` those of its value on the wire."""
+    """A checked change: the parameter's ``number``, and the ``bits`` of its new value on the wire."""
 
     name: str
     number: int
@@ -64,9 +64,9 @@ class Change(NamedTuple):
 
 
 class ParameterClient:
-    """Asks the robot at the other end of a link for its parameters.
+    """Reads and changes the parameters of the robot at the other end of a link.
 
-    Raises DeviceError when it does not answer, BadInputError when it speaks another version of the protocol.
+    Raises DeviceError when it does not answer, BadInputError when it uses another version of the protocol.
     """
 
     def __init__(self, link: Link) -> None:
@@ -77,14 +77,14 @@ class ParameterClient:
         self._reset_cause = self._identify(status=True).reset_cause
 
     def greet(self) -> handshake.RobotInfo:
-        """Return what the robot says of itself now; the hash is that of the parameters in force."""
+        """Return the robot's info now; its hash is that of the parameters in use."""
         return self._identify()._replace(reset_cause=self._reset_cause)
 
     def _identify(self, *, status: bool = False) -> handshake.RobotInfo:
         return handshake.greet(self._link, lambda message: self._link.send(codec.encode(message)), status=status)
 
     def read(self) -> list[Held]:
-        """Return every parameter in the firmware's order."""
+        """Return every parameter, in the firmware's order."""
         operations = (m.Operation.READ, m.Operation.READ_MINIMUM, m.Operation.READ_MAXIMUM)
         return [
             Held(row.name, row.type, *(self._value(self._request(number, operation)) for operation in operations))
@@ -92,9 +92,9 @@ class ParameterClient:
         ]
 
     def check(self, values: Mapping[str, float]) -> list[Change]:
-        """Return the changes to these values, which change nothing yet.
+        """Check values by name and return the changes for ``write``. Nothing is changed yet.
 
-        Raises BadInputError with a line for each name that is unknown, and each value outside of the robot's own range.
+        Raises BadInputError with a line for each unknown name and each value outside the robot's own range.
         """
         changes: list[Change] = []
         problems: list[str] = []
@@ -115,9 +115,9 @@ class ParameterClient:
         whole = self._table[number].type is m.Type.UINT32
         if whole and value != int(value):
             raise BadInputError(f"{name} = {value:g}; expected a whole number")
-        # As the robot will hold it: a bound that single precision rounds is in the range. Infinity stands for too much.
+        # Rounded to single precision, as in the robot: a rounded bound is in the range. Overflow gives infinity.
         held = value if whole else ctypes.c_float(value).value
-        # A board may take less than the table has.
+        # The range of a board may be smaller than the table's.
         least, most = (
             self._value(self._request(number, limit)) for limit in (m.Operation.READ_MINIMUM, m.Operation.READ_MAXIMUM)
         )
@@ -126,24 +126,24 @@ class ParameterClient:
         return Change(name, number, int(value) if whole else struct.unpack("<I", struct.pack("<f", held))[0])
 
     def write(self, changes: Iterable[Change]) -> None:
-        """Make changes until the robot is reset. Raises DeviceError when it refuses one, with what it took before."""
+        """Write changes; they last until a reset. Raises DeviceError if one is refused, with those made before."""
         for change in changes:
             answer = self._order(change.number, m.Operation.WRITE, change.bits)
             if answer.result == m.Result.RANGE:
-                raise DeviceError(self._with_changes(f"the robot refused {change.name}, for its range has changed"))
+                raise DeviceError(self._with_changes(f"the robot refused {change.name}: its range has changed"))
             self._changed.append(change.name)
 
     def store(self) -> None:
-        """Have the robot keep its parameters across a reset. Raises DeviceError when it refuses."""
+        """Make the robot keep its parameters across resets. Raises DeviceError when it refuses."""
         self._order(0, m.Operation.STORE)
 
     def restore(self) -> None:
-        """Go back to the values that the firmware was built with. Raises DeviceError when the robot refuses."""
+        """Restore the values that the firmware was built with. Raises DeviceError when the robot refuses."""
         self._order(0, m.Operation.RESTORE)
         self._changed.append("all to those of the build")
 
     def _order(self, number: int, operation: m.Operation, value: int = 0) -> m.ParameterResponse:
-        """Ask for what changes something. Raises DeviceError or LinkError, with what was changed before."""
+        """Send a request that changes something. Raises DeviceError or LinkError, naming the changes made before."""
         try:
             return self._request(number, operation, value)
         except (DeviceError, LinkError) as error:
@@ -152,7 +152,7 @@ class ParameterClient:
     def _with_changes(self, sentence: str) -> str:
         if not self._changed:
             return f"{sentence}; nothing was changed"
-        return f"{sentence}; changed before that, and in force until a reset: {', '.join(self._changed)}"
+        return f"{sentence}; changed before that, until the next reset: {', '.join(self._changed)}"
 
     def _request(self, number: int, operation: m.Operation, value: int = 0) -> m.ParameterResponse:
         self._transaction = (self._transaction + 1) & 0xFF
@@ -160,7 +160,7 @@ class ParameterClient:
         deadline_ns = time.monotonic_ns() + _SILENCE_NS
         retry_ns = 0
         while (now_ns := time.monotonic_ns()) < deadline_ns:
-            if now_ns >= retry_ns:  # a request that was answered twice has done the same twice
+            if now_ns >= retry_ns:  # repeating a request does no harm
                 self._link.send(codec.encode(request))
                 retry_ns = now_ns + _RETRY_NS
             received = self._link.receive(_RETRY_NS)
@@ -173,7 +173,7 @@ class ParameterClient:
                         f"the robot refused to {operation.name} a parameter: {_WHY_NOT[m.Result(answer.result)]}"
                     )
                 return answer
-        raise DeviceError("the robot did not answer a parameter request within 4 s; it was lost")
+        raise DeviceError("the robot did not answer a parameter request within 4 s; check its power and the link")
 
     @staticmethod
     def _value(answer: m.ParameterResponse) -> float:

@@ -1,4 +1,4 @@
-"""What the tick, the loop and the service need of a robot behind a link, whatever its motors speak."""
+"""The interface of a robot behind a link, for the control loop and the service. It fits every motor controller."""
 
 import math
 from abc import ABC, abstractmethod
@@ -19,46 +19,46 @@ _START_LIMIT_NS = 4_000_000_000
 
 
 class Identity(Protocol):
-    """What a robot said of itself."""
+    """What a robot reports about its identity."""
 
     @property
     def has_power_stage(self) -> bool:
-        """Whether it drives real motors."""
+        """Whether the robot drives real motors."""
 
     def describe(self) -> str:
-        """Return what it is, in words."""
+        """Return a description for the user."""
 
 
 class Report(Protocol):
-    """What a robot reports beside its feedback."""
+    """What a robot reports besides its feedback."""
 
     @property
     def health(self) -> Health:
-        """Battery and motors as it measures them."""
+        """Battery and motor temperatures as the robot measures them."""
 
     def stop_reason(self) -> str:
-        """Return why the robot last stopped, in the terms of its protocol."""
+        """Return why the robot last stopped, in terms of its protocol."""
 
     def explains(self, state: State) -> bool:
-        """Return whether it has reported why it is in this state, which may come after the feedback."""
+        """Return whether the robot has reported why it is in this state. The report may come after the feedback."""
 
     @property
     def knows_no_reason(self) -> bool:
-        """Whether it reports that nothing has stopped it."""
+        """Whether the robot reports that nothing has stopped it."""
 
     @property
     def last_reset(self) -> str:
-        """The cause of its last reset in words; empty where it does not report one."""
+        """The cause of the last reset in words; empty if the robot does not report one."""
 
     @property
     def trouble(self) -> str | None:
-        """A warning that a user has to see now, such as a stop that could not be sent; None without one."""
+        """A warning that the user must see at once, such as a stop that could not be sent; None without one."""
 
 
 class Device(Protocol):
-    """A robot at the other end of a link; states are those of our own protocol (PROTOCOL.md, "States").
+    """A robot at the other end of a link. Its states are those of our own protocol (PROTOCOL.md, "States").
 
-    Every call may raise LinkError when the link is lost.
+    Every method may raise LinkError when the link is lost.
     """
 
     round_trip: RoundTrip
@@ -70,129 +70,129 @@ class Device(Protocol):
 
     @property
     def report(self) -> Report:
-        """What the robot reports beside its feedback."""
+        """What the robot reports besides its feedback."""
 
     # Connecting
 
     @property
     def is_lockstep(self) -> bool:
-        """Whether robot time passes by ``step`` only, so that it stands still without the robot."""
+        """Whether time advances only with ``step``."""
 
     def connect(self) -> Identity:
-        """Find out what is there, and check it against what the scenario expects.
+        """Identify the robot and check it against the scenario.
 
-        Raises DeviceError when nothing answers, BadInputError when it is not what was expected.
+        Raises DeviceError when nothing answers, BadInputError when it does not match the scenario.
         """
 
     @property
     def info(self) -> Identity | None:
-        """What the robot said of itself, None before it has."""
+        """The robot's identity; None before it is known."""
 
     @property
     def speed_limit_rad_s(self) -> float:
-        """The largest wheel speed that the robot says it takes as a command; infinite where it says none."""
+        """The largest wheel speed that the robot accepts as a command; infinity if it reports none."""
 
     @property
     def warnings(self) -> Sequence[str]:
-        """Sentences to be said before anything moves, such as that nothing stops the wheels when the host dies.
+        """Warnings for the user before anything moves, for example that nothing stops the wheels if the host dies.
 
-        Some are known only once the robot has said what it is, and what comes back may be another one.
+        Some are known only after ``connect``, and they may change when a robot comes back after a loss.
         """
 
     def describe_link(self) -> str:
-        """Return what the link is, in words for a person."""
+        """Return a description of the link for the user."""
 
-    # Coming back after a loss, in steps that do not wait
+    # Reconnection after a loss, in steps that do not wait
 
     @property
     def keeps_counts(self) -> bool:
-        """Whether encoder counts have gone on while the robot was away, unless its clock began anew."""
+        """Whether encoders keep counting while the link is lost, unless the robot was reset."""
 
     def leave(self) -> None:
-        """Command nothing any more, and forget what is held: the link or the robot was lost."""
+        """Stop commanding and discard all data, because the link or the robot was lost."""
 
     def reopen(self) -> None:
-        """Close and open the link anew. Raises LinkError while that is not possible."""
+        """Close and reopen the link. Raises LinkError when that fails."""
 
     def begin_again(self) -> None:
-        """Begin with a robot that may have been reset meanwhile, or exchanged."""
+        """Start again with a robot that may have been reset or replaced meanwhile."""
 
     def greeted(self) -> bool:
-        """Return whether it has said again what it is. Raises BadInputError when that is another robot."""
+        """Return whether the robot has identified itself again. Raises BadInputError when it is another robot."""
 
-    # The way to ACTIVE and back
+    # Arming and stopping
 
     def attend(self, clock: Clock) -> None:
-        """Set the clock of the run; nothing is asked of the robot yet."""
+        """Set the clock of the run. Nothing is sent to the robot yet."""
 
     def start(self, clock: Clock, period_ns: int) -> int:
-        """Arm and begin with zero commands; return the clock's time of the first ACTIVE tick [ns].
+        """Arm with zero commands; return the clock's time of the first ACTIVE tick [ns].
 
         Raises DeviceError when the robot refuses, has latched an error, or is not ACTIVE within 4 s.
         """
 
     def armed(self) -> bool:
-        """Do one step of arming; return whether the robot is ACTIVE in our session. Raises as ``start``."""
+        """Do one step of arming; return whether the robot is ACTIVE in our session. Raises as ``start`` does."""
 
     def why_not_active(self) -> str:
-        """Return what keeps the robot from being driven, and what to do."""
+        """Return why the robot does not become ACTIVE, and what to do."""
 
     def disarm(self) -> None:
-        """Begin to ramp down to IDLE, if it is not there; at best effort, never raises."""
+        """Start to ramp down to IDLE. Best effort: raises nothing."""
 
     def estop(self) -> None:
-        """Stop the robot at once and latch that; to be repeated until its feedback says ESTOP."""
+        """Stop the robot at once and latch ESTOP. Repeat the call until the feedback reports ESTOP."""
 
     def clear(self) -> None:
-        """Ask for the way out of a latched FAULT or ESTOP, until ``disarm``; arms nothing."""
+        """Request the end of a latched FAULT or ESTOP, until ``disarm`` is called. It does not arm."""
 
     def stop(self, period_ns: int, limit_ns: int) -> bool:
-        """Go to IDLE and wait for it, at most ``limit_ns`` on the clock; return whether the robot got there."""
+        """Request IDLE and wait until the robot is at rest, at most ``limit_ns``; return whether it is."""
 
     # One tick
 
     def wait_until(self, t_ns: int) -> int:
-        """Let time pass on the clock. Returns the lateness [ns]."""
+        """Wait until the clock shows ``t_ns``. Return the lateness [ns]."""
 
     def poll(self) -> Feedback | None:
-        """Read what has arrived; return the newest feedback so far. Call it once a tick: it keeps the session alive."""
+        """Read what has arrived; return the newest feedback. Call it once per tick: it also sends the heartbeat."""
 
     @property
     def poll_age_ns(self) -> int:
-        """Upper bound on the age of what the newest poll took: how long it may have lain on the link; 0 in lockstep."""
+        """Upper bound on how long the data of the newest poll may have waited in the link; 0 in lockstep."""
 
     @property
     def feedback(self) -> Feedback | None:
-        """The newest feedback that was taken; None after a loss, until the next one."""
+        """The newest feedback; None before the first, and after a loss until the next one."""
 
     def send(self, command: WheelCommand) -> int:
-        """Send a command that the guard has passed; return its sequence. Raises ValueError for what cannot be sent."""
+        """Send a command after the guard; return its sequence number. Raises ValueError if it cannot be encoded."""
 
     def step(self, ticks: int) -> None:
-        """Lockstep: let so many ticks of 1 ms pass, and take what the robot sends meanwhile."""
+        """Lockstep: run the robot for a number of 1 ms ticks, and process what it sends."""
 
-    # Accounts
+    # Counters
 
     @property
     def sent(self) -> int:
-        """Frames that were sent so far."""
+        """Number of frames sent so far."""
 
     @property
     def received(self) -> int:
-        """Frames that were received so far."""
+        """Number of frames received so far."""
 
     def wire_sha256(self) -> str:
-        """Return the hash of every frame of the session, both directions, in order."""
+        """Return the hash of all frames of the session, in both directions and in order."""
 
     @property
     def snapshots_lost(self) -> int:
-        """Feedback that the robot counted and that did not come whole; 0 where nothing is counted."""
+        """Number of snapshots that never came or came incomplete; 0 if the robot does not number them."""
 
     def rejected(self) -> dict[str, int]:
-        """Return the frames that were dropped, by cause; those that the robot reported as ``robot_...``."""
+        """Return the number of dropped frames, by cause; a cause that the robot reports begins with ``robot_``."""
 
     def close(self) -> None:
-        """Stop what may still be driven, at once and at best effort. Closing twice is allowed."""
+        """Stop the robot if it may still be driven. Best effort; closing twice is allowed."""
 
 
 class Line(Protocol):
@@ -256,7 +256,7 @@ class LinkedDevice(ABC):
     def close(self) -> None: ...
 
     def wait_until(self, t_ns: int) -> int:
-        """Let time pass on the clock; frames that the link delays go out meanwhile. Returns the lateness [ns]."""
+        """Wait until the clock shows ``t_ns``; delayed frames are sent meanwhile. Return the lateness [ns]."""
         clock, link = self._clock, self._link
         assert clock is not None
         if link.may_hold:

@@ -1,4 +1,4 @@
-"""What the robot says of itself beside its feedback: why it stopped or was reset, its battery, frames it refused."""
+"""What the robot reports besides its feedback: why it stopped or was reset, its battery, dropped frames."""
 
 from typing import NamedTuple
 
@@ -8,20 +8,20 @@ from hil.core.types import NAN, NAN_WHEELS, WHEEL_NAMES, Wheels
 from hil.robot.wheel_map import WheelMap
 
 _WORDS = {
-    m.ResetCause.UNKNOWN: "it does not know why",
-    m.ResetCause.POWER_ON: "its power came on",
-    m.ResetCause.BROWN_OUT: "its supply sank below what the chip works with",
-    m.ResetCause.PIN: "its reset pin was pulled",
-    m.ResetCause.SOFTWARE: "its firmware or a debugger asked for it",
-    m.ResetCause.WATCHDOG: "its watchdog reset it, as the firmware did not go on",
-    m.ResetCause.LOW_POWER: "it was told to sleep",
-    m.ResetCause.PROCESSOR_FAULT: "its processor met a fault",
+    m.ResetCause.UNKNOWN: "the cause is unknown",
+    m.ResetCause.POWER_ON: "it was powered on",
+    m.ResetCause.BROWN_OUT: "its supply voltage was too low for the chip",
+    m.ResetCause.PIN: "its reset pin was pulled low",
+    m.ResetCause.SOFTWARE: "its firmware or a debugger requested it",
+    m.ResetCause.WATCHDOG: "its watchdog expired because the firmware hung",
+    m.ResetCause.LOW_POWER: "it entered a low-power mode",
+    m.ResetCause.PROCESSOR_FAULT: "its processor had a fault",
 }
 
 # ARMv7-M architecture reference manual, B3.2.15.
 _CFSR = {
-    0: "instruction fetched where none may be",
-    1: "data access where none may be",
+    0: "instruction fetch at a forbidden address",
+    1: "data access at a forbidden address",
     3: "memory management fault on leaving an exception",
     4: "memory management fault on entering an exception: has the stack overflowed?",
     5: "memory management fault while floating-point registers were saved",
@@ -32,9 +32,9 @@ _CFSR = {
     12: "bus fault on entering an exception: has the stack overflowed?",
     13: "bus fault while floating-point registers were saved",
     16: "undefined instruction",
-    17: "instruction set state that the processor does not have",
-    18: "wrong return from an exception",
-    19: "coprocessor that is off or not there",
+    17: "invalid instruction set state",
+    18: "invalid return from an exception",
+    19: "coprocessor that is off or missing",
     24: "unaligned access",
     25: "division by zero",
 }
@@ -52,7 +52,7 @@ class ProcessorFault(NamedTuple):
     bfar: int = 0
 
     def describe(self) -> str:
-        """Return it in words; an address is one to look up in the ELF file of this build (addr2line)."""
+        """Return a description. Its addresses can be looked up in the ELF file of this build (addr2line)."""
         kinds = [words for bit, words in _CFSR.items() if self.cfsr >> bit & 1]
         where = [f"at {self.pc:#010x}, called from {self.lr:#010x}"] if self.pc or self.lr else []
         where += [f"for address {self.mmfar:#010x}"] if self.cfsr & _MMFAR_HOLDS else []
@@ -65,12 +65,12 @@ NO_FAULT = ProcessorFault()
 
 
 def reset_words(cause: m.ResetCause, fault: ProcessorFault = NO_FAULT) -> str:
-    """Return the cause of a reset in words, with the fault where it is one."""
+    """Return the cause of a reset in words, with the processor fault if there was one."""
     return _WORDS[cause] + (f": {fault.describe()}" if fault != NO_FAULT else "")
 
 
 class Health(NamedTuple):
-    """Battery and motors, as the robot reports them at 10 Hz; NaN before the first report and without such a sensor."""
+    """Battery and motor temperatures, reported at 10 Hz; NaN before the first report or without a sensor."""
 
     battery_v: float = NAN
     battery_a: float = NAN
@@ -78,10 +78,10 @@ class Health(NamedTuple):
 
 
 class RobotReport:
-    """Keeps the newest of each. Pure.
+    """Keeps the newest STATUS, battery and temperature values and counters. No I/O.
 
-    ``status`` is the last STATUS, None before the first. ``rejected`` counts by cause the frames that the robot
-    dropped between the first and the last LINK_COUNTERS and PORT_COUNTERS of each session.
+    ``status`` is the last STATUS, None before the first. ``rejected`` is the number of frames that the robot dropped,
+    by cause, between the first and the last LINK_COUNTERS and PORT_COUNTERS of each session.
     """
 
     def __init__(self, wheel_map: WheelMap) -> None:
@@ -92,11 +92,11 @@ class RobotReport:
         self.rejected: dict[str, int] = {}
 
     def restart(self) -> None:
-        """Begin with a robot that may have been reset: its counters may begin at 0."""
+        """Start again with a robot that may have been reset, so that its counters may start at 0."""
         self._last_counters.clear()
 
     def feed(self, message: Message) -> None:
-        """Add a message; one of another kind changes nothing."""
+        """Add a message; messages of other kinds are ignored."""
         if isinstance(message, m.Status):
             self.status = message
         elif isinstance(message, m.LinkCounters | m.PortCounters):
@@ -114,7 +114,7 @@ class RobotReport:
         self._last_counters[type(counters)] = counters
 
     def stop_reason(self) -> str:
-        """Return why the robot last stopped, in words of the DBC (STATUS.stop_reason, STATUS.fault)."""
+        """Return why the robot last stopped, with the names of the DBC (STATUS.stop_reason, STATUS.fault)."""
         if self.status is None:
             return "a reason that it has not reported yet"
         reason = m.StopReason(self.status.stop_reason).name
@@ -122,7 +122,7 @@ class RobotReport:
         return f"{reason} ({fault})" if fault else reason
 
     def _fault(self) -> str:
-        """Return the fault in STATUS, with the wheel where it is one wheel's; empty without a fault."""
+        """Return the fault in STATUS, with the wheel if it concerns one; empty without a fault."""
         if self.status is None or not self.status.fault:
             return ""
         fault = m.Fault(self.status.fault).name
@@ -132,31 +132,31 @@ class RobotReport:
         return f"{fault} of wheel {WHEEL_NAMES[wheel]}"
 
     def explains(self, state: m.State) -> bool:
-        """Return whether STATUS has reported this state, which may come after the feedback."""
+        """Return whether STATUS has reported this state. It may come after the feedback."""
         return self.status is not None and self.status.state == state
 
     @property
     def knows_no_reason(self) -> bool:
-        """Whether the robot says that nothing has stopped it since it was armed, or since its power came on."""
+        """Whether the robot reports that nothing has stopped it since it was armed or powered on."""
         return self.status is not None and self.status.stop_reason == m.StopReason.NONE
 
     @property
     def last_reset(self) -> str:
-        """The cause of its last reset (STATUS.reset_cause) in words; empty before the first STATUS."""
+        """The cause of the last reset (STATUS.reset_cause) in words; empty before the first STATUS."""
         return "" if self.status is None else reset_words(m.ResetCause(self.status.reset_cause))
 
     @property
     def trouble(self) -> str | None:
-        """None: our firmware stops by itself when its host falls silent."""
+        """Always None: our firmware stops by itself when its host is silent."""
         return None
 
     def why_not_active(self, state: m.State | None) -> str:
-        """Return what keeps a robot in this state, None without feedback, from being driven, and what to do."""
+        """Return why a robot in this state (None without feedback) does not become ACTIVE, and what to do."""
         if state is None:
             return "the robot answered HELLO but sends no feedback; reset it and try again"
         clear = 'restart the robot, or have its own host send CLEAR (PROTOCOL.md, "States")'
         advice = {
-            m.State.ACTIVE: "another controller drives it; stop that one first",
+            m.State.ACTIVE: "another controller drives it; stop that controller first",
             m.State.ESTOP: f"it is latched; release the e-stop, then {clear}",
             m.State.FAULT: f"it is latched; find the cause, then {clear}",
         }.get(state, "restart the robot and look at its link counters")

@@ -1,11 +1,11 @@
-"""The host's session with a robot of our firmware: its states, its rules, and what leads from one to another. Pure.
+"""The state machine of the host's session with a robot that runs our firmware. No I/O.
 
 The robot's own states are in PROTOCOL.md, "States". The host's state is what ``Session`` holds:
 
-    known      HELLO was answered since the link was opened, by the robot that the scenario describes
-    request    what each heartbeat asks for: IDLE, ARM or CLEAR
-    heartbeat  when the next one is due; none before the first request, so that a host that only looks disarms nobody
-    nonce      the number of this session; a robot refuses one that it has seen
+    known      whether the robot has answered HELLO since the link was opened, and matches the scenario
+    request    what each heartbeat requests: IDLE, ARM or CLEAR
+    heartbeat  when the next one is due; none before the first request, so that a host that only reads disarms nobody
+    nonce      the number of this session; a robot refuses a number that it has seen before
 
     event (``Stm32``)            known       request          heartbeat      nonce
     HELLO answered               yes         -                -              -
@@ -16,7 +16,7 @@ The robot's own states are in PROTOCOL.md, "States". The host's state is what ``
     clear                        -           CLEAR            every 0.1 s    next
     armed: ARM, ARM_ANEW         -           IDLE, then ARM   every 0.1 s    next for ARM_ANEW
 
-``_TO_ACTIVE`` below has the rules by which the host arms: arming is an edge, so it announces IDLE first.
+``_TO_ACTIVE`` below lists the rules for arming. The robot arms on a change from IDLE to ARM, so IDLE is sent first.
 """
 
 from collections.abc import Callable, Iterator
@@ -39,24 +39,24 @@ _ANOTHER_NONCE_HELPS = (
 
 
 class Step(Enum):
-    """What the host does at a tick on the way to ACTIVE."""
+    """What the host does in one tick while it arms the robot."""
 
     DONE = "the robot is ACTIVE in our session"
     HOLD = "send zero commands: the first one makes the robot ACTIVE"
     ARM = "announce IDLE, then ask to arm"
     ARM_ANEW = "the same with the next nonce"
-    WAIT = "the robot has to do something first, or another host's session to end"
-    STRANGER = "give up: the robot has not said what it is since the link was lost"
-    REFUSED = "give up: it refuses to arm, and another nonce would not help"
+    WAIT = "wait for the robot, or for the end of another host's session"
+    STRANGER = "give up: the robot has not answered HELLO since the link was lost"
+    REFUSED = "give up: the robot refuses to arm, and another nonce would not help"
     LATCHED = "give up: FAULT or ESTOP is latched, and STATUS has the cause"
 
 
 class Session:
-    """The state of the host's session. ``nonces`` are tried in order.
+    """The state of the host's session. ``nonces`` are used in order.
 
     Attributes:
-        nonce, request: as in the table above.
-        info: what the robot said of itself, None before it has.
+        nonce, request: see the module's docstring.
+        info: the robot's answer to HELLO; None before the first.
     """
 
     def __init__(self, nonces: Iterator[int], mode: CommandMode, expected: Expected) -> None:
@@ -71,58 +71,58 @@ class Session:
         self.request = m.Request.IDLE
         self.info: RobotInfo | None = None
 
-    # Who the robot is
+    # Identity of the robot
 
     def accept(self, info: RobotInfo) -> None:
-        """Accept what the robot said of itself. Raises BadInputError when it is not the robot of the scenario, or not
-        the one with which the run began."""
+        """Accept the robot's answer to HELLO. Raises BadInputError when it does not match the scenario, or is not the
+        robot with which the run began."""
         handshake.check(info, self._expected)
         if self.info is not None and not self.info.is_same_robot(info):
             raise BadInputError(
                 f"another robot answers on the link: {info.describe()}; the run began with {self.info.describe()}; "
                 "plug in the first one, or start a new run"
             )
-        self.info = info  # it may have been reset
+        self.info = info  # the fault record and reset cause may be new
         self._is_known = True
 
     def leave(self) -> None:
-        """Ask for nothing any more: the link or the robot was lost."""
+        """Stop all requests and heartbeats, because the link or the robot was lost."""
         self.request, self._is_known, self._heartbeat_ns = m.Request.IDLE, False, None
 
     def begin_again(self) -> None:
-        """Begin a new session with a robot that may be another one: HELLO has to be answered first."""
+        """Start a new session. The robot may be another one, so it must answer HELLO first."""
         self.leave()
         self.renew()
         self._greeting, self._greet_again_ns = Greeting(), 0
 
     @property
     def is_greeted(self) -> bool:
-        """Whether HELLO was answered since ``begin_again``."""
+        """Whether the robot has answered HELLO since ``begin_again``."""
         return self._greeting is None
 
     def hello(self, now_ns: int) -> Message | None:
-        """Return the request for HELLO when it is due."""
+        """Return the HELLO request if it is due, else None."""
         if self._greeting is None or now_ns < self._greet_again_ns:
             return None
         self._greet_again_ns = now_ns + RETRY_NS
         return m.HelloRequest(m.PROTOCOL_VERSION)
 
     def feed(self, message: Message) -> bool:
-        """Add a message; return whether it completed the answer to HELLO. Raises BadInputError as ``accept``."""
+        """Add a message; return whether it completed the answer to HELLO. Raises BadInputError as ``accept`` does."""
         if self._greeting is None or (info := self._greeting.feed(message)) is None:
             return False
         self.accept(info)
         self._greeting = None
         return True
 
-    # What is asked of it
+    # Requests
 
     def renew(self) -> None:
-        """Begin a session with the next nonce."""
+        """Start a session with the next nonce."""
         self.nonce = next(self._nonces)
 
     def heartbeat(self, request: m.Request, now_ns: int | None) -> m.HostHeartbeat:
-        """Return the heartbeat with a request, which is in force from now on; ``now_ns`` is None without a clock."""
+        """Set the request that heartbeats carry and return the first one. ``now_ns`` is None without a clock."""
         self.request = request
         if now_ns is not None:
             self._heartbeat_ns = now_ns + _HEARTBEAT_NS
@@ -130,18 +130,18 @@ class Session:
         return m.HostHeartbeat(self.nonce, m.SCHEMA_HASH, request, self._mode, check)
 
     def is_heartbeat_due(self, now_ns: int) -> bool:
-        """Return whether the request has to be repeated now."""
+        """Return whether the next heartbeat is due."""
         return self._heartbeat_ns is not None and now_ns >= self._heartbeat_ns
 
-    # The way to ACTIVE
+    # Arming
 
     def next_step(self, state: m.State | None, status: m.Status | None) -> Step:
-        """Return what to do, by the robot's state (None without feedback) and its newest STATUS."""
+        """Return the next step for the robot's state (None without feedback) and its newest STATUS."""
         fitting = (step for of, holds, step in _TO_ACTIVE if of is state and holds(self, status))
         return next(fitting, Step.WAIT)
 
     def is_ours(self, status: m.Status | None) -> bool:
-        """Return whether STATUS is of our session: another host may have armed the robot meanwhile."""
+        """Return whether STATUS reports our session. Another host may have armed the robot meanwhile."""
         return status is not None and status.nonce == self.nonce
 
     def _is_stranger(self, _status: m.Status | None) -> bool:
@@ -160,11 +160,11 @@ def _is_refused(_: Session, status: m.Status | None) -> bool:
 
 
 def _reports(state: m.State) -> Callable[[Session, m.Status | None], bool]:
-    """Return a condition: STATUS reports this state. Feedback may report it earlier."""
+    """Return the condition that STATUS reports this state. Feedback may report the state earlier."""
     return lambda _, status: status is not None and status.state == state
 
 
-# The robot's state, a condition, and what the host does; the first row that fits, else WAIT.
+# (robot's state, condition, step of the host): the first row that applies decides; without one the host waits.
 _TO_ACTIVE: tuple[tuple[m.State, Callable[[Session, m.Status | None], bool], Step], ...] = (
     (m.State.ACTIVE, Session.is_ours, Step.DONE),
     (m.State.ARMED, Session.is_ours, Step.HOLD),

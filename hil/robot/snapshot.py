@@ -1,8 +1,8 @@
-"""Feedback as one snapshot a tick: TICK opens it, the parts that it announces follow in the order of their ids.
+"""Feedback as one snapshot per tick: a TICK message, then the messages that it announces, in the order of their ids.
 
-A part out of its turn means that something was lost: the snapshot is dropped whole. Parts of two sampling instants are
-not mixed where the snapshot has inertial parts, which name their instant. In one without them, a loss of all from one
-part up to that same part of a later snapshot cannot be detected; the later one counts as lost.
+A message out of order means that one was lost; the whole snapshot is dropped. Inertial messages carry their sampling
+instant, so a snapshot with them never mixes two instants. Without them, a loss from one message up to the same message
+of a later snapshot cannot be detected; the later snapshot is then counted as lost.
 """
 
 import struct
@@ -23,9 +23,9 @@ _unpack_slow = struct.Struct("=8f").unpack
 class Feedback(NamedTuple):
     """What the robot measured at one sampling instant.
 
-    ``robot_time_ns`` is the robot's own clock (TICK.time_us) and does not wrap from the first snapshot on.
-    ``current_a``, ``acceleration_m_s2`` (body frame, without gravity's) and ``yaw_rate_rad_s`` come at a lower rate and
-    hold their last value; NaN before the first. The first two are means over the feedback period that ends then.
+    ``robot_time_ns`` is the robot's own clock (TICK.time_us), unwrapped since the first snapshot. ``current_a``,
+    ``acceleration_m_s2`` and ``yaw_rate_rad_s`` come at a lower rate and keep their last value; NaN before the first.
+    Current and acceleration (body frame, 9.81 upwards at rest) are means over the feedback period that ends then.
     """
 
     robot_time_ns: int
@@ -40,15 +40,15 @@ class Feedback(NamedTuple):
 
 
 class SnapshotReader:
-    """Puts snapshots together and finds the end of a step, in the host library; pure.
+    """Assembles snapshots and finds STEP_DONE, with the host library. No I/O.
 
     Attributes:
         feedback: the newest snapshot, None before the first.
-        frames: how many were taken.
-        incomplete: snapshots of which a part was lost.
-        lost: gaps in the snapshots' numbers; 128 and more in a row go unseen.
+        frames: number of frames read.
+        incomplete: number of snapshots with a missing message.
+        lost: number of snapshots missing by their numbers; a gap of 128 or more is not detected.
         sequences: TICK.sequence of each TICK in the newest ``read``.
-        step_done: the tick of the STEP_DONE that the newest ``read`` ended with, None where it did not.
+        step_done: the tick of the STEP_DONE that ended the newest ``read``, else None.
 
     Raises BadInputError when the host library cannot be loaded.
     """
@@ -76,18 +76,18 @@ class SnapshotReader:
         self.frames = self.incomplete = self.lost = 0
 
     def restart(self) -> None:
-        """Begin again with a robot that was lost or reset: its numbers and its clock may have begun anew too."""
+        """Start again with a robot that was lost or reset: its numbers and its clock may have restarted."""
         self._restart(self._reader)
 
     def read(self, packed: bytes, begin: int) -> int:
-        """Read packed frames from an offset on; return the offset of the first that is none of its own.
+        """Read packed frames from offset ``begin``; return the offset of the first frame that was not read.
 
-        Its own are valid messages of snapshots, and a STEP_DONE behind them, after which it ends.
+        It reads valid snapshot messages, and stops after a STEP_DONE or before any other frame.
         """
         end: int = self._read(self._reader, packed, begin, len(packed))
         values = _unpack(self._fast_bytes)
         time_us, self.frames, completed, slow, ticks, self.incomplete, self.lost, steps_done, step_done = values[:9]
-        if ticks == self._ticks + 1:  # as nearly always
+        if ticks == self._ticks + 1:  # the usual case
             self._ticks, self.sequences = ticks, values[20:]
         else:
             self.sequences = self._sequences(ticks)
@@ -109,6 +109,6 @@ class SnapshotReader:
         return end
 
     def _sequences(self, ticks: int) -> Sequence[int]:
-        """Return the sequences of the TICKs up to this one that were not given yet; numbers wrap at 32 bits."""
+        """Return TICK.sequence of the TICKs since the last call, up to number ``ticks``, which wraps at 32 bits."""
         new, self._ticks = (ticks - self._ticks) & 0xFFFF_FFFF, ticks
         return [self._ring[(ticks - before) % len(self._ring)] for before in range(new, 0, -1)]

@@ -1,4 +1,4 @@
-"""Lockstep on the host's side: STEP is repeated until the robot answers, and the tick in the answer is checked."""
+"""The host's side of lockstep: sends STEP until the robot answers, and checks the tick in the answer."""
 
 import time
 from collections.abc import Callable
@@ -11,7 +11,7 @@ from hil.robot.handshake import RETRY_NS, SILENCE_NS
 
 
 class Stepping:
-    """One STEP after the other. ``tick`` is the firmware tick that the robot has said it reached."""
+    """Exchanges one STEP after the other. ``tick`` is the last firmware tick that the robot has reported."""
 
     def __init__(self) -> None:
         self.tick = 0
@@ -20,10 +20,10 @@ class Stepping:
         self._is_awaiting = False
 
     def exchange(self, link: Link, step: m.Step, on_received: Callable[[Received], None]) -> None:
-        """Call ``on_received`` with what arrives until a STEP is answered; 0 substeps only ask for the tick.
+        """Pass received frames to ``on_received`` until ``step`` is answered; 0 substeps only ask for the tick.
 
-        ``on_received`` hands each STEP_DONE to ``answered``. Raises RobotStoppedError when none comes within 2 s of
-        wall-clock time, or one with a tick that was not expected.
+        ``on_received`` must pass each STEP_DONE to ``answered``. Raises RobotStoppedError when no answer comes within
+        2 s of wall-clock time, or the answer has an unexpected tick.
         """
         tick, substeps = step
         self._from = tick
@@ -40,13 +40,13 @@ class Stepping:
             if now_ns - begin_ns > SILENCE_NS:
                 raise RobotStoppedError("the robot did not answer STEP within 2 s of wall-clock time; it was lost")
             if received is None and now_ns - sent_ns > RETRY_NS:
-                # Idempotent, and outside the hash: how often it is repeated depends on the wall clock.
+                # STEP is idempotent. Repeats are not hashed, because their number depends on the wall clock.
                 link.send(codec.encode(step))
                 sent_ns = now_ns
 
     def answered(self, tick: int) -> bool:
-        """Record an answer; return whether it is the awaited one. Raises RobotStoppedError for a wrong tick."""
-        # One with the tick where this step begins is the second answer to a step that was sent twice.
+        """Record an answer; return whether it is the expected one. Raises RobotStoppedError for a wrong tick."""
+        # An answer with the first tick of this step is a second answer to the previous step, which was sent twice.
         if not self._is_awaiting or (self._expected is not None and tick == self._from):
             return False
         if self._expected not in (None, tick):

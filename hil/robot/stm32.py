@@ -1,7 +1,7 @@
 """The host's side of the wheel-command protocol: handshake, arming, commands, feedback, lockstep.
 
-The robot behind the link may be a board with motors, a board with the plant, or the host library: nothing here
-can tell, except by what HELLO says.
+The robot behind the link may be a board with motors, a board connected to the simulated plant, or the host library.
+This code works the same with each; only HELLO tells them apart.
 """
 
 import contextlib
@@ -30,10 +30,10 @@ _AT_REST = (m.State.IDLE, m.State.FAULT, m.State.ESTOP)
 
 
 class Stm32(LinkedDevice):
-    """A robot that speaks wheel.dbc, at the other end of a link. ``hil.robot.port.Device`` says what each call does.
+    """A robot with the protocol of wheel.dbc, at the other end of a link. See ``hil.robot.port.Device``.
 
-    ``nonces`` gives the session nonces to try, in order. Raises DeviceError when the robot does not answer, refuses
-    or stops; BadInputError when it is not the robot that the scenario describes.
+    ``nonces`` are the session nonces to use, in order. Raises DeviceError when the robot does not answer, refuses
+    or stops; BadInputError when it does not match the scenario.
     """
 
     def __init__(
@@ -56,7 +56,7 @@ class Stm32(LinkedDevice):
     # Connecting
 
     def connect(self) -> RobotInfo:
-        """Ask for HELLO and check the answer against what the scenario expects."""
+        """Request HELLO and check the answer against the scenario."""
         info = handshake.greet(self._link, self._channel.send)
         self._session.accept(info)
         self._synchronise_tick()
@@ -68,25 +68,25 @@ class Stm32(LinkedDevice):
 
     @property
     def speed_limit_rad_s(self) -> float:
-        """The speed to which the robot scales commands (DBC HELLO_LIMITS); infinite in TORQUE mode and before HELLO."""
+        """The robot's limit of commanded speeds (DBC HELLO_LIMITS); infinity in TORQUE mode and before HELLO."""
         if self.info is None or self._mode is CommandMode.TORQUE:
             return math.inf
         return self.info.limits.speed_limit_rad_s
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """What trouble led to its last reset, and that it takes less speed than the scenario's limit."""
+        """Warnings about a bad cause of the last reset, and about a speed limit below the scenario's."""
         if self.info is None:
             return ()
         cause = None if self.report.status is None else m.ResetCause(self.report.status.reset_cause)
         ours_rad_s = 0.0 if self._mode is CommandMode.TORQUE else self._expected.speed_limit_rad_s
         return self.info.warnings(cause, ours_rad_s)
 
-    # Coming back after a loss, in steps that do not wait: the tick of the loop goes on meanwhile
+    # Reconnection after a loss, in steps that do not wait, because the control loop keeps running
 
     @property
     def keeps_counts(self) -> bool:
-        """The encoders of a robot that was not reset count on while its link is lost."""
+        """True: the encoders keep counting while the link is lost, unless the robot is reset."""
         return True
 
     def leave(self) -> None:
@@ -97,7 +97,7 @@ class Stm32(LinkedDevice):
         self._discard()
 
     def begin_again(self) -> None:
-        """Begin with a new nonce and the handshake. Raises RobotStoppedError when it does not answer in lockstep."""
+        """Start again with a new nonce and a handshake. Raises RobotStoppedError if the robot is silent in lockstep."""
         self.leave()
         self._channel.restart()
         self.report.restart()
@@ -106,17 +106,17 @@ class Stm32(LinkedDevice):
         self._synchronise_tick()
 
     def greeted(self) -> bool:
-        """Return whether the robot has answered HELLO, asking for it when that is due."""
+        """Request HELLO when it is due; return whether the robot has answered."""
         assert self._clock is not None
         if (hello := self._session.hello(self._clock.now_ns())) is not None:
             self._channel.send(hello)
         self.poll()
         return self._session.is_greeted
 
-    # The way to ACTIVE and back
+    # Arming and stopping
 
     def armed(self) -> bool:
-        """Do the step that ``session`` says is next; return whether the robot is ACTIVE in our session."""
+        """Do the session's next step; return whether the robot is ACTIVE in our session."""
         feedback, status = self.poll(), self.report.status
         step = self._session.next_step(None if feedback is None else feedback.state, status)
         match step:
@@ -129,7 +129,7 @@ class Stm32(LinkedDevice):
                 self._request(m.Request.IDLE)
                 self._request(m.Request.ARM)
             case Step.STRANGER:
-                raise RobotStoppedError("the robot has not said what it is since the link was lost; it is not armed")
+                raise RobotStoppedError("the robot has not answered HELLO since the link was lost; it is not armed")
             case Step.REFUSED:
                 assert status is not None
                 refusal = m.ArmRefusal(status.arm_refusal).name
@@ -143,7 +143,7 @@ class Stm32(LinkedDevice):
 
     def disarm(self) -> None:
         if self._session.request is not m.Request.IDLE:
-            with contextlib.suppress(HilError):  # it is for use when something has failed already
+            with contextlib.suppress(HilError):  # called after failures: it must not raise
                 self._request(m.Request.IDLE)
                 self._link.flush()
 
@@ -153,7 +153,7 @@ class Stm32(LinkedDevice):
         self._link.flush()
 
     def clear(self) -> None:
-        self._session.renew()  # each CLEAR is an edge of its own
+        self._session.renew()  # the robot ignores a CLEAR with the nonce of the last one
         self._request(m.Request.CLEAR)
 
     def stop(self, period_ns: int, limit_ns: int) -> bool:
@@ -169,13 +169,13 @@ class Stm32(LinkedDevice):
         return False
 
     def close(self) -> None:
-        """Ask for IDLE if anything else is still asked for. The link is closed by whoever opened it."""
+        """Request IDLE if the last request was another. The link stays open: whoever opened it closes it."""
         self.disarm()
 
     # One tick
 
     def _receive_until(self, clock: Clock, t_ns: int) -> None:
-        """Wait for TIME_SYNC's answer on the link itself: what is found at the next tick has no stamp of its own."""
+        """Wait for the answer to TIME_SYNC: if read only at the next tick, its time of arrival would be unknown."""
         while not self._is_lockstep and self.clock_sync.awaiting and (left_ns := t_ns - clock.now_ns()) > 0:
             received = self._link.receive(left_ns)
             if received is None:
@@ -183,13 +183,13 @@ class Stm32(LinkedDevice):
             self._channel.receive(received)
 
     def poll(self) -> Feedback | None:
-        """Read what has arrived; return the newest snapshot so far. Sends heartbeat and TIME_SYNC when they are due.
+        """Read what has arrived; return the newest snapshot. Sends heartbeat and TIME_SYNC when they are due.
 
-        In lockstep ``step`` alone takes: what else the line already has of an answer depends on the wall clock.
+        In lockstep only ``step`` reads, because what has arrived between steps depends on the wall clock.
         """
         taken = 0
         if not self._is_lockstep:
-            # The rest is for the next tick: a host that is slower than its robot would never be done.
+            # The rest is read in the next tick: a host that is slower than its robot would never finish.
             while taken < _MOST_A_POLL and (received := self._link.receive(0)) is not None:
                 self._channel.receive(received)
                 taken += len(received.frames)
@@ -233,7 +233,7 @@ class Stm32(LinkedDevice):
     # Messages
 
     def _synchronise_tick(self) -> None:
-        """Lockstep: ask for the firmware tick at which the robot is."""
+        """Lockstep: ask for the robot's current firmware tick."""
         if self._is_lockstep:
             self._channel.step(0, 0)
 
@@ -241,7 +241,7 @@ class Stm32(LinkedDevice):
         self._next_sync_ns = now_ns + SYNC_PERIOD_NS
         self._channel.send(m.TimeSyncRequest(self.clock_sync.request(now_ns)))
         if self._is_lockstep and self._link.next_due_ns() is None:
-            # No time passes here, so that the answer has the stamp of its tick, not that of the next step's end.
+            # A step of 0 ticks, so that the answer gets the time of this tick, not of the next step's end.
             self._channel.step(self.tick, 0)
 
     def _request(self, request: m.Request) -> None:
@@ -256,7 +256,7 @@ class Stm32(LinkedDevice):
         else:
             self.report.feed(message)
 
-    # Accounts
+    # Counters
 
     @property
     def snapshots_lost(self) -> int:

@@ -1,11 +1,11 @@
-"""Ground truth of a robot in another process, and the faults that are put into it: a TCP socket, never the wheel link.
+"""True pose of a virtual robot in another process, and the faults injected there: over TCP, not over the robot's link.
 
 The client sends one JSON line ``{"scenario": HASH, "reset": BOOL}``; the server (``truth_server``) answers one JSON
 line, ``{"ok": true}`` or ``{"error": TEXT}``, and then sends records: robot time since power-on, pose, twist, set
-points, age of the newest command and state.
+points, age of the newest command, and state.
 
-Faults of the robot and its plant go the same way, each request in a connection of its own: with ``"faults"`` in its
-line, ``{"arm": ROWS}``, ``{"begin": TICK}`` or ``{"applied": true}``, the client gets its answer and no records.
+Requests about faults each use a connection of their own. Their line also has ``"faults"``: ``{"arm": ROWS}``,
+``{"begin": TICK}`` or ``{"applied": true}``. The client gets an answer and no records.
 """
 
 import json
@@ -28,7 +28,7 @@ _CHUNK = 65536
 
 
 class TruthRecord(NamedTuple):
-    """A fix with the firmware's set points, the age of its newest command and its state at that time."""
+    """A true pose with the firmware's set points, the age of its newest command and its state at that time."""
 
     fix: PoseFix
     set_point_rad_s: Wheels
@@ -37,18 +37,18 @@ class TruthRecord(NamedTuple):
 
 
 def unpack(data: bytes | bytearray) -> TruthRecord:
-    """Return the record that these bytes are."""
+    """Return the record that is packed in these bytes."""
     time_ns, x, y, heading, vx, vy, yaw_rate, fl, fr, rr, rl, age_ms, state = RECORD.unpack(data)
     fix = PoseFix(time_ns, Pose(x, y, heading), Twist(vx, vy, yaw_rate))
     return TruthRecord(fix, Wheels(fl, fr, rr, rl), age_ms, State(state))
 
 
 class TruthClient:
-    """Reads the truth of a robot in another process: a PoseSource.
+    """Reads the true pose of a robot in another process: a PoseSource.
 
-    ``not_before`` gives, in lockstep, the robot time that the next fix must have; ``poll`` then waits for it.
+    In lockstep ``not_before`` returns the robot time that the next pose must have reached; ``poll`` waits for it.
 
-    Raises BadInputError for a URL that is none, DeviceError when no robot listens there or the scenarios differ.
+    Raises BadInputError for an invalid URL, DeviceError when no robot listens there or the scenarios differ.
     """
 
     def __init__(
@@ -64,22 +64,22 @@ class TruthClient:
             raise DeviceError(f"truth {url!r}: {answer['error']}")
 
     def arm(self, rows: Sequence[FaultRow]) -> None:
-        """Send the faults of the run to the robot. Raises BadInputError when it has no part for one of them."""
+        """Send the faults of the run to the robot. Raises BadInputError when it does not support one of them."""
         answer = self._request_faults({"arm": rows})
         if "error" in answer:
             raise BadInputError(str(answer["error"]))
 
     def begin(self, tick: int) -> None:
-        """Send the firmware tick at which the scenario's time began. Raises DeviceError when that is refused."""
+        """Send the firmware tick at which the scenario's time starts. Raises DeviceError when it is refused."""
         answer = self._request_faults({"begin": tick})
         if "error" in answer:
             raise DeviceError(f"truth {self._url!r}: {answer['error']}")
 
     def applied(self) -> list[int]:
-        """Return how often each fault was applied so far. Raises DeviceError when the robot's process has gone."""
+        """Return how often each fault was applied so far. Raises DeviceError when the robot's process has ended."""
         applied = self._request_faults({"applied": True}).get("applied")
         if not isinstance(applied, list):
-            raise DeviceError(f"truth {self._url!r}: the robot does not say how often a fault was applied")
+            raise DeviceError(f"truth {self._url!r}: the robot does not report how often a fault was applied")
         return [int(count) for count in applied]
 
     def _request_faults(self, request: Mapping[str, object]) -> Mapping[str, object]:
@@ -88,7 +88,7 @@ class TruthClient:
         return answer
 
     def poll(self) -> PoseFix | None:
-        """Return the newest fix. Raises DeviceError when the robot's process has gone."""
+        """Return the newest true pose. Raises DeviceError when the robot's process has ended."""
         self._whole.clear()
         self._read(blocking=False)
         if self._not_before is not None:
@@ -102,14 +102,14 @@ class TruthClient:
 
     @property
     def taken(self) -> list[TruthRecord]:
-        """Every record that the last poll took, the newest last."""
+        """All records that the last poll read, oldest first."""
         return [unpack(self._whole[at : at + RECORD.size]) for at in range(0, len(self._whole), RECORD.size)]
 
     def _read(self, *, blocking: bool) -> None:
-        """Read all that has arrived; with ``blocking``, wait for something first."""
+        """Read everything that has arrived; with ``blocking`` wait for data first."""
         timeout_s = ANSWER_S if blocking else 0.0
         try:
-            # One system call where it can be: a tick has no time for those that change nothing and find nothing.
+            # Usually one system call only: a tick has no time for more.
             if self._connection.gettimeout() != timeout_s:
                 self._connection.settimeout(timeout_s)
             while chunk := self._connection.recv(_CHUNK):
@@ -136,9 +136,9 @@ class TruthClient:
 
 
 def _greet(url: str, request: Mapping[str, object]) -> tuple[socket.socket, dict[str, object], bytearray]:
-    """Connect and send the first line; return the connection, the answer and what came after it.
+    """Connect and send the first line; return the connection, the answer and the bytes after it.
 
-    Raises BadInputError for a URL that is none, DeviceError when nobody of ours listens.
+    Raises BadInputError for an invalid URL, DeviceError when no ``hil device`` listens there.
     """
     connection = None
     try:
@@ -161,7 +161,7 @@ def _address(url: str) -> tuple[str, int]:
     except ValueError:
         parts, port = urlsplit(""), None
     if parts.scheme != "tcp" or not parts.hostname or port is None:
-        raise BadInputError(f"truth {url!r} is no address; expected tcp://127.0.0.1:PORT as hil device prints it")
+        raise BadInputError(f"truth {url!r} is no valid address; expected tcp://127.0.0.1:PORT as hil device prints it")
     return parts.hostname, port
 
 

@@ -1,4 +1,4 @@
-"""The robot's side of the truth: what ``truth_wire`` describes, served on loopback."""
+"""The robot's side of the true pose: serves the protocol of ``hil.robot.truth`` on loopback."""
 
 import json
 import queue
@@ -18,7 +18,7 @@ _HOST = "127.0.0.1"
 
 
 class _Client:
-    """A connected reader. Records are whole or missing: what does not fit into its buffer is dropped."""
+    """A connected reader. A record is sent whole or, if the socket's buffer is full, not at all."""
 
     def __init__(self, connection: socket.socket) -> None:
         self._connection = connection
@@ -26,7 +26,7 @@ class _Client:
         self._rest = b""
 
     def send(self, record: bytes) -> bool:
-        """Send a record if there is room; return False when the reader has gone."""
+        """Send a record if the buffer has space; return False when the reader has disconnected."""
         data = self._rest or record
         try:
             self._rest = data[self._connection.send(data) :]
@@ -42,7 +42,7 @@ class _Client:
 
 
 class _Request(NamedTuple):
-    """The line that a client begins with."""
+    """The first line of a client."""
 
     scenario: str
     reset: bool
@@ -50,7 +50,7 @@ class _Request(NamedTuple):
 
     @classmethod
     def parse(cls, line: bytes) -> "_Request":
-        """Read a line. Raises DeviceError when it is none of ours."""
+        """Parse the line. Raises DeviceError when it is invalid."""
         try:
             request = json.loads(line)
             faults = request.get("faults")
@@ -65,7 +65,7 @@ Answer = TypeVar("Answer")
 
 
 def _await(start: Callable[[Callable[[Answer], None]], None]) -> Answer:
-    """Ask the robot's own thread and wait for its answer. Raises DeviceError when there is none."""
+    """Pass a request to the robot's thread and wait for the answer. Raises DeviceError when none comes within 2 s."""
     answers: queue.Queue[Answer] = queue.Queue()
     start(answers.put)
     try:
@@ -75,11 +75,11 @@ def _await(start: Callable[[Callable[[Answer], None]], None]) -> Answer:
 
 
 class TruthServer:
-    """Publishes the truth of a virtual robot on loopback. ``request_reset`` is called when a client asks for the start.
+    """Publishes the true pose of a virtual robot on loopback. ``request_reset`` is called when a client wants a reset.
 
     ``run_on_faults`` runs a function on the robot's faults, in the robot's own thread.
 
-    ``port`` 0 takes any free port. Raises BadInputError when the port is taken.
+    ``port`` 0 picks a free port. Raises BadInputError when the port cannot be opened.
     """
 
     needs_view = True
@@ -99,7 +99,7 @@ class TruthServer:
         threading.Thread(target=self._accept, name="truth", daemon=True).start()
 
     def publish(self, fix: PoseFix, view: View | None) -> None:
-        """Send a record to every reader; never blocks."""
+        """Send a record to every reader, without blocking."""
         if view is None:
             return
         record = RECORD.pack(
@@ -116,14 +116,14 @@ class TruthServer:
                 connection, _ = self._listener.accept()
             except OSError:
                 return  # closed
-            # Each in a thread of its own: one that says nothing keeps no other waiting.
+            # One thread per client: a silent client must not block the others.
             threading.Thread(target=self._greet, args=(connection,), name="truth client", daemon=True).start()
 
     def _greet(self, connection: socket.socket) -> None:
         try:
             self._answer(connection)
         except OSError:
-            connection.close()  # it left while greeting
+            connection.close()  # the client disconnected during the exchange
 
     def _answer(self, connection: socket.socket) -> None:
         connection.settimeout(ANSWER_S)
@@ -146,7 +146,7 @@ class TruthServer:
             self._clients = [*self._clients, client]
 
     def _grant(self, request: _Request) -> None:
-        """Do what is asked for before anything else. Raises DeviceError with the reason when it is refused."""
+        """Check the scenario and do a requested reset. Raises DeviceError with the reason when it is refused."""
         if request.scenario != self._hash:
             raise DeviceError(
                 f"the robot runs another scenario (hash {self._hash[:12]}, asked for {request.scenario[:12]}); start "
@@ -160,7 +160,7 @@ class TruthServer:
     def _answer_faults(self, request: Mapping[str, Any]) -> dict[str, object]:
         run = self.run_on_faults
         if run is None:
-            raise DeviceError("this robot takes no faults")
+            raise DeviceError("this robot does not support faults")
 
         def handle(faults: RobotFaults) -> dict[str, object]:
             if "arm" in request:
@@ -180,7 +180,7 @@ class TruthServer:
         return _await(lambda answer: run(lambda faults: guarded(faults, answer)))
 
     def close(self) -> None:
-        """Stop listening and let the readers go."""
+        """Stop listening and disconnect the readers."""
         self._listener.close()
         with self._lock:
             for client in self._clients:

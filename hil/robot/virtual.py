@@ -1,4 +1,4 @@
-"""The virtual STM32: the firmware core of the host library in front of the plant FMU."""
+"""The virtual STM32: the firmware core, compiled into the host library, connected to the plant FMU."""
 
 import contextlib
 import functools
@@ -32,13 +32,13 @@ class RobotNode(Node, Protocol):
     """What ``HostNode`` and the boards of ``hil.robot.targets`` have in common."""
 
     def run(self, ticks: int) -> None:
-        """Let so many 1 ms ticks pass."""
+        """Run a number of 1 ms ticks."""
 
     def stored(self) -> bytes | None:
-        """Return what the robot keeps across a reset: the newest STORE, or None."""
+        """Return the stored parameters (the newest STORE), which survive a reset, or None."""
 
     def look(self) -> View:
-        """Return the firmware's inner state, as far as it is known."""
+        """Return the firmware's internal state, as far as it is known."""
 
 
 class VirtualPlant(NamedTuple):
@@ -52,7 +52,7 @@ class VirtualPlant(NamedTuple):
 
 
 class VirtualRobot(NamedTuple):
-    """What a virtual robot is made of."""
+    """The configuration of a virtual robot."""
 
     plant: VirtualPlant
     firmware: Mapping[str, float]
@@ -62,24 +62,24 @@ class VirtualRobot(NamedTuple):
 
 
 class ClockedNode(RobotNode, Protocol):
-    """A firmware that has real time: its clock can be set between two ticks."""
+    """A firmware that can run in real time: its clock can be set between two ticks."""
 
     def set_clock(self, now_us: int) -> None:
-        """Set the robot's clock [µs], for the time stamps of what arrives and leaves."""
+        """Set the robot's clock [µs], which gives the times of received and sent frames."""
 
 
 MakeNode = Callable[..., ClockedNode]
-"""Makes a firmware from the arguments of ``HostNode``: that class, one that watches it too, or a maker's devices."""
+"""Makes a firmware from the arguments of ``HostNode``: that class, one that watches it, or emulated controllers."""
 
 
 class VirtualStm32:
-    """A robot on this machine: firmware and plant, one instance each.
+    """A robot on this machine: one firmware and one plant.
 
-    The shipped FMU runs in this process; any other, which may crash or hang, in one of its own. ``make_node`` makes
-    its firmware, at every power-on anew.
+    The shipped FMU runs in this process; any other FMU may crash or hang, so it runs in its own process. ``make_node``
+    makes the firmware, again at every power-on.
 
-    Raises BadInputError when the FMU cannot be used, or a firmware parameter is out of its range; DeviceError when the
-    FMU fails while it is opened.
+    Raises BadInputError when the FMU cannot be used or a firmware parameter is out of range; DeviceError when the FMU
+    fails while it is opened.
     """
 
     def __init__(self, made_of: VirtualRobot, make_node: MakeNode = HostNode) -> None:
@@ -109,16 +109,16 @@ class VirtualStm32:
             raise BadInputError(f"the virtual robot cannot start: {error}") from error
 
     def power_cycle(self) -> None:
-        """Put the plant back to its start and the firmware to its power-on state; no fault is armed any more."""
+        """Reset the plant to its start and the firmware to its power-on state, and remove all faults."""
         self._power_off()
         self.plant.reset()
         self.faults.clear()
         self.node = self._power_on()
 
     def remake(self, made_of: VirtualRobot, make_node: MakeNode) -> None:
-        """Become another robot, as if made anew, nothing stored, with the FMU that is open; see ``FmuPlant.restart``.
+        """Become another, new robot without stored parameters, but keep the FMU open; see ``FmuPlant.restart``.
 
-        Raises as the constructor. After an error the robot can only be closed.
+        Raises as the constructor does. After an error the robot can only be closed.
         """
         if isinstance(self.plant, FmuPlant):
             self.plant.restart(made_of.plant.start)
@@ -130,10 +130,10 @@ class VirtualStm32:
         self.node = self._power_on()
 
     def can_become(self, made_of: VirtualRobot) -> bool:
-        """Whether ``remake`` can make that robot of this one.
+        """Whether ``remake`` can turn this robot into that one.
 
-        Another FMU has to be opened, and one in a process of its own has its start values from there. Of an FMU that
-        is not ours nobody knows whether its reset forgets everything, so that it is opened anew.
+        It cannot if the FMU is another one, if its start values differ and it runs in its own process, or if the FMU is
+        not one of ours: its reset may then be incomplete, so it is opened again.
         """
         here, there = self._made_of.plant, made_of.plant
         if isinstance(self.plant, FmuPlant):
@@ -141,13 +141,13 @@ class VirtualStm32:
         return here == there and archive.is_ours(there.fmu) and self.failure() is None
 
     def restart(self) -> None:
-        """Put the firmware to its power-on state while the plant stays as it is; stored parameters are kept."""
+        """Reset the firmware to its power-on state. The plant does not change, and stored parameters are kept."""
         self._power_off()
         self.faults.power_on()
         self.node = self._power_on()
 
     def awake(self) -> RobotNode:
-        """Return the firmware; where a reset has switched it off, it is switched on again."""
+        """Return the firmware. If a reset fault has switched it off, it is first switched on again."""
         if self.faults.is_off:
             self.restart()
         return self.node
@@ -156,7 +156,7 @@ class VirtualStm32:
         self._stored = self.node.stored()
 
     def failure(self) -> DeviceError | None:
-        """Return why the plant failed, in the FMU's words, or None while it has not."""
+        """Return an error with the FMU's message if the plant has failed, else None."""
         if not self.node.look().plant_failed:
             return None
         at_s = self.plant.truth().time_ns * 1e-9
@@ -164,7 +164,7 @@ class VirtualStm32:
 
     @property
     def output(self) -> ChildOutput | None:
-        """The output of a plant in a process of its own; None of one in this process."""
+        """The output of a plant that runs in its own process; None for one in this process."""
         return self.plant.output if isinstance(self.plant, RemotePlant) else None
 
     def close(self) -> None:
@@ -173,23 +173,23 @@ class VirtualStm32:
 
 
 MakeRobot = Callable[[VirtualRobot, MakeNode], AbstractContextManager[VirtualStm32]]
-"""Makes a virtual robot for a run, and takes it back."""
+"""Makes a virtual robot for a run; the end of the context gives it back."""
 
 
 def new_robot(made_of: VirtualRobot, make_node: MakeNode) -> AbstractContextManager[VirtualStm32]:
-    """Make a robot for one run. Raises as ``VirtualStm32``."""
+    """Make a robot for one run. Raises as ``VirtualStm32`` does."""
     return contextlib.closing(VirtualStm32(made_of, make_node))
 
 
 class KeptRobot:
-    """Makes the robots of many runs, one after the other, of one whose FMU stays open as long as it can."""
+    """Makes the robots of many runs, one after the other, and keeps the FMU open between them if possible."""
 
     def __init__(self) -> None:
         self._robot: VirtualStm32 | None = None
 
     @contextlib.contextmanager
     def robot(self, made_of: VirtualRobot, make_node: MakeNode) -> Iterator[VirtualStm32]:
-        """Yield a robot in the state of a new one. Raises as ``VirtualStm32``."""
+        """Yield a robot in the state of a new one. Raises as ``VirtualStm32`` does."""
         robot, self._robot = self._robot, None
         with contextlib.ExitStack() as resources:
             if robot is not None:

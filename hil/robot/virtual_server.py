@@ -1,4 +1,4 @@
-"""Serves a virtual robot on its end of a link: by STEP in lockstep, by the wall clock in real time."""
+"""Runs a virtual robot and serves its end of the link, in lockstep or in real time."""
 
 import queue
 import threading
@@ -16,18 +16,18 @@ from hil.robot.faults import RobotFaults
 from hil.robot.virtual import ClockedNode, RobotNode, VirtualStm32
 from hil.wire.robot_end import Wire
 
-# A stall of this machine is made up for in one burst up to here, as a robot would have moved on meanwhile. Beyond it
-# robot time slips, which is counted: a frozen machine is no robot any more.
+# After a stall of this machine the robot catches up by this many ticks at once, as a real robot would have moved on.
+# After a longer stall the rest of the time is lost, which is counted.
 _CATCH_UP_TICKS = 50
 _POLL_NS = 20_000_000
 _ABANDONED_NS = 2_000_000_000
 
 
 class WallClockNode:
-    """A firmware whose clock goes on by the wall between its ticks, as that of a board does."""
+    """A firmware whose clock follows the wall clock between its ticks, like that of a board."""
 
     def __init__(self, node: RobotNode, start_ns: int) -> None:
-        self._node: ClockedNode = cast(ClockedNode, node)  # an emulated board has no real time, and gets none
+        self._node: ClockedNode = cast(ClockedNode, node)  # emulated boards, which lack it, run in lockstep only
 
         self._start_ns = start_ns
 
@@ -55,18 +55,18 @@ class WallClockNode:
 
 
 class TruthSink(Protocol):
-    """The receiver of the truth: the loop in this process, or the truth socket."""
+    """Receives the true pose: the control loop in this process, or the TCP server."""
 
     def publish(self, fix: PoseFix, view: View | None) -> None:
-        """Publish the newest truth; never blocks."""
+        """Publish the newest true pose, without blocking."""
 
     @property
     def needs_view(self) -> bool:
-        """Whether the firmware's inner state is needed too."""
+        """Whether the firmware's internal state is needed too."""
 
 
 class VirtualServer:
-    """Runs a virtual robot on its end of a link: by STEP in lockstep, by the wall clock in real time.
+    """Runs a virtual robot on its end of a link: with STEP in lockstep, by the wall clock in real time.
 
     ``slipped_ticks`` counts robot time lost to stalls of this machine.
     """
@@ -86,14 +86,14 @@ class VirtualServer:
         self._publish()
 
     def request_reset(self, answer: Callable[[bool], None]) -> None:
-        """Ask for a power cycle before the next exchange; ``answer`` is called with whether it was done.
+        """Request a power cycle before the next exchange; ``answer`` is called with whether it was done.
 
-        It is refused while the robot is armed or moves, unless in lockstep its host has been silent for 2 s.
+        It is refused while the robot is armed or moves, except in lockstep if the host has been silent for 2 s.
         """
         self._reset = answer
 
     def run_on_faults(self, action: Callable[[RobotFaults], None]) -> None:
-        """Run a function on the robot's faults before the next exchange, in the thread that serves."""
+        """Run a function on the robot's faults before the next exchange, in the serving thread."""
         self._requests.put(lambda: action(self._robot.faults))
 
     def serve(self) -> None:
@@ -106,7 +106,7 @@ class VirtualServer:
         self._stopping.set()
 
     def service(self, timeout_ns: int) -> None:
-        """Do what is due, waiting at most ``timeout_ns`` for something to come."""
+        """Wait at most ``timeout_ns`` for frames, and do what is due."""
         if self._reset is not None or not self._requests.empty():
             self._handle_requests()
         if self._lockstep:
@@ -118,9 +118,9 @@ class VirtualServer:
             self._serve_real_time()
 
     def advance(self, ticks: int) -> None:
-        """Lockstep with a robot whose protocol has no STEP: take what was sent, and let so many ticks pass."""
+        """Lockstep with a robot whose protocol has no STEP: read what was sent, and run a number of ticks."""
         self._handle_requests()
-        # All of it: the system hands over in parts what was written in parts, and gives no sign of the last.
+        # Read until nothing is left: one message may arrive in several pieces.
         while self._wire.receive_into(self._robot.node, 0):
             pass
         for _ in range(ticks):
@@ -135,7 +135,7 @@ class VirtualServer:
             self._requests.get()()
 
     def _send(self) -> None:
-        """Send what the robot has to send; where a reset switched it off, it is switched on again first."""
+        """Send the robot's frames. If a reset fault has switched it off, it is first switched on again."""
         self._wire.send_from(self._robot.awake())
 
     def _serve_real_time(self) -> None:
@@ -144,7 +144,7 @@ class VirtualServer:
         node = WallClockNode(self._robot.node, self._start_ns)
         if now_ns < next_ns:
             if self._wire.receive_into(node, next_ns - now_ns):
-                # An answer to TIME_SYNC that waited for the next tick would say nothing of the link.
+                # Send at once: an answer to TIME_SYNC must not wait for the next tick.
                 self._wire.send_from(node)
             return
         while self._wire.receive_into(node, 0):
@@ -155,7 +155,7 @@ class VirtualServer:
             self._start_ns += slipped * TICK_NS
             self.slipped_ticks += slipped
             due = _CATCH_UP_TICKS
-        # With a slow clock the world goes on for more ticks than the firmware counts.
+        # With the slow-clock fault the plant runs more ticks than the firmware counts.
         missed = self._robot.faults.extra_ticks
         self._robot.node.run(due)
         self._ticks += due + self._robot.faults.extra_ticks - missed
@@ -171,7 +171,7 @@ class VirtualServer:
     def _power_cycle(self) -> None:
         answer, self._reset = self._reset, None
         at_rest = self._robot.node.look().state not in (State.ARMED, State.ACTIVE, State.STOPPING)
-        # In lockstep time stands still without a host, and the watchdog with it: one that has gone left the robot so.
+        # In lockstep no time passes without a host, so the watchdog cannot disarm a robot whose host has gone.
         abandoned = self._lockstep and time.monotonic_ns() - self._received_ns > _ABANDONED_NS
         at_rest = at_rest or abandoned
         if at_rest:
@@ -184,7 +184,7 @@ class VirtualServer:
 
 
 class LocalTruth:
-    """Ground truth within one process: the newest fix, by a direct call."""
+    """The true pose within one process, by a direct call."""
 
     needs_view = False
 
@@ -195,7 +195,7 @@ class LocalTruth:
         self._fix = fix
 
     def poll(self) -> PoseFix | None:
-        """Return the newest fix."""
+        """Return the newest true pose."""
         return self._fix
 
     def close(self) -> None:
@@ -203,7 +203,7 @@ class LocalTruth:
 
 
 class ServerThread:
-    """A virtual robot that runs beside the controller in this process. ``failure`` holds what ended it early."""
+    """A thread that runs a virtual robot in the controller's process. ``failure`` is the error that ended it early."""
 
     def __init__(self, server: VirtualServer) -> None:
         self._server = server
@@ -219,7 +219,7 @@ class ServerThread:
 
     @property
     def native_id(self) -> int | None:
-        """Id of the thread as the operating system has it; None where it has ended already."""
+        """The thread's id in the operating system; None if it has ended."""
         return self._thread.native_id if self._thread.is_alive() else None
 
     def close(self) -> None:

@@ -1,4 +1,4 @@
-"""How the wheels are wired: which wheel each channel of the robot drives, and in which sense."""
+"""The wiring of the wheels: which wheel each channel of the robot drives, and in which direction."""
 
 from collections.abc import Sequence
 
@@ -9,7 +9,7 @@ from hil.robot.snapshot import Feedback
 class WheelMap:
     """A permutation with signs between our wheels (FL, FR, RR, RL) and the robot's four channels.
 
-    ``wheels`` names the wheel on each channel; ``reversed_wheels`` the wheels whose channel turns the other way.
+    ``wheels`` names the wheel on each channel; ``reversed_wheels`` the wheels that turn in the opposite direction.
     """
 
     def __init__(self, wheels: Sequence[str] = WHEEL_NAMES, reversed_wheels: Sequence[str] = ()) -> None:
@@ -19,18 +19,18 @@ class WheelMap:
         self.is_identity = self.wheel_of_channel == (0, 1, 2, 3) and not reversed_wheels
 
     def to_wire(self, value: Wheels) -> Wheels:
-        """Return a quantity of our wheels as the robot's channels want it."""
+        """Return values per wheel in the order and sign of the robot's channels."""
         if self.is_identity:
             return value
         channels = zip(self.wheel_of_channel, self.sign_of_channel, strict=True)
         return Wheels(*(sign * value[wheel] for wheel, sign in channels))
 
     def from_wire(self, value: Sequence[float]) -> Wheels:
-        """Return a quantity of the robot's channels as our wheels."""
+        """Return values per channel of the robot in the order and sign of our wheels."""
         return Wheels(*(self.sign_of_channel[c] * value[c] for c in self._channel_of_wheel))
 
     def feedback_from_wire(self, feedback: Feedback) -> Feedback:
-        """Return feedback with the channels sorted into wheels."""
+        """Return feedback in the order and sign of our wheels."""
         if self.is_identity:
             return feedback
         count = tuple(self.sign_of_channel[c] * feedback.encoder_count[c] & 0xFFFF for c in self._channel_of_wheel)
@@ -42,5 +42,5 @@ class WheelMap:
         )
 
     def temperatures_from_wire(self, value: Wheels) -> Wheels:
-        """Return the temperatures of the channels sorted into wheels."""
+        """Return temperatures in the order of our wheels."""
         return Wheels(*(value[c] for c in self._channel_of_wheel))

@@ -1,4 +1,4 @@
-"""The hash of a session: every frame of both directions, in order; equal on every transport when the frames are."""
+"""The hash of a session: all frames of each direction, in order. Equal frames give equal hashes on every transport."""
 
 import hashlib
 import struct
@@ -8,19 +8,19 @@ from typing import Any
 from firmware_protocol.framing import Frame
 
 _WIDE_HEADER = struct.Struct("<IH")
-_AT_ONCE = 64  # pieces; a call for each would cost a tick more than what it does with them
+_AT_ONCE = 64  # pieces; hashing each by itself would take longer per tick
 
 Pack = Callable[[list[Any]], bytes]
-"""Makes bytes of what a ``WireHash`` was given."""
+"""Converts the pieces that were given to a ``WireHash`` to bytes."""
 
 
 class WireHash:
-    """Takes what is sent and received; ``pack_sent`` and ``pack_received`` make bytes of it, some at once.
+    """Hashes what is sent and received; ``pack_sent`` and ``pack_received`` convert lists of pieces to bytes.
 
-    What depends on the wall clock, as how often HELLO is asked, its user leaves out.
+    The caller leaves out frames whose number depends on the wall clock, such as HELLO.
 
     Attributes:
-        sent, received: each takes a piece of its direction, which costs next to nothing; ``keep_up`` works on them.
+        sent, received: add a piece of one direction. This is cheap: ``keep_up`` hashes the pieces later.
     """
 
     def __init__(self, pack_sent: Pack, pack_received: Pack) -> None:
@@ -30,7 +30,7 @@ class WireHash:
         self.received = self._received.waiting.append
 
     def keep_up(self) -> None:
-        """Hash what is waiting, if that is much; to be called now and then, as once a tick."""
+        """Hash the waiting pieces if there are 64 or more; to be called regularly, once per tick for example."""
         if len(self._received.waiting) >= _AT_ONCE or len(self._sent.waiting) >= _AT_ONCE:
             self._sent.fold()
             self._received.fold()
@@ -41,13 +41,13 @@ class WireHash:
 
 
 def pack_wide(frames: list[Frame]) -> bytes:
-    """Return frames of others for the hash: ids of 32 bits, and payloads of a serial line."""
+    """Pack frames of third-party motor controllers for the hash: 32-bit ids and payloads of any length."""
     pack = _WIDE_HEADER.pack
     return b"".join([pack(number, len(payload)) + payload for number, payload in frames])
 
 
 class _Way:
-    """What went one way."""
+    """The hash of one direction."""
 
     def __init__(self, pack: Pack) -> None:
         self._hash = hashlib.sha256()

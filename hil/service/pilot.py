@@ -255,7 +255,7 @@ class Pilot:
         if robot in (RobotState.FAULT, RobotState.ESTOP):
             self._latch(robot)
         elif robot in (RobotState.ARMED, RobotState.ACTIVE):
-            self._why = "another host has armed the robot; stop that one first"
+            self._why = "another host has armed the robot; stop that host first"
 
     def _arm(self, now: LoopSignals, fix: PoseFix | None) -> None:
         device = self._parts.device
