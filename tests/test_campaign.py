@@ -105,7 +105,9 @@ def test_a_campaign_that_was_stopped_or_killed_goes_on_with_no_run_twice_or_lost
     _, told = stopped.communicate(timeout=60)
     assert stopped.returncode == 130, told
     done = read_rows(out).num_rows
-    assert told == f"hil: interrupted; {done} of 120 runs are done and safe in {out}; the same command goes on\n"
+    assert (
+        told == f"hil: interrupted; {done} of 120 runs are done and saved in {out}; run the same command to continue\n"
+    )
     files = rows_written(out)
     killed = start(plan, "--out", out, "--workers", "1")
     wait_for(lambda: rows_written(out) > files)
@@ -279,7 +281,7 @@ def test_what_is_behind_a_link_is_asked_what_it_cannot_do_before_anything_runs(t
     fixes = 'loop.mode = "realtime"\nestimator.source = "fused"\nestimator.fix = "udp://127.0.0.1:5000"'
     plan = write_plan(tmp_path, 'keep = "none"', fixes)
     done = CliRunner().invoke(app, ["campaign", str(plan), "--dry-run", "--workers", "2"])
-    assert "there is one bench behind its link or its pose fixes" in str(done.exception)
+    assert "there is one bench behind the link or the pose fixes" in str(done.exception)
 
 
 def test_another_campaigns_folder_or_a_damaged_one_is_a_sentence_and_stays_as_it_is(tmp_path: Path) -> None:
@@ -296,7 +298,7 @@ def test_another_campaigns_folder_or_a_damaged_one_is_a_sentence_and_stays_as_it
     assert "it holds no campaign" in refused("report", tmp_path)
     assert "and no campaign; name an empty or a new one" in refused(plan, "--out", tmp_path)
     assert "it is a file; name a folder" in refused(plan, "--out", plan)
-    assert "--redo lots: 'lots' is no outcome; did you mean 'lost'?" in refused(plan, "--out", out, "--redo", "lots")
+    assert "'lots' is not an outcome; did you mean 'lost'?" in refused(plan, "--out", out, "--redo", "lots")
     part = next((out / ROWS).iterdir())
     whole = part.read_bytes()
     spoilt = bytearray(whole)
@@ -449,7 +451,7 @@ def test_runs_behind_a_link_are_done_one_at_a_time_where_the_bench_is(tmp_path: 
         assert [row["outcome"] for row in rows] == ["passed", "passed"], rows
         assert {row["machine.worker"].split()[1] for row in rows} == {"with"}
         refused = CliRunner().invoke(app, ["campaign", str(plan), "--workers", "2"])
-        assert "--workers 2: there is one bench behind its link" in str(refused.exception)
+        assert "--workers 2: there is one bench behind the link" in str(refused.exception)
 
 
 def test_two_campaigns_share_a_cluster_and_leave_no_process_there(tmp_path: Path, cluster: Cluster) -> None:

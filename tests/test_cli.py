@@ -283,7 +283,7 @@ def test_a_full_disk_under_the_output_is_one_sentence():
         command = [sys.executable, "-m", "hil.cli.main", "list", "signals"]
         done = subprocess.run(command, stdout=full, stderr=subprocess.PIPE, text=True, check=False, env=environment())
     assert done.returncode == 2
-    assert done.stderr == "hil: there is no space left where the output goes; free some, or write it elsewhere\n"
+    assert done.stderr == "hil: no space is left for the output; free some, or write it elsewhere\n"
 
 
 def test_a_reader_that_has_left_before_anything_was_printed_is_no_error():

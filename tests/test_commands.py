@@ -77,7 +77,7 @@ def test_help_lists_them_and_imports_none(outside: Path) -> None:
     [
         ("absent", "of the package outside-package: 'no_such_package:app' cannot be loaded: ModuleNotFoundError"),
         ("gone", "'outside_package:gone' cannot be loaded: AttributeError"),
-        ("number", "command 'number': 7 is none"),
+        ("number", "command 'number': 7 is no command"),
         ("wheel", "command 'wheel': unknown; did you mean 'wheels'?"),
     ],
 )

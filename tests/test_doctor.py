@@ -118,7 +118,7 @@ def test_a_library_not_built_from_its_sources_is_a_problem(tmp_path: Path, monke
     monkeypatch.setattr(install, "_NATIVE", native)
     old, gone, own = (one for one in install.check_native() if one.subject == "native library")
     assert (old.verdict, old.remedy) == (Verdict.PROBLEM, "python -m tools.build.wheel_host")
-    assert old.sentence == "libold.so was not built from the sources beside it"
+    assert old.sentence == "libold.so was not built from the present sources"
     assert (gone.sentence, gone.remedy) == ("libgone.so is not built", "python -m b.build")
     assert own.verdict is Verdict.OK
 

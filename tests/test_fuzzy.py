@@ -123,7 +123,7 @@ def test_a_picture_that_cannot_be_written_is_bad_input(tmp_path):
 def test_the_command_line_names_the_nearest_tables():
     said = hil("fuzzy", "--tables", "printd")
     assert said.returncode == 2
-    assert said.stderr == "hil: --tables printd: there are none of this name; did you mean 'printed'?\n"
+    assert said.stderr == "hil: --tables printd: there are no such tables; did you mean 'printed'?\n"
 
 
 def test_the_command_refuses_a_picture_that_it_would_not_write_as_its_name_says(tmp_path):

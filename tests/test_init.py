@@ -82,7 +82,7 @@ def test_a_wrong_flag_is_answered_as_the_scenario_answers_it(tmp_path: Path) -> 
     with pytest.raises(BadInputError) as wrong:
         init(tmp_path, wheel_radius_m=75.0, defaults=True)
     assert str(wrong.value) == "--wheel-radius-m: robot.wheel_radius_m = 75.0; expected a number from 0.001 to 1"
-    with pytest.raises(BadInputError, match="stdin is no terminal; give --wheel-radius-m, "):
+    with pytest.raises(BadInputError, match="stdin is not a terminal; give --wheel-radius-m, "):
         init(tmp_path, mass_kg=12.0)
     assert list(tmp_path.iterdir()) == []
 
@@ -106,6 +106,6 @@ def test_a_person_is_asked_again_until_the_answer_is_one(tmp_path: Path) -> None
     text = said.decode()
     assert "robot.wheel_radius_m: r [0.075]" in text
     assert "robot.wheel_radius_m = 75.0; expected a number from 0.001 to 1" in text
-    assert "'wide' is no number" in text
+    assert "'wide' is not a number" in text
     robot = tomllib.loads((tmp_path / ROBOT_FILE).read_text("utf-8"))["robot"]
     assert (robot["mass_kg"], robot["wheel_radius_m"]) == (12.0, 0.06)

@@ -246,12 +246,12 @@ def test_a_figure_whose_signal_is_missing_has_that_for_a_reason() -> None:
 @pytest.mark.parametrize(
     ("options", "problem"),
     [
-        (["--overlay", "o.rrd"], "an overlay is of two runs"),
+        (["--overlay", "o.rrd"], "an overlay needs two runs"),
         ([OLD, OLD], "takes one, or two"),
-        ([OLD, "--export", "x.csv"], "it is of one run"),
+        ([OLD, "--export", "x.csv"], "it is for one run"),
         (["--export", "x.xlsx"], "must end in .csv, .parquet or .mcap"),
         (["--html", "missing/x.html"], "there is no folder"),
-        ([OLD, "--overlay", OLD], "it is a recording that is reviewed"),
+        ([OLD, "--overlay", OLD], "this is one of the reviewed recordings"),
     ],
 )
 def test_what_a_review_cannot_do_is_one_sentence(options: list[str | Path], problem: str) -> None:

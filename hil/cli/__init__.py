@@ -1,5 +1,4 @@
-"""The ways in: a file for each command of `hil`, what they print, and the pytest plugin.
+"""The user interface: a file for each command of `hil`, the tables they print, and the pytest plugin.
 
-May import: every room.
-To add a command: one file here, and its row in `commands.py`.
+May import: every package. To add a command: one file here, and its row in `commands.py`.
 """

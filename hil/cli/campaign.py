@@ -20,10 +20,12 @@ if TYPE_CHECKING:
 
 
 class FileFirst(Group):
-    """Commands of which the first is meant where a file stands in place of a command's name."""
+    """A group of commands whose first command is called when the first argument is no command but, for example, a
+    file.
+    """
 
     def parse_args(self, ctx: typer.Context, args: list[str]) -> list[str]:  # type: ignore[override]
-        """Put the name of the first command in front where none is given."""
+        """Insert the name of the first command if none is given."""
         if args and args[0] not in self.commands and args[0] not in ctx.help_option_names:
             args = [next(iter(self.commands)), *args]
         return super().parse_args(ctx, args)
@@ -81,12 +83,12 @@ def run(
             check_address(scheduler)
         campaign = Campaign(plan, allow_motion=allow_motion)
         folder = out if out is not None else Path("runs") / campaign.plan.name
-        # Of an existing cluster nobody knows here how many there are: an estimate is for one of its workers.
+        # The number of workers of an existing cluster is not known here: estimate for one worker.
         is_one = scheduler is not None or campaign.in_real_time or campaign.on_bench
         count = workers or (1 if is_one else os.cpu_count() or 1)
         if campaign.on_bench and count > 1:
             raise BadInputError(
-                f"--workers {count}: there is one bench behind its link or its pose fixes, and one run at a time on it"
+                f"--workers {count}: there is one bench behind the link or the pose fixes; it takes one run at a time"
             )
         if dry_run:
             _print_estimate(campaign, folder, count, outcomes, as_json=as_json)
@@ -129,7 +131,7 @@ def _outcomes(redo: str | None) -> frozenset[str]:
     for name in names:
         if name not in STATUSES:
             raise BadInputError(
-                f"--redo {redo}: {name!r} is no outcome{nearest(name, STATUSES)}; give some of "
+                f"--redo {redo}: {name!r} is not an outcome{nearest(name, STATUSES)}; give some of "
                 f"{', '.join(STATUSES)}, with commas between them"
             )
     return frozenset(names)
@@ -170,7 +172,8 @@ def _perform(
     done = outcomes.total()
     if stop.is_requested() and (done < len(campaign.runs) or campaign.records_worst):
         raise RunInterruptedError(
-            f"interrupted; {done} of {len(campaign.runs)} runs are done and safe in {folder}; the same command goes on"
+            f"interrupted; {done} of {len(campaign.runs)} runs are done and saved in {folder}; "
+            "run the same command to continue"
         )
     passed = outcomes["passed"] == len(campaign.runs)
     if as_json:
@@ -182,7 +185,7 @@ def _perform(
 
 
 class _Stop:
-    """Ctrl-C, SIGTERM and the end of the terminal: the first one ends the campaign in order, the second one at once."""
+    """Ctrl-C, SIGTERM and SIGHUP: the first signal ends the campaign in order, the second one at once."""
 
     def __init__(self) -> None:
         self._count = 0
@@ -194,10 +197,10 @@ class _Stop:
     def _on_signal(self, _number: int, _frame: FrameType | None) -> None:
         self._count += 1
         if self._count > 1:
-            raise RunInterruptedError("interrupted twice; what is written is safe, and the same command goes on")
+            raise RunInterruptedError("interrupted twice; what is written is kept; run the same command to continue")
 
     def is_requested(self) -> bool:
-        """Whether the campaign is to end."""
+        """Whether the campaign should end."""
         return self._count > 0
 
 

@@ -59,7 +59,7 @@ def catalogue(
 
 
 def _print_verdicts(verdicts: Sequence["Verdict"]) -> None:
-    """Print a row for each run of the catalogue, and how many were as they should be."""
+    """Print a row for each run of the catalogue, and how many were safe."""
     from hil.cli import report
 
     head = ("fault", "link", "re-arm", "outcome", "applied", "recoveries", "after silence", "wall s", "verdict")

@@ -53,7 +53,7 @@ def show(
 
 
 def _print_feasibility(feasibility: "Feasibility") -> None:
-    """Print the speed and torque that a reference needs, and why it is not feasible, if so."""
+    """Print the wheel speed and torque that a reference needs, and why it is not feasible, if it is not."""
     for label, needed in (("wheel speed", feasibility.speed), ("wheel torque", feasibility.torque)):
         most = f"at most {needed.worst:.3g} {needed.unit}, of wheel {needed.worst_wheel} at t = {needed.worst_s:.3g} s"
         print(f"  {label:<22} {most}; the limit is {needed.limit:g} {needed.unit}")

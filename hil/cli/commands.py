@@ -1,7 +1,7 @@
-"""The commands of ``hil`` by name: ours, and those that other packages add. A command is imported when it is called.
+"""The commands of ``hil`` by name: shipped ones, and those of other packages. A command is imported when it is called.
 
-To add one of ours, write one file with a function or a ``typer.Typer``, and a row of ``SHIPPED``. Another package
-registers either under the entry point group ``hil.commands``.
+To add a shipped one, write one file with a function or a ``typer.Typer``, and a row of ``SHIPPED``. Another package
+registers a function or a ``typer.Typer`` under the entry point group ``hil.commands``.
 """
 
 from importlib import import_module
@@ -89,7 +89,7 @@ _EXTENSIONS = Extensions("hil.commands", SHIPPED)
 
 
 class Group(TyperGroup):
-    """A group of commands whose help has the first paragraph of each in full, where typer cuts it to a line."""
+    """A group of commands whose help shows the first paragraph of each in full; typer would cut it to one line."""
 
     def format_commands(self, ctx: Any, formatter: Any) -> None:
         """Write a row for each command, wrapped to the width of the terminal."""
@@ -99,14 +99,16 @@ class Group(TyperGroup):
 
 
 class Commands(TyperGroup):
-    """The group ``hil``. Its help imports no command: it prints the rows of ``SHIPPED``, then what is registered."""
+    """The group ``hil``. Its help imports no command: it prints the rows of ``SHIPPED``, then other packages'
+    commands.
+    """
 
     def list_commands(self, ctx: Any) -> list[str]:
-        """Return the names of all commands, ours first."""
+        """Return the names of all commands, shipped ones first."""
         return _EXTENSIONS.names()
 
     def get_command(self, ctx: Any, cmd_name: str) -> Any:
-        """Import a command. Raises BadInputError for an unknown one, and for one of another package that is broken."""
+        """Import a command. Raises BadInputError for an unknown one, and for a broken one of another package."""
         if cmd_name in SHIPPED:
             module, _, name = SHIPPED[cmd_name][0].partition(":")
             return _command(cmd_name, getattr(import_module(module), name))
@@ -115,8 +117,8 @@ class Commands(TyperGroup):
             return _command(cmd_name, found)
         except Exception as error:
             raise BadInputError(
-                f"command {cmd_name!r}: {found!r} is none ({type(error).__name__}: {error}); expected a function or a "
-                "typer.Typer, see https://typer.tiangolo.com"
+                f"command {cmd_name!r}: {found!r} is no command ({type(error).__name__}: {error}); expected a "
+                "function or a typer.Typer, see https://typer.tiangolo.com"
             ) from error
 
     def format_commands(self, ctx: Any, formatter: Any) -> None:

@@ -77,7 +77,7 @@ def compare(
         check_free("page", markdown, existing)
     with batch(as_json=as_json) as progress:
         comparison = run_comparison(request, workers=jobs, limit_s=limit_s, on_progress=progress)
-    # First what was found, for it took long: a disk may be full.
+    # Print the results before writing files: they took long, and a disk may be full.
     if as_json:
         print_json(comparison.plain())
     else:
@@ -88,7 +88,7 @@ def compare(
 
 
 def _write(comparison: "Comparison", out: Path | None, markdown: Path | None, existing: "Existing") -> None:
-    """Write the files; one that cannot be written keeps none of the others back. Raises BadInputError for the first."""
+    """Write the files. If one cannot be written, the others still are; then raises BadInputError for the first."""
     from hil.batch.comparison.page import older, write_csv, write_markdown
     from hil.batch.comparison.pictures import draw
     from hil.batch.output import deferred, remove

@@ -22,14 +22,14 @@ if TYPE_CHECKING:
 app = typer.Typer(
     cls=Group, no_args_is_help=True, help="Drive the robot that hil serve runs; an order returns when accepted."
 )
-_NUMBERS = {"ignore_unknown_options": True}  # -0.5 is a number and no option
+_NUMBERS = {"ignore_unknown_options": True}  # -0.5 is a number, not an option
 
 
 @app.callback()
 def choose_service(
     context: typer.Context, url: ServiceUrl = None, port: ServicePort = None, token_file: TokenFile = None
 ) -> None:
-    """Keep the options that choose the service, for every command; all None for the only one that runs."""
+    """Store the options that choose the service, for every command; all None chooses the only one that runs."""
     context.obj = (url, port, token_file)
 
 
@@ -51,7 +51,7 @@ def status(
     watch: Annotated[bool, typer.Option("--watch", help="until Ctrl-C, 20 times a second")] = False,
     as_json: Json = False,
 ) -> None:
-    """Show how the robot and the service are."""
+    """Show the state of the robot and the service."""
     from rich.console import Console
     from rich.live import Live
 
@@ -151,7 +151,7 @@ def record(
         from hil.core.outputs import check_free, existing_files
 
         check_free("recording", file, existing_files(force=force))
-    # Absolute, because the service runs in a folder of its own.
+    # Absolute, because the service has another working directory.
     _order(context, Action.RECORD, {"path": None if file is None else str(file.absolute()), "force": force})
 
 
@@ -160,7 +160,7 @@ for _action in (Action.STOP_RECORDING, Action.SHUTDOWN):
 
 
 def _finite(arguments: dict[str, float]) -> dict[str, float]:
-    """Return the arguments. Raises BadInputError for a number that JSON does not have."""
+    """Return the arguments. Raises BadInputError for NaN and infinity, which JSON does not have."""
     for name, value in arguments.items():
         if not math.isfinite(value):
             raise BadInputError(f"{name} = {value}: expected a finite number")
@@ -168,7 +168,7 @@ def _finite(arguments: dict[str, float]) -> dict[str, float]:
 
 
 def _assignments(texts: list[str]) -> dict[str, Any]:
-    """Return KEY=VALUE texts as a mapping; a value is TOML, or a text."""
+    """Parse KEY=VALUE texts to a mapping; a value is TOML, or else plain text."""
     from hil.scenario.toml_text import parse_value
 
     values: dict[str, Any] = {}

@@ -1,4 +1,4 @@
-"""``hil device``: the virtual robot as a process of its own, behind a link, with its truth on a socket."""
+"""``hil device``: the virtual robot in its own process, behind a link, with its true pose on a socket."""
 
 import contextlib
 import signal
@@ -75,8 +75,8 @@ def _serve(
 ) -> None:
     """Serve the robot until SIGTERM or SIGINT, or until ``lifeline``, the descriptor of a pipe, ends.
 
-    Prints one line when the robot is ready, with its link and truth, and one for each part of ``[realtime]`` that was
-    not granted; at the end the last output of a foreign FMU, and a line if robot time was lost or the trace is
+    Prints one line when the robot is ready, with its link and truth, and one for each setting of ``[realtime]`` that
+    was not granted; at the end the last output of a foreign FMU, and a line if robot time was lost or the trace is
     incomplete. Raises LinkError when the link is lost, DeviceError when the plant fails.
     """
     lockstep, protocol = scenario.loop.mode == "lockstep", protocol_of(scenario.device)
@@ -112,19 +112,19 @@ def _serve(
 
 
 def _robot(scenario: Scenario, target: str) -> VirtualStm32:
-    """Make the scenario's robot. Raises BadInputError when it cannot run in a process of its own."""
+    """Make the scenario's robot. Raises BadInputError when it cannot run in its own process."""
     made_of, driver = virtual_robot(scenario), scenario.device.driver
     if not scenario.device.is_makers:
         return open_target(target, made_of, link_of(scenario))
     if target != "host":
-        raise BadInputError(f"--target {target} runs our own firmware, and the scenario has {driver!r}; leave it out")
+        raise BadInputError(f"--target {target} runs this project's firmware, not {driver!r}; leave --target out")
     if made_of.lockstep:
         raise no_lockstep(scenario.device.driver)
     return VirtualStm32(made_of, node_maker(scenario.device))
 
 
 class _RobotTime:
-    """The clock of a robot in lockstep; it goes on when a power cycle sets the robot's own time to 0."""
+    """The clock of a robot in lockstep; it continues when a power cycle sets the robot's own time to 0."""
 
     def __init__(self, robot: VirtualStm32) -> None:
         self._robot = robot

@@ -1,8 +1,8 @@
 """Finds the motor controllers on a bus or a port. Nothing moves, and no parameter is written.
 
-First it only listens, because our own firmware and most controllers send by themselves. Then it queries those that were
-heard, our own first; on a silent line it queries each kind in turn. If there is traffic that no driver understands, it
-queries none: a query in one protocol may be a command in another.
+First it only listens, because this project's firmware and most controllers send by themselves. Then it queries those
+that were heard, this project's firmware first; on a silent line it queries each kind in turn. If there is traffic that
+no driver understands, it queries none: a query in one protocol may be a command in another.
 """
 
 import contextlib
@@ -44,7 +44,7 @@ class Answer:
 
     @property
     def robot_file(self) -> str | None:
-        """A robot file for the controllers; None when they are no whole robot."""
+        """A robot file for the controllers; None when they are not a whole robot."""
         if self.found.motors is None:
             return None
         answers: dict[str, Value] = {}
@@ -71,9 +71,9 @@ class Result:
     """The result of a probe.
 
     Attributes:
-        answers: what was found.
+        answers: the controllers that were found.
         strangers: number of frames of unknown senders on a bus, by id.
-        not_queried: why makers' controllers were not queried, or None.
+        not_queried: why third-party controllers were not queried, or None.
         elsewhere: which controllers can only be on another kind of bus, or None.
     """
 
@@ -112,7 +112,7 @@ class _Candidate:
 
 
 class _OurProbe(Probe):
-    """Queries HELLO: every version of our firmware answers its first page."""
+    """Queries HELLO: every version of this project's firmware answers its first page."""
 
     def __init__(self) -> None:
         self._greeting = Greeting()
@@ -169,7 +169,7 @@ def find_motors(link: str, driver: str | None = None, say: Callable[[str], None]
 
 
 def _candidate(name: str, link: str) -> _Candidate | None:
-    """Return a driver as a candidate; None when it is not on such a link, or has no probe."""
+    """Return a driver as a candidate; None when its controllers cannot be on such a link, or it has no probe."""
     if name == OUR_DRIVER:
         return _Candidate(name, "our own firmware", _OurProbe(), WHEEL_DBC.make_framing, parse_link(link))
     made = dialect(name)
@@ -256,7 +256,7 @@ def _why_not_queried(what: str) -> str:
 
 
 def _query(link: Link, one: _Candidate, say: Callable[[str], None]) -> None:
-    """Query a candidate, in rounds that follow from its answers."""
+    """Query a candidate, in rounds: the next query may depend on the answers."""
     say(f"asking for {one.title}")
     for _ in range(_ROUNDS):
         frames = one.probe.ask()
@@ -268,7 +268,7 @@ def _query(link: Link, one: _Candidate, say: Callable[[str], None]) -> None:
 
 
 def _listen(link: Link, candidates: Iterable[_Candidate], patience_s: Callable[[], float]) -> Counter[int]:
-    """Feed frames to the candidates until ``patience_s`` is over; return the number of frames by id."""
+    """Feed received frames to the candidates until ``patience_s`` is over; return the number of frames by id."""
     candidates, counts = list(candidates), Counter[int]()
     begin_ns = time.monotonic_ns()
     while (left_ns := begin_ns + round(patience_s() * 1e9) - time.monotonic_ns()) > 0:

@@ -36,7 +36,7 @@ def build(
     if all_platforms and mujoco:
         raise BadInputError("--mujoco is built for this machine only; leave out --all-platforms")
     if all_platforms and out is None:
-        raise BadInputError("--all-platforms makes FMUs to give away; say where to with --out FOLDER")
+        raise BadInputError("--all-platforms makes FMUs for other machines; name a folder for them with --out FOLDER")
     if not is_checkout():
         raise BadInputError(
             "an installed package has no scripts that build FMUs; run hil fmu build in a checkout of the sources"
@@ -133,7 +133,7 @@ def _print_check(fmu: Path, result: "CheckResult") -> None:
 
 
 def _print_rich_table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
-    """Print a table; names are never cut, and where no terminal is, nothing is folded, so that it can be searched."""
+    """Print a table. Names are never cut; outside a terminal no line is wrapped, so that the text can be searched."""
     from rich.console import Console
     from rich.table import Table
     from rich.text import Text

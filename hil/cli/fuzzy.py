@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 _SETS = ("NB", "NS", "Z", "PS", "PB")
 _PEAKS = np.linspace(-1.0, 1.0, len(_SETS))
 _POINTS = 201
-_BEYOND = 1.25  # of the range, to show that the inputs saturate
+_BEYOND = 1.25  # times the range, to show that the inputs saturate
 
 
 def fuzzy(
@@ -29,7 +29,7 @@ def fuzzy(
 ) -> None:
     """Draw both gain surfaces of AFDSC's fuzzy block."""
     if tables not in RULES:
-        raise BadInputError(f"--tables {tables}: there are none of this name{nearest(tables, RULES)}")
+        raise BadInputError(f"--tables {tables}: there are no such tables{nearest(tables, RULES)}")
     if out.suffix.lower() != ".png":
         raise BadInputError(f"--out {out}: a picture is written as PNG; name a file that ends in .png")
     existing = existing_files(force=force)
@@ -41,7 +41,7 @@ def fuzzy(
 def draw_gains(tables: Tables, path: Path, existing: Existing = "refuse") -> None:
     """Write a PNG of K1 and K2 [1/s] over error and rate in units of their ranges, with the rules at the peaks.
 
-    ``existing`` says what to do when the file exists. Raises BadInputError when it cannot be written.
+    ``existing`` says what to do when the file exists. Raises BadInputError when the file cannot be written.
     """
     across = np.linspace(-_BEYOND, _BEYOND, _POINTS)
     error, rate = np.meshgrid(across, across)
@@ -57,7 +57,7 @@ def _draw(axes: "Axes", title: str, across: Series, surface: Series, rules: Rule
     from matplotlib.patheffects import withStroke
 
     outline = [withStroke(linewidth=2.0, foreground="#333333")]
-    # From the least to the largest level, so that the pictures of both tables have one scale.
+    # From the smallest to the largest level, so that the pictures of both tables have the same scale.
     least, most = min(levels.values()), max(levels.values())
     shades = axes.pcolormesh(
         across, across, surface, cmap="viridis", shading="nearest", rasterized=True, vmin=least, vmax=most

@@ -61,7 +61,7 @@ def init(
     is_interactive = not defaults and sys.stdin.isatty()
     missing = [question.flag for question in QUESTIONS if given[question.key] is None]
     if missing and not defaults and not is_interactive:
-        raise BadInputError(f"stdin is no terminal; give {', '.join(missing)}, or --defaults for what is proposed")
+        raise BadInputError(f"stdin is not a terminal; give {', '.join(missing)}, or --defaults for proposed values")
     answers: dict[str, Value] = {}
     for question in QUESTIONS:
         value = given[question.key]
@@ -84,7 +84,7 @@ def _prompt(question: Question, proposed: Value) -> Value:
         try:
             value = question.read(text)
         except ValueError:
-            print(f"{text!r} is no number")
+            print(f"{text!r} is not a number")
             continue
         problem = problem_with(question, value)
         if problem is None:
@@ -93,10 +93,11 @@ def _prompt(question: Question, proposed: Value) -> Value:
 
 
 def begin(folder: Path, answers: Mapping[str, Value], existing: Existing = "refuse") -> tuple[Path, Path]:
-    """Write both files and return them; the folder is made. ``answers`` has every question's key.
+    """Write ``robot.toml`` and ``first_circle.toml`` into ``folder``, which is made if missing; return their paths.
 
-    Raises BadInputError when a file exists and is not to be replaced, when values contradict each other, or when no
-    circle is slow enough for the robot.
+    ``answers`` has a value for every question. Raises BadInputError when a file exists and may not be replaced, when
+    values contradict each other, or when the robot cannot follow the scenario's circle even at the lowest speed that is
+    tried.
     """
     robot, scenario = folder / ROBOT_FILE, folder / SCENARIO_FILE
     for path in (robot, scenario):
@@ -112,7 +113,7 @@ def begin(folder: Path, answers: Mapping[str, Value], existing: Existing = "refu
 
 
 def _feasible(answers: Mapping[str, Value]) -> str:
-    """Return a scenario whose circle the robot can follow, the fastest of those tried."""
+    """Return a scenario whose circle the robot can follow, at the highest speed of those tried."""
     slowness = 1.0
     with tempfile.TemporaryDirectory() as trial:
         Path(trial, ROBOT_FILE).write_text(robot_text(answers), encoding="utf-8")

@@ -24,9 +24,9 @@ MOST_RAD_S = 3.0
 MOST_S = 10.0
 _RAMP_S = 0.5
 _STOP_LIMIT_NS = 5_000_000_000
-_LEAST_SHARE = 0.1  # of the angle that was asked for
-_LEAST_RAD = 0.1  # is enough; on the ground, against three that are held, a wheel may stall after twice as much
-_FREE_SHARE = 0.5  # of the angle that was asked for, by a wheel that nothing brakes
+_LEAST_SHARE = 0.1  # of the commanded angle
+_LEAST_RAD = 0.1  # enough in any case; on the ground, with three wheels held, a wheel may stall after twice as much
+_FREE_SHARE = 0.5  # of the commanded angle, for a wheel that nothing brakes
 _MOST_SHARE = 0.5
 
 
@@ -78,14 +78,14 @@ def jog(
 
 
 class Verdict(NamedTuple):
-    """Whether the sensor of the right wheel alone saw it turn the right way, and a sentence on it."""
+    """Whether only the sensor of the chosen wheel moved, and in the right direction; with a sentence on it."""
 
     is_right: bool
     sentence: str
 
 
 class Jogged(NamedTuple):
-    """Angle of the command to the chosen wheel, and angles by the wheels' own sensors [rad]."""
+    """Commanded angle of the chosen wheel, and the angles of all wheels by their own sensors [rad]."""
 
     requested_rad: float
     turned_rad: Wheels
@@ -120,7 +120,7 @@ def turn_wheel(
     """Turn a wheel for ``seconds`` with ramps of 0.5 s at both ends, and stop.
 
     ``warn`` gets the warnings of the driver before anything moves. In any case the robot is told to stop. Raises
-    BadInputError for a wheel or a number out of range and for a base that turns all wheels itself, DeviceError and
+    BadInputError for a wheel or a number out of range and for a controller that takes body velocities, DeviceError and
     LinkError when the robot refuses, stops or is lost.
     """
     check(scenario, wheel, speed_rad_s, seconds)
@@ -157,7 +157,7 @@ def turn_wheel(
 
 
 def _limited(model: RobotModel, robot_rad_s: float, speed_rad_s: float, warn: Callable[[str], None]) -> float:
-    """Return the speed as limited by the guard."""
+    """Return the speed, limited by the guard."""
     guard = Guard(model.speed_limit_rad_s, model.torque_limit_n_m)
     guard.limit_to(robot_rad_s)
     command = WheelCommand(CommandMode.SPEED, ZERO_WHEELS._replace(fl=speed_rad_s), ZERO_WHEELS)
@@ -179,6 +179,6 @@ def check(scenario: Scenario, wheel: str, speed_rad_s: float, seconds: float) ->
         raise BadInputError("a wheel is turned by its speed: add --set controller.command=speed")
     if scenario.device.is_makers and make_driver(scenario).capabilities.is_twist:
         raise BadInputError(
-            f"{scenario.device.driver!r} takes velocities of the body and turns all wheels itself; put the wheels off "
+            f"{scenario.device.driver!r} takes body velocities and sets all wheel speeds itself; put the wheels off "
             "the ground and drive it with hil serve and hil teleop"
         )

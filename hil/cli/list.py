@@ -24,7 +24,7 @@ def list_(
 
 
 def listing(what: str) -> tuple[tuple[str, ...], Sequence[tuple[str, ...]]]:
-    """Return the column names and the rows of ``hil list``. Raises BadInputError for a list that there is not."""
+    """Return the column names and the rows of ``hil list``. Raises BadInputError for an unknown list."""
     if what == "signals":
         from hil.core.signals import SIGNALS
 

@@ -19,7 +19,7 @@ app = typer.Typer(
     no_args_is_help=True,
     add_completion=False,
     pretty_exceptions_enable=False,
-    rich_markup_mode=None,  # rich's boxes take longer to import than all else together
+    rich_markup_mode=None,  # rich's boxes take longer to import than everything else
     context_settings={"help_option_names": ["-h", "--help"]},
 )
 
@@ -30,18 +30,18 @@ def hil() -> None:
 
 
 _GC_THRESHOLD = 100_000
-"""New objects before a garbage collection: with Python's own 700 it goes through all modules while they load."""
+"""New objects before a garbage collection; Python's default of 700 would scan all modules again and again at start."""
 
 
 def main() -> None:
-    """Entry point. An error for the user is one sentence on stderr, with its exit code."""
+    """Entry point. A HilError is printed as one sentence on stderr, and gives the exit code."""
     gc.set_threshold(_GC_THRESHOLD)
     try:
         try:
             app(prog_name="hil", standalone_mode=True)
         finally:
             flush_output()
-            gc.freeze()  # else the interpreter's end goes through all modules once more: 0.08 s after a run
+            gc.freeze()  # otherwise the interpreter's end scans all modules once more: 0.08 s after a run
     except HilError as error:
         print(f"hil: {error}", file=sys.stderr)
         sys.exit(error.exit_code)
@@ -49,7 +49,7 @@ def main() -> None:
         if error.errno != errno.ENOSPC:
             raise
         drop_output()
-        print("hil: there is no space left where the output goes; free some, or write it elsewhere", file=sys.stderr)
+        print("hil: no space is left for the output; free some, or write it elsewhere", file=sys.stderr)
         sys.exit(BadInputError.exit_code)
 
 

@@ -48,15 +48,15 @@ def print_json(value: Any) -> None:
 
 
 def drop_output() -> None:
-    """Send stdout to the null device, because its reader has gone or the disk is full.
+    """Send stdout to the null device, because its reader is gone or the disk is full.
 
-    Without this the interpreter would report an error at its end.
+    Otherwise the interpreter would report an error when it exits.
     """
     os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 def flush_output() -> None:
-    """Write what is still in the buffer of stdout. Its reader may have left, as head does."""
+    """Write the rest of stdout's buffer. Its reader may be gone, as after head."""
     try:
         sys.stdout.flush()
     except BrokenPipeError:
@@ -66,7 +66,7 @@ def flush_output() -> None:
 def end_in_order() -> None:
     """Make SIGTERM and SIGHUP end a command as Ctrl-C does: robots are stopped, files closed.
 
-    An ignored SIGHUP, as under nohup, stays ignored.
+    A SIGHUP that is ignored, as under nohup, stays ignored.
     """
     for name in ("SIGTERM", "SIGHUP"):
         number = getattr(signal, name, None)  # Windows has no SIGHUP

@@ -28,13 +28,13 @@ def params(
     url = parse_link(link)
     if url.is_within_process:
         raise BadInputError(
-            f"link {link!r} reaches no robot outside this process, and one made for it would hold the values of "
-            "the build; name the robot's port, such as serial:/dev/ttyACM0, or the link that 'hil device' prints"
+            f"link {link!r} reaches no robot outside this process, and a robot made for it would only have the "
+            "built-in values; name the robot's port, such as serial:/dev/ttyACM0, or the link that 'hil device' prints"
         )
     values = assignments(changes or [])
     with device_held(url, f"hil params {link}"), contextlib.closing(url.open_host()) as opened:
         client = ParameterClient(opened)
-        checked = client.check(values)  # all of them before anything is changed
+        checked = client.check(values)  # check all before changing any
         if restore:
             client.restore()
         client.write(checked)
@@ -60,7 +60,7 @@ def params(
 
 
 def _default_of(parameter: str) -> str:
-    """Return the default of a parameter in a scenario; "-" where the scenario must give it."""
+    """Return the default of a parameter in a scenario; "-" if the scenario must give a value."""
     follows = {"watchdog_s": f"{WATCHDOG_PERIODS} command periods", "feedback_period_s": "1 command period"}
     if parameter in follows:
         return follows[parameter]

@@ -17,7 +17,7 @@ def probe(
 ) -> None:
     """Find the motor controllers on a bus or a port, and print a robot file for them.
 
-    Nothing moves and nothing is written: it listens, and asks for versions. Exit 1 when nobody was found.
+    Nothing moves and nothing is written: it listens, and asks for versions. Exit 1 when nothing was found.
     """
     with device_held(parse_link(link), f"hil probe {link}"):
         result = find_motors(link, driver, (lambda _: None) if as_json else _say)
@@ -40,7 +40,7 @@ def _print(result: Result) -> None:
         for sentence in answer.found.sentences:
             _say(sentence)
         if answer.robot_file is None:
-            _say(f"this is no whole robot with four motors; see DRIVERS.md for [device.motors] of {answer.driver!r}")
+            _say(f"this is not a whole robot with four motors; see DRIVERS.md for [device.motors] of {answer.driver!r}")
         else:
             _say(answer.wiring)
             print(answer.robot_file)

@@ -10,7 +10,7 @@ from hil.core.errors import RunInterruptedError
 
 
 def runs_progress(done: int, total: int, trouble: str | None) -> None:
-    """Show how many runs are done; ``trouble``, a sentence on the newest one, stays to be read."""
+    """Show how many runs are done; ``trouble``, a sentence on the newest run, stays on a line of its own."""
     if trouble is not None:
         print(f"\r{trouble}", file=sys.stderr)
     print(f"\r{done} of {total} runs", end="\n" if done == total else "", file=sys.stderr, flush=True)
@@ -18,7 +18,9 @@ def runs_progress(done: int, total: int, trouble: str | None) -> None:
 
 @contextlib.contextmanager
 def batch(*, as_json: bool) -> Iterator[Callable[[int, int, str | None], None] | None]:
-    """Let runs be interrupted in order, and give what shows their progress: on a terminal, and not with ``--json``."""
+    """Make interrupts end the runs in order; yield a function that shows progress, or None with ``--json`` or without a
+    terminal.
+    """
     end_in_order()
     try:
         yield None if as_json or not sys.stderr.isatty() else runs_progress
@@ -29,7 +31,7 @@ def batch(*, as_json: bool) -> Iterator[Callable[[int, int, str | None], None] |
 class RateProgress:
     """The progress of many runs, on stderr: runs done, failed and left, their rate, and the time left.
 
-    ``before`` were done earlier. A trouble is shown once, on a line that stays.
+    ``before`` is the number of runs done earlier. A trouble is shown once, on a line that stays.
     """
 
     def __init__(self, of: int, before: int) -> None:
@@ -41,20 +43,20 @@ class RateProgress:
         self._shown = 0
 
     def count(self, done: int, failed: int) -> None:
-        """Add runs that are done, with how many of them failed."""
+        """Add ``done`` finished runs, of which ``failed`` failed."""
         self._done += done
         self._failed += failed
         self._show()
 
     def say(self, trouble: str | None) -> None:
-        """Show what is waited for, when it has changed."""
+        """Show the cause of waiting when it has changed; None when there is none."""
         if trouble != self._trouble and trouble is not None:
             print(f"\r{trouble:<{self._shown}}", file=sys.stderr)
         self._trouble = trouble
         self._show()
 
     def end(self) -> None:
-        """Leave the line as it is."""
+        """End the line, so that it stays."""
         print(file=sys.stderr, flush=True)
 
     def _show(self) -> None:
@@ -72,7 +74,7 @@ class RateProgress:
 
 
 def duration_words(seconds: float) -> str:
-    """Return a time as a person says it."""
+    """Return a duration as a person would say it."""
     if seconds < 90.0:
         return f"{seconds:.0f} s"
     return f"{seconds / 60.0:.0f} min" if seconds < 5400.0 else f"{seconds / 3600.0:.1f} h"

@@ -76,7 +76,7 @@ class ScenarioFile(pytest.File):
 
 
 class ScenarioTest(pytest.Item):
-    """A scenario that passes when ``hil run`` would."""
+    """A scenario as a test: it passes when ``hil run`` would."""
 
     def __init__(self, *, scenario: "Scenario", overrides: "Overrides", **options: object) -> None:
         super().__init__(**options)  # type: ignore[arg-type]
@@ -104,10 +104,10 @@ class ScenarioTest(pytest.Item):
 
 @pytest.fixture
 def virtual_robot(request: pytest.FixtureRequest) -> "Iterator[StartRobot]":
-    """Start virtual robots in processes of their own, each behind a real pseudo-terminal or on a given link.
+    """Start virtual robots, each in its own process, behind a new pseudo-terminal or on a given link.
 
-    ``robot = virtual_robot("paper_circle")`` has ``robot.link`` and ``robot.truth``, the URLs to reach it. All end
-    with the test. One that had ended by itself is an error of the test's teardown.
+    ``robot = virtual_robot("paper_circle")`` has ``robot.link`` and ``robot.truth``, the URLs to reach it. All end with
+    the test. A robot that ended before is an error of the test's teardown.
     """
     from hil.cli.testing import StartRobot
 
@@ -129,7 +129,8 @@ def hil_link(virtual_robot: "StartRobot") -> "Iterator[OpenLink]":
 
 @pytest.fixture
 def hil_run(request: pytest.FixtureRequest) -> "RunScenario":
-    """Run scenarios with overrides, each recorded into the test's folder and its figures put into the report.
+    """Run scenarios with overrides, each recorded into the test's ``tmp_path`` (or below ``--hil-record DIR``), its
+    figures added to the pytest report.
 
     ``hil_run("paper_circle", set={"robot.mass_kg": 24.0})`` returns a ``hil.RunResult``; a run that does not pass fails
     the test, except with ``check=False``.
@@ -146,7 +147,7 @@ def hil_run(request: pytest.FixtureRequest) -> "RunScenario":
 
 @contextlib.contextmanager
 def _ended_in_order() -> Iterator[contextlib.ExitStack]:
-    """Yield a stack that is unwound at teardown; an error there becomes a sentence of the report."""
+    """Yield a stack that is closed at teardown; an error there becomes a sentence of the report."""
     from hil.core.errors import HilError
 
     resources = contextlib.ExitStack()
@@ -169,7 +170,7 @@ def _overrides(config: pytest.Config) -> "Overrides":
 
 
 def _folder(item: pytest.Item, request: pytest.FixtureRequest | None) -> Path | None:
-    """Make and return the folder for a test's recordings; None with ``--hil-record none``.
+    """Return the folder for a test's recordings, made if missing; None with ``--hil-record none``.
 
     ``request`` is given for a test with fixtures: its folder is ``tmp_path``.
     """
@@ -185,15 +186,15 @@ def _folder(item: pytest.Item, request: pytest.FixtureRequest | None) -> Path | 
         return folder
     if request is not None:
         return Path(request.getfixturevalue("tmp_path"))
-    # pytest gives tmp_path to functions alone; what makes it has no public name (pytest 7 to 9).
+    # pytest gives tmp_path only to functions; the factory behind it has no public name (pytest 7 to 9).
     factory: pytest.TempPathFactory | None = getattr(item.config, "_tmp_path_factory", None)
     if factory is None:
-        pytest.fail("recordings need a folder: give --hil-record DIR, or leave -p no:tmpdir out", pytrace=False)
+        pytest.fail("recordings need a folder: give --hil-record DIR, or remove -p no:tmpdir", pytrace=False)
     return factory.mktemp(item.name)
 
 
 def _places(nodeid: str) -> list[str]:
-    """Return the folders of a test's recordings below ``--hil-record``; no two tests share one."""
+    """Return the folder names of a test's recordings below ``--hil-record``; no two tests share a folder."""
     file, *names = nodeid.split("::")
     folders = file.split("/")
     places = folders[:-1] if file.endswith(TEST_SUFFIX) else [*folders, *names]  # a scenario's recording has its name

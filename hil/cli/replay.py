@@ -55,6 +55,6 @@ def _print(replayed: "Replay") -> None:
     ]
     report.print_table([head, *rows])
     if replayed.commands_refused:
-        print(f"\n{replayed.commands_refused} commands were not finite, and count as a stop")
+        print(f"\n{replayed.commands_refused} commands were not finite; each was taken as a stop")
     for note in replayed.notes:
         print(f"\nnote: {note}")

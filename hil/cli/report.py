@@ -21,7 +21,7 @@ _REFRESH_HZ = 10
 
 
 def recording_path(name: str, requested: str | None) -> Path | None:
-    """Return the file to record to: None for ``none``, by default a new one in ``runs/``, which is made."""
+    """Return the file to record to: None for ``none``; by default a new one in ``runs/``, which is made if missing."""
     if requested == "none":
         return None
     if requested is not None:
@@ -30,12 +30,12 @@ def recording_path(name: str, requested: str | None) -> Path | None:
 
 
 def catalogue_folder() -> Path:
-    """Return a new folder's path in ``runs/``, for the recordings of the runs that are not as they should be."""
+    """Return the path of a new folder in ``runs/``, for the recordings of runs that failed the catalogue's checks."""
     return new_in_runs("catalogue", "", "go where you may write")
 
 
 def progress(duration_s: float) -> "Watch":
-    """Return a watcher that shows a progress bar on stderr during a run."""
+    """Return a context manager that shows a progress bar on stderr during a run."""
     from rich.console import Console
     from rich.live import Live
     from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
@@ -64,7 +64,7 @@ def warn(sentence: str) -> None:
 
 
 def announce_live(port: int) -> None:
-    """Print on stderr how to open a viewer, and open one when stderr is a terminal and there is a display."""
+    """Print on stderr how to open a viewer; open one if stderr is a terminal and there is a display."""
     from hil.record.viewer import live_hint, show_live
 
     print(live_hint(port), file=sys.stderr)
@@ -73,14 +73,14 @@ def announce_live(port: int) -> None:
 
 
 def linger() -> None:
-    """Wait for Ctrl-C: a run in lockstep is over before a viewer has opened."""
+    """Wait for Ctrl-C, because a run in lockstep is over before a viewer has opened."""
     print("done; live viewers are served until Ctrl-C", file=sys.stderr)
     with suppress(KeyboardInterrupt):
         threading.Event().wait()
 
 
 def print_result(result: RunResult) -> None:
-    """Print the figures of a run, its expectations, and what to do next."""
+    """Print the figures of a run, its expectations, and the next commands to use."""
     print_figures(result.metrics)
     recorded = result.metrics.get("recorded")
     path = None if recorded is None else recorded_at(recorded, result.metrics["recording"])
@@ -96,13 +96,15 @@ def print_result(result: RunResult) -> None:
 
 
 def _command() -> str:
-    """Return the command as this user can call it: its name, or its path in a virtual environment not activated."""
+    """Return the command as this user can call it: its name, or its path if it is in a virtual environment not
+    activated.
+    """
     called = Path(sys.argv[0])
     return "hil" if shutil.which("hil") or called.name != "hil" else str(called)
 
 
 def print_figures(metrics: Mapping[str, Any]) -> None:
-    """Print the figures of a run, with the reason where there is none, its expectations, and whether it passed."""
+    """Print the figures of a run (or why one is missing), its expectations, and whether it passed."""
     print_rows(figure_rows(metrics))
     print_rows(belief_rows(metrics))
     print_rows(link_rows(metrics))
@@ -119,7 +121,7 @@ def print_figures(metrics: Mapping[str, Any]) -> None:
 
 
 def _streamed(stream: Mapping[str, Any]) -> str:
-    """Return the outcome of a stream."""
+    """Return a text on the result of a stream."""
     if stream["sent"] is None:
         return f"to {stream['url']} incomplete: {stream['error']}"
     text = f"{stream['sent']} datagrams to {stream['url']}"
@@ -131,7 +133,7 @@ def _streamed(stream: Mapping[str, Any]) -> str:
 
 
 def print_rows(rows: Iterable[tuple[str, str]]) -> None:
-    """Print a label and a text a line."""
+    """Print one line for each label and text."""
     for label, text in rows:
         print(f"  {label:<22} {text}".rstrip())
 

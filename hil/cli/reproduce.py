@@ -51,11 +51,11 @@ def reproduce(
 
 
 def print_reproduction(summary: Mapping[str, Any]) -> None:
-    """Print the tables of a reproduction, then what comes out of the paper and what does not."""
+    """Print the tables of a reproduction, then which results of the paper are reproduced and which are not."""
     from hil.batch.reproduction import page
     from hil.cli import report
 
-    print("Assumed, for the paper does not say\n")
+    print("Assumptions, where the paper gives no value\n")
     for place, what, ours, why in page.assumptions(summary)[1:]:
         print(f"  {place}, {what}: {ours}\n    {why}")
     for title, table in (

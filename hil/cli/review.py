@@ -37,8 +37,8 @@ def review(
 ) -> None:
     """Report from its recording alone how a run went and why; with two runs, which figures became better or worse.
 
-    The exit code is 0 whenever the recordings could be read, also where a run failed: it judges the review and not the
-    run. What the run came to is "passed" in the output of --json.
+    The exit code is 0 whenever the recordings could be read, even if a run failed: it is about the review, not the run.
+    Whether the run passed is "passed" in the output of --json.
     """
     from hil.core.outputs import existing_files
     from hil.review import changes, differences, read, write_trajectory
@@ -86,20 +86,20 @@ def _check(recordings: Sequence[Path], existing: "Existing", files: Mapping[str,
     if len(recordings) > 2:
         raise BadInputError(f"{len(recordings)} recordings were given; hil review takes one, or two to compare")
     if (overlay := files["overlay"]) is not None and len(recordings) == 1:
-        raise BadInputError(f"--overlay {overlay}: an overlay is of two runs; name the other recording too")
+        raise BadInputError(f"--overlay {overlay}: an overlay needs two runs; name the other recording too")
     for what in ("export", "trajectory"):
         if files[what] is not None and len(recordings) == 2:
-            raise BadInputError(f"--{what} {files[what]}: it is of one run; name one recording")
+            raise BadInputError(f"--{what} {files[what]}: it is for one run; name one recording")
     for what, file in files.items():
         if file is None:
             continue
         if any(file.exists() and recording.exists() and file.samefile(recording) for recording in recordings):
-            raise BadInputError(f"{what} {file}: it is a recording that is reviewed; choose another name")
+            raise BadInputError(f"{what} {file}: this is one of the reviewed recordings; choose another name")
         check_output_path(what, file, existing)
 
 
 def _print_run(found: Mapping[str, Any]) -> None:
-    """Print on one screen the run, why it failed, its events and its figures."""
+    """Print the run, why it failed, its events and its figures, on one screen."""
     from hil.cli import report
     from hil.judge.words import belief_rows, figure_rows, link_rows, outcome_rows
 
@@ -137,7 +137,7 @@ def _event_rows(found: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
     """Yield the newest warnings and errors that are not printed above."""
     printed = [found["failure"] or "", *(row["text"] for row in found["expect"] or ())]
     warned = [event for event in found["events"] if event["level"] in ("WARN", "ERROR")]
-    # The first violation of an expectation is an event at once; its final text begins with the same words.
+    # The first violation of an expectation is logged at once; its final text begins with the same words.
     events = [event for event in warned if not any(text.startswith(event["text"]) for text in printed)]
     if len(events) > _EVENTS_SHOWN:
         yield "events", f"the last {_EVENTS_SHOWN} of {len(events)}; --json and --html have them all"

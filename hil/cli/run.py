@@ -62,7 +62,7 @@ def run(
 
     end_in_order()
     suffix = ".rrd" if record is None else None if record == "none" else Path(record).suffix
-    # First, because the recorder process imports for as long as this one.
+    # First, because the recorder process takes as long to import its modules as this one.
     make_recording = context.with_resource(early_recorder(suffix, live=live))
 
     from hil.cli import report
@@ -115,6 +115,6 @@ def run(
 
 
 def _print_stuck(sentence: str) -> None:
-    """Print the JSON of a run whose stuck law ends this process."""
+    """Print the JSON of a run before its stuck law ends this process."""
     print_json({"passed": False, "failure": sentence})
     flush_output()

@@ -55,7 +55,7 @@ def serve(
 
 
 def _without_print_unit(words: list[str], config: str) -> list[str]:
-    """Return the options of this command line, as they were given."""
+    """Return the options of this command line, as given, without --print-unit and the configuration."""
     options = words[words.index("serve") + 1 :]
     options.remove("--print-unit")
     options.remove(config)

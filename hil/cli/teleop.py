@@ -1,4 +1,4 @@
-"""``hil teleop``: a served robot driven by hand."""
+"""``hil teleop``: driving a served robot by hand."""
 
 import sys
 from typing import Annotated
@@ -27,7 +27,7 @@ def teleop(
 ) -> None:
     """Drive the robot that hil serve runs, by hand: it moves while a key or the gamepad's button is held."""
     if sys.platform == "win32":
-        raise BadInputError("teleop needs a terminal as Linux and macOS have it; on Windows, run it in WSL")
+        raise BadInputError("teleop needs a terminal of Linux or macOS; on Windows, run it in WSL")
     from hil.service.client import find
     from hil.service.teleop.drive import teleop as drive
     from hil.service.teleop.operator import Speeds

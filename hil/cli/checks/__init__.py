@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 
 class Verdict(StrEnum):
-    """How good it is."""
+    """The verdict of a check."""
 
     OK = "ok"
     NOTE = "note"
@@ -28,7 +28,7 @@ class Finding(NamedTuple):
 
 
 def ok(subject: str, sentence: str) -> Finding:
-    """Return a finding that something is as it should be."""
+    """Return a finding that something is in order."""
     return Finding(Verdict.OK, subject, sentence)
 
 
@@ -43,7 +43,7 @@ def problem(subject: str, sentence: str, remedy: str) -> Finding:
 
 
 def text_of(path: Path) -> str | None:
-    """Return the stripped text of a file such as those in /sys, None where it cannot be read."""
+    """Return the stripped text of a file such as those in /sys; None if it cannot be read."""
     try:
         return path.read_text("utf-8").strip()
     except OSError:

@@ -17,11 +17,11 @@ _NATIVE = (WHEEL_HOST, COSIM, *(built for path, built in FMUS.items() if path !=
 
 
 def check_versions() -> Iterator[Finding]:
-    """Yield the version of Python, and the packages that are missing or of another version than is needed."""
+    """Yield the version of Python, and the packages that are missing or have an unsuitable version."""
     try:
         about = importlib.metadata.metadata(OUR_PACKAGE)
     except importlib.metadata.PackageNotFoundError:
-        sentence = f"{OUR_PACKAGE} is not installed, so that nothing tells what it needs"
+        sentence = f"{OUR_PACKAGE} is not installed, so its requirements are not known"
         yield problem("versions", sentence, "pip install -e .")
         return
     python = platform.python_version()
@@ -35,7 +35,7 @@ def check_versions() -> Iterator[Finding]:
     packages = [one for one in requirements if one.marker is None or one.marker.evaluate({"extra": ""})]
     unmet = [finding for one in packages if (finding := _unmet(one)) is not None]
     if not unmet:
-        yield ok("packages", f"all {len(packages)} are there, in versions that fit")
+        yield ok("packages", f"all {len(packages)} are installed, in suitable versions")
     yield from unmet
 
 
@@ -52,15 +52,15 @@ def _unmet(requirement: Requirement) -> Finding | None:
 
 
 def check_native() -> Iterator[Finding]:
-    """Yield the native libraries, the plant FMUs and, in a checkout, the compiler: only building needs it."""
+    """Yield the native libraries, the plant FMUs and, in a checkout, the compiler, which only building needs."""
     for built in _NATIVE:
         path = built.path
         subject = "plant" if path.suffix == ".fmu" else "native library"
-        remedy = f"python -m {built.module}" if is_checkout(built.root) else "install the package anew"
+        remedy = f"python -m {built.module}" if is_checkout(built.root) else "install the package again"
         if not path.is_file():
             yield problem(subject, f"{path.name} is not built", remedy)
         elif not built.is_current():
-            yield problem(subject, f"{path.name} was not built from the sources beside it", remedy)
+            yield problem(subject, f"{path.name} was not built from the present sources", remedy)
         elif subject == "plant":
             try:
                 yield ok("plant", f"{path.name}, for {', '.join(archive.platforms(path))}")

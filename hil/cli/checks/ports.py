@@ -1,4 +1,4 @@
-"""Serial ports and CAN interfaces: which there are, who may open them, and what slows them down."""
+"""Serial ports and CAN interfaces: which exist, who may open them, and what slows them down."""
 
 import ctypes.util
 import json
@@ -18,7 +18,7 @@ NET = Path("/sys/class/net")
 _ARPHRD_CAN = "280"
 _IFF_UP = 1
 _WINDOWS = sys.platform == "win32"
-# The makers' libraries, by interface of python-can, as ctypes finds them.
+# The manufacturers' libraries, by interface of python-can, under the names by which ctypes finds them.
 _MAKERS = {"pcan": "PCANBasic" if _WINDOWS else "pcanbasic", "kvaser": "canlib32" if _WINDOWS else "canlib"}
 
 
@@ -32,7 +32,7 @@ def check_serial() -> Iterator[Finding]:
     for port in ports:
         name = f"{port.device}: {port.description}"
         if not _WINDOWS and not os.access(port.device, os.R_OK | os.W_OK):
-            # Most machines have one on the board that is not USB, with nothing behind it.
+            # Most machines have a port on the main board (not USB) with nothing connected.
             finding = note if port.vid is None else problem
             yield finding("serial port", f"{name}; this user may not open it", _remedy(Path(port.device)))
         else:
@@ -50,7 +50,7 @@ def _remedy(device: Path) -> str:
 
 
 def _latency(device: str, name: str) -> Finding:
-    """Return how long an FTDI adapter's driver waits for more bytes. Other drivers do not wait, or do not tell."""
+    """Report how long an FTDI adapter's driver waits for more bytes. Other drivers do not wait, or do not report it."""
     timer = _USB_SERIAL / Path(device).name / "latency_timer"
     try:
         latency_ms = int(timer.read_text("ascii"))
@@ -58,7 +58,8 @@ def _latency(device: str, name: str) -> Finding:
         return ok("serial port", name)
     if latency_ms <= _SHORT_MS:
         return ok("serial port", f"{name}; low latency, {latency_ms} ms")
-    # Opening it sets ASYNC_LOW_LATENCY (hil.wire.serial_port), which makes it 1 ms where the driver supports it.
+    # A run sets ASYNC_LOW_LATENCY (hil.wire.serial_port) when it opens the port, which gives 1 ms if the driver
+    # supports it.
     return note(
         "serial port",
         f"{name}; its driver holds bytes back for {latency_ms} ms until a run sets it to low latency",
@@ -67,15 +68,17 @@ def _latency(device: str, name: str) -> Finding:
 
 
 def check_can(net: Path = NET) -> Iterator[Finding]:
-    """Yield a finding for each CAN interface in ``net``, the kernel's devices, and one for the makers' libraries."""
+    """Yield a finding for each CAN interface in ``net``, the kernel's devices, and one for the manufacturers'
+    libraries.
+    """
     folders = sorted(net.glob("*")) if sys.platform == "linux" else []
     interfaces = [folder for folder in folders if text_of(folder / "type") == _ARPHRD_CAN]
     yield from map(_interface, interfaces)
     libraries = [maker for maker, name in _MAKERS.items() if ctypes.util.find_library(name)]
     if libraries:
-        yield ok("CAN drivers", f"of makers, for python-can: {', '.join(libraries)}")
+        yield ok("CAN drivers", f"manufacturers' libraries for python-can: {', '.join(libraries)}")
     elif not interfaces:
-        yield ok("CAN", "no interface and no maker's driver; a serial line needs none")
+        yield ok("CAN", "no interface and no manufacturer's driver; a serial line needs none")
 
 
 def _interface(folder: Path) -> Finding:
@@ -90,7 +93,7 @@ def _interface(folder: Path) -> Finding:
 
 
 def _link_info(name: str) -> dict[str, Any]:
-    """Return the ``linkinfo`` of an interface from iproute2; empty without it."""
+    """Return the ``linkinfo`` of an interface from iproute2; empty if that is not installed."""
     ip = shutil.which("ip")
     if ip is None:
         return {}

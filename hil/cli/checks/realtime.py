@@ -1,4 +1,4 @@
-"""Real time: the kernel, its clock, and what this user may ask of the operating system."""
+"""Real time: the kernel, its clock, and what the operating system permits this user."""
 
 import getpass
 import gzip
@@ -34,7 +34,7 @@ _LIMITS = "/etc/security/limits.d/90-mecanum-hil.conf"
 
 
 def check_kernel(root: Path = Path("/")) -> Iterator[Finding]:
-    """Yield the findings on a Linux kernel; ``root`` is where /sys, /proc and /boot are."""
+    """Yield the findings on a Linux kernel; ``root`` is the folder that holds sys, proc and boot."""
     if sys.platform == "linux":
         yield _preemption(root)
         yield from _timers(root)
@@ -72,7 +72,7 @@ def _timers(root: Path) -> Iterator[Finding]:
 
 
 def _governor(root: Path) -> Iterator[Finding]:
-    """Yield how the processors' frequency is chosen. A virtual machine often does not choose it."""
+    """Yield how the processors' frequency is controlled. Virtual machines often have no control of it."""
     folder = root / "sys/devices/system/cpu"
     governors = sorted(set(filter(None, map(text_of, folder.glob("cpu[0-9]*/cpufreq/scaling_governor")))))
     if governors == ["performance"]:
@@ -96,7 +96,7 @@ def _isolation(root: Path) -> Iterator[Finding]:
 
 
 def check_permissions() -> Iterator[Finding]:
-    """Yield whether this user may have real-time priority, locked memory, and no deep idle states."""
+    """Yield whether this user may set real-time priority, lock memory, and forbid deep idle states."""
     if sys.platform != "linux":
         return
     if has_capability(CAP_SYS_NICE):

@@ -1,4 +1,4 @@
-"""What recordings need: space and speed of the disk, and rerun's viewer."""
+"""What recordings need: free space and speed of the disk, and rerun's viewer."""
 
 import importlib.metadata
 import os
@@ -15,7 +15,7 @@ from hil.cli.checks import Finding, note, ok, problem
 from hil.core.errors import DeviceError
 from hil.record.viewer import has_display, viewer_environment, viewer_executable
 
-A_SECOND_BYTES = 700_000  # of a recording at 1 kHz, as telemetry_cost measures it, rounded up
+A_SECOND_BYTES = 700_000  # of a recording at 1 kHz, as measured by telemetry_cost, rounded up
 _LOW_S = 3600
 _SEQUENTIAL = 8
 _CHUNK = bytes(1 << 20)
@@ -27,7 +27,7 @@ _RENDER_NODES = Path("/dev/dri")
 
 
 def check_disk(folder: Path) -> Iterator[Finding]:
-    """Yield space and speed of the disk under ``folder``, measured with a file that is removed afterwards."""
+    """Yield free space and speed of the disk under ``folder``, measured with a temporary file."""
     place = next(one for one in (folder.absolute(), *folder.absolute().parents) if one.is_dir())
     try:
         with tempfile.TemporaryFile(dir=place) as file:
@@ -68,7 +68,7 @@ def _measured(descriptor: int) -> tuple[float, float]:
 
 
 def check_viewer(render_nodes: Path = _RENDER_NODES) -> Iterator[Finding]:
-    """Yield the viewer's version against the SDK's, and whether there is a display and a graphics processor."""
+    """Yield the viewer's version compared with the SDK's, and whether there is a display and a graphics processor."""
     yield _viewer_version()
     if not has_display():
         yield note("display", "none, so that no window can be opened", "use hil view RUN.rrd --web and a browser")

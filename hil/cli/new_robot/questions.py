@@ -1,4 +1,4 @@
-"""The questions about a robot, in this order, with proposals from the paper's robot and from earlier answers."""
+"""The questions about a robot, in order. Proposed answers come from the paper's robot and from earlier answers."""
 
 import math
 from collections.abc import Callable, Mapping
@@ -18,7 +18,7 @@ _WHEEL_SHARE = 0.09
 
 
 class Question(NamedTuple):
-    """A key of a robot's file, and its proposal, a function of the answers before it."""
+    """A key of a robot's file, and its proposed value, a function of the earlier answers."""
 
     key: str
     proposed: Callable[[Answers], Value]
@@ -31,11 +31,11 @@ class Question(NamedTuple):
 
     @property
     def description(self) -> str:
-        """The meaning in the scenario's table."""
+        """The key's meaning in the scenario's table."""
         return option_of(self.key).meaning
 
     def read(self, text: str) -> Value:
-        """Return the value of a text, a number where the option is one. Raises ValueError."""
+        """Return the value of a text; a number if the option is one. Raises ValueError."""
         kind = option_of(self.key).type
         if kind is int:
             return int(text)
@@ -47,7 +47,7 @@ def _number(answers: Answers, name: str) -> float:
 
 
 def _rounded(value: float) -> float:
-    """Return a value with three digits."""
+    """Return a value rounded to three digits."""
     return float(f"{value:.3g}")
 
 
@@ -72,7 +72,7 @@ def _walking_speed(answers: Answers) -> float:
 
 
 def _torque_constant(answers: Answers) -> float:
-    """Return a constant with which the torque limit takes about 1.4 A."""
+    """Return a torque constant at which the torque limit takes about 1.4 A."""
     return max(0.001, _rounded(0.7 * _number(answers, "torque_limit_n_m")))
 
 
@@ -98,7 +98,7 @@ def option_of(key: str) -> Option:
 
 
 def problem_with(question: Question, value: Value) -> str | None:
-    """Return the scenario's own sentence on a bad answer; None for a good one."""
+    """Return the scenario's error sentence for a bad answer; None for a good one."""
     table, _, name = question.key.partition(".")
     try:
         build(options_of(Tables)[table].type, {name: value}, table)

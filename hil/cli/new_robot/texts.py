@@ -1,4 +1,4 @@
-"""The texts of the two files: every value with its meaning beside it."""
+"""The texts of the robot file and the scenario file: each value with its meaning in a comment."""
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
@@ -13,7 +13,7 @@ _TORQUE_SHARE = 0.3
 _SHORTEST_S = 5.0
 _OFF_M = 0.1
 _LOOP_RAD_S = 33.0
-"""Bandwidth of the firmware's speed loop on the paper's robot, with which its gains were chosen."""
+"""Bandwidth of the firmware's speed loop on the paper's robot; its gains were chosen for it."""
 _INTEGRAL_1_S = 23.0
 _OVERSPEED = 2.0
 _COMMENT_COLUMN = 40
@@ -22,8 +22,8 @@ _COMMENT_COLUMN = 40
 def robot_text(answers: Answers, driver: str | None = None, found: Found | None = None) -> str:
     """Return the robot's file; ``answers`` has every question's key.
 
-    ``driver`` and ``found`` are of motor controllers that were found by a probe; then the file says which of its values
-    are not measured.
+    ``driver`` and ``found`` describe motor controllers that a probe has found; then the file marks the values that are
+    not measured.
     """
     speed_kp = min(100.0, _three_digits(_LOOP_RAD_S * _inertia_at_a_wheel(answers)))
     more: dict[str, Value | list[str]] = {
@@ -48,7 +48,7 @@ def robot_text(answers: Answers, driver: str | None = None, found: Found | None 
 
 
 def scenario_text(answers: Answers, slowness: float) -> str:
-    """Return a scenario with a circle; ``slowness`` 1 should be well within the robot's limits."""
+    """Return a scenario with a circle; with ``slowness`` 1 it should be well within the robot's limits."""
     period_s = math.ceil(_period_s(answers) * slowness * 2) / 2
     return f"""\
 # A first circle: from {_OFF_M:g} m beside it, by the wheels and the gyro alone, as a real robot begins
@@ -85,7 +85,7 @@ below = 0.02
 
 
 def _not_reported(table: str, found: Found) -> Sequence[str]:
-    """Return sentences on the values of a table that are not measured, for the lines above it."""
+    """Return comment lines on the values of a table that are not measured, to stand above it."""
     known, unknown = (
         ", ".join(key.removeprefix(f"{table}.") for key in keys if key.rpartition(".")[0] == table)
         for keys in (found.known, found.unknown)
@@ -113,7 +113,9 @@ def _lines(table: str, rows: list[tuple[str, Value | list[str]]]) -> Iterator[st
 
 
 def _inertia_at_a_wheel(answers: Answers) -> float:
-    """Return the inertia at a wheel in straight motion [kg·m²]: a quarter of the robot, and the wheel."""
+    """Return the inertia at one wheel in straight motion [kg·m²]: a quarter of the robot's mass, and the wheel's
+    own.
+    """
     mass_kg, radius_m, wheel_kg_m2 = (
         float(answers[f"robot.{name}"]) for name in ("mass_kg", "wheel_radius_m", "wheel_inertia_kg_m2")
     )
@@ -121,7 +123,7 @@ def _inertia_at_a_wheel(answers: Answers) -> float:
 
 
 def _period_s(answers: Answers) -> float:
-    """Return the period of a circle that needs a share of the wheels' limits in speed and in torque."""
+    """Return the period of a circle that uses fixed shares of the wheels' speed and torque limits."""
     radius_m, speed_rad_s, torque_n_m = (
         float(answers[f"robot.{name}"]) for name in ("wheel_radius_m", "speed_limit_rad_s", "torque_limit_n_m")
     )

@@ -1,4 +1,4 @@
-"""The fixtures of the pytest plugin: three callables. The plugin cleans up after them."""
+"""The three fixtures of the pytest plugin, as callables. The plugin cleans up after them."""
 
 import contextlib
 import shlex
@@ -18,9 +18,9 @@ Set = Mapping[str, object] | Sequence[str]
 
 
 class StartRobot:
-    """Fixture ``virtual_robot``: starts virtual robots, each in a process of its own, and ends them after the test.
+    """Fixture ``virtual_robot``: starts virtual robots, each in its own process, and ends them after the test.
 
-    A scenario is a shipped name or a path; a relative one starts from the test's folder.
+    A scenario is a shipped name or a path; a relative path starts from the folder of the test file.
     """
 
     def __init__(self, folder: Path, overrides: Overrides, resources: contextlib.ExitStack) -> None:
@@ -37,10 +37,11 @@ class StartRobot:
         link: str = "serial:pty",
         seed: int | None = None,
     ) -> RobotProcess:
-        """Start the scenario's robot at its end of ``link``, by default a new pseudo-terminal, and return it ready.
+        """Start the scenario's robot at its end of ``link``, by default a new pseudo-terminal; return it when it is
+        ready.
 
-        ``set``, ``mode`` and ``seed`` are those of ``hil device`` and win over --hil-set, --hil-mode and --hil-seed.
-        Raises BadInputError for a wrong scenario or option, DeviceError when the robot does not get ready.
+        ``set``, ``mode`` and ``seed`` are those of ``hil device`` and override --hil-set, --hil-mode and --hil-seed.
+        Raises BadInputError for a wrong scenario or option, DeviceError when the robot does not become ready.
         """
         __tracebackhide__ = True
         overrides = self._overrides.changed(set, mode, link, seed)
@@ -68,7 +69,7 @@ class OpenLink:
     ) -> RobotLink:
         """Return an open link to a robot: one that was started before, or a new one of a scenario.
 
-        ``set`` and ``mode`` are for a new one. Raises LinkError when the link cannot be opened, and as
+        ``set`` and ``mode`` are for a new one. Raises LinkError when the link cannot be opened, and the errors of
         ``virtual_robot``.
         """
         __tracebackhide__ = True
@@ -81,9 +82,10 @@ class OpenLink:
 
 
 class RunScenario:
-    """Fixture ``hil_run``: runs scenarios as ``hil.run`` does, and adds their figures to the test's report.
+    """Fixture ``hil_run``: runs scenarios as ``hil.run`` does, and adds their figures to the test's properties in the
+    pytest report.
 
-    A scenario is a shipped name or a path; a relative one starts from the test's folder.
+    A scenario is a shipped name or a path; a relative path starts from the folder of the test file.
     """
 
     def __init__(self, item: pytest.Item, overrides: Overrides, recording: Callable[[str], Path | None]) -> None:
@@ -109,17 +111,17 @@ class RunScenario:
 
         Args:
             scenario: what to run.
-            set: changes to any of its keys. This argument and the next four win over the options --hil-set and so on.
+            set: changes to any of its keys. This argument and the next four override the options --hil-set and so on.
             mode: ``lockstep`` or ``realtime``.
             link: URL of the link.
             seed: of everything random in the run.
             truth: URL of the truth socket of a robot in another process.
             on: the robot to run on, with its link, truth and mode; it must have been started with the same ``set``.
-            record: whether to record into the test's folder.
+            record: whether to record, into the test's ``tmp_path`` or below ``--hil-record DIR``.
             check: whether a run that does not pass fails the test. If False, the test judges ``result.passed`` itself.
 
-        Raises, without ``check``, BadInputError for a wrong scenario or option, and LinkError or DeviceError when the
-        robot cannot be reached or does not arm. What fails later is in the result.
+        Without ``check`` raises BadInputError for a wrong scenario or option, and LinkError or DeviceError when the
+        robot cannot be reached or does not arm. Later failures are in the result.
         """
         __tracebackhide__ = True
         if on is not None:
@@ -132,7 +134,7 @@ class RunScenario:
         self._runs += 1
         number = "" if self._runs == 1 else f"-{self._runs}"
         recording = self._recording(f"{loaded.name}{number}") if record else None
-        # A robot that the test started ends with it.
+        # A robot that the test started ends with the test, so only the test can be repeated.
         repeat = overrides.command(loaded) if on is None else shlex.join(["pytest", self._item.nodeid])
         verdict = run_as_test(loaded, overrides.truth, recording, repeat, self._item.config)
         self._item.user_properties += [(f"hil{number}.{name}", value) for name, value in verdict.properties()]
@@ -147,7 +149,7 @@ class RunScenario:
 
 
 def located(scenario: str | Path, folder: Path) -> str | Path:
-    """Return a scenario with its path absolute, where it is one."""
+    """Return a scenario; if it is a path, as an absolute one."""
     return folder / scenario if isinstance(scenario, Path) or is_path(scenario) else scenario
 
 

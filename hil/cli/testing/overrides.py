@@ -12,10 +12,10 @@ from hil.scenario import Scenario, load, set_texts
 
 @dataclass(frozen=True)
 class Overrides:
-    """Changes to a scenario, as the options of ``hil run`` have them; None leaves what the scenario says.
+    """Changes to a scenario, like the options of ``hil run``; None keeps the scenario's value.
 
     Attributes:
-        set: texts ``key=value``, the later one wins.
+        set: texts ``key=value``; later ones win.
         mode: ``lockstep`` or ``realtime``.
         link: URL of the link.
         seed: of everything random in the run.
@@ -36,7 +36,7 @@ class Overrides:
         seed: int | None = None,
         truth: str | None = None,
     ) -> Self:
-        """Return these overrides with others on top. A truth belongs to its link: with another link it is dropped."""
+        """Return these overrides with others on top. A truth belongs to its link: another link drops it."""
         return replace(
             self,
             set=(*self.set, *set_texts(set)),

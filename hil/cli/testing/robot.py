@@ -1,4 +1,4 @@
-"""A virtual robot in a process of its own (``hil device``), and a link to it without a controller, for tests."""
+"""A virtual robot in its own process (``hil device``), and a link to it without a controller, for tests."""
 
 import contextlib
 import queue
@@ -26,13 +26,13 @@ _READY = "ready "
 
 
 class RobotProcess:
-    """A virtual robot that is ready. It ends with ``close``, and by itself when this process has ended in any way.
+    """A virtual robot that is ready. It ends with ``close``, and also when this process ends in any way.
 
-    Raises BadInputError when the scenario cannot run in a process of its own, DeviceError when the robot does not get
+    Raises BadInputError when the scenario cannot run in its own process, DeviceError when the robot does not become
     ready.
 
     Attributes:
-        scenario: whose robot it is.
+        scenario: the robot's scenario.
         link: URL of the host's end of its link, such as ``serial:/dev/pts/3``.
         truth: URL of its truth socket, such as ``tcp://127.0.0.1:40123``.
         pid: process id.
@@ -73,13 +73,13 @@ class RobotProcess:
         return self._process.poll() is None
 
     def kill(self) -> None:
-        """End it without warning, as a power cut does."""
+        """Kill the process without warning, like a power cut."""
         self._ended_by_us = True
         self._process.kill()
         self._process.wait()
 
     def close(self) -> str | None:
-        """End it, and return a sentence about its end, or None; closing twice is allowed.
+        """End the robot; return a sentence that it printed last, or None. Closing twice is allowed.
 
         Raises DeviceError when it had ended by itself before.
         """
@@ -104,7 +104,7 @@ class RobotProcess:
         self._output.put("")
 
     def _wait_until_ready(self) -> dict[str, str]:
-        """Wait for the line that says that the robot is ready, and return its fields."""
+        """Wait for the line that reports the robot ready, and return its fields."""
         try:
             line = self._output.get(timeout=_READY_S)
         except queue.Empty:
@@ -137,7 +137,7 @@ class RobotProcess:
 class RobotLink:
     """An open link to a virtual robot. It sends messages of wheel.dbc, or any frame made by hand.
 
-    In lockstep the robot's time stands still until it is sent a Step. Raises LinkError when the link cannot be opened.
+    In lockstep the robot's time stands still until a Step is sent. Raises LinkError when the link cannot be opened.
 
     Attributes:
         robot: the robot at the other end.
@@ -151,7 +151,7 @@ class RobotLink:
     def send(self, what: Message | Frame) -> None:
         """Send a message or a frame.
 
-        Raises ValueError when a message's value does not fit its field, or when the serial framing does not know the
+        Raises ValueError when a message's value does not fit its field, or when the serial framing does not allow the
         id or length of a frame; LinkError when the link is lost.
         """
         self._link.send(what if isinstance(what, Frame) else codec.encode(what))
@@ -165,7 +165,7 @@ class RobotLink:
     def ask(self, what: Message | Frame, answer: type[Answer], timeout_s: float = 2.0) -> Answer:
         """Send, and return the next message of the type ``answer``; other messages are skipped.
 
-        Raises DeviceError when there is none within ``timeout_s``, and as ``send``.
+        Raises DeviceError when none comes within ``timeout_s``, and the errors of ``send``.
         """
         self.send(what)
         deadline_s = time.monotonic() + timeout_s

@@ -25,11 +25,11 @@ class Verdict:
     """The outcome of a scenario.
 
     Attributes:
-        scenario: what was to be run.
+        scenario: the scenario of the run.
         result: the finished run, or None when it could not begin.
-        error: what ended the run early or kept it from beginning, or None.
-        recording: the recording, or None where there is none.
-        repeat: the command that runs the same again.
+        error: the error that ended the run early or prevented it, or None.
+        recording: the recording, or None.
+        repeat: the command that repeats the run.
     """
 
     scenario: Scenario
@@ -44,7 +44,7 @@ class Verdict:
         return self.result is not None and self.result.passed
 
     def text(self) -> str:
-        """Return the report: first every problem, then the outcome of each expectation and fault, then what to do."""
+        """Return the report: every problem, then the outcome of each expectation and fault, then the next commands."""
         scenario = self.scenario
         name = shown(scenario.path or scenario.name)
         rows = [("scenario", f"{name}, {scenario.loop.mode}, {scenario.link.url}, seed {scenario.loop.seed}")]
@@ -57,7 +57,7 @@ class Verdict:
         return "\n".join([*self._problems(), "", *(f"  {label:<12} {line}" for label, line in rows)])
 
     def properties(self) -> list[tuple[str, str]]:
-        """Return the entries of the run in a test report, by name; figures that do not apply are left out."""
+        """Return the entries of the run in a test report, by name; figures without a value are left out."""
         metrics: Mapping[str, Any] = {"seed": self.scenario.loop.seed} if self.result is None else self.result.metrics
         kept = [("scenario", self.scenario.name), *((name, metrics.get(name)) for name in (*_FACTS, *_FIGURES))]
         if self.result is not None:
@@ -74,7 +74,7 @@ class Verdict:
             return
         metrics = self.result.metrics
         if metrics["commands_refused"]:
-            yield f"the law gave {metrics['commands_refused']} commands that were no numbers"
+            yield f"the law gave {metrics['commands_refused']} commands that were not finite"
         failed = [row for row in in_order(metrics["expect"]) if row["passed"] is False]
         yield from (f"expectation: {row['text']}" for row in failed)
         yield from (f"allow: {row['text']}" for row in metrics["allow"] if not row["passed"])
@@ -99,7 +99,7 @@ def run_as_test(
 ) -> Verdict:
     """Run a scenario and return its outcome. ``repeat`` is the command that repeats it.
 
-    A law that is stuck where no exception reaches ends the session; its last sentence is not captured.
+    A law that takes too long and cannot be interrupted ends the pytest session; its last sentence is not captured.
     """
     from hil.runtime.assembly import RunOptions, run_scenario
 
@@ -122,7 +122,7 @@ def _faults(rows: Sequence[FaultTable], metrics: Mapping[str, Any]) -> Iterator[
 
 
 def _link_figures(metrics: Mapping[str, Any]) -> Iterator[tuple[str, float | None]]:
-    """Yield the main figures of the link (hil/wire/STATISTICS.md); None for one that this link cannot have."""
+    """Yield the main figures of the link (hil/wire/STATISTICS.md); None for one that does not exist for this link."""
     link = metrics["link_statistics"]
     for way in ("sent", "received"):
         yield f"{way}_frames", link[way]["frames"]
