@@ -257,7 +257,7 @@ def test_a_wrong_outcome_is_a_row_of_the_table_and_its_recording_is_kept(tmp_pat
     ("arguments", "words"),
     [
         (("--kind", "mut"), "did you mean 'mute'?"),
-        (("--kind", "mute", "--set", "device.driver=moteus"), "this never strikes 'moteus' as it is set up"),
+        (("--kind", "mute", "--set", "device.driver=moteus"), "this fault cannot act on 'moteus' as it is set up"),
         (("--link", "usb"), "known: can, memory, serial"),
         (("no_such_scenario",), "no_such_scenario"),
     ],

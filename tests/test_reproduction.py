@@ -372,7 +372,7 @@ def test_the_page_is_what_the_summary_beside_it_gives(capsys, tmp_path, monkeypa
     edited.write_text(page.PAGE.read_text(encoding="utf-8").replace("does not come out", "comes out"), encoding="utf-8")
     monkeypatch.setattr(page, "PAGE", edited)
     assert page.main(["--check"]) == 1
-    assert capsys.readouterr().err.startswith("PAPER.md is not what paper.json gives; run: ")
+    assert capsys.readouterr().err.startswith("PAPER.md is out of date with paper.json; run: ")
 
 
 def test_results_are_written_between_the_marks(summary: dict[str, Any]) -> None:

@@ -1,7 +1,7 @@
 """A pool on an existing cluster of Dask (``--scheduler``). Nothing else imports Dask or needs it.
 
-A Dask worker runs no job itself: it has worker processes of ours, so that a law or an FMU that crashes or hangs makes
-one job lost and nothing more. When a Dask worker itself is lost, Dask gives its jobs to another.
+A Dask worker runs no job itself: our worker processes do, so a law or an FMU that crashes or hangs costs one job and
+nothing more. When a Dask worker itself is lost, Dask gives its jobs to another.
 """
 
 import contextlib
@@ -86,7 +86,7 @@ class RunnersOfAWorker(distributed.WorkerPlugin):
 
 
 def run_on_worker(name: str, job: Job) -> Done | None:
-    """Do a job on this Dask worker; None when it has no plugin of this name, as after a change of the scheduler."""
+    """Do a job on this Dask worker; None when it has no plugin of this name, as after the scheduler was restarted."""
     worker = distributed.get_worker()
     runners = worker.plugins.get(name)
     if runners is None:
@@ -96,10 +96,10 @@ def run_on_worker(name: str, job: Job) -> Done | None:
 
 
 class DaskPool:
-    """A pool on the cluster at an address; jobs ``on_bench`` are done where the resource ``bench`` is.
+    """A pool on the cluster at an address; with ``on_bench`` jobs go only to workers with the resource ``bench``.
 
-    Jobs of a Dask worker that is lost are done by another, and are lost when Dask gives them up. When the scheduler
-    goes, its jobs are submitted anew once it is back.
+    The jobs of a lost Dask worker go to another, and are lost when Dask gives them up. When the scheduler is lost, its
+    jobs are submitted again once it is back.
 
     Raises LinkError when no scheduler answers, BadInputError for an address without TLS certificates; ``room`` and
     ``collect`` raise LinkError when the scheduler did not come back within ``patience_s``, and when a worker cannot do
@@ -127,7 +127,7 @@ class DaskPool:
         return len(self._jobs) + len(self._again)
 
     def room(self) -> int:
-        """Return how many more jobs may be submitted now: none while the scheduler is away."""
+        """Return how many more jobs may be submitted now: none while the scheduler cannot be reached."""
         if not self._is_ready():
             self._reconnect()
             return 0
@@ -139,7 +139,7 @@ class DaskPool:
     def submit(self, job: Job) -> None:
         """Give a job to the scheduler."""
         assert self._client is not None
-        # A name of its own: Dask would take another job of this name for the same.
+        # A unique name: Dask takes two jobs of one name for the same.
         name = f"run-{job.key[:16]}-{next(self._numbers)}"
         future = self._client.submit(
             run_on_worker, self._runners.name, job, key=name, pure=False, resources=self._resources
@@ -170,7 +170,7 @@ class DaskPool:
         return outcomes
 
     def status(self) -> PoolStatus:
-        """Return how many workers can do the jobs, and what is waited for."""
+        """Return how many workers can do the jobs, and what the pool waits for."""
         if not self._is_connected:
             return PoolStatus(0, f"the scheduler {self._address} has gone; waiting for it")
         workers = self._workers()
@@ -180,10 +180,10 @@ class DaskPool:
         return PoolStatus(workers, None)
 
     def close(self) -> None:
-        """Drop what is not done, and end our processes, which the cluster would keep otherwise."""
+        """Drop the jobs that are not done, and end our processes, which the cluster would keep otherwise."""
         if self._client is None:
             return
-        with contextlib.suppress(Exception):  # the scheduler may be gone, which matters no more
+        with contextlib.suppress(Exception):  # the scheduler may be gone, which no longer matters
             self._client.cancel([future for _, future in self._jobs.values()], force=True)
             if self._is_connected:
                 self._client.unregister_worker_plugin(self._runners.name)
@@ -194,7 +194,7 @@ class DaskPool:
         return self._client is not None and self._client.status == "running"
 
     def _is_ready(self) -> bool:
-        """Return whether there is a scheduler whose workers have our plugin; a new scheduler does not know it."""
+        """Return whether the scheduler's workers have our plugin; register it where they do not, as after a restart."""
         if self._client is None or not self._is_connected:
             return False
         if not self._is_prepared:
@@ -211,7 +211,7 @@ class DaskPool:
         return self._is_prepared
 
     def _reconnect(self) -> None:
-        """Try to have a scheduler again. The client itself does so for a while, and then closes."""
+        """Try to connect again. The client itself tries for a while, and then closes."""
         self._gone_s = self._gone_s or time.monotonic()
         if time.monotonic() - self._gone_s > self._patience_s:
             raise LinkError(
@@ -225,7 +225,7 @@ class DaskPool:
                 self._is_prepared = False
 
     def _workers(self) -> int:
-        """Return the threads of the workers that can do the jobs, as of two seconds ago at most."""
+        """Return the threads of the workers that can do the jobs, at most two seconds old."""
         now_s = time.monotonic()
         if self._client is None or now_s - self._queried_s < _QUERY_PERIOD_S:
             return self._threads
@@ -238,9 +238,9 @@ class DaskPool:
 
 
 def _result(job: Job, future: "distributed.Future[Done | None]") -> Done | None:
-    """Return what came of a job, or None when it has to be submitted anew.
+    """Return a job's outcome and recording, or None when the job has to be submitted again.
 
-    Raises LinkError when the Dask worker could not do it: anew it would be the same.
+    Raises LinkError when the Dask worker could not do it, because it would fail again.
     """
     if future.status in ("cancelled", "lost"):
         return None
@@ -253,7 +253,7 @@ def _result(job: Job, future: "distributed.Future[Done | None]") -> Done | None:
     except FutureCancelledError:
         return None
     except (TimeoutError, OSError) as error:
-        if is_error:  # of the job itself, not of the way here
+        if is_error:  # an error of the job itself, not of the connection
             raise LinkError(
                 f"a worker of Dask cannot do runs: {error}; make room for temporary files there, or make their folder "
                 "writable, and give the same command again"
@@ -263,10 +263,10 @@ def _result(job: Job, future: "distributed.Future[Done | None]") -> Done | None:
 
 
 def _connect(address: str) -> "distributed.Client":
-    logging.getLogger("distributed.client").setLevel(logging.CRITICAL)  # what matters of it is in our own sentences
+    logging.getLogger("distributed.client").setLevel(logging.CRITICAL)  # our own messages say what matters
     try:
         return distributed.Client(address, timeout=CONNECT_S, set_as_default=False, name="mecanum-hil")
-    except TypeError as error:  # so Dask says that there are no certificates
+    except TypeError as error:  # this is how Dask reports missing certificates
         raise BadInputError(
             f"--scheduler {address}: TLS needs certificates; name them in DASK_DISTRIBUTED__COMM__TLS__CA_FILE, "
             "..._TLS__CLIENT__CERT and ..._TLS__CLIENT__KEY, as CAMPAIGNS.md shows"
@@ -278,7 +278,7 @@ def _connect(address: str) -> "distributed.Client":
 
 
 def check_address(address: str) -> None:
-    """Raise BadInputError for what is no address of a scheduler that may be used.
+    """Raise BadInputError unless the text is the address of a scheduler that may be used.
 
     Whoever reaches a scheduler can run programs on its workers, so without TLS it must be on this machine.
     """

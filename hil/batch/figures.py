@@ -24,9 +24,9 @@ class Column(NamedTuple):
 
     Attributes:
         name: the column in rows. head: the head of a table's column. title: what pictures call it.
-        unit: the unit shown; ``scale`` of them are one of the figure's own. digits: the decimals shown.
+        unit: the unit shown: the stored value times ``scale``. digits: the decimals shown.
         meaning: one line that defines it.
-        is_instant: it is a time of the run, from which on something stays so.
+        is_instant: whether it is a time in the run from which on a condition holds, such as a settling time.
     """
 
     name: str
@@ -57,7 +57,7 @@ _SHOWN = {
     "torque_variation_n_m_per_s": ("variation", "torque variation", 2),
     "saturation_s": ("saturated", "saturated", 2),
 }
-"""Head, title and decimals by name, in the order of a table; a figure of another package has its label and three."""
+"""Head, title and decimals by name, in the order of a table; other packages' figures: their label and three."""
 _INSTANTS = ("t10_s", "tracked_s")
 
 
@@ -97,11 +97,11 @@ def run_columns(metrics: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def as_judged(row: Mapping[str, Any]) -> dict[str, Any]:
-    """Return a row without figures when its run ended early: that makes effort and overshoot less, and is no merit."""
+    """Return a row, without figures if its run ended early: that lowers effort and overshoot undeservedly."""
     missing: dict[str, Any] = dict.fromkeys(table_figures())
     return {**missing, **row} if row["outcome"] in (PASSED, FAILED) else {**row, **missing}
 
 
 def check_figure(name: str, where: str) -> None:
-    """Raise BadInputError for what is no figure of a row."""
+    """Raise BadInputError unless ``name`` is a figure of a row."""
     check_name(name, where, table_figures())

@@ -1,4 +1,4 @@
-"""What is to be done and what came of it: a job and its outcome, as plain values that any process can have."""
+"""A job (one run to do) and its outcome, as plain values that can be passed between processes."""
 
 from collections.abc import Mapping
 from typing import Any, NamedTuple
@@ -7,8 +7,11 @@ NEVER, IF_FAILED, ALWAYS = "never", "if failed", "always"
 """When a job is recorded."""
 
 PASSED, FAILED, ENDED, REFUSED, LOST = "passed", "failed", "ended", "refused", "lost"
-"""How a job came out: as expected; it ran to its end and was not; a law, the link or the robot ended it early; it could
-not begin; its process crashed or hung."""
+"""The status of an outcome.
+
+Passed: as expected. Failed: it ran to its end, but not as expected. Ended: a law, the link or the robot ended it early.
+Refused: it could not begin. Lost: its process crashed or hung.
+"""
 STATUSES = (PASSED, FAILED, ENDED, REFUSED, LOST)
 FOREIGN = "foreign"
 """The worker has other files or another version than the plan, so it did not do the job."""
@@ -22,11 +25,11 @@ class Job(NamedTuple):
         kind: the function that does it, as ``module:function``; it takes the job and its scenario, and returns an
             Outcome.
         scenario: the resolved scenario, as ``hil.scenario.to_plain`` gives it.
-        options: what the kind needs besides; part of the key.
+        options: further inputs of the kind; part of the key.
         library: path of a firmware library to run in place of the built one; None for the built one.
         library_sha256: its hash, which is part of the key.
         limit_s: wall-clock time [s] after which it is ended as hung.
-        memory_mb: memory [MB] at which its process is ended, where the system tells; None for no limit.
+        memory_mb: memory [MB] at which its process is ended, on systems that report it; None for no limit.
         retries_crash: whether it is done once more when its process ends by itself.
         record: one of ``NEVER``, ``IF_FAILED``, ``ALWAYS``. recording: the file for it.
         signals_file: file (.npz) on this machine for the signals that ``options["signals"]`` names, or "".
@@ -49,14 +52,14 @@ class Job(NamedTuple):
 
 
 class Outcome(NamedTuple):
-    """What came of a job, as plain values (JSON).
+    """The outcome of a job, as plain values (JSON).
 
     Attributes:
         key: that of the job.
         status: one of ``STATUSES``, or ``FOREIGN``.
         reason: one sentence on why it is not ``PASSED``.
         figures: what was measured, by name; empty where the run has no figures.
-        details: what else the kind of job returns.
+        details: further results of the kind of job.
         wall_s: wall-clock time that it took [s].
         recording: the file it was recorded to, if it was.
         worker: which worker did it.

@@ -1,6 +1,7 @@
 """The key of a job: a hash of its scenario with its seed, of the files it names, and of the versions it depends on.
 
-Two jobs with one key have the same figures in lockstep, on any machine. A file counts by its bytes, not by its path.
+Two jobs with the same key have the same figures in lockstep, on any machine. Of a file the bytes enter the key, not its
+path.
 """
 
 import functools
@@ -24,7 +25,7 @@ from hil.scenario import Scenario, to_plain
 from hil.scenario.run import tables_of
 
 KEY_FORMAT = 3
-"""Counts changes of what the key covers."""
+"""Version of the key: raised when the key covers something else."""
 SCENARIO_RUN = "hil.batch.run:run"
 """The usual kind of job: run the scenario and return all its figures."""
 _NOT_OF_THE_RUN = ("service",)
@@ -110,7 +111,7 @@ def _files(scenario: Scenario) -> Iterator[tuple[str, str]]:
 
 
 def _law(law: str, directory: Path) -> str | None:
-    """Return the hash of a law's code, or None without its source; modules that it imports are hashed only once."""
+    """Return the hash of a law's code, None without its source; cached until the law's own file changes."""
     file = directory / law.rpartition(":")[0]
     if file.suffix != ".py" or not file.is_file():
         return _law_at(law, directory, 0, 0)
@@ -139,7 +140,7 @@ def _without_paths(tables: dict[str, Any]) -> None:
 
 
 def _as_floats(value: Any) -> Any:
-    """Return whole numbers as floats, so that 9 and 9.0 have one key where an option may be either."""
+    """Return whole numbers as floats, so that 9 and 9.0 give the same key where an option may be either."""
     if isinstance(value, dict):
         return {name: _as_floats(one) for name, one in value.items()}
     if isinstance(value, list | tuple):

@@ -43,7 +43,7 @@ def remove(older: Sequence[Path]) -> None:
 
 @contextlib.contextmanager
 def deferred(errors: list[BadInputError]) -> Iterator[None]:
-    """Put a BadInputError into the list instead, so that a file that cannot be written keeps no other back."""
+    """Put a BadInputError into the list ``errors``, so that one file that cannot be written stops no other."""
     try:
         yield
     except BadInputError as error:

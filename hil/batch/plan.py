@@ -1,4 +1,4 @@
-"""Which jobs to do, and the loop that has them done: a fixed list, or a search that goes by what came back."""
+"""Plans, which say which jobs to do next (a fixed list, or a search by the outcomes), and the loop that does them."""
 
 import contextlib
 import itertools
@@ -18,15 +18,15 @@ class Plan(Protocol):
     """Gives out jobs."""
 
     def next_jobs(self, outcomes: Sequence[Outcome], room: int) -> Sequence[Job]:
-        """Return jobs to do next, at most ``room`` of them.
+        """Return the next jobs, at most ``room``; ``outcomes`` are those since the last call.
 
-        ``outcomes`` came since the last call. No jobs while others are under way means that the plan waits for their
-        outcomes; no jobs while none is under way ends it.
+        An empty list while jobs are running means: call again when some have finished. An empty list while none is
+        running ends the plan.
         """
 
 
 class FixedPlan:
-    """The plan of a list of jobs; they are taken as there is room, so that the list may be long and lazy."""
+    """A plan of listed jobs; they are taken as there is room, so the iterable may be long and lazy."""
 
     def __init__(self, jobs: Iterable[Job]) -> None:
         self._jobs = iter(jobs)
@@ -46,9 +46,9 @@ def run_plan(
 ) -> Iterator[list[Outcome]]:
     """Do a plan's jobs in a pool, and yield outcomes as they come, in any order. The pool is closed at the end.
 
-    A job whose key is in ``known`` is not done again: that outcome is its outcome, so that a plan that was stopped
-    goes on where it was. ``on_status`` is called with the pool's status twice a second or more often, and
-    ``is_stopping`` asked as often: once it says so, what is done is yielded and the rest is dropped.
+    A job whose key is in ``known`` is not done again: the known outcome is yielded, so a plan that was stopped
+    continues where it was. ``on_status`` gets the pool's status at least twice a second. ``is_stopping`` is called as
+    often: once it returns True, finished outcomes are yielded and the rest is dropped.
 
     Raises LinkError when a worker has other files or another version than the plan.
     """
@@ -91,7 +91,7 @@ def run_jobs(
 ) -> list[Outcome]:
     """Do jobs in processes on this machine and return their outcomes in the order of the jobs.
 
-    Jobs with one key are done once. ``workers`` is how many processes, by default one a processor;
+    Jobs with the same key are done once. ``workers`` is the number of processes, by default one per processor;
     ``trouble`` gives the sentence for the progress callback.
     """
     unique = {job.key: job for job in jobs}

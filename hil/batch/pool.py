@@ -1,7 +1,7 @@
-"""Where jobs are done: by default in processes of our own on this machine.
+"""Pools, which do jobs: by default in worker processes on this machine.
 
-A worker process does many jobs, so that imports and an open FMU are paid once. A job that takes too long, or too much
-memory, is ended with its process; it is lost, and the next job gets a new process.
+A worker process does many jobs, so imports and the opening of an FMU are paid once. A job that takes too long, or too
+much memory, is ended with its process; it is lost, and the next job gets a new process.
 """
 
 import contextlib
@@ -20,7 +20,7 @@ from hil.core.subprocesses import away_from_terminal, excess, module_command
 from hil.record.environment import rerun_environment
 
 READY = "ready\n"
-"""What a worker process writes once all is imported: the time of its first job begins then."""
+"""A worker process writes this after its imports; only then the time limit of its first job begins."""
 MODULE = "hil.batch.worker"
 _START_S = 120.0
 _END_S = 10.0
@@ -31,7 +31,7 @@ _AHEAD = 1
 
 
 class PoolStatus(NamedTuple):
-    """How many workers there are, and what the pool waits for, or None."""
+    """The number of workers, and a sentence on what the pool waits for, or None."""
 
     workers: int
     trouble: str | None
@@ -48,7 +48,7 @@ class Pool(Protocol):
         """Return how many more jobs may be submitted now."""
 
     def submit(self, job: Job) -> None:
-        """Have a job done."""
+        """Queue a job."""
 
     def collect(self) -> list[Outcome]:
         """Wait up to half a second for outcomes, and return all that there are."""
@@ -61,9 +61,9 @@ class Pool(Protocol):
 
 
 def open_pool(scheduler: str | None, workers: int | None, *, on_bench: bool = False) -> Pool:
-    """Return the pool on the scheduler of Dask at an address, or without one so many processes on this machine.
+    """Return a pool on the Dask scheduler at an address; without one, ``workers`` processes on this machine.
 
-    Raises as ``DaskPool``, and BadInputError where Dask is asked for and not installed.
+    Raises as ``DaskPool`` does, and BadInputError when Dask is needed and not installed.
     """
     if scheduler is None:
         return LocalPool(workers)
@@ -73,7 +73,7 @@ def open_pool(scheduler: str | None, workers: int | None, *, on_bench: bool = Fa
 
 
 class LocalPool:
-    """A pool of processes on this machine; ``workers`` is how many at most, by default one a processor."""
+    """A pool of processes on this machine; ``workers`` is how many at most, by default one per processor."""
 
     def __init__(self, workers: int | None = None) -> None:
         self._workers = workers or os.cpu_count() or 1
@@ -88,7 +88,7 @@ class LocalPool:
         return (1 + _AHEAD) * self._workers - self.in_flight
 
     def submit(self, job: Job) -> None:
-        """Have a job done. Processes are started only as far as there are jobs for them."""
+        """Queue a job; a process is started only when there is a job for it."""
         self._waiting.put(job)
         self.in_flight += 1
         if len(self._threads) < min(self._workers, self.in_flight):
@@ -131,7 +131,7 @@ class LocalPool:
 
 
 class Runner:
-    """Does jobs one after the other in a worker process, which is started when needed and anew after its end."""
+    """Does jobs one after the other in a worker process, which is started when needed, and again after it has ended."""
 
     def __init__(self) -> None:
         self._process: _Process | None = None
@@ -139,7 +139,7 @@ class Runner:
         """Whether ``kill`` was called."""
 
     def run(self, job: Job) -> Outcome:
-        """Do a job. A job that is to be tried again after a crash is, unless ``kill`` was called."""
+        """Do a job; after a crash once more if it has ``retries_crash``, unless ``kill`` was called."""
         outcome = self._try(job)
         is_crash = outcome.status == LOST and "crashed" in str(outcome.reason)
         if not (is_crash and job.retries_crash) or self.is_ending:
@@ -222,7 +222,7 @@ class _Process:
         return Outcome(**json.loads(line)) if line.endswith(b"\n") and self.ended_why is None else None
 
     def _line(self, limit_s: float, memory_mb: float | None) -> bytes:
-        """Return the process's next line, or less when it ends; at a limit it is ended, and ``ended_why`` says so."""
+        """Return the process's next line, or less when it ends; at a limit it is ended and ``ended_why`` is set."""
         assert self._process.stdout is not None
         is_done = threading.Event()
 

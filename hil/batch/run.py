@@ -1,4 +1,4 @@
-"""Doing one job in a worker process: its scenario is run, recorded if that is wanted, and judged."""
+"""Does one job in a worker process: runs its scenario, records it on request, and judges it."""
 
 import functools
 from collections.abc import Callable, Mapping
@@ -21,9 +21,9 @@ from hil.scenario import Scenario
 def run(job: Job, scenario: Scenario) -> Outcome:
     """Run a scenario and return all figures of ``run_columns``; the usual kind of job.
 
-    Details are ``reasons``, for each figure that is None one sentence, and ``undriven``: that the robot was not driven
-    in more ticks than ``[allow]`` permits, or None. ``options["signals"]`` names signals that go to the job's
-    ``signals_file``.
+    Details are ``reasons``, a sentence for each figure that is None, and ``undriven``, a sentence if the robot was not
+    driven in more ticks than ``[allow]`` permits, else None. The signals in ``options["signals"]`` are saved in the
+    job's ``signals_file``.
 
     A run that is to be recorded if it fails is recorded from the start in real time. In lockstep it repeats to the bit,
     so it is run again with the recorder only if it failed.
@@ -61,8 +61,9 @@ def _run(job: Job, scenario: Scenario, *, record: bool) -> Outcome:
 def attempt(job: Job, scenario: Scenario, judge: Callable[[RunResult], Outcome], options: RunOptions) -> Outcome:
     """Run a scenario with these options and return what ``judge`` says of it.
 
-    A run that is refused or ends with one of our errors is an outcome too. Any other exception is raised: it is a
-    defect of ours, or of a law that ends its process. Nothing that an earlier run left in a law's module is kept.
+    A run that is refused or ends with a HilError is an outcome too. Any other exception is raised: it is a defect of
+    this package or of a law, and ends the process. The laws' modules are forgotten first, so nothing is left of an
+    earlier run.
     """
     try:
         for law in (scenario.controller.law, *scenario.controller.shadow):
@@ -75,7 +76,7 @@ def attempt(job: Job, scenario: Scenario, judge: Callable[[RunResult], Outcome],
 
 
 def verdict(job: Job, result: RunResult, figures: Mapping[str, Any], **details: Any) -> Outcome:
-    """Return the outcome of a run by its own verdict."""
+    """Return the outcome of a run by its failure and by whether it passed."""
     if result.failure is not None:
         return Outcome(job.key, ENDED, str(result.failure), figures, details)
     if result.passed:

@@ -1,12 +1,11 @@
 """The outcomes of a batch in a folder: small Parquet files, one row a job, that a kill at any time leaves whole.
 
-    DIR/plan.parquet         the jobs that the batch has
-    DIR/campaign.json        what the batch is, for its report
-    DIR/rows/*.parquet       one row for each job that is done; together one dataset
-    DIR/recordings/KEY.rrd   recordings that are kept
+    DIR/plan.parquet         the jobs that the batch has DIR/campaign.json        what the batch is, for its report
+        DIR/rows/*.parquet       one row for each job that is done; together one dataset DIR/recordings/KEY.rrd
+        recordings that are kept
 
-A file is written under another name, brought to the disk, and renamed. When there are many small files of rows they are
-merged into one, whose metadata names them: those that a kill left beside it are removed when the folder is opened.
+A file is written under another name, synced to the disk, and renamed. Many small files of rows are merged into one,
+whose metadata names them: files that a kill leaves beside it are removed when the folder is opened.
 """
 
 import contextlib
@@ -51,7 +50,7 @@ def row_of(outcome: Outcome) -> dict[str, Any]:
 
 
 def outcome_of(row: Row) -> Outcome:
-    """Return the outcome that ``row_of`` made a row of, so that a plan can go on from it."""
+    """Return the outcome from a row of ``row_of``, so that a plan can continue from it."""
     known = (KEY, "outcome", "reason", f"{MACHINE}wall_s", f"{MACHINE}worker")
     key, status, reason, wall_s, worker = (row[name] for name in known)
     figures = {name: value for name, value in row.items() if name not in known}
@@ -110,7 +109,7 @@ class Store:
             self._replace(files, others, max(map(_size, files)))
 
     def begin(self, plan: pa.Table, about: Mapping[str, Any]) -> None:
-        """Write the plan and what the batch is. Raises BadInputError when that cannot be written."""
+        """Write the plan and the description of the batch. Raises BadInputError when that cannot be written."""
         with _writing(self.folder):
             _write_parquet(plan, self.folder / PLAN)
             _write_bytes(json.dumps(about, indent=1).encode(), self.folder / ABOUT)
@@ -135,7 +134,7 @@ class Store:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        """Let another process have the folder."""
+        """Release the folder for other processes."""
         self._resources.close()
 
     def _tidy(self) -> None:
@@ -168,7 +167,7 @@ class Store:
                 self._replace(files, _concatenated(files), size + 1)
 
     def _replace(self, files: Sequence[Path], table: pa.Table, size: int) -> None:
-        """Write a table in place of files. Its metadata names them, so that those that a kill leaves do not count."""
+        """Write a table in place of files. Its metadata names them, so that files left by a kill are ignored."""
         names = json.dumps([file.name for file in files]).encode()
         self._write(table.replace_schema_metadata({_REPLACES: names}), size)
         for file in files:
@@ -198,12 +197,12 @@ def check_folder(folder: Path, about: Mapping[str, Any]) -> None:
 
 
 def read_about(folder: Path) -> dict[str, Any]:
-    """Return what a folder says of its batch. Raises BadInputError when it cannot be read."""
+    """Return the description of a folder's batch. Raises BadInputError when it cannot be read."""
     file = folder / ABOUT
     try:
         about = json.loads(file.read_text(encoding="utf-8"))
         if not isinstance(about, dict) or not about.keys() >= _ABOUT:
-            raise ValueError("it says something else")
+            raise ValueError("it has other content")
     except (OSError, ValueError) as error:
         raise BadInputError(
             f"campaign file {file}: it cannot be read ({_why(error)}); remove it if it is there, and {_ANEW}"
@@ -265,7 +264,7 @@ def _read(file: Path, remedy: str = _REDO) -> pa.Table:
 
 @contextlib.contextmanager
 def _sound(file: Path, remedy: str = _REDO) -> Iterator[None]:
-    """Raise BadInputError, with the remedy, for a file that is not what was written."""
+    """Raise BadInputError, with the remedy, for a damaged file."""
     try:
         yield
     except FileNotFoundError:

@@ -1,8 +1,8 @@
 """A process that does jobs of one kind: ``python -m hil.batch.worker MODULE:FUNCTION``.
 
-It reads jobs as lines of JSON from stdin and writes one outcome a line to stdout. An exception in another thread, or
-where none can be raised, makes the job lost; one in the job itself ends the process, which the pool notices. When the
-pool has gone, the process ends at once.
+It reads jobs as lines of JSON from stdin and writes one outcome a line to stdout. An exception in another thread, or in
+a place where it cannot be raised (such as ``__del__``), makes the job lost. One in the job itself ends the process,
+which the pool notices. When the pool has ended, the process ends at once.
 """
 
 import json
@@ -55,7 +55,7 @@ def main(kind: str) -> int:
 
 
 def _lines() -> Iterator[str]:
-    """Yield the lines of stdin until it ends. When it ends during a job the process ends: nobody wants the outcome."""
+    """Yield the lines of stdin until it ends. When it ends during a job the process ends: nobody reads the outcome."""
     lines: queue.SimpleQueue[str] = queue.SimpleQueue()
     is_idle = threading.Event()
 

@@ -1,7 +1,6 @@
-"""A campaign: its runs, what is left of them to do in a folder, and doing that.
+"""A campaign: its runs, which of them are still to do in a folder, and doing them.
 
-campaign = Campaign(Path("mass.toml"))
-for rows in campaign.perform(Path("runs/mass"), Place(None, 2, 120.0)):
+campaign = Campaign(Path("mass.toml")) for rows in campaign.perform(Path("runs/mass"), Place(None, 2, 120.0)):
     ...
 """
 
@@ -46,7 +45,7 @@ class Run(NamedTuple):
 
 
 class Place(NamedTuple):
-    """Where and how runs are done: on the scheduler of Dask at an address, or without one in so many processes here.
+    """Where runs are done: on the Dask scheduler at an address or, with None, in ``workers`` processes here.
 
     ``limit_s`` is the wall-clock time [s], ``memory_mb`` the memory [MB] that a run may take.
     """
@@ -69,11 +68,10 @@ class _How(NamedTuple):
 class Campaign:
     """A campaign that was loaded, with every run of it checked.
 
-    ``on_bench`` says whether a run needs hardware of which there is one: a robot behind a link, or a source of pose
-    fixes.
+    ``on_bench`` says whether a run needs the one hardware bench: a robot behind a link, or a source of pose fixes.
 
-    Raises BadInputError, before anything is run, for a file, a key or a value that is not as it should be, for two
-    runs that are the same, and for a run that would only be refused.
+    Raises BadInputError, before anything is run, for a wrong file, key or value, for two runs that are the same, and
+    for a run that would be refused.
     """
 
     def __init__(self, file: Path, *, allow_motion: bool = False) -> None:
@@ -107,7 +105,7 @@ class Campaign:
             )
 
     def job(self, run: Run, **how: Any) -> Job:
-        """Return the job of a run, with these fields of Job."""
+        """Return the job of a run; ``how`` are further fields of Job."""
         scenario = to_plain(self.plan.scenario(run.point.sets))
         return Job(run.key, SCENARIO_RUN, scenario, {}, allow_motion=self._allow_motion, **how)
 
@@ -140,11 +138,11 @@ class Campaign:
         is_stopping: Callable[[], bool] = lambda: False,
         redo: Collection[str] = (),
     ) -> Iterator[Sequence[Row]]:
-        """Do the runs that are left, and yield their rows as they come, each when it is on the disk.
+        """Do the runs that are still to do, and yield their rows as they come, each when it is on the disk.
 
-        The rows that are there already come first, but for runs with one of the outcomes ``redo``, which are done
-        again. ``on_status`` and ``is_stopping`` are those of ``run_plan``. Raises BadInputError when the folder cannot
-        be written to or is that of another campaign, LinkError when there is no scheduler.
+        The rows that are there already come first, except of runs whose outcome is in ``redo``: these are done again.
+        ``on_status`` and ``is_stopping`` are those of ``run_plan``. Raises BadInputError when the folder cannot be
+        written to or is that of another campaign, LinkError when there is no scheduler.
         """
         check_folder(folder, self.about())
         with contextlib.ExitStack() as resources:
@@ -168,7 +166,7 @@ class Campaign:
 
     @property
     def records_worst(self) -> bool:
-        """Whether the worst are run once more at the end, so that with all rows there it may not be done."""
+        """Whether the worst runs are repeated at the end; then a campaign with all its rows may not be done yet."""
         return isinstance(self.plan.tables.keep, KeepTable)
 
     def left(self, folder: Path, redo: Collection[str] = ()) -> int:
@@ -179,9 +177,9 @@ class Campaign:
         return sum(run.key not in there or there[run.key]["outcome"] in redo for run in self.runs)
 
     def estimate_s(self, left: int, workers: int) -> tuple[float, float]:
-        """Return what one run takes on one worker [s], and all of those that are left [s].
+        """Return the time of one run on one worker [s], and of all runs that are ``left`` [s].
 
-        A few runs are timed in a process of their own; runs in real time are not, for nothing moves for an estimate.
+        A few runs are timed in a separate process. Runs in real time are not, because nothing may move for an estimate.
         """
         if self.in_real_time or self.on_bench:
             run_s = self.longest_s + _BETWEEN_S
@@ -261,7 +259,7 @@ class Campaign:
         return base.name if base.path is None else str(base.path)
 
     def about(self) -> dict[str, Any]:
-        """Return what the report needs to know of it."""
+        """Return the description of the campaign that its report needs."""
         tables = self.plan.tables
         keep = plain(tables.keep) if isinstance(tables.keep, KeepTable) else tables.keep
         return {
@@ -279,7 +277,7 @@ class Campaign:
 
 
 def _badness(row: Row, by: str) -> tuple[bool, float]:
-    """Return how bad a run was: one that ended early, or never came so far as to have the figure, is worse than all."""
+    """Return how bad a run was; a run without the figure, as after an early end, is worse than all others."""
     value = as_judged(row)[by]
     return value is None, value or 0.0
 

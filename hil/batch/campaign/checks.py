@@ -1,4 +1,4 @@
-"""Checks of a campaign's runs before the first one begins: what a run would only be refused for."""
+"""Checks of a campaign's runs before the first one begins: everything for which a run would be refused."""
 
 from hil.core.errors import BadInputError
 from hil.runtime.parts import RunParts
@@ -8,9 +8,9 @@ from hil.wire.url import parse_link
 
 
 def check_run(scenario: Scenario, made: set[tuple[str, ...]], *, allow_motion: bool) -> None:
-    """Raise BadInputError for a run that would only be refused.
+    """Raise BadInputError for a run that would be refused.
 
-    ``made`` holds the choices of laws and references that were made before; each is made once.
+    ``made`` collects the choices of laws and references that were tried before; each is tried once.
     """
     _check_link(scenario, allow_motion=allow_motion)
     check_plant_start(scenario)
@@ -30,7 +30,7 @@ def check_run(scenario: Scenario, made: set[tuple[str, ...]], *, allow_motion: b
 
 
 def _check_link(scenario: Scenario, *, allow_motion: bool) -> None:
-    """Raise BadInputError for a run behind a link that could not begin, whatever stands there."""
+    """Raise BadInputError for a run over an external link that could not begin with any robot."""
     if parse_link(scenario.link.url).is_within_process:
         return
     where, is_makers = f"link.url = {scenario.link.url!r}", scenario.device.is_makers
@@ -50,6 +50,6 @@ def _check_link(scenario: Scenario, *, allow_motion: bool) -> None:
 
 
 def needs_bench(scenario: Scenario) -> bool:
-    """Return whether a run needs hardware of which there is one: a robot behind a link, or a source of pose fixes."""
+    """Return whether a run needs the one hardware bench: a robot behind a link, or a source of pose fixes."""
     is_fixed_from_outside = scenario.estimator.source == "fused" and scenario.estimator.fix != "simulated"
     return is_fixed_from_outside or not parse_link(scenario.link.url).is_within_process

@@ -1,4 +1,4 @@
-"""What a campaign came to: pass rates, laws against each other, the effect of each axis, and the worst runs."""
+"""The results of a campaign: pass rates, laws against each other, the effect of each axis, and the worst runs."""
 
 import itertools
 from collections import Counter
@@ -19,7 +19,7 @@ Series = npt.NDArray[np.float64]
 Row = Mapping[str, Any]
 
 COMPARED = ("steady_rms_m", "steady_max_m", "t10_s", "overshoot_m", "effort_n_m_s")
-"""Figures of which a report shows more than a line."""
+"""Figures that a report shows in detail."""
 _WORST = 20
 
 
@@ -48,8 +48,8 @@ class Spread(NamedTuple):
 class Duel(NamedTuple):
     """Two laws in the same runs: the mean of first minus second, and the share of pairs in which the first was less.
 
-    ``units`` is the number of independent draws among the ``pairs``; ``left_out`` counts further pairs, of which one
-    run has no such figure.
+    ``units`` is the number of independent draws among the ``pairs``; ``left_out`` counts further pairs, in which a run
+    lacks the figure.
     """
 
     first: str
@@ -183,7 +183,7 @@ class Judged:
 
     @cached_property
     def worst(self) -> list[Row]:
-        """The runs that did not pass, without a figure first, then the others from the greatest figure on."""
+        """The worst runs: those that did not pass, first those without the figure, then others by falling figure."""
 
         def badness(row: Row) -> tuple[bool, bool, float]:
             value = row[self.by]
@@ -241,11 +241,11 @@ class Judged:
 
 
 def judge(folder: Path) -> Judged:
-    """Return what a campaign came to, from its folder alone. Raises BadInputError when there is no campaign."""
+    """Return the results of a campaign from its folder alone. Raises BadInputError when there is no campaign."""
     done = {row[KEY]: row for row in read_rows(folder).to_pylist()}
     about, plan = read_about(folder), read_plan(folder)
-    # A row may be from before a law had this name, or before this axis, so the plan's columns go over it. In the plan's
-    # order, so that a report does not depend on which run was done first.
+    # A row may be older than a law's name or an axis, so the plan's columns replace the row's. The order is the plan's,
+    # so that a report does not depend on which run was done first.
     return Judged(folder, about, plan, [as_judged(done[row[KEY]]) | row for row in plan if row[KEY] in done])
 
 
@@ -258,7 +258,7 @@ def percent(rate: Rate) -> str:
 
 
 def duel_words(duel: Duel) -> str:
-    """Return what two laws are to each other in words."""
+    """Return a sentence that compares two laws in one figure."""
     value, low, high = duel.difference
     if low is None or high is None:
         return f"{duel.first} - {duel.second} = {value:+.3g}, from {_draws(duel.units)}: too few for an interval"

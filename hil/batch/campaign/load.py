@@ -1,4 +1,4 @@
-"""Loading a campaign: its file read and checked, its scenario found, every refusal a sentence with file and line."""
+"""Loads a campaign: reads and checks its file and finds its scenario; every error names file and line."""
 
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -19,7 +19,7 @@ class Plan(NamedTuple):
     """A campaign that was loaded.
 
     Attributes:
-        tables: what its file says.
+        tables: the tables of its file.
         file: its path. lines: the line of each key there, by its path.
         sources: the files of its scenario.
     """
@@ -78,7 +78,7 @@ def load_plan(file: Path) -> Plan:
     except FileNotFoundError:
         raise BadInputError(f"campaign {file}: there is no such file; give the path of a .toml file") from None
     except (OSError, ValueError) as error:
-        why = error.strerror if isinstance(error, OSError) else "it is no text in UTF-8"
+        why = error.strerror if isinstance(error, OSError) else "it is not text in UTF-8"
         raise BadInputError(f"campaign {file}: it cannot be read ({why})") from error
     document = _flat(parse(text, f"campaign {file}"))
     lines = key_lines(text)
@@ -95,7 +95,7 @@ def load_plan(file: Path) -> Plan:
 
 
 def _flat(document: dict[str, Any]) -> dict[str, Any]:
-    """Make one dotted key of nested tables below ``[set]`` and ``[axes]``: TOML reads dots without quotes as tables."""
+    """Turn nested tables below ``[set]`` and ``[axes]`` into dotted keys: TOML reads unquoted dots as tables."""
     flat = dict(document)
     for name, is_value in (("axes", _is_axis), ("set", lambda _: False)):
         if isinstance(flat.get(name), Mapping):
@@ -138,7 +138,7 @@ def _sentences(problems: Sequence[Problem], file: Path, lines: Mapping[tuple[str
 
 
 def _frozen(value: Any) -> Any:
-    """Return plain values with tuples for lists, and a law that is named alone as a table."""
+    """Return plain values with tuples for lists, and a law that is given only by its name as a table."""
     if isinstance(value, Mapping):
         return {key: _frozen(_laws(item) if key == "laws" else item) for key, item in value.items()}
     return tuple(map(_frozen, value)) if isinstance(value, list | tuple) else value

@@ -1,4 +1,4 @@
-"""The page of a campaign: one HTML file with its verdicts, plots and worst runs, that needs nothing else."""
+"""The page of a campaign: one self-contained HTML file with its verdicts, plots and worst runs."""
 
 import os
 from collections.abc import Callable, Iterator, Mapping
@@ -24,9 +24,9 @@ _REASONS = 12
 
 
 def write_page(path: Path, judged: Judged, existing: Existing = "refuse") -> None:
-    """Write the page; ``existing`` says what is done where the file is there already.
+    """Write the page; ``existing`` says what to do if the file exists.
 
-    Raises BadInputError when its name does not end in .html, and where it cannot be written.
+    Raises BadInputError when its name does not end in .html, and when it cannot be written.
     """
     write_document(path, page(judged, path.parent), existing)
 
@@ -159,7 +159,7 @@ def _pictures(judged: Judged) -> Iterator[str]:
 
 
 def _panels(title: str, caption: str, draw: Callable[..., None], count: int, height_in: float) -> Iterator[str]:
-    """Yield a picture of so many panels, two side by side, each so high."""
+    """Yield a picture of ``count`` panels, two side by side, each ``height_in`` high."""
     rows = -(-count // 2)
     yield from figure(picture(title, caption, draw, height_in=height_in * rows, rows=rows, columns=2))
 

@@ -18,7 +18,7 @@ _MOST_VALUES = 12
 
 
 def title_of(name: str) -> tuple[str, str, float]:
-    """Return a figure's title, the unit it is shown in, and how many of that unit are one of its own."""
+    """Return a figure's title, the unit in which it is shown, and the factor to it from the stored value."""
     for column in shown_columns():
         if column.name == name:
             return column.title, column.unit, column.scale
@@ -33,7 +33,7 @@ def _panels(axes: "list[Axes]", names: list[str]) -> "Iterator[tuple[Axes, str]]
 
 
 def draw_distributions(axes: "list[Axes]", *, judged: Judged, names: list[str]) -> None:
-    """Draw the share of each law's runs in which a figure is at most so much."""
+    """Draw, for each law, the share of its runs in which a figure is at most the value on the x axis."""
     for panel, name in _panels(axes, names):
         title, unit, scale = title_of(name)
         for number, law in enumerate(judged.about["laws"]):

@@ -45,7 +45,7 @@ class Point(NamedTuple):
 
 
 def points(plan: Plan) -> Iterator[Point]:
-    """Yield the runs. Raises BadInputError where the base scenario itself cannot be, or two laws have one name."""
+    """Yield the runs. Raises BadInputError when the base scenario is not valid, or two laws have one name."""
     tables = plan.tables
     base = plan.scenario(tables.set)
     laws = [_law(law) for law in tables.laws] or [(short_name(base.controller.law), {})]
@@ -99,9 +99,9 @@ def _lists(axes: Mapping[str, AxisTable]) -> list[dict[str, Any]]:
 def _draws(axes: Mapping[str, AxisTable], samples: int, seed: int, *, latin: bool) -> list[dict[str, float]]:
     """Return the samples of the random axes.
 
-    Each axis has a generator of its own, by its name: another axis, or more samples without ``latin``, leave the
-    numbers that there were. Of Python's random numbers only ``random()`` is promised to stay the same, so nothing else
-    of it is used.
+    Each axis has its own generator, seeded by its name: another axis, or more samples without ``latin``, do not change
+    the numbers drawn before. Only ``random()`` is used, because Python promises for nothing else that a seed gives the
+    same numbers in every version.
     """
     columns = {
         key: [_within(axis, share) for share in _shares(random.Random(f"{seed} {key}"), samples, latin=latin)]
@@ -112,7 +112,7 @@ def _draws(axes: Mapping[str, AxisTable], samples: int, seed: int, *, latin: boo
 
 
 def _shares(generator: random.Random, samples: int, *, latin: bool) -> Sequence[float]:
-    """Return numbers in [0, 1); of a Latin hypercube (McKay, Beckman, Conover 1979) one in each n-th of it."""
+    """Return numbers in [0, 1); for a Latin hypercube (McKay, Beckman, Conover 1979) one in each equal part of it."""
     drawn = [generator.random() for _ in range(samples)]
     if not latin:
         return drawn

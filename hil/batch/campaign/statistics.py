@@ -1,6 +1,6 @@
 """Statistics of a campaign: intervals of shares and differences, and how much each axis explains.
 
-Pure: NumPy arrays in, plain numbers out.
+No side effects: NumPy arrays in, plain numbers out.
 """
 
 import math
@@ -16,7 +16,7 @@ Series = npt.NDArray[np.float64]
 Z_95 = 1.959963984540054
 _RESAMPLES = 4000
 _LEAST_DRAWS = 6
-"""Of fewer draws the interval from the least to the greatest of them holds the middle less than 95 times of 100."""
+"""With fewer draws, even the interval from the least to the greatest contains the median less than 95 times of 100."""
 _MOST_AT_ONCE = 1_000_000  # numbers that are drawn, 8 MB
 _BINS = 8
 _LEAST_IN_A_BIN = 5
@@ -31,22 +31,22 @@ class Interval(NamedTuple):
 
 
 def wilson(share: float, trials: float) -> Interval:
-    """Return a share of so many trials with Wilson's score interval (1927), which holds for few and for 0 and 1."""
+    """Return a share with Wilson's score interval (1927), which is valid for few trials and for shares of 0 and 1."""
     z2 = Z_95**2 / trials
     centre = (share + z2 / 2.0) / (1.0 + z2)
     half = Z_95 / (1.0 + z2) * np.sqrt(share * (1.0 - share) / trials + z2 / (4.0 * trials))
-    # At the ends it is exactly there, which rounding misses.
+    # For a share of 0 or 1 one end of the interval is exactly there, which rounding would miss.
     low = 0.0 if share == 0.0 else float(centre - half)
     return Interval(share, low, 1.0 if share == 1.0 else float(centre + half))
 
 
 def share_of(units: Sequence[object], passed: Sequence[bool]) -> Interval:
-    """Return the share of runs that passed, with an interval that knows which runs repeat each other.
+    """Return the share of runs that passed, with an interval that allows for runs that repeat each other.
 
-    ``units`` names what was drawn once for several runs, as for ``paired_difference``. Wilson's interval is that of as
-    many independent trials as would scatter as the units do (the effective sample size of a survey of clusters, Kish
-    1965), with Student's t of few units taken for the normal quantile; of few units there is none. Where each run is a
-    unit it is Wilson's own.
+    ``units`` names what was drawn once for several runs, as for ``paired_difference``. Wilson's interval is computed
+    for the number of independent trials that would scatter as the units do (the effective sample size of a survey of
+    clusters, Kish 1965), with Student's t in place of the normal quantile. If each run is a unit, it is Wilson's own;
+    otherwise fewer than six units have no interval.
 
     Raises ValueError without runs.
     """
@@ -69,10 +69,10 @@ def share_of(units: Sequence[object], passed: Sequence[bool]) -> Interval:
 def paired_difference(units: Sequence[object], differences: Series, seed: int = 1) -> Interval:
     """Return the mean of paired differences, with a bootstrap's expanded percentile interval over independent units.
 
-    ``units`` names the unit of each difference: what was drawn once for several pairs is one, for these repeat each
-    other and are no further evidence. Each unit counts as the mean of its pairs. Of few units there is no interval.
-    Percentiles are expanded (Hesterberg 2015, "What Teachers Should Know About the Bootstrap"): the plain
-    ones of ten units hold the mean 89 times of 100.
+    ``units`` names the unit of each difference: pairs that share a draw are one unit, because they repeat each other
+    and are no further evidence. Each unit enters with the mean of its pairs. Fewer than six units have no interval.
+    Percentiles are expanded (Hesterberg 2015, "What Teachers Should Know About the Bootstrap"), because the plain ones
+    of ten units contain the mean only 89 times of 100.
     """
     means = unit_means(units, differences)
     value = float(means.mean())
@@ -90,8 +90,10 @@ def paired_difference(units: Sequence[object], differences: Series, seed: int = 
 
 
 def _expanded_tail(count: int) -> float:
-    """Return what a 95 % interval of the bootstrap of so many values leaves out at each end: Student's t for the
-    normal quantile, and the variance with count - 1."""
+    """Return the share that a bootstrap's 95 % interval of ``count`` values leaves out at each end.
+
+    It takes Student's t in place of the normal quantile, and the variance with count - 1.
+    """
     return NormalDist().cdf(-_student(count - 1) * math.sqrt(count / (count - 1)))
 
 
@@ -111,14 +113,14 @@ def unit_means(units: Sequence[object], values: Series) -> Series:
 
 
 def share_explained(groups: Sequence[object], values: Series, units: Sequence[object] | None = None) -> float | None:
-    """Return how much of the variance of the ranks of ``values`` goes with the group: epsilon squared (Kelley 1935).
+    """Return the share of the variance of the ranks of ``values`` that groups explain: epsilon squared (Kelley 1935).
 
-    That is the first-order effect, the correlation ratio, without the part that many small groups explain by chance;
-    ranks, so that a few runs that ran away do not decide. From 0 to 1; None where there is nothing to explain.
+    That is the first-order effect (correlation ratio), without what many small groups explain by chance. Ranks are used
+    so that a few extreme runs do not decide. From 0 to 1; None where there is nothing to explain.
 
-    ``units`` names, where a group was drawn, the draw of each value: what the group explains of the draws' means is
-    then a share of what the draws explain, for the many values of one draw say nothing new of its group. Where each
-    draw has one value, the draws are the values.
+    For groups that were drawn at random ``units`` names the draw of each value. The values of one draw say nothing new
+    about its group, so the result is the share that the draws explain, times the share of the draws' means that the
+    groups explain. If each draw has one value, ``units`` changes nothing.
     """
     ranks = ranked(values)
     if units is None or len(set(units)) == len(values):

@@ -13,7 +13,7 @@ _MOST_RUNS = 10_000_000
 
 @dataclass(frozen=True)
 class AxisTable:
-    """A row of ``[axes]``: what one key of the scenario is in the runs. One of these."""
+    """A row of ``[axes]``: the values of one key of the scenario in the runs. Exactly one of these is given."""
 
     grid: Annotated[tuple[AnyOption, ...] | None, "values, each with each of the other axes"] = None
     list: Annotated[tuple[AnyOption, ...] | None, "values that go together with other lists, in step"] = None
@@ -67,7 +67,7 @@ class LawTable:
 
 @dataclass(frozen=True)
 class AlternativeTable:
-    """``[[fault]]``: rows of faults that a run has beside the scenario's own. Alternatives are done each with each."""
+    """``[[fault]]``: faults that a run has besides the scenario's own. Each alternative is run with everything else."""
 
     name: Annotated[Text, "what it is called"]
     rows: Annotated[tuple[Mapping[str, Any], ...], "as [[fault]] of a scenario; none for no fault"] = ()
@@ -82,7 +82,7 @@ class KeepTable:
 
 
 def _seeds(seeds: object) -> object:
-    """Return the seeds of a number, which is how many, or of an array."""
+    """Return the seeds: 1 to N for a number N, or those of an array."""
     if type(seeds) is int and 1 <= seeds <= _MOST_RUNS:
         return tuple(range(1, seeds + 1))
     if not isinstance(seeds, tuple) or not all(type(seed) is int for seed in seeds):

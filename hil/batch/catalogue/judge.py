@@ -46,7 +46,7 @@ _HOLD_TICKS = 1000
 # Scaling four torques to a limit rounds in single precision.
 _ROUNDING = 1e-6
 _REMEMBERED = 10
-# Law 3: what a sound speed loop may overshoot by.
+# Rule 3: how far a sound speed loop may overshoot.
 _BEYOND_RAD_S = 1.0
 _BEYOND_PART = 0.1
 _DRIVEN_PART = 0.05
@@ -92,7 +92,7 @@ class _Session:
         self._from: Four = (0.0,) * 4  # the set points when the stop began
         self._age = 0  # ticks since the newest valid command
         self._stopped: int | None = None  # ticks since it has to stop
-        self._turning: Four = (0.0,) * 4  # the commands then; in torque mode, the speeds
+        self._turning: Four = (0.0,) * 4  # the commands when the stop began; in torque mode, the speeds
         self._driven_away: tuple[int, ...] = (0,) * 4  # ticks in a row
         self._hold = limits.ramp_ticks + _HOLD_TICKS
         self._was_on = False
@@ -123,7 +123,7 @@ class _Session:
             self._hold = self._stopped + _HOLD_TICKS
 
     def complaint(self, tick: Tick) -> str | None:
-        """Return which rule a tick breaks if this session is the reason for it, or None."""
+        """Return which rule a tick breaks if it belongs to this session, or None."""
         if tick.enabled and self._went_off:
             return "the drives, which had gone off, are on again without a new ARM"
         for name, ticks, speed in zip(WHEEL_NAMES, self._away(tick), tick.speed_rad_s, strict=True):

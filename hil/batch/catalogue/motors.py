@@ -1,11 +1,12 @@
-"""The safety judge of robots with motors of other makers, at their plant port and by the host's commands.
+"""The safety judge of third-party motor controllers, by their torques at the plant port and the host's commands.
 
 Their protocols have neither sessions nor sequences, so what is allowed follows from the commands of the run alone:
 
 1. No wheel is driven away from its recent commands: one that turns faster than every command of the last
    ``watchdog + ramp``, or against all of them, gets no torque that drives it further. A speed loop may overshoot, so a
-   wheel counts only when it is off by more than 1 rad/s and a tenth, is driven by more than a twentieth of the torque
-   limit, and that for longer than 50 ms. Before the first command and once the host is gone, the command is zero.
+       wheel counts only when it is off by more than 1 rad/s and a tenth, is driven by more than a twentieth of the
+       torque limit, and that for longer than 50 ms. Before the first command and once the host is gone, the command is
+       zero.
 2. From a second after that on, the drives give no torque but what holds a wheel at rest: a twentieth of the limit.
 3. Every torque is finite, and within the limit.
 
@@ -24,7 +25,7 @@ from hil.scenario import FirmwareTable
 _BEYOND_RAD_S = 1.0
 _BEYOND_PART = 0.1
 _DRIVEN_PART = 0.05
-_DRIVEN_TICKS = 50  # some controllers make up for the angle that they lag behind, which overshoots for so long
+_DRIVEN_TICKS = 50  # some controllers catch up the angle by which they lag, and overshoot for so long
 _HOLD_S = 1.0
 _ROUNDING = 1e-5
 
@@ -48,7 +49,7 @@ class MotorsJudge:
 
     @property
     def left_alone_ticks(self) -> int:
-        """How many ticks a robot has to be left alone for rule 2 to show."""
+        """How many ticks the robot has to run without a host, so that rule 2 can be judged."""
         return round((self._patience_s + 2 * _HOLD_S) * 1000)
 
     @property
@@ -56,7 +57,7 @@ class MotorsJudge:
         return self._firmware.watchdog_s + self._firmware.ramp_s
 
     def hold(self, node: EmulatedMotors[Any]) -> None:
-        """Record a tick; to be called in each."""
+        """Record a tick; called in each tick."""
         fl, fr, rr, rl = (shaft.speed_rad_s for shaft in node.shafts)
         self._ticks.append(_Tick(node.torque_n_m, (fl, fr, rr, rl)))
 

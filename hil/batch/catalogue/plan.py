@@ -31,7 +31,7 @@ _IN_TORQUE_MODE = {
 
 
 class Request(NamedTuple):
-    """What a user wants of the catalogue: base scenario with changes, links and kinds, and where recordings go.
+    """What the user wants to run: base scenario with changes, links and kinds, and where recordings go.
 
     ``sample`` is how many of the pairs, None for all; ``seed`` chooses them.
     """
@@ -46,10 +46,10 @@ class Request(NamedTuple):
 
 
 class Trial(NamedTuple):
-    """One run of the catalogue: its faults over a link, and how it may come out.
+    """One run of the catalogue: its faults over a link, and the outcomes that are allowed.
 
-    ``causes`` are words of which each sentence on why the robot was lost has one, ``causes_of_end`` those for what ends
-    the run. With ``records_here`` the process of the run writes the recording itself.
+    Each message on why the robot was lost must contain one of ``causes``, the message on what ended the run one of
+    ``causes_of_end``. With ``records_here`` the process of the run writes the recording itself.
     """
 
     fault: str
@@ -65,7 +65,7 @@ class Trial(NamedTuple):
 
 
 def check(request: Request, *, pairs: bool, realtime: bool) -> None:
-    """Raise BadInputError for a link or kind that does not exist, and for what makers' motors do not have."""
+    """Raise BadInputError for an unknown link or kind, or an option that third-party controllers do not allow."""
     for what, given, known in (
         ("link", request.links, list(LINKS)),
         ("kind", request.kinds, list(dict.fromkeys(case.kind for case in CASES))),
@@ -78,13 +78,13 @@ def check(request: Request, *, pairs: bool, realtime: bool) -> None:
     given_options = {"--link": bool(request.links), "--pairs": pairs, "--realtime": realtime}
     if wrong := [option for option, is_given in given_options.items() if is_given]:
         raise BadInputError(
-            f"{', '.join(wrong)}: with motors of other makers the catalogue runs each fault alone, in lockstep, over "
+            f"{', '.join(wrong)}: with third-party motors the catalogue runs each fault alone, in lockstep, over "
             "the wire of their own; leave it out"
         )
 
 
 def scenarios(request: Request, trials: Sequence[Trial]) -> Iterator[Scenario | BadInputError]:
-    """Yield the scenario of each trial, or why it cannot be. Raises BadInputError when the base scenario cannot be."""
+    """Yield the scenario of each trial, or the error if it is not valid. Raises BadInputError for the base scenario."""
     sources = read(request.scenario)
     changes = [*request.sets, "expect=[]", f"loop.duration_s={DURATION_S}"]
     base = sources.scenario(set=[*changes, "fault=[]"])
@@ -105,7 +105,7 @@ def scenarios(request: Request, trials: Sequence[Trial]) -> Iterator[Scenario | 
 
 
 def _without_gains_of_another_law(scenario: Scenario) -> Scenario:
-    """Where an option gave the law, keep only the gains that options gave too: the file's are of the file's law."""
+    """If ``--set`` gave the law, keep only the gains that it gave too: the file's belong to the file's law."""
     table, where = scenario.controller, scenario.provenance
     if where["controller.law"] != _OPTION:
         return scenario
@@ -137,7 +137,7 @@ def alone(request: Request, mode: str = "lockstep") -> list[Trial]:
 def pairs(request: Request) -> list[Trial]:
     """Return all pairs of cases with one of the wanted kinds, or a sample of them; by default over memory.
 
-    A pair comes out as the worse of its two does alone, except for those in ``PAIRS``.
+    A pair's outcome must be the worse of its two cases' own, except for those in ``PAIRS``.
     """
     chosen = {case.name for case in _chosen(request)}
     trials: list[Trial] = []
@@ -151,7 +151,7 @@ def pairs(request: Request) -> list[Trial]:
 
 
 def _of_motors(request: Request, base: Scenario) -> list[Trial]:
-    """Return every case for motors of other makers, over their own wire."""
+    """Return every case for third-party motor controllers, over their own wire."""
     can = make_driver(base).capabilities
     if can.is_twist or can.watchdog == "none":
         raise BadInputError(
@@ -164,13 +164,13 @@ def _of_motors(request: Request, base: Scenario) -> list[Trial]:
     for kind in request.kinds:
         if kind not in (one.case.kind for one in cases):
             driver = base.device.driver
-            raise BadInputError(f"--kind {kind}: this never strikes {driver!r} as it is set up; leave it out")
+            raise BadInputError(f"--kind {kind}: this fault cannot act on {driver!r} as it is set up; leave it out")
     trials = []
     for motors in cases:
         if request.kinds and motors.case.kind not in request.kinds:
             continue
         outcomes = set(motors.outcomes)
-        if can.watchdog == "fixed":  # which may be longer than the window, and what is reset may obey at once
+        if can.watchdog == "fixed":  # may be longer than the window; a reset controller may obey at once
             outcomes.add(Ending.GOES_ON)
         trial = _trial(request, (motors.case,), MOTORS_WIRES[wire], "lockstep", True, outcomes)
         trials.append(trial._replace(causes=list(motors.causes), causes_of_end=list(motors.causes)))
@@ -208,6 +208,6 @@ def _trial(request: Request, cases: Sequence[Case], link: str, mode: str, rearm:
         causes=sorted(causes),
         causes_of_end=sorted(ends or causes),
         recording=str(request.recordings / f"{file}.rrd"),
-        # A recorder's process costs a second and is the same for each link, so one link alone has it.
+        # A recorder process costs a second and does the same for each link, so only one link has it.
         records_here=len(cases) > 1 or (mode == "lockstep" and link != "serial"),
     )

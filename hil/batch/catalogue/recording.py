@@ -17,7 +17,7 @@ from hil.record.stream import Stream
 
 
 class RecordingHere:
-    """A ``RunRecording`` that is written in this process when the run is over; for lockstep, where nobody waits.
+    """A ``RunRecording`` that is written in this process when the run is over; for lockstep without deadlines.
 
     A recorder process takes half a second and more to start, mostly to import rerun. The file is the same.
     """
@@ -79,4 +79,4 @@ class RecordingHere:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        """Release nothing: a recording that was not finished is none."""
+        """Release nothing; a recording that was not finished is of no use."""

@@ -1,5 +1,7 @@
-"""One run of the catalogue in a worker process: the safety judge stands around the robot, and its findings, how the
-run came out and what its recording holds are the outcome."""
+"""One run of the catalogue in a worker process, with the safety judge around the robot.
+
+The outcome holds the judge's findings, how the run ended, and what its recording lacks.
+"""
 
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
@@ -55,7 +57,7 @@ def run(job: Job, scenario: Scenario) -> Outcome:
 
 
 class _Motors:
-    """Motor controllers of another maker, with their judge at the plant port; as ``_Watched``."""
+    """Third-party motor controllers, with their judge at the plant port; used like ``_Watched``."""
 
     def __init__(self, scenario: Scenario) -> None:
         self._make = node_maker(scenario.device)
@@ -81,7 +83,7 @@ class _Motors:
 
 
 class _Watched:
-    """The robot of a run, with the judge around each of its firmware's lives."""
+    """The robot of a run, with the judge around its firmware, also after a reset."""
 
     def __init__(self) -> None:
         self.judge = SafetyJudge()
@@ -95,7 +97,7 @@ class _Watched:
         return self._node
 
     def left_alone(self) -> None:
-        """Let the robot's time go on without a host; by itself it has to come to rest."""
+        """Let the robot run on without a host: it has to come to rest by itself."""
         assert self._node is not None
         self._node.run(self._ticks)
 
@@ -120,7 +122,7 @@ def _ending(result: RunResult) -> str:
 
 
 def _wrong(trial: Mapping[str, Any], result: RunResult) -> Iterator[str]:
-    """Yield what is wrong with how the run came out and with the reasons that it gives."""
+    """Yield what is wrong with how the run ended and with the reasons in its messages."""
     found, metrics, failure = _ending(result), result.metrics, result.failure
     if found not in trial["allowed"]:
         yield f"expected {' or '.join(trial['allowed'])}, but it {found}"

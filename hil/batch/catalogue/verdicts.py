@@ -1,4 +1,4 @@
-"""Having the trials of the catalogue done, and the verdict on each."""
+"""Runs the trials of the catalogue and gives a verdict on each."""
 
 import contextlib
 from collections.abc import Sequence
@@ -17,8 +17,10 @@ _OF_OPTIONS = ("rearm", "allowed", "causes", "causes_of_end", "records_here")
 
 
 class Verdict(NamedTuple):
-    """What came of a trial. ``verdict`` is "ok" or what is wrong; ``silent_rad_s`` is the greatest set point seen in
-    the ``silent_ticks`` ticks in which it has to be zero. A lost run has None for the rest.
+    """The result of a trial.
+
+    ``verdict`` is "ok" or what is wrong. ``silent_rad_s`` is the greatest set point in the ``silent_ticks`` ticks in
+    which it has to be zero. The figures of a lost run are None.
     """
 
     fault: str
@@ -79,9 +81,9 @@ def run_trials(
     limit_s: float,
     on_progress: OnProgress | None = None,
 ) -> list[Verdict]:
-    """Do trials and return a verdict on each. One that the scenario cannot have is refused.
+    """Do trials and return a verdict on each. A trial whose scenario is not valid is refused.
 
-    Raises BadInputError when the first one cannot be, for then the base scenario is what is wrong.
+    Raises BadInputError when the first one is not valid, because then the base scenario is wrong.
     """
     jobs: dict[int, Job] = {}
     outcomes: dict[int, Outcome] = {}

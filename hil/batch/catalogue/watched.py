@@ -16,7 +16,7 @@ _SPEED_TICKS = 10
 class WatchedNode(HostNode):
     """A ``HostNode`` for one life of the firmware, from power on to power off, with the same arguments and errors.
 
-    Bytes are passed on frame by frame: the judge has each frame before the ticks that a STEP behind it starts. The
+    Bytes are passed on frame by frame: the judge gets each frame before the ticks that a following STEP starts. The
     firmware gets the same bytes.
     """
 

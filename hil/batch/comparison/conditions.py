@@ -14,10 +14,10 @@ TORQUES_N_M = (5.0, 1.8)
 """Limits of one wheel: what the paper's times need, and what a wheel carries without slip, 0.7 m g r / (4 √2)."""
 
 MASS_FACTORS = (0.8, 1.2)
-"""The plant's mass over its nominal one; the inertia, and what the law believes, stay."""
+"""Factors on the plant's mass; its inertia and the law's model stay."""
 
 FRICTIONS = (0.03, 0.08)
-"""The plant's coefficient of rolling friction; what the law believes stays."""
+"""Coefficients of the plant's rolling friction; the law's model stays."""
 
 
 class Drive(NamedTuple):
@@ -50,11 +50,11 @@ CONTACTS: Mapping[str, Sets] = {
     "rigid": {"plant.start.contact": "rigid"},
     "slip": {"plant.start.contact": "slip"},
 }
-"""How wheels hold the floor."""
+"""The contact between wheels and floor."""
 
 
 class Condition(NamedTuple):
-    """One of the tables; ``estimator`` and ``contact`` are the scenario's own when None."""
+    """The condition of one table; ``estimator`` and ``contact`` are the scenario's own when None."""
 
     torque_n_m: float
     drive: str
@@ -117,14 +117,14 @@ NOMINAL = Variation()
 def conditions(
     torques_n_m: Sequence[float], drives: Sequence[str], estimators: Sequence[str], contacts: Sequence[str]
 ) -> list[Condition]:
-    """Return all combinations; of estimators and contacts the scenario's own where none is named."""
+    """Return all combinations; without estimators or contacts they are None, the scenario's own."""
     return [
         Condition(*one) for one in itertools.product(torques_n_m, drives, estimators or (None,), contacts or (None,))
     ]
 
 
 def variations(*, quick: bool) -> list[Variation]:
-    """Return the robots to run, the nominal one first; with ``quick`` that alone."""
+    """Return the robots to run, the nominal one first; with ``quick`` only that one."""
     if quick:
         return [NOMINAL]
     return [Variation(*one) for one in itertools.product((1.0, *MASS_FACTORS), (None, *FRICTIONS))]

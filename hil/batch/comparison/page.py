@@ -51,7 +51,7 @@ def write_markdown(
     pictures: Sequence[Path] = (),
     existing: Existing = "refuse",
 ) -> None:
-    """Write the page; ``command`` is what made it, ``existing`` says what is done where the file is there already.
+    """Write the page; ``command`` is what made it, ``existing`` says what to do if the file exists.
 
     Raises BadInputError when it cannot be written.
     """
@@ -97,7 +97,7 @@ def _preface(comparison: Comparison, command: str) -> Iterator[str]:
 
 
 def _late(comparison: Comparison, rows: Sequence[Row]) -> list[Column]:
-    """Return the times of which even the least lies in a run's last second: how the run ends decides on them."""
+    """Return the settling times whose least value is in a run's last second: they depend on how the run ends."""
     last_s = comparison.duration_s - _LAST_S
     instants = [column for column in shown_columns() if column.is_instant]
     return [one for one in instants if (least := _least(one, rows)) is not None and least > last_s]

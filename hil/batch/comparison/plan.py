@@ -41,10 +41,10 @@ _MOST_POINTS = 3000
 
 
 class Request(NamedTuple):
-    """What a user wants compared; without laws, all that are shipped.
+    """What the user wants to compare; without ``laws`` all shipped laws.
 
     ``estimators`` and ``contacts`` are the scenario's own when empty. ``quick`` leaves out the robots other than
-    nominal, ``curves`` asks for what pictures need.
+    nominal, ``curves`` asks for the signals that pictures need.
     """
 
     laws: Sequence[str]
@@ -66,10 +66,10 @@ def compare(
     limit_s: float = 120.0,
     on_progress: OnProgress | None = None,
 ) -> Comparison:
-    """Run what is asked for and return what came of it.
+    """Run the comparison and return its results.
 
     ``workers`` is the number of processes, by default one a processor; the figures do not depend on it. A run that
-    takes more than ``limit_s`` of wall-clock time is ended and has failed, as has one whose process ends.
+    takes more than ``limit_s`` of wall-clock time is ended and counts as failed, as does one whose process ends.
     ``on_progress`` is called as ``hil.batch.plan.run_jobs`` does.
 
     Raises BadInputError, before anything is run, for a law, a gain, a scenario or a condition that does not exist.
@@ -102,7 +102,7 @@ def compare(
 def _job(scenario: Scenario, entry: Entry, table: Condition, limit_s: float, scratch: Path | None) -> Job:
     """Return a law's job in a scenario; with a scratch folder it leaves there the signals that pictures need.
 
-    What the scenario expects of itself does not matter here: laws are judged by their figures alone.
+    The scenario's expectations are left out, because laws are judged by their figures alone.
     """
     controller = replace(scenario.controller, law=entry.law, gains=dict(entry.gains[table.mode]))
     changed = replace(scenario, controller=controller, expect=())
@@ -176,7 +176,7 @@ def _check_choices(request: Request) -> None:
 
 
 def _check_sets(sets: Sequence[str], tables: Sequence[Condition]) -> None:
-    """Refuse to change what the comparison itself sets: the tables would not be what they say."""
+    """Refuse to change what the comparison itself sets, because its tables would then be wrong."""
     reserved = {"loop.mode", "link.url", *(key for table in tables for key in table.sets())}
     for text in sets:
         key = text.partition("=")[0].strip()
@@ -193,9 +193,9 @@ def entries(texts: Sequence[str], scenario: str, sets: Sequence[str]) -> list[En
     """Return the laws with gains that texts such as ``dsc,k1_1_s=8`` or ``./my_law.py:MyLaw,speed.gain=3`` name.
 
     A law starts from the gains of the scenario when it is the scenario's own and the mode is the scenario's too, and
-    from its defaults otherwise. The text's own gains go over these: for both modes, or for one behind ``torque.`` or
-    ``speed.``. Raises BadInputError for a law that does not exist, for gains that it does not take, and for one named
-    twice.
+    from its defaults otherwise. The text's own gains override these: for both modes or, after ``torque.`` or
+    ``speed.``, for one. Raises BadInputError for a law that does not exist, for gains that it does not take, and for
+    one named twice.
     """
     named: dict[str, Entry] = {}
     for text in texts:
@@ -234,8 +234,8 @@ def _given(text: str, assignments: Sequence[str]) -> Mapping[CommandMode, Gains]
         modes = [mode for mode in CommandMode if not dot or mode.name.lower() == scope]
         if not (equals and name and modes):
             raise BadInputError(
-                f"law {text}: {assignment!r} is no gain; expected key=value, torque.key=value or speed.key=value, as "
-                "in dsc,k1_1_s=8"
+                f"law {text}: {assignment!r} is not a gain; expected key=value, torque.key=value or speed.key=value, "
+                "as in dsc,k1_1_s=8"
             )
         for mode in modes:
             given[mode][name] = parse_value(value.strip())

@@ -1,4 +1,4 @@
-"""What a comparison found: a row for each law under each condition, nominal and worst."""
+"""The results of a comparison: a row for each law under each condition, nominal and worst."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
@@ -20,7 +20,7 @@ Curves = Mapping[str, npt.NDArray[np.float64]]
 class Entry(NamedTuple):
     """A law with its gains in either mode; ``law`` is as a scenario would have it, ``label`` as the user wrote it.
 
-    ``hidden`` are those of the gains that are not the law's defaults and that the label does not name: the scenario's.
+    ``hidden`` are gains of the scenario that differ from the law's defaults and that the label does not name.
     """
 
     label: str
@@ -55,12 +55,12 @@ class Run(NamedTuple):
 
     @property
     def refused(self) -> str | None:
-        """Why the run could not begin: the law does not do this mode, for one."""
+        """Why the run could not begin, such as a law that does not support the mode."""
         return self.outcome.reason if self.outcome.status == REFUSED else None
 
     @property
     def failed(self) -> str | None:
-        """What ended the run, or why its figures say nothing of the law."""
+        """What ended the run, or why its figures do not describe the law."""
         return None if self.outcome.status in (PASSED, REFUSED) else self.outcome.reason
 
     def plain(self) -> dict[str, Any]:

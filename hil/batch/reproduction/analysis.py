@@ -1,6 +1,6 @@
-"""What the equations and the signals of a run say: the delay margin, and how a robot swings about its path.
+"""The delay margin by the equations, and a robot's oscillation about its path by the signals of a run.
 
-Pure: numbers and NumPy arrays in, plain numbers out.
+No side effects: numbers and NumPy arrays in, plain numbers out.
 """
 
 import math
@@ -12,7 +12,7 @@ import numpy.typing as npt
 Series = npt.NDArray[np.float64]
 
 HARMONICS = 8
-"""Multiples of the path's frequency that belong to the path: lag, and friction that turns with the wheels."""
+"""Multiples of the path's frequency that are no oscillation: lag, and friction that turns with the wheels."""
 
 
 class DelayMargin(NamedTuple):
@@ -27,7 +27,7 @@ def delay_margin(k1_1_s: float, k2_1_s: float, filter_s: float, period_s: float 
 
     With equation 17 the acceleration asked for is u = s x2d - K2 (s e - x2d), x2d = -K1 e / (1 + ς s), and the robot
     answers with s² e = u: the open loop is ((s + K2) K1 / (1 + ς s) + K2 s) / s². A controller that holds its command
-    for a period delays it by half of that, which is taken off.
+    for ``period_s`` delays it by half of that, which is subtracted.
     """
 
     def loop(rate_rad_s: float) -> complex:
@@ -54,9 +54,9 @@ class Oscillation(NamedTuple):
 
 
 def oscillation(t_s: Series, error_x_m: Series, error_y_m: Series, period_s: float) -> Oscillation | None:
-    """Return how the robot swings over the last lap of a path of this period; None where there is no whole lap.
+    """Return the oscillation over the last lap of a path of this period; None where there is no whole lap.
 
-    A mean and ``HARMONICS`` harmonics of the path's frequency are fitted to each error and taken away. Arrays have
+    A mean and ``HARMONICS`` harmonics of the path's frequency are fitted to each error and subtracted. Arrays have
     shape (n,), evenly spaced, and no gaps.
     """
     lap = t_s > t_s[-1] - period_s if len(t_s) else np.zeros(0, dtype=bool)

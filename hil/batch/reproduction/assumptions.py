@@ -19,7 +19,7 @@ class Assumption(NamedTuple):
 
 
 class _Row(NamedTuple):
-    """``keys`` are those of the scenario that hold the value; ``words`` stand for what no key holds."""
+    """``keys`` of the scenario hold the value; ``words`` describe it where no key does."""
 
     what: str
     keys: tuple[str, ...]

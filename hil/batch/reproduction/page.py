@@ -1,7 +1,7 @@
-"""The tables of a summary, and the page PAPER.md: ``python -m hil.batch.reproduction.page SUMMARY.json`` writes them
-between its marks.
+"""The tables of a summary, and the page PAPER.md, between whose marks this module writes them.
 
-The part of the summary that the page shows is kept beside it, so that ``--check`` can compare them without a run.
+``python -m hil.batch.reproduction.page SUMMARY.json`` does so. The part of the summary that the page shows is kept
+beside it, so that ``--check`` can compare them without a run.
 """
 
 import json
@@ -20,7 +20,7 @@ _UNIT = {"s": ("s", 1.0, 2), "m": ("mm", 1e3, 2), "rad": ("mrad", 1e3, 2)}
 PAGE = Path(__file__).with_name("PAPER.md")
 KEPT = Path(__file__).with_name("paper.json")
 _OF_ONE_RUN = ("folder", "pictures", "recordings", "wall_s")
-"""What a summary has beside its results."""
+"""Keys of a summary that belong to one run and not to the results."""
 _BEGIN, _END = "<!-- results begin -->\n", "<!-- results end -->\n"
 
 
@@ -29,7 +29,7 @@ def circle(summary: Summary) -> Table:
     printed = {(row["law"], row["figure"]): row["value"] for row in summary["paper"]}
     rows: Table = [("law", "filter", "limit", "tracked", "the paper", "steady error", "the paper", "within 10 mm")]
     for row in summary["circle"]:
-        # The paper's figures stand once, beside the runs that are nearest to what it says of them.
+        # The paper's figures appear once, beside the runs that are nearest to its description.
         is_paper = row["filter"] == "common" and row["limit"] == "together"
         tracked, steady = (
             printed.get((row["law"], figure)) if is_paper else None for figure in ("tracked_s", "steady_rms_m")
@@ -71,7 +71,7 @@ def _delayed(row: Mapping[str, Any]) -> tuple[str, ...]:
 
 
 def transition(summary: Summary) -> Table:
-    """Return how long the robot takes to the path, from where and how fast it may go, with a header."""
+    """Return the time that the robot takes to the path, for each start and top speed, with a header."""
     rows: Table = [("command", "case", "distance", "transition")]
     for row in summary["transition"]:
         distance = "-" if row["from_m"] is None else f"{row['from_m']:.2f} m"
@@ -81,7 +81,7 @@ def transition(summary: Summary) -> Table:
 
 
 def verdicts(summary: Summary) -> Table:
-    """Return what comes out and what does not, with a header."""
+    """Return the verdicts, with a header."""
     rows: Table = [("place", "result", "the paper", "ours", "tolerance", "verdict", "why")]
     for row in summary["verdicts"]:
         unit = row["unit"]
@@ -143,14 +143,14 @@ def main(arguments: list[str]) -> int:
         is_current = with_results(text, kept()) == text
         if not is_current:
             again = f"run: python -m hil.batch.reproduction.page {KEPT}, or with the summary of a new run"
-            print(f"{PAGE.name} is not what {KEPT.name} gives; {again}", file=sys.stderr)
+            print(f"{PAGE.name} is out of date with {KEPT.name}; {again}", file=sys.stderr)
         return 0 if is_current else 1
     if len(arguments) != 1:
         print("usage: python -m hil.batch.reproduction.page --check | SUMMARY.json", file=sys.stderr)
         return 2
     summary = json.loads(Path(arguments[0]).read_text(encoding="utf-8"))
     if summary["quick"]:
-        print("a quick run has not all that the page shows; run hil reproduce without --quick", file=sys.stderr)
+        print("a quick run lacks results that the page shows; run hil reproduce without --quick", file=sys.stderr)
         return 2
     results_alone = {name: value for name, value in summary.items() if name not in _OF_ONE_RUN}
     KEPT.write_text(json.dumps(results_alone, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")

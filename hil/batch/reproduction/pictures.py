@@ -27,13 +27,13 @@ _STEADY_FROM_S = 5.0
 _CONVERGED_S = 3.0
 _AXIS_M = 0.3
 _JOINED = 4
-"""Latencies from which on a line between them says more than the points."""
+"""From so many latencies on, the points are joined by a line."""
 _SHIFT_S = published.SILENT_FROM_S
 """Section IV.B counts from when the robot's computer was started; a scenario from its first tick."""
 
 
 def circle(path: Path, dsc: Signals, afdsc: Signals) -> None:
-    """Draw Fig. 8: (a) the trajectory, (b) to (d) the errors of x, y and heading, with what remains of them inset."""
+    """Draw Fig. 8: (a) the trajectory, (b) to (d) the errors of x, y and heading, with the late part inset."""
     runs = (("DSC", dsc), ("AFDSC", afdsc))
     with drawing(path, rows=2, columns=2, size_in=(10.0, 8.0)) as axes:
         reference = Curve("reference", dsc["reference.x_m"], dsc["reference.y_m"], _GREY)
@@ -53,7 +53,7 @@ def circle(path: Path, dsc: Signals, afdsc: Signals) -> None:
 
 
 def _inset(axes: "Axes", curves: Sequence[Curve], unit: str) -> None:
-    """Show in a corner what the whole picture's scale hides."""
+    """Show the late part in a corner, at a scale of its own."""
     late = axes.inset_axes((0.42, 0.1, 0.54, 0.4))
     for number, curve in enumerate(curves):
         later = curve.x >= _STEADY_FROM_S
@@ -67,7 +67,7 @@ def convergence(path: Path, runs: Sequence[tuple[str, Signals]]) -> None:
     curves = []
     for label, s in runs:
         t_s, error_mm = s["loop.t_s"], s["error.planar_m"] * 1e3
-        # A logarithmic scale has no place for zero, but one for all else.
+        # A logarithmic scale cannot show zero.
         shown = (t_s <= _CONVERGED_S) & (error_mm > 0.0)
         curves.append(Curve(label, t_s[shown], error_mm[shown]))
     with drawing(path, size_in=(8.0, 4.5)) as (axes,):

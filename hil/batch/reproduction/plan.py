@@ -9,7 +9,7 @@ CIRCLE = "paper_circle"
 CIRCLE_DSC = "paper_circle_dsc"
 EXPERIMENT = "paper_experiment"
 EXPERIMENT_PERIOD_S = 0.005
-"""A command period of it."""
+"""Command period of the experiment."""
 
 Settings = Mapping[str, object]
 
@@ -17,8 +17,8 @@ Settings = Mapping[str, object]
 class Case(NamedTuple):
     """A run to do: a shipped scenario and what is set in it.
 
-    ``group`` is the table it belongs to, ``row`` its place in it: by what the table's rows differ. ``records`` asks for
-    a recording.
+    ``group`` is its table, ``row`` the values in which it differs from the other rows there. ``records`` asks for a
+    recording.
     """
 
     name: str
@@ -30,7 +30,7 @@ class Case(NamedTuple):
 
 
 class Result(NamedTuple):
-    """What came of a case: its figures, and what ended the run early or kept it from beginning."""
+    """The result of a case: its figures, and what ended the run early or prevented it."""
 
     case: Case
     figures: Mapping[str, float | None]
@@ -95,18 +95,18 @@ TOP_SPEEDS_RAD_S = (20.0, 12.0, 9.0)
 """The circle itself needs 7.9 rad/s, at 45 degrees to the wheels."""
 
 VARIANT_S, QUICK_S = 10.0, 7.0
-"""Of the circle: long enough to be on the path, and for 5 s of steady error after that."""
+"""Durations for the circle: long enough to be on the path, and for 5 s of steady error after that."""
 QUICK_DELAY_S = 18.0
-"""Of the experiment when the host is there from the first: a lap after AFDSC has come to the path; DSC takes longer."""
+"""Duration of the experiment without its silent time: a lap after AFDSC is on the path; DSC takes longer."""
 TRANSITION_S = 17.0
-"""Of the runs that only show how long the robot takes to the path: 10 s from when it is commanded."""
+"""Duration of runs that only show how long the robot takes to the path: 10 s from the first command on."""
 _UNJUDGED: Settings = {"expect": []}
-"""What a scenario expects of itself is not expected of its variants."""
+"""A scenario's own expectations do not apply to its variants."""
 _RECORDED = ("dsc common together", "afdsc common together", "afdsc short together")
 
 
 def cases(*, quick: bool = False) -> list[Case]:
-    """Return the runs in the order of the tables; with ``quick`` the few that still have something in each."""
+    """Return the runs in the order of the tables; with ``quick`` only a few for each table."""
     found = [*circle(quick=quick), *experiment(quick=quick)]
     assert len({case.name for case in found}) == len(found)
     return found

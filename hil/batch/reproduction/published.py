@@ -1,7 +1,7 @@
 """What Nguyen Minh et al. 2023 print of their results, and what follows from it by their own equations.
 
 "An Adaptive Fuzzy Dynamic Surface Control Tracking Algorithm for Mecanum Wheeled Mobile Robot", section IV. The four
-figures are all the numbers that the section has; a unit of the last digit printed is what they can be held to.
+figures are all the numbers that the section has; they can be compared to within one unit of the last printed digit.
 """
 
 import math
@@ -13,8 +13,8 @@ from hil.laws.fuzzy import K1_1_S, K2_1_S, RULES
 class Printed(NamedTuple):
     """A figure of the paper.
 
-    ``law`` is the law's registered name, ``figure`` the name of ours beside it (``hil.judge.figures``), ``digit`` a
-    unit of the last digit printed, in the figure's own unit.
+    ``law`` is the law's registered name, ``figure`` the name of our figure (``hil.judge.figures``), ``digit`` a unit of
+    the last digit printed, in the figure's own unit.
     """
 
     law: str
@@ -67,7 +67,7 @@ def gain_for(steady_m: float, filter_s: float) -> float:
 def stiffest_rule_1_s2() -> float:
     """Return the largest K1 K2 [1/s²] that a rule of Tables III and IV gives, as printed or corrected.
 
-    A constant disturbance d leaves d / (K1 K2) of error: what counts for a cause other than the filter.
+    A constant disturbance d leaves an error of d / (K1 K2), which matters for causes other than the filter.
     """
     return max(
         K1_1_S[first] * K2_1_S[second]
@@ -80,4 +80,4 @@ def stiffest_rule_1_s2() -> float:
 COMMON_FILTER_S = round(filter_for(DSC_STEADY.value, DSC_GAINS[0]), 4)
 """The filter constant that DSC's steady error asks for, here for both laws."""
 SHORT_FILTER_S = round(filter_for(AFDSC_STEADY.value, FUZZY_CENTRE[0]), 4)
-"""The one that AFDSC's steady error asks for."""
+"""The filter constant that AFDSC's steady error asks for."""

@@ -1,4 +1,4 @@
-"""Doing section IV: the jobs of the cases, the figures that follow from their signals, and the files of the results."""
+"""Runs section IV: the jobs of the cases, the figures that follow from their signals, and the files of the results."""
 
 import json
 import shutil
@@ -50,7 +50,7 @@ _OF_SIGNALS = ("heading_rad", "driven_s", "from_m", "transition_s", "amplitude_m
 
 
 class NotWrittenError(BadInputError):
-    """The runs are done and a file could not be written; ``summary`` is what was found, of the files that are there."""
+    """The runs are done but a file could not be written; ``summary`` has the results and names the written files."""
 
     def __init__(self, error: BadInputError, summary: dict[str, Any]) -> None:
         super().__init__(str(error))
@@ -71,10 +71,10 @@ def reproduce(
     ``quick`` leaves out most variants and shortens the others. ``workers`` is the number of processes, by default one a
     processor; a run that takes more than ``limit_s`` of wall-clock time is ended. ``on_progress`` is called as
     ``hil.batch.plan.run_jobs`` does. Results of an earlier reproduction in the folder are removed when the runs are
-    done, or with ``existing="refuse"`` nothing begins.
+    done; with ``existing="refuse"`` they are an error and nothing begins.
 
     Raises BadInputError when ``folder`` cannot be made or written to or has results that must stay, and
-    NotWrittenError, which has the summary, when it could be at first and a file then could not be written.
+    NotWrittenError, with the summary, when a file cannot be written after the runs.
     """
     began = time.monotonic()
     make_folder(folder)
@@ -134,8 +134,10 @@ def _recording(case: Case) -> str:
 
 
 def _failure(outcome: Outcome) -> str | None:
-    """Return what ended a run early, or that the robot was not driven for no fault of the scenario: that shows nothing
-    of the law either. What the scenario expects of itself is not asked here."""
+    """Return what ended a run early, or a sentence if no fault explains that the robot was not driven.
+
+    Such runs say nothing about the law. The scenario's own expectations do not matter here.
+    """
     if outcome.status in (ENDED, LOST, REFUSED):
         return outcome.reason
     undriven: str | None = outcome.details["undriven"]
@@ -156,7 +158,7 @@ def _result(case: Case, job: Job, outcome: Outcome) -> Result:
 
 
 def signal_figures(signals: Signals, period_s: float) -> dict[str, float | None]:
-    """Return the figures that follow from the signals of a run on a circle of this period; None without a meaning.
+    """Return the figures that follow from the signals of a run on a circle of this period; None where not defined.
 
     ``heading_rad`` is the largest heading error of the last 5 s, ``driven_s`` the first time from which the robot is
     commanded to the end, ``from_m`` how far it then is from the path, ``transition_s`` how long it takes until it stays
@@ -205,7 +207,7 @@ def _move(recording: Path, folder: Path) -> None:
 
 
 def _draw(folder: Path, results: Results, signals: Mapping[str, Signals], drawn: list[str]) -> None:
-    """Draw what there are runs for, and add the name of each picture to ``drawn``."""
+    """Draw the pictures for which there are runs, and add the name of each picture to ``drawn``."""
     shown = {label: one for label, one in signals.items() if one}
     drawings: dict[str, Callable[[Path], None]] = {}
     if "dsc" in shown and "afdsc" in shown:

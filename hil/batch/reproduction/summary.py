@@ -10,7 +10,7 @@ from hil.batch.reproduction.plan import Result
 from hil.batch.reproduction.verdicts import Verdict
 
 FORMAT = 1
-"""Counts changes of the summary that a reader has to know of."""
+"""Version of the summary: raised for changes that a reader has to know of."""
 PAPER = (
     "Nguyen Minh et al. 2023, An Adaptive Fuzzy Dynamic Surface Control Tracking Algorithm for Mecanum Wheeled "
     "Mobile Robot"
@@ -39,7 +39,7 @@ def summarise(
     """Return the summary.
 
     Each of ``circle``, ``experiment``, ``delay`` and ``transition`` is a list of rows: what the case is, its figures
-    (None where one has no meaning) and ``failure``. ``paper`` has the printed figures, ``verdicts`` what became of
+    (None where one is not defined) and ``failure``. ``paper`` has the printed figures, ``verdicts`` the verdicts on
     them, ``pictures`` and ``recordings`` names of files in ``folder``.
     """
     return {

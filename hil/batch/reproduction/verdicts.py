@@ -1,6 +1,7 @@
-"""Which of the paper's results come out, which do not, and why: worked out from the figures of the runs at hand.
+"""Which of the paper's results we reproduce, which not, and why, computed from the figures of our runs.
 
-Pure: results in, verdicts out. No sentence holds a number that was not computed here or printed in the paper.
+No side effects: results in, verdicts out. No sentence holds a number that was not computed here or printed in the
+paper.
 """
 
 import math
@@ -19,18 +20,19 @@ NO_NUMBER = "cannot be compared"
 NOT_RUN = "not run"
 
 _GROWTH = 3.0
-"""How many times as large an oscillation has to be as without latency to be due to it."""
+"""An oscillation is put down to latency when it is so many times as large as without latency."""
 _ON_PATH_M = 0.010
 _HEADING_RAD = 0.01
 _LAW_WORDS = {"dsc": "DSC", "afdsc": "AFDSC", "constant": "constant gains", "corrected": "AFDSC with corrected tables"}
 
 
 class Verdict(NamedTuple):
-    """What became of a result of the paper.
+    """Whether we reproduce one result of the paper.
 
-    ``verdict`` is one of ``COMES_OUT``, ``FITTED`` (something that the paper leaves out was chosen so that it does),
-    ``DOES_NOT``, ``NO_NUMBER`` and ``NOT_RUN`` (by ``--quick``). ``paper`` and ``ours`` are in ``unit``, None where
-    there is no number; ``tolerance`` is how far apart they may be.
+    ``verdict``: ``COMES_OUT`` (reproduced), ``FITTED`` (reproduced, but only because we chose a value that the paper
+    does not give), ``DOES_NOT``, ``NO_NUMBER`` (cannot be compared), ``NOT_RUN`` (left out by ``--quick``). ``paper``
+    and ``ours`` are in ``unit``, None where there is no number; ``tolerance`` is the largest difference that still
+    counts as equal.
     """
 
     place: str
@@ -46,7 +48,7 @@ class Verdict(NamedTuple):
 class Results:
     """The results of the runs by case; a figure that is not there is None.
 
-    A run that ended early has no figures: what it came to by then says nothing of the paper.
+    A run that ended early has no figures, because they could not be compared with the paper's.
     """
 
     def __init__(self, results: Sequence[Result]) -> None:
@@ -98,7 +100,7 @@ def judge(results: Results) -> list[Verdict]:
 
 
 def _as_far_as_run(results: Results, found: list[Verdict], needed: tuple[str, ...]) -> list[Verdict]:
-    """Take back verdicts on runs that did not come to their end: that says nothing of the paper."""
+    """Replace verdicts by ``NO_NUMBER`` when a run that they need did not come to its end."""
     failed = [f"{name}: {failure}" for name in needed if (failure := results.failure(name)) is not None]
     if not failed:
         return found
@@ -127,7 +129,7 @@ def _printed(results: Results, printed: Printed) -> Verdict:
 
 
 def _own_filter(results: Results) -> Verdict:
-    """Give AFDSC alone the filter that its steady error asks for."""
+    """Verdict on AFDSC's steady error, with the filter constant that this error asks for."""
     printed = published.AFDSC_STEADY
     ours = results.circle("afdsc", "short", "together", printed.figure)
     ratio = published.COMMON_FILTER_S / published.SHORT_FILTER_S
@@ -179,7 +181,7 @@ def _closer(results: Results) -> Verdict:
 
 
 def _by_the_tuner(results: Results) -> Verdict:
-    """Adapting is what makes AFDSC sooner: held against the constant gains that the tables have in the middle."""
+    """Whether adapting makes AFDSC sooner, compared with the constant gains in the middle of its tables."""
     run, tolerance = "constant common together", published.AFDSC_TRACKED.digit
     row = ("IV.A", "the fuzzy tuner makes it sooner than its middle gains held constant, by", "s", None)
     if not results.is_planned(run):
@@ -252,8 +254,8 @@ def _converged(results: Results) -> Verdict:
 def _delay(results: Results) -> Verdict:
     """Section IV.B: a slight oscillation about the path, due to the controller's delay.
 
-    That there is none can come out. That there is one says nothing for the paper: it has no number, and the sweep goes
-    beyond the latency at which the loop is no longer stable, where every loop swings.
+    Without an oscillation the result is not reproduced. An oscillation cannot be compared: the paper gives no number,
+    and the sweep goes beyond the latency at which the loop is unstable, where every loop swings.
     """
     sweep = {ms: figures.get("amplitude_m") for ms, figures in results.delay("afdsc torque").items()}
     known = {ms: value for ms, value in sweep.items() if value is not None}
@@ -282,7 +284,7 @@ def _delay(results: Results) -> Verdict:
 
 
 def _why_not_closer(results: Results) -> str:
-    """Return what AFDSC's steady error would need."""
+    """Return a sentence on what AFDSC's steady error would need."""
     needed = published.gain_for(published.AFDSC_STEADY.value, published.COMMON_FILTER_S)
     lag_m = published.steady_error_m(published.COMMON_FILTER_S, published.FUZZY_CENTRE[0])
     return (
