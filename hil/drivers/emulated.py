@@ -10,15 +10,11 @@ from firmware_protocol.generated.messages import Fault, FaultWheel, Mode, State,
 from firmware_protocol.host import View
 from hil.core.clock import TICK_NS
 from hil.core.types import FourWheels
+from hil.drivers.port import clamp, four
 from hil.plant import shim
 
 _TICK_S = TICK_NS * 1e-9
 _STILL: FourWheels = (0.0, 0.0, 0.0, 0.0)
-
-
-def limited(value: float, most: float) -> float:
-    """Return a value cut to -most ... most."""
-    return min(max(value, -most), most)
 
 
 class Shaft:
@@ -68,7 +64,7 @@ class SpeedLoop:
         """Return the torque of this tick [N·m]."""
         error = target_rad_s - speed_rad_s
         wanted = feedforward_n_m + self._kp * error + self._integral_n_m
-        limited = min(max(wanted, -self._limit_n_m), self._limit_n_m)
+        limited = clamp(wanted, self._limit_n_m)
         if wanted == limited or error * wanted < 0.0:
             self._integral_n_m += self._ki * error * _TICK_S
         return limited
@@ -130,16 +126,16 @@ class Trajectory:
     def slip(self, at: float, most_rev: float) -> None:
         """Stay so near to where the output is; NaN is no limit."""
         if not math.isnan(most_rev):
-            self.position_rev = at + limited(self.position_rev - at, most_rev)
+            self.position_rev = at + clamp(self.position_rev - at, most_rev)
 
     def _ramp(self, target: float, velocity_most: float, accel_most: float) -> None:
-        wanted, step = limited(target, velocity_most), accel_most * _TICK_S
+        wanted, step = clamp(target, velocity_most), accel_most * _TICK_S
         if self._target_rev is not None:
             self._target_rev += target * _TICK_S
             left = self._target_rev - self.position_rev
             closing = min(abs(left) / _TICK_S, math.sqrt(2.0 * accel_most * abs(left)) if left else 0.0)
-            wanted = limited(target + math.copysign(closing, left), velocity_most)
-        self.velocity += limited(wanted - self.velocity, step)
+            wanted = clamp(target + math.copysign(closing, left), velocity_most)
+        self.velocity += clamp(wanted - self.velocity, step)
         self.position_rev += self.velocity * _TICK_S
         if self._target_rev is None:
             self.is_complete = self.velocity == wanted
@@ -295,11 +291,10 @@ class EmulatedMotors(Generic[SettingsT]):
         if self.battery_v <= 0.0:
             return _STILL
         constant, resistance = self.values["torque_constant_n_m_a"], self.values["motor_resistance_ohm"]
-        fl, fr, rr, rl = (
-            min(max((torque / constant * resistance + constant * shaft.speed_rad_s) / self.battery_v, -1.0), 1.0)
+        return four(
+            clamp((torque / constant * resistance + constant * shaft.speed_rad_s) / self.battery_v, 1.0)
             for torque, shaft in zip(self.torque_n_m, self.shafts, strict=True)
         )
-        return (fl, fr, rr, rl)
 
     def _sample(self, drive: Any) -> None:
         sense = self._sense

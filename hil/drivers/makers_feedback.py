@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 from firmware_protocol.generated.messages import State
 from hil.core.types import FourWheels, Wheels
-from hil.drivers.port import Driver, Sample
+from hil.drivers.port import Driver, Sample, four
 from hil.robot.robot_report import Health
 from hil.robot.snapshot import Feedback
 from hil.robot.wheel_map import WheelMap
@@ -31,8 +31,7 @@ class Angles:
         last, self._last = self._last, sample
         if last is not None and last is not sample:
             self._turned_rad = self._moved(last, sample)
-        fl, fr, rr, rl = (round(angle * self._per_rad) & 0xFFFF for angle in self._turned_rad)
-        return fl, fr, rr, rl
+        return four(round(angle * self._per_rad) & 0xFFFF for angle in self._turned_rad)
 
     def restart(self) -> None:
         """Go on with controllers that may have been reset."""
@@ -41,7 +40,7 @@ class Angles:
     def _moved(self, last: Sample, sample: Sample) -> FourWheels:
         dt_s = max(0.0, (sample.stamp_ns - last.stamp_ns) * 1e-9)
         counted_s = dt_s if dt_s <= _LONGEST_S else 0.0
-        fl, fr, rr, rl = (
+        return four(
             turned + (0.5 * (slow + fast) * counted_s if math.isnan(now - before) else now - before)
             for turned, before, now, slow, fast in zip(
                 self._turned_rad,
@@ -52,7 +51,6 @@ class Angles:
                 strict=True,
             )
         )
-        return fl, fr, rr, rl
 
 
 _MOVES_RAD_S = 0.5  # one encoder count in 10 ms, which is how some makers measure a speed

@@ -8,7 +8,7 @@ from firmware_protocol.framing import Frame
 from hil.core.errors import HilError, LinkError
 from hil.core.guard import Brake
 from hil.core.types import CommandMode, FourWheels, Wheels
-from hil.drivers.port import Driver, DriverError
+from hil.drivers.port import Driver, DriverError, four
 
 REST: FourWheels = (0.0, 0.0, 0.0, 0.0)
 REPEAT_NS = 50_000_000
@@ -107,8 +107,7 @@ class MotorStop:
         begin_ns, speed = self._ramp
         left = 1.0 - (now_ns - begin_ns) * 1e-9 / self._terms.ramp_s
         if self._terms.mode is CommandMode.SPEED and left > 0.0:
-            fl, fr, rr, rl = (left * one for one in speed)
-            self._line.send(self._driver.command((fl, fr, rr, rl), REST, now_ns))
+            self._line.send(self._driver.command(four(left * one for one in speed), REST, now_ns))
         elif self._terms.mode is CommandMode.TORQUE and not self._is_over(now_ns, begin_ns):
             self._line.send(self._driver.command(REST, self._brake(now_ns), now_ns))
         else:

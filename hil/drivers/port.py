@@ -9,37 +9,14 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from types import MappingProxyType
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal, NamedTuple, TypeVar
 
 from firmware_protocol.framing import Frame
 from hil.core.errors import DeviceError
-from hil.core.ports import EXTENDED, REMOTE, Framing
+from hil.core.ports import EXTENDED as EXTENDED
+from hil.core.ports import REMOTE as REMOTE
+from hil.core.ports import Framing as Framing
 from hil.core.types import NAN, CommandMode, FourWheels
-
-__all__ = [
-    "ANSWER_S",
-    "EXTENDED",
-    "NO_CHANNELS",
-    "REMOTE",
-    "Capabilities",
-    "Dialect",
-    "Driver",
-    "DriverError",
-    "Found",
-    "Framing",
-    "Probe",
-    "RobotFacts",
-    "Sample",
-    "Sensor",
-    "Wire",
-    "chosen",
-    "four_ids",
-    "holds_back",
-    "late_ns",
-    "lowest",
-    "oldest",
-    "torques_dropped",
-]
 
 Wire = Literal["can", "can_fd", "serial"]
 Sensor = Literal["position", "current", "temperature", "battery_voltage", "battery_current", "gyro", "accelerometer"]
@@ -283,7 +260,21 @@ class Dialect:
     watchdog_setting: str | None = None
 
 
-# What drivers of four controllers, each with an id of its own, have in common
+# Helpers of the drivers
+
+_Any = TypeVar("_Any")
+_Number = TypeVar("_Number", int, float)
+
+
+def four(values: Iterable[_Any]) -> tuple[_Any, _Any, _Any, _Any]:
+    """Return the values, one for each channel or wheel, as a tuple. Raises ValueError unless there are four."""
+    a, b, c, d = values
+    return a, b, c, d
+
+
+def clamp(value: _Number, most: _Number, least: _Number | None = None) -> _Number:
+    """Return a value limited to the range from ``least``, by default -``most``, to ``most``. NaN stays NaN."""
+    return min(max(value, -most if least is None else least), most)
 
 
 def four_ids(low: int, high: int) -> Callable[[tuple[int, ...]], tuple[int, ...]]:
@@ -326,6 +317,6 @@ def holds_back(stamp_ns: int, other_ns: int, limit_ns: int) -> int:
     return min(stamp_ns, other_ns + limit_ns)
 
 
-def lowest(*values: float) -> float:
+def lowest(values: Iterable[float]) -> float:
     """Return the lowest known value, NaN if none is known: four controllers measure the voltage of one battery."""
     return min((value for value in values if not math.isnan(value)), default=NAN)

@@ -10,7 +10,7 @@ import math
 from hil.core.errors import BadInputError
 from hil.core.kinematics import BodyTwist, body_twist, wheel_speeds
 from hil.core.types import WHEEL_NAMES, FourWheels
-from hil.drivers.port import RobotFacts
+from hil.drivers.port import RobotFacts, clamp
 
 LATE_NS = 250_000_000
 """A report that is older says nothing about now; the slowest of these bases reports at 20 Hz."""
@@ -62,7 +62,7 @@ class TwistBase:
             self._rim_limit_m_s / rim if rim > 0.0 else 1.0,
             self._yaw_limit_rad_s / abs(twist.yaw_rate_rad_s) if twist.yaw_rate_rad_s else 1.0,
         )
-        x, y, turn = (min(max(round(scale * value * _MILLI), -_INT16), _INT16) for value in twist)
+        x, y, turn = (clamp(round(scale * value * _MILLI), _INT16) for value in twist)
         return x, y, turn
 
     def speeds(self, counts: tuple[int, int, int]) -> FourWheels:

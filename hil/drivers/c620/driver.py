@@ -16,7 +16,20 @@ from typing import Annotated, Literal, NamedTuple
 from firmware_protocol.framing import Frame
 from hil.core.options import NOT_NEGATIVE, POSITIVE
 from hil.core.types import WHEEL_NAMES, CommandMode, FourWheels
-from hil.drivers.port import Capabilities, Dialect, Driver, Found, Probe, RobotFacts, Sample, chosen, four_ids, oldest
+from hil.drivers.port import (
+    Capabilities,
+    Dialect,
+    Driver,
+    Found,
+    Probe,
+    RobotFacts,
+    Sample,
+    chosen,
+    clamp,
+    four,
+    four_ids,
+    oldest,
+)
 
 _CURRENTS = Struct(">4h")
 _FEEDBACK = Struct(">HhhB")
@@ -166,7 +179,7 @@ class C620(Driver):
         self._commanded_ns = now_ns
         scale = 1.0 / (self._robot.torque_constant_n_m_a * self._amperes)
         most = self._max_count
-        return self._currents([min(max(round(torque * scale), -most), most) for torque in torque_n_m])
+        return self._currents([clamp(round(torque * scale), most) for torque in torque_n_m])
 
     def _is_fresh(self, channel: _Channel, now_ns: int) -> bool:
         return channel.stamp_ns is not None and now_ns - channel.stamp_ns < self._robot.watchdog_s * 1e9
@@ -183,13 +196,12 @@ class C620(Driver):
                 continue
             error = target - channel.rpm * _RPM / self._gear_ratio
             torque = feedforward + settings.kp_n_m_s_rad * error + channel.integral_n_m
-            limited = min(max(torque, -limit), limit)
+            limited = clamp(torque, limit)
             if torque == limited or error * torque < 0.0:  # no windup at the limit
                 integral = channel.integral_n_m + settings.ki_n_m_rad * error * dt_s
-                channel.integral_n_m = min(max(integral, -limit), limit)
+                channel.integral_n_m = clamp(integral, limit)
             torques.append(limited)
-        fl, fr, rr, rl = torques
-        return fl, fr, rr, rl
+        return four(torques)
 
     def _currents(self, counts: Sequence[int]) -> Sequence[Frame]:
         """Return the one or two frames that carry the currents. The other motors of these frames get no current."""
@@ -216,20 +228,14 @@ class C620(Driver):
         stamp_ns = oldest(channel.stamp_ns for channel in channels)
         if stamp_ns is None:
             return None
-        a, b, c, d = channels
         to_speed = _RPM / self._gear_ratio
         to_angle = math.tau / _ANGLES / self._gear_ratio
         return Sample(
             stamp_ns,
-            (a.rpm * to_speed, b.rpm * to_speed, c.rpm * to_speed, d.rpm * to_speed),
-            (a.turned() * to_angle, b.turned() * to_angle, c.turned() * to_angle, d.turned() * to_angle),
-            (
-                a.current * self._amperes,
-                b.current * self._amperes,
-                c.current * self._amperes,
-                d.current * self._amperes,
-            ),
-            (a.temperature_degc, b.temperature_degc, c.temperature_degc, d.temperature_degc),
+            four(channel.rpm * to_speed for channel in channels),
+            four(channel.turned() * to_angle for channel in channels),
+            four(channel.current * self._amperes for channel in channels),
+            four(channel.temperature_degc for channel in channels),
         )
 
     @property

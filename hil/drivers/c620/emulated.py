@@ -10,6 +10,7 @@ from firmware_protocol.framing import Frame
 from hil.core.types import FourWheels
 from hil.drivers.c620.driver import Settings
 from hil.drivers.emulated import EmulatedMotors
+from hil.drivers.port import clamp, four
 
 _FULL_SCALE = {"c620": (16384, 20.0), "c610": (10000, 10.0)}
 _GEARS = {"c620": 3591 / 187, "c610": 36.0}
@@ -38,7 +39,7 @@ class EmulatedC620(EmulatedMotors[Settings]):
         for slot in range(4):
             if first + slot in self._ids:
                 (raw,) = struct.unpack_from(">h", frame.payload, 2 * slot)
-                limited = min(max(raw, -self._counts), self._counts)
+                limited = clamp(raw, self._counts)
                 self._set_point_a[self._ids.index(first + slot)] = limited * self._amperes / self._counts
 
     def tick(self) -> FourWheels | None:
@@ -47,15 +48,14 @@ class EmulatedC620(EmulatedMotors[Settings]):
             angle = round(shaft.position_rad / math.tau * self._gear * 8192) % 8192
             rpm = round(shaft.speed_rad_s * self._gear * 60.0 / math.tau)
             raw_current = round(self.current_a[channel] * self._counts / self._amperes)
-            temperature = min(max(round(self.temperature_degc[channel]), 0), 255)
+            temperature = clamp(round(self.temperature_degc[channel]), 255, 0)
             payload = struct.pack(">HhhBB", angle, _int16(rpm), _int16(raw_current), temperature, 0)
             self.say(Frame(0x200 + number, payload))
         if not self._was_commanded:
             return None
         constant = self.values["torque_constant_n_m_a"]
-        a, b, c, d = (constant * current for current in self._set_point_a)
-        return a, b, c, d
+        return four(constant * current for current in self._set_point_a)
 
 
 def _int16(value: int) -> int:
-    return min(max(value, -32768), 32767)
+    return clamp(value, 32767, -32768)

@@ -11,6 +11,7 @@ from typing import NamedTuple
 
 from firmware_protocol.framing import Frame
 from hil.drivers.dbc.file import Message, Signal
+from hil.drivers.port import clamp
 
 
 class Moving(NamedTuple):
@@ -61,7 +62,7 @@ class Packer:
         """Return a frame; a value beyond the limits of its signal is sent as the limit."""
         raws = self._raws
         for name, place, gain, bias, low, high, is_float in self._moving:
-            raw = min(max(values[place] * gain + bias, low), high)
+            raw = clamp(values[place] * gain + bias, high, low)
             raws[name] = raw if is_float else round(raw)
         for name, counter in self._counters:
             raws[name] = counter.next()

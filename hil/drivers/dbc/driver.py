@@ -13,7 +13,7 @@ from hil.drivers.dbc.heard import Heard
 from hil.drivers.dbc.mapping import Bound, Step
 from hil.drivers.dbc.robot import check_limits, check_wheels, gains, warnings, watchdog_raw
 from hil.drivers.dbc.settings import PHASES, Settings
-from hil.drivers.port import EXTENDED, NO_CHANNELS, Capabilities, Dialect, Driver, RobotFacts, Sample, Sensor
+from hil.drivers.port import EXTENDED, NO_CHANNELS, Capabilities, Dialect, Driver, RobotFacts, Sample, Sensor, four
 
 _NONE: Mapping[str, float] = {}
 _NO_STEP: Mapping[str, Packer] = {}
@@ -227,8 +227,7 @@ class DbcDriver(Driver):
         )
 
     def _four(self, name: str) -> FourWheels:
-        fl, fr, rr, rl = self._heard.quantity(name) or NO_CHANNELS
-        return fl, fr, rr, rl
+        return four(self._heard.quantity(name) or NO_CHANNELS)
 
     def _one(self, name: str) -> float:
         (value,) = self._heard.quantity(name) or (NAN,)

@@ -18,7 +18,7 @@ from hil.drivers.dbc.mapping import Bound, Condition, Quantity, Step
 from hil.drivers.dbc.settings import Settings
 from hil.drivers.dbc.units import at_wheel
 from hil.drivers.emulated import EmulatedMotors
-from hil.drivers.port import EXTENDED
+from hil.drivers.port import EXTENDED, clamp, four
 
 _STILL: FourWheels = (0.0, 0.0, 0.0, 0.0)
 _STANDING_RAD_S = 0.05
@@ -195,24 +195,19 @@ class EmulatedDbc(EmulatedMotors[Settings]):
             return None
         if self.is_on and "torque" in self._commanded:
             limit = self.values["torque_limit_n_m"]
-            fl, fr, rr, rl = (min(max(torque, -limit), limit) for torque in self._commanded["torque"])
-            return fl, fr, rr, rl
+            return four(clamp(torque, limit) for torque in self._commanded["torque"])
         wanted, extra = self._targets() if self.is_on else (_STILL, _STILL)
         rows = zip(self._loops, wanted, speeds, extra, strict=True)
-        fl, fr, rr, rl = (loop.torque(target, speed, torque) for loop, target, speed, torque in rows)
-        return fl, fr, rr, rl
+        return four(loop.torque(target, speed, torque) for loop, target, speed, torque in rows)
 
     def _speeds(self) -> FourWheels:
-        fl, fr, rr, rl = (shaft.speed_rad_s for shaft in self.shafts)
-        return fl, fr, rr, rl
+        return four(shaft.speed_rad_s for shaft in self.shafts)
 
     def _targets(self) -> tuple[FourWheels, FourWheels]:
         if "twist" in self._commanded:
             forward, left, yaw_rate = self._commanded["twist"]
             return wheel_speeds((forward, left, yaw_rate), self.values["wheel_radius_m"], self._lever_m), _STILL
-        fl, fr, rr, rl = self._commanded["speed"]
-        a, b, c, d = self._commanded.get("feedforward", _STILL)
-        return (fl, fr, rr, rl), (a, b, c, d)
+        return four(self._commanded["speed"]), four(self._commanded.get("feedforward", _STILL))
 
     # What they say
 
@@ -266,7 +261,7 @@ class EmulatedDbc(EmulatedMotors[Settings]):
             return raw
         if wraps:
             return (round(raw) - int(signal.low)) % int(signal.high - signal.low + 1) + int(signal.low)
-        return round(min(max(raw, signal.low), signal.high))
+        return round(clamp(raw, signal.high, signal.low))
 
 
 def _id(message: Any) -> int:

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from hil.core.errors import nearest
-from hil.drivers.port import EXTENDED
+from hil.drivers.port import EXTENDED, clamp
 
 _CLASSIC_BYTES = 8
 _FLOAT_HIGHEST = {16: 65504.0, 32: 3.4028234663852886e38, 64: 1.7976931348623157e308}
@@ -197,9 +197,9 @@ def _signal(message: Any, signal: Any) -> Signal:
     conversion = signal.conversion
     length_low, length_high = _limits_of_length(signal)
     low, high = _limits(signal)
-    initial = min(max(signal.raw_initial or 0, length_low), length_high)
+    initial = clamp(signal.raw_initial or 0, length_high, length_low)
     if signal.raw_initial is None:
-        initial = min(max(0, low), high)
+        initial = clamp(0, high, low)
     return Signal(
         message.name,
         signal.name,

@@ -27,6 +27,7 @@ from hil.drivers.port import (
     RobotFacts,
     Sample,
     chosen,
+    four,
     four_ids,
     lowest,
     oldest,
@@ -247,15 +248,14 @@ class Moteus(Driver):
         stamp_ns = oldest(channel.stamp_ns for channel in channels)
         if stamp_ns is None:
             return None
-        a, b, c, d = channels
         scale = 1.0 / self._to_output
         return Sample(
             stamp_ns,
-            (a.velocity_rev_s * scale, b.velocity_rev_s * scale, c.velocity_rev_s * scale, d.velocity_rev_s * scale),
-            (a.position_rev * scale, b.position_rev * scale, c.position_rev * scale, d.position_rev * scale),
-            (a.current_a, b.current_a, c.current_a, d.current_a),
-            (a.temperature_degc, b.temperature_degc, c.temperature_degc, d.temperature_degc),
-            lowest(a.voltage_v, b.voltage_v, c.voltage_v, d.voltage_v),
+            four(channel.velocity_rev_s * scale for channel in channels),
+            four(channel.position_rev * scale for channel in channels),
+            four(channel.current_a for channel in channels),
+            four(channel.temperature_degc for channel in channels),
+            lowest(channel.voltage_v for channel in channels),
         )
 
     @property

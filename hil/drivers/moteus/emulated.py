@@ -14,6 +14,7 @@ from hil.drivers.moteus import frames
 from hil.drivers.moteus.driver import Settings
 from hil.drivers.moteus.emulated_console import Console
 from hil.drivers.moteus.emulated_servo import FAULT, STOPPED, Servo
+from hil.drivers.port import four
 
 _UNDER_VOLTAGE, _OVER_TEMPERATURE = 40, 38
 _BROADCAST, _STREAM, _MAX_STREAM_BYTES = 0x7F, 1, 61
@@ -68,8 +69,7 @@ class EmulatedMoteus(EmulatedMotors[Settings]):
         torques = [servo.torque() for servo in self.servos]
         if all(torque is None for torque in torques):
             return None
-        a, b, c, d = ((torque or 0.0) * self.settings.gear_ratio for torque in torques)
-        return a, b, c, d
+        return four((torque or 0.0) * self.settings.gear_ratio for torque in torques)
 
     def _measure(self) -> None:
         for channel, (servo, shaft) in enumerate(zip(self.servos, self.shafts, strict=True)):

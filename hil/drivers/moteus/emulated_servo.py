@@ -12,10 +12,11 @@ that contains one is ignored.
 import math
 from collections.abc import Mapping
 
-from hil.drivers.emulated import Trajectory, limited
+from hil.drivers.emulated import Trajectory
 from hil.drivers.moteus import emulated_registers as registers
 from hil.drivers.moteus import frames
 from hil.drivers.moteus.emulated_registers import COMMAND, MEASURED, SHADOWS
+from hil.drivers.port import clamp
 
 _TICK_S = 0.001
 STOPPED, FAULT, TIMEOUT = 0, 1, 11
@@ -242,24 +243,24 @@ class Servo:
             return self._within(limit)
         if mode == ZERO_VELOCITY:
             most = min(config["servo.timeout_max_torque_Nm"], limit)
-            return limited(-command[0x24] * config["servo.pid_position.kd"] * self.measured[0x02], most)
+            return clamp(-command[0x24] * config["servo.pid_position.kd"] * self.measured[0x02], most)
         if mode == CURRENT:
-            return limited(_finite(command[0x1C]) * self._constant, limit)
+            return clamp(_finite(command[0x1C]) * self._constant, limit)
         if mode == VOLTAGE_DQ:
-            return limited(self._torque_of(_finite(command[0x1B])), limit)
+            return clamp(self._torque_of(_finite(command[0x1B])), limit)
         if mode == BRAKE:
-            return limited(self._torque_of(0.0), limit)
+            return clamp(self._torque_of(0.0), limit)
         if mode == VOLTAGE_FOC:
             command[0x18] = math.remainder(_finite(command[0x18]) + _finite(command[0x1E]) * _TICK_S, 2.0)
             electrical = math.tau * (self.measured[0x01] - self._offset_rev) * config["motor.poles"] / 2.0
-            return limited(self._torque_of(_finite(command[0x19]), math.pi * command[0x18] - electrical), limit)
+            return clamp(self._torque_of(_finite(command[0x19]), math.pi * command[0x18] - electrical), limit)
         return None
 
     def _torque_of(self, volts: float, lead_rad: float = math.pi / 2.0) -> float:
         """Return the torque [N·m] of a voltage that leads the rotor by this electrical angle, against the back-EMF."""
         most = self.measured[0x0D] / math.sqrt(3.0)
         turning = self._constant * math.tau * self.measured[0x02]
-        return self._constant * (limited(volts, most) * math.sin(lead_rad) - turning) / self._resistance_ohm
+        return self._constant * (clamp(volts, most) * math.sin(lead_rad) - turning) / self._resistance_ohm
 
     def _position_loop(self, limit: float) -> float:
         at, command, config = self.measured[0x01], self.command, self.config
@@ -284,7 +285,7 @@ class Servo:
             return self._loop(lower, 0.0, limit)
         if at > upper:
             return self._loop(upper, 0.0, limit)
-        return limited(_finite(self.command[0x22]), self._most(limit))
+        return clamp(_finite(self.command[0x22]), self._most(limit))
 
     def _loop(self, control_rev: float, control_velocity: float, limit: float) -> float:
         command, config = self.command, self.config
@@ -292,7 +293,7 @@ class Servo:
         velocity_error = control_velocity - self.measured[0x02]
         torque = command[0x23] * config["servo.pid_position.kp"] * position_error + _finite(command[0x22])
         torque += command[0x24] * config["servo.pid_position.kd"] * velocity_error
-        return limited(_finite(torque), self._most(limit))
+        return clamp(_finite(torque), self._most(limit))
 
     def _most(self, limit: float) -> float:
         most = self.command[0x25]

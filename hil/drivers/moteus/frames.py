@@ -13,6 +13,7 @@ from collections.abc import Mapping
 from typing import NamedTuple
 
 from hil.core.types import NAN
+from hil.drivers.port import clamp
 
 MODE, POSITION, VELOCITY, Q_CURRENT, VOLTAGE, TEMPERATURE, FAULT = 0x000, 0x001, 0x002, 0x004, 0x00D, 0x00E, 0x00F
 COMMAND_POSITION, COMMAND_MAX_TORQUE, COMMAND_TIMEOUT, COMMAND_ILIMIT_SCALE = 0x020, 0x025, 0x027, 0x02B
@@ -154,11 +155,11 @@ def physical(register: int, kind: int, raw: float) -> float:
 def raw_of(register: int, kind: int, value: float) -> float:
     """Return a value of a quantity as its type carries it, saturated; the lowest whole number if it is not finite."""
     if kind == FLOAT:
-        return min(max(value, -_MAX_FLOAT), _MAX_FLOAT) if math.isfinite(value) else value
+        return clamp(value, _MAX_FLOAT) if math.isfinite(value) else value
     most = (1 << (8 << kind) - 1) - 1
     if not math.isfinite(value):
         return -most - 1
-    return int(min(max(value / _STEPS[_QUANTITIES[register]][kind], -most), most))
+    return int(clamp(value / _STEPS[_QUANTITIES[register]][kind], most))
 
 
 def parse_reply(payload: bytes) -> dict[int, float] | None:

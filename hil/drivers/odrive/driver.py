@@ -24,6 +24,7 @@ from hil.drivers.port import (
     RobotFacts,
     Sample,
     Sensor,
+    four,
     late_ns,
     lowest,
     oldest,
@@ -217,18 +218,18 @@ class ODrive(Driver):
 
     @property
     def sample(self) -> Sample | None:
-        a, b, c, d = self._axes
-        stamp_ns = oldest(axis.estimates_ns for axis in self._axes)
+        axes = self._axes
+        stamp_ns = oldest(axis.estimates_ns for axis in axes)
         if stamp_ns is None:
             return None
         to_rad = self._to_rad
         return Sample(
             stamp_ns,
-            (a.speed_rev_s * to_rad, b.speed_rev_s * to_rad, c.speed_rev_s * to_rad, d.speed_rev_s * to_rad),
-            (a.position_rev * to_rad, b.position_rev * to_rad, c.position_rev * to_rad, d.position_rev * to_rad),
-            (a.current_a, b.current_a, c.current_a, d.current_a),
-            (a.temperature_degc, b.temperature_degc, c.temperature_degc, d.temperature_degc),
-            lowest(a.bus_v, b.bus_v, c.bus_v, d.bus_v),
+            four(axis.speed_rev_s * to_rad for axis in axes),
+            four(axis.position_rev * to_rad for axis in axes),
+            four(axis.current_a for axis in axes),
+            four(axis.temperature_degc for axis in axes),
+            lowest(axis.bus_v for axis in axes),
             self._battery_a(),
         )
 

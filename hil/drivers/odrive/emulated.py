@@ -15,6 +15,7 @@ from hil.core.types import FourWheels
 from hil.drivers.emulated import EmulatedMotors
 from hil.drivers.odrive.emulated_axis import CLOSED_LOOP, ESTOP, IDLE, TRAP_TRAJ, UNADDRESSED, EmulatedAxis
 from hil.drivers.odrive.settings import Settings
+from hil.drivers.port import four
 
 _REMOTE, _STANDARD = 0x4000_0000, 0x7FF
 _ADDRESS, _REBOOT = 0x06, 0x16
@@ -228,8 +229,7 @@ class EmulatedODrive(EmulatedMotors[Settings]):
                 self._say(axis, 0x09, self._estimates(channel))
         if not self.is_driving:
             return None
-        a, b, c, d = (axis.torque(shaft) for axis, shaft in zip(self.axes, self.shafts, strict=True))
-        return a, b, c, d
+        return four(axis.torque(shaft) for axis, shaft in zip(self.axes, self.shafts, strict=True))
 
 
 def _version(dotted: str) -> tuple[int, int, int]:

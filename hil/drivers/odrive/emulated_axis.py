@@ -7,7 +7,8 @@ torque, velocity and position, disarms itself with the error of a wrong configur
 import math
 from collections.abc import Mapping
 
-from hil.drivers.emulated import Shaft, SpeedLoop, Trajectory, limited
+from hil.drivers.emulated import Shaft, SpeedLoop, Trajectory
+from hil.drivers.port import clamp
 
 IDLE, CLOSED_LOOP = 1, 8
 TORQUE, VELOCITY, POSITION = 1, 2, 3
@@ -192,7 +193,7 @@ class EmulatedAxis:
             return 0.0
         limit = min(self._limit_n_m, self.current_limit_a * self._constant)
         if self.control_mode == TORQUE:
-            torque = limited(self.input_torque_n_m * self._gear, limit)
+            torque = clamp(self.input_torque_n_m * self._gear, limit)
             return torque if abs(speed) < most or torque * speed <= 0.0 else 0.0
         wanted = self.input_vel_rev_s
         if self.control_mode == POSITION:
@@ -202,6 +203,6 @@ class EmulatedAxis:
             self.trajectory.step(at, speed, 0.0, *ways)
             wanted = self.position_gain * (self.trajectory.position_rev - at) + self.trajectory.velocity
             wanted += self.velocity_ff_rev_s
-        target_rad_s = limited(wanted, most) / self._gear * math.tau
+        target_rad_s = clamp(wanted, most) / self._gear * math.tau
         torque = self.loop.torque(target_rad_s, shaft.speed_rad_s, self.input_torque_n_m * self._gear)
-        return limited(torque, limit)
+        return clamp(torque, limit)

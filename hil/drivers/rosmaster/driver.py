@@ -17,7 +17,7 @@ from typing import NamedTuple
 from firmware_protocol.framing import Frame
 from hil.core.errors import BadInputError
 from hil.core.types import NAN, CommandMode, FourWheels
-from hil.drivers.port import Capabilities, Dialect, Driver, RobotFacts, Sample, holds_back, torques_dropped
+from hil.drivers.port import Capabilities, Dialect, Driver, RobotFacts, Sample, four, holds_back, torques_dropped
 from hil.drivers.rosmaster.board import BAUD, CARS, KNOWN_MAJOR, Identity, RosmasterProbe, Settings, car_name
 from hil.drivers.twist_base import LATE_NS, TwistBase, is_still
 
@@ -254,12 +254,11 @@ class Rosmaster(Driver):
         if self._twist is None or self._counts is None:
             return None
         to_rad = math.tau / self._car.counts_per_turn
-        fl, fr, rr, rl = self._turned
         has_imu = self._twist_ns - self._imu_ns <= LATE_NS
         return Sample(
             holds_back(self._twist_ns, self._counts_ns, LATE_NS),
             self._base.speeds(self._twist),
-            (fl * to_rad, fr * to_rad, rr * to_rad, rl * to_rad),
+            four(count * to_rad for count in self._turned),
             battery_v=self._battery_v,
             acceleration_m_s2=self._acceleration_m_s2 if has_imu else (NAN, NAN, NAN),
             yaw_rate_rad_s=self._yaw_rate_rad_s if has_imu else NAN,

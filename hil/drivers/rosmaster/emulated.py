@@ -14,7 +14,8 @@ from collections.abc import Sequence
 
 from firmware_protocol.framing import Frame
 from hil.core.types import FourWheels
-from hil.drivers.emulated import EmulatedMotors, limited
+from hil.drivers.emulated import EmulatedMotors
+from hil.drivers.port import clamp, four
 from hil.drivers.rosmaster.board import Settings
 
 _BYTES_PER_TICK = 115200 / 10 / 1000
@@ -163,7 +164,7 @@ class EmulatedRosmaster(EmulatedMotors[Settings]):
         turn = turn_mrad_s / 1000.0 * self._lever_mm
         limit = self._limit_mm_s
         speeds = (x_mm_s - y_mm_s - turn, x_mm_s + y_mm_s + turn, x_mm_s - y_mm_s + turn, x_mm_s + y_mm_s - turn)
-        self._targets_mm_s = tuple(min(max(int(speed), -limit), limit) for speed in speeds)
+        self._targets_mm_s = tuple(clamp(int(speed), limit) for speed in speeds)
 
     def _run(self, state: int, speed_cm_s: int) -> None:
         """Drive in one direction (FUNC_CAR_RUN). In 16-bit arithmetic a negative speed drives the opposite way."""
@@ -219,8 +220,7 @@ class EmulatedRosmaster(EmulatedMotors[Settings]):
         speeds = [shaft.speed_rad_s for shaft in self.shafts]
         if self._targets_mm_s is not None:
             targets = [speed / self._radius_mm for speed in self._targets_mm_s]
-            a, b, c, d = (loop.torque(*pair) for loop, *pair in zip(self._loops, targets, speeds, strict=True))
-            return a, b, c, d
+            return four(loop.torque(*pair) for loop, *pair in zip(self._loops, targets, speeds, strict=True))
         if self._percents is not None:
             fl, rl, fr, rr = (
                 self._torque_of(percent, speeds[at]) for percent, at in zip(self._percents, (0, 3, 1, 2), strict=True)
@@ -228,8 +228,7 @@ class EmulatedRosmaster(EmulatedMotors[Settings]):
             return fl, fr, rr, rl
         if self._is_braking:
             # The windings are shorted: the motor's back-EMF drives the current that brakes it.
-            a, b, c, d = (self._torque_of(0, speed) for speed in speeds)
-            return a, b, c, d
+            return four(self._torque_of(0, speed) for speed in speeds)
         return None
 
     def _torque_of(self, percent: int, speed_rad_s: float) -> float:
@@ -238,7 +237,7 @@ class EmulatedRosmaster(EmulatedMotors[Settings]):
         pulse = math.copysign(_DEAD_PULSE, percent) + percent * per_percent if percent else 0.0
         constant, resistance = self.values["torque_constant_n_m_a"], self.values["motor_resistance_ohm"]
         volts = pulse / _MAX_PULSE * self.battery_v - constant * speed_rad_s
-        return limited(constant * volts / resistance, self.values["torque_limit_n_m"])
+        return clamp(constant * volts / resistance, self.values["torque_limit_n_m"])
 
     def _receive_bytes(self) -> None:
         self._credit += _BYTES_PER_TICK
@@ -253,14 +252,12 @@ class EmulatedRosmaster(EmulatedMotors[Settings]):
 
     def _measure(self) -> None:
         """Compute the speeds from the counts of 10 ms; one count is 15 mm/s on an X3."""
-        counts = tuple(math.floor(shaft.position_rad / math.tau * self._counts_per_turn) for shaft in self.shafts)
+        counts = four(math.floor(shaft.position_rad / math.tau * self._counts_per_turn) for shaft in self.shafts)
         per_count = 100.0 * math.tau * self._radius_mm / self._counts_per_turn
         before = self._counts if self._has_counts else counts
         self._has_counts = True
-        a, b, c, d = (per_count * (now - then) for now, then in zip(counts, before, strict=True))
-        self._speeds_mm_s = (a, b, c, d)
-        fl, fr, rr, rl = counts
-        self._counts = (fl, fr, rr, rl)
+        self._speeds_mm_s = four(per_count * (now - then) for now, then in zip(counts, before, strict=True))
+        self._counts = counts
 
     def _check_battery(self) -> None:
         low, high = self._battery_v_limits
@@ -275,7 +272,7 @@ class EmulatedRosmaster(EmulatedMotors[Settings]):
             x = (fl + rl + fr + rr) / 4
             y = -(fl - rl - fr + rr) / 4
             turn = -(fl + rl - fr - rr) / 4 / self._lever_mm * 1000
-            volts = min(max(int(self.battery_v * 10), 0), 255)
+            volts = clamp(int(self.battery_v * 10), 255, 0)
             self.say(Frame(0x0A, struct.pack("<3hB", _int16(x), _int16(y), _int16(turn), volts)))
         elif phase == 11:
             rates = [_int16(rate * 1000) for rate in self.gyro_rad_s]
@@ -293,7 +290,7 @@ class EmulatedRosmaster(EmulatedMotors[Settings]):
 
 
 def _int16(value: float) -> int:
-    return min(max(int(value), -32768), 32767)
+    return clamp(int(value), 32767, -32768)
 
 
 def _framed(frame: Frame) -> bytes:

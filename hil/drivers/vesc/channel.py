@@ -4,6 +4,7 @@ import math
 from collections.abc import Mapping
 
 from hil.core.types import NAN
+from hil.drivers.port import clamp
 from hil.drivers.vesc import frames
 
 _MAX_UNANSWERED = 2  # questions for a timeout; two for each of four VESCs fit into the time that a start waits
@@ -141,4 +142,4 @@ class Channel:
         self.steps, self.steps_ns = steps, stamp_ns
         self.turned += moved
         self.position += (self.turned - self.position) * min(_CORRECTION_PER_STEP * abs(moved), 1.0)
-        self.position = min(max(self.position, self.turned - 1.0), self.turned + 1.0)
+        self.position = clamp(self.position, self.turned + 1.0, self.turned - 1.0)

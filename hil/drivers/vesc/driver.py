@@ -21,6 +21,7 @@ from hil.drivers.port import (
     RobotFacts,
     Sample,
     chosen,
+    four,
     holds_back,
     late_ns,
     lowest,
@@ -270,18 +271,17 @@ class Vesc(Driver):
         stamp_ns = oldest(channel.stamp_ns for channel in channels)
         if stamp_ns is None:
             return None
-        a, b, c, d = channels
         to_speed = 1.0 / self._to_erpm
         to_angle = math.tau / (frames.STEPS * self._settings.pole_pairs * self._settings.gear_ratio)
         steps_ns = min(channel.steps_ns for channel in channels)
         return Sample(
             holds_back(stamp_ns, steps_ns, self._late_ns),
-            (a.erpm * to_speed, b.erpm * to_speed, c.erpm * to_speed, d.erpm * to_speed),
-            (a.position * to_angle, b.position * to_angle, c.position * to_angle, d.position * to_angle),
-            (a.motor_a, b.motor_a, c.motor_a, d.motor_a),
-            (a.fet_degc, b.fet_degc, c.fet_degc, d.fet_degc),
-            lowest(a.input_v, b.input_v, c.input_v, d.input_v),
-            a.input_a + b.input_a + c.input_a + d.input_a,
+            four(channel.erpm * to_speed for channel in channels),
+            four(channel.position * to_angle for channel in channels),
+            four(channel.motor_a for channel in channels),
+            four(channel.fet_degc for channel in channels),
+            lowest(channel.input_v for channel in channels),
+            math.fsum(channel.input_a for channel in channels),
         )
 
     @property

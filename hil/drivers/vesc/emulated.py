@@ -13,6 +13,7 @@ from collections.abc import Mapping
 from firmware_protocol.framing import Frame
 from hil.core.types import FourWheels
 from hil.drivers.emulated import EmulatedMotors
+from hil.drivers.port import four
 from hil.drivers.vesc import emulated_wire as wire
 from hil.drivers.vesc.emulated_controller import Reply, VescController
 from hil.drivers.vesc.settings import Settings
@@ -78,8 +79,7 @@ class EmulatedVesc(EmulatedMotors[Settings]):
         torques = [vesc.torque() for vesc in self.vescs]
         if all(torque is None for torque in torques):
             return None
-        a, b, c, d = (torque or 0.0 for torque in torques)
-        return a, b, c, d
+        return four(torque or 0.0 for torque in torques)
 
     def _measure(self) -> None:
         for channel, vesc in enumerate(self.vescs):

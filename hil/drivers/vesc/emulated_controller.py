@@ -10,6 +10,7 @@ import struct
 from collections.abc import Callable, Mapping
 
 from hil.drivers.emulated import Shaft, SpeedLoop
+from hil.drivers.port import clamp
 from hil.drivers.vesc import emulated_wire as wire
 
 _TIMEOUT_TICKS, _FAULT_TICKS = 1000, 500
@@ -128,7 +129,7 @@ class VescController:
         torque = self._controlled()
         if self.input_v > 0.0:
             volts = (torque or 0.0) / self._constant * self._resistance_ohm + self._constant * self.speed
-            self.duty = min(max(volts / self.input_v, -1.0), 1.0)
+            self.duty = clamp(volts / self.input_v, 1.0)
         return torque
 
     def _controlled(self) -> float | None:
@@ -138,16 +139,16 @@ class VescController:
             return self._limited(self._set_point * self._constant)
         if self._control == "brake":
             most = abs(self._limited(self._set_point * self._constant))
-            return min(max(-_BRAKE_N_M_S_RAD * self.speed, -most), most)
+            return clamp(-_BRAKE_N_M_S_RAD * self.speed, most)
         if self._control == "duty":
             # A duty of 0 shorts the windings, which brakes.
-            volts = min(max(self._set_point, -_MAX_DUTY), _MAX_DUTY) * self.input_v
+            volts = clamp(self._set_point, _MAX_DUTY) * self.input_v
             current_a = (volts - self._constant * self.speed) / self._resistance_ohm
             return self._limited(current_a * self._constant)
         return None
 
     def _limited(self, torque: float) -> float:
-        return min(max(torque, -self._limit_n_m), self._limit_n_m)
+        return clamp(torque, self._limit_n_m)
 
     def measure(self, shaft: Shaft, steps_per_rad: float) -> None:
         """Take the shaft's angle and speed, and add the battery's charge and energy of 1 ms."""
@@ -231,5 +232,5 @@ class VescController:
 def _packed(layout: str, *values: float) -> bytes:
     """Return the bytes of numbers in this layout, each saturated to its type."""
     ranges = [_RANGES[letter] for letter in layout]
-    whole = (int(min(max(value, low), high)) for value, (low, high) in zip(values, ranges, strict=True))
+    whole = (int(clamp(value, high, low)) for value, (low, high) in zip(values, ranges, strict=True))
     return struct.pack(">" + layout, *whole)

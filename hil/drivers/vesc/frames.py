@@ -17,7 +17,7 @@ from struct import Struct
 from typing import NamedTuple
 
 from firmware_protocol.framing import Frame
-from hil.drivers.port import EXTENDED
+from hil.drivers.port import EXTENDED, clamp
 
 FW_VERSION, GET_APPCONF, GET_VALUES_SELECTIVE, FORWARD_CAN, PING_CAN = 0, 17, 50, 34, 62
 CAN_FILL, CAN_FILL_LONG, CAN_PROCESS, CAN_SHORT, CAN_PING, CAN_PONG = 5, 6, 7, 8, 17, 18
@@ -43,7 +43,7 @@ class Setting(NamedTuple):
 
     def counts(self, value: float) -> bytes:
         """Return the bytes of a value, saturated to int32."""
-        return _INT32.pack(min(max(round(value * self.per_unit), -(2**31)), 2**31 - 1))
+        return _INT32.pack(clamp(round(value * self.per_unit), 2**31 - 1, -(2**31)))
 
 
 MIN_CURRENT_A = 0.05  # a VESC releases its motor when less is commanded, also as a brake current

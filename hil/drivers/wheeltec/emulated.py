@@ -12,6 +12,7 @@ from operator import xor
 from firmware_protocol.framing import Frame
 from hil.core.types import FourWheels
 from hil.drivers.emulated import EmulatedMotors
+from hil.drivers.port import clamp, four
 from hil.drivers.wheeltec.driver import Settings
 
 _CONTROL_TICKS, _REPORT_TICKS = 10, 50
@@ -71,11 +72,10 @@ class EmulatedWheeltec(EmulatedMotors[Settings]):
         x, y, turn = self._ramped[0], self._ramped[1], self._ramped[2] * self._lever_m
         limit = self.settings.speed_limit_m_s
         rims = (x - y - turn, x + y + turn, x - y + turn, x + y - turn)
-        a, b, c, d = (
-            loop.torque(min(max(rim, -limit), limit) / self._radius_m, shaft.speed_rad_s)
+        return four(
+            loop.torque(clamp(rim, limit) / self._radius_m, shaft.speed_rad_s)
             for loop, rim, shaft in zip(self._loops, rims, self.shafts, strict=True)
         )
-        return a, b, c, d
 
     def _control(self) -> None:
         if self.settings.stops_on_silence:
@@ -84,8 +84,8 @@ class EmulatedWheeltec(EmulatedMotors[Settings]):
                 self._targets = [0.0, 0.0, 0.0]
         limit = self.settings.speed_limit_m_s
         for axis in range(3):
-            target = min(max(self._targets[axis], -limit), limit)
-            step = min(max(target - self._ramped[axis], -_STEP), _STEP)
+            target = clamp(self._targets[axis], limit)
+            step = clamp(target - self._ramped[axis], _STEP)
             self._ramped[axis] += step
         was_off, self._is_off = self._is_off, self.is_switched_off or self.battery_v < self.settings.battery_low_v
         if self._is_off:
@@ -106,8 +106,8 @@ class EmulatedWheeltec(EmulatedMotors[Settings]):
         numbers = [speed * 1000 for speed in twist]
         numbers += [force / 19.6 * 32768 for force in self.acceleration_m_s2]
         numbers += [rate * 57.30 * 65.5 for rate in rates]
-        body = struct.pack(">BB9h", 0x7B, self._is_off, *(min(max(int(n), -32768), 32767) for n in numbers))
-        body += struct.pack(">H", min(max(int(self.battery_v * 1000), 0), 65535))
+        body = struct.pack(">BB9h", 0x7B, self._is_off, *(clamp(int(n), 32767, -32768) for n in numbers))
+        body += struct.pack(">H", clamp(int(self.battery_v * 1000), 65535, 0))
         whole = body + bytes([reduce(xor, body), 0x7D])
         for i in range(3):
             self.say(Frame(0x101 + i, whole[8 * i : 8 * i + 8]))
