@@ -547,7 +547,7 @@ def test_a_killed_worker_and_a_scheduler_that_comes_back_lose_no_run(tmp_path: P
         if kills and done >= 6 * (3 - len(kills)):
             kills.pop(0)()
     assert not kills
-    assert any("has gone; waiting for it" in trouble for trouble in troubles)
+    assert any("cannot be reached; waiting for it" in trouble for trouble in troubles)
     rows = rows_of(plan, tmp_path / "out")
     assert [row["outcome"] for row in rows] == ["passed"] * 30
     assert len({row["machine.worker"] for row in rows}) >= 2

@@ -148,7 +148,7 @@ class DaskPool:
         future.add_done_callback(lambda _: self._finished.put(name))
 
     def collect(self) -> list[Outcome]:
-        """Wait up to half a second for outcomes, and return all that there are."""
+        """Wait up to half a second for outcomes, and return all that have come."""
         names = []
         with contextlib.suppress(queue.Empty):
             names.append(self._finished.get(timeout=COLLECT_S))
@@ -172,7 +172,7 @@ class DaskPool:
     def status(self) -> PoolStatus:
         """Return how many workers can do the jobs, and what the pool waits for."""
         if not self._is_connected:
-            return PoolStatus(0, f"the scheduler {self._address} has gone; waiting for it")
+            return PoolStatus(0, f"the scheduler {self._address} cannot be reached; waiting for it")
         workers = self._workers()
         if not workers:
             needed = f" with --resources {BENCH}=1" if self._resources else ""

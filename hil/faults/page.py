@@ -18,7 +18,7 @@ _BLOCK = re.compile(r"(<!-- (?:kinds: )?(\w+) -->\n).*?(<!-- end -->\n)", re.DOT
 
 
 def page() -> str:
-    """Return the page with the blocks between its marks made anew from the tables."""
+    """Return the page with the blocks between its marks written from the tables."""
     blocks = {"cases": _cases()}
     for kind in KINDS:
         blocks[kind.acts_on] = blocks.get(kind.acts_on, "") + _section(kind) + "\n"

@@ -96,7 +96,7 @@ class Tracking(Measure):
         if self._initial_m < RESOLUTION_M:
             raise NoFigureError(
                 f"the run began {self._initial_m * 1e3:.3g} mm from the reference: 2 % of less than "
-                f"{RESOLUTION_M * 1e3:g} mm is no usable limit"
+                f"{RESOLUTION_M * 1e3:g} mm is not a usable limit"
             )
         return self._settled(self._ratio)
 

@@ -111,7 +111,7 @@ class FirmwareTable:
 class DeviceTable:
     """``[device]``: how the robot is reached and wired. ``settings`` is ``motors`` as the driver read it."""
 
-    driver: Annotated[Text, _driver, "who speaks to the board"] = OUR_DRIVER
+    driver: Annotated[Text, _driver, "the driver that talks to the motor controllers"] = OUR_DRIVER
     wheels: Annotated[tuple[Wheel, ...], _each_once, "the wheel at each motor output, in order"] = (
         "fl",
         "fr",
@@ -126,7 +126,7 @@ class DeviceTable:
     ] = 0.3
     motors: Annotated[
         Mapping[Text, Setting],
-        "what the driver has to know of another maker's controllers (DRIVERS.md)",
+        "settings of the driver for third-party motor controllers (DRIVERS.md)",
     ] = field(default_factory=dict)
     settings: Any = field(init=False, default=None, repr=False, compare=False)
 
@@ -205,9 +205,11 @@ class LoopTable:
 
     rate_hz: Annotated[int, _rate, "a command period is a whole number of 1 ms firmware ticks"]
     duration_s: Annotated[float, Range(gt=0, le=86_400), "from the first ACTIVE tick"]
-    mode: Annotated[Literal["lockstep", "realtime"], "whose time passes"] = "lockstep"
+    mode: Annotated[
+        Literal["lockstep", "realtime"], "the host steps the robot's time, or both follow the wall clock"
+    ] = "lockstep"
     seed: Annotated[int, Range(ge=0, le=2**32 - 1), "of everything random in the run"] = 1
-    rearm: Annotated[bool, "reconnect and arm anew after a lost link or a stop of the robot"] = False
+    rearm: Annotated[bool, "reconnect and arm again after a lost link or a stop of the robot"] = False
     tick_limit_s: Annotated[
         float,
         Range(ge=0, infinite=True),

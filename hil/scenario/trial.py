@@ -91,7 +91,7 @@ class ExpectTable:
     signal: Annotated[
         Text,
         Expected("the name of a signal; `hil list signals` prints them all"),
-        "a dotted name, of the vocabulary or an extra one of the run",
+        "a dotted name: a built-in signal, or one of the run's law",
     ]
     from_s: Annotated[float, Range(ge=0)] = 0.0
     to_s: Annotated[float, Range(gt=0, infinite=True)] = math.inf

@@ -102,9 +102,9 @@ def _duels(judged: Judged) -> Iterator[str]:
     yield "<h2>Law against law</h2>"
     yield (
         '<p class="about">Runs that differ in the law alone, in pairs; the mean difference with the percentile '
-        "interval of a bootstrap over independent draws, of which it needs six. Pairs of which one run has no such "
+        "interval of a bootstrap over at least six independent draws. Pairs of which one run has no such "
         "figure, or did not come to its end, are left out: where they are many, the rest are the easy ones. Where "
-        "the interval holds 0, no difference is shown; nothing is corrected for how many comparisons there are.</p>"
+        "the interval contains 0, no difference is shown. There is no correction for multiple comparisons.</p>"
     )
     rows = []
     for duel in judged.duels:
@@ -130,7 +130,7 @@ def _effects(judged: Judged) -> Iterator[str]:
     yield "<h2>What matters</h2>"
     yield (
         '<p class="about">The share of a figure\'s ranks that one axis explains by itself (epsilon squared): 1 is all, '
-        "0 none. What only several together explain is in none of them.</p>"
+        "0 none. What only several axes together explain is in none of them.</p>"
     )
     shares = {(effect.axis, effect.figure): effect.share for effect in judged.effects}
     rows = [

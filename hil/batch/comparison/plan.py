@@ -68,7 +68,7 @@ def compare(
 ) -> Comparison:
     """Run the comparison and return its results.
 
-    ``workers`` is the number of processes, by default one a processor; the figures do not depend on it. A run that
+    ``workers`` is the number of processes, by default one per processor; the figures do not depend on it. A run that
     takes more than ``limit_s`` of wall-clock time is ended and counts as failed, as does one whose process ends.
     ``on_progress`` is called as ``hil.batch.plan.run_jobs`` does.
 

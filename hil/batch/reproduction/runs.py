@@ -68,8 +68,8 @@ def reproduce(
 ) -> dict[str, Any]:
     """Run section IV and return the summary; it goes into ``folder`` as ``summary.json``, with pictures and recordings.
 
-    ``quick`` leaves out most variants and shortens the others. ``workers`` is the number of processes, by default one a
-    processor; a run that takes more than ``limit_s`` of wall-clock time is ended. ``on_progress`` is called as
+    ``quick`` leaves out most variants and shortens the others. ``workers`` is the number of processes, by default one
+    per processor; a run that takes more than ``limit_s`` of wall-clock time is ended. ``on_progress`` is called as
     ``hil.batch.plan.run_jobs`` does. Results of an earlier reproduction in the folder are removed when the runs are
     done; with ``existing="refuse"`` they are an error and nothing begins.
 

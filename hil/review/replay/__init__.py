@@ -188,7 +188,7 @@ def _given(text: str, assignments: Sequence[str]) -> dict[str, object]:
 def _commands(
     run: RecordedRun, law: Controller, guard: Guard, mode: CommandMode, scenario: Mapping[str, Any], watch: TickWatch
 ) -> Iterator[WheelCommand | None]:
-    """Yield the law's command at each tick, after the guard; None where the law in command was not called."""
+    """Yield the law's command at each tick, after the guard; None where the recorded law was not called."""
     period_ns = 1_000_000_000 // int(scenario["loop.rate_hz"])
     stale_ns = round(1e9 * float(scenario["firmware.watchdog_s"]))
     rest = WheelCommand(mode, ZERO_WHEELS, ZERO_WHEELS)

@@ -143,6 +143,6 @@ def rows(run: RecordedRun, mode: CommandMode) -> Iterator[Row]:
 
 
 def tuples(columns: Sequence[Series]) -> Iterator[tuple[float, ...]]:
-    """Yield the rows of some columns, converted by blocks: Python's floats take four times the room of an array's."""
+    """Yield the rows of some columns, converted by blocks: Python's floats take four times the memory of an array's."""
     for start in range(0, len(columns[0]), _BLOCK):
         yield from zip(*(column[start : start + _BLOCK].tolist() for column in columns), strict=True)
