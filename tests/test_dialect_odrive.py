@@ -297,11 +297,13 @@ def test_an_estop_is_latched_and_commands_do_not_end_it(firmware: str) -> None:
 def test_an_axis_that_goes_idle_by_itself_is_named() -> None:
     rig = armed({})
     emulated(rig).axes[2].fail()
-    assert until_told(rig) == "ODrive node 2 of wheel rr: left closed loop by itself: it says DISARMED"
+    assert until_told(rig) == "ODrive node 2 of wheel rr: left closed loop by itself: its procedure result is DISARMED"
     assert not rig.driver.is_armed
 
 
-@pytest.mark.parametrize(("firmware", "why"), [("0.5", "INVALID_STATE"), ("0.6", "it says NOT_CALIBRATED")])
+@pytest.mark.parametrize(
+    ("firmware", "why"), [("0.5", "INVALID_STATE"), ("0.6", "its procedure result is NOT_CALIBRATED")]
+)
 def test_an_axis_that_is_not_calibrated_refuses_closed_loop_and_says_so(firmware: str, why: str) -> None:
     rig = Rig("odrive", {"firmware": firmware})
     rig.greet()
@@ -378,7 +380,7 @@ def test_a_firmware_before_0_5_4_cannot_be_known_and_is_to_be_updated() -> None:
 @pytest.mark.parametrize(
     ("ours", "theirs", "expected"),
     [
-        ({"firmware": "0.5"}, {}, "has firmware 0.6: device.motors.firmware says 0.5"),
+        ({"firmware": "0.5"}, {}, "has firmware 0.6, but device.motors.firmware is 0.5"),
         (WATCHED, {"firmware": "0.5"}, "has no endpoints on the bus; leave out"),
         (WATCHED, {}, "has firmware 0.6.10 on hardware 4.4.58: device.motors.watchdog_endpoints are those of 0.6.11"),
     ],
@@ -391,7 +393,7 @@ def test_what_is_not_as_the_settings_say_is_refused(ours: Any, theirs: Any, expe
 
 def test_what_is_missing_is_named() -> None:
     assert told_of(Rig("odrive", {"node_ids": [0, 1, 7, 9]}, emulated_settings={})).startswith(
-        "no heartbeat of the nodes 7, 9;"
+        "no heartbeat from the nodes 7, 9;"
     )
     rig = Rig("odrive", emulated_settings={"feedback_hz": 0})
     assert "set config.can.encoder_msg_rate_ms with odrivetool" in told_of(rig)

@@ -1,4 +1,4 @@
-"""One ODrive axis as its host sees it: what it said, its errors in words, and its way into closed loop."""
+"""One ODrive axis: its newest messages, its errors in words, and the steps that bring it into closed loop."""
 
 import math
 from collections.abc import Callable, Generator, Sequence
@@ -11,7 +11,7 @@ from hil.drivers.odrive.tables import FIRMWARE_05, FIRMWARE_06, ErrorField, Firm
 from hil.drivers.port import REMOTE
 
 _SILENT_NS = 1_000_000_000
-_PATIENCE_NS = 500_000_000  # heartbeats, which tell the state, come ten times a second as the makers set them
+_STATE_NS = 500_000_000  # heartbeats, which carry the state, come at 10 Hz by default
 _REPLY_NS = 200_000_000
 _CONFIRMATION_NS = 50_000_000
 _TRIES = 3
@@ -20,11 +20,15 @@ Steps = Generator[Sequence[Frame], None, bool]
 
 
 class Axis:
-    """A node on the bus. Quantities are the motor's: revolutions, amperes, volts, degrees Celsius, NaN if not known.
+    """A node on the bus. Quantities are the motor's [rev, rev/s, A, V, °C], NaN if not known.
 
-    ``firmware`` is None until it is known, and for one that is not known here; ``version`` and ``hardware`` are what
-    Get_Version said. What is asked for in turn is not known any more ``late_ns`` after the newest answer, by the time
-    of the estimates, which come more often. ``trouble`` says why arming or closed loop ended, empty while it did not.
+    A value that is polled becomes unknown ``late_ns`` after its newest answer; the stamps of the encoder estimates,
+    which come more often, give the time.
+
+    Attributes:
+        firmware: None until it is known, and for an unsupported one.
+        version, hardware: from Get_Version.
+        trouble: why arming or closed loop ended; empty if it did not.
     """
 
     def __init__(self, node: int, wheel: str, setup: Setup, late_ns: int) -> None:
@@ -37,17 +41,17 @@ class Axis:
         self.forget()
 
     def forget(self) -> None:
-        """Begin as if nothing had been heard."""
+        """Return to the state before the first message."""
         self.firmware: Firmware | None = None
         self.version: tuple[int, int, int] | None = None
         self.hardware: tuple[int, int, int] | None = None
-        self._asked = 0
-        self._answered = 0
+        self._questions = 0
+        self._answers = 0
         self._is_answer_new = False
         self.heartbeat_ns: int | None = None
         self.state = 0
         self._result = 0
-        self._words: dict[str, int] = {}
+        self._registers: dict[str, int] = {}
         self._flags = (0, 0, 0)
         self._is_cleared = False
         self.is_silent = False
@@ -62,7 +66,7 @@ class Axis:
         self.stand_down()
 
     def stand_down(self) -> None:
-        """Forget how far arming was, and why it ended."""
+        """Return to the state before arming, and forget why arming or closed loop ended."""
         self.trouble = ""
         self._arming: Steps | None = None
         self._is_followed = False
@@ -72,35 +76,35 @@ class Axis:
     # Frames
 
     def frame(self, command: int, payload: bytes = b"") -> Frame:
-        """Return a command."""
+        """Return the frame of a command."""
         return Frame(self._base | command, payload)
 
     def remote(self, command: int) -> Frame:
-        """Return the request for what this command's id carries."""
+        """Return the remote frame that asks for the message with this command id."""
         return Frame(REMOTE | self._base | command, b"")
 
     def ask(self) -> Sequence[Frame]:
-        """Ask for the version, in both ways: 0.5 has no Get_Version, and answers Get_Controller_Error."""
-        self._asked += 1
-        self._answered += self._is_answer_new
+        """Ask what tells the firmware: 0.6 answers Get_Version, 0.5 only Get_Controller_Error."""
+        self._questions += 1
+        self._answers += self._is_answer_new
         self._is_answer_new = False
-        if self.version is None and self._asked > _TRIES and self._answered >= _TRIES:
-            self._take_firmware(FIRMWARE_05)
+        if self.version is None and self._questions > _TRIES and self._answers >= _TRIES:
+            self._set_firmware(FIRMWARE_05)
         return self.remote(can.GET_VERSION), self.remote(can.GET_CONTROLLER_ERROR)
 
     def poll(self, turn: int) -> Sequence[Frame]:
-        """Ask for one of what is not sent by itself, in turn."""
+        """Ask for one of the messages that are not sent unasked; ``turn`` counts the calls."""
         if self.firmware is None:
             return self.ask()
         return (self.remote(self.firmware.polled[turn % len(self.firmware.polled)]),)
 
-    # What it says
+    # Received frames
 
     def feed(self, command: int, payload: bytes, stamp_ns: int) -> None:
-        """Take a frame of this node; one of a length or content that cannot be changes nothing."""
+        """Take a frame of this node. A frame of a wrong length, or with an impossible content, changes nothing."""
         if command == can.READ_SDO:
             if len(payload) > can.SDO.size and self.firmware is FIRMWARE_06:
-                self._take_sdo(payload)
+                self._feed_sdo(payload)
         elif len(payload) != 8:
             return
         elif command == can.GET_ESTIMATES:
@@ -109,14 +113,14 @@ class Axis:
                 self.position_rev, self.speed_rev_s, self.estimates_ns = position, speed, stamp_ns
                 self._forget_late(stamp_ns)
         elif command == can.HEARTBEAT:
-            self._take_heartbeat(payload, stamp_ns)
+            self._feed_heartbeat(payload, stamp_ns)
         elif command == can.GET_VERSION:
             *hardware, major, minor, revision, _ = can.VERSION.unpack(payload)
             self.hardware = (hardware[0], hardware[1], hardware[2])
             self.version = (major, minor, revision)
-            self._take_firmware(FIRMWARE_06 if self.version[:2] == (0, 6) else None)
+            self._set_firmware(FIRMWARE_06 if self.version[:2] == (0, 6) else None)
         else:
-            self._take_polled(command, payload, stamp_ns)
+            self._feed_polled(command, payload, stamp_ns)
 
     def _forget_late(self, now_ns: int) -> None:
         begin_ns = now_ns - self._late_ns
@@ -127,34 +131,34 @@ class Axis:
         if self._temperature_ns < begin_ns:
             self.temperature_degc = NAN
 
-    def _take_heartbeat(self, payload: bytes, stamp_ns: int) -> None:
+    def _feed_heartbeat(self, payload: bytes, stamp_ns: int) -> None:
         error, self.state, *flags = can.BEAT.unpack(payload)
         self._result = flags[0]
         was_cleared, self._is_cleared = self._is_cleared, False
         if self._is_followed and self.state != can.CLOSED_LOOP:
-            self.trouble = f"left closed loop by itself{self._said()}"
+            self.trouble = f"left closed loop by itself{self._procedure_result()}"
         if was_cleared and error:
-            return  # it may have been on its way when the errors were cleared: the next one counts
+            return  # it may have been sent before the errors were cleared: wait for the next one
         self._flags = (flags[0] & 1, flags[1] & 1, flags[2] & 1)
         self.heartbeat_ns, self.is_silent = stamp_ns, False
-        self._take_errors(can.HEARTBEAT, payload)
+        self._feed_errors(can.HEARTBEAT, payload)
 
     def clear(self) -> Sequence[Frame]:
-        """Return what clears the errors; what was known of them is forgotten, and the next heartbeat awaited."""
+        """Return the frame that clears the errors. Forget the known errors, until the next heartbeat."""
         self.stand_down()
         if self.firmware is None:
             return ()
-        self._words.clear()
+        self._registers.clear()
         self._flags = (0, 0, 0)
         self._is_cleared, self.heartbeat_ns = True, None
         return (self.frame(can.CLEAR_ERRORS, self.firmware.clear),)
 
-    def _take_firmware(self, firmware: Firmware | None) -> None:
+    def _set_firmware(self, firmware: Firmware | None) -> None:
         if firmware is not self.firmware:
             self.firmware = firmware
-            self.heartbeat_ns = None  # the next one can be understood
+            self.heartbeat_ns = None  # the last one was not decoded with this firmware
 
-    def _take_polled(self, command: int, payload: bytes, stamp_ns: int) -> None:
+    def _feed_polled(self, command: int, payload: bytes, stamp_ns: int) -> None:
         first, second = (value if math.isfinite(value) else NAN for value in can.TWO_FLOATS.unpack(payload))
         if command == can.GET_CONTROLLER_ERROR:
             self._is_answer_new = True
@@ -163,65 +167,65 @@ class Axis:
         elif command == can.GET_BUS:
             self.bus_v, self.bus_a, self._bus_ns = first, second, stamp_ns
         elif command == can.GET_TEMPERATURE and self.firmware is FIRMWARE_06:
-            # A motor without a sensor says NaN or nothing: the hotter of inverter and motor is told.
+            # The hotter of inverter and motor; a motor without a sensor reports NaN.
             self.temperature_degc = max((t for t in (first, second) if t == t), default=NAN)
             self._temperature_ns = stamp_ns
-        self._take_errors(command, payload)
+        self._feed_errors(command, payload)
 
-    def _take_errors(self, command: int, payload: bytes) -> None:
+    def _feed_errors(self, command: int, payload: bytes) -> None:
         if self.firmware is None or self.heartbeat_ns is None:
             return
         for field in self.firmware.errors:
             if field.command == command:
-                self._words[field.name] = field.layout.unpack(payload)[field.place]
+                self._registers[field.name] = field.layout.unpack(payload)[field.position]
             elif command == can.HEARTBEAT and field.flag is not None and not self._flags[field.flag]:
-                self._words.pop(field.name, None)
+                self._registers.pop(field.name, None)
 
-    def _take_sdo(self, payload: bytes) -> None:
+    def _feed_sdo(self, payload: bytes) -> None:
         _, number, _ = can.SDO.unpack_from(payload)
         if number == self._awaited:
             self._answer = payload[can.SDO.size :]
 
-    def listen(self, now_ns: int) -> None:
-        """Take note of the time: an axis without heartbeats is not in closed loop as far as anyone knows."""
+    def check_heartbeat(self, now_ns: int) -> None:
+        """Set ``is_silent`` if no heartbeat came for a second: the axis does not count as in closed loop then."""
         self.is_silent = self.heartbeat_ns is not None and now_ns - self.heartbeat_ns > _SILENT_NS
 
     @property
     def has_errors(self) -> bool:
-        """Whether ``errors`` would say anything."""
-        return self.is_silent or bool(self.trouble) or any(self._flags_05()) or any(self._words.values())
+        """Whether ``errors`` is not empty."""
+        return self.is_silent or bool(self.trouble) or any(self._flags_05()) or any(self._registers.values())
 
     @property
     def is_closed_loop(self) -> bool:
-        """Whether it follows commands, as far as it says: in the closed loop that it was armed for here."""
+        """Whether it follows commands: it was armed from here, reports closed loop, and has no errors."""
         return self._is_followed and self.state == can.CLOSED_LOOP and not self.has_errors
 
     @property
     def errors(self) -> str:
-        """What it reports, in the makers' terms; empty for nothing."""
+        """The errors in words, in the makers' terms; empty without errors."""
         reasons: list[str] = []
-        told = set()  # firmware 0.6 says the same in up to three places
+        seen = set()  # firmware 0.6 has the same error in up to three registers
         for field in self.firmware.errors if self.firmware is not None else ():
-            word = self._words.get(field.name, 0)
-            if word and (id(field.bits), word) not in told:
-                told.add((id(field.bits), word))
-                reasons.append(f"{field.name} {can.bit_names(word, field.bits)}")
-        reasons += [f"{field.name}, not read yet" for field in self._unread()]
+            value = self._registers.get(field.name, 0)
+            if value and (id(field.bits), value) not in seen:
+                seen.add((id(field.bits), value))
+                reasons.append(f"{field.name} {can.bit_names(value, field.bits)}")
+        reasons += [f"{field.name}, not read yet" for field in self._pending_errors()]
         if self.is_silent:
             reasons.append("no heartbeat for more than a second")
         if self.trouble:
             reasons.append(self.trouble)
         return f"ODrive node {self.node} of wheel {self.wheel}: {'; '.join(reasons)}" if reasons else ""
 
-    def ask_for_unread(self) -> Sequence[Frame]:
-        """Ask for those errors of which the heartbeat of 0.5 only says that there are some."""
-        return [self.remote(field.command) for field in self._unread()]
+    def ask_for_errors(self) -> Sequence[Frame]:
+        """Ask for the error registers that the heartbeat of 0.5 flags and that have not been read."""
+        return [self.remote(field.command) for field in self._pending_errors()]
 
-    def _unread(self) -> Sequence[ErrorField]:
+    def _pending_errors(self) -> Sequence[ErrorField]:
         if not any(self._flags_05()):
             return ()
         fields = FIRMWARE_05.errors
-        return [f for f in fields if f.flag is not None and self._flags[f.flag] and not self._words.get(f.name)]
+        return [f for f in fields if f.flag is not None and self._flags[f.flag] and not self._registers.get(f.name)]
 
     def _flags_05(self) -> tuple[int, int, int]:
         return self._flags if self.firmware is FIRMWARE_05 else (0, 0, 0)
@@ -229,7 +233,7 @@ class Axis:
     # Arming
 
     def arm(self, now_ns: int) -> Sequence[Frame]:
-        """Return the frames of the next step; once closed loop is there, those that hold the standstill."""
+        """Return the frames of the next step of arming; in closed loop, the command of standstill."""
         self._now_ns = now_ns
         if self._arming is None:
             self._arming = self._steps()
@@ -239,38 +243,39 @@ class Axis:
         return self.frame(can.SET_AXIS_STATE, can.STATE.pack(state))
 
     def _steps(self) -> Steps:
-        if not (yield from self._told(can.IDLE, ())):
+        if not (yield from self._reach(can.IDLE, ())):
             self.trouble = "does not become idle"
             return False
         for endpoint in self._setup.watchdog:
             self.trouble = yield from self._write(endpoint)
             if self.trouble:
                 return False
-        # Inputs survive idle: those of whoever drove before are set to standstill before closed loop takes them up.
+        # Inputs survive idle: set them to standstill before closed loop would follow old ones.
         modes = self.frame(can.SET_MODES, can.TWO_WORDS.pack(self._setup.control_mode, can.PASSTHROUGH))
-        if not (yield from self._told(can.CLOSED_LOOP, (modes, self._standstill))):
-            self.trouble = f"does not enter closed loop{self._said()}; look at it with odrivetool"
+        if not (yield from self._reach(can.CLOSED_LOOP, (modes, self._standstill))):
+            self.trouble = f"does not enter closed loop{self._procedure_result()}; look at it with odrivetool"
             return False
         self._is_followed = True
         while True:
             yield (self._standstill,)
 
-    def _said(self) -> str:
+    def _procedure_result(self) -> str:
+        """Return the result of the last procedure in words; firmware 0.5 reports none."""
         if self.firmware is not FIRMWARE_06:
             return ""
-        return f": it says {can.PROCEDURE_RESULTS.get(self._result, str(self._result))}"
+        return f": its procedure result is {can.PROCEDURE_RESULTS.get(self._result, str(self._result))}"
 
-    def _told(self, state: int, before: Sequence[Frame]) -> Steps:
-        """Request a state, again if that seems lost, until it is there. A request in that state would restart it."""
+    def _reach(self, state: int, before: Sequence[Frame]) -> Steps:
+        """Request a state up to three times, and return whether it is reached. In that state nothing is requested."""
         for _ in range(_TRIES):
             if self.state == state:
                 return True
             yield (*before, self._request(state))
-            yield from self._until(lambda: self.state == state, _PATIENCE_NS)
+            yield from self._until(lambda: self.state == state, _STATE_NS)
         return self.state == state
 
     def _write(self, endpoint: Endpoint) -> Generator[Sequence[Frame], None, str]:
-        """Let an endpoint hold its value, and read that back; return why that is not so, empty if it is."""
+        """Write a value to an endpoint and read it back; return the problem in words, empty for none."""
         head = can.SDO.pack(0, endpoint.number, 0)[1:]
         for _ in range(_TRIES):
             self._answer, self._awaited = None, endpoint.number
@@ -283,12 +288,12 @@ class Axis:
             if not endpoint.is_plausible(value):
                 return f"endpoint {endpoint.number} is not {endpoint.name}; check device.motors.watchdog_endpoints"
             yield (self.frame(can.WRITE_SDO, can.WRITE + head + endpoint.target),)
-            # From 0.6.11 on a write is confirmed by a frame like that of a read.
+            # From 0.6.11 on a write is confirmed by a frame that looks like the answer to a read.
             yield from self._until(lambda: False, _CONFIRMATION_NS)
         return f"{endpoint.name} (endpoint {endpoint.number}) could not be set and read back"
 
     def _until(self, condition: Callable[[], bool], within_ns: int) -> Steps:
-        """Wait, with a standstill in each tick: an axis whose watchdog already runs is fed by it."""
+        """Wait for a condition; return whether it came true in time. Standstill commands feed a running watchdog."""
         begin_ns = self._now_ns
         while not condition():
             if self._now_ns - begin_ns > within_ns:

@@ -1,7 +1,7 @@
-"""ODrive over CANSimple, firmware 0.5 and 0.6, told apart by what they answer: one axis for each wheel.
+"""ODrive over CANSimple, with firmware 0.5 or 0.6, which the answers tell apart. Each wheel has one axis.
 
-The axes close the speed loops, or take torques. Only what is asked for by a remote frame, or set up with the makers'
-tool to be sent by itself, comes back. See ODRIVE.md for wiring, set-up, and what was never tried.
+The axes close the speed loops, or take torques. They send only what a remote frame asks for, and what the makers' tool
+has set up to be sent cyclically. See ODRIVE.md for wiring, set-up, and what was never tried.
 """
 
 import math
@@ -32,7 +32,7 @@ from hil.drivers.port import (
 
 
 class ODrive(Driver):
-    """Four axes on one bus, in the order of the channels."""
+    """Drives four axes on one bus, in the order of the channels."""
 
     def __init__(self, settings: Settings, robot: RobotFacts) -> None:
         self._settings = settings
@@ -40,9 +40,9 @@ class ODrive(Driver):
         self._is_speed = robot.mode is CommandMode.SPEED
         self._to_rad = math.tau / settings.gear_ratio
         self._setup = setup(settings, robot.mode, robot.watchdog_s)
-        asked_ns = late_ns(4 * max(len(known.polled) for known in (FIRMWARE_05, FIRMWARE_06)) * robot.period_s)
+        polled_ns = late_ns(4 * max(len(known.polled) for known in (FIRMWARE_05, FIRMWARE_06)) * robot.period_s)
         self._axes = tuple(
-            Axis(node, WHEEL_NAMES[wheel], self._setup, asked_ns)
+            Axis(node, WHEEL_NAMES[wheel], self._setup, polled_ns)
             for node, wheel in zip(settings.node_ids, robot.wheel_of_channel, strict=True)
         )
         self._by_node = {axis.node: axis for axis in self._axes}
@@ -64,13 +64,13 @@ class ODrive(Driver):
             latches_estop=True,
         )
 
-    # Who is there
+    # Identification
 
     def ask(self) -> Sequence[Frame]:
         if self.missing:
             frames = [frame for axis in self._axes for frame in axis.ask()]
-        else:  # heartbeats tell the rest
-            frames = [frame for axis in self._axes for frame in axis.ask_for_unread()]
+        else:  # the state comes with the heartbeats
+            frames = [frame for axis in self._axes for frame in axis.ask_for_errors()]
         if not self._settings.feedback_hz:
             frames += [axis.remote(can.GET_ESTIMATES) for axis in self._axes]
         return frames
@@ -78,15 +78,16 @@ class ODrive(Driver):
     @property
     def identity(self) -> str | None:
         for axis in self._axes:
-            self._refuse_what_cannot_be_driven(axis)
+            self._check_firmware(axis)
         if self.missing:
             return None
-        said: dict[str, list[Axis]] = {}
+        groups: dict[str, list[Axis]] = {}
         for axis in self._axes:
-            said.setdefault(_described(axis), []).append(axis)
-        return "ODrive axes: " + "; ".join(f"nodes {_nodes(axes)} {words}" for words, axes in said.items())
+            groups.setdefault(_described(axis), []).append(axis)
+        return "ODrive axes: " + "; ".join(f"nodes {_nodes(axes)} {words}" for words, axes in groups.items())
 
-    def _refuse_what_cannot_be_driven(self, axis: Axis) -> None:
+    def _check_firmware(self, axis: Axis) -> None:
+        """Raise BadInputError for a firmware or hardware that the settings or this driver do not support."""
         settings = self._settings
         if axis.version is not None and axis.firmware is None:
             raise BadInputError(
@@ -97,8 +98,8 @@ class ODrive(Driver):
             return
         if settings.firmware not in ("any", axis.firmware.name):
             raise BadInputError(
-                f"ODrive node {axis.node} has firmware {axis.firmware.name}: device.motors.firmware says "
-                f"{settings.firmware}; correct the one or the other"
+                f"ODrive node {axis.node} has firmware {axis.firmware.name}, but device.motors.firmware is "
+                f"{settings.firmware}; correct one of them"
             )
         if not settings.watchdog_endpoints:
             return
@@ -119,7 +120,7 @@ class ODrive(Driver):
     def missing(self) -> str:
         if silent := [axis for axis in self._axes if axis.heartbeat_ns is None]:
             return (
-                f"no heartbeat of the nodes {_nodes(silent)}; check power, wiring and bit rate, and "
+                f"no heartbeat from the nodes {_nodes(silent)}; check power, wiring and bit rate, and "
                 "device.motors.node_ids against axis.config.can.node_id"
             )
         if unknown := [axis for axis in self._axes if axis.firmware is None and axis.version is None]:
@@ -130,32 +131,32 @@ class ODrive(Driver):
         if quiet := [axis for axis in self._axes if axis.estimates_ns is None]:
             option = quiet[0].firmware.estimates_option if quiet[0].firmware is not None else "their rate"
             return (
-                f"no encoder estimates of the nodes {_nodes(quiet)}; set {option} with odrivetool, or "
+                f"no encoder estimates from the nodes {_nodes(quiet)}; set {option} with odrivetool, or "
                 "device.motors.feedback_hz = 0 to ask for them"
             )
         return ""
 
     @property
     def warnings(self) -> Sequence[str]:
-        said = ["an ODrive that is stopped in an emergency lets its wheels coast: it does not brake them"]
+        warnings = ["after an e-stop an ODrive lets its wheels coast and does not brake them"]
         if not self._settings.watchdog_endpoints:
-            how = (
-                "firmware 0.5 lets nobody read it over CAN, set enable_watchdog and watchdog_timeout with odrivetool"
+            remedy = (
+                "firmware 0.5 does not report it over CAN, set enable_watchdog and watchdog_timeout with odrivetool"
                 if any(axis.firmware is FIRMWARE_05 for axis in self._axes)
                 else "give device.motors.watchdog_endpoints, or set enable_watchdog with odrivetool"
             )
-            said.append(
-                f"whether the ODrives have a watchdog is not known, and without one the wheels turn on when this "
-                f"computer dies: {how}"
+            warnings.append(
+                "it is not known whether the ODrives have a watchdog; without one the wheels turn on when this "
+                f"computer dies: {remedy}"
             )
-        return said
+        return warnings
 
     # Motion
 
     def arm(self, now_ns: int) -> Sequence[Frame]:
-        frames = list(self._asked_in_turn())
+        frames = list(self._poll())
         for axis in self._axes:
-            axis.listen(now_ns)
+            axis.check_heartbeat(now_ns)
         if self.missing or any(axis.has_errors for axis in self._axes):
             return frames
         for axis in self._axes:
@@ -167,18 +168,18 @@ class ODrive(Driver):
         gear_ratio, to_rad = self._settings.gear_ratio, self._to_rad
         frames = []
         for axis, speed, torque in zip(self._axes, speed_rad_s, torque_n_m, strict=True):
-            axis.listen(now_ns)
+            axis.check_heartbeat(now_ns)
             if self._is_speed:
                 payload = can.TWO_FLOATS.pack(speed / to_rad, torque / gear_ratio)
                 frames.append(axis.frame(can.SET_INPUT_VEL, payload))
             else:
                 frames.append(axis.frame(can.SET_INPUT_TORQUE, can.TORQUE.pack(torque / gear_ratio)))
             self._is_armed = self._is_armed and axis.is_closed_loop
-        frames += self._asked_in_turn()
+        frames += self._poll()
         return frames
 
-    def _asked_in_turn(self) -> Sequence[Frame]:
-        """Ask one axis for one thing; and all for their estimates, if these do not come by themselves."""
+    def _poll(self) -> Sequence[Frame]:
+        """Ask one axis, in turn, for one message; ask all for their estimates if these are not sent unasked."""
         self._turn += 1
         frames = list(self._axes[self._turn % 4].poll(self._turn // 4))
         if not self._settings.feedback_hz:
@@ -195,8 +196,8 @@ class ODrive(Driver):
         standstill, idle = self._setup.standstill, can.STATE.pack(can.IDLE)
         frames = [axis.frame(*standstill) for axis in self._axes]
         frames += [axis.frame(can.SET_AXIS_STATE, idle) for axis in self._axes]
-        # Where an error has led to this, its name may be what was not said yet.
-        return frames + [frame for axis in self._axes for frame in axis.ask_for_unread()]
+        # If an error is the cause of this stop, its register may not have been read yet.
+        return frames + [frame for axis in self._axes for frame in axis.ask_for_errors()]
 
     def estop(self) -> Sequence[Frame]:
         self._stand_down()
@@ -206,7 +207,7 @@ class ODrive(Driver):
         self._is_armed = False
         return [frame for axis in self._axes for frame in axis.clear()]
 
-    # What is heard
+    # Received frames
 
     def feed(self, frame: Frame, stamp_ns: int) -> None:
         if frame.id & (EXTENDED | REMOTE):
@@ -234,7 +235,7 @@ class ODrive(Driver):
         )
 
     def _battery_a(self) -> float:
-        """Sum up the boards of firmware 0.6, each with one axis; on 0.5 two axes tell the current of one board."""
+        """Return the sum over the boards of firmware 0.6, one axis each. On 0.5 two axes report the same board: NaN."""
         if all(axis.firmware is FIRMWARE_06 for axis in self._axes):
             return math.fsum(axis.bus_a for axis in self._axes)
         return NAN

@@ -1,9 +1,9 @@
-"""Four ODrive axes of CANSimple as their firmware has it: 0.5.6 from its published source, 0.6.10 from its documents.
+"""Four emulated ODrive axes of CANSimple: firmware 0.5.6 after its published source, 0.6.10 after its documents.
 
-What differs is done as each does it. 0.5: any frame to an axis feeds its watchdog, which also runs while the axis is
-idle; errors are of axis, motor, encoder and controller. 0.6: a version, endpoints, results of procedures, one word of
-active errors and the reason of the last disarming. That its watchdog is fed by inputs alone and runs in closed loop
-alone is assumed: the makers do not say, and nobody here has measured it.
+Firmware 0.5: any frame to an axis feeds its watchdog, which also runs while the axis is idle; axis, motor, encoder and
+controller have error registers of their own. Firmware 0.6: it has a version, endpoints, procedure results, one register
+of active errors, and one with the reason of the last disarming. It is assumed, neither documented nor measured, that
+only inputs feed the watchdog of 0.6, and that it runs only in closed loop.
 """
 
 import math
@@ -21,15 +21,15 @@ _REMOTE, _STANDARD = 0x4000_0000, 0x7FF
 _ADDRESS, _REBOOT = 0x06, 0x16
 _INPUTS = (0x0C, 0x0D, 0x0E)
 _TO_ALL = (0x02, _ADDRESS, _REBOOT, 0x18)  # Estop, Address, Reboot, Clear_Errors
-_LEAST_BYTES: Mapping[int, int] = {  # of a command that is not empty; a shorter one is not obeyed
+_MIN_BYTES: Mapping[int, int] = {  # of a command that is not empty; shorter ones are ignored
     0x07: 4, 0x0B: 8, 0x0C: 4, 0x0D: 4, 0x0E: 4, 0x0F: 8, 0x11: 4, 0x12: 8, 0x19: 4, 0x1A: 4, 0x1B: 8,
 }  # fmt: skip
 _REBOOT_ACTIONS = (_RESTART, _SAVE, _ERASE) = (0, 1, 2)
-_COUNTS_PER_TURN = 8192  # of the encoder that 0.5 is delivered for
+_COUNTS_PER_TURN = 8192  # of the default encoder of 0.5
 
 
 class EmulatedODrive(EmulatedMotors[Settings]):
-    """See ``EmulatedMotors``. ``firmware`` and ``hardware`` may be set to others before the first tick."""
+    """Emulates four axes. ``firmware`` and ``hardware`` may be changed before the first tick."""
 
     def power_on(self) -> None:
         settings = self.settings
@@ -70,9 +70,9 @@ class EmulatedODrive(EmulatedMotors[Settings]):
             axis.fed_tick = self.ticks
         if is_remote or (not payload and self.firmware >= (0, 5, 5)):
             self._answer(channel, axis, command)
-        if self.firmware[1] >= 6 and (is_remote or (not payload and command in _LEAST_BYTES)):
-            return  # 0.5 does not look, and takes a remote or an empty frame of a command for one that says zero
-        if payload and len(payload) < _LEAST_BYTES.get(command, 0):
+        if self.firmware[1] >= 6 and (is_remote or (not payload and command in _MIN_BYTES)):
+            return  # 0.5 does not check this, and takes a remote or empty frame for a command with the value 0
+        if payload and len(payload) < _MIN_BYTES.get(command, 0):
             return
         if command == 0x04 and self.firmware[1] >= 6:
             self._parameter(axis, payload.ljust(8, b"\0"))
@@ -124,7 +124,7 @@ class EmulatedODrive(EmulatedMotors[Settings]):
             axis.loop.set_gains(one * per_rad, other * per_rad)
 
     def _address(self, axis: EmulatedAxis, payload: bytes) -> None:
-        """Take a node id; who has one that another is given has none from then on."""
+        """Set the node id if the message is for this axis. If another axis gets this one's id, this one loses it."""
         if self.firmware[1] == 5:
             if len(payload) >= 4 and (node := int.from_bytes(payload[:4], "little")) < UNADDRESSED:
                 axis.node = node
@@ -160,7 +160,7 @@ class EmulatedODrive(EmulatedMotors[Settings]):
         if number in values:
             self._say(axis, 0x05, struct.pack("<BHB", 0, number, 0) + values[number])
 
-    # Answers, and what is sent by itself
+    # Answers and cyclic messages
 
     def _say(self, axis: EmulatedAxis, command: int, payload: bytes) -> None:
         self.say(Frame(axis.node << 5 | command, payload))

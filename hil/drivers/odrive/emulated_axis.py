@@ -1,7 +1,7 @@
-"""One axis of the emulated ODrives: its state, errors and watchdog, and the cascade of its controller.
+"""One emulated ODrive axis: its state, errors and watchdog, and its cascaded controller.
 
-Input modes are PASSTHROUGH and TRAP_TRAJ. An axis that is to drive in another one, or in another control mode than
-torque, velocity and position, disarms itself with the error of a wrong configuration.
+The input modes are PASSTHROUGH and TRAP_TRAJ, the control modes torque, velocity and position. In any other mode the
+axis disarms itself with the error of a wrong configuration.
 """
 
 import math
@@ -21,11 +21,11 @@ BITS: Mapping[int, Mapping[str, int]] = {
     6: {WATCHDOG: 0x0100_0000, ESTOP: 0x0200_0000, BAD_MODE: 0x10, TOO_FAST: 0x8000},
 }
 CONTROLLER_BITS: Mapping[str, int] = {BAD_MODE: 0x2, TOO_FAST: 0x1}  # of 0.5, beside the axis error
-_POSITION_GAIN = 20.0  # of both firmwares, as they come [(rev/s)/rev]
-_TRAJECTORY = (2.0, 0.5, 0.5)  # velocity, acceleration, deceleration of TRAP_TRAJ, as they come [rev/s, rev/s²]
-_TOLERANCE = 1.2  # of the speed limit, as they come
+_POSITION_GAIN = 20.0  # default of both firmwares [(rev/s)/rev]
+_TRAJECTORY = (2.0, 0.5, 0.5)  # default velocity, acceleration, deceleration of TRAP_TRAJ [rev/s, rev/s²]
+_TOLERANCE = 1.2  # default, of the speed limit
 _BOOT_TICKS = 500
-_KEPT = (
+_STORED = (
     "node",
     "enable_watchdog",
     "watchdog_timeout_s",
@@ -39,19 +39,19 @@ _KEPT = (
 
 
 class EmulatedAxis:
-    """One axis. Errors are set by ``fail``, as a fault of motor or encoder would; ``is_calibrated`` as it was left.
+    """One axis. A test sets errors with ``fail``, and ``is_calibrated``.
 
-    ``enable_watchdog`` and ``watchdog_timeout_s`` are what odrivetool sets over USB; as they come there is none.
-    ``velocity_limit_rev_s`` is none until Set_Limits gives one, as hil/drivers/odrive/ODRIVE.md asks for a high one.
+    ``enable_watchdog`` and ``watchdog_timeout_s`` are what odrivetool sets over USB; by default there is no watchdog.
+    ``velocity_limit_rev_s`` is infinite until Set_Limits sets it, as hil/drivers/odrive/ODRIVE.md requires a high one.
 
     Args:
-        node: its node id.
-        serial: its serial number, of 48 bits.
+        node: node id.
+        serial: serial number of 48 bits.
         firmware: 5 or 6.
         loop: the velocity controller, at the wheel.
-        gear: turns of the motor in one of the wheel.
-        limit_n_m: the torque at the wheel of the motor's largest current.
-        constant: torque at the wheel of 1 A [N·m/A].
+        gear: motor turns per turn of the wheel.
+        limit_n_m: torque at the wheel at the motor's largest current.
+        constant: torque at the wheel per ampere [N·m/A].
     """
 
     def __init__(
@@ -69,10 +69,10 @@ class EmulatedAxis:
         self._saved = self._configuration()
         self.boot(0)
 
-    # What is kept, and what is not
+    # Configuration and reboot
 
     def set_defaults(self) -> None:
-        """Set what is configured as it comes; the node id and the gains of the velocity loop stay."""
+        """Reset the configuration to its defaults, except the node id and the gains of the velocity loop."""
         self.enable_watchdog = False
         self.watchdog_timeout_s = 0.0
         self.velocity_limit_rev_s, self.current_limit_a = math.inf, math.inf
@@ -81,14 +81,14 @@ class EmulatedAxis:
         self.control_mode, self.input_mode = POSITION, PASSTHROUGH
 
     def _configuration(self) -> dict[str, object]:
-        return {name: getattr(self, name) for name in _KEPT}
+        return {name: getattr(self, name) for name in _STORED}
 
     def save(self) -> None:
-        """Keep the configuration over a start."""
+        """Store the configuration, so that it survives a reboot."""
         self._saved = self._configuration()
 
     def boot(self, ticks: int = _BOOT_TICKS) -> None:
-        """Start anew, from the configuration that is kept; for so long it says and hears nothing."""
+        """Reboot with the stored configuration. For ``ticks`` ms the axis neither sends nor receives."""
         for name, value in self._saved.items():
             setattr(self, name, value)
         self.boot_left = ticks
@@ -105,7 +105,7 @@ class EmulatedAxis:
     # Errors
 
     def fail(self, axis: int = 0, *, motor: int = 0, encoder: int = 0, controller: int = 0) -> None:
-        """Set error bits; a motor that is driven is disarmed by them."""
+        """Set error bits, and disarm the axis if it is in closed loop."""
         self.axis_error |= axis
         self.motor_error |= motor
         self.encoder_error |= encoder
@@ -116,7 +116,7 @@ class EmulatedAxis:
             self.state = IDLE
 
     def fail_by(self, reason: str) -> None:
-        """Set the error bits of a reason, as this firmware has them."""
+        """Set the error bits that this firmware has for a reason."""
         is_old = self.firmware == 5
         self.fail(BITS[self.firmware][reason], controller=CONTROLLER_BITS.get(reason, 0) if is_old else 0)
 
@@ -130,9 +130,9 @@ class EmulatedAxis:
     # Commands
 
     def request(self, state: int, tick: int) -> None:
-        """Go to a state: idle, or closed loop, which holds the motor where it is until it has an input."""
+        """Enter idle, or closed loop if the axis is calibrated and has no errors."""
         if self.firmware == 5:
-            self.axis_error &= ~BITS[5][INVALID_STATE]  # which a new request clears by itself
+            self.axis_error &= ~BITS[5][INVALID_STATE]  # a new request clears this error
         if state == IDLE:
             self.state, self.result = IDLE, SUCCESS
         elif state == CLOSED_LOOP and not self.is_calibrated:
@@ -147,12 +147,12 @@ class EmulatedAxis:
             self.loop.reset()
 
     def go_to(self, position_rev: float, velocity_ff_rev_s: float, torque_ff_n_m: float) -> None:
-        """Take a position as input."""
+        """Set the input to a position, with feedforward of velocity and torque."""
         self.trajectory.aim(position_rev)
         self.velocity_ff_rev_s, self.input_torque_n_m = velocity_ff_rev_s, torque_ff_n_m
 
     def watch(self, tick: int) -> None:
-        """Let the watchdog run."""
+        """Fail with the error of the watchdog if it has expired."""
         runs = self.enable_watchdog and (self.firmware == 5 or self.state == CLOSED_LOOP)
         if runs and tick - self.fed_tick > self.watchdog_timeout_s * 1000.0:
             self.fail_by(WATCHDOG)
@@ -161,24 +161,24 @@ class EmulatedAxis:
 
     @property
     def wheel_gain(self) -> float:
-        """What a gain in turns of the motor is at the wheel in radians."""
+        """Factor from a gain per motor turn to one per radian of the wheel."""
         return self._gear * self._gear / math.tau
 
     def revolutions(self, wheel_rad: float) -> float:
-        """Return turns of the motor."""
+        """Return the motor's turns for an angle of the wheel."""
         return wheel_rad / math.tau * self._gear
 
     def position_rev(self, shaft: Shaft) -> float:
-        """Return where the motor is, as it is told."""
+        """Return the motor's position as it is reported, with the offset of ``set_position``."""
         return self.revolutions(shaft.position_rad) + self.offset_rev
 
     def set_position(self, position_rev: float, shaft: Shaft) -> None:
-        """Call the place where the motor is by this position."""
+        """Set the current position of the motor to this one."""
         self.offset_rev = position_rev - self.revolutions(shaft.position_rad)
         self.trajectory.forget()
 
     def torque(self, shaft: Shaft) -> float:
-        """Return the torque at the wheel [N·m]: of a cascade of position, velocity and torque, cut at the limits."""
+        """Return the torque at the wheel [N·m] of the position, velocity and torque cascade, within the limits."""
         self.torque_n_m = self._torque(shaft) / self._gear if self.state == CLOSED_LOOP else 0.0
         return self.torque_n_m * self._gear
 
@@ -195,14 +195,14 @@ class EmulatedAxis:
         if self.control_mode == TORQUE:
             torque = clamp(self.input_torque_n_m * self._gear, limit)
             return torque if abs(speed) < most or torque * speed <= 0.0 else 0.0
-        wanted = self.input_vel_rev_s
+        target = self.input_vel_rev_s
         if self.control_mode == POSITION:
             velocity, acceleration, deceleration = self.trajectory_limits
             ramps = (velocity, min(acceleration, deceleration))
-            at, ways = self.position_rev(shaft), ramps if self.input_mode == TRAP_TRAJ else (math.inf, math.inf)
-            self.trajectory.step(at, speed, 0.0, *ways)
-            wanted = self.position_gain * (self.trajectory.position_rev - at) + self.trajectory.velocity
-            wanted += self.velocity_ff_rev_s
-        target_rad_s = clamp(wanted, most) / self._gear * math.tau
+            at, limits = self.position_rev(shaft), ramps if self.input_mode == TRAP_TRAJ else (math.inf, math.inf)
+            self.trajectory.step(at, speed, 0.0, *limits)
+            target = self.position_gain * (self.trajectory.position_rev - at) + self.trajectory.velocity
+            target += self.velocity_ff_rev_s
+        target_rad_s = clamp(target, most) / self._gear * math.tau
         torque = self.loop.torque(target_rad_s, shaft.speed_rad_s, self.input_torque_n_m * self._gear)
         return clamp(torque, limit)

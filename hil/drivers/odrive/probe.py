@@ -1,4 +1,4 @@
-"""Finds ODrive axes: listens for heartbeats, and asks only those nodes who they are."""
+"""Finds ODrive axes: listens for heartbeats, and asks only the nodes that sent one for their version."""
 
 from collections.abc import Sequence
 
@@ -14,10 +14,10 @@ _STATES = 15  # 0 to 14 are in use
 
 
 class OdriveProbe(Probe):
-    """A node is one of these once it has answered: the ids alone are also those of other makers' frames, and of ours.
+    """Accepts a node as an ODrive after it has answered, because frames of other devices may have the same ids.
 
-    So what came before anything was asked is no answer, and neither is a version that there cannot be. No other command
-    is asked for: 0.5 takes a remote frame of Set_Axis_Node_ID for a new id.
+    A frame before the first question is no answer, and neither is an impossible version. Only version and controller
+    error are asked for: firmware 0.5 would take a remote frame of Set_Axis_Node_ID for a new id.
     """
 
     def __init__(self) -> None:
@@ -59,7 +59,7 @@ class OdriveProbe(Probe):
 
 
 def _is_version(payload: bytes) -> bool:
-    """Tell whether this can be Get_Version's answer, which firmware 0.6 was the first to have."""
+    """Return whether this can be an answer to Get_Version, which exists since firmware 0.6."""
     if len(payload) != can.VERSION.size:
         return False
     line, _, _, major, minor, _, unreleased = can.VERSION.unpack(payload)

@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 NODE_SHIFT, COMMAND_MASK = 5, 0x1F
 BROADCAST = 63
-"""The last node id speaks to every ODrive of firmware 0.6."""
+"""The last node id: with firmware 0.6 it addresses every ODrive."""
 
 GET_VERSION = 0x00
 HEARTBEAT = 0x01
@@ -39,7 +39,7 @@ LONG_WORD = Struct("<Q")
 STATE = Struct("<I4x")
 TORQUE = Struct("<f4x")
 FLOAT = Struct("<f")
-SDO = Struct("<BHB")  # read or write, endpoint, nothing; then the value
+SDO = Struct("<BHB")  # read or write, endpoint, reserved; then the value
 READ, WRITE = b"\x00", b"\x01"
 
 IDLE, CLOSED_LOOP = 1, 8
@@ -71,7 +71,7 @@ PROCEDURE_RESULTS: Mapping[int, str] = dict(
 
 
 def _bits(table: str) -> Mapping[int, str]:
-    """Return names by their bit's value: ``4: NAME NAME`` in a table names bit 4 and the one after it."""
+    """Return the name of each bit's value. In a table ``4: NAME NAME`` names bits 4 and 5."""
     names: dict[int, str] = {}
     for word in table.split():
         if word.endswith(":"):
@@ -133,21 +133,31 @@ CONTROLLER_ERRORS_05: Mapping[int, str] = _bits(
 
 
 class ErrorField(NamedTuple):
-    """One word of error bits: what it is called, where it comes, and what its bits mean.
+    """One error register of an ODrive.
 
-    ``flag`` is which of the heartbeat's three flags says that it is not zero, None where there is none.
+    Attributes:
+        name: for messages.
+        command, layout, position: the CAN message that carries it, and the place among its values.
+        bits: the name of each bit's value.
+        flag: index (0 to 2) of the heartbeat flag that is set while this register is not zero; None without one.
     """
 
     name: str
     command: int
     layout: Struct
-    place: int
+    position: int
     bits: Mapping[int, str]
     flag: int | None = None
 
 
 class Firmware(NamedTuple):
-    """What differs between the firmwares. ``polled`` is asked for in turn, ``clear`` the payload of Clear_Errors."""
+    """What differs between the firmwares.
+
+    Attributes:
+        polled: the commands that are asked for in turn.
+        clear: payload of Clear_Errors.
+        estimates_option: the makers' option for the rate of the encoder estimates.
+    """
 
     name: str
     errors: tuple[ErrorField, ...]
@@ -183,7 +193,7 @@ FIRMWARE_06 = Firmware(
 
 
 def bit_names(word: int, bits: Mapping[int, str]) -> str:
-    """Return the names of the bits that are set, unknown ones as a number."""
+    """Return the names of the set bits, and the unknown ones as one hexadecimal number."""
     names = [name for bit, name in bits.items() if word & bit]
     if unknown := word & ~sum(bits):
         names.append(f"{unknown:#x}")
