@@ -166,8 +166,8 @@ def test_a_signal_that_the_run_does_not_have_is_told_with_the_nearest_one(rows, 
 @pytest.mark.parametrize(
     ("signals", "telemetry", "message"),
     [
-        ('("count",)', "(1,)", "signals has 'count'; expected dotted names in small letters"),
-        ('("wheel.count",)', "(1,)", "'wheel' is taken, begin the name with another word"),
+        ('("count",)', "(1,)", "signals has 'count'; expected dotted names in lower case"),
+        ('("wheel.count",)', "(1,)", "'wheel' is reserved, begin the name with another word"),
         ('("my.x", "my.x")', "(1, 2)", "'my.x' twice"),
         ('("my.x", "my.x.y")', "(1, 2)", "neither may be a group of the other"),
         ('"my.x"', "(1,)", "expected a tuple of names"),

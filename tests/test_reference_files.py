@@ -93,7 +93,7 @@ def test_a_file_that_cannot_be_read_is_named(tmp_path):
     (tmp_path / "folder.csv").mkdir()
     assert "there is no file" in complaint("folder.csv")
     (tmp_path / "latin.csv").write_bytes(HEAD.encode() + "0,0,0 # Höhe\n".encode("latin-1"))
-    assert "is not UTF-8 (byte 0xF6, 29 from its begin); save it as UTF-8" in complaint("latin.csv")
+    assert "is not UTF-8 (byte 0xF6 at offset 29); save it as UTF-8" in complaint("latin.csv")
     assert "cannot be read" in complaint("zero\0.csv") or "there is no file" in complaint("zero\0.csv")
     assert complaint("points.txt").endswith("expected a file that ends in .csv")
     assert complaint("run.rrd").endswith("write its poses first: hil review run.rrd --trajectory FILE.csv")

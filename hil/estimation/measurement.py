@@ -38,7 +38,7 @@ class Measurement(Protocol):
 
     @property
     def acceleration_m_s2(self) -> tuple[float, float, float]:
-        """Acceleration in the body frame, without gravity's; NaN where there is no accelerometer."""
+        """Acceleration in the body frame, 9.81 upwards at rest; NaN without an accelerometer."""
 
 
 class Estimator(Protocol):
@@ -46,7 +46,7 @@ class Estimator(Protocol):
 
     @property
     def uses_truth(self) -> bool:
-        """Whether the state depends on the truth, and is too old when the truth is."""
+        """Whether the state depends on the true pose, and is too old when the true pose is."""
 
     @property
     def status(self) -> EstimatorSignals:
@@ -62,7 +62,7 @@ class Estimator(Protocol):
         """
 
     def fix_figures(self) -> Mapping[str, int]:
-        """Return the number of pose fixes by outcome; empty for an estimator that takes none."""
+        """Return the number of pose fixes by outcome; empty for an estimator that uses none."""
 
     def restart(self) -> None:
         """Continue after a reset of the robot: its clock and counts restart, the pose is the last known one."""

@@ -39,7 +39,7 @@ class Motion(NamedTuple):
 
 
 class MotionReader:
-    """Makes motions of measurements.
+    """Computes the motion between measurements.
 
     A wheel's angle comes from its encoder, counted through the wrap of 16 bits: between two measurements it must turn
     less than 32768 counts (8 revolutions at 4096 a revolution). Without counts it comes from the wheel's speed.
@@ -47,13 +47,13 @@ class MotionReader:
     Over a gap of more than 0.1 s, as after a lost link, no rate is integrated: the robot may have stopped just after
     the first measurement. Gyro and accelerometer then give NaN, and a speed counts for at most 0.1 s.
 
-    Raises BadInputError for less than one count a revolution.
+    Raises BadInputError for less than one count per revolution.
     """
 
     def __init__(self, model: RobotModel, counts_per_revolution: int) -> None:
         if counts_per_revolution < 1:
             raise BadInputError(
-                f"firmware.counts_per_revolution = {counts_per_revolution}: expected a whole number from 1 on"
+                f"firmware.counts_per_revolution = {counts_per_revolution}: expected a whole number of at least 1"
             )
         self._model = model
         self._rad_per_count = math.tau / counts_per_revolution

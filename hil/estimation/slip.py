@@ -29,7 +29,7 @@ class SlipDetector:
         self.restart()
 
     def restart(self) -> None:
-        """Start anew, without slip."""
+        """Start again, without slip."""
         self.is_slipping = False
         self._found_m_s = 0.0
         self._together: Motion | None = None
@@ -67,7 +67,7 @@ class SlipDetector:
         dt_s = motion.dt_s
         forward_m_s, left_m_s = motion.forward_m / dt_s, motion.left_m / dt_s
         if math.isnan(motion.gained_forward_m_s + motion.gained_left_m_s):
-            # The change of velocity is unknown, so the comparison starts anew.
+            # The change of velocity is unknown, so the comparison starts again.
             self._last_m_s, self._forward_m_s, self._left_m_s = None, 0.0, 0.0
             return 0.0
         last, self._last_m_s = self._last_m_s, (forward_m_s, left_m_s)

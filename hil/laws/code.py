@@ -1,8 +1,8 @@
-"""The hash of a law's code, so that a recording tells which code drove the robot.
+"""The hash of a law's code: it identifies in a recording which code drove the robot.
 
-It covers the file in which the law is, and every module that this imports, directly or through others, from the same
-place: for a law in a file from the file's own folder, for a law in a package from that package. What comes from
-elsewhere, NumPy for one, is not covered.
+It covers the law's file and every module that the file imports, directly or indirectly, from the same place: from the
+file's folder for a law in a file, from the package for a law in a package. Other modules, such as NumPy, are not
+covered.
 """
 
 import ast
@@ -15,17 +15,17 @@ from typing import NamedTuple
 
 _OURS = "hil"
 _held: dict[Path, bytes] = {}
-"""What modules held when they were first looked at: Python imports each once, whatever becomes of its file."""
+"""Content of modules when first read. Python imports a module once, so later changes of its file have no effect."""
 
 
 class _Place(NamedTuple):
-    """Where modules are looked for: below a folder, and only those of one package, or all but ours."""
+    """Where modules are searched: below a folder, either those of one package or all except ours."""
 
     folder: Path
     package: str | None
 
     def file_of(self, module: str) -> Path | None:
-        """Return the file of a module by its dotted name, None for one that is not from here."""
+        """Return the file of a module, given its dotted name; None if the module is not in this place."""
         top = module.partition(".")[0]
         if top != self.package if self.package is not None else top == _OURS:
             return None
@@ -35,17 +35,17 @@ class _Place(NamedTuple):
 
 
 def code_of_file(file: Path) -> str | None:
-    """Return the SHA-256 of a law in a file, in hex; None where it cannot be read.
+    """Return the SHA-256 of a law in a file, in hex; None if the file cannot be read.
 
-    A file that imports nothing from its folder has the hash that ``sha256sum`` prints.
+    For a file that imports nothing from its folder it is the hash that ``sha256sum`` prints.
     """
-    # This file alone is executed anew whenever the law is made.
+    # Only this file is executed again each time the law is made.
     _held.pop(file, None)
     return _digest(_Place(file.parent, None), file, file.stem)
 
 
 def code_of_module(module: str) -> str | None:
-    """Return the SHA-256 of a law in a module, in hex; None where its source is not there. Executes nothing."""
+    """Return the SHA-256 of a law in a module, in hex; None if its source is missing. Executes nothing."""
     package = module.partition(".")[0]
     try:
         found = find_spec(package)
@@ -61,7 +61,7 @@ def code_of_module(module: str) -> str | None:
 
 
 def forget(module: str) -> None:
-    """Have the file of a module read anew, for the module will be executed anew."""
+    """Discard the stored content of a module, because the module will be executed again."""
     for file in [file for file in _held if file.stem == module.rpartition(".")[2]]:
         del _held[file]
 
@@ -94,7 +94,7 @@ def _content(file: Path) -> bytes:
 
 
 def _imports(content: bytes, module: str, *, is_package: bool) -> Iterator[str]:
-    """Yield the dotted names that a module may import, but for those that only a type checker reads."""
+    """Yield the dotted names that a module may import, except those that only a type checker reads."""
     package = module if is_package else module.rpartition(".")[0]
     try:
         waiting: list[ast.AST] = [ast.parse(content)]

@@ -38,7 +38,7 @@ class ComputedTorque:
         self._predictor = DelayPredictor(model)
 
     def reset(self, state: State, reference: Reference) -> None:
-        """Forget the commands that do not act yet."""
+        """Discard the commands that do not act yet."""
         self._predictor.reset(state)
 
     def update(self, reference: Reference, state: State, applied: Applied, dt_s: float) -> WheelCommand:

@@ -60,9 +60,9 @@ class Lqi:
 
     @dataclass(frozen=True, slots=True)
     class Options:
-        """Weights of ∫e², e² and ė² in the cost, beside 1 for the square of what is commanded for; of all axes.
+        """Weights of ∫e², e² and ė² in the cost, for all axes. The square of the input has the weight 1.
 
-        TORQUE asks for accelerations, SPEED for speeds: each mode has weights of its own.
+        The input is an acceleration in TORQUE mode and a speed in SPEED mode: each mode has its own weights.
         """
 
         torque_integral_1_s6: Annotated[float, POSITIVE] = 2.0e5
@@ -82,7 +82,7 @@ class Lqi:
         self._integral: Axes = (0.0, 0.0, 0.0)
 
     def reset(self, state: State, reference: Reference) -> None:
-        """Empty the integral, and forget the commands that do not act yet."""
+        """Reset the integral, and discard the commands that do not act yet."""
         self._integral = (0.0, 0.0, 0.0)
         self._predictor.reset(state)
 

@@ -1,4 +1,4 @@
-"""PID with kinematics: the usual law on such a robot. It needs the geometry and no other property of the robot."""
+"""PID with kinematics: the usual law for such a robot. Of the robot's properties it needs only the geometry."""
 
 from dataclasses import dataclass
 from typing import Annotated
@@ -39,7 +39,7 @@ class Pid:
         self._wheel_integral = ZERO_WHEELS
 
     def reset(self, state: State, reference: Reference) -> None:
-        """Empty the integrals."""
+        """Reset the integrals."""
         self._integral = (0.0, 0.0, 0.0)
         self._wheel_integral = ZERO_WHEELS
 

@@ -1,4 +1,4 @@
-"""From the name of a law in a scenario to a controller that is ready to run."""
+"""Finds the law that a scenario names, and makes the controller."""
 
 import inspect
 import sys
@@ -42,18 +42,18 @@ SHIPPED: dict[str, type] = {
 _EXTENSIONS = Extensions("hil.laws", SHIPPED)
 _LAW_KEY = "controller.law"
 
-_given: dict[str, type] = {}  # classes that were given as such, by the text that stands for them in this process
+_given: dict[str, type] = {}  # classes passed to ``give_law``, by their name in scenarios of this process
 _NO_OPTIONS = make_dataclass("Options", [])
 
 
 def laws() -> list[tuple[str, str, str]]:
-    """Return name, package and one line of each law: the shipped ones, then those of other packages, not loaded."""
+    """Return (name, package, description) of each law: the shipped ones, then those of other packages, not imported."""
     shipped = [(name, OUR_PACKAGE, (inspect.getdoc(law) or "").splitlines()[0]) for name, law in SHIPPED.items()]
     return shipped + _EXTENSIONS.lines()
 
 
 def give_law(law: type) -> str:
-    """Return the text by which scenarios of this process name a class, so that a class can be given where text is."""
+    """Register a class and return a text for it that ``controller.law`` accepts in scenarios of this process."""
     shipped = [name for name, one in SHIPPED.items() if one is law]
     spec = shipped[0] if shipped else f"{law.__module__}:{law.__qualname__}"
     _given[spec] = law
@@ -65,16 +65,16 @@ def load_law(spec: str, base: Path) -> type:
 
     ``spec`` is a shipped name, one that an installed package has registered as an entry point of the group
     ``hil.laws``, ``"./my_law.py:MyLaw"`` (a file, relative to ``base``) or ``"package.module:MyLaw"``. Raises
-    BadInputError for an unknown name (with the nearest) and one that two packages have registered, and as
-    ``find_class`` does for a law that is not ours.
+    BadInputError for an unknown name (with similar ones), for one that two packages have registered, and as
+    ``find_class`` does for a law of the user.
     """
     return _found(spec, base, _LAW_KEY)[0]
 
 
 def forget_law(spec: str, base: Path) -> None:
-    """Have the modules that hold a law executed anew when it is loaded next, so that nothing is left there of a run.
+    """Make the next load of a law execute its module again, so that no module state is left from an earlier run.
 
-    That of a law in a file always is; those that it imports stay as they are. Raises as ``load_law``.
+    The module of a law in a file is always executed again; modules that it imports are not. Raises as ``load_law``.
     """
     if spec in SHIPPED or spec in _given:
         return
@@ -87,9 +87,9 @@ def forget_law(spec: str, base: Path) -> None:
 
 
 def law_sha256(spec: str, base: Path) -> str | None:
-    """Return the hash of a law's code (see ``hil.laws.code``), None where its source is not there.
+    """Return the hash of a law's code (see ``hil.laws.code``); None if its source is missing.
 
-    ``spec`` and ``base`` are those of ``load_law``, whose errors it does not raise. Executes nothing of the law.
+    ``spec`` and ``base`` are as for ``load_law``, but no errors are raised. The law's code is not executed.
     """
     if spec in SHIPPED:
         return code_of_module(SHIPPED[spec].__module__)
@@ -109,12 +109,12 @@ def make_controller(
 ) -> "Controller":
     """Return the controller of a scenario's ``[controller]`` table, ``options`` being ``[controller.gains]``.
 
-    ``law_key`` and ``gains_key`` are what messages call the two.
+    ``law_key`` and ``gains_key`` name the two in error messages.
 
-    The law's dataclass ``Options`` defines them; the law is made as ``Law(model, mode, options)``. A law that is
-    not ours may have no ``Options``: it then takes none, and is made as ``Law(model, mode)``, or as ``Law()``
-    when it has no constructor. Raises BadInputError as ``load_law`` and ``UserLaw`` do, for an option that is
-    unknown (with the nearest), of the wrong type or out of range, and for a mode that the law refuses.
+    The law's dataclass ``Options`` defines the options; the law is made as ``Law(model, mode, options)``. A user's law
+    without ``Options`` has none; it is made as ``Law(model, mode)``, or as ``Law()`` if it has no constructor. Raises
+    BadInputError as ``load_law`` and ``UserLaw`` do, for an option that is unknown (with similar names), of the wrong
+    type or out of range, and for a mode that the law refuses.
     """
     law, named = _found(spec, base, law_key)
     kind: Any = getattr(law, "Options", None)
@@ -125,13 +125,13 @@ def make_controller(
 
 
 def gains_in_force(spec: str, base: Path, options: Mapping[str, object]) -> dict[str, object]:
-    """Return every option of a law by name, given or left to its default. Raises as ``make_controller``."""
+    """Return every option of a law by name, defaults included. Raises as ``make_controller`` does."""
     kind: Any = getattr(load_law(spec, base), "Options", None)
     return asdict(build(kind or _NO_OPTIONS, options, "controller.gains"))
 
 
 def _found(spec: str, base: Path, key: str) -> tuple[type, str]:
-    """Return the law's class, and what messages call it."""
+    """Return the law's class, and its name for error messages."""
     named = f"{key} = {spec!r}"
     if spec in SHIPPED:
         return SHIPPED[spec], named

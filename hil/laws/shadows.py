@@ -1,8 +1,8 @@
-"""Shadows: laws that are computed beside the one in command, from the same inputs, and drive nothing.
+"""Shadows: laws that are computed in parallel to the active law, from the same inputs, but do not drive the robot.
 
-Each is given the reference, the state and what was really applied. So a shadow's command is what it would say at this
-tick, not how it would drive: the robot moves as the law in command has it, and a shadow that integrates an error
-integrates one that it cannot remove.
+Each gets the reference, the state and the command that was really applied. A shadow shows what the law would command
+at this tick, not how the robot would move under it: the active law moves the robot. A shadow with an integral
+integrates an error that it cannot remove.
 """
 
 from collections.abc import Mapping, Sequence
@@ -26,7 +26,7 @@ def command_names(prefix: str, mode: CommandMode) -> tuple[str, ...]:
 class Shadows:
     """Laws by name, in the mode of the run. They have ``OwnSignals``: their set points after a guard of their own.
 
-    A shadow that raises is dropped and has no value from then on; ``dropped`` tells when and why.
+    A shadow that raises an exception is dropped and has no values from then on; ``dropped`` holds when and why.
     """
 
     def __init__(self, laws: Mapping[str, Controller], mode: CommandMode, model: RobotModel) -> None:
@@ -40,19 +40,19 @@ class Shadows:
 
     @property
     def telemetry(self) -> tuple[float, ...]:
-        """Four set points a shadow; NaN where it was not asked, or was dropped."""
+        """Four set points per shadow; NaN if it was not called or was dropped."""
         row: tuple[float, ...] = ()
         for command in self._commands.values():
             row += command
         return row
 
     def limit_to(self, robot_speed_limit_rad_s: float) -> None:
-        """Keep the set points within what the robot takes, as those of the law in command."""
+        """Limit the set points to the robot's own speed limit, like those of the active law."""
         for guard in self._guards.values():
             guard.limit_to(robot_speed_limit_rad_s)
 
     def hold(self) -> None:
-        """Do one tick in which no law is asked."""
+        """Do one tick in which no law is called."""
         self._commands = dict.fromkeys(self._commands, NAN_WHEELS)
 
     def update(
@@ -68,7 +68,7 @@ class Shadows:
                 if begins:
                     law.reset(state, reference)
                 requested = law.update(reference, state, applied, dt_s)
-            except Exception as error:  # noqa: BLE001 - the run goes on whatever it is, and reports it
+            except Exception as error:  # noqa: BLE001 - the run continues after any error, and reports it
                 why = str(error) if isinstance(error, HilError) else f"{type(error).__name__}: {error}"
                 sentence = f"shadow {name} dropped at t = {t_s:.3f} s: {why}"
                 self.dropped[name] = (t_s, sentence)

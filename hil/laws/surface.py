@@ -2,7 +2,7 @@
 
 With S1 = q - q_d, the virtual control x̄2 = q̇_d - K1 S1, its first-order filter ς ẋ2d + x2d = x̄2 and
 S2 = q̇ - x2d, the commanded acceleration is u = ẋ2d - K2 S2 (Nguyen Minh et al. 2023, AFDSC, equations 16 to
-18; the paper never states x̄2, and prints x2 for it in u). K1 and K2 are diagonal: one gain an axis.
+18; the paper never states x̄2, and prints x2 for it in u). K1 and K2 are diagonal: one gain per axis.
 
 The filter makes the robot lag: on a circle of radius r0 at rate ω the steady error is ς ω² r0 / K1.
 """

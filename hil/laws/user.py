@@ -1,4 +1,4 @@
-"""A law that is not ours: finds its class, and turns whatever its code raises into one readable sentence."""
+"""Laws of users and other packages: finds the class, and turns every exception of its code into a BadInputError."""
 
 import importlib
 import importlib.util
@@ -23,9 +23,8 @@ _METHODS = {
 def find_class(spec: str, base: Path, named: str) -> type:
     """Return the class named by ``"./my_law.py:MyLaw"`` (relative to ``base``) or ``"package.module:MyLaw"``.
 
-    Messages begin with ``named``. Raises BadInputError when there is no such file, module or class, when it fails
-    on import (with the place), and when the class lacks ``reset`` or ``update`` or they do not take what the tick
-    gives them.
+    Error messages begin with ``named``. Raises BadInputError when there is no such file, module or class, when the
+    import fails (with file and line), and when the class lacks ``reset`` or ``update`` or they have other arguments.
     """
     location, _, name = spec.rpartition(":")
     is_file = location.endswith(".py")
@@ -39,7 +38,7 @@ def find_class(spec: str, base: Path, named: str) -> type:
 
 
 def check_class(law: type, named: str) -> type:
-    """Return a class that can be a law. Raises BadInputError, which begins with ``named``, as ``find_class``."""
+    """Return the class if it can be a law. Raises BadInputError as ``find_class``; messages begin with ``named``."""
     for method, arguments in _METHODS.items():
         expected = f"{method}({', '.join(arguments)})"
         function = getattr(law, method, None)
@@ -52,12 +51,12 @@ def check_class(law: type, named: str) -> type:
 
 
 class UserLaw:
-    """A controller around a law of the user's own.
+    """A controller around a user's law.
 
-    The law is made with the first of the argument lists ``choices`` that its constructor takes; it may leave out
-    ``gains``, and ``signals`` with ``telemetry`` (``hil.core.ports.OwnSignals``). Messages begin with ``named``. Raises
-    BadInputError, with file and line, for whatever the law raises when it is made or run, and when its update returns
-    something else than a command in the mode of the run.
+    The law is made with the first of the argument lists ``choices`` that its constructor accepts. It need not have
+    ``gains``, nor ``signals`` and ``telemetry`` (``hil.core.ports.OwnSignals``). Error messages begin with ``named``.
+    Raises BadInputError, with file and line, for every exception of the law, and when its update does not return a
+    command in the mode of the run.
     """
 
     def __init__(self, named: str, law: type, mode: CommandMode, choices: list[tuple[object, ...]]) -> None:
@@ -87,13 +86,13 @@ class UserLaw:
         return values
 
     def reset(self, state: State, reference: Reference) -> None:
-        """Pass it on."""
+        """Reset the user's law."""
         with failures_of(self._named, "reset"):
             self._law.reset(state, reference)
 
     def update(self, reference: Reference, state: State, applied: Applied, dt_s: float) -> WheelCommand:
-        """Pass it on, and return the command if it is one."""
-        try:  # not failures_of: a context manager costs as much as a law
+        """Update the user's law; check and return its command."""
+        try:  # not failures_of: a context manager takes as long as a law
             command = self._law.update(reference, state, applied, dt_s)
         except BadInputError:
             raise
@@ -131,13 +130,13 @@ class UserLaw:
 def _import_file(named: str, path: Path) -> ModuleType:
     if not path.is_file():
         raise BadInputError(f"{named}: no file {path} (relative to the scenario's folder)")
-    # A name of its own: a user's file called random.py or dsc.py must not stand in for another module.
+    # A unique name: a user's file called random.py or dsc.py must not replace another module.
     name = f"_law_{path.stem}_{zlib.crc32(str(path.resolve()).encode()):08x}"
     description = importlib.util.spec_from_file_location(name, path)
     if description is None or description.loader is None:
         raise BadInputError(f"{named}: {path} is not a Python file")
     module = importlib.util.module_from_spec(description)
-    # Dataclasses look their module up there while it is being imported.
+    # Dataclasses look up their module there during the import.
     sys.modules[name] = module
     try:
         with failures_of(named, "importing it"):
@@ -153,7 +152,7 @@ def _import_module(named: str, name: str) -> ModuleType:
         try:
             return importlib.import_module(name)
         except ModuleNotFoundError as error:
-            # Only when the module asked for, or a package around it, is what is missing.
+            # Only if the requested module or a package around it is missing, not one that it imports.
             if error.name and (name == error.name or name.startswith(f"{error.name}.")):
                 raise BadInputError(
                     f"{named}: no module {error.name!r}; install it, or name a file as in './my_law.py:MyLaw'"

@@ -10,11 +10,11 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 _HALVINGS = 60
-"""Of a search for a speed: from there on the middle of two neighbouring floats is one of them."""
+"""Bisection steps of a search for a speed; they suffice for the precision of a float."""
 
 
 class Limits(NamedTuple):
-    """What a motion may need at most, in units of the way: speed [1/s], acceleration [1/s²], jerk [1/s³]."""
+    """Limits of a motion, in units of the way: speed [1/s], acceleration [1/s²], jerk [1/s³]."""
 
     speed: float
     acceleration: float
@@ -22,7 +22,7 @@ class Limits(NamedTuple):
 
 
 class Phase(NamedTuple):
-    """A time of constant jerk: its duration, and the way, speed, acceleration and jerk at its beginning."""
+    """A phase of constant jerk: its duration, and the way, speed, acceleration and jerk at its beginning."""
 
     duration_s: float
     way: float
@@ -32,14 +32,14 @@ class Phase(NamedTuple):
 
 
 def change_time_s(by: float, limits: Limits) -> float:
-    """Return how long a change of speed takes, ``by`` being its size."""
+    """Return how long a change of speed by the amount ``by`` takes [s]."""
     if by * limits.jerk <= limits.acceleration**2:
         return 2.0 * math.sqrt(by / limits.jerk)
     return by / limits.acceleration + limits.acceleration / limits.jerk
 
 
 def change_way(first: float, last: float, limits: Limits) -> float:
-    """Return the way on which the speed changes from one to the other."""
+    """Return the way covered while the speed changes from one to the other."""
     return 0.5 * (first + last) * change_time_s(abs(last - first), limits)
 
 
@@ -53,7 +53,7 @@ def reachable_speed(speed: float, way: float, limits: Limits) -> float:
 def profile(way: float, first: float, last: float, limits: Limits) -> list[Phase]:
     """Return the fastest profile over a way, from a first to a last speed.
 
-    Both must be within the limit, and the one reachable from the other: see ``reachable_speed``.
+    Both must be within the limit, and each reachable from the other: see ``reachable_speed``.
     """
 
     def fits(peak: float) -> bool:

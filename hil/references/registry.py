@@ -1,4 +1,4 @@
-"""From the kind of a reference in a scenario to a motion."""
+"""Makes the reference that a scenario's ``[reference]`` table describes."""
 
 import inspect
 from collections.abc import Mapping
@@ -27,14 +27,14 @@ SHIPPED: dict[str, type[Any]] = {
     "waypoints": Waypoints,
     "trajectory": Trajectory,
 }
-"""By the name in a scenario: a dataclass of options, which is the motion itself or reads it from a file."""
+"""By name in a scenario: the dataclass of its options. It is the motion itself, or reads the motion from a file."""
 
 _EXTENSIONS = Extensions("hil.references", SHIPPED)
 _EXPECTED = "expected ends, span_s and at(t_s), or read(directory) that returns an object with these (REFERENCES.md)"
 
 
 def references() -> list[tuple[str, str, str]]:
-    """Return name, package and one line about each kind: the shipped ones, then those of other packages, not loaded."""
+    """Return (name, package, description) of each kind: the shipped ones, then other packages', not imported."""
     shipped = [(name, OUR_PACKAGE, (inspect.getdoc(kind) or "").splitlines()[0]) for name, kind in SHIPPED.items()]
     return shipped + _EXTENSIONS.lines()
 
@@ -69,10 +69,10 @@ def reference_module(kind: str) -> str | None:
 
 
 class OutsideReference:
-    """A reference of another package. Raises BadInputError, with file and line, for whatever its code raises."""
+    """A reference of another package. Raises BadInputError, with file and line, for every exception of its code."""
 
     def __init__(self, where: str, source: Any) -> None:
-        """``where`` begins the messages. Raises BadInputError for a ``source`` that lacks a part of a reference."""
+        """``where`` begins error messages. Raises BadInputError if ``source`` lacks an attribute of a reference."""
         missing = [name for name in ("ends", "span_s", "at") if inspect.getattr_static(source, name, None) is None]
         if missing:
             raise BadInputError(f"{where}: {type(source).__name__} has no {missing[0]}; {_EXPECTED}")

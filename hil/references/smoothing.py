@@ -16,7 +16,7 @@ Series = npt.NDArray[np.float64]
 
 
 class SmoothingSpline:
-    """Splines over the same times, one a channel; see the module.
+    """Splines over the same times, one per channel; see the module's docstring.
 
     Args:
         t_s: times [s], ascending, at least 3.

@@ -53,8 +53,8 @@ def read_table(directory: Path, file: str, form: Format) -> list[Row]:
         raise BadInputError(f"{name}: {str(path)!r} cannot be read: {error.strerror}") from error
     except UnicodeDecodeError as error:
         raise BadInputError(
-            f"{name}: {str(path)!r} is not UTF-8 (byte 0x{error.object[error.start]:02X}, {error.start} from its "
-            "begin); save it as UTF-8"
+            f"{name}: {str(path)!r} is not UTF-8 (byte 0x{error.object[error.start]:02X} at offset "
+            f"{error.start}); save it as UTF-8"
         ) from error
     except ValueError as error:  # a zero byte in the path
         raise BadInputError(f"{name}: {str(path)!r} cannot be read: {error}") from error

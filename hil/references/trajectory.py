@@ -60,7 +60,7 @@ class Trajectory:
 
 
 class Played:
-    """A spline over time as a reference, with a smooth start and end if wanted."""
+    """A spline over time as a reference, optionally with a smooth start and end."""
 
     ends: ClassVar[bool] = True
 

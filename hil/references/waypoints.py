@@ -29,8 +29,8 @@ NEAREST_M = 0.001
 class Waypoints:
     """Straight from pose to pose of a CSV file, as fast as limits of speed, acceleration and jerk allow, then rest.
 
-    Columns: x_m, y_m, heading_rad, and if wanted speed_m_s (top speed on the way to the row) and dwell_s (rest there
-    for so long). The robot stops at each corner, or with ``corners = "blend"`` cuts it by ``blend_m`` of either leg.
+    Columns: x_m, y_m, heading_rad, and optionally speed_m_s (top speed on the way to the row) and dwell_s (time at
+    rest there). The robot stops at each corner, or with ``corners = "blend"`` cuts it by ``blend_m`` of either leg.
     """
 
     file: str

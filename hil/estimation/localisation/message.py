@@ -1,4 +1,4 @@
-"""The message of a pose fix from outside: one JSON object in one datagram (hil/estimation/ESTIMATORS.md). Pure.
+"""The message of an external pose fix: one JSON object in one datagram (hil/estimation/ESTIMATORS.md). No I/O.
 
 {"version": 1, "age_s": 0.1, "x_m": 1.0, "y_m": 0.5, "heading_rad": 0.7,
  "covariance": [4e-4, 0, 0, 4e-4, 0, 1e-4]}
@@ -20,7 +20,7 @@ _EXPECTED = 'expected "simulated" or udp://127.0.0.1:PORT with a port from 1 to 
 def parse_address(address: str, named: str = "estimator.fix", expected: str = _EXPECTED) -> tuple[str, int]:
     """Return host and port of ``udp://HOST:PORT``; without a host it is 127.0.0.1.
 
-    The address of another network must be given in numbers, because whoever can send there moves the robot's pose.
+    Other hosts must be given as an IPv4 address in numbers, because whoever can send there moves the robot's pose.
     Raises BadInputError, which begins with ``named``, for anything else.
     """
     refusal = f"{named} = {address!r}"
@@ -50,7 +50,7 @@ _STAMPS = ("age_s", "unix_time_s")
 
 
 class Refused(Exception):  # noqa: N818 - no error of ours: a datagram is refused and counted
-    """A datagram is no valid fix; it is counted by ``cause``."""
+    """A datagram is not a valid fix; it is counted by ``cause``."""
 
     def __init__(self, cause: str) -> None:
         super().__init__(cause)

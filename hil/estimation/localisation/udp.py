@@ -10,8 +10,8 @@ from hil.core.errors import BadInputError
 from hil.core.types import MeasuredPose, PoseFix
 from hil.estimation.localisation.message import Refused, parse, parse_address
 
-_AT_MOST = 16  # datagrams a poll; the rest waits for the next poll
-_SKIPPED_AT_MOST = 1024  # more than a usual socket holds; a flood cannot delay the tick for ever
+_AT_MOST = 16  # datagrams per poll; the rest waits for the next poll
+_SKIPPED_AT_MOST = 1024  # more than a usual socket holds; a flood of datagrams cannot block the tick
 _BUFFER_BYTES = 65536
 _FUTURE_S = 0.010
 _NS = 1e9
