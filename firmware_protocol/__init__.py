@@ -1,5 +1,5 @@
-"""The wheel-command protocol and the firmware that speaks it. Imports nothing else of this project.
+"""The wheel-command protocol and its firmware. Imports nothing else of this project.
 
-``wheel.dbc`` defines the wire and ``PROTOCOL.md`` explains it; ``generated`` holds the codecs made from the
-former, ``codec`` and ``framing`` turn messages into frames and frames into bytes, without any I/O.
+``wheel.dbc`` defines the messages and ``PROTOCOL.md`` explains them; ``generated`` holds the codecs generated from
+``wheel.dbc``; ``codec`` turns messages into frames, ``framing`` frames into bytes. None of them does any I/O.
 """

@@ -42,13 +42,13 @@ _HIL = ("plant_line", "plant_codec", "usart", "lockstep")
 _VARIANTS = {
     "motors": ("clock_crystal", "plant_motors", "pwm", "encoders", "analog"),
     "hil": ("clock_crystal", *_HIL),
-    "hil-emulated": ("clock_emulated", *_HIL),  # clock_init is all that differs
+    "hil-emulated": ("clock_emulated", *_HIL),  # differs only in clock_init
 }
 _LINKS = {"serial": ("host_serial", "usart"), "can": ("host_can",)}
 
 
 class Target(NamedTuple):
-    """One firmware: what it does with its drives, the board, and the line to the host."""
+    """One firmware: its variant (how it drives its motors), its board, and its link to the host."""
 
     variant: str
     board: str
@@ -111,7 +111,7 @@ _ZIG = (
 
 @dataclass(frozen=True)
 class Built:
-    """A built firmware: ``elf``, with ``.hex`` and ``.bin`` beside it. ``stack`` is None where no gcc built it."""
+    """A built firmware: ``elf``, with ``.hex`` and ``.bin`` beside it. ``stack`` is None if zig built it."""
 
     target: Target
     elf: Path
@@ -129,9 +129,9 @@ def source_hash(target: Target) -> int:
 
 
 def build(target: Target, output: Path = OUTPUT) -> Built:
-    """Build one firmware into the folder ``output``, with gcc where it is there, else with zig.
+    """Build one firmware into the folder ``output``, with gcc if it is installed, otherwise with zig.
 
-    Raises BuildError when neither is there, or with the compiler's words.
+    Raises BuildError when neither is installed, or with the compiler's message when it fails.
     """
     output.mkdir(parents=True, exist_ok=True)
     elf = output / f"{target.name}.elf"

@@ -1,4 +1,4 @@
-"""Firmware images: reads what a linked ELF puts where, and writes it as Intel HEX and as plain bytes."""
+"""Firmware images: reads a linked ELF file, and writes it as Intel HEX and as plain bytes."""
 
 import struct
 from dataclasses import dataclass
@@ -18,11 +18,11 @@ _HEX_BYTES = 16
 
 @dataclass(frozen=True)
 class Image:
-    """What is programmed into the flash, and how much memory it takes.
+    """The content of the flash, and the memory that a firmware takes.
 
-    ``segments`` are (address, bytes), in the order of their addresses. ``text`` is code and constants, ``data``
-    variables with a start value (they take flash too), ``bss`` those without, ``stack`` what is kept for the stack; all
-    in bytes.
+    ``segments`` are (address, bytes), in the order of their addresses. In bytes: ``text`` is code and constants,
+    ``data`` variables with a start value (they take flash too), ``bss`` variables without one, ``stack`` the space
+    reserved for the stack.
     """
 
     segments: tuple[tuple[int, bytes], ...]
@@ -43,10 +43,10 @@ class Image:
 
 
 def read_elf(path: Path) -> Image:
-    """Read a linked 32-bit ARM ELF. Raises ValueError when it is none, or not whole."""
+    """Read a linked 32-bit ARM ELF file. Raises ValueError for another kind of file, or one that is incomplete."""
     elf = path.read_bytes()
     if elf[:6] != _ELF32_LITTLE or len(elf) < _HEADER.size:
-        raise ValueError(f"{path} is no 32-bit little-endian ELF file")
+        raise ValueError(f"{path} is not a 32-bit little-endian ELF file")
     head = _HEADER.unpack_from(elf)
     if head[2] != _MACHINE_ARM:
         raise ValueError(f"{path} is for ELF machine {head[2]}: expected {_MACHINE_ARM}, ARM")
@@ -83,7 +83,7 @@ def _image(elf: bytes, head: tuple[Any, ...]) -> Image:
 
 
 def write_bin(image: Image, path: Path) -> None:
-    """Write the bytes from the first address on; gaps are as erased flash is, 1."""
+    """Write the bytes from the first address on; gaps are filled with FF, like erased flash."""
     start = image.segments[0][0]
     plain = bytearray()
     for address, data in image.segments:
@@ -92,7 +92,7 @@ def write_bin(image: Image, path: Path) -> None:
 
 
 def write_hex(image: Image, path: Path) -> None:
-    """Write Intel HEX with 16 bytes a record and extended linear addresses."""
+    """Write Intel HEX with 16 bytes per record and extended linear addresses."""
     lines = []
     high = -1
     for address, data in image.segments:

@@ -1,8 +1,8 @@
-"""Worst-case stack of a firmware, from what gcc says of each function and from who calls whom in the linked code.
+"""Worst-case stack of a firmware, from gcc's stack usage of each function and the calls in the linked code.
 
-Frames are those of ``-fstack-usage``; calls are read from the disassembly of what was linked. A call through a pointer
-may reach each function whose address stands as a word in the code or its constants, apart from the vector table
-(``-mword-relocations`` leaves no other way). Interrupts do not nest: all have the same priority.
+Frames are those of ``-fstack-usage``; calls are read from the disassembly of the linked file. A call through a pointer
+may reach each function whose address occurs as a word in the code or its constants, apart from the vector table
+(``-mword-relocations`` excludes any other way). Interrupts do not nest: all have the same priority.
 """
 
 import re
@@ -25,14 +25,14 @@ _USAGE = re.compile(r"^[^\t]*:(?P<name>[^:\t]+)\t(?P<bytes>\d+)\t(?P<kind>\S+)$"
 
 _ENTRY = "reset"
 _EXCEPTION_FRAME = 108
-"""Bytes that the core pushes when an interrupt comes, with floating-point registers and alignment (ARMv7-M, B1.5.7)."""
+"""Bytes that the core pushes at an interrupt, with floating-point registers and alignment (ARMv7-M, B1.5.7)."""
 
 
 @dataclass(frozen=True)
 class StackUse:
-    """The deepest the stack can get: ``main`` and ``interrupt`` are the chains of (function, bytes) that make it.
+    """The deepest use of the stack: ``main`` and ``interrupt`` are the chains of (function, bytes) that cause it.
 
-    ``indirect`` names the functions that call through a pointer, ``reachable`` what those calls may reach.
+    ``indirect`` names the functions that call through a pointer, ``reachable`` the functions those calls may reach.
     """
 
     main: tuple[tuple[str, int], ...]
@@ -82,9 +82,9 @@ class _Program:
 
 
 def worst_stack(disassembly: str, usage: str, image: Image) -> StackUse:
-    """Return the worst-case stack. ``disassembly`` is objdump's, ``usage`` gcc's .su files one after the other.
+    """Return the worst-case stack. ``disassembly`` is objdump's, ``usage`` the content of gcc's .su files.
 
-    Raises BuildError when it has no bound: recursion, a frame of changing size, or a function without a known frame.
+    Raises BuildError when it has no bound: recursion, a frame of variable size, or a function without a known frame.
     """
     functions = _read_functions(disassembly)
     program = _Program(functions, _read_usage(usage), _read_words(image, min(functions)))
@@ -115,8 +115,8 @@ def _read_functions(disassembly: str) -> dict[int, _Function]:
             elif _POINTER.match(operation) and operands.strip() != "lr":
                 current.by_pointer = True
     for function, address, is_call in branches:
-        # A branch into the middle of a function is one of its own, and one to its own beginning is a loop. Any other to
-        # a beginning is a call at the end of a function.
+        # A branch into the middle of a function stays in it, and one to its own beginning is a loop. A branch to
+        # another function's beginning is a tail call.
         if address in functions and (is_call or functions[address] is not function):
             function.calls.add(address)
     return functions
@@ -133,7 +133,7 @@ def _read_usage(usage: str) -> dict[str, int]:
 
 
 def _read_words(image: Image, start: int) -> frozenset[int]:
-    """Return the words of the image from ``start`` on; before the first function is the vector table."""
+    """Return the words of the image from ``start``, the first function, on; the vector table is before it."""
     words: set[int] = set()
     for address, data in image.segments:
         own = data[max(0, start - address) :]

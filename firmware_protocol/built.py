@@ -1,8 +1,8 @@
-"""Native files: what each is built from, and whether the file that is there was built from the sources beside it.
+"""Native files: the sources of each, and whether the built file matches its present sources.
 
-A build script of ``tools/build`` writes a hash of the sources into what it makes. Loading compares that hash with the
-sources that are there. A stale file is built anew in a checkout and refused elsewhere. Time stamps are not compared: a
-file that git or a copy has put back is older and different all the same.
+A build script of ``tools/build`` writes a hash of the sources into its output. Loading compares that hash with the
+present sources. A stale file is rebuilt in a checkout, and refused elsewhere. Time stamps are not compared: a file that
+git or a copy has restored may be older and yet different.
 """
 
 import hashlib
@@ -18,7 +18,7 @@ HERE = Path(__file__).parent
 ROOT = HERE.parent
 """The top of a checkout, or site-packages."""
 SUFFIX = {"win32": ".dll", "darwin": ".dylib"}.get(sys.platform, ".so")
-# Without fused multiply-add the same sources give the same numbers on every machine that rounds by IEEE 754.
+# Without fused multiply-add the same sources give the same numbers on every machine with IEEE 754 rounding.
 FLAGS = (
     "-std=c11",
     "-O3",
@@ -37,15 +37,15 @@ class BuildError(Exception):
 
 
 class Built(NamedTuple):
-    """A file that is built from sources of ours.
+    """A file that is built from this project's sources.
 
     Attributes:
         path: the library or FMU.
         module: the script that builds it, as in ``python -m MODULE``.
-        sources: the files that it is made of.
-        read: returns the hash that a file of this kind holds, None where it holds none.
-        root: where the packages are.
-        flags: the compiler's, which decide what it does as the sources do.
+        sources: the files that it is built from.
+        read: returns the hash that a file of this kind holds, or None.
+        root: the folder of the packages.
+        flags: the compiler's flags; they are part of the hash.
     """
 
     path: Path
@@ -56,7 +56,7 @@ class Built(NamedTuple):
     flags: tuple[str, ...] = FLAGS
 
     def digest(self) -> str | None:
-        """Return the SHA-256 of sources and flags, in hex; None where there are no sources."""
+        """Return the SHA-256 of sources and flags, in hex; None if no source exists."""
         there = sorted(source for source in self.sources if source.is_file())
         if not there:
             return None
@@ -67,37 +67,37 @@ class Built(NamedTuple):
         return digest.hexdigest()
 
     def is_current(self) -> bool:
-        """Return whether the file is there and was built from its sources, as far as these are there."""
+        """Return whether the file exists and was built from its present sources, or no sources exist."""
         return self.path.is_file() and self.digest() in (None, self.read(self.path))
 
     def make_current(self) -> None:
-        """Build the file anew unless it is current, in a process of its own, and say so on stderr.
+        """Build the file again if it is not current, in its own process, with a line on stderr.
 
-        Several processes may do so at once: each builds the same file and puts it in place as a whole. Raises
-        BuildError outside a checkout, and with the build's own words where it fails.
+        Several processes may do so at once: each builds the same file and replaces it as a whole. Raises BuildError
+        outside a checkout, and with the build's own message when it fails.
         """
         if self.is_current():
             return
         problem = "was not built from the sources beside it" if self.path.is_file() else "is not built"
         if not is_checkout(self.root):
             raise BuildError(
-                f"{self.path} {problem}, and this is no checkout in which it could be; install the package anew"
+                f"{self.path} {problem}, and it can only be built in a checkout; install the package again"
             )
         print(f"{self.path.name} {problem}: running python -m {self.module}", file=sys.stderr)
         done = run_script(self.module, root=self.root)
-        # Another process may have built it meanwhile: Windows lets nobody replace a library that is loaded.
+        # Another process may have built it meanwhile: Windows does not allow replacing a loaded library.
         if not self.is_current():
             words = done.stderr.strip() or f"it ended with exit code {done.returncode}"
             raise BuildError(f"{self.path} {problem}, and python -m {self.module} could not build it: {words}")
 
 
 def is_checkout(root: Path = ROOT) -> bool:
-    """Return whether the packages are those of a checkout, with the scripts that build, and not installed ones."""
+    """Return whether the packages are in a checkout, with the build scripts, rather than installed."""
     return (root / "pyproject.toml").is_file()
 
 
 def run_script(module: str, *arguments: str, root: Path = ROOT) -> "subprocess.CompletedProcess[str]":
-    """Run a script of the checkout, ``python -m MODULE``, to its end and return its exit code and output."""
+    """Run a script of the checkout, ``python -m MODULE``, and return its exit code and output."""
     command = [sys.executable, "-m", module, *arguments]
     return subprocess.run(command, cwd=root, capture_output=True, text=True, errors="replace", check=False)
 
@@ -108,7 +108,7 @@ def mark(digest: str) -> str:
 
 
 def digest_in_library(library: Path) -> str | None:
-    """Return the hash that ``mark`` has put into a library, without loading it; None where there is none."""
+    """Return the hash that ``mark`` has put into a library, without loading it; None without one."""
     found = re.search(_MARK.encode() + b"([0-9a-f]{64})\0", library.read_bytes())
     return None if found is None else found[1].decode()
 
@@ -127,6 +127,7 @@ WHEEL_HOST = Built(
     flags=FIRMWARE_FLAGS,
 )
 """The firmware core as a shared library of this machine. It is loaded with cffi's ABI mode, which needs neither
-Python's headers nor a compiler where it runs."""
-# A library built in another way takes its place, to measure what tests cover or notice.
+Python's headers nor a compiler where it runs.
+"""
+# Another build of the library may replace it, to measure which code the tests cover.
 OTHER = os.environ.get("WHEEL_HOST_LIBRARY")

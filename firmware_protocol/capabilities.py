@@ -1,4 +1,4 @@
-"""What a robot says that it can do (DBC HELLO_IDENTITY.capabilities, ``firmware/node.h``)."""
+"""The capabilities that a robot reports (DBC HELLO_IDENTITY.capabilities, ``firmware/node.h``)."""
 
 from enum import IntFlag
 

@@ -23,14 +23,14 @@ def encode(message: Message) -> Frame:
 
 
 def decode(frame: Frame) -> Message | None:
-    """Return the message of a frame, or None when it is not one; ``refusal`` then tells why. Never raises."""
+    """Return the message of a frame, or None if it is not a message; ``refusal`` then returns why. Never raises."""
     number, payload = frame
     decoder = DECODERS.get(number)
     return None if decoder is None else decoder(payload)
 
 
 def refusal(frame: Frame) -> Refusal:
-    """Return why ``decode`` gave None for this frame; asked for the counters only."""
+    """Return why ``decode`` returned None for this frame; only the counters need it."""
     length = LENGTHS.get(frame.id)
     if length is None:
         return "unknown_id"

@@ -1,4 +1,4 @@
-"""Writes the C codec: one header, one source, formatted as .clang-format asks.
+"""Generates the C codec: one header and one source, formatted by the rules of .clang-format.
 
 C11, freestanding: no libm, no double, no allocation, no dependence on the byte order of the machine.
 """
@@ -97,7 +97,9 @@ def _parameter_lines(schema: Schema) -> Iterator[str]:
 
 
 def _list_macro(name: str, rows: Iterable[tuple[str, ...]]) -> Iterator[str]:
-    """Yield a macro that calls its argument X with each row; clang-format, which knows no such list, stays off."""
+    """Yield a macro that calls its argument X with each row. clang-format is off there, because it cannot format such
+    lists.
+    """
     yield "/* clang-format off */"
     yield f"#define {name}(X) \\"
     yield " \\\n".join(f"    X({', '.join(row)})" for row in rows)

@@ -1,4 +1,4 @@
-"""Writes the Python codec: one NamedTuple a message, straight-line code, standard library only."""
+"""Generates the Python codec: one NamedTuple per message, straight-line code, standard library only."""
 
 import textwrap
 from collections.abc import Iterator, Sequence
@@ -112,14 +112,14 @@ def _docstring(m: Message) -> Iterator[str]:
 
 
 def _struct_format(m: Message) -> str:
-    """Return the struct format of a message whose fields are whole bytes, else an empty string."""
+    """Return the struct format of a message whose fields are whole bytes; otherwise an empty string."""
     if not all(s.byte_aligned for s in m.signals):
         return ""
     return "<" + "".join(_LETTERS[s.length].lower() if s.scaled else _LETTERS[s.length] for s in m.signals)
 
 
 def _words(m: Message) -> list[list[Signal]]:
-    """Return the signals of a message by the 8, 16 or 32 bits that they share; none where it is not made of such."""
+    """Group a message's signals into words of 8, 16 or 32 bits; return an empty list if that is not possible."""
     words: list[list[Signal]] = [[]]
     end = 0
     for s in m.signals:

@@ -1,11 +1,11 @@
-"""Frames, and serial framing without I/O: frames to bytes, and bytes, whatever they are, back to frames.
+"""Frames, and serial framing without I/O: frames to bytes, and any bytes back to frames.
 
 On the wire a frame is ``COBS(id16 LE | sequence8 | payload | CRC16-CCITT-FALSE LE) 00`` (PROTOCOL.md, "Serial
-framing"). A zero byte ends a frame and occurs nowhere else, so that a receiver that was disturbed is back in
-step at the next zero.
+framing"). A zero byte ends a frame and occurs nowhere else, so that a receiver resynchronises at the next zero after a
+disturbance.
 
-A run's own line is ``firmware_protocol.host_line``, which is the firmware's C. What is here owes nothing to that: who
-judges a firmware listens by it.
+Runs use ``firmware_protocol.host_line`` instead, which calls the firmware's C code. This module is independent of that
+code, so that it can be used to check a firmware.
 """
 
 from binascii import crc_hqx
@@ -26,31 +26,32 @@ MAX_ENCODED = _HEADER + max(LENGTHS.values()) + _CRC + 1
 """Bytes of the longest frame on the wire without its zero; COBS adds one byte to less than 254."""
 
 _UNPACK = [Struct(f"<HB{max(0, size - _HEADER - _CRC)}sH").unpack for size in range(MAX_ENCODED)]
-# By the size of a frame before COBS, which is at least one less than after it.
+# By the size of a frame before COBS, which is at least one byte less than after it.
 
 FRAME_OVERHEAD = _HEADER + _CRC + 2
-"""Bytes of a frame on the wire beside its payload: header, CRC, the byte that COBS adds, and the zero. An ESTOP has
-one zero more, before it."""
+"""Bytes of a frame on the wire besides its payload: header, CRC, the byte that COBS adds, and the zero. An ESTOP has
+one more zero, before it.
+"""
 
 CAUSES = ("cobs", "crc", "length", "unknown_id", "overrun")
 """Why a received frame is dropped: the keys of ``Deframer.rejected``."""
 
 
 class Frame(NamedTuple):
-    """An identifier of 11 bits and the payload of that message: what serial and CAN have in common."""
+    """An 11-bit identifier and the payload of its message: the same on serial and CAN."""
 
     id: int
     payload: bytes
 
 
 make_frame: Callable[[tuple[int, bytes]], Frame] = MethodType(tuple.__new__, Frame)
-"""Return the frame of a pair, in half the time that ``Frame`` takes: for those that are made by the thousand."""
+"""Return the frame of a pair, in half the time of ``Frame(...)``: for code that makes thousands of them."""
 
 
 class PackedFrames(Sequence[Frame]):
-    """Frames one after the other in ``packed``, as C has them: id16 LE, length8, payload.
+    """Frames stored one after the other in ``packed``, in C's layout: id16 LE, length8, payload.
 
-    Each is made into a ``Frame`` when it is asked for.
+    Each becomes a ``Frame`` when it is accessed.
     """
 
     __slots__ = ("_count", "packed")
@@ -78,7 +79,7 @@ class PackedFrames(Sequence[Frame]):
 
 _PACKED_HEADER = Struct("<HB")
 PACKED_HEADERS = {(number, length): _PACKED_HEADER.pack(number, length) for number, length in LENGTHS.items()}
-"""What stands before the payload of a packed frame, by id and length: of all frames that can be sent."""
+"""The bytes before the payload of a packed frame, by id and length, for all frames that can be sent."""
 
 
 def pack(frames: Iterable[Frame]) -> bytes:
@@ -88,7 +89,7 @@ def pack(frames: Iterable[Frame]) -> bytes:
 
 
 def packed_frame(packed: bytes, at: int) -> tuple[Frame, int]:
-    """Return the packed frame that begins at a place, and the place of the next one."""
+    """Return the packed frame at position ``at``, and the position of the next one."""
     number, length = _PACKED_HEADER.unpack_from(packed, at)
     begin = at + _PACKED_HEADER.size
     end = begin + length
@@ -114,10 +115,10 @@ class Framer:
         self._sequence = 0
 
     def encode(self, frame: Frame) -> bytes:
-        """Return the bytes for the wire, with the final zero, and for an ESTOP with one before it too.
+        """Return the bytes for the wire, with the final zero; an ESTOP also has a zero before it.
 
-        Raises ValueError when no message has the frame's id, or when the payload has not the length that the
-        id asks for: the other side would drop it.
+        Raises ValueError when no message has the frame's id, or when the payload does not have the id's length: the
+        other side would drop it.
         """
         number, payload = frame
         if LENGTHS.get(number) != len(payload):
@@ -125,18 +126,18 @@ class Framer:
         body = (number | self._sequence << 16).to_bytes(_HEADER, "little") + payload
         self._sequence = (self._sequence + 1) & 0xFF
         encoded: bytes = cobs.encode(body + crc_hqx(body, _CRC_START).to_bytes(_CRC, "little"))
-        # An emergency stop is not to be lost behind half a frame that the line still holds.
+        # The leading zero ends a partial frame that the line may still hold, so that an emergency stop is not lost
+        # behind it.
         return b"\0" + encoded + b"\0" if number == Estop.ID else encoded + b"\0"
 
 
 class Deframer:
-    """The receiving side of one serial line. No byte raises: what is no valid frame is dropped and counted.
+    """The receiving side of one serial line. Raises no error: what is not a valid frame is dropped and counted.
 
-    ``rejected`` counts dropped frames by cause: ``cobs`` (not a COBS encoding), ``crc``, ``length`` (not the
-    length that the id asks for, or too short for a frame), ``unknown_id``, and ``overrun`` (more bytes
-    without a zero than the longest frame has). ``lost`` counts the frames that the sender counted and that
-    did not arrive whole; 128 and more in a row go unseen. ``bytes`` and ``frames`` count what arrived and
-    what was returned. Memory is bounded by one frame.
+    ``rejected`` counts dropped frames by cause: ``cobs`` (not a COBS encoding), ``crc``, ``length`` (not the length of
+    its id, or too short for a frame), ``unknown_id``, and ``overrun`` (more bytes without a zero than the longest frame
+    has). ``lost`` counts the frames that the sender numbered but that did not arrive intact; 128 and more in a row go
+    unnoticed. ``bytes`` and ``frames`` count received bytes and returned frames. Memory is bounded by one frame.
     """
 
     def __init__(self) -> None:
@@ -159,7 +160,7 @@ class Deframer:
         decode, expected = cobs.decode, self._expected_sequence
         for encoded in ended:
             if not encoded:
-                continue  # two zeros in a row are no error: a sender may begin with one to clear the line
+                continue  # two zeros in a row are no error: a sender may start with one to clear the line
             if len(encoded) > MAX_ENCODED:
                 self.rejected["overrun"] += 1
                 continue
@@ -177,7 +178,7 @@ class Deframer:
                 self.rejected["crc"] += 1
                 continue
             if sequence != expected:
-                self._count_lost(sequence, expected)  # the CRC holds, so the sender sent it, whatever it is
+                self._count_lost(sequence, expected)  # the CRC is right, so the sender has sent it, whatever its id
             expected = (sequence + 1) & 0xFF
             if _SIZES.get(number) == size:
                 frames.append(make_frame((number, payload)))
@@ -199,15 +200,17 @@ class Deframer:
             self._open = b""
 
     def _count_lost(self, sequence: int, expected: int | None) -> None:
-        """Count what is missing before a frame that is not the one that was expected, None before the first."""
+        """Count the frames missing before this one. ``expected`` is the expected number, None before the first
+        frame.
+        """
         if expected is not None:
             missing = (sequence - expected) & 0xFF
-            # Half the circle or more is a repeated frame or a sender that began anew: nothing was lost.
+            # Half the circle or more is a repeated frame or a restarted sender: nothing was lost.
             self.lost += missing if missing < 128 else 0
 
 
 def unsendable(frame: Frame) -> ValueError:
-    """Return the error for a frame that is no message's, or has not the length of its id."""
+    """Return the error for a frame whose id belongs to no message, or whose length is not that of its id."""
     length = LENGTHS.get(frame.id)
     expected = "the id of a message of wheel.dbc" if length is None else f"{length} bytes"
     return ValueError(f"frame {frame.id:#05x} with {len(frame.payload)} bytes: expected {expected}")

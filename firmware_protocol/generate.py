@@ -1,7 +1,7 @@
 """Writes the codecs and the tables of PROTOCOL.md from wheel.dbc and parameters.toml.
 
-``python -m firmware_protocol.generate`` writes them; with ``--check`` it writes nothing, names the files that
-are not what it would write, and exits 1. The output holds no time stamp and no version of any tool.
+``python -m firmware_protocol.generate`` writes them; with ``--check`` it writes nothing, names the stale files, and
+exits 1. The output contains no time stamp and no tool version.
 """
 
 import argparse
@@ -34,7 +34,7 @@ def outputs(schema: Schema, root: Path) -> dict[Path, str]:
 
 
 def _document(document: str, schema: Schema) -> str:
-    """Return PROTOCOL.md with its generated parts made anew: the load of the links, the parameters, the messages."""
+    """Return PROTOCOL.md with its generated parts renewed: the load of the links, the parameters, the messages."""
     parts = document.split(BEGIN)
     tables = (_load_table(schema), _parameter_table(schema), _tables(schema))
     if len(parts) != 1 + len(tables) or not all(END in part for part in parts[1:]):
@@ -65,7 +65,9 @@ def _parameter_table(schema: Schema) -> Iterator[str]:
 
 
 def _frames_s(m: Message, loop_hz: int) -> int:
-    """Return how often a message is sent in a run with a speed loop on the robot; what is asked for by hand is not."""
+    """Return how often a message is sent [1/s] in a run with a speed loop on the robot; 0 for messages sent on
+    request.
+    """
     if m.rate == "loop":
         return loop_hz
     if match := re.fullmatch(r"loop, at most (\d+) Hz", m.rate):
@@ -75,7 +77,7 @@ def _frames_s(m: Message, loop_hz: int) -> int:
 
 
 def _load_table(schema: Schema) -> Iterator[str]:
-    """Yield what the messages at their rates make of each link; a CAN frame has 47 bits beside its payload."""
+    """Yield a table of each link's load by the messages at their rates; a CAN frame has 47 bits besides its payload."""
     baud_rates = (115_200, 921_600, 2_000_000)
     heads = [f"{baud} baud, up / down" for baud in baud_rates]
     yield "| loop | robot to host | host to robot | " + " | ".join(heads) + " | CAN 1 Mbit/s |"

@@ -1,7 +1,7 @@
-"""The firmware core of the host library, as one object: bytes or CAN frames in, bytes or CAN frames out.
+"""The firmware core in the host library, as one object: it takes and gives bytes or CAN frames.
 
-Time passes by ``run`` or by a STEP that arrives; the plant is a C function (``firmware/plant_port.h``), so that a
-tick costs no Python call.
+Time passes by ``run`` or by a received STEP. The plant is a C function (``firmware/plant_port.h``), so that a tick
+needs no Python call.
 """
 
 import functools
@@ -31,17 +31,17 @@ _HEADERS = (
 _SECTION = re.compile(r"/\* cffi: begin \*/(.*?)/\* cffi: end \*/", re.DOTALL)
 _BYTES = 1 << 17  # twice what all frames of a full queue take (WHEEL_HOST_QUEUE)
 
-# The host library has no power stage of its own, and whether time comes from STEP is its user's choice.
+# The host library has no power stage of its own, and its user decides whether time comes from STEP.
 _NOTHING = Capability(0)
 _CAN_DO = ~(Capability.POWER_STAGE | Capability.LOCKSTEP)
 
 
 class Loaded(NamedTuple):
-    """A native library as it was loaded.
+    """A loaded native library.
 
     Attributes:
-        ffi: of cffi. library: of cffi. sha256: of the file, in hex. sources_sha256: of the sources that it was built
-        from, None where it does not say.
+        ffi, library: cffi's objects. sha256: hash of the file, in hex. sources_sha256: hash of the sources that it was
+            built from, None if the file holds none.
     """
 
     ffi: Any
@@ -53,27 +53,26 @@ class Loaded(NamedTuple):
 def library() -> tuple[Any, Any]:
     """Return cffi's (ffi, library), with the declarations taken from the C headers themselves.
 
-    A library that was not built from the sources beside it is built anew in a checkout. Raises BuildError where
-    that cannot be done.
+    A library that does not match its sources is rebuilt in a checkout. Raises BuildError if that is not possible.
     """
     return loaded()[:2]
 
 
 @functools.cache
 def loaded() -> Loaded:
-    """Return what ``library`` does, and what was loaded. Raises as ``library``."""
+    """Load the library once, and return it with its hashes. Raises as ``library``."""
     if OTHER is None:
         WHEEL_HOST.make_current()
     path = WHEEL_HOST.path if OTHER is None else Path(OTHER)
     if not path.is_file():
-        raise BuildError(f"{path} is not there; build it, or leave WHEEL_HOST_LIBRARY out")
+        raise BuildError(f"{path} does not exist; build it, or unset WHEEL_HOST_LIBRARY")
     here = Path(__file__).parent
     table = "extern const wheel_parameter_info wheel_parameter_table[];"
     return load_library(path, [here / header for header in _HEADERS], table)
 
 
 def load_library(path: Path, headers: Iterable[Path], declarations: str = "") -> Loaded:
-    """Load a library, with what C headers declare between their marks for cffi, and with further declarations."""
+    """Load a library, with the declarations that C headers mark for cffi, and further ``declarations``."""
     ffi = cffi.FFI()
     for header in headers:
         for section in _SECTION.findall(header.read_text(encoding="utf-8")):
@@ -84,7 +83,7 @@ def load_library(path: Path, headers: Iterable[Path], declarations: str = "") ->
 
 
 class Parameter(NamedTuple):
-    """A row of the firmware's parameter table; ``type`` is that of the value on the wire."""
+    """A row of the firmware's parameter table; ``type`` is the value's type on the wire."""
 
     name: str
     type: Type
@@ -115,9 +114,9 @@ def stored_size() -> int:
 
 
 def stored_parameters(values: Mapping[str, float], board: int) -> bytes:
-    """Return what a board that stored these parameters keeps across a reset; board 0 is the host library's.
+    """Return the bytes that a board keeps across a reset after storing these parameters; board 0 is the host library's.
 
-    Raises ValueError when a parameter is unknown, missing or out of its range.
+    Raises ValueError when a parameter is unknown, missing or out of range.
     """
     ffi, lib = library()
     block = _parameter_block(values)
@@ -140,7 +139,7 @@ def _parameter_block(values: Mapping[str, float]) -> Any:
 
 
 class View(NamedTuple):
-    """A look inside the firmware, for tests, ground truth and reports; nothing of it crosses the wire."""
+    """The firmware's inner state, for tests, ground truth and reports; none of it is sent on the wire."""
 
     tick: int
     state: State
@@ -159,16 +158,16 @@ class View(NamedTuple):
 class HostNode:
     """One robot's firmware on this machine.
 
-    ``exchange_address`` and ``context_address`` are the C function and its context that play the plant; their owner
-    keeps them alive as long as this object. ``values`` gives every parameter of ``parameters()``. ``power_stage``
-    makes it report motors, as a board with motors does; it then refuses STEP. ``lacks`` are sensors that its plant has
-    not. ``stored`` is what ``stored()`` of an earlier life gave: parameters kept across a reset, which a damaged copy
-    does not change. ``reset_cause`` is why this life begins, as STATUS tells it.
+    ``exchange_address`` and ``context_address`` are the plant's C function and its context; their owner keeps them
+    alive as long as this object. ``values`` gives every parameter of ``parameters()``. ``power_stage`` makes it report
+    motors, like a board with motors; it then refuses STEP. ``lacks`` are sensors that its plant does not have.
+    ``stored`` is the result of an earlier node's ``stored()``: parameters kept across a reset; a damaged copy is
+    ignored. ``reset_cause`` is reported in STATUS.
 
-    Raises ValueError when a parameter is unknown, missing or out of its range, or ``stored`` has a wrong length.
+    Raises ValueError when a parameter is unknown, missing or out of range, or ``stored`` has a wrong length.
 
     Attributes:
-        handle: the C struct, valid as long as this object, for others of the library's functions.
+        handle: the C struct, for other functions of the library; valid as long as this object.
     """
 
     def __init__(
@@ -198,7 +197,7 @@ class HostNode:
             raise ValueError(f"{len(stored)} stored bytes; expected {stored_size()}")
         kept = self._ffi.NULL if stored is None else self._ffi.new("uint8_t[]", stored)
         self._lib.wheel_host_init(self.handle, block, kept, capabilities, reset_cause, exchange, context)
-        # What a call looks up each time costs as much as the call.
+        # Attributes are looked up once, because a lookup costs as much as the call.
         self._feed, self._take_bytes = self._lib.wheel_host_feed, self._lib.wheel_host_take_bytes
 
     def feed(self, data: bytes) -> None:
@@ -214,23 +213,23 @@ class HostNode:
         self._lib.wheel_host_set_clock(self.handle, now_us & 0xFFFF_FFFF)
 
     def stored(self) -> bytes | None:
-        """Return what the robot keeps across a reset: the newest STORE, or None."""
+        """Return the bytes that the robot keeps across a reset (the newest STORE), or None."""
         size = stored_size()
         block = self._ffi.new("uint8_t[]", size)
         return bytes(self._ffi.buffer(block, size)) if self._lib.wheel_host_stored(self.handle, block) else None
 
     def run(self, ticks: int) -> None:
-        """Let so many 1 ms ticks pass."""
+        """Let ``ticks`` ticks of 1 ms pass."""
         self._lib.wheel_host_run(self.handle, ticks)
 
     def take_bytes(self) -> bytes:
-        """Return all that the robot has to send, as bytes of a serial line."""
+        """Return all waiting output, as bytes of a serial line."""
         count = self._take_bytes(self.handle, self._bytes, _BYTES)
         data: bytes = self._buffer[:count]
         return data
 
     def take_frames(self) -> list[Frame]:
-        """Return what the robot has to send, as frames."""
+        """Return all waiting output, as frames."""
         frames = []
         while (length := self._lib.wheel_host_take_frame(self.handle, self._id, self._bytes)) >= 0:
             frames.append(Frame(self._id[0], bytes(self._buffer[:length])))

@@ -1,15 +1,15 @@
-"""The host's end of a serial line, by the C of the firmware: a fifth of what ``firmware_protocol.framing`` takes."""
+"""The host's end of a serial line, in the firmware's C: takes a fifth of the time of ``firmware_protocol.framing``."""
 
 from firmware_protocol.framing import CAUSES, Frame, PackedFrames, unsendable
 from firmware_protocol.host import HostNode, library
 
-_MOST_AT_ONCE = 1 << 12  # bytes that the library is given in one call
+_MOST_AT_ONCE = 1 << 12  # bytes passed to the library in one call
 
 
 class HostLine:
-    """Both ways of one serial line, each for one thread at a time.
+    """Both directions of one serial line; each may be used by one thread at a time.
 
-    It counts the frames that it sends, modulo 256. No byte that it receives raises: what is no valid frame is dropped
+    It numbers the frames that it sends, modulo 256. Received bytes raise no error: what is not a valid frame is dropped
     and counted. Memory is bounded.
     """
 
@@ -23,15 +23,15 @@ class HostLine:
         self._received = ffi.buffer(self._packed, lib.WHEEL_DIRECT_ROOM)
         self._encoded = ffi.new("uint8_t[]", lib.WHEEL_LINE_LONGEST)
         self._sent = ffi.buffer(self._encoded, lib.WHEEL_LINE_LONGEST)
-        # What a call looks up each time costs as much as the call.
+        # Attributes are looked up once, because a lookup costs as much as the call.
         self._feed, self._encode, self._count = lib.wheel_line_feed, lib.wheel_line_encode, lib.wheel_line_count
         self._converse = lib.wheel_direct_converse
 
     def encode(self, frame: Frame) -> bytes:
-        """Return the bytes for the wire, with the final zero, and for an ESTOP with one before it too.
+        """Return the bytes for the wire, with the final zero; an ESTOP also has a zero before it.
 
-        Raises ValueError when no message has the frame's id, or when the payload has not the length that the
-        id asks for: the other side would drop it.
+        Raises ValueError when no message has the frame's id, or when the payload does not have the id's length: the
+        other side would drop it.
         """
         number, payload = frame
         try:
@@ -55,9 +55,10 @@ class HostLine:
         return PackedFrames(b"".join(piece.packed for piece in pieces), sum(map(len, pieces)))
 
     def converse(self, robot: HostNode, packed: bytes, there: "HostLine") -> tuple[PackedFrames, int]:
-        """Send packed frames to a robot in this thread by another line; return all that comes back by this one then.
+        """Send packed frames to a robot in this thread on the line ``there``; return its answers, received on this
+        line.
 
-        With it goes how many bytes the line carried for that. What is sent ends at a frame that ``encode`` refuses.
+        Also returns the number of bytes that the line carried. Sending ends at a frame that ``encode`` would refuse.
         """
         used = self._used
         count = self._converse(there._line, self._line, robot.handle, packed, len(packed), self._packed, used)

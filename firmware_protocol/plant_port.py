@@ -1,7 +1,7 @@
-"""The other end of a robot's plant port: what a hardware-in-the-loop build has instead of motors.
+"""The other end of a robot's plant port, which takes the place of motors in a hardware-in-the-loop build.
 
-The firmware sends the set points of its drives over a second serial line, once a tick, and waits for what the robot
-then senses; ``port/stm32f4/plant_codec.h`` defines the frames. This module does no I/O: bytes in, bytes out.
+The firmware sends its drives' set points over a second serial line, once a tick, and waits for the robot's sensor
+values; ``port/stm32f4/plant_codec.h`` defines the frames. This module does no I/O: bytes in, bytes out.
 
     port = PlantPort(body)  # body(drive) lets a millisecond pass and returns a Sense; body(None) only returns one
     line.write(port.feed(line.read()))
@@ -27,7 +27,9 @@ _CRC = 2
 
 
 class PlantId(IntEnum):
-    """Identifiers of the plant port: beyond the 11 bits of wheel.dbc, so that neither line takes the other's frames."""
+    """Identifiers of the plant port. They exceed the 11 bits of wheel.dbc, so that neither line accepts the other's
+    frames.
+    """
 
     SAMPLE = 0x801
     DRIVE = 0x802
@@ -41,16 +43,16 @@ MAX_ENCODED = _HEADER.size + _SENSE.size + _CRC + 1
 
 @dataclass(frozen=True, slots=True)
 class Sample:
-    """Asks what the robot senses now, as it is at the beginning of ``tick``; no time passes."""
+    """Requests the sensor values at the beginning of ``tick``; no time passes."""
 
     tick: int
 
 
 @dataclass(frozen=True, slots=True)
 class Drive:
-    """``wheel_drive`` of ``firmware/plant_port.h``: what the drives hold during ``tick``; FL, FR, RR, RL.
+    """``wheel_drive`` of ``firmware/plant_port.h``: the drives' set points during ``tick``; FL, FR, RR, RL.
 
-    ``torque_n_m`` [N m] at the wheel axles; ``duty`` [-1 to 1] of the battery's voltage. Not ``enabled``: the wheels
+    ``torque_n_m`` [N m] at the wheel axles; ``duty`` [-1 to 1] of the battery's voltage. If not ``enabled`` the wheels
     coast.
     """
 
@@ -62,10 +64,10 @@ class Drive:
 
 @dataclass(frozen=True, slots=True)
 class Sense:
-    """``wheel_sense`` of ``firmware/plant_port.h``: what was sampled at the beginning of ``tick``; SI units, degC.
+    """``wheel_sense`` of ``firmware/plant_port.h``: sensor values at the beginning of ``tick``; SI units, degC.
 
-    ``count`` are encoder counts modulo 65536; ``gyro_rad_s`` and ``acceleration_m_s2`` are in the body frame (x
-    forward, y left, z up), the acceleration without gravity's, so that at rest z is 9.81.
+    ``count`` are encoder counts modulo 65536. ``gyro_rad_s`` and ``acceleration_m_s2`` are in the body frame (x
+    forward, y left, z up); the acceleration is the specific force, so that z is 9.81 at rest.
     """
 
     tick: int
@@ -122,7 +124,7 @@ class PlantFramer:
     def encode(self, message: Message) -> bytes:
         """Return the bytes for the wire, with the final zero.
 
-        Raises struct.error when a tick or a count is out of its range, OverflowError when a number is none of binary32.
+        Raises struct.error when a tick or a count is out of range, OverflowError when a number does not fit binary32.
         """
         number, payload = _payload(message)
         body = _HEADER.pack(number, self._sequence) + payload
@@ -132,7 +134,9 @@ class PlantFramer:
 
 
 class PlantDeframer:
-    """The receiving side of a plant port. No byte raises: what is no valid frame is dropped, ``rejected`` counts it."""
+    """The receiving side of a plant port. Raises no error: what is not a valid frame is dropped and counted in
+    ``rejected``.
+    """
 
     def __init__(self) -> None:
         self.rejected = 0
@@ -155,7 +159,7 @@ class PlantDeframer:
         return messages
 
     def _append(self, piece: bytes) -> None:
-        self._open = (self._open + piece)[: MAX_ENCODED + 1]  # one byte too many stays too long for ever
+        self._open = (self._open + piece)[: MAX_ENCODED + 1]  # with one byte too many it stays too long
 
     def _parse(self, encoded: bytes) -> Message | None:
         if len(encoded) > MAX_ENCODED:
@@ -175,9 +179,9 @@ class PlantDeframer:
 class PlantPort:
     """The plant's end of the line.
 
-    ``body`` is called with each new drive: it lets one millisecond pass under it and returns what the robot then
-    senses. It is called with None to only return what it senses now. The tick of what it returns is set here. A
-    firmware that missed an answer sends its drive again: it gets the same answer, and no time passes.
+    ``body`` is called with each new drive: it lets one millisecond pass with it and returns the sensor values after it.
+    Called with None it only returns the present sensor values. The tick of the result is set here. A firmware that
+    missed an answer repeats its drive: it gets the same answer, and no time passes.
     """
 
     def __init__(self, body: Callable[[Drive | None], Sense]) -> None:
@@ -192,7 +196,7 @@ class PlantPort:
         return self._deframer.rejected
 
     def feed(self, data: bytes) -> bytes:
-        """Take received bytes, whatever they are, and return the bytes that answer them.
+        """Take received bytes, valid or not, and return the bytes that answer them.
 
         Raises what ``body`` raises.
         """
@@ -201,7 +205,7 @@ class PlantPort:
 
     def _answer(self, message: Message) -> Sense | None:
         if isinstance(message, Sense):
-            return None  # nothing that a robot sends
+            return None  # a robot never sends this
         if isinstance(message, Sample):
             self._last = None
             return replace(self._body(None), tick=message.tick)

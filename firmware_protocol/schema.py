@@ -1,4 +1,4 @@
-"""The wire as data: wheel.dbc and parameters.toml read, checked against what the codecs support, and hashed.
+"""Reads wheel.dbc and parameters.toml, checks that the codecs support them, and hashes them.
 
 A development-time module: the generated codecs need neither this file nor cantools.
 """
@@ -25,7 +25,7 @@ MAX_PAYLOAD = 8  # classic CAN
 MAX_ID = 0x7FF  # 11-bit identifiers
 MAX_WHOLE = 1 << 24  # whole numbers up to here are binary32 too
 
-# What a host and a robot of any two versions can rely on to find out that they differ.
+# Layouts that never change, so that a host and a robot of any two versions can find out that they differ.
 FROZEN = {
     0x700: [("protocol_version", 0, 8)],
     0x701: [("protocol_version", 0, 8), ("pages", 8, 8), ("capabilities", 16, 16), ("schema_hash", 32, 32)],
@@ -40,7 +40,9 @@ _TAKEN_NAMES = frozenset([*_C_KEYWORDS.split(), *keyword.kwlist, *_PYTHON_NAMES.
 
 
 class SchemaError(Exception):
-    """wheel.dbc or parameters.toml holds what the codecs do not support. The text says where, what, and what to do."""
+    """wheel.dbc or parameters.toml holds something that the codecs do not support. The text gives place, value and
+    remedy.
+    """
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,12 +74,12 @@ class Signal:
 
     @property
     def minimum(self) -> float:
-        """Smallest allowed physical value, an int where the signal is not scaled."""
+        """Smallest allowed physical value, an int if the signal is not scaled."""
         return self.raw_minimum * self.scale if self.scaled else self.raw_minimum
 
     @property
     def maximum(self) -> float:
-        """Largest allowed physical value, an int where the signal is not scaled."""
+        """Largest allowed physical value, an int if the signal is not scaled."""
         return self.raw_maximum * self.scale if self.scaled else self.raw_maximum
 
     @property
@@ -99,7 +101,7 @@ class Message:
     length: int
     sender: str
     comment: str
-    rate: str  # how often it is sent, in words of PROTOCOL.md's table; no part of the schema
+    rate: str  # how often it is sent, as in PROTOCOL.md's table; not part of the schema
     signals: tuple[Signal, ...]
 
 
@@ -151,11 +153,11 @@ class Schema:
         return "".join(f"parameter {i} {p.name} {p.type} {p.wire(p.minimum)} {p.wire(p.maximum)}\n" for i, p in rows)
 
     def hash(self) -> int:
-        """Return the hash by which a host and a robot know that they speak of the same."""
+        """Return the hash by which a host and a robot check that they use the same schema."""
         return _first_bits(self.canonical())
 
     def parameter_table_hash(self) -> int:
-        """Return the hash that stored parameters carry, so that other ones are not taken for them."""
+        """Return the hash that is stored with parameters, so that those of another table are not used."""
         return _first_bits(self.canonical_parameters())
 
 
@@ -167,8 +169,8 @@ def _first_bits(text: str) -> int:
 def read_schema(path: Path, parameters: Path = PARAMETERS) -> Schema:
     """Read a DBC file, and the file of the firmware's parameters.
 
-    Raises SchemaError where a file holds what the codecs do not support, naming the message and the signal, or the
-    parameter.
+    Raises SchemaError with the message and the signal, or the parameter, when a file holds something that the codecs do
+    not support.
     """
     try:
         version, comment, messages = _read_messages(path)

@@ -14,11 +14,11 @@ _FILES = {2: "mecanum.fmu", 3: "mecanum_fmi3.fmu"}
 
 
 def path(fmi: int = 2) -> Path:
-    """Return where the FMU of one FMI version (2 or 3) is once built (``python -m tools.build.fmu``)."""
+    """Return the path of the FMU of one FMI version (2 or 3); ``python -m tools.build.fmu`` builds it."""
     return Path(__file__).parent / _FILES[fmi]
 
 
-# The FMUs that a scenario may give by name, with where they are once built.
+# FMUs that a scenario may give by name, and their paths.
 SHIPPED: Mapping[str, Path] = MappingProxyType(
     {"mecanum": path(2), "mecanum_fmi3": path(3), "mecanum_mujoco": mujoco.path()}
 )

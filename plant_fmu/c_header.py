@@ -1,4 +1,4 @@
-"""Makes mecanum_variables.h: the structures of the plant's variables and the table by value reference."""
+"""Generates mecanum_variables.h: C structures of the plant's variables, and their table by value reference."""
 
 import math
 
@@ -9,7 +9,7 @@ _INT32 = (-(2**31), 2**31 - 1)
 
 
 def c_header(definition: Definition, guid: str) -> str:
-    """Return mecanum_variables.h; ``guid`` is what the importer must give to get an instance."""
+    """Return mecanum_variables.h; ``guid`` is the one that an importer must give to get an instance."""
     lines = [
         "/* Made from variables.toml by generate.py; do not edit. */",
         "#ifndef MECANUM_VARIABLES_H",
@@ -57,7 +57,7 @@ def _c_row(v: Variable) -> str:
 
 
 def _c_number(variable: Variable, value: float | int | None, side: int) -> str:
-    """Return a limit or a start value as a C double; without one, the type's own limit on that side, or 0."""
+    """Return a limit or a start value as a C double. Without one: the type's own limit on that ``side``, or 0."""
     if value is None and side and variable.type == "Real":
         value = side * math.inf
     elif value is None:

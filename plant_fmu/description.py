@@ -1,4 +1,4 @@
-"""What the model descriptions of FMI 2.0 and 3.0 share: attributes of the model, units, dependencies, XML text."""
+"""The common parts of the model descriptions of FMI 2.0 and 3.0: model attributes, units, dependencies, XML text."""
 
 import xml.etree.ElementTree as ET
 from collections.abc import Iterator
@@ -35,7 +35,7 @@ def default_experiment(definition: Definition) -> dict[str, str]:
 
 
 def add_units(root: ET.Element, definition: Definition) -> None:
-    """Add UnitDefinitions: every unit as exponents of the SI base units, with the factor 1, and how it may be shown."""
+    """Add UnitDefinitions: every unit as exponents of the SI base units, with the factor 1, and its display units."""
     units = ET.SubElement(root, "UnitDefinitions")
     for name, exponents in definition.units.items():
         unit = ET.SubElement(units, "Unit", name=name)
@@ -58,7 +58,7 @@ def add_items(element: ET.Element, definition: Definition, name: str) -> None:
 
 
 def variable_attributes(variable: Variable, reference: int) -> dict[str, str]:
-    """Return what a variable of any type has, whatever the version."""
+    """Return the attributes that a variable of any type has in both versions."""
     attributes = {
         "name": variable.name,
         "valueReference": str(reference),
@@ -72,7 +72,7 @@ def variable_attributes(variable: Variable, reference: int) -> dict[str, str]:
 
 
 def value_attributes(variable: Variable) -> dict[str, str]:
-    """Return what belongs to a variable's type: unit, range, start value; an enumeration's range is its items."""
+    """Return the attributes of a variable's type: unit, range, start value. An enumeration's range is its items."""
     if variable.type == "Enumeration":
         return {"declaredType": variable.name, "start": str(variable.start)}
     values = {
@@ -86,11 +86,11 @@ def value_attributes(variable: Variable) -> dict[str, str]:
 
 
 def outputs(definition: Definition) -> Iterator[tuple[Variable, tuple[str, ...], tuple[str, ...]]]:
-    """Yield each output with the names it depends on at a communication point, and those in initialization mode.
+    """Yield each output with the variables it depends on: at a communication point, and in initialization mode.
 
-    At a communication point an output that names nothing follows from the states alone: it has no direct
-    feedthrough. Initially the states follow from the parameters, of which any may count; that the other inputs do
-    not count keeps importers from seeing an algebraic loop where there is none.
+    At a communication point an output without dependencies follows from the states alone: it has no direct feedthrough.
+    Initially the states may depend on any parameter. The other inputs are not listed, so that importers do not see an
+    algebraic loop where there is none.
     """
     parameters = tuple(variable.name for variable in definition.variables if variable.causality == "parameter")
     for variable in definition.variables:

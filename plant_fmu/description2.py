@@ -40,7 +40,7 @@ def model_description(definition: Definition, guid: str, sources: Iterable[str])
 
 
 def _add_structure(root: ET.Element, definition: Definition) -> None:
-    """Add ModelStructure, section 2.2.8; an index counts the variables from 1."""
+    """Add ModelStructure, section 2.2.8; indices count the variables from 1."""
     structure = ET.SubElement(root, "ModelStructure")
     now, initially = (ET.SubElement(structure, name) for name in ("Outputs", "InitialUnknowns"))
     index = {name: str(reference + 1) for name, reference in definition.references.items()}

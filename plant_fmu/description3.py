@@ -37,7 +37,7 @@ def model_description(definition: Definition, token: str) -> str:
 
 
 def longest_step_s(definition: Definition) -> float:
-    """Return how long internal steps are with the defaults, where a communication step is a multiple of them."""
+    """Return the length of internal steps [s] with default values, if the communication step is a multiple of it."""
     return next(float(v.start or 0.0) for v in definition.variables if v.name == "longest_step_s")
 
 
@@ -54,8 +54,8 @@ def _add_structure(root: ET.Element, definition: Definition) -> None:
 def terminals(definition: Definition) -> str:
     """Return terminalsAndIcons.xml: a terminal for each wheel with its inputs and outputs.
 
-    FMI 3.0 section "Definition of Terminals". Names follow its suggestion: variable = terminal.member. The rule
-    "bus" connects those members that the other side has too: a motor model needs the torque and the speed only.
+    FMI 3.0 section "Definition of Terminals"; names follow its suggestion, variable = terminal.member. The rule "bus"
+    connects only members that both sides have: a motor model needs only torque and speed.
     """
     root = ET.Element("fmiTerminalsAndIcons", fmiVersion="3.0")
     parts = ET.SubElement(root, "Terminals")
@@ -66,7 +66,7 @@ def terminals(definition: Definition) -> str:
             "Terminal",
             name=name,
             matchingRule="bus",
-            terminalKind="_mecanum_hil_wheel",  # the standard's form for a kind of one's own
+            terminalKind="_mecanum_hil_wheel",  # the standard's form of a custom kind
             description=f"Drive, encoder and contact of the {words} wheel",
         )
         for variable in definition.variables:

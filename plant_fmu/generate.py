@@ -1,4 +1,4 @@
-"""Makes what follows from variables.toml and reference/cases.toml: descriptions, the C header, tables of documents.
+"""Generates files from variables.toml and reference/cases.toml: descriptions, the C header, tables of documents.
 
 ``python -m plant_fmu.generate`` writes the files; ``--check`` writes nothing and exits 1 naming a stale
 one. Needs the standard library only.
@@ -15,10 +15,10 @@ from plant_fmu.variables import HERE, Definition, DefinitionError, read
 
 
 def guid(definition: Definition) -> str:
-    """Return what ties the XML to the binary: a hash of both descriptions without it.
+    """Return the identifier that ties the XML to the binary: a hash of both descriptions without it.
 
-    It is the GUID of FMI 2.0 (section 2.2.1) and the instantiation token of FMI 3.0 (section 2.4.1): one binary
-    serves both.
+    It is the GUID of FMI 2.0 (section 2.2.1) and the instantiation token of FMI 3.0 (section 2.4.1): one binary serves
+    both.
     """
     texts = description2.model_description(definition, "", SOURCE_FILES), description3.model_description(definition, "")
     digest = hashlib.sha256("".join(texts).encode()).hexdigest()
@@ -26,7 +26,7 @@ def guid(definition: Definition) -> str:
 
 
 def render(definition: Definition) -> dict[Path, str]:
-    """Return every file that follows from the definition, with its content."""
+    """Return every generated file, with its content."""
     token = guid(definition)
     return {
         GENERATED / "fmi2" / "modelDescription.xml": description2.model_description(definition, token, SOURCE_FILES),

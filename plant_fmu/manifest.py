@@ -1,4 +1,4 @@
-"""Makes fmi-ls-manifest.xml, which says what the files beside it in an FMU are: inputs and reference results.
+"""Generates fmi-ls-manifest.xml, which describes the files beside it in an FMU: inputs and reference results.
 
 The layered standard FMI-LS-REF of the Modelica Association, version 1.0.0-alpha.1, for FMI 2.0 and 3.0. It puts
 related files into the archive's folder FOLDER.
@@ -19,7 +19,7 @@ _NAMESPACE = "http://fmi-standard.org/fmi-ls-manifest"
 
 
 def files() -> list[Path]:
-    """Return the files that the manifest describes, which are to be packed beside it."""
+    """Return the files that the manifest describes; they must be packed beside it."""
     return [path for path, *_ in _related()]
 
 
@@ -38,7 +38,7 @@ def manifest() -> str:
 
 
 def _related() -> Iterator[tuple[Path, str, str, str]]:
-    """Return each file with its MIME type, its role and what it is."""
+    """Yield each file with its MIME type, role and description."""
     yield REFERENCE / "README.md", "text/markdown", "document", "What the cases are and how to run them"
     yield REFERENCE / "cases.toml", "application/toml", "testcase", "Start values, steps and tolerances of the cases"
     for name, case in tomllib.loads((REFERENCE / "cases.toml").read_text(encoding="utf-8")).items():

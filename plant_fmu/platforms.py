@@ -1,9 +1,9 @@
 """The platforms of the FMU's binaries, and where an archive of each FMI version holds them.
 
 FMI 3.0 section 2.5.1.4 names a platform by architecture and system: ``x86_64-linux``. In FMI 2.0 (2.0.4 section 2.3)
-the names ``linux64``, ``win64`` and ``darwin64`` stand for x86-64, and every other platform has FMI 3.0's. Importers
-are older than that sentence: FMPy 0.3 and FMI Library (under PyFMI and libcosim) go by the word size alone, and
-look into ``linux64`` on ARM too.
+the names ``linux64``, ``win64`` and ``darwin64`` stand for x86-64, and every other platform has its FMI 3.0 name. Some
+importers are older than that rule: FMPy 0.3 and FMI Library (in PyFMI and libcosim) use only the word size, and look
+into ``linux64`` on ARM too.
 """
 
 import platform
@@ -11,7 +11,7 @@ import struct
 import sys
 from collections.abc import Mapping
 
-# What a release has binaries for, and zig's name of it. The C libraries are old ones, so that what runs here runs on
+# Platforms with binaries in a release, and zig's names for them. The C libraries are old, so that the binaries run on
 # any system of the last ten years: glibc 2.17, macOS 11, and on Windows the C runtime of Windows 10.
 ZIG_TARGETS = {
     "x86_64-linux": "x86_64-linux-gnu.2.17",
@@ -51,9 +51,9 @@ def suffix(name: str) -> str:
 def members(fmi: int, model_identifier: str, libraries: Mapping[str, bytes]) -> dict[str, bytes]:
     """Return the members of an archive under ``binaries/``, for libraries by platform tuple.
 
-    FMI 3.0 has a folder a tuple. FMI 2.0 has the standard's names, and two things more for importers that go by the
-    word size: ``darwin64`` is a universal binary, and without an x86-64 library of that system an old name has the
-    library there is, so that an FMU built on an ARM machine for itself loads there.
+    FMI 3.0 has a folder per tuple. FMI 2.0 has the standard's names, and two additions for importers that use only the
+    word size: ``darwin64`` is a universal binary; and if a system has no x86-64 library, its old name holds the library
+    that exists, so that an FMU built on an ARM machine for itself loads there.
     """
     made: dict[str, bytes] = {}
     if fmi == 2:
@@ -82,6 +82,6 @@ def universal(libraries: list[bytes]) -> bytes:
 
 
 def word_size_name(name: str) -> str:
-    """Return what importers of FMI 2.0 that go by the word size call a platform, given as a tuple: ``linux64``."""
+    """Return the name of a platform tuple for FMI 2.0 importers that use only the word size: ``linux64``."""
     machine, system = name.split("-")
     return f"{'win' if system == 'windows' else system}{64 if '64' in machine else 32}"

@@ -1,7 +1,7 @@
-"""The sources of each FMU of ours, as far as they decide how it runs, and the hash of them that an FMU holds.
+"""The sources that decide how each of this project's FMUs runs, and the hash of them that an FMU holds.
 
-Every process with a plant imports this, so it imports nothing that only building needs. Documents and reference results
-are in the FMU too, and change no run.
+Every process with a plant imports this module, so it imports nothing that only building needs. Documents and reference
+results in the FMU change no run and are left out.
 """
 
 import zipfile
@@ -32,7 +32,7 @@ SOURCE_FILES = (
 )
 SOURCES = tuple(HERE / name for name in SOURCE_FILES)
 HEADERS = (*sorted(HERE.glob("*.h")), *sorted(GENERATED.glob("*.h")))
-# What each version's archive has beside what both have: member -> file.
+# Members of each version's archive besides the common ones: member -> file.
 DESCRIPTIONS = {
     2: {"modelDescription.xml": GENERATED / "fmi2" / "modelDescription.xml"},
     3: {
@@ -43,7 +43,7 @@ DESCRIPTIONS = {
 
 
 def comment_of(archive: Path) -> str | None:
-    """Return the comment of an archive, None when the file is none."""
+    """Return the comment of an archive; None if the file is no archive."""
     if not zipfile.is_zipfile(archive):
         return None
     with zipfile.ZipFile(archive) as opened:
@@ -51,9 +51,10 @@ def comment_of(archive: Path) -> str | None:
 
 
 def sources_of(archive: Path) -> str | None:
-    """Return the hash of the sources from which an FMU of ours was built; None where its comment has none.
+    """Return the hash of the sources from which an FMU was built; None if its comment holds none.
 
-    The comment has two hashes: of all that the archive was made from, the compiler among it, and of its sources alone.
+    The comment has two hashes: of everything that the archive was made from, including the compiler, and of the sources
+    alone.
     """
     words = (comment_of(archive) or "").split()
     return words[1] if len(words) == 2 else None
@@ -70,4 +71,4 @@ INPUTS = {
     **{plant_fmu.path(fmi): (*SOURCES, *HEADERS, DEFINITION, *files.values()) for fmi, files in DESCRIPTIONS.items()},
     mujoco.path(): (*MUJOCO_SOURCES, *MUJOCO_HEADERS, *PARTS),
 }
-"""What each FMU is made of, by where the FMU is."""
+"""The sources of each FMU, by the FMU's path."""

@@ -1,4 +1,4 @@
-"""Makes the tables of variables in README.md and documentation/index.html; a wheel's variable is one row for four."""
+"""Generates the tables of variables in README.md and documentation/index.html; the four wheels share one row."""
 
 import html
 from collections.abc import Callable
@@ -10,9 +10,9 @@ _HEADS = ("variable", "causality", "unit", "start", "range", "meaning")
 
 
 def documents(definition: Definition) -> dict[str, str]:
-    """Return the documents that hold a table, by their path in this folder, with the table brought up to date.
+    """Return the documents that hold a table, by their path in this folder, with the table renewed.
 
-    Raises DefinitionError when a document has lost its marks.
+    Raises DefinitionError when a document lacks the marks.
     """
     makers: dict[str, Callable[[Definition], str]] = {
         "README.md": _markdown_table,

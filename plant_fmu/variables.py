@@ -7,7 +7,7 @@ from typing import Any
 
 HERE = Path(__file__).parent
 STRUCTURE = {"input": "inputs", "output": "outputs", "parameter": "parameters"}  # C member, by causality
-TIME = "time"  # the independent variable, after all others; not in variables.toml because every model has it
+TIME = "time"  # the independent variable, after all others; not in variables.toml, because every model has it
 _VARIABILITY = {"input": "continuous", "output": "continuous", "parameter": "fixed"}
 
 
@@ -24,7 +24,7 @@ class Variable:
     causality: str
     variability: str
     unit: str | None
-    display_unit: str | None  # in which people think of it
+    display_unit: str | None  # the unit in which people think of it
     start: float | int | None
     minimum: float | int | None
     maximum: float | int | None
@@ -35,7 +35,7 @@ class Variable:
 
     @property
     def member(self) -> str:
-        """Where the value is in the snapshot of an instance, in C."""
+        """The C expression of the value within an instance's snapshot."""
         if self.causality == "independent":
             return self.field
         index = "" if self.wheel is None else f"[{self.wheel}]"
@@ -44,12 +44,12 @@ class Variable:
 
 @dataclass(frozen=True)
 class Definition:
-    """variables.toml, checked, with one entry a scalar variable; the last one is the independent variable."""
+    """variables.toml, checked and expanded to scalar variables; the last one is the independent variable."""
 
     model: dict[str, Any]
     wheels: dict[str, str]
     units: dict[str, dict[str, int]]
-    display_units: dict[str, dict[str, float]]  # of a unit: by name, how many of them are one of the unit
+    display_units: dict[str, dict[str, float]]  # of a unit: by name, how many of them make one of the unit
     enumerations: dict[str, dict[str, Any]]
     variables: tuple[Variable, ...]
 

@@ -89,7 +89,7 @@ def test_edited_sources_are_what_runs(checkout: Path) -> None:
     assert "derive.c" in output
     (checkout / "pyproject.toml").unlink()  # as in site-packages
     output, errors = said(started(checkout))
-    assert "and this is no checkout in which it could be; install the package anew" in output
+    assert "and it can only be built in a checkout; install the package again" in output
     assert errors == ""
 
 

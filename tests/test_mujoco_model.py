@@ -63,7 +63,7 @@ def test_the_text_for_reading_is_the_same_robot_but_for_rounding(tmp_path: Path)
         ({"mass_kg": 0.1}, "mass_kg = 0.1; wheels of this inertia and radius weigh"),
         ({"wheel_radius_m": -1.0}, "wheel_radius_m = -1; expected a number from"),
         ({"rollers": 1.5}, "rollers = 1.5; expected a whole number"),
-        ({"mass": 1.0}, "mass is no parameter; expected one of mass_kg"),
+        ({"mass": 1.0}, "mass is not a parameter; expected one of mass_kg"),
     ],
 )
 def test_parameters_that_are_no_robot_are_refused_by_name(

@@ -15,7 +15,7 @@ PARTS = (variables.HERE / "variables.toml", HERE / "variables.toml")
 
 
 def read() -> variables.Definition:
-    """Return the variables. Raises DefinitionError, naming the one that is not in ../variables.toml."""
+    """Return the variables. Raises DefinitionError with the name of one that is not in ../variables.toml."""
     whole, own = (tomllib.loads(path.read_text(encoding="utf-8")) for path in PARTS)
     entries = {entry["name"]: entry for entry in whole["variable"]}
     model: dict[str, Any] = own["model"]

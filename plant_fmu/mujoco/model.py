@@ -1,4 +1,4 @@
-"""Writes the robot inside the FMU as a file of MuJoCo's, to look at it and to run it without the FMU."""
+"""Writes the robot inside the FMU as a MuJoCo file, to view it and to run it without the FMU."""
 
 import ctypes
 import shutil
@@ -28,7 +28,7 @@ def save(fmu: Path, file: Path, parameters: Mapping[str, float]) -> None:
     description = read_model_description(fmu)
     known = {v.name: v for v in description.modelVariables if v.causality == "parameter"}
     if unknown := set(parameters) - set(known):
-        raise ModelError(f"{min(unknown)} is no parameter; expected one of {', '.join(known)}")
+        raise ModelError(f"{min(unknown)} is not a parameter; expected one of {', '.join(known)}")
     folder = tempfile.mkdtemp(prefix="plant_fmu_mujoco_")
     try:
         extract(fmu, folder)
