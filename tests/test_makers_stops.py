@@ -358,7 +358,7 @@ def test_a_base_that_drives_on_is_told_of_and_an_emergency_stop_stops_it() -> No
         bench.pilot.estop()
         bench.run(1.0)
         assert not node.is_driving
-        assert bench.pilot.why == "an e-stop was ordered"
+        assert bench.pilot.why == "an e-stop was asked for"
 
 
 # The guardian: a real one, that watches over a pseudo-terminal beside the robot in this process

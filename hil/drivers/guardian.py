@@ -1,9 +1,8 @@
-"""The guardian as the host has it: a process that stops the robot when the host dies, or is silent for too long.
+"""The host's side of the guardian, a process that stops the robot when the host dies or is silent for too long.
 
-It is for motor controllers whose firmware drives on when commands end. The host beats with each command, through a
-pipe of which it holds the only writing end. The guardian sends the stop when the beats cease or the pipe ends, and
-tells the host so. Nothing here waits for the guardian but its start. GUARDIAN.md says what it does not cover; what the
-process does is in ``guardian_process.py``.
+It is for motor controllers whose firmware drives on when commands end. With each command the host sends a beat through
+a pipe that it alone writes to. The guardian sends the stop when the beats or the pipe end, and reports that to the
+host. Only its start is waited for. GUARDIAN.md says what it does not cover; ``guardian_process.py`` is the process.
 """
 
 import contextlib
@@ -29,8 +28,8 @@ STOPPED = b"stopped"
 REFUSED = b"refused"  # and why
 
 ALIVE_EVERY_S = 0.5
-_HUNG_NS = 1_500_000_000  # without an answer: three that did not come
-_LEAST_GAP_NS = 5_000_000  # between two beats: each wakes the guardian, and 200 a second say as much as 1000
+_HUNG_NS = 1_500_000_000  # three answers that did not come
+_LEAST_GAP_NS = 5_000_000  # between two beats: each wakes the guardian, and 200 in a second are enough
 _START_LIMIT_S = 10.0
 _EXIT_TIMEOUT_S = 10.0
 _RETRY_S = 1.0
@@ -38,28 +37,28 @@ _CHUNK = 4096
 
 
 def sees_silence(port: str) -> bool:
-    """Tell whether a second process can write to a serial port while the host holds it.
+    """Return whether a second process can write to a serial port that the host has open.
 
-    Under POSIX it can: the lock of pyserial is ``flock``, which keeps out those alone who ask for it. Windows opens a
-    port once, and what is behind a URL of pyserial mostly serves one client.
+    Under POSIX it can: pyserial locks with ``flock``, which binds only programs that lock too. Windows opens a port
+    once, and what a URL of pyserial stands for mostly serves one client.
     """
     return sys.platform != "win32" and "://" not in port
 
 
 class _Phase(enum.Enum):
-    REST = "nothing is to be stopped"
-    ASKED = "to be watched, which is not confirmed yet"
-    WATCHED = "each command beats"
-    HELD = "the robot has its stop: no command beats, and our death alone is watched for"
+    REST = "nothing has to be stopped"
+    ASKED = "asked to watch, not confirmed yet"
+    WATCHED = "each command sends a beat"
+    HELD = "the stop was sent: beats are not expected, and only our death is watched for"
 
 
 class Guardian:
-    """See ``hil.drivers.host_watch.HostWatch``. A guardian that dies or hangs is started anew, beside the ticks.
+    """See ``hil.drivers.host_watch.HostWatch``. A guardian that dies or hangs is restarted in a thread.
 
-    ``stop`` are the bytes that stop whatever is behind ``port``; they must be right at any time, also in the middle of
-    a frame that the host has not finished. After ``silence_s`` without a beat it sends them. A port that is still not
-    free ``patience_s`` after the host's death belongs to somebody else, whose business the robot then is.
-    ``priority`` is the host's own in real time, 0 for none. Raises DeviceError when the process does not start.
+    ``stop``: the bytes that stop the motors behind ``port`` at any time, also in the middle of an unfinished frame.
+    They are sent after ``silence_s`` without a beat. If the port is not free ``patience_s`` after the host's death,
+    another program has taken the robot over, and nothing is sent. ``priority``: the host's real-time priority, 0 for
+    none. Raises DeviceError when the process does not start.
     """
 
     def __init__(
@@ -74,12 +73,12 @@ class Guardian:
         self._session = 0
         self._beat_ns = 0
         self._failure: str | None = None
-        # What the keeper, which reads the answers, tells the ticks; each is assigned whole.
+        # Set by the keeper thread, which reads the answers; each is one assignment.
         self._watching = self._stopped = 0  # sessions
         self._refused = (0, "")
         self._answered_ns = 0
         self._problem: str | None = None
-        self._lock = threading.Lock()  # for a moment only: of phase and process together
+        self._lock = threading.Lock()  # of phase and process; held only briefly
         self._released = threading.Event()
         self._process: subprocess.Popen[bytes] | None = None
         process = self._started()
@@ -88,12 +87,12 @@ class Guardian:
         try:
             self._keeper.start()
         except RuntimeError as error:
-            _part(process)
+            _close(process)
             raise self._not_started(error) from error
 
     @property
     def pid(self) -> int | None:
-        """Its process id; None while it is being started anew."""
+        """Its process id; None while it is being restarted."""
         process = self._process
         return None if process is None else process.pid
 
@@ -110,7 +109,7 @@ class Guardian:
             f"nothing stops it: {self._port} lets no second process in"
         )
 
-    # Told by the ticks
+    # Called by the tick
 
     def begin(self) -> bool:
         if self._phase is _Phase.WATCHED and self.failure is None:
@@ -128,7 +127,7 @@ class Guardian:
             )
         if self._watching == self._session:
             with self._lock:
-                self._tell(BEAT)  # it has counted since its answer, and our next one may be a whole period away
+                self._write(BEAT)  # its time has run since its answer, and our next beat may be a period away
             self._beat_ns = time.monotonic_ns()
             self._phase = _Phase.WATCHED
             return True
@@ -151,7 +150,7 @@ class Guardian:
             elif self._process is None:
                 why = "the guardian died, and without it nothing would stop the robot if this program did (GUARDIAN.md)"
             elif self._end_if_hung(self._beat_ns):
-                why = "the guardian has not answered for 1.5 s, and is started anew (GUARDIAN.md)"
+                why = "the guardian has not answered for 1.5 s, and is restarted (GUARDIAN.md)"
             if why is not None:
                 self._failure = why
                 self._enter(_Phase.HELD)
@@ -162,12 +161,12 @@ class Guardian:
             return
         now_ns = time.monotonic_ns()
         silent_ns = now_ns - self._beat_ns
-        # After a silence that was too long it is the failure that is to be seen, and none of it made good.
+        # After too long a silence no beat may hide the failure.
         if _LEAST_GAP_NS <= silent_ns <= self._silence_ns:
             with self._lock:
-                self._tell(BEAT)
+                self._write(BEAT)
             self._beat_ns = now_ns
-            if silent_ns >= ALIVE_EVERY_S * 1e9:  # it answers beats alone: our pause is none of its own
+            if silent_ns >= ALIVE_EVERY_S * 1e9:  # it answers only beats, so our pause is not its silence
                 self._answered_ns = now_ns
 
     def hold(self) -> None:
@@ -183,7 +182,7 @@ class Guardian:
             self._released.set()
             process = self._process
         if process is not None:
-            _part(process)
+            _close(process)
         self._keeper.join(_EXIT_TIMEOUT_S)
 
     @property
@@ -193,32 +192,28 @@ class Guardian:
     def _enter(self, phase: _Phase) -> None:
         with self._lock:
             self._phase = phase
-            self._tell(self._line_of(phase))
+            self._write(self._line_of(phase))
 
     def _line_of(self, phase: _Phase) -> bytes:
-        match phase:
-            case _Phase.ASKED:
-                return WATCH + b" %d" % self._session
-            case _Phase.REST:
-                return REST
-            case _:
-                return HOLD
+        if phase is _Phase.ASKED:
+            return WATCH + b" %d" % self._session
+        return REST if phase is _Phase.REST else HOLD
 
-    def _tell(self, line: bytes) -> None:
+    def _write(self, line: bytes) -> None:
         process = self._process
         if process is None or process.stdin is None or process.stdin.closed:
             return
-        # One that has died cannot be told anything, and one that hangs takes nothing more: ``failure`` says so.
+        # A dead or hung guardian takes no line; ``failure`` reports that.
         with contextlib.suppress(OSError):
             process.stdin.write(line + b"\n")
 
-    def _end_if_hung(self, told_ns: int) -> bool:
-        """End a guardian that has not answered what it was told until then, so that another one is started."""
+    def _end_if_hung(self, written_ns: int) -> bool:
+        """Kill a guardian that has not answered for 1.5 s what was written at ``written_ns``; it is then restarted."""
         process = self._process
-        if process is None or told_ns - self._answered_ns < _HUNG_NS:
+        if process is None or written_ns - self._answered_ns < _HUNG_NS:
             return False
         process.kill()
-        self._answered_ns = time.monotonic_ns()  # the next one has its time
+        self._answered_ns = time.monotonic_ns()  # the time of the next one begins
         return True
 
     # The keeper: a thread that waits for answers, and for the guardian's death
@@ -227,18 +222,18 @@ class Guardian:
         while True:
             self._listen(process)
             assert process.stdin is not None
-            with self._lock:  # nobody is writing to it
+            with self._lock:  # no other thread is writing to it
                 self._process = None
                 process.stdin.close()
-            process.kill()  # one that has but closed its pipe is of no use
+            process.kill()  # it may only have closed its pipe
             process.wait()
-            found = self._started_anew()
+            found = self._restarted()
             if found is None:
                 return
             process = found
 
     def _listen(self, process: subprocess.Popen[bytes]) -> None:
-        """Take answers until there is no guardian to give one."""
+        """Read answers until the guardian has ended."""
         assert process.stdout is not None
         rest = b""
         with process.stdout as answers:
@@ -258,8 +253,8 @@ class Guardian:
         elif kind == REFUSED:
             self._refused = (int(number), why.decode())
 
-    def _started_anew(self) -> "subprocess.Popen[bytes] | None":
-        """Return a new process that knows what the old one did; None when the guardian was released meanwhile."""
+    def _restarted(self) -> "subprocess.Popen[bytes] | None":
+        """Return a new process in the phase of the old one; None when the guardian was released meanwhile."""
         while not self._released.is_set():
             try:
                 process = self._started()
@@ -272,9 +267,9 @@ class Guardian:
                 self._answered_ns = time.monotonic_ns()
                 self._process = process
                 if self._phase is not _Phase.REST:
-                    self._tell(self._line_of(self._phase))
+                    self._write(self._line_of(self._phase))
             if self._released.is_set():
-                _part(process)
+                _close(process)
             return process
         return None
 
@@ -296,34 +291,34 @@ class Guardian:
         patience = threading.Timer(_START_LIMIT_S, process.kill)
         try:
             patience.start()
-            with contextlib.suppress(OSError):  # then it does not become ready
+            with contextlib.suppress(OSError):  # it will not become ready then
                 process.stdin.write(self._order + b"\n")
             is_ready = process.stdout.readline() == READY + b"\n"
-        except BaseException as error:  # Ctrl-C: nothing has moved yet that it would have to stop
-            _part(process)
+        except BaseException as error:  # Ctrl-C: nothing has moved yet that would have to be stopped
+            _close(process)
             process.stdout.close()
-            if isinstance(error, (OSError, RuntimeError)):  # no thread is to be had
+            if isinstance(error, (OSError, RuntimeError)):  # no thread could be started
                 raise self._not_started(error) from error
             raise
         finally:
             patience.cancel()
         if not is_ready:
-            _part(process)
+            _close(process)
             process.stdout.close()
             raise DeviceError(
                 f"the guardian of serial port {self._port!r} did not start (exit status {process.returncode}); without "
                 "it nothing would stop the robot if this process is killed"
             )
         if sys.platform != "win32":
-            os.set_blocking(process.stdin.fileno(), False)  # one that hangs must not hold up a tick
+            os.set_blocking(process.stdin.fileno(), False)  # a hung guardian must not delay a tick
         return process
 
     def _not_started(self, error: Exception) -> DeviceError:
         return DeviceError(f"the guardian of serial port {self._port!r} could not be started: {error}")
 
 
-def _part(process: "subprocess.Popen[bytes]") -> None:
-    """End the pipe, by which the process does what is left to do, and wait for its end."""
+def _close(process: "subprocess.Popen[bytes]") -> None:
+    """Close the pipe, at which the process stops the robot if it has to, and wait for its end."""
     if process.stdin is not None:
         process.stdin.close()
     try:

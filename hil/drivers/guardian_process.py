@@ -1,8 +1,8 @@
 """The guardian's process: waits for the host's silence or death, and then sends the stop.
 
-The host writes lines to its stdin: first an order, then ``watch``, ``beat``, ``hold`` and ``rest`` as ``guardian.py``
-has them; its answers go to stdout. While it watches, it has the port open beside the host, so that no lock and no
-other name of the port is in the way when it matters.
+The host writes lines to its stdin: first an order, then ``watch``, ``beat``, ``hold`` and ``rest`` (``guardian.py``).
+Its answers go to stdout. While it watches it has the port open as the host has, so that neither a lock nor a changed
+name of the port can prevent the stop.
 """
 
 import contextlib
@@ -26,7 +26,7 @@ _GAP_S = 0.04
 _RETRY_S = 0.02
 _WRITE_TIMEOUT_S = 1.0
 _CHUNK = 4096
-# What ends a whole group of processes in order, such as a service's, must not end this one before the host.
+# Signals that end a group of processes, such as a service's, must not end this one before the host.
 _OUTLIVED = ("SIGINT", "SIGTERM", "SIGHUP", "SIGBREAK")
 _STDIN, _STDOUT = 0, 1
 
@@ -43,7 +43,7 @@ class _Order(NamedTuple):
 class _State(enum.Enum):
     RESTS = "the host may end"
     WATCHES = "stops the robot when the host is silent or ends"
-    HAS_STOPPED = "a command that comes all the same is followed by the stop"
+    HAS_STOPPED = "has sent the stop, and sends it again after each further command of the host"
     STANDS_BY = "stops the robot when the host ends"
 
 
@@ -52,9 +52,9 @@ class _Writer(Protocol):
 
 
 class _Beside:
-    """A serial port that the host holds, open a second time: nothing of its settings is touched.
+    """A second handle of a serial port that the host has open. It leaves the port's settings alone.
 
-    Raises LinkError when it cannot be opened, or takes nothing.
+    Raises LinkError when the port cannot be opened, or accepts no bytes.
     """
 
     def __init__(self, port: str) -> None:
@@ -78,7 +78,7 @@ class _Beside:
 
     @property
     def is_gone(self) -> bool:
-        """Whether the port was unplugged: whoever keeps it open then keeps its name from the next one."""
+        """Whether the port was unplugged: an open handle would keep its name from being used again."""
         return not os.isatty(self._descriptor)
 
     def close(self) -> None:
@@ -86,9 +86,9 @@ class _Beside:
 
 
 class _Watcher:
-    def __init__(self, order: _Order, heard: bytes) -> None:
+    def __init__(self, order: _Order, received: bytes) -> None:
         self._order = order
-        self._rest = heard
+        self._rest = received
         self._sees_silence = sees_silence(order.port)
         self._state = _State.RESTS
         self._session = 0
@@ -97,7 +97,7 @@ class _Watcher:
         self._beside: _Beside | None = None
 
     def run(self) -> int:
-        """Watch until the host ends; return the exit status: 0 where nothing is left to be done."""
+        """Watch until the host ends. Return the exit status: 0 if the robot is at rest or was stopped, else 3."""
         while True:
             *lines, self._rest = self._rest.split(b"\n")
             for line in lines:
@@ -111,7 +111,7 @@ class _Watcher:
             self._rest += data
 
     def _is_silent(self) -> bool:
-        """Wait for a line, or for the silence to be too long. What has come while this process slept counts."""
+        """Wait for a line or for the end of ``silence_s``. A line that came while this process slept counts too."""
         if self._state is not _State.WATCHES or not self._sees_silence:
             return False
         left_s = self._due_s - time.monotonic()
@@ -126,14 +126,14 @@ class _Watcher:
             self._begin()
         elif kind == guardian.HOLD:
             self._state = _State.STANDS_BY
-            self._let_go()
+            self._close_port()
         elif kind == guardian.REST:
             self._state = _State.RESTS
-            self._let_go()
+            self._close_port()
 
     def _begin(self) -> None:
-        """Watch from now on, with the port open, so that it is known before anything moves that the stop has a way."""
-        self._let_go()
+        """Open the port and watch from now on; if the port cannot be opened, that is known before anything moves."""
+        self._close_port()
         self._state = _State.STANDS_BY
         if self._sees_silence:
             try:
@@ -148,7 +148,7 @@ class _Watcher:
     def _take_beat(self) -> None:
         now_s = time.monotonic()
         if self._state is _State.HAS_STOPPED:
-            # The host went on as if nothing had been, for as long as it takes it to hear that it must not.
+            # The host goes on until it has read our answer STOPPED.
             with contextlib.suppress(LinkError):
                 if self._beside is not None:
                     self._beside.write(self._order.stop)
@@ -158,7 +158,7 @@ class _Watcher:
                 self._alive_s = now_s
                 _answer(guardian.ALIVE)
                 if self._beside is not None and self._beside.is_gone:
-                    self._let_go()
+                    self._close_port()
 
     def _stop_silent_host(self) -> None:
         self._state = _State.HAS_STOPPED
@@ -167,24 +167,24 @@ class _Watcher:
         try:
             self._send(host_lives=True)
         except LinkError as error:
-            _say(f"{silence}, and the robot could not be stopped: {error}")
+            _print(f"{silence}, and the robot could not be stopped: {error}")
         else:
-            _say(f"{silence}; the guardian has sent the stop to {self._order.port!r} {_TIMES} times")
+            _print(f"{silence}; the guardian has sent the stop to {self._order.port!r} {_TIMES} times")
 
     def _outlive(self) -> int:
-        """Do what is left to do when the host has ended."""
+        """Stop the robot after the host has ended, if it has to be stopped; return the exit status."""
         if self._state is _State.RESTS:
             return 0
         try:
             self._send(host_lives=False)
         except LinkError as error:
-            _say(f"the host has ended without a stop, and the robot could not be stopped: {error}")
+            _print(f"the host has ended without a stop, and the robot could not be stopped: {error}")
             return 3
-        _say(f"the host has ended without a stop; the guardian has sent it to {self._order.port!r} {_TIMES} times")
+        _print(f"the host has ended without a stop; the guardian has sent it to {self._order.port!r} {_TIMES} times")
         return 0
 
     def _send(self, *, host_lives: bool) -> None:
-        """Send the stop, anew until it works. Raises LinkError when the time is over."""
+        """Send the stop, with retries for ``patience_s``. Raises LinkError when none succeeded."""
         deadline = time.monotonic() + self._order.patience_s
         while True:
             try:
@@ -201,7 +201,7 @@ class _Watcher:
             try:
                 self._repeat(self._beside)
             except LinkError:
-                self._let_go()
+                self._close_port()
             else:
                 return
         try:
@@ -209,7 +209,7 @@ class _Watcher:
         except LinkError:
             if not (host_lives and self._sees_silence):
                 raise
-            # It is the host itself that holds the port, so that its settings are right.
+            # The host itself has the port open, so that its settings are right.
             self._beside = _Beside(self._order.port)
             self._repeat(self._beside)
             return
@@ -220,30 +220,30 @@ class _Watcher:
         stop = self._order.stop
         for _ in range(_TIMES):
             writer.write(stop)
-            # One that the line damages is not the only one, and all are out when it closes.
+            # The line may damage one of them; and all bytes must be out before the port is closed.
             time.sleep(max(_GAP_S, len(stop) * _BITS_PER_BYTE / self._order.baud))
 
-    def _let_go(self) -> None:
+    def _close_port(self) -> None:
         if self._beside is not None:
             self._beside.close()
             self._beside = None
 
 
 def _answer(kind: bytes, words: bytes = b"") -> None:
-    with contextlib.suppress(OSError):  # of a host that has ended
+    with contextlib.suppress(OSError):  # the host has ended
         os.write(_STDOUT, b" ".join(filter(None, (kind, words))) + b"\n")
 
 
-def _say(sentence: str) -> None:
-    # Whoever read the host's errors may be gone with it.
+def _print(sentence: str) -> None:
+    # The reader of the host's stderr may have ended with it.
     with contextlib.suppress(OSError):
         print(sentence, file=sys.stderr, flush=True)
 
 
 def _take_priority(priority: int) -> None:
-    """Have the host's own priority: a law that never returns would else keep this process from the processor."""
+    """Take the host's priority: otherwise a law that never returns would keep this process from running."""
     if sys.platform == "linux" and priority:
-        with contextlib.suppress(OSError):  # what is not granted to the host is not to us
+        with contextlib.suppress(OSError):  # the host was refused it too
             os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
 
 
@@ -251,18 +251,18 @@ def _main() -> int:
     for name in _OUTLIVED:
         if hasattr(signal, name):
             signal.signal(getattr(signal, name), signal.SIG_IGN)
-    heard = b""
-    while b"\n" not in heard:
+    received = b""
+    while b"\n" not in received:
         data = os.read(_STDIN, _CHUNK)
         if not data:
-            return 0  # the host was gone before it had opened anything
-        heard += data
-    line, _, heard = heard.partition(b"\n")
+            return 0  # the host ended before it had opened anything
+        received += data
+    line, _, received = received.partition(b"\n")
     fields: dict[str, Any] = json.loads(line)
     order = _Order(**fields | {"stop": bytes.fromhex(fields["stop"])})
     _take_priority(order.priority)
     _answer(guardian.READY)
-    return _Watcher(order, heard).run()
+    return _Watcher(order, received).run()
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""What a session with motor controllers needs of whoever stops the robot when this process dies or hangs."""
+"""The watch that stops the robot when this process dies or hangs, as a session with motor controllers uses it."""
 
 from typing import NamedTuple, Protocol
 
@@ -11,36 +11,36 @@ class HostWatch(Protocol):
 
     @property
     def warning(self) -> str | None:
-        """The sentence that says, before anything moves, what is not covered; None where there is nothing to say."""
+        """A warning, shown before anything moves, that says what is not covered; None if there is none."""
 
     def begin(self) -> bool:
-        """Ask to be watched, before the robot is armed; tell whether that is confirmed. To be called until it is.
+        """Ask to be watched, before the robot is armed; return whether that is confirmed. Call it until it is.
 
-        Raises DeviceError where it is refused or cannot be.
+        Raises DeviceError when the watch is refused or impossible.
         """
 
     @property
     def failure(self) -> str | None:
-        """Why the robot must not be driven on: it was stopped for our silence, or nobody watches. Ends with ``begin``.
+        """Why the robot must not be driven further: it was stopped because of our silence, or the watch has failed.
 
-        As a sentence; None while all is well.
+        None if neither is so. ``begin`` clears it.
         """
 
     def beat(self) -> None:
-        """Say that a command, or a step of a stop, went out just now."""
+        """Report that a command or a step of a stop was just sent."""
 
     def hold(self) -> None:
-        """Say that no command will come for a while, and the robot has its stop. Our death is still watched for."""
+        """Report that the stop was sent and no command follows for a while. Our death is still watched for."""
 
     def rest(self) -> None:
-        """Say that the wheels rest: nothing is to be stopped until ``begin``."""
+        """Report that the wheels rest: nothing has to be stopped until ``begin``."""
 
     def release(self) -> None:
-        """Part with it, when the link is closed: unless all rests, it then stops the robot. May be called twice."""
+        """End the watch, after the link was closed; unless the wheels rest, it stops the robot. May be called twice."""
 
 
 class Unwatched(NamedTuple):
-    """Nobody watches: a robot in this process, one that stops by itself, or a link that takes no second process."""
+    """No watch: the robot is in this process, stops by itself, or its link cannot be used by a second process."""
 
     warning: str | None = None
     failure: None = None
@@ -62,9 +62,10 @@ class Unwatched(NamedTuple):
 
 
 def watch_over(made: Dialect, driver: Driver, url: LinkUrl, silence_s: float, priority: int) -> HostWatch:
-    """Return who stops motors elsewhere if this process dies, or is silent for so long: a process, where they need one.
+    """Return the watch over motors elsewhere; a guardian process if they have no watchdog and a serial line.
 
-    ``priority`` is this process's own in real time. Raises DeviceError when the other process does not start.
+    ``silence_s`` is the silence after which it stops them; ``priority`` is this process's real-time priority, 0 for
+    none. Raises DeviceError when the guardian does not start.
     """
     if driver.capabilities.watchdog != "none":
         return Unwatched()

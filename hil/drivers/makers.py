@@ -97,7 +97,7 @@ class MakersRobot(LinkedDevice):
         self._awaits_watch = False
         if self._stop.is_needed:
             self._drop(State.STOPPING)
-            if self._stop.is_told:  # else the guardian, which opens the port itself, tries to stop it too
+            if self._stop.is_sent:  # else the guardian, which opens the port itself, tries to stop it too
                 self._watch.hold()
         else:
             self._watch.rest()
@@ -131,7 +131,7 @@ class MakersRobot(LinkedDevice):
         if self._state in (State.FAULT, State.ESTOP):
             raise DeviceError(self.why_not_active())
         if self._line.info is None or self._state is State.STOPPING:
-            self._tell_watch()
+            self._report_to_watch()
             return False
         self._awaits_watch = not self._watch.begin()
         if self._awaits_watch:
@@ -186,7 +186,7 @@ class MakersRobot(LinkedDevice):
         try:
             for t_ns in range(begin_ns + period_ns, begin_ns + limit_ns + 1, period_ns):
                 self.wait_until(t_ns)
-                if self.poll() is not None and self._state in _AT_REST and self._stop.is_told:
+                if self.poll() is not None and self._state in _AT_REST and self._stop.is_sent:
                     self.wait_until(t_ns + period_ns)  # so that the last frames arrive
                     return True
             if self.report.trouble is not None:
@@ -199,7 +199,7 @@ class MakersRobot(LinkedDevice):
 
     def poll(self) -> Feedback | None:
         self._take()
-        self._tell_watch()
+        self._report_to_watch()
         return self._feedback.newest
 
     def _take(self) -> None:
@@ -221,7 +221,7 @@ class MakersRobot(LinkedDevice):
                 self._line.ask_state(now_ns)
         self._renew()
 
-    def _tell_watch(self) -> None:
+    def _report_to_watch(self) -> None:
         """Tell the guardian whether anything has to be stopped; while ACTIVE each command does that (``send``)."""
         if self._stop.is_needed:
             if self._state is not State.ACTIVE:
@@ -301,7 +301,7 @@ class MakersRobot(LinkedDevice):
 
     def _renew(self) -> None:
         """Make feedback of the newest sample. State ESTOP is reported once the e-stop was sent whole."""
-        is_pending = self._state is State.ESTOP and not self._stop.is_told
+        is_pending = self._state is State.ESTOP and not self._stop.is_sent
         self._feedback.renew(self._clock.now_ns(), State.STOPPING if is_pending else self._state, self._sequence)
 
     def close(self) -> None:
@@ -310,7 +310,7 @@ class MakersRobot(LinkedDevice):
             if not self._has_lingered:
                 self._has_lingered = True
                 self._linger()
-        if self._stop.is_told:  # else the guardian is left to stop the robot
+        if self._stop.is_sent:  # else the guardian is left to stop the robot
             self._watch.rest()
 
     def _linger(self) -> None:

@@ -1,4 +1,4 @@
-"""Stopping motors that know no session of ours: the ramp down, and the stop that is owed until the wheels rest."""
+"""Stopping motors that do not know our states: the ramp down, and the stop that is owed until the wheels rest."""
 
 import functools
 from collections.abc import Callable, Sequence
@@ -12,7 +12,7 @@ from hil.drivers.port import Driver, DriverError, four
 
 REST: FourWheels = (0.0, 0.0, 0.0, 0.0)
 REPEAT_NS = 50_000_000
-_TIMES_AT_REST = 2  # one of them may be lost, and wheels may rest though something still holds them
+_TIMES_AT_REST = 2  # one may be lost, and wheels at rest may still be under control
 _AT_REST_RAD_S = 0.2  # PROTOCOL.md, "States"
 _ROLLS_OUT_NS = 1_000_000_000
 _LOST_NS = 1_000_000_000
@@ -37,7 +37,7 @@ class Terms(NamedTuple):
 
 
 class Line(Protocol):
-    """The part of a line that a stop needs."""
+    """The part of ``MotorLine`` that a stop needs."""
 
     def send(self, frames: Sequence[Frame]) -> None: ...
 
@@ -45,11 +45,11 @@ class Line(Protocol):
 
 
 class MotorStop:
-    """Sends what stops the motors; times are those of the run's clock.
+    """Sends the stop; times are of the run's clock.
 
     Attributes:
-        is_told: whether the newest stop went out whole, or nothing was ever armed.
-        problem: why the newest stop did not go out whole; None where it did.
+        is_sent: whether all frames of the newest stop were sent, or nothing was ever armed.
+        problem: why the newest stop was not sent whole; None if it was.
     """
 
     def __init__(self, driver: Driver, terms: Terms, line: Line) -> None:
@@ -58,11 +58,11 @@ class MotorStop:
         self._line = line
         self._ramp: tuple[int, FourWheels] | None = None  # when it began, and from which speeds
         self._owed_since_ns: int | None = None
-        self._told_at_rest = 0
+        self._sent_at_rest = 0
         self._wait_ns = _ROLLS_OUT_NS
         self._is_latched = False
-        self._tell_again_ns = 0
-        self.is_told = True
+        self._repeat_at_ns = 0
+        self.is_sent = True
         self.problem: str | None = None
         self._failing_since_ns: int | None = None
 
@@ -78,32 +78,33 @@ class MotorStop:
 
     @property
     def is_needed(self) -> bool:
-        """Whether the motors were armed from here, and have not been seen at rest, and told to stop, since."""
-        return self.is_owed or not self.is_told
+        """Whether the motors were armed from here, and have not been stopped and seen at rest since."""
+        return self.is_owed or not self.is_sent
 
     def raise_lost(self, now_ns: int) -> None:
-        """Raise LinkError where no stop has gone out for a second: a link that takes none is to be opened anew."""
+        """Raise LinkError if no stop could be sent for a second: the link then has to be reopened."""
         if self._failing_since_ns is not None and now_ns > self._failing_since_ns + _LOST_NS:
             self._failing_since_ns = None
             raise LinkError(f"no stop went out for a second ({self.problem}), and the link was opened anew")
 
     def armed(self) -> None:
-        """Nothing is owed any more: somebody arms the motors anew."""
+        """Forget the stop that is owed: the motors are armed again."""
         self._ramp = self._owed_since_ns = self.problem = None
         self._is_latched = False
-        self.is_told = False
+        self.is_sent = False
 
     def ramp_down(self, now_ns: int, speed_rad_s: FourWheels) -> None:
-        """Begin to go from these speeds to rest; ``go_on`` does it."""
+        """Begin the ramp from these speeds to rest; ``go_on`` commands it."""
         self._ramp = (now_ns, speed_rad_s)
 
     def go_on(self, now_ns: int) -> bool:
-        """Go on with the ramp, in mode TORQUE brake; then leave closed loop. True when the wheels rest, or rolled 1 s.
+        """Command the next step of the ramp (in mode TORQUE: brake), at its end leave closed loop.
 
-        Never true of a stop that did not go out whole. Raises LinkError when the link is lost.
+        Return True once the stop was sent whole and the wheels rest, or 1 s after it. Raises LinkError when the link
+        is lost.
         """
         if self._ramp is None:
-            return self.is_told and (self._owed_since_ns is None or now_ns > self._owed_since_ns + self._wait_ns)
+            return self.is_sent and (self._owed_since_ns is None or now_ns > self._owed_since_ns + self._wait_ns)
         begin_ns, speed = self._ramp
         left = 1.0 - (now_ns - begin_ns) * 1e-9 / self._terms.ramp_s
         if self._terms.mode is CommandMode.SPEED and left > 0.0:
@@ -115,39 +116,39 @@ class MotorStop:
         return False
 
     def leave_loop(self, now_ns: int, *, latched: bool = False) -> None:
-        """Stop at once, by the e-stop where that is to be ``latched``, at best effort; it is owed from now on."""
+        """Stop at once, at best effort; with ``latched`` by the e-stop. The stop is owed from now on."""
         self._ramp = None
         self._owed_since_ns = now_ns
         self._wait_ns = _ROLLS_OUT_NS
-        self._told_at_rest = 0
+        self._sent_at_rest = 0
         self._is_latched = latched or self._is_latched
-        self._tell(now_ns)
+        self._send(now_ns)
 
     def wait_no_longer_than(self, wait_ns: int) -> None:
-        """Let ``go_on`` wait for so long at most until the wheels rest, for the stop that has begun; it stays owed."""
+        """Limit the time that ``go_on`` waits for the wheels to rest after the newest stop, which stays owed."""
         self._wait_ns = wait_ns
 
     def clear(self) -> None:
-        """What is latched may be left."""
+        """Let the next stop be an ordinary one: the e-stop is no longer latched."""
         self._is_latched = False
 
     def repeat(self, now_ns: int) -> None:
-        """Send again a stop that is owed; it is no more once it went out whole, twice to wheels that were seen at rest.
+        """Repeat a stop that is owed, every 50 ms, until it was sent whole twice after the wheels were seen at rest.
 
-        What a controller needs may depend on what it says: what is sent after it was heard is what counts.
+        The frames may depend on what the controllers report, so that a stop counts only after their report of rest.
         """
-        if self._owed_since_ns is None or now_ns < self._tell_again_ns:
+        if self._owed_since_ns is None or now_ns < self._repeat_at_ns:
             return
-        self._tell(now_ns)
-        self._told_at_rest += self._rests_since(self._owed_since_ns) and self.is_told
-        if self._told_at_rest >= _TIMES_AT_REST:
+        self._send(now_ns)
+        self._sent_at_rest += self._rests_since(self._owed_since_ns) and self.is_sent
+        if self._sent_at_rest >= _TIMES_AT_REST:
             self._owed_since_ns = None
 
     def _is_over(self, now_ns: int, begin_ns: int) -> bool:
         return self._rests_since(begin_ns) or now_ns > begin_ns + _ROLLS_OUT_NS
 
     def _brake(self, now_ns: int) -> FourWheels:
-        """Return torques against the wheels' speeds; none by a speed that is too old."""
+        """Return torques against the wheels' speeds, zero if the speeds are too old."""
         sample, terms = self._driver.sample, self._terms
         if sample is None or now_ns - sample.stamp_ns > terms.stale_s * 1e9:
             return REST
@@ -155,16 +156,16 @@ class MotorStop:
         return command.torque_n_m
 
     def _rests_since(self, t_ns: int) -> bool:
-        """Tell whether all wheels were seen at rest after an instant."""
+        """Return whether all wheels were measured at rest after ``t_ns``."""
         sample = self._driver.sample
         if sample is None or sample.stamp_ns <= t_ns:
             return False
         return all(abs(speed) < _AT_REST_RAD_S for speed in sample.speed_rad_s)
 
-    def _tell(self, now_ns: int) -> None:
-        """Send the stop, each frame of it whatever became of the one before."""
-        self._tell_again_ns = now_ns + REPEAT_NS
-        self.is_told, self.problem = False, None
+    def _send(self, now_ns: int) -> None:
+        """Send the stop, each frame even if the one before failed."""
+        self._repeat_at_ns = now_ns + REPEAT_NS
+        self.is_sent, self.problem = False, None
         interrupt: KeyboardInterrupt | None = None
         frames: Sequence[Frame] = ()
         try:
@@ -180,12 +181,12 @@ class MotorStop:
                 steps[0]()
             except HilError as error:
                 self.problem = str(error)
-            except KeyboardInterrupt as pressed:  # Ctrl-C by one who wants all to stop: not before this is out
+            except KeyboardInterrupt as pressed:  # Ctrl-C takes effect once the stop was sent
                 interrupt = pressed
                 continue
             steps.pop(0)
-        self.is_told = self.problem is None
-        if self.is_told:
+        self.is_sent = self.problem is None
+        if self.is_sent:
             self._failing_since_ns = None
         elif self._failing_since_ns is None:
             self._failing_since_ns = now_ns
