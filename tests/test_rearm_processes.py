@@ -13,7 +13,9 @@ from pathlib import Path
 
 import pytest
 
+from firmware_protocol.generated.messages import State
 from hil.core.errors import LinkError
+from hil.robot.truth import TruthClient, TruthRecord
 from hil.runtime.assembly import RunOptions, run_scenario
 from hil.runtime.loop import Loop
 from hil.scenario import load
@@ -40,7 +42,19 @@ def finish(process: subprocess.Popen[str]) -> dict:
 
 
 def wait_until_driven(truth: str) -> None:
-    subprocess.run([sys.executable, "-c", WAIT_UNTIL_DRIVEN, truth], env=environment(), timeout=60, check=True)
+    """Wait until the robot of a truth socket is ACTIVE and turns its wheels; before that it must not turn them."""
+    watcher = TruthClient(truth, load("paper_circle", set=["loop.rate_hz=100"]).hash, reset=False)
+    with contextlib.closing(watcher):
+        seen: list[TruthRecord] = []
+
+        def is_driven() -> bool:
+            watcher.poll()
+            seen.extend(watcher.taken)
+            return bool(seen) and seen[-1].state is State.ACTIVE and any(seen[-1].set_point_rad_s)
+
+        wait_for(is_driven, 60.0)
+    # A busy machine may have stopped the robot meanwhile, and begun another session.
+    assert not [r for r in seen if r.state in (State.IDLE, State.ARMED) and any(r.set_point_rad_s)]
 
 
 @pytest.mark.parametrize(("mode", "duration_s"), [pytest.param(REAL_TIME, 10, marks=pytest.mark.alone), (LOCKSTEP, 40)])
@@ -90,24 +104,6 @@ def test_a_link_that_falls_silent_and_is_then_unplugged_holds_no_tick_up(tmp_pat
     assert "it did not come back until the end" in str(result.failure)
     assert result.metrics["ticks"] + result.metrics["deadline_misses"] == 300
 
-
-WAIT_UNTIL_DRIVEN = """
-import sys, time
-from firmware_protocol.generated.messages import State
-from hil.robot.truth import TruthClient
-from hil.scenario import load
-watcher = TruthClient(sys.argv[1], load("paper_circle", set=["loop.rate_hz=100"]).hash, reset=False)
-seen = []
-while True:
-    watcher.poll()
-    seen += watcher.taken
-    if seen and seen[-1].state is State.ACTIVE and any(seen[-1].set_point_rad_s):
-        break
-    time.sleep(0.005)
-# Nothing moves before a session is armed; a busy machine may have stopped the robot meanwhile, and begun another one.
-moved = [r for r in seen if r.state in (State.IDLE, State.ARMED) and any(r.set_point_rad_s)]
-assert not moved, moved
-"""
 
 NETWORK = r"""
 import json, subprocess, sys, time
