@@ -278,7 +278,7 @@ def test_one_instance_a_process_where_the_fmu_says_so(tmp_path: Path) -> None:
     fmu = foreign_fmu(tmp_path, 2, canBeInstantiatedOnlyOncePerProcess="true")
     with FmuPlant(fmu, {}, mapping=foreign_map(2)) as plant:
         plant.reset()
-        with pytest.raises(BadInputError, match="a process can have but one instance of it"):
+        with pytest.raises(BadInputError, match="a process can have only one instance of it"):
             FmuPlant(fmu, {}, mapping=foreign_map(2))
         plant.step(TORQUE)
     FmuPlant(fmu, {}, mapping=foreign_map(2)).close()

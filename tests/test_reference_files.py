@@ -234,5 +234,5 @@ def test_what_goes_on_for_ever_has_no_end_to_note():
 
 def test_a_file_in_another_encoding_is_a_sentence_with_what_to_do(tmp_path):
     (tmp_path / "way.csv").write_bytes((HEAD + "# Stra\xdfe\n0,0,0\n").encode("latin-1"))
-    with pytest.raises(BadInputError, match=r"way\.csv' is not UTF-8 \(byte 0xDF, .* save it as UTF-8$"):
+    with pytest.raises(BadInputError, match=r"way\.csv' is not UTF-8 \(byte 0xDF at offset .* save it as UTF-8$"):
         make_reference("waypoints", {"file": "way.csv"}, tmp_path)

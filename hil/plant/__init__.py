@@ -1,5 +1,5 @@
-"""FMUs: opened with care, mapped, checked, and stepped from C through the firmware's plant port.
+"""Opens, maps, checks and steps FMUs (the simulated robot). C code steps them through the firmware's plant port.
 
 May import: `core`, `firmware_protocol`, `plant_fmu`.
-To add a check of FMUs: a part in `conformance/`.
+To add a check of FMUs: a function in `conformance/`.
 """

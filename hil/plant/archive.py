@@ -1,6 +1,6 @@
-"""Finds FMUs and checks whether and how one can be run here, without running anything of it.
+"""Finds FMUs and checks whether and how one can run on this machine, without running its code.
 
-Every refusal is a BadInputError of one sentence that names the file.
+Every refusal is a BadInputError with one sentence that names the file.
 """
 
 import functools
@@ -26,11 +26,11 @@ INTERFACES = {"CoSimulation": "co_simulation", "ModelExchange": "model_exchange"
 _MOST_DESCRIPTION_BYTES = 64 * 1024 * 1024
 LIBRARY_SUFFIX = suffix(this_platform())
 _BUILT_BY = {SHIPPED["mecanum_mujoco"]: "hil fmu build --mujoco"}
-"""What is not built by itself when it is missing, for it takes a package that not everyone has; and its command."""
+"""FMUs that are not built automatically, because they need an optional package, and the command that builds each."""
 
 
 class Header(NamedTuple):
-    """What modelDescription.xml says first of all.
+    """The root element of modelDescription.xml and its interfaces.
 
     ``interfaces`` has the attributes of each interface's element by its name: CoSimulation, ModelExchange and, in
     FMI 3.0, ScheduledExecution.
@@ -53,19 +53,19 @@ class Library(NamedTuple):
 
 
 class BrokenFmuError(BadInputError):
-    """The FMU contradicts itself in a way that the standard forbids: nobody can run it, and a check fails it."""
+    """The FMU violates the standard so that no tool can run it; ``hil fmu check`` reports a violation."""
 
 
 def place(name: str, directory: Path) -> Path:
-    """Return where the FMU of a scenario is to be: of a shipped name, or a path relative to ``directory``."""
+    """Return the path of a scenario's FMU, given a shipped name or a path relative to ``directory``."""
     return SHIPPED[name] if name in SHIPPED else directory / name
 
 
 def locate(name: str, directory: Path) -> Path:
-    """Return the FMU of a scenario: a shipped name, or a path relative to ``directory``.
+    """Return the path of a scenario's FMU, given a shipped name or a path relative to ``directory``.
 
-    A shipped one that was not built from the sources beside it is built anew in a checkout. Raises BadInputError when
-    that cannot be done, and when there is none.
+    In a checkout a shipped FMU is rebuilt if its sources have changed. Raises BadInputError when that fails, and when
+    the FMU does not exist.
     """
     path = place(name, directory)
     refuse_folder(path)
@@ -80,7 +80,7 @@ def locate(name: str, directory: Path) -> Path:
 
 @functools.cache
 def _make_current(fmu: Path) -> None:
-    """Have an FMU of ours built anew where its sources have changed; once a process. Raises BadInputError."""
+    """Rebuild an FMU of this package if its sources have changed; once per process. Raises BadInputError."""
     try:
         FMUS[fmu].make_current()
     except BuildError as error:
@@ -97,23 +97,23 @@ def sha256(fmu: Path) -> str:
 
 
 def is_ours(fmu: Path) -> bool:
-    """Return whether this is where an FMU is that ships with this package, MuJoCo's among them."""
+    """Return whether this is the path of an FMU that ships with this package, MuJoCo's included."""
     return fmu in SHIPPED.values()
 
 
 def is_shipped(fmu: Path) -> bool:
     """Return whether this is, byte for byte, the plant that ships with this package, for either FMI version.
 
-    MuJoCo's is not: its code is not ours, and where MuJoCo gives up it ends its process.
+    MuJoCo's FMU does not count: its code is not ours, and a fatal error in MuJoCo ends the process.
     """
     digest = sha256(fmu)
     return any(plant.is_file() and sha256(plant) == digest for plant in (plant_path(2), plant_path(3)))
 
 
 def read_header(fmu: Path) -> Header:
-    """Check the archive and its XML, and return what modelDescription.xml says first. Raises BadInputError.
+    """Check the archive and its XML, and return the header of modelDescription.xml. Raises BadInputError.
 
-    A document type definition is refused: it is the way to entities that grow without end or name other files.
+    A document type definition is refused: it could define entities that grow without bound or read other files.
     """
     with opened(fmu) as archive:
         if DESCRIPTIONS[0] not in archive.namelist():
@@ -138,7 +138,7 @@ def read_header(fmu: Path) -> Header:
 
 
 def library_of(fmu: Path) -> Library:
-    """Return this platform's library, that for co-simulation where there is one, else that for model exchange.
+    """Return this platform's library: for co-simulation if there is one, else for model exchange.
 
     Raises BadInputError when the FMU has neither interface, or no library for this platform.
     """
@@ -168,14 +168,14 @@ def library_of(fmu: Path) -> Library:
 
 
 def platforms(fmu: Path) -> tuple[str, ...]:
-    """Return what the FMU has binaries for, as its folders call the platforms. Raises BadInputError."""
+    """Return the platforms for which the FMU has binaries, by the names of their folders. Raises BadInputError."""
     with opened(fmu) as archive:
         paths = [PurePosixPath(name) for name in archive.namelist() if not name.endswith("/")]
     return tuple(sorted({path.parts[1] for path in paths if path.parts[0] == "binaries" and len(path.parts) > 2}))
 
 
 def holds(fmu: Path, member: str, text: bytes) -> bool:
-    """Return whether a member of the archive has these bytes in it. Raises BadInputError."""
+    """Return whether a member of the archive contains these bytes. Raises BadInputError."""
     with opened(fmu) as archive:
         return text in b"".join(pieces(fmu, archive, archive.getinfo(member)))
 
@@ -183,7 +183,7 @@ def holds(fmu: Path, member: str, text: bytes) -> bool:
 def binary_folders(fmi_version: str) -> tuple[str, ...]:
     """Return the folders of this platform's binaries, the best first: FMI 3.0 section 2.5.1, FMI 2.0 section 2.3.
 
-    The names of 2.0 do not tell one 64-bit architecture from another, so 2.0 may use those of 3.0 as well.
+    The folder names of FMI 2.0 do not distinguish 64-bit architectures, so 2.0 may use those of 3.0 as well.
     """
     here = this_platform()
     names = (here, word_size_name(here))
@@ -205,7 +205,7 @@ def _read_xml(
     start: Callable[[str, dict[str, str]], None] | None = None,
     end: Callable[[str], object] | None = None,
 ) -> None:
-    """Parse an entry, giving its elements to ``start`` and ``end``."""
+    """Parse an XML entry; its elements are passed to ``start`` and ``end``."""
 
     def refuse(*_: object) -> None:
         raise BadInputError(f"FMU {fmu}: its {name} has a document type definition; an FMU has none")

@@ -1,4 +1,4 @@
-"""What of the plant is built: the C shim between the firmware's plant port and an FMU, and the FMUs of this package."""
+"""Build targets of the plant: the C shim between the firmware's plant port and an FMU, and the shipped FMUs."""
 
 from pathlib import Path
 
@@ -16,4 +16,4 @@ COSIM = Built(HERE / f"libcosim{SUFFIX}", "tools.build.cosim", (*SOURCES, *HEADE
 MUJOCO = plant_fmu.mujoco.path()
 _SCRIPTS = dict.fromkeys(INPUTS, "tools.build.fmu") | {MUJOCO: "tools.build.mujoco_fmu"}
 FMUS = {path: Built(path, _SCRIPTS[path], inputs, sources_of, PLANTS.parent) for path, inputs in INPUTS.items()}
-"""The FMUs of this package by where they are."""
+"""The FMUs of this package, by path."""

@@ -1,4 +1,4 @@
-"""The output of a child process: read as fast as it comes, kept in bounded memory, shown as plain text."""
+"""The output of a child process: read without delay, stored in bounded memory, shown as plain text."""
 
 import threading
 from collections import deque
@@ -46,17 +46,17 @@ class ChildOutput:
         return bool(self._waiting)
 
     def forget_newest(self) -> None:
-        """Forget the newest lines: what comes now is printed by another process."""
+        """Discard the newest lines, because another process prints from now on."""
         with self._lock:
             self._newest = b""
 
     def new_lines(self) -> list[str]:
-        """Return the lines since the last call, as far as they are among the first ones."""
+        """Return the lines since the last call, as long as the limit of first lines is not reached."""
         lines = [self._waiting.popleft() for _ in range(len(self._waiting))]
         return [line for line in lines if line]
 
     def end(self) -> list[str]:
-        """Return what is left at the end: the number of lines that are left out, and the newest lines."""
+        """Return a summary at the end: the number of omitted lines, and the newest lines."""
         with self._lock:
             *whole, unfinished = self._newest.split(b"\n")
             rest = self._lines - self._passed_on

@@ -1,4 +1,4 @@
-"""An FMU's modelDescription.xml, read without running anything of the FMU, and what ``hil fmu info`` shows of it."""
+"""Reads an FMU's modelDescription.xml without running the FMU; also the data for ``hil fmu info``."""
 
 import functools
 import shutil
@@ -18,7 +18,7 @@ from plant_fmu import SHIPPED
 def read_description(fmu: Path) -> Any:
     """Return FMPy's model description. Raises BadInputError when the file is no FMU that can be read.
 
-    FMPy sees the checked XML alone: what it opens by itself it does not check.
+    FMPy gets only the XML that was checked here, because FMPy itself does not check files.
     """
     archive.read_header(fmu)
     from fmpy import read_model_description
@@ -49,7 +49,7 @@ def parameter_names(fmu: Path) -> frozenset[str]:
 
 
 def check_start(fmu: Path, start: Mapping[str, Value]) -> None:
-    """Raise BadInputError, with a line for each, for start values that do not fit the FMU, which is not opened."""
+    """Raise BadInputError, with a line for each start value that does not fit the FMU. The FMU's code is not run."""
     start_values(start, fmu, _variables(fmu))
 
 
@@ -63,15 +63,15 @@ def _variables(fmu: Path) -> dict[str, Any]:
 
 @functools.lru_cache
 def _variables_in(fmu: Path, _state: tuple[int, int]) -> dict[str, Any]:
-    """Return the variables as long as the file is as it was: a process that makes many robots reads it once."""
+    """Return the variables, cached until the file changes: a process that makes many robots reads it once."""
     return variables_of(read_description(fmu))
 
 
 @dataclass(frozen=True)
 class VariableInfo:
-    """A variable as modelDescription.xml gives it, start and range as text; None where it says nothing.
+    """A variable as in modelDescription.xml, with start and range as text; None for what is not given.
 
-    ``dimensions`` are those of an array at its start, none for a scalar; ``items`` are the names and numbers of an
+    ``dimensions`` are the start sizes of an array, empty for a scalar; ``items`` are the names and numbers of an
     enumeration.
     """
 
@@ -90,11 +90,11 @@ class VariableInfo:
 
 @dataclass(frozen=True)
 class FmuInfo:
-    """An FMU as it describes itself. ``shipped`` is its name when it is, byte for byte, one of this package.
+    """The content of an FMU's description. ``shipped`` is its name if it is, byte for byte, one of this package.
 
-    ``about`` has description, author, version, license, copyright and tool, those that are given; ``experiment``
-    likewise start, stop, step and tolerance; ``interfaces`` has the model identifier of each, and ``capabilities``
-    what it claims; ``platforms`` are the folders with binaries.
+    ``about`` has description, author, version, license, copyright and tool, as far as given; ``experiment`` likewise
+    start, stop, step and tolerance. ``interfaces`` has the model identifier of each interface, ``capabilities`` its
+    declared capabilities. ``platforms`` are the folders with binaries.
     """
 
     path: Path
@@ -111,9 +111,9 @@ class FmuInfo:
 
 
 def info(fmu: Path, names: str = "*") -> FmuInfo:
-    """Return what the FMU says of itself, with the variables whose name fits the pattern ``names``.
+    """Return the FMU's description, with the variables whose names match the pattern ``names``.
 
-    Raises BadInputError when the file is no readable FMU, and when no variable fits.
+    Raises BadInputError when the file is not a readable FMU, and when no variable matches.
     """
     header = archive.read_header(fmu)
     digest = archive.sha256(fmu)
@@ -164,7 +164,7 @@ def _given(thing: object, *attributes: str, **renamed: str) -> dict[str, str]:
 
 
 def _capabilities(attributes: Mapping[str, str]) -> tuple[str, ...]:
-    """Return the claims of an interface that are not false or 0, with their value where it is not just true."""
+    """Return the capabilities of an interface that are not false or 0, with the value unless it is true."""
     claims = {name: value for name, value in attributes.items() if name != "modelIdentifier"}
     return tuple(
         name if value in ("true", "1") else f"{name}={value}"

@@ -1,7 +1,7 @@
 """An FMU in this process as the plant, stepped from C through the firmware's plant port.
 
-FMPy reads the description, loads and initialises the FMU. From then on the shim cosim.c calls the FMU's functions by
-their addresses: one C call a tick, where a step through FMPy's own methods costs about 25 times as much.
+FMPy reads the description, loads and initialises the FMU. After that the C code cosim.c calls the FMU's functions by
+their addresses, with one C call per tick. A step through FMPy's own methods takes about 25 times as long.
 """
 
 import contextlib
@@ -22,19 +22,18 @@ from hil.plant.start import Settable, Value, bounds, resize, settable_variables,
 
 
 class FmuPlant(shim.PlantPort):
-    """An instance of an FMU behind the plant port, at its start until it is stepped.
+    """An instance of an FMU that is connected to the plant port, in its start state until it is stepped.
 
-    ``start`` gives variables of the FMU by name, in the FMU's units; the others keep the FMU's defaults. ``mapping``
-    says which variables carry the bridge's signals where they do not have the signals' own names. A tick lasts
-    ``step_ns``.
+    ``start`` gives start values of variables by name, in the FMU's units; the others keep the FMU's defaults.
+    ``mapping`` gives the variable of each signal for which the names differ. A tick lasts ``step_ns``.
 
     ``settable`` are the variables that may be set between two ticks, by name.
 
-    With ``prints_log`` all that the FMU says to its logger is printed on stderr, a line for each message.
+    With ``prints_log`` every log message of the FMU is printed on stderr, one per line.
 
-    ``lacks`` names the sensors, keys of ``signals.SENSORS``, that the FMU does not have.
+    ``lacks`` names the sensors (keys of ``signals.SENSORS``) that the FMU does not have.
 
-    The FMU's code runs here: where it crashes or hangs, this process does.
+    The FMU's code runs in this process: if it crashes or hangs, so does this process.
 
     Raises BadInputError when the file is not an FMU that can run here, when a name is unknown or a value out of its
     range, and DeviceError when the FMU fails at its start.
@@ -96,7 +95,7 @@ class FmuPlant(shim.PlantPort):
         return int(self._ffi.cast("uintptr_t", self._context.signal))
 
     def wire(self, wheel_of_channel: Sequence[int], sign_of_channel: Sequence[int]) -> None:
-        """Set which wheel (0 to 3: FL, FR, RR, RL) each channel of the plant port drives, and in which sense.
+        """Set which wheel (0 to 3: FL, FR, RR, RL) each channel of the plant port drives, and in which direction.
 
         Raises BadInputError unless that is a permutation with signs 1 and -1.
         """
@@ -109,7 +108,7 @@ class FmuPlant(shim.PlantPort):
         self._context.sign_of_channel = list(sign_of_channel)
 
     def step(self, torque_n_m: Wheels, ticks: int = 1) -> None:
-        """Hold the torques of the channels, in single precision as on the plant port, for so many ticks.
+        """Apply the torques of the channels, in single precision as on the plant port, for a number of ticks.
 
         Raises DeviceError when the FMU fails.
         """
@@ -129,21 +128,21 @@ class FmuPlant(shim.PlantPort):
 
     @property
     def message(self) -> str:
-        """Why the newest exchange failed, in the FMU's words where it gave some; empty when it did not."""
+        """Why the last exchange failed, with the FMU's message if there is one; empty if it did not fail."""
         return self.instance.words
 
     def reset(self) -> None:
-        """Go back to the start, also after a failure. Raises DeviceError when the plant is closed or cannot."""
+        """Return to the start state, also after a failure. Raises DeviceError when the plant is closed or cannot."""
         if self._context.component == self._ffi.NULL:
             raise DeviceError("the plant is closed; make a new one")
         self.instance.reset()
         self._initialise()
 
     def restart(self, start: Mapping[str, Value]) -> None:
-        """Go back to the start with other start values, as if the plant had been made with them.
+        """Return to the start state with other start values, as if the plant had been made with them.
 
-        Raises BadInputError as when it is made, also for a structural parameter, by which it would have to be made
-        anew, and DeviceError as ``reset``.
+        Raises BadInputError as the constructor does, also for a structural parameter, which needs a new instance, and
+        DeviceError as ``reset`` does.
         """
         variables = self.instance.variables
         values = start_values(start, self._fmu, variables)
@@ -161,7 +160,7 @@ class FmuPlant(shim.PlantPort):
         self._resources.close()
 
     def _connect(self, fmu: Path, mapping: SignalMap) -> list[object]:
-        """Hand the FMU's addresses and variables to the shim; return what has to live as long as it."""
+        """Pass the FMU's addresses and variables to the C shim; return the objects that must live as long as it."""
         instance, context = self.instance, self._context
         resize(self._start, instance.variables)
         try:
@@ -178,7 +177,7 @@ class FmuPlant(shim.PlantPort):
         return shim.connect(context, wiring, instance.access)
 
     def _offer_variables(self) -> dict[str, Settable]:
-        """Hand the shim what may be set between two ticks, and return it with its place there."""
+        """Pass the variables that may be set between ticks to the C shim; return them with their index there."""
         if self.instance.is_model_exchange:  # it would be set in event mode alone, which the solver does not enter
             return {}
         offered = settable_variables(self.instance.variables, self._driven)
@@ -201,7 +200,7 @@ class FmuPlant(shim.PlantPort):
 
     @property
     def _time_ns(self) -> int:
-        """Time of the newest outputs since the start."""
+        """Time of the newest outputs since the start [ns]."""
         return int(self._context.steps * self._context.step_ns)
 
 

@@ -1,6 +1,6 @@
-"""An FMU in this process: loaded by FMPy, and taken through the life that the standard gives it.
+"""An FMU in this process: loads it with FMPy and takes it through the states of the FMI standard.
 
-What FMI 2.0 and 3.0 do differently is here and nowhere else in Python.
+All differences between FMI 2.0 and 3.0 on the Python side are handled here.
 """
 
 import contextlib
@@ -28,7 +28,7 @@ _LONGEST_TEXT = 511  # of cosim.text
 
 
 class Instance:
-    """One instance of an FMU; ``context`` is the shim's ``cosim``, to whose logger the FMU speaks.
+    """One instance of an FMU; ``context`` is the shim's ``cosim``, whose logger the FMU uses.
 
     Raises BadInputError when the library cannot be loaded or used.
     """
@@ -57,7 +57,7 @@ class Instance:
 
     @property
     def words(self) -> str:
-        """The newest message of the FMU that is a warning or worse, or why the shim stopped."""
+        """The newest FMU message that is a warning or worse, or the reason why the shim stopped."""
         return one_line(load()[0].string(self._context.text).decode(errors="replace"))
 
     def access(self, call: str, kind: str) -> Any:
@@ -65,17 +65,17 @@ class Instance:
         return self._function(f"fmi{self.version}{call}{kind}")
 
     def value_of(self, variable: Any) -> float:
-        """Return what a variable of a floating-point type is now. Raises DeviceError when the FMU does not say."""
+        """Return the value of a floating-point variable. Raises DeviceError when the FMU refuses to give it."""
         with self._answering(DeviceError, f"FMU {self._file}: {variable.name} cannot be read"):
             return float(getattr(self.fmu, f"get{variable.type}")([variable.valueReference])[0])
 
     def instantiate(self) -> None:
-        """Make the instance. Raises BadInputError when there may be no further one, and when the FMU makes none."""
+        """Make the instance. Raises BadInputError when only one is allowed per process, or the FMU refuses."""
         if self._interface.canBeInstantiatedOnlyOncePerProcess:
             if self.description.guid in _ALIVE:
                 raise BadInputError(
-                    f"FMU {self._file}: a process can have but one instance of it; close the other first, or run one "
-                    "of them in a process of its own"
+                    f"FMU {self._file}: a process can have only one instance of it; close the other first, or run one "
+                    "of them in its own process"
                 )
             _ALIVE.add(self.description.guid)
         (self._instantiate2 if self.version == 2 else self._instantiate3)()
@@ -87,7 +87,7 @@ class Instance:
         self._context.component = load()[0].cast("void *", self.fmu.component)
 
     def _guess(self) -> str:
-        """Return what may be wrong where the FMU made no instance and gave no reason."""
+        """Return the likely cause if the FMU made no instance and gave no reason."""
         guid = self.description.guid
         if archive.holds(self._file, self._library.member, guid.encode()):
             return "it did not say why"
@@ -98,7 +98,7 @@ class Instance:
         )
 
     def initialise(self, starts: Sequence[Start]) -> None:
-        """Set the start values of a new or reset instance and bring it to where it can be stepped.
+        """Set the start values of a new or reset instance and initialise it, so that it can be stepped.
 
         Raises BadInputError when the FMU refuses a start value, DeviceError when it fails otherwise.
         """
@@ -133,9 +133,9 @@ class Instance:
         return solve
 
     def reset(self) -> None:
-        """Bring the instance back to where it was made. Raises DeviceError when the FMU cannot."""
+        """Reset the instance to its state after ``instantiate``. Raises DeviceError when the FMU cannot."""
         if self._context.fatal:
-            raise DeviceError(f"FMU {self._file} is beyond repair, nothing of it may be called any more: {self.words}")
+            raise DeviceError(f"FMU {self._file} has reported a fatal error and cannot be reset: {self.words}")
         self._is_running = False
         self._forget()
         with self._answering(DeviceError, f"FMU {self._file} failed to reset"):
@@ -156,7 +156,7 @@ class Instance:
         _ALIVE.discard(self.description.guid)
 
     def unload(self) -> None:
-        """Unload the library, unless the FMU said that none of its functions may be called any more."""
+        """Unload the library, unless the FMU has reported a fatal error: then none of its functions may be called."""
         if not self._context.fatal:
             self.fmu.freeLibrary()
 
@@ -184,7 +184,7 @@ class Instance:
 
     @contextlib.contextmanager
     def _answering(self, error_class: type[HilError], what: str) -> Iterator[None]:
-        """Turn a status that is worse than a warning into our error, with the FMU's own words."""
+        """Turn a status worse than a warning into ``error_class``, with the FMU's message."""
         from fmpy.fmi1 import FMICallException
 
         try:

@@ -1,11 +1,11 @@
-"""Which variable of an FMU carries which signal of the bridge.
+"""Maps the signals of the bridge to variables of an FMU.
 
 A row of ``[plant.map]`` names one signal and one variable, with
 
     bridge value = sign * scale * FMU value + offset
 
-for outputs; an input is given to the FMU so that the same equation holds. A signal without a row is taken from
-the variable of the signal's own name. What is then still missing follows from the others, one signal at a time:
+for outputs; the value of an input is computed from the same equation. A signal without a row uses the variable of
+the same name. Signals that are then still missing are derived from others:
 
     signal                 from
     wheel.*.count          the wheel's angle, times counts per revolution / 2 pi, rounded down
@@ -15,12 +15,12 @@ the variable of the signal's own name. What is then still missing follows from t
     gyro.z_rad_s           twist.yaw_rate_rad_s
     gyro.x_rad_s, y        0: the robot stays level
 
-The pose must be there, of each wheel the torque or the duty, and the angle, or both the count and the speed. Without
-accelerometer, battery or temperatures the firmware says that it has none. A heading or
-an angle that the FMU wraps at a whole turn is unwrapped.
+Required are the pose and, for each wheel, the torque or the duty, and the angle or both count and speed. Without
+accelerometer, battery or temperatures the firmware reports that it has no such sensor. A heading or an angle that the
+FMU wraps at a whole turn is unwrapped.
 
-There are no patterns for names: a foreign FMU rarely calls its wheels fl, fr, rr and rl, and turns some of them the
-other way round, so that each wheel needs a row of its own.
+There are no patterns for names: a third-party FMU rarely calls its wheels fl, fr, rr and rl, and some of them turn the
+other way round, so each wheel needs its own row.
 """
 
 import math
@@ -70,7 +70,7 @@ class Row(NamedTuple):
 
 @dataclass(frozen=True)
 class SignalMap:
-    """Rows by signal, and what the signals that follow from others need; None where nothing does."""
+    """Rows by signal, and the constants that derived signals need; None if no signal needs them."""
 
     rows: Mapping[str, Row] = field(default_factory=dict)
     counts_per_revolution: float | None = None
@@ -88,7 +88,7 @@ class Connection(NamedTuple):
 
 
 class Wiring(NamedTuple):
-    """A map applied to an FMU. ``derived`` are the places in OUTPUTS of what follows from other signals."""
+    """A map applied to an FMU. ``derived`` are the indices in OUTPUTS of the signals derived from others."""
 
     inputs: tuple[Connection, ...]
     outputs: tuple[Connection, ...]
@@ -104,7 +104,7 @@ def resolve(signal_map: SignalMap, fmu: Path, variables: Variables) -> Wiring:
 
 
 class _Resolver:
-    """One resolution; collects problems rather than ending at the first."""
+    """Applies one map; collects all problems instead of stopping at the first."""
 
     def __init__(self, signal_map: SignalMap, fmu: Path, variables: Variables) -> None:
         self._map = signal_map
@@ -191,7 +191,7 @@ class _Resolver:
         return {signal for signal in may_follow if signal not in outputs}
 
     def _require_the_rest(self, inputs: Iterable[str], outputs: Iterable[str], derived: set[str]) -> None:
-        # A row that names a wrong variable has been complained of already.
+        # A row with a wrong variable has been reported already.
         there = {*inputs, *outputs, *derived, *ANGLES, *DUTIES, *ENABLED, *self._map.rows}
         driven = {torque for torque, duty in zip(TORQUES, DUTIES, strict=True) if duty in there & {*inputs}}
         missing = [signal for signal in (*INPUTS, *OUTPUTS) if signal not in there | driven]

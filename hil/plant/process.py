@@ -1,4 +1,4 @@
-"""A child process that may crash or hang: start, watch, end, reason of its end; and its own side."""
+"""A child process that may crash or hang: starts, watches and ends it; and the child's own side (``Parent``)."""
 
 import contextlib
 import json
@@ -27,13 +27,13 @@ _LONGEST_ROUNDS_S = 2.0
 
 
 class Watch:
-    """Calls ``expire(limit_s)`` when one request has been pending for so long, and each ``limit_s`` from then on.
+    """Calls ``expire(limit_s)`` when one request has been pending for ``limit_s``, and again after each ``limit_s``.
 
     It also calls ``look`` several times in that time, at least every tenth of a second.
 
-    ``pending`` returns a token of the request that waits for its reply, another one for each request, or None. Rounds
-    are counted, not time: a suspended program does not take its own absence for a hang. Detection comes up to a
-    twentieth late of ``limit_s`` as it was at first, or of 2 s where that is longer.
+    ``pending`` returns a token of the request that waits for its reply, a different one for each request, or None.
+    The watch counts its rounds, not time, so a suspended program is not taken for a hang. Detection may be late by a
+    twentieth of the first ``limit_s``, or of 2 s if that is shorter.
     """
 
     def __init__(
@@ -64,7 +64,7 @@ class Watch:
                 self._expire(limit_s)
 
     def stop(self) -> None:
-        """Watch no longer."""
+        """Stop watching."""
         self._stopped.set()
 
 
@@ -114,7 +114,7 @@ class ChildProcess:
         return _pipe(self._process.stdin).fileno()
 
     def send(self, record: Mapping[str, object]) -> None:
-        """Send a line. Whether it arrived shows in the answer."""
+        """Send a line. Only an answer shows that it arrived."""
         with contextlib.suppress(OSError):
             _pipe(self._process.stdin).write(json.dumps(record).encode() + b"\n")
 
@@ -129,7 +129,7 @@ class ChildProcess:
                 yield record
 
     def kill(self) -> None:
-        """End it at once, with every process that it started; not waited for."""
+        """Kill the process and every process that it started, without waiting."""
         if self._process.returncode is not None:
             return  # its number may be another's by now
         with contextlib.suppress(OSError):  # it has ended already
@@ -139,13 +139,13 @@ class ChildProcess:
                 os.killpg(self._process.pid, signal.SIGKILL)
 
     def give_up(self, waited_s: float) -> None:
-        """End it at once, because it has not answered for so long [s]."""
+        """Kill the process, because it has not answered for ``waited_s`` [s]."""
         self._end_because(f"it gave no answer within {waited_s:g} s and was ended")
 
     def limit_memory(self, limit_mb: float, setting: str = "") -> None:
-        """End it at once when it has taken more memory; there is no limit where the system does not tell.
+        """Kill the process if it uses more memory than the limit. No effect if the system does not report memory.
 
-        ``setting`` is what a user may set the limit by.
+        ``setting`` names the option that sets the limit, for the message.
         """
         if self._process.returncode is None and (words := excess(self.pid, limit_mb)) is not None:
             self._end_because(f"{words}{setting and f' ({setting})'}, and was ended")
@@ -155,7 +155,7 @@ class ChildProcess:
         self.kill()
 
     def wait(self) -> int:
-        """Wait for its end, which is forced when it does not come by itself; return the status that Popen gives."""
+        """Wait for its end, kill it if it does not end by itself, and return Popen's status."""
         return self._end(_END_S)
 
     def ending(self) -> str:
@@ -170,7 +170,7 @@ class ChildProcess:
         return f"; its last words: {words[-_LAST_WORDS:]!r}" if words else ""
 
     def close(self, patience_s: float) -> None:
-        """Let it end in order, at once after ``patience_s``. Closing twice is allowed."""
+        """Let the process end by itself; kill it after ``patience_s``. Closing twice is allowed."""
         _pipe(self._process.stdin).close()
         self._end(patience_s)
         _pipe(self._process.stdout).close()

@@ -1,4 +1,4 @@
-"""The plant FMU in a process of its own, behind the same plant port: one that crashes or hangs takes down only that."""
+"""The plant FMU in its own process, with the same plant port: a crash or hang affects only that process."""
 
 import contextlib
 import tempfile
@@ -67,7 +67,7 @@ class RemotePlant(shim.PlantPort):
         self._open()
 
     def _open(self) -> None:
-        """Start the child and have it open the FMU."""
+        """Start the child process and make it open the FMU."""
         self._text = ""
         with contextlib.ExitStack() as resources:
             # Removed here, because a child that crashes cannot.
@@ -116,7 +116,7 @@ class RemotePlant(shim.PlantPort):
         return int(self._ffi.cast("uintptr_t", self._context.newest.pose))
 
     def wire(self, wheel_of_channel: Sequence[int], sign_of_channel: Sequence[int]) -> None:
-        """Set which wheel (0 to 3: FL, FR, RR, RL) each channel of the plant port drives, and in which sense.
+        """Set which wheel (0 to 3: FL, FR, RR, RL) each channel of the plant port drives, and in which direction.
 
         Raises BadInputError unless that is a permutation with signs 1 and -1, DeviceError when the FMU fails.
         """
@@ -130,7 +130,7 @@ class RemotePlant(shim.PlantPort):
         self._wiring = (tuple(wheel_of_channel), tuple(sign_of_channel))
 
     def step(self, torque_n_m: Wheels, ticks: int = 1) -> None:
-        """Hold the torques of the channels, in single precision as on the plant port, for so many ticks.
+        """Apply the torques of the channels, in single precision as on the plant port, for a number of ticks.
 
         Raises DeviceError when the FMU fails.
         """
@@ -158,9 +158,9 @@ class RemotePlant(shim.PlantPort):
         return self._text
 
     def reset(self) -> None:
-        """Go back to the start; in a new process after a failure, or when the FMU cannot.
+        """Return to the start state; in a new process after a failure, or if the FMU cannot be reset.
 
-        Raises DeviceError when the plant is closed, or when the FMU cannot be opened anew.
+        Raises DeviceError when the plant is closed, or when the FMU cannot be opened again.
         """
         if self._closed:
             raise DeviceError("the plant is closed; make a new one")

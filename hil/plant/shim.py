@@ -1,4 +1,4 @@
-"""The C shim cosim.[ch] as cffi sees it, and how a wiring is laid out for it: one group of variables a type."""
+"""Access to the C shim cosim.[ch] through cffi, and the layout of a wiring for it: one group of variables per type."""
 
 import functools
 from abc import ABC, abstractmethod
@@ -19,7 +19,7 @@ _C_TYPES = {"Float64": "double", "Float32": "float"}
 def load() -> tuple[Any, Any]:
     """Return cffi's (ffi, library) of the shim, with the declarations taken from the C headers themselves.
 
-    Raises BadInputError when it was not built from the sources beside it and cannot be built anew.
+    Raises BadInputError when it does not match its sources and cannot be rebuilt.
     """
     return loaded()[:2]
 
@@ -41,7 +41,7 @@ def address(name: str) -> int:
 
 
 class PlantPort(ABC):
-    """What both plants offer to C: functions by their address, and the context that they are called with.
+    """What both plants offer to C: the addresses of functions, and the context argument for them.
 
     The addresses hold as long as the object lives; the functions fail after ``close``. A context manager.
     """

@@ -47,7 +47,7 @@ class CheckResult:
         return self.texts(Kind.VIOLATION)
 
     def texts(self, kind: Kind) -> list[str]:
-        """Return what was found of a kind, one sentence each, after the name of its part."""
+        """Return the findings of a kind, one sentence each, which begins with the name of the part."""
         return [f"{part.name}: {one.text}" for part in self.parts for one in part.findings if one.kind == kind]
 
 

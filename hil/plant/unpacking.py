@@ -1,4 +1,4 @@
-"""Reads a zip archive from a stranger: its names, sizes and bytes may say anything.
+"""Reads an untrusted zip archive: its names, sizes and bytes may be false or malicious.
 
 The rules are those of FMI 3.0 section 2.5 (stored or deflated, not encrypted, forward slashes) and one of ours:
 what is opened here can be unpacked by every operating system. Every refusal is a BadInputError of one sentence.
