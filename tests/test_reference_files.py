@@ -168,7 +168,7 @@ def test_what_a_robot_drove_becomes_a_reference(tmp_path):
     nothing = np.full(len(t_s), np.nan)
     assert written({}) == pytest.approx(signals["truth.x_m"].tolist(), abs=1e-9)
     assert written({"truth.x_m": nothing, "pose.x_m": np.array(t_s)}) == pytest.approx(t_s, abs=1e-9)
-    with pytest.raises(BadInputError, match=r"run\.rrd: no tick of it has a pose"):
+    with pytest.raises(BadInputError, match=r"run\.rrd: no tick has a pose"):
         written({"truth.x_m": nothing, "pose.y_m": nothing})
     whole = RecordedRun(tmp_path / "run.rrd", signals, (), {}, None, 0)
     with pytest.raises(BadInputError, match=r"drove\.txt: its name must end in \.csv"):
