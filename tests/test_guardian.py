@@ -353,7 +353,7 @@ def test_one_that_takes_nothing_holds_nobody_up() -> None:
         assert pid is not None
         os.kill(pid, signal.SIGSTOP)
         for _ in range(20_000):
-            guardian._tell(b"beat")
+            guardian._write(b"beat")
         os.kill(pid, signal.SIGKILL)
 
 
