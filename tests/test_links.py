@@ -184,7 +184,7 @@ def test_symlink_is_made_replaced_and_removed(tmp_path: Path):
 def test_symlink_never_replaces_a_file(tmp_path: Path):
     name = tmp_path / "robot"
     name.write_text("precious")
-    with pytest.raises(BadInputError, match="no symbolic link"):
+    with pytest.raises(BadInputError, match="not a symbolic link"):
         pty.PtyStream(name)
     assert name.read_text() == "precious"
     with pytest.raises(BadInputError, match="cannot be made"):

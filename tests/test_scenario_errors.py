@@ -292,7 +292,7 @@ def test_a_table_from_two_places_is_told_with_both() -> None:
     Path("my.toml").write_text('extends = "paper_circle"\n[device]\ndriver = "odrive"\nmotors = {gear_ratio = 8.0}\n')
     refused = message(set=["device.motors.firmware=0.5"])
     assert refused == '--set: device.motors.firmware = 0.5; expected text in quotation marks: "0.5"'
-    contradiction = message(set=["device.motors.feedback_hz=2000"])
-    assert contradiction.startswith("scenario my.toml:4 and --set: device.motors: feedback_hz = 2000: expected 1000 at")
+    contradiction = message(set=['device.motors.firmware="0.5"', "device.motors.watchdog_endpoints=[419, 420]"])
+    assert contradiction.startswith("scenario my.toml:4 and --set: device.motors: watchdog_endpoints: firmware 0.5")
     alone = message("paper_circle", set=["device.driver=odrive", "device.motors.nod_ids=[1]"])
     assert alone.startswith("--set: unknown key device.motors.nod_ids; did you mean 'node_ids'?")

@@ -112,7 +112,7 @@ def test_decode_gives_each_frame_as_json(tmp_path):
     ("arguments", "words"),
     [
         (["nowhere.blf"], ["nowhere.blf", "No such file", ".blf"]),
-        (["bus.pcap"], ["bus.pcap", "ending", ".log"]),
+        (["bus.pcap"], ["bus.pcap", "extension", ".log"]),
         (["bus.log", "--message", "WHEEL_COMAND"], ["WHEEL_COMAND", "did you mean 'WHEEL_COMMAND'"]),
         (["bus.log", "--raw", "--message", "TICK"], ["--message 'TICK' with --raw", "leave one out"]),
         (["bus.log", "--from", "3", "--to", "2"], ["--from 3", "--to 2"]),

@@ -62,8 +62,6 @@ class LinkFault:
         self._message = None if row.target in (*DIRECTIONS, "link") else row.target
         make = find(row.kind, row.target).on_frames
         self._effect = None if make is None else make(row, chance)
-        make = find(row.kind, row.target).on_frames
-        self._effect = None if make is None else make(row, chance)
         self._newest: dict[tuple[str, int], Frame] = {}  # frames that freeze repeats, by direction and id
 
     def concerns(self, direction: str, number: int | None) -> bool:
