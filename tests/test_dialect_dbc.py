@@ -155,7 +155,7 @@ def test_the_watchdog_is_set_read_back_and_stops_the_wheels_when_commands_end() 
 
 def test_a_watchdog_that_does_not_answer_as_it_was_set_keeps_the_wheels_disarmed() -> None:
     rig = drives()
-    rig.node.said_instead["DRIVES_INFO.Timeout"] = 2000
+    rig.node.overrides["DRIVES_INFO.Timeout"] = 2000
     rig.step(ticks=100)
     for _ in range(60):
         rig.step(rig.driver.arm(rig.now_ns))
@@ -297,7 +297,7 @@ def test_what_switches_off_may_be_the_first_step_to_on(enable: object) -> None:
 
 def test_a_device_of_another_version_is_refused() -> None:
     rig = drives()
-    rig.node.said_instead["DRIVES_INFO.Protocol"] = 9
+    rig.node.overrides["DRIVES_INFO.Protocol"] = 9
     rig.step(ticks=101)
     with pytest.raises(BadInputError, match=r"DRIVES_INFO.Protocol of the device is 9, and this mapping is for 2, 3"):
         rig.greet()
@@ -306,7 +306,9 @@ def test_a_device_of_another_version_is_refused() -> None:
 def test_what_was_not_heard_is_named_and_forgotten_with_the_link() -> None:
     rig = drives()
     assert rig.driver.identity is None
-    assert rig.driver.missing.startswith("nothing heard of STATUS_FL (0x120), STATUS_FR (0x121), STATUS_RR (0x122), ")
+    assert rig.driver.missing.startswith(
+        "nothing received of STATUS_FL (0x120), STATUS_FR (0x121), STATUS_RR (0x122), "
+    )
     armed(rig)
     assert rig.driver.missing == ""
     rig.driver.restart()
@@ -367,7 +369,7 @@ def test_positions_that_fell_silent_make_the_sample_old_and_never_take_it_back()
     driver = driver_of("twist_base", {"feedback.position": signals | {"scale": 1.0}} | gone)
     driver.feed(Frame(MOTION, bytes(8)), 0)
     assert driver.sample is None
-    assert driver.missing.startswith("nothing heard of BASE_IMU (0x18ff0300)")
+    assert driver.missing.startswith("nothing received of BASE_IMU (0x18ff0300)")
     told(driver, IMU, 0.0)
     stamps = [told(driver, MOTION, seconds).stamp_ns for seconds in (0.1, 0.2, 0.3, 0.4)]
     assert stamps == [100_000_000, 200_000_000, 250_000_000, 250_000_000]
@@ -386,7 +388,9 @@ def test_a_state_and_an_error_that_are_told_no_longer_stop_the_robot(table: str)
             rig.driver.feed(Frame(number, bytes.fromhex("0000000000200000")), end_ns + late_ns)
         assert rig.driver.is_armed is (table == "errors" or late_ns < 500_000_000)
     [error] = rig.driver.errors
-    assert error.startswith("nothing heard of DRIVES_INFO (0x130), which tells errors or states, for more than 0.5 s")
+    assert error.startswith(
+        "nothing received of DRIVES_INFO (0x130), which reports errors or states, for more than 0.5 s"
+    )
 
 
 def test_a_cycle_time_is_of_a_message_that_is_awaited() -> None:

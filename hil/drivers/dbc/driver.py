@@ -1,4 +1,4 @@
-"""Drives motor controllers by their DBC and a mapping: no maker's rule is in here, all of it is in the scenario."""
+"""Drives motor controllers by their DBC and a mapping, both given in the scenario; it has no rules of any maker."""
 
 from collections.abc import Mapping, Sequence
 from itertools import chain
@@ -9,8 +9,8 @@ from hil.core.kinematics import body_twist, wheel_speeds
 from hil.core.types import NAN, CommandMode, FourWheels
 from hil.drivers.dbc.coding import Moving, Packer, RollingCounter
 from hil.drivers.dbc.file import Message
-from hil.drivers.dbc.heard import Heard
 from hil.drivers.dbc.mapping import Bound, Step
+from hil.drivers.dbc.received import Received
 from hil.drivers.dbc.robot import check_limits, check_wheels, gains, warnings, watchdog_raw
 from hil.drivers.dbc.settings import PHASES, Settings
 from hil.drivers.port import EXTENDED, NO_CHANNELS, Capabilities, Dialect, Driver, RobotFacts, Sample, Sensor, four
@@ -18,7 +18,7 @@ from hil.drivers.port import EXTENDED, NO_CHANNELS, Capabilities, Dialect, Drive
 _NONE: Mapping[str, float] = {}
 _NO_STEP: Mapping[str, Packer] = {}
 _AGAIN_NS = 250_000_000
-"""After so long the steps of arming are sent once more: one of their frames may have been lost."""
+"""After this time the steps of arming are repeated: one of their frames may have been lost."""
 _SENSORS: Mapping[str, Sensor] = {
     "position": "position",
     "current": "current",
@@ -31,15 +31,15 @@ _SENSORS: Mapping[str, Sensor] = {
 
 
 class DbcDriver(Driver):
-    """See ``hil.drivers.port.Driver``. Raises BadInputError where mapping and robot do not go together."""
+    """See ``hil.drivers.port.Driver``. Raises BadInputError if the mapping does not fit the robot."""
 
     def __init__(self, settings: Settings, robot: RobotFacts) -> None:
         plan = self._plan = settings.plan
         self._robot = robot
-        self._gain = gains(settings, robot)
+        self._gain = gains(settings, robot.wheel_radius_m, robot.torque_constant_n_m_a)
         check_wheels(plan, robot)
         check_limits(plan, robot, self._gain)
-        self._heard = Heard(plan, self._gain)
+        self._received = Received(plan, self._gain)
         self._is_twist = plan.motion == "twist"
         self._measures_twist = plan.measured == "twist"
         self._adds_torque = "feedforward" in plan.commands
@@ -64,7 +64,7 @@ class DbcDriver(Driver):
         )
         self._warnings = tuple(warnings(plan, robot))
 
-    # Made once
+    # Preparation
 
     def _moving_signal(self, index: int, bound: Bound) -> Moving:
         signal = bound.signal
@@ -74,12 +74,12 @@ class DbcDriver(Driver):
         return any(one.signal.message == message for one in self._moving)
 
     def _packers(self, phase: str, step: Step) -> Mapping[str, Packer]:
-        """Return what packs the messages of a step. All but arming is sent with the fields of ``disable``."""
+        """Return the packers of a step by message. All phases but ``enable`` also send the fields of ``disable``."""
         disabled = {} if phase == "enable" else (self._plan.phases["disable"] or ({},))[-1]
         return {name: self._packer(name, {**disabled.get(name, {}), **fields}) for name, fields in step.items()}
 
     def _packer(self, message: str, fields: Mapping[str, float] = _NONE) -> Packer:
-        """Return what packs a message with the constants and the watchdog's time, and over them these fields."""
+        """Return the packer of a message with its constants, the watchdog's time, and these fields, which go first."""
         fixed = {**self._plan.constants.get(message, {}), **fields}
         watchdog = self._plan.watchdog.set
         if watchdog is not None and watchdog.signal.message == message:
@@ -91,9 +91,9 @@ class DbcDriver(Driver):
     def _restart_arming(self) -> None:
         self._step = 0
         self._stepped_ns = 0
-        self._watchdog_ns: int | None = None  # when its time was sent first
+        self._watchdog_ns: int | None = None  # when the watchdog's time was first sent
         self._is_armed = False
-        self._passed: list[str] = []  # errors that ended closed loop, though they may be over
+        self._ended_by: list[str] = []  # errors that ended closed loop, kept although they may have ended
 
     # A session
 
@@ -102,11 +102,11 @@ class DbcDriver(Driver):
 
     @property
     def identity(self) -> str | None:
-        if self._heard.missing():
+        if self._received.missing():
             return None
         name = self._plan.dbc.name
-        said = []
-        for condition, raw in self._heard.identity():
+        values = []
+        for condition, raw in self._received.identity():
             signal = condition.signal
             if raw not in condition.raws:
                 known = ", ".join(sorted(signal.word(one) for one in condition.raws))
@@ -114,17 +114,18 @@ class DbcDriver(Driver):
                     f"{signal} of the device is {signal.word(raw)}, and this mapping is for {known} "
                     f"(device.motors.identity); take the DBC of the device's firmware, or the firmware of the DBC"
                 )
-            said.append(f"{signal} {signal.word(raw)}")
-        return f"controllers of {name}" + (f" with {', '.join(said)}" if said else "")
+            values.append(f"{signal} {signal.word(raw)}")
+        return f"controllers of {name}" + (f" with {', '.join(values)}" if values else "")
 
     @property
     def missing(self) -> str:
-        missing = self._heard.missing()
+        missing = self._received.missing()
         if not missing:
             return ""
         names = ", ".join(map(_named, missing))
         return (
-            f"nothing heard of {names}; check power, wiring and bit rate, and the identifiers in {self._plan.dbc.name}"
+            f"nothing received of {names}; check power, wiring and bit rate, and the identifiers in "
+            f"{self._plan.dbc.name}"
         )
 
     def arm(self, now_ns: int) -> Sequence[Frame]:
@@ -139,13 +140,13 @@ class DbcDriver(Driver):
             self._step += 1
             self._stepped_ns = now_ns
             return frames
-        self._is_armed = not self.missing and self._heard.follows()
+        self._is_armed = not self.missing and self._received.follows()
         if not self._is_armed and now_ns - self._stepped_ns >= _AGAIN_NS:
             self._step = 0
         return self._standstill()
 
     def _watchdog_is_set(self) -> bool:
-        """Tell whether it was sent in this arming, and then read back where it can be."""
+        """Return whether the time was sent in this arming and, if a signal reports it, read back since."""
         if self._watchdog_ns is None:
             return False
         written, read = self._plan.watchdog.set, self._plan.watchdog.read
@@ -153,11 +154,11 @@ class DbcDriver(Driver):
             return True
         expected_s = self._gain(written) * written.signal.physical(self._watchdog_raw)
         half_a_step_s = abs(self._gain(read) * read.signal.factor) / 2
-        return abs(self._heard.watchdog_s(self._watchdog_ns) - expected_s) <= half_a_step_s + 1e-9
+        return abs(self._received.watchdog_s(self._watchdog_ns) - expected_s) <= half_a_step_s + 1e-9
 
     @property
     def is_armed(self) -> bool:
-        return self._is_armed and self._heard.follows()
+        return self._is_armed and self._received.follows()
 
     def command(self, speed_rad_s: FourWheels, torque_n_m: FourWheels, now_ns: int) -> Sequence[Frame]:
         values: Sequence[float] = torque_n_m
@@ -192,28 +193,28 @@ class DbcDriver(Driver):
         return [packer.frame(self._still) for packer in chain.from_iterable(step.values() for step in steps)]
 
     def _standstill(self, step: Mapping[str, Packer] = _NO_STEP) -> list[Frame]:
-        """Return the commands of standstill and the messages of a step, in place of commands of the same name."""
+        """Return the commands of standstill, with the messages of a step in place of those of the same name."""
         return [packer.frame(self._still) for packer in {**self._commands, **step}.values()]
 
-    # What arrives
+    # Received frames
 
     def feed(self, frame: Frame, stamp_ns: int) -> None:
-        is_well = self._heard.feed(frame.id, frame.payload, stamp_ns)
-        if self._is_armed and not is_well:  # the next may be: of several that came together the last alone would count
-            self._passed = self._reported()
+        is_healthy = self._received.feed(frame.id, frame.payload, stamp_ns)
+        if self._is_armed and not is_healthy:  # checked here, as the next frame may already report that all is well
+            self._ended_by = self._reported()
             self._is_armed = False
 
     @property
     def sample(self) -> Sample | None:
-        stamp_ns = self._heard.stamp_ns()
+        stamp_ns = self._received.stamp_ns()
         if stamp_ns is None:
             return None
         if self._measures_twist:
-            forward, left, yaw_rate = self._heard.quantity("twist") or ()
+            forward, left, yaw_rate = self._received.quantity("twist") or ()
             speeds = wheel_speeds((forward, left, yaw_rate), self._robot.wheel_radius_m, self._robot.lever_m)
         else:
             speeds = self._four("speed")
-        x, y, z = self._heard.quantity("acceleration") or (NAN, NAN, NAN)
+        x, y, z = self._received.quantity("acceleration") or (NAN, NAN, NAN)
         return Sample(
             stamp_ns,
             speeds,
@@ -227,33 +228,33 @@ class DbcDriver(Driver):
         )
 
     def _four(self, name: str) -> FourWheels:
-        return four(self._heard.quantity(name) or NO_CHANNELS)
+        return four(self._received.quantity(name) or NO_CHANNELS)
 
     def _one(self, name: str) -> float:
-        (value,) = self._heard.quantity(name) or (NAN,)
+        (value,) = self._received.quantity(name) or (NAN,)
         return value
 
     @property
     def errors(self) -> Sequence[str]:
-        told = self._reported()
-        told += [error for error in self._passed if error not in told]
+        errors = self._reported()
+        errors += [error for error in self._ended_by if error not in errors]
         silent = [
-            f"nothing heard of {_named(message)}, which tells errors or states, for more than {late_s:g} s (how often "
-            "it comes is device.motors.cycle_time_s)"
-            for message, late_s in self._heard.silent()
+            f"nothing received of {_named(message)}, which reports errors or states, for more than {late_s:g} s (its "
+            "period is device.motors.cycle_time_s)"
+            for message, late_s in self._received.silent()
         ]
-        return told + silent
+        return errors + silent
 
     def _reported(self) -> list[str]:
         return [
             f"{'the robot' if error.where == 'robot' else f'wheel {error.where}'}: {error.signal} is "
             f"{error.signal.word(raw)}"
-            for error, raw in self._heard.errors()
+            for error, raw in self._received.errors()
         ]
 
     def restart(self) -> None:
         self._restart_arming()
-        self._heard = Heard(self._plan, self._gain)
+        self._received = Received(self._plan, self._gain)
 
 
 def _named(message: Message) -> str:

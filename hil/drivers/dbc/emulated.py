@@ -1,8 +1,8 @@
-"""Motor controllers that do what a user's mapping says of them; their frames are coded by cantools, from the DBC alone.
+"""Emulated motor controllers that behave as a user's mapping describes; cantools codes their frames from the DBC.
 
-They take a command only as the mapping sends it: after the steps of ``enable`` in their order, with the constants, and
-with counters that count. Without commands they go on for ever, unless the mapping has a watchdog. Drives that are
-switched off brake until the wheels stand, then let go.
+They obey commands only as the mapping sends them: after the steps of ``enable`` in their order, with the constants, and
+with counters that advance. When commands end they go on for ever, unless the mapping has a watchdog. When switched off
+they brake until the wheels stand, and then release them.
 """
 
 import math
@@ -15,8 +15,8 @@ from hil.core.kinematics import body_twist, wheel_speeds
 from hil.core.types import FourWheels
 from hil.drivers.dbc.file import Signal, parse
 from hil.drivers.dbc.mapping import Bound, Condition, Quantity, Step
+from hil.drivers.dbc.robot import gains
 from hil.drivers.dbc.settings import Settings
-from hil.drivers.dbc.units import at_wheel
 from hil.drivers.emulated import EmulatedMotors
 from hil.drivers.port import EXTENDED, clamp, four
 
@@ -29,39 +29,31 @@ class EmulatedDbc(EmulatedMotors[Settings]):
 
     Attributes:
         is_on: whether they follow commands. is_stopped: by an e-stop that latches.
-        said_instead: raw values by signal, told in place of what is so; errors among them end with ``clear``.
-        ignored: frames that were not as the mapping sends them.
+        overrides: raw values by signal, sent in place of the actual ones; errors among them end with ``clear``.
+        ignored: number of frames that were not as the mapping sends them.
     """
 
     def power_on(self) -> None:
         settings = self.settings
         plan = self._plan = settings.plan
         database = parse(Path(settings.file))
-        self._taken = {_id(one): one for one in map(database.get_message_by_name, plan.sent())}
-        self._said = [(one, self._period_ticks(one)) for one in map(database.get_message_by_name, plan.heard())]
+        self._received = {_id(one): one for one in map(database.get_message_by_name, plan.sent())}
+        self._sent = [(one, self._period_ticks(one)) for one in map(database.get_message_by_name, plan.received())]
         self._last_count: dict[str, int] = {}
         self._done: set[str] = set()
         self._step = 0
         self._commanded: dict[str, list[float]] = {name: [0.0] * len(q.bounds) for name, q in plan.commands.items()}
         self._commanded_tick = 0
         self._timeout_s = plan.watchdog.timeout_s
+        self._gain = gains(settings, self.values["wheel_radius_m"], self.values["torque_constant_n_m_a"])
         self.is_on = False
         self.is_stopped = False
-        self.said_instead: dict[str, float] = {}
+        self.overrides: dict[str, float] = {}
         self.ignored = 0
         self._loops = self.speed_loops()
 
     def _period_ticks(self, message: Any) -> int:
         return max(round(message.cycle_time or 1000.0 / self._plan.feedback_hz), 1)
-
-    def _gain(self, bound: Bound) -> float:
-        return bound.sign * at_wheel(
-            bound.unit,
-            bound.dimension,
-            gear_ratio=self.settings.gear_ratio,
-            wheel_radius_m=self.values["wheel_radius_m"],
-            torque_constant_n_m_a=self.values["torque_constant_n_m_a"],
-        )
 
     @property
     def _lever_m(self) -> float:
@@ -73,13 +65,13 @@ class EmulatedDbc(EmulatedMotors[Settings]):
 
     def fail(self, signal: str, raw: int) -> None:
         """Report an error, and switch off."""
-        self.said_instead[signal] = raw
+        self.overrides[signal] = raw
         self._switch_off()
 
-    # What is asked for
+    # Received frames
 
     def take(self, frame: Frame) -> None:
-        message = self._taken.get(frame.id)
+        message = self._received.get(frame.id)
         if message is None or len(frame.payload) < message.length:
             return
         payload = frame.payload[: message.length]
@@ -92,7 +84,7 @@ class EmulatedDbc(EmulatedMotors[Settings]):
         if self._is_last(message.name, raw, "clear"):
             self.is_stopped = False
             for error in self._plan.errors:
-                self.said_instead.pop(str(error.signal), None)
+                self.overrides.pop(str(error.signal), None)
         if self._is_last(message.name, raw, "estop"):
             self.is_stopped = self.settings.estop_latches
             self._switch_off()
@@ -119,7 +111,7 @@ class EmulatedDbc(EmulatedMotors[Settings]):
         return bool(steps) and message in steps[-1] and _agrees(raw, steps[-1][message])
 
     def _begins(self, message: str, raw: Mapping[str, Any]) -> bool:
-        """Tell whether this is of the first of several steps to on; what switches off may be that too (CiA 402)."""
+        """Return whether this is the first of several steps of ``enable``, which may also switch off (CiA 402)."""
         steps = self._plan.phases["enable"]
         return len(steps) > 1 and message in steps[0] and _agrees(raw, steps[0][message])
 
@@ -139,7 +131,7 @@ class EmulatedDbc(EmulatedMotors[Settings]):
             and _agrees(raw, first[message])
             and not _agrees(raw, steps[self._step].get(message, {}))
         ):
-            self._step = 0  # somebody begins anew
+            self._step = 0  # the sequence begins again
             self._done.clear()
         step = steps[self._step]
         if message in step and _agrees(raw, step[message]):
@@ -169,7 +161,7 @@ class EmulatedDbc(EmulatedMotors[Settings]):
         self._commanded_tick = self.ticks
 
     def _switch_on(self) -> None:
-        if self.is_stopped or any(str(error.signal) in self.said_instead for error in self._plan.errors):
+        if self.is_stopped or any(str(error.signal) in self.overrides for error in self._plan.errors):
             return
         self.is_on = True
         self._commanded_tick = self.ticks
@@ -181,13 +173,13 @@ class EmulatedDbc(EmulatedMotors[Settings]):
         self._step = 0
         self._done.clear()
 
-    # What they do
+    # Control
 
     def tick(self) -> FourWheels | None:
         late_s = (self.ticks - self._commanded_tick) * 1e-3
         if self.is_on and self._timeout_s is not None and late_s > self._timeout_s:
             self._switch_off()
-        self._say_what_is_due()
+        self._send_due_messages()
         speeds = self._speeds()
         if not self.is_on and all(abs(speed) < _STANDING_RAD_S for speed in speeds):
             for loop in self._loops:
@@ -209,20 +201,20 @@ class EmulatedDbc(EmulatedMotors[Settings]):
             return wheel_speeds((forward, left, yaw_rate), self.values["wheel_radius_m"], self._lever_m), _STILL
         return four(self._commanded["speed"]), four(self._commanded.get("feedforward", _STILL))
 
-    # What they say
+    # Sent frames
 
-    def _say_what_is_due(self) -> None:
-        due = [message for message, period_ticks in self._said if self.ticks % period_ticks == 0]
+    def _send_due_messages(self) -> None:
+        due = [message for message, period_ticks in self._sent if self.ticks % period_ticks == 0]
         if not due:
             return
-        told = {str(signal): raw for signal, raw in self._told()} | self.said_instead
+        values = {str(signal): raw for signal, raw in self._values()} | self.overrides
         for message in due:
             signals = self._plan.dbc.message(message.name).signals
-            raws = {name: told.get(str(signal), signal.initial) for name, signal in signals.items()}
+            raws = {name: values.get(str(signal), signal.initial) for name, signal in signals.items()}
             self.say(Frame(_id(message), message.encode(raws, scaling=False, strict=False)))
 
-    def _told(self) -> Iterator[tuple[Signal, float]]:
-        """Yield the raw values of all that the mapping reads."""
+    def _values(self) -> Iterator[tuple[Signal, float]]:
+        """Yield each signal that the mapping reads, with its actual raw value."""
         measured = self._measured()
         for name, quantity in self._plan.feedback.items():
             for bound, value in zip(quantity.bounds, measured[name], strict=True):
@@ -269,12 +261,12 @@ def _id(message: Any) -> int:
     return number | EXTENDED if message.is_extended_frame else number
 
 
-def _agrees(raw: Mapping[str, Any], wanted: Mapping[str, float]) -> bool:
-    return all(raw[name] == value for name, value in wanted.items())
+def _agrees(raw: Mapping[str, Any], expected: Mapping[str, float]) -> bool:
+    return all(raw[name] == value for name, value in expected.items())
 
 
 def _another(condition: Condition) -> float:
-    """Return a value that is none of the condition's, of the value table where there is one."""
+    """Return a raw value that does not meet the condition, from the signal's value table if it has one."""
     signal = condition.signal
     some = [*signal.texts, *(int(signal.low) + i for i in range(len(condition.raws) + 1))]
     return next(value for value in some if value not in condition.raws)

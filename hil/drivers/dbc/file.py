@@ -1,4 +1,4 @@
-"""A user's DBC file: read by cantools, and kept as plain data of the messages that a mapping may name."""
+"""Reads a user's DBC file with cantools, and keeps its messages as plain data."""
 
 import math
 from collections.abc import Mapping
@@ -14,9 +14,10 @@ _FLOAT_HIGHEST = {16: 65504.0, 32: 3.4028234663852886e38, 64: 1.7976931348623157
 
 
 class Signal(NamedTuple):
-    """A signal of a DBC. Value = ``factor`` × raw + ``offset`` in its own ``unit``.
+    """A signal of a DBC. Its value in its ``unit`` is ``factor`` × raw + ``offset``.
 
-    ``low`` and ``high`` are the raw limits, by the DBC's minimum and maximum and by the signal's length.
+    ``low`` and ``high``: raw limits, from the DBC's minimum and maximum and from the number of bits. ``texts``: the
+    value table. ``initial``: raw value where nothing else is given.
     """
 
     message: str
@@ -34,9 +35,9 @@ class Signal(NamedTuple):
         return f"{self.message}.{self.name}"
 
     def raw(self, value: object) -> float:
-        """Return the raw number of a value: one in the signal's unit, or a text of its value table.
+        """Return the raw number of a value: a number in the signal's unit, or a text of its value table.
 
-        Raises ValueError when the signal cannot have it, in a sentence that begins after the signal's name.
+        Raises ValueError if the signal cannot carry it; the sentence continues after the signal's name.
         """
         if isinstance(value, str):
             for number, text in self.texts.items():
@@ -65,15 +66,15 @@ class Signal(NamedTuple):
         return f"{lowest:g} to {highest:g} {self.unit}".rstrip()
 
     def word(self, raw: float) -> str:
-        """Return a raw number as the DBC calls it: its text, else the number."""
+        """Return the text of a raw number in the value table, or else its value in the signal's unit."""
         text = self.texts.get(int(raw)) if math.isfinite(raw) else None
         return f"{self.physical(raw):g}" if text is None else repr(text)
 
 
 class Message(NamedTuple):
-    """A message of a DBC. ``id`` is a ``Frame.id``; ``period_s`` None where the DBC gives no cycle time.
+    """A message of a DBC. ``id``: as in ``Frame.id``. ``period_s``: None if the DBC has no cycle time.
 
-    ``codec`` is what cantools has of it.
+    ``codec``: the message of cantools, which packs and unpacks it.
     """
 
     name: str
@@ -85,7 +86,7 @@ class Message(NamedTuple):
 
 
 class Dbc:
-    """What a DBC file says; ``name`` is the file's, for messages. Messages are looked at when they are asked for."""
+    """A DBC file with the name ``name``. Each message is checked when it is first used."""
 
     def __init__(self, name: str, database: Any) -> None:
         self.name = name
@@ -93,9 +94,9 @@ class Dbc:
         self._messages: dict[str, Message] = {}
 
     def message(self, name: str) -> Message:
-        """Return a message that classic CAN can carry, and that looks the same in every frame.
+        """Return a message.
 
-        Raises ValueError when there is none of the name, or it is none of that kind.
+        Raises ValueError if there is none of this name, if classic CAN cannot carry it, or if it is multiplexed.
         """
         if name not in self._messages:
             if name not in self._there:
@@ -122,10 +123,7 @@ class Dbc:
 
 
 def load(file: str) -> Dbc:
-    """Return what a DBC file says.
-
-    Raises ValueError when cantools is not installed, and when the file is missing, unreadable or no DBC.
-    """
+    """Return a DBC file, parsed. Raises ValueError if it is missing, unreadable or no DBC, or without cantools."""
     path = Path(file)
     try:
         status = path.stat()
@@ -142,12 +140,12 @@ def _load(path: Path, _changed_ns: int, _size: int) -> Dbc:
 
 
 def parse(path: Path) -> Any:
-    """Return a DBC file as cantools has it. Raises ValueError when it is none or unreadable, or without cantools."""
+    """Return cantools' database of a DBC file. Raises ValueError if it is unreadable or no DBC, or without cantools."""
     try:
-        import cantools  # only here: it is an extra, and takes 0.2 s
+        import cantools  # not at the top: it is an optional package, and its import takes 0.2 s
     except ImportError as error:
         raise ValueError(
-            f"a DBC file is read by cantools, and that is not there ({error}); pip install 'mecanum-hil[dbc]'"
+            f"cantools, which reads DBC files, is not installed ({error}); pip install 'mecanum-hil[dbc]'"
         ) from error
     try:
         data = path.read_bytes()
@@ -158,14 +156,14 @@ def parse(path: Path) -> Any:
     except UnicodeDecodeError:
         text = data.decode("cp1252", errors="replace")  # what the format's own tools write
     try:
-        # Not strict: a flaw in a message that nobody uses is none of ours.
+        # Not strict: an error in a message that is not used does not matter.
         return cantools.database.load_string(text, database_format="dbc", strict=False)
     except cantools.Error as error:
         raise ValueError(f"file = {str(path)!r} is no DBC that can be read: {_one_line(error)}") from error
 
 
 def _refusal(message: Any) -> str | None:
-    """Return why this driver does not take a message, None where it does."""
+    """Return why this driver does not support a message, None if it does."""
     if message.is_fd or message.length > _CLASSIC_BYTES:
         return f"has {message.length} bytes and is for CAN FD; this driver speaks classic CAN, of up to 8 bytes"
     if message.is_multiplexed():
@@ -219,7 +217,7 @@ def _signal(message: Any, signal: Any) -> Signal:
 
 
 def _limits_of_length(signal: Any) -> tuple[float, float]:
-    """Return the lowest and the highest raw number that the bits can have."""
+    """Return the lowest and the highest raw number that the bits can hold."""
     if signal.conversion.is_float:
         return -_FLOAT_HIGHEST[signal.length], _FLOAT_HIGHEST[signal.length]
     high = (1 << signal.length - signal.is_signed) - 1
@@ -227,7 +225,7 @@ def _limits_of_length(signal: Any) -> tuple[float, float]:
 
 
 def _limits(signal: Any) -> tuple[float, float]:
-    """Return the lowest and the highest raw number; without minimum and maximum the DBC leaves it to the length."""
+    """Return the raw limits: the DBC's minimum and maximum if it has both, within those of the signal's length."""
     conversion = signal.conversion
     low, high = _limits_of_length(signal)
     given = [
@@ -237,9 +235,9 @@ def _limits(signal: Any) -> tuple[float, float]:
     ]
     if len(given) == 2:
         least, most = sorted(given)
-        if not conversion.is_float:  # a limit between two steps is at the inner one, but for rounding
+        if not conversion.is_float:  # move a limit between two steps inwards, with a tolerance for rounding
             least, most = math.ceil(least - 1e-6), math.floor(most + 1e-6)
-        if max(low, least) <= min(high, most):  # else the DBC's limits are none of what the bits can have
+        if max(low, least) <= min(high, most):  # ignore limits outside the range of the bits
             low, high = max(low, least), min(high, most)
     return low, high
 

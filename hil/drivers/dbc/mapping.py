@@ -1,6 +1,6 @@
-"""The tables of [device.motors] read against the DBC: every name, unit and value is found there or refused.
+"""Reads the tables of [device.motors] against the DBC, and refuses every name, unit or value that it does not have.
 
-All raise ValueError in a sentence that begins with the key below [device.motors].
+All functions raise ValueError with a sentence that begins with the key below [device.motors].
 """
 
 from collections.abc import Iterable, Iterator, Mapping
@@ -15,7 +15,7 @@ Table = Mapping[str, object]
 
 
 class Bound(NamedTuple):
-    """A signal that carries a quantity: ``sign`` × what its ``unit`` says, of a ``dimension`` of units.SI."""
+    """A signal that carries a quantity of a ``dimension`` of units.SI, in a ``unit``, with a ``sign``."""
 
     signal: Signal
     sign: int
@@ -24,21 +24,21 @@ class Bound(NamedTuple):
 
 
 class Quantity(NamedTuple):
-    """A quantity and its signals: one each wheel, axis, or one. ``wraps_at`` is for positions, in the signal's unit."""
+    """A quantity and its signals: one per wheel, per axis, or one. ``wraps_at``: of positions, in the signal's unit."""
 
     bounds: tuple[Bound, ...]
     wraps_at: float = 0.0
 
 
 class Condition(NamedTuple):
-    """A signal that has to have one of these raw values."""
+    """A signal and the raw values that meet the condition."""
 
     signal: Signal
     raws: frozenset[float]
 
 
 class ErrorSignal(NamedTuple):
-    """A signal that tells an error of a wheel, or of the robot (``where``), unless it has one of these raw values."""
+    """A signal that reports an error of a wheel or of the robot (``where``); the raw values ``none`` are no error."""
 
     where: str
     signal: Signal
@@ -46,7 +46,7 @@ class ErrorSignal(NamedTuple):
 
 
 class Watchdog(NamedTuple):
-    """``timeout_s`` is what the user declares; else it is set by one signal and read back from the other."""
+    """The watchdog: a fixed ``timeout_s`` that the user gives, or a time that is set by a signal and read from one."""
 
     timeout_s: float | None = None
     set: Bound | None = None
@@ -54,7 +54,7 @@ class Watchdog(NamedTuple):
 
 
 Step = Mapping[str, Mapping[str, float]]
-"""Raw values by message and signal that are sent together."""
+"""Raw values, by message and signal, that are sent together."""
 
 
 def _each_wheel(dimension: str) -> Mapping[str, str]:
@@ -82,7 +82,7 @@ FEEDBACK: Mapping[str, Mapping[str, str]] = {
 
 
 def table(value: object, key: str, known: Iterable[str] | None = None) -> Table:
-    """Return a table as it is, its names checked where they are ``known``."""
+    """Return the value if it is a table. With ``known``, its names must be among these."""
     if not isinstance(value, Mapping):
         raise ValueError(f"{key} = {value!r}: expected a table")
     names = None if known is None else list(known)
@@ -93,7 +93,7 @@ def table(value: object, key: str, known: Iterable[str] | None = None) -> Table:
 
 
 def quantities(dbc: Dbc, value: object, key: str, known: Mapping[str, Mapping[str, str]]) -> dict[str, Quantity]:
-    """Return the quantities of ``command`` or ``feedback``, in the order in which they are known."""
+    """Return the quantities of ``command`` or ``feedback``, in the order of ``known``."""
     given = table(value, key, known)
     return {
         name: _quantity(dbc, given[name], f"{key}.{name}", parts, wraps=name == "position")
@@ -115,7 +115,7 @@ def _quantity(dbc: Dbc, value: object, key: str, parts: Mapping[str, str], *, wr
 
 
 def bound(dbc: Dbc, given: Table, name: str, key: str, dimension: str) -> Bound:
-    """Return the signal that is named in a table, with the table's unit or scale, else the DBC's unit."""
+    """Return the signal with this name in a table, with the table's unit or scale, or else the DBC's unit."""
     spec = given[name]
     sign, bare = (-1, spec[1:]) if isinstance(spec, str) and spec.startswith("-") else (1, spec)
     try:
@@ -133,7 +133,7 @@ def bound(dbc: Dbc, given: Table, name: str, key: str, dimension: str) -> Bound:
 
 
 def values(dbc: Dbc, value: object, key: str) -> Iterator[tuple[str, Signal, list[float]]]:
-    """Yield key, signal and raw values of ``MESSAGE.Signal = value``, or an array of values."""
+    """Yield key, signal and raw values of each ``MESSAGE.Signal = value``, where a value may be an array."""
     for message, signals in table(value, key).items():
         for name, given in table(signals, f"{key}.{message}").items():
             where = f"{key}.{message}.{name}"
@@ -148,7 +148,7 @@ def values(dbc: Dbc, value: object, key: str) -> Iterator[tuple[str, Signal, lis
 
 
 def constants(dbc: Dbc, value: object, key: str) -> dict[str, dict[str, float]]:
-    """Return the raw values that fields have in every frame, by message and signal."""
+    """Return the raw values that are the same in every frame, by message and signal."""
     fixed: dict[str, dict[str, float]] = {}
     for where, signal, raws in values(dbc, value, key):
         if len(raws) > 1:
@@ -158,7 +158,7 @@ def constants(dbc: Dbc, value: object, key: str) -> dict[str, dict[str, float]]:
 
 
 def steps(dbc: Dbc, value: object, key: str) -> tuple[Step, ...]:
-    """Return what is sent one after the other: arrays are a value for each step, all of one length."""
+    """Return the steps of a phase. Arrays have a value for each step, and all have the same length."""
     found = list(values(dbc, value, key))
     lengths = {len(raws): where for where, _, raws in found if len(raws) > 1}
     if len(lengths) > 1:
@@ -172,12 +172,12 @@ def steps(dbc: Dbc, value: object, key: str) -> tuple[Step, ...]:
 
 
 def conditions(dbc: Dbc, value: object, key: str) -> tuple[Condition, ...]:
-    """Return what has to be so; of an array any value will do."""
+    """Return the conditions; any value of an array meets one."""
     return tuple(Condition(signal, frozenset(raws)) for _, signal, raws in values(dbc, value, key))
 
 
 def errors(dbc: Dbc, value: object, key: str) -> tuple[ErrorSignal, ...]:
-    """Return the signals that tell errors, of each wheel and of the robot."""
+    """Return the signals that report errors of each wheel and of the robot."""
     given = table(value, key, (*WHEEL_NAMES, "robot", "none"))
     none = given.get("none", 0)
     fine = none if isinstance(none, list | tuple) else [none]
@@ -212,7 +212,7 @@ def counters(dbc: Dbc, value: object, key: str) -> tuple[Signal, ...]:
 
 
 def watchdog(dbc: Dbc, value: object, key: str) -> Watchdog:
-    """Return what stops the wheels when commands end."""
+    """Return the watchdog that stops the wheels when commands end."""
     given = table(value, key, ("timeout_s", "set", "read", "unit", "scale"))
     if "timeout_s" in given:
         if len(given) > 1:
@@ -230,7 +230,7 @@ def watchdog(dbc: Dbc, value: object, key: str) -> Watchdog:
 
 
 def cycle_times(value: object, key: str) -> dict[str, float]:
-    """Return how often messages come [s]; 0 for those that are sent on a change alone."""
+    """Return the periods of messages [s]; 0 for those that are sent only on a change."""
     found = {}
     for message, given in table(value, key).items():
         if isinstance(given, bool) or not isinstance(given, int | float) or not 0.0 <= given < float("inf"):

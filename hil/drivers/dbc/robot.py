@@ -1,4 +1,4 @@
-"""Whether a mapping and the robot go together, and what the units of the one are for the other."""
+"""Checks that a mapping fits the robot, and the conversion of its units for the robot."""
 
 from collections.abc import Callable
 
@@ -14,41 +14,41 @@ _KEY = "device.motors"
 _WHOLE = 1e-9
 
 Gain = Callable[[Bound], float]
-"""Returns what 1 of a signal is in the SI unit of its dimension, with its sign."""
+"""Returns the size of one unit of a signal in the SI unit of its dimension, with its sign."""
 
 
-def gains(settings: Settings, robot: RobotFacts) -> Gain:
-    """Return the gains of a mapping on a robot."""
+def gains(settings: Settings, wheel_radius_m: float, torque_constant_n_m_a: float) -> Gain:
+    """Return the gains of a mapping on a robot; the torque constant is that at the wheel."""
 
     def gain(bound: Bound) -> float:
         return bound.sign * at_wheel(
             bound.unit,
             bound.dimension,
             gear_ratio=settings.gear_ratio,
-            wheel_radius_m=robot.wheel_radius_m,
-            torque_constant_n_m_a=robot.torque_constant_n_m_a,
+            wheel_radius_m=wheel_radius_m,
+            torque_constant_n_m_a=torque_constant_n_m_a,
         )
 
     return gain
 
 
 def check_wheels(plan: Plan, robot: RobotFacts) -> None:
-    """Raise BadInputError where [device] says again, and otherwise, what the mapping says of the wheels."""
+    """Raise BadInputError if [device] gives an order or direction of the wheels, which the mapping already gives."""
     names = [WHEEL_NAMES[wheel] for wheel in robot.wheel_of_channel]
     if names != list(WHEEL_NAMES):
         raise BadInputError(
-            f"device.wheels = {names}: {_KEY} names the signals of each wheel itself; leave device.wheels away, and "
-            "put the signals of a wheel beside its name"
+            f"device.wheels = {names}: {_KEY} names the signals of each wheel itself; remove device.wheels, and "
+            "give each wheel its signals there"
         )
     if "twist" in (plan.motion, plan.measured) and -1 in robot.sign_of_channel:
         raise BadInputError(
-            "device.reversed is not empty: controllers that take or tell a body twist know themselves which way their "
-            "wheels turn; leave it away"
+            "device.reversed is not empty: controllers that take or report a body twist know the direction of their "
+            "wheels; remove it"
         )
 
 
 def check_limits(plan: Plan, robot: RobotFacts, gain: Gain) -> None:
-    """Raise BadInputError where a commanded signal cannot carry a limit of the robot, or standstill."""
+    """Raise BadInputError if a commanded signal cannot carry a limit of the robot, or zero."""
     ground_m_s = robot.speed_limit_rad_s * robot.wheel_radius_m
     limits = {
         "speed": ("robot.speed_limit_rad_s", robot.speed_limit_rad_s),
@@ -70,7 +70,7 @@ def check_limits(plan: Plan, robot: RobotFacts, gain: Gain) -> None:
 
 
 def _check_zero(signal: Signal) -> None:
-    """Raise BadInputError where a signal has no number for zero: its nearest would be a motion."""
+    """Raise BadInputError if a signal has no raw number for zero: the nearest one would be a motion."""
     zero = -signal.offset / signal.factor
     if signal.is_float or abs(zero - round(zero)) <= _WHOLE * max(1.0, abs(zero)):
         return
@@ -82,9 +82,9 @@ def _check_zero(signal: Signal) -> None:
 
 
 def watchdog_raw(plan: Plan, robot: RobotFacts, gain: Gain) -> float:
-    """Return what the signal that sets the watchdog has for the robot's, 0 where there is none.
+    """Return the raw value that sets the watchdog to the robot's time; 0 if no signal sets it.
 
-    Raises BadInputError where that is beyond the signal.
+    Raises BadInputError if the signal cannot carry it.
     """
     bound = plan.watchdog.set
     if bound is None:
@@ -102,23 +102,23 @@ def watchdog_raw(plan: Plan, robot: RobotFacts, gain: Gain) -> float:
 
 
 def warnings(plan: Plan, robot: RobotFacts) -> list[str]:
-    """Return what has to be said before anything moves."""
-    said = []
+    """Return the sentences that the user must know before anything moves."""
+    found = []
     timeout_s = plan.watchdog.timeout_s
     if timeout_s is None and plan.watchdog.set is None:
-        said.append(
+        found.append(
             f"{_KEY}.watchdog is empty: nothing that is known stops the wheels when commands end; keep an e-stop that "
             "cuts the motors' power within reach"
         )
     elif timeout_s is not None and timeout_s > robot.watchdog_s:
-        said.append(
+        found.append(
             f"when commands end the wheels go on for {timeout_s:g} s ({_KEY}.watchdog.timeout_s), longer than the "
             f"{robot.watchdog_s:g} s of firmware.watchdog_s"
         )
     if not plan.armed_when:
-        said.append(f"{_KEY}.armed_when is empty: whether the controllers follow commands is not known")
+        found.append(f"{_KEY}.armed_when is empty: whether the controllers follow commands is not known")
     if plan.motion == "twist":
-        said.append(torques_dropped(f"a base of {plan.dbc.name}"))
+        found.append(torques_dropped(f"a base of {plan.dbc.name}"))
     elif plan.motion == "speed" and "feedforward" not in plan.commands:
-        said.append(torques_dropped(f"{_KEY}.command without feedforward"))
-    return said
+        found.append(torques_dropped(f"{_KEY}.command without feedforward"))
+    return found

@@ -13,14 +13,14 @@ from hil.drivers.port import late_ns
 
 PHASES = ("ask", "enable", "disable", "estop", "clear")
 _UNKNOWN_LATE_NS = 250_000_000
-"""After so long a message counts no more whose cycle time is not known."""
+"""Age at which the values of a message are too old if its cycle time is not known."""
 
 
 class Plan(NamedTuple):
-    """A mapping as it was found in the DBC. ``phases`` has all of PHASES, some of them without a step.
+    """A mapping with its signals as found in the DBC. ``phases`` has all of PHASES, some of them without steps.
 
-    ``feedback_hz`` is the rate of the slowest message that carries a speed. ``cycle_time_s`` has what the user says of
-    messages, 0 for those that are sent on a change alone.
+    ``feedback_hz``: rate of the slowest message that carries a speed. ``cycle_time_s``: periods that the user gives, by
+    message; 0 for messages that are sent only on a change.
     """
 
     dbc: Dbc
@@ -38,12 +38,12 @@ class Plan(NamedTuple):
 
     @property
     def motion(self) -> str:
-        """What is commanded: ``speed``, ``torque`` or ``twist``."""
+        """The commanded quantity: ``speed``, ``torque`` or ``twist``."""
         return next(iter(self.commands))
 
     @property
     def measured(self) -> str:
-        """What odometry rests on: ``speed`` or ``twist``."""
+        """The measured quantity that odometry uses: ``speed`` or ``twist``."""
         return next(iter(self.feedback))
 
     def commanded(self) -> Iterator[Signal]:
@@ -57,9 +57,9 @@ class Plan(NamedTuple):
         return mapping.by_message(self.dbc, signals) | {name: self.dbc.message(name) for name in names}
 
     def late_ns(self, message: Message) -> int | None:
-        """Return after how long the values of a message count no more; None for those that hold until the next.
+        """Return the age at which the values of a message are too old; None if they are valid until the next ones.
 
-        None too for the speeds: how old they are is told with them.
+        Also None for the speeds, which are used together with their stamp.
         """
         if message.name in (bound.signal.message for bound in self.feedback[self.measured].bounds):
             return None
@@ -68,7 +68,7 @@ class Plan(NamedTuple):
             return _UNKNOWN_LATE_NS
         return late_ns(period_s) if period_s else None
 
-    def heard(self) -> dict[str, Message]:
+    def received(self) -> dict[str, Message]:
         """Return the messages that the device sends."""
         signals = [bound.signal for quantity in self.feedback.values() for bound in quantity.bounds]
         signals += [condition.signal for condition in (*self.armed_when, *self.identity)]
@@ -79,10 +79,10 @@ class Plan(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Settings:
-    """``[device.motors]``, tables and texts alone; a signal is ``"MESSAGE.Signal"``, with a minus the other way round.
+    """``[device.motors]``. A signal is written ``"MESSAGE.Signal"``, with a minus before it to invert its sign.
 
-    ``gear_ratio`` is the turns of a motor in one of its wheel. ``estop_latches``: commands do not end an ``estop``.
-    ``plan`` is what ``__post_init__`` makes of them. Raises ValueError for all that the DBC does not have.
+    ``gear_ratio``: motor turns per turn of the wheel. ``estop_latches``: commands do not end an ``estop``. ``plan`` is
+    the mapping, which ``__post_init__`` builds. Raises ValueError if the DBC lacks something or tables contradict.
     """
 
     file: str
@@ -124,7 +124,7 @@ class Settings:
         _check_roles(plan)
         _check_cycle_times(plan)
         if self.estop_latches and not self.estop:
-            raise ValueError("estop_latches = true: nothing is sent for an e-stop; say in [device.motors.estop] what")
+            raise ValueError("estop_latches = true: nothing is sent for an e-stop; give [device.motors.estop] too")
         plan = plan._replace(feedback_hz=_feedback_hz(plan, self.feedback))
         object.__setattr__(self, "plan", plan)
 
@@ -149,12 +149,12 @@ def _check_choices(plan: Plan) -> None:
 
 
 def _check_roles(plan: Plan) -> None:
-    """Raise ValueError where a message goes both ways, and where a signal is to be two things at once."""
-    sent, heard = plan.sent(), plan.heard()
-    if both := [name for name in sent if name in heard]:
+    """Raise ValueError if a message is both sent and received, or if a signal has two roles."""
+    sent, received = plan.sent(), plan.received()
+    if both := [name for name in sent if name in received]:
         raise ValueError(f"the message {both[0]} is sent by one table and awaited by another; it is one or the other")
     identifiers: dict[int, str] = {}
-    for message in (*sent.values(), *heard.values()):
+    for message in (*sent.values(), *received.values()):
         if (other := identifiers.setdefault(message.id, message.name)) != message.name:
             raise ValueError(f"{other} and {message.name} of {plan.dbc.name} have the same identifier; use one of them")
     roles: dict[str, str] = {}
@@ -196,12 +196,12 @@ def _check_sent(sent: Mapping[str, Message], message: str, what: str) -> None:
 
 
 def _check_cycle_times(plan: Plan) -> None:
-    """Raise ValueError for a cycle time of a message that is not awaited, or whose rate is given otherwise."""
-    heard = plan.heard()
+    """Raise ValueError for the cycle time of a message that is not received, or whose rate is given elsewhere."""
+    received = plan.received()
     speeds = {bound.signal.message for bound in plan.feedback[plan.measured].bounds}
     for name in plan.cycle_time_s:
-        if name not in heard:
-            raise ValueError(f"cycle_time_s.{name}: no table awaits such a message{nearest(name, heard)}")
+        if name not in received:
+            raise ValueError(f"cycle_time_s.{name}: no table awaits such a message{nearest(name, received)}")
         if name in speeds:
             raise ValueError(f"cycle_time_s.{name}: it carries the {plan.measured}; say feedback.rate_hz")
 

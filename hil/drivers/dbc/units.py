@@ -1,4 +1,4 @@
-"""Units as DBC files write them, and what one of a signal is at the wheel."""
+"""Units as DBC files write them, and their conversion to SI units at the wheel."""
 
 import math
 from collections.abc import Mapping
@@ -13,9 +13,9 @@ _STANDARD_GRAVITY = 9.80665
 
 
 class Unit(NamedTuple):
-    """What one of a signal is: ``factor`` SI units of ``place``.
+    """A unit of a signal: ``factor`` SI units, measured at ``place``.
 
-    A shaft is the motor's, before the gear; the ground what the wheel rolls over; a phase current drives the motor.
+    Places: the motor's shaft, before the gear; the ground under the wheel; the phase current of the motor; the wheel.
     """
 
     factor: float
@@ -78,7 +78,7 @@ def unit(dimension: str, text: str) -> Unit:
     if text in known:
         return known[text]
     folded = {name.casefold(): found for name, found in known.items()}
-    # Not so for units that differ in the case alone.
+    # Upper and lower case are the same, unless that is the only difference between two units.
     if text.casefold() in folded and len(folded) == len(known):
         return folded[text.casefold()]
     what = f"the unit {text!r} is none of a {dimension} that is known here" if text else "the DBC gives it no unit"
@@ -91,7 +91,7 @@ def unit(dimension: str, text: str) -> Unit:
 def at_wheel(
     one: Unit, dimension: str, *, gear_ratio: float, wheel_radius_m: float, torque_constant_n_m_a: float
 ) -> float:
-    """Return what one of a signal is in the unit of ``SI``; the torque constant is that at the wheel."""
+    """Return the size of a unit in the unit of ``SI``; the torque constant is that at the wheel."""
     if one.place == "shaft":
         return one.factor * gear_ratio if dimension == "torque" else one.factor / gear_ratio
     if one.place == "ground":
