@@ -1,4 +1,4 @@
-"""What the emulated controllers have in common: the plant behind them, their shafts, and their speed loops."""
+"""Shared by the emulated motor controllers: the plant, the shafts and the speed loops."""
 
 import math
 from collections import deque
@@ -44,7 +44,7 @@ class Shaft:
 
 
 class SpeedLoop:
-    """A proportional-integral speed loop with a limit of its torque, and no windup beyond that."""
+    """A proportional-integral speed loop with a torque limit and anti-windup."""
 
     def __init__(self, kp_n_m_s_rad: float, ki_n_m_rad: float, limit_n_m: float) -> None:
         self._kp = kp_n_m_s_rad
@@ -53,11 +53,11 @@ class SpeedLoop:
         self._integral_n_m = 0.0
 
     def set_gains(self, kp_n_m_s_rad: float, ki_n_m_rad: float) -> None:
-        """Take other gains."""
+        """Set the gains."""
         self._kp, self._ki = kp_n_m_s_rad, ki_n_m_rad
 
     def reset(self) -> None:
-        """Forget what was integrated."""
+        """Set the integral to zero."""
         self._integral_n_m = 0.0
 
     def torque(self, target_rad_s: float, speed_rad_s: float, feedforward_n_m: float = 0.0) -> float:
@@ -74,12 +74,12 @@ _NEAR_REV = 2e-6  # from a target position that is reached
 
 
 class Trajectory:
-    """Where the position loop is to be, in revolutions.
+    """The set point of a position loop, in revolutions.
 
     Attributes:
         position_rev: NaN while nothing is controlled.
-        velocity: of the control position [rev/s].
-        is_complete: it is at what was commanded.
+        velocity: of the set point [rev/s].
+        is_complete: whether the commanded position and velocity are reached.
     """
 
     def __init__(self) -> None:
@@ -89,7 +89,7 @@ class Trajectory:
         self._target_rev: float | None = None
 
     def forget(self) -> None:
-        """Begin anew, at the next step, where the output is."""
+        """Start again, at the next step, from the position of the output."""
         self.position_rev, self.velocity, self._target_rev = math.nan, 0.0, None
 
     def aim(self, position_rev: float) -> None:
@@ -97,10 +97,10 @@ class Trajectory:
         self._target_rev, self.is_complete = position_rev, False
 
     def step(self, at: float, speed: float, target: float, velocity_most: float, accel_most: float) -> None:
-        """Go on for a millisecond.
+        """Advance by 1 ms.
 
         Args:
-            at, speed: of the output, where a trajectory begins [rev, rev/s].
+            at, speed: of the output, from which a trajectory starts [rev, rev/s].
             target: the velocity at the end [rev/s].
             velocity_most, accel_most: limits, infinite for none [rev/s, rev/s²].
         """
@@ -116,7 +116,7 @@ class Trajectory:
         self.position_rev += target * _TICK_S
 
     def stop_at(self, stop_rev: float, at: float, target: float) -> float:
-        """Return the velocity to command, which is 0 where the stop position is reached or behind."""
+        """Return the velocity to command: 0 at or beyond the stop position, else ``target``."""
         place = at if math.isnan(self.position_rev) else self.position_rev
         if not math.isfinite(stop_rev) or (stop_rev - place) * target > 0.0:
             return target
@@ -124,7 +124,7 @@ class Trajectory:
         return 0.0
 
     def slip(self, at: float, most_rev: float) -> None:
-        """Stay so near to where the output is; NaN is no limit."""
+        """Limit the distance from the output at ``at`` to ``most_rev``; NaN is no limit."""
         if not math.isnan(most_rev):
             self.position_rev = at + clamp(self.position_rev - at, most_rev)
 
@@ -239,17 +239,17 @@ class EmulatedMotors(Generic[SettingsT]):
         return b""
 
     def take_frames(self) -> list[Frame]:
-        """Return what there is to send."""
+        """Return the frames to send."""
         frames = list(self._outgoing)
         self._outgoing.clear()
         return frames
 
     def count_unsent(self, frames: int) -> None:
-        """Take note of frames that nobody took; such a controller does not learn of it."""
+        """Count frames that could not be sent, for ``look``; a real controller does not notice."""
         self._unsent += frames
 
     def set_clock(self, now_us: int) -> None:
-        """Such controllers stamp nothing."""
+        """Ignored: these controllers send no time stamps."""
 
     def run(self, ticks: int) -> None:
         """Let so many 1 ms ticks pass."""
@@ -266,11 +266,11 @@ class EmulatedMotors(Generic[SettingsT]):
             self.on_tick(self)
 
     def stored(self) -> bytes | None:
-        """Nothing is kept across a reset but what the maker's tool has set, which is the scenario's."""
+        """Return None: after a reset only the settings remain, which are the scenario's."""
         return None
 
     def look(self) -> View:
-        """Return what is known of the inside, in the terms of our own firmware."""
+        """Return the internal state in the terms of our own firmware."""
         return View(
             tick=self.ticks,
             state=State.ACTIVE if self.is_driving else State.IDLE,
@@ -287,7 +287,7 @@ class EmulatedMotors(Generic[SettingsT]):
         )
 
     def _duty(self) -> FourWheels:
-        """Return the voltages that make the torques, as parts of the battery's; for a plant whose motors want them."""
+        """Return the duty (-1 to 1) that gives each torque, for a plant whose motors take voltages."""
         if self.battery_v <= 0.0:
             return _STILL
         constant, resistance = self.values["torque_constant_n_m_a"], self.values["motor_resistance_ohm"]

@@ -254,7 +254,7 @@ class MakersRobot(LinkedDevice):
 
     def _report_trouble(self) -> None:
         is_strange = self._state is State.IDLE and not self._has_armed and self._driver.capabilities.watchdog == "none"
-        self.report.look(self._stop.problem, self._driver.sample if is_strange else None)
+        self.report.set_trouble(self._stop.problem, self._driver.sample if is_strange else None)
 
     @property
     def feedback(self) -> Feedback | None:

@@ -1,4 +1,4 @@
-"""Feedback and report of makers' motors, as the loop takes them, made of what their driver has measured."""
+"""Feedback and report of a robot with makers' motors, made of the samples of their driver."""
 
 import math
 from typing import NamedTuple
@@ -10,40 +10,40 @@ from hil.robot.robot_report import Health
 from hil.robot.snapshot import Feedback
 from hil.robot.wheel_map import WheelMap
 
-# Over a longer gap, which is a lost link or a stall of this process, two speeds say nothing of what was between them.
+# A longer gap is a lost link or a stall of this process: the mean of two speeds is not the speed between them.
 _LONGEST_S = 0.25
 
 
 class Angles:
-    """Follows the positions that controllers tell, or their speeds where they tell none.
+    """Makes encoder counts of reported positions, or of integrated speeds where no position is reported.
 
-    After a loss it goes on from where it was: a controller that was reset counts from zero again, and how far the
-    wheels rolled meanwhile is not known. Nor is it over a gap of more than 0.25 s where only speeds are told.
+    After a loss the angles continue from their old values: a controller that was reset counts from zero again, and how
+    far the wheels rolled meanwhile is unknown. So it is over a gap of more than 0.25 s where only speeds are reported.
     """
 
     def __init__(self, counts_per_revolution: int) -> None:
         self._per_rad = counts_per_revolution / math.tau
-        self._turned_rad: FourWheels = (0.0, 0.0, 0.0, 0.0)
+        self._angle_rad: FourWheels = (0.0, 0.0, 0.0, 0.0)
         self._last: Sample | None = None
 
     def take(self, sample: Sample) -> tuple[int, int, int, int]:
-        """Take the newest sample and return the counts, which wrap."""
+        """Take the newest sample and return the counts of the four channels, which wrap at 16 bits."""
         last, self._last = self._last, sample
         if last is not None and last is not sample:
-            self._turned_rad = self._moved(last, sample)
-        return four(round(angle * self._per_rad) & 0xFFFF for angle in self._turned_rad)
+            self._angle_rad = self._next_angles(last, sample)
+        return four(round(angle * self._per_rad) & 0xFFFF for angle in self._angle_rad)
 
     def restart(self) -> None:
-        """Go on with controllers that may have been reset."""
+        """Continue with controllers that may have been reset."""
         self._last = None
 
-    def _moved(self, last: Sample, sample: Sample) -> FourWheels:
+    def _next_angles(self, last: Sample, sample: Sample) -> FourWheels:
         dt_s = max(0.0, (sample.stamp_ns - last.stamp_ns) * 1e-9)
-        counted_s = dt_s if dt_s <= _LONGEST_S else 0.0
+        integrated_s = dt_s if dt_s <= _LONGEST_S else 0.0
         return four(
-            turned + (0.5 * (slow + fast) * counted_s if math.isnan(now - before) else now - before)
+            turned + (0.5 * (slow + fast) * integrated_s if math.isnan(now - before) else now - before)
             for turned, before, now, slow, fast in zip(
-                self._turned_rad,
+                self._angle_rad,
                 last.position_rad,
                 sample.position_rad,
                 last.speed_rad_s,
@@ -58,13 +58,13 @@ _LASTS_NS = 500_000_000
 
 
 class UnaskedMotion:
-    """Told the newest sample of a base that was not armed; ``lasts`` when its wheels have turned for half a second."""
+    """Detects wheels that turn for more than half a second though the base was not armed."""
 
     def __init__(self) -> None:
         self._since_ns: int | None = None
 
     def lasts(self, sample: Sample | None) -> bool:
-        """Take a sample; None also stands for a base that may move."""
+        """Take the newest sample; return whether the motion has lasted. None stands for a base that may move."""
         if sample is None or max(map(abs, sample.speed_rad_s)) < _MOVES_RAD_S:
             self._since_ns = None
             return False
@@ -77,15 +77,15 @@ _AGE_UNKNOWN_MS = 255  # as TICK.command_age_ms: this and more
 
 
 class MotorFeedback:
-    """Turns samples in the order of the channels into feedback of the wheels.
+    """Turns samples, in the order of the channels, into feedback, in the order of the wheels.
 
     No first feedback is made of a sample older than ``stale_s``: it may hold a speed of long ago, from before the
     others answered.
 
     Attributes:
         stale_s: as given.
-        newest: None before all four were heard of late.
-        health: what they say of battery and motors.
+        newest: None before the first sample of all four that is no older than ``stale_s``.
+        health: battery and motor temperatures.
     """
 
     def __init__(self, driver: Driver, wheel_map: WheelMap, counts_per_revolution: int, stale_s: float) -> None:
@@ -97,21 +97,21 @@ class MotorFeedback:
         self.health = Health()
 
     def forget(self) -> None:
-        """Know nothing until the next sample: the link was lost."""
+        """Have no feedback until the next sample: the link was lost."""
         self.newest = None
 
     def restart(self) -> None:
-        """Go on with controllers that may have been reset."""
+        """Continue with controllers that may have been reset."""
         self.newest = None
         self._angles.restart()
 
     def is_fresh(self, now_ns: int) -> bool:
-        """Tell whether the oldest of the four speeds is no older than ``stale_s``."""
+        """Return whether the oldest of the four speeds is no older than ``stale_s``."""
         sample = self._driver.sample
         return sample is not None and now_ns - sample.stamp_ns <= self.stale_s * 1e9
 
     def renew(self, now_ns: int, state: State, sequence: int) -> None:
-        """Make feedback of the newest sample. Its time is that of the oldest speed, by the clock of the run."""
+        """Make feedback of the newest sample. Its time is that of the oldest speed, on the clock of the run."""
         sample = self._driver.sample
         if sample is None or (self.newest is None and not self.is_fresh(now_ns)):
             return
@@ -134,7 +134,7 @@ class MotorFeedback:
 
 
 class MotorsInfo(NamedTuple):
-    """What the controllers said of themselves."""
+    """The controllers' identity, as they report it."""
 
     words: str
     has_power_stage: bool = True
@@ -145,17 +145,17 @@ class MotorsInfo(NamedTuple):
 
 
 class MakersReport:
-    """What the controllers tell beside the feedback."""
+    """What is known of the controllers beside the feedback. ``why``: the cause of their stop, None if the host's."""
 
     def __init__(self, feedback: MotorFeedback) -> None:
         self._feedback = feedback
-        self.why: str | None = None  # they stopped, None where nothing but the host did
+        self.why: str | None = None
         self.trouble: str | None = None
-        self._unasked = UnaskedMotion()
+        self._unasked_motion = UnaskedMotion()
 
-    def look(self, stop_problem: str | None, sample: Sample | None) -> None:
-        """Find out what a person has to know now, by why a stop did not go out, and a sample of who should stand."""
-        is_unasked = self._unasked.lasts(sample)
+    def set_trouble(self, stop_problem: str | None, sample: Sample | None) -> None:
+        """Set ``trouble``. ``stop_problem``: why a stop was not sent; ``sample``: of a base that should stand."""
+        is_unasked = self._unasked_motion.lasts(sample)
         self.trouble = None
         if stop_problem is not None:
             self.trouble = f"the stop could not be sent: {stop_problem}"
@@ -164,7 +164,7 @@ class MakersReport:
 
     @property
     def health(self) -> Health:
-        """What they say of the battery and the motors."""
+        """Battery and motors as they measure them."""
         return self._feedback.health
 
     def stop_reason(self) -> str:
@@ -188,15 +188,15 @@ class MakersReport:
         return "the motor controllers did not go into closed loop within 4 s; look at them with their maker's tool"
 
     def explains(self, state: State) -> bool:
-        """They tell their errors before they are stopped for them."""
+        """Return whether the cause is known; an error is reported before the motors are stopped for it."""
         return state is not State.FAULT or self.why is not None
 
     @property
     def last_reset(self) -> str:
-        """Empty: they do not tell."""
+        """Empty: they do not report it."""
         return ""
 
     @property
     def knows_no_reason(self) -> bool:
-        """Whether nothing has stopped them."""
+        """False: that nothing has stopped them is never reported."""
         return False

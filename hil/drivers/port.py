@@ -1,4 +1,4 @@
-"""What a driver of another maker's motors is: frames in and frames out, no I/O. It is told the time and asks no clock.
+"""The interface of a driver for another maker's motors: frames in and out, no I/O; times come as arguments.
 
 Quantities are those of the wheels' axles, in the order of the robot's channels (``[device] wheels`` says which wheel
 each channel drives). A driver knows its maker's units, gear ratio and node ids, and nothing of the robot's wiring.
@@ -48,7 +48,7 @@ class Capabilities(NamedTuple):
 
 
 class RobotFacts(NamedTuple):
-    """What a driver is told of the robot beside its own settings: from [robot], [firmware], [loop] and the link.
+    """The robot's data that a driver gets beside its own settings: of [robot], [firmware], [loop] and the link.
 
     ``wire`` is the kind of the link, one of ``Dialect.wires``.
     """
@@ -69,8 +69,8 @@ class RobotFacts(NamedTuple):
 class Sample(NamedTuple):
     """What the four channels measured; NaN for what the maker does not measure, or what came too long ago.
 
-    ``stamp_ns`` is when the oldest of the four speeds arrived, so one silent channel makes the whole sample old, as
-    does a silent position that comes in messages of its own. ``position_rad`` is not wrapped and may begin anywhere.
+    ``stamp_ns`` is when the oldest of the four speeds arrived, so that one silent channel makes the whole sample old.
+    So does a silent position that has messages of its own. ``position_rad`` is not wrapped and may begin anywhere.
     """
 
     stamp_ns: int
@@ -157,7 +157,7 @@ class Driver(ABC):
     def last_stop(self) -> Sequence[Frame]:
         """Return what the guardian sends on a serial line when the host has died.
 
-        It stops the motors whatever they were told before, and also in the middle of an unfinished frame.
+        It stops the motors in any state, and also in the middle of an unfinished frame.
         """
         return self.disarm()
 
@@ -180,7 +180,7 @@ class Driver(ABC):
         return ()
 
     def restart(self) -> None:
-        """Forget what was heard: the link was lost, and what answers next may have been reset or exchanged."""
+        """Forget what was received: the link was lost, and the controllers may have been reset or exchanged."""
         self._is_armed = False
 
 
@@ -211,7 +211,7 @@ ANSWER_S = 0.1
 
 
 class Probe(ABC):
-    """Finds one maker's devices without moving anything. It also hears frames from before its first ``ask``."""
+    """Finds one maker's devices without moving anything. It also gets frames that came before its first ``ask``."""
 
     @property
     def patience_s(self) -> float:
@@ -299,20 +299,20 @@ def oldest(stamps: Iterable[int | None]) -> int | None:
     return None if None in found else min(stamp for stamp in found if stamp is not None)
 
 
-# How long a value counts. A driver asks no clock: it learns the time from other frames. A value is too old when others
-# have come for longer than ``late_ns`` since. When nothing comes at all, the sample grows old, and the robot is held.
+# The age of a value. A driver has no clock: it learns the time from other frames. A value is too old when other frames
+# have come for longer than ``late_ns`` since. If none come, the sample gets old, and the robot is stopped for that.
 
 
 def late_ns(period_s: float) -> int:
-    """Return how long a periodic value counts after it came: five periods, at least 0.1 s."""
+    """Return how long a periodic value stays valid after it came: five periods, at least 0.1 s."""
     return round(max(5 * period_s, 0.1) * 1e9)
 
 
 def holds_back(stamp_ns: int, other_ns: int, limit_ns: int) -> int:
     """Return the stamp of a sample that also depends on another value, which came at ``other_ns``.
 
-    It follows the speeds' stamp until the other value is older than ``limit_ns``; then it stands still. So a sample
-    never goes back in time, and still grows old.
+    It is the speeds' stamp until the other value is older than ``limit_ns``, and constant after that. So a sample
+    never goes back in time, and still gets old.
     """
     return min(stamp_ns, other_ns + limit_ns)
 

@@ -1,4 +1,4 @@
-"""From the name in ``[device] driver`` to a maker's protocol; each is imported when it is first used."""
+"""Finds a maker's protocol by the name in ``[device] driver``; each is imported when it is first used."""
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -136,7 +136,7 @@ def _where_from(name: str) -> str:
 
 @contextmanager
 def _failures_of_others(name: str, activity: str) -> Iterator[None]:
-    """Turn what another package's code raises into a BadInputError; an error of ours is a defect, and stays."""
+    """Turn any error of another package's code into a BadInputError. A shipped driver's errors pass."""
     if name in SHIPPED:
         yield
         return

@@ -1,8 +1,7 @@
-"""What bases have in common that take a velocity of the body: wheel speeds to that and back, and the pace of frames.
+"""Shared by the bases that take a velocity of the body: conversion of wheel speeds and back, and the pace of frames.
 
-The base closes the loops of its wheels with a wheel radius and a lever of its own firmware. A set point of the wheels
-is right when it is turned into a twist with those, whatever the robot really measures: so they, and not [robot], count
-where the two differ.
+The base controls its wheels with the wheel radius and lever of its own firmware. Set points of the wheels are reached
+only if they are converted to a twist with these values, so that they are used here where [robot] differs.
 """
 
 import math
@@ -13,7 +12,7 @@ from hil.core.types import WHEEL_NAMES, FourWheels
 from hil.drivers.port import RobotFacts, clamp
 
 LATE_NS = 250_000_000
-"""A report that is older says nothing about now; the slowest of these bases reports at 20 Hz."""
+"""Age beyond which a report is not used; the slowest of these bases reports at 20 Hz."""
 
 _LEAST_GAP_NS = 4_000_000  # the makers' control loops run at 100 Hz, and a frame with its pause takes 3 ms
 _STILL_RAD_S = 0.5  # one encoder count in 10 ms, which is how the makers measure a speed
@@ -24,10 +23,10 @@ _INT16 = 0x7FFF
 class TwistBase:
     """Wheel speeds [rad/s] of FL, FR, RR, RL as three counts of 0.001 m/s, 0.001 m/s and 0.001 rad/s, and back.
 
-    ``rim_limit_m_s`` is what the firmware lets a wheel's rim do, ``yaw_limit_rad_s`` what it takes as a yaw rate:
-    beyond them all four are scaled together, where the firmware would cut each by itself and turn the motion.
+    ``rim_limit_m_s`` is the firmware's limit of a wheel's rim speed, ``yaw_limit_rad_s`` that of the yaw rate. Beyond
+    them all four speeds are scaled together; the firmware would limit each alone, and so change the direction.
 
-    Raises BadInputError for a wiring of wheels: it is the base's own.
+    Raises BadInputError if [device] sets a wiring of the wheels, which only the base knows.
     """
 
     def __init__(
@@ -54,7 +53,7 @@ class TwistBase:
         self._sent_ns: int | None = None
 
     def counts(self, speed_rad_s: FourWheels) -> tuple[int, int, int]:
-        """Return the twist of these wheel speeds in the wire's counts, within what the firmware takes."""
+        """Return the twist of these wheel speeds in the wire's counts, within the firmware's limits."""
         rim = self._wheel_radius_m * max(map(abs, speed_rad_s))
         twist = body_twist(speed_rad_s, self._wheel_radius_m, self._lever_m)
         scale = min(
@@ -66,13 +65,13 @@ class TwistBase:
         return x, y, turn
 
     def speeds(self, counts: tuple[int, int, int]) -> FourWheels:
-        """Return the wheel speeds [rad/s] of a twist in the wire's counts: those without the slip between wheels."""
+        """Return the wheel speeds [rad/s] of a twist in the wire's counts, without slip."""
         x, y, turn = counts
         twist = BodyTwist(x / _MILLI, y / _MILLI, turn / _MILLI)
         return wheel_speeds(twist, self._wheel_radius_m, self._lever_m)
 
     def is_due(self, now_ns: int) -> bool:
-        """Tell whether the line has room for a frame again, and take that room."""
+        """Return whether a frame may be sent now, 4 ms after the last at the earliest; if so, count it as sent."""
         if self._sent_ns is not None and 0 <= now_ns - self._sent_ns < _LEAST_GAP_NS:
             return False
         self._sent_ns = now_ns
@@ -80,5 +79,5 @@ class TwistBase:
 
 
 def is_still(speed_rad_s: FourWheels) -> bool:
-    """Tell whether no wheel turns, as far as such a base can tell."""
+    """Return whether no wheel turns, at the resolution of such a base."""
     return max(map(abs, speed_rad_s)) < _STILL_RAD_S
