@@ -188,9 +188,9 @@ class EmulatedDbc(EmulatedMotors[Settings]):
         if self.is_on and "torque" in self._commanded:
             limit = self.values["torque_limit_n_m"]
             return four(clamp(torque, limit) for torque in self._commanded["torque"])
-        wanted, extra = self._targets() if self.is_on else (_STILL, _STILL)
-        rows = zip(self._loops, wanted, speeds, extra, strict=True)
-        return four(loop.torque(target, speed, torque) for loop, target, speed, torque in rows)
+        targets, torques = self._targets() if self.is_on else (_STILL, _STILL)
+        wheels = zip(self._loops, targets, speeds, torques, strict=True)
+        return four(loop.torque(target, speed, torque) for loop, target, speed, torque in wheels)
 
     def _speeds(self) -> FourWheels:
         return four(shaft.speed_rad_s for shaft in self.shafts)

@@ -81,7 +81,7 @@ def unit(dimension: str, text: str) -> Unit:
     # Upper and lower case are the same, unless that is the only difference between two units.
     if text.casefold() in folded and len(folded) == len(known):
         return folded[text.casefold()]
-    what = f"the unit {text!r} is none of a {dimension} that is known here" if text else "the DBC gives it no unit"
+    what = f"the unit {text!r} is not known for a {dimension}" if text else "the DBC gives it no unit"
     near = nearest(text, known) if text else f"; known: {', '.join(known)}"
     raise ValueError(
         f"{what}{near}; give unit in the same table, or scale, which is what 1 of the signal is in {SI[dimension]}"
