@@ -137,7 +137,7 @@ def test_what_cannot_be_built_anew_is_refused_in_a_sentence() -> None:
     done = CliRunner().invoke(app, ["run", "circle_speed", "--record", "none"])
     assert isinstance(done.exception, BadInputError)
     for load in (shim.load, lambda: archive.locate("mecanum", Path()), lambda: archive.locate("mecanum_fmi3", Path())):
-        with pytest.raises(BadInputError, match="was not built from the sources beside it, and this is no checkout"):
+        with pytest.raises(BadInputError, match="it can only be built in a checkout"):
             load()
     with pytest.raises(BuildError, match=r"libwheel_host\.\w+ was not built from the sources beside it"):
         host.library()
@@ -158,7 +158,7 @@ def test_a_library_built_in_another_way_is_taken_as_it_is(tmp_path, monkeypatch)
         assert host.loaded().sha256 == hashlib.sha256(path.read_bytes()).hexdigest()
         path.unlink()
         host.loaded.cache_clear()
-        with pytest.raises(BuildError, match="leave WHEEL_HOST_LIBRARY out"):
+        with pytest.raises(BuildError, match="unset WHEEL_HOST_LIBRARY"):
             host.library()
     finally:
         host.loaded.cache_clear()
