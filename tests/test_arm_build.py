@@ -186,7 +186,7 @@ def test_a_wrong_header_is_read_or_refused_in_a_sentence(at, value):
 
 def test_what_is_no_arm_firmware_is_refused(tmp_path):
     (tmp_path / "text").write_text("no firmware")
-    with pytest.raises(ValueError, match="no 32-bit little-endian ELF"):
+    with pytest.raises(ValueError, match="not a 32-bit little-endian ELF"):
         read_elf(tmp_path / "text")
 
 

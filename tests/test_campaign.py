@@ -537,7 +537,7 @@ def test_a_killed_worker_and_a_scheduler_that_comes_back_lose_no_run(tmp_path: P
     def tell(told) -> None:
         if told.trouble is not None and told.trouble not in troubles:
             troubles.add(told.trouble)
-            if "has gone" in told.trouble:
+            if "cannot be reached" in told.trouble:
                 scheduler.wait()
                 cluster.scheduler()
                 cluster.worker()
