@@ -60,9 +60,10 @@ def refusal(options: object = None) -> str:
     return str(caught.value)
 
 
-def test_it_is_followed_by_its_name_and_its_code_is_named_in_the_recording(install):
+@pytest.mark.parametrize("kind", ["sway", "outside_package:Sway"])
+def test_it_is_followed_by_its_name_and_its_code_is_named_in_the_recording(install, kind):
     folder = install()
-    given = {"reference": {"kind": "sway", "reach_m": 0.2}, "loop.duration_s": 0.2, "expect": []}
+    given = {"reference": {"kind": kind, "reach_m": 0.2}, "loop.duration_s": 0.2, "expect": []}
     result = hil.run("circle_speed", set=given)
     assert result.failure is None
     assert result.signals["reference.x_m"][0] == pytest.approx(0.2)
@@ -102,6 +103,7 @@ def test_a_name_nearby_is_proposed(install):
     [
         (SWAY, "outside_package:Missing", "'outside_package:Missing' cannot be loaded: AttributeError"),
         ("1 / 0", "outside_package:Sway", "cannot be loaded: ZeroDivisionError"),
+        ("raise SystemExit('gone')", "outside_package:Sway", "cannot be loaded: SystemExit: gone"),
         ("Sway = 3", "outside_package:Sway", "3 is no class; expected ends, span_s and at(t_s)"),
         (SWAY.replace("def at(", "def on("), "outside_package:Sway", "Sway has no at; expected ends, span_s and at"),
         (

@@ -42,9 +42,15 @@ class Extensions:
         names = [point.name for point in points]
         return [(point.name, package_of(point), self._line(point, names)) for point in points]
 
-    def value(self, name: str) -> str | None:
-        """Return the ``package.module:Name`` that is registered under a name that is not shipped, or None."""
-        return next((p.value for p in self.registered() if p.name == name and name not in self.shipped), None)
+    def module(self, name: str) -> str | None:
+        """Return the module that has the object of a name; None for a shipped or unknown name. Imports nothing.
+
+        ``name`` is registered, or ``package.module:Name`` itself.
+        """
+        if ":" in name:
+            return name.rpartition(":")[0]
+        value = next((p.value for p in self.registered() if p.name == name and name not in self.shipped), "")
+        return value.rpartition(":")[0] or None
 
     def find(self, name: str, subject: str) -> EntryPoint:
         """Return the entry point of a name that is not shipped. ``package.module:Name`` need not be registered.
@@ -62,7 +68,7 @@ class Extensions:
             packages = " and ".join(f"{package_of(point)} ({point.value})" for point in same)
             raise BadInputError(f"{subject}: registered by {packages}; name one as 'package.module:Class'")
         if ":" not in same[0].value:
-            begin = f"{subject}, of the package {package_of(same[0])}: registered as {same[0].value!r}"
+            begin = f"{from_package(subject, same[0])}: registered as {same[0].value!r}"
             raise BadInputError(f"{begin}, expected 'package.module:Class'")
         return same[0]
 
@@ -72,9 +78,18 @@ class Extensions:
         point = self.find(name, subject)
         try:
             return point.load()
-        except Exception as error:
-            begin = f"{subject}, of the package {package_of(point)}: {point.value!r} cannot be loaded"
+        except (Exception, SystemExit) as error:  # someone else's code may raise anything
+            begin = f"{from_package(subject, point)}: {point.value!r} cannot be loaded"
             raise BadInputError(f"{begin}: {type(error).__name__}: {error}") from error
+
+    def load_all(self, kind: str) -> Iterator[tuple[str, EntryPoint, Any]]:
+        """Import every registered object, and yield (subject for messages, entry point, object). Raises as ``load``.
+
+        ``kind`` is the word for such an object, such as ``figure``.
+        """
+        for point in self.registered():
+            subject = f"{kind} {point.name!r}"
+            yield from_package(subject, point), point, self.load(point.name, subject)
 
     def _line(self, point: EntryPoint, names: list[str]) -> str:
         if point.name in self.shipped:
@@ -87,6 +102,11 @@ class Extensions:
 def package_of(point: EntryPoint) -> str:
     """Return the name of the package that registers an entry point."""
     return point.dist.name if point.dist is not None else "unknown"
+
+
+def from_package(subject: str, point: EntryPoint) -> str:
+    """Return the beginning of an error message about another package's object."""
+    return f"{subject}, of the package {package_of(point)}"
 
 
 @contextmanager

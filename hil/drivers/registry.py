@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, cast, get_args
 
 from firmware_protocol.framing import Frame
 from hil.core.errors import BadInputError, HilError
-from hil.core.extensions import Extensions, failure, failures_of, package_of
+from hil.core.extensions import Extensions, failure, failures_of, from_package
 from hil.core.options import build
 from hil.drivers.port import Dialect, Driver, DriverError, RobotFacts, Wire
 
@@ -91,8 +91,7 @@ def emulated(name: str) -> "Callable[..., EmulatedMotors[Any]]":
 
 def driver_module(name: str) -> str | None:
     """Return the module in which another package has a driver; None for a shipped or unknown one."""
-    value = EXTENSIONS.value(name)
-    return None if value is None else value.rpartition(":")[0]
+    return EXTENSIONS.module(name)
 
 
 _FRAMES = ("ask", "arm", "command", "disarm", "estop", "last_stop", "clear")  # methods that return frames
@@ -131,7 +130,7 @@ def _where(name: str) -> str:
 
 
 def _where_from(name: str) -> str:
-    return f"{_where(name)}, of the package {package_of(EXTENSIONS.find(name, _where(name)))}"
+    return from_package(_where(name), EXTENSIONS.find(name, _where(name)))
 
 
 @contextmanager

@@ -11,7 +11,7 @@ from functools import cache
 
 from firmware_protocol.framing import Frame
 from hil.core.errors import BadInputError, nearest
-from hil.core.extensions import Extensions, package_of
+from hil.core.extensions import Extensions
 from hil.core.link_protocol import WHEEL_DBC
 from hil.core.signals import SIGNAL_NAMES
 from hil.core.types import WHEEL_NAMES
@@ -227,9 +227,7 @@ def kinds() -> tuple[Kind, ...]:
 def _kinds(_path: tuple[str, ...]) -> tuple[Kind, ...]:
     """See ``kinds``. Packages are looked for once for each module search path, which takes milliseconds."""
     found = list(KINDS)
-    for point in _EXTENSIONS.registered():
-        named = f"fault {point.name!r}, of the package {package_of(point)}"
-        kind = _EXTENSIONS.load(point.name, f"fault {point.name!r}")
+    for named, point, kind in _EXTENSIONS.load_all("fault"):
         if not isinstance(kind, Kind) or kind.name != point.name:
             raise BadInputError(f"{named}: {point.value!r} is {kind!r}; expected a hil.faults.kind.Kind of this name")
         if kind.name in names(KINDS):

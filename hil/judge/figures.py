@@ -13,7 +13,7 @@ from functools import cache
 from typing import Any
 
 from hil.core.errors import BadInputError, nearest
-from hil.core.extensions import Extensions, package_of
+from hil.core.extensions import Extensions
 from hil.core.percentiles import Reservoir
 from hil.judge.effort import Effort, Overshoot, Saturation
 from hil.judge.measure import Figure, Measure, NoFigureError, RunSetup, Series
@@ -138,9 +138,7 @@ def _measures(_path: tuple[str, ...]) -> Sequence[type[Measure]]:
     """See ``measures``. Packages are looked for once for each module search path, which takes milliseconds."""
     found = list(SHIPPED)
     taken = {_key(figure.name) for figure in (*_OF_RUNS, *(one for measure in SHIPPED for one in measure.figures))}
-    for point in _EXTENSIONS.registered():
-        named = f"figure {point.name!r}, of the package {package_of(point)}"
-        measure = _EXTENSIONS.load(point.name, f"figure {point.name!r}")
+    for named, point, measure in _EXTENSIONS.load_all("figure"):
         if missing := [name for name in ("figures", "signals", "add", "value") if not hasattr(measure, name)]:
             expected = "expected a class as hil.judge.measure.Measure describes it"
             raise BadInputError(f"{named}: {point.value!r} has no {missing[0]}; {expected}")

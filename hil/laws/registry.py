@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
 from hil.core.errors import BadInputError
-from hil.core.extensions import OUR_PACKAGE, Extensions, package_of
+from hil.core.extensions import OUR_PACKAGE, Extensions, from_package
 from hil.core.model import RobotModel
 from hil.core.options import build
 from hil.core.types import CommandMode
@@ -79,8 +79,7 @@ def forget_law(spec: str, base: Path) -> None:
     if spec in SHIPPED or spec in _given:
         return
     law = load_law(spec, base)
-    named = (_EXTENSIONS.value(spec) or spec).rpartition(":")[0]
-    for name in (law.__module__, named):
+    for name in {law.__module__, _EXTENSIONS.module(spec) or law.__module__}:
         if not f"{name}.".startswith("hil."):
             sys.modules.pop(name, None)
             forget(name)
@@ -93,7 +92,9 @@ def law_sha256(spec: str, base: Path) -> str | None:
     """
     if spec in SHIPPED:
         return code_of_module(SHIPPED[spec].__module__)
-    location = (_EXTENSIONS.value(spec) or spec).rpartition(":")[0]
+    location = _EXTENSIONS.module(spec)
+    if location is None:
+        return None
     return code_of_file(base / location) if location.endswith(".py") else code_of_module(location)
 
 
@@ -142,5 +143,5 @@ def _found(spec: str, base: Path, key: str) -> tuple[type, str]:
     if spec.endswith(".py"):
         raise BadInputError(f"{named}: name the class too, as in '{spec}:MyLaw'")
     point = _EXTENSIONS.find(spec, named)
-    named = f"{named}, of the package {package_of(point)}"
+    named = from_package(named, point)
     return find_class(point.value, base, named), named

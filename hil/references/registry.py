@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from hil.core.errors import BadInputError
-from hil.core.extensions import OUR_PACKAGE, Extensions, failures_of, package_of
+from hil.core.extensions import OUR_PACKAGE, Extensions, failures_of, from_package
 from hil.core.options import build
 from hil.core.types import Reference
 from hil.references.circle import Circle
@@ -52,7 +52,7 @@ def make_reference(kind: str, options: Mapping[str, object], directory: Path = P
         return shipped
     where = f"reference.kind = {kind!r}"
     found = _EXTENSIONS.load(kind, where)
-    where = f"{where}, of the package {package_of(_EXTENSIONS.find(kind, where))}"
+    where = from_package(where, _EXTENSIONS.find(kind, where))
     if not isinstance(found, type):
         raise BadInputError(f"{where}: {found!r} is no class; {_EXPECTED}")
     with failures_of(where, "making it"):
@@ -64,8 +64,7 @@ def make_reference(kind: str, options: Mapping[str, object], directory: Path = P
 
 def reference_module(kind: str) -> str | None:
     """Return the module in which another package has a kind of reference; None for a shipped or unknown one."""
-    value = _EXTENSIONS.value(kind)
-    return None if value is None else value.rpartition(":")[0]
+    return _EXTENSIONS.module(kind)
 
 
 class OutsideReference:
