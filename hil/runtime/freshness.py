@@ -53,8 +53,8 @@ class Freshness:
         estimate uses.
 
         Raises RobotStoppedError or DeviceError for a robot that is not ACTIVE, LinkError after a long silence of the
-        robot, or a stall of this process. Without ``active`` any state is allowed, and RobotStoppedError means that the
-        robot was reset.
+        robot, or a stall of this process. With ``active=False`` any state is allowed; RobotStoppedError then means a
+        reset or no feedback.
         """
         feedback = self._device.poll()
         age_ns = 0 if self._is_lockstep else self._device.poll_age_ns

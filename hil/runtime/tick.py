@@ -95,10 +95,10 @@ class Tick:
         self.is_stale = False
 
     def sense(self, t_s: float, fix: PoseFix | None, active: bool = True) -> Sensed:
-        """Read the newest feedback and update the estimate; ``fix`` is the truth of the sampling instant.
+        """Read the newest feedback and update the estimate; ``fix`` is the true pose when sampled, or None.
 
-        Raises RobotStoppedError or DeviceError for a robot that is not ACTIVE, LinkError for one that is lost. Without
-        ``active`` any state is allowed, and RobotStoppedError means that the robot was reset.
+        Raises RobotStoppedError or DeviceError for a robot that is not ACTIVE, LinkError for one that is lost. With
+        ``active=False`` any state is allowed; RobotStoppedError then means a reset or no feedback.
         """
         fixes = self._fixes
         feedback = self._freshness.poll(t_s, fix if self._uses_truth else None, active)

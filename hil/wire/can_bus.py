@@ -25,7 +25,7 @@ _FILTERING_INTERFACES = ("socketcan", "ixxat")
 
 
 class CanLink:
-    """Frames over a CAN bus. ``sender`` is the side whose frames are received; this link sends for the other side.
+    """Frames over a CAN bus. ``sender`` is the remote side, whose frames are received; this end is the other.
 
     Frames that are not of the ``protocol`` are dropped and counted: ``foreign`` (in this project's protocol: extended
     or remote), ``garbled`` (an slcan line that is no frame), error frames by their class (``error_bus_off``,
@@ -36,7 +36,7 @@ class CanLink:
     does not know, LinkError when the bus cannot be opened.
 
     Attributes:
-        on_foreign: if set, is called with each dropped and counted frame, as a ``can.Message``.
+        on_foreign: if set, is called with each counted ``can.Message``; not for ``garbled``.
         now_ns: the clock that stamps received frames.
     """
 

@@ -37,7 +37,7 @@ def unchanged(stream: "HostStream") -> "HostStream":
 
 
 class LinkUrl(ABC):
-    """A link of one kind, as named by its URL. Nothing is open; ``str`` of it is its shortest URL.
+    """A link of one kind, as named by its URL. It opens nothing; ``str`` gives its shortest URL.
 
     ``open_host`` and ``open_robot`` are for links to another process, ``open_pair`` for links within this one. Opening
     raises LinkError, or BadInputError when the URL asks for something that does not exist.
@@ -49,7 +49,7 @@ class LinkUrl(ABC):
         wire: the medium of the frames; None if it depends on the robot's protocol.
         is_switched: whether the data of FD frames has its own bit rate.
         is_within_process: whether the robot is made inside this process.
-        is_direct: whether host and robot may call each other in one thread in lockstep, without a stream.
+        is_direct: whether in lockstep host and robot may run in one thread by direct calls.
         serial_port: name and speed [baud] of a port that a guardian process may also open, or None.
     """
 

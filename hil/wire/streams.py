@@ -14,7 +14,7 @@ class ByteStream(Protocol):
     """A stream of bytes without boundaries.
 
     Attributes:
-        lost_frames: number of frames lost so far because nobody read them; only a pseudo-terminal can tell.
+        lost_frames: frames dropped so far because nobody read them; 0 except for a pseudo-terminal.
     """
 
     lost_frames: int

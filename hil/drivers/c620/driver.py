@@ -56,9 +56,9 @@ MOTORS = {
 
 @dataclass(frozen=True, slots=True)
 class Settings:
-    """``[device.motors]``. ``ids``: of the channels in order, as set with the button of each controller.
+    """``[device.motors]``. ``ids``: controller ids in channel order, as set with each one's button.
 
-    ``gear_ratio``: 0 stands for the ratio of the motor's own gearbox. The gains belong to the speed loop, at the wheel.
+    ``gear_ratio``: 0 means that of the motor's own gearbox. The gains turn a wheel's speed error into its torque.
     ``temperature_limit_degc``: the robot is stopped when a motor is hotter.
     """
 
