@@ -15,8 +15,7 @@ from hypothesis import strategies as st
 
 from hil.core.guard import Guard
 from hil.core.types import ZERO_WHEELS, Acceleration, CommandMode, Pose, Reference, State, Twist
-from hil.laws.afdsc import Afdsc
-from hil.laws.afdsc_corrected import AfdscCorrected
+from hil.laws.afdsc import Afdsc, AfdscCorrected
 from hil.laws.dsc import Dsc
 from tests.closed_loop import (
     AT_REST,

@@ -1,21 +1,21 @@
-"""AFDSC: dynamic surface control with fuzzy gains (Nguyen Minh et al. 2023, section III.B)."""
+"""AFDSC: dynamic surface control with fuzzy gains (Nguyen Minh et al. 2023, section III.B).
+
+One fuzzy block per axis sets the gains at every tick: K1 from 3 to 15 1/s and K2 from 10 to 40 1/s. In SPEED mode only
+K1 is in force.
+"""
 
 from dataclasses import dataclass
 from typing import Annotated, ClassVar
 
 from hil.core.model import RobotModel
 from hil.core.options import POSITIVE
-from hil.core.types import Applied, CommandMode, Reference, State, WheelCommand
-from hil.laws.fuzzy import FuzzyLaw, FuzzyRanges, Tables
-from hil.laws.surface import DynamicSurface, tracking_error
+from hil.core.types import CommandMode
+from hil.laws.fuzzy import FuzzyGains, FuzzyLaw, FuzzyRanges, Tables
+from hil.laws.surface import ObservedSurfaceLaw
 
 
 class Afdsc(FuzzyLaw):
-    """Adaptive fuzzy dynamic surface control: DSC with fuzzy gains, by the paper's tables as printed.
-
-    One fuzzy block per axis sets the gains at every tick: K1 from 3 to 15 1/s and K2 from 10 to 40 1/s. In SPEED mode
-    only K1 is in force.
-    """
+    """Adaptive fuzzy dynamic surface control: DSC with fuzzy gains, by the paper's tables as printed."""
 
     tables: ClassVar[Tables] = "printed"
 
@@ -32,17 +32,30 @@ class Afdsc(FuzzyLaw):
         filter_s: Annotated[float, POSITIVE] = 0.0675
 
     def __init__(self, model: RobotModel, mode: CommandMode, options: Options) -> None:
-        super().__init__(mode, self.tables, options)
-        self._surface = DynamicSurface(model, mode, options.filter_s)
+        super().__init__(model, mode, options.filter_s)
+        self._tuner = FuzzyGains(self.tables, options)
 
-    def reset(self, state: State, reference: Reference) -> None:
-        """Start the filter from this state and reference."""
-        error = tracking_error(reference, state)
-        self._last = self._tuner.at(error)
-        self._surface.reset(reference, error, self._last)
 
-    def update(self, reference: Reference, state: State, applied: Applied, dt_s: float) -> WheelCommand:
-        """Return the command of this tick, not limited. The paper's law does not use ``applied``."""
-        error = tracking_error(reference, state)
-        self._last = gains = self._tuner.at(error)
-        return self._surface.command(reference, state, error, gains, dt_s)
+class AfdscCorrected(Afdsc):
+    """AFDSC with the paper's tables corrected: at a large steady error the print has VS and VB swapped."""
+
+    tables: ClassVar[Tables] = "corrected"
+
+
+class AfdscEso(FuzzyLaw, ObservedSurfaceLaw):
+    """AFDSC with feedforward bypass, extended state observer and latency compensation.
+
+    The gains are AFDSC's, at the error predicted for when the command takes effect.
+    """
+
+    @dataclass(frozen=True, slots=True)
+    class Options(FuzzyRanges):
+        """Ranges of the fuzzy inputs, the tables, the filter's time constant ς [s] and the observer's ωo [rad/s]."""
+
+        tables: Tables = "corrected"
+        filter_s: Annotated[float, POSITIVE] = 0.01
+        observer_rad_s: Annotated[float, POSITIVE] = 60.0
+
+    def __init__(self, model: RobotModel, mode: CommandMode, options: Options) -> None:
+        super().__init__(model, mode, options.filter_s, options.observer_rad_s)
+        self._tuner = FuzzyGains(options.tables, options)

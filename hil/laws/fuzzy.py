@@ -12,8 +12,8 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Annotated, Literal
 
 from hil.core.options import POSITIVE
-from hil.core.types import NAN, NO_GAINS, CommandMode, Gains, Pairs, make_gains
-from hil.laws.surface import without_k2
+from hil.core.types import NAN, Pairs
+from hil.laws.surface import SurfaceLaw
 
 if TYPE_CHECKING:
     import numpy as np
@@ -27,37 +27,23 @@ K2_1_S = {"VS": 10.0, "S": 15.0, "M": 20.0, "B": 30.0, "VB": 40.0}
 """Table II: output levels [1/s]."""
 
 # Tables III and IV as printed: rows are the error's rate, columns the error, each from NB to PB.
-_K1_PRINTED = (
-    "M  S  VS S  M",
-    "B  M  S  M  B",
-    "VS B  M  B  VS",
-    "B  M  S  M  B",
-    "M  S  VS S  M",
-)
-_K2_PRINTED = (
-    "M  B  VB B  M",
-    "S  M  B  M  S",
-    "VB S  M  S  VB",
-    "S  M  B  M  S",
-    "M  B  VB B  M",
-)
+_K1_PRINTED = ("M  S  VS S  M ", "B  M  S  M  B ", "VS B  M  B  VS", "B  M  S  M  B ", "M  S  VS S  M ")
+_K2_PRINTED = ("M  B  VB B  M ", "S  M  B  M  S ", "VB S  M  S  VB", "S  M  B  M  S ", "M  B  VB B  M ")
 # Everywhere but at a big error with rate zero, the level of K1 rises with the size of the error and falls
 # with that of the rate, and K2's does the opposite. There the print has VS and VB the other way round.
 _K1_CORRECTED = (*_K1_PRINTED[:2], "VB B  M  B  VB", *_K1_PRINTED[3:])
 _K2_CORRECTED = (*_K2_PRINTED[:2], "VS S  M  S  VS", *_K2_PRINTED[3:])
 
+
+def _rules(table: tuple[str, ...]) -> Rules:
+    return tuple(tuple(row.split()) for row in table)
+
+
 RULES: dict[Tables, tuple[Rules, Rules]] = {
-    "printed": (
-        tuple(tuple(row.split()) for row in _K1_PRINTED),
-        tuple(tuple(row.split()) for row in _K2_PRINTED),
-    ),
-    "corrected": (
-        tuple(tuple(row.split()) for row in _K1_CORRECTED),
-        tuple(tuple(row.split()) for row in _K2_CORRECTED),
-    ),
+    "printed": (_rules(_K1_PRINTED), _rules(_K2_PRINTED)),
+    "corrected": (_rules(_K1_CORRECTED), _rules(_K2_CORRECTED)),
 }
 """Rules for K1 and for K2: names of levels, [rate][error]."""
-
 
 Cell = tuple[float, float, float, float, float, float, float, float]
 
@@ -213,23 +199,16 @@ class FuzzyGains:
         return k1_x, k1_y, k1_heading, k2_x, k2_y, k2_heading
 
 
-class FuzzyLaw:
-    """Base of a law whose gains come from ``FuzzyGains`` at every tick; it offers them as signals."""
+class FuzzyLaw(SurfaceLaw):
+    """Base of a law whose gains come from ``FuzzyGains`` at every tick. Its signals are those of ``FuzzyGains``."""
 
     signals = FuzzyGains.signals
-
-    def __init__(self, mode: CommandMode, tables: Tables, ranges: FuzzyRanges) -> None:
-        self._torque = mode is CommandMode.TORQUE
-        self._tuner = FuzzyGains(tables, ranges)
-        self._last: Pairs = NO_GAINS
-
-    @property
-    def gains(self) -> Gains:
-        """Gains of the last update. In SPEED mode K2 is not in force and NaN."""
-        gains = make_gains(self._last)
-        return gains if self._torque else without_k2(gains)
+    _tuner: FuzzyGains
 
     @property
     def telemetry(self) -> tuple[float, ...]:
         """Values of ``signals``."""
         return self._tuner.telemetry
+
+    def _gains_at(self, error: Pairs) -> Pairs:
+        return self._tuner.at(error)

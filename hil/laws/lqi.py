@@ -7,8 +7,7 @@ from hil.core.errors import BadInputError
 from hil.core.model import RobotModel
 from hil.core.options import POSITIVE
 from hil.core.types import NO_GAINS, Applied, Axes, CommandMode, Reference, State, WheelCommand
-from hil.laws.prediction import DelayPredictor, Prediction, extrapolate
-from hil.laws.surface import speed_command
+from hil.laws.prediction import DelayPredictor, Prediction, extrapolate, speed_command
 
 if TYPE_CHECKING:
     import numpy as np
@@ -110,9 +109,7 @@ class Lqi:
         vx, vy, yaw_rate = predicted.reference_twist
         ki, kp = self._feedback
         desired = vx - ki * ix - kp * x, vy - ki * iy - kp * y, yaw_rate - ki * ih - kp * heading
-        return speed_command(
-            self._model, desired, predicted.heading_rad, predicted.reference_twist, reference.acceleration
-        )
+        return speed_command(self._model, desired, predicted, reference.acceleration)
 
     def _integrated(self, predicted: Prediction, applied: Applied, dt_s: float) -> Axes:
         """Return the integral of the error until now, and advance it unless the guard limits the command."""

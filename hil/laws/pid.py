@@ -6,8 +6,7 @@ from typing import Annotated
 from hil.core.model import RobotModel
 from hil.core.options import NOT_NEGATIVE, POSITIVE
 from hil.core.types import NO_GAINS, ZERO_WHEELS, Applied, Axes, CommandMode, Reference, State, WheelCommand, Wheels
-from hil.laws.prediction import extrapolate
-from hil.laws.surface import speed_command
+from hil.laws.prediction import extrapolate, speed_command
 
 
 class Pid:
@@ -45,12 +44,12 @@ class Pid:
 
     def update(self, reference: Reference, state: State, applied: Applied, dt_s: float) -> WheelCommand:
         """Return the command of this tick, not limited."""
-        error, heading_rad, reference_twist, _ = extrapolate(reference, state, applied.latency_s)
+        predicted = extrapolate(reference, state, applied.latency_s)
         options = self._options
         kp, ki, kd = options.kp_1_s, options.ki_1_s2, options.kd
-        x, y, heading, vx, vy, yaw_rate = error
+        x, y, heading, vx, vy, yaw_rate = predicted.error
         ix, iy, ih = self._integral
-        vx_d, vy_d, yaw_rate_d = reference_twist
+        vx_d, vy_d, yaw_rate_d = predicted.reference_twist
         desired = (
             vx_d - kp * x - ki * ix - kd * vx,
             vy_d - kp * y - ki * iy - kd * vy,
@@ -59,10 +58,10 @@ class Pid:
         if not applied.saturated:
             self._integral = ix + dt_s * x, iy + dt_s * y, ih + dt_s * heading
         if not self._torque:
-            return speed_command(self._model, desired, heading_rad, reference_twist, reference.acceleration)
+            return speed_command(self._model, desired, predicted, reference.acceleration)
         vx, vy, yaw_rate = state.twist
         twist_error = desired[0] - vx, desired[1] - vy, desired[2] - yaw_rate
-        return self._by_wheel(self._model.wheel_speeds(twist_error, heading_rad), applied, dt_s)
+        return self._by_wheel(self._model.wheel_speeds(twist_error, predicted.heading_rad), applied, dt_s)
 
     def _by_wheel(self, speed_error_rad_s: Wheels, applied: Applied, dt_s: float) -> WheelCommand:
         """Return the torque of each wheel's PI for its speed error [rad/s]."""

@@ -14,8 +14,21 @@ from typing import NamedTuple
 
 from hil.core.kinematics import body_wrench
 from hil.core.model import RobotModel
-from hil.core.types import ZERO_WHEELS, Applied, Axes, Pairs, Reference, State, WheelCommand, Wheels
-from hil.laws.surface import torque_command
+from hil.core.types import (
+    ZERO_WHEELS,
+    Applied,
+    Axes,
+    CommandMode,
+    Pairs,
+    Reference,
+    State,
+    WheelCommand,
+    Wheels,
+    make_command,
+)
+
+# A member of an enumeration takes longer to look up than a global name.
+_SPEED, _TORQUE = CommandMode.SPEED, CommandMode.TORQUE
 
 
 class ExtendedStateObserver:
@@ -174,14 +187,34 @@ def acceleration_of(
 class Prediction(NamedTuple):
     """The predicted robot and reference at the time when the command takes effect.
 
-    ``error`` is defined as in ``hil.laws.surface.tracking_error``. ``reference_twist`` and ``twist`` (the robot's)
-    are in the world frame.
+    ``error`` is state minus reference in the world frame [m, rad], and its rate. ``reference_twist`` and ``twist`` (the
+    robot's) are in the world frame.
     """
 
     error: Pairs
     heading_rad: float
     reference_twist: Axes
     twist: Axes
+
+
+def torque_command(model: RobotModel, acceleration: Axes, predicted: Prediction) -> WheelCommand:
+    """Return the torques for a world acceleration: τ = B⁺ (M u + C) + ξ (the paper's equation 18 with the model's C).
+
+    Friction is computed at the reference's twist and not at the measured one, so measurement noise does not enter.
+    """
+    _, heading_rad, reference_twist, twist = predicted
+    return make_command((_TORQUE, ZERO_WHEELS, model.wheel_torques(acceleration, twist, heading_rad, reference_twist)))
+
+
+def speed_command(model: RobotModel, desired: Axes, predicted: Prediction, acceleration: Axes) -> WheelCommand:
+    """Return the set points of the firmware's speed loop for a world twist: ω = H Rᵀ x̄2 / r.
+
+    ``desired`` is the twist [m/s, m/s, rad/s]. The torque feedforward follows from the reference's twist and
+    ``acceleration``.
+    """
+    _, heading_rad, twist, _ = predicted
+    feedforward = model.wheel_torques(acceleration, twist, heading_rad, twist)
+    return make_command((_SPEED, model.wheel_speeds(desired, heading_rad), feedforward))
 
 
 def extrapolate(reference: Reference, state: State, latency_s: float) -> Prediction:
@@ -199,18 +232,6 @@ class DelayPredictor:
     (acceleration [m/s², m/s², rad/s²]), which is zero without them. It starts at the measured state or, with
     ``from_observers``, at the observers' estimate, which uses the measured pose and not the measured twist.
     """
-
-    __slots__ = (
-        "_commanded",
-        "_from_observers",
-        "_is_new",
-        "_latency_s",
-        "_model",
-        "_observers",
-        "_pending",
-        "_sent",
-        "disturbance",
-    )
 
     def __init__(
         self, model: RobotModel, observers: tuple[ExtendedStateObserver, ...] = (), *, from_observers: bool = False
@@ -275,9 +296,7 @@ class DelayPredictor:
 
     def command(self, acceleration: Axes, predicted: Prediction) -> WheelCommand:
         """Return the torques for a world acceleration at the predicted state, and remember them for later ticks."""
-        command = torque_command(
-            self._model, acceleration, predicted.heading_rad, predicted.twist, predicted.reference_twist
-        )
+        command = torque_command(self._model, acceleration, predicted)
         self.remember(command.torque_n_m, acceleration)
         return command
 

@@ -33,8 +33,7 @@ from hil.core.types import (
     WheelCommand,
     Wheels,
 )
-from hil.laws.prediction import DelayPredictor, ExtendedStateObserver, Prediction, extrapolate
-from hil.laws.surface import speed_command
+from hil.laws.prediction import DelayPredictor, ExtendedStateObserver, Prediction, extrapolate, speed_command
 
 SQRT2 = math.sqrt(2.0)
 
@@ -186,8 +185,8 @@ class Profile:
         Over the latency the robot is extrapolated by its own speed and the reference's acceleration.
         """
         model = self._model
-        (x, y, heading_error, vx, vy, yaw_rate), heading, reference_twist, _ = extrapolate(reference, state, latency_s)
-        vx_d, vy_d, yaw_rate_d = reference_twist
+        predicted = extrapolate(reference, state, latency_s)
+        (x, y, heading_error, vx, vy, yaw_rate), heading, (vx_d, vy_d, yaw_rate_d), _ = predicted
         ax, ay, yaw_acceleration = reference.acceleration
         x1, y1, x2, y2 = directions(heading)
         along_1, along_2 = vx_d * x1 + vy_d * y1, vx_d * x2 + vy_d * y2
@@ -213,7 +212,7 @@ class Profile:
         push_1 = within(along_1 + rate_1 + lead_s * (ax * x1 + ay * y1), limit)
         push_2 = within(along_2 + rate_2 + lead_s * (ax * x2 + ay * y2), limit)
         desired = push_1 * x1 + push_2 * x2, push_1 * y1 + push_2 * y2, turn
-        return speed_command(model, desired, heading, reference_twist, (ax, ay, yaw_acceleration))
+        return speed_command(model, desired, predicted, (ax, ay, yaw_acceleration))
 
     def _push_speed_m_s(self, yaw_rate_rad_s: float) -> float:
         """Return the speed limit [m/s] along a diagonal. A wheel's rim moves at √2 of it, plus L times the yaw rate."""

@@ -12,13 +12,10 @@ from hil.core.extensions import OUR_PACKAGE, Extensions, from_package
 from hil.core.model import RobotModel
 from hil.core.options import build
 from hil.core.types import CommandMode
-from hil.laws.afdsc import Afdsc
-from hil.laws.afdsc_corrected import AfdscCorrected
-from hil.laws.afdsc_eso import AfdscEso
+from hil.laws.afdsc import Afdsc, AfdscCorrected, AfdscEso
 from hil.laws.code import code_of_file, code_of_module, forget
 from hil.laws.computed_torque import ComputedTorque
-from hil.laws.dsc import Dsc
-from hil.laws.dsc_eso import DscEso
+from hil.laws.dsc import Dsc, DscEso
 from hil.laws.lqi import Lqi
 from hil.laws.pid import Pid
 from hil.laws.profile import Profile

@@ -1,4 +1,4 @@
-"""Dynamic surface control of the robot's pose, shared by DSC and AFDSC.
+"""Dynamic surface control of the robot's pose: the base of DSC and AFDSC, each with and without observer.
 
 With S1 = q - q_d, the virtual control x̄2 = q̇_d - K1 S1, its first-order filter ς ẋ2d + x2d = x̄2 and
 S2 = q̇ - x2d, the commanded acceleration is u = ẋ2d - K2 S2 (Nguyen Minh et al. 2023, AFDSC, equations 16 to
@@ -12,7 +12,8 @@ import math
 from hil.core.model import RobotModel
 from hil.core.types import (
     NAN,
-    ZERO_WHEELS,
+    NO_GAINS,
+    Applied,
     Axes,
     CommandMode,
     Gains,
@@ -20,80 +21,18 @@ from hil.core.types import (
     Reference,
     State,
     WheelCommand,
-    make_command,
+    make_gains,
+)
+from hil.laws.prediction import (
+    DelayPredictor,
+    ExtendedStateObserver,
+    Prediction,
+    extrapolate,
+    speed_command,
+    torque_command,
 )
 
-# A member of an enumeration takes longer to look up than a global name.
-_SPEED, _TORQUE = CommandMode.SPEED, CommandMode.TORQUE
-
-
-def torque_command(
-    model: RobotModel, acceleration: Axes, heading_rad: float, twist: Axes, reference_twist: Axes
-) -> WheelCommand:
-    """Return the torques for a world acceleration: τ = B⁺ (M u + C) + ξ (equation 18 with the model's C).
-
-    Friction is computed at the reference's twist and not at the measured one, so measurement noise does not enter.
-    """
-    return make_command((_TORQUE, ZERO_WHEELS, model.wheel_torques(acceleration, twist, heading_rad, reference_twist)))
-
-
-def speed_command(
-    model: RobotModel, desired: Axes, heading_rad: float, reference_twist: Axes, acceleration: Axes
-) -> WheelCommand:
-    """Return the set points of the firmware's speed loop for a world twist: ω = H Rᵀ x̄2 / r.
-
-    ``desired`` is the twist [m/s, m/s, rad/s]. The torque feedforward follows from ``reference_twist`` and
-    ``acceleration``, both the reference's.
-    """
-    feedforward = model.wheel_torques(acceleration, reference_twist, heading_rad, reference_twist)
-    return make_command((_SPEED, model.wheel_speeds(desired, heading_rad), feedforward))
-
-
-def tracking_error(reference: Reference, state: State) -> Pairs:
-    """Return S1, state minus reference in the world frame [m, rad], and its rate. The heading is in [-π, π]."""
-    (x, y, heading), (vx, vy, yaw_rate) = state
-    (x_d, y_d, heading_d), (vx_d, vy_d, yaw_rate_d), _ = reference
-    heading_error = math.remainder(heading - heading_d, math.tau)
-    return x - x_d, y - y_d, heading_error, vx - vx_d, vy - vy_d, yaw_rate - yaw_rate_d
-
-
-class DynamicSurface:
-    """Surface, filter and map to the wheels. The caller gives the gains at every tick. The guard limits the command.
-
-    In TORQUE mode the command is τ = B⁺ (M u + C) + ξ (equation 18 with the model's C). In SPEED mode the firmware's
-    speed loop replaces the inner surface: the set points are ω = H Rᵀ x̄2 / r with the torque feedforward
-    B⁺ (M q̈_d + C) + ξ of the reference. x̄2 is not filtered there, because a filter would only add lag. K2 and ς are
-    not used.
-    """
-
-    __slots__ = ("_filter", "_model", "_torque")
-
-    def __init__(self, model: RobotModel, mode: CommandMode, filter_s: float) -> None:
-        self._model = model
-        self._torque = mode is CommandMode.TORQUE
-        self._filter = FirstOrderFilter(filter_s)
-
-    def reset(self, reference: Reference, error: Pairs, gains: Pairs) -> None:
-        """Start the filter at rest on its input: x2d(0) = x̄2(0) (equation 17)."""
-        self._filter.value = _virtual_control(reference.twist, error, gains)
-
-    def command(self, reference: Reference, state: State, error: Pairs, gains: Pairs, dt_s: float) -> WheelCommand:
-        """Return the command of this tick, of ``dt_s`` [s]; ``gains`` are K1 and K2 [1/s]."""
-        _, reference_twist, acceleration = reference
-        (_, _, heading_rad), twist = state
-        desired = _virtual_control(reference_twist, error, gains)
-        if not self._torque:
-            return speed_command(self._model, desired, heading_rad, reference_twist, acceleration)
-        x, y, heading = self._filter.value
-        slope_x, slope_y, slope_heading = self._filter.step(desired, dt_s)
-        vx, vy, yaw_rate = twist
-        _, _, _, k2_x, k2_y, k2_heading = gains
-        commanded = (
-            slope_x - k2_x * (vx - x),
-            slope_y - k2_y * (vy - y),
-            slope_heading - k2_heading * (yaw_rate - heading),
-        )
-        return torque_command(self._model, commanded, heading_rad, twist, reference_twist)
+_DISTURBANCE_LIMITS = (3.0, 3.0, 10.0)  # [m/s², m/s², rad/s²]
 
 
 class FirstOrderFilter:
@@ -122,13 +61,126 @@ class FirstOrderFilter:
         return slope_x, slope_y, slope_heading
 
 
-def without_k2(gains: Gains) -> Gains:
-    """Return the gains without K2 (NaN), as they are in force in SPEED mode."""
-    return gains._replace(k2_x_1_s=NAN, k2_y_1_s=NAN, k2_heading_1_s=NAN)
+class SurfaceLaw:
+    """The paper's law, without limits on its command; the guard limits it. It does not use ``applied``.
+
+    In TORQUE mode the command is τ = B⁺ (M u + C) + ξ (equation 18 with the model's C). In SPEED mode the firmware's
+    speed loop replaces the inner surface: the set points are ω = H Rᵀ x̄2 / r with the torque feedforward
+    B⁺ (M q̈_d + C) + ξ of the reference. x̄2 is not filtered there, because a filter would only add lag. K2 and ς are
+    not used.
+
+    ``gains`` are K1 and K2 [1/s]; a subclass whose gains change overrides ``_gains_at``.
+    """
+
+    def __init__(self, model: RobotModel, mode: CommandMode, filter_s: float, gains: Pairs = NO_GAINS) -> None:
+        self._model = model
+        self._torque = mode is CommandMode.TORQUE
+        self._filter = FirstOrderFilter(filter_s)
+        self._gains = gains
+
+    @property
+    def gains(self) -> Gains:
+        """Gains of the last update. In SPEED mode K2 is not in force and NaN."""
+        return make_gains(self._gains if self._torque else (*self._gains[:3], NAN, NAN, NAN))
+
+    def reset(self, state: State, reference: Reference) -> None:
+        """Start the filter at rest on its input for this state and reference: x2d(0) = x̄2(0) (equation 17)."""
+        now = _present(reference, state)
+        self._gains = self._gains_at(now.error)
+        self._filter.value = _virtual_control(now.reference_twist, now.error, self._gains)
+
+    def update(self, reference: Reference, state: State, applied: Applied, dt_s: float) -> WheelCommand:
+        """Return the command of this tick, not limited; ``dt_s`` [s] is the time since the last tick."""
+        predicted = self._predict(reference, state, applied, dt_s)
+        self._gains = self._gains_at(predicted.error)
+        if self._torque:
+            return self._torque_command(reference, predicted, dt_s)
+        desired = _virtual_control(predicted.reference_twist, predicted.error, self._gains)
+        return speed_command(self._model, desired, predicted, reference.acceleration)
+
+    def _gains_at(self, error: Pairs) -> Pairs:
+        """Return K1 and K2 [1/s] at this error and its rate."""
+        return self._gains
+
+    def _predict(self, reference: Reference, state: State, applied: Applied, dt_s: float) -> Prediction:
+        """Return the robot and the reference for which the command is computed: here the present ones."""
+        return _present(reference, state)
+
+    def _torque_command(self, reference: Reference, predicted: Prediction, dt_s: float) -> WheelCommand:
+        x, y, heading = self._filter.value
+        desired = _virtual_control(predicted.reference_twist, predicted.error, self._gains)
+        slope_x, slope_y, slope_heading = self._filter.step(desired, dt_s)
+        vx, vy, yaw_rate = predicted.twist
+        _, _, _, k2_x, k2_y, k2_heading = self._gains
+        commanded = (
+            slope_x - k2_x * (vx - x),
+            slope_y - k2_y * (vy - y),
+            slope_heading - k2_heading * (yaw_rate - heading),
+        )
+        return torque_command(self._model, commanded, predicted)
+
+
+class ObservedSurfaceLaw(SurfaceLaw):
+    """Dynamic surface control without its lag: the feedforward bypasses the filter, an observer removes steady errors.
+
+    The paper's filter delays all of x̄2 = q̇_d - K1 e, also the reference's own speed. That causes the steady error
+    ς ω² r0 / K1. Here only the feedback -K1 e is filtered, ς ẋ + x = -K1 e, and the commanded acceleration is
+
+        u = q̈_d + ẋ - K2 (ė - x) - ẑ
+
+    with ẑ the acceleration that the commands do not explain, such as that of unmodelled friction or a wrong mass, as an
+    extended state observer of bandwidth ``observer_rad_s`` estimates it. All values are predicted for the time when the
+    command takes effect. In SPEED mode the observer is not used: only the firmware knows which torque acts.
+    """
+
+    def __init__(
+        self, model: RobotModel, mode: CommandMode, filter_s: float, observer_rad_s: float, gains: Pairs = NO_GAINS
+    ) -> None:
+        super().__init__(model, mode, filter_s, gains)
+        observers = tuple(ExtendedStateObserver(observer_rad_s, limit) for limit in _DISTURBANCE_LIMITS)
+        self._predictor = DelayPredictor(model, observers)
+
+    def reset(self, state: State, reference: Reference) -> None:
+        """Start the filter at rest on its input, and the observer at this state."""
+        error = _present(reference, state).error
+        self._gains = self._gains_at(error)
+        self._filter.value = _virtual_control((0.0, 0.0, 0.0), error, self._gains)
+        self._predictor.reset(state)
+
+    def _predict(self, reference: Reference, state: State, applied: Applied, dt_s: float) -> Prediction:
+        if self._torque:
+            return self._predictor.predict(reference, state, applied, dt_s)
+        return extrapolate(reference, state, applied.latency_s)
+
+    def _torque_command(self, reference: Reference, predicted: Prediction, dt_s: float) -> WheelCommand:
+        error = predicted.error
+        _, _, _, vx, vy, yaw_rate = error
+        _, _, _, k2_x, k2_y, k2_heading = self._gains
+        x, y, heading = self._filter.value
+        feedback = _virtual_control((0.0, 0.0, 0.0), error, self._gains)
+        slope_x, slope_y, slope_heading = self._filter.step(feedback, dt_s)
+        ax, ay, ah = reference.acceleration
+        zx, zy, zh = self._predictor.disturbance
+        commanded = (
+            ax + slope_x - k2_x * (vx - x) - zx,
+            ay + slope_y - k2_y * (vy - y) - zy,
+            ah + slope_heading - k2_heading * (yaw_rate - heading) - zh,
+        )
+        return self._predictor.command(commanded, predicted)
+
+
+def _present(reference: Reference, state: State) -> Prediction:
+    """Return robot and reference as they are now. The heading of the error S1 is in [-π, π]."""
+    (x, y, heading), twist = state
+    (x_d, y_d, heading_d), twist_d, _ = reference
+    (vx, vy, yaw_rate), (vx_d, vy_d, yaw_rate_d) = twist, twist_d
+    heading_error = math.remainder(heading - heading_d, math.tau)
+    error = x - x_d, y - y_d, heading_error, vx - vx_d, vy - vy_d, yaw_rate - yaw_rate_d
+    return Prediction(error, heading, twist_d, twist)
 
 
 def _virtual_control(reference_twist: Axes, error: Pairs, gains: Pairs) -> Axes:
-    """Return x̄2 = q̇_d - K1 S1."""
+    """Return x̄2 = q̇_d - K1 S1; with a reference at rest, the feedback -K1 S1."""
     x, y, heading, _, _, _ = error
     vx, vy, yaw_rate = reference_twist
     k1_x, k1_y, k1_heading, _, _, _ = gains

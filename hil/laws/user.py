@@ -14,10 +14,7 @@ from hil.core.extensions import failure, failures_of
 from hil.core.types import NO_GAINS, Applied, CommandMode, Gains, Reference, State, WheelCommand, Wheels
 from hil.laws.own_signals import check_names
 
-_METHODS = {
-    "reset": ("self", "state", "reference"),
-    "update": ("self", "reference", "state", "applied", "dt_s"),
-}
+_METHODS = {"reset": ("self", "state", "reference"), "update": ("self", "reference", "state", "applied", "dt_s")}
 
 
 def find_class(spec: str, base: Path, named: str) -> type:

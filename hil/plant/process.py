@@ -37,11 +37,7 @@ class Watch:
     """
 
     def __init__(
-        self,
-        pending: Callable[[], object],
-        expire: Callable[[float], None],
-        limit_s: float,
-        look: Callable[[], None],
+        self, pending: Callable[[], object], expire: Callable[[float], None], limit_s: float, look: Callable[[], None]
     ) -> None:
         self.limit_s = limit_s
         self._look = look

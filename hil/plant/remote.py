@@ -121,11 +121,7 @@ class RemotePlant(shim.PlantPort):
         Raises BadInputError unless that is a permutation with signs 1 and -1, DeviceError when the FMU fails.
         """
         self._request(
-            {
-                "kind": self._lib.REMOTE_WIRE,
-                "wheel_of_channel": wheel_of_channel,
-                "sign_of_channel": sign_of_channel,
-            }
+            {"kind": self._lib.REMOTE_WIRE, "wheel_of_channel": wheel_of_channel, "sign_of_channel": sign_of_channel}
         )
         self._wiring = (tuple(wheel_of_channel), tuple(sign_of_channel))
 

@@ -83,10 +83,7 @@ def connect(context: Any, wiring: Wiring, access: Callable[[str, str], Any]) -> 
     """
     ffi, _ = load()
     kept: list[object] = []
-    sides = (
-        ("input", "Set", context.input_value, wiring.inputs),
-        ("output", "Get", context.fresh, wiring.outputs),
-    )
+    sides = (("input", "Set", context.input_value, wiring.inputs), ("output", "Get", context.fresh, wiring.outputs))
     for direction, call, signals, connections in sides:
         types = list(dict.fromkeys(connection.variable.type for connection in connections))
         for group, kind in zip(getattr(context, direction), types, strict=False):
