@@ -6,15 +6,20 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hil.service.teleop.gamepad import Pad, Sticks
-from hil.service.teleop.held import DeadManButton, Heartbeat, ReleasingKeys, RepeatedKeys
+from hil.service.messages import Action
+from hil.service.teleop.gamepad import Direction, Pad
 from hil.service.teleop.keys import Attributes, Change, Event, Flags, Focus, Key, KeyDecoder
-from hil.service.teleop.operator import KEYS, Operator, Speeds, Wish, of_keys, of_sticks, twist_of
+from hil.service.teleop.operator import KEYS, Heartbeat, HeldKeys, Operator, Speeds, Wish, of_keys, of_sticks, twist_of
 
 SPEEDS = Speeds(0.5, 1.0)
 KEY = st.sampled_from(sorted(KEYS))
 SHARE = st.floats(-1.0, 1.0)
-STICKS = st.builds(Sticks, SHARE, SHARE, SHARE)
+STICKS = st.builds(Direction, SHARE, SHARE, SHARE)
+
+
+def operator_of(expo: float) -> Operator:
+    return Operator(HeldKeys(reports_releases=True), SPEEDS, 0.1, expo)
+
 
 # As the terminals' documents have them: xterm's control sequences, and kitty's keyboard protocol.
 SEQUENCES = {
@@ -72,33 +77,33 @@ def test_a_sequence_without_end_is_the_esc_key_and_a_number_without_end_is_nothi
 
 @given(st.lists(st.tuples(KEY, st.sampled_from(Change))))
 def test_told_keys_are_those_pressed_and_not_released_since(changes: list[tuple[str, Change]]) -> None:
-    keys = ReleasingKeys()
+    keys = HeldKeys(reports_releases=True)
     for name, change in changes:
         keys.on_key(Key(name, change), 0.0)
     last = {name: change for name, change in changes if change is not Change.REPEAT}
-    assert keys.held(1e9).keys == {name for name, change in last.items() if change is Change.PRESS}
+    assert keys.held(1e9)[0] == {name for name, change in last.items() if change is Change.PRESS}
     keys.release()
     for name in last:
         keys.on_key(Key(name, Change.REPEAT), 0.0)
-    assert not keys.held(0.0).keys
+    assert not keys.held(0.0)[0]
 
 
 @given(st.lists(st.tuples(KEY, st.floats(0.001, 2.0)), min_size=1), st.floats(0.0, 2.0))
 def test_repeated_keys_hold_one_key_and_no_longer_than_they_say(
     presses: list[tuple[str, float]], after_s: float
 ) -> None:
-    keys, now_s = RepeatedKeys(), 0.0
+    keys, now_s = HeldKeys(reports_releases=False), 0.0
     for name, pause_s in presses:
         now_s += pause_s
         keys.on_key(Key(name), now_s)
     name, pause_s = presses[-1]
-    is_repeat = keys.held(now_s).share == 1.0
-    assert keys.held(now_s).keys == {name}
+    is_repeat = keys.held(now_s)[1] == 1.0
+    assert keys.held(now_s)[0] == {name}
     assert is_repeat <= (pause_s <= keys.FIRST_S and len(presses) > 1 and presses[-2][0] == name)
     limit_s = keys.REPEAT_S if is_repeat else keys.FIRST_S
-    assert bool(keys.held(now_s + after_s).keys) == (now_s + after_s <= now_s + limit_s)
+    assert bool(keys.held(now_s + after_s)[0]) == (now_s + after_s <= now_s + limit_s)
     keys.release()
-    assert not keys.held(now_s).keys
+    assert not keys.held(now_s)[0]
 
 
 def test_a_terminal_is_lost_when_a_question_is_not_answered_in_time() -> None:
@@ -112,8 +117,10 @@ def test_a_terminal_is_lost_when_a_question_is_not_answered_in_time() -> None:
 
 @given(st.lists(st.booleans()))
 def test_a_button_counts_only_after_it_was_seen_released(pressed: list[bool]) -> None:
-    button = DeadManButton()
-    held = [button.held(pressed=one) for one in pressed]
+    operator, held = operator_of(0.5), list[bool]()
+    for one in pressed:
+        operator.on_pad(Pad(dead_man=one, estop=False, sticks=Direction(1.0, 0.0, 0.0)))
+        held.append(operator.twist(0.0) is not None)
     assert held == [one and not all(pressed[:index]) for index, one in enumerate(pressed)]
 
 
@@ -130,7 +137,9 @@ def test_keys_ask_for_at_most_the_speeds_and_opposite_keys_for_the_opposite(keys
 
 
 @given(STICKS, st.floats(0.0, 0.9), st.floats(0.0, 1.0))
-def test_sticks_keep_their_direction_and_rest_in_the_dead_zone(sticks: Sticks, dead_zone: float, expo: float) -> None:
+def test_sticks_keep_their_direction_and_rest_in_the_dead_zone(
+    sticks: Direction, dead_zone: float, expo: float
+) -> None:
     forward, left, turn = of_sticks(sticks, dead_zone, expo)
     length = math.hypot(sticks.forward, sticks.left)
     assert math.hypot(forward, left) <= min(1.0, length) + 1e-9
@@ -139,23 +148,23 @@ def test_sticks_keep_their_direction_and_rest_in_the_dead_zone(sticks: Sticks, d
     assert forward * sticks.left == pytest.approx(left * sticks.forward, abs=1e-9)
     if length <= dead_zone:
         assert (forward, left) == (0.0, 0.0)
-    whole = of_sticks(Sticks(1.0, 0.0, -1.0), dead_zone, expo)
+    whole = of_sticks(Direction(1.0, 0.0, -1.0), dead_zone, expo)
     assert whole == pytest.approx((1.0, 0.0, -1.0))
 
 
 @given(st.tuples(SHARE, SHARE), st.floats(0.0, 0.9), st.floats(0.0, 1.0))
 def test_more_stick_is_never_less_speed(shares: tuple[float, float], dead_zone: float, expo: float) -> None:
     low, high = sorted(shares)
-    turns = [of_sticks(Sticks(0.0, 0.0, share), dead_zone, expo).turn for share in (low, high)]
+    turns = [of_sticks(Direction(0.0, 0.0, share), dead_zone, expo).turn for share in (low, high)]
     assert turns[0] <= turns[1]
 
 
 @given(st.lists(st.one_of(st.sampled_from("ae\rkdcq+-="), KEY), max_size=30))
 def test_only_an_enter_right_after_an_a_arms(typed: list[str]) -> None:
-    operator = Operator(ReleasingKeys(), SPEEDS, 0.1, 0.5)
+    operator = operator_of(0.5)
     names = ["enter" if name == "\r" else name for name in typed]
     wishes = [operator.on_key(Key(name), 0.0) for name in names]
-    arms = [index for index, wish in enumerate(wishes) if wish is Wish.ARM]
+    arms = [index for index, wish in enumerate(wishes) if wish is Action.ARM]
     assert arms == [i for i in range(1, len(names)) if names[i - 1 : i + 1] == ["a", "enter"]]
     assert 0.0 < operator.speeds.speed_m_s <= SPEEDS.speed_m_s
 
@@ -163,17 +172,17 @@ def test_only_an_enter_right_after_an_a_arms(typed: list[str]) -> None:
 @pytest.mark.parametrize(
     ("name", "ctrl", "wish"),
     [
-        ("e", False, Wish.ESTOP),
-        ("space", False, Wish.STOP),
-        ("d", False, Wish.DISARM),
-        ("c", True, Wish.QUIT),
+        ("e", False, Action.ESTOP),
+        ("space", False, Action.STOP),
+        ("d", False, Action.DISARM),
+        ("c", True, "quit"),
         ("i", False, None),
         ("c", False, None),
         ("enter", False, None),
     ],
 )
 def test_of_what_was_typed_while_nobody_looked_only_what_stops_counts(name: str, ctrl: bool, wish: Wish | None) -> None:
-    operator = Operator(ReleasingKeys(), SPEEDS, 0.1, 0.5)
+    operator = operator_of(0.5)
     operator.on_key(Key("i"), 0.0)
     operator.on_key(Key("a"), 0.0)
     assert operator.on_late_key(Key(name, ctrl=ctrl)) is wish
@@ -183,21 +192,21 @@ def test_of_what_was_typed_while_nobody_looked_only_what_stops_counts(name: str,
 
 @pytest.mark.parametrize("stop", ["space", "escape", "k", "e"])
 def test_after_a_stop_everything_must_be_pressed_anew(stop: str) -> None:
-    operator = Operator(ReleasingKeys(), SPEEDS, 0.1, 0.5)
-    pad = Pad(dead_man=True, estop=False, sticks=Sticks(1.0, 0.0, 0.0))
+    operator = operator_of(0.5)
+    pad = Pad(dead_man=True, estop=False, sticks=Direction(1.0, 0.0, 0.0))
     operator.on_pad(pad._replace(dead_man=False))
     operator.on_pad(pad)
     operator.on_key(Key("up"), 0.0)
     assert operator.twist(0.0) is not None
-    assert operator.on_key(Key(stop), 0.0) is (Wish.ESTOP if stop == "e" else Wish.STOP)
+    assert operator.on_key(Key(stop), 0.0) is (Action.ESTOP if stop == "e" else Action.STOP)
     operator.on_key(Key("up", Change.REPEAT), 0.0)
     operator.on_pad(pad)
     assert operator.twist(0.0) is None
 
 
 def test_a_lost_gamepad_and_its_emergency_stop_let_go() -> None:
-    operator = Operator(ReleasingKeys(), SPEEDS, 0.1, 0.0)
-    pad = Pad(dead_man=True, estop=False, sticks=Sticks(1.0, 0.0, 0.0))
+    operator = operator_of(0.0)
+    pad = Pad(dead_man=True, estop=False, sticks=Direction(1.0, 0.0, 0.0))
     operator.on_pad(pad)
     assert operator.twist(0.0) is None, "held before it was looked at"
     operator.on_pad(pad._replace(dead_man=False))
@@ -207,5 +216,5 @@ def test_a_lost_gamepad_and_its_emergency_stop_let_go() -> None:
     assert operator.twist(0.0) is None
     operator.on_pad(pad)
     assert operator.twist(0.0) is None, "held when it came back"
-    assert operator.on_pad(pad._replace(estop=True)) is Wish.ESTOP
+    assert operator.on_pad(pad._replace(estop=True)) is Action.ESTOP
     assert operator.on_pad(pad._replace(estop=True)) is None, "once a press"

@@ -4,33 +4,40 @@ The robot stops in two ways. This program orders a stop when a key or the button
 it hangs or is killed, the twists cease, and the service stops the robot.
 """
 
+import contextlib
 import os
 import signal
 import time
+from collections.abc import Mapping
 from typing import Any
 
 from hil.core.errors import LinkError, RunInterruptedError
-from hil.core.kinematics import BodyTwist
+from hil.core.kinematics import BodyTwist, to_body
+from hil.core.types import Twist
 from hil.service.client import STOP_UNANSWERED, Client, Live
 from hil.service.messages import Action
 from hil.service.teleop.gamepad import Gamepads
-from hil.service.teleop.held import Heartbeat, ReleasingKeys, RepeatedKeys
 from hil.service.teleop.keys import Flags, Focus, Key
-from hil.service.teleop.operator import Operator, Speeds, Wish
-from hil.service.teleop.screen import View, lines
+from hil.service.teleop.operator import Heartbeat, HeldKeys, Operator, Speeds, Wish
 from hil.service.teleop.terminal import LostTerminalError, Signals, Terminal
 
 PERIOD_S = 1.0 / 30.0
 _STANDSTILL_S = 0.25
 """After this long without reading keys, what was typed is too old to drive by; it may still stop the robot."""
 _STOPPED_S = 2.0
-_ORDERS = {
-    Wish.STOP: Action.STOP,
-    Wish.ESTOP: Action.ESTOP,
-    Wish.ARM: Action.ARM,
-    Wish.DISARM: Action.DISARM,
-    Wish.CLEAR: Action.CLEAR,
-}
+
+_REPORTS_RELEASES = ("this terminal reports when a key is released: the robot is stopped at once",)
+_REPEATS = (
+    f"this terminal does not report when a key is released. A press drives for {HeldKeys.FIRST_S:g} s at "
+    f"{HeldKeys.FIRST_SHARE:.0%} of the speed,",
+    f"and on as long as the key repeats; the robot is stopped {HeldKeys.REPEAT_S:g} s after the last repeat. "
+    "One key at a time.",
+)
+_HELP = (
+    "  u  i  o       or arrows        s f  turn left, right        Space Esc k  stop",
+    "  j  k  l                        + -  faster, slower          e            emergency stop",
+    "  m  ,  .                        a, then Enter  arm           d disarm     c clear     q quit",
+)
 
 
 def teleop(client: Client, speeds: Speeds, *, gamepad: bool, dead_zone: float, expo: float) -> str:
@@ -40,22 +47,19 @@ def teleop(client: Client, speeds: Speeds, *, gamepad: bool, dead_zone: float, e
     BadInputError. In any case the robot was told to stop, if it could be reached, and the terminal is restored.
     """
     terminal = Terminal()
-    gamepads = Gamepads() if gamepad else None
-    try:
-        with client.live() as live, Signals() as signals:
-            try:
-                terminal.enter()
-                keys = ReleasingKeys() if terminal.reports_releases else RepeatedKeys()
-                operator = Operator(keys, speeds, dead_zone, expo)
-                return _Session(live, terminal, signals, gamepads, operator).run()
-            finally:
-                terminal.leave()
-    except LostTerminalError:
-        terminal.forget()
-        raise
-    finally:
-        if gamepads is not None:
-            gamepads.close()
+    with contextlib.ExitStack() as resources:
+        gamepads = resources.enter_context(contextlib.closing(Gamepads())) if gamepad else None
+        try:
+            with client.live() as live, Signals() as signals:
+                try:
+                    terminal.enter()
+                    keys = HeldKeys(reports_releases=terminal.reports_releases)
+                    return _Session(live, terminal, signals, gamepads, Operator(keys, speeds, dead_zone, expo)).run()
+                finally:
+                    terminal.leave()
+        except LostTerminalError:
+            terminal.forget()
+            raise
 
 
 class _Session:
@@ -101,7 +105,7 @@ class _Session:
         self._drive(now_s)
         if now_s >= self._due_s:
             self._due_s = now_s + PERIOD_S
-            self._show(now_s)
+            self._terminal.show(self._screen(now_s))
 
     def _handle_signals(self) -> None:
         came = self._signals.received()
@@ -138,24 +142,25 @@ class _Session:
             return
         pad = self._gamepads.poll()
         self._do(self._operator.on_pad(pad))
-        if pad is None:
-            self._gamepad = "none; plug one in, or press a button on it"
-        else:
-            self._gamepad = f"{self._gamepads.name}: hold the left shoulder to run; B, east, is the emergency stop"
+        self._gamepad = (
+            "none; plug one in, or press a button on it"
+            if pad is None
+            else f"{self._gamepads.name}: hold the left shoulder to run; B, east, is the emergency stop"
+        )
 
     def _do(self, wish: Wish | None) -> None:
         if wish is None:
             return
         self._message = ""
-        if wish is Wish.QUIT:
-            self._quits = True
-        elif wish is Wish.SUSPEND:
+        if isinstance(wish, Action):
+            self._order(wish)
+            self._message = f"{wish.value} was ordered"
+            if wish in (Action.STOP, Action.ESTOP):
+                self._requested = None
+        elif wish == "suspend":
             os.kill(0, signal.SIGTSTP)  # as the terminal does, for its whole foreground group
         else:
-            self._order(_ORDERS[wish])
-            self._message = f"{wish.value} was ordered"
-            if wish in (Wish.STOP, Wish.ESTOP):
-                self._requested = None
+            self._quits = True
 
     def _check_terminal(self, now_s: float) -> None:
         """Query a terminal that reports releases while the robot drives."""
@@ -177,8 +182,7 @@ class _Session:
                 self._order(Action.STOP)
                 self._heartbeat = Heartbeat()
         elif requested != self._requested or now_s >= self._due_s:
-            forward_m_s, left_m_s, yaw_rate_rad_s = requested
-            self._order(Action.TWIST, {"vx_m_s": forward_m_s, "vy_m_s": left_m_s, "yaw_rate_rad_s": yaw_rate_rad_s})
+            self._order(Action.TWIST, dict(zip(("vx_m_s", "vy_m_s", "yaw_rate_rad_s"), requested, strict=True)))
         self._requested = requested
 
     def _order(self, action: Action, arguments: dict[str, float] | None = None) -> int:
@@ -213,17 +217,43 @@ class _Session:
                 raise LinkError(STOP_UNANSWERED)
             self._handle(message, time.monotonic())
 
-    def _show(self, now_s: float) -> None:
-        view = View(
-            self._status,
-            now_s - self._received_s,
-            self._requested,
-            self._operator.speeds,
-            self._terminal.reports_releases,
-            self._gamepad,
+    def _screen(self, now_s: float) -> list[str]:
+        status, speeds = self._status, self._operator.speeds
+        requested = "nothing: nobody holds a key or the button" if self._requested is None else _twist(self._requested)
+        actual = "not known"
+        if status is not None and status["twist"] is not None and status["pose"] is not None:
+            actual = _twist(to_body(Twist(*status["twist"]), status["pose"][2]))
+        return [
+            "hil teleop: hold a key to run, let go to stop",
+            "",
+            *(["phase     not known yet"] if status is None else _status(status, now_s - self._received_s)),
+            f"asked     {requested}",
+            f"got       {actual}",
+            f"speed     {speeds.speed_m_s:.2f} m/s, {speeds.yaw_rate_rad_s:.2f} rad/s",
+            *([] if self._gamepad is None else [f"gamepad   {self._gamepad}"]),
+            "",
+            *_HELP,
+            "",
+            *(_REPORTS_RELEASES if self._terminal.reports_releases else _REPEATS),
+            "",
             self._message,
-        )
-        self._terminal.show(lines(view))
+        ]
+
+
+def _status(status: Mapping[str, Any], age_s: float) -> list[str]:
+    task = "" if status["task"] is None else f", {status['task']}"
+    why = f" ({status['why']})" if status["why"] else ""
+    twist_ms = None if status["twist_age_s"] is None else 1e3 * status["twist_age_s"]
+    ages = {"twist": twist_ms, "feedback": status["feedback_age_ms"], "status": 1e3 * age_s}
+    return [
+        f"phase     {status['phase']}{task}{why}",
+        f"age       {', '.join(f'{name} {age:.0f} ms' for name, age in ages.items() if age is not None)}",
+    ]
+
+
+def _twist(twist: BodyTwist) -> str:
+    forward, left, yaw_rate = (value if abs(value) >= 0.0005 else 0.0 for value in twist)  # never -0.000
+    return f"{forward:6.3f} m/s forward, {left:6.3f} m/s to the left, {yaw_rate:6.3f} rad/s"
 
 
 def _end_for(came: set[int]) -> None:

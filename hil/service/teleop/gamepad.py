@@ -11,8 +11,8 @@ from hil.core.errors import BadInputError
 _FULL = 32767.0
 
 
-class Sticks(NamedTuple):
-    """Axes of a gamepad, -1 to 1: the left stick forward and to the left, the right stick to the left."""
+class Direction(NamedTuple):
+    """Shares from -1 to 1 of the full speeds, or of a stick's travel: forward, to the left, and turning to the left."""
 
     forward: float
     left: float
@@ -20,11 +20,14 @@ class Sticks(NamedTuple):
 
 
 class Pad(NamedTuple):
-    """State of a gamepad: the left shoulder (dead-man), the east button (e-stop: B, or a circle) and the sticks."""
+    """State of a gamepad: the left shoulder (dead-man), the east button (e-stop: B, or a circle) and the sticks.
+
+    The left stick gives ``forward`` and ``left`` of ``sticks``, the right one ``turn``.
+    """
 
     dead_man: bool
     estop: bool
-    sticks: Sticks
+    sticks: Direction
 
 
 class Gamepads:
@@ -56,32 +59,20 @@ class Gamepads:
             self._pad = None
             return None
         if not self._pad:
-            self._pad = self._open()
+            found = next(filter(sdl.SDL_IsGameController, range(sdl.SDL_NumJoysticks())), None)
+            if found is None:
+                return None
+            self._pad = sdl.SDL_GameControllerOpen(found)
         if not self._pad:
             return None
-        return Pad(
-            dead_man=self._button(sdl.SDL_CONTROLLER_BUTTON_LEFTSHOULDER),
-            estop=self._button(sdl.SDL_CONTROLLER_BUTTON_B),
-            sticks=Sticks(
-                forward=-self._axis(sdl.SDL_CONTROLLER_AXIS_LEFTY),
-                left=-self._axis(sdl.SDL_CONTROLLER_AXIS_LEFTX),
-                turn=-self._axis(sdl.SDL_CONTROLLER_AXIS_RIGHTX),
-            ),
+        dead_man, estop = (
+            bool(sdl.SDL_GameControllerGetButton(self._pad, button))
+            for button in (sdl.SDL_CONTROLLER_BUTTON_LEFTSHOULDER, sdl.SDL_CONTROLLER_BUTTON_B)
         )
-
-    def _open(self) -> Any:
-        sdl = self._sdl
-        for index in range(sdl.SDL_NumJoysticks()):
-            if sdl.SDL_IsGameController(index):
-                return sdl.SDL_GameControllerOpen(index)
-        return None
-
-    def _button(self, button: int) -> bool:
-        return bool(self._sdl.SDL_GameControllerGetButton(self._pad, button))
-
-    def _axis(self, axis: int) -> float:
-        steps: int = self._sdl.SDL_GameControllerGetAxis(self._pad, axis)
-        return max(steps / _FULL, -1.0)
+        axes = (sdl.SDL_CONTROLLER_AXIS_LEFTY, sdl.SDL_CONTROLLER_AXIS_LEFTX, sdl.SDL_CONTROLLER_AXIS_RIGHTX)
+        # SDL's axes point down and to the right.
+        sticks = (-max(sdl.SDL_GameControllerGetAxis(self._pad, axis) / _FULL, -1.0) for axis in axes)
+        return Pad(dead_man, estop, Direction(*sticks))
 
 
 def _sdl() -> Any:

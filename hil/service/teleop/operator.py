@@ -1,13 +1,12 @@
 """Turns keys and the state of a gamepad into wishes and twists. Pure; time is the caller's own, in seconds."""
 
-import enum
 import math
 from collections.abc import Set as AbstractSet
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 from hil.core.kinematics import BodyTwist
-from hil.service.teleop.gamepad import Pad, Sticks
-from hil.service.teleop.held import DeadManButton, ReleasingKeys, RepeatedKeys
+from hil.service.messages import Action
+from hil.service.teleop.gamepad import Direction, Pad
 from hil.service.teleop.keys import Change, Key
 
 _FASTER = 1.25
@@ -20,16 +19,6 @@ class Speeds(NamedTuple):
     speed_m_s: float
     yaw_rate_rad_s: float
 
-
-class Direction(NamedTuple):
-    """Shares of the full speeds: ``forward`` and ``left`` in the unit circle, ``turn`` to the left from -1 to 1."""
-
-    forward: float
-    left: float
-    turn: float
-
-
-REST = Direction(0.0, 0.0, 0.0)
 
 # A compass around k, at the same place on every keyboard, and the arrows.
 KEYS = {
@@ -57,7 +46,7 @@ def of_keys(keys: AbstractSet[str]) -> Direction:
     return Direction(forward / length, left / length, min(max(turn, -1.0), 1.0))
 
 
-def of_sticks(sticks: Sticks, dead_zone: float, expo: float) -> Direction:
+def of_sticks(sticks: Direction, dead_zone: float, expo: float) -> Direction:
     """Return the direction of the sticks.
 
     A stick within ``dead_zone`` (0 to below 1) of its centre is at rest; beyond, its travel counts from 0. ``expo`` (0
@@ -82,75 +71,130 @@ def twist_of(direction: Direction, speeds: Speeds, share: float) -> BodyTwist:
     )
 
 
-class Wish(enum.Enum):
-    """A wish of the operator other than driving."""
+Wish = Action | Literal["quit", "suspend"]
+"""A wish of the operator other than driving: an order, or one for teleop itself."""
 
-    STOP = "stop"
-    ESTOP = "estop"
-    ARM = "arm"
-    DISARM = "disarm"
-    CLEAR = "clear"
-    QUIT = "quit"
-    SUSPEND = "suspend"
-
-
-_WISHES = {
-    "space": Wish.STOP,
-    "escape": Wish.STOP,
-    "k": Wish.STOP,
-    "e": Wish.ESTOP,
-    "d": Wish.DISARM,
-    "c": Wish.CLEAR,
-    "q": Wish.QUIT,
+_WISHES: dict[str, Wish] = {
+    "space": Action.STOP,
+    "escape": Action.STOP,
+    "k": Action.STOP,
+    "e": Action.ESTOP,
+    "d": Action.DISARM,
+    "c": Action.CLEAR,
+    "q": "quit",
 }
-_WISHES_WITH_CTRL = {"c": Wish.QUIT, "d": Wish.QUIT, "z": Wish.SUSPEND}
-_NEVER_TOO_LATE = (Wish.STOP, Wish.ESTOP, Wish.DISARM, Wish.QUIT)
+_WISHES_WITH_CTRL: dict[str, Wish] = {"c": "quit", "d": "quit", "z": "suspend"}
+_NEVER_TOO_LATE = (Action.STOP, Action.ESTOP, Action.DISARM, "quit")
+
+
+class HeldKeys:
+    """The keys that are held: a keyboard's dead-man switches.
+
+    With ``reports_releases`` a key is held from its press to its release; a repeat of a released key does not count as
+    a press. Other terminals report no releases: there a key is held as long as the keyboard repeats it. The keyboard
+    waits before the first repeat, and until then a tap looks like a held key. So a press counts for ``FIRST_S`` at
+    ``FIRST_SHARE`` of the speed, and each repeat for ``REPEAT_S`` at full speed. Keyboards repeat only the last key, so
+    only one key is ever held.
+    """
+
+    FIRST_S = 0.6
+    FIRST_SHARE = 0.5
+    REPEAT_S = 0.15
+
+    def __init__(self, *, reports_releases: bool) -> None:
+        self._reports_releases = reports_releases
+        self._until_s: dict[str, float] = {}
+        self._share = 1.0
+
+    def on_key(self, key: Key, now_s: float) -> None:
+        """Process a key."""
+        if key.change is Change.RELEASE:
+            self._until_s.pop(key.name, None)
+        elif not self._reports_releases:
+            is_repeat = key.name in self.held(now_s)[0]
+            self._share = 1.0 if is_repeat else self.FIRST_SHARE
+            self._until_s = {key.name: now_s + (self.REPEAT_S if is_repeat else self.FIRST_S)}
+        elif key.change is Change.PRESS:
+            self._until_s[key.name] = math.inf
+
+    def held(self, now_s: float) -> tuple[set[str], float]:
+        """Return the held keys, and the share of the speed at which they drive."""
+        return {name for name, until_s in self._until_s.items() if now_s <= until_s}, self._share
+
+    def release(self) -> None:
+        """Forget the held keys: only another press counts."""
+        self._until_s.clear()
+
+
+class Heartbeat:
+    """Queries to a terminal that reports releases: one that does not answer could not report a release either.
+
+    Key repeats cannot replace the queries: when a second key is held, the first is no longer repeated.
+    """
+
+    PERIOD_S = 0.1
+    LIMIT_S = 0.3
+
+    def __init__(self) -> None:
+        self._queried_s = -math.inf
+        self._unanswered_s = math.inf
+
+    def due(self, now_s: float) -> bool:
+        """Return whether to send a query now."""
+        if now_s - self._queried_s < self.PERIOD_S:
+            return False
+        self._queried_s = now_s
+        self._unanswered_s = min(self._unanswered_s, now_s)
+        return True
+
+    def answered(self) -> None:
+        """Record an answer."""
+        self._unanswered_s = math.inf
+
+    def is_lost(self, now_s: float) -> bool:
+        """Return whether a query has been unanswered for too long."""
+        return now_s - self._unanswered_s > self.LIMIT_S
 
 
 class Operator:
-    """Turns keys and the state of a gamepad into wishes and twists. The gamepad has priority while its dead-man button
-    is held.
+    """Turns keys and the state of a gamepad into wishes and twists.
+
+    The gamepad has priority while its dead-man button is held. At first and after ``release`` the button must be seen
+    released before it can count as held.
 
     Attributes:
-        share: share of the full speeds; + and - change it. may_arm: whether Enter arms next, as it does after the key
-            a.
+        speeds: the present speeds at full deflection; + and - change them. may_arm: whether Enter arms next, as it
+            does after the key a.
     """
 
-    def __init__(self, keys: ReleasingKeys | RepeatedKeys, speeds: Speeds, dead_zone: float, expo: float) -> None:
+    def __init__(self, keys: HeldKeys, speeds: Speeds, dead_zone: float, expo: float) -> None:
         self._keys = keys
-        self._button = DeadManButton()
-        self._sticks = REST
-        self._is_on_sticks = False
-        self._estop_pressed = False
-        self._full = speeds
+        self._button_was_released = self._estop_pressed = False
+        self._sticks: Direction | None = None
+        self._full = self.speeds = speeds
+        self._share = 1.0
         self._dead_zone, self._expo = dead_zone, expo
-        self.share = 1.0
         self.may_arm = False
-
-    @property
-    def speeds(self) -> Speeds:
-        """The present speeds at full deflection."""
-        return Speeds(self._full.speed_m_s * self.share, self._full.yaw_rate_rad_s * self.share)
 
     def on_key(self, key: Key, now_s: float) -> Wish | None:
         """Process a key; return its wish."""
-        if key.name in KEYS and (key.change is Change.RELEASE or not (key.ctrl or key.other)):
+        is_plain = not (key.ctrl or key.other)
+        if key.name in KEYS and (key.change is Change.RELEASE or is_plain):
             self._keys.on_key(key, now_s)
         if key.change is not Change.PRESS:
             return None
         may_arm, self.may_arm = self.may_arm, False
         wish = _wish_of(key)
-        if key.ctrl or key.other:
-            return wish
-        if key.name == "enter" and may_arm:
-            return Wish.ARM
-        if key.name in ("+", "="):
-            self.share = min(self.share * _FASTER, 1.0)
-        elif key.name == "-":
-            self.share = max(self.share / _FASTER, _LEAST_SHARE)
-        if wish is not None:
-            self.release()
-        self.may_arm = key.name == "a"
+        if is_plain:
+            if key.name == "enter" and may_arm:
+                return Action.ARM
+            if key.name in ("+", "=", "-"):
+                share = self._share / _FASTER if key.name == "-" else self._share * _FASTER
+                self._share = min(max(share, _LEAST_SHARE), 1.0)
+                self.speeds = Speeds(*(self._share * speed for speed in self._full))
+            if wish is not None:
+                self.release()
+            self.may_arm = key.name == "a"
         return wish
 
     def on_late_key(self, key: Key) -> Wish | None:
@@ -161,34 +205,33 @@ class Operator:
 
     def on_pad(self, pad: Pad | None) -> Wish | None:
         """Process the state of the gamepad (None without one); return its wish."""
+        was_pressed, self._estop_pressed = self._estop_pressed, pad is not None and pad.estop
         if pad is None:
-            self._button.release()
-            self._is_on_sticks = self._estop_pressed = False
+            self._button_was_released, self._sticks = False, None
             return None
-        self._is_on_sticks = self._button.held(pressed=pad.dead_man)
-        self._sticks = of_sticks(pad.sticks, self._dead_zone, self._expo)
-        was_pressed, self._estop_pressed = self._estop_pressed, pad.estop
+        self._button_was_released = self._button_was_released or not pad.dead_man
+        is_held = pad.dead_man and self._button_was_released
+        self._sticks = of_sticks(pad.sticks, self._dead_zone, self._expo) if is_held else None
         if pad.estop and not was_pressed:
             self.release()
-            return Wish.ESTOP
+            return Action.ESTOP
         return None
 
     def twist(self, now_s: float) -> BodyTwist | None:
         """Return the wanted twist; None when no dead-man switch is held."""
-        if self._is_on_sticks:
+        if self._sticks is not None:
             return twist_of(self._sticks, self.speeds, 1.0)
         keys, share = self._keys.held(now_s)
         return twist_of(of_keys(keys), self.speeds, share) if keys else None
 
     def release(self) -> None:
         """Release everything: keys and button count again only after a new press, and so does arming."""
-        self.may_arm = False
         self._keys.release()
-        self._button.release()
-        self._is_on_sticks = False
+        self.may_arm = self._button_was_released = False
+        self._sticks = None
 
 
 def _wish_of(key: Key) -> Wish | None:
-    if key.ctrl or key.other:
-        return _WISHES_WITH_CTRL.get(key.name) if key.ctrl else None
-    return _WISHES.get(key.name)
+    if key.other and not key.ctrl:
+        return None
+    return (_WISHES_WITH_CTRL if key.ctrl else _WISHES).get(key.name)

@@ -8,7 +8,6 @@ import sys
 import termios
 import time
 from collections.abc import Iterator, Sequence
-from types import FrameType
 
 from hil.core.errors import BadInputError, LinkError
 from hil.service.teleop.keys import Attributes, Event, Flags, KeyDecoder
@@ -53,13 +52,11 @@ class Terminal:
     def enter(self) -> None:
         """Read keys as they are pressed, without echo, and switch to the alternate screen."""
         with _lost():
-            before = termios.tcgetattr(self._in)
-            changed = termios.tcgetattr(self._in)
+            self._before, changed = termios.tcgetattr(self._in), termios.tcgetattr(self._in)
             # Ctrl-C and Ctrl-Z stay signals, so that they work even if this program hangs; Ctrl-S must not stop it.
             changed[0] &= ~(termios.IXON | termios.ICRNL)
             changed[3] &= ~(termios.ICANON | termios.ECHO)
             changed[6][termios.VMIN], changed[6][termios.VTIME] = 1, 0
-            self._before = before
             termios.tcsetattr(self._in, termios.TCSAFLUSH, changed)
         self._write(_ENTER, _ANSWER_S)
         self.reports_releases = self._query_flags() is not None
@@ -89,13 +86,12 @@ class Terminal:
         """Wait for keys, for input on ``other``, or until ``until_s``; return whether ``other`` has input."""
         if self._decoder.waits:
             until_s = min(until_s, self._esc_s + _ESC_S)
-        ready, _, _ = select.select([self._in, other], [], [], max(until_s - time.monotonic(), 0.0))
-        return other in ready
+        return other in select.select([self._in, other], [], [], max(until_s - time.monotonic(), 0.0))[0]
 
     def read(self) -> list[Event]:
         """Return the events that have arrived; does not wait."""
         now_s = time.monotonic()
-        if not self._is_ready():
+        if not select.select([self._in], [], [], 0.0)[0]:
             return self._decoder.settle() if self._decoder.waits and now_s - self._esc_s >= _ESC_S else []
         with _lost():
             data = os.read(self._in, 4096)
@@ -132,15 +128,10 @@ class Terminal:
                     return flags
         return flags
 
-    def _is_ready(self) -> bool:
-        ready, _, _ = select.select([self._in], [], [], 0.0)
-        return bool(ready)
-
     def _write(self, data: bytes, within_s: float = 0.0) -> None:
         """Write, unless the terminal is blocked, because that must not delay stopping the robot."""
         with _lost():
-            _, ready, _ = select.select([], [self._out], [], within_s)
-            if ready:
+            if select.select([], [self._out], [], within_s)[1]:
                 os.write(self._out, data)
 
 
@@ -161,7 +152,8 @@ class Signals:
         self.fd, self._write_fd = os.pipe()
         for end in (self.fd, self._write_fd):
             os.set_blocking(end, False)
-        self._handlers = {number: signal.signal(number, _note) for number in self.NOTED}
+        # A handler is needed, but does nothing: Python writes the signal's number to the wakeup pipe.
+        self._handlers = {number: signal.signal(number, lambda *_: None) for number in self.NOTED}
         self._wakeup = signal.set_wakeup_fd(self._write_fd, warn_on_full_buffer=False)
         return self
 
@@ -184,7 +176,3 @@ class Signals:
         handler = signal.signal(signal.SIGTSTP, signal.SIG_DFL)
         os.kill(os.getpid(), signal.SIGTSTP)
         signal.signal(signal.SIGTSTP, handler)
-
-
-def _note(_number: int, _frame: FrameType | None) -> None:
-    """Do nothing: Python writes the signal's number to the wakeup pipe."""
