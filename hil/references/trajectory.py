@@ -15,11 +15,7 @@ from hil.references.smoothing import SmoothingSpline
 from hil.references.table import Format, read_table
 
 FORMAT = Format(
-    columns=("t_s", "x_m", "y_m", "heading_rad"),
-    optional={},
-    fewest_rows=4,
-    most_rows=200_000,
-    others=True,
+    columns=("t_s", "x_m", "y_m", "heading_rad"), optional={}, fewest_rows=4, most_rows=200_000, others=True
 )
 
 

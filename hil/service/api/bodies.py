@@ -4,6 +4,7 @@ Only the control process knows whether an order is possible now. The same models
 the WebSocket, and make up the OpenAPI document.
 """
 
+import json
 import re
 from collections.abc import Iterable, Mapping
 from typing import Any
@@ -39,8 +40,10 @@ class Body(BaseModel):
     @classmethod
     def _of_characters(cls, values: object) -> object:
         """Refuse a lone surrogate: JSON can carry it, but no file, log or answer can."""
-        if not _is_text(values):
-            raise ValueError("a text in it is not Unicode: it has a lone surrogate")
+        try:
+            json.dumps(values, ensure_ascii=False).encode()
+        except UnicodeEncodeError:
+            raise ValueError("a text in it is not Unicode: it has a lone surrogate") from None
         return values
 
 
@@ -103,22 +106,13 @@ def bodies(limits: Limits) -> Mapping[Action, type[Body]]:
         y_m=within(limits.distance_m, "[m]"),
         heading_rad=within(_MOST_HEADING_RAD, "[rad]"),
     )
-    with_arguments: dict[Action, type[Body]] = {
+    return dict.fromkeys(Action, Body) | {
         Action.TWIST: twist,
         Action.GO: go,
         Action.TRACK: Track,
         Action.GAINS: Gains,
         Action.RECORD: Record,
     }
-    return {action: with_arguments.get(action, Body) for action in Action}
-
-
-def _is_text(values: object) -> bool:
-    if isinstance(values, str):
-        return not any("\ud800" <= character <= "\udfff" for character in values)
-    if isinstance(values, Mapping):
-        return all(_is_text(key) and _is_text(value) for key, value in values.items())
-    return not isinstance(values, list) or all(map(_is_text, values))
 
 
 def sentence(errors: Iterable[Mapping[str, Any]]) -> str:
@@ -134,10 +128,8 @@ def _part(error: Mapping[str, Any]) -> str:
         return f"the body is not JSON: {error['ctx']['error']}"
     if error["type"] == "missing":
         return f"{where or 'the body'} is missing"
-    value = error["input"]
-    given = f" = {_short(repr(value))}" if isinstance(value, bool | int | float | str) else ""
+    given = ""
+    if isinstance(error["input"], bool | int | float | str):
+        value = repr(error["input"])
+        given = f" = {value[:_LONGEST_ECHO]}{'…' * (len(value) > _LONGEST_ECHO)}"
     return f"{where or 'the body'}{given}: {re.sub('^(Input|String) ', 'it ', error['msg'].removeprefix(_OF_OURS))}"
-
-
-def _short(text: str) -> str:
-    return text if len(text) <= _LONGEST_ECHO else f"{text[:_LONGEST_ECHO]}…"

@@ -5,11 +5,12 @@ import math
 import secrets
 import threading
 import time
+from collections import Counter
 from collections.abc import Mapping
 from typing import Any
 
 from hil.core.json_lines import LineReader, LineWriter, json_safe
-from hil.service.messages import LONG, MOVING, SILENT_S, Action, Answer, Order, Status, from_line, to_line
+from hil.service.messages import LONG, MOVING, SILENT_S, Action, Answer, Order, to_line
 
 ANSWER_S = 1.0
 """Timeout of an order's answer, and the greatest age of a status."""
@@ -26,22 +27,21 @@ _MOST_OPEN = 64
 
 
 class NoAnswerError(Exception):
-    """The control process does not answer in time."""
+    """There is no answer to an order: none came in time (``http_status`` 504), or the order was not sent (503)."""
 
-
-class BusyError(Exception):
-    """The control process has too many orders to answer, or has ended."""
+    def __init__(self, sentence: str, http_status: int = 503) -> None:
+        super().__init__(sentence)
+        self.http_status = http_status
 
 
 class Control:
     """Sends orders to the control process and receives its answers and statuses, for the tasks of one event loop.
 
     Attributes:
-        status: the newest, for JSON (null in place of NaN), or None before the first. received: the same as it was
-            sent.
+        status: the newest, as a JSON object with null in place of NaN; None before the first.
         gone: set when the control process has ended.
         watchers: events that are set at each new status.
-        orders: number of orders by action and outcome (accepted, refused, unanswered).
+        outcomes: number of orders by action and outcome (accepted, refused, unanswered).
     """
 
     def __init__(self, lines: LineReader, writer: LineWriter, twist_timeout_s: float) -> None:
@@ -52,13 +52,12 @@ class Control:
         self._open: dict[int, asyncio.Future[Answer]] = {}
         self.watchers: set[asyncio.Event] = set()
         self._received_s = time.monotonic()
-        self.received: Status | None = None
         self.status: dict[str, Any] | None = None
         self.gone = asyncio.Event()
         self._turned_s = time.monotonic()  # last time at which the event loop was seen running
         self._twist_stall_s = min(SILENT_S, twist_timeout_s + LIFE_PERIOD_S)
         self._refuse_until_s = self._refuse_twists_until_s = -math.inf
-        self.orders: dict[tuple[Action, str], int] = {}
+        self.outcomes: Counter[tuple[Action, str]] = Counter()
         # A thread can read any pipe; an event loop cannot on Windows.
         threading.Thread(target=self._read, args=(lines,), name="lines", daemon=True).start()
 
@@ -70,38 +69,37 @@ class Control:
     def fresh_status(self) -> dict[str, Any]:
         """Return the newest status. Raises NoAnswerError when the control process has sent none for a second."""
         if self.status is None or self.status_age_s > ANSWER_S:
-            raise NoAnswerError(f"the control process has sent no status for {self.status_age_s:.1f} s")
+            raise NoAnswerError(f"the control process has sent no status for {self.status_age_s:.1f} s", 504)
         return self.status
 
-    def submit(self, action: Action, arguments: Mapping[str, Any]) -> "asyncio.Future[Answer]":
-        """Send an order; return the future of its answer. Raises BusyError, except for an emergency stop."""
+    async def order(self, action: Action, arguments: Mapping[str, Any]) -> Answer:
+        """Send an order, and return the control process's answer.
+
+        Raises NoAnswerError. An emergency stop is always sent, unless the service is ending.
+        """
         if self.gone.is_set():
-            raise BusyError("the service is ending")
+            raise NoAnswerError("the service is ending")
+        busy = None
         if action in MOVING and self._has_stalled(action):
-            self._count(action, "unanswered")
-            raise BusyError("the API stalled while this order waited; give it again")
-        if len(self._open) >= _MOST_OPEN and action is not Action.ESTOP:
-            self._count(action, "unanswered")
-            raise BusyError(f"the control process has {len(self._open)} orders to answer; only estop is accepted now")
+            busy = "the API stalled while this order waited; give it again"
+        elif len(self._open) >= _MOST_OPEN and action is not Action.ESTOP:
+            busy = f"the control process has {len(self._open)} orders to answer; only estop is accepted now"
+        if busy is not None:
+            self.outcomes[action, "unanswered"] += 1
+            raise NoAnswerError(busy)
         self._number += 1
         future: asyncio.Future[Answer] = self._loop.create_future()
         self._open[self._number] = future
         self._writer.send(to_line(Order(self._number, action, arguments)), always=True)
-        return future
-
-    async def answer(self, action: Action, sent: "asyncio.Future[Answer]") -> Answer:
-        """Wait for the answer to an order. Raises NoAnswerError after the timeout, BusyError when the service ends."""
         timeout_s = LONG_ANSWER_S if action in LONG else ANSWER_S
         try:
             # The future is kept when the wait is over: the control process still has the order.
-            answer = await asyncio.wait_for(asyncio.shield(sent), timeout_s)
+            answer = await asyncio.wait_for(asyncio.shield(future), timeout_s)
         except TimeoutError:
-            self._count(action, "unanswered")
-            why = (
-                f"the control process has not answered {action.value} within {timeout_s:g} s; it may still carry it out"
-            )
-            raise NoAnswerError(why) from None
-        self._count(action, "accepted" if answer.refused is None else "refused")
+            self.outcomes[action, "unanswered"] += 1
+            why = f"has not answered {action.value} within {timeout_s:g} s; it may still carry it out"
+            raise NoAnswerError(f"the control process {why}", 504) from None
+        self.outcomes[action, "accepted" if answer.refused is None else "refused"] += 1
         return answer
 
     async def live(self) -> None:
@@ -127,9 +125,6 @@ class Control:
         self._turned_s = now_s
         return now_s
 
-    def _count(self, action: Action, outcome: str) -> None:
-        self.orders[action, outcome] = self.orders.get((action, outcome), 0) + 1
-
     def _read(self, lines: LineReader) -> None:
         record: dict[str, Any] | None = {}
         while record is not None:
@@ -141,21 +136,21 @@ class Control:
         if record is None:
             self._end()
             return
-        message = from_line(record)
-        if isinstance(message, Answer):
-            future = self._open.pop(message.number, None)
-            if future is not None and not future.done():
-                future.set_result(message)
-        elif isinstance(message, Status):
-            self.received, self.status = message, json_safe(record["status"])
+        if (status := record.get("status")) is not None:
+            self.status = json_safe(status)
             self._received_s = time.monotonic()
             for event in self.watchers:
                 event.set()
+        else:
+            answer = Answer(**record["answer"])
+            future = self._open.pop(answer.number, None)
+            if future is not None and not future.done():
+                future.set_result(answer)
 
     def _end(self) -> None:
         self.gone.set()
         for future in self._open.values():
             if not future.done():
-                future.set_exception(BusyError("the service has ended"))
+                future.set_exception(NoAnswerError("the service has ended"))
                 future.exception()  # marks it as read, because perhaps nobody waits for it
         self._open.clear()

@@ -13,6 +13,7 @@ import asyncio
 import contextlib
 from collections import deque
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
@@ -20,7 +21,7 @@ from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from hil.service import logs
 from hil.service.api.bodies import Body, sentence
-from hil.service.api.control import BusyError, Control, NoAnswerError
+from hil.service.api.control import Control, NoAnswerError
 from hil.service.messages import Action, Answer, to_line
 
 GOING_AWAY = 1001
@@ -29,6 +30,7 @@ POLICY_VIOLATION = 1008
 """Close code: the client does not read its answers."""
 
 _LONGEST_BACKLOG = 256
+_NO_NUMBER = -1  # of the answer to a message that is no order
 
 
 class _Order(BaseModel):
@@ -79,7 +81,7 @@ class LiveClient:
                 raise end
 
     async def _listen(self) -> None:
-        """Submit orders as they come, until the client disconnects."""
+        """Carry out orders as they come, until the client disconnects."""
         while True:
             message = await self._socket.receive()
             if message["type"] == "websocket.disconnect":
@@ -94,28 +96,22 @@ class LiveClient:
         try:
             order = _Message.model_validate_json(text).order
         except ValidationError as error:
-            # Without a number the answer belongs to no order.
             self._put(Answer(_NO_NUMBER, f"this is not an order: {sentence(error.errors())}"))
             return
+        task = asyncio.create_task(self._carry_out(order))
+        self._pending.add(task)
+        task.add_done_callback(self._pending.discard)
+
+    async def _carry_out(self, order: _Order) -> None:
         try:
             body = self._bodies[order.action].model_validate(order.arguments)
-            sent = self._control.submit(order.action, body.model_dump())
+            answer = await self._control.order(order.action, body.model_dump())
         except ValidationError as error:
             self._put(Answer(order.number, sentence(error.errors())))
-        except BusyError as error:
+        except NoAnswerError as error:
             self._put(Answer(order.number, str(error)))
         else:
-            task = asyncio.create_task(self._answer(order.number, order.action, sent))
-            self._pending.add(task)
-            task.add_done_callback(self._pending.discard)
-
-    async def _answer(self, number: int, action: Action, sent: "asyncio.Future[Answer]") -> None:
-        try:
-            answer = await self._control.answer(action, sent)
-        except (NoAnswerError, BusyError) as error:
-            self._put(Answer(number, str(error)))
-        else:
-            self._put(Answer(number, answer.refused, answer.result))
+            self._put(replace(answer, number=order.number))
 
     def _put(self, answer: Answer) -> None:
         self._answers.append(answer)
@@ -135,6 +131,3 @@ class LiveClient:
     async def _close(self, code: int, reason: str) -> None:
         with contextlib.suppress(RuntimeError):  # the client has closed it already
             await self._socket.close(code, reason)
-
-
-_NO_NUMBER = -1

@@ -1,6 +1,6 @@
 """Prometheus metrics of a service: base units, ``_total`` for counters, one family per quantity."""
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from typing import Any
 
 from prometheus_client import CollectorRegistry
@@ -16,9 +16,7 @@ from prometheus_client.registry import Collector
 
 from hil.core.types import WHEEL_NAMES
 from hil.service.api.control import Control
-from hil.service.messages import Phase, Status, Task
-
-_QUANTILES = {"p50": "0.5", "p99": "0.99", "p99.9": "0.999"}
+from hil.service.messages import Phase, Task
 
 
 class ServiceMetrics(Collector):
@@ -41,81 +39,62 @@ class ServiceMetrics(Collector):
     def collect(self) -> Iterator[Metric]:
         """Yield the families."""
         control = self._control
-        yield GaugeMetricFamily(
-            "hil_status_age_seconds",
-            "Age of the control process's last status; it sends 20 a second.",
-            control.status_age_s,
-        )
+        documentation = "Age of the control process's last status; it sends 20 a second."
+        yield GaugeMetricFamily("hil_status_age_seconds", documentation, control.status_age_s)
         yield GaugeMetricFamily("hil_api_live_clients", "Clients on the WebSocket.", len(control.watchers))
         orders = CounterMetricFamily("hil_api_orders", "Orders to the control process.", labels=("action", "outcome"))
-        for (action, outcome), number in sorted(control.orders.items()):
+        for (action, outcome), number in sorted(control.outcomes.items()):
             orders.add_metric((action.value, outcome), number)
         yield orders
-        if control.received is not None:
-            yield from _of_status(control.received)
+        if control.status is not None:
+            yield from _of_status(control.status)
 
 
-def _of_status(status: Status) -> Iterator[Metric]:
-    yield InfoMetricFamily(
-        "hil_service",
-        "What is served.",
-        {"scenario": status.scenario, "law": status.law, "command": status.command, "link": status.link},
-    )
-    yield StateSetMetricFamily(
-        "hil_phase", "State of the robot.", {phase.value: phase is status.phase for phase in Phase}
-    )
-    yield StateSetMetricFamily(
-        "hil_task", "Task of an active robot.", {task.value: task is status.task for task in Task}
-    )
-    yield CounterMetricFamily("hil_ticks", "Ticks of the control loop.", status.ticks)
-    yield CounterMetricFamily("hil_deadline_misses", "Ticks that began after their deadline.", status.deadline_misses)
-    yield _lateness(status)
-    yield from _gauges(status)
-    yield from _frames(status.frames)
-    yield CounterMetricFamily("hil_recoveries", "Losses of the robot that were recovered from.", status.recoveries)
-    yield CounterMetricFamily("hil_rows_dropped", "Rows that the recorder had no room for.", status.rows_dropped)
-
-
-def _lateness(status: Status) -> Metric:
-    """Return the quantiles as a summary; the library has no family for quantiles computed elsewhere."""
-    lateness = Metric("hil_lateness_seconds", "Start of a tick after its deadline, since the service began.", "summary")
-    for name, quantile in _QUANTILES.items():
-        if name in status.lateness_us:
-            seconds = status.lateness_us[name] / 1e6
-            lateness.add_sample("hil_lateness_seconds", {"quantile": quantile}, seconds)
-    lateness.add_sample("hil_lateness_seconds_count", {}, status.ticks)
-    return lateness
-
-
-def _gauges(status: Status) -> Iterator[Metric]:
-    """Yield the gauges; an unknown value is left out, as is usual for Prometheus."""
-    for name, documentation, value in (
-        ("hil_feedback_age_seconds", "Age of the feedback that the last tick used.", _seconds(status.feedback_age_ms)),
-        ("hil_round_trip_seconds", "From a command to the feedback that shows it.", _seconds(status.round_trip_ms)),
-        ("hil_battery_volts", "Battery of the robot.", status.battery_v),
-        ("hil_twist_age_seconds", "Age of the twist in force.", status.twist_age_s),
-        ("hil_power_stage", "1 when the robot has motors.", status.power_stage),
-        ("hil_recording", "1 while a recording is written.", float(status.recording is not None)),
+def _of_status(status: Mapping[str, Any]) -> Iterator[Metric]:
+    """Yield the families of a status; an unknown value is left out, as is usual for Prometheus."""
+    served = {name: status[name] for name in ("scenario", "law", "command", "link")}
+    yield InfoMetricFamily("hil_service", "What is served.", served)
+    for name, documentation, kind in (
+        ("phase", "State of the robot.", Phase),
+        ("task", "Task of an active robot.", Task),
     ):
-        if value is not None:
-            yield GaugeMetricFamily(name, documentation, value)
-    if status.speed_rad_s is not None:
-        speeds = GaugeMetricFamily("hil_wheel_speed_radians_per_second", "Speed of a wheel.", labels=("wheel",))
-        for wheel, speed in zip(WHEEL_NAMES, status.speed_rad_s, strict=True):
-            speeds.add_metric((wheel,), speed)
-        yield speeds
-
-
-def _frames(frames: Any) -> Iterator[Metric]:
-    for name, documentation in (("sent", "Frames to the robot."), ("received", "Frames from the robot.")):
-        yield CounterMetricFamily(f"hil_frames_{name}", documentation, frames.get(name, 0))
+        yield StateSetMetricFamily(f"hil_{name}", documentation, {one.value: one == status[name] for one in kind})
+    frames = status["frames"]
+    for name, documentation, number in (
+        ("hil_ticks", "Ticks of the control loop.", status["ticks"]),
+        ("hil_deadline_misses", "Ticks that began after their deadline.", status["deadline_misses"]),
+        ("hil_recoveries", "Losses of the robot that were recovered from.", status["recoveries"]),
+        ("hil_rows_dropped", "Rows that the recorder had no room for.", status["rows_dropped"]),
+        ("hil_frames_sent", "Frames to the robot.", frames["sent"]),
+        ("hil_frames_received", "Frames from the robot.", frames["received"]),
+    ):
+        yield CounterMetricFamily(name, documentation, number)
     rejected = CounterMetricFamily(
         "hil_frames_rejected", "Frames from the robot that were not valid, by cause.", labels=("cause",)
     )
-    for cause, number in sorted(frames.get("rejected", {}).items()):
+    for cause, number in sorted(frames["rejected"].items()):
         rejected.add_metric((cause,), number)
     yield rejected
-
-
-def _seconds(milliseconds: float | None) -> float | None:
-    return None if milliseconds is None else milliseconds / 1e3
+    for name, documentation, value, unit in (
+        ("feedback_age_seconds", "Age of the feedback that the last tick used.", status["feedback_age_ms"], 1e-3),
+        ("round_trip_seconds", "From a command to the feedback that shows it.", status["round_trip_ms"], 1e-3),
+        ("battery_volts", "Battery of the robot.", status["battery_v"], 1.0),
+        ("twist_age_seconds", "Age of the twist in force.", status["twist_age_s"], 1.0),
+        ("power_stage", "1 when the robot has motors.", status["power_stage"], 1.0),
+        ("recording", "1 while a recording is written.", status["recording"] is not None, 1.0),
+    ):
+        if value is not None:
+            yield GaugeMetricFamily(f"hil_{name}", documentation, value * unit)
+    if status["speed_rad_s"] is not None:
+        speeds = GaugeMetricFamily("hil_wheel_speed_radians_per_second", "Speed of a wheel.", labels=("wheel",))
+        for wheel, speed in zip(WHEEL_NAMES, status["speed_rad_s"], strict=True):
+            speeds.add_metric((wheel,), speed)
+        yield speeds
+    # The library has no family for quantiles that were computed elsewhere.
+    lateness = Metric("hil_lateness_seconds", "Start of a tick after its deadline, since the service began.", "summary")
+    for name, value_us in status["lateness_us"].items():
+        if value_us is not None:
+            quantile = {"quantile": f"{float(name[1:]) / 100.0:g}"}
+            lateness.add_sample("hil_lateness_seconds", quantile, value_us / 1e6)
+    lateness.add_sample("hil_lateness_seconds_count", {}, status["ticks"])
+    yield lateness

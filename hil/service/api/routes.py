@@ -1,6 +1,7 @@
 """The routes of the API: one for each order, and routes for the status, the metrics and the WebSocket."""
 
 from collections.abc import Awaitable, Callable
+from inspect import Parameter, Signature
 from typing import Any
 
 from fastapi import FastAPI, Request, Response, Security, WebSocket
@@ -10,7 +11,7 @@ from fastapi.security import HTTPBearer
 from pydantic import BaseModel, Field
 
 from hil.service.api.bodies import Body, bodies, sentence
-from hil.service.api.control import BusyError, Control, NoAnswerError
+from hil.service.api.control import Control, NoAnswerError
 from hil.service.api.live import LiveClient
 from hil.service.api.metrics import ServiceMetrics
 from hil.service.messages import SUMMARIES, Action, ApiConfig, Status, route
@@ -81,8 +82,7 @@ def make_app(config: ApiConfig, control: Control) -> FastAPI:
         )
 
     app.exception_handler(RequestValidationError)(_invalid)
-    app.exception_handler(NoAnswerError)(_says(504))
-    app.exception_handler(BusyError)(_says(503))
+    app.exception_handler(NoAnswerError)(_no_answer)
     return app
 
 
@@ -91,24 +91,19 @@ def _some(*statuses: int) -> dict[int | str, dict[str, Any]]:
 
 
 def _endpoint(control: Control, action: Action, model: type[Body]) -> Callable[..., Awaitable[Response]]:
-    async def order(body: Any = None) -> Response:
-        arguments = (model() if body is None else body).model_dump()
-        answer = await control.answer(action, control.submit(action, arguments))
+    async def order(body: Body | None = None) -> Response:
+        answer = await control.order(action, (body or model()).model_dump())
         if answer.refused is not None:
             return JSONResponse({"detail": answer.refused}, 409)
         return JSONResponse({"result": answer.result})
 
-    if model is Body:
-
-        async def without_body() -> Response:
-            return await order()
-
-        return without_body
+    parameters = []
+    if model.model_fields:
+        is_required = any(field.is_required() for field in model.model_fields.values())
+        default, annotation = (Parameter.empty, model) if is_required else (None, model | None)
+        parameters = [Parameter("body", Parameter.KEYWORD_ONLY, default=default, annotation=annotation)]
     # The models have this service's ranges, which an annotation in the source cannot name.
-    may_be_empty = not any(field.is_required() for field in model.model_fields.values())
-    order.__annotations__["body"] = model | None if may_be_empty else model
-    if not may_be_empty:
-        order.__defaults__ = None
+    order.__signature__ = Signature(parameters)  # type: ignore[attr-defined]
     return order
 
 
@@ -117,8 +112,6 @@ async def _invalid(_request: Request, error: Exception) -> Response:
     return JSONResponse({"detail": sentence(error.errors())}, 422)
 
 
-def _says(status: int) -> Callable[[Request, Exception], Awaitable[Response]]:
-    async def answer(_request: Request, error: Exception) -> Response:
-        return JSONResponse({"detail": str(error)}, status)
-
-    return answer
+async def _no_answer(_request: Request, error: Exception) -> Response:
+    assert isinstance(error, NoAnswerError)
+    return JSONResponse({"detail": str(error)}, error.http_status)

@@ -5,13 +5,12 @@ to 127.0.0.1 (DNS rebinding), the Host header shows it; otherwise the token stop
 """
 
 import asyncio
-import json
 import secrets
 import socket
-from collections.abc import Awaitable, Callable, MutableMapping
-from typing import Any
 
 import uvicorn
+from fastapi.responses import JSONResponse
+from starlette.types import ASGIApp, Receive, Scope, Send
 
 from hil.core.json_lines import LineReader, LineWriter
 from hil.service import logs
@@ -23,11 +22,6 @@ _PING_S = 5.0
 _LONGEST_BYTES = 64 * 1024  # of a body or a WebSocket message
 _LAST_ANSWERS_S = 1
 
-Scope = MutableMapping[str, Any]
-Receive = Callable[[], Awaitable[MutableMapping[str, Any]]]
-Send = Callable[[MutableMapping[str, Any]], Awaitable[None]]
-App = Callable[[Scope, Receive, Send], Awaitable[None]]
-
 
 class Gate:
     """An ASGI application in front of another one: it refuses requests without the token or with a foreign Host header.
@@ -35,60 +29,39 @@ class Gate:
     It also refuses a body of more than 64 KiB before reading it.
     """
 
-    def __init__(self, app: App, *, token: str, hosts: frozenset[bytes]) -> None:
+    def __init__(self, app: ASGIApp, *, token: str, hosts: frozenset[bytes]) -> None:
         self._app = app
         self._authorization = f"Bearer {token}".encode()
         self._hosts = hosts
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Refuse a request or a handshake, or pass it on."""
-        refusal = self._refusal(scope)
-        if refusal is None:
-            await self._app(scope, receive, send)
-            return
-        status, sentence = refusal
-        body = json.dumps({"detail": sentence}).encode()
-        headers = [(b"content-type", b"application/json"), (b"content-length", str(len(body)).encode())]
-        if status == 401:
-            headers.append((b"www-authenticate", b"Bearer"))
-        if status == 413:
-            headers.append((b"connection", b"close"))  # the body was not read
-        kind = "websocket.http.response" if scope["type"] == "websocket" else "http.response"
-        await send({"type": f"{kind}.start", "status": status, "headers": headers})
-        await send({"type": f"{kind}.body", "body": body})
+        await (self._refusal(scope) or self._app)(scope, receive, send)
 
-    def _refusal(self, scope: Scope) -> tuple[int, str] | None:
-        headers: list[tuple[bytes, bytes]] = scope["headers"]
-        if [value for name, value in headers if name == b"host"] not in [[host] for host in self._hosts]:
+    def _refusal(self, scope: Scope) -> JSONResponse | None:
+        def values_of(header: bytes) -> list[bytes]:
+            return [value for name, value in scope["headers"] if name == header]
+
+        if values_of(b"host") not in [[host] for host in self._hosts]:
             hosts = " or ".join(sorted(host.decode() for host in self._hosts))
-            return 421, f"this service answers for {hosts} only, and the Host header names another"
-        shown = [value for name, value in headers if name == b"authorization"]
+            return _refuse(421, f"this service answers for {hosts} only, and the Host header names another")
+        shown = values_of(b"authorization")
         if len(shown) != 1 or not secrets.compare_digest(shown[0], self._authorization):
-            return 401, "the header 'Authorization: Bearer TOKEN' with the token of this start is missing or wrong"
-        return _too_long(headers) if scope["type"] == "http" else None
+            sentence = "the header 'Authorization: Bearer TOKEN' with the token of this start is missing or wrong"
+            return _refuse(401, sentence, {"www-authenticate": "Bearer"})
+        if scope["type"] != "http":
+            return None
+        if values_of(b"transfer-encoding"):
+            return _refuse(411, "send the body with a Content-Length")
+        length = int((values_of(b"content-length") or [b"0"])[0])  # the server has checked that it is a number
+        if length > _LONGEST_BYTES:
+            sentence = f"a body of {length} bytes is too long; expected at most {_LONGEST_BYTES}"
+            return _refuse(413, sentence, {"connection": "close"})  # the body was not read
+        return None
 
 
-def _too_long(headers: list[tuple[bytes, bytes]]) -> tuple[int, str] | None:
-    if any(name == b"transfer-encoding" for name, _ in headers):
-        return 411, "send the body with a Content-Length"
-    # The server has checked that it is a number.
-    length = int(next((value for name, value in headers if name == b"content-length"), b"0"))
-    if length > _LONGEST_BYTES:
-        return 413, f"a body of {length} bytes is too long; expected at most {_LONGEST_BYTES}"
-    return None
-
-
-class _Server(uvicorn.Server):
-    """Uvicorn, which tells the control process when it listens."""
-
-    def __init__(self, config: uvicorn.Config, writer: LineWriter, ready: dict[str, str]) -> None:
-        super().__init__(config)
-        self._writer = writer
-        self._ready = ready
-
-    async def startup(self, sockets: list[socket.socket] | None = None) -> None:
-        await super().startup(sockets)
-        self._writer.send({"ready": self._ready})
+def _refuse(status: int, sentence: str, headers: dict[str, str] | None = None) -> JSONResponse:
+    return JSONResponse({"detail": sentence}, status, headers)
 
 
 async def serve(
@@ -99,10 +72,15 @@ async def serve(
     ``token`` is the one that clients must send; ``ready`` is sent to the control process when the server listens.
     """
     control = Control(lines, writer, config.limits.twist_timeout_s)
-    living = asyncio.create_task(control.live())
     port = listener.getsockname()[1]
     hosts = frozenset(f"{name}:{port}".encode() for name in (config.host, "localhost"))
-    server = _Server(
+
+    class Server(uvicorn.Server):
+        async def startup(self, sockets: list[socket.socket] | None = None) -> None:
+            await super().startup(sockets)
+            writer.send({"ready": ready})
+
+    server = Server(
         uvicorn.Config(
             Gate(make_app(config, control), token=token, hosts=hosts),
             http="h11",
@@ -118,15 +96,15 @@ async def serve(
             access_log=False,
             proxy_headers=False,
             server_header=False,
-        ),
-        writer,
-        ready,
+        )
     )
-    serving = asyncio.create_task(server.serve([listener]))
-    gone = asyncio.create_task(control.gone.wait())
-    await asyncio.wait((serving, gone), return_when=asyncio.FIRST_COMPLETED)
-    server.should_exit = True
-    await serving
-    gone.cancel()
-    living.cancel()
+
+    async def end() -> None:
+        await control.gone.wait()
+        server.should_exit = True
+
+    beside = [asyncio.create_task(task) for task in (control.live(), end())]
+    await server.serve([listener])
+    for task in beside:
+        task.cancel()
     logs.info("API ends")
