@@ -7,7 +7,7 @@ import pytest
 
 pytest.importorskip("unicorn", reason="needs the extra 'targets': pip install 'mecanum-hil[targets]'")
 
-from hil.robot.targets.machine.registers import MachineError
+from hil.robot.targets.machine.peripherals import MachineError
 from hil.robot.targets.machine.stm32f405 import CORE_HZ, Stm32f405
 from tests.arm_programs import HAS_COMPILER, NEEDS_COMPILER, RESULT, compile_program
 

@@ -4,8 +4,17 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hil.robot.targets.machine import can, core_clock, flash, gpio, nvic, rcc, timer, usart, watchdog
-from hil.robot.targets.machine.registers import MachineError
+from hil.robot.targets.machine import can, flash, nvic
+from hil.robot.targets.machine.peripherals import (
+    READ_CYCLES,
+    Gpio,
+    MachineError,
+    Rcc,
+    SysTick,
+    Timer,
+    Usart,
+    Watchdog,
+)
 
 CORE_HZ = 168_000_000
 IDS = st.integers(0, 0x7FF)
@@ -181,9 +190,9 @@ def test_bit_timing_and_filters_are_refused_where_a_board_would_ignore_them():
 # USART
 
 
-def open_usart() -> usart.Usart:
-    line = usart.Usart("USART1")
-    line.write(usart.CR1, 1 << 13 | 1 << 3 | 1 << 2)
+def open_usart() -> Usart:
+    line = Usart("USART1")
+    line.write(Usart.CR1, 1 << 13 | 1 << 3 | 1 << 2)
     return line
 
 
@@ -191,29 +200,29 @@ def open_usart() -> usart.Usart:
 def test_every_byte_arrives_once_and_in_order(data: bytes):
     line, irq = open_usart(), Line()
     line.irq = irq
-    line.write(usart.CR1, line.read(usart.CR1) | 1 << 5)
+    line.write(Usart.CR1, line.read(Usart.CR1) | 1 << 5)
     assert line.receive(data)
     taken = bytearray()
     while irq.high:
-        assert line.read(usart.SR) & 1 << 5
-        taken.append(line.read(usart.DR))
+        assert line.read(Usart.SR) & 1 << 5
+        taken.append(line.read(Usart.DR))
     assert taken == data
-    assert not line.read(usart.SR) & 1 << 5
+    assert not line.read(Usart.SR) & 1 << 5
 
 
 def test_an_idle_line_is_flagged_until_status_and_data_are_read():
     line = open_usart()
     line.receive(b"a")
-    assert not line.read(usart.SR) & 1 << 4
-    line.read(usart.DR)
-    assert line.read(usart.SR) & 1 << 4
-    line.read(usart.DR)
-    assert not line.read(usart.SR) & 1 << 4
+    assert not line.read(Usart.SR) & 1 << 4
+    line.read(Usart.DR)
+    assert line.read(Usart.SR) & 1 << 4
+    line.read(Usart.DR)
+    assert not line.read(Usart.SR) & 1 << 4
 
 
 def test_a_line_that_is_off_neither_sends_nor_receives():
-    line = usart.Usart("USART1")
-    line.write(usart.DR, 1)
+    line = Usart("USART1")
+    line.write(Usart.DR, 1)
     assert not line.receive(b"abc")
     assert line.sent == b""
     assert line.missed == 3
@@ -224,48 +233,48 @@ def test_a_line_that_is_off_neither_sends_nor_receives():
 
 @given(st.integers(0, 0xFFFF), st.integers(1, 0xFFFF), st.lists(st.integers(0, 10**7), max_size=8))
 def test_a_timer_counts_what_its_prescaler_lets_through(prescaler: int, reload: int, steps: list[int]):
-    counter = timer.Timer("TIM3", 16, 2)
-    counter.write(timer.PSC, prescaler)
-    counter.write(timer.ARR, reload)
-    counter.write(timer.CR1, 1)
+    counter = Timer("TIM3", 16, 2)
+    counter.write(Timer.PSC, prescaler)
+    counter.write(Timer.ARR, reload)
+    counter.write(Timer.CR1, 1)
     for step in steps:
         counter.advance(step)
     divider = 2 * (prescaler + 1)
-    assert counter.read(timer.SR) & 1 == (sum(steps) // divider > reload)
-    assert counter.read(timer.CNT) == (sum(steps) + core_clock.READ_CYCLES) // divider % (reload + 1)
+    assert counter.read(Timer.SR) & 1 == (sum(steps) // divider > reload)
+    assert counter.read(Timer.CNT) == (sum(steps) + READ_CYCLES) // divider % (reload + 1)
 
 
 def test_a_timer_refuses_to_be_an_encoder():
     with pytest.raises(MachineError, match="TIM4: slave modes"):
-        timer.Timer("TIM4", 16, 2).write(timer.SMCR, 3)
+        Timer("TIM4", 16, 2).write(Timer.SMCR, 3)
 
 
 def test_the_watchdog_bites_after_its_time_and_not_before():
-    dog = watchdog.Watchdog(CORE_HZ)
-    dog.write(watchdog.PR, 4)  # locked: nothing happens
-    assert dog.read(watchdog.PR) == 0
-    for key, register, value in ((0x5555, watchdog.PR, 1), (0x5555, watchdog.RLR, 39)):
-        dog.write(watchdog.KR, key)
+    dog = Watchdog(CORE_HZ)
+    dog.write(Watchdog.PR, 4)  # locked: nothing happens
+    assert dog.read(Watchdog.PR) == 0
+    for key, register, value in ((0x5555, Watchdog.PR, 1), (0x5555, Watchdog.RLR, 39)):
+        dog.write(Watchdog.KR, key)
         dog.write(register, value)
     assert dog.timeout_s() == 0.01
     dog.advance(CORE_HZ)
     assert not dog.has_expired  # it does not run
-    dog.write(watchdog.KR, 0xCCCC)
+    dog.write(Watchdog.KR, 0xCCCC)
     for _ in range(3):
         dog.advance(CORE_HZ // 100 - 1)
         assert not dog.has_expired
-        dog.write(watchdog.KR, 0xAAAA)
+        dog.write(Watchdog.KR, 0xAAAA)
     dog.advance(CORE_HZ // 100)
     assert dog.has_expired
 
 
 @given(st.integers(1, 0xFFFFFF), st.lists(st.integers(0, 1 << 25), max_size=12))
 def test_systick_is_due_exactly_when_its_period_has_passed(reload: int, steps: list[int]):
-    tick, line = core_clock.SysTick(), Line()
+    tick, line = SysTick(), Line()
     tick.irq = line
-    tick.write(0x4, reload)
-    tick.write(0x8, 0)
-    tick.write(0x0, 3)
+    tick.write(SysTick.RVR, reload)
+    tick.write(SysTick.CVR, 0)
+    tick.write(SysTick.CSR, 3)
     passed = 0
     for step in steps:
         before = passed // (reload + 1)
@@ -276,21 +285,21 @@ def test_systick_is_due_exactly_when_its_period_has_passed(reload: int, steps: l
 
 
 def test_ready_flags_follow_what_is_switched_on():
-    clocks = rcc.Rcc()
-    clocks.write(rcc.CR, 1 << 16 | 1 << 24)
-    assert clocks.read(rcc.CR) & (1 << 17 | 1 << 25 | 2) == 1 << 17 | 1 << 25
-    clocks.write(rcc.CFGR, 2)
-    assert clocks.read(rcc.CFGR) >> 2 & 3 == 2
+    clocks = Rcc()
+    clocks.write(Rcc.CR, 1 << 16 | 1 << 24)
+    assert clocks.read(Rcc.CR) & (1 << 17 | 1 << 25 | 2) == 1 << 17 | 1 << 25
+    clocks.write(Rcc.CFGR, 2)
+    assert clocks.read(Rcc.CFGR) >> 2 & 3 == 2
 
 
 @given(st.integers(0, 0xFFFFFFFF), st.integers(0, 0xFFFF))
 def test_setting_a_pin_has_priority_over_resetting_it(command: int, before: int):
-    port = gpio.Gpio("GPIOC")
-    port.write(gpio.ODR, before)
-    port.write(gpio.BSRR, command)
+    port = Gpio("GPIOC")
+    port.write(Gpio.ODR, before)
+    port.write(Gpio.BSRR, command)
     for pin in range(16):
         expected = 1 if command >> pin & 1 else 0 if command >> pin + 16 & 1 else before >> pin & 1
-        assert port.read(gpio.ODR) >> pin & 1 == expected
+        assert port.read(Gpio.ODR) >> pin & 1 == expected
 
 
 # Flash, interrupt controller

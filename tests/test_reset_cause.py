@@ -11,7 +11,7 @@ from unicorn import arm_const as arm
 
 from firmware_protocol import codec
 from firmware_protocol.generated import messages as m
-from hil.robot.targets.machine import rcc
+from hil.robot.targets.machine.peripherals import Rcc
 from hil.robot.targets.machine.stm32f405 import CORE_HZ
 from hil.robot.targets.unicorn_board import UnicornBoard
 from tests.emulated_boards import Host, needs_compiler
@@ -40,7 +40,7 @@ def told(host: Host) -> tuple[m.ResetCause, list[codec.Message]]:
 def test_a_board_that_is_switched_on_says_so_and_removes_the_flags():
     with open_board("can") as board:
         assert told(Host(board, "can")) == (m.ResetCause.POWER_ON, NOTHING)
-        assert board.machine.rcc.read(rcc.CSR) >> 24 & 0xFE == 0
+        assert board.machine.rcc.read(Rcc.CSR) >> 24 & 0xFE == 0
 
 
 def test_a_board_that_its_watchdog_has_reset_says_so():
@@ -71,7 +71,7 @@ def test_a_board_that_its_watchdog_has_reset_says_so():
 )
 def test_each_flag_of_the_chip_has_its_cause(monkeypatch: pytest.MonkeyPatch, flags: int, cause: m.ResetCause):
     """Without any flag the emulated build takes it that it was switched on: QEMU's chip has none."""
-    monkeypatch.setitem(rcc._RESET, rcc.CSR, flags)
+    monkeypatch.setitem(Rcc.RESET_VALUES, Rcc.CSR, flags)
     with open_board("can") as board:
         assert told(Host(board, "can")) == (cause, NOTHING)
 

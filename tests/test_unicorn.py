@@ -14,7 +14,7 @@ from firmware_protocol.framing import Framer
 from firmware_protocol.generated import messages as m
 from firmware_protocol.stm32_flash import PARAMETER_ADDRESS
 from hil.core.errors import DeviceError
-from hil.robot.targets.machine.timer import CR1
+from hil.robot.targets.machine.peripherals import Timer
 from tests.arm_programs import compile_program
 from tests.emulated_boards import Host, converse, firmware, needs_compiler, needs_unicorn, plant_of, stored
 from tests.examples import share_of_examples
@@ -179,7 +179,7 @@ def test_only_the_pins_of_its_two_lines_are_configured(link: str, pins: set[str]
             if port.mode(pin) != before.mode(pin)
         }
         assert changed == pins
-        assert all(timer.read(CR1) == 0 for timer in board.machine.timer.values())
+        assert all(timer.read(Timer.CR1) == 0 for timer in board.machine.timer.values())
 
 
 @LINKS

@@ -26,12 +26,7 @@ _BUS_ERROR = 0x080
 _CONTROLLER_DETAILS = {0x03: "error_overflow", 0x0C: "error_warning", 0x30: "error_passive"}
 _PROTOCOL_DETAILS = {0x19: "error_bit", 0x02: "error_form", 0x04: "error_stuff"}
 BUS_OFF = "error_bus_off"
-CAUSES = (
-    *_CLASSES.values(),
-    *_CONTROLLER_DETAILS.values(),
-    *_PROTOCOL_DETAILS.values(),
-    "error_other",
-)
+CAUSES = (*_CLASSES.values(), *_CONTROLLER_DETAILS.values(), *_PROTOCOL_DETAILS.values(), "error_other")
 """The keys under which error frames are counted."""
 
 

@@ -21,11 +21,7 @@ class FaultLine:
     """
 
     def __init__(
-        self,
-        stream: HostStream,
-        time: ScenarioTime,
-        faults: Sequence[LinkFault],
-        protocol: LinkProtocol = WHEEL_DBC,
+        self, stream: HostStream, time: ScenarioTime, faults: Sequence[LinkFault], protocol: LinkProtocol = WHEEL_DBC
     ) -> None:
         self._stream = stream
         self._time = time

@@ -8,7 +8,7 @@ from firmware_protocol.stm32_flash import PARAMETER_ADDRESS, SECTOR_BYTES, flash
 from hil.core.errors import DeviceError
 from hil.robot.targets.emulated_board import EmulatedBoard
 from hil.robot.targets.machine.can import CanFrame
-from hil.robot.targets.machine.registers import MachineError
+from hil.robot.targets.machine.peripherals import MachineError
 from hil.robot.targets.machine.stm32f405 import CORE_HZ, Stm32f405
 
 HOST_USART, PLANT_USART = 1, 2

@@ -71,13 +71,7 @@ class Trace:
     """
 
     def __init__(
-        self,
-        path: Path,
-        *,
-        blocking: bool,
-        fd: bool = False,
-        switched: bool = False,
-        existing: Existing = "refuse",
+        self, path: Path, *, blocking: bool, fd: bool = False, switched: bool = False, existing: Existing = "refuse"
     ) -> None:
         check_output_path("trace", path, existing)
         self._path = path = claim("trace", path, existing)

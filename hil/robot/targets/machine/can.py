@@ -5,7 +5,7 @@ A frame that is requested is on the bus at once, unless the controller is off it
 
 from typing import NamedTuple
 
-from hil.robot.targets.machine.registers import WORD, IrqLine, MachineError, Peripheral, not_connected
+from hil.robot.targets.machine.peripherals import WORD, IrqLine, MachineError, Peripheral, not_connected
 
 MCR, MSR, TSR, RF0R, RF1R, IER, ESR, BTR = range(0x00, 0x20, 4)
 TX_MAILBOX, RX_FIFO = 0x180, 0x1B0
@@ -21,17 +21,13 @@ _TMEIE, _ERRIE = 1 << 0, 1 << 15
 _WARNING, _PASSIVE, _BUS_OFF = 1 << 0, 1 << 1, 1 << 2
 _RECOVERY_BITS = 128 * 11
 
-_RESET = {
-    **dict.fromkeys(range(0x00, 0x20, 4), 0),
-    **dict.fromkeys(range(TX_MAILBOX, 0x1D0, 4), 0),
-    **dict.fromkeys((FMR, FM1R, FS1R, FFA1R, FA1R), 0),
-    **dict.fromkeys(range(FILTERS, FILTERS + 8 * _BANKS, 4), 0),
-    MCR: 0x0001_0002,
-    MSR: 0x0000_0C02,
-    TSR: 0x1C00_0000,
-    BTR: 0x0123_0000,
-    FMR: 0x2A1C_0E01,
-}
+_OFFSETS = (
+    *range(0x00, 0x20, 4),
+    *range(TX_MAILBOX, 0x1D0, 4),
+    *(FMR, FM1R, FS1R, FFA1R, FA1R),
+    *range(FILTERS, FILTERS + 8 * _BANKS, 4),
+)
+_RESET = {MCR: 0x0001_0002, MSR: 0x0000_0C02, TSR: 0x1C00_0000, BTR: 0x0123_0000, FMR: 0x2A1C_0E01}
 
 
 class CanFrame(NamedTuple):
@@ -43,28 +39,25 @@ class CanFrame(NamedTuple):
 
 
 class Can(Peripheral):
-    """CAN1. ``sent`` collects what is on the bus, ``missed`` counts frames that found it off the bus or its FIFO full.
+    """CAN1. ``sent`` collects the frames that it put on the bus.
 
-    Lines: ``irq_tx``, ``irq_rx`` of both FIFOs, ``irq_error``.
+    ``missed`` counts frames that arrived while it was off the bus or its FIFO was full. Interrupt lines: ``irq_tx``,
+    ``irq_rx`` of both FIFOs, ``irq_error``.
     """
 
     def __init__(self, clock_hz: int, core_hz: int) -> None:
-        super().__init__("CAN1", _RESET)
         self.irq_tx: IrqLine = not_connected
         self.irq_rx: list[IrqLine] = [not_connected, not_connected]
         self.irq_error: IrqLine = not_connected
-        self.sent: list[CanFrame] = []
         self.missed = 0
         self._is_acknowledged = True
-        self._fifo: tuple[list[tuple[CanFrame, int]], ...] = ([], [])
         self._core_cycles_of_clock = core_hz // clock_hz
-        self._recovery_cycles = 0
+        super().__init__("CAN1", dict.fromkeys(_OFFSETS, 0) | _RESET)
 
     def reset(self) -> None:
         super().reset()
-        self.sent.clear()
-        for fifo in self._fifo:
-            fifo.clear()
+        self.sent: list[CanFrame] = []
+        self._fifo: tuple[list[tuple[CanFrame, int]], ...] = ([], [])
         self._recovery_cycles = 0
 
     @property
@@ -83,13 +76,12 @@ class Can(Peripheral):
         number, index = found
         fifo, status = self._fifo[number], RF0R + 4 * number
         has_room = len(fifo) < _DEPTH
-        if has_room:
-            fifo.append((frame, index))
-        else:
+        if not has_room:
             self.missed += 1
             self._register[status] |= _OVERRUN
-            if not self._register[MCR] & _RFLM:
-                fifo[-1] = (frame, index)
+        if has_room or not self._register[MCR] & _RFLM:
+            fifo[_DEPTH - 1 :] = []  # an overrun replaces the newest
+            fifo.append((frame, index))
         self._show_fifo(number)
         return has_room
 
@@ -221,7 +213,7 @@ class Can(Peripheral):
 
     def _match(self, frame: CanFrame) -> tuple[int, int] | None:
         """Return FIFO and filter match index of the first filter that takes a frame."""
-        word = frame.id << 3 | 4 if frame.is_extended else frame.id << 21
+        word = _identifier_word(frame)
         half = frame.id >> 18 << 5 | 8 | frame.id >> 15 & 7 if frame.is_extended else frame.id << 5
         index = [0, 0]
         for bank in range(_BANKS):
@@ -249,12 +241,9 @@ class Can(Peripheral):
         self._register[status] = self._register[status] & ~(3 | _FULL) | len(fifo) | full
         if fifo:
             frame, index = fifo[0]
-            at = RX_FIFO + 0x10 * number
-            data = frame.data.ljust(8, b"\0")
-            self._register[at] = frame.id << 3 | 4 if frame.is_extended else frame.id << 21
-            self._register[at + 4] = len(frame.data) | index << 8
-            self._register[at + 8] = int.from_bytes(data[:4], "little")
-            self._register[at + 12] = int.from_bytes(data[4:], "little")
+            data = int.from_bytes(frame.data, "little")
+            words = (_identifier_word(frame), len(frame.data) | index << 8, data & WORD, data >> 32)
+            self._register |= zip(range(RX_FIFO + 0x10 * number, RX_FIFO + 0x10 * number + 0x10, 4), words, strict=True)
         self._interrupts()
 
     def _interrupts(self) -> None:
@@ -266,6 +255,10 @@ class Can(Peripheral):
             irq(bool((mask & 1 and status & 3) or (mask & 2 and status & _FULL) or (mask & 4 and status & _OVERRUN)))
         causes = register[ESR] & enabled >> 8 & 7 or (enabled >> 11 & 1 and register[ESR] & 0x70)
         self.irq_error(bool(enabled & _ERRIE and register[MSR] & _ERRI and causes))
+
+
+def _identifier_word(frame: CanFrame) -> int:
+    return frame.id << 3 | 4 if frame.is_extended else frame.id << 21
 
 
 def _wide(one: int, two: int, listed: int) -> list[tuple[int, int]]:

@@ -10,13 +10,13 @@ import struct
 import threading
 import time
 from collections.abc import Callable
-from typing import Any, Protocol
+from typing import Any
 
 import unicorn
 from unicorn import arm_const as arm
 
 from hil.robot.targets.machine.nvic import HARD_FAULT, Nvic
-from hil.robot.targets.machine.registers import MachineError
+from hil.robot.targets.machine.peripherals import MachineError
 
 RUNAWAY_S = 5.0
 """For how long the firmware may run without waiting; wall-clock time, as it only ends what would never end."""
@@ -40,26 +40,18 @@ _FAULTS = {1: "an undefined instruction", 2: "SVC", 3: "a prefetch abort", 4: "a
 _UNMASKING = re.compile(rb"(?=([\x62\x63]\xb6|[\x80-\x8f]\xf3[\x10-\x12]\x88))", re.DOTALL)
 
 
-class Bus(Protocol):
-    """The peripherals, by address."""
-
-    def read(self, address: int, size: int) -> int:
-        """Return ``size`` bytes as a number. Raises MachineError where there is nothing."""
-
-    def write(self, address: int, size: int, value: int) -> None:
-        """Take ``size`` bytes. Raises MachineError where there is nothing."""
-
-
 class Core:
-    """A core with memory: ``rom`` by (address, bytes), ``ram`` and further regions of the bus by (address, size).
+    """A core with memory: ``rom`` by (address, bytes), ``ram`` by (address, size).
 
-    ``where`` names an address for messages. The core does nothing until ``reset`` sets where it begins.
+    ``read(address, size)`` and ``write(address, size, value)`` access the peripherals and the ``mapped`` regions; they
+    raise MachineError where there is nothing. ``where`` names an address for messages. ``reset`` sets the entry point.
     """
 
     def __init__(
         self,
         nvic: Nvic,
-        bus: Bus,
+        read: Callable[[int, int], int],
+        write: Callable[[int, int, int], None],
         where: Callable[[int], str],
         *,
         rom: list[tuple[int, bytes]],
@@ -67,7 +59,8 @@ class Core:
         mapped: list[tuple[int, int]],
     ) -> None:
         self._nvic = nvic
-        self._bus = bus
+        self._read_bus = read
+        self._write_bus = write
         self._name_of = where
         self._uc = uc = unicorn.Uc(unicorn.UC_ARCH_ARM, unicorn.UC_MODE_THUMB | unicorn.UC_MODE_MCLASS)
         uc.ctl_set_cpu_model(arm.UC_CPU_ARM_CORTEX_M4)
@@ -191,7 +184,7 @@ class Core:
         if self._nvic.pending and self._gives_way():
             return 0
         try:
-            return self._bus.read(base + offset, size)
+            return self._read_bus(base + offset, size)
         except MachineError as error:
             self._fail(error)
             return 0
@@ -200,7 +193,7 @@ class Core:
         if self._nvic.pending and self._gives_way():
             return
         try:
-            self._bus.write(base + offset, size, value)
+            self._write_bus(base + offset, size, value)
         except MachineError as error:
             self._fail(error)
         if self._nvic.reset_requested:

@@ -3,7 +3,7 @@
 Sectors that the image does not use are registers to the machine, so that a store to them arrives here.
 """
 
-from hil.robot.targets.machine.registers import MachineError, Peripheral
+from hil.robot.targets.machine.peripherals import MachineError, Peripheral
 
 BASE = 0x0800_0000
 SIZE = 0x0010_0000
@@ -33,11 +33,6 @@ class FlashMemory:
         """Return bytes of the flash."""
         return bytes(self.bytes[address - BASE : address - BASE + size])
 
-    def erase(self, sector: int) -> None:
-        """Set every bit of a sector."""
-        start, size = region(sector)
-        self.bytes[start - BASE : start - BASE + size] = bytes([_ERASED]) * size
-
 
 def region(sector: int) -> tuple[int, int]:
     """Return address and size of a sector."""
@@ -57,7 +52,6 @@ class FlashInterface(Peripheral):
         super().__init__("FLASH", {ACR: 0, KEYR: 0, OPTKEYR: 0, SR: 0, CR: _LOCK, OPTCR: 0x0FFF_AAED})
         self._memory = memory
         self._protected = protected
-        self._keys_seen = 0
 
     def reset(self) -> None:
         super().reset()
@@ -65,7 +59,13 @@ class FlashInterface(Peripheral):
 
     def write(self, offset: int, value: int) -> None:
         if offset == KEYR:
-            self._write_key(value)
+            if self._keys_seen < 2 and value == _KEYS[self._keys_seen]:
+                self._keys_seen += 1
+            else:
+                self._keys_seen = 3  # a wrong key locks until the next reset
+            if self._keys_seen == 2:
+                self._register[CR] &= ~_LOCK
+                self._keys_seen = 0
         elif offset == SR:
             self._register[SR] &= ~value
         elif offset == CR:
@@ -91,23 +91,13 @@ class FlashInterface(Peripheral):
         self._memory.bytes[offset : offset + size] = (old & value).to_bytes(size, "little")
         self._register[SR] |= _EOP
 
-    def _write_key(self, value: int) -> None:
-        if self._keys_seen < 2 and value == _KEYS[self._keys_seen]:
-            self._keys_seen += 1
-            if self._keys_seen == 2:
-                self._register[CR] &= ~_LOCK
-                self._keys_seen = 0
-        else:
-            self._keys_seen = 2  # a wrong key locks until the next reset
-
     def _erase(self, control: int) -> None:
         sector = control >> 3 & 0xF
         if control & _MER or not control & _SER or sector >= len(SECTORS):
-            raise MachineError(
-                f"FLASH_CR = {control:#010x} starts no erasure of one sector, which is all there is here"
-            )
+            raise MachineError(f"FLASH_CR = {control:#010x} does not erase one sector, the only erasure modelled here")
         if sector in self._protected:
             self._register[SR] |= _WRITE_PROTECTED
             return
-        self._memory.erase(sector)
+        start, size = region(sector)
+        self._memory.load(start, bytes([_ERASED]) * size)
         self._register[SR] |= _EOP

@@ -3,27 +3,30 @@
 import bisect
 import struct
 from pathlib import Path
-from types import TracebackType
 from typing import Self
 
 from firmware_protocol.arm_image import read_elf
 from hil.robot.targets.machine import flash
 from hil.robot.targets.machine.can import Can
 from hil.robot.targets.machine.core import Core
-from hil.robot.targets.machine.core_clock import CycleCounter
-from hil.robot.targets.machine.gpio import Gpio
 from hil.robot.targets.machine.nvic import Nvic
-from hil.robot.targets.machine.rcc import Rcc
-from hil.robot.targets.machine.registers import IrqLine, MachineError, Peripheral
-from hil.robot.targets.machine.timer import Timer
-from hil.robot.targets.machine.usart import Usart
-from hil.robot.targets.machine.watchdog import Watchdog
+from hil.robot.targets.machine.peripherals import (
+    CycleCounter,
+    Gpio,
+    IrqLine,
+    MachineError,
+    Peripheral,
+    Rcc,
+    Timer,
+    Usart,
+    Watchdog,
+)
 
 CORE_HZ = 168_000_000
 CAN_HZ = 42_000_000
 
 _RAM = [(0x2000_0000, 0x2_0000), (0x1000_0000, 0x1_0000)]  # SRAM, core-coupled memory
-_DWT, _SCS = 0xE000_1000, 0xE000_E000
+_SCS = 0xE000_E000
 _FORCED = 1 << 30  # HFSR: another fault that became a hard one
 _USART = {1: (0x4001_1000, 37), 2: (0x4000_4400, 38), 3: (0x4000_4800, 39), 6: (0x4001_1400, 71)}
 _TIMER = {  # address, line of the update interrupt, width, divider of the core's clock
@@ -37,15 +40,18 @@ _TIMER = {  # address, line of the update interrupt, width, divider of the core'
     8: (0x4001_0400, 44, 16, 1),
 }
 _CAN, _CAN_TX, _CAN_RX, _CAN_ERROR = 0x4000_6400, 19, (20, 21), 22
-_MASK = {1: 0xFF, 2: 0xFFFF, 4: 0xFFFF_FFFF}
+_PLAIN = {  # blocks that only remember, with their reset values
+    0x4000_7000: ("PWR", {0x0: 0xC000, 0x4: 0x4000}),  # the regulator is always ready
+    0x4001_3800: ("SYSCFG", dict.fromkeys(range(0, 0x24, 4), 0)),
+    0x4001_3C00: ("EXTI", dict.fromkeys(range(0, 0x18, 4), 0)),
+}
 
 
 class Stm32f405:
     """A chip with the ELF file ``elf`` in its flash, just reset; a context manager.
 
-    ``stored`` are further (address, bytes) of the flash, such as parameters that were kept. ``run`` executes until
-    the firmware waits. A watchdog that bites, or a reset that the firmware asks for, starts it anew: ``resets``
-    counts them.
+    ``stored`` are further (address, bytes) of the flash, such as parameters that were stored before. ``run`` executes
+    until the firmware waits. The watchdog, or a reset that the firmware requests, restarts it: ``resets`` counts them.
 
     Raises OSError or ValueError when the file is no ELF for ARM, MachineError when it does not fit into the flash.
     """
@@ -65,14 +71,16 @@ class Stm32f405:
         self.resets = 0
         used = {sector for address, data in image.segments for sector in flash.sectors_of(address, len(data))}
         self._flash_interface = flash.FlashInterface(self.flash, used)
-        self._cycle_counter = CycleCounter()
-        self._blocks = self._by_address()
-        self._peripherals = tuple(self._blocks.values())
+        self._peripherals = self._by_address()
+        # The base address and the peripheral of each kilobyte; the system control space has four.
+        self._blocks = {address >> 10: (address, peripheral) for address, peripheral in self._peripherals.items()}
+        self._blocks |= {(_SCS >> 10) + n: (_SCS, self.nvic) for n in range(4)}
         self._connect_interrupts()
         regions = [(sector in used, *flash.region(sector)) for sector in range(len(flash.SECTORS))]
         self._core = Core(
             self.nvic,
-            self,
+            self.read,
+            self.write,
             Symbols(elf).where,
             rom=[(start, self.flash.read(start, size)) for is_used, start, size in regions if is_used],
             ram=_RAM,
@@ -92,19 +100,15 @@ class Stm32f405:
 
     def advance(self, cycles: int) -> None:
         """Let so many cycles of the core's clock pass while the core waits; what is then due, ``run`` does."""
-        self.nvic.systick.advance(cycles)
-        self._cycle_counter.advance(cycles)
-        for peripheral in self._peripherals:
+        for peripheral in self._peripherals.values():
             peripheral.advance(cycles)
         if self.watchdog.has_expired:
             self._reset(by_watchdog=True)
 
     def hard_fault(self, cfsr: int, *, mmfar: int = 0, bfar: int = 0, stacked: bool = True) -> int:
-        """Let the core take a hard fault where it waits, for the cause in ``cfsr``; ``run`` executes the handler.
+        """Let the core take a hard fault where it waits, and return that address; ``run`` then executes the handler.
 
-        Returns the address of the instruction.
-
-        What the firmware does by itself that a processor does not allow ends ``run`` with a MachineError instead.
+        ``cfsr`` is the cause. A fault that the firmware itself causes ends ``run`` with a MachineError instead.
         """
         self.nvic.record_fault(cfsr, _FORCED, mmfar, bfar)
         return self._core.hard_fault(stacked=stacked)
@@ -120,63 +124,50 @@ class Stm32f405:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
     # The bus
 
     def read(self, address: int, size: int) -> int:
         """Return what a load instruction gets from a register. Raises MachineError where there is none."""
-        block = self._blocks.get(address >> 10)
-        if block is not None:
-            word = block.read(address & 0x3FC)
-            if size == 4:
-                return word
-        elif address >> 12 == _SCS >> 12:
-            word = self.nvic.read(address & 0xFFC)
-        elif address >> 12 == _DWT >> 12:
-            word = self._cycle_counter.read(address & 0xFFC)
-        elif flash.BASE <= address < flash.BASE + flash.SIZE:
+        if address >> 10 in self._blocks:
+            base, block = self._blocks[address >> 10]
+            word = block.read(address - base & ~3)
+            return word >> 8 * (address & 3) & (1 << 8 * size) - 1
+        if flash.BASE <= address < flash.BASE + flash.SIZE:
             return int.from_bytes(self.flash.read(address, size), "little")
-        else:
-            raise MachineError(f"the firmware read {address:#010x}, which this machine does not model")
-        return word >> 8 * (address & 3) & _MASK[size]
+        raise MachineError(f"the firmware read {address:#010x}, which this machine does not model")
 
     def write(self, address: int, size: int, value: int) -> None:
         """Do what a store instruction does to a register. Raises MachineError where there is none."""
-        block = self._blocks.get(address >> 10)
-        if address >> 12 == _SCS >> 12:
-            self.nvic.write(address & 0xFFF, value, size)
+        base, block = self._blocks.get(address >> 10, (0, None))
+        if block is self.nvic:
+            self.nvic.write(address - base, value, size)
         elif flash.BASE <= address < flash.BASE + flash.SIZE:
             self._flash_interface.program(address, size, value)
         elif address & 3:
             raise MachineError(f"the firmware wrote {size} bytes at {address:#010x}; registers are written as words")
         elif block is not None:
-            block.write(address & 0x3FC, value)
-        elif address >> 12 == _DWT >> 12:
-            self._cycle_counter.write(address & 0xFFC, value)
+            block.write(address - base, value)
         else:
             raise MachineError(f"the firmware wrote {address:#010x}, which this machine does not model")
 
     # Construction and reset
 
     def _by_address(self) -> dict[int, Peripheral]:
-        """Return the peripherals by the number of the kilobyte that they occupy."""
-        at: dict[int, Peripheral] = {
+        return {
             0x4000_3000: self.watchdog,
             _CAN: self.can,
-            0x4000_7000: Peripheral("PWR", {0x0: 0xC000, 0x4: 0x4000}),  # the regulator is always ready
-            0x4001_3800: Peripheral("SYSCFG", dict.fromkeys(range(0, 0x24, 4), 0)),
-            0x4001_3C00: Peripheral("EXTI", dict.fromkeys(range(0, 0x18, 4), 0)),
             0x4002_3800: self.rcc,
             0x4002_3C00: self._flash_interface,
+            0xE000_1000: CycleCounter(),
+            _SCS: self.nvic,
+            **{address: Peripheral(*name_and_values) for address, name_and_values in _PLAIN.items()},
+            **{address: self.usart[n] for n, (address, _) in _USART.items()},
+            **{row[0]: self.timer[n] for n, row in _TIMER.items()},
+            **{0x4002_0000 + 0x400 * n: port for n, port in enumerate(self.gpio)},
         }
-        at |= {address: self.usart[n] for n, (address, _) in _USART.items()}
-        at |= {row[0]: self.timer[n] for n, row in _TIMER.items()}
-        at |= {0x4002_0000 + 0x400 * n: port for n, port in enumerate(self.gpio)}
-        return {address >> 10: peripheral for address, peripheral in at.items()}
 
     def _connect_interrupts(self) -> None:
         for n, (_, irq) in _USART.items():
@@ -191,16 +182,14 @@ class Stm32f405:
 
     def _reset(self, *, by_watchdog: bool) -> None:
         self.resets += 1
-        self.nvic.reset()
-        self._cycle_counter.reset()
-        for peripheral in self._peripherals:
+        flags = self.rcc.read(Rcc.CSR)
+        for peripheral in self._peripherals.values():
             peripheral.reset()
-        self.rcc.record_reset(by_watchdog=by_watchdog)
+        self.rcc.record_reset(flags, by_watchdog=by_watchdog)
         self._begin()
 
     def _begin(self) -> None:
         stack_pointer, entry = (int.from_bytes(self.flash.read(flash.BASE + at, 4), "little") for at in (0, 4))
-        self.nvic.vector_table = flash.BASE  # what address 0 is an alias of
         self._core.reset(stack_pointer, entry)
 
 
