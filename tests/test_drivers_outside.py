@@ -37,9 +37,7 @@ MOTORS = '''
 
     class Tiny(Driver):
         def __init__(self, settings, robot):
-            self._capabilities = Capabilities(
-                frozenset({CommandMode.SPEED}), False, 1000.0, frozenset(), False, "none", False
-            )
+            self._capabilities = Capabilities(1000.0, frozenset(), frozenset({CommandMode.SPEED}))
             self._per_rad_s = settings.counts_per_rad_s
             self._sample = None
 

@@ -29,22 +29,23 @@ class Capabilities(NamedTuple):
     """What a maker's controllers can do.
 
     Attributes:
+        feedback_hz: the lowest rate of the measurements that odometry uses.
+        sensors: what they measure beside the speeds.
         modes: the commands that they take.
         is_twist: they take a velocity of the body, and close the wheels' loops themselves.
-        feedback_hz: the lowest rate of the measurements that odometry uses.
         adds_torque: they add a torque to a speed.
         watchdog: whether the wheels stop by themselves when commands end. "set": the driver sets it and reads it back.
             "fixed": it is as the maker's tool has set it. "none": no watchdog is known.
         latches_estop: they have a stop that later commands do not end.
     """
 
-    modes: frozenset[CommandMode]
-    is_twist: bool
     feedback_hz: float
     sensors: frozenset[Sensor]
-    adds_torque: bool
-    watchdog: Literal["set", "fixed", "none"]
-    latches_estop: bool
+    modes: frozenset[CommandMode] = frozenset(CommandMode)
+    is_twist: bool = False
+    adds_torque: bool = False
+    watchdog: Literal["set", "fixed", "none"] = "none"
+    latches_estop: bool = False
 
 
 class RobotFacts(NamedTuple):

@@ -15,21 +15,9 @@ from typing import Annotated, Literal, NamedTuple
 
 from firmware_protocol.framing import Frame
 from hil.core.options import NOT_NEGATIVE, POSITIVE
-from hil.core.types import WHEEL_NAMES, CommandMode, FourWheels
-from hil.drivers.port import (
-    Capabilities,
-    Dialect,
-    Driver,
-    Found,
-    Probe,
-    RobotFacts,
-    Sample,
-    chosen,
-    clamp,
-    four,
-    four_ids,
-    oldest,
-)
+from hil.core.types import CommandMode, FourWheels
+from hil.drivers.four_motors import Channel, FourMotors, found_by_id
+from hil.drivers.port import Capabilities, Dialect, Found, Probe, RobotFacts, Sample, clamp, four, four_ids
 
 _CURRENTS = Struct(">4h")
 _FEEDBACK = Struct(">HhhB")
@@ -48,10 +36,7 @@ class Motor(NamedTuple):
     gear_ratio: float
 
 
-MOTORS = {
-    "c620": Motor(20.0 / 16384, 16384, 3591 / 187),
-    "c610": Motor(10.0 / 10000, 10000, 36.0),
-}
+MOTORS = {"c620": Motor(20.0 / 16384, 16384, 3591 / 187), "c610": Motor(10.0 / 10000, 10000, 36.0)}
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,35 +55,30 @@ class Settings:
     temperature_limit_degc: Annotated[float, POSITIVE] = 100.0
 
 
-class _Channel:
-    """The feedback of one motor, and the integral of its speed loop."""
+class _Channel(Channel):
+    """The feedback of one motor, and the integral of its speed loop. Speed [rpm] and position [steps]: of the rotor."""
 
-    def __init__(self) -> None:
-        self.stamp_ns: int | None = None
-        self.rpm = 0
-        self.current = 0
-        self.temperature_degc = 0
+    def __init__(self, amperes: float) -> None:
+        self._amperes = amperes
+        super().__init__()
+
+    def forget(self) -> None:
+        super().forget()
         self.integral_n_m = 0.0
         self._angle = 0
-        self._turned = 0  # angle steps since the first frame
         self._batch: list[tuple[int, int]] = []  # angles and speeds of the frames with the newest stamp
         self._before_ns: int | None = None  # the stamp before that
 
     def feed(self, payload: bytes, stamp_ns: int) -> None:
-        angle, rpm, self.current, self.temperature_degc = _FEEDBACK.unpack_from(payload)
+        angle, rpm, current, self.temperature_degc = _FEEDBACK.unpack_from(payload)
         if stamp_ns != self.stamp_ns:
-            self._unwrap()
+            self.unwrap()
             self._before_ns, self.stamp_ns = self.stamp_ns, stamp_ns
         self._batch.append((angle, rpm))
-        self.rpm = rpm
+        self.speed, self.current_a = rpm, current * self._amperes
 
-    def turned(self) -> int:
-        """Return the angle steps since the first frame. Call it after all frames that have arrived were fed."""
-        self._unwrap()
-        return self._turned
-
-    def _unwrap(self) -> None:
-        """Add the turns of the frames with the newest stamp.
+    def unwrap(self) -> None:
+        """Add to the position the turns of the frames with the newest stamp, after all of them were fed.
 
         Frames that were read together were sent 1 ms apart; the rest of the time since the last stamp lies before the
         first of them. The rotor may have turned more than half a turn in that time, if frames were lost: the number of
@@ -106,64 +86,44 @@ class _Channel:
         """
         batch, self._batch = self._batch, []
         for i, (angle, rpm) in enumerate(batch):
-            if self._before_ns is None or self.stamp_ns is None:
-                step = 0
-            else:
-                apart_ns = _FEEDBACK_NS
-                if i == 0:
-                    apart_ns = max(self.stamp_ns - self._before_ns - (len(batch) - 1) * _FEEDBACK_NS, _FEEDBACK_NS)
-                expected = rpm / 60.0 * _ANGLES * apart_ns * 1e-9
+            if self._before_ns is not None and self.stamp_ns is not None:
+                before_ns = self.stamp_ns - self._before_ns - (len(batch) - 1) * _FEEDBACK_NS
+                apart_ns = _FEEDBACK_NS if i else max(before_ns, _FEEDBACK_NS)
                 step = angle - self._angle
-                step += _ANGLES * round((expected - step) / _ANGLES)
+                self.position += step + _ANGLES * round((rpm / 60.0 * _ANGLES * apart_ns * 1e-9 - step) / _ANGLES)
             self._angle = angle
-            self._turned += step
         self._before_ns = self.stamp_ns
 
 
-class C620(Driver):
+class C620(FourMotors[Settings, _Channel]):
     """Drives four controllers on one bus."""
 
     def __init__(self, settings: Settings, robot: RobotFacts) -> None:
-        motor = MOTORS[settings.controller]
-        self._settings = settings
-        self._robot = robot
-        self._amperes = motor.amperes
+        motor, self._title = MOTORS[settings.controller], settings.controller.upper()
+        gear_ratio = settings.gear_ratio or motor.gear_ratio
+        capabilities = Capabilities(1000.0, frozenset({"position", "current", "temperature"}), adds_torque=True)
+        channels = [_Channel(motor.amperes) for _ in settings.ids]
+        to_rad_s, to_rad = _RPM / gear_ratio, math.tau / _ANGLES / gear_ratio
+        super().__init__(settings, robot, capabilities, "motor", settings.ids, channels, to_rad_s, to_rad)
+        self._counts_per_n_m = 1.0 / (robot.torque_constant_n_m_a * motor.amperes)
         self._max_count = motor.max_count
-        self._gear_ratio = settings.gear_ratio or motor.gear_ratio
-        self._channels = tuple(_Channel() for _ in settings.ids)
-        self._by_id = {_FEEDBACK_BASE + number: self._channels[i] for i, number in enumerate(settings.ids)}
-        self._is_armed = False
         self._commanded_ns: int | None = None
-        self._capabilities = Capabilities(
-            modes=frozenset(CommandMode),
-            is_twist=False,
-            feedback_hz=1000.0,
-            sensors=frozenset({"position", "current", "temperature"}),
-            adds_torque=True,
-            watchdog="none",
-            latches_estop=False,
-        )
         self._warnings = (
-            f"it is not known what a {settings.controller.upper()} does when commands end: keep an e-stop that cuts "
-            "the motors' power within reach",
-            f"a stopped {settings.controller.upper()} lets its wheel coast and does not brake it",
+            f"it is not known what a {self._title} does when commands end: keep an e-stop that cuts the motors' power "
+            "within reach",
+            f"a stopped {self._title} lets its wheel coast and does not brake it",
         )
 
     @property
     def identity(self) -> str | None:
-        if self.missing:
-            return None
-        ids = ", ".join(map(str, self._settings.ids))
-        return f"four {self._settings.controller.upper()} with the ids {ids}"
+        return None if self.missing else f"four {self._title} with the ids {', '.join(map(str, self._ids))}"
 
     @property
     def missing(self) -> str:
-        silent = chosen(self._settings.ids, (channel.stamp_ns is None for channel in self._channels))
-        if not silent:
-            return ""
-        return (
-            f"no feedback of the motors {silent}; check their power, the bus, and the ids that their lamps "
-            "blink (device.motors.ids)"
+        silent = self._with(channel.stamp_ns is None for channel in self._channels)
+        return silent and (
+            f"no feedback of the motors {silent}; check their power, the bus, and the ids that their lamps blink "
+            "(device.motors.ids)"
         )
 
     def arm(self, now_ns: int) -> Sequence[Frame]:
@@ -177,12 +137,7 @@ class C620(Driver):
         if self._robot.mode is CommandMode.SPEED:
             torque_n_m = self._speed_loops(speed_rad_s, torque_n_m, now_ns)
         self._commanded_ns = now_ns
-        scale = 1.0 / (self._robot.torque_constant_n_m_a * self._amperes)
-        most = self._max_count
-        return self._currents([clamp(round(torque * scale), most) for torque in torque_n_m])
-
-    def _is_fresh(self, channel: _Channel, now_ns: int) -> bool:
-        return channel.stamp_ns is not None and now_ns - channel.stamp_ns < self._robot.watchdog_s * 1e9
+        return self._currents([clamp(round(torque * self._counts_per_n_m), self._max_count) for torque in torque_n_m])
 
     def _speed_loops(self, speed_rad_s: FourWheels, torque_n_m: FourWheels, now_ns: int) -> FourWheels:
         settings, limit = self._settings, self._robot.torque_limit_n_m
@@ -190,70 +145,45 @@ class C620(Driver):
         dt_s = min(dt_s, 2.0 * self._robot.period_s)  # the loop was open during a stall: do not integrate over it
         torques = []
         for channel, target, feedforward in zip(self._channels, speed_rad_s, torque_n_m, strict=True):
-            if not self._is_fresh(channel, now_ns):
+            if channel.stamp_ns is None or now_ns - channel.stamp_ns >= self._robot.watchdog_s * 1e9:
                 channel.integral_n_m = 0.0
                 torques.append(0.0)  # no torque on an outdated speed
                 continue
-            error = target - channel.rpm * _RPM / self._gear_ratio
+            error = target - channel.speed * self._to_rad_s
             torque = feedforward + settings.kp_n_m_s_rad * error + channel.integral_n_m
             limited = clamp(torque, limit)
             if torque == limited or error * torque < 0.0:  # no windup at the limit
-                integral = channel.integral_n_m + settings.ki_n_m_rad * error * dt_s
-                channel.integral_n_m = clamp(integral, limit)
+                channel.integral_n_m = clamp(channel.integral_n_m + settings.ki_n_m_rad * error * dt_s, limit)
             torques.append(limited)
         return four(torques)
 
     def _currents(self, counts: Sequence[int]) -> Sequence[Frame]:
         """Return the one or two frames that carry the currents. The other motors of these frames get no current."""
-        slots = {_LOW: [0, 0, 0, 0], _HIGH: [0, 0, 0, 0]}
-        used = set()
-        for number, count in zip(self._settings.ids, counts, strict=True):
-            frame = _LOW if number <= 4 else _HIGH
-            slots[frame][(number - 1) % 4] = count
-            used.add(frame)
-        return [Frame(number, _CURRENTS.pack(*slots[number])) for number in sorted(used, reverse=True)]
+        slots: dict[int, list[int]] = {}
+        for number, count in zip(self._ids, counts, strict=True):
+            slots.setdefault(_LOW if number <= 4 else _HIGH, [0, 0, 0, 0])[(number - 1) % 4] = count
+        return [Frame(number, _CURRENTS.pack(*slots[number])) for number in sorted(slots, reverse=True)]
 
     def disarm(self) -> Sequence[Frame]:
         self._is_armed = False
         return self._currents(_NO_CURRENT)
 
     def feed(self, frame: Frame, stamp_ns: int) -> None:
-        channel = self._by_id.get(frame.id)
+        channel = self._by_id.get(frame.id - _FEEDBACK_BASE)
         if channel is not None and len(frame.payload) == 8:
             channel.feed(frame.payload, stamp_ns)
 
     @property
     def sample(self) -> Sample | None:
-        channels = self._channels
-        stamp_ns = oldest(channel.stamp_ns for channel in channels)
-        if stamp_ns is None:
-            return None
-        to_speed = _RPM / self._gear_ratio
-        to_angle = math.tau / _ANGLES / self._gear_ratio
-        return Sample(
-            stamp_ns,
-            four(channel.rpm * to_speed for channel in channels),
-            four(channel.turned() * to_angle for channel in channels),
-            four(channel.current * self._amperes for channel in channels),
-            four(channel.temperature_degc for channel in channels),
-        )
-
-    @property
-    def errors(self) -> Sequence[str]:
-        limit = self._settings.temperature_limit_degc
-        return [
-            f"motor {number} of wheel {WHEEL_NAMES[wheel]} has {channel.temperature_degc} °C, more than "
-            f"device.motors.temperature_limit_degc = {limit:g}"
-            for number, channel, wheel in zip(
-                self._settings.ids, self._channels, self._robot.wheel_of_channel, strict=True
-            )
-            if channel.temperature_degc > limit
-        ]
-
-    def restart(self) -> None:
-        super().restart()
         for channel in self._channels:
-            channel.stamp_ns = None
+            channel.unwrap()
+        return super().sample
+
+    def _problems(self, channel: _Channel) -> Sequence[str]:
+        limit = self._settings.temperature_limit_degc
+        if not channel.temperature_degc > limit:
+            return ()
+        return (f"has {channel.temperature_degc} °C, more than device.motors.temperature_limit_degc = {limit:g}",)
 
 
 class _Probe(Probe):
@@ -270,12 +200,8 @@ class _Probe(Probe):
         return True
 
     def found(self) -> Found | None:
-        if not self._ids:
-            return None
-        ids = sorted(self._ids)
-        sentences = [f"a C620 or C610 with the id {number}" for number in ids]
         unknown = ("device.motors.controller", "device.motors.gear_ratio", "firmware.torque_constant_n_m_a")
-        return Found(sentences, {"ids": ids} if len(ids) == 4 else None, unknown=unknown)
+        return found_by_id({number: f"a C620 or C610 with the id {number}" for number in self._ids}, unknown)
 
 
 _NO_CURRENT = (0, 0, 0, 0)
