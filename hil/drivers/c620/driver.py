@@ -8,7 +8,7 @@ The controllers have no arming, version or error message. A controller is presen
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from struct import Struct
 from typing import Annotated, Literal, NamedTuple
@@ -179,11 +179,9 @@ class C620(FourMotors[Settings, _Channel]):
             channel.unwrap()
         return super().sample
 
-    def _problems(self, channel: _Channel) -> Sequence[str]:
-        limit = self._settings.temperature_limit_degc
-        if not channel.temperature_degc > limit:
-            return ()
-        return (f"has {channel.temperature_degc} °C, more than device.motors.temperature_limit_degc = {limit:g}",)
+    def _problems(self, channel: _Channel) -> Iterable[str]:
+        if channel.temperature_degc > (limit := self._settings.temperature_limit_degc):
+            yield f"has {channel.temperature_degc} °C, more than device.motors.temperature_limit_degc = {limit:g}"
 
 
 class _Probe(Probe):
