@@ -85,7 +85,7 @@ def test_a_viewer_that_is_absent_frozen_killed_and_restarted_costs_no_row(tmp_pa
         def put(begin: int, end: int) -> None:
             for row in rows[begin:end]:
                 recording.put(row)
-            wait_for(lambda: recording.rows_saved == end)
+            wait_for(lambda: recording.ring.saved == end)
 
         put(0, 3000)
         with receiving(port, tmp_path / "first.rrd") as (first, received):

@@ -40,7 +40,7 @@ def rotated(tmp_path_factory: pytest.TempPathFactory) -> Path:
     with Recording(path, properties={}, blocking=True, rotation=ROTATION) as recording:
         for tick, row in enumerate(circle_rows(500)):
             if tick % 200 == 0:
-                wait_for(lambda tick=tick: recording.rows_saved == tick)
+                wait_for(lambda tick=tick: recording.ring.saved == tick)
                 recording.event(row[0], "info", f"tick {tick}")
             recording.put(row)
         report = recording.finish({"passed": True})
@@ -102,7 +102,7 @@ def test_parts_that_are_removed_in_mid_run_are_counted_as_lost(tmp_path: Path) -
         recording.event(0.0, "info", "in the first part")
         for tick, row in enumerate(circle_rows(900)):
             if tick == 500:
-                wait_for(lambda: recording.rows_saved == 500)
+                wait_for(lambda: recording.ring.saved == 500)
                 shutil.rmtree(path.parent)
             recording.put(row)
         report = recording.finish({"passed": True})
@@ -283,7 +283,7 @@ def test_a_config_of_more_than_a_pipe_holds_reaches_a_recorder_that_was_restarte
         os.kill(recording.pid, signal.SIGKILL)
         for row in circle_rows(300):
             recording.put(row)
-        wait_for(lambda: recording.rows_saved == 300)
+        wait_for(lambda: recording.ring.saved == 300)
         assert recording.restarts == 1
         assert recording.finish({}).complete
 

@@ -15,9 +15,8 @@ import pytest
 from hil.core.errors import BadInputError, DeviceError
 from hil.core.signals import SIGNAL_NAMES
 from hil.record import Recording, RecordingReport, check_output_path, early_recorder, ring_process, rotation
-from hil.record.environment import rerun_environment
 from hil.record.files import numbered_path
-from hil.record.started_process import StartedProcess
+from hil.record.started_process import StartedProcess, rerun_environment
 from hil.review import Event, figures, read
 from hil.review.decode import decode
 from tests.processes import wait_for
@@ -122,7 +121,7 @@ def test_a_recorder_that_is_killed_is_restarted_and_nothing_is_lost(tmp_path: Pa
         recording.event(0.1, "info", "before")
         for row in rows[:2000]:
             recording.put(row)
-        wait_until(lambda: recording.rows_saved >= 1000)
+        wait_until(lambda: recording.ring.saved >= 1000)
         os.kill(recording.pid, signal.SIGKILL)
         recording.event(2.0, "info", "meanwhile")
         for row in rows[2000:]:
@@ -149,7 +148,7 @@ def test_the_run_goes_on_when_the_recorder_dies_again_and_again(
     with record(tmp_path / "run.mcap", capacity=2048) as recording:
         for row in rows[:1500]:
             recording.put(row)
-        wait_until(lambda: recording.rows_saved >= 1000)
+        wait_until(lambda: recording.ring.saved >= 1000)
         for restarts in (0, 1):
             wait_until(lambda restarts=restarts: recording.restarts == restarts)  # type: ignore[misc]
             os.kill(recording.pid, signal.SIGKILL)
@@ -206,7 +205,7 @@ def test_a_folder_that_is_removed_costs_its_rows_and_no_more(tmp_path: Path) -> 
     with record(folder / "run.mcap", blocking=False) as recording:
         for row in rows[:1000]:
             recording.put(row)
-        wait_until(lambda: recording.rows_saved == 1000)
+        wait_until(lambda: recording.ring.saved == 1000)
         shutil.rmtree(folder)
         for row in rows[1000:]:
             recording.put(row)

@@ -17,7 +17,7 @@ from typing import IO, NamedTuple, Protocol
 
 from hil.batch.job import LOST, Job, Outcome, plain
 from hil.core.subprocesses import away_from_terminal, excess, module_command
-from hil.record.environment import rerun_environment
+from hil.record.started_process import rerun_environment
 
 READY = "ready\n"
 """A worker process writes this after its imports; only then the time limit of its first job begins."""

@@ -10,10 +10,10 @@ import sys
 import time
 from typing import TYPE_CHECKING
 
-from hil.record.environment import WITH_RERUN, refuse_pandas
 from hil.record.ring import RingReader
 from hil.record.ring_child import Record, RefusedError, run
 from hil.record.run_files import BATCH_ROWS, RunFiles
+from hil.record.started_process import WITH_RERUN, refuse_pandas
 
 if TYPE_CHECKING:
     from hil.record.stream import LiveServer
@@ -62,13 +62,12 @@ class Recorder:
 
     def line(self, record: Record) -> None:
         """Write a line of the event log to the files and to live viewers."""
-        t_s, level, text = record["event"]
         if self._files is not None:
-            self._files.event(t_s, level, text)
+            self._files.event(*record["event"])
         else:
             self._ring.add_lines_saved(1)
         if self._live is not None:
-            self._live.event(t_s, level, text)
+            self._live.event(*record["event"])
 
     def finish(self, summary: Record | None) -> Record:
         """Write the rows still in the ring, close the file and return the report; live viewers are still served."""
@@ -81,12 +80,10 @@ class Recorder:
         if self._live is not None:
             self._live.finish(summary, {"rows_written": self._ring.saved, "rows_dropped": self._ring.dropped})
             self._live_error = self._live.error
-        return {
-            "rows_written": self._ring.saved,
-            "trouble": None if self._files is None else self._files.trouble,
-            "error": None if self._files is None else self._files.summary_trouble,
-            "live_error": self._live_error,
-        }
+        report: Record = {"rows_written": self._ring.saved, "live_error": self._live_error}
+        if self._files is not None:
+            report |= {"trouble": self._files.trouble, "error": self._files.summary_trouble}
+        return report
 
     def close(self) -> None:
         """Stop serving live viewers."""
@@ -128,12 +125,7 @@ def _open_live(config: Record) -> "LiveServer":
     except ImportError as error:
         raise RefusedError(f"live port {port}: {error}; install rerun-sdk==0.41.*, or run without --live") from error
     try:
-        return LiveServer(
-            port,
-            recording_id=config["recording_id"],
-            signals=config["signals"],
-            properties=config["properties"],
-        )
+        return LiveServer(port, **{name: config[name] for name in ("recording_id", "signals", "properties")})
     except (RuntimeError, OSError) as error:
         reason = getattr(error, "strerror", None) or str(error)
         raise RefusedError(

@@ -1,22 +1,20 @@
-"""The run's side of a recording: starts the recorder process, sends it rows, and receives its report."""
+"""The run's side of a recording: starts the recorder process, sends it rows and events, and receives its report."""
 
 import time
 import uuid
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from types import TracebackType
-from typing import Any, Protocol, Self
+from typing import Any, Protocol
 
 from hil.core.outputs import Existing, claim, release
 from hil.core.signals import SIGNAL_NAMES
-from hil.record.environment import WITH_RERUN, rerun_environment
 from hil.record.files import Rotation, check_output_path, numbered_path
 from hil.record.ring import Kept
 from hil.record.ring_process import RingProcess
-from hil.record.started_process import StartedProcess
+from hil.record.started_process import WITH_RERUN, StartedProcess, rerun_environment
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,8 +52,8 @@ class RecordingReport:
         return self.error is None and not (self.rows_dropped or self.rows_lost or self.events_lost)
 
 
-class RunRecording(Protocol):
-    """The part of ``Recording`` that a run uses; a context manager."""
+class RunRecording(AbstractContextManager["RunRecording"], Protocol):
+    """The part of ``Recording`` that a run uses."""
 
     @property
     def path(self) -> Path | None:
@@ -69,12 +67,6 @@ class RunRecording(Protocol):
 
     def finish(self, summary: Mapping[str, object], *, keep_live: bool = False) -> RecordingReport:
         """Write the remaining rows and the summary, and return the report."""
-
-    def __enter__(self) -> Self: ...
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None: ...
 
 
 def _start_recorder(suffix: str | None, *, live: bool) -> StartedProcess:
@@ -97,7 +89,7 @@ def early_recorder(suffix: str | None, *, live: bool = False) -> Iterator[Callab
         yield partial(Recording, started=started)
 
 
-class Recording:
+class Recording(RingProcess):
     """A sink that records in a separate process; a context manager.
 
     The constructor returns when the recorder is ready: after half a second, or sooner if it was ``started`` before. If
@@ -143,7 +135,7 @@ class Recording:
             path = claim("recording", path, existing)
         self.path = path
         self._live_port = live_port
-        self._report: RecordingReport | None = None
+        self._result: RecordingReport | None = None
         config = {
             "path": None if path is None else str(path.absolute()),
             "live_port": live_port,
@@ -154,7 +146,7 @@ class Recording:
             "rotate": list(rotation),
         }
         try:
-            self._process = RingProcess(
+            super().__init__(
                 started or _start_recorder(None if path is None else path.suffix, live=live_port is not None),
                 config,
                 width=len(signals),
@@ -168,31 +160,10 @@ class Recording:
             if path is not None:
                 release(path, existing)
             raise
-        self.put = self._process.put
-
-    @property
-    def pid(self) -> int:
-        """Process id of the recorder; after a restart, that of the newest."""
-        return self._process.pid
-
-    @property
-    def rows_saved(self) -> int:
-        """Number of rows that are safe in a file so far."""
-        return self._process.rows_saved
-
-    @property
-    def rows_dropped(self) -> int:
-        """Number of rows discarded so far because the ring was full."""
-        return self._process.rows_dropped
-
-    @property
-    def restarts(self) -> int:
-        """How often the recorder was started again so far."""
-        return self._process.restarts
 
     def event(self, t_s: float, level: str, text: str) -> None:
         """Add a line to the event log; ``level`` is debug, info, warning or error. Never waits."""
-        self._process.send({"event": [t_s, level, text]})
+        self.send({"event": [t_s, level, text]})
 
     def finish(self, summary: Mapping[str, object], *, keep_live: bool = False) -> RecordingReport:
         """Write the rows that are still in the ring, then the summary; close the file and return the report.
@@ -200,52 +171,39 @@ class Recording:
         If the recorder process died, the report says so; no exception is raised. With ``keep_live`` live viewers are
         still served after that, until ``close``.
         """
-        if self._report is None:
+        if self._result is None:
             keep_live = keep_live and self._live_port is not None
-            self._report = self._make_report(self._process.finish({"finish": dict(summary), "keep_live": keep_live}))
+            self._result = self._make_report(self.end(summary, keep_live=keep_live))
             if not keep_live:
                 self.close()
-        return self._report
-
-    def close(self) -> None:
-        """End the recorder, with or without a summary, and free everything. Closing twice is allowed."""
-        self._process.close()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
+        return self._result
 
     def _make_report(self, reply: Mapping[str, Any]) -> RecordingReport:
-        process = self._process
-        kept = {} if self.path is None else process.files
+        kept = {} if self.path is None else self.ring.files()
         paths = {} if self.path is None else {number: numbered_path(self.path, number) for number in kept}
         gone = [number for number, path in paths.items() if not path.exists()]
         rows_gone, events_gone = sum(kept[number].rows for number in gone), sum(kept[number].lines for number in gone)
-        written = process.rows_saved - rows_gone
-        lost = 0 if self.path is None else process.rows_accepted - written
-        events_lost = process.lines_lost + events_gone
-        troubles = [f"the recorder ended: {trouble}" for trouble in process.troubles]
+        written = self.ring.saved - rows_gone
+        lost = 0 if self.path is None else self.ring.head - written
+        events_lost = self.lines_lost + events_gone
+        troubles = [f"the recorder ended: {trouble}" for trouble in self.troubles]
         if reply.get("trouble"):
             troubles.append(reply["trouble"])
         if rows_gone or events_gone:
             names = ", ".join(paths[number].name for number in gone)
             troubles.append(f"{names}: removed or moved away, with {rows_gone} rows and {events_gone} events")
-        missing = lost or process.rows_dropped or events_lost
+        missing = lost or self.ring.dropped or events_lost
         why = "; ".join(dict.fromkeys(troubles)) if missing else None
         return RecordingReport(
             path=self.path,
-            rows_put=process.rows_accepted + process.rows_dropped,
+            rows_put=self.ring.head + self.ring.dropped,
             rows_written=written,
-            rows_dropped=process.rows_dropped,
+            rows_dropped=self.ring.dropped,
             rows_lost=lost,
             events_lost=events_lost,
             error=reply.get("error") or reply.get("live_error") or why or None,
             parts=tuple(path for number, path in paths.items() if number not in gone),
-            restarts=process.restarts,
+            restarts=self.restarts,
             troubles=(*troubles, *self._left_alone(kept)),
         )
 

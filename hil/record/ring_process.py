@@ -1,8 +1,8 @@
-"""A separate process that writes or sends a run's data: rows come through a ring, lines through a pipe.
+"""A separate process that writes or sends a run's data: rows go to it through a ring, lines through a pipe.
 
-Without ``blocking`` it cannot delay a tick: a row that finds the ring full is dropped. If the run dies, the process
-finishes its file by itself. If the process dies, the run goes on, and with ``restart`` a new process replaces it:
-unsaved rows are still in the ring, and unsaved lines are sent again. ``hil.record.ring_child`` is the other side.
+If the run dies, the process finishes its file by itself. If the process dies, the run goes on, and with ``restart`` a
+new process replaces it: unsaved rows are still in the ring, and unsaved lines are sent again. ``hil.record.ring_child``
+is the other side.
 """
 
 import os
@@ -11,11 +11,11 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable, Mapping
-from typing import Any, cast
+from typing import Any, Self, cast
 
 from hil.core.errors import BadInputError, DeviceError
 from hil.core.subprocesses import start_children_as_ordinary
-from hil.record.ring import Kept, RingWriter, Row, ring_bytes
+from hil.record.ring import RingWriter, Row, ring_bytes
 from hil.record.started_process import StallTimeout, StartedProcess
 
 _STALL_WAITS = 60_000  # of 0.5 ms, without any progress of the other process: about 30 s
@@ -28,12 +28,14 @@ _LONG_LIFE_S = 60.0  # after a longer life the starts are counted from one again
 
 
 class RingProcess:
-    """Sends rows and lines to a ``StartedProcess`` and receives its report. The constructor returns when it is ready.
+    """Sends rows and lines to a ``StartedProcess`` and receives its report; a context manager.
+
+    The constructor returns when the process is ready. Without ``blocking`` the process cannot delay a tick.
 
     Args:
         config: settings of the process, as JSON values.
         blocking: ``put`` waits while the ring is full (for lockstep); otherwise it drops the row and counts it.
-        name: of the process, for messages. remedy: what the messages advise the user to do.
+        name: the process's name in messages. remedy: what the messages advise the user to do.
         restart: start another process when this one dies, at most six times in a row, after a pause of 0.1 s that
             doubles each time; its config then has ``restarts`` above 0.
 
@@ -41,6 +43,7 @@ class RingProcess:
 
     Attributes:
         put: takes one row; raises struct.error when its width is wrong.
+        ring: the ring; it counts the rows that were put, saved and dropped.
         restarts: how often the process was started again.
         troubles: for each process that died, how it ended, as text.
     """
@@ -61,12 +64,10 @@ class RingProcess:
         self._waits = blocking
         self._restart = restart
         self._child = started
-        self._block = started.block
         size = ring_bytes(capacity, width)
-        self._block.allocate(size)
-        self._ring = RingWriter(self._block, capacity, width, self._put_later)
-        self.put = cast(Callable[[Row], None], self._ring.try_put)
-        self._config = {**config, "block": self._block.token, "block_bytes": size, "parent_pid": os.getpid()}
+        self.ring = RingWriter(started.block.allocate(size), capacity, width, self._put_later)
+        self.put = cast(Callable[[Row], None], self.ring.try_put)
+        self._config = {**config, "block": started.block.token, "block_bytes": size, "parent_pid": os.getpid()}
         self._swap = threading.Lock()  # held while lines are sent, and while the process is replaced
         self._unsent: deque[Mapping[str, object]] = deque()
         self._unsaved: deque[Mapping[str, object]] = deque()
@@ -99,47 +100,28 @@ class RingProcess:
         return self._child.process.pid
 
     @property
-    def rows_accepted(self) -> int:
-        """Rows that found room in the ring."""
-        return self._ring.head
-
-    @property
-    def rows_saved(self) -> int:
-        """Rows that are safe in a file so far."""
-        return self._ring.saved
-
-    @property
-    def rows_dropped(self) -> int:
-        """Rows that were dropped because the ring was full."""
-        return self._ring.dropped
-
-    @property
-    def files(self) -> dict[int, Kept]:
-        """How much is in each file, by the file's number from 1; a number that was skipped is left out."""
-        return self._ring.files()
-
-    @property
     def lines_lost(self) -> int:
         """Lines that are not known to be safe, including those that are still being sent."""
         with self._swap:
             self._send_unsent()
-            return self._lines_dropped + len(self._unsaved) + self._ring.lines_lost
+            return self._lines_dropped + len(self._unsaved) + self.ring.lines_lost
 
     def send(self, record: Mapping[str, object]) -> None:
         """Send a line. Never waits, neither for the process nor for its restart."""
         self._unsent.append(record)
         self._send_waiting()
 
-    def finish(self, record: Mapping[str, object]) -> dict[str, Any]:
-        """Send ``record`` as the last line and return the process's report.
+    def end(self, summary: Mapping[str, object], *, keep_live: bool = False) -> dict[str, Any]:
+        """Send the last line, with the run's summary, and return the process's report.
 
-        Never raises for a process that died: the report then has ``error`` alone.
+        With ``keep_live`` the process serves live viewers until ``close``. If the process died, the report has
+        ``error`` alone; no exception is raised.
         """
         with self._swap:
             self._send_unsent()
-            self._last_line = record
+            self._last_line = {"finish": dict(summary), "keep_live": keep_live}
             if self._ready:
-                self._child.lines.send(record, always=True)
+                self._child.lines.send(self._last_line, always=True)
         return self._report() or {"error": f"{self._name} ended before the run: {self.troubles[-1]}"}
 
     def close(self) -> None:
@@ -152,8 +134,14 @@ class RingProcess:
             self._child.process.kill()
             self._keeper.join()
         self._child.close()
-        self._ring.close()
-        self._block.close()
+        self.ring.close()
+        self._child.block.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
 
     def _send_config(self) -> None:
         self._child.lines.send({**self._config, "restarts": self.restarts}, always=True)
@@ -170,7 +158,7 @@ class RingProcess:
                     return {}
             with self._swap:
                 flushed = self._child.lines.flush()
-            if not stall.wait((flushed, self._ring.tail, self.restarts)):
+            if not stall.wait((flushed, self.ring.tail, self.restarts)):
                 self._restart = False
                 self._child.process.kill()
 
@@ -255,16 +243,16 @@ class RingProcess:
             self._closing.wait(_FLUSH_PERIOD_S)
 
     def _forget_saved_lines(self) -> None:
-        while self._unsaved and self._lines_seen_saved < self._ring.lines_saved:
+        while self._unsaved and self._lines_seen_saved < self.ring.lines_saved:
             self._unsaved.popleft()
             self._lines_seen_saved += 1
 
     def _put_later(self, row: Row) -> bool:
         """With ``blocking`` wait for room; otherwise, or when the process stalls, drop the row and count it."""
         stall = StallTimeout(_STALL_WAITS)
-        while self._waits and not self._gone.is_set() and stall.wait((self._ring.tail, self.restarts)):
-            if not self._ring.full:
-                return self._ring.try_put(row)
+        while self._waits and not self._gone.is_set() and stall.wait((self.ring.tail, self.restarts)):
+            if not self.ring.full:
+                return self.ring.try_put(row)
         self._waits = False
-        self._ring.count_dropped()
+        self.ring.count_dropped()
         return False

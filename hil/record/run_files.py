@@ -95,7 +95,8 @@ class RunFiles:
             end = start + len(rows)
             if self._write(lambda file, rows=rows: file.rows(rows)):  # type: ignore[misc]
                 self._ring.release(end)
-                self._end_by_size()
+                if (size_bytes := self._rotation.size_bytes) is not None and _size_bytes(self._file_path) >= size_bytes:
+                    self._end()
             elif self._ring.head - start > self._ring.capacity // 2:
                 self._ring.give_up(end)
             else:
@@ -141,12 +142,14 @@ class RunFiles:
         return counts if next_number is None else {**counts, "next_part": next_number}
 
     def _write(self, write: Callable[[RunFile], None], *, flush: bool = True) -> bool:
-        """Write waiting events to the file, then call ``write`` with it; False when that failed."""
-        if self._file is None and not self._opened():
+        """Write waiting events to the file, then call ``write`` with it; False when that failed.
+
+        Without a file the next one is opened first, unless the pause after the last failure is not over.
+        """
+        if self._file is None and time.monotonic() < self._next_try_s:
             return False
-        file = self._file
-        assert file is not None
         try:
+            file = self._file or self._open()
             for event in self._events:
                 file.event(*event)
             write(file)
@@ -160,18 +163,7 @@ class RunFiles:
         self._events.clear()
         return True
 
-    def _opened(self) -> bool:
-        """Open the next file, unless the pause after the last failure is not over; return whether it is open."""
-        if time.monotonic() < self._next_try_s:
-            return False
-        try:
-            self._open()
-        except (RuntimeError, OSError) as error:
-            self._give_up(error)
-            return False
-        return True
-
-    def _open(self) -> None:
+    def _open(self) -> RunFile:
         number = self._next_number()
         path = numbered_path(self._path, number)
         if number > 1:
@@ -192,13 +184,14 @@ class RunFiles:
         if number > 1:
             path.open("xb").close()
         try:
-            self._file = _open_file(path, self._config, part)
+            self._file = file = _open_file(path, self._config, part)
         except (RuntimeError, OSError):
             release(path)
             raise
         self._ring.begin_file(number)
         self._identity = _identity(path)
         self._file_path = path
+        return file
 
     def _next_number(self) -> int:
         """Return the number of the next file; a number whose file exists is skipped: that file is another run's."""
@@ -237,11 +230,6 @@ class RunFiles:
             self._begun_s = float(t_s[0])
         return rows[: max(1, int(np.searchsorted(t_s - self._begun_s, duration_s)))]
 
-    def _end_by_size(self) -> None:
-        size_bytes = self._rotation.size_bytes
-        if size_bytes is not None and _size_bytes(self._file_path) >= size_bytes:
-            self._end()
-
     def _end(self) -> None:
         """Close the file, unless ``MOST_FILES`` is reached; the next rows open the next file."""
         if self._ring.file_number < MOST_FILES:
@@ -251,6 +239,7 @@ class RunFiles:
 
 
 def _identity(path: Path) -> tuple[int, int] | None:
+    """Return device and inode number of the file; None when there is none."""
     try:
         status = path.stat()
     except OSError:
@@ -266,22 +255,15 @@ def _size_bytes(path: Path) -> int:
 
 
 def _open_file(path: Path, config: Record, part: Mapping[str, object]) -> RunFile:
+    columns = {name: config[name] for name in ("signals", "properties")}
     if path.suffix == ".mcap":
         from hil.record.mcap_file import McapFile
 
-        zero_ns = int(config["zero_unix_ns"])
-        return McapFile(path, zero_ns, signals=config["signals"], properties=config["properties"], part=part)
+        return McapFile(path, int(config["zero_unix_ns"]), part=part, **columns)
     # Only here, and for live viewers: a machine for which there is no rerun records to .mcap.
     import rerun as rr
 
     from hil.record.stream import Stream
 
     rr.set_strict_mode(True)
-    return Stream(
-        rr.FileSink(path),
-        recording_id=config["recording_id"],
-        signals=config["signals"],
-        properties=config["properties"],
-        live=False,
-        part=part,
-    )
+    return Stream(rr.FileSink(path), recording_id=config["recording_id"], live=False, part=part, **columns)

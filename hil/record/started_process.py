@@ -1,4 +1,4 @@
-"""A child process that runs one of our modules, started before its task is known, and a timeout for waits on it."""
+"""A child process that runs one of our modules, started before its task is known; its environment; a timeout."""
 
 import subprocess
 import sys
@@ -8,8 +8,35 @@ from collections.abc import Mapping
 from typing import Self
 
 from hil.core.json_lines import LineReader, LineWriter
-from hil.core.subprocesses import away_from_terminal, module_command
+from hil.core.subprocesses import away_from_terminal, child_environment, module_command
 from hil.record.ring import SharedBlock
+
+WITH_RERUN = "rerun"
+"""Argument of the recorder process: import rerun at once, before the config comes."""
+
+
+def rerun_environment() -> dict[str, str]:
+    """Return environment variables with which a child finds our packages, without the user's settings for rerun.
+
+    A setting such as RERUN=0 would leave a recording empty.
+    """
+    kept = {name: value for name, value in child_environment().items() if not name.startswith("RERUN")}
+    return kept | {"RUST_LOG": "error"}
+
+
+class _WithoutPandas:
+    @staticmethod
+    def find_spec(name: str, _path: object = None, _target: object = None) -> None:
+        if name == "pandas":
+            raise ModuleNotFoundError("this process needs no pandas", name=name)
+
+
+def refuse_pandas() -> None:
+    """Make every import of pandas fail in this process, which saves 0.2 s. Call it only in our own child processes.
+
+    pyarrow imports pandas, where it is installed, only to check whether its arguments are pandas tables.
+    """
+    sys.meta_path.insert(0, _WithoutPandas)
 
 
 class StallTimeout:

@@ -9,8 +9,7 @@ import socket
 import sys
 import time
 from collections.abc import Iterator, Sequence
-from types import TracebackType
-from typing import Any, Self
+from typing import Any
 
 from hil.core.subprocesses import child_environment
 from hil.estimation.localisation.message import parse_address
@@ -37,7 +36,7 @@ def parse_destination(url: str) -> tuple[str, int]:
     return parse_address(url, "--stream", expected)
 
 
-class UdpStream:
+class UdpStream(RingProcess):
     """A sink that sends about 100 rows per second of scenario time as JSON, in a separate process; a context manager.
 
     With ``blocking`` (for lockstep) ``put`` waits while the ring is full; otherwise it drops the row and counts it.
@@ -48,7 +47,7 @@ class UdpStream:
     def __init__(self, destination: tuple[str, int], *, signals: Sequence[str], blocking: bool) -> None:
         self._destination = destination
         self._figures: dict[str, Any] | None = None
-        self._process = RingProcess(
+        super().__init__(
             StartedProcess("hil.record.udp", child_environment()),
             {"host": destination[0], "port": destination[1], "signals": list(signals)},
             width=len(signals),
@@ -58,15 +57,6 @@ class UdpStream:
             remedy="run without --stream to go on",
         )
 
-    @property
-    def pid(self) -> int:
-        """Process id of the sender."""
-        return self._process.pid
-
-    def put(self, row: tuple[float, ...]) -> None:
-        """Take one row in the order of the signals."""
-        self._process.put(row)
-
     def finish(self) -> dict[str, Any]:
         """Send the remaining rows, end the process and return its counts; never raises for a process that died.
 
@@ -75,25 +65,16 @@ class UdpStream:
         receiver that is too slow sees its own losses in ``sequence``.
         """
         if self._figures is None:
-            process = self._process
-            reply = process.finish({"finish": {}, "keep_live": False})
+            reply = self.end({})
             self._figures = {
                 "url": "udp://{}:{}".format(*self._destination),
                 "sent": reply.get("sent"),
                 "lost": reply.get("lost"),
-                "rows_dropped": process.rows_dropped,
+                "rows_dropped": self.ring.dropped,
                 "error": reply.get("error") or reply.get("why"),
             }
-            process.close()
+            self.close()
         return self._figures
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.finish()
 
 
 class UdpSender:

@@ -16,9 +16,9 @@ from typing import Any
 import numpy as np
 
 from hil.core.errors import BadInputError
-from hil.record.environment import refuse_pandas
 from hil.record.files import check_is_recording, later_files
 from hil.record.properties import PART_PROPERTY, RECORDER_PROPERTY, RUN_PROPERTY, SIGNALS_PROPERTY, SUMMARY_PROPERTY
+from hil.record.started_process import refuse_pandas
 from hil.review.contents import CLOCK, CUT_BEFORE_ROWS, Contents, DamagedError, Selection, Series, check_plausible
 from hil.review.decode_rrd import decode_rrd
 

@@ -20,10 +20,10 @@ from hil.core.outputs import Existing, whole_file
 from hil.core.signals import unit_of
 from hil.core.subprocesses import module_command
 from hil.core.types import WHEEL_NAMES
-from hil.record.environment import rerun_environment
 from hil.record.files import check_output_path
 from hil.record.layout import REFERENCE_COLOUR
 from hil.record.properties import OVERLAY_PROPERTY
+from hil.record.started_process import rerun_environment
 from hil.review.difference import changes
 from hil.review.plots import Curve, colour_of, thinned
 from hil.review.reader import RecordedRun, read

@@ -16,8 +16,8 @@ import numpy.typing as npt
 
 from hil.core.errors import BadInputError
 from hil.core.subprocesses import module_command
-from hil.record.environment import rerun_environment
 from hil.record.files import EXPECTED_FILE, check_is_recording
+from hil.record.started_process import rerun_environment
 
 if TYPE_CHECKING:
     import pandas as pd

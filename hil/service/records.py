@@ -27,7 +27,7 @@ class Records:
     @property
     def rows_dropped(self) -> int:
         """Number of rows that recordings have dropped since the service began."""
-        return self._dropped + (0 if self._recording is None else self._recording.rows_dropped)
+        return self._dropped + (0 if self._recording is None else self._recording.ring.dropped)
 
     def begin(self, recording: Recording) -> None:
         """Record from the next row on."""
@@ -37,7 +37,7 @@ class Records:
         """Stop recording; return the recording for ``finished``, or None."""
         recording, self._recording = self._recording, None
         if recording is not None:
-            self._dropped += recording.rows_dropped
+            self._dropped += recording.ring.dropped
         return recording
 
     def finish(self) -> None:

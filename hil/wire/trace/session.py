@@ -132,10 +132,10 @@ class Trace:
         """Write the rest, end the process and return the report; raises no error for a writer that died."""
         if self._report is None:
             process = self._process
-            reply = process.finish({"finish": {}, "keep_live": False})
-            written = int(reply["rows_written"]) if "rows_written" in reply else process.rows_saved
+            reply = process.end({})
+            written = int(reply["rows_written"]) if "rows_written" in reply else process.ring.saved
             self._report = TraceReport(
-                self._path, written, process.rows_dropped, process.rows_accepted - written, reply.get("error")
+                self._path, written, process.ring.dropped, process.ring.head - written, reply.get("error")
             )
             process.close()
         return self._report
