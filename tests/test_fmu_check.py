@@ -10,8 +10,8 @@ import pytest
 from fmpy.fmi2 import FMU2Slave
 from fmpy.fmi3 import FMU3Slave
 
-from hil.plant.conformance.findings import Kind
-from hil.plant.conformance.order import PARTS, title
+from hil.plant.conformance import Kind
+from hil.plant.conformance.parts import PARTS, title
 from hil.plant.tools import CheckResult, check
 from tests.broken_fmu import HEADERS, HERE, Change, lag
 from tests.plant_testbed import FMU

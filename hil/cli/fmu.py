@@ -110,7 +110,7 @@ def _print_fmu(info: "FmuInfo") -> None:
 
 def _print_check(fmu: Path, result: "CheckResult") -> None:
     """Print the parts of a check as a table, then its findings, violations of the standard first."""
-    from hil.plant.conformance.findings import Kind
+    from hil.plant.conformance import Kind
 
     rows = []
     for part in result.parts:

@@ -14,7 +14,7 @@ from hil.core.errors import BadInputError
 from hil.core.subprocesses import DEFAULT_LIMIT_MB
 from hil.plant import archive, shim
 from hil.plant.child_output import one_line
-from hil.plant.conformance.findings import Finding, Kind, advice, violation
+from hil.plant.conformance import Finding, Kind, advice, violation
 from hil.plant.description import read_description
 from hil.plant.process import THERE_S, ChildProcess, Watch
 
@@ -65,7 +65,7 @@ def check(fmu: Path, longest_s: float = _LONGEST_CALL_S) -> CheckResult:
     shim.load()  # the child needs it: raise here what is missing
     from fmpy.validation import validate_fmu
 
-    from hil.plant.conformance.order import PARTS, title
+    from hil.plant.conformance.parts import PARTS, title
 
     names = [title(part) for part in PARTS]
     folder = archive.extract(fmu)
@@ -99,7 +99,7 @@ class _Job:
 
 def _run(job: _Job, names: Sequence[str]) -> list[Part]:
     """Run the parts in child processes, a new one after each crash."""
-    from hil.plant.conformance.order import GATES, title
+    from hil.plant.conformance.parts import GATES, title
 
     gates = [title(part) for part in GATES]
     parts: list[Part] = []
@@ -113,7 +113,7 @@ def _run(job: _Job, names: Sequence[str]) -> list[Part]:
 
 def _run_child(job: _Job, todo: Sequence[str]) -> list[Part]:
     """Run the parts ``todo`` until one ends the process; return those that began, at least one."""
-    from hil.plant.conformance.order import ADVISORY, title
+    from hil.plant.conformance.parts import ADVISORY, title
 
     progress = _Progress()
     received = 0

@@ -9,46 +9,43 @@ from pathlib import Path
 
 from fmpy.fmi1 import FMICallException
 
-from hil.plant.conformance.findings import Kind
-from hil.plant.conformance.order import GATES, PARTS, title
-from hil.plant.conformance.slave import DISCARD, InstantiationError, Model, NotTestedError, Slave
-from hil.plant.conformance.versions import Slave2, Slave3
+from hil.plant.conformance import Kind
+from hil.plant.conformance.parts import GATES, PARTS, title
+from hil.plant.conformance.slave import DISCARD, InstantiationError, Model, NotTestedError
 from hil.plant.process import Parent
-
-SLAVES: dict[str, type[Slave]] = {"2.0": Slave2, "3.0": Slave3}
 
 
 def main() -> None:
-    """Run the parts that were asked for, up to one that nothing can follow."""
+    """Run the requested parts. When one of GATES fails, the later ones are not run."""
     parent = Parent()
     report = parent.send
     job = parent.receive()
     library = Path(job["library"])
-    os.chdir(library.parent)  # some libraries look for others where they are
-    model = Model(Path(job["fmu"]), parent.scratch, library, SLAVES[job["version"]], report)
+    os.chdir(library.parent)  # some libraries look for others in the working directory
+    model = Model(Path(job["fmu"]), parent.scratch, library, job["version"], report)
     for part in PARTS:
         if title(part) not in job["parts"]:
             continue
         report(part=title(part))
-        failed = False
+        failed = True
         try:
+            findings = 0
             for finding in part(model):
-                failed = True
+                findings += 1
                 report(kind=finding.kind, found=finding.text)
+            failed = findings > 0
         except NotTestedError as reason:
+            failed = False
             report(skipped=str(reason))
         except FMICallException as error:
-            failed = True
-            # A call may be discarded: the FMU is as it was. But nobody here tries another one then.
-            kind = Kind.NEED if error.status == DISCARD else Kind.VIOLATION
-            report(kind=kind, found=model.explain(error))
+            # The standard lets an FMU discard a call, but a run would not try another one.
+            report(kind=Kind.NEED if error.status == DISCARD else Kind.VIOLATION, found=model.explain(error))
         except InstantiationError as error:
-            failed = True
             report(kind=Kind.VIOLATION, found=str(error))
         report(done=True)
         if failed and part in GATES:
             break
-    report(trying="", doing="at its exit")  # for which the FMU may have registered something
+    report(trying="", doing="at its exit")  # the FMU may have registered functions that run then
 
 
 if __name__ == "__main__":

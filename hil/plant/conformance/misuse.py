@@ -1,4 +1,4 @@
-"""What an importer must not do, and an FMU had better refuse: what is found here is advice.
+"""Illegal calls and values, which an FMU should refuse: what is found here is advice.
 
 FMI 3.0.1 section 2.2.3 asks for an error where the FMU detects an illegal call or argument, not that it detects each.
 The FMU may crash here: each attempt is announced first.
@@ -8,38 +8,39 @@ import ctypes
 import math
 from collections.abc import Callable, Iterator
 from functools import partial
-from typing import NamedTuple
 
 from fmpy.fmi1 import FMICallException
 from fmpy.model_description import ModelVariable
 
-from hil.plant.conformance.findings import Finding, advice
+from hil.plant.conformance import Finding, advice
 from hil.plant.conformance.slave import Model, Slave, count, is_float, limits, start
 
 _UNUSED_REFERENCE = 0xFFFFFFF0
-_FLOAT_GETTER = {"fmi2": "Real", "fmi3": "Float64"}
-_INTEGER_GETTER = {"fmi2": "Integer", "fmi3": "Int32"}
 
+Misuse = tuple[str, str, Callable[[Slave], object]]
+"""Name, state of the instance, and a call that is forbidden in that state.
 
-class Misuse(NamedTuple):
-    """A call that the standard forbids in a state of the instance."""
-
-    name: str
-    state: str  # instantiated, initialization mode, step mode or terminated
-    call: Callable[[Slave], object]
+The states are instantiated, initialization mode, step mode and terminated.
+"""
 
 
 def illegal_calls(model: Model) -> Iterator[Finding]:
     """What an importer must not call is refused with an error: FMI 3.0 section 2.2.3, FMI 2.0 section 4.2.4."""
-    for misuse in _misuses(model):
-        model.report(trying=misuse.name)
+    for name, state, call in (*_misuses(model), *_misuses_of_variables(model)):
+        model.report(trying=name)
         with model.instance(initialised=False) as slave:
-            _bring_to(slave, misuse.state)
+            if state != "instantiated":
+                slave.enter_initialization()
+            if state in ("step mode", "terminated"):
+                slave.fmu.exitInitializationMode()
+            if state == "terminated":
+                slave.simulate(0, 1)
+                slave.fmu.terminate()
             try:
-                misuse.call(slave)
+                call(slave)
             except FMICallException:
                 continue
-            yield advice(f"{misuse.name} is accepted")
+            yield advice(f"{name} is accepted")
 
 
 def values_out_of_range(model: Model) -> Iterator[Finding]:
@@ -68,89 +69,58 @@ def values_out_of_range(model: Model) -> Iterator[Finding]:
                     yield advice(f"{variable.name} = {value!r} is accepted and gives outputs that are not finite")
 
 
-def _bring_to(slave: Slave, state: str) -> None:
-    if state == "instantiated":
-        return
-    slave.enter_initialization()
-    if state == "initialization mode":
-        return
-    slave.exit_initialization()
-    if state == "terminated":
-        slave.simulate(0, 1)
-        slave.fmu.terminate()
-
-
 def _misuses(model: Model) -> Iterator[Misuse]:
     here_s, size_s = model.start_s, model.step_s
-    real = _FLOAT_GETTER[model.slave.prefix]
-    ready = "step mode"
-    yield Misuse("doStep before initialization", "instantiated", lambda slave: slave.step(here_s, size_s))
-    yield Misuse("exitInitializationMode without enter", "instantiated", lambda slave: slave.exit_initialization())
-    yield Misuse("doStep in initialization mode", "initialization mode", lambda slave: slave.step(here_s, size_s))
-    yield Misuse("enterInitializationMode a second time", ready, lambda slave: slave.fmu.enterInitializationMode())
-    if model.slave.prefix == "fmi2":
-        yield Misuse("setupExperiment after initialization", ready, lambda slave: slave.fmu.setupExperiment())
-    yield Misuse("doStep with a negative step", ready, lambda slave: slave.step(here_s, -size_s))
-    yield Misuse("doStep after terminate", "terminated", lambda slave: slave.step(here_s + size_s, size_s))
+    real, ready = "Real" if model.is_fmi2 else "Float64", "step mode"
+    yield "doStep before initialization", "instantiated", lambda slave: slave.step(here_s, size_s)
+    yield "exitInitializationMode without enter", "instantiated", lambda slave: slave.fmu.exitInitializationMode()
+    yield "doStep in initialization mode", "initialization mode", lambda slave: slave.step(here_s, size_s)
+    yield "enterInitializationMode a second time", ready, lambda slave: slave.fmu.enterInitializationMode()
+    if model.is_fmi2:
+        yield "setupExperiment after initialization", ready, lambda slave: slave.fmu.setupExperiment()
+    yield "doStep with a negative step", ready, lambda slave: slave.step(here_s, -size_s)
+    yield "doStep after terminate", "terminated", lambda slave: slave.step(here_s + size_s, size_s)
     unknown = "of an unknown value reference"
-    yield Misuse(f"get{real} {unknown}", ready, lambda slave: slave.get_as(real, _UNUSED_REFERENCE))
-    yield Misuse(f"set{real} {unknown}", ready, lambda slave: slave.set_as(real, _UNUSED_REFERENCE, [0.0]))
-    for output in _first(model, lambda v: v.causality == "output" and is_float(v)):
-        yield from _misuses_of_output(model, output)
-    for fixed in _first(model, lambda v: v.causality == "parameter" and v.variability == "fixed" and is_float(v)):
-        yield _misuse_of_fixed(fixed)
-    for item in _first(model, lambda v: v.type == "Enumeration" and v.causality in ("parameter", "output", "input")):
-        yield from _misuses_of_enumeration(model, item)
+    yield f"get{real} {unknown}", ready, lambda slave: slave.get_as(real, _UNUSED_REFERENCE)
+    yield f"set{real} {unknown}", ready, lambda slave: slave.set_as(real, _UNUSED_REFERENCE, [0.0])
 
 
-def _misuses_of_output(model: Model, output: ModelVariable) -> Iterator[Misuse]:
-    yield Misuse("setting an output", "step mode", lambda slave: slave.set(output, 0.0))
-    integer = _INTEGER_GETTER[model.slave.prefix]
-    if _is_free(model, output.valueReference, integer):
-        name = f"get{integer} of a floating-point output"
-        yield Misuse(name, "step mode", lambda slave: slave.get_as(integer, output.valueReference))
-    if model.slave.prefix == "fmi3":
-        name = "reading a variable into no room (nValues = 0)"
-        yield Misuse(name, "step mode", lambda slave: _read_nothing(slave, output))
-
-
-def _misuse_of_fixed(fixed: ModelVariable) -> Misuse:
-    values = start(fixed) or [0.0]
-    name = "setting a fixed parameter after initialization"
-    return Misuse(name, "step mode", lambda slave: slave.set(fixed, values[0]))
-
-
-def _misuses_of_enumeration(model: Model, item: ModelVariable) -> Iterator[Misuse]:
-    kinds = [_FLOAT_GETTER[model.slave.prefix]]
-    if model.slave.prefix == "fmi3":  # in FMI 2.0 an enumeration is an Integer
-        kinds.append(_INTEGER_GETTER["fmi3"])
-    for kind in kinds:
-        if _is_free(model, item.valueReference, kind):
-            name = f"get{kind} of an enumeration"
-            yield Misuse(name, "step mode", partial(_get_as, kind, item.valueReference))
-
-
-def _get_as(kind: str, reference: int, slave: Slave) -> object:
-    return slave.get_as(kind, reference)
-
-
-def _first(model: Model, fits: Callable[[ModelVariable], bool]) -> list[ModelVariable]:
-    """Return the first variable that fits, or none."""
-    return [variable for variable in model.variables if fits(variable)][:1]
+def _misuses_of_variables(model: Model) -> Iterator[Misuse]:
+    """Yield misuses of the first output, the first fixed parameter and the first enumeration."""
+    real, integer = ("Real", "Integer") if model.is_fmi2 else ("Float64", "Int32")
+    output = next((v for v in model.outputs if is_float(v)), None)
+    if output is not None:
+        yield "setting an output", "step mode", lambda slave: slave.set(output, 0.0)
+        if _is_free(model, output.valueReference, integer):
+            read = partial(Slave.get_as, kind=integer, reference=output.valueReference)
+            yield f"get{integer} of a floating-point output", "step mode", read
+        if not model.is_fmi2:
+            name = "reading a variable into no room (nValues = 0)"
+            yield name, "step mode", lambda slave: _read_nothing(slave, output)
+    parameters = [v for v in model.variables if v.causality == "parameter"]
+    fixed = next((v for v in parameters if v.variability == "fixed" and is_float(v)), None)
+    if fixed is not None:
+        name = "setting a fixed parameter after initialization"
+        yield name, "step mode", lambda slave: slave.set(fixed, (start(fixed) or [0.0])[0])
+    items = [v for v in model.variables if v.type == "Enumeration" and v.causality in ("parameter", "output", "input")]
+    for item in items[:1]:
+        for kind in (real,) if model.is_fmi2 else (real, integer):  # in FMI 2.0 an enumeration is an Integer
+            if _is_free(model, item.valueReference, kind):
+                read = partial(Slave.get_as, kind=kind, reference=item.valueReference)
+                yield f"get{kind} of an enumeration", "step mode", read
 
 
 def _is_free(model: Model, reference: int, kind: str) -> bool:
     """Return whether no variable with this getter has the value reference: FMI 2.0 gives it out once a type."""
-    kinds = model.slave.kinds
-    return all(v.valueReference != reference or kinds.get(v.type, v.type) != kind for v in model.variables)
+    return all(v.valueReference != reference or model.kind(v) != kind for v in model.variables)
 
 
 def _read_nothing(slave: Slave, variable: ModelVariable) -> None:
-    kind = slave.kind(variable)
+    kind = slave.model.kind(variable)
     number = ctypes.c_double if kind == "Float64" else ctypes.c_float
     references = (ctypes.c_uint32 * 1)(variable.valueReference)
-    room = (number * count(variable))()  # there is room, but the call says that there is none
-    getattr(slave.fmu, f"fmi3Get{kind}")(slave.fmu.component, references, 1, room, 0)
+    values = (number * count(variable))()  # large enough, but the call says that its size is 0
+    slave.call(f"Get{kind}", references, 1, values, 0)
 
 
 def _outside(variable: ModelVariable) -> list[float | int]:
@@ -162,8 +132,7 @@ def _outside(variable: ModelVariable) -> list[float | int]:
     if variable.type == "Boolean":
         return []
     low, high = limits(variable)
-    outside = [low - 1.0, high + 1.0]
-    known = [value for value in outside if math.isfinite(value)]
+    known = [value for value in (low - 1.0, high + 1.0) if math.isfinite(value)]
     if is_float(variable):
         return known
     return [int(value) for value in known if 0 <= value < 2**7]  # in the range of every integer type

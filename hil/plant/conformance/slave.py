@@ -1,6 +1,5 @@
-"""An FMU under test and its instances: what FMI 2.0 and FMI 3.0 have in common."""
+"""An FMU under test and its instances, of FMI 2.0 (sections 2.1 and 4.2) and of FMI 3.0 (sections 2.2 and 4.2)."""
 
-import abc
 import contextlib
 import copy
 import ctypes
@@ -8,13 +7,15 @@ import functools
 import math
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from typing import Any, ClassVar, NamedTuple
+from typing import Any
 
 from fmpy.fmi1 import FMICallException
+from fmpy.fmi2 import FMU2Slave, defaultCallbacks, fmi2CallbackFunctions, fmi2CallbackLoggerTYPE
+from fmpy.fmi3 import FMU3Slave
 from fmpy.model_description import ModelDescription, ModelVariable
 
 from hil.plant.child_output import one_line
-from hil.plant.conformance.findings import Finding
+from hil.plant.conformance import Finding, need, violation
 from hil.plant.description import read_description
 
 Value = float | int | bool
@@ -24,6 +25,7 @@ _FLOATS = ("Real", "Float64", "Float32")
 _NOT_NUMERIC = ("String", "Binary", "Clock")
 _STATUS = ("ok", "warning", "discard", "error", "fatal", "pending")
 DISCARD = _STATUS.index("discard")
+_ROUNDING = 1e-9  # relative to the time, at least to 1 s
 
 
 class InstantiationError(Exception):
@@ -34,81 +36,79 @@ class NotTestedError(Exception):
     """A part cannot be tested; says why, such as that the FMU does not claim it."""
 
 
-class Step(NamedTuple):
-    """What came of a step that succeeded: the time that the FMU has reached, and a finding, if there is one."""
+class Slave:
+    """One instance. Calls that the FMU answers with discard or worse raise FMICallException.
 
-    reached_s: float
-    finding: Finding | None = None
-
-
-class Slave(abc.ABC):
-    """One instance. Calls that the FMU answers with discard or worse raise FMICallException."""
-
-    fmpy_class: ClassVar[type]
-    prefix: ClassVar[str]  # of the names of the C functions
-    version: ClassVar[str]  # what GetVersion has to begin with
-    kinds: ClassVar[dict[str, str]]  # the types with a getter of another name
+    In FMI 3.0 it uses no event mode, early return or intermediate update.
+    """
 
     def __init__(self, model: "Model") -> None:
         self.model = model
         self.fmu: Any = copy.copy(model.library)  # loaded once: the copies share the C functions
+        try:
+            if model.is_fmi2:
+                self.fmu.instantiate(callbacks=model.callbacks, loggingOn=True)
+            else:
+                self.fmu.instantiate(loggingOn=True, logMessage=model.log)
+        except Exception as error:  # FMPy raises a plain Exception
+            name = "fmi2Instantiate" if model.is_fmi2 else "fmi3InstantiateCoSimulation"
+            raise InstantiationError(f"{name} returns no instance{model.last_message()}") from error
 
-    @abc.abstractmethod
-    def instantiate(self) -> None:
-        """Make the instance. Raises InstantiationError."""
+    def call(self, name: str, *arguments: Any) -> None:
+        """Call a C function of the FMU, given its name without the prefix."""
+        getattr(self.fmu, self.model.prefix + name)(self.fmu.component, *arguments)
 
-    @abc.abstractmethod
     def enter_initialization(self) -> None:
         """Go to initialization mode, with the start time of the model."""
-
-    @abc.abstractmethod
-    def get_as(self, kind: str, reference: int, count: int = 1) -> list[Value]:
-        """Read with the function for ``kind`` (Real, Float64, ...)."""
-
-    @abc.abstractmethod
-    def step(self, time_s: float, size_s: float) -> Step:
-        """Step from ``time_s``."""
-
-    @abc.abstractmethod
-    def serialized_size(self, state: Any) -> int:
-        """Return the number of bytes that the state needs."""
-
-    @abc.abstractmethod
-    def serialize_into(self, state: Any, buffer: Any, size: int) -> None:
-        """Write the state as ``size`` bytes into a buffer."""
-
-    @abc.abstractmethod
-    def save_into(self, state: Any) -> None:
-        """Save the state into an existing one, which is reused, or into a null pointer."""
-
-    def exit_initialization(self) -> None:
-        """Leave initialization mode: the instance can be stepped."""
-        self.fmu.exitInitializationMode()
+        if self.model.is_fmi2:
+            self.fmu.setupExperiment(startTime=self.model.start_s)
+            self.fmu.enterInitializationMode()
+        else:
+            self.fmu.enterInitializationMode(startTime=self.model.start_s)
 
     def initialise(self) -> None:
         """Bring a new or reset instance to where it can be stepped."""
         self.enter_initialization()
-        self.exit_initialization()
+        self.fmu.exitInitializationMode()
 
-    def free(self) -> None:
-        """Free the instance; the library stays loaded."""
-        getattr(self.fmu, f"{self.prefix}FreeInstance")(self.fmu.component)
+    def get_as(self, kind: str, reference: int, count: int = 1) -> list[Value]:
+        """Read ``count`` values of one variable with the function for ``kind`` (Real, Float64, ...)."""
+        size = {} if self.model.is_fmi2 else {"nValues": count}  # FMI 2.0 has no arrays
+        values: list[Value] = getattr(self.fmu, f"get{kind}")([reference], **size)
+        return [bool(value) for value in values] if kind == "Boolean" else values
 
     def set_as(self, kind: str, reference: int, values: Sequence[Value]) -> None:
         """Write with the function for ``kind`` (Real, Float64, ...)."""
         getattr(self.fmu, f"set{kind}")([reference], values)
 
-    def kind(self, variable: ModelVariable) -> str:
-        """Return the name of the variable's getters and setters: an enumeration is Integer, or Int64 in FMI 3.0."""
-        return self.kinds.get(variable.type, str(variable.type))
-
     def get(self, variable: ModelVariable) -> list[Value]:
         """Return the variable's value, or values."""
-        return self.get_as(self.kind(variable), variable.valueReference, count(variable))
+        return self.get_as(self.model.kind(variable), variable.valueReference, count(variable))
 
     def set(self, variable: ModelVariable, value: Value) -> None:
         """Set the variable, each element of an array, to ``value``."""
-        self.set_as(self.kind(variable), variable.valueReference, [value] * count(variable))
+        self.set_as(self.model.kind(variable), variable.valueReference, [value] * count(variable))
+
+    def step(self, time_s: float, size_s: float) -> tuple[float, Finding | None]:
+        """Step from ``time_s``; return the time that the FMU has reached, and what is wrong with its answer if any."""
+        end_s = time_s + size_s
+        if self.model.is_fmi2:
+            self.fmu.doStep(time_s, size_s)
+            return end_s, None
+        event, terminate, early, reached_s = self.fmu.doStep(time_s, size_s)
+        finding = None
+        if terminate:
+            finding = need(f"doStep from {time_s:g} s asks to end the simulation, and a run of this importer with it")
+        elif event:
+            finding = violation(f"doStep from {time_s:g} s asks for event mode, which was not agreed on")
+        elif early:
+            finding = violation(f"doStep from {time_s:g} s returns early, which was not agreed on")
+        elif not near(reached_s, end_s):
+            finding = need(
+                f"doStep to {end_s:g} s gives the last successful time {reached_s:g} s; this importer takes "
+                "the outputs for those of its own time"
+            )
+        return reached_s, finding
 
     def drive(self, step: int) -> None:
         """Set every floating-point input to a value of this step, within its range."""
@@ -130,30 +130,31 @@ class Slave(abc.ABC):
 
 
 class Model:
-    """An unpacked FMU: its description, its library, and instances of it.
+    """An unpacked FMU of one FMI version ("2.0" or "3.0"): its description, its library, and instances of it.
 
-    ``report`` is told each attempt and each call before it is made: the FMU may not survive it.
+    ``report`` is called with each attempt and each call before it is made: the FMU may not survive it.
     """
 
-    def __init__(self, fmu: Path, folder: Path, library: Path, slave: type[Slave], report: Callable[..., None]) -> None:
-        self.folder, self.library_path, self.slave, self.report = folder, library, slave, report
+    def __init__(self, fmu: Path, folder: Path, library: Path, version: str, report: Callable[..., None]) -> None:
+        self.folder, self.library_path, self.report = folder, library, report
+        self.is_fmi2 = version == "2.0"
+        self.prefix = "fmi2" if self.is_fmi2 else "fmi3"  # of the names of the C functions
+        self.fmpy_class: type = FMU2Slave if self.is_fmi2 else FMU3Slave
         self.description: ModelDescription = read_description(fmu)
         self.claims = self.description.coSimulation
-        self.message = ""  # the FMU's newest message
+        self._message = ""  # the FMU's newest message
         experiment = self.description.defaultExperiment
-        suggested_s = None if experiment is None else experiment.stepSize
-        begin = None if experiment is None else experiment.startTime
+        suggested_s, begin = (None, None) if experiment is None else (experiment.stepSize, experiment.startTime)
         self.step_s = float(self.claims.fixedInternalStepSize or suggested_s or 1e-3)
         self.start_s = float(begin or 0.0)
-        variables = [v for v in self.description.modelVariables if v.type not in _NOT_NUMERIC and not v.clocks]
-        self.variables = variables
-        self.inputs = [v for v in variables if v.causality == "input" and v.type in _FLOATS]
-        self.outputs = [v for v in variables if v.causality == "output"]
+        self.variables = [v for v in self.description.modelVariables if v.type not in _NOT_NUMERIC and not v.clocks]
+        self.inputs = [v for v in self.variables if v.causality == "input" and v.type in _FLOATS]
+        self.outputs = [v for v in self.variables if v.causality == "output"]
 
     @functools.cached_property
     def library(self) -> Any:
         """The loaded library as FMPy's object, without an instance."""
-        library: Any = self.slave.fmpy_class(
+        library: Any = self.fmpy_class(
             guid=self.description.guid,
             unzipDirectory=str(self.folder),
             modelIdentifier=self.claims.modelIdentifier,
@@ -162,44 +163,65 @@ class Model:
         )
         call = library._call  # by which FMPy calls every function, whatever the copy of the library
 
-        def said_and_called(name: str, *arguments: Any) -> Any:
+        def report_and_call(name: str, *arguments: Any) -> Any:
             self.report(doing=f"in {name}")
             return call(name, *arguments)
 
-        library._call = said_and_called
+        library._call = report_and_call
         return library
+
+    @functools.cached_property
+    def callbacks(self) -> fmi2CallbackFunctions:
+        """The callbacks of FMI 2.0, which keep the newest message."""
+        callbacks = fmi2CallbackFunctions()
+        callbacks.logger = fmi2CallbackLoggerTYPE(lambda *given: self.log(*given[1:]))
+        callbacks.allocateMemory, callbacks.freeMemory = defaultCallbacks.allocateMemory, defaultCallbacks.freeMemory
+        with contextlib.suppress(OSError):  # without a library of FMPy for this machine messages keep their %s
+            from fmpy.logging import addLoggerProxy
+
+            addLoggerProxy(ctypes.byref(callbacks))
+        return callbacks
+
+    def log(self, _environment: Any, _status: int, _category: bytes, message: bytes | None) -> None:
+        """Keep a message of the FMU: the logger of FMI 3.0."""
+        self._message = (message or b"").decode(errors="replace")
 
     @contextlib.contextmanager
     def instance(self, *, initialised: bool = True) -> Iterator[Slave]:
-        """Yield an instance, and free it at the end."""
-        self.message = ""
-        slave = self.slave(self)
-        slave.instantiate()
+        """Yield an instance, and free it at the end; the library stays loaded. Raises InstantiationError."""
+        self._message = ""
+        slave = Slave(self)
         try:
             if initialised:
                 slave.initialise()
             yield slave
         finally:
-            slave.free()
+            slave.call("FreeInstance")
+
+    def kind(self, variable: ModelVariable) -> str:
+        """Return the name of the variable's getters and setters: an enumeration is Integer, or Int64 in FMI 3.0."""
+        if variable.type == "Enumeration":
+            return "Integer" if self.is_fmi2 else "Int64"
+        return str(variable.type)
 
     def time_s(self, step: int) -> float:
         """Return the communication point at which a step begins."""
         return self.start_s + step * self.step_s
 
     def input_value(self, variable: ModelVariable, step: int, place: int) -> float:
-        """Return the value of an input in a step: near its start value, other than in the step before."""
+        """Return the value of an input in a step: near its start value, and not that of the step before."""
         low, high = limits(variable)
         value = min(max(float((start(variable) or [0.0])[0]) + 0.1 * ((step + place) % 5 - 2), low), high)
         return ctypes.c_float(value).value if variable.type == "Float32" else value
 
     def explain(self, error: FMICallException) -> str:
-        """Return what a failed call means, with the FMU's own words."""
+        """Return a failed call in words, with the FMU's message."""
         status = _STATUS[error.status] if error.status in range(len(_STATUS)) else f"the unknown status {error.status}"
-        return f"{error.function} returns {status}{self.words()}"
+        return f"{error.function} returns {status}{self.last_message()}"
 
-    def words(self) -> str:
-        """Return the FMU's newest message as the end of a sentence."""
-        return f" ({one_line(self.message)[:300]})" if self.message else ""
+    def last_message(self) -> str:
+        """Return the FMU's newest message in parentheses, as the end of a sentence; empty without one."""
+        return f" ({one_line(self._message)[:300]})" if self._message else ""
 
 
 def count(variable: ModelVariable) -> int:
@@ -232,6 +254,11 @@ def start(variable: ModelVariable) -> list[Value] | None:
 def is_float(variable: ModelVariable) -> bool:
     """Return whether the variable is of a floating-point type."""
     return variable.type in _FLOATS
+
+
+def near(time_s: float, expected_s: float) -> bool:
+    """Return whether two times are equal but for rounding."""
+    return abs(time_s - expected_s) <= _ROUNDING * max(1.0, abs(expected_s))
 
 
 def same(left: object, right: object) -> bool:
