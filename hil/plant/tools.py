@@ -5,16 +5,19 @@ A foreign FMU may crash or hang; that ends one part of the run, and the next one
 
 import contextlib
 import shutil
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
+
+from fmpy.validation import validate_fmu
 
 from hil.core.errors import BadInputError
 from hil.core.subprocesses import DEFAULT_LIMIT_MB
 from hil.plant import archive, shim
 from hil.plant.child_output import one_line
 from hil.plant.conformance import Finding, Kind, advice, violation
+from hil.plant.conformance.parts import ADVISORY, GATES, PARTS, title
 from hil.plant.description import read_description
 from hil.plant.process import THERE_S, ChildProcess, Watch
 
@@ -63,11 +66,6 @@ def check(fmu: Path, longest_s: float = _LONGEST_CALL_S) -> CheckResult:
     """
     archive.read_header(fmu)
     shim.load()  # the child needs it: raise here what is missing
-    from fmpy.validation import validate_fmu
-
-    from hil.plant.conformance.parts import PARTS, title
-
-    names = [title(part) for part in PARTS]
     folder = archive.extract(fmu)
     try:
         found = [violation(one_line(problem)) for problem in validate_fmu(str(folder))]
@@ -76,69 +74,53 @@ def check(fmu: Path, longest_s: float = _LONGEST_CALL_S) -> CheckResult:
             library = archive.library_of(fmu)
             read_description(fmu)
         except archive.BrokenFmuError as error:
-            rest = [Part(name, skipped=_NOT_RUN.format("archive")) for name in names]
+            rest = [Part(title(part), skipped=_NOT_RUN.format("archive")) for part in PARTS]
             return CheckResult((Part("archive", (violation(str(error)),)), description, *rest))
         if library.interface != "co_simulation":
             raise BadInputError(
                 f"FMU {fmu}: it is for model exchange only; a check runs co-simulation, export it for that"
             )
-        return CheckResult((Part("archive"), description, *_run(_Job(fmu, folder, library, longest_s), names)))
+        job = {
+            "fmu": str(fmu.absolute()),
+            "library": str(folder / library.member),
+            "version": library.fmi_version,
+            "parts": [title(part) for part in PARTS],
+        }
+        return CheckResult((Part("archive"), description, *_run(job, folder, longest_s)))
     finally:
         shutil.rmtree(folder, ignore_errors=True)
 
 
-@dataclass(frozen=True)
-class _Job:
-    """What a child is to run: the FMU, where it is unpacked, its library, and the longest that a call may take."""
-
-    fmu: Path
-    folder: Path
-    library: archive.Library
-    longest_s: float
-
-
-def _run(job: _Job, names: Sequence[str]) -> list[Part]:
+def _run(job: Mapping[str, Any], folder: Path, longest_s: float) -> list[Part]:
     """Run the parts in child processes, a new one after each crash."""
-    from hil.plant.conformance.parts import GATES, title
-
-    gates = [title(part) for part in GATES]
     parts: list[Part] = []
-    while len(parts) < len(names):
-        parts += _run_child(job, names[len(parts) :])
-        if parts[-1].name in gates and parts[-1].findings:
+    while todo := job["parts"][len(parts) :]:
+        parts += _run_child({**job, "parts": todo}, folder, longest_s)
+        if parts[-1].name in map(title, GATES) and parts[-1].findings:
             reason = _NOT_RUN.format(parts[-1].name)
-            parts += [Part(name, skipped=reason) for name in names[len(parts) :]]
+            parts += [Part(name, skipped=reason) for name in job["parts"][len(parts) :]]
     return parts
 
 
-def _run_child(job: _Job, todo: Sequence[str]) -> list[Part]:
-    """Run the parts ``todo`` until one ends the process; return those that began, at least one."""
-    from hil.plant.conformance.parts import ADVISORY, title
-
+def _run_child(job: Mapping[str, Any], folder: Path, longest_s: float) -> list[Part]:
+    """Run the parts of a job until one ends the process; return those that began, at least one."""
     progress = _Progress()
     received = 0
     with contextlib.ExitStack() as resources:
-        child = ChildProcess("hil.plant.conformance", job.folder)
+        child = ChildProcess("hil.plant.conformance", folder)
         resources.callback(child.close, 0.0)
-        watch = Watch(lambda: received, child.give_up, job.longest_s, lambda: child.limit_memory(DEFAULT_LIMIT_MB))
+        watch = Watch(lambda: received, child.give_up, longest_s, lambda: child.limit_memory(DEFAULT_LIMIT_MB))
         resources.callback(watch.stop)
         watch.limit_s = THERE_S
-        child.send(
-            {
-                "fmu": str(job.fmu.absolute()),
-                "library": str(job.folder / job.library.member),
-                "version": job.library.fmi_version,
-                "parts": todo,
-            }
-        )
+        child.send(job)
         for entry in child.receive_all():
             received += 1
             progress.add(entry)
-            watch.limit_s = job.longest_s if progress.parts else THERE_S
+            watch.limit_s = longest_s if progress.parts else THERE_S
         if child.wait() == 0 and progress.is_done:
             return progress.parts
         ending = f"{progress.place}{child.ending()}{child.last_words()}"
-    *before, last = progress.parts or [Part(todo[0])]
+    *before, last = progress.parts or [Part(job["parts"][0])]
     is_advice = last.name in map(title, ADVISORY)
     return [*before, last.having(advice(ending) if is_advice else violation(ending))]
 
