@@ -195,13 +195,13 @@ def test_what_arrives_while_the_chip_is_in_reset_is_counted_as_missed(link: str)
 
 
 def test_a_board_that_is_interrupted_while_it_boots_is_closed(monkeypatch: pytest.MonkeyPatch):
-    from hil.robot.targets.emulated_board import PlantLine
+    from hil.robot.targets.emulated_board import EmulatedBoard
 
-    def interrupted(_line: PlantLine, _data: bytes) -> bytes:
+    def interrupted(_board: EmulatedBoard, _data: bytes) -> bytes:
         raise KeyboardInterrupt
 
     guards = [thread for thread in threading.enumerate() if thread.name == "runaway guard"]
-    monkeypatch.setattr(PlantLine, "feed", interrupted)
+    monkeypatch.setattr(EmulatedBoard, "feed_plant", interrupted)
     with pytest.raises(KeyboardInterrupt), open_board("can"):
         pytest.fail("it booted without its plant")
     wait_for(lambda: not any(t.name == "runaway guard" and t not in guards for t in threading.enumerate()))

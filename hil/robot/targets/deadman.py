@@ -1,8 +1,8 @@
-"""Runs a program that must not outlive us: ``ChildProcess`` starts this module, which starts the program.
+"""A process that runs a program, and kills it when its own owner ends. ``ChildProcess`` starts this module.
 
-The first line on stdin is ``{"command": [...], "inherited": [...]}``; the program gets these descriptors of ours. When
-stdin ends, because its owner closed it or died, or when we get SIGTERM, the program is killed; on Linux also when
-we are killed. Its stderr is ours, and so is its exit code. The folder of its files, the argument, is removed then.
+The first line on stdin is ``{"command": [...], "inherited": [...]}``; the program inherits these descriptors. It is
+killed when stdin ends (the owner closed it or died), at SIGTERM or SIGINT, and on Linux also when this process is
+killed. Then the folder of its files, the argument, is removed. stderr and exit code are passed on.
 """
 
 import ctypes
@@ -39,7 +39,12 @@ def main() -> int:
         signal.signal(number, lambda *_: process.kill())
     for descriptor in inherited:
         os.close(descriptor)  # so that its other side notices when the program ends
-    threading.Thread(target=_kill_at_end_of_stdin, args=(process,), daemon=True).start()
+
+    def kill_at_end_of_stdin() -> None:
+        wait_for_end(sys.stdin.fileno())
+        process.kill()
+
+    threading.Thread(target=kill_at_end_of_stdin, daemon=True).start()
     status = process.wait()
     shutil.rmtree(sys.argv[1], ignore_errors=True)
     if status < 0:
@@ -48,10 +53,12 @@ def main() -> int:
 
 
 def _dying_with_us() -> Callable[[], None] | None:
-    """Return what the program's process does first: ask for SIGKILL when the thread that started it, our main, ends."""
+    """Return what the new process calls before the program: ask for SIGKILL when the thread that started it ends."""
     if sys.platform != "linux":
         return None
-    prctl = ctypes.CDLL(None, use_errno=True).prctl  # looked up here: between fork and exec as little as possible
+    prctl = ctypes.CDLL(
+        None, use_errno=True
+    ).prctl  # looked up here, as little as possible may run between fork and exec
     ours = os.getpid()
 
     def request_kill() -> None:
@@ -59,11 +66,6 @@ def _dying_with_us() -> Callable[[], None] | None:
             os._exit(1)  # we have ended meanwhile
 
     return request_kill
-
-
-def _kill_at_end_of_stdin(process: "subprocess.Popen[bytes]") -> None:
-    wait_for_end(sys.stdin.fileno())
-    process.kill()
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""The board in QEMU: the same calls as ``HostNode`` has, answered by a process beside this one."""
+"""The board in QEMU, a process of its own with two serial lines."""
 
 import contextlib
 import select
@@ -19,10 +19,10 @@ from hil.plant.process import ChildProcess
 from hil.robot.targets.emulated_board import EmulatedBoard
 
 SILENCE_S = 2.0
-"""How long a STEP may stay without any sign of life."""
+"""Longest time without a byte from QEMU during a STEP."""
 
 ACCEPT_S = 10.0
-"""How long QEMU may take no byte of a line that is full. Busy, it takes a few thousand a second."""
+"""Longest time in which QEMU takes no byte of a full line. Even when busy it takes a few thousand a second."""
 
 _BOOT_S = 20.0
 _POLL_S = 0.05
@@ -32,15 +32,16 @@ _CHUNK = 65536
 class QemuBoard(EmulatedBoard):
     """A ``hil-emulated`` firmware in QEMU, powered on.
 
-    ``feed`` returns at once. When the firmware has sent something, ``on_output`` is called in a thread of this object,
-    and may call ``take_bytes``; what it raises, and that the process ended or fell silent, ``check`` raises. Robot
-    time passes by STEP only. ``stored`` is what the core stored in an earlier life (``HostNode.stored``).
+    ``feed`` returns at once. When the firmware has sent something, ``on_output`` is called in a thread of this object;
+    it may call ``take_bytes``. ``check`` raises what ``on_output`` raised, and DeviceError when the process ended or
+    fell silent. Robot time passes by STEP only. ``stored`` are parameters that the firmware stored before
+    (``HostNode.stored``).
 
     Raises BadInputError when QEMU is not installed, DeviceError when it does not run the firmware.
     """
 
     def __init__(self, elf: Path, exchange_address: int, context_address: int, stored: bytes | None) -> None:
-        self.on_output: Callable[[], None] = _nobody
+        self.on_output: Callable[[], None] = lambda: None
         super().__init__(exchange_address, context_address)
         self._from_host, self._from_board = Deframer(), Deframer()
         self._step_is_open = False
@@ -80,21 +81,21 @@ class QemuBoard(EmulatedBoard):
 
     def receive(self, frame: Frame) -> None:
         """Raise DeviceError: the machine has no CAN controller."""
-        raise _no_can()
+        self.take_frames()
 
     def take_frames(self) -> list[Frame]:
         """Raise DeviceError: the machine has no CAN controller."""
-        raise _no_can()
+        raise DeviceError("QEMU's netduinoplus2 has no CAN controller; use a serial link, or --target unicorn")
 
     def stored(self) -> bytes | None:
-        """Return None: QEMU's flash cannot be programmed, and a STORE fails."""
+        """Return None: QEMU's flash cannot be programmed, so a STORE fails."""
         return None
 
     def check(self) -> None:
-        """Raise what went wrong: DeviceError when QEMU ended or is stuck, or what ``on_output`` raised."""
+        """Raise DeviceError when QEMU ended or is stuck, or what ``on_output`` raised."""
         if self._failure is not None:
             raise self._failure
-        if self._step_is_open and not self._plant.has_failed and time.monotonic() - self._alive_at_s > SILENCE_S:
+        if self._step_is_open and not self.plant_failed and time.monotonic() - self._alive_at_s > SILENCE_S:
             raise DeviceError(f"QEMU has been silent for {SILENCE_S:g} s in the middle of a STEP; start it again")
 
     def close(self) -> None:
@@ -103,7 +104,7 @@ class QemuBoard(EmulatedBoard):
         self._thread.join()
         self._process.close()
 
-    # In the thread of this object; while the firmware boots, in its maker's
+    # In the thread of this object; during the boot in the thread that makes it
 
     def _boot(self) -> None:
         """Serve until the firmware has asked its plant what it senses at the start."""
@@ -124,13 +125,13 @@ class QemuBoard(EmulatedBoard):
             self._failure = error
 
     def _serve(self) -> list[socket.socket]:
-        """Wait a little for the firmware to send something, and see to it; return the lines on which it did."""
+        """Wait briefly for bytes of the firmware and process them; return the lines on which some came."""
         readable, _, _ = select.select((self._process.host, self._process.plant), [], [], _POLL_S)
         for line in readable:
             try:
                 data = line.recv(_CHUNK)
                 if line is self._process.plant:
-                    _send(line, self._plant.feed(data))
+                    _send(line, self.feed_plant(data))
                 else:
                     self._receive(data)
             except OSError:
@@ -142,7 +143,7 @@ class QemuBoard(EmulatedBoard):
 
     def _receive(self, data: bytes) -> None:
         for frame in self._from_board.feed(data):
-            self._observer.add(frame)
+            self.observe(frame)
             if frame.id == m.StepDone.ID:
                 self._step_is_open = False
         with self._lock:
@@ -153,21 +154,13 @@ class QemuBoard(EmulatedBoard):
 
 
 def _send(line: socket.socket, data: bytes) -> None:
-    """Send all, however slowly it is taken. Raises DeviceError when nothing is, OSError when the line has ended."""
+    """Send all bytes. Raises DeviceError when QEMU takes none for ``ACCEPT_S``, OSError when the line has ended."""
     left = memoryview(data)
     try:
         while left:
             left = left[line.send(left) :]
     except TimeoutError:
         raise DeviceError(f"QEMU has taken no byte of a line for {line.gettimeout():g} s; start it again") from None
-
-
-def _nobody() -> None:
-    """Nobody listens yet."""
-
-
-def _no_can() -> DeviceError:
-    return DeviceError("QEMU's netduinoplus2 has no CAN controller; use a serial link, or --target unicorn")
 
 
 QEMU = "qemu-system-arm"
@@ -178,11 +171,11 @@ _END_S = 1.0
 
 
 class QemuProcess:
-    """An ELF file in QEMU, with ``parameters`` in the flash sectors that the firmware keeps for them.
+    """An ELF file in QEMU, with ``parameters`` in the flash sectors that the firmware reserves for them.
 
-    ``host`` and ``plant`` are sockets to USART1 and USART2, which no other process can reach; they end when the process
-    does, which never outlives this one. Raises BadInputError when QEMU is not installed, DeviceError when no process
-    can be started. A file that QEMU refuses shows in its early end.
+    ``host`` and ``plant`` are sockets to USART1 and USART2, which no other process can reach. QEMU never outlives this
+    process. Raises BadInputError when QEMU is not installed, DeviceError when no process can be started. When QEMU
+    refuses the file, its process ends early.
     """
 
     def __init__(self, elf: Path, parameters: bytes) -> None:
@@ -194,7 +187,6 @@ class QemuProcess:
                 f"--target qemu needs {QEMU}, which is not installed; on Debian and Ubuntu: apt-get install {QEMU}"
             )
         with contextlib.ExitStack() as resources:
-            # The process has read the file when its machine runs, which is before the firmware says anything.
             self._folder = tempfile.TemporaryDirectory(prefix="hil_qemu_", ignore_cleanup_errors=True)
             resources.enter_context(self._folder)
             flash = Path(self._folder.name) / "parameters.bin"
@@ -211,15 +203,15 @@ class QemuProcess:
             self._resources = resources.pop_all()
 
     def forget_file(self) -> None:
-        """Remove the file of parameters: call it once the firmware has said something."""
+        """Remove the file of parameters. QEMU has read it when the firmware sends its first byte."""
         self._folder.cleanup()
 
     def ending(self) -> str:
-        """Return how the process ended, in words; it is ended if it has not."""
+        """End the process if it still runs, and return a description of how it ended."""
         return self._child.ending() + self._child.last_words()
 
     def close(self) -> None:
-        """End the process, and close what led to it. Closing twice is allowed."""
+        """End the process and close its lines. Closing twice is allowed."""
         self._resources.close()
 
 
@@ -227,11 +219,7 @@ def _command(program: str, elf: Path, flash: Path, lines: Sequence[int]) -> list
     serial = []
     for name, descriptor in zip(("host", "plant"), lines, strict=True):
         serial += ["-chardev", f"socket,id={name},fd={descriptor}", "-serial", f"chardev:{name}"]
-    loader = f"loader,file={_escaped(flash)},addr={PARAMETER_ADDRESS:#x},force-raw=on"
+    file = str(flash).replace(",", ",,")  # as QEMU's options take a comma
+    loader = f"loader,file={file},addr={PARAMETER_ADDRESS:#x},force-raw=on"
     quiet = ["-display", "none", "-monitor", "none", "-nodefaults"]
     return [program, "-M", MACHINE, *quiet, *serial, "-kernel", str(elf), "-device", loader]
-
-
-def _escaped(path: Path) -> str:
-    """Return a path as QEMU's options take it: a comma twice."""
-    return str(path).replace(",", ",,")

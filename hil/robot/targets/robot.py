@@ -1,11 +1,10 @@
-"""The virtual robot with an emulated board instead of the host library: its firmware, its emulator, its server."""
+"""The virtual robot with an emulated board in place of the host library: its firmware, its emulator, its server."""
 
 import importlib.util
 import tempfile
 import time
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Protocol
 
 from firmware_protocol.arm_build import TARGETS as FIRMWARES
 from firmware_protocol.arm_build import build
@@ -13,8 +12,9 @@ from firmware_protocol.built import BuildError
 from firmware_protocol.host import stored_parameters
 from firmware_protocol.stm32_flash import HIL_BOARD
 from hil.core.errors import BadInputError, nearest
+from hil.robot.targets.emulated_board import EmulatedBoard
 from hil.robot.targets.qemu_board import QemuBoard
-from hil.robot.virtual import RobotNode, VirtualRobot, VirtualStm32
+from hil.robot.virtual import VirtualRobot, VirtualStm32
 from hil.robot.virtual_server import TruthSink, VirtualServer
 from hil.wire.link import LinkUrl
 from hil.wire.robot_end import Wire
@@ -24,39 +24,31 @@ TARGETS: Mapping[str, str] = {
     "qemu": "the firmware as an ARM binary in QEMU, over a serial line, in lockstep",
     "unicorn": "the firmware as an ARM binary in Unicorn, over a serial line or CAN, in lockstep",
 }
-"""What ``hil device --target`` takes, with what it is."""
+"""The values of ``hil device --target``, with their meaning."""
 
-
-class Board(RobotNode, Protocol):
-    """An emulated board that is powered on."""
-
-    def close(self) -> None:
-        """Power it off. Closing twice is allowed."""
-
-
-BoardMaker = Callable[[Path, int, int, bytes | None], Board]
+BoardMaker = Callable[[Path, int, int, bytes | None], EmulatedBoard]
 
 
 class EmulatedStm32(VirtualStm32):
-    """A robot on this machine whose firmware is an ARM binary, built for the occasion.
+    """A virtual robot whose firmware is an ARM binary that runs in an emulator. The constructor compiles it.
 
-    The board finds its parameters in its flash, as if they had been stored. Raises BadInputError when the emulator or
-    the cross compiler is missing, and as ``VirtualStm32`` does.
+    The parameters are put into the emulated flash before power-on. Raises BadInputError when the emulator or cross
+    compiler is missing, and in the cases that ``VirtualStm32`` lists.
     """
 
     def __init__(self, made_of: VirtualRobot, make_board: BoardMaker, link: str) -> None:
         self._make_board = make_board
-        self._board: Board | None = None
+        self._board: EmulatedBoard | None = None
         self._name, self._elf = _build(link)
         super().__init__(made_of)
 
-    def _power_on(self) -> Board:
+    def _power_on(self) -> EmulatedBoard:
         try:
             stored = self._stored or stored_parameters(self._made_of.firmware, HIL_BOARD)
         except (ValueError, BuildError) as error:
             raise BadInputError(f"the virtual robot cannot start: {error}") from error
         faults = self.faults
-        # A file only for as long as the board takes it in: a process that is killed later leaves none behind.
+        # The file exists only while the board reads it, so a process that is killed later leaves none behind.
         with tempfile.TemporaryDirectory(prefix="hil_firmware_", ignore_cleanup_errors=True) as folder:
             elf = Path(folder) / self._name
             elf.write_bytes(self._elf)
@@ -65,26 +57,24 @@ class EmulatedStm32(VirtualStm32):
 
     def _power_off(self) -> None:
         if self._board is not None:
-            self._stored = self._board.stored()  # in the board's flash, over a power cycle
-            self._board.close()  # in QEMU it steps the plant by itself
+            self._stored = self._board.stored()  # the board's flash survives the power cycle
+            self._board.close()  # otherwise QEMU would go on stepping the plant
             self._board = None
 
     def close(self) -> None:
         """Power the board off and free the plant."""
-        if self._board is not None:
-            self._board.close()
-            self._board = None
+        self._power_off()
         super().close()
 
 
 class QemuServer(VirtualServer):
-    """Serves a board in QEMU: what the host sends goes there, and what comes from there, when it comes, to the host."""
+    """Serves a board in QEMU: passes bytes between host and board, in each direction as soon as they come."""
 
     def __init__(self, robot: EmulatedStm32, wire: Wire, truth: TruthSink) -> None:
         super().__init__(robot, wire, truth, lockstep=True)
 
     def service(self, timeout_ns: int) -> None:
-        """Do what is due, waiting at most ``timeout_ns`` for something to come."""
+        """Do what is due, waiting at most ``timeout_ns`` for bytes of the host."""
         self._handle_requests()
         board = self._robot.node
         assert isinstance(board, QemuBoard)
@@ -103,11 +93,11 @@ class QemuServer(VirtualServer):
 def open_target(target: str, made_of: VirtualRobot, url: LinkUrl) -> VirtualStm32:
     """Make the robot for ``--target``.
 
-    Raises BadInputError when there is no such target, when it cannot speak over this link or in this mode, or when
-    what it needs is not installed.
+    Raises BadInputError when there is no such target, when it does not support the link or the mode, or when its tools
+    are not installed.
     """
     if target not in TARGETS:
-        raise BadInputError(f"--target {target!r} is none{nearest(target, TARGETS)}")
+        raise BadInputError(f"--target {target!r}: there is no such target{nearest(target, TARGETS)}")
     if target == "host":
         return VirtualStm32(made_of)
     if not made_of.lockstep:
@@ -125,7 +115,7 @@ def open_target(target: str, made_of: VirtualRobot, url: LinkUrl) -> VirtualStm3
 
 
 def open_server(robot: VirtualStm32, wire: Wire, truth: TruthSink, *, lockstep: bool) -> VirtualServer:
-    """Make what serves a robot of ``open_target`` on its end of a link."""
+    """Make the server that connects a robot of ``open_target`` to its end of a link."""
     if isinstance(robot.node, QemuBoard) and isinstance(robot, EmulatedStm32):
         return QemuServer(robot, wire, truth)
     return VirtualServer(robot, wire, truth, lockstep=lockstep)

@@ -17,19 +17,18 @@ _BURST = 64  # bytes of the host's line at a time: less than what the firmware's
 
 
 class UnicornBoard(EmulatedBoard):
-    """A ``hil-emulated`` firmware, powered on, in this thread; the same calls as ``HostNode`` has.
+    """A ``hil-emulated`` firmware, powered on, that runs in the caller's thread.
 
     Each call returns when the firmware waits for more. Robot time passes by STEP only; with each tick the chip's own
-    clocks move on by a millisecond. ``stored`` is what the core stored in an earlier life (``HostNode.stored``).
+    clocks advance by a millisecond. ``stored`` are parameters that the firmware stored before (``HostNode.stored``).
 
-    Raises DeviceError, here and in every call, when the firmware crashes or touches what the machine has not.
+    Raises DeviceError, here and in every call, when the firmware crashes or uses something that the machine lacks.
     """
 
     def __init__(self, elf: Path, exchange_address: int, context_address: int, stored: bytes | None) -> None:
         kept = ((PARAMETER_ADDRESS, flash_image(stored)),) if stored is not None else ()
         self._elf = elf
         super().__init__(exchange_address, context_address)
-        self._ticks = 0  # that the chip's own clocks have seen
         self._deframer = Deframer()
         self._bytes = bytearray()
         self._frames: list[Frame] = []
@@ -64,13 +63,14 @@ class UnicornBoard(EmulatedBoard):
         return frames
 
     def stored(self) -> bytes | None:
-        """Return what the board keeps across a reset: the newest record in its flash, or None."""
+        """Return the newest record of parameters in the flash, which survives a reset, or None."""
         return newest_stored(self.machine.flash.read(PARAMETER_ADDRESS, 2 * SECTOR_BYTES), stored_size())
 
     def look(self) -> View:
-        """Return what is known of the firmware's state; ``missed`` among ``rejected`` is what the chip did not take.
+        """Return what is known of the firmware's state.
 
-        These are bytes and CAN frames that came while its receiver was off, as after a reset, or found its FIFO full.
+        ``rejected`` also has ``missed``: bytes and CAN frames that came while the chip's receiver was off, as after a
+        reset, or its FIFO was full.
         """
         view = super().look()
         lines = (self.machine.can, self.machine.usart[HOST_USART], self.machine.usart[PLANT_USART])
@@ -81,25 +81,20 @@ class UnicornBoard(EmulatedBoard):
         self.machine.close()
 
     def _settle(self) -> None:
-        """Let the firmware run until neither host nor plant has anything for it."""
+        """Let the firmware run until neither host nor plant has anything for it; take what it has sent to its host."""
         machine, line = self.machine, self.machine.usart[PLANT_USART]
         try:
             machine.run()
             while line.sent:
                 request = bytes(line.sent)
                 line.sent.clear()
-                answer = self._plant.feed(request)
-                machine.advance((self._plant.ticks - self._ticks) * _TICK_CYCLES)
-                self._ticks = self._plant.ticks
+                before = self.plant_ticks
+                answer = self.feed_plant(request)
+                machine.advance((self.plant_ticks - before) * _TICK_CYCLES)
                 line.receive(answer)
                 machine.run()
         except MachineError as error:
             raise DeviceError(f"the emulated board stopped: {error} (firmware {self._elf.name})") from error
-        self._receive()
-
-    def _receive(self) -> None:
-        """Take what the board has sent to its host."""
-        machine = self.machine
         data = bytes(machine.usart[HOST_USART].sent)
         machine.usart[HOST_USART].sent.clear()
         frames = [Frame(frame.id, frame.data) for frame in machine.can.sent]
@@ -107,4 +102,4 @@ class UnicornBoard(EmulatedBoard):
         self._bytes += data
         self._frames += frames
         for frame in (*self._deframer.feed(data), *frames):
-            self._observer.add(frame)
+            self.observe(frame)
