@@ -14,7 +14,7 @@ from hil.drivers.port import clamp, four
 from hil.plant import shim
 
 _TICK_S = TICK_NS * 1e-9
-_STILL: FourWheels = (0.0, 0.0, 0.0, 0.0)
+STILL: FourWheels = (0.0, 0.0, 0.0, 0.0)
 
 
 class Shaft:
@@ -183,13 +183,13 @@ class EmulatedMotors(Generic[SettingsT]):
         counts, bandwidth = int(values["counts_per_revolution"]), values["tracking_bandwidth_rad_s"]
         self.shafts = tuple(Shaft(counts, bandwidth) for _ in range(4))
         self.ticks = 0
-        self.current_a: FourWheels = _STILL
-        self.temperature_degc: FourWheels = _STILL
+        self.current_a: FourWheels = STILL
+        self.temperature_degc: FourWheels = STILL
         self.gyro_rad_s = (0.0, 0.0, 0.0)
         self.acceleration_m_s2 = (0.0, 0.0, 0.0)
         self.battery_v = 0.0
         self.battery_a = 0.0
-        self.torque_n_m: FourWheels = _STILL
+        self.torque_n_m: FourWheels = STILL
         self.on_tick: Callable[[Any], None] = lambda _motors: None
         self._plant_failed = False
         self._unsent = 0
@@ -215,6 +215,11 @@ class EmulatedMotors(Generic[SettingsT]):
     def is_driving(self) -> bool:
         """Whether any motor is held or driven."""
         raise NotImplementedError
+
+    @property
+    def speeds_rad_s(self) -> FourWheels:
+        """The speeds of the four shafts, as the controllers measure them."""
+        return four(shaft.speed_rad_s for shaft in self.shafts)
 
     def speed_loops(self) -> tuple[SpeedLoop, ...]:
         """Return four loops with the gains and the limit of [firmware]."""
@@ -255,7 +260,7 @@ class EmulatedMotors(Generic[SettingsT]):
         """Let so many 1 ms ticks pass."""
         for _ in range(ticks):
             torque = self.tick()
-            self.torque_n_m = torque or _STILL
+            self.torque_n_m = torque or STILL
             drive = self._drive
             drive.tick = self.ticks
             drive.enabled = torque is not None
@@ -280,16 +285,16 @@ class EmulatedMotors(Generic[SettingsT]):
             stop_reason=StopReason.NONE,
             plant_failed=self._plant_failed,
             command_age_ticks=0,
-            set_point_rad_s=_STILL,
+            set_point_rad_s=STILL,
             torque_n_m=self.torque_n_m,
-            duty=_STILL,
+            duty=STILL,
             rejected={"transmit_overruns": self._unsent},
         )
 
     def _duty(self) -> FourWheels:
         """Return the duty (-1 to 1) that gives each torque, for a plant whose motors take voltages."""
         if self.battery_v <= 0.0:
-            return _STILL
+            return STILL
         constant, resistance = self.values["torque_constant_n_m_a"], self.values["motor_resistance_ohm"]
         return four(
             clamp((torque / constant * resistance + constant * shaft.speed_rad_s) / self.battery_v, 1.0)

@@ -1,22 +1,19 @@
 """Drives motor controllers by their DBC and a mapping, both given in the scenario; it has no rules of any maker."""
 
-from collections.abc import Mapping, Sequence
-from itertools import chain
+from collections.abc import Iterator, Mapping, Sequence
+from itertools import chain, count
 
 from firmware_protocol.framing import Frame
 from hil.core.errors import BadInputError
 from hil.core.kinematics import body_twist, wheel_speeds
 from hil.core.types import NAN, CommandMode, FourWheels
-from hil.drivers.dbc.coding import Moving, Packer, RollingCounter
-from hil.drivers.dbc.file import Message
-from hil.drivers.dbc.mapping import Bound, Step
+from hil.drivers.dbc.file import Message, Signal
+from hil.drivers.dbc.mapping import Step
 from hil.drivers.dbc.received import Received
 from hil.drivers.dbc.robot import check_limits, check_wheels, gains, warnings, watchdog_raw
 from hil.drivers.dbc.settings import PHASES, Settings
-from hil.drivers.port import EXTENDED, NO_CHANNELS, Capabilities, Dialect, Driver, RobotFacts, Sample, Sensor, four
+from hil.drivers.port import NO_CHANNELS, Capabilities, Dialect, Driver, RobotFacts, Sample, Sensor, clamp, four
 
-_NONE: Mapping[str, float] = {}
-_NO_STEP: Mapping[str, Packer] = {}
 _AGAIN_NS = 250_000_000
 """After this time the steps of arming are repeated: one of their frames may have been lost."""
 _SENSORS: Mapping[str, Sensor] = {
@@ -30,63 +27,74 @@ _SENSORS: Mapping[str, Sensor] = {
 }
 
 
+class _Packer:
+    """Makes the frames of one message.
+
+    ``fixed``: raw values by signal, in place of the DBC's initial ones. ``moving``: signals that carry a value of the
+    command, each with the value's index, gain and bias: raw = gain × value + bias. ``counters``: signals that count the
+    frames cyclically, from their lowest to their highest number, and how many frames there were.
+    """
+
+    def __init__(
+        self,
+        message: Message,
+        fixed: Mapping[str, float],
+        moving: Sequence[tuple[Signal, int, float, float]],
+        counters: Sequence[tuple[Signal, Iterator[int]]],
+    ) -> None:
+        self._message, self._moving, self._counters = message, moving, counters
+        self._raws = {name: fixed.get(name, signal.initial) for name, signal in message.signals.items()}
+
+    def frame(self, values: Sequence[float]) -> Frame:
+        """Return a frame with these values; each is limited to the range of its signal."""
+        raws = self._raws
+        for signal, index, gain, bias in self._moving:
+            raw = clamp(values[index] * gain + bias, signal.high, signal.low)
+            raws[signal.name] = raw if signal.is_float else round(raw)
+        for signal, frames in self._counters:
+            low = int(signal.low)
+            raws[signal.name] = low + next(frames) % (int(signal.high) - low + 1)
+        return Frame(self._message.id, self._message.codec.encode(raws, scaling=False, strict=False))
+
+
 class DbcDriver(Driver):
     """See ``hil.drivers.port.Driver``. Raises BadInputError if the mapping does not fit the robot."""
 
     def __init__(self, settings: Settings, robot: RobotFacts) -> None:
         plan = self._plan = settings.plan
         self._robot = robot
-        self._gain = gains(settings, robot.wheel_radius_m, robot.torque_constant_n_m_a)
+        gain = self._gain = gains(settings, robot.wheel_radius_m, robot.torque_constant_n_m_a)
         check_wheels(plan, robot)
-        check_limits(plan, robot, self._gain)
-        self._received = Received(plan, self._gain)
-        self._is_twist = plan.motion == "twist"
-        self._measures_twist = plan.measured == "twist"
+        check_limits(plan, robot, gain)
         self._adds_torque = "feedforward" in plan.commands
-        self._counters = [RollingCounter(signal) for signal in plan.counters]
+        self._counters = [(signal, count()) for signal in plan.counters]
         bounds = [bound for quantity in plan.commands.values() for bound in quantity.bounds]
-        self._moving = [self._moving_signal(index, bound) for index, bound in enumerate(bounds)]
+        self._moving = [
+            (one.signal, index, 1.0 / (gain(one) * one.signal.factor), -one.signal.offset / one.signal.factor)
+            for index, one in enumerate(bounds)
+        ]
         self._still = [0.0] * len(bounds)
-        self._watchdog_raw = watchdog_raw(plan, robot, self._gain)
-        self._commands = {name: self._packer(name) for name in plan.sent() if self._moves(name)}
+        self._watchdog_raw = watchdog_raw(plan, robot, gain)
+        commanded = {signal.message for signal in plan.commanded()}
+        self._commands = {name: self._packer(name, {}) for name in plan.sent() if name in commanded}
         self._phases = {phase: [self._packers(phase, step) for step in plan.phases[phase]] for phase in PHASES}
         bound = plan.watchdog.set
         self._watchdog = None if bound is None else self._packers("watchdog", {bound.signal.message: {}})
-        self._restart_arming()
         self._capabilities = Capabilities(
             modes=frozenset({CommandMode.TORQUE if plan.motion == "torque" else CommandMode.SPEED}),
-            is_twist=self._is_twist,
+            is_twist=plan.motion == "twist",
             feedback_hz=plan.feedback_hz,
             sensors=frozenset(sensor for name, sensor in _SENSORS.items() if name in plan.feedback),
             adds_torque=self._adds_torque,
             watchdog="set" if plan.watchdog.set else "fixed" if plan.watchdog.timeout_s else "none",
             latches_estop=settings.estop_latches,
         )
-        self._warnings = tuple(warnings(plan, robot))
+        self._warnings = warnings(plan, robot)
+        self.restart()
 
-    # Preparation
-
-    def _moving_signal(self, index: int, bound: Bound) -> Moving:
-        signal = bound.signal
-        return Moving(signal, index, 1.0 / (self._gain(bound) * signal.factor), -signal.offset / signal.factor)
-
-    def _moves(self, message: str) -> bool:
-        return any(one.signal.message == message for one in self._moving)
-
-    def _packers(self, phase: str, step: Step) -> Mapping[str, Packer]:
-        """Return the packers of a step by message. All phases but ``enable`` also send the fields of ``disable``."""
-        disabled = {} if phase == "enable" else (self._plan.phases["disable"] or ({},))[-1]
-        return {name: self._packer(name, {**disabled.get(name, {}), **fields}) for name, fields in step.items()}
-
-    def _packer(self, message: str, fields: Mapping[str, float] = _NONE) -> Packer:
-        """Return the packer of a message with its constants, the watchdog's time, and these fields, which go first."""
-        fixed = {**self._plan.constants.get(message, {}), **fields}
-        watchdog = self._plan.watchdog.set
-        if watchdog is not None and watchdog.signal.message == message:
-            fixed[watchdog.signal.name] = self._watchdog_raw
-        moving = [one for one in self._moving if one.signal.message == message]
-        counters = [one for one in self._counters if one.signal.message == message]
-        return Packer(self._plan.dbc.message(message), fixed, moving, counters)
+    def restart(self) -> None:
+        self._restart_arming()
+        self._received = Received(self._plan, self._gain)
 
     def _restart_arming(self) -> None:
         self._step = 0
@@ -95,16 +103,40 @@ class DbcDriver(Driver):
         self._is_armed = False
         self._ended_by: list[str] = []  # errors that ended closed loop, kept although they may have ended
 
+    # Frames to send
+
+    def _packers(self, phase: str, step: Step) -> Mapping[str, _Packer]:
+        """Return the packers of a step by message. All phases but ``enable`` also send the fields of ``disable``."""
+        disabled = {} if phase == "enable" else (self._plan.phases["disable"] or ({},))[-1]
+        return {name: self._packer(name, {**disabled.get(name, {}), **fields}) for name, fields in step.items()}
+
+    def _packer(self, message: str, fields: Mapping[str, float]) -> _Packer:
+        """Return the packer of a message with its constants and the watchdog's time; ``fields`` replace constants."""
+        fixed = {**self._plan.constants.get(message, {}), **fields}
+        watchdog = self._plan.watchdog.set
+        if watchdog is not None and watchdog.signal.message == message:
+            fixed[watchdog.signal.name] = self._watchdog_raw
+        moving = [one for one in self._moving if one[0].message == message]
+        counters = [one for one in self._counters if one[0].message == message]
+        return _Packer(self._plan.dbc.message(message), fixed, moving, counters)
+
+    def _frames(self, steps: Sequence[Mapping[str, _Packer]]) -> list[Frame]:
+        return [packer.frame(self._still) for packer in chain.from_iterable(step.values() for step in steps)]
+
+    def _standstill(self, steps: Sequence[Mapping[str, _Packer]] = ()) -> list[Frame]:
+        """Return the commands of standstill, where the first step replaces those of its messages; then the rest."""
+        first, *rest = steps or ({},)
+        return self._frames([{**self._commands, **first}, *rest])
+
     # A session
 
     def ask(self) -> Sequence[Frame]:
-        return self._all_of("ask") if self.missing else ()
+        return self._frames(self._phases["ask"]) if self.missing else ()
 
     @property
     def identity(self) -> str | None:
         if self._received.missing():
             return None
-        name = self._plan.dbc.name
         values = []
         for condition, raw in self._received.identity():
             signal = condition.signal
@@ -115,43 +147,37 @@ class DbcDriver(Driver):
                     f"(device.motors.identity); take the DBC of the device's firmware, or the firmware of the DBC"
                 )
             values.append(f"{signal} {signal.word(raw)}")
-        return f"controllers of {name}" + (f" with {', '.join(values)}" if values else "")
+        return f"controllers of {self._plan.dbc.name}" + (f" with {', '.join(values)}" if values else "")
 
     @property
     def missing(self) -> str:
-        missing = self._received.missing()
-        if not missing:
-            return ""
-        names = ", ".join(map(_named, missing))
-        return (
+        names = ", ".join(map(str, self._received.missing()))
+        return names and (
             f"nothing received of {names}; check power, wiring and bit rate, and the identifiers in "
             f"{self._plan.dbc.name}"
         )
 
     def arm(self, now_ns: int) -> Sequence[Frame]:
-        if self._watchdog is not None and not self._watchdog_is_set():
+        if self._watchdog and not self._watchdog_is_set():
             self._step, self._is_armed = 0, False
             if self._watchdog_ns is None:
                 self._watchdog_ns = now_ns
             return self._frames([self._watchdog])
         steps = self._phases["enable"]
         if self._step < len(steps):
-            frames = self._standstill(steps[self._step])
             self._step += 1
             self._stepped_ns = now_ns
-            return frames
+            return self._standstill(steps[self._step - 1 : self._step])
         self._is_armed = not self.missing and self._received.follows()
         if not self._is_armed and now_ns - self._stepped_ns >= _AGAIN_NS:
             self._step = 0
         return self._standstill()
 
     def _watchdog_is_set(self) -> bool:
-        """Return whether the time was sent in this arming and, if a signal reports it, read back since."""
-        if self._watchdog_ns is None:
-            return False
+        """Return whether the time was sent in this arming and read back since."""
         written, read = self._plan.watchdog.set, self._plan.watchdog.read
-        if written is None or read is None:
-            return True
+        if self._watchdog_ns is None or written is None or read is None:
+            return False
         expected_s = self._gain(written) * written.signal.physical(self._watchdog_raw)
         half_a_step_s = abs(self._gain(read) * read.signal.factor) / 2
         return abs(self._received.watchdog_s(self._watchdog_ns) - expected_s) <= half_a_step_s + 1e-9
@@ -162,19 +188,15 @@ class DbcDriver(Driver):
 
     def command(self, speed_rad_s: FourWheels, torque_n_m: FourWheels, now_ns: int) -> Sequence[Frame]:
         values: Sequence[float] = torque_n_m
-        if self._is_twist:
-            robot = self._robot
-            values = body_twist(speed_rad_s, robot.wheel_radius_m, robot.lever_m)
+        if self._plan.motion == "twist":
+            values = body_twist(speed_rad_s, self._robot.wheel_radius_m, self._robot.lever_m)
         elif self._plan.motion == "speed":
-            values = speed_rad_s + torque_n_m if self._adds_torque else speed_rad_s
+            values = speed_rad_s + torque_n_m
         return [packer.frame(values) for packer in self._commands.values()]
 
     def disarm(self) -> Sequence[Frame]:
         self._restart_arming()
-        steps = self._phases["disable"]
-        if not steps:
-            return self._standstill()
-        return [*self._standstill(steps[0]), *self._frames(steps[1:])]
+        return self._standstill(self._phases["disable"])
 
     def estop(self) -> Sequence[Frame]:
         steps = self._phases["estop"]
@@ -184,17 +206,7 @@ class DbcDriver(Driver):
         return self._frames(steps)
 
     def clear(self) -> Sequence[Frame]:
-        return self._all_of("clear")
-
-    def _all_of(self, phase: str) -> Sequence[Frame]:
-        return self._frames(self._phases[phase])
-
-    def _frames(self, steps: Sequence[Mapping[str, Packer]]) -> list[Frame]:
-        return [packer.frame(self._still) for packer in chain.from_iterable(step.values() for step in steps)]
-
-    def _standstill(self, step: Mapping[str, Packer] = _NO_STEP) -> list[Frame]:
-        """Return the commands of standstill, with the messages of a step in place of those of the same name."""
-        return [packer.frame(self._still) for packer in {**self._commands, **step}.values()]
+        return self._frames(self._phases["clear"])
 
     # Received frames
 
@@ -209,41 +221,30 @@ class DbcDriver(Driver):
         stamp_ns = self._received.stamp_ns()
         if stamp_ns is None:
             return None
-        if self._measures_twist:
-            forward, left, yaw_rate = self._received.quantity("twist") or ()
+        quantity = self._received.quantity
+        speeds = four(quantity("speed") or NO_CHANNELS)
+        if self._plan.measured == "twist":
+            forward, left, yaw_rate = quantity("twist") or ()
             speeds = wheel_speeds((forward, left, yaw_rate), self._robot.wheel_radius_m, self._robot.lever_m)
-        else:
-            speeds = self._four("speed")
-        x, y, z = self._received.quantity("acceleration") or (NAN, NAN, NAN)
-        return Sample(
-            stamp_ns,
-            speeds,
-            self._four("position"),
-            self._four("current"),
-            self._four("temperature"),
-            self._one("battery_voltage"),
-            self._one("battery_current"),
-            (x, y, z),
-            self._one("yaw_rate"),
+        x, y, z = quantity("acceleration") or (NAN, NAN, NAN)
+        [battery_v], [battery_a], [yaw_rate_rad_s] = (
+            quantity(name) or (NAN,) for name in ("battery_voltage", "battery_current", "yaw_rate")
         )
-
-    def _four(self, name: str) -> FourWheels:
-        return four(self._received.quantity(name) or NO_CHANNELS)
-
-    def _one(self, name: str) -> float:
-        (value,) = self._received.quantity(name) or (NAN,)
-        return value
+        position_rad, current_a, temperature_degc = (
+            four(quantity(name) or NO_CHANNELS) for name in ("position", "current", "temperature")
+        )
+        wheels = speeds, position_rad, current_a, temperature_degc
+        return Sample(stamp_ns, *wheels, battery_v, battery_a, (x, y, z), yaw_rate_rad_s)
 
     @property
     def errors(self) -> Sequence[str]:
         errors = self._reported()
         errors += [error for error in self._ended_by if error not in errors]
-        silent = [
-            f"nothing received of {_named(message)}, which reports errors or states, for more than {late_s:g} s (its "
+        return errors + [
+            f"nothing received of {message}, which reports errors or states, for more than {late_s:g} s (its "
             "period is device.motors.cycle_time_s)"
             for message, late_s in self._received.silent()
         ]
-        return errors + silent
 
     def _reported(self) -> list[str]:
         return [
@@ -251,14 +252,6 @@ class DbcDriver(Driver):
             f"{error.signal.word(raw)}"
             for error, raw in self._received.errors()
         ]
-
-    def restart(self) -> None:
-        self._restart_arming()
-        self._received = Received(self._plan, self._gain)
-
-
-def _named(message: Message) -> str:
-    return f"{message.name} ({message.id & ~EXTENDED:#x})"
 
 
 DIALECT = Dialect(

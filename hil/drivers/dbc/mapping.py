@@ -1,17 +1,22 @@
 """Reads the tables of [device.motors] against the DBC, and refuses every name, unit or value that it does not have.
 
-All functions raise ValueError with a sentence that begins with the key below [device.motors].
+All functions raise ValueError with a sentence that begins with ``key``, the key below [device.motors].
 """
 
 from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager
 from typing import NamedTuple
 
 from hil.core.errors import nearest
 from hil.core.types import WHEEL_NAMES
-from hil.drivers.dbc.file import Dbc, Message, Signal
+from hil.drivers.dbc.file import Dbc, Signal
 from hil.drivers.dbc.units import Unit, unit
 
 Table = Mapping[str, object]
+Fields = Mapping[str, Mapping[str, object]]
+"""A value, or an array of values, for each ``MESSAGE.Signal``."""
+Step = Mapping[str, Mapping[str, float]]
+"""Raw values, by message and signal, that are sent together."""
 
 
 class Bound(NamedTuple):
@@ -53,72 +58,78 @@ class Watchdog(NamedTuple):
     read: Bound | None = None
 
 
-Step = Mapping[str, Mapping[str, float]]
-"""Raw values, by message and signal, that are sent together."""
-
-
-def _each_wheel(dimension: str) -> Mapping[str, str]:
-    return dict.fromkeys(WHEEL_NAMES, dimension)
-
-
 _TWIST = {"forward": "velocity", "left": "velocity", "yaw_rate": "yaw rate"}
+_WHEELS = {name: dict.fromkeys(WHEEL_NAMES, name) for name in ("speed", "torque", "position", "current", "temperature")}
 COMMANDS: Mapping[str, Mapping[str, str]] = {
-    "speed": _each_wheel("speed"),
-    "torque": _each_wheel("torque"),
+    "speed": _WHEELS["speed"],
+    "torque": _WHEELS["torque"],
     "twist": _TWIST,
-    "feedforward": _each_wheel("torque"),
+    "feedforward": _WHEELS["torque"],
 }
+"""The dimension of each signal of the commanded quantities."""
 FEEDBACK: Mapping[str, Mapping[str, str]] = {
-    "speed": _each_wheel("speed"),
+    "speed": _WHEELS["speed"],
     "twist": _TWIST,
-    "position": _each_wheel("position"),
-    "current": _each_wheel("current"),
-    "temperature": _each_wheel("temperature"),
+    "position": _WHEELS["position"],
+    "current": _WHEELS["current"],
+    "temperature": _WHEELS["temperature"],
     "battery_voltage": {"signal": "voltage"},
     "battery_current": {"signal": "current"},
     "yaw_rate": {"signal": "yaw rate"},
     "acceleration": dict.fromkeys(("x", "y", "z"), "acceleration"),
 }
+"""The dimension of each signal of the measured quantities."""
 
 
-def table(value: object, key: str, known: Iterable[str] | None = None) -> Table:
-    """Return the value if it is a table. With ``known``, its names must be among these."""
-    if not isinstance(value, Mapping):
-        raise ValueError(f"{key} = {value!r}: expected a table")
-    names = None if known is None else list(known)
-    for name in value:
-        if names is not None and name not in names:
-            raise ValueError(f"{key}.{name}: unknown{nearest(name, names)}")
-    return value
+@contextmanager
+def _named(words: str) -> Iterator[None]:
+    """Put these words in front of the message of a ValueError."""
+    try:
+        yield
+    except ValueError as error:
+        raise ValueError(f"{words}: {error}") from error
 
 
-def quantities(dbc: Dbc, value: object, key: str, known: Mapping[str, Mapping[str, str]]) -> dict[str, Quantity]:
+def _array(value: object) -> list[object] | tuple[object, ...]:
+    return value if isinstance(value, list | tuple) else [value]
+
+
+def _check_names(given: Table, key: str, known: Iterable[str]) -> None:
+    for name in given:
+        if name not in known:
+            raise ValueError(f"{key}.{name}: unknown{nearest(name, known)}")
+
+
+def quantities(dbc: Dbc, given: Table, key: str, known: Mapping[str, Mapping[str, str]]) -> dict[str, Quantity]:
     """Return the quantities of ``command`` or ``feedback``, in the order of ``known``."""
-    given = table(value, key, known)
+    _check_names(given, key, known)
     return {
-        name: _quantity(dbc, given[name], f"{key}.{name}", parts, wraps=name == "position")
-        for name, parts in known.items()
+        name: _quantity(dbc, given[name], f"{key}.{name}", dimensions, wraps=name == "position")
+        for name, dimensions in known.items()
         if name in given
     }
 
 
-def _quantity(dbc: Dbc, value: object, key: str, parts: Mapping[str, str], *, wraps: bool) -> Quantity:
-    if isinstance(value, str) and len(parts) == 1:
-        value = dict.fromkeys(parts, value)
-    given = table(value, key, (*parts, "unit", "scale", *(["wraps_at"] if wraps else [])))
-    if missing := [name for name in parts if name not in given]:
-        raise ValueError(f"{key}: {', '.join(missing)} missing; name a signal for each of {', '.join(parts)}")
-    bounds = tuple(bound(dbc, given, name, key, dimension) for name, dimension in parts.items())
-    _once((one.signal for one in bounds), key)
-    wraps_at = positive(given["wraps_at"], f"{key}.wraps_at") if "wraps_at" in given else 0.0
-    return Quantity(bounds, wraps_at)
+def _quantity(dbc: Dbc, given: object, key: str, dimensions: Mapping[str, str], *, wraps: bool) -> Quantity:
+    if isinstance(given, str) and len(dimensions) == 1:
+        given = dict.fromkeys(dimensions, given)
+    if not isinstance(given, Mapping):
+        raise ValueError(f"{key} = {given!r}: expected a table")
+    _check_names(given, key, (*dimensions, "unit", "scale", *(["wraps_at"] if wraps else [])))
+    if missing := [name for name in dimensions if name not in given]:
+        raise ValueError(f"{key}: {', '.join(missing)} missing; name a signal for each of {', '.join(dimensions)}")
+    bounds = tuple(_bound(dbc, given, name, key, dimension) for name, dimension in dimensions.items())
+    signals = [str(bound.signal) for bound in bounds]
+    if twice := [signal for signal in signals if signals.count(signal) > 1]:
+        raise ValueError(f"{key}: {twice[0]} is named twice; each has a signal of its own")
+    return Quantity(bounds, positive(given["wraps_at"], f"{key}.wraps_at") if "wraps_at" in given else 0.0)
 
 
-def bound(dbc: Dbc, given: Table, name: str, key: str, dimension: str) -> Bound:
+def _bound(dbc: Dbc, given: Table, name: str, key: str, dimension: str) -> Bound:
     """Return the signal with this name in a table, with the table's unit or scale, or else the DBC's unit."""
     spec = given[name]
     sign, bare = (-1, spec[1:]) if isinstance(spec, str) and spec.startswith("-") else (1, spec)
-    try:
+    with _named(f"{key}.{name} = {spec!r}"):
         signal = dbc.signal(bare)
         if "scale" in given:
             if "unit" in given:
@@ -128,38 +139,33 @@ def bound(dbc: Dbc, given: Table, name: str, key: str, dimension: str) -> Bound:
         if not isinstance(text, str):
             raise ValueError(f"unit = {text!r}: expected text")
         return Bound(signal, sign, unit(dimension, text), dimension)
-    except ValueError as error:
-        raise ValueError(f"{key}.{name} = {spec!r}: {error}") from error
 
 
-def values(dbc: Dbc, value: object, key: str) -> Iterator[tuple[str, Signal, list[float]]]:
-    """Yield key, signal and raw values of each ``MESSAGE.Signal = value``, where a value may be an array."""
-    for message, signals in table(value, key).items():
-        for name, given in table(signals, f"{key}.{message}").items():
+def _raw_values(dbc: Dbc, fields: Fields, key: str) -> Iterator[tuple[str, Signal, list[float]]]:
+    """Yield the key of each field, its signal, and its raw values."""
+    for message, values in fields.items():
+        for name, given in values.items():
             where = f"{key}.{message}.{name}"
-            try:
-                signal = dbc.signal_of(message, name)
-                many = given if isinstance(given, list | tuple) else [given]
-                if not many:
+            with _named(f"{where} = {given!r}"):
+                signal = dbc.signal(f"{message}.{name}")
+                if not (raws := [signal.raw(one) for one in _array(given)]):
                     raise ValueError("expected at least one value")
-                yield where, signal, [signal.raw(one) for one in many]
-            except ValueError as error:
-                raise ValueError(f"{where} = {given!r}: {error}") from error
+            yield where, signal, raws
 
 
-def constants(dbc: Dbc, value: object, key: str) -> dict[str, dict[str, float]]:
+def constants(dbc: Dbc, fields: Fields, key: str) -> dict[str, dict[str, float]]:
     """Return the raw values that are the same in every frame, by message and signal."""
     fixed: dict[str, dict[str, float]] = {}
-    for where, signal, raws in values(dbc, value, key):
+    for where, signal, raws in _raw_values(dbc, fields, key):
         if len(raws) > 1:
             raise ValueError(f"{where}: expected one value, as it is the same in every frame")
         fixed.setdefault(signal.message, {})[signal.name] = raws[0]
     return fixed
 
 
-def steps(dbc: Dbc, value: object, key: str) -> tuple[Step, ...]:
+def steps(dbc: Dbc, fields: Fields, key: str) -> tuple[Step, ...]:
     """Return the steps of a phase. Arrays have a value for each step, and all have the same length."""
-    found = list(values(dbc, value, key))
+    found = list(_raw_values(dbc, fields, key))
     lengths = {len(raws): where for where, _, raws in found if len(raws) > 1}
     if len(lengths) > 1:
         (a, first), (b, second) = sorted(lengths.items())[:2]
@@ -171,49 +177,40 @@ def steps(dbc: Dbc, value: object, key: str) -> tuple[Step, ...]:
     return tuple(made)
 
 
-def conditions(dbc: Dbc, value: object, key: str) -> tuple[Condition, ...]:
+def conditions(dbc: Dbc, fields: Fields, key: str) -> tuple[Condition, ...]:
     """Return the conditions; any value of an array meets one."""
-    return tuple(Condition(signal, frozenset(raws)) for _, signal, raws in values(dbc, value, key))
+    return tuple(Condition(signal, frozenset(raws)) for _, signal, raws in _raw_values(dbc, fields, key))
 
 
-def errors(dbc: Dbc, value: object, key: str) -> tuple[ErrorSignal, ...]:
+def errors(dbc: Dbc, given: Table, key: str) -> tuple[ErrorSignal, ...]:
     """Return the signals that report errors of each wheel and of the robot."""
-    given = table(value, key, (*WHEEL_NAMES, "robot", "none"))
+    _check_names(given, key, (*WHEEL_NAMES, "robot", "none"))
     none = given.get("none", 0)
-    fine = none if isinstance(none, list | tuple) else [none]
     found = []
     for where, specs in given.items():
-        for spec in () if where == "none" else specs if isinstance(specs, list | tuple) else [specs]:
-            name = f"{key}.{where} = {spec!r}"
-            try:
+        for spec in () if where == "none" else _array(specs):
+            with _named(f"{key}.{where} = {spec!r}"):
                 signal = dbc.signal(spec)
-                name = f"{key}.none = {none!r} for {signal}"
-                found.append(ErrorSignal(where, signal, frozenset(signal.raw(one) for one in fine)))
-            except ValueError as error:
-                raise ValueError(f"{name}: {error}") from error
+            with _named(f"{key}.none = {none!r} for {signal}"):
+                found.append(ErrorSignal(where, signal, frozenset(map(signal.raw, _array(none)))))
     return tuple(found)
 
 
-def counters(dbc: Dbc, value: object, key: str) -> tuple[Signal, ...]:
+def counters(dbc: Dbc, specs: Iterable[str], key: str) -> tuple[Signal, ...]:
     """Return the rolling counters."""
-    if not isinstance(value, list | tuple):
-        raise ValueError(f'{key} = {value!r}: expected an array of signals, such as ["DRIVE_FL.Alive"]')
     found = []
-    for spec in value:
-        try:
+    for spec in specs:
+        with _named(f"{key}: {spec!r}"):
             signal = dbc.signal(spec)
             if signal.is_float or signal.high <= signal.low:
                 raise ValueError("a counter is a whole number that has more than one value")
-        except ValueError as error:
-            raise ValueError(f"{key}: {spec!r}: {error}") from error
         found.append(signal)
-    _once(found, key)
     return tuple(found)
 
 
-def watchdog(dbc: Dbc, value: object, key: str) -> Watchdog:
+def watchdog(dbc: Dbc, given: Table, key: str) -> Watchdog:
     """Return the watchdog that stops the wheels when commands end."""
-    given = table(value, key, ("timeout_s", "set", "read", "unit", "scale"))
+    _check_names(given, key, ("timeout_s", "set", "read", "unit", "scale"))
     if "timeout_s" in given:
         if len(given) > 1:
             raise ValueError(f"{key}: give timeout_s, where it is fixed, or set and read, where it is not")
@@ -225,18 +222,7 @@ def watchdog(dbc: Dbc, value: object, key: str) -> Watchdog:
             f"{key}.{missing[0]} is missing: a watchdog is set and read back; give one that cannot be read back "
             "in [device.motors.enable], and its time as timeout_s"
         )
-    found = [bound(dbc, given, name, key, "time") for name in ("set", "read")]
-    return Watchdog(set=found[0], read=found[1])
-
-
-def cycle_times(value: object, key: str) -> dict[str, float]:
-    """Return the periods of messages [s]; 0 for those that are sent only on a change."""
-    found = {}
-    for message, given in table(value, key).items():
-        if isinstance(given, bool) or not isinstance(given, int | float) or not 0.0 <= given < float("inf"):
-            raise ValueError(f"{key}.{message} = {given!r}: expected seconds, or 0 for one sent on a change alone")
-        found[message] = float(given)
-    return found
+    return Watchdog(None, *(_bound(dbc, given, name, key, "time") for name in ("set", "read")))
 
 
 def positive(value: object, key: str) -> float:
@@ -244,16 +230,3 @@ def positive(value: object, key: str) -> float:
     if isinstance(value, bool) or not isinstance(value, int | float) or not 0.0 < value < float("inf"):
         raise ValueError(f"{key} = {value!r}: expected a number, more than zero")
     return float(value)
-
-
-def by_message(dbc: Dbc, signals: Iterable[Signal]) -> dict[str, Message]:
-    """Return the messages of these signals by name, each once."""
-    return {name: dbc.message(name) for name in dict.fromkeys(signal.message for signal in signals)}
-
-
-def _once(signals: Iterable[Signal], key: str) -> None:
-    seen = set()
-    for signal in signals:
-        if str(signal) in seen:
-            raise ValueError(f"{key}: {signal} is named twice; each has a signal of its own")
-        seen.add(str(signal))

@@ -1,40 +1,37 @@
 """The messages that the controllers send: their newest values, and the quantities and conditions from them."""
 
 import math
-from collections.abc import Collection, Mapping, Sequence
-from itertools import chain
-from typing import NamedTuple
+from collections.abc import Collection, Iterable, Mapping, Sequence
+from dataclasses import dataclass
 
 from hil.core.types import NAN
-from hil.drivers.dbc.coding import Reading, Unpacker
 from hil.drivers.dbc.file import Message, Signal
 from hil.drivers.dbc.mapping import Condition, ErrorSignal
 from hil.drivers.dbc.robot import Gain
 from hil.drivers.dbc.settings import Plan
-from hil.drivers.port import holds_back
+from hil.drivers.port import holds_back, oldest
 
 
-class ReceivedMessage:
-    """One message: its newest values, NaN before the first, and their stamp.
+class _Source:
+    """One message that is received.
 
-    ``late_ns``: time after which the values are too old; None if they are valid until the next ones.
+    Attributes:
+        late_ns: age after which its values are too old; None if they are valid until the next ones.
+        stamp_ns: when the newest values arrived; None before the first.
+        raws: the newest raw values of its signals, empty before the first.
+        floats: the names of its floating-point signals that are read. A frame with one that is not finite is ignored.
+        good: name and good raw values of each signal that reports an error, or a state of ``armed_when``.
+        positions: its positions that wrap.
     """
 
     def __init__(self, message: Message, late_ns: int | None) -> None:
         self.message = message
         self.late_ns = late_ns
         self.stamp_ns: int | None = None
-        self.values: list[float] = []
-        self.turns: list[_Turns] = []
-        self._readings: list[Reading] = []
-        self._unpacker = Unpacker(message, ())
-
-    def read(self, reading: Reading) -> "Place":
-        """Add a signal to read, and return the place of its value."""
-        self._readings.append(reading)
-        self.values.append(NAN)
-        self._unpacker = Unpacker(self.message, self._readings)
-        return Place(self, len(self.values) - 1)
+        self.raws: Mapping[str, float] = {}
+        self.floats: set[str] = set()
+        self.good: list[tuple[str, Collection[float]]] = []
+        self.positions: list[_WrappingPosition] = []
 
     def is_silent(self, now_ns: int) -> bool:
         """Return whether the message came at least once, and its values are too old now."""
@@ -42,82 +39,88 @@ class ReceivedMessage:
 
     def feed(self, payload: bytes, stamp_ns: int) -> None:
         """Take a payload. It changes nothing if it is too short or has a value that is not finite."""
-        values = self._unpacker.values(payload)
-        if values is None:
+        length = self.message.length
+        if len(payload) < length:
             return
-        self.values, self.stamp_ns = values, stamp_ns
-        for one in self.turns:
-            one.follow(stamp_ns)
+        # cantools' own scaling, checks and value-table texts would double the time.
+        raws = self.message.codec.decode_simple(payload[:length], decode_choices=False, scaling=False)
+        if all(math.isfinite(raws[name]) for name in self.floats):
+            self.raws, self.stamp_ns = raws, stamp_ns
+            for position in self.positions:
+                position.follow(stamp_ns)
 
 
-class Place(NamedTuple):
-    """The place of a value: its message, and its index in ``values``."""
+@dataclass(slots=True)
+class _Reading:
+    """A signal that is read. Its value is ``gain`` × raw + ``bias``."""
 
-    source: ReceivedMessage
-    number: int
+    source: _Source
+    name: str
+    gain: float
+    bias: float
 
     @property
     def value(self) -> float:
         """The newest value, NaN before the first."""
-        return self.source.values[self.number]
+        return self.source.raws.get(self.name, NAN) * self.gain + self.bias
 
 
-class _Turns:
-    """Unwraps a position whose signal wraps after ``span``.
+class _WrappingPosition(_Reading):
+    """A position whose signal wraps after ``span``; whole spans are added, so that its value does not wrap.
 
     Between two frames a motor may turn more than half a span; the number of wraps follows from its ``speed``, if known.
     """
 
-    def __init__(self, position: Place, speed: Place | None, span: float) -> None:
-        self._position, self._speed = position, speed
-        self._span = span
+    def __init__(self, wrapped: _Reading, speed: _Reading | None, span: float) -> None:
+        super().__init__(wrapped.source, wrapped.name, wrapped.gain, wrapped.bias)
+        self._wrapped, self._speed, self._span = wrapped, speed, span
         self._last: tuple[int, float, float] | None = None
-        self._turned = 0.0
+        self._added = 0.0
+        self.source.positions.append(self)
+
+    @property
+    def value(self) -> float:
+        """The newest value, NaN before the first."""
+        return self._wrapped.value + self._added
 
     def follow(self, stamp_ns: int) -> None:
-        value = self._position.value
-        speed = NAN if self._speed is None else self._speed.value
+        """Count the wraps up to the newest frame."""
+        value, speed = self._wrapped.value, self._speed.value if self._speed else NAN
         if self._last is not None:
             last_ns, last, last_speed = self._last
             expected = 0.5 * (speed + last_speed) * (stamp_ns - last_ns) * 1e-9
-            if math.isnan(expected):
-                expected = 0.0
-            self._turned += self._span * round((expected - (value - last)) / self._span)
+            turned = (0.0 if math.isnan(expected) else expected) - (value - last)
+            self._added += self._span * round(turned / self._span)
         self._last = stamp_ns, value, speed
-        self._position.source.values[self._position.number] = value + self._turned
 
 
 class Received:
-    """All messages of a mapping that the controllers send. ``stamp_ns`` has the age of speeds and positions."""
+    """All messages of a mapping that the controllers send."""
 
     def __init__(self, plan: Plan, gain: Gain) -> None:
-        self._messages = {
-            name: ReceivedMessage(message, plan.late_ns(message)) for name, message in plan.received().items()
-        }
-        self._by_id = {one.message.id: one for one in self._messages.values()}
+        self._sources = {name: _Source(message, plan.late_ns(message)) for name, message in plan.received().items()}
+        self._by_id = {source.message.id: source for source in self._sources.values()}
         self._now_ns = 0  # stamp of the newest frame
-        self._quantities: Mapping[str, Sequence[Place]] = {
-            name: [self._place(bound.signal, gain(bound)) for bound in quantity.bounds]
+        self._quantities: dict[str, Sequence[_Reading]] = {
+            name: [self._read(bound.signal, gain(bound)) for bound in quantity.bounds]
             for name, quantity in plan.feedback.items()
         }
         if positions := plan.feedback.get("position"):
+            spans = [abs(gain(one)) * (positions.wraps_at or _span(one.signal)) for one in positions.bounds]
             speeds = self._quantities.get("speed", [None] * 4)
-            for bound, place, speed in zip(positions.bounds, self._quantities["position"], speeds, strict=True):
-                if span := abs(gain(bound)) * (positions.wraps_at or _span(bound.signal)):
-                    place.source.turns.append(_Turns(place, speed, span))
-        self._armed_when = [(self._place(one.signal), one) for one in plan.armed_when]
-        self._identity = [(self._place(one.signal), one) for one in plan.identity]
-        self._errors = [(self._place(one.signal), one) for one in plan.errors]
-        watched = _sources([place for place, _ in chain(self._armed_when, self._errors)])
-        self._watched = [(one, one.late_ns) for one in watched if one.late_ns is not None]
-        self._sound: dict[int, list[tuple[int, Collection[float]]]] = {one.message.id: [] for one in watched}
-        for place, sound in chain(
-            ((place, condition.raws) for place, condition in self._armed_when),
-            ((place, error.none) for place, error in self._errors),
-        ):
-            self._sound[place.source.message.id].append((place.number, sound))
+            self._quantities["position"] = [
+                _WrappingPosition(reading, speed, span) if span else reading
+                for reading, speed, span in zip(self._quantities["position"], speeds, spans, strict=True)
+            ]
+        self._armed_when = [(self._read(one.signal), one) for one in plan.armed_when]
+        self._identity = [(self._read(one.signal), one) for one in plan.identity]
+        self._errors = [(self._read(one.signal), one) for one in plan.errors]
+        for reading, condition in self._armed_when:
+            reading.source.good.append((reading.name, condition.raws))
+        for reading, error in self._errors:
+            reading.source.good.append((reading.name, error.none))
         read = plan.watchdog.read
-        self._watchdog = None if read is None else self._place(read.signal, gain(read))
+        self._watchdog = None if read is None else self._read(read.signal, gain(read))
         self._measured = _sources(self._quantities[plan.measured])
         self._positions = [one for one in _sources(self._quantities.get("position", ())) if one not in self._measured]
 
@@ -131,89 +134,78 @@ class Received:
             return True
         self._now_ns = max(self._now_ns, stamp_ns)
         source.feed(payload, stamp_ns)
-        if source.stamp_ns is None:
-            return True  # it was none, and there is nothing yet
-        return all(source.values[index] in sound for index, sound in self._sound.get(identifier, ()))
+        return source.stamp_ns is None or all(source.raws[name] in good for name, good in source.good)
 
-    def _place(self, signal: Signal, gain: float | None = None) -> Place:
-        """Add a signal to read. Without a gain its raw value is read, which conditions compare exactly."""
-        source = self._messages[signal.message]
+    def _read(self, signal: Signal, gain: float | None = None) -> _Reading:
+        """Return a signal to read. Without a gain its raw value is read, which conditions compare exactly."""
+        source = self._sources[signal.message]
+        if signal.is_float:
+            source.floats.add(signal.name)
         if gain is None:
-            return source.read(Reading(signal))
-        return source.read(Reading(signal, gain * signal.factor, gain * signal.offset))
+            return _Reading(source, signal.name, 1, 0)
+        return _Reading(source, signal.name, gain * signal.factor, gain * signal.offset)
 
     def quantity(self, name: str) -> Sequence[float] | None:
         """Return the newest values of a quantity [SI], NaN for what did not come, or is too old; None if not mapped."""
-        places = self._quantities.get(name)
-        if places is None:
+        readings = self._quantities.get(name)
+        if readings is None:
             return None
         if name == "position":  # kept for odometry; if the positions no longer come, stamp_ns stands still
-            return [place.value for place in places]
-        now_ns = self._now_ns
-        return [NAN if source.is_silent(now_ns) else source.values[index] for source, index in places]
+            return [reading.value for reading in readings]
+        return [NAN if reading.source.is_silent(self._now_ns) else reading.value for reading in readings]
 
     def stamp_ns(self) -> int | None:
         """Return the stamp of the oldest message with speeds; None until all speeds and positions have come.
 
         It stands still when the positions no longer come.
         """
-        oldest: int | None = None
-        for source in self._measured:
-            stamp_ns = source.stamp_ns
-            if stamp_ns is None:
-                return None
-            if oldest is None or stamp_ns < oldest:
-                oldest = stamp_ns
+        stamp_ns = oldest(source.stamp_ns for source in self._measured)
         for source in self._positions:
-            if oldest is None or source.stamp_ns is None:
+            if stamp_ns is None or source.stamp_ns is None:
                 return None
             if source.late_ns is not None:
-                oldest = holds_back(oldest, source.stamp_ns, source.late_ns)
-        return oldest
+                stamp_ns = holds_back(stamp_ns, source.stamp_ns, source.late_ns)
+        return stamp_ns
 
     def missing(self) -> list[Message]:
         """Return the messages that the driver needs and that have not come yet."""
-        needed = [place.source for place, _ in chain(self._armed_when, self._identity)]
-        needed += [place.source for place, _ in self._errors if place.source.late_ns is not None]
+        needed = _sources([reading for reading, _ in (*self._armed_when, *self._identity)])
+        needed += [reading.source for reading, _ in self._errors if reading.source.late_ns is not None]
         needed += self._measured + self._positions
-        return list({source.message.name: source.message for source in needed if source.stamp_ns is None}.values())
+        return list({one.message.name: one.message for one in needed if one.stamp_ns is None}.values())
 
     def silent(self) -> list[tuple[Message, float]]:
         """Return the messages with states and errors that are too old, each with its limit of age [s]."""
-        now_ns = self._now_ns
-        return [(one.message, late_ns * 1e-9) for one, late_ns in self._watched if one.is_silent(now_ns)]
+        silent = [one for one in self._sources.values() if one.good and one.is_silent(self._now_ns)]
+        return [(one.message, one.late_ns * 1e-9) for one in silent if one.late_ns is not None]
 
     def follows(self) -> bool:
         """Return whether all conditions of [device.motors.armed_when] are met by values that are not too old."""
-        now_ns = self._now_ns
         return all(
-            place.value in condition.raws and not place.source.is_silent(now_ns)
-            for place, condition in self._armed_when
+            reading.value in condition.raws and not reading.source.is_silent(self._now_ns)
+            for reading, condition in self._armed_when
         )
 
     def identity(self) -> list[tuple[Condition, float]]:
         """Return the conditions that identify the device, with the raw values received."""
-        return [(condition, place.value) for place, condition in self._identity]
+        return [(condition, reading.value) for reading, condition in self._identity]
 
     def errors(self) -> list[tuple[ErrorSignal, float]]:
         """Return the reported errors with their raw values."""
-        return [
-            (error, place.value)
-            for place, error in self._errors
-            if place.source.stamp_ns is not None and place.value not in error.none
-        ]
+        values = [(error, reading.value) for reading, error in self._errors if reading.source.raws]
+        return [(error, value) for error, value in values if value not in error.none]
 
     def watchdog_s(self, since_ns: int) -> float:
         """Return the watchdog's time [s] as read back after ``since_ns``; NaN if it did not come or is too old."""
-        place = self._watchdog
-        if place is None or place.source.stamp_ns is None or place.source.stamp_ns <= since_ns:
+        reading = self._watchdog
+        if reading is None or reading.source.stamp_ns is None or reading.source.stamp_ns <= since_ns:
             return NAN
-        return NAN if place.source.is_silent(self._now_ns) else place.value
+        return NAN if reading.source.is_silent(self._now_ns) else reading.value
 
 
-def _sources(places: Sequence[Place]) -> list[ReceivedMessage]:
-    """Return the messages of these places, each once."""
-    return list({place.source.message.id: place.source for place in places}.values())
+def _sources(readings: Iterable[_Reading]) -> list[_Source]:
+    """Return the messages of these signals, each once."""
+    return list({reading.source.message.id: reading.source for reading in readings}.values())
 
 
 def _span(signal: Signal) -> float:

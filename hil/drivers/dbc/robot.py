@@ -1,13 +1,13 @@
 """Checks that a mapping fits the robot, and the conversion of its units for the robot."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 
 from hil.core.errors import BadInputError
 from hil.core.types import WHEEL_NAMES
 from hil.drivers.dbc.file import Signal
 from hil.drivers.dbc.mapping import Bound
 from hil.drivers.dbc.settings import Plan, Settings
-from hil.drivers.dbc.units import SI, at_wheel
+from hil.drivers.dbc.units import SI, Place
 from hil.drivers.port import RobotFacts, torques_dropped
 
 _KEY = "device.motors"
@@ -19,15 +19,17 @@ Gain = Callable[[Bound], float]
 
 def gains(settings: Settings, wheel_radius_m: float, torque_constant_n_m_a: float) -> Gain:
     """Return the gains of a mapping on a robot; the torque constant is that at the wheel."""
+    at_wheel: Mapping[Place, tuple[float, float]] = {
+        "wheel": (1.0, 1.0),
+        "shaft": (1.0, settings.gear_ratio),
+        "shaft torque": (settings.gear_ratio, 1.0),
+        "ground": (1.0, wheel_radius_m),
+        "phase": (torque_constant_n_m_a, 1.0),
+    }
 
     def gain(bound: Bound) -> float:
-        return bound.sign * at_wheel(
-            bound.unit,
-            bound.dimension,
-            gear_ratio=settings.gear_ratio,
-            wheel_radius_m=wheel_radius_m,
-            torque_constant_n_m_a=torque_constant_n_m_a,
-        )
+        multiplier, divisor = at_wheel[bound.unit.place]
+        return bound.sign * bound.unit.factor * multiplier / divisor
 
     return gain
 
@@ -56,17 +58,16 @@ def check_limits(plan: Plan, robot: RobotFacts, gain: Gain) -> None:
         "velocity": ("robot.speed_limit_rad_s", ground_m_s),
         "yaw rate": ("robot.speed_limit_rad_s", ground_m_s / robot.lever_m),
     }
-    for quantity in plan.commands.values():
-        for bound in quantity.bounds:
-            name, limit = limits[bound.dimension]
-            signal = bound.signal
-            _check_zero(signal)
-            low, high = sorted(gain(bound) * signal.physical(raw) for raw in (signal.low, signal.high))
-            if -limit < low or limit > high:
-                raise BadInputError(
-                    f"{_KEY}.command: {signal} goes from {low:.4g} to {high:.4g} {SI[bound.dimension]}, and {name} "
-                    f"asks for {limit:.4g} both ways; lower that, or correct unit, scale or gear_ratio"
-                )
+    for bound in (bound for quantity in plan.commands.values() for bound in quantity.bounds):
+        name, limit = limits[bound.dimension]
+        signal = bound.signal
+        _check_zero(signal)
+        low, high = sorted(gain(bound) * signal.physical(raw) for raw in (signal.low, signal.high))
+        if -limit < low or limit > high:
+            raise BadInputError(
+                f"{_KEY}.command: {signal} goes from {low:.4g} to {high:.4g} {SI[bound.dimension]}, and {name} "
+                f"asks for {limit:.4g} both ways; lower that, or correct unit, scale or gear_ratio"
+            )
 
 
 def _check_zero(signal: Signal) -> None:
@@ -90,9 +91,8 @@ def watchdog_raw(plan: Plan, robot: RobotFacts, gain: Gain) -> float:
     if bound is None:
         return 0.0
     signal = bound.signal
-    raw = (robot.watchdog_s / gain(bound) - signal.offset) / signal.factor
-    if not signal.is_float:
-        raw = round(raw)
+    exact = (robot.watchdog_s / gain(bound) - signal.offset) / signal.factor
+    raw = exact if signal.is_float else round(exact)
     if not signal.low <= raw <= signal.high:
         raise BadInputError(
             f"{_KEY}.watchdog: {signal} takes {signal.limits()}, and firmware.watchdog_s = {robot.watchdog_s:g} is "
@@ -101,7 +101,7 @@ def watchdog_raw(plan: Plan, robot: RobotFacts, gain: Gain) -> float:
     return raw
 
 
-def warnings(plan: Plan, robot: RobotFacts) -> list[str]:
+def warnings(plan: Plan, robot: RobotFacts) -> tuple[str, ...]:
     """Return the sentences that the user must know before anything moves."""
     found = []
     timeout_s = plan.watchdog.timeout_s
@@ -121,4 +121,4 @@ def warnings(plan: Plan, robot: RobotFacts) -> list[str]:
         found.append(torques_dropped(f"a base of {plan.dbc.name}"))
     elif plan.motion == "speed" and "feedforward" not in plan.commands:
         found.append(torques_dropped(f"{_KEY}.command without feedforward"))
-    return found
+    return tuple(found)

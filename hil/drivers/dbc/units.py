@@ -1,4 +1,4 @@
-"""Units as DBC files write them, and their conversion to SI units at the wheel."""
+"""Units as DBC files write them, and their sizes in SI units."""
 
 import math
 from collections.abc import Mapping
@@ -6,57 +6,51 @@ from typing import Literal, NamedTuple
 
 from hil.core.errors import nearest
 
-_TURN = math.tau
-_RPM = math.tau / 60.0
-_DEGREE = math.pi / 180.0
-_STANDARD_GRAVITY = 9.80665
+Place = Literal["wheel", "shaft", "shaft torque", "ground", "phase"]
+"""Where a quantity is measured: at the wheel's axle, at the motor's shaft before the gear (a speed or position, or a
+torque), on the ground under the wheel, or as the phase current of the motor."""
 
 
 class Unit(NamedTuple):
-    """A unit of a signal: ``factor`` SI units, measured at ``place``.
-
-    Places: the motor's shaft, before the gear; the ground under the wheel; the phase current of the motor; the wheel.
-    """
+    """A unit of a signal: ``factor`` SI units, measured at ``place``."""
 
     factor: float
-    place: Literal["shaft", "ground", "phase", "wheel"] = "wheel"
+    place: Place = "wheel"
 
 
-def _same(unit: Unit, *names: str) -> dict[str, Unit]:
-    return dict.fromkeys(names, unit)
-
-
-_SPEED = {
-    **_same(Unit(1.0, "shaft"), "rad/s"),
-    **_same(Unit(_RPM, "shaft"), "rpm", "r/min", "rev/min", "1/min", "U/min"),
-    **_same(Unit(_TURN, "shaft"), "rev/s", "turn/s", "turns/s", "rps"),
-    **_same(Unit(_DEGREE, "shaft"), "deg/s", "°/s"),
-    **_same(Unit(1.0, "ground"), "m/s"),
-    **_same(Unit(1e-3, "ground"), "mm/s"),
-}
-_YAW_RATE = {"rad/s": Unit(1.0), "mrad/s": Unit(1e-3), "deg/s": Unit(_DEGREE), "°/s": Unit(_DEGREE)}
-_CURRENT = {"A": 1.0, "mA": 1e-3}
-UNITS: Mapping[str, Mapping[str, Unit]] = {
-    "speed": _SPEED,
-    "torque": {
-        **_same(Unit(1.0, "shaft"), "Nm", "N·m", "N*m", "N.m"),
-        **_same(Unit(1e-3, "shaft"), "mNm"),
-        **{name: Unit(factor, "phase") for name, factor in _CURRENT.items()},
+_DEGREE = math.pi / 180.0
+_CURRENTS = {"A": 1.0, "mA": 1e-3}
+_SIZES: Mapping[str, Mapping[Place, Mapping[str, float]]] = {
+    "speed": {
+        "shaft": {
+            "rad/s": 1.0,
+            "rpm, r/min, rev/min, 1/min, U/min": math.tau / 60.0,
+            "rev/s, turn/s, turns/s, rps": math.tau,
+            "deg/s, °/s": _DEGREE,
+        },
+        "ground": {"m/s": 1.0, "mm/s": 1e-3},
     },
+    "torque": {"shaft torque": {"Nm, N·m, N*m, N.m": 1.0, "mNm": 1e-3}, "phase": _CURRENTS},
     "position": {
-        **_same(Unit(1.0, "shaft"), "rad"),
-        **_same(Unit(_TURN, "shaft"), "rev", "turn", "turns"),
-        **_same(Unit(_DEGREE, "shaft"), "deg", "°"),
-        **_same(Unit(1.0, "ground"), "m"),
-        **_same(Unit(1e-3, "ground"), "mm"),
+        "shaft": {"rad": 1.0, "rev, turn, turns": math.tau, "deg, °": _DEGREE},
+        "ground": {"m": 1.0, "mm": 1e-3},
     },
-    "current": {name: Unit(factor) for name, factor in _CURRENT.items()},
-    "temperature": _same(Unit(1.0), "degC", "°C", "C", "deg C"),
-    "voltage": {"V": Unit(1.0), "mV": Unit(1e-3)},
-    "velocity": {"m/s": Unit(1.0), "mm/s": Unit(1e-3), "km/h": Unit(1.0 / 3.6)},
-    "yaw rate": _YAW_RATE,
-    "acceleration": {**_same(Unit(1.0), "m/s^2", "m/s2", "m/s²"), "g": Unit(_STANDARD_GRAVITY)},
-    "time": {"s": Unit(1.0), "ms": Unit(1e-3)},
+    "current": {"wheel": _CURRENTS},
+    "temperature": {"wheel": {"degC, °C, C, deg C": 1.0}},
+    "voltage": {"wheel": {"V": 1.0, "mV": 1e-3}},
+    "velocity": {"wheel": {"m/s": 1.0, "mm/s": 1e-3, "km/h": 1.0 / 3.6}},
+    "yaw rate": {"wheel": {"rad/s": 1.0, "mrad/s": 1e-3, "deg/s, °/s": _DEGREE}},
+    "acceleration": {"wheel": {"m/s^2, m/s2, m/s²": 1.0, "g": 9.80665}},
+    "time": {"wheel": {"s": 1.0, "ms": 1e-3}},
+}
+UNITS: Mapping[str, Mapping[str, Unit]] = {
+    dimension: {
+        name: Unit(factor, place)
+        for place, sizes in places.items()
+        for names, factor in sizes.items()
+        for name in names.split(", ")
+    }
+    for dimension, places in _SIZES.items()
 }
 SI = {
     "speed": "rad/s of the wheel",
@@ -86,14 +80,3 @@ def unit(dimension: str, text: str) -> Unit:
     raise ValueError(
         f"{what}{near}; give unit in the same table, or scale, which is what 1 of the signal is in {SI[dimension]}"
     )
-
-
-def at_wheel(
-    one: Unit, dimension: str, *, gear_ratio: float, wheel_radius_m: float, torque_constant_n_m_a: float
-) -> float:
-    """Return the size of a unit in the unit of ``SI``; the torque constant is that at the wheel."""
-    if one.place == "shaft":
-        return one.factor * gear_ratio if dimension == "torque" else one.factor / gear_ratio
-    if one.place == "ground":
-        return one.factor / wheel_radius_m
-    return one.factor * torque_constant_n_m_a if one.place == "phase" else one.factor
