@@ -9,16 +9,16 @@ import math
 from firmware_protocol.framing import Frame
 from hil.core.types import FourWheels
 from hil.drivers.emulated import EmulatedMotors, Shaft
-from hil.drivers.moteus import emulated_registers as registers
 from hil.drivers.moteus import frames
 from hil.drivers.moteus.driver import Settings
 from hil.drivers.moteus.emulated_console import Console
-from hil.drivers.moteus.emulated_servo import FAULT, STOPPED, Servo
+from hil.drivers.moteus.emulated_servo import FAULT, NO_REGISTER, STOPPED, UUID_MASK, Servo
 from hil.drivers.port import four
 
 _UNDER_VOLTAGE, _OVER_TEMPERATURE = 40, 38
 _BROADCAST, _STREAM, _MAX_STREAM_BYTES = 0x7F, 1, 61
 _STREAM_FROM_DEVICE = 0x41
+_MAX_ANSWER_BYTES = 64  # of a CAN FD frame
 
 
 class EmulatedMoteus(EmulatedMotors[Settings]):
@@ -93,7 +93,7 @@ class EmulatedMoteus(EmulatedMotors[Settings]):
 
 def _converse(servo: Servo, console: Console, payload: bytes) -> bytes | None:
     """Execute the subframes of a frame, and return the answer; None if its UUID mask selects another controller."""
-    answer = registers.Answer()
+    answer = _Answer()
     found, is_whole = frames.subframes(payload)
     for one in found:
         if one.code == frames.WRITE and servo.is_masked_out(one.register, one.raw):
@@ -107,13 +107,13 @@ def _converse(servo: Servo, console: Console, payload: bytes) -> bytes | None:
                 data = console.take(min(int(one.raw), _MAX_STREAM_BYTES))
                 answer.add(bytes((_STREAM_FROM_DEVICE, _STREAM, len(data))) + data)
         elif one.code == frames.WRITE:
-            if registers.UUID_MASK <= one.register < registers.UUID_MASK + 4:
+            if UUID_MASK <= one.register < UUID_MASK + 4:
                 continue
             if error := servo.write(one.register, one.kind, one.raw):
                 answer.add_error(frames.WRITE_ERROR, one.register, error)
         elif one.code == frames.READ:
             if (value := servo.read(one.register, one.kind)) is None:
-                answer.add_error(frames.READ_ERROR, one.register, registers.NO_REGISTER)
+                answer.add_error(frames.READ_ERROR, one.register, NO_REGISTER)
             else:
                 answer.add_value(one.register, one.kind, value)
         else:  # an answer: not for a device
@@ -122,3 +122,45 @@ def _converse(servo: Servo, console: Console, payload: bytes) -> bytes | None:
     if not is_whole:
         servo.refuse()
     return answer.payload()
+
+
+class _Answer:
+    """Collects the subframes of one answer. Values of consecutive registers share one; a subframe is never cut off."""
+
+    def __init__(self) -> None:
+        self._whole = b""
+        self._first, self._kind = 0, frames.INT8
+        self._values: list[bytes] = []
+
+    def add_value(self, register: int, kind: int, raw: float) -> None:
+        """Add the raw value of a register."""
+        if self._values and (kind != self._kind or register != self._first + len(self._values)):
+            self._close()
+        if not self._values:
+            self._first, self._kind = register, kind
+        self._values.append(frames.pack(kind, raw))
+
+    def add_error(self, code: int, register: int, error: int) -> None:
+        """Add why a register could not be written (``WRITE_ERROR``) or read (``READ_ERROR``)."""
+        self.add(bytes((code,)) + frames.varuint(register) + frames.varuint(error))
+
+    def add(self, subframe: bytes) -> None:
+        """Add any subframe; it is left out if the frame has no room for it."""
+        self._close()
+        if len(self._whole) + len(subframe) <= _MAX_ANSWER_BYTES:
+            self._whole += subframe
+
+    def payload(self) -> bytes:
+        """Return the payload of the answer, padded to a length that a CAN FD frame can have."""
+        self._close()
+        return frames.padded(self._whole)
+
+    def _close(self) -> None:
+        """Add the values that are collected, as many of them as the frame has room for."""
+        values, self._values = self._values, []
+        while values:
+            subframe = frames.header(frames.REPLY, self._kind, self._first, len(values)) + b"".join(values)
+            if len(self._whole) + len(subframe) <= _MAX_ANSWER_BYTES:
+                self._whole += subframe
+                return
+            values.pop()

@@ -4,19 +4,20 @@ It has the commands stop, list, schema, fmt and get of ``tel``, the last three f
 commands; and of ``d``: stop, pos, tmt, zero, within, brake, dq, vdq, pwm, nearest, rezero, exact and recapture. An
 unknown line, or one with too few numbers, is answered with ERR and changes nothing. As in the firmware, a motion that a
 line begins has no watchdog, unless its option t sets one.
-Source: mjbots moteus, docs/protocol/diagnostic.md.
+Source: mjbots moteus, docs/protocol/diagnostic.md; for the binary channels the reader of the maker's package.
 """
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+import struct
+from collections.abc import Mapping, Sequence
 
 from hil.drivers.moteus import emulated_servo as servos
-from hil.drivers.moteus import emulated_telemetry as telemetry
+from hil.drivers.moteus.frames import FIRMWARE, INT32, MODEL, varuint
 
 _MAX_LINE, _MAX_OUTPUT = 256, 8192
 _OK, _UNKNOWN = "OK", "ERR unknown command"
 _OPTIONS: Mapping[str, int] = {"p": 0x23, "d": 0x24, "i": 0x2B, "s": 0x26, "f": 0x22, "t": 0x27, "v": 0x28, "a": 0x29}
-_OPTIONS_WITHIN = "pditf"
+_ALLOWED_OPTIONS: Mapping[str, str] = {"within": "pditf", **dict.fromkeys(("pos", "tmt", "zero"), "".join(_OPTIONS))}
 _MOTIONS: Mapping[str, tuple[int, tuple[int, ...]]] = {  # mode, and the registers for the numbers of the line
     "pos": (servos.POSITION, (0x20, 0x21, 0x25)),
     "tmt": (servos.TIMEOUT, (0x20, 0x21, 0x25)),
@@ -58,16 +59,15 @@ class Console:
 
     def _answer(self, words: Sequence[str]) -> bytes:
         if words[0] == "tel" and len(words) == 3 and words[1] in ("schema", "get"):
-            fields = telemetry.channels(self._servo).get(words[2])
+            fields = _channels(self._servo).get(words[2])
             if fields is None:
                 return b"ERR unknown channel\r\n"
-            blob = telemetry.schema(fields) if words[1] == "schema" else telemetry.data(fields)
-            head = "schema" if words[1] == "schema" else "emit"
+            head, blob = ("schema", _schema(fields)) if words[1] == "schema" else ("emit", _data(fields))
             return f"{head} {words[2]}\r\n".encode("latin1") + len(blob).to_bytes(4, "little") + blob
         return "".join(f"{line}\r\n" for line in self._execute(words)).encode("latin1")
 
     def _execute(self, words: Sequence[str]) -> Sequence[str]:
-        names = telemetry.channels(self._servo)
+        names = _channels(self._servo)
         if words == ["tel", "list"]:
             return [*names, _OK]
         if words[:2] == ["tel", "fmt"] and len(words) == 4 and words[2] in names and words[3] == "0":
@@ -104,13 +104,13 @@ class Console:
         value = _number(text)
         if name not in servos.SETTABLE or value is None:
             return "ERR error setting"
-        least, most = servos.SETTABLE[name]
-        if name == "servo.max_current_A":
-            most = self._defaults[name]  # the limit of the motor
         if math.isnan(value):
-            if name not in servos.OPTIONAL:
-                return "ERR error setting"
-        elif not least <= value <= most or (name == "servo.timeout_mode" and value not in servos.TIMEOUT_MODES):
+            is_valid = name in servos.OPTIONAL
+        elif name == "servo.timeout_mode":
+            is_valid = value in servos.TIMEOUT_MODES
+        else:  # the current is limited to that of the motor
+            is_valid = 0.0 <= value <= (self._defaults[name] if name == "servo.max_current_A" else math.inf)
+        if not is_valid:
             return "ERR error setting"
         self._servo.config[name] = value
         return _OK
@@ -136,15 +136,11 @@ class Console:
         if len(valid) < len(registers):
             return "ERR missing numbers"
         values = dict(zip(registers, valid, strict=True))
-        allowed: Callable[[str], bool] = {
-            "within": lambda letter: letter in _OPTIONS_WITHIN,
-            **dict.fromkeys(("pos", "tmt", "zero"), lambda letter: letter in _OPTIONS),
-        }.get(words[0], lambda _letter: False)
         if words[0] == "pwm":
             values[0x18] /= math.pi  # the unit of the register is half a turn
         for text in words[1 + len(registers) :]:
             value = _number(text[1:])
-            if not allowed(text[0]) or value is None:
+            if text[0] not in _ALLOWED_OPTIONS.get(words[0], "") or value is None:
                 return "ERR unknown option"
             values[_OPTIONS[text[0]]] = value
         servo.begin(mode)
@@ -163,3 +159,55 @@ def _number(text: str) -> float | None:
 def _text(value: float) -> str:
     """Return a value as text; an int has no decimal point."""
     return str(value) if isinstance(value, int) else f"{value:.9g}" if math.isfinite(value) else str(value)
+
+
+# The binary channels. A schema is an object: for each field it lists flags, name, aliases, type, and whether it has a
+# default; a field of type 0 ends it. Numbers are little-endian.
+
+_Field = tuple[str, str, float | Sequence[int]]  # name, format letter of ``struct``, value
+_OBJECT, _END, _FIXED_ARRAY = 16, 0, 19
+_TYPES: Mapping[str, bytes] = {
+    "?": b"\x02", "b": b"\x03\x01", "i": b"\x03\x04", "B": b"\x04\x01", "I": b"\x04\x04", "Q": b"\x04\x08",
+    "f": b"\x07",
+}  # fmt: skip
+_MEASURED: Mapping[str, int] = {  # registers, by the name of the field
+    "position": 0x01, "velocity": 0x02, "torque_Nm": 0x03, "q_A": 0x04, "d_A": 0x05, "bus_V": 0x0D,
+    "fet_temp_C": 0x0E, "motor_temp_C": 0x0A,
+}  # fmt: skip
+
+
+def _channels(servo: servos.Servo) -> Mapping[str, Sequence[_Field]]:
+    """Return the current fields of each channel, by its name."""
+    serial = [int(servo.read(0x120 + i, INT32) or 0) for i in range(3)]
+    version, model = (servo.read(register, INT32) or 0 for register in (FIRMWARE, MODEL))
+    measured = servo.measured
+    return {
+        "firmware": [("version", "I", version), ("serial_number", "I", serial), ("model", "I", model)],
+        "git": [("hash", "B", bytes(20)), ("dirty", "?", 0), ("timestamp", "Q", 0)],
+        "servo_stats": [
+            ("mode", "b", servo.mode),
+            ("fault", "i", servo.fault),
+            *((name, "f", measured[register]) for name, register in _MEASURED.items()),
+            ("timeout_s", "f", servo.timeout_s),
+            ("trajectory_done", "?", measured[0x0B]),
+        ],
+    }
+
+
+def _schema(fields: Sequence[_Field]) -> bytes:
+    encoded = [bytes((_OBJECT, 0))]
+    for name, letter, value in fields:
+        array = bytes((_FIXED_ARRAY,)) + varuint(len(value)) if isinstance(value, Sequence) else b""
+        encoded.append(_named(name) + array + _TYPES[letter] + b"\0")
+    return b"".join([*encoded, _named(""), bytes((_END, 0))])
+
+
+def _data(fields: Sequence[_Field]) -> bytes:
+    values = ((letter, value if isinstance(value, Sequence) else [value]) for _, letter, value in fields)
+    return b"".join(
+        struct.pack(f"<{letter}", one if letter == "f" else int(one)) for letter, ones in values for one in ones
+    )
+
+
+def _named(name: str) -> bytes:
+    return b"\0" + varuint(len(name)) + name.encode("ascii") + b"\0"

@@ -13,9 +13,7 @@ import math
 from collections.abc import Mapping
 
 from hil.drivers.emulated import Trajectory
-from hil.drivers.moteus import emulated_registers as registers
 from hil.drivers.moteus import frames
-from hil.drivers.moteus.emulated_registers import COMMAND, MEASURED, SHADOWS
 from hil.drivers.port import clamp
 
 _TICK_S = 0.001
@@ -28,19 +26,26 @@ _STOP_POSITION_WITH_LIMITS = 45
 _MODEL, _FIRMWARE = 0x0500, 0x010D
 _OUTPUT_IS_REFERENCED = 2
 
-SETTABLE: Mapping[str, tuple[float, float]] = {  # lowest and highest value that ``conf set`` accepts
-    "servo.default_accel_limit": (0.0, math.inf),
-    "servo.default_timeout_s": (0.0, math.inf),
-    "servo.default_velocity_limit": (0.0, math.inf),
-    "servo.max_current_A": (0.0, math.inf),
-    "servo.max_position_slip": (0.0, math.inf),
-    "servo.pid_position.kd": (0.0, math.inf),
-    "servo.pid_position.kp": (0.0, math.inf),
-    "servo.timeout_max_torque_Nm": (0.0, math.inf),
-    "servo.timeout_mode": (0, 15),
+ID, SERIAL_NUMBER, UUID, UUID_MASK, UUID_CAPABLE = 0x110, 0x120, 0x150, 0x154, 0x158
+_SET_NEAREST, _SET_EXACT, _RECAPTURE, _MILLISECONDS = 0x130, 0x131, 0x133, 0x70
+NO_REGISTER, _READ_ONLY, _NO_MODE = 1, 2, 3  # error numbers
+_COMMAND: Mapping[int, float] = {  # the value of each register where a command does not write it
+    **dict.fromkeys((0x18, 0x19, 0x1A, 0x1B, 0x1C, 0x1D, 0x1E, 0x20, 0x21, 0x22, 0x27, 0x2D, 0x40, 0x41), 0.0),
+    **dict.fromkeys((0x23, 0x24, 0x2B), 1.0),
+    **dict.fromkeys((0x25, 0x26, 0x28, 0x29), math.nan),
 }
+_SHADOWS = dict(zip(range(0x42, 0x49), (0x22, 0x23, 0x24, 0x25, 0x27, 0x2B, 0x2D), strict=True))
+"""The same registers again, beside the bounds of "stay within"."""
+_NOT_EMULATED = frozenset((0x10, 0x11, 0x12, 0x14, 0x15, 0x16, 0x2A, 0x2C))
+_MEASURED = (0x01, 0x02, 0x03, 0x04, 0x05, 0x07, 0x0A, 0x0B, 0x0C, 0x0D, 0x0E, 0x38, 0x39, 0x3A, 0x50, 0x51)
+
 OPTIONAL = ("servo.default_accel_limit", "servo.default_velocity_limit", "servo.max_position_slip")
-"""Those that accept NaN, which stands for no limit."""
+"""Settings that accept NaN, which stands for no limit."""
+SETTABLE = (
+    *OPTIONAL, "servo.default_timeout_s", "servo.max_current_A", "servo.pid_position.kd", "servo.pid_position.kp",
+    "servo.timeout_max_torque_Nm", "servo.timeout_mode",
+)  # fmt: skip
+"""Settings that ``conf set`` accepts; none is negative."""
 TIMEOUT_MODES = (STOPPED, ZERO_VELOCITY, BRAKE)
 
 
@@ -86,8 +91,8 @@ class Servo:
             "servopos.position_max": math.nan,
             "servopos.position_min": math.nan,
         } | {f"uuid.uuid.{i}": byte for i, byte in enumerate(self.uuid)}
-        self.command = dict(COMMAND)
-        self.measured = dict.fromkeys(MEASURED, 0.0)
+        self.command = dict(_COMMAND)
+        self.measured = dict.fromkeys(_MEASURED, 0.0)
         self._requested: int | None = None  # the mode that the current frame asks for
         self._target_mode = STOPPED  # the mode after the preparation
         self.timeout_s = math.nan
@@ -105,63 +110,53 @@ class Servo:
 
     def write(self, register: int, kind: int, raw: float) -> int:
         """Write a raw value, and return the error number, 0 for none."""
+        register = _SHADOWS.get(register, register)
         if register == frames.MODE:
             if raw not in (STOPPED, *_CONTROLLED):
-                return registers.NO_MODE
+                return _NO_MODE
             self.begin(int(raw))
-            return 0
-        register = SHADOWS.get(register, register)
-        if register in registers.NOT_EMULATED:
-            self.refuse()
-            return 0  # the firmware has it; and the maker's package ignores an answer that begins with an error
-        if register in COMMAND:
+        elif register in _NOT_EMULATED:
+            self.refuse()  # no error number: the firmware has these registers
+        elif register in _COMMAND:
             self.command[register] = frames.physical(register, kind, raw)
-            return 0
-        if register in (registers.SET_NEAREST, registers.SET_EXACT):
-            position = frames.physical(register, kind, raw)
-            if math.isfinite(position):
-                self.set_output(position, nearest=register == registers.SET_NEAREST)
-            return 0
-        if register == registers.RECAPTURE:
+        elif register in (_SET_NEAREST, _SET_EXACT):
+            if math.isfinite(position := frames.physical(register, kind, raw)):
+                self.set_output(position, nearest=register == _SET_NEAREST)
+        elif register == _RECAPTURE:
             self.recapture()
-            return 0
-        return registers.READ_ONLY if self.read(register, frames.INT32) is not None else registers.NO_REGISTER
+        else:
+            return NO_REGISTER if self.read(register, frames.INT32) is None else _READ_ONLY
+        return 0
 
     def read(self, register: int, kind: int) -> float | None:
         """Return the raw value of a register as this type; None if it cannot be read, or not as this type."""
-        register = SHADOWS.get(register, register)
-        if register in MEASURED:
-            return frames.raw_of(register, kind, self.measured[register])
-        if register in COMMAND:
-            return frames.raw_of(register, kind, self.command[register])
-        if register in (frames.MODE, frames.FAULT):
-            return self.mode if register == frames.MODE else self.fault
-        if register == registers.MILLISECONDS:
-            bits = 23 if kind == frames.FLOAT else (8 << kind) - 1
-            return self.ticks % (1 << bits)
-        if register in (registers.ID, registers.UUID_CAPABLE):
-            return self.config["id.id"] if register == registers.ID else 1
+        register = _SHADOWS.get(register, register)
+        if register in _MEASURED or register in _COMMAND:
+            return frames.raw_of(register, kind, (self.measured if register in _MEASURED else self.command)[register])
+        milliseconds = self.ticks % (1 << (23 if kind == frames.FLOAT else (8 << kind) - 1))
+        plain = {frames.MODE: self.mode, frames.FAULT: self.fault, _MILLISECONDS: milliseconds, UUID_CAPABLE: 1}
+        if register in plain or register == ID:
+            return self.config["id.id"] if register == ID else plain[register]
         if kind != frames.INT32:
             return None
-        if registers.UUID <= register < registers.UUID + 4:
-            return int.from_bytes(self._uuid_word(register - registers.UUID), "little", signed=True)
-        serial = {registers.SERIAL_NUMBER + i: 0x1000 + i for i in range(3)}
+        if UUID <= register < UUID + 4:
+            return self._uuid_word(register - UUID)
+        serial = {SERIAL_NUMBER + i: 0x1000 + i for i in range(3)}
         versions = {frames.MODEL: _MODEL, frames.FIRMWARE: _FIRMWARE, frames.REGISTER_MAP: self.register_map}
         return (versions | serial).get(register)
 
-    def _uuid_word(self, i: int) -> bytes:
-        return self.uuid[4 * i : 4 * i + 4]
+    def _uuid_word(self, i: int) -> int:
+        return int.from_bytes(self.uuid[4 * i : 4 * i + 4], "little", signed=True)
 
     def is_masked_out(self, register: int, raw: float) -> bool:
         """Return whether a value is written to the UUID mask that differs from this UUID: the frame is then ignored."""
-        i = register - registers.UUID_MASK
-        return 0 <= i < 4 and raw != int.from_bytes(self._uuid_word(i), "little", signed=True)
+        return UUID_MASK <= register < UUID_MASK + 4 and raw != self._uuid_word(register - UUID_MASK)
 
     # Commands
 
     def begin(self, mode: int) -> None:
         """Begin a command of this mode; registers that are written after it complete the command."""
-        self.command = dict(COMMAND)
+        self.command = dict(_COMMAND)
         self._requested = mode
 
     def refuse(self) -> None:
@@ -195,8 +190,9 @@ class Servo:
     def set_output(self, position_rev: float, *, nearest: bool) -> None:
         """Set the current position of the output to this one; with ``nearest`` change it by whole turns only."""
         change = position_rev - self.measured[0x01]
-        self._offset_rev += round(change) if nearest else change
-        self.measured[0x01] += round(change) if nearest else change
+        change = round(change) if nearest else change
+        self._offset_rev += change
+        self.measured[0x01] += change
         self.recapture()
 
     def fail(self, code: int) -> None:
@@ -280,11 +276,9 @@ class Servo:
         return self._loop(trajectory.position_rev, trajectory.velocity, limit)
 
     def _within(self, limit: float) -> float:
-        at, (lower, upper) = self.measured[0x01], (self.command[0x40], self.command[0x41])
-        if at < lower:
-            return self._loop(lower, 0.0, limit)
-        if at > upper:
-            return self._loop(upper, 0.0, limit)
+        at, lower, upper = self.measured[0x01], self.command[0x40], self.command[0x41]
+        if at < lower or at > upper:
+            return self._loop(lower if at < lower else upper, 0.0, limit)
         return clamp(_finite(self.command[0x22]), self._most(limit))
 
     def _loop(self, control_rev: float, control_velocity: float, limit: float) -> float:
