@@ -10,18 +10,19 @@ from hypothesis import strategies as st
 from firmware_protocol.framing import Frame
 from hil.drivers.port import EXTENDED
 from hil.drivers.vesc import frames as vesc_frames
-from hil.drivers.vesc.emulated_wire import can_parts, float32_auto
+from hil.drivers.vesc.emulated_controller import can_parts, float32_auto
 from hil.drivers.vesc.frames import (
     SET_CURRENT,
     SET_CURRENT_BRAKE,
     SET_RPM,
+    Bus,
     CanMessages,
+    Line,
     SerialFraming,
     Setting,
     Timeout,
     parse_timeout,
 )
-from hil.drivers.vesc.wires import Bus, Line
 from tests.dialect_testbed import Rig
 
 NODE, LINE = Rig("vesc", wire="can").node, Rig("vesc", wire="serial")

@@ -10,8 +10,7 @@ import pytest
 from firmware_protocol.framing import Frame
 from hil.core.errors import BadInputError
 from hil.drivers.port import EXTENDED, Wire
-from hil.drivers.vesc.frames import SET_RPM, SerialFraming
-from hil.drivers.vesc.wires import Line
+from hil.drivers.vesc.frames import SET_RPM, Line, SerialFraming
 from hil.runtime.assembly import RunOptions, run_scenario
 from hil.scenario import load
 from tests.dialect_testbed import STILL, Rig, ramp_to

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 
 from firmware_protocol.framing import Frame
 from hil.drivers.port import EXTENDED
-from hil.drivers.vesc.emulated_wire import first_packet, packet
+from hil.drivers.vesc.emulated_controller import first_packet, packet
 from tests.dialect_testbed import Rig
 
 GET_VALUES = bytes.fromhex("02010440 8403")

@@ -1,10 +1,11 @@
-"""The newest answers and measurements of one VESC, in the motor's electrical quantities."""
+"""The newest answers and measurements of one VESC, and the warnings about its timeout."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 
 from hil.core.types import NAN
-from hil.drivers.port import clamp
+from hil.drivers import four_motors
+from hil.drivers.port import RobotFacts, clamp
 from hil.drivers.vesc import frames
 
 _MAX_UNANSWERED = 2  # questions for a timeout; two for each of four VESCs fit into the time that a start waits
@@ -13,37 +14,28 @@ _GAP_NS = 500_000_000  # over a longer gap no angle is integrated from speeds
 _CORRECTION_PER_STEP = 0.15  # tuned with odometry on a circle: with less it drifts, with more the steps are visible
 
 
-class Channel:
-    """One VESC.
+class Channel(four_motors.Channel):
+    """One VESC. Speed: ERPM. Position: steps of the tachometer, smoothed by the speed: one may be 10° of a wheel.
 
     Attributes:
-        stamp_ns: time of the newest speed. steps_ns: time of the newest tachometer value.
-        steps: the newest tachometer value. turned: the same without wraps.
-        position: in steps, smoothed by the speed, as a step may be 10 degrees of a wheel.
-        motor_a: positive for a torque forwards.
+        steps: the newest tachometer value. steps_ns: its time of arrival.
+        turned: the same without wraps.
+        current_a: positive for a torque forwards. temperature_degc: of the MOSFETs.
         fault, status: values of GET_VALUES_SELECTIVE; None until they are answered.
         asked_ns: time of the first unanswered question for the fault; None without one.
         is_running: whether its timeout had not run out although nothing was commanded; None while unknown.
         timeout: None while unknown. foreign_id: id in an app configuration that is not its own, else None.
     """
 
-    def __init__(self) -> None:
-        self.forget()
-
     def forget(self) -> None:
         """Return to the state before the first answer."""
+        super().forget()
         self.version: frames.Version | None = None
-        self.stamp_ns: int | None = None
-        self.erpm = 0
         self.steps: int | None = None
-        self.steps_ns = 0
-        self.turned = 0
-        self.position = 0.0
-        self.motor_a = self.input_a = self.input_v = self.fet_degc = NAN
+        self.steps_ns = self._fet_ns = self.turned = 0
         self.fault: int | None = None
         self._has_answered_fault = False
         self.status: int | None = None
-        self._fet_ns = 0
         self.asked_ns: int | None = None
         self.is_running: bool | None = None
         self.timeout: frames.Timeout | None = None
@@ -61,11 +53,6 @@ class Channel:
         return self.timeout is None and self.foreign_id is None and self._unanswered < _MAX_UNANSWERED
 
     @property
-    def accepts_timeout(self) -> bool:
-        """Whether an answer with a timeout is accepted: only after those that identify the VESC."""
-        return self.is_identified and self.needs_timeout
-
-    @property
     def has_answered(self) -> bool:
         """Whether it is identified, and its timeout is known or no longer asked for."""
         return self.is_identified and not self.needs_timeout
@@ -73,7 +60,7 @@ class Channel:
     @property
     def has_measured(self) -> bool:
         """Whether speed, position and temperature have arrived."""
-        return self.stamp_ns is not None and self.steps is not None and not math.isnan(self.fet_degc)
+        return self.stamp_ns is not None and self.steps is not None and not math.isnan(self.temperature_degc)
 
     @property
     def is_healthy(self) -> bool:
@@ -87,11 +74,11 @@ class Channel:
             self._feed_motion(erpm, current * 0.1, (erpm or duty) < 0, stamp_ns)
         elif command == frames.CAN_STATUS_4 and len(payload) == frames.STATUS_4.size:
             fet, _, current, _ = frames.STATUS_4.unpack(payload)
-            self.fet_degc, self.input_a, self._fet_ns = fet * 0.1, current * 0.1, stamp_ns
+            self.temperature_degc, self.supply_a, self._fet_ns = fet * 0.1, current * 0.1, stamp_ns
         elif command == frames.CAN_STATUS_5 and len(payload) >= frames.STATUS_5.size:
             steps, voltage = frames.STATUS_5.unpack_from(payload)
             self._feed_tachometer(steps, stamp_ns)
-            self.input_v = voltage * 0.1
+            self.supply_v = voltage * 0.1
 
     def feed_values(self, values: Mapping[str, float], stamp_ns: int, has_commanded: bool) -> None:
         """Take the values of an answer."""
@@ -106,11 +93,16 @@ class Channel:
             erpm = int(values["erpm"])
             self._feed_motion(erpm, values["motor_a"], erpm < 0, stamp_ns)
             self._feed_tachometer(int(values["tachometer"]), stamp_ns)
-            self.fet_degc, self.input_a, self.input_v = values["fet_degc"], values["input_a"], values["input_v"]
-            self._fet_ns = stamp_ns
+            self.temperature_degc, self._fet_ns = values["fet_degc"], stamp_ns
+            self.supply_a, self.supply_v = values["input_a"], values["input_v"]
 
     def feed_timeout(self, timeout: frames.Timeout, vesc: int) -> None:
-        """Take the timeout that the VESC with the id ``vesc`` answered; it is ignored if it contains another id."""
+        """Take the timeout that the VESC with the id ``vesc`` answered; if it contains another id, only note that.
+
+        Before the VESC is identified, and when no timeout is awaited, it is ignored.
+        """
+        if not (self.is_identified and self.needs_timeout):
+            return
         if timeout.vesc == vesc:
             self.timeout = timeout
         else:
@@ -118,23 +110,22 @@ class Channel:
 
     def count_unanswered_timeout(self) -> None:
         """Count a question for the timeout that an identified VESC has not answered."""
-        if self.is_identified:
-            self._unanswered += 1
+        self._unanswered += self.is_identified
 
     def forget_late(self, now_ns: int, late_ns: int) -> None:
         """Forget temperature, input current and input voltage if their status messages no longer come."""
         if now_ns - self._fet_ns > late_ns:
-            self.fet_degc = self.input_a = NAN
+            self.temperature_degc = self.supply_a = NAN
         if now_ns - self.steps_ns > late_ns:
-            self.input_v = NAN
+            self.supply_v = NAN
 
     def _feed_motion(self, erpm: int, current_a: float, is_backwards: bool, stamp_ns: int) -> None:
         """Take speed and current. A VESC's current is positive when it drives; here it gets the sign of the torque."""
         if self.stamp_ns is not None and stamp_ns - self.stamp_ns < _GAP_NS:
-            mean_erpm = 0.5 * (erpm + self.erpm)
+            mean_erpm = 0.5 * (erpm + self.speed)
             self.position += mean_erpm / 60.0 * frames.STEPS * (stamp_ns - self.stamp_ns) * 1e-9
-        self.erpm, self.stamp_ns = erpm, stamp_ns
-        self.motor_a = -current_a if is_backwards else current_a
+        self.speed, self.stamp_ns = erpm, stamp_ns
+        self.current_a = -current_a if is_backwards else current_a
 
     def _feed_tachometer(self, steps: int, stamp_ns: int) -> None:
         """Correct the position by the tachometer: a bit with each step, and always to within one step of it."""
@@ -143,3 +134,76 @@ class Channel:
         self.turned += moved
         self.position += (self.turned - self.position) * min(_CORRECTION_PER_STEP * abs(moved), 1.0)
         self.position = clamp(self.position, self.turned + 1.0, self.turned - 1.0)
+
+
+_WHERE = "App Settings > General > Timeout in VESC Tool"
+_END = "when commands end"
+_SECONDS_FROM_S = 10.0
+
+
+def has_timeout(channel: Channel, robot: RobotFacts) -> bool:
+    """Return whether the VESC is known to release or brake its wheel within ``watchdog_s`` after the last command."""
+    return channel.timeout is not None and 0.0 < channel.timeout.timeout_s <= robot.watchdog_s
+
+
+def timeout_warnings(by_id: Mapping[int, Channel], robot: RobotFacts) -> Iterable[str]:
+    """Yield a sentence for each problem with the timeouts, with the ids concerned.
+
+    Nothing but the timeouts stops the wheels when commands end. On a serial line the guardian outlives the run.
+    """
+    required = f"{robot.watchdog_s * 1e3:g} ms"
+    killed = "" if robot.wire == "serial" else "this program is killed, or "
+    failures = f"{killed}this computer loses its power, hangs, or loses the cable"
+    known = {vesc: channel.timeout for vesc, channel in by_id.items() if channel.timeout is not None}
+    unknown = {vesc: channel for vesc, channel in by_id.items() if channel.timeout is None}
+    if unknown:
+        yield (
+            f"the timeout of the VESC {_ids(unknown)} is not known: {_END} its wheel turns on for that time (by "
+            "default 1 s, with 0 for ever), and then rolls if there is no brake current; so it does if "
+            f"{failures}; keep the robot's power switch within reach, and set {_WHERE} to {required}, with a "
+            "Timeout Brake Current"
+        )
+    for vesc, channel in unknown.items():
+        if channel.foreign_id is not None:
+            yield (
+                f"the app configuration from the VESC {vesc} contains the id {channel.foreign_id}, and is ignored: two "
+                "VESCs may have the same id, or this driver does not know the layout of its firmware"
+            )
+    if running := _ids(vesc for vesc, channel in unknown.items() if channel.is_running):
+        yield (
+            f"the timeout of the VESC {running} has not run out: it was commanded just now, by this program or by one "
+            f"of its apps; or its power has just come on; or its timeout is 0, and then its wheel turns on {_END}"
+        )
+    for timeout_s in sorted({timeout.timeout_s for timeout in known.values()}):
+        vescs = _ids(vesc for vesc, timeout in known.items() if timeout.timeout_s == timeout_s)
+        words = f"{timeout_s:.0f} s" if timeout_s >= _SECONDS_FROM_S else f"{timeout_s * 1e3:g} ms"
+        if timeout_s == 0.0:
+            yield (
+                f"the timeout of the VESC {vescs} is 0: {_END} its wheel turns on with the last one, and nothing stops "
+                f"it if {failures}; keep the robot's power switch within reach, and set {_WHERE} to {required}"
+            )
+        elif timeout_s > robot.watchdog_s:
+            yield (
+                f"the timeout of the VESC {vescs} is {words}, longer than firmware.watchdog_s: its wheel turns on for "
+                f"that time {_END}; set {_WHERE} to {required}"
+            )
+        elif timeout_s <= robot.period_s:
+            yield (
+                f"the timeout of the VESC {vescs} is {words}, no longer than the {robot.period_s * 1e3:g} ms between "
+                f"two commands: it runs out between them, and its wheel jerks; set {_WHERE} to {required}"
+            )
+    ending = {vesc: timeout for vesc, timeout in known.items() if timeout.timeout_s > 0.0}
+    if rolling := _ids(vesc for vesc, timeout in ending.items() if timeout.brake_current_a < frames.MIN_CURRENT_A):
+        yield (
+            f"the VESC {rolling} brakes with no current after its timeout: {_END} its wheel rolls; set Timeout Brake "
+            "Current, beside the Timeout in VESC Tool"
+        )
+    if commanded := _ids(vesc for vesc in ending if by_id[vesc].is_running):
+        yield (
+            f"the VESC {commanded} was commanded just now, as its timeout has not run out: by a run that has ended, or "
+            "by another of its apps, which would command it beside this program; or its power has just come on"
+        )
+
+
+def _ids(vescs: Iterable[int]) -> str:
+    return ", ".join(map(str, vescs))

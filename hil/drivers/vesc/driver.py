@@ -8,32 +8,29 @@ Source: see hil/drivers/vesc/frames.py.
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from typing import Annotated
 
 from firmware_protocol.framing import Frame
 from hil.core.errors import BadInputError
-from hil.core.types import WHEEL_NAMES, CommandMode, FourWheels
+from hil.core.options import NOT_NEGATIVE, POSITIVE, Range
+from hil.core.types import CommandMode, FourWheels
+from hil.drivers.four_motors import FourMotors
 from hil.drivers.port import (
     EXTENDED,
     Capabilities,
     Dialect,
-    Driver,
     RobotFacts,
     Sample,
-    chosen,
-    four,
+    four_ids,
     holds_back,
     late_ns,
-    lowest,
-    oldest,
     torques_dropped,
 )
 from hil.drivers.vesc import frames
-from hil.drivers.vesc.channel import Channel
+from hil.drivers.vesc.channel import Channel, has_timeout, timeout_warnings
 from hil.drivers.vesc.probe import BusProbe, LineProbe
-from hil.drivers.vesc.settings import Settings
-from hil.drivers.vesc.timeout import has_timeout, timeout_warnings
-from hil.drivers.vesc.wires import Bus, Line, repeated_past_packet
 
 _OLDEST_MAJOR = 5
 _MAX_CALLS = 2  # of ``ask``, in which one VESC may answer its questions
@@ -42,41 +39,63 @@ _STILL: FourWheels = (0.0, 0.0, 0.0, 0.0)
 _BAUD = 115_200
 
 
-class Vesc(Driver):
+_ID = Range(ge=0, le=frames.MAX_ID)
+
+
+@dataclass(frozen=True, slots=True)
+class Settings:
+    """``[device.motors]``. ``ids``: of the channels in order. ``pole_pairs``: of a motor, half of its magnets.
+
+    ``gear_ratio``: motor turns per turn of the wheel. ``status_hz``: rate of the status messages, as set in VESC Tool.
+    ``serial_id``: id of the VESC at the serial line. ``host_id``: id of this computer on the bus, which no VESC may
+    have. ``brake_current_a``: current of an e-stop; 0 stands for the current of the torque limit.
+    """
+
+    ids: Annotated[tuple[int, ...], four_ids(0, frames.MAX_ID)] = (1, 2, 3, 4)
+    pole_pairs: Annotated[int, Range(ge=1)] = 7
+    gear_ratio: Annotated[float, POSITIVE] = 1.0
+    status_hz: Annotated[float, POSITIVE] = 50.0
+    serial_id: Annotated[int, _ID] = 1
+    host_id: Annotated[int, _ID] = 253
+    brake_current_a: Annotated[float, NOT_NEGATIVE] = 0.0
+
+    def __post_init__(self) -> None:
+        if self.host_id in self.ids:
+            raise ValueError(f"host_id = {self.host_id}: expected none of device.motors.ids")
+        if 0.0 < self.brake_current_a < frames.MIN_CURRENT_A:
+            raise ValueError(
+                f"brake_current_a = {self.brake_current_a:g}: expected 0, or {frames.MIN_CURRENT_A:g} and more, as a "
+                "VESC does not brake with less"
+            )
+
+
+class Vesc(FourMotors[Settings, Channel]):
     """Drives four VESCs."""
 
     def __init__(self, settings: Settings, robot: RobotFacts) -> None:
-        self._settings = settings
-        self._robot = robot
-        self._channels = tuple(Channel() for _ in settings.ids)
-        self._by_id = dict(zip(settings.ids, self._channels, strict=True))
         self._is_bus = robot.wire == "can"
-        self._wire = Bus(settings.ids, settings.host_id) if self._is_bus else Line(settings.ids, settings.serial_id)
+        ids = settings.ids
+        self._wire = frames.Bus(ids, settings.host_id) if self._is_bus else frames.Line(ids, settings.serial_id)
+        rate_hz = settings.status_hz if self._is_bus else 1.0 / (robot.period_s * len(self._wire.rounds))
+        self._to_erpm = settings.gear_ratio * settings.pole_pairs * 60.0 / math.tau
+        to_rad = math.tau / (frames.STEPS * settings.pole_pairs * settings.gear_ratio)
+        channels = [Channel() for _ in ids]
+        capabilities = Capabilities(
+            rate_hz, frozenset({"position", "current", "temperature", "battery_voltage", "battery_current"})
+        )
+        super().__init__(settings, robot, capabilities, "VESC", ids, channels, 1.0 / self._to_erpm, to_rad)
         self._messages = frames.CanMessages(settings.host_id)
-        self._rounds = self._wire.rounds
         self._round = 0
         self._asked: int | None = None  # the VESC whose answers are awaited
         self._may_wait = not self._is_bus  # the VESC at the line may wait for the rest of an unfinished packet
         self._unassigned: Sequence[frames.Version] = ()  # versions on a serial line, until values with an id follow
         self._turn = 0
         self._calls = 0  # of ``ask`` since the newest questions
-        self._is_armed = self._is_arming = False
-        self._has_commanded = False
-        self._to_erpm = settings.gear_ratio * settings.pole_pairs * 60.0 / math.tau
+        self._is_arming = self._has_commanded = False
         self._to_current = 1.0 / robot.torque_constant_n_m_a
         self._brake_a = settings.brake_current_a or robot.torque_limit_n_m * self._to_current
-        rate_hz = settings.status_hz if self._is_bus else 1.0 / (robot.period_s * len(self._rounds))
         self._late_ns = late_ns(1.0 / rate_hz)
         self._now_ns = 0
-        self._capabilities = Capabilities(
-            modes=frozenset(CommandMode),
-            is_twist=False,
-            feedback_hz=rate_hz,
-            sensors=frozenset({"position", "current", "temperature", "battery_voltage", "battery_current"}),
-            adds_torque=False,
-            watchdog="none",
-            latches_estop=False,
-        )
 
     @property
     def capabilities(self) -> Capabilities:
@@ -104,16 +123,16 @@ class Vesc(Driver):
             self._unassigned = ()
             channel.count_unanswered_timeout()
             if self._may_wait:
-                before = repeated_past_packet(self._all(frames.SET_CURRENT, _STILL))
+                before = frames.repeated_past_packet(self._all(frames.SET_CURRENT, _STILL))
                 self._may_wait = False
                 self._has_commanded = True
         open_ids = [vesc for vesc, channel in self._by_id.items() if not channel.has_answered]
         if not open_ids:
             self._asked = None
             return self._poll()
-        later = [vesc for vesc in open_ids if self._settings.ids.index(vesc) >= self._turn]
+        later = [vesc for vesc in open_ids if self._ids.index(vesc) >= self._turn]
         self._asked, self._calls = (later or open_ids)[0], 0
-        self._turn = self._settings.ids.index(self._asked) + 1
+        self._turn = self._ids.index(self._asked) + 1
         channel = self._by_id[self._asked]
         questions = [] if channel.is_identified else [*self._wire.questions]
         if channel.needs_timeout:
@@ -122,12 +141,12 @@ class Vesc(Driver):
 
     def _poll(self, now_ns: int | None = None) -> Sequence[Frame]:
         """Ask the next VESC. ``asked_ns`` is for CAN only: over a line the fault comes with the speed."""
-        self._round = (self._round + 1) % len(self._rounds)
+        self._round = (self._round + 1) % len(self._wire.rounds)
         if self._is_bus and now_ns is not None:
             self._now_ns = now_ns
             channel = self._channels[self._round]
             channel.asked_ns = now_ns if channel.asked_ns is None else channel.asked_ns
-        return self._rounds[self._round]
+        return self._wire.rounds[self._round]
 
     @property
     def identity(self) -> str | None:
@@ -150,25 +169,21 @@ class Vesc(Driver):
     @property
     def missing(self) -> str:
         rate = "bit rate" if self._is_bus else f"baud= in the link, {_BAUD} as delivered"
-        silent = chosen(self._by_id, (not channel.is_identified for channel in self._channels))
-        if silent:
+        if silent := self._with(not channel.is_identified for channel in self._channels):
             return (
                 f"no answer from the VESC {silent}; check power, wiring and {rate}, and in VESC Tool App "
                 "Settings > General: VESC ID (device.motors.ids) and CAN Mode VESC"
             )
-        awaited = chosen(self._by_id, (not channel.has_answered for channel in self._channels))
-        if awaited:
+        if awaited := self._with(not channel.has_answered for channel in self._channels):
             return (
                 f"no app configuration from the VESC {awaited} yet, which has its timeout; a long message was lost: "
                 f"check wiring and {rate}, and start again"
             )
-        mute = chosen(self._by_id, (not channel.has_measured for channel in self._channels))
-        if mute:
-            return (
-                f"no status messages 1, 4 and 5 from the VESC {mute}; switch them on in VESC Tool, App "
-                "Settings > General > CAN Status Messages, at the rate of device.motors.status_hz"
-            )
-        return ""
+        mute = self._with(not channel.has_measured for channel in self._channels)
+        return mute and (
+            f"no status messages 1, 4 and 5 from the VESC {mute}; switch them on in VESC Tool, App Settings > General "
+            "> CAN Status Messages, at the rate of device.motors.status_hz"
+        )
 
     @property
     def warnings(self) -> Sequence[str]:
@@ -200,9 +215,7 @@ class Vesc(Driver):
         return [*settings, *self._poll(now_ns)]
 
     def _all(self, setting: frames.Setting, values: Sequence[float]) -> list[Frame]:
-        return [
-            self._wire.setting(setting, vesc, value) for vesc, value in zip(self._settings.ids, values, strict=True)
-        ]
+        return [self._wire.setting(setting, vesc, value) for vesc, value in zip(self._ids, values, strict=True)]
 
     def disarm(self) -> Sequence[Frame]:
         self._stand_down()
@@ -221,7 +234,7 @@ class Vesc(Driver):
 
     def last_stop(self) -> Sequence[Frame]:
         """See ``Driver``. Brake, and repeat it past the rest of an unfinished packet: no command follows."""
-        return repeated_past_packet(self._brakes())
+        return frames.repeated_past_packet(self._brakes())
 
     def _brakes(self) -> list[Frame]:
         return self._all(frames.SET_CURRENT_BRAKE, (self._brake_a,) * 4)
@@ -262,51 +275,30 @@ class Vesc(Driver):
             self._unassigned = ()
         elif (timeout := frames.parse_timeout(message)) is not None:
             vesc = self._asked
-            if vesc is not None and sender in (None, vesc) and self._by_id[vesc].accepts_timeout:
+            if vesc is not None and sender in (None, vesc):
                 self._by_id[vesc].feed_timeout(timeout, vesc)
 
     @property
     def sample(self) -> Sample | None:
-        channels = self._channels
-        stamp_ns = oldest(channel.stamp_ns for channel in channels)
-        if stamp_ns is None:
-            return None
-        to_speed = 1.0 / self._to_erpm
-        to_angle = math.tau / (frames.STEPS * self._settings.pole_pairs * self._settings.gear_ratio)
-        steps_ns = min(channel.steps_ns for channel in channels)
-        return Sample(
-            holds_back(stamp_ns, steps_ns, self._late_ns),
-            four(channel.erpm * to_speed for channel in channels),
-            four(channel.position * to_angle for channel in channels),
-            four(channel.motor_a for channel in channels),
-            four(channel.fet_degc for channel in channels),
-            lowest(channel.input_v for channel in channels),
-            math.fsum(channel.input_a for channel in channels),
-        )
+        sample = super().sample
+        steps_ns = min(channel.steps_ns for channel in self._channels)
+        return sample and sample._replace(stamp_ns=holds_back(sample.stamp_ns, steps_ns, self._late_ns))
 
-    @property
-    def errors(self) -> Sequence[str]:
-        errors = []
-        for vesc, channel, wheel in zip(self._settings.ids, self._channels, self._robot.wheel_of_channel, strict=True):
-            name = f"VESC {vesc} of wheel {WHEEL_NAMES[wheel]}"
-            if code := channel.fault:
-                words = (
-                    frames.FAULTS[code] if code < len(frames.FAULTS) else "see mc_fault_code in the maker's datatypes.h"
-                )
-                errors.append(f"{name} has the fault {code}: {words}")
-            if (channel.status or 0) & frames.KILL_SWITCH:
-                errors.append(f"{name} is stopped by its kill switch")
-            if channel.asked_ns is not None and self._now_ns - channel.asked_ns > _UNANSWERED_NS:
-                errors.append(f"{name} has not answered for a second which fault it has")
-        return errors
+    def _problems(self, channel: Channel) -> Iterable[str]:
+        if code := channel.fault:
+            unknown = "see mc_fault_code in the maker's datatypes.h"
+            yield f"has the fault {code}: {frames.FAULTS[code] if code < len(frames.FAULTS) else unknown}"
+        if (channel.status or 0) & frames.KILL_SWITCH:
+            yield "is stopped by its kill switch"
+        if channel.asked_ns is not None and self._now_ns - channel.asked_ns > _UNANSWERED_NS:
+            yield "has not answered for a second which fault it has"
 
     def restart(self) -> None:
-        self._is_armed = self._is_arming = self._has_commanded = False
+        super().restart()
+        self._is_arming = self._has_commanded = False
         self._asked = None
         self._may_wait = not self._is_bus
         self._unassigned = ()
-        for channel in self._channels:
-            channel.forget()
 
 
 DIALECT = Dialect(

@@ -14,9 +14,8 @@ from firmware_protocol.framing import Frame
 from hil.core.types import FourWheels
 from hil.drivers.emulated import EmulatedMotors
 from hil.drivers.port import four
-from hil.drivers.vesc import emulated_wire as wire
-from hil.drivers.vesc.emulated_controller import Reply, VescController
-from hil.drivers.vesc.settings import Settings
+from hil.drivers.vesc.driver import Settings
+from hil.drivers.vesc.emulated_controller import Reply, VescController, can_parts, first_packet, packet
 
 _EXTENDED = 0x8000_0000
 _UNDER_VOLTAGE, _HOT_MOTOR = 2, 6
@@ -105,7 +104,7 @@ class EmulatedVesc(EmulatedMotors[Settings]):
 
     def _can_reply(self, sender: int, to: int) -> Reply:
         def reply(message: bytes) -> None:
-            for command, data in wire.can_parts(sender, message):
+            for command, data in can_parts(sender, message):
                 self.say(Frame(_EXTENDED | command << 8 | to, data))
 
         return reply
@@ -115,7 +114,7 @@ class EmulatedVesc(EmulatedMotors[Settings]):
     def feed(self, data: bytes) -> None:
         self._open += data
         while self._open:
-            size, message = wire.first_packet(self._open)
+            size, message = first_packet(self._open)
             if size == 0:
                 return
             self._open = self._open[size:]
@@ -137,7 +136,7 @@ class EmulatedVesc(EmulatedMotors[Settings]):
         return sorted(number for number in self._by_id if number != self.settings.serial_id)
 
     def _serial_reply(self, message: bytes) -> None:
-        self._bytes += wire.packet(message)
+        self._bytes += packet(message)
 
     def take_bytes(self) -> bytes:
         """Return the answers of the near VESC. Broadcasts on the bus behind it are discarded."""

@@ -12,7 +12,7 @@ util/buffer.c, datatypes.h.
 import math
 import struct
 from binascii import crc_hqx
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from struct import Struct
 from typing import NamedTuple
 
@@ -46,6 +46,7 @@ class Setting(NamedTuple):
         return _INT32.pack(clamp(round(value * self.per_unit), 2**31 - 1, -(2**31)))
 
 
+MAX_ID = 254  # 255 is the broadcast id
 MIN_CURRENT_A = 0.05  # a VESC releases its motor when less is commanded, also as a brake current
 
 SET_CURRENT = Setting(6, 1, 1000.0)
@@ -53,16 +54,10 @@ SET_CURRENT_BRAKE = Setting(7, 2, 1000.0)
 SET_RPM = Setting(8, 3, 1.0)
 
 _VALUES: Mapping[int, tuple[str, str, float]] = {
-    0: ("fet_degc", "h", 0.1),
-    2: ("motor_a", "i", 0.01),
-    3: ("input_a", "i", 0.01),
-    7: ("erpm", "i", 1.0),
-    8: ("input_v", "h", 0.1),
-    13: ("tachometer", "i", 1.0),
-    15: ("fault", "B", 1.0),
-    17: ("id", "B", 1.0),
+    0: ("fet_degc", "h", 0.1), 2: ("motor_a", "i", 0.01), 3: ("input_a", "i", 0.01), 7: ("erpm", "i", 1.0),
+    8: ("input_v", "h", 0.1), 13: ("tachometer", "i", 1.0), 15: ("fault", "B", 1.0), 17: ("id", "B", 1.0),
     21: ("status", "B", 1.0),
-}
+}  # fmt: skip
 """Name, layout and size of one count of each value, by its bit in the mask of COMM_GET_VALUES_SELECTIVE."""
 
 ALL_VALUES = tuple(_VALUES)
@@ -70,37 +65,15 @@ FAULT_BIT, ID_BIT, STATUS_BIT = 15, 17, 21
 HAS_TIMED_OUT, KILL_SWITCH = 1, 2  # bits of status
 
 FAULTS = (
-    "none",
-    "over voltage",
-    "under voltage",
-    "gate driver (DRV)",
-    "absolute over current",
-    "over temperature of the MOSFETs",
-    "over temperature of the motor",
-    "gate driver over voltage",
-    "gate driver under voltage",
-    "under voltage of the processor",
-    "reset by its own watchdog",
-    "encoder SPI",
-    "sin/cos encoder below its least amplitude",
-    "sin/cos encoder above its largest amplitude",
-    "flash corruption",
-    "offset of current sensor 1",
-    "offset of current sensor 2",
-    "offset of current sensor 3",
-    "unbalanced currents",
-    "brake input",
-    "resolver: loss of tracking",
-    "resolver: degradation of signal",
-    "resolver: loss of signal",
-    "corrupt app configuration",
-    "corrupt motor configuration",
-    "encoder without a magnet",
-    "encoder's magnet too strong",
-    "phase filter",
-    "encoder",
-    "low-voltage output",
-)
+    "none", "over voltage", "under voltage", "gate driver (DRV)", "absolute over current",
+    "over temperature of the MOSFETs", "over temperature of the motor", "gate driver over voltage",
+    "gate driver under voltage", "under voltage of the processor", "reset by its own watchdog", "encoder SPI",
+    "sin/cos encoder below its least amplitude", "sin/cos encoder above its largest amplitude", "flash corruption",
+    "offset of current sensor 1", "offset of current sensor 2", "offset of current sensor 3", "unbalanced currents",
+    "brake input", "resolver: loss of tracking", "resolver: degradation of signal", "resolver: loss of signal",
+    "corrupt app configuration", "corrupt motor configuration", "encoder without a magnet",
+    "encoder's magnet too strong", "phase filter", "encoder", "low-voltage output",
+)  # fmt: skip
 """The faults of mc_fault_code, by number."""
 
 
@@ -272,3 +245,67 @@ def _wrong(message: bytes, tail: bytes) -> str | None:
     if tail[2] != 3:
         return "end"
     return None if crc_hqx(message, 0) == tail[0] << 8 | tail[1] else "checksum"
+
+
+class Bus:
+    """The way to VESCs over CAN. ``host`` is the id of this computer.
+
+    Attributes:
+        questions: messages that ask a VESC at the start, one value each, so that each answer fits into one frame.
+        rounds: frames to send in turn, one item per tick: each asks one VESC for fault and status.
+    """
+
+    def __init__(self, ids: Sequence[int], host: int) -> None:
+        self._host = host
+        values = [request_values(bit) for bit in (FAULT_BIT, STATUS_BIT)]
+        self.questions: Sequence[bytes] = (bytes((FW_VERSION,)), *values)
+        self.rounds: Sequence[Sequence[Frame]] = [[self.message(vesc, request) for request in values] for vesc in ids]
+
+    def setting(self, setting: Setting, vesc: int, value: float) -> Frame:
+        """Return the frame of a motor's command."""
+        return Frame(EXTENDED | setting.can << 8 | vesc, setting.counts(value))
+
+    def message(self, vesc: int, message: bytes) -> Frame:
+        """Return the frame of a message of up to 6 bytes."""
+        return Frame(EXTENDED | CAN_SHORT << 8 | vesc, bytes((self._host, 0)) + message)
+
+
+class Line:
+    """The way over the serial line of the VESC ``near``, which forwards messages to the others.
+
+    Attributes:
+        questions: messages that ask a VESC at the start.
+        rounds: frames to send in turn, one item per tick: each asks the near VESC and one of the others. Two answers of
+            the others at once would mix on the bus between them.
+    """
+
+    def __init__(self, ids: Sequence[int], near: int) -> None:
+        self._near = near
+        request = request_values(*ALL_VALUES)
+        self.questions: Sequence[bytes] = (bytes((FW_VERSION,)), request)
+        first = [self.message(near, request)] if near in ids else []
+        self.rounds: Sequence[Sequence[Frame]] = [[*first, self.message(vesc, request)] for vesc in ids if vesc != near]
+
+    def setting(self, setting: Setting, vesc: int, value: float) -> Frame:
+        """Return the message of a motor's command."""
+        return self.message(vesc, bytes((setting.comm,)) + setting.counts(value))
+
+    def message(self, vesc: int, message: bytes) -> Frame:
+        """Return the frame of a message, which the near VESC forwards if it is for another one."""
+        if vesc == self._near:
+            return Frame(message[0], message[1:])
+        return Frame(FORWARD_CAN, bytes((vesc,)) + message)
+
+
+_OVERHEAD_BYTES = 6  # of a short packet: begin, length, code, checksum and end
+
+
+def repeated_past_packet(commands: Sequence[Frame]) -> Sequence[Frame]:
+    """Return commands for a serial line, repeated so often that they fill the longest packet.
+
+    After a lost byte, or one that another program has sent, a VESC may wait for the rest of a packet as long as that.
+    When it is complete and its checksum wrong, the VESC reads the bytes again, with old commands among them. The last
+    commands that it then executes are these.
+    """
+    size = sum(len(frame.payload) + _OVERHEAD_BYTES for frame in commands)
+    return [*commands] * (LONGEST_PACKET // size + 1)

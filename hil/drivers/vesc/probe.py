@@ -3,9 +3,10 @@
 from collections.abc import Sequence
 
 from firmware_protocol.framing import Frame
+from hil.drivers.four_motors import found_by_id
 from hil.drivers.port import ANSWER_S, EXTENDED, Found, Probe
 from hil.drivers.vesc import frames
-from hil.drivers.vesc.settings import MAX_ID
+from hil.drivers.vesc.frames import MAX_ID
 
 _HOST = 253
 _IS_VESC = 0  # the hardware type; other types are battery managers and modules
@@ -16,12 +17,10 @@ _UNKNOWN = ("device.motors.pole_pairs", "device.motors.gear_ratio", "firmware.to
 class BusProbe(Probe):
     """Pings every id, and listens for status messages."""
 
+    patience_s = ANSWER_S
+
     def __init__(self) -> None:
         self._ids: set[int] = set()
-
-    @property
-    def patience_s(self) -> float:
-        return ANSWER_S
 
     def ask(self) -> Sequence[Frame]:
         return [
@@ -41,11 +40,7 @@ class BusProbe(Probe):
         return number in self._ids
 
     def found(self) -> Found | None:
-        if not self._ids:
-            return None
-        ids = sorted(self._ids)
-        sentences = [f"a VESC with the id {number}" for number in ids]
-        return Found(sentences, {"ids": ids} if len(ids) == 4 else None, unknown=_UNKNOWN)
+        return found_by_id({number: f"a VESC with the id {number}" for number in self._ids}, _UNKNOWN)
 
 
 class LineProbe(Probe):
@@ -89,11 +84,9 @@ class LineProbe(Probe):
         if self._version is None or self._near is None:
             return None
         major, minor, hardware = self._version
-        sentences = [f"a VESC ({hardware}, firmware {major}.{minor:02}) with the id {self._near} at the line"]
+        near = f"a VESC ({hardware}, firmware {major}.{minor:02}) with the id {self._near} at the line"
         if self._behind is None:
-            sentences.append(f"it has not reported within {_SCAN_S:g} s which others are on its CAN bus")
-            return Found(sentences, None, unknown=_UNKNOWN)
-        sentences += [f"a VESC behind it with the id {number}" for number in sorted(self._behind)]
-        ids = sorted(self._behind | {self._near})
-        motors = {"ids": ids, "serial_id": self._near} if len(ids) == 4 else None
-        return Found(sentences, motors, unknown=_UNKNOWN)
+            silent = f"it has not reported within {_SCAN_S:g} s which others are on its CAN bus"
+            return Found([near, silent], None, unknown=_UNKNOWN)
+        behind = {number: f"a VESC behind it with the id {number}" for number in self._behind}
+        return found_by_id({self._near: near} | behind, _UNKNOWN, serial_id=self._near)
