@@ -20,8 +20,11 @@ from hil.core.errors import BadInputError
 from hil.core.signals import SIGNAL_NAMES, unit_of
 from hil.review import changes, differences, figures, read, review
 from hil.review.export import write_export
+from hil.review.figures import read_for_figures
+from hil.review.html_page import write_document
 from hil.review.overlay import write_overlay
-from hil.review.page import page, page_signals, write_page
+from hil.review.page import page
+from hil.review.pictures import SIGNALS
 from hil.review.plots import Curve, thinned
 from hil.review.spectrum import LEAST_SAMPLES, spectrum
 from hil.runtime.assembly import RunOptions, run_scenario
@@ -50,7 +53,7 @@ def other(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def page_of_two(failed: Path, other: Path) -> str:
-    runs = [read(path, page_signals()) for path in (failed, other)]
+    runs = [read_for_figures(path, SIGNALS) for path in (failed, other)]
     return page(runs, [figures(run) for run in runs])
 
 
@@ -160,17 +163,17 @@ def test_a_page_of_two_runs_needs_nothing_but_itself(page_of_two: str) -> None:
 
 
 def test_a_page_shows_what_a_scenario_says_as_text_and_not_as_tags(tmp_path: Path) -> None:
-    run = read(OLD, page_signals())
+    run = read_for_figures(OLD, SIGNALS)
     whole = figures(run)
     for name, values in run.signals.items():
         run.signals[name] = values[:0]  # no plots, which show nothing of these
     odd = whole | {"failure": "<script>alert('1')</script> & more", "scenario": "<b>"}
-    write_page(tmp_path / "page.html", [run], [odd])
+    write_document(tmp_path / "page.html", page([run], [odd]))
     text = (tmp_path / "page.html").read_text(encoding="utf-8")
     assert_self_contained(text)
     assert "&lt;script&gt;alert(&#x27;1&#x27;)&lt;/script&gt; &amp; more" in text
     with pytest.raises(BadInputError, match=r"must end in \.html"):
-        write_page(tmp_path / "page.txt", [run], [odd])
+        write_document(tmp_path / "page.txt", page([run], [odd]))
 
 
 @pytest.mark.skipif(shutil.which("chromium") is None, reason="needs Chromium")

@@ -48,13 +48,15 @@ def review(
     _check(recordings, existing, {"page": html, "overlay": overlay, "export": export, "trajectory": trajectory})
     needed: Collection[str] = ()
     if html is not None:
-        from hil.review.page import page_signals, write_page
+        from hil.review.html_page import write_document
+        from hil.review.page import page
+        from hil.review.pictures import SIGNALS
 
-        needed = page_signals()
+        needed = SIGNALS
     runs = [read(path) if export else read_for_figures(path, needed) for path in recordings]
     found = [figures(run) for run in runs]
     if html is not None:
-        write_page(html, runs, found, existing)
+        write_document(html, page(runs, found), existing)
     if trajectory is not None:
         write_trajectory(runs[0], trajectory, existing)
     if overlay is not None:

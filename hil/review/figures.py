@@ -70,8 +70,8 @@ def figures(run: RecordedRun) -> dict[str, Any]:
     cut_s = _cut_s(run)
     found, reasons = signal_figures(
         run.signals,
-        RunSetup(torque_constant_n_m_a(run), _limits(run)),
-        None if cut_s is None else cut_words(cut_s, _number(run, "loop.duration_s")),
+        RunSetup(scenario_number(run, "firmware.torque_constant_n_m_a"), _limits(run)),
+        None if cut_s is None else cut_words(cut_s, scenario_number(run, "loop.duration_s")),
         lacks=lambda name: f"the recording has no signal {name}: another version of the program made it",
     )
     found["ticks"] += (run.rows_dropped or 0) + run.rows_missing
@@ -109,13 +109,8 @@ def sources_of(run: RecordedRun) -> dict[str, Any]:
     return _object(run.properties, "scenario_sources")
 
 
-def torque_constant_n_m_a(run: RecordedRun) -> float | None:
-    """Return the torque constant of the run's scenario [N·m/A at the wheel]; None where it has none."""
-    return _number(run, "firmware.torque_constant_n_m_a")
-
-
-def _number(run: RecordedRun, key: str) -> float | None:
-    """Return a number of the run's scenario; None where it has none."""
+def scenario_number(run: RecordedRun, key: str) -> float | None:
+    """Return a number of the run's scenario, by its dotted key; None if the scenario has none."""
     value = scenario_of(run).get(key)
     return float(value) if isinstance(value, int | float) else None
 
@@ -130,7 +125,7 @@ def _cut_s(run: RecordedRun) -> float | None:
         return None
     t_s = run.signals["loop.t_s"]
     last_s = float(t_s[-1]) if len(t_s) else 0.0
-    duration_s, rate_hz = _number(run, "loop.duration_s"), _number(run, "loop.rate_hz")
+    duration_s, rate_hz = scenario_number(run, "loop.duration_s"), scenario_number(run, "loop.rate_hz")
     if run.goes_on or duration_s is None or not rate_hz:
         return last_s
     return last_s if last_s < duration_s - 2.0 / rate_hz else None
@@ -138,10 +133,9 @@ def _cut_s(run: RecordedRun) -> float | None:
 
 def _limits(run: RecordedRun) -> CommandLimits | None:
     """Return the limits of a wheel's command in the run's scenario; None where it has none."""
-    scenario = scenario_of(run)
-    limits = [scenario.get(f"robot.{name}") for name in ("speed_limit_rad_s", "torque_limit_n_m")]
-    numbers = [float(limit) for limit in limits if isinstance(limit, int | float)]
-    return CommandLimits(*numbers) if len(numbers) == len(limits) else None
+    speed_rad_s = scenario_number(run, "robot.speed_limit_rad_s")
+    torque_n_m = scenario_number(run, "robot.torque_limit_n_m")
+    return None if speed_rad_s is None or torque_n_m is None else CommandLimits(speed_rad_s, torque_n_m)
 
 
 def expected(run: RecordedRun) -> list[ExpectTable]:

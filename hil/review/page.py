@@ -1,45 +1,31 @@
 """A review as one self-contained HTML file: verdict, figures, plots, events, scenario; made to print."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from html import escape
+from operator import itemgetter
 from pathlib import Path
 from typing import Any
 
-from hil.core.outputs import Existing
-from hil.judge.figures import figure_signals
 from hil.judge.words import applied_words, belief_rows, figure_rows, in_order, link_rows, outcome_rows
 from hil.review.difference import Difference, changes, differences
 from hil.review.figures import scenario_of, sources_of
-from hil.review.html_page import document, figure, mark, table, write_document
-from hil.review.pictures import SIGNALS, Shown, pictures
+from hil.review.html_page import document, figure, mark, table
+from hil.review.pictures import Shown, pictures
+from hil.review.plots import colour_of
 from hil.review.reader import RecordedRun
 
+_RUN_VERDICTS = {
+    True: ("passed", "passed"),
+    None: ("not known whether it passed", "note"),
+    False: ("failed", "failed"),
+}
 _VERDICTS = {True: "held", None: "not judged", False: "failed"}
 
 
-def page_signals() -> frozenset[str]:
-    """Return the names of the signals that a page shows."""
-    return figure_signals().union(SIGNALS)
-
-
-def write_page(
-    path: Path,
-    runs: Sequence[RecordedRun],
-    figures: Sequence[Mapping[str, Any]],
-    existing: Existing = "refuse",
-) -> None:
-    """Write the page of one run, or of two; ``figures`` are those of ``hil.review.figures.figures``.
-
-    ``existing`` says what to do if the file exists. Raises BadInputError when the file's name does not end in .html,
-    and when it cannot be written.
-    """
-    write_document(path, page(runs, figures), existing)
-
-
 def page(runs: Sequence[RecordedRun], figures: Sequence[Mapping[str, Any]]) -> str:
-    """Return the page of one run, or of two, as HTML."""
+    """Return the page of one run, or of two, as HTML; ``figures`` are those of ``hil.review.figures.figures``."""
     labels = _labels(figures)
-    shown = [Shown(label, run) for label, run in zip(labels, runs, strict=True)]
+    shown = [Shown(label, run, colour_of(i)) for i, (label, run) in enumerate(zip(labels, runs, strict=True))]
     title = " against ".join(dict.fromkeys(f"{one['scenario']}: {one['law']}" for one in figures))
     faults = [fault for fault in figures[0].get("fault") or () if fault.get("applied")]
     parts = [
@@ -64,10 +50,7 @@ def _labels(figures: Sequence[Mapping[str, Any]]) -> list[str]:
 
 def _head(labels: Sequence[str], figures: Sequence[Mapping[str, Any]]) -> Iterator[str]:
     for label, one in zip(labels, figures, strict=True):
-        passed = one["passed"]
-        verdict, kind = ("passed", "passed") if passed else ("failed", "failed")
-        if passed is None:
-            verdict, kind = "not known whether it passed", "note"
+        verdict, kind = _RUN_VERDICTS[one["passed"]]
         made = one["made"]
         known = (("version", "mecanum_hil"), ("commit", "commit"), ("on", "machine"))
         by = " ".join(f"{word} {made[key]}" for word, key in known if key in made)
@@ -97,15 +80,13 @@ def _outcomes(figures: Mapping[str, Any]) -> Iterator[str]:
             for row in figures["fault"]
         ]
         yield from table(("", "fault"), cells)
-    others = [tuple(map(escape, row)) for row in outcome_rows(figures) if row[0] not in ("expect", "fault")]
-    if others:
+    if others := _escaped(row for row in outcome_rows(figures) if row[0] not in ("expect", "fault")):
         yield "<h2>What happened on the way</h2>"
         yield from table(("", ""), others)
 
 
 def _figures(figures: Mapping[str, Any]) -> Iterator[str]:
-    rows = (*figure_rows(figures), *belief_rows(figures))
-    yield from table(("figure", "value"), [tuple(map(escape, row)) for row in rows])
+    return table(("figure", "value"), _escaped((*figure_rows(figures), *belief_rows(figures))))
 
 
 def _differences(labels: Sequence[str], rows: Sequence[Difference]) -> Iterator[str]:
@@ -133,21 +114,21 @@ def _differences(labels: Sequence[str], rows: Sequence[Difference]) -> Iterator[
 def _links(labels: Sequence[str], figures: Sequence[Mapping[str, Any]]) -> Iterator[str]:
     yield "<h2>Link statistics</h2>"
     each = [dict(link_rows(one)) for one in figures]
-    names = list(dict.fromkeys(name for one in each for name in one))
-    rows = [(escape(name), *(escape(one.get(name, "-")) for one in each)) for name in names]
+    names = dict.fromkeys(name for one in each for name in one)
+    rows = _escaped((name, *(one.get(name, "-") for one in each)) for name in names)
     yield from table(("", *map(escape, labels)), rows) if rows else ["<p>The recording has none.</p>"]
 
 
 def _events(labels: Sequence[str], figures: Sequence[Mapping[str, Any]]) -> Iterator[str]:
     yield "<h2>Events</h2>"
     events = [
-        (f"{event['t_s']:.3f}", label, event)
+        (event["t_s"], label, event["level"], event["text"])
         for label, one in zip(labels, figures, strict=True)
         for event in one["events"]
     ]
     cells = [
-        (t_s, escape(label), mark(event["level"], event["level"] not in ("ERROR", "WARN")), escape(event["text"]))
-        for t_s, label, event in sorted(events, key=lambda row: float(row[0]))
+        (f"{t_s:.3f}", escape(label), mark(level, level not in ("ERROR", "WARN")), escape(text))
+        for t_s, label, level, text in sorted(events, key=itemgetter(0))
     ]
     yield from table(("t [s]", "run", "level", "event"), cells, numbers=(0,)) if cells else ["<p>None.</p>"]
 
@@ -156,18 +137,18 @@ def _scenario(labels: Sequence[str], runs: Sequence[RecordedRun]) -> Iterator[st
     """Yield every value of the scenario with its source; of two runs, first what differs."""
     if len(runs) > 1:
         yield "<h2>What is different</h2>"
-        rows = [change.words() for change in changes(*runs)]
-        cells = [tuple(map(escape, row)) for row in rows]
+        cells = _escaped(change.words() for change in changes(*runs))
         yield from table(("", *map(escape, labels)), cells) if cells else ["<p>Nothing.</p>"]
     for label, run in zip(labels, runs, strict=True):
         name = f" of {label}" if len(runs) > 1 else ""
         yield f"<h2>Scenario{escape(name)}</h2>"
         sources = sources_of(run)
-        cells = [
-            (escape(key), escape(_value(value)), escape(str(sources.get(key, ""))))
-            for key, value in scenario_of(run).items()
-        ]
+        cells = _escaped((key, _value(value), str(sources.get(key, ""))) for key, value in scenario_of(run).items())
         yield from table(("key", "value", "given by"), cells) if cells else ["<p>The recording does not hold it.</p>"]
+
+
+def _escaped(rows: Iterable[Sequence[str]]) -> list[tuple[str, ...]]:
+    return [tuple(map(escape, row)) for row in rows]
 
 
 def _value(value: object) -> str:
