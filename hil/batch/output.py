@@ -1,16 +1,19 @@
-"""Files of all batches: the folder for results, older results in it, and results that cannot be written."""
+"""What all batches write: the folder for results, older results in it, files that cannot be written, and tables."""
 
 import contextlib
 import tempfile
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
 from hil.core.errors import BadInputError
 from hil.core.outputs import Existing
 
 
-def make_folder(folder: Path) -> None:
-    """Make a folder for results. Raises BadInputError when it cannot be made or written to."""
+def prepare_folder(folder: Path, older: Callable[[Path], Sequence[Path]], what: str, existing: Existing) -> None:
+    """Make a folder for results of ``what``; ``older`` lists the files of earlier ones in it.
+
+    Raises BadInputError when it cannot be made or written to, or has older results that must stay.
+    """
     try:
         folder.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryFile(dir=folder):
@@ -19,13 +22,9 @@ def make_folder(folder: Path) -> None:
         raise BadInputError(
             f"--out {folder}: it cannot be written to ({error.strerror}); name a folder that you may write to"
         ) from error
-
-
-def check_older(folder: Path, older: Sequence[Path], what: str, existing: Existing) -> None:
-    """Raise BadInputError when a folder has ``older`` results of ``what`` that must stay."""
-    if older and existing == "refuse":
+    if existing == "refuse" and (files := older(folder)):
         raise BadInputError(
-            f"--out {folder}: it has {older[0].name} of an earlier {what}; name another folder, or replace its "
+            f"--out {folder}: it has {files[0].name} of an earlier {what}; name another folder, or replace its "
             "results with --force"
         )
 
@@ -48,3 +47,9 @@ def deferred(errors: list[BadInputError]) -> Iterator[None]:
         yield
     except BadInputError as error:
         errors.append(error)
+
+
+def markdown_table(rows: Sequence[Sequence[str]]) -> str:
+    """Return rows, the first of which is the head, as a table for a page in Markdown."""
+    lines = ["| " + " | ".join(cell.replace("|", "\\|") for cell in row) + " |\n" for row in rows]
+    return "".join([lines[0], "|---" * len(rows[0]) + "|\n", *lines[1:]])

@@ -48,10 +48,7 @@ def _run(job: Job, scenario: Scenario, *, record: bool) -> Outcome:
         return verdict(job, result, run_columns(result.metrics), reasons=result.metrics["reasons"], undriven=undriven)
 
     options = RunOptions(
-        record=path,
-        allow_motion=job.allow_motion,
-        make_robot=_kept().robot,
-        keep_signals=bool(job.signals_file),
+        record=path, allow_motion=job.allow_motion, make_robot=_kept().robot, keep_signals=bool(job.signals_file)
     )
     outcome = attempt(job, scenario, judge, options)
     is_kept = path is not None and path.exists() and (job.record == ALWAYS or outcome.status not in (PASSED, REFUSED))

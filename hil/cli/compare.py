@@ -52,7 +52,7 @@ def compare(
     from hil.batch.comparison import compare as run_comparison
     from hil.batch.comparison.conditions import DRIVES, TORQUES_N_M
     from hil.batch.comparison.page import older
-    from hil.batch.output import check_older, make_folder
+    from hil.batch.output import prepare_folder
     from hil.cli.progress import batch
     from hil.core.outputs import check_free, existing_files
 
@@ -71,8 +71,7 @@ def compare(
     )
     existing = existing_files(force=force)
     if out is not None:
-        make_folder(out)
-        check_older(out, older(out), "comparison", existing)
+        prepare_folder(out, older, "comparison", existing)
     if markdown is not None:
         check_free("page", markdown, existing)
     with batch(as_json=as_json) as progress:

@@ -27,7 +27,7 @@ def reproduce(
     """Run section IV of the paper and say which of its figures come out, which do not, and why."""
     from hil.batch.reproduction import NotWrittenError
     from hil.batch.reproduction import reproduce as run_reproduction
-    from hil.batch.reproduction.summary import failures
+    from hil.batch.reproduction.runs import failures
     from hil.cli.progress import batch
     from hil.core.outputs import existing_files
 

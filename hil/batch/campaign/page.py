@@ -70,11 +70,7 @@ def _rates(judged: Judged) -> Iterator[str]:
         "19 of 20 such intervals would hold the true value.</p>"
     )
     rows = [
-        (
-            *map(escape, (rate.axis, rate.value)),
-            *map(str, (rate.runs, rate.passed, rate.units)),
-            escape(percent(rate)),
-        )
+        (*map(escape, (rate.axis, rate.value)), *map(str, (rate.runs, rate.passed, rate.units)), escape(percent(rate)))
         for rate in judged.rates
     ]
     heads = ("axis", "value", "runs", "passed", "draws", "share, with its interval")

@@ -24,10 +24,7 @@ MOTORS_WIRES = {
 _ENDINGS = list(Ending)
 _OPTION = "--set"
 # A case that names the speed command means the torque command where the law gives torques.
-_IN_TORQUE_MODE = {
-    "WHEEL_COMMAND": "TORQUE_COMMAND",
-    "wheel.fl.speed_command_rad_s": "wheel.fl.torque_command_n_m",
-}
+_IN_TORQUE_MODE = {"WHEEL_COMMAND": "TORQUE_COMMAND", "wheel.fl.speed_command_rad_s": "wheel.fl.torque_command_n_m"}
 
 
 class Request(NamedTuple):

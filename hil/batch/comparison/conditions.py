@@ -46,10 +46,7 @@ ESTIMATORS: Mapping[str, Sets] = {
 }
 """Where a law's state comes from; ``truth-wheels`` is the true pose with the twist of wheels and gyro."""
 
-CONTACTS: Mapping[str, Sets] = {
-    "rigid": {"plant.start.contact": "rigid"},
-    "slip": {"plant.start.contact": "slip"},
-}
+CONTACTS: Mapping[str, Sets] = {"rigid": {"plant.start.contact": "rigid"}, "slip": {"plant.start.contact": "slip"}}
 """The contact between wheels and floor."""
 
 

@@ -10,6 +10,7 @@ from pathlib import Path
 from hil.batch.comparison.conditions import DRIVES, FRICTIONS, MASS_FACTORS, Condition
 from hil.batch.comparison.result import Comparison, Row
 from hil.batch.figures import Column, shown_columns
+from hil.batch.output import markdown_table
 from hil.core.outputs import Existing, write_whole
 
 OVERVIEW = "figures"
@@ -45,11 +46,7 @@ def _pair(column: Column, row: Row) -> str:
 
 
 def write_markdown(
-    comparison: Comparison,
-    file: Path,
-    command: str,
-    pictures: Sequence[Path] = (),
-    existing: Existing = "refuse",
+    comparison: Comparison, file: Path, command: str, pictures: Sequence[Path] = (), existing: Existing = "refuse"
 ) -> None:
     """Write the page; ``command`` is what made it, ``existing`` says what to do if the file exists.
 
@@ -61,12 +58,11 @@ def write_markdown(
         rows = comparison.under(condition)
         late = _late(comparison, rows)
         lines += ["", f"## {condition.words}", ""]
-        lines += ["| law | " + " | ".join(f"{column.head} [{column.unit}]" for column in columns) + " |"]
-        lines += ["|---" * (1 + len(columns)) + "|"]
+        table = [("law", *(f"{column.head} [{column.unit}]" for column in columns))]
         for row in rows:
             cells = (_triple(column, row, rows, is_late=column in late) for column in columns)
-            label = row.entry.title(condition.mode).replace("|", "\\|")
-            lines.append(f"| {label} | " + " | ".join(cells) + " |")
+            table.append((row.entry.title(condition.mode), *cells))
+        lines += [markdown_table(table).rstrip()]
         if notes := list(_notes(comparison, rows)):
             lines += ["", *(f"- {note}" for note in notes)]
         lines += _shown(pictures, names(condition), file)

@@ -60,11 +60,7 @@ class Request(NamedTuple):
 
 
 def compare(
-    request: Request,
-    *,
-    workers: int | None = None,
-    limit_s: float = 120.0,
-    on_progress: OnProgress | None = None,
+    request: Request, *, workers: int | None = None, limit_s: float = 120.0, on_progress: OnProgress | None = None
 ) -> Comparison:
     """Run the comparison and return its results.
 

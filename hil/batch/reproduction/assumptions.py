@@ -1,21 +1,11 @@
 """What the paper leaves out and what we assume instead: values come from the scenarios, reasons are written here."""
 
-from collections.abc import Iterator, Mapping
 from dataclasses import asdict
 from typing import Any, NamedTuple
 
 from hil.batch.reproduction.plan import CIRCLE, EXPERIMENT
 from hil.laws.registry import SHIPPED
-from hil.scenario import Scenario, format_value, load, resolved
-
-
-class Assumption(NamedTuple):
-    """``place`` is the part of section IV, ``what`` the paper leaves out, ``value`` ours, ``why`` the reason."""
-
-    place: str
-    what: str
-    value: str
-    why: str
+from hil.scenario import format_value, load, resolved
 
 
 class _Row(NamedTuple):
@@ -55,12 +45,7 @@ _CIRCLE = (
         "the ranges of the fuzzy inputs",
         tuple(
             _GAINS + name
-            for name in (
-                "error_range_m",
-                "error_rate_range_m_s",
-                "heading_error_range_rad",
-                "heading_rate_range_rad_s",
-            )
+            for name in ("error_range_m", "error_rate_range_m_s", "heading_error_range_rad", "heading_rate_range_rad_s")
         ),
         "figures 6 and 7 have no numbers in the text; those of a start 0.3 m and 0.8 rad away",
     ),
@@ -87,11 +72,7 @@ _CIRCLE = (
 )
 _EXPERIMENT = (
     _Row("the reference", ("reference.kind", "reference.radius_m", "reference.period_s"), "that of section IV.A"),
-    _Row(
-        "the initial pose",
-        _START,
-        "the origin of Fig. 10: SLAM's map begins where the robot does",
-    ),
+    _Row("the initial pose", _START, "the origin of Fig. 10: SLAM's map begins where the robot does"),
     _Row(
         "how nothing is commanded",
         ("fault.0.kind", "fault.0.start_s", "fault.0.end_s"),
@@ -116,21 +97,18 @@ _EXPERIMENT = (
 )
 
 
-def assumptions() -> list[Assumption]:
-    """Return every assumption of the shipped scenarios, section IV.A first."""
-    return [*_stated("IV.A", load(CIRCLE), _CIRCLE), *_stated("IV.B", load(EXPERIMENT), _EXPERIMENT)]
+def assumptions() -> list[dict[str, str]]:
+    """Return every assumption of the shipped scenarios, section IV.A first.
 
-
-def _stated(place: str, scenario: Scenario, rows: tuple[_Row, ...]) -> Iterator[Assumption]:
-    values = _values(scenario)
-    for row in rows:
-        stated = (f"{key.removeprefix(_GAINS)} = {format_value(values[key])}" for key in row.keys)
-        yield Assumption(place, row.what, row.words or ", ".join(stated), row.why)
-
-
-def _values(scenario: Scenario) -> Mapping[str, object]:
-    """Return every value of a scenario by its dotted key, the law's defaults included."""
-    law: Any = SHIPPED[scenario.controller.law]
-    options = law.Options(**scenario.controller.gains)
-    gains = {f"{_GAINS}{name}": value for name, value in asdict(options).items()}
-    return gains | {key: value for key, value, _ in resolved(scenario)}
+    ``place`` is the part of section IV, ``what`` the paper leaves out, ``value`` ours, ``why`` the reason.
+    """
+    found = []
+    for place, scenario, rows in (("IV.A", load(CIRCLE), _CIRCLE), ("IV.B", load(EXPERIMENT), _EXPERIMENT)):
+        law: Any = SHIPPED[scenario.controller.law]
+        options = law.Options(**scenario.controller.gains)
+        values: dict[str, object] = {_GAINS + name: value for name, value in asdict(options).items()}
+        values |= {key: value for key, value, _ in resolved(scenario)}
+        for row in rows:
+            stated = (f"{key.removeprefix(_GAINS)} = {format_value(values[key])}" for key in row.keys)
+            found.append({"place": place, "what": row.what, "value": row.words or ", ".join(stated), "why": row.why})
+    return found

@@ -6,16 +6,17 @@ beside it, so that ``--check`` can compare them without a run.
 
 import json
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from hil.batch.output import markdown_table
 from hil.batch.reproduction.plan import DRIVEN, FILTERS, LAWS, LIMITS
 
 Table = list[tuple[str, ...]]
 Summary = Mapping[str, Any]
 
-_UNIT = {"s": ("s", 1.0, 2), "m": ("mm", 1e3, 2), "rad": ("mrad", 1e3, 2)}
+_UNIT = {"s": ("s", 1.0, 2), "m": ("mm", 1e3, 2), "rad": ("mrad", 1e3, 2), "Hz": ("Hz", 1.0, 1)}
 
 PAGE = Path(__file__).with_name("PAPER.md")
 KEPT = Path(__file__).with_name("paper.json")
@@ -30,62 +31,50 @@ def circle(summary: Summary) -> Table:
     rows: Table = [("law", "filter", "limit", "tracked", "the paper", "steady error", "the paper", "within 10 mm")]
     for row in summary["circle"]:
         # The paper's figures appear once, beside the runs that are nearest to its description.
-        is_paper = row["filter"] == "common" and row["limit"] == "together"
-        tracked, steady = (
-            printed.get((row["law"], figure)) if is_paper else None for figure in ("tracked_s", "steady_rms_m")
+        law = row["law"] if (row["filter"], row["limit"]) == ("common", "together") else None
+        rows.append(
+            _line(
+                row,
+                (LAWS[row["law"]][1].words, FILTERS[row["filter"]].words, LIMITS[row["limit"]].words),
+                number(row["tracked_s"], "s"),
+                number(printed.get((law, "tracked_s")), "s", 1, missing=""),
+                number(row["steady_rms_m"], "m"),
+                number(printed.get((law, "steady_rms_m")), "m", missing=""),
+                number(row["t10_s"], "s"),
+            )
         )
-        words = (LAWS[row["law"]][1].words, FILTERS[row["filter"]].words, LIMITS[row["limit"]].words)
-        if row["failure"] is not None:
-            rows.append((*words, row["failure"], *("",) * 4))
-            continue
-        figures = (
-            number(row["tracked_s"], "s"),
-            number(tracked, "s", 1) if tracked is not None else "",
-            number(row["steady_rms_m"], "m"),
-            number(steady, "m") if steady is not None else "",
-            number(row["t10_s"], "s"),
-        )
-        rows.append((*words, *figures))
     return rows
 
 
 def delay(summary: Summary) -> Table:
     """Return the oscillation for each latency, with a header."""
-    head = ("command", "latency", "amplitude", "frequency", "steady error", "largest", "transition")
-    return [head, *(_delayed(row) for row in summary["delay"])]
-
-
-def _delayed(row: Mapping[str, Any]) -> tuple[str, ...]:
-    words = (DRIVEN[row["driven"]].words, f"{row['latency_ms']:g} ms")
-    if row["failure"] is not None:
-        return (*words, row["failure"], "", "", "", "")
-    frequency = row["frequency_hz"]
-    return (
-        *words,
-        number(row["amplitude_m"], "m"),
-        "-" if frequency is None else f"{frequency:.1f} Hz",
-        number(row["steady_rms_m"], "m"),
-        number(row["steady_max_m"], "m"),
-        number(row["transition_s"], "s"),
-    )
+    rows: Table = [("command", "latency", "amplitude", "frequency", "steady error", "largest", "transition")]
+    figures = (("amplitude_m", "m"), ("frequency_hz", "Hz"), ("steady_rms_m", "m"), ("steady_max_m", "m"))
+    for row in summary["delay"]:
+        cells = (number(row[name], unit) for name, unit in (*figures, ("transition_s", "s")))
+        rows.append(_line(row, (DRIVEN[row["driven"]].words, f"{row['latency_ms']:g} ms"), *cells))
+    return rows
 
 
 def transition(summary: Summary) -> Table:
     """Return the time that the robot takes to the path, for each start and top speed, with a header."""
     rows: Table = [("command", "case", "distance", "transition")]
     for row in summary["transition"]:
-        distance = "-" if row["from_m"] is None else f"{row['from_m']:.2f} m"
-        took = number(row["transition_s"], "s") if row["failure"] is None else row["failure"]
-        rows.append((DRIVEN[row["driven"]].words, row["name"], distance, took))
+        words = (DRIVEN[row["driven"]].words, row["name"], "-" if row["from_m"] is None else f"{row['from_m']:.2f} m")
+        rows.append(_line(row, words, number(row["transition_s"], "s")))
     return rows
+
+
+def _line(row: Mapping[str, Any], words: tuple[str, ...], *figures: str) -> tuple[str, ...]:
+    """Return a line of a table: what the run is, then its figures, or what ended it."""
+    return (*words, *figures) if row["failure"] is None else (*words, row["failure"], *[""] * (len(figures) - 1))
 
 
 def verdicts(summary: Summary) -> Table:
     """Return the verdicts, with a header."""
     rows: Table = [("place", "result", "the paper", "ours", "tolerance", "verdict", "why")]
     for row in summary["verdicts"]:
-        unit = row["unit"]
-        figures = (number(row[name], unit) for name in ("paper", "ours", "tolerance"))
+        figures = (number(row[name], row["unit"]) for name in ("paper", "ours", "tolerance"))
         rows.append((row["place"], row["claim"], *figures, row["verdict"], row["why"]))
     return rows
 
@@ -96,19 +85,10 @@ def assumptions(summary: Summary) -> Table:
     return rows + [(row["place"], row["what"], row["value"] or "-", row["why"]) for row in summary["assumptions"]]
 
 
-def number(value: float | None, unit: str, digits: int | None = None) -> str:
-    """Return a figure with its unit, errors in mm and mrad; "-" where there is none."""
-    if value is None:
-        return "-"
+def number(value: float | None, unit: str, digits: int | None = None, missing: str = "-") -> str:
+    """Return a figure with its unit, errors in mm and mrad; ``missing`` for None."""
     shown, scale, usual = _UNIT[unit]
-    return f"{value * scale:.{usual if digits is None else digits}f} {shown}"
-
-
-def markdown(table: Sequence[Sequence[str]]) -> str:
-    """Return a table for a page in Markdown."""
-    head, *rows = table
-    lines = [head, ("---",) * len(head), *rows]
-    return "\n".join(f"| {' | '.join(cell.replace('|', '/') for cell in line)} |" for line in lines) + "\n"
+    return missing if value is None else f"{value * scale:.{usual if digits is None else digits}f} {shown}"
 
 
 def results(summary: Summary) -> str:
@@ -120,7 +100,7 @@ def results(summary: Summary) -> str:
         ("Section IV.B: the transition", transition(summary)),
         ("What the paper leaves out", assumptions(summary)),
     )
-    return "\n".join(f"### {title}\n\n{markdown(table)}" for title, table in sections)
+    return "\n".join(f"### {title}\n\n{markdown_table(table)}" for title, table in sections)
 
 
 def with_results(page: str, summary: Summary) -> str:

@@ -1,21 +1,17 @@
 """The paper's figures with our runs in them, in the paper's layout, as PNG."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
 
 from hil.batch.reproduction import published
 from hil.batch.reproduction.analysis import delay_margin
-from hil.batch.reproduction.plan import DRIVEN, EXPERIMENT_PERIOD_S
+from hil.batch.reproduction.plan import DRIVEN, EXPERIMENT_PERIOD_S, FILTERS, LAWS
 from hil.batch.reproduction.verdicts import Results
 from hil.core.types import WHEEL_NAMES
 from hil.review.plots import Curve, colour_of, draw_curves, draw_path, draw_wheels, drawing, rgb
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
 
 Series = npt.NDArray[np.float64]
 Signals = Mapping[str, Series]
@@ -23,6 +19,11 @@ Signals = Mapping[str, Series]
 _BLUE, _RED, _GREEN = (0, 90, 200), (210, 40, 40), (40, 150, 60)
 """Fig. 10: blue is the reference, red the robot; the x axis is red and the y axis green, as Rviz has them."""
 _GREY = (150, 150, 150)
+_ERRORS = (
+    ("error.x_m", "(b) X axis", "mm"),
+    ("error.y_m", "(c) Y axis", "mm"),
+    ("error.heading_rad", "(d) angle of direction", "mrad"),
+)
 _STEADY_FROM_S = 5.0
 _CONVERGED_S = 3.0
 _AXIS_M = 0.3
@@ -32,44 +33,37 @@ _SHIFT_S = published.SILENT_FROM_S
 """Section IV.B counts from when the robot's computer was started; a scenario from its first tick."""
 
 
-def circle(path: Path, dsc: Signals, afdsc: Signals) -> None:
+def circle(path: Path, shown: Mapping[str, Signals]) -> None:
     """Draw Fig. 8: (a) the trajectory, (b) to (d) the errors of x, y and heading, with the late part inset."""
-    runs = (("DSC", dsc), ("AFDSC", afdsc))
+    dsc = shown["dsc"]
+    runs = (("DSC", dsc), ("AFDSC", shown["afdsc"]))
     with drawing(path, rows=2, columns=2, size_in=(10.0, 8.0)) as axes:
         reference = Curve("reference", dsc["reference.x_m"], dsc["reference.y_m"], _GREY)
         ways = [Curve(label, s["truth.x_m"], s["truth.y_m"]) for label, s in runs]
         draw_path(axes[0], reference, ways, title="(a) trajectory")
-        for place, (name, title, scale, unit) in enumerate(
-            (
-                ("error.x_m", "(b) X axis", 1e3, "mm"),
-                ("error.y_m", "(c) Y axis", 1e3, "mm"),
-                ("error.heading_rad", "(d) angle of direction", 1e3, "mrad"),
-            ),
-            start=1,
-        ):
-            curves = [Curve(label, s["loop.t_s"], s[name] * scale) for label, s in runs]
-            draw_curves(axes[place], curves, title=title, y_label=f"error [{unit}]")
-            _inset(axes[place], curves, unit)
+        for panel, (name, title, unit) in zip(axes[1:], _ERRORS, strict=True):
+            curves = [Curve(label, s["loop.t_s"], s[name] * 1e3) for label, s in runs]
+            draw_curves(panel, curves, title=title, y_label=f"error [{unit}]")
+            late = panel.inset_axes((0.42, 0.1, 0.54, 0.4))  # at a scale of its own
+            for number, curve in enumerate(curves):
+                later = curve.x >= _STEADY_FROM_S
+                late.plot(curve.x[later], curve.y[later], color=rgb(colour_of(number)), linewidth=1.0)
+            late.set_title(f"from {_STEADY_FROM_S:g} s [{unit}]", fontsize=8)
+            late.tick_params(labelsize=7)
 
 
-def _inset(axes: "Axes", curves: Sequence[Curve], unit: str) -> None:
-    """Show the late part in a corner, at a scale of its own."""
-    late = axes.inset_axes((0.42, 0.1, 0.54, 0.4))
-    for number, curve in enumerate(curves):
-        later = curve.x >= _STEADY_FROM_S
-        late.plot(curve.x[later], curve.y[later], color=rgb(colour_of(number)), linewidth=1.0)
-    late.set_title(f"from {_STEADY_FROM_S:g} s [{unit}]", fontsize=8)
-    late.tick_params(labelsize=7)
-
-
-def convergence(path: Path, runs: Sequence[tuple[str, Signals]]) -> None:
+def convergence(path: Path, shown: Mapping[str, Signals]) -> None:
     """Draw the planar error over time on a logarithmic scale, beside the paper's steady errors."""
+    words = {law: LAWS[law][1].words for law in ("dsc", "afdsc", "constant")}
+    words["afdsc short"] = f"AFDSC, filter {FILTERS['short'].words}"
     curves = []
-    for label, s in runs:
+    for run, s in shown.items():
+        if run not in words:
+            continue
         t_s, error_mm = s["loop.t_s"], s["error.planar_m"] * 1e3
         # A logarithmic scale cannot show zero.
-        shown = (t_s <= _CONVERGED_S) & (error_mm > 0.0)
-        curves.append(Curve(label, t_s[shown], error_mm[shown]))
+        early = (t_s <= _CONVERGED_S) & (error_mm > 0.0)
+        curves.append(Curve(words[run], t_s[early], error_mm[early]))
     with drawing(path, size_in=(8.0, 4.5)) as (axes,):
         axes.set_yscale("log")
         draw_curves(axes, curves, title="Distance to the reference", y_label="planar error [mm]")
@@ -81,8 +75,9 @@ def convergence(path: Path, runs: Sequence[tuple[str, Signals]]) -> None:
             axes.annotate(text, (0.05, printed.value * 1e3), color=colour, fontsize=8, va="bottom")
 
 
-def path_in_plane(path: Path, run: Signals) -> None:
+def path_in_plane(path: Path, shown: Mapping[str, Signals]) -> None:
     """Draw Fig. 10: the reference and the robot's way from the origin to it."""
+    run = shown["experiment"]
     with drawing(path, size_in=(5.6, 5.6)) as (axes,):
         reference = Curve("reference", run["reference.x_m"], run["reference.y_m"], _BLUE)
         draw_path(axes, reference, [Curve("robot", run["truth.x_m"], run["truth.y_m"], _RED)], title="Fig. 10, ours")
@@ -91,8 +86,9 @@ def path_in_plane(path: Path, run: Signals) -> None:
             axes.annotate("", (x_m, y_m), (0.0, 0.0), arrowprops=arrow)
 
 
-def control_signals(path: Path, run: Signals) -> None:
+def control_signals(path: Path, shown: Mapping[str, Signals]) -> None:
     """Draw Fig. 11: the commanded torques of the wheels, none while nobody commands, and the error below them."""
+    run = shown["experiment"]
     t_s = run["loop.t_s"] + _SHIFT_S
     wheels = {wheel: run[f"wheel.{wheel}.torque_command_n_m"] for wheel in WHEEL_NAMES}
     with drawing(path, rows=2, size_in=(8.0, 6.0)) as (above, below):

@@ -161,7 +161,4 @@ def experiment(*, quick: bool = False) -> Iterator[Case]:
 def _latency(latency_ms: int) -> Settings:
     """Divide a latency between the two ways, in whole ticks of the robot."""
     back_ms = latency_ms // 2
-    return {
-        "link.command_latency_s": (latency_ms - back_ms) / 1000.0,
-        "link.feedback_latency_s": back_ms / 1000.0,
-    }
+    return {"link.command_latency_s": (latency_ms - back_ms) / 1000.0, "link.feedback_latency_s": back_ms / 1000.0}

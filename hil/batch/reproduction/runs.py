@@ -4,7 +4,7 @@ import json
 import shutil
 import tempfile
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -13,12 +13,12 @@ import numpy.typing as npt
 
 from hil.batch.job import ALWAYS, ENDED, LOST, NEVER, REFUSED, Job, Outcome
 from hil.batch.keys import make_job
-from hil.batch.output import check_older, deferred, make_folder, remove
+from hil.batch.output import deferred, prepare_folder, remove
 from hil.batch.plan import OnProgress, run_jobs
-from hil.batch.reproduction import pictures
+from hil.batch.reproduction import pictures, published
 from hil.batch.reproduction.analysis import oscillation
-from hil.batch.reproduction.plan import FILTERS, LAWS, Case, Result, cases
-from hil.batch.reproduction.summary import summarise
+from hil.batch.reproduction.assumptions import assumptions
+from hil.batch.reproduction.plan import Case, Result, cases
 from hil.batch.reproduction.verdicts import Results, judge
 from hil.core.errors import BadInputError
 from hil.core.outputs import Existing, claim, write_whole
@@ -29,7 +29,14 @@ from hil.scenario import from_plain, load
 Signals = Mapping[str, npt.NDArray[np.float64]]
 
 _SUMMARY = "summary.json"
-_PICTURES = ("figure_8.png", "convergence.png", "figure_10.png", "figure_11.png", "delay.png")
+_DELAY = "delay.png"
+_PICTURES = {
+    "figure_8.png": (pictures.circle, ("dsc", "afdsc")),
+    "convergence.png": (pictures.convergence, ("dsc", "afdsc")),
+    "figure_10.png": (pictures.path_in_plane, ("experiment",)),
+    "figure_11.png": (pictures.control_signals, ("experiment",)),
+}
+"""By name: what draws a picture, and the runs (names in ``_SHOWN``) that it needs."""
 _SHOWN = {
     "dsc": "dsc common together",
     "afdsc": "afdsc common together",
@@ -47,6 +54,20 @@ _SIGNALS = (
 )
 _OF_METRICS = ("tracked_s", "t10_s", "steady_rms_m", "steady_max_m")
 _OF_SIGNALS = ("heading_rad", "driven_s", "from_m", "transition_s", "amplitude_m", "frequency_hz")
+_OF_DELAY = ("steady_rms_m", "steady_max_m", "amplitude_m", "frequency_hz")
+_FIGURES = {
+    "circle": (*_OF_METRICS, "heading_rad"),
+    "experiment": ("driven_s", "from_m", "transition_s", *_OF_DELAY),
+    "delay": ("transition_s", *_OF_DELAY),
+    "transition": ("from_m", "transition_s"),
+}
+"""The figures in each group of the summary."""
+FORMAT = 1
+"""Version of the summary: raised for changes that a reader has to know of."""
+PAPER = (
+    "Nguyen Minh et al. 2023, An Adaptive Fuzzy Dynamic Surface Control Tracking Algorithm for Mecanum Wheeled "
+    "Mobile Robot"
+)
 
 
 class NotWrittenError(BadInputError):
@@ -68,6 +89,10 @@ def reproduce(
 ) -> dict[str, Any]:
     """Run section IV and return the summary; it goes into ``folder`` as ``summary.json``, with pictures and recordings.
 
+    In the summary each of ``circle``, ``experiment``, ``delay`` and ``transition`` is a list of rows: what the case is,
+    its figures (None where one is not defined) and ``failure``. ``paper`` has the printed figures, ``verdicts`` the
+    verdicts on them, ``pictures`` and ``recordings`` names of files in ``folder``.
+
     ``quick`` leaves out most variants and shortens the others. ``workers`` is the number of processes, by default one
     per processor; a run that takes more than ``limit_s`` of wall-clock time is ended. ``on_progress`` is called as
     ``hil.batch.plan.run_jobs`` does. Results of an earlier reproduction in the folder are removed when the runs are
@@ -77,47 +102,75 @@ def reproduce(
     NotWrittenError, with the summary, when a file cannot be written after the runs.
     """
     began = time.monotonic()
-    make_folder(folder)
+    prepare_folder(folder, _older, "reproduction", existing)
     planned = cases(quick=quick)
-    check_older(folder, _older(folder), "reproduction", existing)
     errors: list[BadInputError] = []
     drawn: list[str] = []
     recordings: list[str] = []
     with tempfile.TemporaryDirectory(prefix="hil-reproduce-") as scratch:
-        jobs = {case.name: _job(case, Path(scratch), limit_s) for case in planned}
-        names = {job.key: name for name, job in jobs.items()}
+        jobs = [_job(case, Path(scratch), limit_s) for case in planned]
+        names = {job.key: case.name for job, case in zip(jobs, planned, strict=True)}
 
         def trouble(outcome: Outcome) -> str | None:
             failure = _failure(outcome)
             return None if failure is None else f"{names[outcome.key]}: {failure}"
 
-        outcomes = run_jobs(list(jobs.values()), workers, on_progress, trouble)
-        found = [_result(case, jobs[case.name], outcome) for case, outcome in zip(planned, outcomes, strict=True)]
+        outcomes = run_jobs(jobs, workers, on_progress, trouble)
+        found = [_result(*one) for one in zip(planned, jobs, outcomes, strict=True)]
         results = Results(found)
         with deferred(errors):
             remove(_older(folder) if existing == "replace" else [])
-            _draw(folder, results, {label: _signals(jobs.get(name)) for label, name in _SHOWN.items()}, drawn)
+            signals = {case.name: _signals(job) for case, job in zip(planned, jobs, strict=True)}
+            shown = {label: signals[name] for label, name in _SHOWN.items() if signals.get(name)}
+            for picture, (draw, needed) in _PICTURES.items():
+                if shown.keys() >= set(needed):
+                    draw(folder / picture, shown)
+                    drawn.append(picture)
+            if any(results.rows("delay")):
+                pictures.delay(folder / _DELAY, results)
+                drawn.append(_DELAY)
         # Recordings are the largest, so pictures go first: a full disk then costs least.
         with deferred(errors):
             for outcome in outcomes:
                 if outcome.recording is not None:
                     _move(Path(outcome.recording), folder)
                     recordings.append(Path(outcome.recording).name)
-    summary = summarise(
-        found,
-        judge(results),
-        quick=quick,
-        folder=folder,
-        pictures=drawn,
-        recordings=recordings,
-        wall_s=time.monotonic() - began,
-    )
+    summary = {
+        "format": FORMAT,
+        "source": PAPER,
+        "quick": quick,
+        "paper": [printed._asdict() for printed in published.FIGURES],
+        "filters_s": {"common": published.COMMON_FILTER_S, "short": published.SHORT_FILTER_S},
+        "assumptions": assumptions(),
+        **{group: [_row(one) for one in found if one.case.group == group] for group in _FIGURES},
+        "verdicts": [verdict._asdict() for verdict in judge(results)],
+        "folder": str(folder),
+        "pictures": drawn,
+        "recordings": recordings,
+        "wall_s": time.monotonic() - began,
+    }
     with deferred(errors):
         text = json.dumps(summary, indent=1, ensure_ascii=False, allow_nan=False)
         write_whole(folder / _SUMMARY, text.encode("utf-8"))
     if errors:
         raise NotWrittenError(errors[0], summary)
     return summary
+
+
+def _row(result: Result) -> dict[str, Any]:
+    case, figures, failure = result
+    return {
+        "name": case.name,
+        **case.row,
+        **{name: figures.get(name) for name in _FIGURES[case.group]},
+        "failure": failure,
+    }
+
+
+def failures(summary: Mapping[str, Any]) -> list[str]:
+    """Return the runs of a summary that did not come to their end, each with what ended it."""
+    rows = (row for group in _FIGURES for row in summary[group])
+    return [f"{row['name']}: {row['failure']}" for row in rows if row["failure"] is not None]
 
 
 def _job(case: Case, scratch: Path, limit_s: float) -> Job:
@@ -138,10 +191,7 @@ def _failure(outcome: Outcome) -> str | None:
 
     Such runs say nothing about the law. The scenario's own expectations do not matter here.
     """
-    if outcome.status in (ENDED, LOST, REFUSED):
-        return outcome.reason
-    undriven: str | None = outcome.details["undriven"]
-    return undriven
+    return outcome.reason if outcome.status in (ENDED, LOST, REFUSED) else outcome.details["undriven"]
 
 
 def _result(case: Case, job: Job, outcome: Outcome) -> Result:
@@ -179,9 +229,9 @@ def signal_figures(signals: Signals, period_s: float) -> dict[str, float | None]
     return found | ({} if swing is None else swing._asdict())
 
 
-def _signals(job: Job | None) -> Signals:
-    """Return the signals that a job left; none where it was not done or did not get as far."""
-    if job is None or not Path(job.signals_file).exists():
+def _signals(job: Job) -> Signals:
+    """Return the signals that a job left; none where it did not get as far."""
+    if not Path(job.signals_file).exists():
         return {}
     with np.load(job.signals_file) as held:
         return dict(held)
@@ -190,7 +240,7 @@ def _signals(job: Job | None) -> Signals:
 def _older(folder: Path) -> list[Path]:
     """Return the files that an earlier reproduction, quick or not, wrote into a folder."""
     recordings = [_recording(case) for case in cases(quick=False) + cases(quick=True) if case.records]
-    names = dict.fromkeys([_SUMMARY, *_PICTURES, *recordings])
+    names = dict.fromkeys([_SUMMARY, *_PICTURES, _DELAY, *recordings])
     return [folder / name for name in names if (folder / name).exists()]
 
 
@@ -204,27 +254,3 @@ def _move(recording: Path, folder: Path) -> None:
         raise BadInputError(
             f"recording {place}: it cannot be written ({error.strerror}); name a folder with more room"
         ) from error
-
-
-def _draw(folder: Path, results: Results, signals: Mapping[str, Signals], drawn: list[str]) -> None:
-    """Draw the pictures for which there are runs, and add the name of each picture to ``drawn``."""
-    shown = {label: one for label, one in signals.items() if one}
-    drawings: dict[str, Callable[[Path], None]] = {}
-    if "dsc" in shown and "afdsc" in shown:
-        drawings["figure_8.png"] = lambda path: pictures.circle(path, shown["dsc"], shown["afdsc"])
-        drawings["convergence.png"] = lambda path: pictures.convergence(path, _labelled(shown))
-    if "experiment" in shown:
-        drawings["figure_10.png"] = lambda path: pictures.path_in_plane(path, shown["experiment"])
-        drawings["figure_11.png"] = lambda path: pictures.control_signals(path, shown["experiment"])
-    if any(results.rows("delay")):
-        drawings["delay.png"] = lambda path: pictures.delay(path, results)
-    for name, draw in drawings.items():
-        draw(folder / name)
-        drawn.append(name)
-
-
-def _labelled(shown: Mapping[str, Signals]) -> Sequence[tuple[str, Signals]]:
-    """Return the runs on the circle with the words for them."""
-    words = {name: LAWS[name][1].words for name in ("dsc", "afdsc", "constant")}
-    words["afdsc short"] = f"AFDSC, filter {FILTERS['short'].words}"
-    return [(words[label], signals) for label, signals in shown.items() if label in words]

@@ -46,34 +46,34 @@ class Verdict(NamedTuple):
 
 
 class Results:
-    """The results of the runs by case; a figure that is not there is None.
+    """The results of the runs by the name of their case; a figure that is not there is None.
 
     A run that ended early has no figures, because they could not be compared with the paper's.
     """
 
     def __init__(self, results: Sequence[Result]) -> None:
-        self._results = [one if one.failure is None else one._replace(figures={}) for one in results]
+        self._runs = {one.case.name: one if one.failure is None else one._replace(figures={}) for one in results}
 
     def rows(self, group: str) -> Iterator[Result]:
         """Yield the results of a table."""
-        return (one for one in self._results if one.case.group == group)
+        return (one for one in self._runs.values() if one.case.group == group)
 
-    def failure(self, name: str) -> str | None:
+    def failure(self, run: str) -> str | None:
         """Return what ended a run early, or that it was not made."""
-        return next((one.failure for one in self._results if one.case.name == name), "it was not run")
+        return self._runs[run].failure if run in self._runs else "it was not run"
 
-    def is_planned(self, name: str) -> bool:
-        """Return whether a run of this name was asked for: a quick reproduction leaves most of them out."""
-        return any(one.case.name == name for one in self._results)
+    def is_planned(self, run: str) -> bool:
+        """Return whether a run was asked for: a quick reproduction leaves most of them out."""
+        return run in self._runs
 
-    def circle(self, law: str, filter_name: str, limit: str, figure: str) -> float | None:
-        """Return a figure of section IV.A."""
-        row = {"law": law, "filter": filter_name, "limit": limit}
-        return next((one.figures.get(figure) for one in self.rows("circle") if one.case.row == row), None)
+    def figure(self, run: str, name: str) -> float | None:
+        """Return a figure of a run."""
+        return self._runs[run].figures.get(name) if run in self._runs else None
 
-    def experiment(self, figure: str) -> float | None:
-        """Return a figure of the experiment as its scenario is shipped."""
-        return next((one.figures.get(figure) for one in self.rows("experiment")), None)
+    def lead(self, condition: str, law: str = "dsc") -> float | None:
+        """Return by how much AFDSC tracks before another law [s]; ``condition`` is the filter and the limit."""
+        other, afdsc = (self.figure(f"{name} {condition}", "tracked_s") for name in (law, "afdsc"))
+        return other - afdsc if other is not None and afdsc is not None else None
 
     def delay(self, driven: str) -> dict[float, Mapping[str, float | None]]:
         """Return the figures of the experiment by latency [ms]; none where a run ended early."""
@@ -82,77 +82,73 @@ class Results:
 
 
 def judge(results: Results) -> list[Verdict]:
-    """Return the verdict on each result of section IV, in the order of the paper."""
+    """Return the verdict on each result of section IV, in the order of the paper.
+
+    It is ``NO_NUMBER`` when a run that it needs did not come to its end.
+    """
     both = ("dsc common together", "afdsc common together", "afdsc short together")
-    circle = [
-        *(_printed(results, printed) for printed in published.FIGURES),
-        _own_filter(results),
-        _sooner(results),
-        _closer(results),
-        _by_the_tuner(results),
-        _heading(results),
-    ]
-    experiment = [_silence(results), _transition(results), _converged(results), _delay(results)]
-    return [
-        *_as_far_as_run(results, circle, both),
-        *_as_far_as_run(results, experiment, ("experiment",)),
-    ]
-
-
-def _as_far_as_run(results: Results, found: list[Verdict], needed: tuple[str, ...]) -> list[Verdict]:
-    """Replace verdicts by ``NO_NUMBER`` when a run that they need did not come to its end."""
-    failed = [f"{name}: {failure}" for name in needed if (failure := results.failure(name)) is not None]
-    if not failed:
-        return found
-    return [verdict._replace(verdict=NO_NUMBER, why=f"a run is missing, {'; '.join(failed)}") for verdict in found]
+    circle = [_printed(results, printed) for printed in published.FIGURES]
+    circle += [verdict(results) for verdict in (_own_filter, _sooner, _closer, _by_the_tuner, _heading)]
+    experiment = [verdict(results) for verdict in (_silence, _transition, _converged, _delay)]
+    verdicts = []
+    for found, needed in ((circle, both), (experiment, ("experiment",))):
+        failed = [f"{run}: {failure}" for run in needed if (failure := results.failure(run)) is not None]
+        why = f"a run is missing, {'; '.join(failed)}"
+        verdicts += [one._replace(verdict=NO_NUMBER, why=why) for one in found] if failed else found
+    return verdicts
 
 
 def _printed(results: Results, printed: Printed) -> Verdict:
     """Compare one of the four printed figures with ours, where both laws have one filter constant."""
-    ours = results.circle(printed.law, "common", "together", printed.figure)
+    ours = results.figure(f"{printed.law} common together", printed.figure)
     fitted = _is_near(ours, printed) and printed is not published.AFDSC_STEADY
     if printed is published.AFDSC_STEADY:
-        why = _why_not_closer(results)
+        needed = published.gain_for(printed.value, published.COMMON_FILTER_S)
+        lag_m = published.steady_error_m(published.COMMON_FILTER_S, published.FUZZY_CENTRE[0])
+        why = (
+            f"with this filter it needs K1 = {needed:.0f} 1/s, and Table II ends at {published.DSC_GAINS[0]:g}; at the "
+            f"{published.FUZZY_CENTRE[0]:g} of Table III for zero error the equations leave {_millimetres(lag_m)}"
+        )
     elif printed is published.DSC_STEADY and fitted:
         why = (
             f"the filter constant of {FILTERS['common'].words}, which the paper leaves out, was chosen for it: this "
             "shows nothing"
         )
     else:
-        each = results.circle(printed.law, "common", "each", printed.figure)
-        start = "the initial pose and the torque limit, which the paper leaves out, are ours"
-        if fitted:
-            start += ", chosen so that both times come near: this shows nothing"
-        why = start if each is None else f"{start}; with each motor limited by itself {each:.2f} s"
+        each = results.figure(f"{printed.law} common each", printed.figure)
+        why = "the initial pose and the torque limit, which the paper leaves out, are ours"
+        why += ", chosen so that both times come near: this shows nothing" if fitted else ""
+        why += "" if each is None else f"; with each motor limited by itself {each:.2f} s"
     name = {"tracked_s": "tracks after", "steady_rms_m": "steady error"}[printed.figure]
-    return _judged("IV.A, Fig. 8", f"{_LAW_WORDS[printed.law]} {name}", printed, ours, FITTED if fitted else None, why)
+    return _judged(f"{_LAW_WORDS[printed.law]} {name}", printed, ours, why, fitted=fitted)
 
 
 def _own_filter(results: Results) -> Verdict:
     """Verdict on AFDSC's steady error, with the filter constant that this error asks for."""
     printed = published.AFDSC_STEADY
-    ours = results.circle("afdsc", "short", "together", printed.figure)
-    ratio = published.COMMON_FILTER_S / published.SHORT_FILTER_S
-    tracked = results.circle("afdsc", "short", "together", "tracked_s")
-    dsc = results.circle("dsc", "short", "together", printed.figure)
-    why = f"the filter was chosen for it, {ratio:.1f} times as fast as DSC's"
-    if tracked is not None:
-        why += f"; AFDSC then tracks after {tracked:.2f} s"
-    if dsc is not None:
-        why += f"; DSC with that filter too leaves {_millimetres(dsc)}"
-    claim = "AFDSC steady error, with a filter of its own"
-    return _judged("IV.A, Fig. 8", claim, printed, ours, FITTED if _is_near(ours, printed) else None, why)
+    ours = results.figure("afdsc short together", printed.figure)
+    tracked = results.figure("afdsc short together", "tracked_s")
+    dsc = results.figure("dsc short together", printed.figure)
+    why = f"the filter was chosen for it, {published.COMMON_FILTER_S / published.SHORT_FILTER_S:.1f} times as fast as "
+    why += "DSC's" + ("" if tracked is None else f"; AFDSC then tracks after {tracked:.2f} s")
+    why += "" if dsc is None else f"; DSC with that filter too leaves {_millimetres(dsc)}"
+    return _judged("AFDSC steady error, with a filter of its own", printed, ours, why, fitted=_is_near(ours, printed))
+
+
+def _judged(claim: str, printed: Printed, ours: float | None, why: str, *, fitted: bool) -> Verdict:
+    unit = "s" if printed.figure == "tracked_s" else "m"
+    verdict = FITTED if fitted else _so(_is_near(ours, printed))
+    return Verdict("IV.A, Fig. 8", claim, unit, printed.value, ours, printed.digit, verdict, why)
 
 
 def _sooner(results: Results) -> Verdict:
     """AFDSC tracks before DSC."""
-    first, second = published.DSC_TRACKED, published.AFDSC_TRACKED
-    lead = _lead(results, "common", "together")
+    lead = results.lead("common together")
     leads = {
         f"{FILTERS[f].words} and {LIMITS[limit].words}": value
         for limit in LIMITS
         for f in FILTERS
-        if (value := _lead(results, f, limit)) is not None
+        if (value := results.lead(f"{f} {limit}")) is not None
     }
     is_so = lead is not None and lead > 0.0
     others = [f"{words} {value:+.2f} s" for words, value in leads.items() if (value > 0.0) != is_so]
@@ -160,14 +156,14 @@ def _sooner(results: Results) -> Verdict:
     if others:
         sign = f"not in every condition run: with {', with '.join(others)}"
     why = f"the initial pose was chosen for both times, so the size shows nothing; {sign}" if is_so else sign
-    claim = "AFDSC tracks sooner than DSC, by"
-    paper = round(first.value - second.value, 6)
-    return Verdict("IV.A", claim, "s", paper, lead, None, FITTED if is_so else DOES_NOT, why)
+    paper = round(published.DSC_TRACKED.value - published.AFDSC_TRACKED.value, 6)
+    verdict = FITTED if is_so else DOES_NOT
+    return Verdict("IV.A", "AFDSC tracks sooner than DSC, by", "s", paper, lead, None, verdict, why)
 
 
 def _closer(results: Results) -> Verdict:
     """AFDSC's steady error is smaller than DSC's."""
-    dsc, afdsc = (results.circle(law, "common", "together", "steady_rms_m") for law in ("dsc", "afdsc"))
+    dsc, afdsc = (results.figure(f"{law} common together", "steady_rms_m") for law in ("dsc", "afdsc"))
     less = dsc - afdsc if dsc is not None and afdsc is not None else None
     stiffest, dsc_stiffness = published.stiffest_rule_1_s2(), math.prod(published.DSC_GAINS)
     why = (
@@ -187,16 +183,15 @@ def _by_the_tuner(results: Results) -> Verdict:
     if not results.is_planned(run):
         why = "--quick leaves out the run with its middle gains held constant"
         return Verdict(*row, None, tolerance, NOT_RUN, why)
-    gains = {limit: _lead(results, "common", limit, "constant") for limit in LIMITS}
+    gains = {limit: results.lead(f"common {limit}", "constant") for limit in LIMITS}
     gain = gains.pop("together")
     tracked = (
         f"{_LAW_WORDS[law]} {value:.2f} s"
         for law in ("constant", "afdsc", "corrected")
-        if (value := results.circle(law, "common", "together", "tracked_s")) is not None
+        if (value := results.figure(f"{law} common together", "tracked_s")) is not None
     )
     why = f"tracked: {', '.join(tracked)}"
-    others = [f"{LIMITS[limit].words} {value:+.2f} s" for limit, value in gains.items() if value is not None]
-    if others:
+    if others := [f"{LIMITS[limit].words} {value:+.2f} s" for limit, value in gains.items() if value is not None]:
         why += f"; the same figure with {', with '.join(others)}"
     if gain is None:
         failure = results.failure(run)
@@ -207,7 +202,7 @@ def _by_the_tuner(results: Results) -> Verdict:
 
 def _heading(results: Results) -> Verdict:
     """Fig. 8 (d): the heading converges with both laws."""
-    found = [results.circle(law, "common", "together", "heading_rad") for law in ("dsc", "afdsc")]
+    found = [results.figure(f"{law} common together", "heading_rad") for law in ("dsc", "afdsc")]
     known = [value for value in found if value is not None]
     row = ("IV.A, Fig. 8 (d)", "the heading converges with both laws", "rad", None)
     if len(known) < len(found):
@@ -219,7 +214,7 @@ def _heading(results: Results) -> Verdict:
 def _silence(results: Results) -> Verdict:
     """Fig. 11: there is no control signal before the host comes."""
     paper = published.SILENT_TO_S - published.SILENT_FROM_S
-    ours = results.experiment("driven_s")
+    ours = results.figure("experiment", "driven_s")
     row = ("IV.B, Fig. 11", "no control signal for", "s", paper, ours, 1.0)
     if ours is None:
         return Verdict(*row, NO_NUMBER, "the robot was not commanded at the end of the run")
@@ -230,7 +225,7 @@ def _silence(results: Results) -> Verdict:
 def _transition(results: Results) -> Verdict:
     """Section IV.B: about 4 s until the robot is on the reference."""
     paper, tolerance = published.TRANSITION_S, published.TRANSITION_DIGIT_S
-    ours, from_m = results.experiment("transition_s"), results.experiment("from_m")
+    ours, from_m = (results.figure("experiment", name) for name in ("transition_s", "from_m"))
     distance = "" if from_m is None else f" from {from_m:.2f} m"
     why = [f"ours is{distance}, until within 2 % of that; the paper gives neither pose nor top speed"]
     why += [
@@ -239,13 +234,12 @@ def _transition(results: Results) -> Verdict:
         if (value := figures.get("transition_s")) is not None
     ]
     found = _so(ours is not None and abs(ours - paper) <= tolerance)
-    claim = "the transition takes about"
-    return Verdict("IV.B, Fig. 10", claim, "s", paper, ours, tolerance, found, "; ".join(why))
+    return Verdict("IV.B, Fig. 10", "the transition takes about", "s", paper, ours, tolerance, found, "; ".join(why))
 
 
 def _converged(results: Results) -> Verdict:
     """Section IV.B: after the transition the robot moves on the reference."""
-    ours = results.experiment("steady_max_m")
+    ours = results.figure("experiment", "steady_max_m")
     found = _so(ours is not None and ours < _ON_PATH_M)
     why = "the largest error of the last 5 s, with slip, motors and friction; the paper gives no number"
     return Verdict("IV.B, Fig. 10", "then it stays on the reference", "m", None, ours, _ON_PATH_M, found, why)
@@ -257,22 +251,21 @@ def _delay(results: Results) -> Verdict:
     Without an oscillation the result is not reproduced. An oscillation cannot be compared: the paper gives no number,
     and the sweep goes beyond the latency at which the loop is unstable, where every loop swings.
     """
-    sweep = {ms: figures.get("amplitude_m") for ms, figures in results.delay("afdsc torque").items()}
+    figures = results.delay("afdsc torque")
+    sweep = {ms: one.get("amplitude_m") for ms, one in sorted(figures.items())}
     known = {ms: value for ms, value in sweep.items() if value is not None}
     calm = known.get(0.0)
-    claim = "a slight oscillation from the delay"
+    row = ("IV.B", "a slight oscillation from the delay", "m", None)
     if calm is None or len(known) < 2:
         why = "the runs with and without latency did not both come to their end"
-        return Verdict("IV.B", claim, "m", None, None, None, NO_NUMBER, why)
-    swinging = [ms for ms, value in sorted(known.items()) if value > _GROWTH * calm]
+        return Verdict(*row, None, None, NO_NUMBER, why)
+    swinging = [ms for ms, value in known.items() if value > _GROWTH * calm]
     first = swinging[0] if swinging else max(known)
-    frequency = results.delay("afdsc torque")[first].get("frequency_hz")
-    at = f"{_millimetres(known[first])} at {first:g} ms" + ("" if frequency is None else f" and {frequency:.1f} Hz")
-    lost = [f"{ms:g} ms" for ms, value in sorted(sweep.items()) if value is None]
-    why = f"{_millimetres(calm)} without latency, {at}"
-    if not swinging:
-        why += f": less than {_GROWTH:g} times as much, so none of it is due to latency"
-    if lost:
+    frequency = figures[first].get("frequency_hz")
+    why = f"{_millimetres(calm)} without latency, {_millimetres(known[first])} at {first:g} ms"
+    why += "" if frequency is None else f" and {frequency:.1f} Hz"
+    why += "" if swinging else f": less than {_GROWTH:g} times as much, so none of it is due to latency"
+    if lost := [f"{ms:g} ms" for ms, value in sweep.items() if value is None]:
         why += f"; the run did not end at {', '.join(lost)}"
     margin = delay_margin(*published.FUZZY_CENTRE, published.COMMON_FILTER_S, EXPERIMENT_PERIOD_S)
     why += (
@@ -280,23 +273,7 @@ def _delay(results: Results) -> Verdict:
         f"{margin.frequency_hz:.1f} Hz; every loop swings once it is late enough, and the paper gives neither "
         "amplitude nor delay"
     )
-    return Verdict("IV.B", claim, "m", None, known[first], None, NO_NUMBER if swinging else DOES_NOT, why)
-
-
-def _why_not_closer(results: Results) -> str:
-    """Return a sentence on what AFDSC's steady error would need."""
-    needed = published.gain_for(published.AFDSC_STEADY.value, published.COMMON_FILTER_S)
-    lag_m = published.steady_error_m(published.COMMON_FILTER_S, published.FUZZY_CENTRE[0])
-    return (
-        f"with this filter it needs K1 = {needed:.0f} 1/s, and Table II ends at {published.DSC_GAINS[0]:g}; at the "
-        f"{published.FUZZY_CENTRE[0]:g} of Table III for zero error the equations leave {_millimetres(lag_m)}"
-    )
-
-
-def _judged(place: str, claim: str, printed: Printed, ours: float | None, verdict: str | None, why: str) -> Verdict:
-    unit = "s" if printed.figure == "tracked_s" else "m"
-    found = verdict or _so(_is_near(ours, printed))
-    return Verdict(place, claim, unit, printed.value, ours, printed.digit, found, why)
+    return Verdict(*row, known[first], None, NO_NUMBER if swinging else DOES_NOT, why)
 
 
 def _is_near(ours: float | None, printed: Printed) -> bool:
@@ -305,12 +282,6 @@ def _is_near(ours: float | None, printed: Printed) -> bool:
 
 def _so(is_so: bool) -> str:
     return COMES_OUT if is_so else DOES_NOT
-
-
-def _lead(results: Results, filter_name: str, limit: str, law: str = "dsc") -> float | None:
-    """Return by how much AFDSC tracks before another law [s]."""
-    other, afdsc = (results.circle(name, filter_name, limit, "tracked_s") for name in (law, "afdsc"))
-    return other - afdsc if other is not None and afdsc is not None else None
 
 
 def _millimetres(value_m: float) -> str:
