@@ -182,8 +182,12 @@ def test_an_emergency_stop_that_waited_is_done() -> None:
     [
         (Action.GAINS, {"gains": {"k1_1_s": 10**400}}, "expected a finite number"),
         (Action.GAINS, {"gains": {"k3": 1.0}}, "unknown key controller.gains.k3; known: "),
-        (Action.TRACK, {"reference": {"kind": "rounded_square", "side_m": 1e308}}, "no finite pose at some time"),
-        (Action.TRACK, {"reference": {"kind": "waypoints", "file": "none.csv"}}, "none.csv"),
+        (
+            Action.TRACK,
+            {"here": True, "reference": {"kind": "rounded_square", "side_m": 1e308}},
+            "no finite pose at some time",
+        ),
+        (Action.TRACK, {"here": True, "reference": {"kind": "waypoints", "file": "none.csv"}}, "none.csv"),
     ],
 )
 def test_what_cannot_be_made_is_refused_and_the_robot_goes_on(
@@ -191,7 +195,7 @@ def test_what_cannot_be_made_is_refused_and_the_robot_goes_on(
 ) -> None:
     with Served() as served:
         served.armed()
-        number = served.order(action, **{"here": True} | arguments)
+        number = served.order(action, **arguments)
         served.finish()
         assert why in served.refusal(number)
         served.run(0.2)
