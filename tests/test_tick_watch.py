@@ -128,7 +128,8 @@ def test_a_service_whose_law_never_returns_disarms_its_robot_and_goes_on(tmp_pat
 def test_a_service_goes_on_when_a_tick_is_overdue_outside_its_law(monkeypatch: pytest.MonkeyPatch) -> None:
     with armed_pilot() as bench, TickWatch(0.1, lambda: 0.0, pytest.fail) as watch:
         with monkeypatch.context() as stalled:
-            stalled.setattr(bench.pilot, "_note_trouble", lambda: time.sleep(0.4))  # as a log that nobody reads
+            report = type(bench.bench.device.report)  # read in each tick, outside the law
+            stalled.setattr(report, "trouble", property(lambda _: time.sleep(0.4)))
             watch.turn += 1
             bench.run(0.01)
             watch.turn += 1

@@ -9,7 +9,7 @@ import os
 import subprocess
 import threading
 import time
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +19,7 @@ from hil.core.process_lock import ProcessLock
 from hil.core.subprocesses import away_from_terminal, child_environment, module_command, start_children_as_ordinary
 from hil.service import logs
 from hil.service.discovery import Service, announce
-from hil.service.messages import SILENT_S, Action, Answer, ApiConfig, Order, Status, from_line, to_line
+from hil.service.messages import SILENT_S, Action, Answer, ApiConfig, Order, Status, to_line
 
 _READY_S = 60.0
 _EXIT_S = 5.0
@@ -27,7 +27,6 @@ _HUNG_S = 5.0
 _FIRST_BACK_OFF_S = 0.1
 _LONGEST_BACK_OFF_S = 5.0
 _LONG_LIFE_S = 60.0  # after a life of this length the back-off starts again at its first value
-_NONE: list[Order] = []
 
 
 class ApiChild:
@@ -81,11 +80,8 @@ class ApiChild:
         """Return the orders that have arrived, emergency stops first. Called in each tick (0.8 µs without orders)."""
         lines = self._lines
         self._polled_s = time.monotonic()
-        if lines is None:
-            return _NONE
-        records = lines.receive()
-        if not records and not lines.ended:
-            return _NONE
+        if lines is None or not ((records := lines.receive()) or lines.ended):
+            return []
         orders = [order for record in records if (order := self._handle(record)) is not None]
         if lines.ended:
             self._restart()
@@ -136,7 +132,7 @@ class ApiChild:
         assert self._process.stdout is not None
         self._started_s = self._alive_s = time.monotonic()
         self._writer = LineWriter(self._process.stdin.fileno())
-        self._writer.send({"config": self._config.to_record()}, always=True)
+        self._writer.send({"config": asdict(self._config)}, always=True)
         self._lines = LinePoll(self._process.stdout.fileno())  # last, because the ticks poll it from here on
 
     def _wait_until_ready(self) -> None:
@@ -160,25 +156,21 @@ class ApiChild:
             )
 
     def _handle(self, record: dict[str, Any]) -> Order | None:
-        """Return the order in a line, or handle a line of another kind and return None."""
-        if "ready" in record:
-            self.url = record["ready"]["url"]
-            self.token_file = Path(record["ready"]["token_file"])
+        """Return the order in a line; handle a line of another kind, and return None."""
+        if (order := record.get("order")) is not None:
+            return Order(order["number"], Action(order["action"]), order["arguments"])
+        if "refused" in record:
+            logs.error("API process cannot start again", why=record["refused"])
+            return None
+        self._alive_s = time.monotonic()
+        if (ready := record.get("ready")) is not None:
+            self.url, self.token_file = ready["url"], Path(ready["token_file"])
             # With a fixed port and token file, clients find the service again after a restart.
             port = int(self.url.rpartition(":")[2])
             self._config = replace(self._config, port=port, token_file=str(self.token_file))
             self._ready = True
-            self._alive_s = time.monotonic()
             logs.info("API listens", url=self.url, pid=self.pid)
-            return None
-        if "alive" in record:
-            self._alive_s = time.monotonic()
-            return None
-        if "refused" in record:
-            logs.error("API process cannot start again", why=record["refused"])
-            return None
-        message = from_line(record)
-        return message if isinstance(message, Order) else None
+        return None
 
     def _restart(self) -> None:
         """Start the next process in a thread, because that takes longer than a tick."""
@@ -211,11 +203,9 @@ class ApiChild:
         process, self._process = self._process, None
         if process is None:
             return None
-        for pipe in (process.stdin, process.stdout):
-            if pipe is not None:
-                pipe.close()
         try:
-            return process.wait(_EXIT_S)
+            process.communicate(timeout=_EXIT_S)
         except subprocess.TimeoutExpired:
             process.kill()
-            return process.wait()
+            process.communicate()
+        return process.returncode

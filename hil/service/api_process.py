@@ -10,13 +10,13 @@ import signal
 import socket
 import sys
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 from hil.core.errors import BadInputError
 from hil.core.json_lines import LineReader, LineWriter
 from hil.service import logs
 from hil.service.discovery import make_token, own_token_file, read_token
-from hil.service.messages import ApiConfig
+from hil.service.messages import ApiConfig, Limits
 
 
 def main() -> int:
@@ -28,7 +28,8 @@ def main() -> int:
     record = lines.read()
     if record is None:
         return 0
-    config = ApiConfig.from_record(cast(dict[str, Any], record["config"]))
+    values: Any = record["config"]
+    config = ApiConfig(**{**values, "limits": Limits(**values["limits"])})
     logs.configure(config.log, "api")
     try:
         listener = _listen(config)
@@ -63,13 +64,9 @@ def _listen(config: ApiConfig) -> socket.socket:
 
 def _token_file(config: ApiConfig, port: int) -> Path:
     """Return the file with the token. Make it if it does not exist, or if each start has a new token."""
-    if config.token_file is None:
-        path = own_token_file(port)
+    path = own_token_file(port) if config.token_file is None else Path(config.token_file).absolute()
+    if config.token_file is None or not path.exists():
         make_token(path)
-    else:
-        path = Path(config.token_file).absolute()
-        if not path.exists():
-            make_token(path)
     return path
 
 

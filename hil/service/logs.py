@@ -10,6 +10,7 @@ import os
 import select
 import sys
 from datetime import UTC, datetime
+from functools import partial
 from typing import Any
 
 from hil.service.messages import LogStyle
@@ -22,26 +23,22 @@ _LOGGER = logging.getLogger("hil.service")
 def configure(style: LogStyle, process: str, descriptor: int = 2) -> None:
     """Write the log of this process to stderr; ``process`` is its name in each line."""
     handler = _Handler(descriptor)
-    handler.setFormatter(_JsonFormatter(process) if style == "json" else _TextFormatter(process))
+    handler.setFormatter(_Formatter(style, process))
     root = logging.getLogger()
     root.handlers[:] = [handler]
     root.setLevel(logging.WARNING)  # for libraries
     _LOGGER.setLevel(logging.INFO)
 
 
-def info(event: str, /, **fields: object) -> None:
-    """Log a normal event. ``event`` is a constant text; varying values go into the fields."""
-    _LOGGER.info(event, extra={"fields": fields})
+def log(level: str, event: str, /, **fields: object) -> None:
+    """Log an event at a level: info, warning (solved, or it needs attention) or error (a failure).
+
+    ``event`` is a constant text; varying values go into the fields.
+    """
+    _LOGGER.log(logging.getLevelName(level.upper()), event, extra={"fields": fields})
 
 
-def warning(event: str, /, **fields: object) -> None:
-    """Log a problem that was solved, or that needs attention."""
-    _LOGGER.warning(event, extra={"fields": fields})
-
-
-def error(event: str, /, **fields: object) -> None:
-    """Log a failure."""
-    _LOGGER.error(event, extra={"fields": fields})
+info, warning, error = (partial(log, level) for level in ("info", "warning", "error"))
 
 
 class _Handler(logging.Handler):
@@ -76,41 +73,27 @@ class _Handler(logging.Handler):
 
 
 class _Formatter(logging.Formatter):
-    def __init__(self, process: str) -> None:
+    def __init__(self, style: LogStyle, process: str) -> None:
         super().__init__()
+        self._is_json = style == "json"
         self._process = process
 
-    def split(self, record: logging.LogRecord) -> tuple[datetime, str, dict[str, Any]]:
-        """Return time, event and fields of a line."""
-        fields = dict(getattr(record, "fields", {}))
+    def format(self, record: logging.LogRecord) -> str:
+        fields: dict[str, Any] = dict(getattr(record, "fields", {}))
         if record.name != _LOGGER.name:
             fields["logger"] = record.name
         if record.exc_info:
             fields["traceback"] = self.formatException(record.exc_info)
         if hasattr(record, "dropped"):
             fields["lines_dropped"] = record.dropped
-        return datetime.fromtimestamp(record.created, UTC), record.getMessage(), fields
-
-
-class _JsonFormatter(_Formatter):
-    def format(self, record: logging.LogRecord) -> str:
-        time, event, fields = self.split(record)
-        line = {
-            "time": time.isoformat(timespec="milliseconds").replace("+00:00", "Z"),
-            "level": record.levelname.lower(),
-            "process": self._process,
-            "event": event,
-        }
+        time, level = datetime.fromtimestamp(record.created, UTC), record.levelname.lower()
+        if not self._is_json:
+            words = " ".join([record.getMessage(), *(f"{name}={_word(value)}" for name, value in fields.items())])
+            return f"{time.astimezone().strftime('%H:%M:%S.%f')[:-3]} {level:7} {self._process}: {words}"
+        stamp = time.isoformat(timespec="milliseconds").replace("+00:00", "Z")
+        line = {"time": stamp, "level": level, "process": self._process, "event": record.getMessage()}
         # A field cannot replace a key of the line itself.
         return json.dumps(fields | line, default=str)
-
-
-class _TextFormatter(_Formatter):
-    def format(self, record: logging.LogRecord) -> str:
-        time, event, fields = self.split(record)
-        text = " ".join([event, *(f"{name}={_word(value)}" for name, value in fields.items())])
-        clock = time.astimezone().strftime("%H:%M:%S.%f")[:-3]
-        return f"{clock} {record.levelname.lower():7} {self._process}: {text}"
 
 
 def _word(value: object) -> str:

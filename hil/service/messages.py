@@ -5,7 +5,7 @@ with a sentence if not.
 """
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field, fields
+from dataclasses import dataclass, field, fields
 from enum import StrEnum
 from typing import Any, Literal
 
@@ -200,30 +200,8 @@ class ApiConfig:
     token_file: str | None = None
     log: LogStyle = "text"
 
-    def to_record(self) -> dict[str, Any]:
-        """Return the config as a JSON object."""
-        return asdict(self)
-
-    @classmethod
-    def from_record(cls, record: Mapping[str, Any]) -> "ApiConfig":
-        """Return the config of ``to_record``."""
-        return cls(**{**record, "limits": Limits(**record["limits"])})
-
 
 def to_line(message: Order | Answer | Status) -> dict[str, Any]:
     """Return a message as the record of one line, such as ``{"order": {...}}``."""
     # asdict copies deeply, which is too slow: the control process does this in a tick.
     return {type(message).__name__.lower(): {one.name: getattr(message, one.name) for one in fields(message)}}
-
-
-def from_line(record: Mapping[str, Any]) -> Order | Answer | Status:
-    """Return the message of a line. Raises ValueError for any other record."""
-    ((kind, values),) = record.items()
-    if kind == "order":
-        return Order(values["number"], Action(values["action"]), values["arguments"])
-    if kind == "answer":
-        return Answer(**values)
-    if kind == "status":
-        task = None if values["task"] is None else Task(values["task"])
-        return Status(**{**values, "phase": Phase(values["phase"]), "task": task})
-    raise ValueError(f"{kind!r} is not a message of a service")

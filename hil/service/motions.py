@@ -74,26 +74,23 @@ class Drive:
         """Whether the estimated pose moved farther since the last tick than the robot can have driven."""
         if self._robot is None:
             return False
-        options = self._options
         turn_rad = abs(wrap_angle(pose.heading_rad - self._robot.heading_rad))
         return (
-            math.dist(pose[:2], self._robot[:2]) > _LEAP_M + 2.0 * options.speed_m_s * dt_s
-            or turn_rad > _LEAP_RAD + 2.0 * options.yaw_rate_rad_s * dt_s
+            math.dist(pose[:2], self._robot[:2]) > _LEAP_M + 2.0 * self._options.speed_m_s * dt_s
+            or turn_rad > _LEAP_RAD + 2.0 * self._options.yaw_rate_rad_s * dt_s
         )
 
     def _towards(self, dt_s: float) -> BodyTwist:
         """Return the twist after ``dt_s``, on the way to the target twist."""
         options = self._options
-        forward, left, yaw_rate = (b - a for a, b in zip(self._twist, self.target, strict=True))
-        plane, turn = math.hypot(forward, left), abs(yaw_rate)
+        change = [b - a for a, b in zip(self._twist, self.target, strict=True)]
+        plane, turn = math.hypot(*change[:2]), abs(change[2])
         share = min(1.0, options.acceleration_m_s2 * dt_s / plane) if plane else 1.0
         turn_share = min(1.0, options.yaw_acceleration_rad_s2 * dt_s / turn) if turn else 1.0
         if share == turn_share == 1.0:
             return self.target
-        now = self._twist
-        return BodyTwist(
-            now.forward_m_s + share * forward, now.left_m_s + share * left, now.yaw_rate_rad_s + turn_share * yaw_rate
-        )
+        shares = (share, share, turn_share)
+        return BodyTwist(*(a + share * b for a, b, share in zip(self._twist, change, shares, strict=True)))
 
     def _acceleration(self, before: BodyTwist, dt_s: float, twist: Twist) -> Acceleration:
         if dt_s <= 0.0:
@@ -155,23 +152,11 @@ def frame_at(pose: Pose, begin: Pose) -> Pose:
     the world.
     """
     turn_rad = pose.heading_rad - begin.heading_rad
-    c, s = math.cos(turn_rad), math.sin(turn_rad)
-    return Pose(pose.x_m - c * begin.x_m + s * begin.y_m, pose.y_m - s * begin.x_m - c * begin.y_m, turn_rad)
+    x_m, y_m, _ = to_world(BodyTwist(*begin), turn_rad)
+    return Pose(pose.x_m - x_m, pose.y_m - y_m, turn_rad)
 
 
 def _moved(reference: Reference, frame: Pose) -> Reference:
-    pose, twist, acceleration = reference
-    c, s = math.cos(frame.heading_rad), math.sin(frame.heading_rad)
-    return Reference(
-        Pose(
-            frame.x_m + c * pose.x_m - s * pose.y_m,
-            frame.y_m + s * pose.x_m + c * pose.y_m,
-            frame.heading_rad + pose.heading_rad,
-        ),
-        Twist(c * twist.vx_m_s - s * twist.vy_m_s, s * twist.vx_m_s + c * twist.vy_m_s, twist.yaw_rate_rad_s),
-        Acceleration(
-            c * acceleration.ax_m_s2 - s * acceleration.ay_m_s2,
-            s * acceleration.ax_m_s2 + c * acceleration.ay_m_s2,
-            acceleration.yaw_rad_s2,
-        ),
-    )
+    """Return a reference of a path's own frame in the world."""
+    pose, twist, acceleration = (to_world(BodyTwist(*part), frame.heading_rad) for part in reference)
+    return Reference(Pose(*map(sum, zip(frame, pose, strict=True))), twist, Acceleration(*acceleration))

@@ -27,6 +27,7 @@ _ARMING_LIMIT_S = 4.0
 _STOPPING_LIMIT_S = 5.0
 _CLEARING_LIMIT_S = 2.0
 _ESTOP_REPEAT_S = 0.3
+_LATCHED = {RobotState.FAULT: Phase.FAULT, RobotState.ESTOP: Phase.ESTOP}
 
 
 class Pilot:
@@ -60,7 +61,7 @@ class Pilot:
         parts.device.attend(parts.clock)
         self._warned = Warned(parts.device, lambda sentence: self._parts.note(self._t_s, "warning", sentence))
         self._recovery = self._new_recovery(RobotStoppedError("not connected yet"))
-        self._steps: dict[Phase, Callable[[LoopSignals, PoseFix | None], None]] = {
+        self._steps = {
             Phase.AWAY: self._reconnect,
             Phase.DISARMED: self._wait,
             Phase.ARMING: self._arm,
@@ -160,44 +161,37 @@ class Pilot:
         """
         self._t_s = now.t_s
         try:
-            self._do(now, fix)
+            if (faults := self._parts.faults) is not None:
+                faults.at(round(now.t_s * 1e9))
+                fix = faults.truth(fix)
+            count = self._tick.count
+            self._attempt(lambda: self._steps[self.phase](now, fix))
+            if self._tick.count == count:  # only a driven tick has written its row
+                self._attempt(lambda: self._tick.record_away(now, fix, NOWHERE, self.state))
+            if self._tick.count == count:  # the law's own signals failed; from now on they are NaN
+                self._tick.record_away(now, fix, NOWHERE, self.state)
+            before, self._trouble = self._trouble, self._parts.device.report.trouble
+            if self._trouble is not None and self._trouble != before:
+                self._parts.note(self._t_s, "warning", self._trouble)
         except TickOverdue as overdue:  # not raised in the law but, for example, in a log whose reader stalls
             self.lose(OverdueError(str(overdue)))
 
-    def _do(self, now: LoopSignals, fix: PoseFix | None) -> None:
-        if (faults := self._parts.faults) is not None:
-            faults.at(round(now.t_s * 1e9))
-            fix = faults.truth(fix)
-        count = self._tick.count
-        self._attempt(lambda: self._steps[self.phase](now, fix))
-        if self._tick.count == count:  # only a driven tick has written its row
-            self._attempt(lambda: self._tick.record_away(now, fix, NOWHERE, self.state))
-        if self._tick.count == count:  # the law's own signals failed; from now on they are NaN
-            self._tick.record_away(now, fix, NOWHERE, self.state)
-        self._note_trouble()
-
     def _attempt(self, action: Callable[[], None]) -> None:
         """Do a part of a tick and handle its errors. Raises as ``tick``."""
+        error: HilError
         try:
             action()
-        except HilError as error:
-            self._handle_failure(error)
+            return
+        except HilError as raised:
+            error = raised
         except TickOverdue as overdue:
-            self._handle_failure(BadInputError(str(overdue)))
-        except (ArithmeticError, ValueError) as error:  # raised by a law or a path, for example an overflow
-            self._handle_failure(BadInputError(f"the law or the path failed: {type(error).__name__}: {error}"))
-
-    def _handle_failure(self, error: HilError) -> None:
+            error = BadInputError(str(overdue))
+        except (ArithmeticError, ValueError) as failure:  # raised by a law or a path, for example an overflow
+            error = BadInputError(f"the law or the path failed: {type(failure).__name__}: {failure}")
         if isinstance(error, BadInputError):
             self._law_failed = True
             self._tick.use(without_law(self._parts))
         self.lose(error)
-
-    def _note_trouble(self) -> None:
-        trouble = self._parts.device.report.trouble
-        if trouble is not None and trouble != self._trouble:
-            self._parts.note(self._t_s, "warning", trouble)
-        self._trouble = trouble
 
     def lose(self, error: HilError) -> None:
         """Handle an error of a tick or of waiting for one. Raises as ``tick``."""
@@ -209,22 +203,20 @@ class Pilot:
         # A failed law can cause further errors, such as unread feedback; they must not replace the law's own error.
         if not self._law_failed or isinstance(error, BadInputError):
             self._why = str(error)
-        latched = {RobotState.FAULT: Phase.FAULT, RobotState.ESTOP: Phase.ESTOP}
         feedback = self._parts.device.feedback
         if isinstance(error, LinkError | RobotStoppedError):
             if self.phase is Phase.ESTOP:
                 self.emergency.request(self._t_s)  # a robot that was reset meanwhile does not know of it
             self._enter(Phase.AWAY)
             self._recovery = self._new_recovery(error)
-        elif isinstance(error, DeviceError) and feedback is not None and feedback.state in latched:
-            self._parts.device.disarm()
-            self._enter(latched[feedback.state])
-        else:  # the law, or a robot that refuses
-            self._parts.device.disarm()
-            if self.emergency.owed:
-                self._enter(Phase.ESTOP)
-            else:
-                self._enter(Phase.STOPPING, _STOPPING_LIMIT_S)
+            return
+        self._parts.device.disarm()
+        if isinstance(error, DeviceError) and feedback is not None and feedback.state in _LATCHED:
+            self._enter(_LATCHED[feedback.state])
+        elif self.emergency.owed:
+            self._enter(Phase.ESTOP)
+        else:  # the law failed, or the robot refuses
+            self._enter(Phase.STOPPING, _STOPPING_LIMIT_S)
 
     def _new_recovery(self, error: HilError) -> Recovery:
         return Recovery(self._parts.device, self._parts.clock, error, self._t_s, self._warned, arm=False)
@@ -233,16 +225,16 @@ class Pilot:
         self._tick.raise_robot_failure()
         self._tick.skip_fixes()
         try:
-            is_back = self._recovery.advance()
+            if not self._recovery.advance():
+                return
         except (BadInputError, DeviceError) as error:  # another robot, or one that refuses: it may be replaced
             self._recovery.fail(error)
-            is_back = False
-        if not is_back:
             return
         self._tick.restart()
         self.recoveries += self._was_connected
-        if not self._was_connected:
-            self._was_connected, self._why = True, self._why if self.emergency.owed else None
+        if not self._was_connected and not self.emergency.owed:
+            self._why = None
+        self._was_connected = True
         if self.emergency.owed:
             self.emergency.request(now.t_s)
             self._enter(Phase.ESTOP)
@@ -252,7 +244,7 @@ class Pilot:
 
     def _wait(self, now: LoopSignals, fix: PoseFix | None) -> None:
         robot = self._look(now, fix)
-        if robot in (RobotState.FAULT, RobotState.ESTOP):
+        if robot in _LATCHED:
             self._latch(robot)
         elif robot in (RobotState.ARMED, RobotState.ACTIVE):
             self._why = "another host has armed the robot; stop that host first"
@@ -270,8 +262,7 @@ class Pilot:
         self._drive(now, fix)
 
     def _drive(self, now: LoopSignals, fix: PoseFix | None) -> None:
-        sensed = self._tick.sense(now.t_s, fix)
-        _, self.state = sensed
+        sensed = _, self.state = self._tick.sense(now.t_s, fix)
         self._tick.drive(now, fix, sensed, self.conduct.at(now.t_s, self.state))
         if self._tick.is_held:
             self.conduct.held()
@@ -282,7 +273,7 @@ class Pilot:
         robot = self._look(now, fix)
         if robot is RobotState.IDLE:
             self._enter(Phase.DISARMED)
-        elif robot in (RobotState.FAULT, RobotState.ESTOP):
+        elif robot in _LATCHED:
             self._latch(robot)
         elif now.t_s > self._deadline_s:
             self._why = f"the robot did not come to rest within {_STOPPING_LIMIT_S:g} s: it is {robot.name}"
@@ -292,11 +283,9 @@ class Pilot:
         robot = self._look(now, fix)
         if self.emergency.is_sent(robot, now.t_s):
             device.estop()
-            return
-        if self.emergency.pop_clear():
+        elif self.emergency.pop_clear():
             self.clear()
-            return
-        if robot is RobotState.IDLE:
+        elif robot is RobotState.IDLE:
             device.disarm()
             self._why = None
             self._enter(Phase.DISARMED)
@@ -326,7 +315,7 @@ class Pilot:
         if not self._parts.device.report.explains(robot):
             return  # STATUS has the reason, and arrives a little later
         self._why = self._parts.device.why_not_active()
-        self._enter(Phase.FAULT if robot is RobotState.FAULT else Phase.ESTOP)
+        self._enter(_LATCHED[robot])
 
     def _because(self) -> str:
         return f" ({self.why})" if self.why else ""

@@ -47,18 +47,16 @@ class Records:
 
     def put(self, row: tuple[float, ...]) -> None:
         """Write one row, in the order of the signals."""
-        if self._recording is not None:
-            self._recording.put(row)
-        if self._live is not None:
-            self._live.put(row)
+        for recording in (self._recording, self._live):
+            if recording is not None:
+                recording.put(row)
 
     def note(self, t_s: float, level: str, text: str) -> None:
         """Write an event to the recording, the viewers and the service's log."""
         for recording in (self._recording, self._live):
             if recording is not None:
                 recording.event(t_s, level, text)
-        log = {"warning": logs.warning, "error": logs.error}.get(level, logs.info)
-        log(text, t_s=round(t_s, 3))
+        logs.log(level, text, t_s=round(t_s, 3))
 
 
 def recording_of(
@@ -86,13 +84,9 @@ def recording_of(
 def finished(recording: Recording) -> RecordingReport:
     """Finish a recording and log the outcome; takes longer than a tick."""
     report = recording.finish({})
-    log = logs.info if report.complete else logs.error
-    log(
-        "recording finished" if report.complete else "recording is not complete",
-        path=report.path,
-        rows=report.rows_written,
-        dropped=report.rows_dropped,
-        lost=report.rows_lost,
-        **({} if report.error is None else {"why": report.error}),
-    )
+    rows = {"rows": report.rows_written, "dropped": report.rows_dropped, "lost": report.rows_lost}
+    if report.complete:
+        logs.info("recording finished", path=report.path, **rows)
+    else:
+        logs.error("recording is not complete", path=report.path, **rows, why=report.error)
     return report

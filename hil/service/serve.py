@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from hil.core.errors import BadInputError, HilError, LinkError
 from hil.core.signals import LoopSignals
@@ -15,6 +16,7 @@ from hil.core.types import NAN
 from hil.plant.child_output import log_lines
 from hil.record.viewer import live_hint
 from hil.runtime.bench import Bench
+from hil.runtime.lateness import Lateness
 from hil.runtime.parts import RunParts
 from hil.runtime.provenance import ingredients, properties
 from hil.runtime.realtime import RealTime, real_time
@@ -27,7 +29,7 @@ from hil.service.messages import Action, Answer, ApiConfig, Limits, LogStyle, Ph
 from hil.service.pilot import Pilot
 from hil.service.records import Records, recording_of
 from hil.service.stand_ins import LastingTruth
-from hil.service.status import Counts, StatusMaker
+from hil.service.status import bench_status
 from hil.service.systemd import Notifier
 from hil.wire.device_lock import device_held
 from hil.wire.reopening import BackOff, OpeningBeside
@@ -99,19 +101,14 @@ def serve(scenario: Scenario, options: Options, reload: Callable[[], Scenario]) 
         if options.record is not None:
             records.begin(recording_of(about, signals, options.record, existing="number"))
         resources.callback(records.finish)
-        api = ApiChild(_api_config(scenario, options))
+        table = scenario.service
+        limits = Limits(table.speed_m_s, table.yaw_rate_rad_s, _FARTHEST_M, table.twist_timeout_s)
+        link, token_file = scenario.link.url, options.token_file
+        api = ApiChild(ApiConfig(scenario.name, link, limits, port=table.port, token_file=token_file, log=options.log))
         resources.callback(api.close)
         _Service(scenario, made_of, options, parts, records, api, notifier, ending).run(reload)
         notifier.stopping()
         logs.info("service ends")
-
-
-def _api_config(scenario: Scenario, options: Options) -> ApiConfig:
-    table = scenario.service
-    limits = Limits(table.speed_m_s, table.yaw_rate_rad_s, _FARTHEST_M, table.twist_timeout_s)
-    return ApiConfig(
-        scenario.name, scenario.link.url, limits, port=table.port, token_file=options.token_file, log=options.log
-    )
 
 
 @dataclass
@@ -128,10 +125,8 @@ class _Service:
     ending: _Ending
 
     def __post_init__(self) -> None:
-        self._counts = Counts()
-        law, link = self.scenario.controller, self.scenario.link
-        constant = Status(scenario=self.scenario.name, law=law.law, command=law.command, link=link.url)
-        self._statuses = StatusMaker(constant, self.records, self._counts)
+        self._ticks = self._deadline_misses = 0
+        self._lateness = Lateness()
         self._t_s = 0.0
         self._estop_owed = False
         self._phase = Phase.AWAY
@@ -190,15 +185,12 @@ class _Service:
     def _attend(self, why: str) -> bool:
         """Answer the orders that have come while the robot is away; return False when the service should end."""
         for order in self.api.orders():
+            can_do = order.action in (Action.ESTOP, Action.SHUTDOWN)
+            self.api.send(Answer(order.number, None if can_do else f"the robot is away: {why}"))
             if order.action is Action.SHUTDOWN:
-                self.api.send(Answer(order.number))
                 return False
-            if order.action is Action.ESTOP:
-                self._estop_owed = True
-                self.api.send(Answer(order.number))
-            else:
-                self.api.send(Answer(order.number, f"the robot is away: {why}"))
-        self.api.send(self._statuses.without_bench(why))
+            self._estop_owed = self._estop_owed or order.action is Action.ESTOP
+        self._send_status(link=self.scenario.link.url, why=why)
         self.notifier.beat(time.monotonic_ns())
         return not self.ending.requests
 
@@ -212,7 +204,7 @@ class _Service:
         return Pilot(made, self.scenario.controller.mode, self.parts.timing, self.scenario.service)
 
     def _loop(self, bench: Bench, pilot: Pilot, desk: Desk, granted: RealTime, watch: TickWatch) -> None:
-        timing, counts, clock = self.parts.timing, self._counts, bench.clock
+        timing, clock = self.parts.timing, bench.clock
         sampling = Sampling(clock, bench.device, pilot.parts.truth, timing)
         origin_ns = clock.now_ns()
         number = sampling.begin(origin_ns)
@@ -237,10 +229,10 @@ class _Service:
             if not self.api.alive and pilot.phase in (Phase.ARMING, Phase.ACTIVE):
                 pilot.disarm("the API process ended or hangs, so that no order could have stopped the robot")
             if number >= 0:
-                counts.ticks += 1
-                counts.lateness.add(late_ns)
+                self._ticks += 1
+                self._lateness.add(late_ns)
                 self._t_s = t_s
-                now = LoopSignals(t_s, number, late_ns * 1e-3, tick_us, counts.deadline_misses)
+                now = LoopSignals(t_s, number, late_ns * 1e-3, tick_us, self._deadline_misses)
                 watch.turn += 1
                 pilot.tick(now, sampling.fix_of(number))
                 watch.turn += 1
@@ -249,7 +241,7 @@ class _Service:
             self.notifier.beat(begin_ns)
             tick_us = (time.perf_counter_ns() - begin_ns) * 1e-3
             following = sampling.following(number)
-            counts.deadline_misses += max(0, following - max(number, -1) - 1)
+            self._deadline_misses += max(0, following - max(number, -1) - 1)
             number = following
 
     def _until_stopped(self, pilot: Pilot, desk: Desk) -> Iterator[None]:
@@ -279,9 +271,27 @@ class _Service:
         self.records.note(self._t_s, "error", sentence)
         self.records.finish()
 
+    def _send_status(self, **values: Any) -> None:
+        """Send the service's status; ``values`` are those that depend on the robot."""
+        law, path = self.scenario.controller, self.records.path
+        self.api.send(
+            Status(
+                time_unix_s=time.time(),
+                scenario=self.scenario.name,
+                law=law.law,
+                command=law.command,
+                recording=None if path is None else str(path),
+                rows_dropped=self.records.rows_dropped,
+                ticks=self._ticks,
+                deadline_misses=self._deadline_misses,
+                lateness_us=self._lateness.percentiles_us(),
+                **values,
+            )
+        )
+
     def _report(self, pilot: Pilot, bench: Bench, granted: RealTime) -> None:
         """Send the status, log the plant's output, and report a new phase to log, recording and systemd."""
-        self.api.send(self._statuses.status(pilot, bench, granted))
+        self._send_status(**bench_status(pilot, bench, granted))
         if bench.plant_output:
             log_lines(bench.plant_output.new_lines(), self._t_s, self.records.note)
         if pilot.phase is self._phase:

@@ -1,6 +1,7 @@
 """Replacements for parts of a service's ticks: for a law that has failed, and for a lost source of truth."""
 
 from collections.abc import Callable
+from typing import NamedTuple
 
 from hil.core.errors import DeviceError
 from hil.core.ports import PoseSource
@@ -48,15 +49,14 @@ class _NoLaw:
         raise AssertionError("nothing is driven without a law")
 
 
-class _NoSignals:
+class _NoSignals(NamedTuple):
     """Replaces the own signals of a law that has failed: the same names, NaN for each."""
 
-    def __init__(self, signals: tuple[str, ...]) -> None:
-        self.signals = signals
-        self.telemetry = (NAN,) * len(signals)
+    signals: tuple[str, ...]
+    telemetry: tuple[float, ...]
 
 
 def without_law(parts: TickParts) -> TickParts:
     """Return the parts without their law and shadows, for a robot that is not driven until it is armed again."""
-    silent = tuple(_NoSignals(own.signals) for own in parts.extra)
+    silent = tuple(_NoSignals(tuple(own.signals), (NAN,) * len(own.signals)) for own in parts.extra)
     return parts._replace(controller=_NoLaw(), shadows=None, extra=silent)
