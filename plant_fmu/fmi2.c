@@ -6,6 +6,7 @@
 
 #include "fmi2_slave.h"
 #include "fmi_function.h"
+#include "physics.h"
 #include "saved_state.h"
 
 typedef struct {
@@ -96,7 +97,7 @@ FMI(fmi2Component, fmi2Instantiate, fmi2String instanceName, fmi2Type fmuType, f
 
 FMI(void, fmi2FreeInstance, fmi2Component c) {
     if (c != NULL) {
-        plant_release(&((slave *)c)->plant);
+        physics_release(&((slave *)c)->plant);
     }
     free(c);
 }
@@ -153,7 +154,7 @@ FMI(fmi2Status, fmi2Reset, fmi2Component c) {
     if (plant == NULL) {
         return fmi2Error;
     }
-    plant_release(plant);
+    physics_release(plant);
     plant_init(plant, report, c);
     return fmi2OK;
 }

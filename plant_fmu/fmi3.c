@@ -8,6 +8,7 @@
 
 #include "fmi3_slave.h"
 #include "fmi_function.h"
+#include "physics.h"
 #include "saved_state.h"
 
 typedef struct {
@@ -49,9 +50,8 @@ FMI(const char *, fmi3GetVersion, void) {
     return "3.0";
 }
 
-/* Says why there is no instance, whatever loggingOn says: the importer has nothing else to go by. */
-static fmi3Instance not_instantiated(fmi3LogMessageCallback log_message, fmi3InstanceEnvironment environment,
-                                     fmi3String text) {
+fmi3Instance fmi3_no_instance(fmi3LogMessageCallback log_message, fmi3InstanceEnvironment environment,
+                              fmi3String text) {
     if (log_message != NULL) {
         log_message(environment, fmi3Error, ERRORS, text);
     }
@@ -69,24 +69,24 @@ FMI(fmi3Instance, fmi3InstantiateCoSimulation, fmi3String instanceName, fmi3Stri
     (void)requiredIntermediateVariables;
     (void)intermediateUpdate;
     if (instanceName == NULL || instanceName[strspn(instanceName, " \t\r\n")] == '\0') {
-        return not_instantiated(logMessage, instanceEnvironment, "instantiate: the instance name is empty");
+        return fmi3_no_instance(logMessage, instanceEnvironment, "instantiate: the instance name is empty");
     }
     if (instantiationToken == NULL || strcmp(instantiationToken, MECANUM_GUID) != 0) {
-        return not_instantiated(logMessage, instanceEnvironment,
+        return fmi3_no_instance(logMessage, instanceEnvironment,
                                 "instantiate: wrong instantiation token; modelDescription.xml and the binary "
                                 "are not of one build");
     }
     if (eventModeUsed) {
-        return not_instantiated(logMessage, instanceEnvironment,
+        return fmi3_no_instance(logMessage, instanceEnvironment,
                                 "instantiate: eventModeUsed is true; this FMU has no event mode");
     }
     if (nRequiredIntermediateVariables != 0) {
-        return not_instantiated(logMessage, instanceEnvironment,
+        return fmi3_no_instance(logMessage, instanceEnvironment,
                                 "instantiate: intermediate variables are required; this FMU has none");
     }
     slave *const s = calloc(1, sizeof *s);
     if (s == NULL) {
-        return not_instantiated(logMessage, instanceEnvironment, "instantiate: out of memory");
+        return fmi3_no_instance(logMessage, instanceEnvironment, "instantiate: out of memory");
     }
     s->log_message = logMessage;
     s->environment = instanceEnvironment;
@@ -95,28 +95,9 @@ FMI(fmi3Instance, fmi3InstantiateCoSimulation, fmi3String instanceName, fmi3Stri
     return s;
 }
 
-static const char ONLY[] = "instantiate: this FMU is for co-simulation only";
-
-FMI(fmi3Instance, fmi3InstantiateModelExchange, fmi3String instanceName, fmi3String instantiationToken,
-    fmi3String resourcePath, fmi3Boolean visible, fmi3Boolean loggingOn,
-    fmi3InstanceEnvironment instanceEnvironment, fmi3LogMessageCallback logMessage) {
-    (void)instanceName, (void)instantiationToken, (void)resourcePath, (void)visible, (void)loggingOn;
-    return not_instantiated(logMessage, instanceEnvironment, ONLY);
-}
-
-FMI(fmi3Instance, fmi3InstantiateScheduledExecution, fmi3String instanceName, fmi3String instantiationToken,
-    fmi3String resourcePath, fmi3Boolean visible, fmi3Boolean loggingOn,
-    fmi3InstanceEnvironment instanceEnvironment, fmi3LogMessageCallback logMessage,
-    fmi3ClockUpdateCallback clockUpdate, fmi3LockPreemptionCallback lockPreemption,
-    fmi3UnlockPreemptionCallback unlockPreemption) {
-    (void)instanceName, (void)instantiationToken, (void)resourcePath, (void)visible, (void)loggingOn;
-    (void)clockUpdate, (void)lockPreemption, (void)unlockPreemption;
-    return not_instantiated(logMessage, instanceEnvironment, ONLY);
-}
-
 FMI(void, fmi3FreeInstance, fmi3Instance instance) {
     if (instance != NULL) {
-        plant_release(&((slave *)instance)->plant);
+        physics_release(&((slave *)instance)->plant);
     }
     free(instance);
 }
@@ -169,7 +150,7 @@ FMI(fmi3Status, fmi3Reset, fmi3Instance instance) {
     if (plant == NULL) {
         return fmi3Error;
     }
-    plant_release(plant);
+    physics_release(plant);
     plant_init(plant, report, instance);
     return fmi3OK;
 }

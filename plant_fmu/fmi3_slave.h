@@ -18,6 +18,11 @@ enum {
 /* Returns the plant when the call is legal now, else reports it and returns NULL. */
 plant_instance *fmi3_legal(fmi3Instance instance, unsigned modes, const char *call);
 
+/* Says why there is no instance, whatever loggingOn says: the importer has nothing else to go by. Returns
+ * NULL. */
+fmi3Instance fmi3_no_instance(fmi3LogMessageCallback log_message, fmi3InstanceEnvironment environment,
+                              fmi3String text);
+
 HIDDEN_END
 
 #endif

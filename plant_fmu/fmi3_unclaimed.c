@@ -21,6 +21,24 @@ static fmi3Status unclaimed(fmi3Instance instance, const char *call, const char 
         return unclaimed(instance, "fmi3" #name, lack);                                                      \
     }
 
+/* --- Section 2.3.1: other kinds of instances --- */
+
+static const char ONLY[] = "instantiate: this FMU is for co-simulation only";
+
+FMI(fmi3Instance, fmi3InstantiateModelExchange, fmi3String instanceName, fmi3String instantiationToken,
+    fmi3String resourcePath, fmi3Boolean visible, fmi3Boolean loggingOn,
+    fmi3InstanceEnvironment instanceEnvironment, fmi3LogMessageCallback logMessage) {
+    return fmi3_no_instance(logMessage, instanceEnvironment, ONLY);
+}
+
+FMI(fmi3Instance, fmi3InstantiateScheduledExecution, fmi3String instanceName, fmi3String instantiationToken,
+    fmi3String resourcePath, fmi3Boolean visible, fmi3Boolean loggingOn,
+    fmi3InstanceEnvironment instanceEnvironment, fmi3LogMessageCallback logMessage,
+    fmi3ClockUpdateCallback clockUpdate, fmi3LockPreemptionCallback lockPreemption,
+    fmi3UnlockPreemptionCallback unlockPreemption) {
+    return fmi3_no_instance(logMessage, instanceEnvironment, ONLY);
+}
+
 /* --- Section 2.2.6: types that no variable has. As in any type, a call for no variables is fine. --- */
 
 static fmi3Status none(fmi3Instance instance, unsigned modes, const char *call, size_t count) {

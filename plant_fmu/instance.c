@@ -28,15 +28,8 @@ typedef struct {
 } variable;
 
 #define ROW(reference, type_, causality_, member, start_, min_, max_, name_)                                 \
-    [reference] = {.name = name_,                                                                            \
-                   .type = PLANT_##type_,                                                                    \
-                   .causality = causality_,                                                                  \
-                   .offset = offsetof(plant_snapshot, member),                                               \
-                   .start = start_,                                                                          \
-                   .min = min_,                                                                              \
-                   .max = max_},
+    [reference] = {name_, PLANT_##type_, causality_, offsetof(plant_snapshot, member), start_, min_, max_},
 static const variable VARIABLES[MECANUM_VARIABLE_COUNT] = {MECANUM_VARIABLES(ROW)};
-#undef ROW
 
 static void store(plant_snapshot *snapshot, const variable *v, double value) {
     char *const place = (char *)snapshot + v->offset;
@@ -58,10 +51,6 @@ void plant_init(plant_instance *plant, plant_report report, void *owner) {
     for (size_t i = 0; i < MECANUM_VARIABLE_COUNT; i++) {
         store(&plant->now, &VARIABLES[i], VARIABLES[i].start);
     }
-}
-
-void plant_release(plant_instance *plant) {
-    physics_release(plant);
 }
 
 bool plant_fail(plant_instance *plant, const char *format, ...) {
@@ -144,26 +133,17 @@ bool plant_discard_extreme(plant_instance *plant, const char *format, ...) {
     return false;
 }
 
-static const char *mode_name(plant_mode mode) {
-    switch (mode) {
-    case PLANT_INSTANTIATED:
-        return "instantiated";
-    case PLANT_INITIALIZATION:
-        return "initialization mode";
-    case PLANT_STEP_COMPLETE:
-        return "step complete";
-    case PLANT_TERMINATED:
-        return "terminated";
-    default:
-        return "error";
-    }
-}
-
 bool plant_allows(plant_instance *plant, unsigned modes, const char *call) {
-    if (((unsigned)plant->now.mode & modes) != 0) {
+    const plant_mode mode = plant->now.mode;
+    if (((unsigned)mode & modes) != 0) {
         return true;
     }
-    return plant_fail(plant, "%s is not allowed in the state \"%s\"", call, mode_name(plant->now.mode));
+    const char *const name = mode == PLANT_INSTANTIATED     ? "instantiated"
+                             : mode == PLANT_INITIALIZATION ? "initialization mode"
+                             : mode == PLANT_STEP_COMPLETE  ? "step complete"
+                             : mode == PLANT_TERMINATED     ? "terminated"
+                                                            : "error";
+    return plant_fail(plant, "%s is not allowed in the state \"%s\"", call, name);
 }
 
 bool plant_setup(plant_instance *plant, double start_s, bool stop_defined, double stop_s) {
@@ -244,16 +224,10 @@ bool plant_get(plant_instance *plant, unsigned types, const unsigned references[
 
 /* Tells why a variable cannot be set now; NULL when it can. */
 static const char *obstacle(const variable *v, plant_mode mode) {
-    switch (v->causality) {
-    case OUTPUT:
-        return "because it is an output";
-    case INDEPENDENT:
-        return "because it is the independent variable";
-    case PARAMETER:
-        return mode == PLANT_STEP_COMPLETE ? "after initialization" : NULL;
-    default:
-        return NULL;
-    }
+    return v->causality == OUTPUT        ? "because it is an output"
+           : v->causality == INDEPENDENT ? "because it is the independent variable"
+           : v->causality == PARAMETER && mode == PLANT_STEP_COMPLETE ? "after initialization"
+                                                                      : NULL;
 }
 
 static double given(unsigned types, const void *values, size_t i) {

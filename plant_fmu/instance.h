@@ -55,12 +55,9 @@ typedef struct {
     void *owner;
 } plant_instance;
 
-/* Puts start values everywhere and the mode to PLANT_INSTANTIATED; also, after plant_release, what a reset
+/* Puts start values everywhere and the mode to PLANT_INSTANTIATED; also, after physics_release, what a reset
  * does. */
 void plant_init(plant_instance *plant, plant_report report, void *owner);
-
-/* Frees what belongs to the instance, not the instance. */
-void plant_release(plant_instance *plant);
 
 /* Reports an error, enters PLANT_ERROR and returns false. */
 bool plant_fail(plant_instance *plant, const char *format, ...);

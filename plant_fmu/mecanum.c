@@ -18,19 +18,6 @@ static const double DAMPING_STEP = 0.1;
 static const double LEAP = 0.1;
 static const int MOST_HALVINGS = 6;
 
-const char *mecanum_problem(const mecanum_parameters *p) {
-    if (p->contact == MECANUM_CONTACT_SLIP && p->wheel_inertia_kg_m2 + p->rotor_inertia_kg_m2 <= 0.0) {
-        return "wheel_inertia_kg_m2 = 0 with slip contact; expected a positive number, wheels without "
-               "inertia "
-               "would turn at once";
-    }
-    if (p->contact == MECANUM_CONTACT_SLIP && p->coriolis == MECANUM_CORIOLIS_PAPER) {
-        return "coriolis = 2 (paper) with slip contact; expected rigid contact, where alone the term C is a "
-               "choice";
-    }
-    return NULL;
-}
-
 void mecanum_start(const mecanum_parameters *p, mecanum_state *state) {
     mecanum_model model;
     mecanum_prepare(&model, p);
@@ -308,13 +295,4 @@ void mecanum_output(const mecanum_parameters *p, const mecanum_inputs *u, const 
     out->energy_stored_j = stored_j(&model, state);
     out->energy_lost_j = x[MECANUM_LOST_J];
     mecanum_sense(&model, &settled, &derivative, time_s, out);
-}
-
-bool mecanum_is_finite(const mecanum_state *state) {
-    for (int i = 0; i < MECANUM_STATES; i++) {
-        if (!isfinite(state->x[i])) {
-            return false;
-        }
-    }
-    return true;
 }

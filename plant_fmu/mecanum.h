@@ -34,9 +34,6 @@ typedef struct {
     double x[MECANUM_STATES];
 } mecanum_state;
 
-/* Says what is wrong with parameters that are each within their range, or NULL. */
-const char *mecanum_problem(const mecanum_parameters *p);
-
 /* Writes the state at the start: the pose and velocity that the parameters give, wheels rolling, no current.
  */
 void mecanum_start(const mecanum_parameters *p, mecanum_state *state);
@@ -52,9 +49,6 @@ void mecanum_advance(const mecanum_parameters *p, const mecanum_inputs *u, doubl
 /* Writes what follows from the state, the inputs and the time. */
 void mecanum_output(const mecanum_parameters *p, const mecanum_inputs *u, const mecanum_state *state,
                     double time_s, mecanum_outputs *out);
-
-/* Tells whether every state is a finite number. */
-bool mecanum_is_finite(const mecanum_state *state);
 
 HIDDEN_END
 

@@ -2,8 +2,21 @@
 
 #include "physics.h"
 
+/* Says what is wrong with parameters that are each within their range, or NULL. */
+static const char *problem_of(const mecanum_parameters *p) {
+    if (p->contact == MECANUM_CONTACT_SLIP && p->wheel_inertia_kg_m2 + p->rotor_inertia_kg_m2 <= 0.0) {
+        return "wheel_inertia_kg_m2 = 0 with slip contact; expected a positive number, wheels without "
+               "inertia would turn at once";
+    }
+    if (p->contact == MECANUM_CONTACT_SLIP && p->coriolis == MECANUM_CORIOLIS_PAPER) {
+        return "coriolis = 2 (paper) with slip contact; expected rigid contact, where alone the term C is a "
+               "choice";
+    }
+    return NULL;
+}
+
 bool physics_start(plant_instance *plant) {
-    const char *const problem = mecanum_problem(&plant->now.parameters);
+    const char *const problem = problem_of(&plant->now.parameters);
     if (problem != NULL) {
         return plant_fail(plant, "%s", problem);
     }
@@ -15,10 +28,19 @@ double physics_internal_steps(const plant_instance *plant, double step_s) {
     return mecanum_internal_steps(&plant->now.parameters, step_s);
 }
 
+static bool is_finite(const mecanum_state *state) {
+    for (int i = 0; i < MECANUM_STATES; i++) {
+        if (!isfinite(state->x[i])) {
+            return false;
+        }
+    }
+    return true;
+}
+
 bool physics_advance(plant_instance *plant, double step_s) {
     mecanum_state state = plant->now.state;
     mecanum_advance(&plant->now.parameters, &plant->now.inputs, step_s, &state);
-    if (!mecanum_is_finite(&state)) {
+    if (!is_finite(&state)) {
         return plant_discard_extreme(
             plant, "doStep: the state is no longer finite after %.10g s; look at the inputs",
             plant->now.time_s);

@@ -9,8 +9,8 @@ from plant_fmu.sources import INPUTS, sources_of
 
 HERE = Path(__file__).parent
 PLANT_PORT = ROOT / "firmware_protocol" / "firmware" / "plant_port.h"
-HEADERS = (PLANT_PORT, HERE / "cosim.h", HERE / "derive.h", HERE / "remote.h", HERE / "robot_faults.h")
-SOURCES = (HERE / "cosim.c", HERE / "derive.c", HERE / "remote.c", HERE / "robot_faults.c")
+HEADERS = (PLANT_PORT, *(HERE / f"{name}.h" for name in ("cosim", "derive", "remote", "robot_faults")))
+SOURCES = tuple(HERE / f"{name}.c" for name in ("cosim", "callbacks", "derive", "remote", "robot_faults"))
 INCLUDE = (HERE, PLANT_PORT.parent)
 COSIM = Built(HERE / f"libcosim{SUFFIX}", "tools.build.cosim", (*SOURCES, *HEADERS), digest_in_library)
 MUJOCO = plant_fmu.mujoco.path()

@@ -6,7 +6,7 @@ from collections.abc import Iterable
 
 from hil.core.ports import Note
 
-_LOGGED_TROUBLE = tuple(f"log ({status})" for status in ("warning", "discard", "error", "fatal"))  # as cosim.c has it
+_LOGGED_TROUBLE = ("log (warning)", "log (discard)", "log (error)", "log (fatal)")  # as callbacks.c writes them
 _FIRST_LINES = 100
 _NEWEST_LINES = 20
 _LONGEST_LINE = 300  # characters that are kept of a line

@@ -6,21 +6,12 @@
 #include <stdarg.h>
 #include <stdbool.h>
 #include <stdio.h>
-#include <stdlib.h>
 #include <string.h>
 
-/* fmi2Status and fmi3Status agree on these. Nothing goes on after what is worse than a warning. */
-enum { STATUS_WARNING = 1, STATUS_DISCARD = 2, STATUS_FATAL = 4 };
 enum { FMI2_TERMINATED = 3 };       /* fmi2StatusKind */
 enum { MOST_EARLY_RETURNS = 1000 }; /* within one tick */
 
 static const double LARGEST_COUNT = 9007199254740992.0; /* 2^53: a double tells no further counts apart */
-
-static const char *status_name(int status) {
-    static const char *const NAME[] = {"ok", "warning", "discard", "error", "fatal", "pending"};
-    const bool known = status >= 0 && (size_t)status < sizeof NAME / sizeof *NAME;
-    return known ? NAME[status] : "which no standard has";
-}
 
 /* Keeps our own reason, and the FMU's words with it. */
 static int fail(cosim *c, const char *format, ...) {
@@ -40,10 +31,10 @@ static int fail(cosim *c, const char *format, ...) {
 /* A call returned a status that ends the run. The FMU's own words, when it gave some, are the reason. */
 static int refused(cosim *c, int status, const char *what) {
     c->failed = 1;
-    c->fatal = status == STATUS_FATAL;
+    c->fatal = status == COSIM_FATAL;
     if (c->text[0] == '\0') {
         snprintf(c->text, sizeof c->text, "the FMU %s (status %d, %s) and did not say why", what, status,
-                 status_name(status));
+                 cosim_status_name(status));
     }
     return 1;
 }
@@ -82,7 +73,7 @@ static int write_inputs(cosim *c) {
             }
             status = CALL(c, g, const float);
         }
-        if (status > STATUS_WARNING) {
+        if (status > COSIM_WARNING) {
             return refused(c, status, "refused what drives the wheels");
         }
     }
@@ -116,14 +107,14 @@ static int read_group(cosim *c, const cosim_group *g) {
         READ(COSIM_INT64, int64_t)
         READ(COSIM_UINT64, uint64_t)
     }
-    return STATUS_FATAL; /* there is no further type */
+    return COSIM_FATAL; /* there is no further type */
 }
 
 static int read_outputs(cosim *c) {
     double *const fresh = c->fresh;
     for (const cosim_group *g = c->output; g < c->output + c->outputs; g++) {
         const int status = read_group(c, g);
-        if (status > STATUS_WARNING) {
+        if (status > COSIM_WARNING) {
             return refused(c, status, "refused to give its outputs");
         }
         if (!g->is_identity) {
@@ -138,14 +129,14 @@ static int read_outputs(cosim *c) {
 static int step2(cosim *c, double from_s) {
     int (*const do_step)(void *, double, double, int) = (int (*)(void *, double, double, int))c->do_step;
     const int status = do_step(c->component, from_s, step_s(c), 1);
-    if (status == STATUS_DISCARD) {
+    if (status == COSIM_DISCARD) {
         int (*const get)(void *, int, int *) = (int (*)(void *, int, int *))c->get_boolean_status;
         int terminated = 0;
-        if (get(c->component, FMI2_TERMINATED, &terminated) <= STATUS_WARNING && terminated) {
+        if (get(c->component, FMI2_TERMINATED, &terminated) <= COSIM_WARNING && terminated) {
             return fail(c, "the FMU asked to end the simulation");
         }
     }
-    return status > STATUS_WARNING ? refused(c, status, "failed to step") : 0;
+    return status > COSIM_WARNING ? refused(c, status, "failed to step") : 0;
 }
 
 /* An FMU that returns early is stepped on from where it got to: the tick ends where all ticks end. */
@@ -159,7 +150,7 @@ static int step3(cosim *c, double from_s) {
         double reached_s = at_s;
         const int status = do_step(c->component, at_s, length_s, true, &event_handling_needed, &terminate,
                                    &early, &reached_s);
-        if (status > STATUS_WARNING) {
+        if (status > COSIM_WARNING) {
             return refused(c, status, "failed to step");
         }
         if (terminate) {
@@ -289,7 +280,7 @@ int cosim_set(void *context, size_t place, double value) {
                        .value = v->type == COSIM_FLOAT64 ? (void *)&value : (void *)&single,
                        .values = 1};
     const int status = v->type == COSIM_FLOAT64 ? CALL(c, &one, const double) : CALL(c, &one, const float);
-    return status > STATUS_WARNING ? refused(c, status, "refused a new value of a variable") : 0;
+    return status > COSIM_WARNING ? refused(c, status, "refused a new value of a variable") : 0;
 }
 
 int cosim_run(void *context, const float *torque_n_m, uint32_t ticks) {
@@ -303,47 +294,4 @@ int cosim_run(void *context, const float *torque_n_m, uint32_t ticks) {
         }
     }
     return 0;
-}
-
-static void take_message(cosim *c, int status, const char *message) {
-    if (status >= STATUS_WARNING && status >= c->text_status && !c->failed) {
-        c->text_status = status;
-        snprintf(c->text, sizeof c->text, "%s", message);
-    }
-    if (c->prints_log) {
-        const char *const kind = status >= STATUS_WARNING ? status_name(status) : "info";
-        fprintf(stderr, "log (%s): ", kind);
-        for (const char *letter = message; *letter != '\0'; letter++) {
-            fputc(*letter == '\n' ? ' ' : *letter, stderr);
-        }
-        fputc('\n', stderr);
-    }
-}
-
-void cosim_log2(void *environment, const char *instance, int status, const char *category,
-                const char *message, ...) {
-    (void)instance, (void)category;
-    if (message != NULL) {
-        char text[sizeof((cosim *)NULL)->text];
-        va_list arguments;
-        va_start(arguments, message);
-        vsnprintf(text, sizeof text, message, arguments);
-        va_end(arguments);
-        take_message(environment, status, text);
-    }
-}
-
-void cosim_log3(void *environment, int status, const char *category, const char *message) {
-    (void)category;
-    if (message != NULL) {
-        take_message(environment, status, message);
-    }
-}
-
-void *cosim_allocate(size_t count, size_t size) {
-    return calloc(count, size);
-}
-
-void cosim_free(void *memory) {
-    free(memory);
 }

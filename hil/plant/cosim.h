@@ -147,4 +147,10 @@ void *cosim_allocate(size_t count, size_t size);
 void cosim_free(void *memory);
 /* cffi: end */
 
+/* fmi2Status and fmi3Status agree on these. A run ends with a status that is worse than a warning. */
+enum { COSIM_WARNING = 1, COSIM_DISCARD = 2, COSIM_FATAL = 4 };
+
+/* The name of an fmi2Status or fmi3Status. */
+const char *cosim_status_name(int status);
+
 #endif
