@@ -151,7 +151,7 @@ POLLED = {
         (tables.ERRORS_06, "0.6", "Heartbeat", "Axis_Error"),
         (tables.ERRORS_06, "0.6", "Get_Error", "Active_Errors"),
         (tables.ERRORS_06, "0.6", "Get_Error", "Disarm_Reason"),
-        (tables.PROCEDURE_RESULTS, "0.6", "Heartbeat", "Procedure_Result"),
+        (dict(enumerate(tables.PROCEDURE_RESULTS)), "0.6", "Heartbeat", "Procedure_Result"),
     ],
 )
 def test_every_error_has_the_makers_name(bits: Mapping[int, str], firmware: str, message: str, signal: str) -> None:

@@ -5,9 +5,9 @@ from collections.abc import Callable, Generator, Sequence
 
 from firmware_protocol.framing import Frame
 from hil.core.types import NAN
+from hil.drivers.four_motors import Channel
 from hil.drivers.odrive import tables as can
-from hil.drivers.odrive.settings import Endpoint, Setup
-from hil.drivers.odrive.tables import FIRMWARE_05, FIRMWARE_06, ErrorField, Firmware
+from hil.drivers.odrive.tables import FIRMWARE_05, FIRMWARE_06, Endpoint, ErrorField, Firmware, Setup
 from hil.drivers.port import REMOTE
 
 _SILENT_NS = 1_000_000_000
@@ -19,7 +19,7 @@ _TRIES = 3
 Steps = Generator[Sequence[Frame], None, bool]
 
 
-class Axis:
+class Axis(Channel):
     """A node on the bus. Quantities are the motor's [rev, rev/s, A, V, °C], NaN if not known.
 
     A value that is polled becomes unknown ``late_ns`` after its newest answer; the stamps of the encoder estimates,
@@ -31,39 +31,36 @@ class Axis:
         trouble: why arming or closed loop ended; empty if it did not.
     """
 
-    def __init__(self, node: int, wheel: str, setup: Setup, late_ns: int) -> None:
+    def __init__(self, node: int, setup: Setup, late_ns: int) -> None:
         self.node = node
-        self.wheel = wheel
         self._setup = setup
         self._late_ns = late_ns
         self._base = node << can.NODE_SHIFT
         self._standstill = self.frame(*setup.standstill)
-        self.forget()
+        super().__init__()
 
     def forget(self) -> None:
         """Return to the state before the first message."""
+        super().forget()
         self.firmware: Firmware | None = None
         self.version: tuple[int, int, int] | None = None
         self.hardware: tuple[int, int, int] | None = None
-        self._questions = 0
-        self._answers = 0
+        self._questions = self._answers = 0
         self._is_answer_new = False
         self.heartbeat_ns: int | None = None
-        self.state = 0
-        self._result = 0
+        self.state = self._result = 0
         self._registers: dict[str, int] = {}
         self._flags = (0, 0, 0)
-        self._is_cleared = False
-        self.is_silent = False
-        self.estimates_ns: int | None = None
-        self.position_rev = NAN
-        self.speed_rev_s = NAN
-        self.current_a = NAN
-        self.temperature_degc = NAN
-        self.bus_v = NAN
-        self.bus_a = NAN
-        self._current_ns = self._bus_ns = self._temperature_ns = 0
+        self._is_cleared = self.is_silent = False
+        self._current_ns = self._supply_ns = self._temperature_ns = 0
         self.stand_down()
+
+    @property
+    def firmware_words(self) -> str:
+        """Firmware and hardware in words; call it when one of ``firmware`` and ``version`` is known."""
+        if self.version is None or self.hardware is None:
+            return "firmware 0.5.4 or newer of 0.5"
+        return f"firmware {can.dotted(self.version)} on hardware {can.dotted(self.hardware)}"
 
     def stand_down(self) -> None:
         """Return to the state before arming, and forget why arming or closed loop ended."""
@@ -110,7 +107,7 @@ class Axis:
         elif command == can.GET_ESTIMATES:
             position, speed = can.TWO_FLOATS.unpack(payload)
             if math.isfinite(position) and math.isfinite(speed):
-                self.position_rev, self.speed_rev_s, self.estimates_ns = position, speed, stamp_ns
+                self.position, self.speed, self.stamp_ns = position, speed, stamp_ns
                 self._forget_late(stamp_ns)
         elif command == can.HEARTBEAT:
             self._feed_heartbeat(payload, stamp_ns)
@@ -126,8 +123,8 @@ class Axis:
         begin_ns = now_ns - self._late_ns
         if self._current_ns < begin_ns:
             self.current_a = NAN
-        if self._bus_ns < begin_ns:
-            self.bus_v = self.bus_a = NAN
+        if self._supply_ns < begin_ns:
+            self.supply_v = self.supply_a = NAN
         if self._temperature_ns < begin_ns:
             self.temperature_degc = NAN
 
@@ -139,7 +136,8 @@ class Axis:
             self.trouble = f"left closed loop by itself{self._procedure_result()}"
         if was_cleared and error:
             return  # it may have been sent before the errors were cleared: wait for the next one
-        self._flags = (flags[0] & 1, flags[1] & 1, flags[2] & 1)
+        # 0.6 has other values there.
+        self._flags = (flags[0] & 1, flags[1] & 1, flags[2] & 1) if self.firmware is FIRMWARE_05 else (0, 0, 0)
         self.heartbeat_ns, self.is_silent = stamp_ns, False
         self._feed_errors(can.HEARTBEAT, payload)
 
@@ -156,7 +154,7 @@ class Axis:
     def _set_firmware(self, firmware: Firmware | None) -> None:
         if firmware is not self.firmware:
             self.firmware = firmware
-            self.heartbeat_ns = None  # the last one was not decoded with this firmware
+            self.heartbeat_ns, self._flags = None, (0, 0, 0)  # the last one was not decoded with this firmware
 
     def _feed_polled(self, command: int, payload: bytes, stamp_ns: int) -> None:
         first, second = (value if math.isfinite(value) else NAN for value in can.TWO_FLOATS.unpack(payload))
@@ -165,7 +163,8 @@ class Axis:
         if command == can.GET_IQ:
             self.current_a, self._current_ns = second, stamp_ns
         elif command == can.GET_BUS:
-            self.bus_v, self.bus_a, self._bus_ns = first, second, stamp_ns
+            self.supply_v, self._supply_ns = first, stamp_ns
+            self.supply_a = second if self.firmware is FIRMWARE_06 else NAN  # on 0.5 two axes report the same board
         elif command == can.GET_TEMPERATURE and self.firmware is FIRMWARE_06:
             # The hotter of inverter and motor; a motor without a sensor reports NaN.
             self.temperature_degc = max((t for t in (first, second) if t == t), default=NAN)
@@ -193,7 +192,7 @@ class Axis:
     @property
     def has_errors(self) -> bool:
         """Whether ``errors`` is not empty."""
-        return self.is_silent or bool(self.trouble) or any(self._flags_05()) or any(self._registers.values())
+        return self.is_silent or bool(self.trouble) or any(self._flags) or any(self._registers.values())
 
     @property
     def is_closed_loop(self) -> bool:
@@ -202,7 +201,7 @@ class Axis:
 
     @property
     def errors(self) -> str:
-        """The errors in words, in the makers' terms; empty without errors."""
+        """The errors in the makers' terms; empty without errors."""
         reasons: list[str] = []
         seen = set()  # firmware 0.6 has the same error in up to three registers
         for field in self.firmware.errors if self.firmware is not None else ():
@@ -215,20 +214,15 @@ class Axis:
             reasons.append("no heartbeat for more than a second")
         if self.trouble:
             reasons.append(self.trouble)
-        return f"ODrive node {self.node} of wheel {self.wheel}: {'; '.join(reasons)}" if reasons else ""
+        return "; ".join(reasons)
 
     def ask_for_errors(self) -> Sequence[Frame]:
         """Ask for the error registers that the heartbeat of 0.5 flags and that have not been read."""
         return [self.remote(field.command) for field in self._pending_errors()]
 
     def _pending_errors(self) -> Sequence[ErrorField]:
-        if not any(self._flags_05()):
-            return ()
         fields = FIRMWARE_05.errors
         return [f for f in fields if f.flag is not None and self._flags[f.flag] and not self._registers.get(f.name)]
-
-    def _flags_05(self) -> tuple[int, int, int]:
-        return self._flags if self.firmware is FIRMWARE_05 else (0, 0, 0)
 
     # Arming
 
@@ -238,9 +232,6 @@ class Axis:
         if self._arming is None:
             self._arming = self._steps()
         return next(self._arming, ())
-
-    def _request(self, state: int) -> Frame:
-        return self.frame(can.SET_AXIS_STATE, can.STATE.pack(state))
 
     def _steps(self) -> Steps:
         if not (yield from self._reach(can.IDLE, ())):
@@ -263,14 +254,15 @@ class Axis:
         """Return the result of the last procedure in words; firmware 0.5 reports none."""
         if self.firmware is not FIRMWARE_06:
             return ""
-        return f": its procedure result is {can.PROCEDURE_RESULTS.get(self._result, str(self._result))}"
+        names = can.PROCEDURE_RESULTS
+        return f": its procedure result is {names[self._result] if self._result < len(names) else self._result}"
 
     def _reach(self, state: int, before: Sequence[Frame]) -> Steps:
         """Request a state up to three times, and return whether it is reached. In that state nothing is requested."""
         for _ in range(_TRIES):
             if self.state == state:
                 return True
-            yield (*before, self._request(state))
+            yield (*before, self.frame(can.SET_AXIS_STATE, can.STATE.pack(state)))
             yield from self._until(lambda: self.state == state, _STATE_NS)
         return self.state == state
 

@@ -5,75 +5,101 @@ has set up to be sent cyclically. See ODRIVE.md for wiring, set-up, and what was
 """
 
 import math
-from collections.abc import Sequence
+import re
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from typing import Annotated, Literal
 
 from firmware_protocol.framing import Frame
 from hil.core.errors import BadInputError
-from hil.core.types import NAN, WHEEL_NAMES, CommandMode, FourWheels
+from hil.core.options import POSITIVE, Range
+from hil.core.types import CommandMode, FourWheels
+from hil.drivers.four_motors import FourMotors
 from hil.drivers.odrive import tables as can
 from hil.drivers.odrive.axis import Axis
 from hil.drivers.odrive.probe import OdriveProbe
-from hil.drivers.odrive.settings import Settings, setup
-from hil.drivers.odrive.tables import FIRMWARE_05, FIRMWARE_06
-from hil.drivers.port import (
-    EXTENDED,
-    REMOTE,
-    Capabilities,
-    Dialect,
-    Driver,
-    RobotFacts,
-    Sample,
-    Sensor,
-    four,
-    late_ns,
-    lowest,
-    oldest,
-)
+from hil.drivers.odrive.tables import FIRMWARE_05, FIRMWARE_06, setup
+from hil.drivers.port import EXTENDED, REMOTE, Capabilities, Dialect, RobotFacts, four_ids, late_ns
+
+_VERSION = re.compile(r"\d+\.\d+\.\d+")
 
 
-class ODrive(Driver):
+@dataclass(frozen=True, slots=True)
+class Settings:
+    """``[device.motors]``. ``node_ids``: of the channels in order. ``gear_ratio``: motor turns per turn of the wheel.
+
+    ``feedback_hz``: rate at which the axes send their encoder estimates; 0 asks for them with each command.
+    ``firmware``: the only firmware that is accepted. ``watchdog_endpoints``: ids of axis0.config.watchdog_timeout and
+    axis0.config.enable_watchdog, from the flat_endpoints.json of exactly ``endpoints_firmware`` and
+    ``endpoints_hardware``; without them the watchdog is neither set nor read.
+    """
+
+    node_ids: Annotated[tuple[int, ...], four_ids(0, can.BROADCAST - 1)] = (0, 1, 2, 3)
+    gear_ratio: Annotated[float, POSITIVE] = 1.0
+    feedback_hz: Annotated[float, Range(ge=0, le=1000)] = 100.0
+    firmware: Literal["any", "0.5", "0.6"] = "any"
+    watchdog_endpoints: tuple[int, ...] = ()
+    endpoints_firmware: str = ""
+    endpoints_hardware: str = ""
+
+    def __post_init__(self) -> None:
+        endpoints = self.watchdog_endpoints
+        if not endpoints and not self.endpoints_firmware and not self.endpoints_hardware:
+            return
+        if len(endpoints) != 2 or len(set(endpoints)) != 2 or not all(0 < number <= 0xFFFF for number in endpoints):
+            raise ValueError(
+                f"watchdog_endpoints = {list(endpoints)}: expected the ids of axis0.config.watchdog_timeout and "
+                "axis0.config.enable_watchdog"
+            )
+        if self.firmware == "0.5":
+            raise ValueError("watchdog_endpoints: firmware 0.5 has no endpoints on the bus; leave them out")
+        for name, example in (("endpoints_firmware", "0.6.10"), ("endpoints_hardware", "4.4.58")):
+            if not _VERSION.fullmatch(getattr(self, name)):
+                raise ValueError(
+                    f"{name} = {getattr(self, name)!r}: expected what the flat_endpoints.json of watchdog_endpoints "
+                    f"says, such as {example!r}"
+                )
+
+
+class ODrive(FourMotors[Settings, Axis]):
     """Drives four axes on one bus, in the order of the channels."""
 
     def __init__(self, settings: Settings, robot: RobotFacts) -> None:
-        self._settings = settings
-        self._robot = robot
-        self._is_speed = robot.mode is CommandMode.SPEED
-        self._to_rad = math.tau / settings.gear_ratio
-        self._setup = setup(settings, robot.mode, robot.watchdog_s)
-        polled_ns = late_ns(4 * max(len(known.polled) for known in (FIRMWARE_05, FIRMWARE_06)) * robot.period_s)
-        self._axes = tuple(
-            Axis(node, WHEEL_NAMES[wheel], self._setup, polled_ns)
-            for node, wheel in zip(settings.node_ids, robot.wheel_of_channel, strict=True)
+        capabilities = Capabilities(
+            settings.feedback_hz or 1.0 / robot.period_s,
+            frozenset({"position", "current", "temperature", "battery_voltage", "battery_current"}),
+            adds_torque=True,
+            watchdog="set" if settings.watchdog_endpoints else "none",
+            latches_estop=True,
         )
-        self._by_node = {axis.node: axis for axis in self._axes}
+        self._setup = setup(settings.watchdog_endpoints, robot.mode, robot.watchdog_s)
+        polled_ns = late_ns(4 * max(len(known.polled) for known in (FIRMWARE_05, FIRMWARE_06)) * robot.period_s)
+        axes = [Axis(node, self._setup, polled_ns) for node in settings.node_ids]
+        to_rad = math.tau / settings.gear_ratio
+        super().__init__(settings, robot, capabilities, "ODrive node", settings.node_ids, axes, to_rad, to_rad)
+        self._axes = self._channels
         self._turn = 0
-        self._is_armed = False
 
     @property
     def capabilities(self) -> Capabilities:
-        sensors: set[Sensor] = {"position", "current", "battery_voltage"}
-        if self._settings.firmware != "0.5" and not any(axis.firmware is FIRMWARE_05 for axis in self._axes):
-            sensors |= {"battery_current", "temperature"}
-        return Capabilities(
-            modes=frozenset(CommandMode),
-            is_twist=False,
-            feedback_hz=self._settings.feedback_hz or 1.0 / self._robot.period_s,
-            sensors=frozenset(sensors),
-            adds_torque=True,
-            watchdog="set" if self._settings.watchdog_endpoints else "none",
-            latches_estop=True,
-        )
+        """See ``Driver``. With firmware 0.5 the temperature and the battery's current are not known."""
+        known = self._capabilities
+        if self._settings.firmware == "0.5" or any(axis.firmware is FIRMWARE_05 for axis in self._axes):
+            return known._replace(sensors=known.sensors - {"temperature", "battery_current"})
+        return known
 
     # Identification
 
     def ask(self) -> Sequence[Frame]:
-        if self.missing:
-            frames = [frame for axis in self._axes for frame in axis.ask()]
-        else:  # the state comes with the heartbeats
-            frames = [frame for axis in self._axes for frame in axis.ask_for_errors()]
-        if not self._settings.feedback_hz:
-            frames += [axis.remote(can.GET_ESTIMATES) for axis in self._axes]
-        return frames
+        is_missing = bool(self.missing)  # if not, the state comes with the heartbeats
+        return self._of_all(Axis.ask if is_missing else Axis.ask_for_errors) + self._ask_for_estimates()
+
+    def _of_all(self, frames_of: Callable[[Axis], Iterable[Frame]]) -> list[Frame]:
+        return [frame for axis in self._axes for frame in frames_of(axis)]
+
+    def _ask_for_estimates(self) -> list[Frame]:
+        """Ask all axes for their encoder estimates if these are not sent unasked."""
+        return [] if self._settings.feedback_hz else [axis.remote(can.GET_ESTIMATES) for axis in self._axes]
 
     @property
     def identity(self) -> str | None:
@@ -81,17 +107,17 @@ class ODrive(Driver):
             self._check_firmware(axis)
         if self.missing:
             return None
-        groups: dict[str, list[Axis]] = {}
+        groups: dict[str, list[str]] = {}
         for axis in self._axes:
-            groups.setdefault(_described(axis), []).append(axis)
-        return "ODrive axes: " + "; ".join(f"nodes {_nodes(axes)} {words}" for words, axes in groups.items())
+            groups.setdefault(axis.firmware_words, []).append(str(axis.node))
+        return "ODrive axes: " + "; ".join(f"nodes {', '.join(nodes)} with {words}" for words, nodes in groups.items())
 
     def _check_firmware(self, axis: Axis) -> None:
         """Raise BadInputError for a firmware or hardware that the settings or this driver do not support."""
         settings = self._settings
         if axis.version is not None and axis.firmware is None:
             raise BadInputError(
-                f"ODrive node {axis.node} has firmware {_dotted(axis.version)}: expected 0.5 or 0.6; install one of "
+                f"ODrive node {axis.node} has firmware {can.dotted(axis.version)}: expected 0.5 or 0.6; install one of "
                 "these with odrivetool"
             )
         if axis.firmware is None:
@@ -108,7 +134,7 @@ class ODrive(Driver):
                 f"ODrive node {axis.node} has firmware 0.5, which has no endpoints on the bus; leave out "
                 "device.motors.watchdog_endpoints"
             )
-        found = (_dotted(axis.version), _dotted(axis.hardware))
+        found = (can.dotted(axis.version), can.dotted(axis.hardware))
         if found != (settings.endpoints_firmware, settings.endpoints_hardware):
             raise BadInputError(
                 f"ODrive node {axis.node} has firmware {found[0]} on hardware {found[1]}: "
@@ -118,20 +144,22 @@ class ODrive(Driver):
 
     @property
     def missing(self) -> str:
-        if silent := [axis for axis in self._axes if axis.heartbeat_ns is None]:
+        axes = self._axes
+        if silent := self._with(axis.heartbeat_ns is None for axis in axes):
             return (
-                f"no heartbeat from the nodes {_nodes(silent)}; check power, wiring and bit rate, and "
-                "device.motors.node_ids against axis.config.can.node_id"
+                f"no heartbeat from the nodes {silent}; check power, wiring and bit rate, and device.motors.node_ids "
+                "against axis.config.can.node_id"
             )
-        if unknown := [axis for axis in self._axes if axis.firmware is None and axis.version is None]:
+        if unknown := self._with(axis.firmware is None and axis.version is None for axis in axes):
             return (
-                f"the nodes {_nodes(unknown)} answer neither Get_Version nor Get_Controller_Error; their firmware is "
-                "older than 0.5.4 and is to be updated with odrivetool, or the CAN adapter sends no remote frames"
+                f"the nodes {unknown} answer neither Get_Version nor Get_Controller_Error; their firmware is older "
+                "than 0.5.4 and is to be updated with odrivetool, or the CAN adapter sends no remote frames"
             )
-        if quiet := [axis for axis in self._axes if axis.estimates_ns is None]:
-            option = quiet[0].firmware.estimates_option if quiet[0].firmware is not None else "their rate"
+        if quiet := self._with(axis.stamp_ns is None for axis in axes):
+            firmware = next(axis.firmware for axis in axes if axis.stamp_ns is None)
             return (
-                f"no encoder estimates from the nodes {_nodes(quiet)}; set {option} with odrivetool, or "
+                f"no encoder estimates from the nodes {quiet}; set "
+                f"{'their rate' if firmware is None else firmware.estimates_option} with odrivetool, or "
                 "device.motors.feedback_hz = 0 to ask for them"
             )
         return ""
@@ -165,26 +193,22 @@ class ODrive(Driver):
         return frames
 
     def command(self, speed_rad_s: FourWheels, torque_n_m: FourWheels, now_ns: int) -> Sequence[Frame]:
-        gear_ratio, to_rad = self._settings.gear_ratio, self._to_rad
+        gear_ratio = self._settings.gear_ratio
         frames = []
         for axis, speed, torque in zip(self._axes, speed_rad_s, torque_n_m, strict=True):
             axis.check_heartbeat(now_ns)
-            if self._is_speed:
-                payload = can.TWO_FLOATS.pack(speed / to_rad, torque / gear_ratio)
+            if self._robot.mode is CommandMode.SPEED:
+                payload = can.TWO_FLOATS.pack(speed / self._to_rad, torque / gear_ratio)
                 frames.append(axis.frame(can.SET_INPUT_VEL, payload))
             else:
                 frames.append(axis.frame(can.SET_INPUT_TORQUE, can.TORQUE.pack(torque / gear_ratio)))
             self._is_armed = self._is_armed and axis.is_closed_loop
-        frames += self._poll()
-        return frames
+        return [*frames, *self._poll()]
 
     def _poll(self) -> Sequence[Frame]:
         """Ask one axis, in turn, for one message; ask all for their estimates if these are not sent unasked."""
         self._turn += 1
-        frames = list(self._axes[self._turn % 4].poll(self._turn // 4))
-        if not self._settings.feedback_hz:
-            frames += [axis.remote(can.GET_ESTIMATES) for axis in self._axes]
-        return frames
+        return [*self._axes[self._turn % 4].poll(self._turn // 4), *self._ask_for_estimates()]
 
     def _stand_down(self) -> None:
         self._is_armed = False
@@ -197,7 +221,7 @@ class ODrive(Driver):
         frames = [axis.frame(*standstill) for axis in self._axes]
         frames += [axis.frame(can.SET_AXIS_STATE, idle) for axis in self._axes]
         # If an error is the cause of this stop, its register may not have been read yet.
-        return frames + [frame for axis in self._axes for frame in axis.ask_for_errors()]
+        return frames + self._of_all(Axis.ask_for_errors)
 
     def estop(self) -> Sequence[Frame]:
         self._stand_down()
@@ -205,63 +229,22 @@ class ODrive(Driver):
 
     def clear(self) -> Sequence[Frame]:
         self._is_armed = False
-        return [frame for axis in self._axes for frame in axis.clear()]
+        return self._of_all(Axis.clear)
 
     # Received frames
 
     def feed(self, frame: Frame, stamp_ns: int) -> None:
         if frame.id & (EXTENDED | REMOTE):
             return
-        axis = self._by_node.get(frame.id >> can.NODE_SHIFT)
+        axis = self._by_id.get(frame.id >> can.NODE_SHIFT)
         if axis is not None:
             axis.feed(frame.id & can.COMMAND_MASK, frame.payload, stamp_ns)
             self._is_armed = self._is_armed and axis.is_closed_loop
 
     @property
-    def sample(self) -> Sample | None:
-        axes = self._axes
-        stamp_ns = oldest(axis.estimates_ns for axis in axes)
-        if stamp_ns is None:
-            return None
-        to_rad = self._to_rad
-        return Sample(
-            stamp_ns,
-            four(axis.speed_rev_s * to_rad for axis in axes),
-            four(axis.position_rev * to_rad for axis in axes),
-            four(axis.current_a for axis in axes),
-            four(axis.temperature_degc for axis in axes),
-            lowest(axis.bus_v for axis in axes),
-            self._battery_a(),
-        )
-
-    def _battery_a(self) -> float:
-        """Return the sum over the boards of firmware 0.6, one axis each. On 0.5 two axes report the same board: NaN."""
-        if all(axis.firmware is FIRMWARE_06 for axis in self._axes):
-            return math.fsum(axis.bus_a for axis in self._axes)
-        return NAN
-
-    @property
     def errors(self) -> Sequence[str]:
-        return [axis.errors for axis in self._axes if axis.has_errors]
-
-    def restart(self) -> None:
-        self._is_armed = False
-        for axis in self._axes:
-            axis.forget()
-
-
-def _dotted(version: tuple[int, int, int]) -> str:
-    return ".".join(map(str, version))
-
-
-def _described(axis: Axis) -> str:
-    if axis.version is None or axis.hardware is None:
-        return "with firmware 0.5.4 or newer of 0.5"
-    return f"with firmware {_dotted(axis.version)} on hardware {_dotted(axis.hardware)}"
-
-
-def _nodes(axes: Sequence[Axis]) -> str:
-    return ", ".join(str(axis.node) for axis in axes)
+        axes = zip(self._names, self._axes, strict=True)
+        return [f"{name}: {axis.errors}" for name, axis in axes if axis.has_errors]
 
 
 DIALECT = Dialect(

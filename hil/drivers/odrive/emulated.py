@@ -13,8 +13,8 @@ from collections.abc import Mapping
 from firmware_protocol.framing import Frame
 from hil.core.types import FourWheels
 from hil.drivers.emulated import EmulatedMotors
+from hil.drivers.odrive.driver import Settings
 from hil.drivers.odrive.emulated_axis import CLOSED_LOOP, ESTOP, IDLE, TRAP_TRAJ, UNADDRESSED, EmulatedAxis
-from hil.drivers.odrive.settings import Settings
 from hil.drivers.port import four
 
 _REMOTE, _STANDARD = 0x4000_0000, 0x7FF

@@ -3,10 +3,10 @@
 from collections.abc import Sequence
 
 from firmware_protocol.framing import Frame
+from hil.drivers.four_motors import found_by_id
 from hil.drivers.odrive import tables as can
 from hil.drivers.odrive.axis import Axis
-from hil.drivers.odrive.settings import Setup
-from hil.drivers.odrive.tables import FIRMWARE_05
+from hil.drivers.odrive.tables import Setup
 from hil.drivers.port import ANSWER_S, EXTENDED, REMOTE, Found, Probe
 
 _NOTHING = Setup(0, (0, b""), ())
@@ -20,13 +20,11 @@ class OdriveProbe(Probe):
     error are asked for: firmware 0.5 would take a remote frame of Set_Axis_Node_ID for a new id.
     """
 
+    patience_s = ANSWER_S
+
     def __init__(self) -> None:
         self._axes: dict[int, Axis] = {}
         self._has_asked = False
-
-    @property
-    def patience_s(self) -> float:
-        return ANSWER_S
 
     def ask(self) -> Sequence[Frame]:
         self._has_asked = True
@@ -37,7 +35,7 @@ class OdriveProbe(Probe):
             return False
         node, command = frame.id >> can.NODE_SHIFT, frame.id & can.COMMAND_MASK
         if command == can.HEARTBEAT and len(frame.payload) == 8 and node < can.BROADCAST and frame.payload[4] < _STATES:
-            self._axes.setdefault(node, Axis(node, "", _NOTHING, late_ns=0))
+            self._axes.setdefault(node, Axis(node, _NOTHING, late_ns=0))
         if node not in self._axes:
             return False
         if command == can.GET_VERSION and not _is_version(frame.payload):
@@ -47,15 +45,10 @@ class OdriveProbe(Probe):
         return True
 
     def found(self) -> Found | None:
-        known = [
-            axis for _, axis in sorted(self._axes.items()) if axis.firmware is not None or axis.version is not None
-        ]
-        if not known:
-            return None
-        nodes = [axis.node for axis in known]
-        drivable = all(axis.firmware is not None for axis in known)
-        motors = {"node_ids": nodes} if drivable and len(nodes) == 4 else None
-        return Found([_sentence(axis) for axis in known], motors, unknown=("device.motors.gear_ratio",))
+        known = [axis for axis in self._axes.values() if axis.firmware is not None or axis.version is not None]
+        sentences = {axis.node: f"an ODrive axis, node {axis.node}, of {axis.firmware_words}" for axis in known}
+        found = found_by_id(sentences, ("device.motors.gear_ratio",), key="node_ids")
+        return found and (found if all(axis.firmware is not None for axis in known) else found._replace(motors=None))
 
 
 def _is_version(payload: bytes) -> bool:
@@ -64,10 +57,3 @@ def _is_version(payload: bytes) -> bool:
         return False
     line, _, _, major, minor, _, unreleased = can.VERSION.unpack(payload)
     return line > 0 and major <= 1 and minor < 32 and (major, minor) >= (0, 6) and unreleased <= 1
-
-
-def _sentence(axis: Axis) -> str:
-    if axis.firmware is FIRMWARE_05:
-        return f"an ODrive axis, node {axis.node}, of firmware 0.5.4 or newer of 0.5"
-    firmware, hardware = (".".join(map(str, version or ())) for version in (axis.version, axis.hardware))
-    return f"an ODrive axis, node {axis.node}, of firmware {firmware} on hardware {hardware}"

@@ -1,13 +1,16 @@
-"""CANSimple of ODrive as data: command ids, payloads, states and error bits, by firmware.
+"""CANSimple of ODrive as data: command ids, payloads, states and error bits, by firmware; and the set-up of an axis.
 
 Source: ODrive, tools/odrive-cansimple.dbc (0.5.6) and Firmware/communication/can/can_simple.cpp; ros_odrive,
 odrive_base/include/can_simple_messages.hpp and odrive_enums.h (0.6). Everything is little-endian, and a frame's
 identifier is ``node << 5 | command``.
 """
 
-from collections.abc import Mapping
+import math
+from collections.abc import Mapping, Sequence
 from struct import Struct
 from typing import NamedTuple
+
+from hil.core.types import CommandMode
 
 NODE_SHIFT, COMMAND_MASK = 5, 0x1F
 BROADCAST = 63
@@ -46,28 +49,11 @@ IDLE, CLOSED_LOOP = 1, 8
 TORQUE_CONTROL, VELOCITY_CONTROL = 1, 2
 PASSTHROUGH = 1
 
-PROCEDURE_RESULTS: Mapping[int, str] = dict(
-    enumerate(
-        [
-            "SUCCESS",
-            "BUSY",
-            "CANCELLED",
-            "DISARMED",
-            "NO_RESPONSE",
-            "POLE_PAIR_CPR_MISMATCH",
-            "PHASE_RESISTANCE_OUT_OF_RANGE",
-            "PHASE_INDUCTANCE_OUT_OF_RANGE",
-            "UNBALANCED_PHASES",
-            "INVALID_MOTOR_TYPE",
-            "ILLEGAL_HALL_STATE",
-            "TIMEOUT",
-            "HOMING_WITHOUT_ENDSTOP",
-            "INVALID_STATE",
-            "NOT_CALIBRATED",
-            "NOT_CONVERGING",
-        ]
-    )
-)
+PROCEDURE_RESULTS = (
+    "SUCCESS", "BUSY", "CANCELLED", "DISARMED", "NO_RESPONSE", "POLE_PAIR_CPR_MISMATCH",
+    "PHASE_RESISTANCE_OUT_OF_RANGE", "PHASE_INDUCTANCE_OUT_OF_RANGE", "UNBALANCED_PHASES", "INVALID_MOTOR_TYPE",
+    "ILLEGAL_HALL_STATE", "TIMEOUT", "HOMING_WITHOUT_ENDSTOP", "INVALID_STATE", "NOT_CALIBRATED", "NOT_CONVERGING",
+)  # fmt: skip
 
 
 def _bits(table: str) -> Mapping[int, str]:
@@ -82,28 +68,21 @@ def _bits(table: str) -> Mapping[int, str]:
     return names
 
 
-ERRORS_06: Mapping[int, str] = _bits(
-    """
+ERRORS_06: Mapping[int, str] = _bits("""
     0: INITIALIZING SYSTEM_LEVEL TIMING_ERROR MISSING_ESTIMATE BAD_CONFIG DRV_FAULT MISSING_INPUT
     8: DC_BUS_OVER_VOLTAGE DC_BUS_UNDER_VOLTAGE DC_BUS_OVER_CURRENT DC_BUS_OVER_REGEN_CURRENT
         CURRENT_LIMIT_VIOLATION MOTOR_OVER_TEMP INVERTER_OVER_TEMP VELOCITY_LIMIT_VIOLATION
         POSITION_LIMIT_VIOLATION REQUESTED_CURRENT_TOO_HIGH
     24: WATCHDOG_TIMER_EXPIRED ESTOP_REQUESTED SPINOUT_DETECTED BRAKE_RESISTOR_DISARMED THERMISTOR_DISCONNECTED
     30: CALIBRATION_ERROR
-    """
-)
-
-AXIS_ERRORS_05: Mapping[int, str] = _bits(
-    """
+""")
+AXIS_ERRORS_05: Mapping[int, str] = _bits("""
     0: INVALID_STATE
     6: MOTOR_FAILED SENSORLESS_ESTIMATOR_FAILED ENCODER_FAILED CONTROLLER_FAILED
     11: WATCHDOG_TIMER_EXPIRED MIN_ENDSTOP_PRESSED MAX_ENDSTOP_PRESSED ESTOP_REQUESTED
     17: HOMING_WITHOUT_ENDSTOP OVER_TEMP UNKNOWN_POSITION
-    """
-)
-
-MOTOR_ERRORS_05: Mapping[int, str] = _bits(
-    """
+""")
+MOTOR_ERRORS_05: Mapping[int, str] = _bits("""
     0: PHASE_RESISTANCE_OUT_OF_RANGE PHASE_INDUCTANCE_OUT_OF_RANGE
     3: DRV_FAULT CONTROL_DEADLINE_MISSED
     7: MODULATION_MAGNITUDE
@@ -114,22 +93,15 @@ MOTOR_ERRORS_05: Mapping[int, str] = _bits(
         SYSTEM_LEVEL BAD_TIMING UNKNOWN_PHASE_ESTIMATE UNKNOWN_PHASE_VEL UNKNOWN_TORQUE UNKNOWN_CURRENT_COMMAND
         UNKNOWN_CURRENT_MEASUREMENT UNKNOWN_VBUS_VOLTAGE UNKNOWN_VOLTAGE_COMMAND UNKNOWN_GAINS
         CONTROLLER_INITIALIZING UNBALANCED_PHASES
-    """
-)
-
-ENCODER_ERRORS_05: Mapping[int, str] = _bits(
-    """
+""")
+ENCODER_ERRORS_05: Mapping[int, str] = _bits("""
     0: UNSTABLE_GAIN CPR_POLEPAIRS_MISMATCH NO_RESPONSE UNSUPPORTED_ENCODER_MODE ILLEGAL_HALL_STATE
         INDEX_NOT_FOUND_YET ABS_SPI_TIMEOUT ABS_SPI_COM_FAIL ABS_SPI_NOT_READY HALL_NOT_CALIBRATED_YET
-    """
-)
-
-CONTROLLER_ERRORS_05: Mapping[int, str] = _bits(
-    """
+""")
+CONTROLLER_ERRORS_05: Mapping[int, str] = _bits("""
     0: OVERSPEED INVALID_INPUT_MODE UNSTABLE_GAIN INVALID_MIRROR_AXIS INVALID_LOAD_ENCODER INVALID_ESTIMATE
         INVALID_CIRCULAR_RANGE SPINOUT_DETECTED
-    """
-)
+""")
 
 
 class ErrorField(NamedTuple):
@@ -198,3 +170,44 @@ def bit_names(word: int, bits: Mapping[int, str]) -> str:
     if unknown := word & ~sum(bits):
         names.append(f"{unknown:#x}")
     return ", ".join(names)
+
+
+def dotted(version: Sequence[int]) -> str:
+    """Return a version as text."""
+    return ".".join(map(str, version))
+
+
+class Endpoint(NamedTuple):
+    """A parameter of firmware 0.6 and the value to set, as bytes: a bool with ``is_switch``, else a float32."""
+
+    name: str
+    number: int
+    target: bytes
+    is_switch: bool
+
+    def is_plausible(self, value: bytes) -> bool:
+        """Return whether a value that was read can belong to this parameter. If not, nothing is written to it."""
+        if self.is_switch:
+            return value[0] in (0, 1)
+        return len(value) == FLOAT.size and math.isfinite(number := FLOAT.unpack(value)[0]) and number >= 0.0
+
+
+class Setup(NamedTuple):
+    """The set-up of every axis: control mode, command (id and payload) of standstill in this mode, and watchdog."""
+
+    control_mode: int
+    standstill: tuple[int, bytes]
+    watchdog: tuple[Endpoint, ...]
+
+
+def setup(watchdog_endpoints: Sequence[int], mode: CommandMode, watchdog_s: float) -> Setup:
+    """Return the set-up of the axes, which is made before they are driven."""
+    if mode is CommandMode.SPEED:
+        control_mode, standstill = VELOCITY_CONTROL, (SET_INPUT_VEL, TWO_FLOATS.pack(0.0, 0.0))
+    else:
+        control_mode, standstill = TORQUE_CONTROL, (SET_INPUT_TORQUE, TORQUE.pack(0.0))
+    if not watchdog_endpoints:
+        return Setup(control_mode, standstill, ())
+    timeout = Endpoint("axis0.config.watchdog_timeout", watchdog_endpoints[0], FLOAT.pack(watchdog_s), False)
+    switch = Endpoint("axis0.config.enable_watchdog", watchdog_endpoints[1], b"\x01", True)
+    return Setup(control_mode, standstill, (timeout, switch))
