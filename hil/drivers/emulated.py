@@ -146,6 +146,11 @@ class Trajectory:
             self.velocity, self.is_complete = target, True
 
 
+def int16(value: float) -> int:
+    """Return the whole part of a value, saturated to 16 bits."""
+    return clamp(int(value), 32767, -32768)
+
+
 SettingsT = TypeVar("SettingsT")
 
 

@@ -1,27 +1,36 @@
-"""Shared by the bases that take a velocity of the body: conversion of wheel speeds and back, and the pace of frames.
+"""Shared by the drivers of bases that take a velocity of the body: conversions, arming, and packets on a serial line.
 
-The base controls its wheels with the wheel radius and lever of its own firmware. Set points of the wheels are reached
-only if they are converted to a twist with these values, so that they are used here where [robot] differs.
+A base controls its wheels with the wheel radius and lever of its own firmware. The wheels reach the commanded speeds
+only if these are converted to a twist with the firmware's values. So the firmware's values are used here, also where
+[robot] has others.
 """
 
 import math
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from typing import ClassVar, Literal
 
+from firmware_protocol.framing import Frame
 from hil.core.errors import BadInputError
 from hil.core.kinematics import BodyTwist, body_twist, wheel_speeds
-from hil.core.types import WHEEL_NAMES, FourWheels
-from hil.drivers.port import RobotFacts, clamp
+from hil.core.types import WHEEL_NAMES, CommandMode, FourWheels
+from hil.drivers.port import Capabilities, Driver, RobotFacts, Sensor, clamp, torques_dropped
 
 LATE_NS = 250_000_000
 """Age beyond which a report is not used; the slowest of these bases reports at 20 Hz."""
 
+Counts = tuple[int, int, int]
+"""A twist in the wire's counts of 0.001 m/s forward, 0.001 m/s left, and 0.001 rad/s."""
+
+_STANDSTILL: Counts = (0, 0, 0)
 _LEAST_GAP_NS = 4_000_000  # the makers' control loops run at 100 Hz, and a frame with its pause takes 3 ms
 _STILL_RAD_S = 0.5  # one encoder count in 10 ms, which is how the makers measure a speed
 _MILLI = 1000.0
 _INT16 = 0x7FFF
 
 
-class TwistBase:
-    """Wheel speeds [rad/s] of FL, FR, RR, RL as three counts of 0.001 m/s, 0.001 m/s and 0.001 rad/s, and back.
+class TwistBase(Driver):
+    """Drives one base with four Mecanum wheels.
 
     ``rim_limit_m_s`` is the firmware's limit of a wheel's rim speed, ``yaw_limit_rad_s`` that of the yaw rate. Beyond
     them all four speeds are scaled together; the firmware would limit each alone, and so change the direction.
@@ -29,31 +38,94 @@ class TwistBase:
     Raises BadInputError if [device] sets a wiring of the wheels, which only the base knows.
     """
 
+    _request: ClassVar[Frame | None] = None
+    """Asks a base for its reports, which it may have stopped; None for a base that always sends them."""
+
     def __init__(
         self,
         title: str,
         robot: RobotFacts,
+        *,
         wheel_radius_m: float,
         lever_m: float,
         rim_limit_m_s: float,
         yaw_limit_rad_s: float = math.inf,
+        feedback_hz: float,
+        sensors: frozenset[Sensor],
+        watchdog: Literal["fixed", "none"] = "none",
+        warnings: Sequence[str],
     ) -> None:
-        if robot.wheel_of_channel != (0, 1, 2, 3) or robot.sign_of_channel != (1, 1, 1, 1):
-            wheels = [WHEEL_NAMES[wheel] for wheel in robot.wheel_of_channel]
-            channels = zip(wheels, robot.sign_of_channel, strict=True)
-            turned = [wheel for wheel, sign in channels if sign < 0]
+        wheels = [WHEEL_NAMES[wheel] for wheel in robot.wheel_of_channel]
+        reversed_wheels = [wheel for wheel, sign in zip(wheels, robot.sign_of_channel, strict=True) if sign < 0]
+        if wheels != list(WHEEL_NAMES) or reversed_wheels:
             raise BadInputError(
-                f"device.wheels = {wheels} with device.reversed = {turned}: {title} takes a velocity of the body and "
-                "knows itself how its wheels are wired; remove both keys"
+                f"device.wheels = {wheels} with device.reversed = {reversed_wheels}: {title} takes a velocity of the "
+                "body and knows itself how its wheels are wired; remove both keys"
             )
         self._wheel_radius_m = wheel_radius_m
         self._lever_m = lever_m
         self._rim_limit_m_s = rim_limit_m_s
         self._yaw_limit_rad_s = yaw_limit_rad_s
         self._sent_ns: int | None = None
+        modes = frozenset({CommandMode.SPEED})
+        self._capabilities = Capabilities(feedback_hz, sensors, modes, is_twist=True, watchdog=watchdog)
+        self._warnings = (*warnings, torques_dropped(title))
+        self.restart()
 
-    def counts(self, speed_rad_s: FourWheels) -> tuple[int, int, int]:
-        """Return the twist of these wheel speeds in the wire's counts, within the firmware's limits."""
+    # Defined by a maker's class
+
+    @abstractmethod
+    def _motion(self, counts: Counts) -> Frame:
+        """Return the frame that commands a twist."""
+
+    @property
+    @abstractmethod
+    def _off(self) -> str | None:
+        """Why the base has switched its motors off, as an error; None while they are on."""
+
+    def _second_stop(self) -> Frame:
+        """Return a stop that is sent after the first one: the base discards a frame that the line has damaged."""
+        return self._motion(_STANDSTILL)
+
+    # As every driver
+
+    def restart(self) -> None:
+        super().restart()
+        self._arming = 0
+
+    def arm(self, now_ns: int) -> Sequence[Frame]:
+        """Send stops until a fresh report says that the wheels stand still and the motors are on.
+
+        While no reports come, every second frame is the request for them.
+        """
+        sample = self.sample
+        is_fresh = sample is not None and now_ns - sample.stamp_ns < LATE_NS
+        is_still = sample is not None and max(map(abs, sample.speed_rad_s)) < _STILL_RAD_S
+        self._is_armed = self._arming > 0 and is_fresh and is_still and self._off is None
+        if not self._is_due(now_ns):
+            return ()
+        self._arming += 1
+        if self._request is not None and not is_fresh and self._arming % 2 == 0:
+            return (self._request,)
+        return (self._motion(_STANDSTILL),)
+
+    def command(self, speed_rad_s: FourWheels, torque_n_m: FourWheels, now_ns: int) -> Sequence[Frame]:
+        if not self._is_due(now_ns):
+            return ()
+        return (self._motion(self._counts_of(speed_rad_s) if self._is_armed else _STANDSTILL),)
+
+    def disarm(self) -> Sequence[Frame]:
+        self._is_armed = False
+        return self._motion(_STANDSTILL), self._second_stop()
+
+    @property
+    def errors(self) -> Sequence[str]:
+        return () if self._off is None else (self._off,)
+
+    # Conversions
+
+    def _counts_of(self, speed_rad_s: FourWheels) -> Counts:
+        """Return the twist of these wheel speeds, within the firmware's limits."""
         rim = self._wheel_radius_m * max(map(abs, speed_rad_s))
         twist = body_twist(speed_rad_s, self._wheel_radius_m, self._lever_m)
         scale = min(
@@ -64,13 +136,12 @@ class TwistBase:
         x, y, turn = (clamp(round(scale * value * _MILLI), _INT16) for value in twist)
         return x, y, turn
 
-    def speeds(self, counts: tuple[int, int, int]) -> FourWheels:
-        """Return the wheel speeds [rad/s] of a twist in the wire's counts, without slip."""
-        x, y, turn = counts
-        twist = BodyTwist(x / _MILLI, y / _MILLI, turn / _MILLI)
+    def _speeds_of(self, counts: Counts) -> FourWheels:
+        """Return the wheel speeds [rad/s] of a twist, without slip."""
+        twist = BodyTwist(*(count / _MILLI for count in counts))
         return wheel_speeds(twist, self._wheel_radius_m, self._lever_m)
 
-    def is_due(self, now_ns: int) -> bool:
+    def _is_due(self, now_ns: int) -> bool:
         """Return whether a frame may be sent now, 4 ms after the last at the earliest; if so, count it as sent."""
         if self._sent_ns is not None and 0 <= now_ns - self._sent_ns < _LEAST_GAP_NS:
             return False
@@ -78,6 +149,49 @@ class TwistBase:
         return True
 
 
-def is_still(speed_rad_s: FourWheels) -> bool:
-    """Return whether no wheel turns, at the resolution of such a base."""
-    return max(map(abs, speed_rad_s)) < _STILL_RAD_S
+class PacketFraming(ABC):
+    """Finds a base's packets in the bytes of a serial line. ``head`` begins each; ``longest`` is the most bytes of one.
+
+    ``rejected`` counts bad packets by the cause, one of ``causes``, and bytes that belong to no packet (``stray``).
+    """
+
+    head: ClassVar[bytes]
+    longest: ClassVar[int]
+    causes: ClassVar[tuple[str, ...]]
+
+    def __init__(self) -> None:
+        self.rejected = dict.fromkeys((*self.causes, "stray"), 0)
+        self._buffer = bytearray()
+
+    @abstractmethod
+    def encode(self, frame: Frame) -> bytes:
+        """Return the bytes for the wire. Raises ValueError for a frame that the base does not take."""
+
+    @abstractmethod
+    def _decode(self, data: bytes) -> tuple[int, list[Frame]] | str | None:
+        """Return length and frames of the packet at the start of ``data``, the cause if it is bad, None if cut off."""
+
+    def feed(self, data: bytes) -> list[Frame]:
+        """Take received bytes, in pieces of any size, and return the frames that they complete."""
+        buffer = self._buffer
+        buffer += data
+        frames: list[Frame] = []
+        at = 0
+        while (begin := buffer.find(self.head, at)) >= 0:
+            self.rejected["stray"] += begin - at
+            at = begin
+            packet = self._decode(bytes(buffer[begin : begin + self.longest]))
+            if packet is None:
+                break
+            if isinstance(packet, str):
+                self.rejected[packet] += 1
+                at += len(self.head)  # the next packet may begin within this one
+            else:
+                at += packet[0]
+                frames += packet[1]
+        else:
+            is_cut = len(self.head) > 1 and buffer[at:].endswith(self.head[:1])
+            self.rejected["stray"] += len(buffer) - is_cut - at
+            at = len(buffer) - is_cut
+        del buffer[:at]
+        return frames

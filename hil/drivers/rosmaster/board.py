@@ -1,7 +1,7 @@
 """The cars that a Rosmaster board can be set to, the questions for version and car, and the driver's settings."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Annotated, Literal, NamedTuple
 
@@ -14,6 +14,9 @@ CAR_TYPE, REQUEST, VERSION = 0x15, 0x50, 0x51
 KNOWN_MAJOR = 3
 
 
+CarName = Literal["x3", "x3_plus"]
+
+
 class Car(NamedTuple):
     """A type of car, by its number, and the geometry that the firmware uses for it (app_mecanum.h, app_motion.h)."""
 
@@ -24,7 +27,7 @@ class Car(NamedTuple):
     rim_limit_m_s: float
 
 
-CARS = {
+CARS: Mapping[CarName, Car] = {
     "x3": Car(1, 0.204203 / math.tau, 0.164555, 30 * 11 * 4, 1.0),
     "x3_plus": Car(2, 0.251327 / math.tau, 0.2141, 56 * 11 * 4, 0.7),
 }
@@ -39,7 +42,7 @@ class Settings:
     the motors off until a reset.
     """
 
-    car: Literal["x3", "x3_plus"] = "x3"
+    car: CarName = "x3"
     wheel_radius_m: Annotated[float, NOT_NEGATIVE] = 0.0
     lever_m: Annotated[float, NOT_NEGATIVE] = 0.0
     counts_per_turn: Annotated[float, NOT_NEGATIVE] = 0.0
@@ -74,7 +77,7 @@ class Identity:
     def ask(self) -> Sequence[Frame]:
         """Return one question: the board has room for one message only."""
         self._turn += 1
-        return (_request(VERSION if self._turn % 2 else CAR_TYPE),)
+        return (Frame(REQUEST, bytes([VERSION if self._turn % 2 else CAR_TYPE, 0])),)
 
     def feed(self, frame: Frame) -> None:
         """Take a frame. It changes nothing unless it answers one of the questions."""
@@ -87,9 +90,8 @@ class Identity:
 
     def describe(self) -> str:
         """Return firmware version and car in words."""
-        return (
-            f"a Rosmaster board, firmware {'.'.join(map(str, self.version or ()))}, set to {car_name(self.car_number)}"
-        )
+        version = ".".join(map(str, self.version or ()))
+        return f"a Rosmaster board, firmware {version}, set to {car_name(self.car_number)}"
 
 
 class RosmasterProbe(Probe):
@@ -113,9 +115,8 @@ class RosmasterProbe(Probe):
         board = self._identity
         if board.version is None or board.car_number is None:
             return None
-        is_known = board.version[0] == KNOWN_MAJOR
-        names = [name for name, car in CARS.items() if car.number == board.car_number and is_known]
-        if not names:
+        names = [name for name, car in CARS.items() if car.number == board.car_number]
+        if not names or board.version[0] != KNOWN_MAJOR:
             return Found([board.describe()], None)
         car = CARS[names[0]]
         geometry = (
@@ -130,10 +131,6 @@ class RosmasterProbe(Probe):
             "firmware.counts_per_revolution": car.counts_per_turn,
         }
         return Found([board.describe(), geometry], {"car": names[0]}, known)
-
-
-def _request(function: int) -> Frame:
-    return Frame(REQUEST, bytes([function, 0]))
 
 
 def car_name(number: int | None) -> str:

@@ -16,10 +16,10 @@ from typing import NamedTuple
 
 from firmware_protocol.framing import Frame
 from hil.core.errors import BadInputError
-from hil.core.types import NAN, CommandMode, FourWheels
-from hil.drivers.port import Capabilities, Dialect, Driver, RobotFacts, Sample, four, holds_back, torques_dropped
+from hil.core.types import NAN
+from hil.drivers.port import Dialect, RobotFacts, Sample, four, holds_back
 from hil.drivers.rosmaster.board import BAUD, CARS, KNOWN_MAJOR, Identity, RosmasterProbe, Settings, car_name
-from hil.drivers.twist_base import LATE_NS, TwistBase, is_still
+from hil.drivers.twist_base import LATE_NS, Counts, PacketFraming, TwistBase
 
 # The board has one receive buffer and reads it once per millisecond. Two frames within that time may destroy each
 # other, even two stops. So a pause follows each frame, made of bytes that cannot begin a frame.
@@ -27,57 +27,35 @@ PAUSE = bytes(18)
 """1.6 ms at 115200 baud. The maker's library waits 2 ms from write to write, which leaves half as long a pause."""
 
 _TO_BOARD = b"\xff\xfc"
-_FROM_BOARD = b"\xff\xfb"
 _LEAST = 3  # length, function, sum
 _MOST = 32  # the longest report, of an IMU, has 21
 
 
-class RosmasterFraming:
+class RosmasterFraming(PacketFraming):
     """The host's framing. ``rejected`` counts wrong lengths, wrong checksums, and bytes that belong to no frame."""
 
-    def __init__(self) -> None:
-        self.rejected = {"length": 0, "checksum": 0, "stray": 0}
-        self._buffer = bytearray()
+    head = b"\xff\xfb"
+    longest = len(head) + _MOST
+    causes = ("length", "checksum")
 
     def encode(self, frame: Frame) -> bytes:
-        """Return the bytes for the wire. Raises ValueError for a payload that is too long for the board."""
         length = _LEAST + len(frame.payload)
         if length > _MOST:
             raise ValueError(f"a payload of {len(frame.payload)} bytes: expected at most {_MOST - _LEAST}")
         body = bytes([length, frame.id]) + frame.payload
         return _TO_BOARD + body + bytes([sum(body) & 0xFF]) + PAUSE
 
-    def feed(self, data: bytes) -> list[Frame]:
-        """Take received bytes, in pieces of any size, and return the frames that they complete."""
-        buffer = self._buffer
-        buffer += data
-        frames: list[Frame] = []
-        at = 0
-        while (begin := buffer.find(_FROM_BOARD, at)) >= 0:
-            self.rejected["stray"] += begin - at
-            at = begin
-            if begin + 2 >= len(buffer):
-                break
-            length = buffer[begin + 2]
-            end = begin + 2 + length
-            if not _LEAST <= length <= _MOST:
-                self.rejected["length"] += 1
-                at += 2
-            elif end > len(buffer):
-                break
-            elif sum(buffer[begin + 2 : end - 1]) & 0xFF != buffer[end - 1]:
-                # The next frame may begin within one that was cut off: search from its third byte.
-                self.rejected["checksum"] += 1
-                at += 2
-            else:
-                frames.append(Frame(buffer[begin + 3], bytes(buffer[begin + 4 : end - 1])))
-                at = end
-        else:
-            keep = 1 if buffer[at:].endswith(_FROM_BOARD[:1]) else 0
-            self.rejected["stray"] += len(buffer) - keep - at
-            at = len(buffer) - keep
-        del buffer[:at]
-        return frames
+    def _decode(self, data: bytes) -> tuple[int, list[Frame]] | str | None:
+        if len(data) <= 2:
+            return None
+        end = 2 + data[2]
+        if not _LEAST <= data[2] <= _MOST:
+            return "length"
+        if len(data) < end:
+            return None
+        if sum(data[2 : end - 1]) & 0xFF != data[end - 1]:
+            return "checksum"
+        return end, [Frame(data[3], data[4 : end - 1])]
 
 
 AUTO_REPORT, RESET_STATE, MOTION = 0x01, 0x0F, 0x12
@@ -103,36 +81,32 @@ class Imu(NamedTuple):
 IMUS = {MPU_REPORT: Imu(-3754.9, 1671.84), ICM_REPORT: Imu(1000.0, 1000.0)}
 
 
-class Rosmaster(Driver):
+class Rosmaster(TwistBase):
     """Drives one board with four Mecanum wheels."""
+
+    _request = Frame(AUTO_REPORT, bytes([1, 0]))  # 0: not saved, so a reset ends it
 
     def __init__(self, settings: Settings, robot: RobotFacts) -> None:
         self._settings = settings
-        self._car = settings.geometry
-        self._base = TwistBase(
-            "a Rosmaster", robot, self._car.wheel_radius_m, self._car.lever_m, self._car.rim_limit_m_s
-        )
-        self._capabilities = Capabilities(
-            modes=frozenset({CommandMode.SPEED}),
-            is_twist=True,
+        car = self._car = settings.geometry
+        super().__init__(
+            "a Rosmaster",
+            robot,
+            wheel_radius_m=car.wheel_radius_m,
+            lever_m=car.lever_m,
+            rim_limit_m_s=car.rim_limit_m_s,
             feedback_hz=25.0,
             sensors=frozenset({"position", "battery_voltage", "gyro", "accelerometer"}),
-            adds_torque=False,
-            watchdog="none",
-            latches_estop=False,
+            warnings=[
+                "when commands end a Rosmaster drives on for ever with the last one: if this computer loses power, "
+                "hangs, or loses the cable, nothing stops the robot; keep its power switch within reach"
+            ],
         )
-        self._warnings = (
-            "when commands end a Rosmaster drives on for ever with the last one: if this computer loses power, hangs, "
-            "or loses the cable, nothing stops the robot; keep its power switch within reach",
-            torques_dropped("a Rosmaster"),
-        )
-        self.restart()
 
     def restart(self) -> None:
         super().restart()
         self._identity = Identity()
-        self._arming = 0
-        self._twist: tuple[int, int, int] | None = None
+        self._twist: Counts | None = None
         self._twist_ns = 0
         self._battery_v = NAN
         self._battery_bad_ns: int | None = None
@@ -159,12 +133,10 @@ class Rosmaster(Driver):
                 "as Yahboom's page of the board says"
             )
         if board.car_number != self._car.number:
-            known = [name for name, car in CARS.items() if car.number == board.car_number]
-            remedy = (
-                f'write device.motors.car = "{known[0]}"'
-                if known
-                else "set the board to X3 or X3 PLUS with Yahboom's tool"
-            )
+            known = [
+                f'write device.motors.car = "{name}"' for name, car in CARS.items() if car.number == board.car_number
+            ]
+            remedy = (*known, "set the board to X3 or X3 PLUS with Yahboom's tool")[0]
             raise BadInputError(
                 f"the Rosmaster board is set to {car_name(board.car_number)}, and device.motors.car is "
                 f"{self._settings.car!r}; {remedy}"
@@ -174,42 +146,17 @@ class Rosmaster(Driver):
     @property
     def missing(self) -> str:
         answers = {"version": self._identity.version, "car": self._identity.car_number}
-        unknown = [name for name, answer in answers.items() if answer is None]
-        if not unknown:
-            return ""
-        return (
-            f"the Rosmaster board has not reported its {' and its '.join(unknown)}; check its power, the cable, "
+        unknown = " and its ".join(name for name, answer in answers.items() if answer is None)
+        return unknown and (
+            f"the Rosmaster board has not reported its {unknown}; check its power, the cable, "
             f"baud={BAUD} in the link, that the port is the board's, and that no other program reads from it"
         )
 
-    def arm(self, now_ns: int) -> Sequence[Frame]:
-        """Send stops and, while no reports come, the request for them, until a report says that the wheels stand."""
-        sample = self.sample
-        is_fresh = sample is not None and now_ns - sample.stamp_ns < LATE_NS
-        self._is_armed = (
-            self._arming > 0  # a stop was sent
-            and is_fresh
-            and sample is not None
-            and is_still(sample.speed_rad_s)
-            and not self._is_battery_bad
-        )
-        if not self._base.is_due(now_ns):
-            return ()
-        self._arming += 1
-        return (self._motion((0, 0, 0)) if is_fresh or self._arming % 2 else _REPORT_ON,)
-
-    def command(self, speed_rad_s: FourWheels, torque_n_m: FourWheels, now_ns: int) -> Sequence[Frame]:
-        if not self._base.is_due(now_ns):
-            return ()
-        return (self._motion(self._base.counts(speed_rad_s) if self._is_armed else (0, 0, 0)),)
-
-    def disarm(self) -> Sequence[Frame]:
-        """Return two frames, each of which brakes alone: the board discards a damaged frame."""
-        self._is_armed = False
-        return self._motion((0, 0, 0)), Frame(RESET_STATE, bytes([_CONFIRM]))
-
-    def _motion(self, counts: tuple[int, int, int]) -> Frame:
+    def _motion(self, counts: Counts) -> Frame:
         return Frame(MOTION, _MOTION.pack(self._car.number, *counts))
+
+    def _second_stop(self) -> Frame:
+        return Frame(RESET_STATE, bytes([_CONFIRM]))
 
     def feed(self, frame: Frame, stamp_ns: int) -> None:
         number, payload = frame
@@ -239,9 +186,8 @@ class Rosmaster(Driver):
         self._is_armed = self._is_armed and not self._is_battery_bad
 
     def _feed_counts(self, counts: tuple[int, ...]) -> None:
-        for motor, count in enumerate(counts):
-            step = 0 if self._counts is None else count - self._counts[motor]
-            self._turned[_WHEEL_OF_MOTOR[motor]] += (step + _WRAP // 2) % _WRAP - _WRAP // 2
+        for motor, (count, last) in enumerate(zip(counts, self._counts or counts, strict=True)):
+            self._turned[_WHEEL_OF_MOTOR[motor]] += (count - last + _WRAP // 2) % _WRAP - _WRAP // 2
         self._counts = counts
 
     @property
@@ -257,7 +203,7 @@ class Rosmaster(Driver):
         has_imu = self._twist_ns - self._imu_ns <= LATE_NS
         return Sample(
             holds_back(self._twist_ns, self._counts_ns, LATE_NS),
-            self._base.speeds(self._twist),
+            self._speeds_of(self._twist),
             four(count * to_rad for count in self._turned),
             battery_v=self._battery_v,
             acceleration_m_s2=self._acceleration_m_s2 if has_imu else (NAN, NAN, NAN),
@@ -265,17 +211,16 @@ class Rosmaster(Driver):
         )
 
     @property
-    def errors(self) -> Sequence[str]:
+    def _off(self) -> str | None:
         if not self._is_battery_bad:
-            return ()
+            return None
         low, high = self._settings.battery_low_v, self._settings.battery_high_v
         return (
             f"the battery of the Rosmaster has {self._battery_v:g} V; outside {low:g} to {high:g} V "
-            "(device.motors.battery_low_v and battery_high_v) its firmware switches all motors off until a reset",
+            "(device.motors.battery_low_v and battery_high_v) its firmware switches all motors off until a reset"
         )
 
 
-_REPORT_ON = Frame(AUTO_REPORT, bytes([1, 0]))  # 0: not saved, so a reset ends it
 DIALECT = Dialect(
     title="Yahboom Rosmaster",
     wires=frozenset({"serial"}),

@@ -11,18 +11,19 @@ or servos are ignored.
 import math
 import struct
 from collections.abc import Sequence
+from dataclasses import replace
 
 from firmware_protocol.framing import Frame
+from hil.core.kinematics import body_twist, wheel_speeds
 from hil.core.types import FourWheels
-from hil.drivers.emulated import EmulatedMotors
+from hil.drivers.emulated import EmulatedMotors, int16
 from hil.drivers.port import clamp, four
-from hil.drivers.rosmaster.board import Settings
+from hil.drivers.rosmaster.board import CARS, Settings
 
 _BYTES_PER_TICK = 115200 / 10 / 1000
 _BUFFER = 50
+_HEAD = b"\xff\xfc"
 _HOST_BUFFER = 4096  # bytes that a serial driver accepts before a writer has to wait; here further bytes are lost
-_CAR_NUMBERS = {"x3": 1, "x3_plus": 2}
-_WHEELS = {"x3": (204.203, 164.555, 1320, 1000), "x3_plus": (251.327, 214.1, 2464, 700)}  # mm, mm, counts, mm/s
 _REPORT_TICKS = 40
 _BATTERY_CHECKS = 20
 _TICK_S = 0.001
@@ -45,18 +46,14 @@ class _Receiver:
         self._is_new = False
 
     def take(self, byte: int) -> None:
-        if self._step == 0:
-            self._step = 1 if byte == 0xFF else 0
-        elif self._step == 1:
-            self._step = 2 if byte == 0xFC else 0
+        if self._step < 2:
+            self._step = self._step + 1 if byte == _HEAD[self._step] else 0
+        elif self._step == 2 and byte + 2 >= _BUFFER:
+            self._step = 0
         elif self._step == 2:
-            if byte + 2 >= _BUFFER:
-                self._step = 0
-                return
             self._length = byte + 2
             self._buffer[2] = byte
-            self._at = 3
-            self._step = 3
+            self._at = self._step = 3
         else:
             self._buffer[self._at] = byte
             self._at += 1
@@ -71,19 +68,15 @@ class _Receiver:
         found = bytes(self._buffer[2 : self._length])
         self._is_new = False
         self._length = 0
-        if len(found) < 3 or sum(found[:-1]) % 256 != found[-1]:
-            return None
-        return found[1], found[2:-1]
+        return (found[1], found[2:-1]) if len(found) >= 3 and sum(found[:-1]) % 256 == found[-1] else None
 
 
 class EmulatedRosmaster(EmulatedMotors[Settings]):
     """Emulates the board. ``version`` and ``car_number`` are what it answers when asked for them."""
 
     def power_on(self) -> None:
-        settings = self.settings
-        self._battery_v_limits = settings.battery_low_v, settings.battery_high_v
         self.version = (3, 5)
-        self._set_car(settings.car)
+        self._set_car(CARS[self.settings.car].number)
         self._line = bytearray()
         self._credit = 0.0
         self._receiver = _Receiver()
@@ -103,13 +96,13 @@ class EmulatedRosmaster(EmulatedMotors[Settings]):
     def is_driving(self) -> bool:
         return self._targets_mm_s is not None or self._percents is not None
 
-    def _set_car(self, car: str) -> None:
-        circle_mm, lever_mm, counts, self._limit_mm_s = _WHEELS[car]
-        self.car_number = _CAR_NUMBERS[car]
-        self._radius_mm = self.settings.wheel_radius_m * 1e3 or circle_mm / math.tau
-        self._lever_mm = self.settings.lever_m * 1e3 or lever_mm
-        self._counts_per_turn = self.settings.counts_per_turn or counts
-        self._has_counts = False
+    def _set_car(self, number: int) -> None:
+        """Take the geometry of a car; another number than those of CARS changes nothing."""
+        for name, car in CARS.items():
+            if car.number == number:
+                self.car_number = number
+                self._car = replace(self.settings, car=name).geometry
+                self._has_counts = False
 
     def feed(self, data: bytes) -> None:
         self._line += data[: _HOST_BUFFER - len(self._line)]
@@ -139,9 +132,7 @@ class EmulatedRosmaster(EmulatedMotors[Settings]):
         elif frame.id == 0x13 and len(data) == 7:
             self._set_pid(*struct.unpack("<3H", data[:6]))
         elif frame.id == 0x15 and len(data) == 2:
-            for car, number in _CAR_NUMBERS.items():
-                if data[0] == number:
-                    self._set_car(car)
+            self._set_car(data[0])
 
     def receive(self, frame: Frame) -> None:
         """Ignore CAN frames: the board is on a serial line."""
@@ -154,22 +145,24 @@ class EmulatedRosmaster(EmulatedMotors[Settings]):
             self.say(Frame(function, answers[function]))
 
     def _move(self, x_mm_s: int, y_mm_s: int, turn_mrad_s: int) -> None:
-        if x_mm_s == 0 and y_mm_s == 0 and turn_mrad_s == 0:
+        if any((x_mm_s, y_mm_s, turn_mrad_s)):
+            self._go(x_mm_s, y_mm_s, turn_mrad_s)
+        else:
             self._stop(is_braking=True)
-            return
-        self._go(x_mm_s, y_mm_s, turn_mrad_s)
 
     def _go(self, x_mm_s: int, y_mm_s: int, turn_mrad_s: int) -> None:
         self._percents = None
-        turn = turn_mrad_s / 1000.0 * self._lever_mm
-        limit = self._limit_mm_s
-        speeds = (x_mm_s - y_mm_s - turn, x_mm_s + y_mm_s + turn, x_mm_s - y_mm_s + turn, x_mm_s + y_mm_s - turn)
-        self._targets_mm_s = tuple(clamp(int(speed), limit) for speed in speeds)
+        rims = wheel_speeds((x_mm_s, y_mm_s, turn_mrad_s / 1000.0), 1.0, self._car.lever_m * 1000.0)
+        self._targets_mm_s = tuple(clamp(int(speed), self._limit_mm_s) for speed in rims)
+
+    @property
+    def _limit_mm_s(self) -> int:
+        return round(self._car.rim_limit_m_s * 1000.0)
 
     def _run(self, state: int, speed_cm_s: int) -> None:
         """Drive in one direction (FUNC_CAR_RUN). In 16-bit arithmetic a negative speed drives the opposite way."""
         speed = speed_cm_s * 10 % 65536
-        if self.car_number == _CAR_NUMBERS["x3_plus"]:
+        if self.car_number == CARS["x3_plus"].number:
             speed = min(speed, self._limit_mm_s)
         if state in (_STOP, _BRAKE):
             self._stop(is_braking=state == _BRAKE or speed != 0)
@@ -217,9 +210,9 @@ class EmulatedRosmaster(EmulatedMotors[Settings]):
             self._check_battery()
         if self._is_reporting and not self._is_off:
             self._report(self.ticks % _REPORT_TICKS)
-        speeds = [shaft.speed_rad_s for shaft in self.shafts]
+        speeds = self.speeds_rad_s
         if self._targets_mm_s is not None:
-            targets = [speed / self._radius_mm for speed in self._targets_mm_s]
+            targets = [speed / 1000.0 / self._car.wheel_radius_m for speed in self._targets_mm_s]
             return four(loop.torque(*pair) for loop, *pair in zip(self._loops, targets, speeds, strict=True))
         if self._percents is not None:
             fl, rl, fr, rr = (
@@ -243,54 +236,44 @@ class EmulatedRosmaster(EmulatedMotors[Settings]):
         self._credit += _BYTES_PER_TICK
         count = min(int(self._credit), len(self._line))
         self._credit = min(self._credit - count, 1.0)
-        for byte in bytes(self._line[:count]):
+        for byte in self._line[:count]:
             self._receiver.take(byte)
         del self._line[:count]
-        found = self._receiver.look()
-        if found is not None:
+        if (found := self._receiver.look()) is not None:
             self.take(Frame(*found))
 
     def _measure(self) -> None:
         """Compute the speeds from the counts of 10 ms; one count is 15 mm/s on an X3."""
-        counts = four(math.floor(shaft.position_rad / math.tau * self._counts_per_turn) for shaft in self.shafts)
-        per_count = 100.0 * math.tau * self._radius_mm / self._counts_per_turn
+        per_turn = self._car.counts_per_turn
+        counts = four(math.floor(shaft.position_rad / math.tau * per_turn) for shaft in self.shafts)
+        per_count = 100.0 * math.tau * self._car.wheel_radius_m * 1000.0 / per_turn
         before = self._counts if self._has_counts else counts
         self._has_counts = True
         self._speeds_mm_s = four(per_count * (now - then) for now, then in zip(counts, before, strict=True))
         self._counts = counts
 
     def _check_battery(self) -> None:
-        low, high = self._battery_v_limits
-        self._bad_checks = 0 if low < self.battery_v < high else self._bad_checks + 1
+        is_good = self.settings.battery_low_v < self.battery_v < self.settings.battery_high_v
+        self._bad_checks = 0 if is_good else self._bad_checks + 1
         if self._bad_checks > _BATTERY_CHECKS:
             self._is_off = True
             self._stop(is_braking=False)
 
     def _report(self, phase: int) -> None:
-        fl, fr, rr, rl = self._speeds_mm_s
         if phase == 1:
-            x = (fl + rl + fr + rr) / 4
-            y = -(fl - rl - fr + rr) / 4
-            turn = -(fl + rl - fr - rr) / 4 / self._lever_mm * 1000
+            x, y, turn = body_twist(self._speeds_mm_s, 1.0, self._car.lever_m * 1000.0)
             volts = clamp(int(self.battery_v * 10), 255, 0)
-            self.say(Frame(0x0A, struct.pack("<3hB", _int16(x), _int16(y), _int16(turn), volts)))
+            self.say(Frame(0x0A, struct.pack("<3hB", int16(x), int16(y), int16(turn * 1000), volts)))
         elif phase == 11:
-            rates = [_int16(rate * 1000) for rate in self.gyro_rad_s]
-            forces = [_int16(force * 1000) for force in self.acceleration_m_s2]
-            self.say(Frame(0x0E, struct.pack("<9h", *rates, *forces, 0, 0, 0)))
+            values = [*self.gyro_rad_s, *self.acceleration_m_s2]
+            self.say(Frame(0x0E, struct.pack("<9h", *(int16(value * 1000) for value in values), 0, 0, 0)))
         elif phase == 21:
             x, y, z = self.acceleration_m_s2
-            roll, pitch = math.atan2(y, z), math.atan2(-x, math.hypot(y, z))
-            self.say(
-                Frame(0x0C, struct.pack("<3h", *(_int16(angle * 10000) for angle in (roll, pitch, self._yaw_rad))))
-            )
+            angles = math.atan2(y, z), math.atan2(-x, math.hypot(y, z)), self._yaw_rad
+            self.say(Frame(0x0C, struct.pack("<3h", *(int16(angle * 10000) for angle in angles))))
         elif phase == 31:
-            front_left, front_right, rear_right, rear_left = (count & 0xFFFF_FFFF for count in self._counts)
-            self.say(Frame(0x0D, struct.pack("<4I", front_left, rear_left, front_right, rear_right)))
-
-
-def _int16(value: float) -> int:
-    return clamp(int(value), 32767, -32768)
+            fl, fr, rr, rl = (count & 0xFFFF_FFFF for count in self._counts)
+            self.say(Frame(0x0D, struct.pack("<4I", fl, rl, fr, rr)))
 
 
 def _framed(frame: Frame) -> bytes:

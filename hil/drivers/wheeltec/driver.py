@@ -12,7 +12,6 @@ the default, not to.
 """
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import reduce
 from operator import xor
@@ -21,14 +20,13 @@ from typing import Annotated
 
 from firmware_protocol.framing import Frame
 from hil.core.options import NOT_NEGATIVE, POSITIVE
-from hil.core.types import NAN, CommandMode, FourWheels
-from hil.drivers.port import Capabilities, Dialect, Driver, Found, Probe, RobotFacts, Sample, torques_dropped
-from hil.drivers.twist_base import LATE_NS, TwistBase, is_still
+from hil.core.types import NAN
+from hil.drivers.port import Dialect, Found, Probe, RobotFacts, Sample
+from hil.drivers.twist_base import Counts, PacketFraming, TwistBase
 
 COMMAND = 0x181
 REPORTS = (0x101, 0x102, 0x103)
 HEAD, TAIL = 0x7B, 0x7D
-REPORT_BYTES = 24
 
 COMMAND_NUMBERS = Struct(">3hxx")
 IN_STEP = bytes(10)
@@ -44,46 +42,31 @@ def checksum(data: bytes | bytearray) -> int:
     return reduce(xor, data, 0)
 
 
-class WheeltecFraming:
+class WheeltecFraming(PacketFraming):
     """Translates the 24 bytes of a serial report to three CAN frames, and the CAN frame of a command to 11 bytes.
 
     ``rejected`` counts packets without their tail byte, wrong checksums, and bytes that belong to no packet.
     """
 
-    def __init__(self) -> None:
-        self.rejected = {"tail": 0, "checksum": 0, "stray": 0}
-        self._buffer = bytearray()
+    head = bytes([HEAD])
+    longest = 24
+    causes = ("tail", "checksum")
 
     def encode(self, frame: Frame) -> bytes:
-        """Return the bytes of a command for the serial line. Raises ValueError for any other frame."""
         if frame.id != COMMAND or len(frame.payload) != COMMAND_NUMBERS.size:
             raise ValueError(f"frame 0x{frame.id:X} with {len(frame.payload)} bytes: expected 0x181 with 8")
         # In newer firmware a third byte of 0 asks the board to stop when commands end.
         body = _COMMAND_WIRE.pack(HEAD, *COMMAND_NUMBERS.unpack(frame.payload))
         return IN_STEP + body + bytes([checksum(body), TAIL])
 
-    def feed(self, data: bytes) -> list[Frame]:
-        """Take received bytes, in pieces of any size, and return the frames that they complete."""
-        buffer = self._buffer
-        buffer += data
-        frames: list[Frame] = []
-        at = 0
-        while (begin := buffer.find(HEAD, at)) >= 0 and begin + REPORT_BYTES <= len(buffer):
-            self.rejected["stray"] += begin - at
-            whole = bytes(buffer[begin : begin + REPORT_BYTES])
-            if whole[-1] != TAIL:
-                self.rejected["tail"] += 1
-                at = begin + 1  # a byte of the data may look like a head
-            elif checksum(whole[:-2]) != whole[-2]:
-                self.rejected["checksum"] += 1
-                at = begin + 1
-            else:
-                frames += (Frame(number, whole[8 * i : 8 * i + 8]) for i, number in enumerate(REPORTS))
-                at = begin + REPORT_BYTES
-        begin = len(buffer) if begin < 0 else begin
-        self.rejected["stray"] += begin - at
-        del buffer[:begin]
-        return frames
+    def _decode(self, data: bytes) -> tuple[int, list[Frame]] | str | None:
+        if len(data) < self.longest:
+            return None
+        if data[-1] != TAIL:
+            return "tail"
+        if checksum(data[:-2]) != data[-2]:
+            return "checksum"
+        return self.longest, [Frame(number, data[8 * i : 8 * i + 8]) for i, number in enumerate(REPORTS)]
 
 
 _REPORT = Struct(">BB3h3h3hHBB")
@@ -145,45 +128,36 @@ class Report:
         return True
 
 
-class Wheeltec(Driver):
+class Wheeltec(TwistBase):
     """Drives one base with four Mecanum wheels."""
 
     def __init__(self, settings: Settings, robot: RobotFacts) -> None:
         self._settings = settings
         limit = settings.speed_limit_m_s
-        self._base = TwistBase(
+        super().__init__(
             "a WHEELTEC base",
             robot,
-            settings.wheel_radius_m or robot.wheel_radius_m,
-            settings.lever_m or robot.lever_m,
+            wheel_radius_m=settings.wheel_radius_m or robot.wheel_radius_m,
+            lever_m=settings.lever_m or robot.lever_m,
             rim_limit_m_s=limit,
             yaw_limit_rad_s=limit,
-        )
-        self._capabilities = Capabilities(
-            modes=frozenset({CommandMode.SPEED}),
-            is_twist=True,
             feedback_hz=20.0,
             sensors=frozenset({"battery_voltage", "gyro", "accelerometer"}),
-            adds_torque=False,
             watchdog="fixed" if settings.stops_on_silence else "none",
-            latches_estop=False,
+            warnings=[
+                "for 12 s after it is switched on a WHEELTEC base ignores commands, and drives 0.4 m forward to test "
+                "itself",
+                "a WHEELTEC base may drive on for 1 s when commands end"
+                if settings.stops_on_silence
+                else "when commands end a WHEELTEC base drives on for ever with the last one, unless its firmware was "
+                "built with SecurityLevel 0: if this computer loses power, hangs, or loses the cable, nothing stops "
+                "the robot; keep its emergency stop within reach",
+            ],
         )
-        self._warnings = (
-            "for 12 s after it is switched on a WHEELTEC base ignores commands, and drives 0.4 m forward to test "
-            "itself",
-            "a WHEELTEC base may drive on for 1 s when commands end"
-            if settings.stops_on_silence
-            else "when commands end a WHEELTEC base drives on for ever with the last one, unless its firmware was "
-            "built with SecurityLevel 0: if this computer loses power, hangs, or loses the cable, nothing stops the "
-            "robot; keep its emergency stop within reach",
-            torques_dropped("a WHEELTEC base"),
-        )
-        self.restart()
 
     def restart(self) -> None:
         super().restart()
         self._report = Report()
-        self._has_stopped = False
 
     @property
     def identity(self) -> str | None:
@@ -198,30 +172,8 @@ class Wheeltec(Driver):
             f"with baud={_BAUD} in the link, or its CAN, at 1 Mbit/s"
         )
 
-    def arm(self, now_ns: int) -> Sequence[Frame]:
-        """Send stops, until a fresh report says that the wheels stand still and the motors are on."""
-        report = self._report
-        self._is_armed = (
-            self._has_stopped
-            and report.stamp_ns is not None
-            and now_ns - report.stamp_ns < LATE_NS
-            and is_still(self._base.speeds(report.twist))
-            and not report.is_stopped
-        )
-        if not self._base.is_due(now_ns):
-            return ()
-        self._has_stopped = True
-        return (_STOP,)
-
-    def command(self, speed_rad_s: FourWheels, torque_n_m: FourWheels, now_ns: int) -> Sequence[Frame]:
-        if not self._base.is_due(now_ns):
-            return ()
-        return (_command(self._base.counts(speed_rad_s)) if self._is_armed else _STOP,)
-
-    def disarm(self) -> Sequence[Frame]:
-        """Return the stop twice: the base ignores a frame that the line has damaged."""
-        self._is_armed = False
-        return _STOP, _STOP
+    def _motion(self, counts: Counts) -> Frame:
+        return Frame(COMMAND, COMMAND_NUMBERS.pack(*counts))
 
     def feed(self, frame: Frame, stamp_ns: int) -> None:
         if self._report.feed(frame, stamp_ns) and self._report.is_stopped:
@@ -234,27 +186,21 @@ class Wheeltec(Driver):
             return None
         return Sample(
             report.stamp_ns,
-            self._base.speeds(report.twist),
+            self._speeds_of(report.twist),
             battery_v=report.battery_v,
             acceleration_m_s2=report.acceleration_m_s2,
             yaw_rate_rad_s=report.yaw_rate_rad_s,
         )
 
     @property
-    def errors(self) -> Sequence[str]:
-        report = self._report
-        if not report.is_stopped:
-            return ()
-        low = self._settings.battery_low_v
-        if report.battery_v < low:
-            return (
-                f"the WHEELTEC base has switched its motors off: its battery has {report.battery_v:g} V, less than "
-                f"device.motors.battery_low_v = {low:g}",
-            )
-        return (
-            "the WHEELTEC base has switched its motors off: its emergency stop is pressed, its key is off, or its "
-            "self-test at the start has failed",
-        )
+    def _off(self) -> str | None:
+        if not self._report.is_stopped:
+            return None
+        battery_v, low_v = self._report.battery_v, self._settings.battery_low_v
+        reason = "its emergency stop is pressed, its key is off, or its self-test at the start has failed"
+        if battery_v < low_v:
+            reason = f"its battery has {battery_v:g} V, less than device.motors.battery_low_v = {low_v:g}"
+        return f"the WHEELTEC base has switched its motors off: {reason}"
 
 
 class _Probe(Probe):
@@ -274,11 +220,6 @@ class _Probe(Probe):
         return Found([f"a WHEELTEC base, battery {self._report.battery_v:g} V"], {}, unknown=unknown)
 
 
-def _command(counts: tuple[int, int, int]) -> Frame:
-    return Frame(COMMAND, COMMAND_NUMBERS.pack(*counts))
-
-
-_STOP = _command((0, 0, 0))
 DIALECT = Dialect(
     title="WHEELTEC C50X",
     wires=frozenset({"serial", "can"}),

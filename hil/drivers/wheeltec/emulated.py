@@ -5,19 +5,20 @@ the other emulated controllers and run at 1 kHz; the board's run at 100 Hz. Char
 mode are not emulated.
 """
 
-import struct
-from functools import reduce
-from operator import xor
+from struct import Struct
 
 from firmware_protocol.framing import Frame
+from hil.core.kinematics import body_twist, wheel_speeds
 from hil.core.types import FourWheels
-from hil.drivers.emulated import EmulatedMotors
+from hil.drivers.emulated import EmulatedMotors, int16
 from hil.drivers.port import clamp, four
-from hil.drivers.wheeltec.driver import Settings
+from hil.drivers.wheeltec.driver import COMMAND, HEAD, REPORTS, TAIL, Settings, checksum
 
 _CONTROL_TICKS, _REPORT_TICKS = 10, 50
 _STEP = 0.02  # m/s or rad/s in 10 ms
 _SILENT_STEPS = 100  # control steps without a command, after which the board stops
+_COMMAND = Struct(">3h")
+_REPORT = Struct(">BB9hH")
 
 
 class EmulatedWheeltec(EmulatedMotors[Settings]):
@@ -42,17 +43,16 @@ class EmulatedWheeltec(EmulatedMotors[Settings]):
     def feed(self, data: bytes) -> None:
         """Take eleven bytes from the first 7B on, as the board's interrupt does, also where that 7B is no head."""
         for byte in data:
-            if not self._received and byte != 0x7B:
-                continue
-            self._received.append(byte)
+            if self._received or byte == HEAD:
+                self._received.append(byte)
             if len(self._received) == 11:
                 whole = bytes(self._received)
                 self._received.clear()
-                if whole[10] == 0x7D and whole[9] == reduce(xor, whole[:9]) and whole[1] == 0:
+                if whole[10] == TAIL and whole[9] == checksum(whole[:9]) and whole[1] == 0:
                     self._obey(whole[3:9])
 
     def take(self, frame: Frame) -> None:
-        if frame.id == 0x181 and len(frame.payload) == 8:
+        if frame.id == COMMAND and len(frame.payload) == 8:
             self._obey(frame.payload[:6])
 
     def take_bytes(self) -> bytes:
@@ -60,7 +60,7 @@ class EmulatedWheeltec(EmulatedMotors[Settings]):
 
     def _obey(self, numbers: bytes) -> None:
         self._steps_without_command = 0
-        self._targets = [number / 1000 for number in struct.unpack(">hhh", numbers)]
+        self._targets = [number / 1000 for number in _COMMAND.unpack(numbers)]
 
     def tick(self) -> FourWheels | None:
         if self.ticks % _CONTROL_TICKS == 0:
@@ -69,45 +69,36 @@ class EmulatedWheeltec(EmulatedMotors[Settings]):
             self._report()
         if self._is_off:
             return None
-        x, y, turn = self._ramped[0], self._ramped[1], self._ramped[2] * self._lever_m
+        x, y, turn = self._ramped
         limit = self.settings.speed_limit_m_s
-        rims = (x - y - turn, x + y + turn, x - y + turn, x + y - turn)
+        rims = wheel_speeds((x, y, turn), 1.0, self._lever_m)
         return four(
-            loop.torque(clamp(rim, limit) / self._radius_m, shaft.speed_rad_s)
-            for loop, rim, shaft in zip(self._loops, rims, self.shafts, strict=True)
+            loop.torque(clamp(rim, limit) / self._radius_m, speed)
+            for loop, rim, speed in zip(self._loops, rims, self.speeds_rad_s, strict=True)
         )
 
     def _control(self) -> None:
-        if self.settings.stops_on_silence:
-            self._steps_without_command += 1
-            if self._steps_without_command > _SILENT_STEPS:
-                self._targets = [0.0, 0.0, 0.0]
+        self._steps_without_command += 1
+        if self.settings.stops_on_silence and self._steps_without_command > _SILENT_STEPS:
+            self._targets = [0.0, 0.0, 0.0]
         limit = self.settings.speed_limit_m_s
-        for axis in range(3):
-            target = clamp(self._targets[axis], limit)
-            step = clamp(target - self._ramped[axis], _STEP)
-            self._ramped[axis] += step
+        for axis, target in enumerate(self._targets):
+            self._ramped[axis] += clamp(clamp(target, limit) - self._ramped[axis], _STEP)
         was_off, self._is_off = self._is_off, self.is_switched_off or self.battery_v < self.settings.battery_low_v
         if self._is_off:
             for loop in self._loops:
                 loop.reset()
         elif was_off:
-            self._targets = [0.0, 0.0, 0.0]
-            self._ramped = [0.0, 0.0, 0.0]
+            self._targets, self._ramped = [0.0, 0.0, 0.0], [0.0, 0.0, 0.0]
 
     def _report(self) -> None:
-        fl, fr, rr, rl = (shaft.speed_rad_s * self._radius_m for shaft in self.shafts)
-        twist = (
-            (fl + fr + rr + rl) / 4,
-            (rl - fl + fr - rr) / 4,
-            (fr + rr - fl - rl) / 4 / self._lever_m,
-        )
-        rates = self.gyro_rad_s if not self._is_off else (*self.gyro_rad_s[:2], 0.0)
+        twist = body_twist(self.speeds_rad_s, self._radius_m, self._lever_m)
+        rates = (*self.gyro_rad_s[:2], 0.0 if self._is_off else self.gyro_rad_s[2])
         numbers = [speed * 1000 for speed in twist]
         numbers += [force / 19.6 * 32768 for force in self.acceleration_m_s2]
         numbers += [rate * 57.30 * 65.5 for rate in rates]
-        body = struct.pack(">BB9h", 0x7B, self._is_off, *(clamp(int(n), 32767, -32768) for n in numbers))
-        body += struct.pack(">H", clamp(int(self.battery_v * 1000), 65535, 0))
-        whole = body + bytes([reduce(xor, body), 0x7D])
-        for i in range(3):
-            self.say(Frame(0x101 + i, whole[8 * i : 8 * i + 8]))
+        volts = clamp(int(self.battery_v * 1000), 65535, 0)
+        body = _REPORT.pack(HEAD, self._is_off, *map(int16, numbers), volts)
+        whole = body + bytes([checksum(body), TAIL])
+        for i, number in enumerate(REPORTS):
+            self.say(Frame(number, whole[8 * i : 8 * i + 8]))
