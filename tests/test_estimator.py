@@ -15,14 +15,11 @@ from hil.core.options import build
 from hil.core.types import NAN, NAN_POSE, ZERO_WHEELS, Pose, PoseFix, Twist, Wheels
 from hil.drivers.makers_feedback import Angles
 from hil.drivers.port import Sample
-from hil.estimation import (
-    Estimator,
-    EstimatorOptions,
-    FusedEstimator,
-    OdometryEstimator,
-    TruthEstimator,
-    make_estimator,
-)
+from hil.estimation.choice import EstimatorOptions, make_estimator
+from hil.estimation.fused import FusedEstimator
+from hil.estimation.measurement import Estimator
+from hil.estimation.odometry import OdometryEstimator
+from hil.estimation.truth import TruthEstimator
 
 ROBOT = RobotModel(20.0, 0.56, 0.075, 0.3, 0.3, 0.005, 0.0, torque_limit_n_m=5.0, speed_limit_rad_s=60.0)
 COUNTS = 4096

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from hil.core.kinematics import BodyTwist, wheel_speeds
 from hil.core.model import RobotModel
 from hil.core.types import NAN, MeasuredPose, Pose, PoseCovariance, State, Wheels
-from hil.estimation import FilterOptions, FusedEstimator
+from hil.estimation.fused import FilterOptions, FusedEstimator
 from hil.estimation.motion import Motion
 from hil.estimation.slip import SlipDetector
 

@@ -15,6 +15,7 @@ from hil.core.types import MeasuredPose, Pose, PoseCovariance
 _UNKNOWN_VARIANCE = 1e6
 _LEAST_SHARE = 1e-6
 _ROUNDING = 1e-13
+_Triangle = tuple[float, float, float, float, float, float]
 
 
 class Covariance(NamedTuple):
@@ -85,16 +86,13 @@ class Acceptance(NamedTuple):
 
 def start(time_ns: int, pose: Pose, sigma_m: float, sigma_rad: float, bias_sigma_rad_s: float) -> Belief:
     """Return the belief in a start with these standard deviations."""
-    place, heading = sigma_m**2, sigma_rad**2
-    covariance = Covariance(place, 0.0, 0.0, 0.0, place, 0.0, 0.0, heading, 0.0, bias_sigma_rad_s**2)
+    covariance = _diagonal(sigma_m**2, sigma_rad**2, bias_sigma_rad_s**2)
     return Belief(time_ns, *pose, 0.0, covariance, is_known=True, fixed_ns=time_ns)
 
 
 def start_unknown(time_ns: int, bias_sigma_rad_s: float) -> Belief:
     """Return the belief without a start: the first fix is taken as it is."""
-    covariance = Covariance(
-        _UNKNOWN_VARIANCE, 0.0, 0.0, 0.0, _UNKNOWN_VARIANCE, 0.0, 0.0, _UNKNOWN_VARIANCE, 0.0, bias_sigma_rad_s**2
-    )
+    covariance = _diagonal(_UNKNOWN_VARIANCE, _UNKNOWN_VARIANCE, bias_sigma_rad_s**2)
     return Belief(time_ns, 0.0, 0.0, 0.0, 0.0, covariance, is_known=False, fixed_ns=time_ns)
 
 
@@ -147,34 +145,23 @@ def corrected(belief: Belief, fix: MeasuredPose, acceptance: Acceptance) -> Beli
     beyond the gate in a row agree with one another and with the motion between them, the last of them is taken as a new
     start: the robot was elsewhere than believed.
     """
-    if not _is_covariance(fix.covariance):
+    r = fix.covariance
+    if min(r.xx_m2, r.yy_m2, r.hh_rad2) <= 0.0 or not is_regular(*r, share=_LEAST_SHARE):
         return belief._replace(rejected=belief.rejected + 1)
     if not belief.is_known:
         return _restarted(belief, fix, acceptance)._replace(restarts=belief.restarts)
-    p, r = belief.covariance, fix.covariance
+    p = belief.covariance
     vx, vy = fix.pose.x_m - belief.x_m, fix.pose.y_m - belief.y_m
     vh = math.remainder(fix.pose.heading_rad - belief.heading_rad, math.tau)
-    # L Lᵀ = P + R, written out; W = L⁻¹ H P has one column each of x, y, heading, bias.
-    l11 = math.sqrt(p.xx + r.xx_m2)
-    l21, l31 = (p.xy + r.xy_m2) / l11, (p.xh + r.xh_m_rad) / l11
-    l22 = _root(p.yy + r.yy_m2, l21 * l21)
-    l32 = (p.yh + r.yh_m_rad - l31 * l21) / l22
-    l33 = _root(p.hh + r.hh_rad2, l31 * l31 + l32 * l32)
-
-    def solved(x: float, y: float, h: float) -> tuple[float, float, float]:
-        first = x / l11
-        second = (y - l21 * first) / l22
-        return first, second, (h - l31 * first - l32 * second) / l33
-
-    v = solved(vx, vy, vh)
+    # L Lᵀ = P + R; W = L⁻¹ H P has one column each of x, y, heading, bias.
+    factor = _cholesky(
+        p.xx + r.xx_m2, p.xy + r.xy_m2, p.xh + r.xh_m_rad, p.yy + r.yy_m2, p.yh + r.yh_m_rad, p.hh + r.hh_rad2
+    )
+    v = _solved(factor, vx, vy, vh)
     if _dot(v, v) > acceptance.gate:
         return _rejected(belief, fix, acceptance)
-    x, y, h, b = (
-        solved(p.xx, p.xy, p.xh),
-        solved(p.xy, p.yy, p.yh),
-        solved(p.xh, p.yh, p.hh),
-        solved(p.xb, p.yb, p.hb),
-    )
+    x, y = _solved(factor, p.xx, p.xy, p.xh), _solved(factor, p.xy, p.yy, p.yh)
+    h, b = _solved(factor, p.xh, p.yh, p.hh), _solved(factor, p.xb, p.yb, p.hb)
     covariance = Covariance(
         _less(p.xx, _dot(x, x)),
         p.xy - _dot(x, y),
@@ -200,20 +187,6 @@ def corrected(belief: Belief, fix: MeasuredPose, acceptance: Acceptance) -> Beli
         rejected=belief.rejected,
         restarts=belief.restarts,
     )
-
-
-def squared_distance(x: float, y: float, h: float, covariance: PoseCovariance) -> float:
-    """Return the squared Mahalanobis distance of (x, y, heading)."""
-    xx, xy, xh, yy, yh, hh = covariance
-    l11 = math.sqrt(xx)
-    l21, l31 = xy / l11, xh / l11
-    l22 = _root(yy, l21 * l21)
-    l32 = (yh - l31 * l21) / l22
-    l33 = _root(hh, l31 * l31 + l32 * l32)
-    first = x / l11
-    second = (y - l21 * first) / l22
-    third = (h - l31 * first - l32 * second) / l33
-    return first * first + second * second + third * third
 
 
 def position_sigma_m(covariance: Covariance) -> float:
@@ -288,35 +261,51 @@ def _agree(belief: Belief, fix: MeasuredPose, gate: float) -> bool:
         r.hh_rad2 + q.hh_rad2 + max(0.0, grown.hh - before.hh),
     )
     turned = belief.heading_rad - then.heading_rad
-    return (
-        squared_distance(
-            fix.pose.x_m - last.pose.x_m - dx,
-            fix.pose.y_m - last.pose.y_m - dy,
-            math.remainder(fix.pose.heading_rad - last.pose.heading_rad - turned, math.tau),
-            together,
-        )
-        <= gate
+    apart = _solved(
+        _cholesky(*together),
+        fix.pose.x_m - last.pose.x_m - dx,
+        fix.pose.y_m - last.pose.y_m - dy,
+        math.remainder(fix.pose.heading_rad - last.pose.heading_rad - turned, math.tau),
     )
+    return _dot(apart, apart) <= gate  # the squared Mahalanobis distance
 
 
-def _is_covariance(r: PoseCovariance) -> bool:
-    """Return whether Cholesky's pivots are positive, and each is a significant share of its variance."""
-    if min(r.xx_m2, r.yy_m2, r.hh_rad2) <= 0.0:
+def is_regular(a: float, ab: float, ac: float, b: float, bc: float, c: float, share: float) -> bool:
+    """Return whether Cholesky's last two pivots are at least this share of their diagonal elements.
+
+    The matrix is given by its upper triangle, row by row; its diagonal is positive.
+    """
+    second = b - ab * ab / a
+    if second < share * b:
         return False
-    second = r.yy_m2 - r.xy_m2 * r.xy_m2 / r.xx_m2
-    if second < _LEAST_SHARE * r.yy_m2:
-        return False
-    mixed = r.yh_m_rad - r.xy_m2 * r.xh_m_rad / r.xx_m2
-    return r.hh_rad2 - r.xh_m_rad * r.xh_m_rad / r.xx_m2 - mixed * mixed / second >= _LEAST_SHARE * r.hh_rad2
+    mixed = bc - ab * ac / a
+    return c - ac * ac / a - mixed * mixed / second >= share * c
+
+
+def _diagonal(position: float, heading: float, bias: float) -> Covariance:
+    return Covariance(position, 0.0, 0.0, 0.0, position, 0.0, 0.0, heading, 0.0, bias)
+
+
+def _cholesky(xx: float, xy: float, xh: float, yy: float, yh: float, hh: float) -> _Triangle:
+    """Return L of L Lᵀ, the matrix given by its upper triangle: l11, l21, l22, l31, l32, l33."""
+    l11 = math.sqrt(xx)
+    l21, l31 = xy / l11, xh / l11
+    l22 = math.sqrt(_less(yy, l21 * l21))
+    l32 = (yh - l31 * l21) / l22
+    return l11, l21, l22, l31, l32, math.sqrt(_less(hh, l31 * l31 + l32 * l32))
+
+
+def _solved(triangle: _Triangle, x: float, y: float, h: float) -> tuple[float, float, float]:
+    """Return L⁻¹ (x, y, h)."""
+    l11, l21, l22, l31, l32, l33 = triangle
+    first = x / l11
+    second = (y - l21 * first) / l22
+    return first, second, (h - l31 * first - l32 * second) / l33
 
 
 def _less(variance: float, known: float) -> float:
     """Return the rest of a variance, at least its rounding error, so that it stays positive."""
     return max(variance - known, _ROUNDING * variance)
-
-
-def _root(variance: float, known: float) -> float:
-    return math.sqrt(_less(variance, known))
 
 
 def _dot(a: tuple[float, float, float], b: tuple[float, float, float]) -> float:

@@ -3,6 +3,7 @@
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Annotated, Literal
 
 from hil.core.kinematics import to_world
@@ -13,7 +14,6 @@ from hil.core.types import Axes, MeasuredPose, Pose, PoseFix, State
 from hil.estimation.belief import (
     Acceptance,
     Belief,
-    Covariance,
     Step,
     corrected,
     gate_of,
@@ -22,7 +22,7 @@ from hil.estimation.belief import (
     start_unknown,
 )
 from hil.estimation.history import History
-from hil.estimation.measurement import DEGRADED, GOOD, LOST, NO_STATUS, Measurement, measured_twist
+from hil.estimation.measurement import DEGRADED, GOOD, LOST, NO_STATUS, Estimator, Measurement, measured_twist
 from hil.estimation.motion import Motion, MotionReader
 from hil.estimation.slip import SlipDetector
 
@@ -102,7 +102,7 @@ class FilterOptions:
     ] = 0.2
 
 
-class FusedEstimator:
+class FusedEstimator(Estimator):
     """An error-state Kalman filter on odometry (``belief``), with its recent past (``history``).
 
     Between fixes the pose follows wheels and gyro, and the covariance grows with the distance, and with the speed of
@@ -111,8 +111,6 @@ class FusedEstimator:
     position's standard deviation exceeds ``lost_sigma_m`` the health is LOST, until fixes reduce it. The pose follows a
     correction with the time constant ``release_s``.
     """
-
-    uses_truth = False
 
     def __init__(
         self,
@@ -192,10 +190,7 @@ class FusedEstimator:
         else:
             sigmas = options.start_sigma_m, options.start_sigma_rad, options.gyro_bias_sigma_rad_s
             first = start(time_ns, self._start_pose, *sigmas)
-        return History(first, round(options.history_s * _NS), self._corrected)
-
-    def _corrected(self, belief: Belief, fix: MeasuredPose) -> Belief:
-        return corrected(belief, fix, self._acceptance)
+        return History(first, round(options.history_s * _NS), partial(corrected, acceptance=self._acceptance))
 
     def _step(self, motion: Motion, slip_m_s: float) -> Step:
         options = self._options
@@ -203,14 +198,13 @@ class FusedEstimator:
         dt_s = motion.dt_s
         position_m2 = options.wheels_sigma_m**2 * way_m + slip_m_s**2 * dt_s * _SLIP_LASTS_S
         bias_rad2_s2 = options.gyro_bias_walk_rad_s**2 * dt_s
+        turned_rad, biased_s = motion.gyro_rad, dt_s
+        heading_rad2 = (options.gyro_noise_rad_s * dt_s) ** 2
         if math.isnan(motion.gyro_rad):
             slip_rad_s = slip_m_s / self._model.lever_m
+            turned_rad, biased_s = motion.turned_rad, 0.0
             heading_rad2 = options.wheels_sigma_rad**2 * way_m + slip_rad_s**2 * dt_s * _SLIP_LASTS_S
-            return Step(
-                motion.forward_m, motion.left_m, motion.turned_rad, 0.0, position_m2, heading_rad2, bias_rad2_s2
-            )
-        heading_rad2 = (options.gyro_noise_rad_s * dt_s) ** 2
-        return Step(motion.forward_m, motion.left_m, motion.gyro_rad, dt_s, position_m2, heading_rad2, bias_rad2_s2)
+        return Step(motion.forward_m, motion.left_m, turned_rad, biased_s, position_m2, heading_rad2, bias_rad2_s2)
 
     def _sort(self, history: History, now_ns: int, fixes: Sequence[MeasuredPose]) -> None:
         """Insert due fixes, keep those ahead of the newest measurement, count those out of reach."""
@@ -232,10 +226,9 @@ class FusedEstimator:
     def _signals(self, belief: Belief) -> EstimatorSignals:
         sigma_m = position_sigma_m(belief.covariance)
         age_ns = belief.time_ns - belief.fixed_ns
+        health = DEGRADED if age_ns > self._options.fix_timeout_s * _NS else GOOD
         if not belief.is_known or sigma_m > self._options.lost_sigma_m:
             health = LOST
-        else:
-            health = DEGRADED if age_ns > self._options.fix_timeout_s * _NS else GOOD
         return EstimatorSignals(
             sigma_m,
             math.sqrt(max(0.0, belief.covariance.hh)),
@@ -250,6 +243,6 @@ class FusedEstimator:
 
 def _unsure(belief: Belief) -> Belief:
     """Return the belief after a reset of the robot: it moved by an unknown way, and the streak of fixes ends."""
-    p: Covariance = belief.covariance
+    p = belief.covariance
     grown = p._replace(xx=p.xx + _UNSEEN_M**2, yy=p.yy + _UNSEEN_M**2, hh=p.hh + _UNSEEN_RAD**2)
     return belief._replace(covariance=grown, streak=0, streak_fix=None, streak_belief=None)

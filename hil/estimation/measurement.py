@@ -1,6 +1,7 @@
 """Input and interface of an estimator. Time is robot time in nanoseconds; estimators have no clock."""
 
 import math
+from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from typing import Protocol
 
@@ -41,17 +42,18 @@ class Measurement(Protocol):
         """Acceleration in the body frame, 9.81 upwards at rest; NaN without an accelerometer."""
 
 
-class Estimator(Protocol):
+class Estimator(ABC):
     """Turns measurements into the state that the controller acts on."""
 
-    @property
-    def uses_truth(self) -> bool:
-        """Whether the state depends on the true pose, and is too old when the true pose is."""
+    uses_truth = False
+    """Whether the state depends on the true pose, and is too old when the true pose is."""
 
     @property
     def status(self) -> EstimatorSignals:
         """Uncertainty and health of the last update; NaN for what an estimator does not know."""
+        return NO_STATUS
 
+    @abstractmethod
     def update(
         self, measurement: Measurement, truth: PoseFix | None, fixes: Sequence[MeasuredPose] = ()
     ) -> State | None:
@@ -63,7 +65,9 @@ class Estimator(Protocol):
 
     def fix_figures(self) -> Mapping[str, int]:
         """Return the number of pose fixes by outcome; empty for an estimator that uses none."""
+        return {}
 
+    @abstractmethod
     def restart(self) -> None:
         """Continue after a reset of the robot: its clock and counts restart, the pose is the last known one."""
 

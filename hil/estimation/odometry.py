@@ -1,18 +1,18 @@
 """The pose by wheels and gyro alone."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
 from hil.core.kinematics import to_world
 from hil.core.model import RobotModel
 from hil.core.signals import EstimatorSignals
 from hil.core.types import MeasuredPose, Pose, PoseFix, State
-from hil.estimation.measurement import NO_STATUS, Measurement, measured_twist
+from hil.estimation.measurement import NO_STATUS, Estimator, Measurement, measured_twist
 from hil.estimation.motion import Motion, MotionReader
 from hil.estimation.slip import SlipDetector
 
 
-class OdometryEstimator:
+class OdometryEstimator(Estimator):
     """Integrates the motion of the wheels (``MotionReader``) from a known pose. It uses neither truth nor fixes.
 
     The heading comes from the gyro if there is one, because rollers slip sideways first in a turn. Over a gap of more
@@ -21,8 +21,6 @@ class OdometryEstimator:
 
     Raises BadInputError as ``MotionReader``.
     """
-
-    uses_truth = False
 
     def __init__(self, model: RobotModel, start: Pose, counts_per_revolution: int, slip_threshold_m_s: float) -> None:
         self._model = model
@@ -48,10 +46,6 @@ class OdometryEstimator:
                 self._pose = _moved(self._pose, motion)
             self._last = last = measurement
         return State(self._pose, to_world(measured_twist(self._model, last), self._pose.heading_rad))
-
-    def fix_figures(self) -> Mapping[str, int]:
-        """Empty: it takes no fixes."""
-        return {}
 
     def restart(self) -> None:
         """Continue from the next measurement; the motion in between is unknown."""

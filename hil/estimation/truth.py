@@ -1,15 +1,15 @@
 """The pose by ground truth, for reference: a real robot has none."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from math import isfinite
 
 from hil.core.kinematics import to_world
 from hil.core.model import RobotModel
 from hil.core.types import MeasuredPose, PoseFix, State, make_state
-from hil.estimation.measurement import NO_STATUS, Measurement, measured_twist
+from hil.estimation.measurement import Estimator, Measurement, measured_twist
 
 
-class TruthEstimator:
+class TruthEstimator(Estimator):
     """Takes the pose from the truth, and the twist too if it has one and ``twist`` is not ``"wheels"``.
 
     Otherwise the twist is that of wheels and gyro. Between two samples of the truth the last one holds. A sample whose
@@ -17,8 +17,6 @@ class TruthEstimator:
     """
 
     uses_truth = True
-    status = NO_STATUS
-    """All NaN: the truth is not estimated."""
 
     def __init__(self, model: RobotModel, twist: str = "source") -> None:
         self._model = model
@@ -40,10 +38,6 @@ class TruthEstimator:
         if self._uses_wheels or not isfinite(vx + vy + yaw_rate):
             twist = to_world(measured_twist(self._model, measurement), pose.heading_rad)
         return make_state((pose, twist))
-
-    def fix_figures(self) -> Mapping[str, int]:
-        """Empty: it takes no fixes."""
-        return {}
 
     def restart(self) -> None:
         """Wait for a new sample of the truth."""

@@ -6,11 +6,10 @@ Every refusal is a BadInputError with one sentence that names the file.
 import functools
 import hashlib
 import re
+import xml.etree.ElementTree as ET
 import zipfile
-from collections.abc import Callable
 from pathlib import Path, PurePosixPath
 from typing import NamedTuple
-from xml.parsers import expat
 
 from firmware_protocol.built import BuildError
 from hil.core.errors import BadInputError, nearest
@@ -111,30 +110,23 @@ def is_shipped(fmu: Path) -> bool:
 
 
 def read_header(fmu: Path) -> Header:
-    """Check the archive and its XML, and return the header of modelDescription.xml. Raises BadInputError.
-
-    A document type definition is refused: it could define entities that grow without bound or read other files.
-    """
+    """Check the archive and its XML, and return the header of modelDescription.xml. Raises BadInputError."""
     with opened(fmu) as archive:
         if DESCRIPTIONS[0] not in archive.namelist():
             raise BadInputError(f"FMU {fmu}: it has no modelDescription.xml, so it is no FMU")
-        open_elements: list[str] = []
-        elements: list[tuple[str, dict[str, str]]] = []  # the root and its children
-
-        def start(name: str, attributes: dict[str, str]) -> None:
-            open_elements.append(name)
-            if len(open_elements) <= 2:
-                elements.append((name, attributes))
-
-        _read_xml(fmu, archive, DESCRIPTIONS[0], start, lambda _: open_elements.pop())
-        (root, attributes), *children = elements
-        if root != "fmiModelDescription":
-            raise BadInputError(f"FMU {fmu}: its modelDescription.xml has the root {root!r}; that is no description")
-        version = _fmi_version(fmu, attributes.get("fmiVersion", "missing"))
+        root = _read_xml(fmu, archive, DESCRIPTIONS[0])
+        if root.tag != "fmiModelDescription":
+            raise BadInputError(f"FMU {fmu}: its modelDescription.xml has the root {root.tag!r}; it is no description")
+        version = root.get("fmiVersion", "missing")
+        # Releases of 3.0 share their interface. A version with a suffix is a draft.
+        if version != "2.0" and not re.fullmatch(r"3\.0(\.\d+)?", version):
+            raise BadInputError(
+                f"FMU {fmu}: FMI version {version[:20]}; expected 2.0 or 3.0, export it for one of them"
+            )
         if DESCRIPTIONS[1] in archive.namelist():
             _read_xml(fmu, archive, DESCRIPTIONS[1])
     known = (*INTERFACES, "ScheduledExecution")
-    return Header(version, {name: attributes for name, attributes in children if name in known})
+    return Header(version[:3], {child.tag: child.attrib for child in root if child.tag in known})
 
 
 def library_of(fmu: Path) -> Library:
@@ -190,36 +182,28 @@ def binary_folders(fmi_version: str) -> tuple[str, ...]:
     return names if fmi_version == "2.0" else names[:1]
 
 
-def _fmi_version(fmu: Path, text: str) -> str:
-    if text == "2.0":
-        return text
-    if re.fullmatch(r"3\.0(\.\d+)?", text):  # releases of 3.0 share their interface; what has a suffix is a draft
-        return "3.0"
-    raise BadInputError(f"FMU {fmu}: FMI version {text[:20]}; expected 2.0 or 3.0, export it for one of these")
+class _Tree(ET.TreeBuilder):
+    """Builds a document; refuses a document type definition, which could define entities that grow without bound."""
+
+    def __init__(self, named: str) -> None:
+        super().__init__()
+        self._named = named
+
+    def doctype(self, *_: object) -> None:
+        raise BadInputError(f"{self._named} has a document type definition; an FMU has none")
 
 
-def _read_xml(
-    fmu: Path,
-    archive: zipfile.ZipFile,
-    name: str,
-    start: Callable[[str, dict[str, str]], None] | None = None,
-    end: Callable[[str], object] | None = None,
-) -> None:
-    """Parse an XML entry; its elements are passed to ``start`` and ``end``."""
-
-    def refuse(*_: object) -> None:
-        raise BadInputError(f"FMU {fmu}: its {name} has a document type definition; an FMU has none")
-
+def _read_xml(fmu: Path, archive: zipfile.ZipFile, name: str) -> ET.Element:
+    """Parse an XML entry. Raises BadInputError."""
+    named = f"FMU {fmu}: its {name}"
     entry = archive.getinfo(name)
     if entry.file_size > _MOST_DESCRIPTION_BYTES:
-        raise BadInputError(f"FMU {fmu}: its {name} claims {entry.file_size} bytes; that is no description")
-    parser = expat.ParserCreate()
-    parser.StartDoctypeDeclHandler = refuse
-    parser.StartElementHandler = start
-    parser.EndElementHandler = end
+        raise BadInputError(f"{named} claims {entry.file_size} bytes; that is no description")
+    parser = ET.XMLParser(target=_Tree(named))
     try:
         for piece in pieces(fmu, archive, entry):
-            parser.Parse(piece, False)
-        parser.Parse(b"", True)
-    except (expat.ExpatError, LookupError, ValueError) as error:  # the latter two: encodings that Python cannot read
-        raise BadInputError(f"FMU {fmu}: its {name} cannot be read ({error})") from error
+            parser.feed(piece)
+        root: ET.Element = parser.close()
+    except (ET.ParseError, LookupError, ValueError) as error:  # the latter two: encodings that Python cannot read
+        raise BadInputError(f"{named} cannot be read ({error})") from error
+    return root

@@ -18,7 +18,7 @@ from hil.plant import archive, shim
 from hil.plant.instance import Instance
 from hil.plant.mapping import SignalMap, resolve
 from hil.plant.signals import OUTPUTS, SENSORS
-from hil.plant.start import Settable, Value, bounds, resize, settable_variables, start_values
+from hil.plant.start import Settable, Value, limits, resize, settable_variables, start_values
 
 
 class FmuPlant(shim.PlantPort):
@@ -186,7 +186,7 @@ class FmuPlant(shim.PlantPort):
         self._wiring_memory.append(memory)
         self._context.settable, self._context.settables = memory, len(rows)
         return {
-            name: Settable(place, self.instance.value_of(variable), *bounds(variable))
+            name: Settable(place, self.instance.value_of(variable), *limits(variable))
             for place, (name, variable) in enumerate(offered.items())
         }
 

@@ -2,7 +2,7 @@
 
 import functools
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from typing import Any, ClassVar, Self
 
 from firmware_protocol.built import BuildError
@@ -11,6 +11,7 @@ from hil.core.errors import BadInputError
 from hil.plant.built import COSIM, HEADERS
 from hil.plant.mapping import Connection, Wiring
 from hil.plant.signals import OUTPUTS
+from hil.plant.start import count, elements_at_start
 
 _FMI2_TYPES = {"Real": "Float64", "Integer": "Int32"}
 _C_TYPES = {"Float64": "double", "Float32": "float"}
@@ -116,10 +117,15 @@ def _fill(group: Any, kind: str, connections: list[Connection]) -> list[object]:
     place_of, values = {}, 0
     for variable in variables:
         place_of[variable.valueReference] = values
-        values += _size(variable)
+        values += count(variable)
     rows = [(c.signal, place_of[c.variable.valueReference] + c.element, c.factor, c.offset) for c in connections]
     reference = ffi.new("unsigned[]", [variable.valueReference for variable in variables])
-    value = ffi.new(f"{_C_TYPES.get(name, f'{name.lower()}_t')}[]", list(_starts(variables)))
+    # An element of an input that no signal drives keeps its start.
+    starts: list[float] = []
+    for variable in variables:
+        given = elements_at_start(variable) or [0]
+        starts += given if len(given) == count(variable) else given[:1] * count(variable)
+    value = ffi.new(f"{_C_TYPES.get(name, f'{name.lower()}_t')}[]", starts)
     row = ffi.new("cosim_row[]", rows)
     group.type = getattr(library, f"COSIM_{name.upper()}")
     group.reference, group.references = reference, len(variables)
@@ -136,19 +142,3 @@ def _leave_in_place(group: Any, signals: Any, connections: list[Connection]) -> 
     if group.type == load()[1].COSIM_FLOAT64 and group.is_identity and in_order and group.values == len(connections):
         group.value = signals + first
         group.is_in_place = 1
-
-
-def _size(variable: Any) -> int:
-    size = 1
-    for extent in variable.shape:
-        size *= extent
-    return size
-
-
-def _starts(variables: Iterable[Any]) -> Iterable[float | int]:
-    """Yield the start of every element; an element of an input that no signal drives keeps it."""
-    for variable in variables:
-        number = float if variable.type in ("Real", "Float64", "Float32") else int
-        given = [number(text) for text in (variable.start or "").split()] or [number(0)]
-        size = _size(variable)
-        yield from given if len(given) == size else [given[0]] * size

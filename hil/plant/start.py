@@ -12,6 +12,31 @@ Value = float | int | bool | str
 _LONGEST_LIST = 60
 
 
+def count(variable: Any) -> int:
+    """Return how many values a variable has: 1 unless it is an array."""
+    return math.prod(variable.shape or ())
+
+
+def limits(variable: Any) -> tuple[float, float]:
+    """Return the range of a variable, its own or its type's; infinite where there is none."""
+    declared = variable.declaredType
+    low = variable.min or (declared and declared.min)
+    high = variable.max or (declared and declared.max)
+    return float(low or -math.inf), float(high or math.inf)
+
+
+def elements_at_start(variable: Any) -> list[float | int | bool] | None:
+    """Return the start of a numeric variable, all elements of it; None when its description gives none."""
+    if variable.start is None:
+        return None
+    values: list[float | int | bool]
+    if variable.type == "Boolean":
+        values = [word in ("true", "1") for word in variable.start.split()]
+    else:
+        values = [float(word) if variable.type in FLOATS else int(word) for word in variable.start.split()]
+    return values * count(variable) if len(values) == 1 else values
+
+
 class Start(NamedTuple):
     """A variable and its start value in the type of the variable."""
 
@@ -88,7 +113,7 @@ def _converted(given: str, value: Value, variable: Any) -> Value:
         raise BadInputError(f"{given}; expected a finite number")
     if kind in INTEGERS:
         value = _whole(given, value, kind)
-    low, high = (_limit(variable, side) for side in ("min", "max"))
+    low, high = limits(variable)
     if not low <= value <= high:
         raise BadInputError(f"{given}; expected {_range(low, high)}")
     return value if kind in INTEGERS else float(value)
@@ -113,15 +138,6 @@ def _item(given: str, value: Value, variable: Any) -> int:
         choice = ", ".join(f"{name!r} ({number})" for name, number in items.items())
         raise BadInputError(f"{given}; expected one of {choice}")
     return int(value)
-
-
-def _limit(variable: Any, side: str) -> float:
-    text = getattr(variable, side)
-    if text is None and variable.declaredType is not None:
-        text = getattr(variable.declaredType, side)
-    if text is None:
-        return -math.inf if side == "min" else math.inf
-    return float(text)
 
 
 def _range(low: float, high: float) -> str:
@@ -158,12 +174,6 @@ def settable_variables(variables: Variables, driven: Collection[str]) -> dict[st
         for name, variable in variables.items()
         if variable.type in FLOATS and not variable.shape and name == variable.name and _may_change(variable, driven)
     }
-
-
-def bounds(variable: Any) -> tuple[float, float]:
-    """Return the range that the FMU's description gives a variable; infinite where it gives none."""
-    low, high = variable.min, variable.max
-    return (-math.inf if low is None else float(low)), (math.inf if high is None else float(high))
 
 
 def _may_change(variable: Any, driven: Collection[str]) -> bool:

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 from hil.core.guard import Brake, Guard
 from hil.core.ports import Note, Sink
-from hil.estimation import make_estimator
+from hil.estimation.choice import make_estimator
 from hil.references import Feasibility, feasibility, make_reference
 from hil.runtime.bench import NS, Bench
 from hil.runtime.sampling import Timing

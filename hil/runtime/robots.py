@@ -12,7 +12,7 @@ from hil.core.options import plain
 from hil.core.outputs import Existing
 from hil.core.types import Pose
 from hil.drivers.registry import dialect, emulated
-from hil.estimation import EstimatorOptions
+from hil.estimation.choice import EstimatorOptions
 from hil.plant import archive
 from hil.plant.description import check_start, parameter_names
 from hil.plant.mapping import Row, SignalMap

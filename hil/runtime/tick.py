@@ -18,7 +18,7 @@ from hil.core.types import (
     State,
     WheelCommand,
 )
-from hil.estimation import LOST, Estimator
+from hil.estimation.measurement import LOST, Estimator
 from hil.laws.shadows import Shadows
 from hil.references import ReferenceSource
 from hil.robot.link_times import CommandLatency

@@ -12,6 +12,7 @@ from urllib.parse import urlsplit
 
 from hil.core.errors import BadInputError
 from hil.core.types import Pose, PoseCovariance
+from hil.estimation.belief import is_regular
 
 LOOPBACK = "127.0.0.1"
 _EXPECTED = 'expected "simulated" or udp://127.0.0.1:PORT with a port from 1 to 65535'
@@ -126,14 +127,6 @@ def _is_covariance(covariance: PoseCovariance) -> bool:
         return False
     # Cholesky's pivots, as shares of the diagonal: of three the order matters, so that the last is asked for each.
     return all(
-        _is_regular(*ordered)
+        is_regular(*ordered, share=_LEAST_SHARE)
         for ordered in ((xx, xy, xh, yy, yh, hh), (yy, yh, xy, hh, xh, xx), (hh, xh, yh, xx, xy, yy))
     )
-
-
-def _is_regular(a: float, ab: float, ac: float, b: float, bc: float, c: float) -> bool:
-    second = b - ab * ab / a
-    if second < _LEAST_SHARE * b:
-        return False
-    mixed = bc - ab * ac / a
-    return c - ac * ac / a - mixed * mixed / second >= _LEAST_SHARE * c

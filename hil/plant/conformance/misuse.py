@@ -13,7 +13,8 @@ from fmpy.fmi1 import FMICallException
 from fmpy.model_description import ModelVariable
 
 from hil.plant.conformance import Finding, advice
-from hil.plant.conformance.slave import Model, Slave, count, is_float, limits, start
+from hil.plant.conformance.slave import Model, Slave, is_float, start
+from hil.plant.start import count, limits
 
 _UNUSED_REFERENCE = 0xFFFFFFF0
 

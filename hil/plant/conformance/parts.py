@@ -11,18 +11,8 @@ from fmpy.fmi1 import FMICallException
 
 from hil.core.subprocesses import MEMORY_IS_KNOWN, resident_bytes
 from hil.plant.conformance import Finding, advice, misuse, need, violation
-from hil.plant.conformance.slave import (
-    DISCARD,
-    Model,
-    NotTestedError,
-    Outputs,
-    Slave,
-    count,
-    is_float,
-    near,
-    same,
-    start,
-)
+from hil.plant.conformance.slave import DISCARD, Model, NotTestedError, Outputs, Slave, is_float, near, same, start
+from hil.plant.start import count
 
 _STEPS = 20
 _GUARD = b"\xa5" * 64

@@ -4,7 +4,6 @@ import contextlib
 import copy
 import ctypes
 import functools
-import math
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
@@ -17,11 +16,12 @@ from fmpy.model_description import ModelDescription, ModelVariable
 from hil.plant.child_output import one_line
 from hil.plant.conformance import Finding, need, violation
 from hil.plant.description import read_description
+from hil.plant.mapping import FLOATS
+from hil.plant.start import count, elements_at_start, limits
 
 Value = float | int | bool
 Outputs = list[Value]
 
-_FLOATS = ("Real", "Float64", "Float32")
 _NOT_NUMERIC = ("String", "Binary", "Clock")
 _STATUS = ("ok", "warning", "discard", "error", "fatal", "pending")
 DISCARD = _STATUS.index("discard")
@@ -148,7 +148,7 @@ class Model:
         self.step_s = float(self.claims.fixedInternalStepSize or suggested_s or 1e-3)
         self.start_s = float(begin or 0.0)
         self.variables = [v for v in self.description.modelVariables if v.type not in _NOT_NUMERIC and not v.clocks]
-        self.inputs = [v for v in self.variables if v.causality == "input" and v.type in _FLOATS]
+        self.inputs = [v for v in self.variables if v.causality == "input" and v.type in FLOATS]
         self.outputs = [v for v in self.variables if v.causality == "output"]
 
     @functools.cached_property
@@ -224,36 +224,17 @@ class Model:
         return f" ({one_line(self._message)[:300]})" if self._message else ""
 
 
-def count(variable: ModelVariable) -> int:
-    """Return how many values a variable has: 1 unless it is an array."""
-    return math.prod(variable.shape or ())
-
-
-def limits(variable: ModelVariable) -> tuple[float, float]:
-    """Return the range of a variable, its own or its type's; infinite where there is none."""
-    declared = variable.declaredType
-    low = variable.min or (declared and declared.min)
-    high = variable.max or (declared and declared.max)
-    return float(low or -math.inf), float(high or math.inf)
-
-
 def start(variable: ModelVariable) -> list[Value] | None:
-    """Return the start value of a numeric variable, all elements of it; None when there is none."""
-    if variable.start is None:
-        return None
-    words = variable.start.split()
-    if variable.type == "Boolean":
-        values: list[Value] = [word in ("true", "1") for word in words]
-    elif variable.type == "Float32":
-        values = [ctypes.c_float(float(word)).value for word in words]
-    else:
-        values = [float(word) if variable.type in _FLOATS else int(word) for word in words]
-    return values * count(variable) if len(values) == 1 else values
+    """Return the start of a numeric variable as the FMU holds it, all elements of it; None when there is none."""
+    values = elements_at_start(variable)
+    if values is not None and variable.type == "Float32":
+        return [ctypes.c_float(value).value for value in values]
+    return values
 
 
 def is_float(variable: ModelVariable) -> bool:
     """Return whether the variable is of a floating-point type."""
-    return variable.type in _FLOATS
+    return variable.type in FLOATS
 
 
 def near(time_s: float, expected_s: float) -> bool:
