@@ -1,7 +1,7 @@
 """The rerun blueprint of a recording: the views that the viewer opens. In review they show the whole run, live 10 s.
 
-Tabs: the robot with its errors first, then wheels, law, link and loop, sensors, and the run in words. A view is left
-out if the run has none of its signals.
+Tabs: the robot with its errors first, then wheels, law, link and loop, sensors, and the run's page. A view is left out
+if the run has none of its signals.
 """
 
 from collections.abc import Mapping, Sequence
@@ -20,9 +20,38 @@ _CLOSE_M = 0.01
 _CLOSE_BOUNDS = 2.0
 _POSITION_ERROR = "/ctrl/error/position"
 _SPEED = ("/ctrl/wheel/command/speed", "/ctrl/wheel/speed")
-_TORQUE = "/ctrl/wheel/command/torque"
+_TORQUE = ("/ctrl/wheel/command/torque",)
 
 Pane = rrb.View | rrb.Container
+
+
+_WHEELS = {
+    "Wheel speed: command (wide) and estimate, and bounds [rad/s]": _SPEED,
+    "Torque command and limits [N·m]": _TORQUE,
+    "Motor current and limits [A]": ("/ctrl/wheel/current",),
+    "Winding temperature [°C]": ("/ctrl/wheel/temperature",),
+    "Command scaled at a limit: 1 for yes": ("/ctrl/guard",),
+    "Battery [V] and [A]": ("/robot/battery",),
+}
+"""The plots of a tab by their titles, each with the paths of the entities that it shows."""
+_LINK = {
+    "Lateness and work of a tick [µs]": ("/loop/timing",),
+    "Round trip and latency [ms]": ("/link/delay",),
+    "Deadline misses so far": ("/loop/deadline_misses",),
+    "Age of command and feedback [ms]": ("/link/age",),
+    "Frames so far": ("/link/frames",),
+    "Load of the wire [%]": ("/link/load",),
+    "Robot's clock ahead [µs]": ("/link/clock/offset",),
+    "Robot's clock faster [ppm]": ("/link/clock/drift",),
+}
+_SENSORS = {
+    "Standard deviation of the estimate [m] and [rad]": ("/ctrl/estimator/sigma",),
+    "Pose fixes so far": ("/ctrl/estimator/fixes",),
+    "Gyro and its bias [rad/s]": ("/robot/gyro", "/ctrl/estimator/gyro_bias"),
+    "Age of the newest fix [ms]": ("/ctrl/estimator/fix_age",),
+    "Acceleration [m/s²]": ("/robot/acceleration",),
+    "Slip: 1 for yes; health: 0 good, 2 lost": ("/ctrl/estimator/state",),
+}
 
 
 def blueprint(
@@ -34,32 +63,34 @@ def blueprint(
     ``LIVE_WINDOW_S`` seconds.
     """
     views = _Views([entity.path for entity in entities], limits, live=live)
-    tabs = [
-        views.robot(shape),
-        _column_pair("Wheels", views.wheels()),
-        _column_pair("Law", views.law()),
-        _column_pair("Link and loop", views.link()),
-        _column_pair("Estimator and sensors", views.sensors()),
-        rrb.Horizontal(rrb.TextDocumentView(origin="/run", name="Figures and properties"), views.events(), name="Run"),
-    ]
-    return rrb.Blueprint(
-        rrb.Tabs(*_there(*tabs), active_tab=0),
-        rrb.BlueprintPanel(state=rrb.PanelState.Collapsed),
-        rrb.SelectionPanel(state=rrb.PanelState.Collapsed),
-        rrb.TimePanel(state=rrb.PanelState.Collapsed, timeline="t", play_state="Following"),
-        auto_views=False,
+    return without_panels(
+        rrb.Tabs(
+            views.robot(shape),
+            *views.tab("Wheels", views.plots(_WHEELS)),
+            *views.tab("Law", views.law()),
+            *views.tab("Link and loop", views.plots(_LINK)),
+            *views.tab("Estimator and sensors", views.plots(_SENSORS)),
+            rrb.Horizontal(
+                rrb.TextDocumentView(origin="/run", name="Figures and properties"), views.events(), name="Run"
+            ),
+            active_tab=0,
+        )
     )
 
 
-def _column_pair(name: str, views: Sequence[Pane | None]) -> Pane | None:
-    """Put the views that are not None into two columns, filled row by row; return None when there is none."""
-    there = _there(*views)
-    columns = [rrb.Vertical(*one) for one in (there[::2], there[1::2]) if one]
-    return rrb.Horizontal(*columns, name=name) if columns else None
+def without_panels(root: Pane) -> rrb.Blueprint:
+    """Return a layout of these views alone, rerun's own panels closed, with the time cursor at the end of ``t``."""
+    closed = rrb.PanelState.Collapsed
+    time_panel = rrb.TimePanel(state=closed, timeline="t", play_state="Following")
+    panels = (rrb.BlueprintPanel(state=closed), rrb.SelectionPanel(state=closed), time_panel)
+    return rrb.Blueprint(root, *panels, auto_views=False)
 
 
-def _there(*views: Pane | None) -> list[Pane]:
-    return [view for view in views if view is not None]
+def window(*, live: bool) -> rrb.VisibleTimeRange:
+    """Return the range of time that a view shows: the last ``LIVE_WINDOW_S`` seconds, or the whole run."""
+    infinite, cursor = rrb.TimeRangeBoundary.infinite, rrb.TimeRangeBoundary.cursor_relative
+    start, end = (cursor(seconds=-LIVE_WINDOW_S), cursor()) if live else (infinite(), infinite())
+    return rrb.VisibleTimeRange("t", start=start, end=end)
 
 
 class _Views:
@@ -68,43 +99,46 @@ class _Views:
     def __init__(self, paths: Sequence[str], limits: Mapping[str, Sequence[Limit]], *, live: bool) -> None:
         self._paths = paths
         self._limits = limits
-        self._window = _window(live=live)
+        self._window = window(live=live)
         # The corner where a legend hides least: the oldest data when live, the newest in review.
         self._corner = rrb.Corner2D.LeftTop if live else rrb.Corner2D.RightTop
 
-    def plot(
-        self, name: str, *paths: str, limits: bool = True, y_range: tuple[float, float] | None = None
-    ) -> rrb.TimeSeriesView | None:
-        """Return a plot of those ``paths`` that the run has, by default with their limits; None if it has none."""
-        shown = [path for path in paths if path in self._paths]
-        if not shown:
-            return None
-        lines = [LIMITS_PATH + path for path in shown if path in self._limits] if limits else []
-        return rrb.TimeSeriesView(
-            name=name,
-            contents=[*shown, *lines],
-            time_ranges=self._window,
-            axis_y=None if y_range is None else rrb.ScalarAxis(range=y_range),
-            plot_legend=rrb.PlotLegend(corner=self._corner),
-        )
+    def plots(
+        self, plots: Mapping[str, Sequence[str]], *, limits: bool = True, y_range: tuple[float, float] | None = None
+    ) -> list[Pane]:
+        """Return the ``plots`` (paths by title) of which the run has an entity, by default with the limits."""
+        shown = {title: [path for path in paths if path in self._paths] for title, paths in plots.items()}
+        return [
+            rrb.TimeSeriesView(
+                name=title,
+                contents=[*paths, *(LIMITS_PATH + path for path in paths if limits and path in self._limits)],
+                time_ranges=self._window,
+                axis_y=None if y_range is None else rrb.ScalarAxis(range=y_range),
+                plot_legend=rrb.PlotLegend(corner=self._corner),
+            )
+            for title, paths in shown.items()
+            if paths
+        ]
+
+    def tab(self, name: str, views: Sequence[Pane]) -> list[Pane]:
+        """Return a tab with these views in two columns, filled row by row; none if there are no views."""
+        columns = [rrb.Vertical(*column) for column in (views[::2], views[1::2]) if column]
+        return [rrb.Horizontal(*columns, name=name)] if columns else []
 
     def robot(self, shape: RobotShape | None) -> Pane:
         """Return the first tab: the robot, its path, its errors, its wheels and its states."""
         spaces = [self.plan()] if shape is None else [self.scene(shape), self.plan()]
         errors = (
-            self.plot("Position error: truth minus reference [m]", _POSITION_ERROR, limits=False),
-            self.position_error_close(),
-            self.plot("Heading error: truth minus reference, and its bounds [rad]", "/ctrl/error/heading"),
+            *self.plots({"Position error: truth minus reference [m]": [_POSITION_ERROR]}, limits=False),
+            *self.position_error_close(),
+            *self.plots({"Heading error: truth minus reference, and its bounds [rad]": ["/ctrl/error/heading"]}),
         )
-        wheels = (
-            self.plot("Wheel speed: command (wide) and estimate [rad/s]", *_SPEED, limits=False),
-            self.plot("Wheel torque command [N·m]", _TORQUE, limits=False),
-        )
+        wheels = {"Wheel speed: command (wide) and estimate [rad/s]": _SPEED, "Wheel torque command [N·m]": _TORQUE}
         return rrb.Vertical(
             rrb.Horizontal(
                 rrb.Vertical(*spaces, row_shares=[1.25, 1.0][-len(spaces) :]),
-                rrb.Vertical(*_there(*errors)),
-                rrb.Vertical(*_there(*wheels)),
+                rrb.Vertical(*errors),
+                rrb.Vertical(*self.plots(wheels, limits=False)),
                 column_shares=[1.1, 1.0, 1.0],
             ),
             rrb.Horizontal(self.states(), self.events(), column_shares=[1.6, 1.0]),
@@ -112,55 +146,22 @@ class _Views:
             name="Robot",
         )
 
-    def position_error_close(self) -> Pane | None:
-        """The position error near zero, with its bounds."""
+    def position_error_close(self) -> list[Pane]:
+        """Return a plot of the position error near zero, with its bounds."""
         bounds = [abs(limit.value) for limit in self._limits.get(_POSITION_ERROR, ()) if limit.value]
         half_m = _CLOSE_BOUNDS * min(bounds) if bounds else _CLOSE_M
-        name = f"Position error within {half_m * 1e3:g} mm, and its bounds [m]"
-        return self.plot(name, _POSITION_ERROR, y_range=(-half_m, half_m))
+        title = f"Position error within {half_m * 1e3:g} mm, and its bounds [m]"
+        return self.plots({title: [_POSITION_ERROR]}, y_range=(-half_m, half_m))
 
-    def wheels(self) -> list[Pane | None]:
+    def law(self) -> list[Pane]:
+        more = [path for path in self._paths if path.startswith(f"{MORE_PATH}/")]
+        shadows = [path for path in more if path.startswith(f"{MORE_PATH}/{SHADOW_GROUP}/")]
         return [
-            self.plot("Wheel speed: command (wide) and estimate, and bounds [rad/s]", *_SPEED),
-            self.plot("Torque command and limits [N·m]", _TORQUE),
-            self.plot("Motor current and limits [A]", "/ctrl/wheel/current"),
-            self.plot("Winding temperature [°C]", "/ctrl/wheel/temperature"),
-            self.plot("Command scaled at a limit: 1 for yes", "/ctrl/guard", limits=False),
-            self.plot("Battery [V] and [A]", "/robot/battery"),
-        ]
-
-    def law(self) -> list[Pane | None]:
-        shadows = [path for path in self._paths if path.startswith(f"{MORE_PATH}/{SHADOW_GROUP}/")]
-        others = [path for path in self._paths if path.startswith(f"{MORE_PATH}/") and path not in shadows]
-        return [
-            self.plot("Gain K1 [1/s]", "/ctrl/gain/k1"),
-            self.plot("Gain K2 [1/s]", "/ctrl/gain/k2"),
-            self.position_error_close(),
-            self.plot("Torque command [N·m]", _TORQUE, limits=False),
-            *(self.plot(f"Shadow {_words(path)}", path, limits=False) for path in shadows),
-            *(self.plot(_words(path), path, limits=False) for path in others),
-        ]
-
-    def link(self) -> list[Pane | None]:
-        return [
-            self.plot("Lateness and work of a tick [µs]", "/loop/timing"),
-            self.plot("Round trip and latency [ms]", "/link/delay"),
-            self.plot("Deadline misses so far", "/loop/deadline_misses"),
-            self.plot("Age of command and feedback [ms]", "/link/age"),
-            self.plot("Frames so far", "/link/frames"),
-            self.plot("Load of the wire [%]", "/link/load"),
-            self.plot("Robot's clock ahead [µs]", "/link/clock/offset", limits=False),
-            self.plot("Robot's clock faster [ppm]", "/link/clock/drift", limits=False),
-        ]
-
-    def sensors(self) -> list[Pane | None]:
-        return [
-            self.plot("Standard deviation of the estimate [m] and [rad]", "/ctrl/estimator/sigma"),
-            self.plot("Pose fixes so far", "/ctrl/estimator/fixes"),
-            self.plot("Gyro and its bias [rad/s]", "/robot/gyro", "/ctrl/estimator/gyro_bias", limits=False),
-            self.plot("Age of the newest fix [ms]", "/ctrl/estimator/fix_age"),
-            self.plot("Acceleration [m/s²]", "/robot/acceleration", limits=False),
-            self.plot("Slip: 1 for yes; health: 0 good, 2 lost", "/ctrl/estimator/state", limits=False),
+            *self.plots({"Gain K1 [1/s]": ["/ctrl/gain/k1"], "Gain K2 [1/s]": ["/ctrl/gain/k2"]}),
+            *self.position_error_close(),
+            *self.plots({"Torque command [N·m]": _TORQUE}, limits=False),
+            *self.plots({f"Shadow {_title(path)}": [path] for path in shadows}),
+            *self.plots({_title(path): [path] for path in more if path not in shadows}),
         ]
 
     def states(self) -> Pane:
@@ -199,14 +200,8 @@ class _Views:
         )
 
 
-def _words(path: str) -> str:
+def _title(path: str) -> str:
     """Return a title for the signals of a path below ``/more``: group and unit."""
     *group, unit = path.removeprefix(f"{MORE_PATH}/").removeprefix(f"{SHADOW_GROUP}/").split("/")
     words = " ".join(group).removesuffix(f"_{unit}")
     return words if unit == NO_UNIT else f"{words} [{unit}]"
-
-
-def _window(*, live: bool) -> rrb.VisibleTimeRange:
-    infinite, cursor = rrb.TimeRangeBoundary.infinite, rrb.TimeRangeBoundary.cursor_relative
-    start, end = (cursor(seconds=-LIVE_WINDOW_S), cursor()) if live else (infinite(), infinite())
-    return rrb.VisibleTimeRange("t", start=start, end=end)

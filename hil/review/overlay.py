@@ -1,14 +1,13 @@
 """An overlay of two runs as a recording for the viewer: each signal of both over the scenario's time.
 
 Both begin at t = 0, their first ACTIVE tick, whatever their rates are. ``hil view`` opens the file, which has its own
-layout of views. A separate process, ``python -m hil.review.overlay FIRST SECOND FILE``, writes it, because the user's
-settings for rerun must not apply.
+layout of views.
 """
 
 import json
-import subprocess
-import sys
-from collections.abc import Mapping, Sequence
+import os
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -18,10 +17,9 @@ import numpy.typing as npt
 from hil.core.errors import BadInputError
 from hil.core.outputs import Existing, whole_file
 from hil.core.signals import unit_of
-from hil.core.subprocesses import module_command
 from hil.core.types import WHEEL_NAMES
 from hil.record.files import check_output_path
-from hil.record.layout import REFERENCE_COLOUR
+from hil.record.layout import REFERENCE_COLOUR, Colour
 from hil.record.properties import OVERLAY_PROPERTY
 from hil.record.started_process import rerun_environment
 from hil.review.difference import changes
@@ -29,7 +27,6 @@ from hil.review.plots import Curve, colour_of, thinned
 from hil.review.reader import RecordedRun, read
 
 if TYPE_CHECKING:
-    import rerun as rr
     import rerun.blueprint as rrb
 
 Series = npt.NDArray[np.float64]
@@ -44,35 +41,36 @@ _WIDTHS_PX = (3.0, 1.5)  # the second is drawn over the first, which must still 
 def write_overlay(first: Path, second: Path, file: Path, existing: Existing = "refuse") -> None:
     """Write the overlay of two recordings; ``existing`` says what to do if the file exists.
 
-    Raises BadInputError when a recording cannot be read, or the file cannot be written.
+    Raises BadInputError when a recording cannot be read, rerun is not installed, or the file cannot be written.
     """
     check_output_path("overlay", file, existing)
-    with whole_file(file, "overlay", existing) as unfinished:
-        done = subprocess.run(
-            module_command("hil.review.overlay", str(first), str(second), str(unfinished)),
-            capture_output=True,
-            env=rerun_environment(),
-            check=False,
-            text=True,
-        )
-        if done.returncode != 0:
-            reason = done.stdout.strip() or f"its writer ended with exit status {done.returncode}"
-            raise BadInputError(f"overlay {file}: {reason}; choose a path that can be written")
+    runs = read(first), read(second)
+    with whole_file(file, "overlay", existing) as unfinished, _without_user_settings():
+        try:
+            _write(runs, unfinished)
+        except ImportError as error:
+            raise BadInputError(f"overlay {file}: {error}; install rerun-sdk==0.41.*") from error
+        except (RuntimeError, OSError) as error:
+            raise BadInputError(f"overlay {file}: {error}; choose a path that can be written") from error
 
 
-def main() -> int:
-    """Write the overlay; return 1, with the reason on standard output, when that fails."""
-    first, second, file = map(Path, sys.argv[1:])
+@contextmanager
+def _without_user_settings() -> Iterator[None]:
+    """Take the user's settings for rerun out of the environment while the block runs."""
+    users = dict(os.environ)
+    os.environ.clear()
+    os.environ.update(rerun_environment())
     try:
-        _write([read(first), read(second)], file)
-    except (BadInputError, RuntimeError, OSError) as error:
-        print(error)
-        return 1
-    return 0
+        yield
+    finally:
+        os.environ.clear()
+        os.environ.update(users)
 
 
 def _write(runs: Sequence[RecordedRun], file: Path) -> None:
     import rerun as rr
+
+    from hil.record.drawings import seconds_index
 
     rr.set_strict_mode(True)
     labels = [f"{which}: {run.properties.get('law', run.path.stem)}" for which, run in zip(_RUNS, runs, strict=True)]
@@ -83,61 +81,40 @@ def _write(runs: Sequence[RecordedRun], file: Path) -> None:
     stream.log("/about", rr.TextDocument(_about(labels, runs), media_type=rr.MediaType.MARKDOWN), static=True)
     # A 2D view counts y downwards; the world's y points up.
     stream.log("/xy", rr.Transform3D(scale=[1.0, -1.0, 1.0]), static=True)
-    _trail(stream, "/xy/reference", runs[0].signals, ("reference",), REFERENCE_COLOUR, 6.0, 30.0)
+
+    def trail(name: str, points: Series | None, colour: Colour, width_px: float, draw_order: float) -> None:
+        if points is not None:
+            # A negative radius is in pixels, whatever the zoom.
+            strip = rr.LineStrips2D([points], colors=[colour], radii=[-width_px / 2], draw_order=draw_order)
+            stream.log(f"/xy/{name}", strip, static=True)
+
+    trail("reference", _points(runs[0], "reference"), REFERENCE_COLOUR, 6.0, 30.0)
     for number, (which, label, run) in enumerate(zip(_RUNS, labels, runs, strict=True)):
         colour, width_px = colour_of(number), _WIDTHS_PX[number]
-        _trail(stream, f"/xy/{which}", run.signals, ("truth", "pose"), colour, width_px, 31.0 + number)
+        trail(which, _points(run, "truth", "pose"), colour, width_px, 31.0 + number)
+        t_s = run.signals["loop.t_s"]
         for name, values in run.signals.items():
-            style = rr.SeriesLines(names=[label], colors=[colour], widths=[width_px])
-            _signal(stream, f"/{name.replace('.', '/')}/{which}", run.signals["loop.t_s"], values, style)
+            known = np.isfinite(values) & np.isfinite(t_s)
+            if known.any():
+                path = f"/{name.replace('.', '/')}/{which}"
+                curve = thinned(Curve("", t_s[known], values[known]), _MOST_POINTS)
+                stream.log(path, rr.SeriesLines(names=[label], colors=[colour], widths=[width_px]), static=True)
+                stream.send_columns(path, [seconds_index(curve.x)], rr.Scalars.columns(scalars=curve.y))
         for event in run.events:
-            stream.send_columns(
-                f"/events/{which}",
-                indexes=[_times(np.array([event.t_s]))],
-                columns=rr.TextLog.columns(text=[f"{label}: {event.text}"], level=[event.level]),
-            )
+            text = rr.TextLog.columns(text=[f"{label}: {event.text}"], level=[event.level])
+            stream.send_columns(f"/events/{which}", [seconds_index(np.array([event.t_s]))], text)
     stream.flush()
     stream.disconnect()
 
 
-def _signal(stream: "rr.RecordingStream", path: str, t_s: Series, values: Series, style: "rr.SeriesLines") -> None:
-    import rerun as rr
-
-    there = np.isfinite(values) & np.isfinite(t_s)
-    if not there.any():
-        return
-    curve = thinned(Curve("", t_s[there], values[there]), _MOST_POINTS)
-    stream.log(path, style, static=True)
-    stream.send_columns(path, indexes=[_times(curve.x)], columns=rr.Scalars.columns(scalars=curve.y))
-
-
-def _trail(
-    stream: "rr.RecordingStream",
-    path: str,
-    signals: Mapping[str, Series],
-    groups: Sequence[str],
-    colour: tuple[int, int, int],
-    width_px: float,
-    draw_order: float,
-) -> None:
-    """Draw the path of a run by the first of these groups of signals that has a value anywhere."""
-    import rerun as rr
-
+def _points(run: RecordedRun, *groups: str) -> Series | None:
+    """Return the path of a run, shape (n, 2), by the first of these groups of signals that has a value anywhere."""
     for group in groups:
-        points = np.column_stack([signals.get(f"{group}.{axis}", np.empty(0)) for axis in ("x_m", "y_m")])
+        points = np.column_stack([run.signals.get(f"{group}.{axis}", np.empty(0)) for axis in ("x_m", "y_m")])
         points = points[np.isfinite(points).all(axis=1)]
         if len(points):
-            points = points[:: -(-len(points) // _TRAIL_POINTS)]
-            # A negative radius is in pixels, whatever the zoom.
-            strip = rr.LineStrips2D([points], colors=[colour], radii=[-width_px / 2], draw_order=draw_order)
-            stream.log(path, strip, static=True)
-            return
-
-
-def _times(t_s: Series) -> "rr.TimeColumn":
-    import rerun as rr
-
-    return rr.TimeColumn("t", duration=np.rint(t_s * 1e9).astype("timedelta64[ns]"))
+            return points[:: -(-len(points) // _TRAIL_POINTS)]
+    return None
 
 
 def _about(labels: Sequence[str], runs: Sequence[RecordedRun]) -> str:
@@ -150,14 +127,14 @@ def _about(labels: Sequence[str], runs: Sequence[RecordedRun]) -> str:
 def _blueprint() -> "rrb.Blueprint":
     import rerun.blueprint as rrb
 
-    window = rrb.VisibleTimeRange("t", start=rrb.TimeRangeBoundary.infinite(), end=rrb.TimeRangeBoundary.infinite())
+    from hil.record.blueprint import window, without_panels
 
-    def plot(title: str, *signals: str) -> rrb.TimeSeriesView:
-        unit = unit_of(signals[0])
+    def plot(title: str, signal: str) -> rrb.TimeSeriesView:
+        unit = unit_of(signal)
         return rrb.TimeSeriesView(
             name=f"{title} [{unit}]" if unit else title,
-            contents=[f"/{signal.replace('.', '/')}/**" for signal in signals],
-            time_ranges=window,
+            contents=f"/{signal.replace('.', '/')}/**",
+            time_ranges=window(live=False),
             plot_legend=rrb.PlotLegend(corner=rrb.Corner2D.RightTop),
         )
 
@@ -165,12 +142,16 @@ def _blueprint() -> "rrb.Blueprint":
         plots = [plot(f"{title} {wheel.upper()}", f"wheel.{wheel}.{quantity}") for wheel in WHEEL_NAMES]
         return rrb.Grid(*plots, grid_columns=2, name=title)
 
-    gains = [
-        plot(f"{gain.upper()} {axis}", f"gain.{gain}_{axis}_1_s")
-        for gain in ("k1", "k2")
-        for axis in ("x", "y", "heading")
-    ]
-    return rrb.Blueprint(
+    axes = ("x", "y", "heading")
+    gains = [plot(f"{gain.upper()} {axis}", f"gain.{gain}_{axis}_1_s") for gain in ("k1", "k2") for axis in axes]
+    errors = {"Planar error": "planar_m", "Error x": "x_m", "Error y": "y_m", "Heading error": "heading_rad"}
+    timing = {
+        "Lateness": "loop.lateness_us",
+        "Work of a tick": "loop.tick_us",
+        "Feedback age": "link.feedback_age_ms",
+        "Round trip": "link.rtt_ms",
+    }
+    return without_panels(
         rrb.Horizontal(
             rrb.Vertical(
                 rrb.Spatial2DView(name="Trajectory, world frame [m]: reference orange", origin="/", contents="/xy/**"),
@@ -180,34 +161,15 @@ def _blueprint() -> "rrb.Blueprint":
                 ),
                 row_shares=[3, 2],
             ),
-            rrb.Vertical(
-                plot("Planar error", "error.planar_m"),
-                plot("Error x", "error.x_m"),
-                plot("Error y", "error.y_m"),
-                plot("Heading error", "error.heading_rad"),
-            ),
+            rrb.Vertical(*(plot(title, f"error.{name}") for title, name in errors.items())),
             rrb.Tabs(
                 wheels("Wheel speed", "speed_rad_s"),
                 wheels("Speed command", "speed_command_rad_s"),
                 wheels("Torque command", "torque_command_n_m"),
                 wheels("Motor current", "current_a"),
                 rrb.Grid(*gains, grid_columns=3, name="Gains"),
-                rrb.Vertical(
-                    plot("Lateness", "loop.lateness_us"),
-                    plot("Work of a tick", "loop.tick_us"),
-                    plot("Feedback age", "link.feedback_age_ms"),
-                    plot("Round trip", "link.rtt_ms"),
-                    name="Loop and link",
-                ),
+                rrb.Vertical(*(plot(title, signal) for title, signal in timing.items()), name="Loop and link"),
             ),
             column_shares=[2, 2, 3],
-        ),
-        rrb.BlueprintPanel(state=rrb.PanelState.Collapsed),
-        rrb.SelectionPanel(state=rrb.PanelState.Collapsed),
-        rrb.TimePanel(state=rrb.PanelState.Collapsed, timeline="t", play_state="Following"),
-        auto_views=False,
+        )
     )
-
-
-if __name__ == "__main__":
-    sys.exit(main())
