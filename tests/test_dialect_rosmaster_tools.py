@@ -82,13 +82,13 @@ def test_questions_are_answered_and_what_is_not_there_is_not(board: Rig) -> None
 
 def test_gains_are_told_as_they_were_set_and_stiffen_the_loops(board: Rig) -> None:
     slowly = Frame(0x12, struct.pack("<B3h", 1, 10, 0, 0))
-    board.node.take(slowly)
+    board.node.execute(slowly)
     board.node.run(1)
     soft = board.node.torque_n_m[0]
     stiff = Rig("rosmaster", **{"plant.start.battery_voltage_v": 12.0})
     write(stiff, SET_PID_TWICE)
     assert answer(stiff, GET_MOTION_PID) == (0x13, struct.pack("<B3H", 1, 1600, 120, 500))
-    stiff.node.take(slowly)
+    stiff.node.execute(slowly)
     stiff.node.run(1)
     assert stiff.node.torque_n_m[0] == pytest.approx(2.0 * soft)
     write(stiff, RESET_FLASH)
@@ -183,7 +183,7 @@ def test_a_car_that_is_set_is_told_and_has_its_limit_and_no_speed_of_before(boar
     board.node.run(8)
     assert max(abs(speed) for speed in board.node._speeds_mm_s) < 500.0
     assert answer(board, GET_CAR_TYPE)[1][0] == 2
-    board.node.take(Frame(0x11, struct.pack("<BBH", 2, 1, 100)))
+    board.node.execute(Frame(0x11, struct.pack("<BBH", 2, 1, 100)))
     assert board.node._targets_mm_s == (700, 700, 700, 700)
 
 
@@ -202,7 +202,7 @@ SIZES = {0x10: 4, 0x11: 4, 0x12: 7}
 def test_no_other_function_and_none_of_another_size_moves_a_wheel(function: int, data: bytes) -> None:
     if len(data) == SIZES.get(function):
         data += b"\0"
-    QUIET.node.take(Frame(function, data))
+    QUIET.node.execute(Frame(function, data))
     assert not QUIET.node.is_driving
     QUIET.node.take_frames()
 
@@ -210,12 +210,12 @@ def test_no_other_function_and_none_of_another_size_moves_a_wheel(function: int,
 @given(st.sampled_from(sorted(SIZES)), st.binary(min_size=7, max_size=7))
 def test_no_numbers_make_more_than_the_limits(function: int, data: bytes) -> None:
     node = DRIVEN.node
-    node.take(Frame(function, data[: SIZES[function]]))
+    node.execute(Frame(function, data[: SIZES[function]]))
     node.run(1)
     limit = node.values["torque_limit_n_m"] * (1.0 + 1e-9)
     assert all(abs(torque) <= limit for torque in node.torque_n_m)
     assert all(abs(target) <= 1000 for target in node._targets_mm_s or ())
-    node.take(Frame(0x0F, b"\x5f"))
+    node.execute(Frame(0x0F, b"\x5f"))
     node.take_frames()
 
 

@@ -79,14 +79,14 @@ MOTORS = '''
         def is_driving(self):
             return any(self._targets)
 
-        def take(self, frame):
+        def receive(self, frame):
             if frame.id == 0x10 and len(frame.payload) == 8:
                 self._targets = tuple(count / self._per_rad_s for count in SPEEDS.unpack(frame.payload))
 
         def tick(self):
             self.was_driving = self.was_driving or self.is_driving
             speeds = [shaft.speed_rad_s for shaft in self.shafts]
-            self.say(Frame(0x11, SPEEDS.pack(*(round(speed * self._per_rad_s) for speed in speeds))))
+            self.send(Frame(0x11, SPEEDS.pack(*(round(speed * self._per_rad_s) for speed in speeds))))
             return tuple(loop.torque(*pair) for loop, *pair in zip(self._loops, self._targets, speeds))
 
 

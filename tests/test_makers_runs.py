@@ -50,9 +50,9 @@ def assert_off(bystander: can.BusABC) -> None:
 
 
 class MotorThreeFallsSilent(EmulatedC620):
-    def say(self, frame: Frame) -> None:
+    def send(self, frame: Frame) -> None:
         if frame.id != 0x203 or self.ticks < 1500:
-            super().say(frame)
+            super().send(frame)
 
 
 class MotorTwoGetsHot(EmulatedC620):
@@ -170,9 +170,9 @@ def test_without_leave_to_move_nothing_is_asked_of_real_motors() -> None:
 
 def test_controllers_that_do_not_answer_are_named(built: Any) -> None:
     class OnlyTwo(EmulatedC620):
-        def say(self, frame: Frame) -> None:
+        def send(self, frame: Frame) -> None:
             if frame.id < 0x203:
-                super().say(frame)
+                super().send(frame)
 
     built(OnlyTwo)
     with pytest.raises(DeviceError, match="no feedback of the motors 3, 4; check their power"):

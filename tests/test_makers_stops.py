@@ -151,11 +151,11 @@ class LosesTheFirstStop(EmulatedC620):
     def is_hot(self) -> bool:
         return self.ticks > 800
 
-    def take(self, frame: Frame) -> None:
+    def receive(self, frame: Frame) -> None:
         if self.is_hot and frame.id == 0x200 and not any(frame.payload) and not self.is_lost:
             self.is_lost = True
             return
-        super().take(frame)
+        super().receive(frame)
 
     def _sample(self, drive: Any) -> None:
         super()._sample(drive)
@@ -283,8 +283,8 @@ def test_nobody_is_armed_by_a_speed_of_long_ago(monkeypatch: pytest.MonkeyPatch)
     with on_bench("c620") as bench:
         bench.connect()
         node = node_of(bench)
-        say = node.say
-        monkeypatch.setattr(node, "say", lambda frame: None if frame.id == 0x203 else say(frame))
+        send = node.send
+        monkeypatch.setattr(node, "send", lambda frame: None if frame.id == 0x203 else send(frame))
         let_pass(bench, 0.5)
         with pytest.raises(DeviceError, match="no feedback of all four wheels that is younger"):
             bench.device.start(bench.clock, PERIOD_NS)

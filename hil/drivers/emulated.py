@@ -157,8 +157,8 @@ SettingsT = TypeVar("SettingsT")
 class EmulatedMotors(Generic[SettingsT]):
     """Emulated motor controllers of one maker, connected to a plant: a ``RobotNode``, as the host library's firmware.
 
-    A maker's class defines its state (``power_on``), what a frame does (``take``) and what happens in a tick of 1 ms
-    (``tick``), and sends frames with ``say``. For a serial line it overrides ``feed`` and ``take_bytes``.
+    A maker's class defines its state (``power_on``), what a frame does (``receive``) and what happens in a tick of
+    1 ms (``tick``), and sends frames with ``send``. For a serial line it overrides ``feed`` and ``take_bytes``.
 
     Attributes:
         settings: of [device.motors].
@@ -199,7 +199,7 @@ class EmulatedMotors(Generic[SettingsT]):
         self._plant_failed = False
         self._unsent = 0
         self._outgoing: deque[Frame] = deque()
-        self._sample(None)
+        self._sample(self._ffi.NULL)
         self.power_on()
 
     # Defined by a maker's class
@@ -208,8 +208,8 @@ class EmulatedMotors(Generic[SettingsT]):
         """Set up the maker's own state; called once, at the end of the constructor."""
         raise NotImplementedError
 
-    def take(self, frame: Frame) -> None:
-        """Do what a frame asks. Ignore a frame that is not for this maker's devices."""
+    def receive(self, frame: Frame) -> None:
+        """Do what a CAN frame asks. Ignore a frame that is not for this maker's devices."""
         raise NotImplementedError
 
     def tick(self) -> FourWheels | None:
@@ -231,15 +231,11 @@ class EmulatedMotors(Generic[SettingsT]):
         gains = self.values["speed_kp_n_m_s_rad"], self.values["speed_ki_n_m_rad"]
         return tuple(SpeedLoop(*gains, self.values["torque_limit_n_m"]) for _ in range(4))
 
-    def say(self, frame: Frame) -> None:
+    def send(self, frame: Frame) -> None:
         """Send a frame."""
         self._outgoing.append(frame)
 
     # The node
-
-    def receive(self, frame: Frame) -> None:
-        """Take one CAN frame."""
-        self.take(frame)
 
     def feed(self, data: bytes) -> None:
         """Take bytes of a serial line: this maker's devices have none."""
@@ -308,7 +304,7 @@ class EmulatedMotors(Generic[SettingsT]):
 
     def _sample(self, drive: Any) -> None:
         sense = self._sense
-        failed = self._exchange(self._context, self._ffi.NULL if drive is None else drive, sense) != 0
+        failed = self._exchange(self._context, drive, sense) != 0
         self._plant_failed = self._plant_failed or failed
         for shaft, count in zip(self.shafts, sense.count, strict=True):
             shaft.sample(count)

@@ -31,7 +31,7 @@ class EmulatedC620(EmulatedMotors[Settings]):
     def is_driving(self) -> bool:
         return any(self._set_point_a)
 
-    def take(self, frame: Frame) -> None:
+    def receive(self, frame: Frame) -> None:
         first = {0x200: 1, 0x1FF: 5}.get(frame.id)
         if first is None or len(frame.payload) != 8:
             return
@@ -50,7 +50,7 @@ class EmulatedC620(EmulatedMotors[Settings]):
             raw_current = round(self.current_a[channel] * self._counts / self._amperes)
             temperature = clamp(round(self.temperature_degc[channel]), 255, 0)
             payload = struct.pack(">HhhBB", angle, _int16(rpm), _int16(raw_current), temperature, 0)
-            self.say(Frame(0x200 + number, payload))
+            self.send(Frame(0x200 + number, payload))
         if not self._was_commanded:
             return None
         constant = self.values["torque_constant_n_m_a"]

@@ -64,7 +64,7 @@ class EmulatedDbc(EmulatedMotors[Settings]):
 
     # Received frames
 
-    def take(self, frame: Frame) -> None:
+    def receive(self, frame: Frame) -> None:
         message = self._received.get(frame.id)
         if message is None or len(frame.payload) < message.length:
             return
@@ -185,7 +185,7 @@ class EmulatedDbc(EmulatedMotors[Settings]):
         values = {str(signal): raw for signal, raw in self._values()} | self.overrides
         for message in due:
             raws = {name: values.get(str(signal), signal.initial) for name, signal in message.signals.items()}
-            self.say(Frame(message.id, message.codec.encode(raws, scaling=False, strict=False)))
+            self.send(Frame(message.id, message.codec.encode(raws, scaling=False, strict=False)))
 
     def _values(self) -> Iterator[tuple[Signal, float]]:
         """Yield each signal that the mapping reads, with its actual raw value."""

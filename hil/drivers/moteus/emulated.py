@@ -43,7 +43,7 @@ class EmulatedMoteus(EmulatedMotors[Settings]):
     def is_driving(self) -> bool:
         return any(servo.is_controlled for servo in self.servos)
 
-    def take(self, frame: Frame) -> None:
+    def receive(self, frame: Frame) -> None:
         number = frame.id & 0x1FFF_FFFF
         if number >> 16 != self.settings.can_prefix:
             return
@@ -55,7 +55,7 @@ class EmulatedMoteus(EmulatedMotors[Settings]):
                 if source & 0x80 and answer is not None:
                     reply_id = self.settings.can_prefix << 16 | servo_id << 8 | source & 0x7F
                     extended = 0x8000_0000 if reply_id > 0x7FF else 0
-                    self.say(Frame(extended | reply_id, answer))
+                    self.send(Frame(extended | reply_id, answer))
 
     def tick(self) -> FourWheels | None:
         self._measure()

@@ -53,7 +53,7 @@ class EmulatedODrive(EmulatedMotors[Settings]):
 
     # Commands
 
-    def take(self, frame: Frame) -> None:
+    def receive(self, frame: Frame) -> None:
         is_remote, number = bool(frame.id & _REMOTE), frame.id & ~_REMOTE
         if number > _STANDARD:
             return
@@ -163,7 +163,7 @@ class EmulatedODrive(EmulatedMotors[Settings]):
     # Answers and cyclic messages
 
     def _say(self, axis: EmulatedAxis, command: int, payload: bytes) -> None:
-        self.say(Frame(axis.node << 5 | command, payload))
+        self.send(Frame(axis.node << 5 | command, payload))
 
     def _answer(self, channel: int, axis: EmulatedAxis, command: int) -> None:
         is_old = self.firmware[1] == 5

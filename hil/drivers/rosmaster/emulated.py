@@ -110,7 +110,7 @@ class EmulatedRosmaster(EmulatedMotors[Settings]):
     def take_bytes(self) -> bytes:
         return b"".join(map(_framed, self.take_frames()))
 
-    def take(self, frame: Frame) -> None:
+    def execute(self, frame: Frame) -> None:
         """Execute one function of the serial protocol."""
         data = frame.payload
         if frame.id == 0x50 and len(data) == 2:
@@ -142,7 +142,7 @@ class EmulatedRosmaster(EmulatedMotors[Settings]):
         if 1 <= parameter <= 4:  # a motor; all have the same
             answers[0x13] = struct.pack("<B3H", parameter, *self._pid)
         if function in answers:
-            self.say(Frame(function, answers[function]))
+            self.send(Frame(function, answers[function]))
 
     def _move(self, x_mm_s: int, y_mm_s: int, turn_mrad_s: int) -> None:
         if any((x_mm_s, y_mm_s, turn_mrad_s)):
@@ -240,7 +240,7 @@ class EmulatedRosmaster(EmulatedMotors[Settings]):
             self._receiver.take(byte)
         del self._line[:count]
         if (found := self._receiver.look()) is not None:
-            self.take(Frame(*found))
+            self.execute(Frame(*found))
 
     def _measure(self) -> None:
         """Compute the speeds from the counts of 10 ms; one count is 15 mm/s on an X3."""
@@ -263,17 +263,17 @@ class EmulatedRosmaster(EmulatedMotors[Settings]):
         if phase == 1:
             x, y, turn = body_twist(self._speeds_mm_s, 1.0, self._car.lever_m * 1000.0)
             volts = clamp(int(self.battery_v * 10), 255, 0)
-            self.say(Frame(0x0A, struct.pack("<3hB", int16(x), int16(y), int16(turn * 1000), volts)))
+            self.send(Frame(0x0A, struct.pack("<3hB", int16(x), int16(y), int16(turn * 1000), volts)))
         elif phase == 11:
             values = [*self.gyro_rad_s, *self.acceleration_m_s2]
-            self.say(Frame(0x0E, struct.pack("<9h", *(int16(value * 1000) for value in values), 0, 0, 0)))
+            self.send(Frame(0x0E, struct.pack("<9h", *(int16(value * 1000) for value in values), 0, 0, 0)))
         elif phase == 21:
             x, y, z = self.acceleration_m_s2
             angles = math.atan2(y, z), math.atan2(-x, math.hypot(y, z)), self._yaw_rad
-            self.say(Frame(0x0C, struct.pack("<3h", *(int16(angle * 10000) for angle in angles))))
+            self.send(Frame(0x0C, struct.pack("<3h", *(int16(angle * 10000) for angle in angles))))
         elif phase == 31:
             fl, fr, rr, rl = (count & 0xFFFF_FFFF for count in self._counts)
-            self.say(Frame(0x0D, struct.pack("<4I", fl, rl, fr, rr)))
+            self.send(Frame(0x0D, struct.pack("<4I", fl, rl, fr, rr)))
 
 
 def _framed(frame: Frame) -> bytes:

@@ -70,7 +70,7 @@ class EmulatedVesc(EmulatedMotors[Settings]):
         for channel, vesc in enumerate(self.vescs):
             if self.ticks % period == channel * period // 4:
                 for command, data in vesc.statuses():
-                    self.say(Frame(_EXTENDED | command << 8 | vesc.number, data))
+                    self.send(Frame(_EXTENDED | command << 8 | vesc.number, data))
             if vesc.is_driving and self.battery_v < _MIN_V:
                 vesc.fail(_UNDER_VOLTAGE)
             elif vesc.is_driving and self.temperature_degc[channel] > self.values["temperature_limit_degc"]:
@@ -88,7 +88,7 @@ class EmulatedVesc(EmulatedMotors[Settings]):
 
     # CAN
 
-    def take(self, frame: Frame) -> None:
+    def receive(self, frame: Frame) -> None:
         command, number, data = (frame.id & 0x1FFF_FFFF) >> 8, frame.id & 0xFF, frame.payload
         if not frame.id & _EXTENDED:
             return
@@ -100,12 +100,12 @@ class EmulatedVesc(EmulatedMotors[Settings]):
             elif command == _SHORT_MESSAGE and len(data) > 2 and data[1] in (0, 2):
                 vesc.process(data[2:], self._can_reply(vesc.number, data[0]) if data[1] == 0 else _unanswered)
             elif command == _PING and data:
-                self.say(Frame(_EXTENDED | _PONG << 8 | data[0], bytes((vesc.number, 0))))
+                self.send(Frame(_EXTENDED | _PONG << 8 | data[0], bytes((vesc.number, 0))))
 
     def _can_reply(self, sender: int, to: int) -> Reply:
         def reply(message: bytes) -> None:
             for command, data in can_parts(sender, message):
-                self.say(Frame(_EXTENDED | command << 8 | to, data))
+                self.send(Frame(_EXTENDED | command << 8 | to, data))
 
         return reply
 

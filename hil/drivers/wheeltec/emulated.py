@@ -51,7 +51,7 @@ class EmulatedWheeltec(EmulatedMotors[Settings]):
                 if whole[10] == TAIL and whole[9] == checksum(whole[:9]) and whole[1] == 0:
                     self._obey(whole[3:9])
 
-    def take(self, frame: Frame) -> None:
+    def receive(self, frame: Frame) -> None:
         if frame.id == COMMAND and len(frame.payload) == 8:
             self._obey(frame.payload[:6])
 
@@ -101,4 +101,4 @@ class EmulatedWheeltec(EmulatedMotors[Settings]):
         body = _REPORT.pack(HEAD, self._is_off, *map(int16, numbers), volts)
         whole = body + bytes([checksum(body), TAIL])
         for i, number in enumerate(REPORTS):
-            self.say(Frame(number, whole[8 * i : 8 * i + 8]))
+            self.send(Frame(number, whole[8 * i : 8 * i + 8]))
