@@ -58,7 +58,7 @@ def nothing_goes_out(bench: Bench) -> Iterator[None]:
         raise LinkError("the transmit queue stays full")
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(robot_of(bench)._line._link, "send", send)
+        patch.setattr(robot_of(bench)._line.link, "send", send)
         yield
 
 
@@ -185,7 +185,7 @@ def test_a_stop_goes_out_however_often_ctrl_c_is_pressed(monkeypatch: pytest.Mon
         bench.connect()
         bench.device.start(bench.clock, PERIOD_NS)
         drive(bench, 20)
-        link = robot_of(bench)._line._link
+        link = robot_of(bench)._line.link
         send, left = link.send, [presses]
 
         def interrupted(frame: Frame) -> None:
@@ -455,7 +455,7 @@ def test_after_a_silence_no_ramp_begins_or_goes_on(monkeypatch: pytest.MonkeyPat
             bench.device.poll()
         assert line.read(PATIENCE_NS).startswith(b"stop")
         wait_for(lambda: guardian._stopped)
-        link, sent = robot_of(bench)._line._link, list[Frame]()
+        link, sent = robot_of(bench)._line.link, list[Frame]()
         send = link.send
         monkeypatch.setattr(link, "send", lambda frame: (sent.append(frame), send(frame)))
         bench.device.disarm()

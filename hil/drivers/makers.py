@@ -16,8 +16,7 @@ from hil.core.ports import Clock
 from hil.core.types import CommandMode, FourWheels, WheelCommand
 from hil.drivers.host_watch import HostWatch
 from hil.drivers.makers_feedback import MakersReport, MotorFeedback, MotorsInfo
-from hil.drivers.motor_line import MotorLine
-from hil.drivers.motor_stop import REPEAT_NS, REST, MotorStop, Terms
+from hil.drivers.motor_stop import REPEAT_NS, REST, MotorLine, MotorStop, Terms
 from hil.drivers.port import Driver, DriverError
 from hil.robot.handshake import SILENCE_NS
 from hil.robot.port import LinkedDevice
@@ -37,6 +36,7 @@ class MakersRobot(LinkedDevice):
     ``watch`` stops the robot when this process dies or hangs. Nothing is sent before ``connect``.
     """
 
+    keeps_counts = False  # a controller that was reset counts from zero, and does not report the reset
     _clock: Clock
     _line: MotorLine
 
@@ -45,17 +45,13 @@ class MakersRobot(LinkedDevice):
     ) -> None:
         super().__init__(link, is_lockstep=terms.advance is not None)
         self._line = MotorLine(link, driver, self._poll_age, is_lockstep=self.is_lockstep)
-        self._clock = clock
-        self._driver = driver
-        self._map = wheel_map
-        self._terms = terms
-        self._watch = watch
+        self._clock, self._driver, self._map = clock, driver, wheel_map
+        self._terms, self._watch = terms, watch
         self._state = State.IDLE
         self._commanded: FourWheels = REST
         self._feedback = MotorFeedback(driver, wheel_map, terms.counts_per_revolution, terms.stale_s)
         self._stop = MotorStop(driver, terms, self._line)
-        self._has_armed = False  # ever
-        self._has_lingered = False
+        self._has_armed = self._has_lingered = False  # ever armed
         self._settled_ns = 0
         self._awaits_watch = False  # before it may be armed
         self.report = MakersReport(self._feedback)
@@ -77,21 +73,14 @@ class MakersRobot(LinkedDevice):
 
     @property
     def warnings(self) -> Sequence[str]:
-        warnings = [*self._driver.warnings]
-        if self._driver.capabilities.watchdog == "none" and self._watch.warning is not None:
-            warnings.append(self._watch.warning)
-        if self._terms.rearm:
-            warnings.append(
-                "with loop.rearm a robot that comes back is armed and driven on at once, also one whose power was cut "
-                "by somebody for a reason"
-            )
-        return warnings
+        unwatched = self._watch.warning if self._driver.capabilities.watchdog == "none" else None
+        rearms = (
+            "with loop.rearm a robot that comes back is armed and driven on at once, also one whose power was cut by "
+            "somebody for a reason"
+        )
+        return [*self._driver.warnings, *filter(None, (unwatched, rearms if self._terms.rearm else None))]
 
     # Coming back after a loss
-
-    @property
-    def keeps_counts(self) -> bool:
-        return False  # a controller that was reset counts from zero, and does not report the reset
 
     def leave(self) -> None:
         self._awaits_watch = False
@@ -109,7 +98,7 @@ class MakersRobot(LinkedDevice):
         self._driver.restart()  # before the stop, whose frames must not depend on what was received before the loss
         if self._stop.is_needed:  # the controllers may still follow the last command from before the loss
             self._drop(State.STOPPING)
-            self._stop.wait_no_longer_than(_SETTLE_NS)  # rolling wheels come to rest sooner when they are driven
+            self._stop.wait_ns = _SETTLE_NS  # rolling wheels come to rest sooner when they are driven
         self._line.restart(self._clock.now_ns())
 
     def greeted(self) -> bool:
@@ -175,7 +164,7 @@ class MakersRobot(LinkedDevice):
     def clear(self) -> None:
         self._line.send(self._driver.clear())
         if self._state in (State.ESTOP, State.FAULT):
-            self._stop.clear()
+            self._stop.is_latched = False
             # Until then reports may be from before; after that, errors that remain make it FAULT again.
             self._settled_ns = self._clock.now_ns() + _SETTLE_NS
             self._state = State.STOPPING

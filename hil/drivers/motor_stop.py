@@ -1,15 +1,23 @@
-"""Stopping motors that do not know our states: the ramp down, and the stop that is owed until the wheels rest."""
+"""The frames between a driver and a link; the ramp down of motors, and the stop that is owed until the wheels rest."""
 
 import functools
 from collections.abc import Callable, Sequence
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 from firmware_protocol.framing import Frame
-from hil.core.errors import HilError, LinkError
+from hil.core.errors import BadInputError, HilError, LinkError
 from hil.core.guard import Brake
+from hil.core.ports import Clock
 from hil.core.types import CommandMode, FourWheels, Wheels
+from hil.drivers.makers_feedback import MotorsInfo
 from hil.drivers.port import Driver, DriverError, four
+from hil.robot.handshake import RETRY_NS
+from hil.robot.link_times import PollAge
+from hil.robot.wire_hash import WireHash, pack_wide
+from hil.wire.conditions import ConditionedLink
 
+_MOST_A_POLL = 5000  # frames; four controllers at 1 kHz send forty in 10 ms
+_ASK_NS = 20_000_000  # controllers that only answer count as lost after 250 ms, and some are asked in turn
 REST: FourWheels = (0.0, 0.0, 0.0, 0.0)
 REPEAT_NS = 50_000_000
 _TIMES_AT_REST = 2  # one may be lost, and wheels at rest may still be under control
@@ -36,12 +44,77 @@ class Terms(NamedTuple):
     advance: Callable[[int], None] | None
 
 
-class Line(Protocol):
-    """The part of ``MotorLine`` that a stop needs."""
+class MotorLine:
+    """Passes frames between driver and link, and asks the controllers who they are.
 
-    def send(self, frames: Sequence[Frame]) -> None: ...
+    Every call may raise LinkError when the link is lost.
 
-    def flush(self) -> None: ...
+    Attributes:
+        link: as given.
+        sent, received: number of frames so far.
+        hash: of every frame, both directions, in order.
+        info: the controllers' identity; None before all have answered. It stays after ``restart``.
+    """
+
+    def __init__(self, link: ConditionedLink, driver: Driver, poll_age: PollAge, *, is_lockstep: bool) -> None:
+        self.link, self._driver, self._poll_age, self._is_lockstep = link, driver, poll_age, is_lockstep
+        self.hash = WireHash(pack_wide, pack_wide)
+        self._is_identified = False
+        self._ask_again_ns = 0
+        self.info: MotorsInfo | None = None
+        self.sent = self.received = 0
+
+    def restart(self, now_ns: int) -> None:
+        """Ask for the identity again."""
+        self._is_identified = False
+        self._ask_again_ns = now_ns
+
+    def identify(self, now_ns: int) -> bool:
+        """Return whether the controllers have reported their identity; ask them when that is due.
+
+        Raises BadInputError when it is not the identity from before ``restart``.
+        """
+        words = self._driver.identity
+        if words is None:
+            if now_ns >= self._ask_again_ns:
+                self._ask_again_ns = now_ns + RETRY_NS
+                self.send(self._driver.ask())
+            return False
+        if self.info is not None and self.info.words != words:
+            raise BadInputError(
+                f"another robot answers on the link: {words}; the run began with {self.info.words}; plug in the first "
+                "one, or start a new run"
+            )
+        self.info = MotorsInfo(words)
+        self._is_identified = True
+        return True
+
+    def ask_state(self, now_ns: int) -> None:
+        """Ask identified controllers for their state, when that is due: many send only answers."""
+        if self._is_identified and now_ns >= self._ask_again_ns:
+            self._ask_again_ns = now_ns + _ASK_NS
+            self.send(self._driver.ask())
+
+    def send(self, frames: Sequence[Frame]) -> None:
+        """Send frames, in order."""
+        for frame in frames:
+            self.link.send(frame)
+            self.hash.sent(frame)
+            self.sent += 1
+
+    def take(self, clock: Clock) -> None:
+        """Give the driver the frames that have arrived."""
+        count = 0
+        while (self._is_lockstep or count < _MOST_A_POLL) and (received := self.link.receive(0)) is not None:
+            frames, stamp_ns = received
+            for frame in frames:
+                self.hash.received(frame)
+                self._driver.feed(frame, stamp_ns)
+            count += len(frames)
+        self.received += count
+        if not self._is_lockstep:
+            self._poll_age.record_poll(clock.now_ns(), everything=count < _MOST_A_POLL)
+        self.hash.keep_up()
 
 
 class MotorStop:
@@ -49,22 +122,22 @@ class MotorStop:
 
     Attributes:
         is_sent: whether all frames of the newest stop were sent, or nothing was ever armed.
+        is_latched: whether the stop is the e-stop; set it to False to let the next one be an ordinary stop.
         problem: why the newest stop was not sent whole; None if it was.
+        wait_ns: how long ``go_on`` waits at most for the wheels to rest after the newest stop.
     """
 
-    def __init__(self, driver: Driver, terms: Terms, line: Line) -> None:
-        self._driver = driver
-        self._terms = terms
-        self._line = line
+    def __init__(self, driver: Driver, terms: Terms, line: MotorLine) -> None:
+        self._driver, self._terms, self._line = driver, terms, line
         self._ramp: tuple[int, FourWheels] | None = None  # when it began, and from which speeds
         self._owed_since_ns: int | None = None
         self._sent_at_rest = 0
-        self._wait_ns = _ROLLS_OUT_NS
-        self._is_latched = False
         self._repeat_at_ns = 0
+        self._failing_since_ns: int | None = None
+        self.wait_ns = _ROLLS_OUT_NS
+        self.is_latched = False
         self.is_sent = True
         self.problem: str | None = None
-        self._failing_since_ns: int | None = None
 
     @property
     def is_ramping(self) -> bool:
@@ -90,7 +163,7 @@ class MotorStop:
     def armed(self) -> None:
         """Forget the stop that is owed: the motors are armed again."""
         self._ramp = self._owed_since_ns = self.problem = None
-        self._is_latched = False
+        self.is_latched = False
         self.is_sent = False
 
     def ramp_down(self, now_ns: int, speed_rad_s: FourWheels) -> None:
@@ -104,33 +177,25 @@ class MotorStop:
         is lost.
         """
         if self._ramp is None:
-            return self.is_sent and (self._owed_since_ns is None or now_ns > self._owed_since_ns + self._wait_ns)
+            return self.is_sent and (self._owed_since_ns is None or now_ns > self._owed_since_ns + self.wait_ns)
         begin_ns, speed = self._ramp
         left = 1.0 - (now_ns - begin_ns) * 1e-9 / self._terms.ramp_s
         if self._terms.mode is CommandMode.SPEED and left > 0.0:
             self._line.send(self._driver.command(four(left * one for one in speed), REST, now_ns))
-        elif self._terms.mode is CommandMode.TORQUE and not self._is_over(now_ns, begin_ns):
-            self._line.send(self._driver.command(REST, self._brake(now_ns), now_ns))
-        else:
+        elif self._terms.mode is CommandMode.SPEED or self._rests_since(begin_ns) or now_ns > begin_ns + _ROLLS_OUT_NS:
             self.leave_loop(now_ns)
+        else:
+            self._line.send(self._driver.command(REST, self._brake(now_ns), now_ns))
         return False
 
     def leave_loop(self, now_ns: int, *, latched: bool = False) -> None:
         """Stop at once, at best effort; with ``latched`` by the e-stop. The stop is owed from now on."""
         self._ramp = None
         self._owed_since_ns = now_ns
-        self._wait_ns = _ROLLS_OUT_NS
+        self.wait_ns = _ROLLS_OUT_NS
         self._sent_at_rest = 0
-        self._is_latched = latched or self._is_latched
+        self.is_latched = latched or self.is_latched
         self._send(now_ns)
-
-    def wait_no_longer_than(self, wait_ns: int) -> None:
-        """Limit the time that ``go_on`` waits for the wheels to rest after the newest stop, which stays owed."""
-        self._wait_ns = wait_ns
-
-    def clear(self) -> None:
-        """Let the next stop be an ordinary one: the e-stop is no longer latched."""
-        self._is_latched = False
 
     def repeat(self, now_ns: int) -> None:
         """Repeat a stop that is owed, every 50 ms, until it was sent whole twice after the wheels were seen at rest.
@@ -144,16 +209,12 @@ class MotorStop:
         if self._sent_at_rest >= _TIMES_AT_REST:
             self._owed_since_ns = None
 
-    def _is_over(self, now_ns: int, begin_ns: int) -> bool:
-        return self._rests_since(begin_ns) or now_ns > begin_ns + _ROLLS_OUT_NS
-
     def _brake(self, now_ns: int) -> FourWheels:
         """Return torques against the wheels' speeds, zero if the speeds are too old."""
-        sample, terms = self._driver.sample, self._terms
-        if sample is None or now_ns - sample.stamp_ns > terms.stale_s * 1e9:
+        sample = self._driver.sample
+        if sample is None or now_ns - sample.stamp_ns > self._terms.stale_s * 1e9:
             return REST
-        command, _ = terms.brake.command(Wheels(*sample.speed_rad_s))
-        return command.torque_n_m
+        return self._terms.brake.command(Wheels(*sample.speed_rad_s))[0].torque_n_m
 
     def _rests_since(self, t_ns: int) -> bool:
         """Return whether all wheels were measured at rest after ``t_ns``."""
@@ -169,12 +230,12 @@ class MotorStop:
         interrupt: KeyboardInterrupt | None = None
         frames: Sequence[Frame] = ()
         try:
-            frames = self._driver.estop() if self._is_latched else self._driver.disarm()
+            frames = self._driver.estop() if self.is_latched else self._driver.disarm()
         except DriverError as error:
             self.problem = str(error)
         steps: list[Callable[[], None]] = [
             *(functools.partial(self._line.send, [frame]) for frame in frames),
-            self._line.flush,
+            self._line.link.flush,
         ]
         while steps:
             try:
