@@ -1,14 +1,13 @@
 """Finds a maker's protocol by the name in ``[device] driver``; each is imported when it is first used."""
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import is_dataclass
 from functools import partial
 from importlib import import_module
 from pkgutil import resolve_name
 from typing import TYPE_CHECKING, Any, cast, get_args
 
-from firmware_protocol.framing import Frame
 from hil.core.errors import BadInputError, HilError
 from hil.core.extensions import Extensions, failure, failures_of, from_package
 from hil.core.options import build
@@ -42,8 +41,7 @@ def driver_names() -> tuple[str, ...]:
 def dialect(name: str) -> Dialect:
     """Return a maker's protocol. Raises BadInputError if there is none of this name, or it cannot be used."""
     if name in SHIPPED:
-        shipped: Dialect = import_module(f"hil.drivers.{name}.driver").DIALECT
-        return shipped
+        return cast(Dialect, import_module(f"hil.drivers.{name}.driver").DIALECT)
     where = _where(name)
     made = EXTENSIONS.load(name, where)
     if not isinstance(made, Dialect):
@@ -61,7 +59,7 @@ def make_settings(name: str, values: Mapping[str, Any], key: str) -> Any:
     Raises BadInputError as ``build`` does, and for a failure of another package's code.
     """
     made = dialect(name)
-    with _failures_of_others(name, "making its settings"):
+    with _failures(name, "making its settings"):
         return build(made.settings, values, key)
 
 
@@ -71,7 +69,7 @@ def make_driver(name: str, settings: Any, robot: RobotFacts) -> Driver:
     What another package's driver raises later, during a run, becomes a DriverError that names the package.
     """
     made = dialect(name)
-    with _failures_of_others(name, "making the driver"):
+    with _failures(name, "making the driver"):
         driver = made.make(settings, robot)
         driver.capabilities  # noqa: B018 - fails here, before anything starts, rather than later
     return driver if name in SHIPPED else cast(Driver, _OutsideDriver(driver, _where_from(name)))
@@ -82,7 +80,7 @@ def emulated(name: str) -> "Callable[..., EmulatedMotors[Any]]":
     from hil.drivers.emulated import EmulatedMotors  # with the plant: not for every command
 
     made = dialect(name)
-    with _failures_of_others(name, f"importing {made.emulated!r}"):
+    with _failures(name, f"importing {made.emulated!r}"):
         kind = resolve_name(made.emulated)
     if not (isinstance(kind, type) and issubclass(kind, EmulatedMotors)):
         raise BadInputError(f"{_where(name)}: {made.emulated!r} is no hil.drivers.emulated.EmulatedMotors")
@@ -108,13 +106,9 @@ class _OutsideDriver:
         member = self._call(name, getattr, self._driver, name)
         if not callable(member):
             return member
-        call = partial(self._frames if name in _FRAMES else self._call, name, member)
+        call = partial(self._call, name, partial(_frames, member) if name in _FRAMES else member)
         setattr(self, name, call)  # the next call does not come here
         return call
-
-    def _frames(self, name: str, method: Callable[..., Sequence[Frame]], *arguments: Any) -> Sequence[Frame]:
-        """Return the frames as a tuple: a generator would raise its errors later."""
-        return cast(Sequence[Frame], self._call(name, lambda: tuple(method(*arguments))))
 
     def _call(self, name: str, function: Callable[..., Any], *arguments: Any) -> Any:
         try:
@@ -125,6 +119,11 @@ class _OutsideDriver:
             raise DriverError(str(failure(self._where, name, error))) from error
 
 
+def _frames(method: Callable[..., Any], *arguments: Any) -> tuple[Any, ...]:
+    """Return a method's frames as a tuple: a generator would raise its errors later."""
+    return tuple(method(*arguments))
+
+
 def _where(name: str) -> str:
     return f"device.driver = {name!r}"
 
@@ -133,11 +132,6 @@ def _where_from(name: str) -> str:
     return from_package(_where(name), EXTENSIONS.find(name, _where(name)))
 
 
-@contextmanager
-def _failures_of_others(name: str, activity: str) -> Iterator[None]:
+def _failures(name: str, activity: str) -> AbstractContextManager[None]:
     """Turn any error of another package's code into a BadInputError. A shipped driver's errors pass."""
-    if name in SHIPPED:
-        yield
-        return
-    with failures_of(_where_from(name), activity):
-        yield
+    return nullcontext() if name in SHIPPED else failures_of(_where_from(name), activity)
