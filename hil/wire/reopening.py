@@ -2,6 +2,7 @@
 
 import threading
 from collections.abc import Callable
+from concurrent.futures import Future, wait
 from typing import Any, Generic, TypeVar
 
 _FIRST_NS = 100_000_000
@@ -24,46 +25,27 @@ T = TypeVar("T")
 
 
 class OpeningBeside(Generic[T]):
-    """Calls ``opened`` at once in its own thread. Afterwards either ``result`` the result, or ``abandon`` it.
+    """Calls ``opened`` at once in its own thread. Afterwards either take the ``result``, or ``abandon`` it.
 
     The result must have a method ``close``.
     """
 
     def __init__(self, opened: Callable[[], T]) -> None:
         self._opened = opened
-        self._lock = threading.Lock()
-        self._done = threading.Event()
-        self._result: Any = None
-        self._failure: Exception | None = None
-        self._abandoned = False
+        self._future: Future[Any] = Future()
         threading.Thread(target=self._run, name="opening", daemon=True).start()
 
     def _run(self) -> None:
         try:
-            result: Any = self._opened()
+            self._future.set_result(self._opened())
         except Exception as error:  # noqa: BLE001 - result() raises it in the caller's thread
-            self._failure = error
-        else:
-            with self._lock:
-                is_late = self._abandoned
-                self._result = None if is_late else result
-            if is_late:
-                result.close()
-        self._done.set()
+            self._future.set_exception(error)
 
     def result(self, within_s: float) -> T | None:
         """Return what was opened; None if that takes longer than ``within_s``. Raises what ``opened`` raised."""
-        if not self._done.wait(within_s):
-            return None
-        if self._failure is not None:
-            raise self._failure
-        result: T | None = self._result
+        result: T | None = self._future.result() if wait([self._future], within_s).done else None
         return result
 
     def abandon(self) -> None:
         """Close what was opened: now, or as soon as it is open."""
-        with self._lock:
-            self._abandoned = True
-            result, self._result = self._result, None
-        if result is not None:
-            result.close()
+        self._future.add_done_callback(lambda done: done.exception() or done.result().close())
