@@ -105,17 +105,15 @@ class LinkFault:
         self.applied += ticks > 0
         return ticks * TICK_NS
 
-    def due(self, t_ns: int) -> int:
-        """Return and count the frames that a babble sends now, to keep its rate since the start of its window.
+    def due(self, t_ns: int) -> range:
+        """Count the frames that a babble sends now to keep its rate since its window began; return their numbers.
 
-        After the window nothing more is sent, even if frames are missing.
+        The first frame of the window has number 1. After the window nothing more is sent, even if frames are missing.
         """
-        row = self.row
-        if not row.is_in_force(t_ns):
-            return 0
-        new = max(0, int((t_ns - row.start_ns) * 1e-9 * row.value) - self.applied)
-        self.applied += new
-        return new
+        first, row = self.applied, self.row
+        if row.is_in_force(t_ns):
+            self.applied = max(first, int((t_ns - row.start_ns) * 1e-9 * row.value))
+        return range(first + 1, self.applied + 1)
 
 
 def link_faults(rows: Sequence[FaultRow], seed: int, protocol: LinkProtocol = WHEEL_DBC) -> list[LinkFault]:
@@ -172,7 +170,7 @@ class BusFaults:
         if t_ns is None or self._babbler is None:
             return
         for fault in self._babbles:
-            for _ in range(fault.due(t_ns)):
+            for _ in fault.due(t_ns):
                 data = fault.chance.randbytes(fault.chance.randint(0, _MOST_DATA))
                 self._babbler.send(Frame(foreign_id(fault, self._protocol), data))
         while self._babbler.receive(0) is not None:

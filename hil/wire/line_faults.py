@@ -1,7 +1,7 @@
 """Faults of a serial line: they corrupt the framed bytes, and the framing at the other end finds the errors."""
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 
 from cobs import cobs
 
@@ -58,9 +58,8 @@ class FaultLine:
 
     def _spoil(self, data: bytes, direction: str, t_ns: int) -> bytes:
         """Return whole frames with the faults applied."""
-        babbled = [
-            self._say(fault, t_ns) for fault in self._faults if fault.kind == "babble" and _babbles(fault, direction)
-        ]
+        babbles = [fault for fault in self._faults if fault.kind == "babble" and fault.concerns(direction, None)]
+        babbled = [_babble(fault, n, self._protocol) for fault in babbles for n in fault.due(t_ns)]
         frames = (self._spoil_frame(piece, direction, t_ns) for piece in self._protocol.pieces(data))
         return b"".join((*babbled, *frames))
 
@@ -74,14 +73,6 @@ class FaultLine:
             frame = _flip(frame, fault) if fault.kind == "bit_errors" else _cut(frame, fault)
         return frame
 
-    def _say(self, fault: LinkFault, t_ns: int) -> bytes:
-        protocol = self._protocol
-        return b"".join(_foreign(fault, fault.applied - n, protocol) for n in reversed(range(fault.due(t_ns))))
-
-
-def _babbles(fault: LinkFault, direction: str) -> bool:
-    return fault.concerns(direction, None)
-
 
 def _id_of(frame: bytes) -> int | None:
     """Return the id of an encoded frame, or None when it cannot be decoded."""
@@ -92,20 +83,12 @@ def _id_of(frame: bytes) -> int | None:
     return int.from_bytes(body[:2], "little") if len(body) >= 2 else None
 
 
-def _wrong_bits(fault: LinkFault, bits: int) -> Iterator[int]:
-    """Yield the positions of wrong bits. Each bit is wrong independently, so the gaps have a geometric distribution."""
+def _flip(frame: bytes, fault: LinkFault) -> bytes:
+    """Make each bit wrong independently of the others: the gaps between wrong bits have a geometric distribution."""
+    spoilt = bytearray(frame)
     scale = 1.0 / math.log1p(-fault.row.value)
     place = -1
-    while True:
-        place += 1 + int(math.log1p(-fault.chance.random()) * scale)
-        if place >= bits:
-            return
-        yield place
-
-
-def _flip(frame: bytes, fault: LinkFault) -> bytes:
-    spoilt = bytearray(frame)
-    for place in _wrong_bits(fault, 8 * len(frame)):
+    while (place := place + 1 + int(math.log1p(-fault.chance.random()) * scale)) < 8 * len(frame):
         spoilt[place // 8] ^= 1 << place % 8
     fault.applied += spoilt != frame
     return bytes(spoilt)
@@ -115,10 +98,8 @@ def _cut(frame: bytes, fault: LinkFault) -> bytes:
     return frame[: fault.chance.randrange(1, len(frame))] if len(frame) > 1 and fault.strikes() else frame
 
 
-def _foreign(fault: LinkFault, number: int, protocol: LinkProtocol) -> bytes:
-    """Return the bytes of a babbling node: random ones, or in this project's protocol every other time a foreign
-    frame.
-    """
+def _babble(fault: LinkFault, number: int, protocol: LinkProtocol) -> bytes:
+    """Return bytes of a babbling node: random ones, or every other time a foreign frame of this project's protocol."""
     if number % 2 or protocol is not WHEEL_DBC:
         return fault.chance.randbytes(fault.chance.randint(1, _LONGEST_GARBAGE))
     body = foreign_id(fault, protocol).to_bytes(2, "little") + fault.chance.randbytes(fault.chance.randint(1, 9))

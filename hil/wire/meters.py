@@ -144,12 +144,10 @@ class BusMeter:
         return usage.busy_ns
 
     def received(self, frames: Sequence[Frame]) -> int:
-        busy_ns = 0
-        for frame in frames:
-            usage = self._ours(frame)
+        usages = [self._ours(frame) for frame in frames]
+        for usage in usages:
             self._received = self._received.and_one(usage)
-            busy_ns += usage.busy_ns
-        return busy_ns
+        return sum(usage.busy_ns for usage in usages)
 
     def overheard(self, message: Any) -> int:
         usage = self._others(message)
@@ -166,10 +164,10 @@ class BusMeter:
         number, payload = frame
         identifier, extended = number & ~(EXTENDED | REMOTE), number >= EXTENDED
         if number & REMOTE:
-            return self._classic(identifier, b"", extended=extended, remote_length=_REMOTE_LENGTH)
+            return self._classic(identifier, b"", extended, _REMOTE_LENGTH)
         if self._is_fd:
-            return self._fd(identifier, payload, extended=extended, switched=self._is_switched)
-        return self._classic(identifier, payload, extended=extended)
+            return self._fd(identifier, payload, extended, self._is_switched)
+        return self._classic(identifier, payload, extended)
 
     def _others(self, message: Any) -> Usage:
         """Return what a ``can.Message`` of another node used; an error frame's bits cannot be known."""
@@ -177,14 +175,13 @@ class BusMeter:
         if message.is_error_frame:
             return Usage(0, 0, 0)
         if message.is_fd:
-            return self._fd(number, payload, extended=extended, switched=message.bitrate_switch)
-        length = message.dlc if message.is_remote_frame else None
-        return self._classic(number, payload, extended=extended, remote_length=length)
+            return self._fd(number, payload, extended, message.bitrate_switch)
+        return self._classic(number, payload, extended, message.dlc if message.is_remote_frame else None)
 
-    def _classic(self, number: int, payload: bytes, *, extended: bool, remote_length: int | None = None) -> Usage:
+    def _classic(self, number: int, payload: bytes, extended: bool, remote_length: int | None = None) -> Usage:
         bits = classic_bits(number, payload, extended=extended, remote_length=remote_length)
         return Usage(len(payload), bits, round(bits * self._bit_ns))
 
-    def _fd(self, number: int, payload: bytes, *, extended: bool, switched: bool) -> Usage:
+    def _fd(self, number: int, payload: bytes, extended: bool, switched: bool) -> Usage:
         nominal, data = fd_bits(number, payload, extended=extended, switched=switched)
         return Usage(len(payload), nominal + data, round(nominal * self._bit_ns + data * self._data_bit_ns))

@@ -107,13 +107,12 @@ class _End(Generic[T]):
 
     def _receive(self, timeout_ns: int) -> list[T]:
         """Return everything that has arrived, waiting at most ``timeout_ns`` for the first item."""
-        received = self._received
         try:
-            items = [received.get(timeout_ns > 0, max(0, timeout_ns) * 1e-9)]
+            items = [self._received.get(timeout_ns > 0, max(0, timeout_ns) * 1e-9)]
         except queue.Empty:
             return []
-        while not received.empty():
-            items.append(received.get())
+        while not self._received.empty():
+            items.append(self._received.get())
         return items
 
     def reopen(self) -> None:
@@ -179,15 +178,18 @@ class MemoryBus(_End[Frame]):
 
 def memory_pair() -> tuple[MemoryStream, MemoryStream]:
     """Return the two ends of a line within this process."""
-    one, other = MemoryStream(), MemoryStream()
-    one.connect(other)
-    other.connect(one)
-    return one, other
+    return _connected(MemoryStream(), MemoryStream())
 
 
 def memory_bus() -> tuple[MemoryBus, MemoryBus]:
     """Return the two ends of a bus within this process."""
-    one, other = MemoryBus(), MemoryBus()
+    return _connected(MemoryBus(), MemoryBus())
+
+
+End = TypeVar("End", MemoryStream, MemoryBus)
+
+
+def _connected(one: End, other: End) -> tuple[End, End]:
     one.connect(other)
     other.connect(one)
     return one, other

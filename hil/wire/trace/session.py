@@ -5,7 +5,6 @@ robot's.
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from types import TracebackType
 from typing import Any, Self
 
 from firmware_protocol.framing import Frame
@@ -148,9 +147,7 @@ class Trace:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
 
@@ -159,13 +156,15 @@ class TracedWire:
 
     def __init__(self, wire: Wire, trace: Trace, now_ns: Callable[[], int], protocol: LinkProtocol = WHEEL_DBC) -> None:
         self._wire = wire
-        self._tap = _Tap(trace, now_ns, protocol)
+        self._traced = _TracedNode(trace, now_ns, protocol.make_framing or HostLine)
 
     def receive_into(self, node: Node, timeout_ns: int) -> bool:
-        return self._wire.receive_into(_Tapped(node, self._tap), timeout_ns)
+        self._traced.node = node
+        return self._wire.receive_into(self._traced, timeout_ns)
 
     def send_from(self, node: Node) -> None:
-        self._wire.send_from(_Tapped(node, self._tap))
+        self._traced.node = node
+        self._wire.send_from(self._traced)
 
     def drop_from(self, node: Node) -> None:
         self._wire.drop_from(node)
@@ -174,24 +173,48 @@ class TracedWire:
         self._wire.close()
 
 
-class _Tap:
-    """Traces frames. Bytes of a serial line are decoded here once more, each direction with its own framing."""
+class _TracedNode:
+    """Wraps a firmware, ``node``, and traces its end of the wire. Input is traced before the firmware acts on it.
 
-    def __init__(self, trace: Trace, now_ns: Callable[[], int], protocol: LinkProtocol) -> None:
+    Bytes of a serial line are decoded here once more, each direction with its own framing.
+    """
+
+    node: Node
+
+    def __init__(self, trace: Trace, now_ns: Callable[[], int], make_framing: Callable[[], Framing]) -> None:
         self._trace = trace
         self._now_ns = now_ns
-        make_framing = protocol.make_framing or HostLine
-        self._received = make_framing()
-        self._sent = make_framing()
+        self._received, self._sent = make_framing(), make_framing()
 
-    def trace_bytes(self, data: bytes, *, sent: bool) -> None:
-        framing = self._sent if sent else self._received
+    def feed(self, data: bytes) -> None:
+        self._trace_bytes(self._received, data)
+        self.node.feed(data)
+
+    def receive(self, frame: Frame) -> None:
+        self._trace_frames([frame], sent=False)
+        self.node.receive(frame)
+
+    def take_bytes(self) -> bytes:
+        data = self.node.take_bytes()
+        if data:
+            self._trace_bytes(self._sent, data)
+        return data
+
+    def take_frames(self) -> list[Frame]:
+        frames = self.node.take_frames()
+        self._trace_frames(frames, sent=True)
+        return frames
+
+    def count_unsent(self, frames: int) -> None:
+        self.node.count_unsent(frames)
+
+    def _trace_bytes(self, framing: Framing, data: bytes) -> None:
         before = _noise(framing)
-        self.trace(framing.feed(data), sent=sent)
+        self._trace_frames(framing.feed(data), sent=framing is self._sent)
         if noise := _noise(framing) - before:
             self._trace.rejected(self._now_ns(), noise)
 
-    def trace(self, frames: Sequence[Frame], *, sent: bool) -> None:
+    def _trace_frames(self, frames: Sequence[Frame], *, sent: bool) -> None:
         now_ns = self._now_ns()
         for frame in frames:
             self._trace.frame(now_ns, frame, sent=sent)
@@ -199,33 +222,3 @@ class _Tap:
 
 def _noise(framing: Framing) -> int:
     return sum(count for cause, count in framing.rejected.items() if cause != "lost")
-
-
-class _Tapped:
-    """Wraps a firmware and traces its end of the wire. Input is traced before the firmware acts on it."""
-
-    def __init__(self, node: Node, tap: _Tap) -> None:
-        self._node = node
-        self._tap = tap
-
-    def feed(self, data: bytes) -> None:
-        self._tap.trace_bytes(data, sent=False)
-        self._node.feed(data)
-
-    def receive(self, frame: Frame) -> None:
-        self._tap.trace([frame], sent=False)
-        self._node.receive(frame)
-
-    def take_bytes(self) -> bytes:
-        data = self._node.take_bytes()
-        if data:
-            self._tap.trace_bytes(data, sent=True)
-        return data
-
-    def take_frames(self) -> list[Frame]:
-        frames = self._node.take_frames()
-        self._tap.trace(frames, sent=True)
-        return frames
-
-    def count_unsent(self, frames: int) -> None:
-        self._node.count_unsent(frames)
