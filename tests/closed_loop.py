@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 from hil.core.kinematics import body_twist, to_world
 from hil.core.model import RobotModel
 from hil.core.types import ZERO_WHEELS, Applied, CommandMode, Pose, State, Twist, WheelCommand, Wheels
-from hil.references import Circle
+from hil.references.circle import Circle
 
 PAPER_ROBOT = RobotModel(
     mass_kg=20.0,

@@ -8,7 +8,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hil.core.model import RobotModel
-from hil.references import Circle, Hold, Spin, feasibility
+from hil.references import feasibility
+from hil.references.circle import Circle
+from hil.references.hold import Hold
+from hil.references.spin import Spin
 from tests.examples import share_of_examples
 from tests.test_references import circles, eights, routes, spins, squares
 

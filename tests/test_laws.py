@@ -29,7 +29,7 @@ from hil.core.types import (
 from hil.laws.dsc import Dsc
 from hil.laws.lqi import lqr_gain
 from hil.laws.registry import SHIPPED
-from hil.references import Hold
+from hil.references.hold import Hold
 from tests.closed_loop import AT_REST, PAPER_CIRCLE, PAPER_ROBOT, after, derivative
 from tests.examples import share_of_examples
 

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from hil.core.types import Acceleration, Pose, State, Twist, Wheels
 from hil.laws.prediction import DelayPredictor, ExtendedStateObserver, PendingCommands, acceleration_of, observer_gains
-from hil.references import Hold
+from hil.references.hold import Hold
 from tests.closed_loop import AT_REST, PAPER_ROBOT
 
 DT_S = 0.005

@@ -11,7 +11,8 @@ from typer.testing import CliRunner
 import hil
 from hil.cli.main import app
 from hil.core.errors import BadInputError
-from hil.references import Circle, make_reference
+from hil.references import make_reference
+from hil.references.circle import Circle
 from hil.references.table import LARGEST_BYTES
 from hil.review import RecordedRun, read, write_trajectory
 from hil.scenario import load

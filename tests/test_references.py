@@ -12,11 +12,16 @@ from scipy.integrate import quad
 
 from hil.cli.list import listing
 from hil.core.errors import BadInputError
-from hil.references import SHIPPED, Circle, FigureEight, Hold, RoundedSquare, Spin, make_reference
+from hil.references import SHIPPED, make_reference
+from hil.references.circle import Circle
 from hil.references.curves import Bend
 from hil.references.double_s import Limits
+from hil.references.figure_eight import FigureEight
+from hil.references.hold import Hold
+from hil.references.rounded_square import RoundedSquare
 from hil.references.route import Waypoint, plan
 from hil.references.smoothing import SmoothingSpline
+from hil.references.spin import Spin
 from hil.references.trajectory import Played
 from tests.examples import share_of_examples
 

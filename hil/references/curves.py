@@ -1,15 +1,16 @@
 """Sections of a path by arc length: lines and bends, and the heading along them.
 
-A curve gives x, y and their first and second derivatives with respect to its parameter s. A heading law gives the
-heading and its derivatives. The parameter is the distance in metres, or the angle in radians for a turn on the spot.
+The parameter s of a section is the distance in metres, or the angle in radians for a turn on the spot. A curve gives
+the position, a heading law the heading, each with its first and second derivative by s.
 """
 
 import math
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
+from hil.core.types import Axes
 from hil.references.motion import Point
 
 Series = npt.NDArray[np.float64]
@@ -17,23 +18,6 @@ Complexes = npt.NDArray[np.complex128]
 
 Plane = tuple[float, float, float, float, float, float]
 """x, y, x', y', x'', y''."""
-
-Angle = tuple[float, float, float]
-"""heading, heading', heading''."""
-
-
-class Curve(Protocol):
-    """A path in the plane."""
-
-    def plane(self, s: float) -> Plane:
-        """Return the position at ``s`` and its derivatives."""
-
-
-class HeadingLaw(Protocol):
-    """The heading along a curve."""
-
-    def angle(self, s: float) -> Angle:
-        """Return the heading at ``s`` and its derivatives."""
 
 
 class Line(NamedTuple):
@@ -55,8 +39,8 @@ class Linear(NamedTuple):
     heading: float
     slope: float = 0.0
 
-    def angle(self, s: float) -> Angle:
-        """Return the heading at ``s`` and its derivatives."""
+    def angle(self, s: float) -> Axes:
+        """Return the heading at ``s`` and its two derivatives."""
         return self.heading + s * self.slope, self.slope, 0.0
 
 
@@ -75,8 +59,8 @@ class Eased(NamedTuple):
     length: float
     offset: float
 
-    def angle(self, s: float) -> Angle:
-        """Return the heading at ``s`` and its derivatives."""
+    def angle(self, s: float) -> Axes:
+        """Return the heading at ``s`` and its two derivatives."""
         u = (s + self.offset) / self.length
         scale = self.change / self.length
         return (
@@ -87,17 +71,17 @@ class Eased(NamedTuple):
 
 
 class Bend:
-    """A curve that turns by an angle, with a curvature that rises from zero and falls back as 1 - cos does.
+    """A curve that turns by an angle; its curvature rises from zero and falls back as 1 - cos.
 
-    A robot that drives through it at constant speed has neither a jump of acceleration nor of yaw acceleration. The
-    direction and the derivatives of the position are exact. The position is interpolated by quintic Hermite
-    polynomials, with an error below 1e-11 of the length.
+    At constant speed neither the acceleration nor the yaw acceleration jumps. The direction and the derivatives of the
+    position are exact. The position is interpolated by quintic Hermite polynomials, with an error below 1e-11 of the
+    length.
     """
 
     PIECES = 64
 
     def __init__(self, x: float, y: float, direction: float, turn: float, tangent_m: float) -> None:
-        """Start at (x, y) in a direction [rad] and turn by ``turn`` [rad], positive to the left, less than π in size.
+        """Begin at (x, y) in a direction [rad] and turn left by ``turn`` [rad], between -π and π.
 
         The bend begins ``tangent_m`` [m] before the corner and ends as far behind it.
         """
@@ -106,10 +90,11 @@ class Bend:
         u = nodes[:-1, None] + (abscissas + 1.0) * (0.5 / self.PIECES)
         tangents = np.exp(1j * _turned(u, turn))
         places = np.concatenate(([0.0], np.cumsum(tangents @ weights) * (0.5 / self.PIECES)))
-        # By symmetry the chord is at half the turn, and the base of a triangle whose sides are the tangents.
+        # By symmetry the chord is the base of an isosceles triangle, whose two equal sides are the tangents.
         self.length = tangent_m * 2.0 * math.cos(turn / 2.0) / float(abs(places[-1]))
         self.direction = direction
         self.turn = turn
+        self.tangent_m = tangent_m
         start = np.exp(1j * direction)
         places = complex(x, y) + places * (self.length * start)
         slopes = np.exp(1j * _turned(nodes, turn)) * (self.length * start)
@@ -137,7 +122,7 @@ class Bend:
         z = p0 + r * (p1 + r * (p2 + r * (p3 + r * (p4 + r * p5))))
         return z.real, z.imag, c, sine, -curvature * sine, curvature * c
 
-    def angle(self, s: float) -> Angle:
+    def angle(self, s: float) -> Axes:
         """Return the direction of the path, its curvature, and the slope of that."""
         u = math.tau * s / self.length
         scale = self.turn / self.length
@@ -146,6 +131,10 @@ class Bend:
             scale * (1.0 - math.cos(u)),
             scale * math.tau / self.length * math.sin(u),
         )
+
+
+Curve = Line | Bend
+HeadingLaw = Linear | Eased | Bend
 
 
 class Section(NamedTuple):
@@ -158,18 +147,19 @@ class Section(NamedTuple):
         """Return the point of the path at ``s``, the heading ``turned`` further [rad]."""
         x, y, x1, y1, x2, y2 = self.curve.plane(s)
         heading, heading1, heading2 = self.law.angle(s)
-        return Point(x, y, heading + turned, x1, y1, heading1, x2, y2, heading2)
+        return (x, y, heading + turned), (x1, y1, heading1), (x2, y2, heading2)
 
 
 def _turned(u: Series, turn: float) -> Series:
-    """Return how far a bend has turned after the share u of its length."""
+    """Return the angle by which a bend has turned after the share u of its length."""
     return turn * (u - np.sin(math.tau * u) / math.tau)
 
 
 def _quintics(places: Complexes, slopes: Complexes, bends: Complexes) -> list[tuple[complex, ...]]:
-    """Return the coefficients, lowest first, of the polynomials over 0 to 1 from each node to the next.
+    """Return the coefficients, lowest first, of one polynomial over 0 to 1 for each step between two nodes.
 
-    ``slopes`` and ``bends`` are derivatives with respect to what goes from 0 to 1 over all nodes.
+    ``slopes`` and ``bends`` are the first and second derivatives by a parameter that is 0 at the first node and 1 at
+    the last.
     """
     h = 1.0 / (len(places) - 1)
     p, q = places[:-1], places[1:]
@@ -178,7 +168,5 @@ def _quintics(places: Complexes, slopes: Complexes, bends: Complexes) -> list[tu
     d = q - p - v - 0.5 * a
     e = w - v - a
     f = b - a
-    rows = np.stack(
-        [p, v, 0.5 * a, 10.0 * d - 4.0 * e + 0.5 * f, -15.0 * d + 7.0 * e - f, 6.0 * d - 3.0 * e + 0.5 * f], axis=1
-    )
-    return [tuple(row) for row in rows.tolist()]
+    last = (10.0 * d - 4.0 * e + 0.5 * f, -15.0 * d + 7.0 * e - f, 6.0 * d - 3.0 * e + 0.5 * f)
+    return list(zip(*(column.tolist() for column in (p, v, 0.5 * a, *last)), strict=True))

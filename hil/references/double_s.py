@@ -1,8 +1,9 @@
 """The double-S speed profile: from one speed to another over a given way, with limited speed, acceleration and jerk.
 
-Both ends have no acceleration, and the speed never changes its sign, so the fastest profile is: rise to a peak speed,
-keep it, fall to the last speed; each change has phases of constant jerk, no jerk and constant jerk again (Biagiotti
-and Melchiorri, "Trajectory Planning for Automatic Machines and Robots", 2008, section 3.4).
+The acceleration is zero at both ends, and the speed never changes its sign. The fastest profile then rises to a peak
+speed, keeps it, and falls to the last speed. Each change of speed has a phase of constant jerk, one without jerk, and
+one of the opposite jerk (Biagiotti and Melchiorri, "Trajectory Planning for Automatic Machines and Robots", 2008,
+section 3.4).
 """
 
 import math
@@ -33,9 +34,7 @@ class Phase(NamedTuple):
 
 def change_time_s(by: float, limits: Limits) -> float:
     """Return how long a change of speed by the amount ``by`` takes [s]."""
-    if by * limits.jerk <= limits.acceleration**2:
-        return 2.0 * math.sqrt(by / limits.jerk)
-    return by / limits.acceleration + limits.acceleration / limits.jerk
+    return sum(duration_s for duration_s, _ in _change(by, limits))
 
 
 def change_way(first: float, last: float, limits: Limits) -> float:
@@ -44,7 +43,7 @@ def change_way(first: float, last: float, limits: Limits) -> float:
 
 
 def reachable_speed(speed: float, way: float, limits: Limits) -> float:
-    """Return the highest speed within the limit that is reached from this one on this way."""
+    """Return the highest speed within the limit that can be reached from ``speed`` over this way."""
     if speed >= limits.speed:
         return limits.speed
     return _highest(lambda peak: change_way(speed, peak, limits) <= way, speed, limits.speed)
@@ -94,13 +93,10 @@ def _change(by: float, limits: Limits) -> list[tuple[float, float]]:
 
 
 def _highest(fits: Callable[[float], bool], low: float, high: float) -> float:
-    """Return the highest value between two for which ``fits``, if it does below and does not above."""
+    """Return the highest value from ``low`` to ``high`` that fits; all values below it must fit, and none above."""
     if fits(high):
         return high
     for _ in range(_HALVINGS):
         middle = 0.5 * (low + high)
-        if fits(middle):
-            low = middle
-        else:
-            high = middle
+        low, high = (middle, high) if fits(middle) else (low, middle)
     return low

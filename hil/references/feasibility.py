@@ -1,10 +1,13 @@
 """Whether a robot can follow a reference: the wheel speeds and torques that it needs, compared with the limits."""
 
 import math
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
+import numpy as np
+
 from hil.core.model import RobotModel
-from hil.core.types import WHEEL_NAMES
+from hil.core.types import WHEEL_NAMES, FourWheels
 from hil.references.motion import ReferenceSource
 
 FINEST_S = 0.01
@@ -72,9 +75,7 @@ class Feasibility(NamedTuple):
     @property
     def sentences(self) -> tuple[str, ...]:
         """Warnings about what the robot cannot follow; empty where it can follow the reference."""
-        return tuple(
-            sentence for requirement in (self.speed, self.torque) if (sentence := requirement.sentence) is not None
-        )
+        return tuple(sentence for sentence in (self.speed.sentence, self.torque.sentence) if sentence is not None)
 
     @property
     def notes(self) -> tuple[str, ...]:
@@ -96,37 +97,24 @@ def feasibility(source: ReferenceSource, model: RobotModel, duration_s: float, p
     """
     until_s = min(duration_s, source.span_s)
     step_s = max(period_s, FINEST_S, until_s / MOST_SAMPLES)
-    speed, torque = _Extremes("rad/s", model.speed_limit_rad_s), _Extremes("N·m", model.torque_limit_n_m)
+    speeds, torques = [], []
     for number in range(math.floor(until_s / step_s + 1e-9) + 1):
-        t_s = number * step_s
-        pose, twist, acceleration = source.at(t_s)
-        speeds = model.wheel_speeds(twist, pose.heading_rad)
-        speed.add(t_s, speeds)
-        torque.add(t_s, model.wheel_torques(acceleration, twist, pose.heading_rad, twist))
-    return Feasibility(speed.result(), torque.result(), source.span_s if source.ends else None, duration_s)
+        pose, twist, acceleration = source.at(number * step_s)
+        speeds.append(model.wheel_speeds(twist, pose.heading_rad))
+        torques.append(model.wheel_torques(acceleration, twist, pose.heading_rad, twist))
+    speed = _requirement("rad/s", model.speed_limit_rad_s, speeds, step_s)
+    torque = _requirement("N·m", model.torque_limit_n_m, torques, step_s)
+    return Feasibility(speed, torque, source.span_s if source.ends else None, duration_s)
 
 
-class _Extremes:
-    """Collects the first value beyond the limit and the largest value of one quantity."""
+def _requirement(unit: str, limit: float, wheels: Sequence[FourWheels], step_s: float) -> Requirement:
+    """Return what the values of the wheels, one row for each step, need of one quantity."""
+    sizes = np.abs(np.array(wheels))
+    largest = sizes.max(axis=1)
 
-    def __init__(self, unit: str, limit: float) -> None:
-        self._unit = unit
-        self._limit = limit
-        self._worst = (-1.0, WHEEL_NAMES[0], 0.0)
-        self._first: tuple[float, str, float] | tuple[None, None, None] = (None, None, None)
+    def at(row: int) -> tuple[float, str, float]:
+        return float(largest[row]), WHEEL_NAMES[int(sizes[row].argmax())], row * step_s
 
-    def add(self, t_s: float, wheels: tuple[float, float, float, float]) -> None:
-        largest = max(max(wheels), -min(wheels))
-        if largest > self._worst[0]:
-            self._worst = (largest, _wheel(wheels), t_s)
-        if largest > self._limit and self._first[0] is None:
-            self._first = (largest, _wheel(wheels), t_s)
-
-    def result(self) -> Requirement:
-        return Requirement(self._unit, self._limit, *self._worst, *self._first)
-
-
-def _wheel(wheels: tuple[float, float, float, float]) -> str:
-    """Return the name of the wheel with the largest absolute value."""
-    sizes = [abs(value) for value in wheels]
-    return WHEEL_NAMES[sizes.index(max(sizes))]
+    beyond = np.flatnonzero(largest > limit)
+    first = at(int(beyond[0])) if len(beyond) else (None, None, None)
+    return Requirement(unit, limit, *at(int(largest.argmax())), *first)

@@ -47,22 +47,12 @@ class FigureEight:
         """Return the reference at ``t_s``; the parameter, not the speed, is even in time."""
         angle, rate, acceleration = ramped(t_s, math.tau / self.period_s, self.ramp_s)
         curve = _gerono if self.shape == "gerono" else _bernoulli
-        x, y, direction, x1, y1, direction1, x2, y2, direction2 = curve(math.sin(angle), math.cos(angle))
+        (x, y, direction), (x1, y1, turn1), (x2, y2, turn2) = curve(math.sin(angle), math.cos(angle))
         if self.heading == "fixed":
-            direction = direction1 = direction2 = 0.0
+            direction = turn1 = turn2 = 0.0
         a = self.half_length_m
-        point = Point(
-            self.centre_x_m + a * x,
-            self.centre_y_m + a * y,
-            self.heading_rad + direction,
-            a * x1,
-            a * y1,
-            direction1,
-            a * x2,
-            a * y2,
-            direction2,
-        )
-        return motion_through(point, rate, acceleration)
+        pose = (self.centre_x_m + a * x, self.centre_y_m + a * y, self.heading_rad + direction)
+        return motion_through((pose, (a * x1, a * y1, turn1), (a * x2, a * y2, turn2)), rate, acceleration)
 
 
 def _gerono(s: float, c: float) -> Point:
@@ -73,16 +63,10 @@ def _gerono(s: float, c: float) -> Point:
     turn = -2.0 * c * s2 + s * c2
     turn1 = -3.0 * c * c2  # u v'' - v u''
     speed2_1 = -s2 - 4.0 * c2 * s2
-    return Point(
-        s,
-        s * c,
-        math.atan2(c, 1.0 - 2.0 * c * c) - math.pi / 2,
-        c,
-        c2,
-        turn / speed2,
-        -s,
-        -2.0 * s2,
-        (turn1 * speed2 - turn * speed2_1) / (speed2 * speed2),
+    return (
+        (s, s * c, math.atan2(c, 1.0 - 2.0 * c * c) - math.pi / 2),
+        (c, c2, turn / speed2),
+        (-s, -2.0 * s2, (turn1 * speed2 - turn * speed2_1) / (speed2 * speed2)),
     )
 
 
@@ -93,14 +77,8 @@ def _bernoulli(s: float, c: float) -> Point:
     f2 = f * f
     # z' = -i (1 + i c) / (1 - i c)² and z'' = -s (3 + i c) / (1 - i c)³
     third = -s * f2 * f
-    return Point(
-        s * f,
-        s * c * f,
-        3.0 * math.atan(c) - math.pi / 2,
-        c * (3.0 - cc) * f2,
-        (3.0 * cc - 1.0) * f2,
-        -3.0 * s * f,
-        third * (3.0 - 12.0 * cc + cc * cc),
-        third * c * (10.0 - 6.0 * cc),
-        -3.0 * c * (3.0 - cc) * f2,
+    return (
+        (s * f, s * c * f, 3.0 * math.atan(c) - math.pi / 2),
+        (c * (3.0 - cc) * f2, (3.0 * cc - 1.0) * f2, -3.0 * s * f),
+        (third * (3.0 - 12.0 * cc + cc * cc), third * c * (10.0 - 6.0 * cc), -3.0 * c * (3.0 - cc) * f2),
     )

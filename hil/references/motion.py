@@ -1,8 +1,8 @@
 """Building blocks of references: points of a path, and the phase along it over time."""
 
-from typing import NamedTuple, Protocol
+from typing import Protocol
 
-from hil.core.types import Reference, make_acceleration, make_pose, make_reference, make_twist
+from hil.core.types import Axes, Reference, make_acceleration, make_pose, make_reference, make_twist
 
 
 class ReferenceSource(Protocol):
@@ -24,23 +24,13 @@ Phase = tuple[float, float, float]
 """Path parameter, and its first and second derivative with respect to time."""
 
 
-class Point(NamedTuple):
-    """A point of a path: x, y and heading, and their derivatives with respect to the path's parameter."""
-
-    x: float
-    y: float
-    heading: float
-    x1: float
-    y1: float
-    heading1: float
-    x2: float
-    y2: float
-    heading2: float
+Point = tuple[Axes, Axes, Axes]
+"""A point of a path: (x, y, heading), and the first and second derivatives of these by the path's parameter."""
 
 
 def motion_through(point: Point, rate: float, acceleration: float) -> Reference:
     """Return the motion through a point whose parameter changes with this rate and acceleration (chain rule)."""
-    x, y, heading, x1, y1, heading1, x2, y2, heading2 = point
+    pose, (x1, y1, heading1), (x2, y2, heading2) = point
     square = rate * rate
     slope = (
         square * x2 + acceleration * x1,
@@ -48,7 +38,7 @@ def motion_through(point: Point, rate: float, acceleration: float) -> Reference:
         square * heading2 + acceleration * heading1,
     )
     twist = make_twist((rate * x1, rate * y1, rate * heading1))
-    return make_reference((make_pose((x, y, heading)), twist, make_acceleration(slope)))
+    return make_reference((make_pose(pose), twist, make_acceleration(slope)))
 
 
 def ramped(t_s: float, rate: float, ramp_s: float) -> Phase:

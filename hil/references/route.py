@@ -1,20 +1,21 @@
 """Plans a motion along waypoints: first the path with its corners, then the fastest speeds within the limits.
 
-On lines the speed follows the double-S profile. A bend is driven at one speed, so that its acceleration is κ v² across
-and its jerk (κ² v³, κ' v³). The heading of a leg that begins and ends at rest changes linearly with the distance.
-Otherwise it is eased from the middle of one bend to the middle of the next, and the speed of the leg is low enough for
-it:
+On lines the speed follows the double-S profile. A bend is driven at one speed v; with its curvature κ the acceleration
+is κ v² across the path, and the jerk is (κ² v³, κ' v³). The heading of a leg that begins and ends at rest changes
+linearly with the distance. On any other leg the heading θ is eased from the middle of one bend to the middle of the
+next. θ', θ'' and its third derivative by the distance give, with speed v, acceleration a and jerk j of the robot:
 
-    θ̇ = θ' v,   θ̈ = θ'' v² + θ' a,   jerk = θ''' v³ + 3 θ'' v a + θ' j
+    yaw rate = θ' v,   yaw acceleration = θ'' v² + θ' a,   yaw jerk = θ''' v³ + 3 θ'' v a + θ' j
 
-Each sum stays within its limit because every term gets an equal share of it. Speeds at the bends are then lowered,
-forward and backward along the path, until each is reachable from the one before and after.
+Each term of a sum gets an equal share of the limit, so that the sum keeps it; this limits the speed of the leg. Speeds
+at the bends are then lowered, forward and backward along the path, until each can be reached from its neighbours.
 """
 
 import bisect
 import math
-from collections.abc import Sequence
-from itertools import pairwise
+from collections.abc import Iterator, Sequence
+from functools import cached_property
+from itertools import accumulate, pairwise
 from typing import ClassVar, NamedTuple
 
 from hil.core.kinematics import wrap_angle
@@ -24,7 +25,10 @@ from hil.references.double_s import Limits, Phase, after, profile, reachable_spe
 from hil.references.motion import motion_through
 
 SHARPEST_RAD = math.radians(150.0)
-"""At a corner that turns by more than this the robot stops."""
+"""The robot stops at a corner that turns by more than this."""
+
+Segment = tuple[Section, Phase]
+"""A phase of constant jerk on a section."""
 
 
 class Waypoint(NamedTuple):
@@ -37,13 +41,6 @@ class Waypoint(NamedTuple):
     dwell_s: float
 
 
-class Segment(NamedTuple):
-    """A time of constant jerk on a section."""
-
-    section: Section
-    phase: Phase
-
-
 class Route:
     """A planned motion: at rest at its beginning and at its end, where it stays."""
 
@@ -51,13 +48,8 @@ class Route:
 
     def __init__(self, segments: Sequence[Segment], end: Pose) -> None:
         self._segments = segments
-        self._starts_s = []
+        *self._starts_s, self.span_s = accumulate((phase.duration_s for _, phase in segments), initial=0.0)
         self._end = Reference(end, Twist(0.0, 0.0, 0.0), Acceleration(0.0, 0.0, 0.0))
-        t_s = 0.0
-        for segment in segments:
-            self._starts_s.append(t_s)
-            t_s += segment.phase.duration_s
-        self.span_s = t_s
 
     def at(self, t_s: float) -> Reference:
         """Return the reference at ``t_s``; from the end on it rests."""
@@ -70,27 +62,28 @@ class Route:
 
 
 class _Leg:
-    """The straight part between two waypoints, without the bends at its ends."""
+    """The way between two waypoints: straight, or a turn on the spot. A bend at either end takes a part of it."""
 
     def __init__(self, first: Waypoint, last: Waypoint, limits: Limits, yaw: Limits) -> None:
         self.first, self.last = first, last
         self.length = math.hypot(last.x_m - first.x_m, last.y_m - first.y_m)
         self.direction = math.atan2(last.y_m - first.y_m, last.x_m - first.x_m)
-        self.change = last.heading_rad - first.heading_rad
+        self._change = last.heading_rad - first.heading_rad
         self.begin: Bend | None = None
         self.end: Bend | None = None
-        self.trims = (0.0, 0.0)
         self._limits, self._yaw = limits._replace(speed=min(limits.speed, last.speed_m_s)), yaw
 
     @property
     def way(self) -> float:
-        """Length of the straight part [m]."""
-        return max(self.length - sum(self.trims), 0.0)
+        """Length of the straight part [m], or the angle of the turn on the spot [rad]."""
+        if self.length == 0.0:
+            return abs(self._change)
+        return max(self.length - sum(bend.tangent_m for bend in (self.begin, self.end) if bend is not None), 0.0)
 
+    @cached_property
     def limits(self) -> Limits:
-        """Return limits along the path [m], or of the angle [rad] on the spot, that keep those of plane and yaw."""
-        plane, yaw = self._limits, self._yaw
-        change = abs(self.change)
+        """Limits along ``way`` that keep those of plane and yaw. To be read after the bends are set."""
+        plane, yaw, change = self._limits, self._yaw, abs(self._change)
         if self.length == 0.0:
             return yaw
         if change == 0.0:
@@ -108,28 +101,34 @@ class _Leg:
         acceleration = min(plane.acceleration, yaw.acceleration / (2.0 * slope), yaw.jerk / (9.0 * bend * speed))
         return Limits(speed, acceleration, min(plane.jerk, yaw.jerk / (3.0 * slope)))
 
-    def line(self) -> Section:
-        """Return the straight part, or the turn on the spot."""
-        x, y, heading = self.first.x_m, self.first.y_m, self.first.heading_rad
+    def segments(self, first_speed: float, last_speed: float) -> Iterator[Segment]:
+        """Yield the motion from the middle of the bend at the beginning to the middle of the one at the end.
+
+        Without a bend at the beginning, it begins with the dwell time of the first waypoint.
+        """
+        x, y, heading = self.first[:3]
+        before = tangent_m = 0.0
+        if self.begin is None:
+            yield from _dwell(self.first)
+        else:
+            before, tangent_m = 0.5 * self.begin.length, self.begin.tangent_m
+            yield Section(self.begin, self._law(-before)), Phase(before / first_speed, before, first_speed, 0.0, 0.0)
         if self.length == 0.0:
-            return Section(Line(x, y, 0.0, 0.0), Linear(heading, math.copysign(1.0, self.change)))
-        c, s = math.cos(self.direction), math.sin(self.direction)
-        before = self.begin.length / 2.0 if self.begin is not None else 0.0
-        return Section(Line(x + self.trims[0] * c, y + self.trims[0] * s, c, s), self._law(before))
-
-    def law_at_begin(self, bend: Bend) -> HeadingLaw:
-        """Return the heading law in the bend at the beginning of this leg."""
-        return self._law(-bend.length / 2.0)
-
-    def law_at_end(self) -> HeadingLaw:
-        """Return the heading law in the bend at the end of this leg."""
-        before = self.begin.length / 2.0 if self.begin is not None else 0.0
-        return self._law(before + self.way)
+            section = Section(Line(x, y, 0.0, 0.0), Linear(heading, math.copysign(1.0, self._change)))
+        else:
+            c, s = math.cos(self.direction), math.sin(self.direction)
+            section = Section(Line(x + tangent_m * c, y + tangent_m * s, c, s), self._law(before))
+        for phase in profile(self.way, first_speed, last_speed, self.limits):
+            yield section, phase
+        if self.end is not None:
+            duration_s = 0.5 * self.end.length / last_speed
+            yield Section(self.end, self._law(before + self.way)), Phase(duration_s, 0.0, last_speed, 0.0, 0.0)
 
     def _law(self, offset: float) -> HeadingLaw:
+        """Return the heading law of a section that begins ``offset`` [m] behind where the heading begins to change."""
         if self.begin is None and self.end is None:
-            return Linear(self.first.heading_rad, self.change / self.length)
-        return Eased(self.first.heading_rad, self.change, self._whole(), offset)
+            return Linear(self.first.heading_rad, self._change / self.length)
+        return Eased(self.first.heading_rad, self._change, self._whole(), offset)
 
     def _whole(self) -> float:
         """Return the length from the middle of one bend to the middle of the next [m]."""
@@ -148,29 +147,13 @@ def plan(waypoints: Sequence[Waypoint], limits: Limits, yaw: Limits, blend_m: fl
     if blend_m > 0.0:
         for before, behind in pairwise(legs):
             _round_off(before, behind, blend_m)
-    leg_limits = [leg.limits() for leg in legs]
-    ways = [leg.way if leg.length else abs(leg.change) for leg in legs]
-    speeds = [0.0, *(_bend_speed(*pair, limits) for pair in pairwise(zip(legs, leg_limits, strict=True))), 0.0]
-    for number, (way, within) in enumerate(zip(ways, leg_limits, strict=True)):
-        speeds[number + 1] = min(speeds[number + 1], reachable_speed(speeds[number], way, within))
-    for number in reversed(range(len(legs))):
-        speeds[number] = min(speeds[number], reachable_speed(speeds[number + 1], ways[number], leg_limits[number]))
-    segments: list[Segment] = []
+    speeds = [0.0, *(_bend_speed(before, behind, limits) for before, behind in pairwise(legs)), 0.0]
     for number, leg in enumerate(legs):
-        if leg.begin is not None:
-            _drive_through(segments, leg.begin, leg.law_at_begin(leg.begin), 0.5 * leg.begin.length, speeds[number])
-        else:
-            _wait(segments, leg.first)
-        section = leg.line()
-        segments += [
-            Segment(section, phase)
-            for phase in profile(ways[number], speeds[number], speeds[number + 1], leg_limits[number])
-        ]
-        if leg.end is not None:
-            _drive_through(segments, leg.end, leg.law_at_end(), 0.0, speeds[number + 1])
-    _wait(segments, waypoints[-1])
-    end = waypoints[-1]
-    return Route(segments, Pose(end.x_m, end.y_m, end.heading_rad))
+        speeds[number + 1] = min(speeds[number + 1], reachable_speed(speeds[number], leg.way, leg.limits))
+    for number, leg in reversed(list(enumerate(legs))):
+        speeds[number] = min(speeds[number], reachable_speed(speeds[number + 1], leg.way, leg.limits))
+    segments = [segment for leg, ends in zip(legs, pairwise(speeds), strict=True) for segment in leg.segments(*ends)]
+    return Route([*segments, *_dwell(waypoints[-1])], Pose(*waypoints[-1][:3]))
 
 
 def _round_off(before: _Leg, behind: _Leg, blend_m: float) -> None:
@@ -178,38 +161,26 @@ def _round_off(before: _Leg, behind: _Leg, blend_m: float) -> None:
     turn = wrap_angle(behind.direction - before.direction)
     corner = before.last
     tangent_m = min(blend_m, 0.5 * before.length, 0.5 * behind.length)
-    if corner.dwell_s > 0.0 or tangent_m == 0.0 or abs(turn) > SHARPEST_RAD:
-        return
-    x = corner.x_m - tangent_m * math.cos(before.direction)
-    y = corner.y_m - tangent_m * math.sin(before.direction)
-    bend = Bend(x, y, before.direction, turn, tangent_m)
-    before.end = behind.begin = bend
-    before.trims = (before.trims[0], tangent_m)
-    behind.trims = (tangent_m, behind.trims[1])
+    if corner.dwell_s == 0.0 and tangent_m > 0.0 and abs(turn) <= SHARPEST_RAD:
+        x = corner.x_m - tangent_m * math.cos(before.direction)
+        y = corner.y_m - tangent_m * math.sin(before.direction)
+        before.end = behind.begin = Bend(x, y, before.direction, turn, tangent_m)
 
 
-def _bend_speed(before: tuple[_Leg, Limits], behind: tuple[_Leg, Limits], limits: Limits) -> float:
+def _bend_speed(before: _Leg, behind: _Leg, limits: Limits) -> float:
     """Return the highest speed in the bend between two legs, 0 where there is none."""
-    bend = before[0].end
-    if bend is None:
+    if (bend := before.end) is None:
         return 0.0
-    speed = min(before[1].speed, behind[1].speed)
+    speed = min(before.limits.speed, behind.limits.speed)
     if (curvature := bend.peak_curvature) > 0.0:
-        speed = min(
-            speed,
-            math.sqrt(limits.acceleration / curvature),
-            math.cbrt(limits.jerk / math.hypot(curvature**2, bend.peak_sharpness)),
-        )
+        across = math.sqrt(limits.acceleration / curvature)
+        speed = min(speed, across, math.cbrt(limits.jerk / math.hypot(curvature**2, bend.peak_sharpness)))
     return speed
 
 
-def _drive_through(segments: list[Segment], bend: Bend, law: HeadingLaw, begin: float, speed: float) -> None:
-    """Add half of a bend."""
-    segments.append(Segment(Section(bend, law), Phase(0.5 * bend.length / speed, begin, speed, 0.0, 0.0)))
-
-
-def _wait(segments: list[Segment], at: Waypoint) -> None:
-    """Add the dwell time of a waypoint."""
-    if at.dwell_s > 0.0:
-        there = Section(Line(at.x_m, at.y_m, 0.0, 0.0), Linear(at.heading_rad))
-        segments.append(Segment(there, Phase(at.dwell_s, 0.0, 0.0, 0.0, 0.0)))
+def _dwell(at: Waypoint) -> list[Segment]:
+    """Return the dwell time of a waypoint as segments: one, or none."""
+    if at.dwell_s == 0.0:
+        return []
+    there = Section(Line(at.x_m, at.y_m, 0.0, 0.0), Linear(at.heading_rad))
+    return [(there, Phase(at.dwell_s, 0.0, 0.0, 0.0, 0.0))]

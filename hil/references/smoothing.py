@@ -1,13 +1,12 @@
 """The cubic smoothing spline of samples in time: continuous up to the second derivative.
 
-Of all functions it is the one that makes  Σ hᵢ (yᵢ - f(tᵢ))² + λ ∫ f''² dt  least (C. H. Reinsch, "Smoothing by spline
-functions", Numerische Mathematik 10, 1967). With hᵢ, the time for which a sample stands, and λ = T⁴ that is a low-pass
-without delay: a sine of the angular frequency ω comes out 1 / (1 + (ω T)⁴) as large, whatever the sampling rate is.
+It is the function f that minimises  Σ hᵢ (yᵢ - f(tᵢ))² + λ ∫ f''² dt  (C. H. Reinsch, "Smoothing by spline functions",
+Numerische Mathematik 10, 1967). hᵢ is the time that sample i represents. With λ = T⁴ the spline is a low-pass without
+delay: it scales a sine of angular frequency ω by 1 / (1 + (ω T)⁴), at any sampling rate.
 """
 
 import bisect
 from collections.abc import Sequence
-from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -16,12 +15,12 @@ Series = npt.NDArray[np.float64]
 
 
 class SmoothingSpline:
-    """Splines over the same times, one per channel; see the module's docstring.
+    """Smoothing splines over the same times, one per channel.
 
     Args:
         t_s: times [s], ascending, at least 3.
         channels: samples, each as long as ``t_s``.
-        smoothing_s: T above [s]; with 0 the spline goes through the samples.
+        smoothing_s: the T of the module's docstring [s]; with 0 the spline goes through the samples.
     """
 
     def __init__(self, t_s: Sequence[float], channels: Sequence[Sequence[float]], smoothing_s: float) -> None:
@@ -44,12 +43,8 @@ class SmoothingSpline:
         ]
 
 
-class _Factors(NamedTuple):
-    """L D Lᵀ: the diagonal D, and of L one and two below the diagonal, each as long as D with zeros first."""
-
-    diagonal: list[float]
-    one_below: list[float]
-    two_below: list[float]
+_Factors = list[tuple[float, float, float]]
+"""L D Lᵀ by row: D, and the elements of L one and two places left of its diagonal, 0 where there is none."""
 
 
 def _factorised(steps: Series, weights: Series) -> _Factors:
@@ -63,16 +58,13 @@ def _factorised(steps: Series, weights: Series) -> _Factors:
     main = (steps[:-1] + steps[1:]) / 3.0 + left**2 * before + middle**2 * at + right**2 * behind
     one = steps[1:-1] / 6.0 + middle[:-1] * left[1:] * at[:-1] + right[:-1] * middle[1:] * behind[:-1]
     two = right[:-2] * left[2:] * behind[:-2]
-    factors = _Factors([], [], [])
-    d1 = d2 = 1.0  # of the row before and the one before that
-    below = 0.0  # L of the row before
+    factors: _Factors = []
+    d1 = d2 = 1.0  # D of the row before, and of the one before that
+    l1 = 0.0
     for m, f, s in zip(main.tolist(), [0.0, *one.tolist()], [0.0, 0.0, *two.tolist()], strict=False):
-        two_below = s / d2
-        one_below = (f - s * below) / d1
-        d1, d2, below = m - one_below * one_below * d1 - two_below * s, d1, one_below
-        factors.diagonal.append(d1)
-        factors.one_below.append(one_below)
-        factors.two_below.append(two_below)
+        l1, l2 = (f - s * l1) / d1, s / d2
+        d1, d2 = m - l1 * l1 * d1 - l2 * s, d1
+        factors.append((d1, l1, l2))
     return factors
 
 
@@ -90,15 +82,13 @@ def _solved(factors: _Factors, right: list[float]) -> list[float]:
     """Return the solution of L D Lᵀ x = right."""
     forward: list[float] = []
     z1 = z2 = 0.0
-    for b, l1, l2 in zip(right, factors.one_below, factors.two_below, strict=True):
+    for b, (_, l1, l2) in zip(right, factors, strict=True):
         z1, z2 = b - l1 * z1 - l2 * z2, z1
         forward.append(z1)
     backward: list[float] = []
-    x1 = x2 = 0.0
-    l1 = l2 = l2_next = 0.0
-    rows = zip(forward, factors.diagonal, factors.one_below, factors.two_below, strict=True)
-    for z, d, below1, below2 in reversed(list(rows)):
+    x1 = x2 = l1 = l2 = l2_next = 0.0
+    for z, (d, one_left, two_left) in zip(reversed(forward), reversed(factors), strict=True):
         x1, x2 = z / d - l1 * x1 - l2 * x2, x1
-        l1, l2, l2_next = below1, l2_next, below2
+        l1, l2, l2_next = one_left, l2_next, two_left
         backward.append(x1)
     return backward[::-1]

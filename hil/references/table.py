@@ -13,15 +13,8 @@ LARGEST_NUMBER = 1e6
 """A larger number is in the wrong unit, or its square loses too many digits."""
 
 
-class Row(NamedTuple):
-    """A row of a table: its line number in the file, and one value for each column of the format."""
-
-    line: int
-    values: tuple[float, ...]
-
-
 class Format(NamedTuple):
-    """What a table must have: its columns, optional columns with their defaults, and the number of rows.
+    """The format of a table: its columns, optional columns with their defaults, and the allowed numbers of rows.
 
     ``others`` allows further columns, which are ignored.
     """
@@ -33,10 +26,11 @@ class Format(NamedTuple):
     others: bool
 
 
-def read_table(directory: Path, file: str, form: Format) -> list[Row]:
-    """Return the rows of a CSV file with a header line; empty lines and lines that begin with ``#`` are skipped.
+def read_table(directory: Path, file: str, form: Format) -> list[tuple[int, tuple[float, ...]]]:
+    """Return the rows of a CSV file with a header line: each a line number, and one value for each column of ``form``.
 
-    Raises BadInputError, with one sentence, for anything that is wrong with the file.
+    Empty lines and lines that begin with ``#`` are skipped. Raises BadInputError for a file that cannot be read or
+    is not as ``form`` says.
     """
     name = f"reference.file = {file!r}"
     path = directory / file
@@ -58,30 +52,26 @@ def read_table(directory: Path, file: str, form: Format) -> list[Row]:
         ) from error
     except ValueError as error:  # a zero byte in the path
         raise BadInputError(f"{name}: {str(path)!r} cannot be read: {error}") from error
-    numbered = [(number, text) for number, text in enumerate(lines, start=1) if not _is_comment(text)]
+    numbered = [(f"{name}, line {line}", line, text.strip()) for line, text in enumerate(lines, start=1)]
+    numbered = [row for row in numbered if row[2] and not row[2].startswith("#")]
     if not numbered:
         raise BadInputError(f"{name}: it is empty; expected a line with the columns {', '.join(form.columns)}")
-    header = [cell.strip() for cell in _cells(numbered[0][1], f"{name}, line {numbered[0][0]}")]
-    places = _places(header, form, f"{name}, line {numbered[0][0]}")
-    count = len(numbered) - 1
-    if not form.fewest_rows <= count <= form.most_rows:
-        raise BadInputError(f"{name}: {count} rows; expected {form.fewest_rows} to {form.most_rows}")
-    return [Row(line, _values(text, f"{name}, line {line}", header, places, form)) for line, text in numbered[1:]]
-
-
-def _is_comment(text: str) -> bool:
-    return not text.strip() or text.lstrip().startswith("#")
+    where, _, text = numbered.pop(0)
+    header = _cells(text, where)
+    _check_header(header, form, where)
+    if not form.fewest_rows <= len(numbered) <= form.most_rows:
+        raise BadInputError(f"{name}: {len(numbered)} rows; expected {form.fewest_rows} to {form.most_rows}")
+    return [(line, _values(_cells(text, where), where, header, form)) for where, line, text in numbered]
 
 
 def _cells(text: str, where: str) -> list[str]:
     try:
-        return next(csv.reader([text], strict=True))
+        return [cell.strip() for cell in next(csv.reader([text], strict=True))]
     except csv.Error as error:
         raise BadInputError(f"{where}: it cannot be read as values separated by commas: {error}") from error
 
 
-def _places(header: Sequence[str], form: Format, where: str) -> list[int | None]:
-    """Return the index of each column in a row, None for an optional column that is absent."""
+def _check_header(header: Sequence[str], form: Format, where: str) -> None:
     known = (*form.columns, *form.optional)
     for column in form.columns:
         if column not in header:
@@ -94,29 +84,24 @@ def _places(header: Sequence[str], form: Format, where: str) -> list[int | None]
             raise BadInputError(f"{where}: the column {column!r} is there twice; leave one out")
         if column not in known and not form.others:
             raise BadInputError(f"{where}: unknown column {column!r}{nearest(column, known)}")
-    return [header.index(column) if column in header else None for column in known]
 
 
-def _values(
-    text: str, where: str, header: Sequence[str], places: Sequence[int | None], form: Format
-) -> tuple[float, ...]:
-    cells = _cells(text, where)
+def _values(cells: Sequence[str], where: str, header: Sequence[str], form: Format) -> tuple[float, ...]:
+    """Return the values of a row's cells, in the order of the format's columns."""
     if len(cells) != len(header):
         raise BadInputError(f"{where}: {len(cells)} values; expected {len(header)}, one for each column")
-    defaults = (*(None for _ in form.columns), *form.optional.values())
+    given = dict(zip(header, cells, strict=True))
     values = []
-    for place, default in zip(places, defaults, strict=True):
-        cell = cells[place].strip() if place is not None else ""
-        if default is not None and not cell:
-            values.append(default)
+    for column in (*form.columns, *form.optional):
+        cell = given.get(column, "")
+        if not cell and column in form.optional:
+            values.append(form.optional[column])
             continue
         try:
-            value = float(cell)
+            values.append(float(cell))
         except ValueError:
-            value = math.nan
-        if not abs(value) <= LARGEST_NUMBER:
-            raise BadInputError(
-                f"{where}: {header[place or 0]} = {cell!r}; expected a number between ±{LARGEST_NUMBER:.0f}"
-            )
-        values.append(value)
+            values.append(math.nan)
+        if not abs(values[-1]) <= LARGEST_NUMBER:
+            expected = f"expected a number between ±{LARGEST_NUMBER:.0f}"
+            raise BadInputError(f"{where}: {column} = {cell!r}; {expected}")
     return tuple(values)

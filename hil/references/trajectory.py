@@ -1,31 +1,30 @@
 """A trajectory that was recorded or computed elsewhere, from a CSV file."""
 
-import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
 from typing import Annotated, ClassVar
 
+import numpy as np
+
 from hil.core.errors import BadInputError
 from hil.core.options import NOT_NEGATIVE, Range
 from hil.core.types import Acceleration, Reference, Twist
-from hil.references.motion import Phase, Point, ReferenceSource, motion_through, ramped
+from hil.references.motion import Phase, ReferenceSource, motion_through, ramped
 from hil.references.smoothing import SmoothingSpline
 from hil.references.table import Format, read_table
 
-FORMAT = Format(
-    columns=("t_s", "x_m", "y_m", "heading_rad"), optional={}, fewest_rows=4, most_rows=200_000, others=True
-)
+_COLUMNS = ("t_s", "x_m", "y_m", "heading_rad")
+FORMAT = Format(_COLUMNS, optional={}, fewest_rows=4, most_rows=200_000, others=True)
 
 
 @dataclass(frozen=True, slots=True)
 class Trajectory:
     """Poses over time from a CSV file, smoothed by a spline whose acceleration has no jump; at the end it rests.
 
-    Columns: t_s, x_m, y_m, heading_rad; others are not read. Times count from the first row. A heading that jumps by
-    more than half a turn is taken as wrapped. Motion faster than about 2π ``smoothing_s`` is smoothed away; 0 goes
-    through every row. With ``ramp_s`` it starts from rest and comes to rest within that time.
+    Columns: t_s, x_m, y_m, heading_rad; others are not read. Times count from the first row. A step of the heading by
+    more than half a turn is unwrapped. Oscillations with a period below about 2π ``smoothing_s`` are smoothed away; 0
+    goes through every row. With ``ramp_s`` it starts from rest and comes to rest within that time.
     """
 
     file: str
@@ -35,23 +34,20 @@ class Trajectory:
     def read(self, directory: Path) -> ReferenceSource:
         """Return the motion of the file's rows; a relative path starts from ``directory``.
 
-        Raises BadInputError for all that is wrong with the file.
+        Raises BadInputError for a file that cannot be used.
         """
         rows = read_table(directory, self.file, FORMAT)
         name = f"reference.file = {self.file!r}"
-        for first, last in pairwise(rows):
-            if last.values[0] <= first.values[0]:
-                raise BadInputError(
-                    f"{name}, line {last.line}: t_s = {last.values[0]:g} after {first.values[0]:g}; "
-                    "expected ascending times"
-                )
-        t_s, x_m, y_m, heading_rad = zip(*(row.values for row in rows), strict=True)
-        from_zero = [t - t_s[0] for t in t_s]
+        for (_, (before_s, *_)), (line, (t_s, *_)) in pairwise(rows):
+            if t_s <= before_s:
+                raise BadInputError(f"{name}, line {line}: t_s = {t_s:g} after {before_s:g}; expected ascending times")
+        times_s, x_m, y_m, heading_rad = zip(*(values for _, values in rows), strict=True)
+        from_zero = [t_s - times_s[0] for t_s in times_s]
         if self.ramp_s > from_zero[-1]:
             raise BadInputError(
                 f"reference: ramp_s = {self.ramp_s:g}: expected at most the {from_zero[-1]:g} s of {self.file!r}"
             )
-        spline = SmoothingSpline(from_zero, (x_m, y_m, _unwrapped(heading_rad)), self.smoothing_s)
+        spline = SmoothingSpline(from_zero, (x_m, y_m, np.unwrap(heading_rad).tolist()), self.smoothing_s)
         return Played(spline, from_zero[-1], self.ramp_s)
 
 
@@ -81,12 +77,4 @@ class Played:
     def _moving(self, phase: Phase) -> Reference:
         spline_s, rate, acceleration = phase
         (x, x1, x2), (y, y1, y2), (heading, heading1, heading2) = self._spline.at(spline_s)
-        return motion_through(Point(x, y, heading, x1, y1, heading1, x2, y2, heading2), rate, acceleration)
-
-
-def _unwrapped(headings: Sequence[float]) -> list[float]:
-    """Return headings whose steps are at most half a turn."""
-    unwrapped = [headings[0]]
-    for first, last in pairwise(headings):
-        unwrapped.append(unwrapped[-1] + math.remainder(last - first, math.tau))
-    return unwrapped
+        return motion_through(((x, y, heading), (x1, y1, heading1), (x2, y2, heading2)), rate, acceleration)

@@ -2,7 +2,6 @@
 
 import math
 from dataclasses import dataclass
-from itertools import pairwise
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -13,13 +12,8 @@ from hil.references.motion import ReferenceSource
 from hil.references.route import Waypoint, plan
 from hil.references.table import Format, read_table
 
-FORMAT = Format(
-    columns=("x_m", "y_m", "heading_rad"),
-    optional={"speed_m_s": math.inf, "dwell_s": 0.0},
-    fewest_rows=2,
-    most_rows=10_000,
-    others=False,
-)
+_OPTIONAL = {"speed_m_s": math.inf, "dwell_s": 0.0}
+FORMAT = Format(("x_m", "y_m", "heading_rad"), _OPTIONAL, fewest_rows=2, most_rows=10_000, others=False)
 
 SLOWEST_M_S = 0.001
 NEAREST_M = 0.001
@@ -46,28 +40,26 @@ class Waypoints:
     def read(self, directory: Path) -> ReferenceSource:
         """Return the motion along the file's waypoints; a relative path starts from ``directory``.
 
-        Raises BadInputError for all that is wrong with the file.
+        Raises BadInputError for a file that cannot be used.
         """
         name = f"reference.file = {self.file!r}"
         rows = read_table(directory, self.file, FORMAT)
-        waypoints = [Waypoint(*row.values) for row in rows]
-        for row, waypoint in zip(rows, waypoints, strict=True):
+        waypoints = [Waypoint(*values) for _, values in rows]
+        for (line, _), waypoint, before in zip(rows, waypoints, [None, *waypoints], strict=False):
+            where = f"{name}, line {line}"
             if waypoint.speed_m_s < SLOWEST_M_S:
-                raise BadInputError(
-                    f"{name}, line {row.line}: speed_m_s = {waypoint.speed_m_s:g}; expected at least {SLOWEST_M_S:g}"
-                )
+                raise BadInputError(f"{where}: speed_m_s = {waypoint.speed_m_s:g}; expected at least {SLOWEST_M_S:g}")
             if waypoint.dwell_s < 0.0:
-                raise BadInputError(f"{name}, line {row.line}: dwell_s = {waypoint.dwell_s:g}; expected 0 or more")
-        for row, (first, last) in zip(rows[1:], pairwise(waypoints), strict=True):
-            if first[:3] == last[:3]:
+                raise BadInputError(f"{where}: dwell_s = {waypoint.dwell_s:g}; expected 0 or more")
+            if before is not None and before[:3] == waypoint[:3]:
                 raise BadInputError(
-                    f"{name}, line {row.line}: the same pose as in the row before; leave it out, "
-                    "and give the one before a dwell_s to rest there"
+                    f"{where}: the same pose as in the row before; leave it out, and give the one before a dwell_s to "
+                    "rest there"
                 )
-            if 0.0 < math.dist(first[:2], last[:2]) < NEAREST_M:
+            if before is not None and 0.0 < (gap_m := math.dist(before[:2], waypoint[:2])) < NEAREST_M:
                 raise BadInputError(
-                    f"{name}, line {row.line}: {math.dist(first[:2], last[:2]):.2g} m from the row before; expected "
-                    f"at least {NEAREST_M:g} m, or the same place to turn on the spot"
+                    f"{where}: {gap_m:.2g} m from the row before; expected at least {NEAREST_M:g} m, or the same place "
+                    "to turn on the spot"
                 )
         limits = Limits(self.max_speed_m_s, self.max_acceleration_m_s2, self.max_jerk_m_s3)
         yaw = Limits(self.max_yaw_rate_rad_s, self.max_yaw_acceleration_rad_s2, self.max_yaw_jerk_rad_s3)
