@@ -18,7 +18,7 @@ from typing import Any
 from urllib.parse import urlsplit
 
 from hil.batch.job import LOST, Job, Outcome
-from hil.batch.pool import COLLECT_S, PoolStatus, Runner
+from hil.batch.pool import COLLECT_S, Runner, drain
 from hil.core.errors import BadInputError, LinkError
 
 try:
@@ -63,9 +63,8 @@ class RunnersOfAWorker(distributed.WorkerPlugin):
         self._is_ending = True
         for runner in self._all:
             runner.kill()
-        with contextlib.suppress(queue.Empty):
-            while True:
-                self._idle.get_nowait().close()
+        for runner in drain(self._idle):
+            runner.close()
 
     def run(self, job: Job, worker: str) -> Done:
         """Do a job. Raises Reschedule when it is lost because this Dask worker ends: another then does it."""
@@ -123,7 +122,6 @@ class DaskPool:
 
     @property
     def in_flight(self) -> int:
-        """How many jobs were submitted and not collected yet."""
         return len(self._jobs) + len(self._again)
 
     def room(self) -> int:
@@ -137,7 +135,6 @@ class DaskPool:
         return max(0, max(_LEAST_AHEAD, (1 + _AHEAD) * self._workers()) - len(self._jobs))
 
     def submit(self, job: Job) -> None:
-        """Give a job to the scheduler."""
         assert self._client is not None
         # A unique name: Dask takes two jobs of one name for the same.
         name = f"run-{job.key[:16]}-{next(self._numbers)}"
@@ -148,14 +145,8 @@ class DaskPool:
         future.add_done_callback(lambda _: self._finished.put(name))
 
     def collect(self) -> list[Outcome]:
-        """Wait up to half a second for outcomes, and return all that have come."""
-        names = []
-        with contextlib.suppress(queue.Empty):
-            names.append(self._finished.get(timeout=COLLECT_S))
-            while True:
-                names.append(self._finished.get_nowait())
         outcomes = []
-        for name in names:
+        for name in drain(self._finished, COLLECT_S):
             job, future = self._jobs.pop(name)
             done = _result(job, future)
             if done is None:
@@ -169,15 +160,11 @@ class DaskPool:
             outcomes.append(outcome)
         return outcomes
 
-    def status(self) -> PoolStatus:
-        """Return how many workers can do the jobs, and what the pool waits for."""
+    def trouble(self) -> str | None:
         if not self._is_connected:
-            return PoolStatus(0, f"the scheduler {self._address} cannot be reached; waiting for it")
-        workers = self._workers()
-        if not workers:
-            needed = f" with --resources {BENCH}=1" if self._resources else ""
-            return PoolStatus(workers, f"the scheduler {self._address} has no worker{needed}; waiting for one")
-        return PoolStatus(workers, None)
+            return f"the scheduler {self._address} cannot be reached; waiting for it"
+        needed = f" with --resources {BENCH}=1" if self._resources else ""
+        return None if self._workers() else f"the scheduler {self._address} has no worker{needed}; waiting for one"
 
     def close(self) -> None:
         """Drop the jobs that are not done, and end our processes, which the cluster would keep otherwise."""

@@ -7,7 +7,7 @@ path.
 import functools
 import hashlib
 import json
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
@@ -46,9 +46,8 @@ def make_job(
     """
     options = options or {}
     sha256 = None if library is None else _digest(library)
-    key = key_of(scenario, kind, options, sha256)
     path = None if library is None else str(library)
-    return Job(key, kind, to_plain(scenario), options, path, sha256, **how)
+    return Job(key_of(scenario, kind, options, sha256), kind, to_plain(scenario), options, path, sha256, **how)
 
 
 def is_current(job: Job, scenario: Scenario) -> bool:
@@ -71,7 +70,7 @@ def key_of(
     Raises BadInputError when a file that the scenario names cannot be read.
     """
     tables = {name: table for name, table in tables_of(scenario).items() if name not in _NOT_OF_THE_RUN}
-    canonical = {"format": KEY_FORMAT, "versions": versions(), "files": dict(_files(scenario)), "scenario": tables}
+    canonical = {"format": KEY_FORMAT, "versions": versions(), "files": _files(scenario), "scenario": tables}
     _without_paths(tables)
     tables["reference"] = _as_floats(tables["reference"])
     for table, name in _OPTIONS:
@@ -92,35 +91,33 @@ def versions() -> dict[str, str]:
     return {"mecanum_hil": package, "schema": f"{SCHEMA_HASH:08x}", "firmware": str(WHEEL_HOST.digest())}
 
 
-def _files(scenario: Scenario) -> Iterator[tuple[str, str]]:
-    """Yield a name for each file of a scenario, and the file's hash."""
-    yield "plant.fmu", _digest(archive.locate(scenario.plant.fmu, scenario.directory))
+def _files(scenario: Scenario) -> dict[str, str]:
+    """Return the hash of each file of a scenario, and of the code of its laws and of other packages' parts."""
+    directory = scenario.directory
     # Named by position: two files may both have a class Law.
-    for place, law in enumerate((scenario.controller.law, *scenario.controller.shadow)):
-        if (digest := _law(law, scenario.directory)) is not None:
-            yield f"law {place}", digest
-    module = reference_module(scenario.reference.kind)
-    if module is not None and (digest := code_of_module(module)) is not None:
-        yield "reference.kind", digest
-    module = driver_module(scenario.device.driver)
-    if module is not None and (digest := code_of_module(module)) is not None:
-        yield "device.driver", digest
-    for name, table in (("reference.file", scenario.reference.options), ("device.motors.file", scenario.device.motors)):
-        if isinstance(path := table.get("file"), str):
-            yield name, _digest(scenario.directory / path)
+    laws = enumerate((scenario.controller.law, *scenario.controller.shadow))
+    named = {"reference.file": scenario.reference.options, "device.motors.file": scenario.device.motors}
+    found = {
+        "plant.fmu": _digest(archive.locate(scenario.plant.fmu, directory)),
+        **{f"law {place}": _law(law, directory) for place, law in laws},
+        "reference.kind": code_of_module(reference_module(scenario.reference.kind)),
+        "device.driver": code_of_module(driver_module(scenario.device.driver)),
+        **{
+            key: _digest(directory / file) for key, table in named.items() if isinstance(file := table.get("file"), str)
+        },
+    }
+    return {name: digest for name, digest in found.items() if digest is not None}
 
 
 def _law(law: str, directory: Path) -> str | None:
     """Return the hash of a law's code, None without its source; cached until the law's own file changes."""
     file = directory / law.rpartition(":")[0]
-    if file.suffix != ".py" or not file.is_file():
-        return _law_at(law, directory, 0, 0)
-    now = file.stat()
-    return _law_at(law, directory, now.st_mtime_ns, now.st_size)
+    now = file.stat() if file.suffix == ".py" and file.is_file() else None
+    return _law_at(law, directory, now and (now.st_mtime_ns, now.st_size))
 
 
 @functools.lru_cache
-def _law_at(law: str, directory: Path, _mtime_ns: int, _size: int) -> str | None:
+def _law_at(law: str, directory: Path, _version: tuple[int, int] | None) -> str | None:
     return law_sha256(law, directory)
 
 
@@ -130,13 +127,11 @@ def _without_paths(tables: dict[str, Any]) -> None:
     def last(value: object) -> object:
         return value.replace("\\", "/").rpartition("/")[2] if isinstance(value, str) else value
 
-    tables["plant"]["fmu"] = last(tables["plant"]["fmu"])
-    controller = tables["controller"]
-    controller["law"] = last(controller["law"])
-    controller["shadow"] = [last(law) for law in controller["shadow"]]
-    for table in (tables["reference"], tables["device"]["motors"]):
-        if isinstance(table, dict) and "file" in table:
-            table["file"] = last(table["file"])
+    tables["controller"]["shadow"] = [last(law) for law in tables["controller"]["shadow"]]
+    files = ((tables["reference"], "file"), (tables["device"]["motors"], "file"))
+    for table, key in ((tables["plant"], "fmu"), (tables["controller"], "law"), *files):
+        if isinstance(table, dict) and key in table:
+            table[key] = last(table[key])
 
 
 def _as_floats(value: Any) -> Any:
@@ -153,9 +148,9 @@ def _digest(path: Path) -> str:
         now = path.stat()
     except OSError as error:
         raise BadInputError(f"file {path}: it cannot be read ({error.strerror}); a run needs it") from error
-    return _digest_of(path, now.st_mtime_ns, now.st_size)
+    return _digest_of(path, (now.st_mtime_ns, now.st_size))
 
 
 @functools.lru_cache
-def _digest_of(path: Path, _mtime_ns: int, _size: int) -> str:
+def _digest_of(path: Path, _version: tuple[int, int]) -> str:
     return hashlib.sha256(path.read_bytes()).hexdigest()

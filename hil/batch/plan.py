@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from typing import Protocol
 
 from hil.batch.job import FOREIGN, Job, Outcome
-from hil.batch.pool import LocalPool, Pool, PoolStatus
+from hil.batch.pool import LocalPool, Pool
 from hil.core.errors import LinkError
 
 OnProgress = Callable[[int, int, str | None], None]
@@ -41,14 +41,14 @@ def run_plan(
     pool: Pool,
     *,
     known: Mapping[str, Outcome] | None = None,
-    on_status: Callable[[PoolStatus], None] = lambda _: None,
+    on_trouble: Callable[[str | None], None] = lambda _: None,
     is_stopping: Callable[[], bool] = lambda: False,
 ) -> Iterator[list[Outcome]]:
     """Do a plan's jobs in a pool, and yield outcomes as they come, in any order. The pool is closed at the end.
 
     A job whose key is in ``known`` is not done again: the known outcome is yielded, so a plan that was stopped
-    continues where it was. ``on_status`` gets the pool's status at least twice a second. ``is_stopping`` is called as
-    often: once it returns True, finished outcomes are yielded and the rest is dropped.
+    continues where it was. ``on_trouble`` gets the pool's ``trouble`` at least twice a second. ``is_stopping`` is
+    called as often: once it returns True, finished outcomes are yielded and the rest is dropped.
 
     Raises LinkError when a worker has other files or another version than the plan.
     """
@@ -66,7 +66,7 @@ def run_plan(
                 if room > 0 and not pool.in_flight:
                     return
                 new = _collected(pool)
-            on_status(pool.status())
+            on_trouble(pool.trouble())
             if new:
                 yield new
         yield _collected(pool)

@@ -13,7 +13,7 @@ import subprocess
 import tempfile
 import threading
 import time
-from typing import IO, NamedTuple, Protocol
+from typing import IO, Protocol, TypeVar
 
 from hil.batch.job import LOST, Job, Outcome, plain
 from hil.core.subprocesses import away_from_terminal, excess, module_command
@@ -30,11 +30,17 @@ _AHEAD = 1
 """Jobs queued per worker besides the running one, so that no worker waits for the next."""
 
 
-class PoolStatus(NamedTuple):
-    """The number of workers, and a sentence on what the pool waits for, or None."""
+T = TypeVar("T")
 
-    workers: int
-    trouble: str | None
+
+def drain(source: "queue.SimpleQueue[T]", wait_s: float = 0.0) -> list[T]:
+    """Return all that a queue holds; wait up to ``wait_s`` for the first item."""
+    found = []
+    with contextlib.suppress(queue.Empty):
+        found.append(source.get(timeout=wait_s))
+        while True:
+            found.append(source.get_nowait())
+    return found
 
 
 class Pool(Protocol):
@@ -53,49 +59,37 @@ class Pool(Protocol):
     def collect(self) -> list[Outcome]:
         """Wait up to half a second for outcomes, and return all that there are."""
 
-    def status(self) -> PoolStatus:
-        """Return the pool's status."""
+    def trouble(self) -> str | None:
+        """Return a sentence on what the pool waits for, or None."""
 
     def close(self) -> None:
         """End the workers, and with them the jobs that are still under way."""
 
 
-def open_pool(scheduler: str | None, workers: int | None, *, on_bench: bool = False) -> Pool:
-    """Return a pool on the Dask scheduler at an address; without one, ``workers`` processes on this machine.
-
-    Raises as ``DaskPool`` does, and BadInputError when Dask is needed and not installed.
-    """
-    if scheduler is None:
-        return LocalPool(workers)
-    from hil.batch.dask_pool import DaskPool  # which takes a second, and need not be installed
-
-    return DaskPool(scheduler, on_bench=on_bench)
-
-
 class LocalPool:
-    """A pool of processes on this machine; ``workers`` is how many at most, by default one per processor."""
+    """A pool of processes on this machine; ``workers`` is how many at most, by default one per processor.
+
+    A process is started only when there is a job for it.
+    """
 
     def __init__(self, workers: int | None = None) -> None:
         self._workers = workers or os.cpu_count() or 1
         self._waiting: queue.SimpleQueue[Job | None] = queue.SimpleQueue()
         self._done: queue.SimpleQueue[Outcome] = queue.SimpleQueue()
-        self._runners: list[Runner] = []
-        self._threads: list[threading.Thread] = []
+        self._threads: list[tuple[threading.Thread, Runner]] = []
         self.in_flight = 0
 
     def room(self) -> int:
-        """Return how many more jobs may be submitted now."""
         return (1 + _AHEAD) * self._workers - self.in_flight
 
     def submit(self, job: Job) -> None:
-        """Queue a job; a process is started only when there is a job for it."""
         self._waiting.put(job)
         self.in_flight += 1
         if len(self._threads) < min(self._workers, self.in_flight):
             runner, name = Runner(), f"{socket.gethostname()} {len(self._threads)}"
-            self._runners.append(runner)
-            self._threads.append(threading.Thread(target=self._serve, args=(runner, name), name="pool", daemon=True))
-            self._threads[-1].start()
+            thread = threading.Thread(target=self._serve, args=(runner, name), name="pool", daemon=True)
+            self._threads.append((thread, runner))
+            thread.start()
 
     def _serve(self, runner: "Runner", name: str) -> None:
         while (job := self._waiting.get()) is not None:
@@ -103,30 +97,20 @@ class LocalPool:
         runner.close()
 
     def collect(self) -> list[Outcome]:
-        """Wait up to half a second for outcomes, and return all that there are."""
-        outcomes = []
-        with contextlib.suppress(queue.Empty):
-            outcomes.append(self._done.get(timeout=COLLECT_S))
-            while True:
-                outcomes.append(self._done.get_nowait())
+        outcomes = drain(self._done, COLLECT_S)
         self.in_flight -= len(outcomes)
         return outcomes
 
-    def status(self) -> PoolStatus:
-        """Return how many processes there may be; this pool waits for nothing."""
-        return PoolStatus(self._workers, None)
+    def trouble(self) -> None:
+        return None
 
     def close(self) -> None:
-        """End the processes, and with them the jobs that are still under way."""
-        with contextlib.suppress(queue.Empty):
-            while True:
-                self._waiting.get_nowait()
-        for _ in self._threads:
+        drain(self._waiting)
+        for _, runner in self._threads:
             self._waiting.put(None)
-        for runner in self._runners:
             if self.in_flight:
                 runner.kill()
-        for thread in self._threads:
+        for thread, _ in self._threads:
             thread.join()
 
 
@@ -142,17 +126,16 @@ class Runner:
         """Do a job; after a crash once more if it has ``retries_crash``, unless ``kill`` was called."""
         outcome = self._try(job)
         is_crash = outcome.status == LOST and "crashed" in str(outcome.reason)
-        if not (is_crash and job.retries_crash) or self.is_ending:
-            return outcome
-        outcome = self._try(job)
-        if outcome.status == LOST:
-            return outcome._replace(reason=f"its process ended twice, at last: {outcome.reason}")
+        if is_crash and job.retries_crash and not self.is_ending:
+            outcome = self._try(job)
+            if outcome.status == LOST:
+                return outcome._replace(reason=f"its process ended twice, at last: {outcome.reason}")
         return outcome
 
     def _try(self, job: Job) -> Outcome:
         began = time.monotonic()
         try:
-            if self._process is not None and self._process.made_for != _made_for(job):
+            if self._process is not None and self._process.made_for != (job.kind, job.library):
                 self.close()
             process = self._process = self._process or _Process(job)
             if self.is_ending:
@@ -183,16 +166,11 @@ class Runner:
             process.close()
 
 
-def _made_for(job: Job) -> tuple[str, str | None]:
-    """Return what a process is started for; a job of another kind or library needs another process."""
-    return job.kind, job.library
-
-
 class _Process:
-    """One worker process."""
+    """One worker process; ``made_for`` is the kind and the library of the jobs that it can do."""
 
     def __init__(self, job: Job) -> None:
-        self.made_for = _made_for(job)
+        self.made_for = (job.kind, job.library)
         self._stderr: IO[bytes] = tempfile.TemporaryFile()  # noqa: SIM115 -- closed in close()
         library = {} if job.library is None else {"WHEEL_HOST_LIBRARY": job.library}
         self._process = subprocess.Popen(

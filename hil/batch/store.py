@@ -1,21 +1,22 @@
 """The outcomes of a batch in a folder: small Parquet files, one row a job, that a kill at any time leaves whole.
 
-    DIR/plan.parquet         the jobs that the batch has DIR/campaign.json        what the batch is, for its report
-        DIR/rows/*.parquet       one row for each job that is done; together one dataset DIR/recordings/KEY.rrd
-        recordings that are kept
+    DIR/plan.parquet         the jobs that the batch has
+    DIR/campaign.json        what the batch is, for its report
+    DIR/rows/*.parquet       one row for each job that is done; together one dataset
+    DIR/recordings/KEY.rrd   recordings that are kept
 
 A file is written under another name, synced to the disk, and renamed. Many small files of rows are merged into one,
 whose metadata names them: files that a kill leaves beside it are removed when the folder is opened.
 """
 
 import contextlib
+import itertools
 import json
 import os
 import re
 import uuid
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from pathlib import Path
-from types import TracebackType
 from typing import Any, Self
 
 import pyarrow as pa
@@ -51,9 +52,9 @@ def row_of(outcome: Outcome) -> dict[str, Any]:
 
 def outcome_of(row: Row) -> Outcome:
     """Return the outcome from a row of ``row_of``, so that a plan can continue from it."""
-    known = (KEY, "outcome", "reason", f"{MACHINE}wall_s", f"{MACHINE}worker")
-    key, status, reason, wall_s, worker = (row[name] for name in known)
-    figures = {name: value for name, value in row.items() if name not in known}
+    figures = dict(row)
+    wall_s, worker = (figures.pop(f"{MACHINE}{name}") for name in ("wall_s", "worker"))
+    key, status, reason = (figures.pop(name) for name in (KEY, "outcome", "reason"))
     return Outcome(key, status, reason, figures, wall_s=wall_s, worker=worker)
 
 
@@ -69,21 +70,24 @@ class Store:
         self.folder = folder
         self._schema = schema
         self._rows = folder / ROWS
-        with contextlib.ExitStack() as resources:
+        with _writing(folder):
+            (folder / RECORDINGS).mkdir(parents=True, exist_ok=True)
+            self._rows.mkdir(exist_ok=True)
+            self._lock = FileLock(folder / _LOCK)
+            try:
+                self._lock.acquire(timeout=0)
+            except Timeout:
+                raise BadInputError(
+                    f"campaign folder {folder}: another campaign writes to it; wait for its end, or name another "
+                    "with --out"
+                ) from None
+        try:
             with _writing(folder):
-                (folder / RECORDINGS).mkdir(parents=True, exist_ok=True)
-                self._rows.mkdir(exist_ok=True)
-                lock = FileLock(folder / _LOCK)
-                try:
-                    resources.enter_context(lock.acquire(timeout=0))
-                except Timeout:
-                    raise BadInputError(
-                        f"campaign folder {folder}: another campaign writes to it; wait for its end, or name another "
-                        "with --out"
-                    ) from None
                 self._tidy()
             self._check_columns()
-            self._resources = resources.pop_all()
+        except BaseException:
+            self._lock.release()
+            raise
 
     def append(self, rows: Sequence[Row]) -> None:
         """Add rows; when this returns they are on the disk. Raises BadInputError when they cannot be written."""
@@ -131,11 +135,9 @@ class Store:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         """Release the folder for other processes."""
-        self._resources.close()
+        self._lock.release()
 
     def _tidy(self) -> None:
         """Remove what a kill has left: unfinished files, and those that were merged into another."""
@@ -159,12 +161,9 @@ class Store:
 
     def _merge(self) -> None:
         """Merge files of one size into one of the next, as soon as there are many."""
-        sizes: dict[int, list[Path]] = {}
-        for file in _row_files(self._rows):
-            sizes.setdefault(_size(file), []).append(file)
-        for size, files in sorted(sizes.items()):
-            if len(files) >= _MOST_OF_A_SIZE:
-                self._replace(files, _concatenated(files), size + 1)
+        for size, files in itertools.groupby(sorted(_row_files(self._rows), key=_size), _size):
+            if len(some := list(files)) >= _MOST_OF_A_SIZE:
+                self._replace(some, _concatenated(some), size + 1)
 
     def _replace(self, files: Sequence[Path], table: pa.Table, size: int) -> None:
         """Write a table in place of files. Its metadata names them, so that files left by a kill are ignored."""

@@ -16,7 +16,6 @@ from hil.core.errors import BadInputError, RunInterruptedError, nearest
 
 if TYPE_CHECKING:
     from hil.batch.campaign.campaign import Campaign, Place
-    from hil.batch.pool import PoolStatus
 
 
 class FileFirst(Group):
@@ -151,16 +150,16 @@ def _perform(
     outcomes: Counter[str] = Counter()
     progress: RateProgress | None = None
     shown = sys.stderr.isatty() and not as_json
-    troubles: dict[str, None] = {}
+    troubles: set[str] = set()
 
-    def show_status(status: "PoolStatus") -> None:
+    def show_trouble(trouble: str | None) -> None:
         if progress is not None and shown:
-            progress.say(status.trouble)
-        elif status.trouble is not None and status.trouble not in troubles:
-            troubles[status.trouble] = None
-            print(f"hil: {status.trouble}", file=sys.stderr, flush=True)
+            progress.say(trouble)
+        elif trouble is not None and trouble not in troubles:
+            troubles.add(trouble)
+            print(f"hil: {trouble}", file=sys.stderr, flush=True)
 
-    for rows in campaign.perform(folder, place, show_status, stop.is_requested, redo):
+    for rows in campaign.perform(folder, place, show_trouble, stop.is_requested, redo):
         new = Counter(row["outcome"] for row in rows)
         outcomes += new
         if progress is None:

@@ -44,8 +44,10 @@ def code_of_file(file: Path) -> str | None:
     return _digest(_Place(file.parent, None), file, file.stem)
 
 
-def code_of_module(module: str) -> str | None:
-    """Return the SHA-256 of a law in a module, in hex; None if its source is missing. Executes nothing."""
+def code_of_module(module: str | None) -> str | None:
+    """Return the SHA-256 of a law in a module, in hex; None for None, or if its source is missing. Executes nothing."""
+    if module is None:
+        return None
     package = module.partition(".")[0]
     try:
         found = find_spec(package)

@@ -29,13 +29,17 @@ def ingredients(scenario: "Scenario") -> dict[str, str]:
 
     Raises BadInputError as ``law_ingredients``, and for an FMU or a native library that cannot be used.
     """
+    from hil.drivers.registry import driver_module
+    from hil.laws.code import code_of_module
+    from hil.references import reference_module
+
     directory = scenario.directory
     files = {"reference_file": scenario.reference.options, "motors_file": scenario.device.motors}
     found = {
         "map_sha256": hashlib.sha256(json.dumps(plain(scenario.plant.map), sort_keys=True).encode()).hexdigest(),
         **{f"{name}_sha256": _sha256_of(table.get("file"), directory) for name, table in files.items()},
-        "reference_sha256": _reference_sha256(scenario.reference.kind),
-        "driver_sha256": _driver_sha256(scenario.device.driver),
+        "reference_sha256": code_of_module(reference_module(scenario.reference.kind)),
+        "driver_sha256": code_of_module(driver_module(scenario.device.driver)),
         **_plant_and_libraries(scenario),
     }
     return law_ingredients(scenario) | {name: text for name, text in found.items() if text is not None}
@@ -108,24 +112,6 @@ def _plant_and_libraries(scenario: "Scenario") -> dict[str, str | None]:
     elif (fmu := archive.place(scenario.plant.fmu, scenario.directory)).is_file():
         found["fmu_sha256"] = archive.sha256(fmu)  # the robot runs elsewhere; only there the FMU is required
     return found
-
-
-def _reference_sha256(kind: str) -> str | None:
-    """Return the hash of the code of another package's kind of reference; None for a shipped one."""
-    from hil.laws.code import code_of_module
-    from hil.references import reference_module
-
-    module = reference_module(kind)
-    return None if module is None else code_of_module(module)
-
-
-def _driver_sha256(name: str) -> str | None:
-    """Return the hash of the code of another package's driver; None for a shipped one."""
-    from hil.drivers.registry import driver_module
-    from hil.laws.code import code_of_module
-
-    module = driver_module(name)
-    return None if module is None else code_of_module(module)
 
 
 def _sha256_of(file: object, directory: Path) -> str | None:

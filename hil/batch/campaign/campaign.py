@@ -23,7 +23,7 @@ from hil.batch.figures import MACHINE, as_judged, check_figure, row_columns
 from hil.batch.job import ALWAYS, ENDED, FAILED, IF_FAILED, NEVER, PASSED, Job, Outcome
 from hil.batch.keys import SCENARIO_RUN, key_of
 from hil.batch.plan import FixedPlan, run_plan
-from hil.batch.pool import PoolStatus, Runner, open_pool
+from hil.batch.pool import LocalPool, Pool, Runner
 from hil.batch.store import KEY, ROWS, Row, Store, check_folder, read_rows, row_of
 from hil.core.errors import BadInputError
 from hil.core.options import plain
@@ -61,7 +61,7 @@ class _How(NamedTuple):
 
     place: Place
     scratch: Path
-    on_status: Callable[[PoolStatus], None]
+    on_trouble: Callable[[str | None], None]
     is_stopping: Callable[[], bool]
 
 
@@ -134,14 +134,14 @@ class Campaign:
         self,
         folder: Path,
         place: Place,
-        on_status: Callable[[PoolStatus], None] = lambda _: None,
+        on_trouble: Callable[[str | None], None] = lambda _: None,
         is_stopping: Callable[[], bool] = lambda: False,
         redo: Collection[str] = (),
     ) -> Iterator[Sequence[Row]]:
         """Do the runs that are still to do, and yield their rows as they come, each when it is on the disk.
 
         The rows that are there already come first, except of runs whose outcome is in ``redo``: these are done again.
-        ``on_status`` and ``is_stopping`` are those of ``run_plan``. Raises BadInputError when the folder cannot be
+        ``on_trouble`` and ``is_stopping`` are those of ``run_plan``. Raises BadInputError when the folder cannot be
         written to or is that of another campaign, LinkError when there is no scheduler.
         """
         check_folder(folder, self.about())
@@ -151,7 +151,7 @@ class Campaign:
                 scratch = resources.enter_context(tempfile.TemporaryDirectory(prefix="hil_campaign_"))
             except OSError as error:
                 raise BadInputError(f"no temporary folder can be made ({error}); make room for one") from error
-            how = _How(place, Path(scratch), on_status, is_stopping)
+            how = _How(place, Path(scratch), on_trouble, is_stopping)
             self._begin(store)
             there = self._there(folder)
             store.drop({key for key, row in there.items() if row["outcome"] in redo})
@@ -213,8 +213,13 @@ class Campaign:
             )
             for run in runs
         )
-        pool = open_pool(place.scheduler, place.workers, on_bench=self.on_bench)
-        yield from run_plan(FixedPlan(jobs), pool, on_status=how.on_status, is_stopping=how.is_stopping)
+        if place.scheduler is None:
+            pool: Pool = LocalPool(place.workers)
+        else:
+            from hil.batch.dask_pool import DaskPool  # which takes a second, and need not be installed
+
+            pool = DaskPool(place.scheduler, on_bench=self.on_bench)
+        yield from run_plan(FixedPlan(jobs), pool, on_trouble=how.on_trouble, is_stopping=how.is_stopping)
 
     def _kept(self, outcome: Outcome, store: Store) -> dict[str, Any]:
         """Keep the recording of a run, and return its row."""

@@ -14,7 +14,7 @@ In torque mode rule 1 applies only to the time after the host has gone.
 """
 
 from collections.abc import Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -32,20 +32,15 @@ _ROUNDING = 1e-5
 Signals = Mapping[str, np.ndarray]
 
 
-class _Tick(NamedTuple):
-    """What the drives give in a tick of 1 ms, and how the wheels turn when that begins."""
-
-    torque_n_m: FourWheels
-    speed_rad_s: FourWheels
-
-
 class MotorsJudge:
     """Records what the emulated controllers do, and judges it once the run's signals are there."""
+
+    silent_rad_s = silent_ticks = None  # set points are not known here, unlike in ``SafetyJudge``
 
     def __init__(self, firmware: FirmwareTable, mode: CommandMode) -> None:
         self._firmware = firmware
         self._mode = mode
-        self._ticks: list[_Tick] = []
+        self._ticks: list[tuple[FourWheels, FourWheels]] = []  # torque [N·m], and speed [rad/s] when the tick begins
 
     @property
     def left_alone_ticks(self) -> int:
@@ -59,12 +54,11 @@ class MotorsJudge:
     def hold(self, node: EmulatedMotors[Any]) -> None:
         """Record a tick; called in each tick."""
         fl, fr, rr, rl = (shaft.speed_rad_s for shaft in node.shafts)
-        self._ticks.append(_Tick(node.torque_n_m, (fl, fr, rr, rl)))
+        self._ticks.append((node.torque_n_m, (fl, fr, rr, rl)))
 
     def complaints(self, signals: Signals) -> Sequence[str]:
         """Return a sentence for each rule that was broken: the first tick and how many; empty when none was."""
-        torque = np.array([tick.torque_n_m for tick in self._ticks])
-        speed = np.array([tick.speed_rad_s for tick in self._ticks])
+        torque, speed = (np.array(column) for column in zip(*self._ticks, strict=True))
         if not np.isfinite(torque).all():
             return ["the drives were given a torque that is no number"]
         begin, end, low, high = self._commanded(signals, len(torque))
@@ -90,22 +84,20 @@ class MotorsJudge:
     def _commanded(self, signals: Signals, ticks: int) -> tuple[int, int, np.ndarray, np.ndarray]:
         """Return the first tick of the run, the one at which its last command expires, and the range of the recent
         commands for each tick and wheel, of shape (ticks, 4)."""
-        origin_s = float(np.nanmedian(signals["robot.time_s"] - signals["loop.t_s"])) if len(signals["loop.t_s"]) else 0
-        at = np.rint((signals["loop.t_s"] + origin_s) * 1000).astype(int)
+        t_s = signals["loop.t_s"]
+        origin_s = float(np.nanmedian(signals["robot.time_s"] - t_s)) if len(t_s) else 0
+        at = np.rint((t_s + origin_s) * 1000).astype(int)
+        period = int(np.median(np.diff(at))) if len(at) > 1 else 1
         patience = round(self._patience_s * 1000)
         low, high = np.zeros((ticks, 4)), np.zeros((ticks, 4))
         for place, wheel in enumerate(WHEEL_NAMES):
             commands = np.nan_to_num(signals[f"wheel.{wheel}.speed_command_rad_s"])
             for tick, value in zip(at, commands, strict=True):
-                window = slice(max(tick, 0), tick + patience + _period(at))
+                window = slice(max(tick, 0), tick + patience + period)
                 np.maximum(high[window, place], value, out=high[window, place])
                 np.minimum(low[window, place], value, out=low[window, place])
-        first = int(at[0]) if len(at) else 0
-        return first, min(ticks, (int(at[-1]) if len(at) else 0) + patience), low, high
-
-
-def _period(at: np.ndarray) -> int:
-    return int(np.median(np.diff(at))) if len(at) > 1 else 1
+        first, last = (int(at[0]), int(at[-1])) if len(at) else (0, 0)
+        return first, min(ticks, last + patience), low, high
 
 
 def _lasting(away: np.ndarray) -> np.ndarray:

@@ -10,7 +10,7 @@ from typing import NamedTuple
 from hil.core.errors import BadInputError, nearest
 from hil.core.types import CommandMode
 from hil.drivers.registry import dialect
-from hil.faults.cases import CASES, DURATION_S, MOTORS_CASES, NO_FEEDBACK, PAIRS, SILENCE, Case, Pair, Row
+from hil.faults.cases import CASES, DURATION_S, MOTORS_CASES, NO_FEEDBACK, PAIRS, SILENCE, Case, Row
 from hil.faults.cases import Outcome as Ending
 from hil.scenario import Scenario, format_value, load, read
 from hil.scenario.motors import make_driver
@@ -22,7 +22,7 @@ MOTORS_WIRES = {
     "serial": "memory:",
 }
 _ENDINGS = list(Ending)
-_OPTION = "--set"
+_OPTION, _GAINS = "--set", "controller.gains."
 # A case that names the speed command means the torque command where the law gives torques.
 _IN_TORQUE_MODE = {"WHEEL_COMMAND": "TORQUE_COMMAND", "wheel.fl.speed_command_rad_s": "wheel.fl.torque_command_n_m"}
 
@@ -97,17 +97,12 @@ def scenarios(request: Request, trials: Sequence[Trial]) -> Iterator[Scenario | 
             scenario = sources.scenario(set=sets, mode=trial.mode, link=trial.link)
         except BadInputError as error:
             yield error
-        else:
-            yield _without_gains_of_another_law(scenario)
-
-
-def _without_gains_of_another_law(scenario: Scenario) -> Scenario:
-    """If ``--set`` gave the law, keep only the gains that it gave too: the file's belong to the file's law."""
-    table, where = scenario.controller, scenario.provenance
-    if where["controller.law"] != _OPTION:
-        return scenario
-    gains = {name: value for name, value in table.gains.items() if where[f"controller.gains.{name}"] == _OPTION}
-    return replace(scenario, controller=replace(table, gains=gains))
+            continue
+        table, where = scenario.controller, scenario.provenance
+        if where["controller.law"] == _OPTION:  # keep only gains of that option: the file's belong to the file's law
+            gains = {name: value for name, value in table.gains.items() if where[_GAINS + name] == _OPTION}
+            scenario = replace(scenario, controller=replace(table, gains=gains))
+        yield scenario
 
 
 def alone(request: Request, mode: str = "lockstep") -> list[Trial]:
@@ -122,8 +117,7 @@ def alone(request: Request, mode: str = "lockstep") -> list[Trial]:
     for case, link in itertools.product(_chosen(request), request.links or LINKS):
         expected = case.expected(link)
         if mode == "realtime":
-            if case.realtime:
-                trials.append(_trial(request, (case,), link, mode, True, {expected, Ending.REARMS}))
+            trials += [_trial(request, (case,), link, mode, True, {expected, Ending.REARMS})] if case.realtime else []
             continue
         trials.append(_trial(request, (case,), link, mode, True, {expected}))
         if expected is Ending.REARMS:
@@ -163,12 +157,9 @@ def _of_motors(request: Request, base: Scenario) -> list[Trial]:
             driver = base.device.driver
             raise BadInputError(f"--kind {kind}: this fault cannot act on {driver!r} as it is set up; leave it out")
     trials = []
-    for motors in cases:
-        if request.kinds and motors.case.kind not in request.kinds:
-            continue
-        outcomes = set(motors.outcomes)
-        if can.watchdog == "fixed":  # may be longer than the window; a reset controller may obey at once
-            outcomes.add(Ending.GOES_ON)
+    for motors in (one for one in cases if not request.kinds or one.case.kind in request.kinds):
+        # A fixed watchdog may be longer than the window; a reset controller may obey at once.
+        outcomes = {*motors.outcomes, *([Ending.GOES_ON] if can.watchdog == "fixed" else [])}
         trial = _trial(request, (motors.case,), MOTORS_WIRES[wire], "lockstep", True, outcomes)
         trials.append(trial._replace(causes=list(motors.causes), causes_of_end=list(motors.causes)))
     return trials
@@ -176,7 +167,7 @@ def _of_motors(request: Request, base: Scenario) -> list[Trial]:
 
 def _pair(request: Request, two: tuple[Case, Case], link: str) -> Trial:
     worst = _ENDINGS[max(_ENDINGS.index(case.expected(link)) for case in two)]
-    known: Pair | None = PAIRS.get((two[0].name, two[1].name))
+    known = PAIRS.get((two[0].name, two[1].name))
     trial = _trial(request, two, link, "lockstep", True, {worst if known is None else known.outcome})
     if known is None:
         return trial

@@ -4,7 +4,6 @@ import array
 import uuid
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from types import TracebackType
 from typing import Self
 
 import numpy as np
@@ -24,18 +23,16 @@ class RecordingHere:
 
     def __init__(
         self,
-        path: Path | None,
+        path: Path,
         *,
         properties: Mapping[str, str],
         blocking: bool,
-        live_port: int | None = None,
+        live_port: None = None,
         signals: Sequence[str] = SIGNAL_NAMES,
         existing: Existing = "refuse",
     ) -> None:
-        assert path is not None, "there is no live view here"
         assert blocking, "in real time nothing waits for it"
-        assert live_port is None, "there is no live view here"
-        self.path: Path | None = claim("recording", path, existing)
+        self.path: Path = claim("recording", path, existing)
         self._rows = array.array("d")
         self._width = len(signals)
         self._stream = Stream(
@@ -52,27 +49,15 @@ class RecordingHere:
 
     def finish(self, summary: Mapping[str, object], *, keep_live: bool = False) -> RecordingReport:
         """Write the rows and the summary."""
-        assert self.path is not None
         rows = np.frombuffer(self._rows, dtype=np.float64).reshape(-1, self._width)
         if len(rows):
             self._stream.rows(rows)
         self._stream.finish(summary, {"rows_written": len(rows), "rows_dropped": 0})
         self._stream.close()
-        return RecordingReport(
-            path=self.path,
-            rows_put=len(rows),
-            rows_written=len(rows),
-            rows_dropped=0,
-            rows_lost=0,
-            events_lost=0,
-            error=None,
-            parts=(self.path,),
-        )
+        return RecordingReport(self.path, len(rows), len(rows), 0, 0, 0, None, (self.path,))
 
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         """Release nothing; a recording that was not finished is of no use."""

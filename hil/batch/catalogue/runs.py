@@ -3,7 +3,7 @@
 The outcome holds the judge's findings, how the run ended, and what its recording lacks.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -36,12 +36,11 @@ def run(job: Job, scenario: Scenario) -> Outcome:
         problems = [*robot.unsafe(result), *_wrong(job.options, result), *_unrecorded(result, recording)]
         if not problems:
             recording.unlink()
-        silent_rad_s, silent_ticks = robot.silence()
         figures = {
             "applied": [row["applied"] for row in result.metrics["fault"]],
             "recoveries": len(result.metrics["recoveries"]),
-            "silent_rad_s": silent_rad_s,
-            "silent_ticks": silent_ticks,
+            "silent_rad_s": robot.judge.silent_rad_s,
+            "silent_ticks": robot.judge.silent_ticks,
         }
         status, kept = (FAILED, job.recording) if problems else (PASSED, None)
         details = {"ending": _ending(result)}
@@ -61,25 +60,22 @@ class _Motors:
 
     def __init__(self, scenario: Scenario) -> None:
         self._make = node_maker(scenario.device)
-        self._judge = MotorsJudge(scenario.firmware, scenario.controller.mode)
+        self.judge = MotorsJudge(scenario.firmware, scenario.controller.mode)
         self._node: EmulatedMotors[Any] | None = None
 
     def power_on(self, *arguments: Any, **options: Any) -> EmulatedMotors[Any]:
         node = self._make(*arguments, **options)
         assert isinstance(node, EmulatedMotors)
-        node.on_tick = self._judge.hold
+        node.on_tick = self.judge.hold
         self._node = node
         return node
 
     def left_alone(self) -> None:
         assert self._node is not None
-        self._node.run(self._judge.left_alone_ticks)
+        self._node.run(self.judge.left_alone_ticks)
 
     def unsafe(self, result: RunResult) -> Iterator[str]:
-        yield from (f"unsafe: {complaint}" for complaint in self._judge.complaints(result.signals))
-
-    def silence(self) -> tuple[None, None]:
-        return None, None
+        return (f"unsafe: {complaint}" for complaint in self.judge.complaints(result.signals))
 
 
 class _Watched:
@@ -103,15 +99,10 @@ class _Watched:
 
     def unsafe(self, _result: RunResult) -> Iterator[str]:
         """Yield what the judge found."""
-        judge = self.judge
-        if judge.violations:
-            yield f"unsafe in {judge.violation_ticks} ticks: {judge.violations[0]}"
-        if not (judge.driven_ticks and judge.silent_ticks):
+        if self.judge.violations:
+            yield f"unsafe in {self.judge.violation_ticks} ticks: {self.judge.violations[0]}"
+        if not (self.judge.driven_ticks and self.judge.silent_ticks):
             yield "the robot was never driven or never left alone, so nothing is shown"
-
-    def silence(self) -> tuple[float, int]:
-        """Return the greatest set point where it has to be zero, and in how many ticks it had to be."""
-        return self.judge.silent_rad_s, self.judge.silent_ticks
 
 
 def _ending(result: RunResult) -> str:
@@ -130,31 +121,23 @@ def _wrong(trial: Mapping[str, Any], result: RunResult) -> Iterator[str]:
             yield str(failure)
     if failure is None and metrics["commands_refused"]:
         yield f"the law gave no number {metrics['commands_refused']} times"
-    if (
-        failure is None and result.scenario.loop.mode == "lockstep"
-    ):  # in real time a busy machine stalls runs as short as these
+    # In real time a busy machine stalls runs as short as these.
+    if failure is None and result.scenario.loop.mode == "lockstep":
         yield from (row["text"] for row in metrics["allow"] if not row["passed"])
-    last_s = _last_s(result)
     for row in metrics["fault"]:
-        if not row["applied"] and (failure is None or row["start_s"] < last_s):
+        if not row["applied"] and (failure is None or row["start_s"] < _last_s(result)):
             yield f"{row['text']} was never applied"
-    for recovery in metrics["recoveries"]:
-        yield from _unexplained(recovery["why"], trial["causes"])
-    if failure is not None:
-        yield from _unexplained(str(failure), trial["causes_of_end"])
-        if not trial["rearm"] and _HINT not in str(failure):
-            yield f"it ended without the word that loop.rearm would help: {failure}"
+    lost = [(recovery["why"], trial["causes"]) for recovery in metrics["recoveries"]]
+    for why, causes in lost if failure is None else [*lost, (str(failure), trial["causes_of_end"])]:
+        if not any(cause in why for cause in causes):
+            yield f"the robot was lost, but not for {' or '.join(causes) or 'any fault'}: {why}"
+    if failure is not None and not trial["rearm"] and _HINT not in str(failure):
+        yield f"it ended without the word that loop.rearm would help: {failure}"
 
 
 def _last_s(result: RunResult) -> float:
     """Return the scenario's time at the end of a run."""
     return float(result.signals["loop.t_s"][-1]) if result.metrics["ticks"] else 0.0
-
-
-def _unexplained(why: str, causes: Sequence[str]) -> Iterator[str]:
-    """Yield a sentence when the reason why the robot was lost names none of the causes."""
-    if not any(cause in why for cause in causes):
-        yield f"the robot was lost, but not for {' or '.join(causes) or 'any fault'}: {why}"
 
 
 def _unrecorded(result: RunResult, recording: Path) -> Iterator[str]:
@@ -168,9 +151,8 @@ def _unrecorded(result: RunResult, recording: Path) -> Iterator[str]:
     if held["rows"] + dropped != ticks:
         yield f"the recording has {held['rows']} rows of {ticks}, {dropped} dropped"
     texts = [text for _, _, text in held["events"]]
-    last_s = _last_s(result)
     for row in result.metrics["fault"]:
-        if row["start_s"] <= last_s and f"fault begins: {row['text']}" not in texts:
+        if row["start_s"] <= _last_s(result) and f"fault begins: {row['text']}" not in texts:
             yield f"the recording has no event of {row['text']}"
     if result.failure is not None and str(result.failure) not in texts:
         yield "the recording has no event of what ended the run"

@@ -13,6 +13,7 @@ from hil.scenario import Scenario
 
 KIND = "hil.batch.catalogue.runs:run"
 OK = "ok"
+_FIGURES = ("applied", "recoveries", "silent_rad_s", "silent_ticks")
 _OF_OPTIONS = ("rearm", "allowed", "causes", "causes_of_end", "records_here")
 
 
@@ -62,13 +63,14 @@ def catalogue(
     lockstep = plan.alone(request) + (plan.pairs(request) if pairs else [])
     in_real_time = plan.alone(request, "realtime") if realtime else []
     request.recordings.mkdir(parents=True, exist_ok=True)
-    total = len(lockstep) + len(in_real_time)
+    verdicts: list[Verdict] = []
 
-    def progress_after(before: int) -> OnProgress | None:
-        return on_progress and (lambda done, _, trouble: on_progress(before + done, total, trouble))
+    def on_outcome(done: int, _: int, trouble: str | None) -> None:
+        if on_progress is not None:
+            on_progress(len(verdicts) + done, len(lockstep) + len(in_real_time), trouble)
 
-    verdicts = run_trials(request, lockstep, workers, limit_s, progress_after(0))
-    verdicts += run_trials(request, in_real_time, 1, limit_s, progress_after(len(lockstep)))
+    verdicts += run_trials(request, lockstep, workers, limit_s, on_outcome)
+    verdicts += run_trials(request, in_real_time, 1, limit_s, on_outcome)
     with contextlib.suppress(OSError):  # what is not empty has recordings to look at
         request.recordings.rmdir()
     return verdicts
@@ -114,18 +116,7 @@ def job_of(trial: Trial, scenario: Scenario, limit_s: float = 60.0) -> Job:
 def verdict_of(trial: Trial, outcome: Outcome) -> Verdict:
     """Return the verdict on a trial."""
     reason = f"refused: {outcome.reason}" if outcome.status in (REFUSED, ENDED) else str(outcome.reason)
-    figures = outcome.figures
-    return Verdict(
-        fault=trial.fault,
-        link=trial.link,
-        mode=trial.mode,
-        rearm=trial.rearm,
-        verdict=OK if outcome.status == PASSED else reason,
-        outcome=outcome.details.get("ending"),
-        applied=figures.get("applied"),
-        recoveries=figures.get("recoveries"),
-        silent_rad_s=figures.get("silent_rad_s"),
-        silent_ticks=figures.get("silent_ticks"),
-        wall_s=outcome.wall_s,
-        recording=outcome.recording,
-    )
+    verdict = OK if outcome.status == PASSED else reason
+    run = (trial.fault, trial.link, trial.mode, trial.rearm, verdict, outcome.details.get("ending"))
+    applied, recoveries, silent_rad_s, silent_ticks = map(outcome.figures.get, _FIGURES)
+    return Verdict(*run, applied, recoveries, silent_rad_s, silent_ticks, outcome.wall_s, outcome.recording)
