@@ -220,9 +220,9 @@ def test_a_spinning_robot_that_was_lost_for_three_seconds_knows_its_heading():
 def test_of_controllers_that_tell_speeds_alone_the_angle_over_a_gap_is_not_known(gap_s, turned_rad):
     angles = Angles(COUNTS)
     first = Sample(0, (10.0,) * 4)
-    before = angles.take(first)
-    after = angles.take(first._replace(stamp_ns=round(gap_s * 1e9)))
+    before = angles.add(first)
+    after = angles.add(first._replace(stamp_ns=round(gap_s * 1e9)))
     assert {(b - a) & 0xFFFF for a, b in zip(before, after, strict=True)} == {round(turned_rad * COUNTS / math.tau)}
     told = Angles(COUNTS)
-    told.take(first._replace(position_rad=(0.0,) * 4))
-    assert told.take(first._replace(stamp_ns=10**10, position_rad=(1.0,) * 4))[0] == round(COUNTS / math.tau)
+    told.add(first._replace(position_rad=(0.0,) * 4))
+    assert told.add(first._replace(stamp_ns=10**10, position_rad=(1.0,) * 4))[0] == round(COUNTS / math.tau)

@@ -339,7 +339,7 @@ def test_vescs_without_a_watchdog_that_another_app_of_theirs_drives_are_told_of(
         for vesc in node_of(bench.bench).vescs:
             vesc.command("rpm", 400)
         bench.run(0.8)
-        assert bench.pilot.why == "the wheels turn, and not by us: an e-stop stops them"
+        assert bench.pilot.why == "the wheels turn, but this program has not armed them: an e-stop stops them"
         bench.pilot.estop()
         bench.run(0.5)
         assert node_of(bench.bench).shafts[0].speed_rad_s == pytest.approx(0.0, abs=0.2)
@@ -352,7 +352,7 @@ def test_a_base_that_drives_on_is_told_of_and_an_emergency_stop_stops_it() -> No
         node.feed(RosmasterFraming().encode(Frame(MOTION, bytes([1]) + (300).to_bytes(2, "little") + bytes(4))))
         bench.run(1.0)
         assert bench.pilot.phase is Phase.DISARMED
-        assert bench.pilot.why == "the wheels turn, and not by us: an e-stop stops them"
+        assert bench.pilot.why == "the wheels turn, but this program has not armed them: an e-stop stops them"
         assert bench.notes.count(bench.pilot.why) == 1
         assert node.is_driving
         bench.pilot.estop()

@@ -16,6 +16,7 @@ import time
 
 from hil.core.errors import DeviceError
 from hil.core.subprocesses import away_from_terminal, child_environment, module_command
+from hil.drivers.host_watch import HostWatch
 
 BEAT = b"beat"
 HOLD = b"hold"
@@ -52,8 +53,8 @@ class _Phase(enum.Enum):
     HELD = "the stop was sent: beats are not expected, and only our death is watched for"
 
 
-class Guardian:
-    """See ``hil.drivers.host_watch.HostWatch``. A guardian that dies or hangs is restarted in a thread.
+class Guardian(HostWatch):
+    """A watch by another process. A guardian that dies or hangs is restarted in a thread.
 
     ``stop``: the bytes that stop the motors behind ``port`` at any time, also in the middle of an unfinished frame.
     They are sent after ``silence_s`` without a beat. If the port is not free ``patience_s`` after the host's death,

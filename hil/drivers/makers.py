@@ -15,7 +15,7 @@ from hil.core.errors import BadInputError, DeviceError, HilError, LinkError
 from hil.core.ports import Clock
 from hil.core.types import CommandMode, FourWheels, WheelCommand
 from hil.drivers.host_watch import HostWatch
-from hil.drivers.makers_feedback import MakersReport, MotorFeedback, MotorsInfo
+from hil.drivers.makers_feedback import MakersReport, MotorsInfo
 from hil.drivers.motor_stop import REPEAT_NS, REST, MotorLine, MotorStop, Terms
 from hil.drivers.port import Driver, DriverError
 from hil.robot.handshake import SILENCE_NS
@@ -49,12 +49,11 @@ class MakersRobot(LinkedDevice):
         self._terms, self._watch = terms, watch
         self._state = State.IDLE
         self._commanded: FourWheels = REST
-        self._feedback = MotorFeedback(driver, wheel_map, terms.counts_per_revolution, terms.stale_s)
         self._stop = MotorStop(driver, terms, self._line)
         self._has_armed = self._has_lingered = False  # ever armed
         self._settled_ns = 0
         self._awaits_watch = False  # before it may be armed
-        self.report = MakersReport(self._feedback)
+        self.report = MakersReport(driver, wheel_map, terms.counts_per_revolution, terms.stale_s)
         self.tick = 0
 
     # Connecting
@@ -90,11 +89,11 @@ class MakersRobot(LinkedDevice):
                 self._watch.hold()
         else:
             self._watch.rest()
-        self._feedback.forget()
+        self.report.forget()
         self._discard()
 
     def begin_again(self) -> None:
-        self._feedback.restart()
+        self.report.restart()
         self._driver.restart()  # before the stop, whose frames must not depend on what was received before the loss
         if self._stop.is_needed:  # the controllers may still follow the last command from before the loss
             self._drop(State.STOPPING)
@@ -132,19 +131,19 @@ class MakersRobot(LinkedDevice):
         self._stop.armed()
         self._line.send(self._driver.arm(now_ns))
         self._watch.beat()
-        if not self._driver.is_armed or not self._feedback.is_fresh(now_ns):
+        if not self._driver.is_armed or not self.report.is_fresh(now_ns):
             return False
         self._line.send(self._driver.command(REST, REST, now_ns))
         self._commanded = REST
         self.report.why = None
         self._state = State.ACTIVE
         self._renew()
-        return self._feedback.newest is not None
+        return self.report.newest is not None
 
     def why_not_active(self) -> str:
         if self._awaits_watch:
             return "the guardian, without which nothing is armed, has not answered within 4 s (GUARDIAN.md)"
-        return self.report.why_not_active(self._state, self._driver.missing, self._clock.now_ns())
+        return self.report.why_not_active(self._state, self._clock.now_ns())
 
     def disarm(self) -> None:
         self._awaits_watch = False
@@ -189,7 +188,7 @@ class MakersRobot(LinkedDevice):
     def poll(self) -> Feedback | None:
         self._take()
         self._report_to_watch()
-        return self._feedback.newest
+        return self.report.newest
 
     def _take(self) -> None:
         """Take what has arrived, and act on it."""
@@ -247,7 +246,7 @@ class MakersRobot(LinkedDevice):
 
     @property
     def feedback(self) -> Feedback | None:
-        return self._feedback.newest
+        return self.report.newest
 
     def send(self, command: WheelCommand) -> int:
         self._sequence = (self._sequence + 1) & 0xFF
@@ -291,7 +290,7 @@ class MakersRobot(LinkedDevice):
     def _renew(self) -> None:
         """Make feedback of the newest sample. State ESTOP is reported once the e-stop was sent whole."""
         is_pending = self._state is State.ESTOP and not self._stop.is_sent
-        self._feedback.renew(self._clock.now_ns(), State.STOPPING if is_pending else self._state, self._sequence)
+        self.report.renew(self._clock.now_ns(), State.STOPPING if is_pending else self._state, self._sequence)
 
     def close(self) -> None:
         if self._stop.is_needed:

@@ -13,7 +13,7 @@ from hil.core.guard import Brake, Guard
 from hil.core.ports import Clock, FixSource, Link, PoseSource
 from hil.core.signals import SIGNAL_NAMES
 from hil.core.types import Pose
-from hil.drivers.host_watch import HostWatch, Unwatched, watch_over
+from hil.drivers.host_watch import HostWatch, watch_over
 from hil.drivers.makers import MakersRobot
 from hil.drivers.motor_stop import Terms
 from hil.drivers.registry import dialect
@@ -155,7 +155,7 @@ class Bench:
         """
         scenario, local = self._scenario, self.local
         firmware, mode, driver = scenario.firmware, scenario.controller.mode, make_driver(scenario)
-        watch: HostWatch = Unwatched()
+        watch = HostWatch()
         if local is None:
             made, device = dialect(scenario.device.driver), scenario.device
             watch = watch_over(made, driver, link_of(scenario), device.guardian_s, scenario.realtime.priority)
