@@ -54,16 +54,13 @@ def run(
         typer.Option(metavar="URL", help="of Dask: tls://HOST:PORT, or tcp://127.0.0.1:PORT on this machine"),
     ] = None,
     limit_s: Annotated[
-        float | None,
-        typer.Option("--limit", metavar="S", help="a run that takes longer is ended as hung", min=1.0),
+        float | None, typer.Option("--limit", metavar="S", help="a run that takes longer is ended as hung", min=1.0)
     ] = None,
     memory_mb: Annotated[
-        float | None,
-        typer.Option("--memory", metavar="MB", help="a run whose process takes more is ended", min=100.0),
+        float | None, typer.Option("--memory", metavar="MB", help="a run whose process takes more is ended", min=100.0)
     ] = None,
     redo: Annotated[
-        str | None,
-        typer.Option(metavar="OUTCOMES", help="do again what came to one of these, as in lost,refused"),
+        str | None, typer.Option(metavar="OUTCOMES", help="do again what came to one of these, as in lost,refused")
     ] = None,
     allow_motion: AllowMotion = False,
     as_json: Json = False,
@@ -136,14 +133,7 @@ def _outcomes(redo: str | None) -> frozenset[str]:
     return frozenset(names)
 
 
-def _perform(
-    campaign: "Campaign",
-    folder: Path,
-    place: "Place",
-    redo: frozenset[str],
-    *,
-    as_json: bool,
-) -> None:
+def _perform(campaign: "Campaign", folder: Path, place: "Place", redo: frozenset[str], *, as_json: bool) -> None:
     from hil.cli.progress import RateProgress
 
     stop = _Stop()

@@ -49,9 +49,7 @@ def to_world(body: BodyTwist, heading_rad: float) -> Twist:
     """Return a body twist in the world frame (equation 8; the paper calls it inverse, but it is the forward map)."""
     c, s = math.cos(heading_rad), math.sin(heading_rad)
     return Twist(
-        c * body.forward_m_s - s * body.left_m_s,
-        s * body.forward_m_s + c * body.left_m_s,
-        body.yaw_rate_rad_s,
+        c * body.forward_m_s - s * body.left_m_s, s * body.forward_m_s + c * body.left_m_s, body.yaw_rate_rad_s
     )
 
 
@@ -77,9 +75,7 @@ def body_twist(wheel_speed_rad_s: FourWheels, wheel_radius_m: float, lever_m: fl
     fl, fr, rr, rl = wheel_speed_rad_s
     quarter = wheel_radius_m / 4.0
     return BodyTwist(
-        quarter * (fl + fr + rr + rl),
-        quarter * (fr - fl + rl - rr),
-        quarter * (fr - fl + rr - rl) / lever_m,
+        quarter * (fl + fr + rr + rl), quarter * (fr - fl + rl - rr), quarter * (fr - fl + rr - rl) / lever_m
     )
 
 

@@ -39,9 +39,7 @@ class RobotModel:
     friction_coefficient: Annotated[float, Range(ge=0, le=2), "rolling friction, mu in xi"] = 0.0
     torque_limit_n_m: Annotated[float, Range(gt=0, le=15.99609375), "of one wheel"] = field(kw_only=True)
     speed_limit_rad_s: Annotated[
-        float,
-        Range(gt=0, le=63.984375),
-        "of one wheel; the robot's own limit applies if it is smaller",
+        float, Range(gt=0, le=63.984375), "of one wheel; the robot's own limit applies if it is smaller"
     ] = field(kw_only=True)
     lever_m: float = field(init=False, repr=False, compare=False)
     """L = l1 + l2 [m]."""

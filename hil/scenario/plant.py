@@ -54,8 +54,7 @@ class PlantTable:
         "the FMU's variables of the signals that it does not have by their own names",
     ] = field(default_factory=dict)
     start: Annotated[
-        Mapping[Text, Start],
-        "FMU variables where the truth differs from [robot], or that only the plant has",
+        Mapping[Text, Start], "FMU variables where the truth differs from [robot], or that only the plant has"
     ] = field(default_factory=dict)
 
     def __post_init__(self) -> None:

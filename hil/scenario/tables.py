@@ -125,8 +125,7 @@ class DeviceTable:
         "silence of the host after which another process stops motors that drive on (GUARDIAN.md)",
     ] = 0.3
     motors: Annotated[
-        Mapping[Text, Setting],
-        "settings of the driver for third-party motor controllers (DRIVERS.md)",
+        Mapping[Text, Setting], "settings of the driver for third-party motor controllers (DRIVERS.md)"
     ] = field(default_factory=dict)
     settings: Any = field(init=False, default=None, repr=False, compare=False)
 
