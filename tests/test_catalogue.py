@@ -12,7 +12,7 @@ from hil.batch.catalogue.plan import Request, alone, pairs, scenarios
 from hil.batch.catalogue.verdicts import job_of, run_trials
 from hil.batch.keys import make_job
 from hil.batch.plan import run_jobs
-from hil.cli.progress import runs_progress
+from hil.cli.output import RunsProgress
 from hil.core.errors import BadInputError
 from hil.core.options import build
 from hil.faults.cases import CASES, DURATION_S, Outcome
@@ -205,12 +205,12 @@ def test_a_worker_that_is_none_is_a_verdict_on_each_job_and_a_line_of_progress(
     monkeypatch.setattr("hil.batch.pool.module_command", lambda *_: words)
     request = Request("circle_speed", [], ["memory"], ["push", "mute"], tmp_path)
     trials = alone(request)
-    verdicts = run_trials(request, trials, 2, 60.0, runs_progress)
+    verdicts = run_trials(request, trials, 2, 60.0, RunsProgress())
     shown = capsys.readouterr().err.replace("\r", "\n").split("\n")
-    counts = [line for line in shown if line.endswith(" runs")]
-    assert counts == [f"{done} of {len(trials)} runs" for done in range(1, len(trials) + 1)]
+    counts = [line for line in shown if f" of {len(trials)} runs" in line]
+    assert [line.partition(" of ")[0] for line in counts] == [str(done) for done in range(1, len(trials) + 1)]
     said = [f"{verdict.fault} over memory:: {verdict.verdict}" for verdict in verdicts]
-    assert sorted(set(shown) - set(counts) - {""}) == sorted(set(said))
+    assert sorted({line.strip() for line in set(shown) - set(counts)} - {""}) == sorted(set(said))
     assert [verdict.fault for verdict in verdicts] == [trial.fault for trial in trials]
     assert all(verdict.verdict.startswith("crashed: ") for verdict in verdicts)
 

@@ -9,7 +9,7 @@ from packaging.requirements import Requirement
 
 from firmware_protocol.built import WHEEL_HOST
 from hil.cli.checks import Finding, Verdict, install, ports, realtime, recording
-from hil.cli.doctor import print_findings
+from hil.cli.doctor import lines as lines_of
 from tests.processes import hil
 
 linux = pytest.mark.skipif(sys.platform != "linux", reason="the trees are Linux's")
@@ -37,12 +37,9 @@ def test_this_machine_is_examined_and_all_but_what_is_ok_has_a_remedy(tmp_path: 
     assert not (tmp_path / "not").exists()
 
 
-def test_findings_are_printed_with_what_to_do_below(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_findings_are_printed_with_what_to_do_below(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("CC", "no-such-compiler")
-    print_findings(list(install.check_native()))
-    lines = capsys.readouterr().out.splitlines()
+    lines = list(lines_of(list(install.check_native())))
     (place,) = [number for number, line in enumerate(lines) if "no-such-compiler" in line]
     assert lines[place].startswith("note     C compiler")
     assert lines[place + 1].strip().startswith("-> sudo apt install gcc")

@@ -4,18 +4,17 @@ from typing import Any
 
 import pytest
 
-from hil.cli.list import listing
+from hil.cli.list import DRIVER_COLUMNS, listing
 from hil.core.errors import BadInputError
 from hil.core.types import CommandMode
 from hil.drivers.registry import SHIPPED, driver_names
 from hil.scenario import load
-from hil.scenario.drivers import COLUMNS
 from hil.scenario.motors import make_driver
 
 
 def test_every_driver_is_listed_with_what_it_states() -> None:
     columns, rows = listing("drivers")
-    assert columns == COLUMNS
+    assert columns == DRIVER_COLUMNS
     assert tuple(row[0] for row in rows) == driver_names()
     for row in rows:
         said = dict(zip(columns, row, strict=True))
@@ -29,14 +28,14 @@ def test_every_driver_is_listed_with_what_it_states() -> None:
 
 
 def test_a_rate_of_feedback_that_follows_from_the_loop_says_so() -> None:
-    feedback = {row[0]: row[COLUMNS.index("feedback")] for row in listing("drivers")[1]}
+    feedback = {row[0]: row[DRIVER_COLUMNS.index("feedback")] for row in listing("drivers")[1]}
     assert feedback["c620"] == "1000 Hz"
     assert feedback["moteus"] == "200 Hz at loop.rate_hz = 200"
     assert feedback["vesc"] == "can: 50 Hz, serial: 66.67 Hz at loop.rate_hz = 200"
 
 
 def test_a_watchdog_that_a_setting_gives_is_not_said_to_be_missing_for_ever() -> None:
-    watchdog = {row[0]: row[COLUMNS.index("watchdog")] for row in listing("drivers")[1]}
+    watchdog = {row[0]: row[DRIVER_COLUMNS.index("watchdog")] for row in listing("drivers")[1]}
     assert watchdog["odrive"] == "none without device.motors.watchdog_endpoints"
     assert watchdog["wheeltec"] == "none without device.motors.stops_on_silence"
     assert watchdog["rosmaster"] == "none"

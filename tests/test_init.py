@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 import hil
 from hil.cli.init import ROBOT_FILE, SCENARIO_FILE, begin, init
-from hil.cli.new_robot.questions import QUESTIONS
+from hil.cli.new_robot import QUESTIONS
 from hil.core.errors import BadInputError
 from hil.runtime.assembly import check_scenario
 from hil.scenario import load

@@ -14,8 +14,8 @@ import can
 import pytest
 
 from firmware_protocol.generated.messages import SENDERS
-from hil.cli.find_motors import Answer, find_motors
 from hil.cli.jog import Jogged, turn_wheel
+from hil.cli.probe import Answer, find_motors
 from hil.core.errors import BadInputError
 from hil.core.types import Wheels
 from hil.drivers.port import Found

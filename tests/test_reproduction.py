@@ -22,7 +22,7 @@ from hil.batch.reproduction import page, published, reproduce, verdicts
 from hil.batch.reproduction.analysis import delay_margin, oscillation
 from hil.batch.reproduction.plan import EXPERIMENT, EXPERIMENT_PERIOD_S, Case, Result, cases
 from hil.cli.main import app
-from hil.cli.reproduce import print_reproduction
+from hil.cli.reproduce import text_of
 from hil.core.errors import BadInputError
 from hil.scenario import load
 from tests.examples import share_of_examples
@@ -301,9 +301,8 @@ def test_the_main_runs_are_recorded(summary: dict[str, Any], folder: Path) -> No
     assert all((folder / name).stat().st_size > 100_000 for name in summary["recordings"])
 
 
-def test_what_is_printed_has_every_verdict(summary: dict[str, Any], capsys: pytest.CaptureFixture[str]) -> None:
-    print_reproduction(summary)
-    printed = capsys.readouterr().out
+def test_what_is_printed_has_every_verdict(summary: dict[str, Any]) -> None:
+    printed = "\n".join(text_of(summary))
     for row in summary["verdicts"]:
         assert f"{row['verdict']}: {row['claim']}" in printed
         assert row["why"] in printed

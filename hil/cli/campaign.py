@@ -1,7 +1,6 @@
 """``hil campaign``."""
 
 import os
-import signal
 import sys
 from collections import Counter
 from pathlib import Path
@@ -11,7 +10,8 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from hil.cli.commands import Group
-from hil.cli.options import AllowMotion, Force, Json, end_in_order, print_json
+from hil.cli.options import AllowMotion, Force, Jobs, Json
+from hil.cli.output import RunsProgress, duration_words, end_in_order, on_signals, print_result
 from hil.core.errors import BadInputError, RunInterruptedError, nearest
 
 if TYPE_CHECKING:
@@ -46,9 +46,7 @@ def run(
         typer.Option(metavar="DIR", help="the results; by default runs/PLAN. What is there is not run again"),
     ] = None,
     dry_run: Annotated[bool, typer.Option("--dry-run", help="say how many runs and about how long")] = False,
-    workers: Annotated[
-        int | None, typer.Option(metavar="N", help="processes; by default one a processor", min=1)
-    ] = None,
+    workers: Jobs = None,
     scheduler: Annotated[
         str | None,
         typer.Option(metavar="URL", help="of Dask: tls://HOST:PORT, or tcp://127.0.0.1:PORT on this machine"),
@@ -112,64 +110,51 @@ def report(
     check_free("page", path, existing)
     judged = judge(folder)
     write_page(path, judged, existing)
-    if as_json:
-        print_json({"html": str(path), **judged.plain()})
-    else:
-        for line in judged.sentences():
-            print(line)
-        print(path)
+    print_result(as_json, {"html": str(path), **judged.plain()}, [*judged.sentences(), str(path)])
 
 
 def _outcomes(redo: str | None) -> frozenset[str]:
+    """Return the outcomes of ``--redo``."""
     from hil.batch.job import STATUSES
 
     names = [] if redo is None else [name.strip() for name in redo.split(",")]
-    for name in names:
-        if name not in STATUSES:
-            raise BadInputError(
-                f"--redo {redo}: {name!r} is not an outcome{nearest(name, STATUSES)}; give some of "
-                f"{', '.join(STATUSES)}, with commas between them"
-            )
+    if wrong := [name for name in names if name not in STATUSES]:
+        raise BadInputError(
+            f"--redo {redo}: {wrong[0]!r} is not an outcome{nearest(wrong[0], STATUSES)}; give some of "
+            f"{', '.join(STATUSES)}, with commas between them"
+        )
     return frozenset(names)
 
 
 def _perform(campaign: "Campaign", folder: Path, place: "Place", redo: frozenset[str], *, as_json: bool) -> None:
-    from hil.cli.progress import RateProgress
-
     stop = _Stop()
+    total = len(campaign.runs)
     outcomes: Counter[str] = Counter()
-    progress: RateProgress | None = None
-    shown = sys.stderr.isatty() and not as_json
     troubles: set[str] = set()
+    progress = RunsProgress() if sys.stderr.isatty() and not as_json else None
 
-    def show_trouble(trouble: str | None) -> None:
-        if progress is not None and shown:
-            progress.say(trouble)
+    def show(trouble: str | None = None) -> None:
+        done = outcomes.total()
+        if progress is not None:
+            progress(done, total, trouble, done - outcomes["passed"])
         elif trouble is not None and trouble not in troubles:
             troubles.add(trouble)
             print(f"hil: {trouble}", file=sys.stderr, flush=True)
 
-    for rows in campaign.perform(folder, place, show_trouble, stop.is_requested, redo):
-        new = Counter(row["outcome"] for row in rows)
-        outcomes += new
-        if progress is None:
-            progress = RateProgress(len(campaign.runs), len(rows))
-        elif shown:
-            progress.count(len(rows), len(rows) - new["passed"])
-    if shown and progress is not None:
+    for rows in campaign.perform(folder, place, show, stop.is_requested, redo):
+        outcomes.update(row["outcome"] for row in rows)
+        show()
+    if progress is not None:
         progress.end()
     done = outcomes.total()
-    if stop.is_requested() and (done < len(campaign.runs) or campaign.records_worst):
+    if stop.is_requested() and (done < total or campaign.records_worst):
         raise RunInterruptedError(
-            f"interrupted; {done} of {len(campaign.runs)} runs are done and saved in {folder}; "
-            "run the same command to continue"
+            f"interrupted; {done} of {total} runs are done and saved in {folder}; run the same command to continue"
         )
-    passed = outcomes["passed"] == len(campaign.runs)
-    if as_json:
-        print_json({"passed": passed, "folder": str(folder), "runs": len(campaign.runs), "outcomes": dict(outcomes)})
-    else:
-        counts = ", ".join(f"{count} {outcome}" for outcome, count in outcomes.most_common())
-        print(f"{len(campaign.runs)} runs: {counts}\nhil campaign report {folder}")
+    passed = outcomes["passed"] == total
+    counts = ", ".join(f"{count} {outcome}" for outcome, count in outcomes.most_common())
+    found = {"passed": passed, "folder": str(folder), "runs": total, "outcomes": dict(outcomes)}
+    print_result(as_json, found, [f"{total} runs: {counts}", f"hil campaign report {folder}"])
     raise typer.Exit(0 if passed else 1)
 
 
@@ -178,10 +163,7 @@ class _Stop:
 
     def __init__(self) -> None:
         self._count = 0
-        for name in ("SIGINT", "SIGTERM", "SIGHUP"):
-            number = getattr(signal, name, None)  # Windows has no SIGHUP
-            if number is not None and signal.getsignal(number) is not signal.SIG_IGN:
-                signal.signal(number, self._on_signal)
+        on_signals(self._on_signal, "SIGINT", "SIGTERM", "SIGHUP")
 
     def _on_signal(self, _number: int, _frame: FrameType | None) -> None:
         self._count += 1
@@ -194,14 +176,11 @@ class _Stop:
 
 
 def _print_estimate(campaign: "Campaign", folder: Path, workers: int, redo: frozenset[str], *, as_json: bool) -> None:
-    from hil.cli.progress import duration_words
-
     left = campaign.left(folder, redo)
     run_s, total_s = campaign.estimate_s(left, workers)
     runs = len(campaign.runs)
-    if as_json:
-        print_json({"runs": runs, "left": left, "workers": workers, "run_s": run_s, "total_s": total_s})
-        return
     done = f", {runs - left} of them done" if left < runs else ""
     by = "1 worker" if workers == 1 else f"{workers} workers"
-    print(f"{runs} runs{done}; about {duration_words(total_s)} with {by}, {run_s:.2g} s a run")
+    text = f"{runs} runs{done}; about {duration_words(total_s)} with {by}, {run_s:.2g} s a run"
+    found = {"runs": runs, "left": left, "workers": workers, "run_s": run_s, "total_s": total_s}
+    print_result(as_json, found, [text])

@@ -1,19 +1,20 @@
 """``hil catalogue``."""
 
-from collections.abc import Sequence
-from typing import TYPE_CHECKING, Annotated
+from collections.abc import Iterator, Sequence
+from typing import Annotated
 
 import typer
 
-from hil.cli.options import Json, Sets, print_json
-
-if TYPE_CHECKING:
-    from hil.batch.catalogue import Verdict
+from hil.batch import catalogue as engine
+from hil.batch.catalogue import Verdict
+from hil.cli.options import Jobs, Json, Limit, Sets
+from hil.cli.output import batch, print_result, table
+from hil.record.files import new_in_runs
 
 
 def catalogue(
     scenario: Annotated[
-        str, typer.Argument(metavar="[SCENARIO]", help="what the faults are put into, 1.3 s of it")
+        str, typer.Argument(metavar="[SCENARIO]", help="the scenario that gets the faults, 1.3 s of it")
     ] = "circle_speed",
     law: Annotated[
         str | None, typer.Option(metavar="LAW", help="the law to test instead, without the scenario's gains")
@@ -31,58 +32,45 @@ def catalogue(
     seed: Annotated[int, typer.Option("--seed", metavar="N", help="which pairs --sample takes")] = 0,
     realtime: Annotated[bool, typer.Option("--realtime", help="a part of them in real time too")] = False,
     sets: Sets = None,
-    jobs: Annotated[int | None, typer.Option(metavar="N", help="processes; by default one a processor", min=1)] = None,
-    limit_s: Annotated[
-        float, typer.Option("--limit", metavar="S", help="a run that takes longer is ended as hung", min=1.0)
-    ] = 60.0,
+    jobs: Jobs = None,
+    limit_s: Limit = 60.0,
     as_json: Json = False,
 ) -> None:
     """Run the fault catalogue and judge every run for safety; exit 1 when one is not as it should be."""
-    from hil.batch.catalogue import Request
-    from hil.batch.catalogue import catalogue as run_catalogue
-    from hil.cli import report
-    from hil.cli.progress import batch
-
-    laws = [] if law is None else [f"controller.law={law}"]
-    sets = [*laws, *(sets or [])]
-    request = Request(scenario, sets, link or [], kind or [], report.catalogue_folder(), sample, seed)
+    sets = [*([] if law is None else [f"controller.law={law}"]), *(sets or [])]
+    recordings = new_in_runs("catalogue", "", "go where you may write")
+    request = engine.Request(scenario, sets, link or [], kind or [], recordings, sample, seed)
     with batch(as_json=as_json) as progress:
-        verdicts = run_catalogue(
+        verdicts = engine.catalogue(
             request, pairs=pairs, realtime=realtime, workers=jobs, limit_s=limit_s, on_progress=progress
         )
     passed = all(verdict.is_ok for verdict in verdicts)
-    if as_json:
-        print_json({"passed": passed, "runs": [verdict._asdict() for verdict in verdicts]})
-    else:
-        _print_verdicts(verdicts)
+    found = {"passed": passed, "runs": [verdict._asdict() for verdict in verdicts]}
+    print_result(as_json, found, _lines(verdicts))
     raise typer.Exit(0 if passed else 1)
 
 
-def _print_verdicts(verdicts: Sequence["Verdict"]) -> None:
-    """Print a row for each run of the catalogue, and how many were safe."""
-    from hil.cli import report
-
+def _lines(verdicts: Sequence[Verdict]) -> Iterator[str]:
+    """Yield a row for each run of the catalogue, and how many were safe."""
     head = ("fault", "link", "re-arm", "outcome", "applied", "recoveries", "after silence", "wall s", "verdict")
-    report.print_table([head, *(_catalogue_row(verdict) for verdict in verdicts)])
+    yield from table([head, *map(_row, verdicts)])
     failed = [verdict for verdict in verdicts if not verdict.is_ok]
     wall_s = sum(verdict.wall_s for verdict in verdicts)
-    print(f"\n{len(verdicts) - len(failed)} of {len(verdicts)} runs are as they should be, {wall_s:.0f} s of runs")
+    yield f"\n{len(verdicts) - len(failed)} of {len(verdicts)} runs are as they should be, {wall_s:.0f} s of runs"
     for verdict in failed:
         where = "" if verdict.recording is None else f" (hil view {verdict.recording})"
-        print(f"  {verdict.fault} over {verdict.link}: {verdict.verdict}{where}")
+        yield f"  {verdict.fault} over {verdict.link}: {verdict.verdict}{where}"
 
 
-def _catalogue_row(verdict: "Verdict") -> tuple[str, ...]:
-    realtime = ", real time" if verdict.mode == "realtime" else ""
-    silence = "-" if verdict.silent_rad_s is None else f"{verdict.silent_rad_s:g} rad/s"
+def _row(verdict: Verdict) -> tuple[str, ...]:
     return (
         verdict.fault,
-        verdict.link + realtime,
+        verdict.link + (", real time" if verdict.mode == "realtime" else ""),
         "yes" if verdict.rearm else "no",
         verdict.outcome or "-",
         "-" if verdict.applied is None else " ".join(map(str, verdict.applied)),
         "-" if verdict.recoveries is None else str(verdict.recoveries),
-        silence,
+        "-" if verdict.silent_rad_s is None else f"{verdict.silent_rad_s:g} rad/s",
         f"{verdict.wall_s:.1f}",
         "ok" if verdict.is_ok else verdict.verdict.partition(":")[0],
     )

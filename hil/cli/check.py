@@ -1,13 +1,15 @@
 """``hil check`` and ``hil show``: a scenario is checked and printed without running it."""
 
-from typing import TYPE_CHECKING
+from collections.abc import Iterator
 
 import typer
 
-from hil.cli.options import Json, LinkUrl, Mode, RobotFile, ScenarioName, Seed, Sets, print_json
-
-if TYPE_CHECKING:
-    from hil.references import Feasibility
+from hil.cli.options import Json, LinkUrl, Mode, RobotFile, ScenarioName, Seed, Sets
+from hil.cli.output import print_result, rows, table
+from hil.references import Feasibility
+from hil.runtime.assembly import check_scenario
+from hil.scenario import format_value, load
+from hil.scenario import resolved as resolved_values
 
 
 def check(
@@ -20,15 +22,10 @@ def check(
     as_json: Json = False,
 ) -> None:
     """Check a scenario without running it: its values, its law, and whether the robot can follow its reference."""
-    from hil.runtime.assembly import check_scenario
-    from hil.scenario import load
-
     resolved = load(scenario, set=sets or [], robot=robot, mode=mode, link=link, seed=seed)
     feasibility = check_scenario(resolved)
-    if as_json:
-        print_json({"scenario": resolved.name, "reference": {"kind": resolved.reference.kind, **feasibility.figures()}})
-    else:
-        _print_feasibility(feasibility)
+    found = {"scenario": resolved.name, "reference": {"kind": resolved.reference.kind, **feasibility.figures()}}
+    print_result(as_json, found, rows(_rows(feasibility)))
     raise typer.Exit(1 if feasibility.sentences else 0)
 
 
@@ -42,22 +39,15 @@ def show(
     as_json: Json = False,
 ) -> None:
     """Print every value of a scenario and where it came from."""
-    from hil.cli import report
-    from hil.scenario import format_value, load, resolved
-
-    rows = resolved(load(scenario, set=sets or [], robot=robot, mode=mode, link=link, seed=seed))
-    if as_json:
-        print_json({key: {"value": value, "from": where} for key, value, where in rows})
-        return
-    report.print_table([(key, format_value(value), where) for key, value, where in rows])
+    values = resolved_values(load(scenario, set=sets or [], robot=robot, mode=mode, link=link, seed=seed))
+    found = {key: {"value": value, "from": where} for key, value, where in values}
+    print_result(as_json, found, table([(key, format_value(value), where) for key, value, where in values]))
 
 
-def _print_feasibility(feasibility: "Feasibility") -> None:
-    """Print the wheel speed and torque that a reference needs, and why it is not feasible, if it is not."""
+def _rows(feasibility: Feasibility) -> Iterator[tuple[str, str]]:
+    """Yield the wheel speed and torque that a reference needs, and why it is not feasible, if it is not."""
     for label, needed in (("wheel speed", feasibility.speed), ("wheel torque", feasibility.torque)):
         most = f"at most {needed.worst:.3g} {needed.unit}, of wheel {needed.worst_wheel} at t = {needed.worst_s:.3g} s"
-        print(f"  {label:<22} {most}; the limit is {needed.limit:g} {needed.unit}")
-    for sentence in feasibility.sentences:
-        print(f"  {'not feasible':<22} {sentence}")
-    for sentence in feasibility.notes:
-        print(f"  {'note':<22} {sentence}")
+        yield label, f"{most}; the limit is {needed.limit:g} {needed.unit}"
+    yield from (("not feasible", sentence) for sentence in feasibility.sentences)
+    yield from (("note", sentence) for sentence in feasibility.notes)

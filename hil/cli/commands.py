@@ -1,6 +1,6 @@
 """The commands of ``hil`` by name: shipped ones, and those of other packages. A command is imported when it is called.
 
-To add a shipped one, write one file with a function or a ``typer.Typer``, and a row of ``SHIPPED``. Another package
+To add a shipped one, write a file with a function of the command's name, and a row of ``SHIPPED``. Another package
 registers a function or a ``typer.Typer`` under the entry point group ``hil.commands``.
 """
 
@@ -15,75 +15,41 @@ from hil.core.errors import BadInputError
 from hil.core.extensions import Extensions
 
 SHIPPED = {
-    "run": ("hil.cli.run:run", "Run a scenario and judge it."),
-    "check": (
-        "hil.cli.check:check",
-        "Check a scenario without running it: its values, its law, and whether the robot can follow its reference.",
-    ),
-    "show": ("hil.cli.check:show", "Print every value of a scenario and where it came from."),
-    "list": (
-        "hil.cli.list:list_",
-        "Print the signals, laws, references, scenarios, forms of links, kinds of faults or drivers.",
-    ),
-    "review": (
-        "hil.cli.review:review",
-        "Report from its recording alone how a run went and why; with two runs, which figures became better or worse.",
-    ),
-    "view": ("hil.cli.view:view", "Open a recording in the rerun viewer."),
-    "live": (
-        "hil.cli.view:live",
-        "Open the rerun viewer on a run or service under way, and on each one after it; start it before or after "
-        "those.",
-    ),
-    "replay": (
-        "hil.cli.replay:replay",
-        "Open loop: feed a recording's states and references to another law, and show how its commands differ.",
-    ),
-    "decode": ("hil.cli.decode:decode", "Print a trace of the bus in the terms of the wheel-command protocol."),
-    "campaign": (
-        "hil.cli.campaign:app",
-        "Run a scenario thousands of times, over axes, laws, faults and seeds, and judge it on one page.",
-    ),
-    "compare": (
-        "hil.cli.compare:compare",
-        "Run laws under the same conditions and print one table for each; exit 1 when a run failed.",
-    ),
-    "catalogue": (
-        "hil.cli.catalogue:catalogue",
-        "Run the fault catalogue and judge every run for safety; exit 1 when one is not as it should be.",
-    ),
-    "reproduce": (
-        "hil.cli.reproduce:reproduce",
-        "Run section IV of the paper and say which of its figures come out, which do not, and why.",
-    ),
-    "init": ("hil.cli.init:init", "Write a robot file and a first scenario; ask for the values that no flag gives."),
-    "doctor": ("hil.cli.doctor:doctor", "Check this machine and print remedies; exit 1 when there is a problem."),
-    "probe": ("hil.cli.probe:probe", "Find the motor controllers on a bus or a port, and print a robot file for them."),
-    "jog": (
-        "hil.cli.jog:jog",
-        "Turn one wheel slowly, with its name typed first, to check order and direction of the motors.",
-    ),
-    "params": (
-        "hil.cli.params:params",
-        "Show and change the parameters of a robot's firmware; it must be in IDLE to change. All are checked first.",
-    ),
-    "device": (
-        "hil.cli.device:device",
-        "Run the scenario's virtual robot in a process of its own; print one line when ready.",
-    ),
-    "serve": (
-        "hil.cli.serve:serve",
-        "Serve a robot: armed, driven and recorded by `hil ctl` or over HTTP, until SIGTERM.",
-    ),
-    "ctl": ("hil.cli.ctl:app", "Drive the robot that hil serve runs; an order returns when accepted."),
-    "teleop": (
-        "hil.cli.teleop:teleop",
-        "Drive the robot that hil serve runs, by hand: it moves while a key or the gamepad's button is held.",
-    ),
-    "fmu": ("hil.cli.fmu:app", "The plant: build, look at and check FMUs."),
-    "fuzzy": ("hil.cli.fuzzy:fuzzy", "Draw both gain surfaces of AFDSC's fuzzy block."),
+    "run": "Run a scenario and judge it.",
+    "check": "Check a scenario without running it: its values, its law, and whether the robot can follow its "
+    "reference.",
+    "show": "Print every value of a scenario and where it came from.",
+    "list": "Print the signals, laws, references, scenarios, forms of links, kinds of faults or drivers.",
+    "review": "Report from its recording alone how a run went and why; with two runs, which figures became better "
+    "or worse.",
+    "view": "Open a recording in the rerun viewer.",
+    "live": "Open the rerun viewer on a run or service under way, and on each one after it; start it before or "
+    "after those.",
+    "replay": "Open loop: feed a recording's states and references to another law, and show how its commands differ.",
+    "decode": "Print a trace of the bus in the terms of the wheel-command protocol.",
+    "campaign": "Run a scenario thousands of times, over axes, laws, faults and seeds, and judge it on one page.",
+    "compare": "Run laws under the same conditions and print one table for each; exit 1 when a run failed.",
+    "catalogue": "Run the fault catalogue and judge every run for safety; exit 1 when one is not as it should be.",
+    "reproduce": "Run section IV of the paper and say which of its figures come out, which do not, and why.",
+    "init": "Write a robot file and a first scenario; ask for the values that no flag gives.",
+    "doctor": "Check this machine and print remedies; exit 1 when there is a problem.",
+    "probe": "Find the motor controllers on a bus or a port, and print a robot file for them.",
+    "jog": "Turn one wheel slowly, with its name typed first, to check order and direction of the motors.",
+    "params": "Show and change the parameters of a robot's firmware; it must be in IDLE to change. All are checked "
+    "first.",
+    "device": "Run the scenario's virtual robot in a process of its own; print one line when ready.",
+    "serve": "Serve a robot: armed, driven and recorded by `hil ctl` or over HTTP, until SIGTERM.",
+    "ctl": "Drive the robot that hil serve runs; an order returns when accepted.",
+    "teleop": "Drive the robot that hil serve runs, by hand: it moves while a key or the gamepad's button is held.",
+    "fmu": "The plant: build, look at and check FMUs.",
+    "fuzzy": "Draw both gain surfaces of AFDSC's fuzzy block.",
 }
-"""By name: where the command is, and the first paragraph of its help."""
+"""The first paragraph of the help of each shipped command, by name."""
+_PLACES = {
+    "show": "check:show", "list": "list:list_", "live": "view:live",
+    "campaign": "campaign:app", "ctl": "ctl:app", "fmu": "fmu:app",
+}  # fmt: skip
+"""Where a command is that is not the function of its own name in the file of its name."""
 
 _EXTENSIONS = Extensions("hil.commands", SHIPPED)
 
@@ -110,8 +76,7 @@ class Commands(TyperGroup):
     def get_command(self, ctx: Any, cmd_name: str) -> Any:
         """Import a command. Raises BadInputError for an unknown one, and for a broken one of another package."""
         if cmd_name in SHIPPED:
-            module, _, name = SHIPPED[cmd_name][0].partition(":")
-            return _command(cmd_name, getattr(import_module(module), name))
+            return _command(cmd_name, shipped_command(cmd_name))
         found = _EXTENSIONS.load(cmd_name, f"command {cmd_name!r}")
         try:
             return _command(cmd_name, found)
@@ -124,10 +89,16 @@ class Commands(TyperGroup):
     def format_commands(self, ctx: Any, formatter: Any) -> None:
         """Write a row for each command, wrapped to the width of the terminal."""
         with formatter.section("Commands"):
-            formatter.write_dl([(name, text) for name, (_, text) in SHIPPED.items()])
+            formatter.write_dl(list(SHIPPED.items()))
         if others := _EXTENSIONS.lines():
             with formatter.section("Commands of other packages"):
                 formatter.write_dl([(name, f"{package}: {text}") for name, package, text in others])
+
+
+def shipped_command(name: str) -> Any:
+    """Import a shipped command: a function or a ``typer.Typer``."""
+    module, _, attribute = _PLACES.get(name, f"{name}:{name}").partition(":")
+    return getattr(import_module(f"hil.cli.{module}"), attribute)
 
 
 def _command(name: str, found: Any) -> Any:

@@ -2,17 +2,21 @@
 
 import shlex
 import sys
+from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
-from hil.cli.options import Force, Json, Seed, Sets, print_json
+from hil.batch.comparison import Comparison, Request, page
+from hil.batch.comparison import compare as run_comparison
+from hil.batch.comparison.conditions import DRIVES, TORQUES_N_M
+from hil.batch.comparison.pictures import draw
+from hil.batch.output import deferred, prepare_folder, remove
+from hil.cli.options import Force, Jobs, Json, Limit, Seed, Sets
+from hil.cli.output import batch, print_result, table
 from hil.core.errors import BadInputError
-
-if TYPE_CHECKING:
-    from hil.batch.comparison import Comparison
-    from hil.core.outputs import Existing
+from hil.core.outputs import Existing, check_free, existing_files
 
 
 def compare(
@@ -38,24 +42,14 @@ def compare(
     quick: Annotated[bool, typer.Option("--quick", help="nominal runs alone")] = False,
     out: Annotated[Path | None, typer.Option(metavar="DIR", help="pictures and every run as CSV")] = None,
     markdown: Annotated[Path | None, typer.Option(metavar="FILE", help="a page with all tables")] = None,
-    jobs: Annotated[int | None, typer.Option(metavar="N", help="processes; by default one a processor", min=1)] = None,
-    limit_s: Annotated[
-        float, typer.Option("--limit", metavar="S", help="a run that takes longer is ended as hung", min=1.0)
-    ] = 120.0,
+    jobs: Jobs = None,
+    limit_s: Limit = 120.0,
     seed: Seed = None,
     sets: Sets = None,
     force: Force = False,
     as_json: Json = False,
 ) -> None:
     """Run laws under the same conditions and print one table for each; exit 1 when a run failed."""
-    from hil.batch.comparison import Request
-    from hil.batch.comparison import compare as run_comparison
-    from hil.batch.comparison.conditions import DRIVES, TORQUES_N_M
-    from hil.batch.comparison.page import older
-    from hil.batch.output import prepare_folder
-    from hil.cli.progress import batch
-    from hil.core.outputs import check_free, existing_files
-
     *laws, scenario = laws_and_scenario
     request = Request(
         laws,
@@ -71,51 +65,40 @@ def compare(
     )
     existing = existing_files(force=force)
     if out is not None:
-        prepare_folder(out, older, "comparison", existing)
+        prepare_folder(out, page.older, "comparison", existing)
     if markdown is not None:
         check_free("page", markdown, existing)
     with batch(as_json=as_json) as progress:
         comparison = run_comparison(request, workers=jobs, limit_s=limit_s, on_progress=progress)
     # Print the results before writing files: they took long, and a disk may be full.
-    if as_json:
-        print_json(comparison.plain())
-    else:
-        _print_comparison(comparison)
+    print_result(as_json, comparison.plain(), _lines(comparison))
     sys.stdout.flush()
     _write(comparison, out, markdown, existing)
     raise typer.Exit(1 if comparison.has_failed else 0)
 
 
-def _write(comparison: "Comparison", out: Path | None, markdown: Path | None, existing: "Existing") -> None:
+def _write(comparison: Comparison, out: Path | None, markdown: Path | None, existing: Existing) -> None:
     """Write the files. If one cannot be written, the others still are; then raises BadInputError for the first."""
-    from hil.batch.comparison.page import older, write_csv, write_markdown
-    from hil.batch.comparison.pictures import draw
-    from hil.batch.output import deferred, remove
-
     pictures: list[Path] = []
     errors: list[BadInputError] = []
     if out is not None:
         with deferred(errors):
-            remove(older(out) if existing == "replace" else [])
-            write_csv(comparison, out / "comparison.csv")
+            remove(page.older(out) if existing == "replace" else [])
+            page.write_csv(comparison, out / "comparison.csv")
         with deferred(errors):
             draw(comparison, out, pictures)
     if markdown is not None:
         with deferred(errors):
-            write_markdown(comparison, markdown, f"hil {shlex.join(sys.argv[1:])}", pictures, existing)
+            page.write_markdown(comparison, markdown, f"hil {shlex.join(sys.argv[1:])}", pictures, existing)
     if errors:
         raise errors[0]
 
 
-def _print_comparison(comparison: "Comparison") -> None:
-    """Print a table for each condition, and below it why figures are missing."""
-    from hil.batch.comparison.page import terminal
-    from hil.cli import report
-
-    for number, (title, rows, notes) in enumerate(terminal(comparison)):
-        print(title if number == 0 else f"\n{title}")
-        report.print_table(rows)
-        for note in notes:
-            print(f"  {note}")
+def _lines(comparison: Comparison) -> Iterator[str]:
+    """Yield a table for each condition, and below it why figures are missing."""
+    for number, (title, rows, notes) in enumerate(page.terminal(comparison)):
+        yield title if number == 0 else f"\n{title}"
+        yield from table(rows)
+        yield from (f"  {note}" for note in notes)
     if len(comparison.rows[0].runs) > 1:
-        print("\nnominal / worst over mass and friction of the plant; less is better in every column")
+        yield "\nnominal / worst over mass and friction of the plant; less is better in every column"

@@ -5,19 +5,18 @@ import math
 import sys
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import typer
 
 from hil.cli.commands import Group
-from hil.cli.options import Force, Json, ServicePort, ServiceUrl, TokenFile, end_in_order, print_json
+from hil.cli.options import Force, Json, ServicePort, ServiceUrl, TokenFile
+from hil.cli.output import end_in_order, print_json, print_result, rows
 from hil.core.errors import BadInputError, RunInterruptedError
+from hil.core.outputs import check_free, existing_files
+from hil.scenario.toml_text import parse_value
+from hil.service.client import Client, find
 from hil.service.messages import SUMMARIES, Action
-
-if TYPE_CHECKING:
-    from rich.table import Table
-
-    from hil.service.client import Client
 
 app = typer.Typer(
     cls=Group, no_args_is_help=True, help="Drive the robot that hil serve runs; an order returns when accepted."
@@ -33,9 +32,7 @@ def choose_service(
     context.obj = (url, port, token_file)
 
 
-def _client(context: typer.Context) -> "Client":
-    from hil.service.client import find
-
+def _client(context: typer.Context) -> Client:
     return find(*context.obj)
 
 
@@ -52,14 +49,14 @@ def status(
     as_json: Json = False,
 ) -> None:
     """Show the state of the robot and the service."""
-    from rich.console import Console
     from rich.live import Live
+    from rich.text import Text
 
     end_in_order()
     client = _client(context)
     if not watch:
         now = client.status()
-        print_json(now) if as_json else Console(highlight=False, soft_wrap=True).print(_table(now))
+        print_result(as_json, now, rows(_rows(now)))
         return
     try:
         if as_json or not sys.stdout.isatty():
@@ -69,7 +66,7 @@ def status(
         else:
             with Live(auto_refresh=False, screen=True) as screen:
                 for now in client.watch():
-                    screen.update(_table(now), refresh=True)
+                    screen.update(Text("\n".join(rows(_rows(now)))), refresh=True)
     except KeyboardInterrupt:
         raise RunInterruptedError("interrupted; the service goes on") from None
 
@@ -148,8 +145,6 @@ def record(
     force: Force = False,
 ) -> None:
     if file is not None:
-        from hil.core.outputs import check_free, existing_files
-
         check_free("recording", file, existing_files(force=force))
     # Absolute, because the service has another working directory.
     _order(context, Action.RECORD, {"path": None if file is None else str(file.absolute()), "force": force})
@@ -169,8 +164,6 @@ def _finite(arguments: dict[str, float]) -> dict[str, float]:
 
 def _assignments(texts: list[str]) -> dict[str, Any]:
     """Parse KEY=VALUE texts to a mapping; a value is TOML, or else plain text."""
-    from hil.scenario.toml_text import parse_value
-
     values: dict[str, Any] = {}
     for text in texts:
         key, equals, value = text.partition("=")
@@ -184,16 +177,6 @@ def _assignments(texts: list[str]) -> dict[str, Any]:
     return values
 
 
-def _table(status: Mapping[str, Any]) -> "Table":
-    from rich.table import Table
-    from rich.text import Text
-
-    table = Table(box=None, show_header=False)
-    for name, text in _rows(status):
-        table.add_row(name, Text(text))
-    return table
-
-
 def _rows(status: Mapping[str, Any]) -> list[tuple[str, str]]:
     """Return the status as rows of a label and a text; unknown values are left out."""
     task, robot, frames = status["task"], status["robot"], status["frames"]
@@ -202,7 +185,7 @@ def _rows(status: Mapping[str, Any]) -> list[tuple[str, str]]:
     rejected = ", ".join(f"{number} {cause}" for cause, number in frames.get("rejected", {}).items() if number)
     dropped = f", {status['rows_dropped']} rows dropped" if status["rows_dropped"] else ""
     lateness = [f"{name} {_number(value, '.0f', 'µs')}" for name, value in status["lateness_us"].items()]
-    rows = [
+    found = [
         ("phase", status["phase"] if task is None else f"{status['phase']}, {task}"),
         ("why", status["why"]),
         ("serves", f"{status['scenario']}, {status['law']} in {status['command']} mode"),
@@ -227,7 +210,7 @@ def _rows(status: Mapping[str, Any]) -> list[tuple[str, str]]:
         ("recording", None if status["recording"] is None else f"{status['recording']}{dropped}"),
         *((name, sentence.removeprefix(f"{name}: ")) for name, sentence in status["realtime"].items()),
     ]
-    return [(name, text) for name, text in rows if text]
+    return [(name, text) for name, text in found if text]
 
 
 def _pose(pose: Any) -> str | None:

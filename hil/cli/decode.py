@@ -1,16 +1,15 @@
 """``hil decode``: a trace of the bus, decoded by wheel.dbc."""
 
-import contextlib
 import math
 import sys
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from hil.cli.options import drop_output, print_json
+from hil.cli.output import drop_output, print_json, print_result, table
 from hil.core.errors import BadInputError
+from hil.wire.trace import decode as decoder
 
 
 def decode(
@@ -27,35 +26,20 @@ def decode(
     as_json: Annotated[bool, typer.Option("--json", help="one JSON object a line: for each frame, or for all")] = False,
 ) -> None:
     """Print a trace of the bus in the terms of the wheel-command protocol."""
-    from hil.wire.trace import decode as decoder
-
-    with _quiet_when_the_reader_leaves():
-        read = decoder.read(trace, decoder.Selection.of(message or [], from_s, to_s, raw=raw))
-        if counts:
-            found = decoder.count(read)
-            if as_json and (read.frames or read.trouble is None):
-                print_json([row._asdict() for row in found])
-            elif read.frames or read.trouble is None:
-                from hil.cli import report
-
-                report.print_table([("message", "id", "frames", "per s"), *(row.texts() for row in found)])
-        else:
+    read = decoder.read(trace, decoder.Selection.of(message or [], from_s, to_s, raw=raw))
+    try:
+        if not counts:
             for entry in read:
-                if as_json:
-                    print_json(entry.record())
-                else:
-                    print(entry.text())
+                print_json(entry.record()) if as_json else print(entry.text())
+        else:
+            found = decoder.count(read)
+            if read.frames or read.trouble is None:
+                head = ("message", "id", "frames", "per s")
+                print_result(as_json, [row._asdict() for row in found], table([head, *(row.texts() for row in found)]))
         sys.stdout.flush()
+    except BrokenPipeError:  # the reader of stdout has left, as head does
+        drop_output()
+        raise typer.Exit(0) from None
     if read.trouble is not None:
         print(f"hil: {read.trouble}", file=sys.stderr)
         raise typer.Exit(BadInputError.exit_code)
-
-
-@contextlib.contextmanager
-def _quiet_when_the_reader_leaves() -> Iterator[None]:
-    """Exit quietly when the reader of stdout has left, as head does."""
-    try:
-        yield
-    except BrokenPipeError:
-        drop_output()
-        raise typer.Exit(0) from None

@@ -11,6 +11,7 @@ from typing import Annotated
 import typer
 
 from hil.cli.options import Force, LinkUrl, Mode, RobotFile, ScenarioName, Seed, Sets, TraceFile
+from hil.cli.output import say
 from hil.core.clock import TICK_NS, WallClock
 from hil.core.errors import BadInputError
 from hil.core.outputs import existing_files
@@ -61,10 +62,6 @@ def device(
         _serve(resolved, virtual, truth_port, file, sys.stdin.fileno() if until_eof else None, resources)
 
 
-def _say(line: str) -> None:
-    print(line, flush=True)
-
-
 def _serve(
     scenario: Scenario,
     robot: VirtualStm32,
@@ -80,7 +77,7 @@ def _serve(
     incomplete. Raises LinkError when the link is lost, DeviceError when the plant fails.
     """
     lockstep, protocol = scenario.loop.mode == "lockstep", protocol_of(scenario.device)
-    wire, reach = link_of(scenario).open_robot(_say, lockstep=lockstep, protocol=protocol)
+    wire, reach = link_of(scenario).open_robot(say, lockstep=lockstep, protocol=protocol)
     resources.callback(wire.close)
     if trace is not None:
         clock = _RobotTime(robot) if lockstep else WallClock()
@@ -97,18 +94,18 @@ def _serve(
         signal.signal(number, lambda *_: server.stop())
     if lifeline is not None:
         threading.Thread(target=_stop_at_the_end, args=(lifeline, server.stop), name="lifeline", daemon=True).start()
-    _say(f"ready link={reach} truth={truth.url} mode={scenario.loop.mode} scenario={scenario.name}")
+    say(f"ready link={reach} truth={truth.url} mode={scenario.loop.mode} scenario={scenario.name}")
     for sentence in granted.figures()["refused"].values() if granted is not None else ():
-        _say(f"not granted: {sentence}")
+        say(f"not granted: {sentence}")
     try:
         server.serve()
     finally:
         for line in robot.output.end() if robot.output is not None else ():
-            _say(f"the plant says: {line}")
+            say(f"the plant says: {line}")
         if server.slipped_ticks:
-            _say(f"this machine stalled: the robot lost {server.slipped_ticks} ms of its time")
+            say(f"this machine stalled: the robot lost {server.slipped_ticks} ms of its time")
         if trace is not None and (trouble := trace.finish().trouble()) is not None:
-            _say(trouble)
+            say(trouble)
 
 
 def _robot(scenario: Scenario, target: str) -> VirtualStm32:

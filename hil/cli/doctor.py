@@ -7,7 +7,8 @@ from typing import Annotated
 import typer
 
 from hil.cli.checks import Finding, Verdict, install, ports, realtime, recording
-from hil.cli.options import Json, print_json
+from hil.cli.options import Json
+from hil.cli.output import print_result
 
 
 def doctor(
@@ -18,30 +19,24 @@ def doctor(
 
     Kernel, permissions, clock, ports, CAN, disk, viewer, compiler and versions are looked at; nothing is changed.
     """
-    findings = list(examine(folder))
-    if as_json:
-        print_json([finding._asdict() for finding in findings])
-    else:
-        print_findings(findings)
+    findings = [
+        *install.check_versions(),
+        *install.check_native(),
+        *realtime.check_kernel(),
+        *realtime.check_permissions(),
+        *realtime.check_clock(),
+        *ports.check_serial(),
+        *ports.check_can(),
+        *recording.check_disk(folder),
+        *recording.check_viewer(),
+    ]
+    print_result(as_json, [finding._asdict() for finding in findings], lines(findings))
     raise typer.Exit(any(finding.verdict is Verdict.PROBLEM for finding in findings))
 
 
-def examine(folder: Path) -> Iterator[Finding]:
-    """Yield the findings of every check; ``folder`` is where recordings are to be written."""
-    yield from install.check_versions()
-    yield from install.check_native()
-    yield from realtime.check_kernel()
-    yield from realtime.check_permissions()
-    yield from realtime.check_clock()
-    yield from ports.check_serial()
-    yield from ports.check_can()
-    yield from recording.check_disk(folder)
-    yield from recording.check_viewer()
-
-
-def print_findings(findings: Sequence[Finding]) -> None:
-    """Print the findings, the verdict first, and the remedy below."""
+def lines(findings: Sequence[Finding]) -> Iterator[str]:
+    """Yield the findings, the verdict first, and the remedy below."""
     for verdict, subject, sentence, remedy in findings:
-        print(f"{verdict:<8} {subject:<15} {sentence}")
+        yield f"{verdict:<8} {subject:<15} {sentence}"
         if remedy:
-            print(f"{'':<24} -> {remedy}")
+            yield f"{'':<24} -> {remedy}"

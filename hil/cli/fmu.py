@@ -1,21 +1,24 @@
 """``hil fmu``: the plant's FMUs."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
+from firmware_protocol.built import is_checkout, run_script
 from hil.cli.commands import Group
-from hil.cli.options import Json, print_json
-from hil.cli.report import print_table
+from hil.cli.options import Json
+from hil.cli.output import print_result, table
 from hil.core.errors import BadInputError
+from hil.plant import archive
+from hil.plant.built import FMUS, MUJOCO
 from hil.plant.child_output import one_line
-
-if TYPE_CHECKING:
-    from hil.plant.description import FmuInfo, VariableInfo
-    from hil.plant.tools import CheckResult
+from hil.plant.conformance import Kind
+from hil.plant.description import FmuInfo, VariableInfo, info
+from hil.plant.tools import CheckResult, check
+from plant_fmu import path as shipped_path
 
 app = typer.Typer(cls=Group, no_args_is_help=True, help="The plant: build, look at and check FMUs.")
 
@@ -29,18 +32,12 @@ def build(
     mujoco: Annotated[bool, typer.Option("--mujoco", help="the MuJoCo plant instead, for this machine")] = False,
 ) -> None:
     """Compile the Mecanum plant and package it as FMUs, one for FMI 2.0 and one for FMI 3.0. Needs a checkout."""
-    from firmware_protocol.built import is_checkout, run_script
-    from hil.plant.built import FMUS, MUJOCO
-    from plant_fmu import path as shipped_path
-
     if all_platforms and mujoco:
         raise BadInputError("--mujoco is built for this machine only; leave out --all-platforms")
     if all_platforms and out is None:
         raise BadInputError("--all-platforms makes FMUs for other machines; name a folder for them with --out FOLDER")
     if not is_checkout():
-        raise BadInputError(
-            "an installed package has no scripts that build FMUs; run hil fmu build in a checkout of the sources"
-        )
+        raise BadInputError("an installed package cannot build FMUs; run hil fmu build in a checkout of the sources")
     script = FMUS[MUJOCO if mujoco else shipped_path()].module
     arguments = ["--all-platforms"] if all_platforms else []
     if out is not None:
@@ -63,34 +60,23 @@ def show_info(
     as_json: Json = False,
 ) -> None:
     """Show an FMU's description of itself, and its variables with units. Runs none of its code."""
-    from hil.plant import archive
-    from hil.plant.description import info
-
     about = info(archive.locate(fmu, Path()), names)
-    if as_json:
-        print_json(asdict(about))
-    else:
-        _print_fmu(about)
+    print_result(as_json, asdict(about), _info_lines(about))
 
 
 @app.command("check")
 def check_fmu(fmu: FmuName = "mecanum", as_json: Json = False) -> None:
     """Validate an FMU and run it through the FMI calling sequence; exit 1 when it violates the standard."""
-    from hil.plant import archive
-    from hil.plant.tools import check
-
     path = archive.locate(fmu, Path())
     result = check(path)
-    if as_json:
-        print_json({"fmu": str(path), "passed": not result.violations, **asdict(result)})
-    else:
-        _print_check(path, result)
+    found = {"fmu": str(path), "passed": not result.violations, **asdict(result)}
+    print_result(as_json, found, _check_lines(path, result))
     raise typer.Exit(1 if result.violations else 0)
 
 
-def _print_fmu(info: "FmuInfo") -> None:
-    """Print an FMU's description, and its variables as a table."""
-    print(f"{info.path}{f' (shipped as {info.shipped})' if info.shipped else ''}")
+def _info_lines(info: FmuInfo) -> Iterator[str]:
+    """Yield an FMU's description, and its variables as a table."""
+    yield f"{info.path}{f' (shipped as {info.shipped})' if info.shipped else ''}"
     facts = [("model", info.model_name), *info.about.items(), ("FMI version", info.fmi_version)]
     for interface, identifier in info.interfaces.items():
         claims = ", ".join(info.capabilities[interface]) or "no optional capabilities"
@@ -98,30 +84,27 @@ def _print_fmu(info: "FmuInfo") -> None:
     experiment = ", ".join(f"{name} {value}" for name, value in info.experiment.items())
     facts += [("platforms", ", ".join(info.platforms) or "none"), ("default experiment", experiment or "none")]
     facts.append(("sha256", info.sha256))
-    print_table([(f"  {name}", one_line(value)) for name, value in facts])
-    print()
-    header = ("name", "causality", "variability", "type", "unit", "start", "range", "description")
-    rows = [
+    yield from _table([(f"  {name}", value) for name, value in facts])
+    yield ""
+    head = ("name", "causality", "variability", "type", "unit", "start", "range", "description")
+    variables = [
         (v.name, v.causality, v.variability, _type(v), v.unit or "", v.start or "", _range(v), v.description or "")
         for v in info.variables
     ]
-    _print_rich_table(header, rows)
+    yield from _table([head, *variables])
 
 
-def _print_check(fmu: Path, result: "CheckResult") -> None:
-    """Print the parts of a check as a table, then its findings, violations of the standard first."""
-    from hil.plant.conformance import Kind
-
-    rows = []
+def _check_lines(fmu: Path, result: CheckResult) -> Iterator[str]:
+    """Yield the parts of a check as a table, then its findings, violations of the standard first."""
+    parts = [("part", "outcome", "reason")]
     for part in result.parts:
         kinds = {finding.kind for finding in part.findings}
         found = next((kind for kind in Kind if kind in kinds), None)
         outcome = "fail" if found == Kind.VIOLATION else found or ("skip" if part.skipped else "pass")
-        rows.append((part.name, outcome, part.skipped or ""))
-    _print_rich_table(("part", "outcome", "reason"), rows)
+        parts.append((part.name, outcome, part.skipped or ""))
+    yield from _table(parts)
     for kind in Kind:
-        for finding in result.texts(kind):
-            print(one_line(f"{kind}: {finding}"))
+        yield from (one_line(f"{kind}: {finding}") for finding in result.texts(kind))
     counts = {kind: len(result.texts(kind)) for kind in Kind}
     violations = counts[Kind.VIOLATION]
     words = [f"{violations or 'no'} violation{'' if violations == 1 else 's'} of the standard"]
@@ -129,26 +112,12 @@ def _print_check(fmu: Path, result: "CheckResult") -> None:
         words.append(f"{count} piece{'' if count == 1 else 's'} of advice")
     if count := counts[Kind.NEED]:
         words.append(f"{count} thing{'' if count == 1 else 's'} that this importer needs otherwise")
-    print(f"{fmu}: {', '.join(words)}")
+    yield f"{fmu}: {', '.join(words)}"
 
 
-def _print_rich_table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
-    """Print a table. Names are never cut; outside a terminal no line is wrapped, so that the text can be searched."""
-    from rich.console import Console
-    from rich.table import Table
-    from rich.text import Text
-
-    table = Table(box=None, pad_edge=False, header_style="bold")
-    for place, name in enumerate(header):
-        table.add_column(name, no_wrap=place == 0, overflow="fold")
-    for row in rows:
-        table.add_row(*(Text(one_line(cell)) for cell in row))
-    console = Console()
-    if not console.is_terminal:
-        console = Console(
-            width=max(80, 4 * len(header) + sum(max(map(len, column)) for column in zip(header, *rows, strict=True)))
-        )
-    console.print(table)
+def _table(rows: Sequence[Sequence[str]]) -> Iterator[str]:
+    """Yield a table of an FMU's texts, which may hold line breaks."""
+    return table([tuple(map(one_line, row)) for row in rows])
 
 
 def _type(variable: "VariableInfo") -> str:

@@ -8,8 +8,7 @@ from typing import Annotated
 
 import typer
 
-from hil.cli.new_robot.questions import QUESTIONS, Question, Value, problem_with
-from hil.cli.new_robot.texts import robot_text, scenario_text
+from hil.cli.new_robot import QUESTIONS, Question, Value, problem_with, robot_text, scenario_text
 from hil.cli.options import Force
 from hil.core.errors import BadInputError
 from hil.core.outputs import Existing, check_free, existing_files, write_whole
@@ -45,19 +44,8 @@ def init(
 
     Each question, and the file, says what its value means.
     """
-    given: dict[str, Value | None] = {
-        "robot.mass_kg": mass_kg,
-        "robot.wheel_radius_m": wheel_radius_m,
-        "robot.half_length_m": half_length_m,
-        "robot.half_width_m": half_width_m,
-        "robot.inertia_kg_m2": inertia_kg_m2,
-        "robot.wheel_inertia_kg_m2": wheel_inertia_kg_m2,
-        "robot.torque_limit_n_m": torque_limit_n_m,
-        "robot.speed_limit_rad_s": speed_limit_rad_s,
-        "firmware.counts_per_revolution": counts_per_revolution,
-        "firmware.torque_constant_n_m_a": torque_constant_n_m_a,
-        "link.url": link,
-    }
+    arguments = dict(locals())
+    given: dict[str, Value | None] = {one.key: arguments[one.parameter] for one in QUESTIONS}
     is_interactive = not defaults and sys.stdin.isatty()
     missing = [question.flag for question in QUESTIONS if given[question.key] is None]
     if missing and not defaults and not is_interactive:

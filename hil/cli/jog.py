@@ -6,8 +6,8 @@ from typing import Annotated, NamedTuple
 
 import typer
 
-from hil.cli.options import Json, LinkUrl, RobotFile, ScenarioName, Sets, end_in_order, print_json
-from hil.cli.report import warn
+from hil.cli.options import Json, LinkUrl, RobotFile, ScenarioName, Sets
+from hil.cli.output import end_in_order, print_result, warn
 from hil.core.errors import BadInputError, DeviceError, RunInterruptedError
 from hil.core.guard import Guard
 from hil.core.model import RobotModel
@@ -28,6 +28,7 @@ _LEAST_SHARE = 0.1  # of the commanded angle
 _LEAST_RAD = 0.1  # enough in any case; on the ground, with three wheels held, a wheel may stall after twice as much
 _FREE_SHARE = 0.5  # of the commanded angle, for a wheel that nothing brakes
 _MOST_SHARE = 0.5
+_SHORT = ", but not far: the wheels stand on the ground, as a virtual robot's always do, or something brakes it"
 
 
 def jog(
@@ -68,20 +69,12 @@ def jog(
     except KeyboardInterrupt:
         raise RunInterruptedError("interrupted; the wheel was told to stop") from None
     is_right, sentence = done.verdict(wheel)
-    if as_json:
-        print_json({"asked_rad": done.requested_rad, "turned_rad": done.turned_rad._asdict(), "verdict": sentence})
-    else:
-        angles = ", ".join(f"{name} {angle:+.2f}" for name, angle in done.turned_rad._asdict().items())
-        print(f"asked {wheel} {done.requested_rad:+.2f} rad; the sensors saw {angles} rad")
-        print(sentence)
+    turned_rad = done.turned_rad._asdict()
+    angles = ", ".join(f"{name} {angle:+.2f}" for name, angle in turned_rad.items())
+    text = f"asked {wheel} {done.requested_rad:+.2f} rad; the sensors saw {angles} rad\n{sentence}"
+    found = {"asked_rad": done.requested_rad, "turned_rad": turned_rad, "verdict": sentence}
+    print_result(as_json, found, [text])
     raise typer.Exit(0 if is_right else 1)
-
-
-class Verdict(NamedTuple):
-    """Whether only the sensor of the chosen wheel moved, and in the right direction; with a sentence on it."""
-
-    is_right: bool
-    sentence: str
 
 
 class Jogged(NamedTuple):
@@ -90,28 +83,26 @@ class Jogged(NamedTuple):
     requested_rad: float
     turned_rad: Wheels
 
-    def verdict(self, wheel: str) -> Verdict:
-        """Judge by the sensors. Only a person can see whether the wheel that turned is the named one."""
+    def verdict(self, wheel: str) -> tuple[bool, str]:
+        """Return whether the sensor of the wheel alone moved, and in the right direction; with a sentence on it.
+
+        Only a person can see whether the wheel that turned is the named one.
+        """
         turned = dict(zip(WHEEL_NAMES, self.turned_rad, strict=True))
         enough = min(_LEAST_SHARE * abs(self.requested_rad), _LEAST_RAD)
         least = max(enough, _MOST_SHARE * max(map(abs, self.turned_rad)))
         moved = [name for name, angle in turned.items() if abs(angle) > least]
         if moved == [wheel]:
             if turned[wheel] * self.requested_rad > 0.0:
-                short = self._short(turned[wheel])
+                short = "" if abs(turned[wheel]) >= _FREE_SHARE * abs(self.requested_rad) else _SHORT
                 seen = f"the sensor of {wheel} followed{short}; if you saw it turn the right way, its wiring is right"
-                return Verdict(True, seen)
+                return True, seen
             what = f"the sensor of {wheel} counted the other way; put {wheel!r} into device.reversed, or take it out"
         elif not moved:
             what = f"no sensor saw a wheel turn; check the motor's power, and its encoder's cable, of {wheel}"
         else:
             what = f"{wheel} was to turn, and the sensors of {', '.join(moved)} saw it; correct device.wheels"
-        return Verdict(False, what)
-
-    def _short(self, turned_rad: float) -> str:
-        if abs(turned_rad) >= _FREE_SHARE * abs(self.requested_rad):
-            return ""
-        return ", but not far: the wheels stand on the ground, as a virtual robot's always do, or something brakes it"
+        return False, what
 
 
 def turn_wheel(

@@ -1,58 +1,111 @@
 """``hil list``: the names that a scenario can use."""
 
-from collections.abc import Sequence
-from typing import Annotated
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import MISSING
+from typing import Annotated, Any
 
 import typer
 
-from hil.cli.options import Json, print_json
+from hil.cli.options import Json
+from hil.cli.output import print_result, table
 from hil.core.errors import BadInputError, nearest
+from hil.core.options import options_of
+from hil.core.signals import SIGNALS, Signal
+from hil.core.types import CommandMode
+from hil.drivers.port import Capabilities, Dialect, RobotFacts
+from hil.drivers.registry import EXTENSIONS, OUR_DRIVER, SHIPPED, dialect, make_driver, make_settings
+from hil.faults.kinds import kinds as fault_kinds
+from hil.laws.registry import laws
+from hil.references import references
+from hil.scenario import load, shipped
+from hil.scenario.motors import robot_facts
+from hil.wire.url import link_forms
+
+Row = tuple[str, ...]
+
+DRIVER_COLUMNS = ("driver", "wires", "commands", "feedback", "sensors", "watchdog", "e-stop", "what")
+
+_RATE_HZ = 200
+_WATCHDOG = {"set": "set and read back", "fixed": "of its own", "none": "none"}
+_OURS = ("can, can_fd, serial", "speed with torque, torque", "loop.rate_hz", "as the board has", "in the firmware")
+_AS_MAPPED = ("as its file says",) * 5
 
 
-def list_(
-    what: Annotated[str, typer.Argument(metavar="signals|laws|references|scenarios|links|faults|drivers")],
-    as_json: Json = False,
-) -> None:
+def _faults() -> Iterable[Row]:
+    return ((k.name, k.acts_on, k.target_words.replace("`", ""), k.unit, k.meaning) for k in fault_kinds())
+
+
+def driver_rows() -> Sequence[tuple[str, ...]]:
+    """Return a row of DRIVER_COLUMNS for each driver with its default settings: the shipped ones, then other packages'.
+
+    For a driver that cannot be loaded the last column says why, and the other columns are empty.
+    """
+    facts = robot_facts(load("circle_speed", set={"device.driver": next(iter(SHIPPED)), "loop.rate_hz": _RATE_HZ}))
+    rows: list[tuple[str, ...]] = [(OUR_DRIVER, *_OURS, "latched", "our own firmware")]
+    rows += [(name, *_abilities(name, facts), what) for name, what in SHIPPED.items()]
+    for name, package, line in EXTENSIONS.lines():
+        try:
+            abilities = ("",) * 6 if name in EXTENSIONS.shipped else _abilities(name, facts)
+        except BadInputError as error:
+            abilities, line = ("",) * 6, str(error)
+        rows.append((name, *abilities, f"{line} ({package})"))
+    return rows
+
+
+def _abilities(name: str, facts: RobotFacts) -> tuple[str, ...]:
+    made = dialect(name)
+    settings: Any = made.settings
+    needs_settings = any(option.default is MISSING for option in options_of(settings).values())
+    return (", ".join(sorted(made.wires)), *(_AS_MAPPED if needs_settings else _words(name, made, facts)))
+
+
+def _words(name: str, made: Dialect, facts: RobotFacts) -> tuple[str, ...]:
+    settings = make_settings(name, {}, "device.motors")
+    rates = {}
+    for wire in sorted(made.wires):
+        at = facts._replace(wire=wire)
+        can = make_driver(name, settings, at).capabilities
+        slower = make_driver(name, settings, at._replace(period_s=2.0 * at.period_s)).capabilities
+        follows = f" at loop.rate_hz = {_RATE_HZ}" if slower.feedback_hz != can.feedback_hz else ""
+        rates[wire] = f"{can.feedback_hz:.4g} Hz{follows}"
+    same = len(set(rates.values())) == 1
+    return (
+        _commands(can),
+        rates[wire] if same else ", ".join(f"{wire}: {rate}" for wire, rate in rates.items()),
+        ", ".join(sorted(can.sensors)) or "none",
+        _WATCHDOG[can.watchdog] + (f" without {made.watchdog_setting}" if made.watchdog_setting else ""),
+        "latched" if can.latches_estop else "not latched",
+    )
+
+
+def _commands(can: Capabilities) -> str:
+    if can.is_twist:
+        return "velocity of the body"
+    speed = "speed with torque" if can.adds_torque else "speed"
+    return ", ".join(speed if mode is CommandMode.SPEED else "torque" for mode in sorted(can.modes))
+
+
+_LISTS: Mapping[str, tuple[Row, Callable[[], Iterable[Row]]]] = {
+    "signals": (Signal._fields, lambda: SIGNALS),
+    "laws": (("law", "package", "meaning"), laws),
+    "references": (("reference", "package", "meaning"), references),
+    "scenarios": (("scenario", "meaning"), lambda: shipped().items()),
+    "links": (("link", "meaning"), lambda: link_forms().items()),
+    "faults": (("kind", "acts on", "target", "value", "meaning"), _faults),
+    "drivers": (DRIVER_COLUMNS, driver_rows),
+}
+"""Column names of each list, and the function that makes its rows."""
+
+
+def list_(what: Annotated[str, typer.Argument(metavar="|".join(_LISTS))], as_json: Json = False) -> None:
     """Print the signals, laws, references, scenarios, forms of links, kinds of faults or drivers."""
-    from hil.cli import report
-
     header, rows = listing(what)
-    if as_json:
-        print_json([dict(zip(header, row, strict=True)) for row in rows])
-    else:
-        report.print_table([header, *rows])
+    print_result(as_json, [dict(zip(header, row, strict=True)) for row in rows], table([header, *rows]))
 
 
-def listing(what: str) -> tuple[tuple[str, ...], Sequence[tuple[str, ...]]]:
+def listing(what: str) -> tuple[Row, list[Row]]:
     """Return the column names and the rows of ``hil list``. Raises BadInputError for an unknown list."""
-    if what == "signals":
-        from hil.core.signals import SIGNALS
-
-        return SIGNALS[0]._fields, [(s.name, s.unit, s.meaning) for s in SIGNALS]
-    if what == "laws":
-        from hil.laws.registry import laws
-
-        return ("law", "package", "meaning"), laws()
-    if what == "references":
-        from hil.references import references
-
-        return ("reference", "package", "meaning"), references()
-    if what == "scenarios":
-        from hil.scenario import shipped
-
-        return ("scenario", "meaning"), list(shipped().items())
-    if what == "links":
-        from hil.wire.url import link_forms
-
-        return ("link", "meaning"), list(link_forms().items())
-    if what == "faults":
-        from hil.faults.kinds import kinds as fault_kinds
-
-        rows = [(k.name, k.acts_on, k.target_words.replace("`", ""), k.unit, k.meaning) for k in fault_kinds()]
-        return ("kind", "acts on", "target", "value", "meaning"), rows
-    if what == "drivers":
-        from hil.scenario.drivers import COLUMNS, driver_rows
-
-        return COLUMNS, driver_rows()
-    known = ("signals", "laws", "references", "scenarios", "links", "faults", "drivers")
-    raise BadInputError(f"there is no list of {what!r}{nearest(what, known)}")
+    if what not in _LISTS:
+        raise BadInputError(f"there is no list of {what!r}{nearest(what, _LISTS)}")
+    header, rows = _LISTS[what]
+    return header, list(rows())

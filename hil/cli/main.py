@@ -11,7 +11,7 @@ import sys
 import typer
 
 from hil.cli.commands import Commands
-from hil.cli.options import drop_output, flush_output
+from hil.cli.output import drop_output, flush_output
 from hil.core.errors import BadInputError, HilError
 
 app = typer.Typer(

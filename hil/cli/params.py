@@ -6,8 +6,8 @@ from typing import Annotated
 
 import typer
 
-from hil.cli.options import Json, print_json
-from hil.cli.report import print_table
+from hil.cli.options import Json, PortOrBus
+from hil.cli.output import print_result, table
 from hil.core.errors import BadInputError
 from hil.core.options import options_of
 from hil.robot.parameters import ParameterClient, assignments
@@ -18,7 +18,7 @@ from hil.wire.url import parse_link
 
 
 def params(
-    link: Annotated[str, typer.Argument(metavar="LINK", help="serial:PATH or can:INTERFACE/CHANNEL")],
+    link: PortOrBus,
     changes: Annotated[list[str] | None, typer.Argument(metavar="[NAME=VALUE]...", help="change these first")] = None,
     store: Annotated[bool, typer.Option("--store", help="keep them across a reset")] = False,
     restore: Annotated[bool, typer.Option("--restore", help="first take the values of the build")] = False,
@@ -42,24 +42,22 @@ def params(
             client.store()
         held = client.read()
         info = client.greet()
-    if as_json:
-        print_json({row.name: row.value for row in held})
-    else:
-        rows = [
-            (
-                row.name,
-                row.type.name.lower(),
-                f"{row.value:.7g}",
-                f"{row.minimum:.7g} to {row.maximum:.7g}",
-                _default_of(row.name),
-            )
-            for row in held
-        ]
-        print_table([("parameter", "type", "value", "range", "default of a scenario"), *rows])
-        print(info.describe())
+    head = ("parameter", "type", "value", "range", "default of a scenario")
+    rows = [
+        (
+            row.name,
+            row.type.name.lower(),
+            f"{row.value:.7g}",
+            f"{row.minimum:.7g} to {row.maximum:.7g}",
+            _default(row.name),
+        )
+        for row in held
+    ]
+    lines = [*table([head, *rows]), info.describe()]
+    print_result(as_json, {row.name: row.value for row in held}, lines)
 
 
-def _default_of(parameter: str) -> str:
+def _default(parameter: str) -> str:
     """Return the default of a parameter in a scenario; "-" if the scenario must give a value."""
     follows = {"watchdog_s": f"{WATCHDOG_PERIODS} command periods", "feedback_period_s": "1 command period"}
     if parameter in follows:

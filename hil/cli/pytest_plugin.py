@@ -163,10 +163,8 @@ def _ended_in_order() -> Iterator[contextlib.ExitStack]:
 def _overrides(config: pytest.Config) -> "Overrides":
     from hil.cli.testing.overrides import Overrides
 
-    option = config.getoption
-    return Overrides(
-        tuple(option("hil_set")), option("hil_mode"), option("hil_link"), option("hil_seed"), option("hil_truth")
-    )
+    mode, link, seed, truth = (config.getoption(f"hil_{name}") for name in ("mode", "link", "seed", "truth"))
+    return Overrides(tuple(config.getoption("hil_set")), mode, link, seed, truth)
 
 
 def _folder(item: pytest.Item, request: pytest.FixtureRequest | None) -> Path | None:

@@ -2,16 +2,18 @@
 
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import typer
 
-from hil.cli.options import Force, Json, print_json
+from hil.cli.options import Force, Json
+from hil.cli.output import print_result, rows, table
 from hil.core.errors import BadInputError
-
-if TYPE_CHECKING:
-    from hil.core.outputs import Existing
-    from hil.review import Change, Difference
+from hil.core.outputs import Existing, existing_files
+from hil.judge.words import belief_rows, figure_rows, link_rows, outcome_rows
+from hil.record.files import check_output_path
+from hil.review import Change, Difference, changes, differences, read, write_trajectory
+from hil.review.figures import figures, read_for_figures
 
 _EVENTS_SHOWN = 8
 _CHANGES_SHOWN = 20
@@ -40,10 +42,6 @@ def review(
     The exit code is 0 whenever the recordings could be read, even if a run failed: it is about the review, not the run.
     Whether the run passed is "passed" in the output of --json.
     """
-    from hil.core.outputs import existing_files
-    from hil.review import changes, differences, read, write_trajectory
-    from hil.review.figures import figures, read_for_figures
-
     existing = existing_files(force=force)
     _check(recordings, existing, {"page": html, "overlay": overlay, "export": export, "trajectory": trajectory})
     needed: Collection[str] = ()
@@ -68,23 +66,18 @@ def review(
 
         write_export(runs[0], export, existing)
     if len(runs) == 1:
-        print_json(found[0]) if as_json else _print_run(found[0])
+        print_result(as_json, found[0], _one(found[0]))
         return
-    rows, changed = differences(*found), changes(*runs)
-    if as_json:
-        table = [row._asdict() for row in rows]
-        print_json({"runs": found, "differences": table, "changes": [change._asdict() for change in changed]})
-    else:
-        _print_two(found, rows, changed)
+    different, changed = differences(*found), changes(*runs)
+    both = {"runs": found, "differences": [row._asdict() for row in different]}
+    print_result(as_json, both | {"changes": [change._asdict() for change in changed]}, _two(found, different, changed))
 
 
-def _check(recordings: Sequence[Path], existing: "Existing", files: Mapping[str, Path | None]) -> None:
+def _check(recordings: Sequence[Path], existing: Existing, files: Mapping[str, Path | None]) -> None:
     """Raise BadInputError for options that do not fit together and for files that cannot be written.
 
     ``files`` are the files to write by kind, None for those not wanted.
     """
-    from hil.record.files import check_output_path
-
     if len(recordings) > 2:
         raise BadInputError(f"{len(recordings)} recordings were given; hil review takes one, or two to compare")
     if (overlay := files["overlay"]) is not None and len(recordings) == 1:
@@ -92,47 +85,38 @@ def _check(recordings: Sequence[Path], existing: "Existing", files: Mapping[str,
     for what in ("export", "trajectory"):
         if files[what] is not None and len(recordings) == 2:
             raise BadInputError(f"--{what} {files[what]}: it is for one run; name one recording")
-    for what, file in files.items():
-        if file is None:
-            continue
+    for what, file in ((what, file) for what, file in files.items() if file is not None):
         if any(file.exists() and recording.exists() and file.samefile(recording) for recording in recordings):
             raise BadInputError(f"{what} {file}: this is one of the reviewed recordings; choose another name")
         check_output_path(what, file, existing)
 
 
-def _print_run(found: Mapping[str, Any]) -> None:
-    """Print the run, why it failed, its events and its figures, on one screen."""
-    from hil.cli import report
-    from hil.judge.words import belief_rows, figure_rows, link_rows, outcome_rows
-
-    report.print_rows(_about(found))
-    report.print_rows([("note", sentence) for sentence in found["notes"]])
+def _one(found: Mapping[str, Any]) -> Iterator[str]:
+    """Yield the run, why it failed, its events and its figures, on one screen."""
+    yield from rows(_about(found))
     passed = found["passed"]
-    report.print_rows([("passed", "not known" if passed is None else "yes" if passed else "no")])
-    if found["failure"] is not None:
-        report.print_rows([("failure", found["failure"])])
-    report.print_rows(outcome_rows(found))
-    report.print_rows(_event_rows(found))
-    print()
-    report.print_rows(figure_rows(found))
-    report.print_rows(belief_rows(found))
-    report.print_rows(link_rows(found))
+    yield from rows([("passed", "not known" if passed is None else "yes" if passed else "no")])
+    yield from rows(_failure(found))
+    yield from rows(outcome_rows(found))
+    yield from rows(_event_rows(found))
+    yield ""
+    yield from rows((*figure_rows(found), *belief_rows(found), *link_rows(found)))
+
+
+def _failure(found: Mapping[str, Any]) -> list[tuple[str, str]]:
+    return [] if found["failure"] is None else [("failure", found["failure"])]
 
 
 def _about(found: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
+    """Yield what ran, when and by which version, and the notes on the recording."""
     made = found["made"]
-    if found["scenario"] is None:
-        return
-    mode = f" in {made['command']} mode" if "command" in made else ""
-    yield (
-        "run",
-        f"{found['scenario']}, {found['law']}{mode}, {found['mode']} over {found['link']}, seed {found['seed']}",
-    )
-    by = " ".join(
-        f"{name} {made[key]}" for name, key in (("version", "mecanum_hil"), ("commit", "commit")) if key in made
-    )
-    if "started" in made:
-        yield "made", f"{made['started']}, {by}"
+    if found["scenario"] is not None:
+        law = f"{found['law']} in {made['command']} mode" if "command" in made else found["law"]
+        yield "run", f"{found['scenario']}, {law}, {found['mode']} over {found['link']}, seed {found['seed']}"
+        by = [f"{name} {made[key]}" for name, key in (("version", "mecanum_hil"), ("commit", "commit")) if key in made]
+        if "started" in made:
+            yield "made", f"{made['started']}, {' '.join(by)}"
+    yield from (("note", sentence) for sentence in found["notes"])
 
 
 def _event_rows(found: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
@@ -147,30 +131,23 @@ def _event_rows(found: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
         yield "event", f"{event['t_s']:.3f} s {event['level']}: {event['text']}"
 
 
-def _print_two(found: Sequence[Mapping[str, Any]], rows: "Sequence[Difference]", changed: "Sequence[Change]") -> None:
-    """Print both runs, every figure of both, and the differences of their scenarios."""
-    from hil.cli import report
-
-    for which, figures in zip(("first", "second"), found, strict=True):
-        report.print_rows([(which, figures["recording"])])
-        report.print_rows(_about(figures))
-        report.print_rows([("note", sentence) for sentence in figures["notes"]])
-        if figures["failure"] is not None:
-            report.print_rows([("failure", figures["failure"])])
-    print()
-    report.print_table([("figure", "first", "second", "difference", "", "the second is"), *map(_difference_row, rows)])
-    for note in dict.fromkeys(f"{row.label}: {note}" for row in rows for note in row.notes):
-        print(f"  {note}")
+def _two(
+    found: Sequence[Mapping[str, Any]], different: Sequence[Difference], changed: Sequence[Change]
+) -> Iterator[str]:
+    """Yield both runs, every figure of both, and the differences of their scenarios."""
+    for which, run in zip(("first", "second"), found, strict=True):
+        yield from rows([(which, run["recording"]), *_about(run), *_failure(run)])
+    head = ("figure", "first", "second", "difference", "", "the second is")
+    yield from ("", *table([head, *map(_difference_row, different)]))
+    yield from dict.fromkeys(f"  {row.label}: {note}" for row in different for note in row.notes)
     if changed:
-        print()
-        rows_of = [one.words() for one in changed[:_CHANGES_SHOWN]]
-        shown = [(key, _short(one), _short(other)) for key, one, other in rows_of]
-        report.print_table([("what is different", "first", "second"), *shown])
+        shown = [(key, *map(_short, values)) for key, *values in (one.words() for one in changed[:_CHANGES_SHOWN])]
+        yield from ("", *table([("what is different", "first", "second"), *shown]))
     if len(changed) > _CHANGES_SHOWN:
-        print(f"{len(changed) - _CHANGES_SHOWN} more; --json and --html have them all")
+        yield f"{len(changed) - _CHANGES_SHOWN} more; --json and --html have them all"
 
 
-def _difference_row(row: "Difference") -> tuple[str, ...]:
+def _difference_row(row: Difference) -> tuple[str, ...]:
     def text(value: float | None, form: str) -> str:
         return "-" if value is None else f"{value * row.scale:{form}} {row.unit}".rstrip()
 

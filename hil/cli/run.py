@@ -1,48 +1,43 @@
 """``hil run``."""
 
+import contextlib
+import shutil
 import sys
+import threading
+from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from hil.cli.options import (
-    LIVE_PORT,
-    AllowMotion,
-    Force,
-    Json,
-    LinkUrl,
-    LivePort,
-    Mode,
-    RobotFile,
-    ScenarioName,
-    Seed,
-    Sets,
-    TraceFile,
-    TruthUrl,
-    end_in_order,
-    flush_output,
-    print_json,
-)
+from hil.cli import options as o
+from hil.cli.output import end_in_order, flush_output, print_json, print_result, rows, table, warn
 from hil.core.errors import DeviceError, LinkError, RunInterruptedError
+
+if TYPE_CHECKING:
+    from hil.judge.results import RunResult
+    from hil.runtime.assembly import Watch
+    from hil.runtime.loop import Loop
+
+_REFRESH_HZ = 10
 
 
 def run(
     context: typer.Context,
-    scenario: ScenarioName,
-    mode: Mode = None,
-    link: LinkUrl = None,
-    truth: TruthUrl = None,
-    robot: RobotFile = None,
+    scenario: o.ScenarioName,
+    mode: o.Mode = None,
+    link: o.LinkUrl = None,
+    truth: o.TruthUrl = None,
+    robot: o.RobotFile = None,
     record: Annotated[
         str | None, typer.Option(metavar="FILE|none", help="recording (.rrd, .mcap); by default runs/SCENARIO-TIME.rrd")
     ] = None,
     rotate: Annotated[
         str | None, typer.Option(metavar="SIZE|TIME", help="record on in another file, as in 1GB, 10min or '1GB|10min'")
     ] = None,
-    trace: TraceFile = None,
+    trace: o.TraceFile = None,
     live: Annotated[bool, typer.Option("--live", help="serve live viewers on 127.0.0.1 while it runs")] = False,
-    live_port: LivePort = LIVE_PORT,
+    live_port: o.LivePort = o.LIVE_PORT,
     stream: Annotated[
         str | None,
         typer.Option(
@@ -51,11 +46,11 @@ def run(
             "is given",
         ),
     ] = None,
-    seed: Seed = None,
-    sets: Sets = None,
-    force: Force = False,
-    allow_motion: AllowMotion = False,
-    as_json: Json = False,
+    seed: o.Seed = None,
+    sets: o.Sets = None,
+    force: o.Force = False,
+    allow_motion: o.AllowMotion = False,
+    as_json: o.Json = False,
 ) -> None:
     """Run a scenario and judge it."""
     from hil.record import Rotation, early_recorder, rotation
@@ -65,19 +60,20 @@ def run(
     # First, because the recorder process takes as long to import its modules as this one.
     make_recording = context.with_resource(early_recorder(suffix, live=live))
 
-    from hil.cli import report
     from hil.core.outputs import existing_files
+    from hil.record.files import new_in_runs
     from hil.runtime.assembly import RunOptions, run_scenario
     from hil.scenario import load
 
     resolved = load(scenario, set=sets or [], robot=robot, mode=mode, link=link, seed=seed)
     parts = rotation(rotate) if rotate is not None else Rotation()
-    path = report.recording_path(resolved.name, record)
-    watch = None if as_json or not sys.stderr.isatty() else report.progress(resolved.loop.duration_s)
-    linger = None
+    if record is None:
+        path: Path | None = new_in_runs(resolved.name, ".rrd", "name a file with --record, or --record none")
+    else:
+        path = None if record == "none" else Path(record)
+    is_watched = sys.stderr.isatty() and not as_json
     if live:
-        report.announce_live(live_port)
-        linger = report.linger if sys.stderr.isatty() and not as_json else None
+        _announce_live(live_port)
     try:
         result = run_scenario(
             resolved,
@@ -90,9 +86,9 @@ def run(
                 live_port=live_port if live else None,
                 stream=stream,
                 allow_motion=allow_motion,
-                watch=watch,
-                warn=report.warn,
-                linger=linger,
+                watch=_progress(resolved.loop.duration_s) if is_watched else None,
+                warn=warn,
+                linger=_linger if live and is_watched else None,
                 on_stuck=_print_stuck if as_json else None,
                 make_recording=make_recording,
                 keep_signals=False,
@@ -105,10 +101,7 @@ def run(
         if as_json:
             print_json({"passed": False, "failure": str(error)})
         raise
-    if as_json:
-        print_json(result.metrics)
-    else:
-        report.print_result(result)
+    print_result(as_json, result.metrics, _lines(result))
     if result.failure is not None:
         print(f"hil: {result.failure}", file=sys.stderr)
     raise typer.Exit(result.exit_code)
@@ -118,3 +111,87 @@ def _print_stuck(sentence: str) -> None:
     """Print the JSON of a run before its stuck law ends this process."""
     print_json({"passed": False, "failure": sentence})
     flush_output()
+
+
+def _progress(duration_s: float) -> "Watch":
+    """Return a context manager that shows a progress bar on stderr during a run."""
+    from rich.console import Console
+    from rich.live import Live
+    from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+
+    @contextlib.contextmanager
+    def watch(loop: "Loop") -> Iterator[None]:
+        text = TextColumn("{task.completed:6.2f} s of {task.total:g} s")
+        bar = Progress(text, BarColumn(), TimeRemainingColumn(), auto_refresh=False)
+        task = bar.add_task("run", total=duration_s)
+
+        def updated() -> Progress:
+            bar.update(task, completed=loop.t_s)
+            return bar
+
+        with Live(get_renderable=updated, console=Console(stderr=True), transient=True, refresh_per_second=_REFRESH_HZ):
+            yield
+
+    return watch
+
+
+def _announce_live(port: int) -> None:
+    """Print on stderr how to open a viewer; open one if stderr is a terminal and there is a display."""
+    from hil.record.viewer import live_hint, show_live
+
+    print(live_hint(port), file=sys.stderr)
+    if sys.stderr.isatty():
+        show_live(port)
+
+
+def _linger() -> None:
+    """Wait for Ctrl-C, because a run in lockstep is over before a viewer has opened."""
+    print("done; live viewers are served until Ctrl-C", file=sys.stderr)
+    with contextlib.suppress(KeyboardInterrupt):
+        threading.Event().wait()
+
+
+def _lines(result: "RunResult") -> Iterator[str]:
+    """Yield the figures of a run, its expectations, and the next commands to use."""
+    from hil.judge.words import recorded_at
+
+    yield from rows(_rows(result.metrics))
+    # The command as this user can call it: its path if it is in a virtual environment that is not activated.
+    called = Path(sys.argv[0])
+    hil = "hil" if shutil.which("hil") or called.name != "hil" else called
+    hints = [(f"  {hil} show {result.scenario.path or result.scenario.name}", "# every value and where it came from")]
+    recorded = result.metrics.get("recorded")
+    path = None if recorded is None else recorded_at(recorded, result.metrics["recording"])
+    if path is not None:
+        hints.insert(0, (f"  {hil} review {path}", "# how it went, from the recording alone"))
+        if path.endswith(".rrd"):
+            hints.insert(0, (f"  {hil} view {path}", "# see it in the rerun viewer; --web for a browser"))
+    yield from ("", "Next:", *table(hints))
+
+
+def _rows(metrics: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
+    """Yield the figures of a run (or why one is missing), its expectations, and whether it passed."""
+    from hil.judge.words import belief_rows, figure_rows, link_rows, outcome_rows
+
+    yield from (*figure_rows(metrics), *belief_rows(metrics), *link_rows(metrics))
+    for sentence in (metrics.get("reference") or {}).get("warnings", ()):
+        yield "warning", sentence
+    yield from outcome_rows(metrics)
+    if (trace := metrics.get("trace")) is not None:
+        yield "trace", trace["trouble"] or f"{trace['frames']} frames in {trace['path']}"
+    if (stream := metrics.get("streamed")) is not None:
+        yield "stream", _streamed(stream)
+    if (passed := metrics.get("passed")) is not None:
+        yield "passed", "yes" if passed else "no"
+
+
+def _streamed(stream: Mapping[str, Any]) -> str:
+    """Return a text on the result of a stream."""
+    if stream["sent"] is None:
+        return f"to {stream['url']} incomplete: {stream['error']}"
+    text = f"{stream['sent']} datagrams to {stream['url']}"
+    if stream["lost"]:
+        text += f", {stream['lost']} lost: {stream['error']}"
+    if stream["rows_dropped"]:
+        text += f", {stream['rows_dropped']} rows dropped: the sender was too slow"
+    return text

@@ -29,9 +29,8 @@ def teleop(
     if sys.platform == "win32":
         raise BadInputError("teleop needs a terminal of Linux or macOS; on Windows, run it in WSL")
     from hil.service.client import find
-    from hil.service.teleop.drive import teleop as drive
+    from hil.service.teleop.drive import teleop as drive  # it needs a terminal that Windows does not have
     from hil.service.teleop.operator import Speeds
 
-    client = find(url, port, token_file)
     speeds = Speeds(speed_m_s, yaw_rate_rad_s)
-    print(drive(client, speeds, gamepad=gamepad, dead_zone=dead_zone, expo=expo))
+    print(drive(find(url, port, token_file), speeds, gamepad=gamepad, dead_zone=dead_zone, expo=expo))

@@ -7,12 +7,13 @@ from pathlib import Path as FilePath
 from typing import Any, cast, get_args
 
 from hil.core.errors import BadInputError, near, nearest
-from hil.core.options import OptionsError, Problem, build, options_of
+from hil.core.options import ABSENT, OptionsError, Problem, build, options_of
 from hil.core.signals import INDEX
 from hil.references import make_reference
 from hil.scenario import layers, motors
 from hil.scenario.laws import make_laws
 from hil.scenario.layers import Given, Node, Path, Tree, leaves
+from hil.scenario.run import values
 from hil.scenario.tables import RATES_HZ, Tables
 from hil.scenario.trial import REALTIME_ALLOW
 
@@ -42,8 +43,9 @@ def check(tree: Tree, scenario: str, directory: FilePath) -> Tables:
     """
     try:
         tables = build(Tables, cast("Mapping[str, object]", layers.plain(tree)))
+        given = dict(values(tables))
         for found in (_contradictions(tables), _unknown_signals(tables, directory)):
-            if problems := [Problem(tuple(key.split(".")), "value", words, value) for key, value, words in found]:
+            if problems := [Problem(tuple(k.split(".")), "value", words, given.get(k, ABSENT)) for k, words in found]:
                 raise OptionsError(problems)
         make_reference(tables.reference.kind, tables.reference.options, directory)
     except OptionsError as error:
@@ -64,10 +66,8 @@ def describe(problems: Sequence[Problem], tree: Tree, scenario: str) -> list[str
             # A table may be given in many files, but a row of an array is given in one place.
             where = place(tree, path[:2], scenario) if len(path) > 2 and path[1].isdigit() else scenario
             if path in _TABLES:
-                words = (
-                    f'the table [{layers.dotted(path)}] is missing; write it, or start with extends = "paper_circle"'
-                )
-                sentences.append(f"{where}: {words}")
+                table = f"the table [{layers.dotted(path)}]"
+                sentences.append(f'{where}: {table} is missing; write it, or start with extends = "paper_circle"')
                 continue
         else:
             where = place(tree, path, scenario)
@@ -98,24 +98,17 @@ def place(tree: Tree, path: Path, scenario: str) -> str:
 
 def _did_you_mean(path: Path) -> str:
     """Return the hint for an unknown key: its name in another table, or the nearest one here or anywhere."""
-    table, name = tuple(part for part in _without_signal(path)[:-1] if not part.isdigit()), path[-1]
-    elsewhere = {
-        key: layers.dotted((*other, key))
-        for other, names in _TABLES.items()
-        if other not in ((), _MAP)
-        for key in names
-    }
+    if path[:2] == _MAP:  # every row of [plant.map] has the same keys
+        path = (*_MAP, *path[3:])
+    table, name = tuple(part for part in path[:-1] if not part.isdigit()), path[-1]
+    others = {other: names for other, names in _TABLES.items() if other not in ((), _MAP)}
+    elsewhere = {key: layers.dotted((*other, key)) for other, names in others.items() for key in names}
     here = _TABLES.get(table, ())
     if name in elsewhere:
         return f"; did you mean {elsewhere[name]!r}?"
     if not near(name, here) and (found := near(name, elsewhere)):
         return f"; did you mean {' or '.join(repr(elsewhere[one]) for one in found)}?"
     return nearest(name, here)
-
-
-def _without_signal(path: Path) -> Path:
-    """Return the path without the key of a row of ``[plant.map]``: every row has the same keys."""
-    return (*_MAP, *path[3:]) if path[:2] == _MAP else path
 
 
 def _keys(kind: Any, path: Path = ()) -> Iterator[tuple[Path, tuple[str, ...]]]:
@@ -132,57 +125,41 @@ _MAP = ("plant", "map")
 _TABLES = dict(_keys(Tables))
 
 
-def _unknown_signals(tables: Tables, directory: FilePath) -> Iterator[tuple[str, object, str]]:
-    """Yield key, value and message for each row that names a signal which the run does not have."""
-    named = [(f"expect.{index}.signal", row.signal) for index, row in enumerate(tables.expect)]
-    named += [
-        (f"fault.{index}.target", table.target)
-        for index, table in enumerate(tables.fault)
-        if table.row.acts_on == "signal"
-    ]
-    if all(name in INDEX for _, name in named):
+def _unknown_signals(tables: Tables, directory: FilePath) -> Iterator[tuple[str, str]]:
+    """Yield key and message for each row that names a signal which the run does not have."""
+    named = {f"expect.{i}.signal": row.signal for i, row in enumerate(tables.expect)}
+    named |= {
+        f"fault.{i}.target": table.target for i, table in enumerate(tables.fault) if table.row.acts_on == "signal"
+    }
+    if INDEX.keys() >= set(named.values()):
         return
-    # Only when needed, because it runs the code of third-party laws.
-    known = make_laws(tables, directory).signals
-    for key, name in named:
+    known = make_laws(tables, directory).signals  # only when needed, because it runs the code of third-party laws
+    for key, name in named.items():
         if name not in known:
             hint = nearest(name, known)  # the names of all signals are too long for a message
             hint = hint if "did you mean" in hint else "; `hil list signals` prints them all"
-            yield key, name, f"expected the name of a signal{hint}"
+            yield key, f"expected the name of a signal{hint}"
 
 
-def _contradictions(tables: Tables) -> Iterator[tuple[str, object, str]]:
-    """Yield key, value and message of values that contradict each other."""
+def _contradictions(tables: Tables) -> Iterator[tuple[str, str]]:
+    """Yield key and message of values that contradict each other."""
     estimator, firmware, loop, robot = tables.estimator, tables.firmware, tables.loop, tables.robot
     shadows = tables.controller.shadow_names
     for name in sorted({name for name in shadows if shadows.count(name) > 1}):
-        yield (
-            "controller.shadow",
-            tables.controller.shadow,
-            f"expected one law of the name {name!r}, by which its signals are named; remove the others",
-        )
-    for name, gains in tables.controller.shadow_gains.items():
+        words = f"expected one law of the name {name!r}, by which its signals are named; remove the others"
+        yield "controller.shadow", words
+    for name in tables.controller.shadow_gains:
         if name not in shadows:
-            yield f"controller.shadow_gains.{name}", gains, f"there is no such shadow{nearest(name, shadows)}"
+            yield f"controller.shadow_gains.{name}", f"there is no such shadow{nearest(name, shadows)}"
     period_s = 1.0 / loop.rate_hz
     if firmware.watchdog_s <= period_s:
-        yield (
-            "firmware.watchdog_s",
-            firmware.watchdog_s,
-            f"expected more than the command period of {period_s:g} s, or every command would come too late",
-        )
-    if firmware.overspeed_rad_s <= robot.speed_limit_rad_s:
-        yield (
-            "firmware.overspeed_rad_s",
-            firmware.overspeed_rad_s,
-            f"expected more than robot.speed_limit_rad_s = {robot.speed_limit_rad_s:g}, "
-            "or the robot would trip at a speed that may be commanded",
-        )
+        words = f"expected more than the command period of {period_s:g} s, or every command would come too late"
+        yield "firmware.watchdog_s", words
+    if (limit := robot.speed_limit_rad_s) >= firmware.overspeed_rad_s:
+        words = f"expected more than robot.speed_limit_rad_s = {limit:g}, or the robot would trip at a permitted speed"
+        yield "firmware.overspeed_rad_s", words
     if tables.device.is_makers:
         yield from motors.contradictions(tables)
     if estimator.source == "fused" and estimator.fix != "simulated" and loop.mode == "lockstep":
-        yield (
-            "estimator.fix",
-            estimator.fix,
-            'expected "simulated" in lockstep: no other program follows its time; or give loop.mode = "realtime"',
-        )
+        words = 'expected "simulated" in lockstep: no other program follows its time; or give loop.mode = "realtime"'
+        yield "estimator.fix", words

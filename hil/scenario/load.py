@@ -17,7 +17,7 @@ from hil.laws.registry import give_law
 from hil.scenario import layers
 from hil.scenario.check import check, derived
 from hil.scenario.layers import Given, Tree
-from hil.scenario.run import Scenario, scenario_of, values
+from hil.scenario.run import Scenario, values
 from hil.scenario.toml_text import key_lines, parse, parse_value
 from hil.scenario.values import is_path
 
@@ -101,8 +101,8 @@ class Sources(NamedTuple):
         tree = layers.merge(derived(tree), _rebase(tree, folder or Path.cwd(), directory, only=_SET))
         tables = check(tree, f"scenario {self.file.display}", directory)
         where = {layers.dotted(path): given.where for path, given in layers.leaves(tree)}
-        return scenario_of(
-            tables,
+        return Scenario(
+            **vars(tables),
             name=self.file.path.name.removesuffix(TEST_SUFFIX).removesuffix(_SUFFIX),
             path=None if directory == SHIPPED_DIRECTORY else self.file.path,
             directory=directory,

@@ -53,55 +53,36 @@ def make_driver(tables: Tables) -> Driver:
     return registry.make_driver(tables.device.driver, tables.device.settings, robot_facts(tables))
 
 
-def contradictions(tables: Tables) -> Iterator[tuple[str, object, str]]:
-    """Yield key, value and message for everything in the scenario that the motor controllers cannot do."""
-    device, title = tables.device, dialect(tables.device.driver).title
-    wires = dialect(device.driver).wires
+def contradictions(tables: Tables) -> Iterator[tuple[str, str]]:
+    """Yield key and message for everything in the scenario that the motor controllers cannot do."""
+    device, title, wires = tables.device, dialect(tables.device.driver).title, dialect(tables.device.driver).wires
     if wire_of(parse_link(tables.link.url), wires) not in wires:
-        yield "link.url", tables.link.url, f"expected for {title} {' or '.join(_WIRES[wire] for wire in sorted(wires))}"
+        yield "link.url", f"expected for {title} {' or '.join(_WIRES[wire] for wire in sorted(wires))}"
     if device.guardian_s * tables.loop.rate_hz < _GUARDIAN_PERIODS:
-        yield (
-            "device.guardian_s",
-            device.guardian_s,
-            f"expected at least {_GUARDIAN_PERIODS} command periods of {1.0 / tables.loop.rate_hz:g} s, or a command "
-            "that is a little late would be taken for silence",
-        )
+        periods = f"{_GUARDIAN_PERIODS} command periods of {1.0 / tables.loop.rate_hz:g} s"
+        words = f"expected at least {periods}, or a command that is a little late would be taken for silence"
+        yield "device.guardian_s", words
     can = make_driver(tables).capabilities
     if tables.controller.mode not in can.modes:
         able = " or ".join(f'"{mode.name.lower()}"' for mode in sorted(can.modes))
-        yield "controller.command", tables.controller.command, f"{title} takes {able} alone"
+        yield "controller.command", f"{title} takes only {able}"
     if can.feedback_hz * tables.firmware.watchdog_s <= 1.0:
-        yield (
-            "firmware.watchdog_s",
-            tables.firmware.watchdog_s,
-            f"expected more than the {1.0 / can.feedback_hz:g} s between two feedbacks of {title}, or the robot would "
-            "always be held",
-        )
-    for index, fault in enumerate(tables.fault):
+        gap = f"the {1.0 / can.feedback_hz:g} s between two feedbacks of {title}"
+        yield "firmware.watchdog_s", f"expected more than {gap}, or the robot would always be held"
+    signals = {}
+    for i, fault in enumerate(tables.fault):
+        if fault.row.acts_on == "signal":
+            signals[f"fault.{i}.target"] = fault.target
         if fault.row.acts_on == "link" and fault.target in MESSAGES:
-            yield (
-                f"fault.{index}.target",
-                fault.target,
-                f'this message is of our firmware, not of {title}, so the fault could never act; take "command" or '
-                '"feedback"',
-            )
+            words = f'this message is of our firmware, not of {title}; take "command" or "feedback"'
+            yield f"fault.{i}.target", words
         if fault.kind == "gyro_bias" and "gyro" not in can.sensors:
-            yield (
-                f"fault.{index}.kind",
-                fault.kind,
-                f"{title} as it is set up has no gyro, so the fault could never act; remove the row",
-            )
-    of_faults = [(f"fault.{i}.target", row.target) for i, row in enumerate(tables.fault) if row.row.acts_on == "signal"]
-    of_expectations = [(f"expect.{i}.signal", row.signal) for i, row in enumerate(tables.expect)]
-    for key, signal in of_faults + of_expectations:
-        sensor = _SENSOR_OF.get(signal)
-        if sensor is not None and sensor not in can.sensors:
-            yield (
-                key,
-                signal,
-                f"{title} as it is set up does not measure it; remove the row (`hil list drivers` shows who measures "
-                "what)",
-            )
+            yield f"fault.{i}.kind", f"{title} as it is set up has no gyro to act on; remove the row"
+    signals |= {f"expect.{i}.signal": row.signal for i, row in enumerate(tables.expect)}
+    for key, signal in signals.items():
+        if signal in _SENSOR_OF and _SENSOR_OF[signal] not in can.sensors:
+            hint = "remove the row (`hil list drivers` shows who measures what)"
+            yield key, f"{title} as it is set up does not measure it; {hint}"
 
 
 def wire_of(url: LinkUrl, wires: Collection[Wire]) -> Wire:

@@ -121,19 +121,6 @@ def to_plain(scenario: Scenario) -> dict[str, Any]:
 
 def from_plain(given: Mapping[str, Any]) -> Scenario:
     """Return the scenario from the values that ``to_plain`` returned."""
-    path = given["path"]
-    return scenario_of(
-        build(Tables, given["tables"]),
-        name=given["name"],
-        path=None if path is None else Path(path),
-        directory=Path(given["directory"]),
-        provenance=given["provenance"],
-    )
-
-
-def scenario_of(
-    tables: Tables, *, name: str, path: Path | None, directory: Path, provenance: Mapping[str, str]
-) -> Scenario:
-    """Return the scenario of these tables."""
-    shared = {key: getattr(tables, key) for key in options_of(Tables)}
-    return Scenario(**shared, name=name, path=path, directory=directory, provenance=provenance)
+    path = None if given["path"] is None else Path(given["path"])
+    tables, directory = build(Tables, given["tables"]), Path(given["directory"])
+    return Scenario(**vars(tables), name=given["name"], path=path, directory=directory, provenance=given["provenance"])

@@ -3,6 +3,7 @@
 import contextlib
 import shlex
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
@@ -17,16 +18,16 @@ from hil.scenario.values import is_path
 Set = Mapping[str, object] | Sequence[str]
 
 
+@dataclass
 class StartRobot:
     """Fixture ``virtual_robot``: starts virtual robots, each in its own process, and ends them after the test.
 
     A scenario is a shipped name or a path; a relative path starts from the folder of the test file.
     """
 
-    def __init__(self, folder: Path, overrides: Overrides, resources: contextlib.ExitStack) -> None:
-        self._folder = folder
-        self._overrides = overrides
-        self._resources = resources
+    folder: Path
+    overrides: Overrides
+    resources: contextlib.ExitStack
 
     def __call__(
         self,
@@ -44,21 +45,21 @@ class StartRobot:
         Raises BadInputError for a wrong scenario or option, DeviceError when the robot does not become ready.
         """
         __tracebackhide__ = True
-        overrides = self._overrides.changed(set, mode, link, seed)
+        overrides = self.overrides.changed(set, mode=mode, link=link, seed=seed)
         try:
-            robot = RobotProcess(overrides.load(located(scenario, self._folder)), overrides)
+            robot = RobotProcess(overrides.load(located(scenario, self.folder)), overrides)
         except HilError as error:
             raise error.with_traceback(None) from None  # without frames of this package
-        self._resources.callback(_end, robot)
+        self.resources.callback(_end, robot)
         return robot
 
 
+@dataclass
 class OpenLink:
     """Fixture ``hil_link``: opens links to virtual robots, and closes them after the test."""
 
-    def __init__(self, start_robot: StartRobot, resources: contextlib.ExitStack) -> None:
-        self._start_robot = start_robot
-        self._resources = resources
+    start_robot: StartRobot
+    resources: contextlib.ExitStack
 
     def __call__(
         self,
@@ -74,13 +75,14 @@ class OpenLink:
         """
         __tracebackhide__ = True
         try:
-            link = RobotLink(self._start_robot(robot, set=set, mode=mode) if isinstance(robot, str | Path) else robot)
+            link = RobotLink(self.start_robot(robot, set=set, mode=mode) if isinstance(robot, str | Path) else robot)
         except HilError as error:
             raise error.with_traceback(None) from None
-        self._resources.callback(link.close)
+        self.resources.callback(link.close)
         return link
 
 
+@dataclass
 class RunScenario:
     """Fixture ``hil_run``: runs scenarios as ``hil.run`` does, and adds their figures to the test's properties in the
     pytest report.
@@ -88,11 +90,10 @@ class RunScenario:
     A scenario is a shipped name or a path; a relative path starts from the folder of the test file.
     """
 
-    def __init__(self, item: pytest.Item, overrides: Overrides, recording: Callable[[str], Path | None]) -> None:
-        self._item = item
-        self._overrides = overrides
-        self._recording = recording
-        self._runs = 0
+    item: pytest.Item
+    overrides: Overrides
+    recording: Callable[[str], Path | None]
+    runs: int = 0
 
     def __call__(
         self,
@@ -126,22 +127,22 @@ class RunScenario:
         __tracebackhide__ = True
         if on is not None:
             mode, link, truth = mode or on.mode, link or on.link, truth or on.truth
-        overrides = self._overrides.changed(set, mode, link, seed, truth)
+        overrides = self.overrides.changed(set, mode=mode, link=link, seed=seed, truth=truth)
         try:
-            loaded = overrides.load(located(scenario, self._item.path.parent))
+            loaded = overrides.load(located(scenario, self.item.path.parent))
         except HilError as error:
             raise (pytest.fail.Exception(str(error)) if check else error.with_traceback(None)) from None
-        self._runs += 1
-        number = "" if self._runs == 1 else f"-{self._runs}"
-        recording = self._recording(f"{loaded.name}{number}") if record else None
+        self.runs += 1
+        number = "" if self.runs == 1 else f"-{self.runs}"
+        recording = self.recording(f"{loaded.name}{number}") if record else None
         # A robot that the test started ends with the test, so only the test can be repeated.
-        repeat = overrides.command(loaded) if on is None else shlex.join(["pytest", self._item.nodeid])
-        verdict = run_as_test(loaded, overrides.truth, recording, repeat, self._item.config)
-        self._item.user_properties += [(f"hil{number}.{name}", value) for name, value in verdict.properties()]
+        repeat = overrides.command(loaded) if on is None else shlex.join(["pytest", self.item.nodeid])
+        verdict = run_as_test(loaded, overrides.truth, recording, repeat, self.item.config)
+        self.item.user_properties += [(f"hil{number}.{name}", value) for name, value in verdict.properties()]
         if not verdict.passed:
             if check:
                 pytest.fail(verdict.text())
-            self._item.add_report_section("call", "hil", verdict.text())
+            self.item.add_report_section("call", "hil", verdict.text())
         if verdict.result is None:
             assert verdict.error is not None
             raise verdict.error.with_traceback(None)

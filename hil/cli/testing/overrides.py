@@ -5,7 +5,7 @@ import shlex
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Self
+from typing import Any, Self
 
 from hil.scenario import Scenario, load, set_texts
 
@@ -31,20 +31,13 @@ class Overrides:
     def changed(
         self,
         set: Mapping[str, object] | Sequence[str] = (),  # noqa: A002 - the name of the option
-        mode: str | None = None,
-        link: str | None = None,
-        seed: int | None = None,
-        truth: str | None = None,
+        **given: str | int | None,
     ) -> Self:
-        """Return these overrides with others on top. A truth belongs to its link: another link drops it."""
-        return replace(
-            self,
-            set=(*self.set, *set_texts(set)),
-            mode=self.mode if mode is None else mode,
-            link=self.link if link is None else link,
-            seed=self.seed if seed is None else seed,
-            truth=self.truth if truth is None and link is None else truth,
-        )
+        """Return these overrides with others on top; None changes nothing. Another link drops the truth of this one."""
+        changes: dict[str, Any] = {name: value for name, value in given.items() if value is not None}
+        if "link" in changes:
+            changes.setdefault("truth", None)
+        return replace(self, set=(*self.set, *set_texts(set)), **changes)
 
     def load(self, scenario: str | Path) -> Scenario:
         """Return the scenario with these changes. Raises BadInputError as ``hil.scenario.load`` does."""

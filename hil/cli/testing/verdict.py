@@ -129,10 +129,8 @@ def _link_figures(metrics: Mapping[str, Any]) -> Iterator[tuple[str, float | Non
         yield f"{way}_bytes", link[way]["bytes"]
     yield "lost_snapshots", link["lost"]["snapshots"]
     yield "rejected", sum(link["rejected"].values())
-    yield (
-        "worst_load_percent",
-        max((load["worst_100_ms_percent"] for load in (link["load"] or {}).values()), default=None),
-    )
+    loads = (load["worst_100_ms_percent"] for load in (link["load"] or {}).values())
+    yield "worst_load_percent", max(loads, default=None)
     for name, figure in (("round_trip", link["round_trip_ms"]), ("feedback_age", link["feedback_age_ms"])):
         for share in ("p50", "p99"):
             yield f"{name}_{share}_ms", None if figure is None else figure[share]
