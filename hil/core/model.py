@@ -26,8 +26,8 @@ FRICTION_SPEED_RAD_S = 0.3
 class RobotModel:
     """``[robot]`` of a scenario: the parameters of the controller's model, and quantities computed from them.
 
-    Symbols are those of the paper. The bounds of the two limits are the largest values that WHEEL_COMMAND and
-    TORQUE_COMMAND can carry; the other bounds detect a wrong unit. Raises OptionsError for a number out of its range.
+    Symbols are those of the paper. The speed and torque limits are at most what WHEEL_COMMAND and TORQUE_COMMAND can
+    carry; the other bounds detect a wrong unit. Raises OptionsError for a number out of its range.
     """
 
     mass_kg: Annotated[float, Range(gt=0, le=10_000), "mass with wheels"]

@@ -34,10 +34,10 @@ def _fmu(fmu: str) -> str:
 class MapRow:
     """A row of ``[plant.map]``: the FMU's variable of a signal; signal = sign * scale * variable + offset."""
 
-    name: Annotated[Text, "of the FMU's variable; by default the signal's own"] = ""
-    scale: Annotated[float, Range(gt=0), "units of the signal in one of the variable's"] = 1.0
-    offset: Annotated[float, "the signal where the variable is 0"] = 0.0
-    sign: Annotated[Literal[1, -1], "-1 where the FMU counts the other way"] = 1
+    name: Annotated[Text, "name of the FMU's variable; by default that of the signal"] = ""
+    scale: Annotated[float, Range(gt=0), "units of the signal per unit of the variable"] = 1.0
+    offset: Annotated[float, "value of the signal when the variable is 0"] = 0.0
+    sign: Annotated[Literal[1, -1], "-1 if the FMU counts in the other direction"] = 1
 
 
 @dataclass(frozen=True)
@@ -45,16 +45,14 @@ class PlantTable:
     """``[plant]``: the simulation that takes the place of a real robot."""
 
     fmu: Annotated[Text, _fmu, "a shipped name, or a path relative to this file"] = "mecanum"
-    timeout_s: Annotated[float, Range(ge=0.05, le=3600), "silence of a foreign FMU that counts as hung"] = 2.0
-    memory_limit_mb: Annotated[
-        float, Range(ge=50, le=1e6), "memory of a foreign FMU's process at which it is ended"
-    ] = 2000.0
+    timeout_s: Annotated[float, Range(ge=0.05, le=3600), "silence after which a foreign FMU counts as hung"] = 2.0
+    memory_limit_mb: Annotated[float, Range(ge=50, le=1e6), "memory above which a foreign FMU is ended"] = 2000.0
     map: Annotated[
         Mapping[Annotated[str, _signal_of_plant], MapRow],
-        "the FMU's variables of the signals that it does not have by their own names",
+        "the FMU's variables for signals whose names it does not have",
     ] = field(default_factory=dict)
     start: Annotated[
-        Mapping[Text, Start], "FMU variables where the truth differs from [robot], or that only the plant has"
+        Mapping[Text, Start], "start values of FMU variables that differ from [robot], or that only the plant has"
     ] = field(default_factory=dict)
 
     def __post_init__(self) -> None:

@@ -1,8 +1,8 @@
-"""The tables of a scenario: every key once, with the unit in its name, its range, default and meaning.
+"""The tables of a scenario: each key with the unit in its name, its range, default and meaning.
 
 A table that only one package uses is defined there: [robot] in ``hil.core.model``, [estimator] in ``hil.estimation``. A
-key without a default has to be given: what describes the robot, its firmware and the run is never guessed. Ranges
-follow physical sense and refuse values in the wrong unit: a wheel radius of 75 is in millimetres.
+key without a default must be given: facts about the robot, its firmware and the run are never guessed. Ranges refuse
+values in a wrong unit: a wheel radius of 75 is in millimetres.
 """
 
 from collections.abc import Mapping
@@ -84,26 +84,26 @@ class FirmwareTable:
     torque_constant_n_m_a: Annotated[
         float, Range(ge=0.001, le=100), "torque at the wheel for one ampere, and back-EMF for one rad/s"
     ]
-    motor_resistance_ohm: Annotated[float, Range(ge=0.001, le=1000), "what the current loop believes"] = 0.6
-    motor_inductance_h: Annotated[float, Range(ge=1e-06, le=10), "what the current loop believes"] = 5e-4
+    motor_resistance_ohm: Annotated[float, Range(ge=0.001, le=1000), "that the current loop assumes"] = 0.6
+    motor_inductance_h: Annotated[float, Range(ge=1e-06, le=10), "that the current loop assumes"] = 5e-4
     current_limit_a: Annotated[
-        float, Range(ge=0, le=21), "of one motor; all four are scaled together, 1.5 times is a fault"
+        float, Range(ge=0, le=21), "of one motor; all four are scaled together; 1.5 times the limit is a fault"
     ] = 20.0
     current_bandwidth_rad_s: Annotated[float, Range(ge=10, le=5000), "of the current loop"] = 1000.0
     temperature_limit_degc: Annotated[
-        float, Range(ge=0, le=200), "of a winding: a fault; from 15 below all four wheels are scaled"
+        float, Range(ge=0, le=200), "winding temperature that is a fault; from 15 K below it all four wheels are scaled"
     ] = 120.0
-    undervoltage_v: Annotated[float, Range(ge=0, le=200), "a battery below this is a fault; 0 for never"] = 0.0
+    undervoltage_v: Annotated[float, Range(ge=0, le=200), "a battery voltage below this is a fault; 0 for never"] = 0.0
     tracking_bandwidth_rad_s: Annotated[float, Range(ge=1, le=500), "of the filter that estimates speed"] = 150.0
     speed_kp_n_m_s_rad: Annotated[float, Range(ge=0, le=100), "speed loop, proportional"] = 1.1
     speed_ki_n_m_rad: Annotated[float, Range(ge=0, le=10000), "speed loop, integral"] = 25.0
     watchdog_s: Annotated[
         Milliseconds, Range(ge=0.02, le=0.1), "silence that stops the wheels; by default 5 command periods"
     ] = 0.1
-    ramp_s: Annotated[Milliseconds, Range(ge=0.001, le=2), "from the set point in force to zero"] = 0.2
+    ramp_s: Annotated[Milliseconds, Range(ge=0.001, le=2), "duration of the ramp from the set point to zero"] = 0.2
     overspeed_rad_s: Annotated[float, Range(ge=1, le=127), "wheel speed that is a fault"] = 100.0
     encoder_fault_s: Annotated[
-        float, Range(ge=0.02, le=1), "an encoder that stands still or counts backward for so long is a fault"
+        float, Range(ge=0.02, le=1), "an encoder that stands still or counts backward for this time is a fault"
     ] = 0.1
 
 
@@ -120,9 +120,7 @@ class DeviceTable:
     )
     reversed: Annotated[tuple[Wheel, ...], _at_most_once, "wheels whose motor turns the other way"] = ()
     guardian_s: Annotated[
-        float,
-        Range(ge=0.1, le=2),
-        "silence of the host after which another process stops motors that drive on (GUARDIAN.md)",
+        float, Range(ge=0.1, le=2), "silence of the host after which a guardian process stops the motors (GUARDIAN.md)"
     ] = 0.3
     motors: Annotated[
         Mapping[Text, Setting], "settings of the driver for third-party motor controllers (DRIVERS.md)"
@@ -172,11 +170,11 @@ class ControllerTable:
 
     law: Annotated[Text, "a shipped name, ./my_law.py:MyLaw or package.module:Class"]
     command: Annotated[Literal["speed", "torque"], "the command of the wheels; fixed at arming"] = "speed"
-    gains: Annotated[Mapping[Text, AnyOption], "the law's own numbers"] = field(default_factory=dict)
-    shadow: Annotated[tuple[Text, ...], "laws that are computed beside it and drive nothing"] = ()
+    gains: Annotated[Mapping[Text, AnyOption], "the parameters of the law"] = field(default_factory=dict)
+    shadow: Annotated[tuple[Text, ...], "laws that are computed in each tick, but do not drive the robot"] = ()
     shadow_gains: Annotated[
         Mapping[Text, Mapping[Text, AnyOption]],
-        "of each shadow by its name; that of a class is its own, without the file",
+        "gains of each shadow by its name; of a class the name without the file",
     ] = field(default_factory=dict)
 
     @property
@@ -203,17 +201,17 @@ class LoopTable:
     """``[loop]``: the controller's tick."""
 
     rate_hz: Annotated[int, _rate, "a command period is a whole number of 1 ms firmware ticks"]
-    duration_s: Annotated[float, Range(gt=0, le=86_400), "from the first ACTIVE tick"]
+    duration_s: Annotated[float, Range(gt=0, le=86_400), "duration from the first ACTIVE tick"]
     mode: Annotated[
         Literal["lockstep", "realtime"], "the host steps the robot's time, or both follow the wall clock"
     ] = "lockstep"
-    seed: Annotated[int, Range(ge=0, le=2**32 - 1), "of everything random in the run"] = 1
+    seed: Annotated[int, Range(ge=0, le=2**32 - 1), "of all random numbers of the run"] = 1
     rearm: Annotated[bool, "reconnect and arm again after a lost link or a stop of the robot"] = False
     tick_limit_s: Annotated[
         float,
         Range(ge=0, infinite=True),
         _tick_limit,
-        "wall-clock time of a tick's own work, beyond which the run is ended; 0 or inf for no limit",
+        "wall-clock time of a tick's work after which the run is ended; 0 or inf for no limit",
     ] = 10.0
 
     @property
@@ -234,25 +232,23 @@ class RealtimeTable:
     priority: Annotated[
         int, Range(ge=0, le=98), "of SCHED_FIFO, 0 for none; a real-time kernel's interrupt threads have 50"
     ] = PRIORITY
-    cpus: Annotated[
-        tuple[int, ...], _processors, "processors to run on; by default the isolated ones, where there are any"
-    ] = ()
+    cpus: Annotated[tuple[int, ...], _processors, "processors to run on; by default the isolated ones, if any"] = ()
     lock_memory: Annotated[bool, "keep memory from being swapped out"] = True
 
 
 @dataclass(frozen=True)
 class ServiceTable:
-    """``[service]``: settings of `hil serve`; limits are those of twists and of ways to a pose."""
+    """``[service]``: settings of `hil serve`; the limits are those of twists and of the way to a pose."""
 
     port: Annotated[int, Range(ge=0, le=65_535), "of the API on 127.0.0.1; 0 takes a free one"] = 8770
-    twist_timeout_s: Annotated[float, Range(ge=0.02, le=2), "silence that ends a drive by twist"] = 0.2
-    error_limit_m: Annotated[float, Range(gt=0, le=100), "off its path, beyond which the robot is held"] = 0.5
+    twist_timeout_s: Annotated[float, Range(ge=0.02, le=2), "time without a new twist that stops the robot"] = 0.2
+    error_limit_m: Annotated[float, Range(gt=0, le=100), "distance from its path at which the robot is held"] = 0.5
     speed_m_s: Annotated[float, Range(gt=0, le=20), "of the robot's centre"] = 0.5
     acceleration_m_s2: Annotated[float, Range(gt=0, le=50), "of the robot's centre"] = 1.0
-    jerk_m_s3: Annotated[float, Range(gt=0, le=1000), "of the robot's centre, on ways to a pose"] = 5.0
+    jerk_m_s3: Annotated[float, Range(gt=0, le=1000), "of the robot's centre, on the way to a pose"] = 5.0
     yaw_rate_rad_s: Annotated[float, Range(gt=0, le=50), "of the heading"] = 1.0
     yaw_acceleration_rad_s2: Annotated[float, Range(gt=0, le=500), "of the heading"] = 3.0
-    yaw_jerk_rad_s3: Annotated[float, Range(gt=0, le=10_000), "of the heading, on ways to a pose"] = 15.0
+    yaw_jerk_rad_s3: Annotated[float, Range(gt=0, le=10_000), "of the heading, on the way to a pose"] = 15.0
 
 
 @dataclass(frozen=True, kw_only=True)

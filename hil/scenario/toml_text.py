@@ -26,16 +26,15 @@ def parse_value(text: str) -> object:
         document = tomllib.loads(f"value = {text}")
     except (tomllib.TOMLDecodeError, RecursionError):
         return text
-    # A line break in the text would smuggle further keys in.
+    # A line break in the text would let it set further keys.
     return document["value"] if len(document) == 1 else text
 
 
 def key_lines(text: str) -> dict[Path, int]:
     """Return the line on which each key of a valid document is given.
 
-    The standard library's parser keeps no positions. But a statement of TOML ends with a line, and one of
-    several lines (an array, a text) is not valid before its last: so the document is parsed again, one
-    statement at a time.
+    The standard library's parser keeps no positions. So lines are collected until they parse: a statement ends at a
+    line's end, and one over several lines is invalid until complete.
     """
     lines: dict[Path, int] = {}
     header: Path = ()

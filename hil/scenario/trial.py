@@ -22,12 +22,12 @@ class FaultTable:
     kind: Annotated[
         Text,
         Expected(f"a kind of fault, one of {', '.join(names())}"),
-        "of the fault; `hil list faults` prints them all",
+        "kind of fault; `hil list faults` prints them all",
     ]
-    target: Annotated[Text, "what it acts on; may be left out where the kind has only one"] = ""
+    target: Annotated[Text, "what it acts on; may be left out if the kind has only one target"] = ""
     start_s: Annotated[float, Range(ge=0, le=1000000.0)] = 0.0
     end_s: Annotated[float, Range(gt=0, infinite=True)] = math.inf
-    value: Annotated[float | None, "how much, in the kind's unit"] = None
+    value: Annotated[float | None, "size of the fault, in the unit of its kind"] = None
     burst_frames: Annotated[float | None, "of burst_loss: mean length of a burst"] = None
     x_m: Annotated[float | None, "of slip_patch: centre of the circle, world frame"] = None
     y_m: Annotated[float | None, "of slip_patch: centre of the circle, world frame"] = None
@@ -91,7 +91,7 @@ class ExpectTable:
     signal: Annotated[
         Text,
         Expected("the name of a signal; `hil list signals` prints them all"),
-        "a dotted name: a built-in signal, or one of the run's law",
+        "dotted name of a built-in signal, or of a signal of the law",
     ]
     from_s: Annotated[float, Range(ge=0)] = 0.0
     to_s: Annotated[float, Range(gt=0, infinite=True)] = math.inf
@@ -134,7 +134,7 @@ Limit = Annotated[Any, _limit]
 
 @dataclass(frozen=True)
 class AllowTable:
-    """``[allow]``: the most that a passing run may have of events that no fault of the scenario explains.
+    """``[allow]``: how many events that no fault of the scenario explains a passing run may have.
 
     A key is the name of a figure of the run. The defaults are those of lockstep.
     """
