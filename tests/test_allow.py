@@ -86,7 +86,7 @@ def test_a_comparison_has_no_figures_of_a_run_beyond_it_and_a_campaign_says_why_
     of_comparison = Run(Variation(), run(make_job(scenario), scenario))
     assert of_comparison.figures is None
     assert str(of_comparison.failed).startswith("held_ticks: 100 of 100")
-    assert next(why_not_passed(hil.run("circle_speed", set=BLIND).metrics)) == of_comparison.failed
+    assert next(why_not_passed(hil.run("circle_speed", set=BLIND).metrics))[1] == of_comparison.failed
 
 
 def test_the_ticks_that_a_fault_explains_do_not_count() -> None:

@@ -224,9 +224,9 @@ def test_a_wheel_is_turned_and_the_others_are_not() -> None:
     ],
 )
 def test_a_verdict_says_how_the_wheel_followed(asked: float, turned: float, sentence: str) -> None:
-    verdict = Jogged(asked, Wheels(-turned / 3, turned, turned / 3, 0.0)).verdict("fr")
-    assert verdict.sentence.startswith(sentence)
-    assert verdict.is_right is ("followed" in sentence)
+    is_right, verdict = Jogged(asked, Wheels(-turned / 3, turned, turned / 3, 0.0)).verdict("fr")
+    assert verdict.startswith(sentence)
+    assert is_right is ("followed" in sentence)
 
 
 def test_a_wheel_that_does_not_turn_is_told_by_the_exit_code() -> None:

@@ -80,7 +80,7 @@ def test_a_fault_that_was_never_applied_fails_and_is_named(suite: pytest.Pyteste
     done.assert_outcomes(failed=1)
     done.stdout.fnmatch_lines(
         [
-            "fault: mute ESTOP from 0.1 s to the end: never applied, so the run shows nothing about it",
+            "fault: mute ESTOP from 0.1 s: never applied, so the run shows nothing about it",
             "  recording    none was kept",
         ]
     )

@@ -78,7 +78,7 @@ def verdict(job: Job, result: RunResult, figures: Mapping[str, Any], **details: 
         return Outcome(job.key, ENDED, str(result.failure), figures, details)
     if result.passed:
         return Outcome(job.key, PASSED, None, figures, details)
-    return Outcome(job.key, FAILED, next(why_not_passed(result.metrics)), figures, details)
+    return Outcome(job.key, FAILED, next(why_not_passed(result.metrics))[1], figures, details)
 
 
 @functools.cache

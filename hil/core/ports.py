@@ -1,6 +1,6 @@
 """The interfaces that the control loop uses: clock, link, control law, pose sources and sinks."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple, Protocol
 
 from firmware_protocol.framing import Frame
@@ -138,8 +138,6 @@ class Sink(Protocol):
         """Accept one row of values, in the order of the run's signals: ``hil.core.signals.SIGNALS``, then others."""
 
 
-class Note(Protocol):
-    """Adds a line to a run's event log, without waiting."""
-
-    def __call__(self, t_s: float, level: str, text: str, /) -> None:
-        """Add ``text``. ``t_s`` is the scenario's time [s]; ``level`` is debug, info, warning or error."""
+Note = Callable[[float, str, str], None]
+"""Adds a line to a run's event log, without waiting: called with the scenario's time [s], the level (debug, info,
+warning or error) and the text."""

@@ -172,30 +172,16 @@ _WHEEL_GROUPS = {
 }
 
 # Longest ending first: "rad_s" must win over "s".
-_UNITS = (
-    ("_rad_s2", "rad/s²"),
-    ("_m_s2", "m/s²"),
-    ("_rad_s", "rad/s"),
-    ("_m_s", "m/s"),
-    ("_n_m", "N·m"),
-    ("_1_s", "1/s"),
-    ("_rad", "rad"),
-    ("_us", "µs"),
-    ("_ms", "ms"),
-    ("_m", "m"),
-    ("_s", "s"),
-    ("_a", "A"),
-    ("_v", "V"),
-    ("_degc", "°C"),
-    ("_bytes", "B"),
-    ("_percent", "%"),
-    ("_ppm", "ppm"),
-)
+_UNITS = {
+    "_rad_s2": "rad/s²", "_m_s2": "m/s²", "_rad_s": "rad/s", "_m_s": "m/s", "_n_m": "N·m", "_1_s": "1/s",
+    "_rad": "rad", "_us": "µs", "_ms": "ms", "_m": "m", "_s": "s", "_a": "A", "_v": "V", "_degc": "°C",
+    "_bytes": "B", "_percent": "%", "_ppm": "ppm",
+}  # fmt: skip
 
 
 def unit_of(name: str) -> str:
     """Return the unit at the end of a signal's name, or ``""`` for a count or a state."""
-    return next((unit for ending, unit in _UNITS if name.endswith(ending)), "")
+    return next((unit for ending, unit in _UNITS.items() if name.endswith(ending)), "")
 
 
 def _meaning_of(name: str) -> str:

@@ -148,7 +148,7 @@ class RunResult:
             f"<RunResult {name}: {law}, {mode} over {link}, seed {seed}",
             f"  passed: {'yes' if self.passed else 'no'}",
         ]
-        lines += [f"  {why}" for why in why_not_passed(metrics)]
+        lines += [f"  {kind}: {why}" for kind, why in why_not_passed(metrics)]
         shown = [
             f"{figure.label} {value * figure.scale:.5g} {figure.unit}".rstrip()
             for figure in figures()

@@ -91,7 +91,7 @@ def belief_rows(metrics: Mapping[str, Any]) -> Iterator[Row]:
         ]
         yield "pose fixes", ", ".join(counts) or "none came"
     if refused := metrics.get("commands_refused"):
-        yield "law", f"it gave no number {refused} times, and the robot was held still"
+        yield "law", f"the law gave no number {refused} times, and the robot was held still"
     if stale := metrics.get("stale_ticks"):
         yield "stale", f"{stale} ticks, in which the feedback or the truth was too old: the robot was not driven"
     if held := metrics.get("held_ticks"):
@@ -119,15 +119,15 @@ def outcome_rows(metrics: Mapping[str, Any]) -> Iterator[Row]:
         yield "recording", text
 
 
-def why_not_passed(metrics: Mapping[str, Any]) -> Iterator[str]:
-    """Yield a sentence for each reason why a run did not pass, causes before their consequences."""
+def why_not_passed(metrics: Mapping[str, Any]) -> Iterator[Row]:
+    """Yield kind and sentence for each reason why a run did not pass, causes before their consequences."""
     if metrics["failure"] is not None:
-        yield metrics["failure"]
-    yield from (row["text"] for row in in_order(metrics["expect"]) if row["passed"] is False)
-    yield from (f"{fault['text']} was never applied" for fault in metrics["fault"] if not fault["applied"])
-    yield from (row["text"] for row in metrics["allow"] if not row["passed"])
-    if metrics["commands_refused"]:
-        yield f"the law gave no number {metrics['commands_refused']} times, and the robot was held still"
+        yield "failure", metrics["failure"]
+    if refused := metrics["commands_refused"]:
+        yield "law", f"the law gave no number {refused} times, and the robot was held still"
+    yield from (("expectation", row["text"]) for row in in_order(metrics["expect"]) if row["passed"] is False)
+    yield from (("allow", row["text"]) for row in metrics["allow"] if not row["passed"])
+    yield from (("fault", applied_words(row)) for row in metrics["fault"] if not row["applied"])
 
 
 def in_order(expect: Iterable[Mapping[str, Any]]) -> list[Mapping[str, Any]]:
@@ -144,6 +144,8 @@ def applied_words(fault: Mapping[str, Any]) -> str:
     """Return a sentence on what a fault of a run did, from its entry in the run's JSON."""
     if fault["applied"] is None:
         return f"{fault['text']}: not known how often it was applied, because the robot has gone"
+    if not fault["applied"]:
+        return f"{fault['text']}: never applied, so the run shows nothing about it"
     return f"{fault['text']}: applied {fault['applied']} times ({fault['counts']})"
 
 

@@ -4,8 +4,8 @@ May import: `drivers`, `wire`, `faults`, `estimation`, `references`, `laws`, `co
 of its table, here (`tables.py`, `plant.py`, `trial.py`) or in the package that uses it (`hil.core.model`,
 `hil.estimation`); `hil.core.options` says how ranges and meanings are written.
 
-load("paper_circle", set=["robot.mass_kg=24"])    -> Scenario resolved(scenario)                                -> every
-value and where it came from shipped()                                         -> what can be loaded by name
+``load("paper_circle", set=["robot.mass_kg=24"])`` returns a Scenario, ``resolved(scenario)`` every value and where it
+came from, ``shipped()`` the names that ``load`` takes.
 """
 
 from hil.core.options import format_value
@@ -26,28 +26,8 @@ from hil.scenario.trial import AllowTable, ExpectTable, FaultTable
 from hil.scenario.values import StartValue
 
 __all__ = [
-    "SHIPPED_FMUS",
-    "AllowTable",
-    "ControllerTable",
-    "DeviceTable",
-    "ExpectTable",
-    "FaultTable",
-    "FirmwareTable",
-    "LinkTable",
-    "LoopTable",
-    "PlantTable",
-    "RealtimeTable",
-    "ReferenceTable",
-    "Scenario",
-    "ServiceTable",
-    "Sources",
-    "StartValue",
-    "format_value",
-    "from_plain",
-    "load",
-    "read",
-    "resolved",
-    "set_texts",
-    "shipped",
-    "to_plain",
-]
+    "SHIPPED_FMUS", "AllowTable", "ControllerTable", "DeviceTable", "ExpectTable", "FaultTable",
+    "FirmwareTable", "LinkTable", "LoopTable", "PlantTable", "RealtimeTable", "ReferenceTable", "Scenario",
+    "ServiceTable", "Sources", "StartValue", "format_value", "from_plain", "load", "read", "resolved",
+    "set_texts", "shipped", "to_plain",
+]  # fmt: skip

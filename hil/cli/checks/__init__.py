@@ -4,6 +4,7 @@ A check that does not apply to the operating system yields nothing. To add one: 
 """
 
 from enum import StrEnum
+from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
@@ -27,19 +28,7 @@ class Finding(NamedTuple):
     remedy: str = ""
 
 
-def ok(subject: str, sentence: str) -> Finding:
-    """Return a finding that something is in order."""
-    return Finding(Verdict.OK, subject, sentence)
-
-
-def note(subject: str, sentence: str, remedy: str) -> Finding:
-    """Return a finding that something could be better."""
-    return Finding(Verdict.NOTE, subject, sentence, remedy)
-
-
-def problem(subject: str, sentence: str, remedy: str) -> Finding:
-    """Return a finding that something does not work."""
-    return Finding(Verdict.PROBLEM, subject, sentence, remedy)
+ok, note, problem = (partial(Finding, verdict) for verdict in Verdict)
 
 
 def text_of(path: Path) -> str | None:

@@ -1,8 +1,7 @@
 """The outcome of a scenario that was run as a test: whether it passed, its text, and its entries in a report."""
 
-import math
 import shlex
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -12,8 +11,8 @@ import pytest
 from hil.cli.testing.overrides import shown
 from hil.core.errors import DeviceError, HilError, LinkError
 from hil.judge.results import RunResult
-from hil.judge.words import in_order, why_incomplete
-from hil.scenario import FaultTable, Scenario
+from hil.judge.words import applied_words, why_incomplete, why_not_passed
+from hil.scenario import Scenario
 
 _FACTS = ("law", "mode", "link", "seed", "wire_sha256")
 _FIGURES = ("tracked_s", "t10_s", "steady_rms_m", "steady_max_m", "ticks", "realtime_factor", "deadline_misses")
@@ -51,7 +50,7 @@ class Verdict:
         if self.result is not None:
             metrics = self.result.metrics
             rows += [("expectation", row["text"]) for row in metrics["expect"]]
-            rows += [("fault", _fault(*pair)) for pair in _faults(scenario.fault, metrics)]
+            rows += [("fault", applied_words(row)) for row in metrics["fault"]]
         rows += self._recorded()
         rows.append(("repeat it", self.repeat))
         return "\n".join([*self._problems(), "", *(f"  {label:<12} {line}" for label, line in rows)])
@@ -70,17 +69,9 @@ class Verdict:
         if self.error is not None:
             kind = next((words for cause, words in _BROKEN.items() if isinstance(self.error, cause)), None)
             yield str(self.error) if kind is None else f"{kind}: {self.error}"
-        if self.result is None:
-            return
-        metrics = self.result.metrics
-        if metrics["commands_refused"]:
-            yield f"the law gave {metrics['commands_refused']} commands that were not finite"
-        failed = [row for row in in_order(metrics["expect"]) if row["passed"] is False]
-        yield from (f"expectation: {row['text']}" for row in failed)
-        yield from (f"allow: {row['text']}" for row in metrics["allow"] if not row["passed"])
-        for row, counts in _faults(self.scenario.fault, metrics):
-            if not counts["applied"]:
-                yield f"fault: {_fault(row, counts)}"
+        if self.result is not None:
+            reasons = why_not_passed(self.result.metrics)
+            yield from (f"{kind}: {why}" for kind, why in reasons if kind != "failure")
 
     def _recorded(self) -> list[tuple[str, str]]:
         if self.recording is None:
@@ -117,10 +108,6 @@ def run_as_test(
     return Verdict(scenario, result, error, recording, repeat)
 
 
-def _faults(rows: Sequence[FaultTable], metrics: Mapping[str, Any]) -> Iterator[tuple[FaultTable, Mapping[str, Any]]]:
-    return zip(rows, metrics["fault"], strict=True)
-
-
 def _link_figures(metrics: Mapping[str, Any]) -> Iterator[tuple[str, float | None]]:
     """Yield the main figures of the link (hil/wire/STATISTICS.md); None for one that does not exist for this link."""
     link = metrics["link_statistics"]
@@ -135,10 +122,3 @@ def _link_figures(metrics: Mapping[str, Any]) -> Iterator[tuple[str, float | Non
         for share in ("p50", "p99"):
             yield f"{name}_{share}_ms", None if figure is None else figure[share]
     yield "recoveries", len(metrics["recoveries"])
-
-
-def _fault(row: FaultTable, counts: Mapping[str, Any]) -> str:
-    end = "the end" if math.isinf(row.end_s) else f"{row.end_s:g} s"
-    count = counts["applied"]
-    outcome = f"applied {count} times" if count else "never applied, so the run shows nothing about it"
-    return f"{row.kind} {row.target} from {row.start_s:g} s to {end}: {outcome}"
