@@ -1,7 +1,7 @@
-"""The common parts of the model descriptions of FMI 2.0 and 3.0: model attributes, units, dependencies, XML text."""
+"""Makes modelDescription.xml for FMI 2.0 and 3.0 co-simulation, and terminalsAndIcons.xml for FMI 3.0."""
 
 import xml.etree.ElementTree as ET
-from collections.abc import Iterator
+from collections.abc import Iterable
 
 from plant_fmu.variables import HERE, Definition, Variable
 
@@ -11,10 +11,90 @@ LOG_CATEGORIES = (
     {"name": "logStatusDiscard", "description": "Why a call was discarded, which left the instance as it was"},
 )
 _INITIAL = {"output": "calculated", "parameter": "exact"}  # FMI 2.0 section 2.2.7, FMI 3.0 section 2.4.7
+_FMI3_TYPE = {"Real": "Float64", "Integer": "Int32", "Enumeration": "Enumeration"}
 
 
-def model_attributes(definition: Definition) -> dict[str, str]:
-    """Return the attributes of the root element that both versions have."""
+def model_description(definition: Definition, fmi: int, guid: str, sources: Iterable[str] = ()) -> str:
+    """Return modelDescription.xml of one FMI version (2 or 3): FMI 2.0 section 2.2, FMI 3.0 section 2.4.
+
+    ``guid`` is the GUID of FMI 2.0, or the instantiation token of FMI 3.0. ``sources`` are the C files to compile,
+    which FMI 3.0 lists elsewhere.
+    """
+    model = definition.model
+    token = {"guid": guid} if fmi == 2 else {"instantiationToken": guid}
+    root = ET.Element("fmiModelDescription", {"fmiVersion": f"{fmi}.0", **token, **_model_attributes(definition)})
+    state = "FMUstate" if fmi == 2 else "FMUState"
+    claims = {
+        "modelIdentifier": model["name"],
+        "canHandleVariableCommunicationStepSize": "true",
+        **(
+            {"canNotUseMemoryManagementFunctions": "true"}
+            if fmi == 2
+            else {"fixedInternalStepSize": repr(_longest_step_s(definition))}
+        ),
+        f"canGetAndSet{state}": "true",
+        f"canSerialize{state}": "true",
+    }
+    interface = ET.SubElement(root, "CoSimulation", claims)
+    if names := list(sources):
+        files = ET.SubElement(interface, "SourceFiles")
+        for name in names:
+            ET.SubElement(files, "File", name=name)
+    _add_units(root, definition)
+    types = ET.SubElement(root, "TypeDefinitions")
+    for name, enumeration in definition.enumerations.items():
+        tag = "SimpleType" if fmi == 2 else "EnumerationType"
+        kind = ET.SubElement(types, tag, name=name, description=enumeration["description"])
+        kind = ET.SubElement(kind, "Enumeration") if fmi == 2 else kind
+        for value, item in enumerate(enumeration["items"], start=1):
+            ET.SubElement(kind, "Item", name=item["name"], value=str(value), description=item["description"])
+    categories = ET.SubElement(root, "LogCategories")
+    for category in LOG_CATEGORIES:
+        ET.SubElement(categories, "Category", category)
+    times = {"startTime": "0.0", "stopTime": repr(model["stop_s"]), "stepSize": repr(model["step_s"])}
+    ET.SubElement(root, "DefaultExperiment", times)
+    variables = ET.SubElement(root, "ModelVariables")
+    for reference, variable in enumerate(definition.variables):
+        attributes, values = _variable_attributes(variable, reference), _value_attributes(variable)
+        if fmi == 2:
+            ET.SubElement(ET.SubElement(variables, "ScalarVariable", attributes), variable.type, values)
+        else:
+            ET.SubElement(variables, _FMI3_TYPE[variable.type], attributes | values)
+    _add_structure(ET.SubElement(root, "ModelStructure"), definition, fmi)
+    return text_of(root)
+
+
+def terminals(definition: Definition) -> str:
+    """Return terminalsAndIcons.xml: a terminal for each wheel with its inputs and outputs.
+
+    FMI 3.0 section "Definition of Terminals"; names follow its suggestion, variable = terminal.member. The rule "bus"
+    connects only members that both sides have: a motor model needs only torque and speed.
+    """
+    root = ET.Element("fmiTerminalsAndIcons", fmiVersion="3.0")
+    parts = ET.SubElement(root, "Terminals")
+    for wheel, words in definition.wheels.items():
+        attributes = {
+            "name": f"wheel.{wheel}",
+            "matchingRule": "bus",
+            "terminalKind": "_mecanum_hil_wheel",  # the standard's form of a custom kind
+            "description": f"Drive, encoder and contact of the {words} wheel",
+        }
+        terminal = ET.SubElement(parts, "Terminal", attributes)
+        for variable in definition.variables:
+            member = variable.name.removeprefix(f"wheel.{wheel}.")
+            if variable.wheel is not None and variable.causality != "parameter" and member != variable.name:
+                names = {"variableName": variable.name, "memberName": member}
+                ET.SubElement(terminal, "TerminalMemberVariable", names, variableKind="signal")
+    return text_of(root)
+
+
+def text_of(root: ET.Element) -> str:
+    """Return a document, indented."""
+    ET.indent(root)
+    return '<?xml version="1.0" encoding="UTF-8"?>\n' + ET.tostring(root, encoding="unicode") + "\n"
+
+
+def _model_attributes(definition: Definition) -> dict[str, str]:
     model = definition.model
     return {
         "modelName": model["name"],
@@ -28,13 +108,12 @@ def model_attributes(definition: Definition) -> dict[str, str]:
     }
 
 
-def default_experiment(definition: Definition) -> dict[str, str]:
-    """Return the attributes of DefaultExperiment."""
-    model = definition.model
-    return {"startTime": "0.0", "stopTime": repr(model["stop_s"]), "stepSize": repr(model["step_s"])}
+def _longest_step_s(definition: Definition) -> float:
+    """Return the length of internal steps [s] with default values, if the communication step is a multiple of it."""
+    return next(float(v.start or 0.0) for v in definition.variables if v.name == "longest_step_s")
 
 
-def add_units(root: ET.Element, definition: Definition) -> None:
+def _add_units(root: ET.Element, definition: Definition) -> None:
     """Add UnitDefinitions: every unit as exponents of the SI base units, with the factor 1, and its display units."""
     units = ET.SubElement(root, "UnitDefinitions")
     for name, exponents in definition.units.items():
@@ -44,20 +123,7 @@ def add_units(root: ET.Element, definition: Definition) -> None:
             ET.SubElement(unit, "DisplayUnit", name=shown, factor=repr(factor))
 
 
-def add_log_categories(root: ET.Element) -> None:
-    """Add LogCategories."""
-    categories = ET.SubElement(root, "LogCategories")
-    for category in LOG_CATEGORIES:
-        ET.SubElement(categories, "Category", category)
-
-
-def add_items(element: ET.Element, definition: Definition, name: str) -> None:
-    """Add the items of an enumeration, numbered from 1."""
-    for value, item in enumerate(definition.enumerations[name]["items"], start=1):
-        ET.SubElement(element, "Item", name=item["name"], value=str(value), description=item["description"])
-
-
-def variable_attributes(variable: Variable, reference: int) -> dict[str, str]:
+def _variable_attributes(variable: Variable, reference: int) -> dict[str, str]:
     """Return the attributes that a variable of any type has in both versions."""
     attributes = {
         "name": variable.name,
@@ -71,7 +137,7 @@ def variable_attributes(variable: Variable, reference: int) -> dict[str, str]:
     return attributes
 
 
-def value_attributes(variable: Variable) -> dict[str, str]:
+def _value_attributes(variable: Variable) -> dict[str, str]:
     """Return the attributes of a variable's type: unit, range, start value. An enumeration's range is its items."""
     if variable.type == "Enumeration":
         return {"declaredType": variable.name, "start": str(variable.start)}
@@ -85,20 +151,20 @@ def value_attributes(variable: Variable) -> dict[str, str]:
     return {name: str(value) for name, value in values.items() if value is not None}
 
 
-def outputs(definition: Definition) -> Iterator[tuple[Variable, tuple[str, ...], tuple[str, ...]]]:
-    """Yield each output with the variables it depends on: at a communication point, and in initialization mode.
+def _add_structure(structure: ET.Element, definition: Definition, fmi: int) -> None:
+    """Add the outputs, then all initial unknowns, each with the variables that it depends on.
 
-    At a communication point an output without dependencies follows from the states alone: it has no direct feedthrough.
+    FMI 2.0 section 2.2.8, where indices count the variables from 1; FMI 3.0 section 2.4.8, by value reference. At a
+    communication point an output without dependencies follows from the states alone: it has no direct feedthrough.
     Initially the states may depend on any parameter. The other inputs are not listed, so that importers do not see an
     algebraic loop where there is none.
     """
     parameters = tuple(variable.name for variable in definition.variables if variable.causality == "parameter")
-    for variable in definition.variables:
-        if variable.causality == "output":
-            yield variable, variable.depends_on, (*variable.depends_on, *parameters)
-
-
-def text_of(root: ET.Element) -> str:
-    """Return a document, indented."""
-    ET.indent(root)
-    return '<?xml version="1.0" encoding="UTF-8"?>\n' + ET.tostring(root, encoding="unicode") + "\n"
+    index = {name: str(reference + (fmi == 2)) for name, reference in definition.references.items()}
+    for tag, initially in (("Output", ()), ("InitialUnknown", parameters)):
+        parent = ET.SubElement(structure, f"{tag}s") if fmi == 2 else structure
+        for variable in definition.variables:
+            if variable.causality == "output":
+                listed = " ".join(index[name] for name in (*variable.depends_on, *initially))
+                unknown = {("index" if fmi == 2 else "valueReference"): index[variable.name], "dependencies": listed}
+                ET.SubElement(parent, "Unknown" if fmi == 2 else tag, unknown)

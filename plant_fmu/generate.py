@@ -9,7 +9,7 @@ import hashlib
 import sys
 from pathlib import Path
 
-from plant_fmu import c_header, description2, description3, manifest, tables
+from plant_fmu import c_header, description, manifest, tables
 from plant_fmu.sources import GENERATED, SOURCE_FILES
 from plant_fmu.variables import HERE, Definition, DefinitionError, read
 
@@ -20,7 +20,10 @@ def guid(definition: Definition) -> str:
     It is the GUID of FMI 2.0 (section 2.2.1) and the instantiation token of FMI 3.0 (section 2.4.1): one binary serves
     both.
     """
-    texts = description2.model_description(definition, "", SOURCE_FILES), description3.model_description(definition, "")
+    texts = (
+        description.model_description(definition, 2, "", SOURCE_FILES),
+        description.model_description(definition, 3, ""),
+    )
     digest = hashlib.sha256("".join(texts).encode()).hexdigest()
     return f"{{{digest[:8]}-{digest[8:12]}-{digest[12:16]}-{digest[16:20]}-{digest[20:32]}}}"
 
@@ -29,9 +32,9 @@ def render(definition: Definition) -> dict[Path, str]:
     """Return every generated file, with its content."""
     token = guid(definition)
     return {
-        GENERATED / "fmi2" / "modelDescription.xml": description2.model_description(definition, token, SOURCE_FILES),
-        GENERATED / "fmi3" / "modelDescription.xml": description3.model_description(definition, token),
-        GENERATED / "fmi3" / "terminalsAndIcons.xml": description3.terminals(definition),
+        GENERATED / "fmi2" / "modelDescription.xml": description.model_description(definition, 2, token, SOURCE_FILES),
+        GENERATED / "fmi3" / "modelDescription.xml": description.model_description(definition, 3, token),
+        GENERATED / "fmi3" / "terminalsAndIcons.xml": description.terminals(definition),
         GENERATED / manifest.NAME: manifest.manifest(),
         GENERATED / "mecanum_variables.h": c_header.c_header(definition, token),
         **{HERE / name: text for name, text in tables.documents(definition).items()},

@@ -5,6 +5,7 @@ at this tick, not how the robot would move under it: the active law moves the ro
 integrates an error that it cannot remove.
 """
 
+import re
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -16,6 +17,11 @@ from hil.core.types import NAN_WHEELS, WHEEL_NAMES, Applied, CommandMode, Refere
 
 QUANTITY = {CommandMode.SPEED: "speed_command_rad_s", CommandMode.TORQUE: "torque_command_n_m"}
 """What the signals of set points are called."""
+
+
+def short_name(spec: str) -> str:
+    """Return the prefix of a law's signals: its name, or the class name of a law like ``./my_law.py:MyLaw``."""
+    return re.sub(r"\W", "_", spec.rpartition(":")[2])
 
 
 def command_names(prefix: str, mode: CommandMode) -> tuple[str, ...]:

@@ -3,18 +3,22 @@
 import importlib
 import importlib.util
 import inspect
+import re
 import sys
 import zlib
+from collections.abc import Sequence
 from pathlib import Path
 from types import ModuleType
 from typing import Any
 
 from hil.core.errors import BadInputError, nearest
 from hil.core.extensions import failure, failures_of
+from hil.core.signals import GROUPS
 from hil.core.types import NO_GAINS, Applied, CommandMode, Gains, Reference, State, WheelCommand, Wheels
-from hil.laws.own_signals import check_names
 
 _METHODS = {"reset": ("self", "state", "reference"), "update": ("self", "reference", "state", "applied", "dt_s")}
+_SIGNAL = re.compile(r"[a-z][a-z0-9_]*(\.[a-z0-9_]+)+")
+_RESERVED = GROUPS | {"shadow", "replay", "timestamp", "sequence"}
 
 
 def find_class(spec: str, base: Path, named: str) -> type:
@@ -121,7 +125,30 @@ class UserLaw:
             names = self._law.signals
         if not isinstance(names, list | tuple):
             raise BadInputError(f"{self._named}: signals is {names!r}, expected a tuple of names")
-        return check_names(self._named, names)
+        return _check_names(self._named, names)
+
+
+def _check_names(named: str, names: Sequence[object]) -> tuple[str, ...]:
+    """Check and return the names of a law's own signals; error messages begin with ``named``.
+
+    Raises BadInputError for a name that is not dotted lower case, is repeated, is a group of another (``a.b`` and
+    ``a.b.c``), or whose first word is reserved, such as that of a built-in signal group.
+    """
+    checked: list[str] = []
+    for name in names:
+        begin = f"{named}: signals has {name!r}"
+        if not isinstance(name, str) or not _SIGNAL.fullmatch(name):
+            raise BadInputError(f"{begin}; expected dotted names in lower case, such as 'observer.x_m_s2'")
+        group = name.partition(".")[0]
+        if group in _RESERVED:
+            raise BadInputError(f"{begin}; {group!r} is reserved, begin the name with another word")
+        for other in checked:
+            if name == other:
+                raise BadInputError(f"{begin} twice; name each once")
+            if name.startswith(f"{other}.") or other.startswith(f"{name}."):
+                raise BadInputError(f"{begin} and {other!r}; neither may be a group of the other")
+        checked.append(name)
+    return tuple(checked)
 
 
 def _import_file(named: str, path: Path) -> ModuleType:

@@ -129,7 +129,7 @@ class FmuPlant(shim.PlantPort):
     @property
     def message(self) -> str:
         """Why the last exchange failed, with the FMU's message if there is one; empty if it did not fail."""
-        return self.instance.words
+        return self.instance.message
 
     def reset(self) -> None:
         """Return to the start state, also after a failure. Raises DeviceError when the plant is closed or cannot."""

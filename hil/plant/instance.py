@@ -34,10 +34,7 @@ class Instance:
     """
 
     def __init__(self, fmu: Path, folder: Path, library: Library, context: Any) -> None:
-        self._file = fmu
-        self._folder = folder
-        self._context = context
-        self._library = library
+        self._file, self._folder, self._context, self._library = fmu, folder, context, library
         self.is_model_exchange = library.interface == "model_exchange"
         self._is_running = False
         self.description = read_description(fmu)
@@ -45,18 +42,15 @@ class Instance:
         self._interface = self.description.modelExchange if self.is_model_exchange else self.description.coSimulation
         self.fmu = self._load(library)
         context.fmi_version = self.version
+        self.variables = variables_of(self.description)
+        """FMPy's variables by name, and by alias."""
         if not self.is_model_exchange:
             context.do_step = self._function(f"fmi{self.version}DoStep")
-        if not self.is_model_exchange and self.version == 2:
-            context.get_boolean_status = self._function("fmi2GetBooleanStatus")
+            if self.version == 2:
+                context.get_boolean_status = self._function("fmi2GetBooleanStatus")
 
     @property
-    def variables(self) -> dict[str, Any]:
-        """FMPy's variables by name, and by alias."""
-        return variables_of(self.description)
-
-    @property
-    def words(self) -> str:
+    def message(self) -> str:
         """The newest FMU message that is a warning or worse, or the reason why the shim stopped."""
         return one_line(load()[0].string(self._context.text).decode(errors="replace"))
 
@@ -83,7 +77,7 @@ class Instance:
             _ALIVE.discard(self.description.guid)
             maker = one_line(self.description.generationTool or "the tool that made it")
             tool = f", it needs {maker}" if self._interface.needsExecutionTool else ""
-            raise BadInputError(f"FMU {self._file}: it made no instance{tool}: {self.words or self._guess()}")
+            raise BadInputError(f"FMU {self._file}: it made no instance{tool}: {self.message or self._guess()}")
         self._context.component = load()[0].cast("void *", self.fmu.component)
 
     def _guess(self) -> str:
@@ -126,7 +120,7 @@ class Instance:
                 solver.step(from_s, to_s)
             except Exception as error:  # noqa: BLE001 - C has called; the shim fails with these words
                 self._context.fatal = getattr(error, "status", None) == _FATAL
-                self._context.text = (self.words or str(error)).encode()[:_LONGEST_TEXT]
+                self._context.text = (self.message or str(error)).encode()[:_LONGEST_TEXT]
                 return 1
             return 0
 
@@ -135,7 +129,7 @@ class Instance:
     def reset(self) -> None:
         """Reset the instance to its state after ``instantiate``. Raises DeviceError when the FMU cannot."""
         if self._context.fatal:
-            raise DeviceError(f"FMU {self._file} has reported a fatal error and cannot be reset: {self.words}")
+            raise DeviceError(f"FMU {self._file} has reported a fatal error and cannot be reset: {self.message}")
         self._is_running = False
         self._forget()
         with self._answering(DeviceError, f"FMU {self._file} failed to reset"):
@@ -167,20 +161,17 @@ class Instance:
         if structural:
             with self._answering(DeviceError, f"FMU {self._file} refused its configuration mode"):
                 self.fmu.enterConfigurationMode()
-            for start in structural:
-                self._set(start)
+            self._set(structural)
             with self._answering(DeviceError, f"FMU {self._file} failed to leave its configuration mode"):
                 self.fmu.exitConfigurationMode()
-        for start in starts:
-            if start not in structural:
-                self._set(start)
+        self._set([start for start in starts if start not in structural])
 
-    def _set(self, start: Start) -> None:
-        kind = start.variable.type
-        if kind == "Enumeration":
-            kind = "Integer" if self.version == 2 else "Int64"
-        with self._answering(BadInputError, f"plant.start.{start.variable.name}"):
-            getattr(self.fmu, f"set{kind}")([start.variable.valueReference], [start.value])
+    def _set(self, starts: Sequence[Start]) -> None:
+        enumeration = "Integer" if self.version == 2 else "Int64"
+        for variable, value in starts:
+            kind = enumeration if variable.type == "Enumeration" else variable.type
+            with self._answering(BadInputError, f"plant.start.{variable.name}"):
+                getattr(self.fmu, f"set{kind}")([variable.valueReference], [value])
 
     @contextlib.contextmanager
     def _answering(self, error_class: type[HilError], what: str) -> Iterator[None]:
@@ -192,7 +183,7 @@ class Instance:
         except FMICallException as error:
             self._context.failed = 1
             self._context.fatal = error.status == _FATAL
-            raise error_class(f"{what}: {self.words or error}") from error
+            raise error_class(f"{what}: {self.message or error}") from error
 
     def _forget(self) -> None:
         self._context.failed = self._context.text_status = 0
@@ -209,8 +200,7 @@ class Instance:
 
         path = str(self._folder / library.member)
         try:
-            # FMPy raises a plain Exception for this; the loader, asked first, says what is wrong.
-            probe = ctypes.CDLL(path)
+            probe = ctypes.CDLL(path)  # FMPy raises a plain Exception without the reason
         except OSError as error:
             raise BadInputError(f"FMU {self._file}: its library cannot be loaded ({error}); build it anew") from error
         classes = (FMU2Slave, FMU2Model) if self.version == 2 else (FMU3Slave, FMU3Model)
@@ -221,7 +211,7 @@ class Instance:
                     unzipDirectory=str(self._folder),
                     modelIdentifier=library.model_identifier,
                     instanceName=_NAME,
-                    libraryPath=str(self._folder / library.member),
+                    libraryPath=path,
                 )
         except AttributeError as error:
             raise BadInputError(
@@ -240,15 +230,10 @@ class Instance:
         callbacks.freeMemory = ctypes.cast(address("cosim_free"), fmi2.fmi2CallbackFreeMemoryTYPE)
         callbacks.componentEnvironment = self._environment
         self.fmu.callbacks = callbacks  # must live as long as the instance
-        self.fmu.component = self.fmu.fmi2Instantiate(
-            _NAME.encode(),
-            fmi2.fmi2ModelExchange if self.is_model_exchange else fmi2.fmi2CoSimulation,
-            self.description.guid.encode(),
-            (self._folder / "resources").as_uri().encode(),
-            ctypes.byref(callbacks),
-            fmi2.fmi2False,
-            fmi2.fmi2True,
-        )
+        kind = fmi2.fmi2ModelExchange if self.is_model_exchange else fmi2.fmi2CoSimulation
+        resources = (self._folder / "resources").as_uri().encode()
+        named = (_NAME.encode(), kind, self.description.guid.encode(), resources)
+        self.fmu.component = self.fmu.fmi2Instantiate(*named, ctypes.byref(callbacks), fmi2.fmi2False, fmi2.fmi2True)
 
     def _instantiate3(self) -> None:
         from fmpy import fmi3

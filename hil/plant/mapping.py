@@ -23,35 +23,19 @@ There are no patterns for names: a third-party FMU rarely calls its wheels fl, f
 other way round, so each wheel needs its own row.
 """
 
-import math
 import re
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple
 
 from hil.core.errors import BadInputError, nearest
-from hil.plant.signals import (
-    ACCELEROMETER,
-    ANGLES,
-    BATTERY,
-    COUNTS,
-    CURRENTS,
-    DUTIES,
-    ENABLED,
-    GYRO,
-    INPUTS,
-    OUTPUTS,
-    SPEEDS,
-    TEMPERATURES,
-    TORQUES,
-    TWIST,
-)
+from hil.plant.signals import ANGLES, COUNTS, CURRENTS, DERIVABLE, DUTIES, ENABLED, INPUTS, OUTPUTS, SPEEDS, TORQUES
 
 FLOATS = frozenset({"Real", "Float64", "Float32"})
 INTEGERS = frozenset({"Integer", *(f"{sign}Int{bits}" for sign in ("", "U") for bits in (8, 16, 32, 64))})
 _ELEMENT = re.compile(r"(?P<array>.+)\[(?P<places>\d+(?:,\d+)*)\]")
-_LONGEST_LIST = 30
+_LONGEST_LIST = 60
 
 Variables = Mapping[str, Any]  # FMPy's ModelVariable by name
 
@@ -59,7 +43,8 @@ Variables = Mapping[str, Any]  # FMPy's ModelVariable by name
 class Row(NamedTuple):
     """The variable of one signal: bridge value = sign * scale * FMU value + offset.
 
-    ``name[2]`` is the second element of an FMI 3.0 array, ``name[2,1]`` one of a matrix; places count from 1.
+    ``scale`` is positive, ``sign`` is 1 or -1. ``name[2]`` is the second element of an FMI 3.0 array, ``name[2,1]`` one
+    of a matrix; they are counted from 1.
     """
 
     name: str
@@ -80,7 +65,7 @@ class SignalMap:
 class Connection(NamedTuple):
     """One signal and the element of the variable that carries it: bridge value = factor * FMU value + offset."""
 
-    signal: int  # the place in INPUTS or OUTPUTS
+    signal: int  # the index in INPUTS or OUTPUTS
     variable: Any
     element: int  # 0 where the variable is a scalar
     factor: float
@@ -103,6 +88,26 @@ def resolve(signal_map: SignalMap, fmu: Path, variables: Variables) -> Wiring:
     return _Resolver(signal_map, fmu, variables).wiring()
 
 
+class _Direction(NamedTuple):
+    """The variables that may carry the ``signals`` of one direction, and the words for what is expected."""
+
+    signals: tuple[str, ...]
+    causalities: tuple[str, ...]
+    types: frozenset[str]
+    expected_causality: str
+    expected_type: str
+
+    def misfit(self, variable: Any) -> str | None:
+        """Return why a variable does not fit, as the end of a sentence; None if it does."""
+        if variable.causality not in self.causalities:
+            return f"is of causality {variable.causality}; expected {self.expected_causality}"
+        return None if variable.type in self.types else f"is of type {variable.type}; expected {self.expected_type}"
+
+
+_INPUT = _Direction(INPUTS, ("input",), FLOATS, "an input", "Real, Float64 or Float32")
+_OUTPUT = _Direction(OUTPUTS, ("output", "local"), FLOATS | INTEGERS, "an output or a local variable", "a number")
+
+
 class _Resolver:
     """Applies one map; collects all problems instead of stopping at the first."""
 
@@ -113,12 +118,8 @@ class _Resolver:
         self._problems: list[str] = []
 
     def wiring(self) -> Wiring:
-        for signal in self._map.rows:
-            if signal not in (*INPUTS, *OUTPUTS):
-                self._complain(signal, f"the bridge has no such signal{nearest(signal, (*INPUTS, *OUTPUTS))}")
-        inputs = self._connections(INPUTS, self._unfit_for_input)
-        outputs = self._connections(OUTPUTS, self._unfit_for_output)
-        derived = self._derived(outputs)
+        inputs, outputs = self._connections(_INPUT), self._connections(_OUTPUT)
+        derived = {signal for signal in DERIVABLE if signal not in outputs}
         self._require_the_rest(inputs, outputs, derived)
         self._require_numbers(derived)
         self._refuse_shared(inputs.values())
@@ -131,27 +132,22 @@ class _Resolver:
             frozenset(map(OUTPUTS.index, derived)),
         )
 
-    def _complain(self, signal: str, words: str) -> None:
-        self._problems.append(f'plant.map."{signal}": {words}')
-
-    def _connections(self, signals: tuple[str, ...], unfit: Callable[[Any], str | None]) -> dict[str, Connection]:
+    def _connections(self, direction: _Direction) -> dict[str, Connection]:
         found = {}
-        for place, signal in enumerate(signals):
+        for place, signal in enumerate(direction.signals):
             row = self._map.rows.get(signal) or Row(signal)
             if signal not in self._map.rows and signal not in self._variables:
                 continue
-            if (problem := _unfit_numbers(row)) is not None:
-                self._complain(signal, problem)
             try:
-                variable, element = self._find(row.name, unfit)
+                variable, element = self._find(row.name, direction)
             except BadInputError as error:
-                self._complain(signal, str(error))
+                self._problems.append(f'plant.map."{signal}": {error}')
             else:
                 found[signal] = Connection(place, variable, element, row.sign * row.scale, row.offset)
         return found
 
-    def _find(self, name: str, unfit: Callable[[Any], str | None]) -> tuple[Any, int]:
-        """Return the variable of this name and the place in it. Raises BadInputError with part of a sentence."""
+    def _find(self, name: str, direction: _Direction) -> tuple[Any, int]:
+        """Return the variable of this name and the element of it. Raises BadInputError with part of a sentence."""
         variable, element = self._variables.get(name), 0
         match = _ELEMENT.fullmatch(name)
         if variable is None and match is not None and match["array"] in self._variables:
@@ -161,34 +157,11 @@ class _Resolver:
             first = ",".join("1" for _ in variable.shape)
             raise BadInputError(f"{name!r} is an array; name one element of it, such as '{name}[{first}]'")
         if variable is None:
-            fitting = [name for name, variable in self._variables.items() if unfit(variable) is None]
-            raise BadInputError(f"{self._fmu.name} has no variable {name!r}{self._nearest(name, fitting)}")
-        if (problem := unfit(variable)) is not None:
+            fitting = [name for name, variable in self._variables.items() if direction.misfit(variable) is None]
+            raise BadInputError(f"{self._fmu.name} has no variable {name!r}{nearest_of(name, fitting, self._fmu)}")
+        if (problem := direction.misfit(variable)) is not None:
             raise BadInputError(f"{name!r} of {self._fmu.name} {problem}")
         return variable, element
-
-    def _nearest(self, name: str, known: list[str]) -> str:
-        words = nearest(name, known)
-        is_long = words.startswith("; known") and len(known) > _LONGEST_LIST
-        return f"; for its {len(known)} fitting ones run: hil fmu info {self._fmu}" if is_long else words
-
-    def _unfit_for_input(self, variable: Any) -> str | None:
-        if variable.causality != "input":
-            return f"is of causality {variable.causality}; expected an input"
-        if variable.type not in FLOATS:
-            return f"is of type {variable.type}; expected Real, Float64 or Float32"
-        return None
-
-    def _unfit_for_output(self, variable: Any) -> str | None:
-        if variable.causality not in ("output", "local"):
-            return f"is of causality {variable.causality}; expected an output or a local variable"
-        if variable.type not in FLOATS | INTEGERS:
-            return f"is of type {variable.type}; expected a number"
-        return None
-
-    def _derived(self, outputs: Mapping[str, Connection]) -> set[str]:
-        may_follow = (*TWIST, *SPEEDS, *CURRENTS, *GYRO, *COUNTS, *ACCELEROMETER, *BATTERY, *TEMPERATURES)
-        return {signal for signal in may_follow if signal not in outputs}
 
     def _require_the_rest(self, inputs: Iterable[str], outputs: Iterable[str], derived: set[str]) -> None:
         # A row with a wrong variable has been reported already.
@@ -205,31 +178,26 @@ class _Resolver:
             )
 
     def _require_numbers(self, derived: set[str]) -> None:
-        for signals, name in ((COUNTS, "counts_per_revolution"), (CURRENTS, "torque_constant_n_m_a")):
-            value = getattr(self._map, name)
-            if derived & set(signals) and not (value is not None and math.isfinite(value) and value > 0):
-                which = ", ".join(sorted(derived & set(signals)))
-                self._problems.append(f"{name} = {value}; expected a positive number, since {which} is not mapped")
+        for group, name in ((COUNTS, "counts_per_revolution"), (CURRENTS, "torque_constant_n_m_a")):
+            if (which := ", ".join(sorted(derived & set(group)))) and getattr(self._map, name) is None:
+                self._problems.append(f"{name} = None; expected a positive number, since {which} is not mapped")
 
     def _refuse_shared(self, inputs: Iterable[Connection]) -> None:
-        taken: dict[tuple[int, int], Connection] = {}
+        used: dict[tuple[int, int], Connection] = {}
         for connection in inputs:
-            other = taken.setdefault((connection.variable.valueReference, connection.element), connection)
+            other = used.setdefault((connection.variable.valueReference, connection.element), connection)
             if other is not connection:
-                self._complain(
-                    INPUTS[connection.signal],
-                    f"{connection.variable.name!r} already takes {INPUTS[other.signal]}; each needs its own input",
+                self._problems.append(
+                    f'plant.map."{INPUTS[connection.signal]}": {connection.variable.name!r} already takes '
+                    f"{INPUTS[other.signal]}; each needs its own input"
                 )
 
 
-def _unfit_numbers(row: Row) -> str | None:
-    if not (math.isfinite(row.scale) and row.scale > 0):
-        return f"scale = {row.scale:g}; expected a positive number, sign = -1 turns the sense round"
-    if not math.isfinite(row.offset):
-        return f"offset = {row.offset:g}; expected a finite number"
-    if row.sign not in (1, -1):
-        return f"sign = {row.sign}; expected 1 or -1"
-    return None
+def nearest_of(name: str, known: list[str], fmu: Path) -> str:
+    """Return a hint after an unknown name: similar names, the known ones, or for a long list where to find it."""
+    words = nearest(name, known)
+    is_long = words.startswith("; known") and len(known) > _LONGEST_LIST
+    return f"; hil fmu info {fmu} lists what it has" if is_long else words
 
 
 def _element(places: list[int], name: str, shape: tuple[int, ...]) -> int:

@@ -39,10 +39,7 @@ class Watch:
     def __init__(
         self, pending: Callable[[], object], expire: Callable[[float], None], limit_s: float, look: Callable[[], None]
     ) -> None:
-        self.limit_s = limit_s
-        self._look = look
-        self._pending = pending
-        self._expire = expire
+        self.limit_s, self._look, self._pending, self._expire = limit_s, look, pending, expire
         self._round_s = min(limit_s, _LONGEST_ROUNDS_S) / _ROUNDS
         self._stopped = threading.Event()
         threading.Thread(target=self._run, name="plant watch", daemon=True).start()
@@ -65,12 +62,12 @@ class Watch:
 
 
 class ChildProcess:
-    """One of our modules as a process, with pipes to its stdin and from its stdout; there a ``Parent`` is their end.
+    """Runs one of our modules in a child process, connected by pipes to its stdin and stdout (there: ``Parent``).
 
-    They begin with lines of JSON; what they carry then is the owner's affair. What it prints goes to ``output``. Ctrl-C
-    in the terminal does not reach it. When this process goes away it ends too, and removes the folder ``scratch``. What
-    it has started ends with it, on Linux also when it was killed. ``inherited`` are descriptors that it has under the
-    same numbers; POSIX only. Raises DeviceError when no process can be started.
+    The pipes carry lines of JSON at first; the owner decides what follows. What the child prints goes to ``output``.
+    Ctrl-C in the terminal does not reach it. When this process ends, the child ends too, and removes the folder
+    ``scratch``. Processes that it started end with it, on Linux also when it is killed. ``inherited`` are descriptors
+    that it has under the same numbers; POSIX only. Raises DeviceError when no process can be started.
     """
 
     def __init__(
@@ -89,38 +86,30 @@ class ChildProcess:
             )
         except OSError as error:
             raise DeviceError(f"no process can be started for the plant ({error}); end others first") from error
+        self.pid = self._process.pid
+        self._stdin, self._stdout = cast(IO[bytes], self._process.stdin), cast(IO[bytes], self._process.stdout)
         self._why_ended: str | None = None  # by us
         self._output = ChildOutput() if output is None else output
-        self._reader = threading.Thread(target=self._read_words, name="plant words", daemon=True)
+        self._reader = threading.Thread(target=self._read_output, name="plant output", daemon=True)
         self._reader.start()
 
     @property
-    def pid(self) -> int:
-        """Process id."""
-        return self._process.pid
-
-    @property
-    def read_end(self) -> int:
-        """Descriptor from which its answers are read."""
-        return _pipe(self._process.stdout).fileno()
-
-    @property
-    def write_end(self) -> int:
-        """Descriptor to which requests are written."""
-        return _pipe(self._process.stdin).fileno()
+    def pipes(self) -> dict[str, int]:
+        """The ends of its pipes, as ``remote_pipes`` takes them."""
+        return pipes(self._stdout.fileno(), self._stdin.fileno())
 
     def send(self, record: Mapping[str, object]) -> None:
         """Send a line. Only an answer shows that it arrived."""
         with contextlib.suppress(OSError):
-            _pipe(self._process.stdin).write(json.dumps(record).encode() + b"\n")
+            self._stdin.write(json.dumps(record).encode() + b"\n")
 
     def receive(self) -> dict[str, Any] | None:
         """Wait for a line; None when the process has ended instead."""
-        return _record(_pipe(self._process.stdout).readline())
+        return _record(self._stdout.readline())
 
     def receive_all(self) -> Iterator[dict[str, Any]]:
         """Yield every further line until the process has ended."""
-        with open(self.read_end, "rb", closefd=False) as lines:  # with a buffer: there are many
+        with open(self._stdout.fileno(), "rb", closefd=False) as lines:  # with a buffer: there are many
             while (record := _record(lines.readline())) is not None:
                 yield record
 
@@ -155,21 +144,21 @@ class ChildProcess:
         return self._end(_END_S)
 
     def ending(self) -> str:
-        """Wait for its end as ``wait`` does, and return the reason in words."""
+        """Wait for its end as ``wait`` does; return the reason in words, with the last line that it printed."""
         status = self.wait()
-        return self._why_ended or f"its process {_how(status)}"
+        return f"{self._why_ended or f'its process {_how(status)}'}{self.last_words()}"
 
     def last_words(self) -> str:
-        """Return the last line that it printed until its end, to end a sentence with; empty when it printed none."""
+        """Return the last line that it printed until its end, as the end of a sentence; empty without one."""
         self._reader.join(_END_S)
         words = self._output.last()
         return f"; its last words: {words[-_LAST_WORDS:]!r}" if words else ""
 
     def close(self, patience_s: float) -> None:
         """Let the process end by itself; kill it after ``patience_s``. Closing twice is allowed."""
-        _pipe(self._process.stdin).close()
+        self._stdin.close()
         self._end(patience_s)
-        _pipe(self._process.stdout).close()
+        self._stdout.close()
         self._reader.join(_END_S)
 
     def _end(self, patience_s: float) -> int:
@@ -185,24 +174,22 @@ class ChildProcess:
             return os.waitid(os.P_PID, self.pid, os.WEXITED | os.WNOHANG | os.WNOWAIT) is not None
         return self._process.poll() is not None
 
-    def _read_words(self) -> None:
-        """Read all output at once, so that the child never waits for a reader."""
-        with _pipe(self._process.stderr) as words:
-            while printed := words.read(65536):
-                self._output.feed(printed.replace(b"\0", b""))  # the child's question whether we are still here
+    def _read_output(self) -> None:
+        """Read its output at once, so that the child never waits for a reader."""
+        with cast(IO[bytes], self._process.stderr) as stderr:
+            while printed := stderr.read(65536):
+                # A NUL is the child's question whether this process still runs (``Parent``).
+                self._output.feed(printed.replace(b"\0", b""))
 
 
-def handle(descriptor: int) -> int:
-    """Return what ``remote_pipes`` takes for a descriptor of Python's."""
+def pipes(read_end: int, write_end: int) -> dict[str, int]:
+    """Return two of Python's descriptors as ``remote_pipes`` takes them."""
+    ends = {"read_end": read_end, "write_end": write_end}
     if sys.platform == "win32":
         import msvcrt
 
-        return msvcrt.get_osfhandle(descriptor)
-    return descriptor
-
-
-def _pipe(pipe: IO[bytes] | None) -> IO[bytes]:
-    return cast(IO[bytes], pipe)
+        return {name: msvcrt.get_osfhandle(end) for name, end in ends.items()}
+    return ends
 
 
 def _record(line: bytes) -> dict[str, Any] | None:

@@ -3,6 +3,7 @@
 import contextlib
 import tempfile
 from collections.abc import Iterator, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 
 from hil.core.errors import BadInputError, DeviceError
@@ -11,7 +12,7 @@ from hil.core.types import Pose, PoseFix, Twist, Wheels
 from hil.plant import shim
 from hil.plant.child_output import ChildOutput, one_line
 from hil.plant.mapping import SignalMap
-from hil.plant.process import THERE_S, ChildProcess, Watch, handle
+from hil.plant.process import THERE_S, ChildProcess, Watch
 from hil.plant.start import Settable, Value
 
 _OPENING_STEPS = 10.0  # time limits of a step that loading, initialising and resetting may take
@@ -76,10 +77,10 @@ class RemotePlant(shim.PlantPort):
             self.output.forget_newest()
             self._child = child = ChildProcess("hil.plant.serve", Path(scratch.name), output=self.output)
             resources.callback(child.close, self._timeout_s)
-            ends = {"read_end": handle(child.read_end), "write_end": handle(child.write_end)}
-            self._context[0] = self._ffi.new("remote_plant *", {"pipes": ends})[0]
+            self._context[0] = self._ffi.new("remote_plant *", {"pipes": child.pipes})[0]
             resources.callback(setattr, self._context, "failed", 1)
-            self._watch = Watch(self._pending, child.give_up, self._timeout_s, self._limit_memory)
+            look = partial(child.limit_memory, self._memory_limit_mb, "plant.memory_limit_mb")
+            self._watch = Watch(self._pending, child.give_up, self._timeout_s, look)
             resources.callback(self._watch.stop)
             try:
                 self._have_it_opened()
@@ -98,7 +99,7 @@ class RemotePlant(shim.PlantPort):
                 child.send(self._config)
                 answer = child.receive()
         if answer is None or "failed" in answer:
-            why = self._ending() if answer is None else self._with_last_words(str(answer["failed"]))
+            why = self._child.ending() if answer is None else self._with_last_words(str(answer["failed"]))
             raise DeviceError(f"the plant {self._fmu.name} could not be opened: {why}")
         if "refused" in answer:
             raise BadInputError(self._with_last_words(str(answer["refused"])))
@@ -150,7 +151,7 @@ class RemotePlant(shim.PlantPort):
         if not self._context.failed:
             return ""
         if not self._text:
-            self._text = self._ending() if self._context.lost else self._last_reply()
+            self._text = self._child.ending() if self._context.lost else self._last_reply()
         return self._text
 
     def reset(self) -> None:
@@ -195,9 +196,6 @@ class RemotePlant(shim.PlantPort):
     def _words(self) -> str:
         return one_line(self._ffi.string(self._context.reply.text).decode(errors="replace"))
 
-    def _ending(self) -> str:
-        return f"{self._child.ending()}{self._child.last_words()}"
-
     @contextlib.contextmanager
     def _waiting(self, limit_s: float) -> Iterator[None]:
         """Set another time limit for the requests in this block."""
@@ -209,10 +207,7 @@ class RemotePlant(shim.PlantPort):
             self._context.answered += 1
             self._watch.limit_s = self._timeout_s
 
-    def _limit_memory(self) -> None:
-        self._child.limit_memory(self._memory_limit_mb, "plant.memory_limit_mb")
-
     def _pending(self) -> int | None:
         """Return the number of the request that waits for its reply, None when all have theirs."""
-        number = int(self._context.asked)
-        return None if number == self._context.answered else number
+        asked = int(self._context.asked)
+        return None if asked == self._context.answered else asked

@@ -13,7 +13,7 @@ from hil.core.errors import BadInputError, HilError
 from hil.plant import shim
 from hil.plant.fmu import FmuPlant
 from hil.plant.mapping import Row, SignalMap
-from hil.plant.process import Parent, handle
+from hil.plant.process import Parent, pipes
 
 
 def main() -> None:
@@ -30,11 +30,11 @@ def main() -> None:
         parent.send(**{"refused" if isinstance(error, BadInputError) else "failed": str(error)})
         parent.end()
     parent.send(open=True, lacks=sorted(plant.lacks), settable=plant.settable)
-    pipes = ffi.new("remote_pipes *", {"read_end": handle(parent.requests), "write_end": handle(parent.replies)})
+    to_parent = ffi.new("remote_pipes *", pipes(parent.requests, parent.replies))
     request, reply = ffi.new("remote_request *"), ffi.new("remote_reply *")
     exchange = ffi.cast("wheel_plant_exchange", plant.exchange_address)
     context = ffi.cast("void *", plant.context_address)
-    while lib.remote_next(pipes, request) == 0:
+    while lib.remote_next(to_parent, request) == 0:
         reply.status, message = _prepare(plant, request, lib)
         if reply.status == lib.REMOTE_DONE:
             drive = ffi.addressof(request, "drive") if request.kind == lib.REMOTE_TICK else ffi.NULL
@@ -44,7 +44,7 @@ def main() -> None:
             reply.text = message.encode()[: ffi.sizeof(reply.text) - 1]
         reply.time_ns, reply.pose, reply.twist = plant.truth()
         reply.wheel_speed = plant.wheel_speeds()
-        if lib.remote_answer(pipes, reply) != 0 or reply.status == lib.REMOTE_FAILED:
+        if lib.remote_answer(to_parent, reply) != 0 or reply.status == lib.REMOTE_FAILED:
             break  # a plant that failed is opened anew, in another process
     plant.close()
     parent.end()

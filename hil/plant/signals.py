@@ -24,3 +24,6 @@ SENSORS = {"accelerometer": ACCELEROMETER, "battery": BATTERY, "temperatures": T
 
 INPUTS = (*TORQUES, *DUTIES, *ENABLED)
 OUTPUTS = (*(*POSE, *TWIST, *SPEEDS, *CURRENTS, *GYRO, *ACCELEROMETER), *(*BATTERY, *TEMPERATURES, *COUNTS, *ANGLES))
+
+DERIVABLE = (*TWIST, *SPEEDS, *CURRENTS, *GYRO, *COUNTS, *ACCELEROMETER, *BATTERY, *TEMPERATURES)
+"""Outputs that may be missing: they are derived from others, or the robot has no such sensor."""

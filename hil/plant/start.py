@@ -6,10 +6,9 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from hil.core.errors import BadInputError, nearest
-from hil.plant.mapping import FLOATS, INTEGERS, Variables
+from hil.plant.mapping import FLOATS, INTEGERS, Variables, nearest_of
 
 Value = float | int | bool | str
-_LONGEST_LIST = 60
 
 
 def count(variable: Any) -> int:
@@ -61,11 +60,6 @@ def start_values(start: Mapping[str, Value], fmu: Path, variables: Variables) ->
     return tuple(values)
 
 
-def is_settable(variable: Any) -> bool:
-    """Return whether the importer may set the start of a variable (FMI 2.0 section 2.2.7, FMI 3.0 section 2.4.7.5)."""
-    return variable.variability != "constant" and variable.initial in ("exact", "approx")
-
-
 def resize(starts: Iterable[Start], variables: Variables) -> None:
     """Set the sizes of arrays that structural parameters start with (FMI 3.0 section 2.4.7.3)."""
     sizes = {start.variable.valueReference: start.value for start in starts}
@@ -78,15 +72,17 @@ def resize(starts: Iterable[Start], variables: Variables) -> None:
         )
 
 
+def _has_start(variable: Any) -> bool:
+    """Return whether the importer may set the start of a variable (FMI 2.0 section 2.2.7, FMI 3.0 section 2.4.7.5)."""
+    return variable.variability != "constant" and variable.initial in ("exact", "approx")
+
+
 def _checked(name: str, value: Value, fmu: Path, variables: Variables) -> Start:
     variable = variables.get(name)
     if variable is None:
-        known = [name for name, variable in variables.items() if is_settable(variable)]
-        words = nearest(name, known)
-        if words.startswith("; known") and len(known) > _LONGEST_LIST:
-            words = f"; hil fmu info {fmu} lists what it has"
-        raise BadInputError(f"plant.start.{name}: {fmu.name} has no such variable{words}")
-    if not is_settable(variable):
+        known = [name for name, variable in variables.items() if _has_start(variable)]
+        raise BadInputError(f"plant.start.{name}: {fmu.name} has no such variable{nearest_of(name, known, fmu)}")
+    if not _has_start(variable):
         kind = variable.variability if variable.variability == "constant" else variable.causality
         raise BadInputError(
             f"plant.start.{name}: {fmu.name} gives this {kind} its value itself; expected a parameter, an input, or "
@@ -101,8 +97,7 @@ def _converted(given: str, value: Value, variable: Any) -> Value:
     """Return the value in the type of the variable; ``given`` begins the message when it is not one."""
     kind = variable.type
     if kind in ("Boolean", "String"):
-        expected = bool if kind == "Boolean" else str
-        if not isinstance(value, expected):
+        if not isinstance(value, bool if kind == "Boolean" else str):
             raise BadInputError(f"{given}; expected {'true or false' if kind == 'Boolean' else 'a text'}")
         return value
     if kind == "Enumeration":
@@ -115,7 +110,10 @@ def _converted(given: str, value: Value, variable: Any) -> Value:
         value = _whole(given, value, kind)
     low, high = limits(variable)
     if not low <= value <= high:
-        raise BadInputError(f"{given}; expected {_range(low, high)}")
+        at_least, at_most = f"at least {low:.10g}", f"at most {high:.10g}"
+        between = f"a number from {low:.10g} to {high:.10g}"
+        expected = at_least if math.isinf(high) else at_most if math.isinf(low) else between
+        raise BadInputError(f"{given}; expected {expected}")
     return value if kind in INTEGERS else float(value)
 
 
@@ -138,12 +136,6 @@ def _item(given: str, value: Value, variable: Any) -> int:
         choice = ", ".join(f"{name!r} ({number})" for name, number in items.items())
         raise BadInputError(f"{given}; expected one of {choice}")
     return int(value)
-
-
-def _range(low: float, high: float) -> str:
-    if math.isinf(high):
-        return f"at least {low:.10g}"
-    return f"at most {high:.10g}" if math.isinf(low) else f"a number from {low:.10g} to {high:.10g}"
 
 
 def _written(value: Value) -> str:

@@ -119,7 +119,7 @@ def _run_child(job: Mapping[str, Any], folder: Path, longest_s: float) -> list[P
             watch.limit_s = longest_s if progress.parts else THERE_S
         if child.wait() == 0 and progress.is_done:
             return progress.parts
-        ending = f"{progress.place}{child.ending()}{child.last_words()}"
+        ending = f"{progress.place}{child.ending()}"
     *before, last = progress.parts or [Part(job["parts"][0])]
     is_advice = last.name in map(title, ADVISORY)
     return [*before, last.having(advice(ending) if is_advice else violation(ending))]

@@ -1,11 +1,10 @@
 """The laws of a scenario: the one that drives the robot and its shadows, and the signals that they add to the run."""
 
 from pathlib import Path
-from typing import NamedTuple
+from typing import NamedTuple, cast
 
 from hil.core.ports import Controller, OwnSignals
 from hil.core.signals import SIGNAL_NAMES
-from hil.laws.own_signals import own_signals
 from hil.laws.registry import make_controller
 from hil.laws.shadows import Shadows
 from hil.laws.user import UserLaw
@@ -21,7 +20,8 @@ class Laws(NamedTuple):
     @property
     def extra(self) -> tuple[OwnSignals, ...]:
         """The objects whose signals follow the built-in ones in a row, in that order."""
-        return own_signals(self.controller) + (() if self.shadows is None else (self.shadows,))
+        own = (cast(OwnSignals, self.controller),) if getattr(self.controller, "signals", ()) else ()
+        return own if self.shadows is None else (*own, self.shadows)
 
     @property
     def extra_may_fail(self) -> bool:

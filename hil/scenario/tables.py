@@ -15,7 +15,7 @@ from hil.core.options import OTHERS, OptionsError, Problem, Range
 from hil.core.types import WHEEL_NAMES, CommandMode
 from hil.drivers.registry import OUR_DRIVER, driver_names, make_settings
 from hil.estimation.choice import EstimatorOptions
-from hil.laws.own_signals import short_name
+from hil.laws.shadows import short_name
 from hil.scenario.plant import PlantTable
 from hil.scenario.trial import AllowTable, ExpectTable, FaultTable
 from hil.scenario.values import AnyOption, Milliseconds, Setting, Text

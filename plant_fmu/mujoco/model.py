@@ -1,11 +1,13 @@
 """Writes the robot inside the FMU as a MuJoCo file, to view it and to run it without the FMU."""
 
 import ctypes
-import shutil
 import tempfile
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
+
+# FMPy's proxy keeps the address of the logger that it was given last, so that none of ours may go away.
+_CALLBACKS: list[Any] = []
 
 
 class ModelError(Exception):
@@ -19,36 +21,31 @@ def save(fmu: Path, file: Path, parameters: Mapping[str, float]) -> None:
     frame "start" holds the state. Raises ModelError for an unknown name, a value out of its range and a file that
     cannot be written.
     """
-    from fmpy import extract, read_model_description
+    from fmpy import extract, instantiate_fmu, read_model_description
     from fmpy.fmi1 import FMICallException
-    from fmpy.fmi2 import FMU2Slave
+    from fmpy.simulation import apply_start_values
 
     if file.suffix not in (".xml", ".mjb"):
         raise ModelError(f"{file}: the name of a model ends in .xml or .mjb")
     description = read_model_description(fmu)
     known = {v.name: v for v in description.modelVariables if v.causality == "parameter"}
-    if unknown := set(parameters) - set(known):
-        raise ModelError(f"{min(unknown)} is not a parameter; expected one of {', '.join(known)}")
-    folder = tempfile.mkdtemp(prefix="plant_fmu_mujoco_")
-    try:
+    for name, value in parameters.items():
+        if name not in known:
+            raise ModelError(f"{name} is not a parameter; expected one of {', '.join(known)}")
+        if known[name].type != "Real" and value != int(value):
+            raise ModelError(f"{name} = {value:g}; expected a whole number")
+    words: list[str] = []
+
+    def keep(environment: Any, instance: Any, status: int, category: Any, message: bytes) -> None:
+        words.append(message.decode(errors="replace"))
+
+    with tempfile.TemporaryDirectory(prefix="plant_fmu_mujoco_", ignore_cleanup_errors=True) as folder:
         extract(fmu, folder)
-        slave = FMU2Slave(
-            guid=description.guid,
-            unzipDirectory=folder,
-            modelIdentifier=description.coSimulation.modelIdentifier,
-            instanceName=fmu.stem,
-        )
-        callbacks, words = _logger()
-        slave.instantiate(callbacks=callbacks)
+        slave = instantiate_fmu(folder, description, "CoSimulation", logger=keep)
+        _CALLBACKS.append(slave.callbacks)
         try:
             slave.setupExperiment(startTime=0.0)
-            for name, value in parameters.items():
-                if known[name].type == "Real":
-                    slave.setReal([known[name].valueReference], [value])
-                elif value != int(value):
-                    raise ModelError(f"{name} = {value:g}; expected a whole number")
-                else:
-                    slave.setInteger([known[name].valueReference], [int(value)])
+            apply_start_values(slave, description, dict(parameters))
             slave.enterInitializationMode()
             slave.exitInitializationMode()
             write(slave, file)
@@ -56,8 +53,6 @@ def save(fmu: Path, file: Path, parameters: Mapping[str, float]) -> None:
             raise ModelError(words[-1] if words else str(error)) from error
         finally:
             slave.freeInstance()
-    finally:
-        shutil.rmtree(folder, ignore_errors=True)
 
 
 def write(slave: Any, file: Path) -> None:
@@ -73,24 +68,3 @@ def write(slave: Any, file: Path) -> None:
         raise ModelError(f"{file} cannot be written ({error.strerror}); choose another file") from error
     if call(slave.component, str(file).encode()) != 0:
         raise ModelError(f"{file}: the FMU could not write its model")
-
-
-# FMPy's proxy keeps the address of the logger that it was given last, so none of ours may go away.
-_LOGGERS: list[Any] = []
-
-
-def _logger() -> tuple[Any, list[str]]:
-    """Return FMI callbacks, and the list to which they add what the FMU says."""
-    from fmpy.fmi2 import fmi2CallbackFunctions, fmi2CallbackLoggerTYPE
-    from fmpy.logging import addLoggerProxy
-
-    words: list[str] = []
-
-    def keep(environment: Any, instance: Any, status: int, category: Any, message: bytes) -> None:
-        words.append(message.decode(errors="replace"))
-
-    callbacks = fmi2CallbackFunctions()
-    callbacks.logger = fmi2CallbackLoggerTYPE(keep)
-    _LOGGERS.append(callbacks.logger)
-    addLoggerProxy(ctypes.byref(callbacks))  # puts the arguments into the message
-    return callbacks, words

@@ -16,7 +16,7 @@ from pathlib import Path
 
 from firmware_protocol.built import FLAGS, BuildError
 from hil.plant.built import FMUS, MUJOCO
-from plant_fmu import c_header, description2, generate, platforms, tables
+from plant_fmu import c_header, description, generate, platforms, tables
 from plant_fmu.mujoco import definition
 from plant_fmu.mujoco.model import ModelError, save
 from plant_fmu.sources import HERE as SHARED
@@ -43,7 +43,7 @@ def build(out: Path | None = None, cc: str | None = None) -> Path:
     variables = definition.read()
     guid = generate.guid(variables)
     texts = {
-        "modelDescription.xml": description2.model_description(variables, guid, ()),
+        "modelDescription.xml": description.model_description(variables, 2, guid),
         "mecanum_variables.h": c_header.c_header(variables, guid),
         "documentation/index.html": PAGE.read_text(encoding="utf-8").replace(TABLE, tables.html_tables(variables)),
     }

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 from hil.batch.campaign.load import Plan
 from hil.batch.campaign.tables import AlternativeTable, AxisTable, LawTable
 from hil.core.errors import BadInputError
-from hil.laws.own_signals import short_name
+from hil.laws.shadows import short_name
 from hil.scenario import Scenario, format_value
 
 NO_FAULT = "none"

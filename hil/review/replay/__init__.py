@@ -21,9 +21,8 @@ from hil.core.ports import Controller
 from hil.core.tick_watch import TickOverdue, TickWatch
 from hil.core.types import NAN, WHEEL_NAMES, ZERO_WHEELS, Applied, CommandMode, WheelCommand
 from hil.judge.words import with_page
-from hil.laws.own_signals import short_name
 from hil.laws.registry import make_controller
-from hil.laws.shadows import QUANTITY
+from hil.laws.shadows import QUANTITY, short_name
 from hil.record import Recording, check_output_path
 from hil.review import RecordedRun
 from hil.review.replay.recorded import check_signals, model_of, recorded_gains, rows, scenario_of, tuples

@@ -24,8 +24,7 @@ from hil.core.types import (
     WheelCommand,
     Wheels,
 )
-from hil.laws.own_signals import short_name
-from hil.laws.shadows import QUANTITY
+from hil.laws.shadows import QUANTITY, short_name
 from hil.review import RecordedRun
 
 Series = npt.NDArray[np.float64]

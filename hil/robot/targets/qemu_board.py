@@ -208,7 +208,7 @@ class QemuProcess:
 
     def ending(self) -> str:
         """End the process if it still runs, and return a description of how it ended."""
-        return self._child.ending() + self._child.last_words()
+        return self._child.ending()
 
     def close(self) -> None:
         """End the process and close its lines. Closing twice is allowed."""
