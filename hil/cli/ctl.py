@@ -16,7 +16,7 @@ from hil.core.errors import BadInputError, RunInterruptedError
 from hil.core.outputs import check_free, existing_files
 from hil.scenario.toml_text import parse_value
 from hil.service.client import Client, find
-from hil.service.messages import SUMMARIES, Action
+from hil.service.messages import Action
 
 app = typer.Typer(
     cls=Group, no_args_is_help=True, help="Drive the robot that hil serve runs; an order returns when accepted."
@@ -79,10 +79,10 @@ def _without_arguments(action: Action) -> Callable[[typer.Context], None]:
 
 
 for _action in (Action.ARM, Action.DISARM, Action.ESTOP, Action.CLEAR, Action.STOP):
-    app.command(_action.value, help=SUMMARIES[_action])(_without_arguments(_action))
+    app.command(_action.value, help=_action.summary)(_without_arguments(_action))
 
 
-@app.command(help=SUMMARIES[Action.TRACK])
+@app.command(help=Action.TRACK.summary)
 def track(
     context: typer.Context,
     kind: Annotated[str | None, typer.Argument(metavar="[KIND]", help="by default the configuration's")] = None,
@@ -99,7 +99,7 @@ def track(
     _order(context, Action.TRACK, {"reference": reference, "here": here})
 
 
-@app.command(context_settings=_NUMBERS, help=SUMMARIES[Action.GO])
+@app.command(context_settings=_NUMBERS, help=Action.GO.summary)
 def go(
     context: typer.Context,
     x_m: Annotated[float, typer.Argument(metavar="X", help="[m]")],
@@ -131,14 +131,14 @@ def twist(
         _client(context).twist(arguments, for_s)
 
 
-@app.command(help=SUMMARIES[Action.GAINS])
+@app.command(help=Action.GAINS.summary)
 def gains(
     context: typer.Context, changes: Annotated[list[str] | None, typer.Argument(metavar="[NAME=VALUE]...")] = None
 ) -> None:
     _order(context, Action.GAINS, {"gains": _assignments(changes) if changes else None})
 
 
-@app.command(help=SUMMARIES[Action.RECORD])
+@app.command(help=Action.RECORD.summary)
 def record(
     context: typer.Context,
     file: Annotated[Path | None, typer.Argument(metavar="[FILE]", help=".rrd or .mcap; by default runs/...")] = None,
@@ -151,7 +151,7 @@ def record(
 
 
 for _action in (Action.STOP_RECORDING, Action.SHUTDOWN):
-    app.command(_action.value.replace("_", "-"), help=SUMMARIES[_action])(_without_arguments(_action))
+    app.command(_action.value.replace("_", "-"), help=_action.summary)(_without_arguments(_action))
 
 
 def _finite(arguments: dict[str, float]) -> dict[str, float]:

@@ -34,18 +34,17 @@ def find(url: str | None = None, port: int | None = None, token_file: Path | Non
     if url is not None and token_file is not None:
         return Client(url, token_file)
     services = running()
+    found = [
+        service for service in services if (service.url == url if url is not None else port in (None, service.port))
+    ]
+    if len(found) == 1:
+        return Client(found[0].url, token_file or Path(found[0].token_file))
     if url is not None:
-        found = [service for service in services if service.url == url]
-        if not found:
-            raise BadInputError(f"service {url}: it is not one of yours; give the file with its token by --token-file")
-    else:
-        found = [service for service in services if port in (None, service.port)]
-    if not found:
-        known = f": yours are {_listed(services)}" if services else ""
-        raise LinkError(_NONE_RUNS if port is None else f"no service of yours runs at port {port}{known}")
-    if len(found) > 1:
+        raise BadInputError(f"service {url}: it is not one of yours; give the file with its token by --token-file")
+    if found:
         raise BadInputError(f"{len(found)} services run: {_listed(found)}; choose one with --port")
-    return Client(found[0].url, token_file or Path(found[0].token_file))
+    known = f": yours are {_listed(services)}" if services else ""
+    raise LinkError(_NONE_RUNS if port is None else f"no service of yours runs at port {port}{known}")
 
 
 def _listed(services: list[Service]) -> str:
@@ -64,7 +63,7 @@ class Client:
 
     def status(self) -> dict[str, Any]:
         """Return the service's status, by the names of ``hil.service.messages.Status``."""
-        return self._request("GET", "/v1/status", None)
+        return self._request("GET", "/v1/status")
 
     def order(self, action: Action, arguments: Mapping[str, Any] | None = None) -> dict[str, Any]:
         """Give an order; return its result when it is done, or for a motion when it has begun."""
@@ -86,18 +85,19 @@ class Client:
         end_s = time.monotonic() + for_s
         self.order(Action.TWIST, arguments)  # over HTTP, whose status tells wrong arguments from a refusal
         with self.live() as live:
+            interrupted = False
             try:
                 while (now_s := time.monotonic()) < end_s:
                     _await_answer(live, min(now_s + TWIST_PERIOD_S, end_s))
                     live.order(Action.TWIST, arguments)
             except KeyboardInterrupt:
-                _stop(live)
-                raise RunInterruptedError("interrupted; the robot was told to stop") from None
-            _stop(live)
+                interrupted = True
+            if not _await_answer(live, time.monotonic() + _TIMEOUT_S, live.order(Action.STOP)):
+                raise LinkError(STOP_UNANSWERED)
+            if interrupted:
+                raise RunInterruptedError("interrupted; the robot was told to stop")
 
-    def _request(
-        self, method: str, path: str, body: Mapping[str, Any] | None, timeout_s: float = _TIMEOUT_S
-    ) -> dict[str, Any]:
+    def _request(self, method: str, path: str, body: Any = None, timeout_s: float = _TIMEOUT_S) -> dict[str, Any]:
         try:
             # No proxy from the environment on this machine; without TLS there are no certificates to load (0.1 s).
             with httpx.Client(trust_env=False, verify=False, timeout=timeout_s) as http:
@@ -124,12 +124,12 @@ class Client:
                 f"service {self._url}: it does not accept the token in {self._token_file}; each start makes a new one, "
                 "so give the file of this start with --token-file"
             )
-        if status == 409:
-            raise DeviceError(f"refused: {sentence}")
         if status == 422:
             raise BadInputError(sentence)
         if status != 200:
-            raise LinkError(f"service {self._url}: {sentence}")
+            raise (
+                DeviceError(f"refused: {sentence}") if status == 409 else LinkError(f"service {self._url}: {sentence}")
+            )
         return dict(body)
 
     @contextlib.contextmanager
@@ -169,11 +169,6 @@ class Live:
         except TimeoutError:
             return None
         return message
-
-
-def _stop(live: Live) -> None:
-    if not _await_answer(live, time.monotonic() + _TIMEOUT_S, live.order(Action.STOP)):
-        raise LinkError(STOP_UNANSWERED)
 
 
 def _await_answer(live: Live, until_s: float, number: int | None = None) -> bool:

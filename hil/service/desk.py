@@ -4,7 +4,7 @@ import contextlib
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import Executor, Future
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -41,6 +41,7 @@ class Long(NamedTuple):
     then: Callable[[Any], Result]
 
 
+@dataclass
 class Desk:
     """Carries out orders, and calls ``answer`` for each.
 
@@ -51,25 +52,17 @@ class Desk:
         shutdown: whether the service was asked to end.
     """
 
-    def __init__(
-        self,
-        scenario: Scenario,
-        made_of: Mapping[str, str],
-        signals: Sequence[str],
-        pilot: Pilot,
-        records: Records,
-        answer: Callable[[Answer], None],
-        reload: Callable[[], Scenario],
-        beside: Executor,
-    ) -> None:
-        self._scenario = scenario
-        self._made_of = dict(made_of)
-        self._pilot = pilot
-        self._records = records
-        self._answer = answer
-        self._reload = reload
-        self._beside = beside
-        self._signals = tuple(signals)
+    scenario: Scenario
+    made_of: Mapping[str, str]
+    signals: Sequence[str]
+    pilot: Pilot
+    records: Records
+    answer: Callable[[Answer], None]
+    reload: Callable[[], Scenario]
+    beside: Executor
+
+    def __post_init__(self) -> None:
+        pilot = self.pilot
         self._under_way: list[tuple[Order, Future[Any], Long]] = []
         self._t_s = 0.0
         self.shutdown = False
@@ -128,34 +121,34 @@ class Desk:
             self._refuse(order, f"{type(failure).__name__}: {failure}")
         else:
             if isinstance(result, Long):
-                self._under_way.append((order, self._beside.submit(result.work), result))
+                self._under_way.append((order, self.beside.submit(result.work), result))
             else:
-                self._answer(Answer(order.number, None, result or {}))
+                self.answer(Answer(order.number, None, result or {}))
 
     def _refuse(self, order: Order, why: str) -> None:
         logs.warning("order refused", action=order.action.value, why=why)
-        self._answer(Answer(order.number, why))
+        self.answer(Answer(order.number, why))
 
     def _twist(self, vx_m_s: float, vy_m_s: float, yaw_rate_rad_s: float) -> Result:
-        twist = self._pilot.active().twist(BodyTwist(vx_m_s, vy_m_s, yaw_rate_rad_s))
+        twist = self.pilot.active().twist(BodyTwist(vx_m_s, vy_m_s, yaw_rate_rad_s))
         return {"vx_m_s": twist.forward_m_s, "vy_m_s": twist.left_m_s, "yaw_rate_rad_s": twist.yaw_rate_rad_s}
 
     def _track(self, reference: Mapping[str, Any] | None, here: bool) -> Long:
-        self._pilot.need_active()  # before a path is read in vain
-        requests_before = self._pilot.motion_requests
-        table = self._scenario.reference
+        self.pilot.need_active()  # before a path is read in vain
+        requests_before = self.pilot.motion_requests
+        table = self.scenario.reference
         options = {"kind": table.kind, **table.options} if reference is None else dict(reference)
         kind = options.pop("kind")
 
         def read() -> ReferenceSource:
-            path = make_reference(kind, options, self._scenario.directory)
+            path = make_reference(kind, options, self.scenario.directory)
             _try_out(path)
             return path
 
         def follow(path: ReferenceSource) -> Result:
-            if self._pilot.motion_requests != requests_before:
+            if self.pilot.motion_requests != requests_before:
                 raise BadInputError("another order, or another phase of the robot, came before the path was read")
-            self._pilot.active().track(path, here=here)
+            self.pilot.active().track(path, here=here)
             return {"kind": kind}
 
         return Long(read, follow)
@@ -165,24 +158,24 @@ class Desk:
             raise BadInputError("the gains are being changed by another order; give this one again")
 
         def make() -> tuple[Scenario, Laws, Mapping[str, str]]:
-            now = self._scenario.controller
+            now = self.scenario.controller
             changed = self._reload_gains() if gains is None else {**now.gains, **gains}
-            scenario = replace(self._scenario, controller=replace(now, gains=changed))
+            scenario = replace(self.scenario, controller=replace(now, gains=changed))
             return scenario, make_laws(scenario, scenario.directory), law_ingredients(scenario)
 
         def use(made: tuple[Scenario, Laws, Mapping[str, str]]) -> Result:
             scenario, laws, made_of = made
-            if laws.signals != self._signals:
+            if laws.signals != tuple(self.signals):
                 raise BadInputError("these gains change what the law records; restart the service to use them")
-            self._scenario = scenario
-            self._made_of |= made_of
-            self._pilot.use(laws)
+            self.scenario = scenario
+            self.made_of = {**self.made_of, **made_of}
+            self.pilot.use(laws)
             return {"gains": dict(scenario.controller.gains)}
 
         return Long(make, use)
 
     def _reload_gains(self) -> Mapping[str, Any]:
-        now, new = self._scenario.controller, self._reload().controller
+        now, new = self.scenario.controller, self.reload().controller
         if (new.law, new.command) != (now.law, now.command):
             raise BadInputError(
                 f"the file has law {new.law!r} in {new.command} mode now, and {now.law!r} in {now.command} mode is "
@@ -191,23 +184,23 @@ class Desk:
         return new.gains
 
     def _record(self, path: str | None, force: bool) -> Long:
-        if self._are_records_busy or self._records.path is not None:
-            raise BadInputError(f"{self._records.path or 'a recording'} is being written; stop that first")
-        made_of = dict(self._made_of)
+        if self._are_records_busy or self.records.path is not None:
+            raise BadInputError(f"{self.records.path or 'a recording'} is being written; stop that first")
+        made_of = self.made_of
 
         def start() -> Recording:
-            file = new_in_runs(self._scenario.name, ".rrd", "name a file") if path is None else Path(path)
+            file = new_in_runs(self.scenario.name, ".rrd", "name a file") if path is None else Path(path)
             existing: Existing = "number" if path is None else existing_files(force=force)
-            return recording_of(properties(self._scenario, made_of), self._signals, file, existing=existing)
+            return recording_of(properties(self.scenario, made_of), self.signals, file, existing=existing)
 
         def use(recording: Recording) -> Result:
-            self._records.begin(recording)
+            self.records.begin(recording)
             return {"path": str(recording.path), "from_s": round(self._t_s, 6)}
 
         return Long(start, use)
 
     def _stop_recording(self) -> Long:
-        recording = None if self._are_records_busy else self._records.end()
+        recording = None if self._are_records_busy else self.records.end()
         if recording is None:
             raise BadInputError("nothing is being recorded")
 

@@ -11,6 +11,8 @@ from platformdirs import user_state_path
 from hil.core.errors import BadInputError
 from hil.core.process_lock import LockHeldError, ProcessLock, held, write_private
 
+_SHORTEST_TOKEN = 16
+
 
 @dataclasses.dataclass(frozen=True, slots=True)
 class Service:
@@ -91,6 +93,3 @@ def read_token(path: Path) -> str:
             "characters without spaces, or remove the file and one is made"
         )
     return text
-
-
-_SHORTEST_TOKEN = 16

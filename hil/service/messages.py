@@ -7,7 +7,7 @@ with a sentence if not.
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
 from enum import StrEnum
-from typing import Any, Literal
+from typing import Any, Literal, Self
 
 HOST = "127.0.0.1"
 
@@ -17,71 +17,49 @@ LogStyle = Literal["text", "json"]
 class Phase(StrEnum):
     """The state of the robot, as the service sees it."""
 
-    AWAY = "away"
-    """No link or no answer; reconnection is being tried."""
+    AWAY = "away"  # no link or no answer; reconnection is being tried
     DISARMED = "disarmed"
     ARMING = "arming"
-    ACTIVE = "active"
-    """Armed: it moves, or rests under control."""
-    STOPPING = "stopping"
-    """Ramping down, to be disarmed."""
-    FAULT = "fault"
-    """Latched; ``clear`` leads out of it when the cause is gone."""
-    ESTOP = "estop"
-    """Latched; ``clear`` leads out of it."""
+    ACTIVE = "active"  # armed: it moves, or rests under control
+    STOPPING = "stopping"  # ramping down, to be disarmed
+    FAULT = "fault"  # latched until ``clear``, which needs the cause to be gone
+    ESTOP = "estop"  # latched until ``clear``
 
 
 class Task(StrEnum):
     """The task of an ACTIVE robot."""
 
-    HOLD = "hold"
-    """At rest, where it is."""
+    HOLD = "hold"  # at rest, where it is
     TRACK = "track"
     GO = "go"
     TWIST = "twist"
 
 
 class Action(StrEnum):
-    """An order to the control process. ``SUMMARIES`` says what each does; the texts here give its ``arguments``."""
+    """An order to the control process. Its arguments are described in ``hil.service.api.bodies``.
 
-    ARM = "arm"
-    DISARM = "disarm"
-    ESTOP = "estop"
-    CLEAR = "clear"
-    TRACK = "track"
-    """``reference``: kind and options as in ``[reference]``, or None for the configuration's. ``here``: whether the
-    path starts at the robot's present pose; otherwise the robot first drives to the path's start.
+    ``summary`` says what it does, for the help of ``hil ctl`` and the document of the API.
     """
-    GO = "go"
-    """``x_m``, ``y_m``, ``heading_rad``: a pose in the world frame, by the shorter turn."""
-    TWIST = "twist"
-    """``vx_m_s``, ``vy_m_s``, ``yaw_rate_rad_s``: in the body frame, in force for ``service.twist_timeout_s``."""
-    STOP = "stop"
-    GAINS = "gains"
-    """``gains``: changes to the law's gains; None reads ``[controller]`` again from its file."""
-    RECORD = "record"
-    """``path``: an .rrd or .mcap file, None for a name from scenario and time. ``force``: whether to replace the
-    file.
-    """
-    STOP_RECORDING = "stop_recording"
-    SHUTDOWN = "shutdown"
 
+    summary: str
 
-SUMMARIES = {
-    Action.ARM: "Arm the robot: it may move from here on, and is held at rest.",
-    Action.DISARM: "Ramp down, and disarm.",
-    Action.ESTOP: "Stop the robot at once, before any other order; `clear` leads out of it.",
-    Action.CLEAR: "Leave FAULT or ESTOP when the cause is gone; arms nothing.",
-    Action.TRACK: "Follow a path.",
-    Action.GO: "Drive to a pose in the world frame, by the shorter turn.",
-    Action.TWIST: "Drive by twist, in the body frame, until it times out.",
-    Action.STOP: "Ramp down to rest, and hold; the robot stays armed.",
-    Action.GAINS: "Change gains of the law; without any, read those of the configuration's file again.",
-    Action.RECORD: "Begin a recording.",
-    Action.STOP_RECORDING: "End the recording.",
-    Action.SHUTDOWN: "Ramp down, disarm, close the recording, and end the service.",
-}
-"""What each order does, for the help of ``hil ctl`` and the document of the API."""
+    def __new__(cls, value: str, summary: str = "") -> Self:
+        action = str.__new__(cls, value)
+        action._value_, action.summary = value, summary
+        return action
+
+    ARM = "arm", "Arm the robot: it may move from here on, and is held at rest."
+    DISARM = "disarm", "Ramp down, and disarm."
+    ESTOP = "estop", "Stop the robot at once, before any other order; `clear` leads out of it."
+    CLEAR = "clear", "Leave FAULT or ESTOP when the cause is gone; arms nothing."
+    TRACK = "track", "Follow a path."
+    GO = "go", "Drive to a pose in the world frame, by the shorter turn."
+    TWIST = "twist", "Drive by twist, in the body frame, until it times out."
+    STOP = "stop", "Ramp down to rest, and hold; the robot stays armed."
+    GAINS = "gains", "Change gains of the law; without any, read those of the configuration's file again."
+    RECORD = "record", "Begin a recording."
+    STOP_RECORDING = "stop_recording", "End the recording."
+    SHUTDOWN = "shutdown", "Ramp down, disarm, close the recording, and end the service."
 
 
 def route(action: Action) -> tuple[str, str]:
@@ -92,10 +70,8 @@ def route(action: Action) -> tuple[str, str]:
 LONG = frozenset({Action.RECORD, Action.STOP_RECORDING, Action.TRACK, Action.GAINS})
 """Orders that read files or start or end a recorder. They are answered when that is done; the ticks go on meanwhile."""
 
-
 MOVING = frozenset({Action.ARM, Action.CLEAR, Action.TRACK, Action.GO, Action.TWIST, Action.GAINS})
 """Orders that can make the robot move, now or later. After a stall such an order is refused."""
-
 
 SILENT_S = 1.0
 """An API process counts as hung after a silence this long [s]; a sign of life is due every 0.1 s."""
@@ -169,15 +145,16 @@ class Status:
 
 @dataclass(frozen=True, slots=True)
 class Limits:
-    """Largest values that an order may ask for. The API refuses larger ones before the control process sees them."""
+    """Largest values that an order may ask for. The API refuses larger ones before the control process sees them.
+
+    ``speed_m_s`` is along each axis of the robot's body, ``distance_m`` along each axis of the world, from its origin
+    to a target pose. A twist is in force for ``twist_timeout_s``; one that has waited longer in the API is refused.
+    """
 
     speed_m_s: float
-    """Along each axis of the robot's body."""
     yaw_rate_rad_s: float
     distance_m: float
-    """From the origin of the world to a target pose, along each axis."""
     twist_timeout_s: float
-    """How long a twist is in force; one that has waited longer in the API is refused."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -185,10 +162,8 @@ class ApiConfig:
     """The API of one service.
 
     Attributes:
-        title: the scenario's name. device: URL of the link.
-        limits: largest values that an order may ask for. host: address to listen on. port: TCP port; 0 picks a free
-            one.
-        token_file: file that holds the access token, made if missing; None makes a new token at each start.
+        title: the scenario's name. device: URL of the link. host: address to listen on. port: TCP port; 0 picks a free
+            one. token_file: file that holds the access token, made if missing; None makes a new token at each start.
         log: format of the lines on stderr.
     """
 

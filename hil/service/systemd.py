@@ -33,15 +33,13 @@ class Notifier:
                 # A name that begins with @ is an abstract one: its first byte is zero.
                 self._socket.connect("\0" + address[1:] if address[0] == "@" else address)
             except OSError:
-                self._socket.close()
-                self._socket = None  # the manager that started this process is gone
-        meant_for_us = environment.get("WATCHDOG_PID", str(os.getpid())) == str(os.getpid())
-        watchdog_us = environment.get("WATCHDOG_USEC", "0")
-        watched = self._socket is not None and meant_for_us and watchdog_us.isdecimal() and int(watchdog_us) > 0
+                self.close()  # the manager that started this process is gone
+        own_pid, watchdog_us = str(os.getpid()), environment.get("WATCHDOG_USEC", "0")
+        is_meant = environment.get("WATCHDOG_PID", own_pid) == own_pid and watchdog_us.isdecimal()
         # A third of the period, so that one beat may be lost.
-        self._beat_ns = int(watchdog_us) * 1000 // 3 if watched else 0
+        self._beat_ns = int(watchdog_us) * 1000 // 3 if is_meant and self._socket is not None else 0
         # Without a watchdog the next beat is never due.
-        self._next_beat_ns = 0 if watched else sys.maxsize
+        self._next_beat_ns = 0 if self._beat_ns else sys.maxsize
         self._status = ""
 
     def ready(self) -> None:

@@ -17,7 +17,6 @@ from pydantic import (
     StrictBool,
     StrictInt,
     StrictStr,
-    create_model,
     model_validator,
 )
 
@@ -88,36 +87,29 @@ def bodies(limits: Limits) -> Mapping[Action, type[Body]]:
     """Return the body of every action, with the ranges of this service."""
 
     def within(limit: float, description: str) -> Any:
-        return (float, Field(ge=-limit, le=limit, description=description))
+        return Field(ge=-limit, le=limit, description=description)
 
-    twist = create_model(
-        "Twist",
-        __base__=Body,
-        __doc__="Drive by twist, in the body frame, for as long as the service's twist timeout.",
-        vx_m_s=within(limits.speed_m_s, "forward [m/s]"),
-        vy_m_s=within(limits.speed_m_s, "to the left [m/s]"),
-        yaw_rate_rad_s=within(limits.yaw_rate_rad_s, "counter-clockwise [rad/s]"),
-    )
-    go = create_model(
-        "Go",
-        __base__=Body,
-        __doc__="Drive to a pose in the world frame, by the shorter turn.",
-        x_m=within(limits.distance_m, "[m]"),
-        y_m=within(limits.distance_m, "[m]"),
-        heading_rad=within(_MOST_HEADING_RAD, "[rad]"),
-    )
-    return dict.fromkeys(Action, Body) | {
-        Action.TWIST: twist,
-        Action.GO: go,
-        Action.TRACK: Track,
-        Action.GAINS: Gains,
-        Action.RECORD: Record,
-    }
+    class Twist(Body):
+        """Drive by twist, in the body frame, for as long as the service's twist timeout."""
+
+        vx_m_s: float = within(limits.speed_m_s, "forward [m/s]")
+        vy_m_s: float = within(limits.speed_m_s, "to the left [m/s]")
+        yaw_rate_rad_s: float = within(limits.yaw_rate_rad_s, "counter-clockwise [rad/s]")
+
+    class Go(Body):
+        """Drive to a pose in the world frame, by the shorter turn."""
+
+        x_m: float = within(limits.distance_m, "[m]")
+        y_m: float = within(limits.distance_m, "[m]")
+        heading_rad: float = within(_MOST_HEADING_RAD, "[rad]")
+
+    with_arguments: dict[Action, type[Body]] = {Action.TWIST: Twist, Action.GO: Go, Action.TRACK: Track}
+    return {**dict.fromkeys(Action, Body), **with_arguments, Action.GAINS: Gains, Action.RECORD: Record}
 
 
 def sentence(errors: Iterable[Mapping[str, Any]]) -> str:
     """Return pydantic's errors as a sentence."""
-    return "; ".join(_part(error) for error in errors)
+    return "; ".join(map(_part, errors))
 
 
 def _part(error: Mapping[str, Any]) -> str:

@@ -14,7 +14,7 @@ from hil.service.api.bodies import Body, bodies, sentence
 from hil.service.api.control import Control, NoAnswerError
 from hil.service.api.live import LiveClient
 from hil.service.api.metrics import ServiceMetrics
-from hil.service.messages import SUMMARIES, Action, ApiConfig, Status, route
+from hil.service.messages import Action, ApiConfig, Status, route
 
 
 class Refusal(BaseModel):
@@ -74,7 +74,7 @@ def make_app(config: ApiConfig, control: Control) -> FastAPI:
             path,
             _endpoint(control, action, checked[action]),
             methods=[method],
-            summary=SUMMARIES[action].rstrip("."),
+            summary=action.summary.rstrip("."),
             operation_id=action.value,
             response_model=Done,
             responses=_REFUSALS,

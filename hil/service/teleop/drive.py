@@ -9,6 +9,7 @@ import os
 import signal
 import time
 from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Any
 
 from hil.core.errors import LinkError, RunInterruptedError
@@ -62,15 +63,15 @@ def teleop(client: Client, speeds: Speeds, *, gamepad: bool, dead_zone: float, e
             raise
 
 
+@dataclass
 class _Session:
-    def __init__(
-        self, live: Live, terminal: Terminal, signals: Signals, gamepads: Gamepads | None, operator: Operator
-    ) -> None:
-        self._live = live
-        self._terminal = terminal
-        self._signals = signals
-        self._gamepads = gamepads
-        self._operator = operator
+    _live: Live
+    _terminal: Terminal
+    _signals: Signals
+    _gamepads: Gamepads | None
+    _operator: Operator
+
+    def __post_init__(self) -> None:
         self._heartbeat = Heartbeat()
         self._requested: BodyTwist | None = None
         self._status: dict[str, Any] | None = None
@@ -101,7 +102,8 @@ class _Session:
         if now_s >= self._due_s:
             self._handle_gamepad()
         self._check_terminal(now_s)
-        self._receive(now_s)
+        while (message := self._live.receive(0.0)) is not None:
+            self._handle(message, now_s)
         self._drive(now_s)
         if now_s >= self._due_s:
             self._due_s = now_s + PERIOD_S
@@ -189,10 +191,6 @@ class _Session:
         number = self._live.order(action, arguments)
         self._orders[number] = action
         return number
-
-    def _receive(self, now_s: float) -> None:
-        while (message := self._live.receive(0.0)) is not None:
-            self._handle(message, now_s)
 
     def _handle(self, message: dict[str, Any], now_s: float) -> None:
         if "status" in message:
