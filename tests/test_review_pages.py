@@ -24,9 +24,8 @@ from hil.review.figures import read_for_figures
 from hil.review.html_page import write_document
 from hil.review.overlay import write_overlay
 from hil.review.page import page
-from hil.review.pictures import SIGNALS
+from hil.review.pictures import LEAST_SAMPLES, SIGNALS, spectrum
 from hil.review.plots import Curve, thinned
-from hil.review.spectrum import LEAST_SAMPLES, spectrum
 from hil.runtime.assembly import RunOptions, run_scenario
 from hil.scenario import load
 from tests.examples import share_of_examples

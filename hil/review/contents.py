@@ -41,10 +41,6 @@ class Contents(NamedTuple):
     damage: tuple[str, ...] = ()
     lost_rows: int = 0
 
-    def json(self, name: str) -> dict[str, Any] | None:
-        """See ``json_property``."""
-        return json_property(self.properties, name)
-
 
 def why_nothing(programs: Collection[str], cut_bytes: int | None) -> str:
     """Return the reason why a file holds no run, by the programs named in it and by whether it was cut."""

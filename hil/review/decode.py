@@ -19,7 +19,16 @@ from hil.core.errors import BadInputError
 from hil.record.files import check_is_recording, later_files
 from hil.record.properties import PART_PROPERTY, RECORDER_PROPERTY, RUN_PROPERTY, SIGNALS_PROPERTY, SUMMARY_PROPERTY
 from hil.record.started_process import refuse_pandas
-from hil.review.contents import CLOCK, CUT_BEFORE_ROWS, Contents, DamagedError, Selection, Series, check_plausible
+from hil.review.contents import (
+    CLOCK,
+    CUT_BEFORE_ROWS,
+    Contents,
+    DamagedError,
+    Selection,
+    Series,
+    check_plausible,
+    json_property,
+)
 from hil.review.decode_rrd import decode_rrd
 
 
@@ -30,28 +39,25 @@ def decode(path: Path, selection: Selection = None) -> tuple[dict[str, Any], dic
     ``rows`` values; the other keys are fields of ``RecordedRun``.
     """
     files, notes = _files(path, selection)
-    first, last = files[0][1], files[-1][1]
-    about = [contents.json(PART_PROPERTY) or {} for _, contents in files]
-    spans, missing = _spans(
-        [one.get("first_row") for one in about], [_length(contents) + contents.lost_rows for _, contents in files]
-    )
-    event_spans, events_missing = _spans(
-        [one.get("first_event") for one in about], [len(contents.events) for _, contents in files]
-    )
+    parts = [contents for _, contents in files]
+    first, last = parts[0], parts[-1]
+    about = [json_property(contents.properties, PART_PROPERTY) or {} for contents in parts]
+    lengths = [_length(contents) + contents.lost_rows for contents in parts]
+    spans, missing = _spans([one.get("first_row") for one in about], lengths)
+    starts = [one.get("first_event") for one in about]
+    event_spans, events_missing = _spans(starts, [len(contents.events) for contents in parts])
     for count, what in ((missing, "rows"), (events_missing, "events")):
         if count:
             notes.append(f"{count} {what} between its parts were lost")
-    notes.extend(f"{one.name} is damaged: {sentence}" for one, contents in files for sentence in contents.damage)
-    missing += sum(contents.lost_rows for _, contents in files)
-    signals = {
-        name: np.concatenate([c.signals[name][:n] for (_, c), n in zip(files, spans, strict=True)])
-        if len(files) > 1
-        else series
-        for name, series in first.signals.items()
-    }
-    recorder = last.json(RECORDER_PROPERTY)
-    if not len(next(iter(signals.values()), ())):
-        if any(contents.damage for _, contents in files):
+    notes.extend(f"{file.name} is damaged: {sentence}" for file, contents in files for sentence in contents.damage)
+    signals = first.signals
+    if len(files) > 1:
+        spanned = list(zip(parts, spans, strict=True))
+        signals = {name: np.concatenate([one.signals[name][:count] for one, count in spanned]) for name in signals}
+    recorder = json_property(last.properties, RECORDER_PROPERTY)
+    rows = len(next(iter(signals.values()), ()))
+    if not rows:
+        if any(contents.damage for contents in parts):
             raise DamagedError("damaged: none of its rows can be read")
         if recorder is None:
             raise DamagedError(CUT_BEFORE_ROWS)
@@ -61,13 +67,13 @@ def decode(path: Path, selection: Selection = None) -> tuple[dict[str, Any], dic
         notes.append(f"the run went on in part {next_number}, which is not read here")
     decoded: dict[str, Any] = dict(  # noqa: C408 -- keys as of RecordedRun
         signals=list(signals),
-        held=[name for names in (first.json(SIGNALS_PROPERTY) or {}).values() for name in names],
-        rows=len(next(iter(signals.values()), ())),
-        events=[event for (_, c), n in zip(files, event_spans, strict=True) for event in c.events[:n]],
+        held=[name for names in (json_property(first.properties, SIGNALS_PROPERTY) or {}).values() for name in names],
+        rows=rows,
+        events=[event for one, count in zip(parts, event_spans, strict=True) for event in one.events[:count]],
         properties=first.properties.get(RUN_PROPERTY, {}),
-        summary=last.json(SUMMARY_PROPERTY),
+        summary=json_property(last.properties, SUMMARY_PROPERTY),
         rows_dropped=None if recorder is None else recorder.get("rows_dropped"),
-        rows_missing=missing,
+        rows_missing=missing + sum(contents.lost_rows for contents in parts),
         goes_on=next_number is not None,
         parts=[str(one) for one, _ in files],
         notes=notes,
@@ -78,7 +84,7 @@ def decode(path: Path, selection: Selection = None) -> tuple[dict[str, Any], dic
 def _cut(path: Path, contents: Contents, *, is_last: bool) -> str | None:
     """Return a sentence on what a file without its end has lost; None if nothing, or if the next file has it."""
     why = "the recorder was killed or could not write it, or the file was cut"
-    if contents.json(RECORDER_PROPERTY) is None:
+    if json_property(contents.properties, RECORDER_PROPERTY) is None:
         cut = f", with its last {contents.cut_bytes} bytes, which were cut short," if contents.cut_bytes else ""
         return f"{path.name} has no end: {why}, and what came after{cut} is lost" if is_last else None
     if contents.cut_bytes is None:
@@ -91,7 +97,7 @@ def _files(path: Path, selection: Selection) -> tuple[list[tuple[Path, Contents]
     """Return the file and the later files of its run, and notes on files that were left out."""
     first = _read(path, selection)
     files, notes = [(path, first)], []
-    part = first.json(PART_PROPERTY)
+    part = json_property(first.properties, PART_PROPERTY)
     if part is not None and _is_later_file(part, first):
         notes.append(_alone(path, part))
     for other in later_files(path) if part is not None and part["number"] == 1 else ():
@@ -101,7 +107,7 @@ def _files(path: Path, selection: Selection) -> tuple[list[tuple[Path, Contents]
         except (DamagedError, BadInputError) as error:
             notes.append(f"{other.name}, by its name a part of it, is left out: {error}")
             continue
-        later = contents.json(PART_PROPERTY)
+        later = json_property(contents.properties, PART_PROPERTY)
         if later is None or part is None or later["recording_id"] != part["recording_id"]:
             continue
         if later["number"] != int(other.stem.rpartition("-")[2]):
@@ -113,7 +119,7 @@ def _files(path: Path, selection: Selection) -> tuple[list[tuple[Path, Contents]
 
 def _is_later_file(part: dict[str, Any], contents: Contents) -> bool:
     """Whether the file is a single later file of its run. A file merged by rerun has the properties of the last."""
-    in_part = (contents.json(RECORDER_PROPERTY) or {}).get("rows_in_part")
+    in_part = (json_property(contents.properties, RECORDER_PROPERTY) or {}).get("rows_in_part")
     return bool(part["number"] > 1 and (in_part is None or not contents.signals or _length(contents) <= in_part))
 
 
@@ -157,9 +163,8 @@ def _read(path: Path, selection: Selection) -> Contents:
         return decode_mcap(path, selection)
     contents = decode_rrd(path, None if selection is None else CLOCK.union(selection))
     check_plausible(contents.signals)
-    if selection is None:
-        return contents
-    return contents._replace(signals={name: series for name, series in contents.signals.items() if name in selection})
+    kept = contents.signals.keys() if selection is None else selection
+    return contents._replace(signals={name: series for name, series in contents.signals.items() if name in kept})
 
 
 def main() -> int:
@@ -170,11 +175,9 @@ def main() -> int:
     with output:
         try:
             decoded, signals = decode(Path(sys.argv[1]), json.loads(sys.argv[2]) if len(sys.argv) > 2 else None)
-        except DamagedError as damage:
-            output.write(json.dumps({"damage": str(damage)}).encode() + b"\n")
-            return 1
-        except ImportError as error:
-            output.write(json.dumps({"missing": str(error)}).encode() + b"\n")
+        except (DamagedError, ImportError) as error:
+            why = "damage" if isinstance(error, DamagedError) else "missing"
+            output.write(json.dumps({why: str(error)}).encode() + b"\n")
             return 1
         output.write(json.dumps(decoded).encode() + b"\n")
         for name in decoded["signals"]:

@@ -96,10 +96,8 @@ class _Reader:
             raise DamagedError(why_nothing(self._programs, cut_bytes))
         table = np.concatenate([np.empty((0, len(self._columns))), *self._pieces])
         self._pieces.clear()
-        names = [self._names[column] for column in self._columns]
-        signals = {name: table[:, i] for i, name in enumerate(names)}
-        damage = tuple(self._damage)
-        return Contents(signals, self._events, self._properties, cut_bytes, damage, self._lost_rows)
+        signals = {self._names[column]: table[:, i] for i, column in enumerate(self._columns)}
+        return Contents(signals, self._events, self._properties, cut_bytes, tuple(self._damage), self._lost_rows)
 
     def _begin(self) -> None:
         held = json_property(self._properties, SIGNALS_PROPERTY)
@@ -108,16 +106,14 @@ class _Reader:
         self._names = held[SIGNALS_TOPIC]
         self._zero_ns = int(self._properties[SIGNALS_PROPERTY][ZERO_KEY])
         self._columns = [i for i, name in enumerate(self._names) if self._selection is None or name in self._selection]
-        self._row = np.dtype(
-            [
-                ("opcode", "u1"),
-                ("length", "<u8"),
-                ("channel", "<u2"),
-                ("stamps", "V20"),
-                ("header", f"V{len(CDR_HEADER)}"),
-                ("values", "<f8", (len(self._names),)),
-            ]
-        )
+        head = [
+            ("opcode", "u1"),
+            ("length", "<u8"),
+            ("channel", "<u2"),
+            ("stamps", "V20"),
+            ("header", f"V{len(CDR_HEADER)}"),
+        ]
+        self._row = np.dtype([*head, ("values", "<f8", (len(self._names),))])
 
     def _chunk(self, chunk: Chunk) -> None:
         """Add what is in a chunk, all of it or nothing."""
@@ -158,10 +154,8 @@ class _Reader:
     def _message(self, message: Message) -> None:
         topic = self._topics.get(message.channel_id)
         if topic == EVENTS_TOPIC:
-            log = json.loads(message.data)
-            self._events.append(
-                ((message.log_time - self._zero_ns) / 1e9, _LEVEL_NAMES.get(log["level"], "INFO"), log["message"])
-            )
+            log, t_s = json.loads(message.data), (message.log_time - self._zero_ns) / 1e9
+            self._events.append((t_s, _LEVEL_NAMES.get(log["level"], "INFO"), log["message"]))
         elif topic == SIGNALS_TOPIC and self._names is not None:
             values = np.frombuffer(message.data, "<f8", count=len(self._names), offset=len(CDR_HEADER))
             self._pieces.append(values[None, self._columns])

@@ -69,7 +69,7 @@ class _Pieces:
 
 
 class _Entities:
-    """What was read of a file: the rows of the entities that hold signals, the properties and the events."""
+    """The contents read from a file: the rows of the entities that hold signals, the properties and the events."""
 
     def __init__(self, selection: Selection) -> None:
         self.selection = selection
@@ -122,15 +122,16 @@ def _decoded(path: Path, selection: Selection, *, has_index: bool) -> Contents:
             if held is None:
                 if OVERLAY_PROPERTY in entities.properties:
                     raise DamagedError("an overlay of two runs")
-                raise DamagedError(why_nothing(_programs(readable), cut_bytes))
+                raise DamagedError(why_nothing(_stores(readable)[1], cut_bytes))
             # Recordings received live, and older files, have their signals in the entities that are drawn.
             drawn = [path for path, names in held.items() if path != SIGNALS_PATH and _columns(names, selection)]
             if drawn:
                 for chunk in stream().filter(content=drawn):
                     _add(chunk.entity_path, chunk.to_record_batch(), entities, held)
         except (RuntimeError, ValueError, OSError) as error:
-            if cut_bytes is not None and not _holds_recording(readable):
-                raise DamagedError(why_nothing(_programs(readable), cut_bytes)) from error
+            holds_recording, programs = _stores(readable)
+            if cut_bytes is not None and not holds_recording:
+                raise DamagedError(why_nothing(programs, cut_bytes)) from error
             what = str(error).removeprefix(f"Failed to read RRD file at {readable}: ")
             raise DamagedError(f"damaged: {what}") from error
     events = [event for _, event in sorted(entities.events, key=operator.itemgetter(0))]
@@ -145,25 +146,20 @@ def _indexed(reader: "RrdReader") -> "Callable[[], LazyChunkStream]":
         return reader.stream
 
 
-def _holds_recording(path: Path) -> bool:
-    """Whether rerun finds a recording in a file, not only a blueprint (the layout of views) or nothing."""
-    import rerun.chunk as rrc
+def _stores(path: Path) -> tuple[bool, set[str]]:
+    """Return whether rerun finds a recording in a file, and the names of the programs that made the file's content.
 
-    try:
-        return bool(rrc.RrdReader(path).recordings())
-    except (RuntimeError, ValueError, OSError):
-        return path.stat().st_size > _HEADER_BYTES
-
-
-def _programs(path: Path) -> set[str]:
-    """Return the names of the programs that made what is in a file; empty when they cannot be read."""
+    A blueprint (a layout of views) alone is not a recording. A file that rerun cannot read counts as a recording, of no
+    known program, if it is longer than its header.
+    """
     import rerun.chunk as rrc
 
     try:
         reader = rrc.RrdReader(path)
-        return {store.application_id for store in (*reader.recordings(), *reader.blueprints())}
+        recordings = reader.recordings()
+        return bool(recordings), {store.application_id for store in (*recordings, *reader.blueprints())}
     except (RuntimeError, ValueError, OSError):
-        return set()
+        return path.stat().st_size > _HEADER_BYTES, set()
 
 
 def _columns(names: list[str], selection: Selection) -> list[int]:
@@ -192,16 +188,12 @@ def _add(entity: str, batch: "pa.RecordBatch", entities: _Entities, held: dict[s
         row_ids = np.frombuffer(ids.buffers()[1], ">u8", count=2 * len(ids), offset=16 * ids.offset)
         values = columns["Scalars:scalars"].flatten().to_numpy()
         if len(values) != len(batch) * len(names):
-            raise DamagedError(
-                f"damaged: {entity} has {len(values)} values for {len(batch)} rows of {len(names)} signals"
-            )
-        columns_read = _columns(names, entities.selection)
-        pieces = entities.pieces.setdefault(entity, _Pieces(len(columns_read)))
-        pieces.append(
-            row_ids.reshape(len(batch), 2),
-            columns["tick"].to_numpy(),
-            values.reshape(len(batch), -1)[:, columns_read],
-        )
+            held_there = f"{len(values)} values for {len(batch)} rows of {len(names)} signals"
+            raise DamagedError(f"damaged: {entity} has {held_there}")
+        wanted = _columns(names, entities.selection)
+        pieces = entities.pieces.setdefault(entity, _Pieces(len(wanted)))
+        table = values.reshape(len(batch), -1)[:, wanted]
+        pieces.append(row_ids.reshape(len(batch), 2), columns["tick"].to_numpy(), table)
 
 
 def _signals(held: dict[str, list[str]], entities: _Entities) -> dict[str, Series]:

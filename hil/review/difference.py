@@ -1,13 +1,12 @@
 """Comparison of two runs: the difference of every figure, which is better, and how their scenarios and code differ."""
 
-import json
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
 
 from hil.judge.figures import figures, number
 from hil.record.properties import HASHES, PROPERTY_WORDS, hash_text
-from hil.review.figures import scenario_of
+from hil.review.figures import json_object, scenario_of
 from hil.review.reader import RecordedRun
 
 _SAME = 1e-9
@@ -43,52 +42,16 @@ class Change(NamedTuple):
 
         Older recordings lack some hashes: they are "not recorded".
         """
-        if self.key not in HASHES:
-            return self.key, _text(self.first, "-"), _text(self.second, "-")
-        first, second = (
-            "not recorded" if value is None else hash_text(str(value)) for value in (self.first, self.second)
-        )
-        return PROPERTY_WORDS[self.key], first, second
-
-
-def _text(value: object, nothing: str) -> str:
-    return nothing if value is None else str(value)
+        is_hash = self.key in HASHES
+        nothing, text = ("not recorded", hash_text) if is_hash else ("-", str)
+        first, second = (nothing if value is None else text(str(value)) for value in (self.first, self.second))
+        return PROPERTY_WORDS[self.key] if is_hash else self.key, first, second
 
 
 def differences(first: Mapping[str, Any], second: Mapping[str, Any]) -> list[Difference]:
     """Return every figure that one of two runs has, from their figures as ``hil.review.review`` returns them."""
-    return list(_differences(first, second))
-
-
-def changes(first: RecordedRun, second: RecordedRun) -> list[Change]:
-    """Return what differs between the two runs.
-
-    First come code, FMU, map and native libraries, by their hashes; then the scenario with all options of the law; then
-    seed, versions, commit and machine.
-    """
-    runs = first, second
-    hashes = [{name: run.properties[name] for name in HASHES if name in run.properties} for run in runs]
-    scenarios = [_gains_of(run) | scenario_of(run) for run in runs]
-    left_out = {"scenario", "scenario_sources", "started", "gains", *HASHES}
-    about = [{name: text for name, text in run.properties.items() if name not in left_out} for run in runs]
-    return [*sorted(_unequal(*hashes), key=_place), *_unequal(*scenarios), *_unequal(*about)]
-
-
-def _gains_of(run: RecordedRun) -> dict[str, object]:
-    """Return every option of a run's law, defaults included, by its key in the scenario."""
-    try:
-        gains = json.loads(run.properties.get("gains", "{}"))
-    except ValueError:
-        return {}
-    return {f"controller.gains.{name}": value for name, value in gains.items()} if isinstance(gains, dict) else {}
-
-
-def _place(change: Change) -> int:
-    return HASHES.index(change.key)
-
-
-def _differences(first: Mapping[str, Any], second: Mapping[str, Any]) -> Iterator[Difference]:
     both_ended = all(run.get("failure") is None for run in (first, second))
+    rows = []
     for figure in figures():
         name, label, unit, scale = figure[:4]
         one, other = number(first, name), number(second, name)
@@ -99,11 +62,28 @@ def _differences(first: Mapping[str, Any], second: Mapping[str, Any]) -> Iterato
             for which, value, run in (("the first", one, first), ("the second", other, second))
             if value is None and (reason := run.get("reasons", {}).get(name.partition(".")[0])) is not None
         )
-        if one is None or other is None:
-            yield Difference(label, name, unit, scale, one, other, None, None, notes)
-            continue
-        verdict = _verdict(figure.better, one, other) if both_ended else None
-        yield Difference(label, name, unit, scale, one, other, other - one, verdict, notes)
+        difference = verdict = None
+        if one is not None and other is not None:
+            difference = other - one
+            verdict = _verdict(figure.better, one, other) if both_ended else None
+        rows.append(Difference(label, name, unit, scale, one, other, difference, verdict, notes))
+    return rows
+
+
+def changes(first: RecordedRun, second: RecordedRun) -> list[Change]:
+    """Return what differs between the two runs.
+
+    First come code, FMU, map and native libraries, by their hashes; then the scenario with all options of the law; then
+    seed, versions, commit and machine.
+    """
+    left_out = {"scenario", "scenario_sources", "started", "gains", *HASHES}
+    scenarios, others = [], []
+    for run in (first, second):
+        gains = {f"controller.gains.{name}": value for name, value in json_object(run, "gains").items()}
+        scenarios.append(gains | scenario_of(run))
+        others.append({name: text for name, text in run.properties.items() if name not in left_out})
+    hashes = _unequal(first.properties, second.properties, HASHES)
+    return [*hashes, *_unequal(scenarios[0], scenarios[1]), *_unequal(others[0], others[1])]
 
 
 def _verdict(better: str | None, first: float, second: float) -> str | None:
@@ -114,7 +94,7 @@ def _verdict(better: str | None, first: float, second: float) -> str | None:
     return "better" if (second < first) == (better == "less") else "worse"
 
 
-def _unequal(first: Mapping[str, Any], second: Mapping[str, Any]) -> Iterator[Change]:
-    for key in dict.fromkeys([*first, *second]):
+def _unequal(first: Mapping[str, Any], second: Mapping[str, Any], keys: Sequence[str] = ()) -> Iterator[Change]:
+    for key in keys or dict.fromkeys([*first, *second]):
         if first.get(key) != second.get(key):
             yield Change(key, first.get(key), second.get(key))

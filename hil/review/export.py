@@ -5,6 +5,7 @@ in Parquet, and NaN in MCAP.
 """
 
 import csv
+import io
 import json
 import uuid
 from collections.abc import Iterator
@@ -13,10 +14,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-import numpy.typing as npt
 
 from hil.core.errors import BadInputError
-from hil.core.outputs import Existing, whole_file
+from hil.core.outputs import Existing, whole_file, write_whole
 from hil.core.signals import SIGNALS, unit_of
 from hil.record.files import check_output_path
 from hil.review.reader import RecordedRun
@@ -34,10 +34,9 @@ def write_export(run: RecordedRun, file: Path, existing: Existing = "refuse") ->
     be written, and when the library that writes the format is not installed.
     """
     check_output_path("export", file, existing)
-    write = {".csv": _write_csv, ".parquet": _write_parquet, ".mcap": _write_mcap}[file.suffix]
     try:
         with whole_file(file, "export", existing) as unfinished:
-            write(run, unfinished)
+            (_write_mcap if file.suffix == ".mcap" else _write_table)(run, unfinished)
     except ImportError as error:
         remedy = "install pyarrow, or export to .mcap, which does not need it"
         raise BadInputError(f"export {file}: no library to write {file.suffix} ({error}); {remedy}") from error
@@ -45,23 +44,25 @@ def write_export(run: RecordedRun, file: Path, existing: Existing = "refuse") ->
         raise BadInputError(f"export {file}: it cannot be written ({error.strerror or error})") from error
 
 
-def _write_csv(run: RecordedRun, file: Path) -> None:
+def _write_table(run: RecordedRun, file: Path) -> None:
+    """Write CSV or Parquet."""
+    import pyarrow as pa
     from pyarrow.csv import CSVWriter, WriteOptions
-
-    # The header is written without quotes: not every program removes them.
-    options = WriteOptions(include_header=False, quoting_style="none")
-    with file.open("wb") as output, CSVWriter(output, _schema(run), write_options=options) as writer:
-        output.write(",".join(run.signals).encode() + b"\n")
-        for batch in _batches(run):
-            writer.write_batch(batch)
-
-
-def _write_parquet(run: RecordedRun, file: Path) -> None:
     from pyarrow.parquet import ParquetWriter
 
-    with ParquetWriter(file, _schema(run), compression="zstd") as writer:
-        for batch in _batches(run):
-            writer.write_batch(batch)
+    schema = _schema(run)
+    with file.open("wb") as output:
+        if file.suffix == ".csv":
+            # The header is written without quotes: not every program removes them.
+            output.write(",".join(run.signals).encode() + b"\n")
+            options = WriteOptions(include_header=False, quoting_style="none")
+            writer = CSVWriter(output, schema, write_options=options)
+        else:
+            writer = ParquetWriter(output, schema, compression="zstd")
+        with writer:
+            for rows in _slices(run):  # with from_pandas NaN becomes null
+                columns = [pa.array(values[rows], from_pandas=True) for values in run.signals.values()]
+                writer.write_batch(pa.record_batch(columns, schema=schema))
 
 
 def _write_mcap(run: RecordedRun, file: Path) -> None:
@@ -74,14 +75,14 @@ def _write_mcap(run: RecordedRun, file: Path) -> None:
         properties=run.properties,
         part={"recording_id": str(uuid.uuid4()), "number": 1, "first_row": 0},
     )
-    count = len(run.signals["loop.t_s"])
-    for start in range(0, count, _ROWS_AT_ONCE):
-        writer.rows(np.column_stack([values[start : start + _ROWS_AT_ONCE] for values in run.signals.values()]))
+    for rows in _slices(run):
+        writer.rows(np.column_stack([values[rows] for values in run.signals.values()]))
         writer.flush()
     for event in run.events:
         writer.event(event.t_s, event.severity, event.text)
     if run.rows_dropped is not None:
-        writer.finish(run.summary, {"rows_written": count, "rows_dropped": run.rows_dropped})
+        written = len(run.signals["loop.t_s"])
+        writer.finish(run.summary, {"rows_written": written, "rows_dropped": run.rows_dropped})
     writer.close()
 
 
@@ -100,19 +101,10 @@ def _schema(run: RecordedRun) -> "pa.Schema":
     return pa.schema(fields, metadata=about)
 
 
-def _batches(run: RecordedRun) -> Iterator["pa.RecordBatch"]:
-    import pyarrow as pa
-
-    schema = _schema(run)
+def _slices(run: RecordedRun) -> Iterator[slice]:
+    """Yield the rows of a run in slices of ``_ROWS_AT_ONCE``."""
     for start in range(0, len(run.signals["loop.t_s"]), _ROWS_AT_ONCE):
-        columns = [_column(values[start : start + _ROWS_AT_ONCE]) for values in run.signals.values()]
-        yield pa.record_batch(columns, schema=schema)
-
-
-def _column(values: npt.NDArray[np.float64]) -> "pa.Array":
-    import pyarrow as pa
-
-    return pa.array(values, from_pandas=True)  # NaN becomes null
+        yield slice(start, start + _ROWS_AT_ONCE)
 
 
 def _zero_unix_ns(run: RecordedRun) -> int:
@@ -143,13 +135,8 @@ def write_trajectory(run: RecordedRun, path: Path, existing: Existing = "refuse"
                 break
     else:
         raise BadInputError(f"{run.path}: no tick has a pose, which a trajectory needs")
-    try:
-        with (
-            whole_file(path, "trajectory", existing) as unfinished,
-            unfinished.open("w", encoding="utf-8", newline="") as file,
-        ):
-            writer = csv.writer(file)
-            writer.writerow(("t_s", *_POSE))
-            writer.writerows(rows.tolist())
-    except OSError as error:
-        raise BadInputError(f"--trajectory {path}: it cannot be written: {error.strerror}") from error
+    text = io.StringIO(newline="")
+    writer = csv.writer(text)
+    writer.writerow(("t_s", *_POSE))
+    writer.writerows(rows.tolist())
+    write_whole(path, text.getvalue().encode(), "trajectory", existing)

@@ -2,7 +2,7 @@
 
 import contextlib
 import json
-from collections.abc import Collection, Mapping
+from collections.abc import Collection
 from pathlib import Path
 from typing import Any
 
@@ -101,12 +101,16 @@ def figures(run: RecordedRun) -> dict[str, Any]:
 
 def scenario_of(run: RecordedRun) -> dict[str, Any]:
     """Return every value of the run's scenario by its dotted key; empty where the recording does not hold it."""
-    return _object(run.properties, "scenario")
+    return json_object(run, "scenario")
 
 
-def sources_of(run: RecordedRun) -> dict[str, Any]:
-    """Return where each value of the scenario was given, by its dotted key."""
-    return _object(run.properties, "scenario_sources")
+def json_object(run: RecordedRun, name: str) -> dict[str, Any]:
+    """Return a property of the run that is a JSON object; empty where the recording does not hold it."""
+    try:
+        value = json.loads(run.properties[name])
+    except (KeyError, ValueError):
+        return {}
+    return value if isinstance(value, dict) else {}
 
 
 def scenario_number(run: RecordedRun, key: str) -> float | None:
@@ -164,11 +168,3 @@ def _late_begin(run: RecordedRun) -> list[str]:
     if not len(t_s) or t_s[0] < _LATE_S:
         return []
     return [f"it begins at t = {t_s[0]:.6g} s; how long it took to track the reference is counted from there"]
-
-
-def _object(properties: Mapping[str, str], name: str) -> dict[str, Any]:
-    try:
-        value = json.loads(properties[name])
-    except (KeyError, ValueError):
-        return {}
-    return value if isinstance(value, dict) else {}

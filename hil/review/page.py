@@ -8,7 +8,7 @@ from typing import Any
 
 from hil.judge.words import applied_words, belief_rows, figure_rows, in_order, link_rows, outcome_rows
 from hil.review.difference import Difference, changes, differences
-from hil.review.figures import scenario_of, sources_of
+from hil.review.figures import json_object, scenario_of
 from hil.review.html_page import document, figure, mark, table
 from hil.review.pictures import Shown, pictures
 from hil.review.plots import colour_of
@@ -142,7 +142,7 @@ def _scenario(labels: Sequence[str], runs: Sequence[RecordedRun]) -> Iterator[st
     for label, run in zip(labels, runs, strict=True):
         name = f" of {label}" if len(runs) > 1 else ""
         yield f"<h2>Scenario{escape(name)}</h2>"
-        sources = sources_of(run)
+        sources = json_object(run, "scenario_sources")
         cells = _escaped((key, _value(value), str(sources.get(key, ""))) for key, value in scenario_of(run).items())
         yield from table(("key", "value", "given by"), cells) if cells else ["<p>The recording does not hold it.</p>"]
 
