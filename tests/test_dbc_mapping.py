@@ -184,7 +184,7 @@ def test_a_damaged_dbc_is_refused_or_read_but_never_a_traceback(damaged: Path, d
         return
     for frame in (*driver.command((1.0, -2.0, 3.0, 4.0), (0.0, 0.0, 0.0, 0.0), 0), *driver.disarm()):
         assert len(frame.payload) <= 8
-    for message in settings.plan.received().values():
+    for message in settings.plan.received.values():
         driver.feed(Frame(message.id, data.draw(st.binary(max_size=8))), 0)
     assert driver.sample is None or len(driver.sample.speed_rad_s) == 4
 

@@ -396,7 +396,7 @@ def test_a_state_and_an_error_that_are_told_no_longer_stop_the_robot(table: str)
 def test_a_cycle_time_is_of_a_message_that_is_awaited() -> None:
     for cycle_time_s, sentence in (
         ({"BASE_IMO": 0.1}, "cycle_time_s.BASE_IMO: no table reads such a message; did you mean 'BASE_IMU'"),
-        ({"BASE_MOTION": 0.1}, "cycle_time_s.BASE_MOTION: it carries the twist; give feedback.rate_hz"),
+        ({"BASE_MOTION": 0.1}, "cycle_time_s.BASE_MOTION: odometry rests on it; give feedback.rate_hz"),
         ({"BASE_IMU": -1}, "cycle_time_s.BASE_IMU = -1; expected a number of at least 0"),
     ):
         with pytest.raises(BadInputError, match=re.escape(sentence)):

@@ -8,13 +8,13 @@ only if these are converted to a twist with the firmware's values. So the firmwa
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
-from typing import ClassVar, Literal
+from typing import ClassVar
 
 from firmware_protocol.framing import Frame
 from hil.core.errors import BadInputError
 from hil.core.kinematics import BodyTwist, body_twist, wheel_speeds
 from hil.core.types import WHEEL_NAMES, CommandMode, FourWheels
-from hil.drivers.port import Capabilities, Driver, RobotFacts, Sensor, clamp, torques_dropped
+from hil.drivers.port import Capabilities, Driver, RobotFacts, clamp, torques_dropped
 
 LATE_NS = 250_000_000
 """Age beyond which a report is not used; the slowest of these bases reports at 20 Hz."""
@@ -50,9 +50,7 @@ class TwistBase(Driver):
         lever_m: float,
         rim_limit_m_s: float,
         yaw_limit_rad_s: float = math.inf,
-        feedback_hz: float,
-        sensors: frozenset[Sensor],
-        watchdog: Literal["fixed", "none"] = "none",
+        capabilities: Capabilities,
         warnings: Sequence[str],
     ) -> None:
         wheels = [WHEEL_NAMES[wheel] for wheel in robot.wheel_of_channel]
@@ -62,13 +60,10 @@ class TwistBase(Driver):
                 f"device.wheels = {wheels} with device.reversed = {reversed_wheels}: {title} takes a velocity of the "
                 "body and knows itself how its wheels are wired; remove both keys"
             )
-        self._wheel_radius_m = wheel_radius_m
-        self._lever_m = lever_m
-        self._rim_limit_m_s = rim_limit_m_s
-        self._yaw_limit_rad_s = yaw_limit_rad_s
+        self._wheel_radius_m, self._lever_m = wheel_radius_m, lever_m
+        self._rim_limit_m_s, self._yaw_limit_rad_s = rim_limit_m_s, yaw_limit_rad_s
         self._sent_ns: int | None = None
-        modes = frozenset({CommandMode.SPEED})
-        self._capabilities = Capabilities(feedback_hz, sensors, modes, is_twist=True, watchdog=watchdog)
+        self._capabilities = capabilities._replace(modes=frozenset({CommandMode.SPEED}), is_twist=True)
         self._warnings = (*warnings, torques_dropped(title))
         self.restart()
 

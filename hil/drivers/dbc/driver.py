@@ -4,7 +4,6 @@ from collections.abc import Iterator, Mapping, Sequence
 from itertools import chain, count
 
 from firmware_protocol.framing import Frame
-from hil.core.errors import BadInputError
 from hil.core.kinematics import body_twist, wheel_speeds
 from hil.core.types import NAN, CommandMode, FourWheels
 from hil.drivers.dbc.file import Message, Signal
@@ -66,7 +65,6 @@ class DbcDriver(Driver):
         gain = self._gain = gains(settings, robot.wheel_radius_m, robot.torque_constant_n_m_a)
         check_wheels(plan, robot)
         check_limits(plan, robot, gain)
-        self._adds_torque = "feedforward" in plan.commands
         self._counters = [(signal, count()) for signal in plan.counters]
         bounds = [bound for quantity in plan.commands.values() for bound in quantity.bounds]
         self._moving = [
@@ -75,8 +73,8 @@ class DbcDriver(Driver):
         ]
         self._still = [0.0] * len(bounds)
         self._watchdog_raw = watchdog_raw(plan, robot, gain)
-        commanded = {signal.message for signal in plan.commanded()}
-        self._commands = {name: self._packer(name, {}) for name in plan.sent() if name in commanded}
+        commanded = {bound.signal.message for bound in bounds}
+        self._commands = {name: self._packer(name, {}) for name in plan.sent if name in commanded}
         self._phases = {phase: [self._packers(phase, step) for step in plan.phases[phase]] for phase in PHASES}
         bound = plan.watchdog.set
         self._watchdog = None if bound is None else self._packers("watchdog", {bound.signal.message: {}})
@@ -85,7 +83,7 @@ class DbcDriver(Driver):
             is_twist=plan.motion == "twist",
             feedback_hz=plan.feedback_hz,
             sensors=frozenset(sensor for name, sensor in _SENSORS.items() if name in plan.feedback),
-            adds_torque=self._adds_torque,
+            adds_torque="feedforward" in plan.commands,
             watchdog="set" if plan.watchdog.set else "fixed" if plan.watchdog.timeout_s else "none",
             latches_estop=settings.estop_latches,
         )
@@ -137,21 +135,12 @@ class DbcDriver(Driver):
     def identity(self) -> str | None:
         if self._received.missing():
             return None
-        values = []
-        for condition, raw in self._received.identity():
-            signal = condition.signal
-            if raw not in condition.raws:
-                known = ", ".join(sorted(signal.word(one) for one in condition.raws))
-                raise BadInputError(
-                    f"{signal} of the device is {signal.word(raw)}, and this mapping is for {known} "
-                    f"(device.motors.identity); take the DBC of the device's firmware, or the firmware of the DBC"
-                )
-            values.append(f"{signal} {signal.word(raw)}")
-        return f"controllers of {self._plan.dbc.name}" + (f" with {', '.join(values)}" if values else "")
+        values = self._received.identity()
+        return f"controllers of {self._plan.dbc.name}" + (values and f" with {values}")
 
     @property
     def missing(self) -> str:
-        names = ", ".join(map(str, self._received.missing()))
+        names = self._received.missing()
         return names and (
             f"nothing received of {names}; check power, wiring and bit rate, and the identifiers in "
             f"{self._plan.dbc.name}"
@@ -213,7 +202,7 @@ class DbcDriver(Driver):
     def feed(self, frame: Frame, stamp_ns: int) -> None:
         is_healthy = self._received.feed(frame.id, frame.payload, stamp_ns)
         if self._is_armed and not is_healthy:  # checked here, as the next frame may already report that all is well
-            self._ended_by = self._reported()
+            self._ended_by = self._received.errors()
             self._is_armed = False
 
     @property
@@ -223,7 +212,7 @@ class DbcDriver(Driver):
             return None
         quantity = self._received.quantity
         speeds = four(quantity("speed") or NO_CHANNELS)
-        if self._plan.measured == "twist":
+        if self._plan.measures_twist:
             forward, left, yaw_rate = quantity("twist") or ()
             speeds = wheel_speeds((forward, left, yaw_rate), self._robot.wheel_radius_m, self._robot.lever_m)
         x, y, z = quantity("acceleration") or (NAN, NAN, NAN)
@@ -238,20 +227,9 @@ class DbcDriver(Driver):
 
     @property
     def errors(self) -> Sequence[str]:
-        errors = self._reported()
-        errors += [error for error in self._ended_by if error not in errors]
-        return errors + [
-            f"nothing received of {message}, which reports errors or states, for more than {late_s:g} s (its "
-            "period is device.motors.cycle_time_s)"
-            for message, late_s in self._received.silent()
-        ]
-
-    def _reported(self) -> list[str]:
-        return [
-            f"{'the robot' if error.where == 'robot' else f'wheel {error.where}'}: {error.signal} is "
-            f"{error.signal.word(raw)}"
-            for error, raw in self._received.errors()
-        ]
+        errors = self._received.errors()
+        ended_by = [error for error in self._ended_by if error not in errors]
+        return errors + ended_by + self._received.silent()
 
 
 DIALECT = Dialect(

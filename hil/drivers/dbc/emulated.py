@@ -33,10 +33,10 @@ class EmulatedDbc(EmulatedMotors[Settings]):
     def power_on(self) -> None:
         settings = self.settings
         plan = self._plan = settings.plan
-        self._received = {message.id: message for message in plan.sent().values()}
+        self._received = {message.id: message for message in plan.sent.values()}
         self._sent = [
             (message, max(round(1000.0 * (message.period_s or 1.0 / plan.feedback_hz)), 1))
-            for message in plan.received().values()
+            for message in plan.received.values()
         ]
         self._last_count: dict[str, int] = {}
         self._done: set[str] = set()
@@ -204,12 +204,10 @@ class EmulatedDbc(EmulatedMotors[Settings]):
         for name, quantity in self._plan.feedback.items():
             for bound, value in zip(quantity.bounds, measured[name], strict=True):
                 yield bound.signal, self._raw(bound, value, quantity.wraps_at if name == "position" else None)
-        for condition in self._plan.identity:
+        for condition in self._plan.identity + self._plan.errors:
             yield condition.signal, min(condition.raws)
         for condition in self._plan.armed_when:
             yield condition.signal, min(condition.raws) if self.is_on else _another(condition)
-        for error in self._plan.errors:
-            yield error.signal, min(error.none)
         read = self._plan.watchdog.read
         if read is not None and self._timeout_s is not None:
             yield read.signal, self._raw(read, self._timeout_s)

@@ -111,9 +111,9 @@ class Dbc:
             self._messages[name] = Message(name, identifier, message.length, period_s, signals, message)
         return self._messages[name]
 
-    def messages(self, signals: Iterable[Signal]) -> dict[str, Message]:
-        """Return the messages of these signals by name, each once."""
-        return {signal.message: self.message(signal.message) for signal in signals}
+    def messages(self, names: Iterable[str]) -> dict[str, Message]:
+        """Return messages by name, each once."""
+        return {name: self.message(name) for name in names}
 
     def signal(self, spec: object) -> Signal:
         """Return the signal of ``MESSAGE.Signal``. Raises ValueError when there is none."""

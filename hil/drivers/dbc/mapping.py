@@ -36,18 +36,14 @@ class Quantity(NamedTuple):
 
 
 class Condition(NamedTuple):
-    """A signal and the raw values that meet the condition."""
+    """A signal and the raw values that meet the condition. ``where``: a signal that reports errors, of what.
+
+    An error is a value that does not meet the condition.
+    """
 
     signal: Signal
     raws: frozenset[float]
-
-
-class ErrorSignal(NamedTuple):
-    """A signal that reports an error of a wheel or of the robot (``where``); the raw values ``none`` are no error."""
-
-    where: str
-    signal: Signal
-    none: frozenset[float]
+    where: str = ""
 
 
 class Watchdog(NamedTuple):
@@ -182,8 +178,8 @@ def conditions(dbc: Dbc, fields: Fields, key: str) -> tuple[Condition, ...]:
     return tuple(Condition(signal, frozenset(raws)) for _, signal, raws in _raw_values(dbc, fields, key))
 
 
-def errors(dbc: Dbc, given: Table, key: str) -> tuple[ErrorSignal, ...]:
-    """Return the signals that report errors of each wheel and of the robot."""
+def errors(dbc: Dbc, given: Table, key: str) -> tuple[Condition, ...]:
+    """Return the signals that report errors of each wheel and of the robot, with the values that are no error."""
     _check_names(given, key, (*WHEEL_NAMES, "robot", "none"))
     none = given.get("none", 0)
     found = []
@@ -192,7 +188,7 @@ def errors(dbc: Dbc, given: Table, key: str) -> tuple[ErrorSignal, ...]:
             with _named(f"{key}.{where} = {spec!r}"):
                 signal = dbc.signal(spec)
             with _named(f"{key}.none = {none!r} for {signal}"):
-                found.append(ErrorSignal(where, signal, frozenset(map(signal.raw, _array(none)))))
+                found.append(Condition(signal, frozenset(map(signal.raw, _array(none))), where))
     return tuple(found)
 
 

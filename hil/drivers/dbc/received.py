@@ -1,12 +1,12 @@
 """The messages that the controllers send: their newest values, and the quantities and conditions from them."""
 
 import math
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 
+from hil.core.errors import BadInputError
 from hil.core.types import NAN
 from hil.drivers.dbc.file import Message, Signal
-from hil.drivers.dbc.mapping import Condition, ErrorSignal
 from hil.drivers.dbc.robot import Gain
 from hil.drivers.dbc.settings import Plan
 from hil.drivers.port import holds_back, oldest
@@ -98,7 +98,7 @@ class Received:
     """All messages of a mapping that the controllers send."""
 
     def __init__(self, plan: Plan, gain: Gain) -> None:
-        self._sources = {name: _Source(message, plan.late_ns(message)) for name, message in plan.received().items()}
+        self._sources = {name: _Source(message, plan.late_ns(message)) for name, message in plan.received.items()}
         self._by_id = {source.message.id: source for source in self._sources.values()}
         self._now_ns = 0  # stamp of the newest frame
         self._quantities: dict[str, Sequence[_Reading]] = {
@@ -112,17 +112,28 @@ class Received:
                 _WrappingPosition(reading, speed, span) if span else reading
                 for reading, speed, span in zip(self._quantities["position"], speeds, spans, strict=True)
             ]
-        self._armed_when = [(self._read(one.signal), one) for one in plan.armed_when]
-        self._identity = [(self._read(one.signal), one) for one in plan.identity]
-        self._errors = [(self._read(one.signal), one) for one in plan.errors]
-        for reading, condition in self._armed_when:
+        self._armed_when, self._identity, self._errors = (
+            [(self._read(one.signal), one) for one in conditions]
+            for conditions in (plan.armed_when, plan.identity, plan.errors)
+        )
+        for reading, condition in self._armed_when + self._errors:
             reading.source.good.append((reading.name, condition.raws))
-        for reading, error in self._errors:
-            reading.source.good.append((reading.name, error.none))
         read = plan.watchdog.read
         self._watchdog = None if read is None else self._read(read.signal, gain(read))
-        self._measured = _sources(self._quantities[plan.measured])
-        self._positions = [one for one in _sources(self._quantities.get("position", ())) if one not in self._measured]
+        self._measured = {signal.message: self._sources[signal.message] for signal in plan.measured}
+        self._positions = {one.source.message.name: one.source for one in self._quantities.get("position", ())}
+        needed = [one for one in self._errors if one[0].source.late_ns is not None]
+        needed += self._armed_when + self._identity
+        self._needed = {one.source.message.name: one.source for one, _ in needed} | self._measured | self._positions
+
+    def _read(self, signal: Signal, gain: float | None = None) -> _Reading:
+        """Return a signal to read. Without a gain its raw value is read, which conditions compare exactly."""
+        source = self._sources[signal.message]
+        if signal.is_float:
+            source.floats.add(signal.name)
+        if gain is None:
+            return _Reading(source, signal.name, 1, 0)
+        return _Reading(source, signal.name, gain * signal.factor, gain * signal.offset)
 
     def feed(self, identifier: int, payload: bytes, stamp_ns: int) -> bool:
         """Take a frame's payload. Return False if its message reports an error or a state that ``armed_when`` excludes.
@@ -135,15 +146,6 @@ class Received:
         self._now_ns = max(self._now_ns, stamp_ns)
         source.feed(payload, stamp_ns)
         return source.stamp_ns is None or all(source.raws[name] in good for name, good in source.good)
-
-    def _read(self, signal: Signal, gain: float | None = None) -> _Reading:
-        """Return a signal to read. Without a gain its raw value is read, which conditions compare exactly."""
-        source = self._sources[signal.message]
-        if signal.is_float:
-            source.floats.add(signal.name)
-        if gain is None:
-            return _Reading(source, signal.name, 1, 0)
-        return _Reading(source, signal.name, gain * signal.factor, gain * signal.offset)
 
     def quantity(self, name: str) -> Sequence[float] | None:
         """Return the newest values of a quantity [SI], NaN for what did not come, or is too old; None if not mapped."""
@@ -159,25 +161,17 @@ class Received:
 
         It stands still when the positions no longer come.
         """
-        stamp_ns = oldest(source.stamp_ns for source in self._measured)
-        for source in self._positions:
+        stamp_ns = oldest(source.stamp_ns for source in self._measured.values())
+        for name, source in self._positions.items():
             if stamp_ns is None or source.stamp_ns is None:
                 return None
-            if source.late_ns is not None:
+            if source.late_ns is not None and name not in self._measured:
                 stamp_ns = holds_back(stamp_ns, source.stamp_ns, source.late_ns)
         return stamp_ns
 
-    def missing(self) -> list[Message]:
-        """Return the messages that the driver needs and that have not come yet."""
-        needed = _sources([reading for reading, _ in (*self._armed_when, *self._identity)])
-        needed += [reading.source for reading, _ in self._errors if reading.source.late_ns is not None]
-        needed += self._measured + self._positions
-        return list({one.message.name: one.message for one in needed if one.stamp_ns is None}.values())
-
-    def silent(self) -> list[tuple[Message, float]]:
-        """Return the messages with states and errors that are too old, each with its limit of age [s]."""
-        silent = [one for one in self._sources.values() if one.good and one.is_silent(self._now_ns)]
-        return [(one.message, one.late_ns * 1e-9) for one in silent if one.late_ns is not None]
+    def missing(self) -> str:
+        """Return the messages that the driver needs and that have not come yet, in words; empty for none."""
+        return ", ".join(str(source.message) for source in self._needed.values() if source.stamp_ns is None)
 
     def follows(self) -> bool:
         """Return whether all conditions of [device.motors.armed_when] are met by values that are not too old."""
@@ -186,14 +180,33 @@ class Received:
             for reading, condition in self._armed_when
         )
 
-    def identity(self) -> list[tuple[Condition, float]]:
-        """Return the conditions that identify the device, with the raw values received."""
-        return [(condition, reading.value) for reading, condition in self._identity]
+    def identity(self) -> str:
+        """Return the values that identify the device, in words. Raises BadInputError for those of another device."""
+        for reading, (signal, raws, _) in self._identity:
+            if reading.value not in raws:
+                known = ", ".join(sorted(map(signal.word, raws)))
+                raise BadInputError(
+                    f"{signal} of the device is {signal.word(reading.value)}, and this mapping is for {known} "
+                    "(device.motors.identity); take the DBC of the device's firmware, or the firmware of the DBC"
+                )
+        return ", ".join(f"{one.signal} {one.signal.word(reading.value)}" for reading, one in self._identity)
 
-    def errors(self) -> list[tuple[ErrorSignal, float]]:
-        """Return the reported errors with their raw values."""
-        values = [(error, reading.value) for reading, error in self._errors if reading.source.raws]
-        return [(error, value) for error, value in values if value not in error.none]
+    def errors(self) -> list[str]:
+        """Return the reported errors in words."""
+        return [
+            f"{'the robot' if where == 'robot' else f'wheel {where}'}: {signal} is {signal.word(reading.value)}"
+            for reading, (signal, none, where) in self._errors
+            if reading.source.raws and reading.value not in none
+        ]
+
+    def silent(self) -> list[str]:
+        """Return the messages with states and errors that are too old, in words."""
+        return [
+            f"nothing received of {source.message}, which reports errors or states, for more than "
+            f"{(source.late_ns or 0) * 1e-9:g} s (its period is device.motors.cycle_time_s)"
+            for source in self._sources.values()
+            if source.good and source.is_silent(self._now_ns)
+        ]
 
     def watchdog_s(self, since_ns: int) -> float:
         """Return the watchdog's time [s] as read back after ``since_ns``; NaN if it did not come or is too old."""
@@ -201,11 +214,6 @@ class Received:
         if reading is None or reading.source.stamp_ns is None or reading.source.stamp_ns <= since_ns:
             return NAN
         return NAN if reading.source.is_silent(self._now_ns) else reading.value
-
-
-def _sources(readings: Iterable[_Reading]) -> list[_Source]:
-    """Return the messages of these signals, each once."""
-    return list({reading.source.message.id: reading.source for reading in readings}.values())
 
 
 def _span(signal: Signal) -> float:

@@ -42,7 +42,7 @@ def check_wheels(plan: Plan, robot: RobotFacts) -> None:
             f"device.wheels = {names}: {_KEY} names the signals of each wheel itself; remove device.wheels, and "
             "give each wheel its signals there"
         )
-    if "twist" in (plan.motion, plan.measured) and -1 in robot.sign_of_channel:
+    if (plan.motion == "twist" or plan.measures_twist) and -1 in robot.sign_of_channel:
         raise BadInputError(
             "device.reversed is not empty: controllers that take or report a body twist know the direction of their "
             "wheels; remove it"

@@ -12,12 +12,11 @@ The board has no arming, no error codes and no watchdog: it obeys the last comma
 import math
 from collections.abc import Sequence
 from struct import Struct
-from typing import NamedTuple
 
 from firmware_protocol.framing import Frame
 from hil.core.errors import BadInputError
 from hil.core.types import NAN
-from hil.drivers.port import Dialect, RobotFacts, Sample, four, holds_back
+from hil.drivers.port import Capabilities, Dialect, RobotFacts, Sample, four, holds_back
 from hil.drivers.rosmaster.board import BAUD, CARS, KNOWN_MAJOR, Identity, RosmasterProbe, Settings, car_name
 from hil.drivers.twist_base import LATE_NS, Counts, PacketFraming, TwistBase
 
@@ -71,14 +70,8 @@ _WRAP = 1 << 32
 _BATTERY_NS = 1_500_000_000  # the firmware switches off after 2 s: this leaves time for a controlled stop
 
 
-class Imu(NamedTuple):
-    """Counts per rad/s about the vertical, negative where the maker's library inverts the rate, and per m/s²."""
-
-    yaw_per_rad_s: float
-    per_m_s2: float
-
-
-IMUS = {MPU_REPORT: Imu(-3754.9, 1671.84), ICM_REPORT: Imu(1000.0, 1000.0)}
+_IMUS = {MPU_REPORT: (-3754.9, 1671.84), ICM_REPORT: (1000.0, 1000.0)}
+"""Counts per rad/s about the vertical, negative where the maker's library inverts the rate, and per m/s²."""
 
 
 class Rosmaster(TwistBase):
@@ -95,8 +88,7 @@ class Rosmaster(TwistBase):
             wheel_radius_m=car.wheel_radius_m,
             lever_m=car.lever_m,
             rim_limit_m_s=car.rim_limit_m_s,
-            feedback_hz=25.0,
-            sensors=frozenset({"position", "battery_voltage", "gyro", "accelerometer"}),
+            capabilities=Capabilities(25.0, frozenset({"position", "battery_voltage", "gyro", "accelerometer"})),
             warnings=[
                 "when commands end a Rosmaster drives on for ever with the last one: if this computer loses power, "
                 "hangs, or loses the cable, nothing stops the robot; keep its power switch within reach"
@@ -167,12 +159,12 @@ class Rosmaster(TwistBase):
         elif number == ENCODER_REPORT and len(payload) == _COUNTS.size:
             self._feed_counts(_COUNTS.unpack(payload))
             self._counts_ns = stamp_ns
-        elif number in IMUS and len(payload) == _IMU.size:
-            imu = IMUS[number]
+        elif number in _IMUS and len(payload) == _IMU.size:
+            per_rad_s, per_m_s2 = _IMUS[number]
             self._imu_ns = stamp_ns
             _, _, yaw, x, y, z, *_ = _IMU.unpack(payload)
-            self._yaw_rate_rad_s = yaw / imu.yaw_per_rad_s
-            self._acceleration_m_s2 = (x / imu.per_m_s2, y / imu.per_m_s2, z / imu.per_m_s2)
+            self._yaw_rate_rad_s = yaw / per_rad_s
+            self._acceleration_m_s2 = (x / per_m_s2, y / per_m_s2, z / per_m_s2)
         else:
             self._identity.feed(frame)
 

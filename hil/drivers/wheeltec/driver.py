@@ -21,7 +21,7 @@ from typing import Annotated
 from firmware_protocol.framing import Frame
 from hil.core.options import NOT_NEGATIVE, POSITIVE
 from hil.core.types import NAN
-from hil.drivers.port import Dialect, Found, Probe, RobotFacts, Sample
+from hil.drivers.port import Capabilities, Dialect, Found, Probe, RobotFacts, Sample
 from hil.drivers.twist_base import Counts, PacketFraming, TwistBase
 
 COMMAND = 0x181
@@ -108,12 +108,11 @@ class Report:
         if frame.id not in REPORTS or len(frame.payload) != 8:
             return False
         index = REPORTS.index(frame.id)
-        if len(self._received) != 8 * index:
+        if index == 0 or len(self._received) != 8 * index:
             self._received = b""
-            if index:
-                return False
-        self._received += frame.payload
-        if index < 2:
+        if len(self._received) == 8 * index:
+            self._received += frame.payload
+        if len(self._received) != _REPORT.size:
             return False
         whole, self._received = self._received, b""
         head, stopped, x, y, turn, ax, ay, az, _, _, yaw, battery, total, tail = _REPORT.unpack(whole)
@@ -141,9 +140,11 @@ class Wheeltec(TwistBase):
             lever_m=settings.lever_m or robot.lever_m,
             rim_limit_m_s=limit,
             yaw_limit_rad_s=limit,
-            feedback_hz=20.0,
-            sensors=frozenset({"battery_voltage", "gyro", "accelerometer"}),
-            watchdog="fixed" if settings.stops_on_silence else "none",
+            capabilities=Capabilities(
+                20.0,
+                frozenset({"battery_voltage", "gyro", "accelerometer"}),
+                watchdog="fixed" if settings.stops_on_silence else "none",
+            ),
             warnings=[
                 "for 12 s after it is switched on a WHEELTEC base ignores commands, and drives 0.4 m forward to test "
                 "itself",
