@@ -38,6 +38,11 @@ class Column(NamedTuple):
     meaning: str
     is_instant: bool
 
+    @property
+    def labelled(self) -> str:
+        """The title with the unit."""
+        return f"{self.title} [{self.unit}]"
+
     def shown(self, value: float | None) -> float | None:
         """Return a value in the shown unit."""
         return None if value is None else value * self.scale
@@ -71,6 +76,12 @@ def shown_columns() -> list[Column]:
         unit = figure.unit.removesuffix(" a wheel")
         columns.append(Column(name, head, title, unit, figure.scale, digits, figure.meaning, name in _INSTANTS))
     return columns
+
+
+def column_of(name: str) -> Column:
+    """Return how a figure of a row is shown, also one that tables of laws do not show."""
+    other = Column(name, name, name, "", 1.0, 3, "", False)
+    return next((column for column in shown_columns() if column.name == name), other)
 
 
 def row_columns() -> dict[str, type]:

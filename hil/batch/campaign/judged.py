@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from hil.batch.campaign.statistics import Interval, binned, paired_difference, share_explained, share_of
+from hil.batch.campaign.tables import RANDOM
 from hil.batch.figures import MACHINE, as_judged
 from hil.batch.job import PASSED
 from hil.batch.store import KEY, RECORDINGS, read_about, read_plan, read_rows
@@ -101,19 +102,19 @@ class Judged:
     @cached_property
     def rates(self) -> list[Rate]:
         """Pass rates: of all runs, and of each value of the axes that are not random."""
-        rates = [self._rate("all", "", self.rows)] if self.rows else []
+        groups = [("all", "", self.rows)]
         for axis, kind in self.axes.items():
-            if kind in ("uniform", "log_uniform") or axis == "seed":
-                continue
-            values = list(dict.fromkeys(row[axis] for row in self.plan))
-            groups = ((value, [row for row in self.rows if row[axis] == value]) for value in values)
-            rates += [self._rate(axis, word(value), some) for value, some in groups if some]
+            if kind not in RANDOM and axis != "seed":
+                values = dict.fromkeys(row[axis] for row in self.plan)
+                groups += [(axis, word(value), [row for row in self.rows if row[axis] == value]) for value in values]
+        rates = []
+        for axis, value, rows in groups:
+            units = [row[self._unit] for row in rows]
+            passed = [row["outcome"] == PASSED for row in rows]
+            if rows:
+                counts = (len(rows), sum(passed), len(set(units)))
+                rates.append(Rate(axis, value, *counts, share_of(units, passed)))
         return rates
-
-    def _rate(self, axis: str, value: str, rows: Sequence[Row]) -> Rate:
-        units = [row[self._unit] for row in rows]
-        passed = [row["outcome"] == PASSED for row in rows]
-        return Rate(axis, value, len(rows), sum(passed), len(set(units)), share_of(units, passed))
 
     @property
     def _unit(self) -> str:
@@ -136,30 +137,23 @@ class Judged:
     @cached_property
     def duels(self) -> list[Duel]:
         """Each law against each other, in runs that differ in the law alone."""
-        return list(self._duels())
-
-    def _duels(self) -> Iterator[Duel]:
-        same = [
-            name for name in ("fault", "seed", "sample", *self.about["axes"]) if not name.startswith("controller.law")
-        ]
+        axes = ("fault", "seed", "sample", *self.about["axes"])
+        same = [name for name in axes if not name.startswith("controller.law")]
         by_law: dict[str, dict[tuple[Any, ...], Row]] = {law: {} for law in self.about["laws"]}
         for row in self.rows:
             by_law[row["law"]][tuple(row[name] for name in same)] = row
+        duels = []
         for figure, (first, second) in itertools.product(COMPARED, itertools.combinations(by_law, 2)):
-            both = [
-                (row[self._unit], row[figure], by_law[second][place][figure])
-                for place, row in by_law[first].items()
-                if place in by_law[second]
-            ]
-            left_out = len(both)
-            both = [pair for pair in both if pair[1] is not None and pair[2] is not None]
-            left_out -= len(both)
+            others = by_law[second]
+            pairs = [(row, others[place]) for place, row in by_law[first].items() if place in others]
+            both = [(one, other) for one, other in pairs if one[figure] is not None and other[figure] is not None]
             if both:
-                units = [pair[0] for pair in both]
-                differences = np.array([one - other for _, one, other in both])
-                interval = paired_difference(units, differences)
+                units = [one[self._unit] for one, _ in both]
+                differences = np.array([one[figure] - other[figure] for one, other in both])
+                counts = (len(both), len(pairs) - len(both), len(set(units)))
                 less = float(np.mean(differences < 0.0))
-                yield Duel(first, second, figure, len(both), left_out, len(set(units)), interval, less)
+                duels.append(Duel(first, second, figure, *counts, paired_difference(units, differences), less))
+        return duels
 
     @cached_property
     def effects(self) -> list[Effect]:
@@ -172,7 +166,7 @@ class Judged:
             return None
         groups: Sequence[object] = [row[axis] for row in rows]
         values = np.array([row[figure] for row in rows])
-        if self.axes[axis] not in ("uniform", "log_uniform"):
+        if self.axes[axis] not in RANDOM:
             return share_explained(groups, values)
         return share_explained(binned(np.array(groups, dtype=np.float64)), values, [row["sample"] for row in rows])
 
@@ -251,23 +245,25 @@ def judge(folder: Path) -> Judged:
 
 def percent(rate: Rate) -> str:
     """Return a share with its interval in words."""
-    value, low, high = rate.share
+    value, low, high = rate.share.scaled(100.0)
+    words = f"{value:.4g} %"
     if low is None or high is None:
-        return f"{100.0 * value:.4g} % (from {_draws(rate.units)}: too few for an interval)"
-    return f"{100.0 * value:.4g} % (95 %: {100.0 * low:.3g} to {100.0 * high:.3g} %)"
+        return f"{words} (from {_draws(rate.units)})"
+    return f"{words} (95 %: {low:.3g} to {high:.3g} %)"
 
 
 def duel_words(duel: Duel) -> str:
     """Return a sentence that compares two laws in one figure."""
     value, low, high = duel.difference
+    words = f"{duel.first} - {duel.second} = {value:+.3g}"
     if low is None or high is None:
-        return f"{duel.first} - {duel.second} = {value:+.3g}, from {_draws(duel.units)}: too few for an interval"
+        return f"{words}, from {_draws(duel.units)}"
     verdict = "no difference shown" if low <= 0.0 <= high else f"{duel.first if high < 0.0 else duel.second} is less"
-    return f"{duel.first} - {duel.second} = {value:+.3g} (95 %: {low:+.3g} to {high:+.3g}): {verdict}"
+    return f"{words} (95 %: {low:+.3g} to {high:+.3g}): {verdict}"
 
 
 def _draws(count: int) -> str:
-    return "1 draw" if count == 1 else f"{count} draws"
+    return f"{count} draw{'' if count == 1 else 's'}: too few for an interval"
 
 
 def word(value: object) -> str:

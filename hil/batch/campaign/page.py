@@ -1,15 +1,15 @@
 """The page of a campaign: one self-contained HTML file with its verdicts, plots and worst runs."""
 
 import os
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from functools import partial
 from html import escape
 from pathlib import Path
 from typing import Any
 
 from hil.batch.campaign.judged import COMPARED, Judged, duel_words, percent, word
-from hil.batch.campaign.pictures import draw_distributions, draw_duels, draw_effects, title_of
-from hil.batch.campaign.statistics import Interval
+from hil.batch.campaign.pictures import draw_distributions, draw_duels, draw_effects
+from hil.batch.figures import column_of
 from hil.batch.job import PASSED
 from hil.batch.store import KEY
 from hil.core.outputs import Existing
@@ -39,15 +39,21 @@ def page(judged: Judged, folder: Path) -> str:
     return document(title, [*html, *_worst(judged, folder)])
 
 
+def _section(
+    title: str, about: str, head: Sequence[str], rows: Iterable[Sequence[str]], numbers: Sequence[int] = ()
+) -> Iterator[str]:
+    """Yield a heading, a paragraph and a table; the columns in ``numbers`` hold numbers. Cells are text."""
+    yield f"<h2>{title}</h2>"
+    yield f'<p class="about">{escape(about, quote=False)}</p>'
+    yield from table(head, [list(map(escape, row)) for row in rows], numbers)
+
+
 def _head(judged: Judged) -> Iterator[str]:
-    done = len(judged.rows)
-    passed = judged.outcomes.get(PASSED, 0)
+    done, passed = len(judged.rows), judged.outcomes.get(PASSED, 0)
     verdict = f"{passed} of {done} runs passed" if done else "no run is done yet"
     yield f'<p class="verdict {"passed" if done and passed == done else "failed"}">{verdict}</p>'
-    yield from (f'<p class="about">{escape(sentence)}</p>' for sentence in judged.sentences())
-    axes = [f"{name}: {axis['kind']} {axis['values']}" for name, axis in judged.about["axes"].items()]
-    if axes:
-        yield f'<p class="about">{escape("; ".join(axes))}</p>'
+    axes = "; ".join(f"{name}: {axis['kind']} {axis['values']}" for name, axis in judged.about["axes"].items())
+    yield from (f'<p class="about">{escape(sentence)}</p>' for sentence in (*judged.sentences(), axes) if sentence)
     if len(judged.commits) > 1:
         yield f'<p class="note">the runs were done by several commits: {escape(", ".join(judged.commits))}</p>'
 
@@ -62,57 +68,48 @@ def _reasons(judged: Judged) -> Iterator[str]:
 
 
 def _rates(judged: Judged) -> Iterator[str]:
-    yield "<h2>Pass rates</h2>"
-    yield (
-        '<p class="about">Of all runs that are done, and of those with one value of an axis. Runs that share a draw '
-        "of the random axes, or without these a seed, repeat each other: the interval is that of as many independent "
-        "runs as would scatter so. Intervals on this page are of 95 %: were the campaign done again with other draws, "
-        "19 of 20 such intervals would hold the true value.</p>"
+    about = (
+        "Of all runs that are done, and of those with one value of an axis. Runs that share a draw of the random axes, "
+        "or without these a seed, repeat each other: the interval is that of as many independent runs as would scatter "
+        "so. Intervals on this page are of 95 %: were the campaign done again with other draws, 19 of 20 such "
+        "intervals would hold the true value."
     )
-    rows = [
-        (*map(escape, (rate.axis, rate.value)), *map(str, (rate.runs, rate.passed, rate.units)), escape(percent(rate)))
-        for rate in judged.rates
-    ]
-    heads = ("axis", "value", "runs", "passed", "draws", "share, with its interval")
-    yield from table(heads, rows, numbers=(2, 3, 4))
+    head = ("axis", "value", "runs", "passed", "draws", "share, with its interval")
+    rows = [(one.axis, one.value, str(one.runs), str(one.passed), str(one.units), percent(one)) for one in judged.rates]
+    yield from _section("Pass rates", about, head, rows, (2, 3, 4))
 
 
 def _figures(judged: Judged) -> Iterator[str]:
-    yield "<h2>Figures of each law</h2>"
-    yield (
-        '<p class="about">Over the runs that have the figure: a run that never came within 10 mm has no steady error, '
-        "and one that did not come to its end has none of them. "
-        f"{escape(_MEANINGS)}</p>"
+    about = (
+        "Over the runs that have the figure: a run that never came within 10 mm has no steady error, and one that did "
+        f"not come to its end has none of them. {_MEANINGS}"
     )
     rows = []
     for spread in judged.spreads():
-        name, unit, scale = title_of(spread.figure)
-        numbers = (f"{scale * value:.4g}" for value in (spread.median, spread.p95, spread.worst))
-        rows.append((escape(f"{name} [{unit}]"), escape(spread.law), str(spread.runs), *numbers))
-    yield from table(("figure", "law", "runs", "median", "95th percentile", "worst"), rows, numbers=(2, 3, 4, 5))
+        column = column_of(spread.figure)
+        numbers = (f"{column.scale * value:.4g}" for value in (spread.median, spread.p95, spread.worst))
+        rows.append((column.labelled, spread.law, str(spread.runs), *numbers))
+    head = ("figure", "law", "runs", "median", "95th percentile", "worst")
+    yield from _section("Figures of each law", about, head, rows, (2, 3, 4, 5))
 
 
 def _duels(judged: Judged) -> Iterator[str]:
     if not judged.duels:
         return
-    yield "<h2>Law against law</h2>"
-    yield (
-        '<p class="about">Runs that differ in the law alone, in pairs; the mean difference with the percentile '
-        "interval of a bootstrap over at least six independent draws. Pairs of which one run has no such "
-        "figure, or did not come to its end, are left out: where they are many, the rest are the easy ones. Where "
-        "the interval contains 0, no difference is shown. There is no correction for multiple comparisons.</p>"
+    about = (
+        "Runs that differ in the law alone, in pairs; the mean difference with the percentile interval of a bootstrap "
+        "over at least six independent draws. Pairs of which one run has no such figure, or did not come to its end, "
+        "are left out: where they are many, the rest are the easy ones. Where the interval contains 0, no difference "
+        "is shown. There is no correction for multiple comparisons."
     )
     rows = []
     for duel in judged.duels:
-        name, unit, scale = title_of(duel.figure)
-        value, *ends = duel.difference
-        low, high = (None if end is None else scale * end for end in ends)
-        scaled = duel._replace(difference=Interval(scale * value, low, high))
-        words = (escape(f"{name} [{unit}]"), escape(duel_words(scaled)))
-        rows.append((*words, f"{100 * duel.first_less:.3g} %", str(duel.pairs), str(duel.left_out), str(duel.units)))
-    yield from table(
-        ("figure", "difference", "first less in", "pairs", "left out", "draws"), rows, numbers=(2, 3, 4, 5)
-    )
+        column = column_of(duel.figure)
+        scaled = duel._replace(difference=duel.difference.scaled(column.scale))
+        counts = map(str, (duel.pairs, duel.left_out, duel.units))
+        rows.append((column.labelled, duel_words(scaled), f"{100 * duel.first_less:.3g} %", *counts))
+    head = ("figure", "difference", "first less in", "pairs", "left out", "draws")
+    yield from _section("Law against law", about, head, rows, (2, 3, 4, 5))
     there = list(dict.fromkeys(duel.figure for duel in judged.duels))
     pairs = len({(duel.first, duel.second) for duel in judged.duels})
     draw = partial(draw_duels, judged=judged, names=there)
@@ -123,19 +120,17 @@ def _duels(judged: Judged) -> Iterator[str]:
 def _effects(judged: Judged) -> Iterator[str]:
     if not judged.axes:
         return
-    yield "<h2>What matters</h2>"
-    yield (
-        '<p class="about">The share of a figure\'s ranks that one axis explains by itself (epsilon squared): 1 is all, '
-        "0 none. What only several axes together explain is in none of them.</p>"
+    about = (
+        "The share of a figure's ranks that one axis explains by itself (epsilon squared): 1 is all, 0 none. What only "
+        "several axes together explain is in none of them."
     )
     shares = {(effect.axis, effect.figure): effect.share for effect in judged.effects}
     rows = [
-        (escape(axis), *("-" if (share := shares[axis, name]) is None else f"{share:.2f}" for name in COMPARED))
-        for axis in sorted(
-            judged.axes, key=lambda axis: -(shares[axis, judged.by] or 0.0) if (axis, judged.by) in shares else 0.0
-        )
+        (axis, *("-" if (share := shares[axis, name]) is None else f"{share:.2f}" for name in COMPARED))
+        for axis in sorted(judged.axes, key=lambda axis: -(shares.get((axis, judged.by)) or 0.0))
     ]
-    yield from table(("axis", *(title_of(name)[0] for name in COMPARED)), rows, numbers=range(1, len(COMPARED) + 1))
+    head = ("axis", *(column_of(name).title for name in COMPARED))
+    yield from _section("What matters", about, head, rows, range(1, len(COMPARED) + 1))
 
 
 def _pictures(judged: Judged) -> Iterator[str]:
@@ -149,8 +144,7 @@ def _pictures(judged: Judged) -> Iterator[str]:
     axes = [axis for axis in judged.axes if axis not in ("law", "seed")]
     if axes:
         draw = partial(draw_effects, judged=judged, names=axes, shown=shown)
-        title, unit, _ = title_of(shown)
-        caption = f"{title} [{unit}] over each axis; dots are runs, the line joins medians."
+        caption = f"{column_of(shown).labelled} over each axis; dots are runs, the line joins medians."
         yield from _panels("Effects", caption, draw, len(axes), 2.4)
 
 
@@ -161,12 +155,12 @@ def _panels(title: str, caption: str, draw: Callable[..., None], count: int, hei
 
 
 def _worst(judged: Judged, folder: Path) -> Iterator[str]:
-    title, unit, scale = title_of(judged.by)
+    column = column_of(judged.by)
     yield "<h2>The worst runs</h2>"
     for row in judged.worst:
-        value = "-" if row[judged.by] is None else f"{scale * row[judged.by]:.4g} {unit}"
+        value = "-" if row[judged.by] is None else f"{column.scale * row[judged.by]:.4g} {column.unit}"
         outcome = mark(row["outcome"], row["outcome"] == PASSED)
-        yield f"<p>{outcome} {escape(f'{title} {value}; {_point(judged, row)}')}</p>"
+        yield f"<p>{outcome} {escape(f'{column.title} {value}; {_point(judged, row)}')}</p>"
         if row["reason"] is not None:
             yield f'<p class="failed">{escape(row["reason"])}</p>'
         yield f'<p class="about"><code>{escape(judged.repeats[row[KEY]])}</code></p>'

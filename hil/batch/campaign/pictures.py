@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from hil.batch.campaign.judged import Judged
-from hil.batch.figures import shown_columns
+from hil.batch.campaign.tables import RANDOM
+from hil.batch.figures import Column, column_of
 from hil.review.plots import colour_of, rgb
 
 if TYPE_CHECKING:
@@ -17,57 +18,48 @@ _SCATTERED = 2000
 _MOST_VALUES = 12
 
 
-def title_of(name: str) -> tuple[str, str, float]:
-    """Return a figure's title, the unit in which it is shown, and the factor to it from the stored value."""
-    for column in shown_columns():
-        if column.name == name:
-            return column.title, column.unit, column.scale
-    return name, "", 1.0
-
-
-def _panels(axes: "list[Axes]", names: list[str]) -> "Iterator[tuple[Axes, str]]":
-    """Yield a panel for each name, and hide the others."""
+def _panels(axes: "list[Axes]", names: list[str]) -> "Iterator[tuple[Axes, str, Column]]":
+    """Yield a panel for each name, with how the figure of that name is shown, and hide the other panels."""
     for panel in axes[len(names) :]:
         panel.set_visible(False)
-    yield from zip(axes, names, strict=False)
+    yield from zip(axes, names, map(column_of, names), strict=False)
 
 
 def draw_distributions(axes: "list[Axes]", *, judged: Judged, names: list[str]) -> None:
     """Draw, for each law, the share of its runs in which a figure is at most the value on the x axis."""
-    for panel, name in _panels(axes, names):
-        title, unit, scale = title_of(name)
+    for panel, name, column in _panels(axes, names):
         for number, law in enumerate(judged.about["laws"]):
-            values = np.sort(scale * judged.values(name, law))
+            values = np.sort(column.scale * judged.values(name, law))
             if len(values):
                 shares = np.arange(1, len(values) + 1) / len(values)
                 panel.step(values, shares, where="post", label=law, color=rgb(colour_of(number)))
-        panel.set(title=title, xlabel=f"{title} [{unit}]", ylabel="share of runs", ylim=(0.0, 1.02))
+        panel.set(title=column.title, xlabel=column.labelled, ylabel="share of runs", ylim=(0.0, 1.02))
     axes[0].legend()
 
 
 def draw_effects(axes: "list[Axes]", *, judged: Judged, names: list[str], shown: str) -> None:
     """Draw the figure ``shown`` over the axes of the campaign with these names."""
-    title, unit, scale = title_of(shown)
-    for panel, name in _panels(axes, names):
+    column = column_of(shown)
+    for panel, name, _ in _panels(axes, names):
         numeric = all(isinstance(row[name], float | int) for row in judged.rows)
         words = list(dict.fromkeys(str(row[name]) for row in judged.plan))
         for number, law in enumerate(judged.about["laws"]):
             rows = [row for row in judged.rows if row["law"] == law and row[shown] is not None]
             x = np.array([float(row[name]) if numeric else words.index(str(row[name])) for row in rows])
-            y = scale * np.array([row[shown] for row in rows])
+            y = column.scale * np.array([row[shown] for row in rows])
             if not len(x):
                 continue
             every = -(-len(x) // _SCATTERED)
             colour = rgb(colour_of(number))
             panel.plot(x[::every], y[::every], ".", color=colour, markersize=2.5, alpha=0.4)
-            is_random = judged.axes[name] in ("uniform", "log_uniform")
+            is_random = judged.axes[name] in RANDOM
             panel.plot(*_medians(x, y, is_random=is_random), "-", color=colour, label=law)
         if not numeric:
             panel.set_xticks(range(len(words)), words)
         if judged.axes[name] == "log_uniform":
             panel.set_xscale("log")
             panel.xaxis.set_minor_formatter("")
-        panel.set(xlabel=name, ylabel=f"{title} [{unit}]")
+        panel.set(xlabel=name, ylabel=column.labelled)
     axes[0].legend()
 
 
@@ -85,15 +77,14 @@ def _medians(x: Any, y: Any, *, is_random: bool) -> tuple[list[float], list[floa
 
 def draw_duels(axes: "list[Axes]", *, judged: Judged, names: list[str]) -> None:
     """Draw the mean differences between laws in figures, each with its interval."""
-    for panel, name in _panels(axes, names):
-        title, unit, scale = title_of(name)
+    for panel, name, column in _panels(axes, names):
         duels = [duel for duel in judged.duels if duel.figure == name]
         for place, duel in enumerate(duels):
-            value, low, high = duel.difference
+            value, low, high = duel.difference.scaled(column.scale)
             colour = rgb(colour_of(place))
-            panel.plot([scale * value], [place], "o", color=colour, markersize=4)
+            panel.plot([value], [place], "o", color=colour, markersize=4)
             if low is not None and high is not None:
-                panel.plot([scale * low, scale * high], [place, place], "-", color=colour, linewidth=2)
+                panel.plot([low, high], [place, place], "-", color=colour, linewidth=2)
         panel.axvline(0.0, color="#888888", linewidth=0.8)
         panel.set_yticks(range(len(duels)), [f"{duel.first} - {duel.second}" for duel in duels])
-        panel.set(title=title, xlabel=f"difference [{unit}]", ylim=(len(duels) - 0.5, -0.5))
+        panel.set(title=column.title, xlabel=f"difference [{column.unit}]", ylim=(len(duels) - 0.5, -0.5))

@@ -29,6 +29,11 @@ class Interval(NamedTuple):
     low: float | None
     high: float | None
 
+    def scaled(self, factor: float) -> "Interval":
+        """Return it in another unit."""
+        low, high = (None if end is None else factor * end for end in self[1:])
+        return Interval(factor * self.value, low, high)
+
 
 def wilson(share: float, trials: float) -> Interval:
     """Return a share with Wilson's score interval (1927), which is valid for few trials and for shares of 0 and 1."""
@@ -60,9 +65,9 @@ def share_of(units: Sequence[object], passed: Sequence[bool]) -> Interval:
         return Interval(share, None, None)
     scatter = float(unit_means(units, values).var(ddof=1)) / count
     alike = share * (1.0 - share)
-    trials = (
-        min(float(len(passed)), alike / scatter) if scatter > 0.0 else float(count if alike == 0.0 else len(passed))
-    )
+    trials = float(count if alike == 0.0 else len(passed))
+    if scatter > 0.0:
+        trials = min(float(len(passed)), alike / scatter)
     return wilson(share, max(1.0, trials * (Z_95 / _student(count - 1)) ** 2))
 
 
@@ -84,17 +89,10 @@ def paired_difference(units: Sequence[object], differences: Series, seed: int = 
         means[generator.integers(0, len(means), (min(at_once, _RESAMPLES - begin), len(means)))].mean(axis=1)
         for begin in range(0, _RESAMPLES, at_once)
     ]
-    tail = _expanded_tail(len(means))
+    # Student's t in place of the normal quantile, and the variance with count - 1.
+    tail = NormalDist().cdf(-_student(len(means) - 1) * math.sqrt(len(means) / (len(means) - 1)))
     low, high = np.quantile(np.concatenate(resampled), [tail, 1.0 - tail])
     return Interval(value, float(low), float(high))
-
-
-def _expanded_tail(count: int) -> float:
-    """Return the share that a bootstrap's 95 % interval of ``count`` values leaves out at each end.
-
-    It takes Student's t in place of the normal quantile, and the variance with count - 1.
-    """
-    return NormalDist().cdf(-_student(count - 1) * math.sqrt(count / (count - 1)))
 
 
 def _student(freedom: int) -> float:
@@ -107,9 +105,14 @@ def _student(freedom: int) -> float:
 
 def unit_means(units: Sequence[object], values: Series) -> Series:
     """Return the mean of each unit's values."""
-    names: dict[object, int] = {}
-    places = np.array([names.setdefault(unit, len(names)) for unit in units])
+    places = _places(units)
     return np.asarray(np.bincount(places, weights=values) / np.bincount(places), dtype=np.float64)
+
+
+def _places(groups: Sequence[object]) -> npt.NDArray[np.intp]:
+    """Return the number of each item's group; groups are numbered in their order."""
+    names: dict[object, int] = {}
+    return np.array([names.setdefault(group, len(names)) for group in groups], dtype=np.intp)
 
 
 def share_explained(groups: Sequence[object], values: Series, units: Sequence[object] | None = None) -> float | None:
@@ -132,18 +135,13 @@ def share_explained(groups: Sequence[object], values: Series, units: Sequence[ob
 
 
 def _epsilon_squared(groups: Sequence[object], values: Series) -> float | None:
-    count = len(values)
-    names: dict[object, int] = {}
-    places = np.array([names.setdefault(group, len(names)) for group in groups], dtype=np.intp)
-    if len(names) < 2 or count <= len(names):
-        return None
-    total = float(((values - values.mean()) ** 2).sum())
-    if total == 0.0:
-        return None
+    places, count = _places(groups), len(values)
     sizes = np.bincount(places)
-    means = np.bincount(places, weights=values) / sizes
-    within = total - float((sizes * (means - values.mean()) ** 2).sum())
-    return float(max(0.0, 1.0 - within / total * (count - 1) / (count - len(names))))
+    total = float(((values - values.mean()) ** 2).sum())
+    if len(sizes) < 2 or count <= len(sizes) or total == 0.0:
+        return None
+    within = total - float((sizes * (unit_means(groups, values) - values.mean()) ** 2).sum())
+    return float(max(0.0, 1.0 - within / total * (count - 1) / (count - len(sizes))))
 
 
 def ranked(values: Series) -> Series:

@@ -7,7 +7,9 @@ from typing import Annotated, Any, Literal
 from hil.core.options import Expected, Range, build
 from hil.scenario.values import AnyOption, Text
 
-AXIS_KINDS = ("grid", "list", "uniform", "log_uniform")
+RANDOM = ("uniform", "log_uniform")
+"""Kinds of axes whose values are drawn."""
+AXIS_KINDS = ("grid", "list", *RANDOM)
 _MOST_RUNS = 10_000_000
 
 
@@ -28,7 +30,7 @@ class AxisTable:
     @property
     def is_random(self) -> bool:
         """Whether its values are drawn."""
-        return self.kind in ("uniform", "log_uniform")
+        return self.kind in RANDOM
 
     @property
     def values(self) -> tuple[Any, ...]:
