@@ -1,5 +1,8 @@
 """Small FMUs for FMI 2.0 and FMI 3.0, whole or broken in one way, compiled from tests/fmus_broken."""
 
+import functools
+import re
+import struct
 import zipfile
 from collections.abc import Callable, Iterable
 from pathlib import Path
@@ -7,6 +10,7 @@ from pathlib import Path
 import fmpy
 
 from hil.plant import archive
+from tests import once
 from tools.build.compiler import compile_shared
 
 HERE = Path(__file__).with_name("fmus_broken")
@@ -37,9 +41,20 @@ def pack(
     return fmu
 
 
+FAULTS = re.findall(r"^    ([A-Z_]+),$", (HERE / "lag.h").read_text(encoding="utf-8"), re.MULTILINE)
+"""The faults of lag.h by their numbers."""
+_MARK = b"lag breaks:\0"
+
+
 def lag(folder: Path, fmi: int, fault: str = "NO_FAULT", change: Change = same) -> Path:
-    """Build an FMU that can be run, with a fault of lag.h."""
-    library = folder / f"lag_{fmi}_{fault}{archive.LIBRARY_SUFFIX}"
-    sources = (HERE / "lag.c", HERE / f"lag_fmi{fmi}.c")
-    compile_shared(sources, library, include=(HERE, HEADERS), flags=(f"-DBREAK={fault}", "-O0"))
-    return pack(folder / f"lag_fmi{fmi}.fmu", fmi, change, library=library.read_bytes())
+    """Make an FMU that can be run, with a fault of lag.h. It is compiled once a session."""
+    library = once.made(f"lag_fmi{fmi}", functools.partial(_compile, fmi))
+    number = library.index(_MARK) + len(_MARK)
+    broken = library[:number] + struct.pack("i", FAULTS.index(fault)) + library[number + 4 :]
+    return pack(folder / f"lag_fmi{fmi}.fmu", fmi, change, library=broken)
+
+
+def _compile(fmi: int, folder: Path) -> bytes:
+    library = folder / f"lag_{fmi}{archive.LIBRARY_SUFFIX}"
+    compile_shared((HERE / "lag.c", HERE / f"lag_fmi{fmi}.c"), library, include=(HERE, HEADERS), flags=("-O0",))
+    return library.read_bytes()

@@ -7,6 +7,8 @@
 #include <string.h>
 #include <time.h>
 
+const volatile lag_break lag_breaks = {"lag breaks:", NO_FAULT};
+
 static double shared_x; /* for SHARED_STATE */
 
 #ifndef _WIN32

@@ -1,6 +1,7 @@
 /* A first-order lag as a co-simulation slave of FMI 2.0 and FMI 3.0 that can be broken in one way at a time.
  *
- * x' = gain u - x, y = x + gain u. Compiled with -DBREAK=FAULT it has that fault and no other; see lag.c. */
+ * x' = gain u - x, y = x + gain u. It has the fault whose number is in `lag_breaks`, and no other; see lag.c.
+ */
 #ifndef LAG_H
 #define LAG_H
 
@@ -62,10 +63,14 @@ enum {
     NO_ROOM,
     CRASH_AT_THE_END,
 };
-#ifndef BREAK
-#define BREAK NO_FAULT
-#endif
-#define BROKEN(fault) (BREAK == (fault))
+/* tests/broken_fmu.py writes the number of a fault behind the mark in the compiled library: one is compiled
+ * for all. */
+typedef struct {
+    char mark[12];
+    int fault;
+} lag_break;
+extern const volatile lag_break lag_breaks;
+#define BROKEN(number) (lag_breaks.fault == (number))
 
 #define LAG_TOKEN "{c0ffee00-1a90-4000-8000-000000000001}"
 #define LAG_STEP_S 0.01 /* the step of the default experiment */

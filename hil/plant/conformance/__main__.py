@@ -5,6 +5,7 @@ each finding, and every call of the FMU before the call is made: so the parent k
 """
 
 import os
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from fmpy.fmi1 import FMICallException
@@ -16,15 +17,20 @@ from hil.plant.process import Parent
 
 
 def main() -> None:
-    """Run the requested parts. When one of GATES fails, the later ones are not run."""
+    """Run the requested parts on the FMU."""
     parent = Parent()
-    report = parent.send
     job = parent.receive()
     library = Path(job["library"])
     os.chdir(library.parent)  # some libraries look for others in the working directory
-    model = Model(Path(job["fmu"]), parent.scratch, library, job["version"], report)
+    model = Model(Path(job["fmu"]), parent.scratch, library, job["version"], parent.send)
+    run_parts(model, job["parts"], parent.send)
+    parent.send(trying="", doing="at its exit")  # the FMU may have registered functions that run then
+
+
+def run_parts(model: Model, titles: Sequence[str], report: Callable[..., None]) -> None:
+    """Run the parts with these titles. When one of GATES fails, the later ones are not run."""
     for part in PARTS:
-        if title(part) not in job["parts"]:
+        if title(part) not in titles:
             continue
         report(part=title(part))
         failed = True
@@ -45,7 +51,6 @@ def main() -> None:
         report(done=True)
         if failed and part in GATES:
             break
-    report(trying="", doing="at its exit")  # the FMU may have registered functions that run then
 
 
 if __name__ == "__main__":
