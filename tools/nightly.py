@@ -29,7 +29,7 @@ class Step(NamedTuple):
 
 STEPS = {
     "tests": Step(
-        "all tests side by side, each property with twenty times the examples, new ones each time; FMUs for Windows too",
+        "all tests side by side, each property with twenty times the examples, others each time; and Windows FMUs",
         (PYTHON, "-m", "pytest", "-n", "auto", "--dist", "worksteal", "-m", "not alone"),
         {"HIL_EXAMPLES": "thorough"},
     ),
