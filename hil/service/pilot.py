@@ -61,15 +61,6 @@ class Pilot:
         parts.device.attend(parts.clock)
         self._warned = Warned(parts.device, lambda sentence: self._parts.note(self._t_s, "warning", sentence))
         self._recovery = self._new_recovery(RobotStoppedError("not connected yet"))
-        self._steps = {
-            Phase.AWAY: self._reconnect,
-            Phase.DISARMED: self._wait,
-            Phase.ARMING: self._arm,
-            Phase.ACTIVE: self._drive,
-            Phase.STOPPING: self._ramp_down,
-            Phase.FAULT: self._be_latched,
-            Phase.ESTOP: self._be_latched,
-        }
 
     @property
     def why(self) -> str | None:
@@ -156,16 +147,14 @@ class Pilot:
     # The tick
 
     def tick(self, now: LoopSignals, fix: PoseFix | None) -> None:
-        """Do one tick and write its row. Raises the error that ended a robot in this process, which cannot come
-        back.
-        """
+        """Do one tick and write its row. Raises the error that ended a robot in this process for good."""
         self._t_s = now.t_s
         try:
             if (faults := self._parts.faults) is not None:
                 faults.at(round(now.t_s * 1e9))
                 fix = faults.truth(fix)
             count = self._tick.count
-            self._attempt(lambda: self._steps[self.phase](now, fix))
+            self._attempt(lambda: self._step(now, fix))
             if self._tick.count == count:  # only a driven tick has written its row
                 self._attempt(lambda: self._tick.record_away(now, fix, NOWHERE, self.state))
             if self._tick.count == count:  # the law's own signals failed; from now on they are NaN
@@ -175,6 +164,39 @@ class Pilot:
                 self._parts.note(self._t_s, "warning", self._trouble)
         except TickOverdue as overdue:  # not raised in the law but, for example, in a log whose reader stalls
             self.lose(OverdueError(str(overdue)))
+
+    def _step(self, now: LoopSignals, fix: PoseFix | None) -> None:
+        """Do what the phase asks for."""
+        device, phase = self._parts.device, self.phase
+        if phase is Phase.AWAY:
+            self._reconnect(now.t_s)
+            return
+        if phase is Phase.ARMING and device.armed():
+            self._tick.begin()
+            phase = Phase.ACTIVE
+            self._enter(phase)
+            self.conduct.begin()
+        if phase is Phase.ACTIVE:
+            self._drive(now, fix)
+            return
+        feedback, self.state = self._tick.sense(now.t_s, fix, active=False)
+        robot, is_late = feedback.state, now.t_s > self._deadline_s
+        if phase is Phase.ARMING:
+            if is_late:
+                raise DeviceError(device.why_not_active())
+        elif phase in (Phase.FAULT, Phase.ESTOP):
+            self._be_latched(robot, now.t_s)
+        elif robot in _LATCHED:
+            if device.report.explains(robot):  # else STATUS, which has the reason, arrives a little later
+                self._why = device.why_not_active()
+                self._enter(_LATCHED[robot])
+        elif phase is Phase.DISARMED:
+            if robot in (RobotState.ARMED, RobotState.ACTIVE):
+                self._why = "another host has armed the robot; stop that host first"
+        elif robot is RobotState.IDLE:
+            self._enter(Phase.DISARMED)
+        elif is_late:
+            self._why = f"the robot did not come to rest within {_STOPPING_LIMIT_S:g} s: it is {robot.name}"
 
     def _attempt(self, action: Callable[[], None]) -> None:
         """Do a part of a tick and handle its errors. Raises as ``tick``."""
@@ -221,7 +243,7 @@ class Pilot:
     def _new_recovery(self, error: HilError) -> Recovery:
         return Recovery(self._parts.device, self._parts.clock, error, self._t_s, self._warned, arm=False)
 
-    def _reconnect(self, now: LoopSignals, fix: PoseFix | None) -> None:
+    def _reconnect(self, t_s: float) -> None:
         self._tick.raise_robot_failure()
         self._tick.skip_fixes()
         try:
@@ -236,30 +258,11 @@ class Pilot:
             self._why = None
         self._was_connected = True
         if self.emergency.owed:
-            self.emergency.request(now.t_s)
+            self.emergency.request(t_s)
             self._enter(Phase.ESTOP)
             self._parts.device.estop()
         else:
             self._enter(Phase.STOPPING, _STOPPING_LIMIT_S)  # until its feedback shows that it is at rest
-
-    def _wait(self, now: LoopSignals, fix: PoseFix | None) -> None:
-        robot = self._look(now, fix)
-        if robot in _LATCHED:
-            self._latch(robot)
-        elif robot in (RobotState.ARMED, RobotState.ACTIVE):
-            self._why = "another host has armed the robot; stop that host first"
-
-    def _arm(self, now: LoopSignals, fix: PoseFix | None) -> None:
-        device = self._parts.device
-        if not device.armed():
-            self._look(now, fix)
-            if now.t_s > self._deadline_s:
-                raise DeviceError(device.why_not_active())
-            return
-        self._tick.begin()
-        self._enter(Phase.ACTIVE)
-        self.conduct.begin()
-        self._drive(now, fix)
 
     def _drive(self, now: LoopSignals, fix: PoseFix | None) -> None:
         sensed = _, self.state = self._tick.sense(now.t_s, fix)
@@ -269,19 +272,9 @@ class Pilot:
         if self.conduct.gave_up is not None:
             self._why, self.conduct.gave_up = self.conduct.gave_up, None
 
-    def _ramp_down(self, now: LoopSignals, fix: PoseFix | None) -> None:
-        robot = self._look(now, fix)
-        if robot is RobotState.IDLE:
-            self._enter(Phase.DISARMED)
-        elif robot in _LATCHED:
-            self._latch(robot)
-        elif now.t_s > self._deadline_s:
-            self._why = f"the robot did not come to rest within {_STOPPING_LIMIT_S:g} s: it is {robot.name}"
-
-    def _be_latched(self, now: LoopSignals, fix: PoseFix | None) -> None:
+    def _be_latched(self, robot: RobotState, t_s: float) -> None:
         device = self._parts.device
-        robot = self._look(now, fix)
-        if self.emergency.is_sent(robot, now.t_s):
+        if self.emergency.is_sent(robot, t_s):
             device.estop()
         elif self.emergency.pop_clear():
             self.clear()
@@ -289,17 +282,10 @@ class Pilot:
             device.disarm()
             self._why = None
             self._enter(Phase.DISARMED)
-        elif now.t_s > self._deadline_s:
+        elif t_s > self._deadline_s:
             device.disarm()
             self._deadline_s = math.inf
             self._why = f"clearing was refused: {device.why_not_active()}"
-
-    def _look(self, now: LoopSignals, fix: PoseFix | None) -> RobotState:
-        """Sense without driving; return the state that the robot reports."""
-        feedback, self.state = self._tick.sense(now.t_s, fix, active=False)
-        return feedback.state
-
-    # Changes
 
     def _enter(self, phase: Phase, limit_s: float = math.inf) -> None:
         if phase is Phase.ACTIVE:
@@ -310,12 +296,6 @@ class Pilot:
         self.conduct.end()
         if phase is Phase.AWAY:
             self.state = None
-
-    def _latch(self, robot: RobotState) -> None:
-        if not self._parts.device.report.explains(robot):
-            return  # STATUS has the reason, and arrives a little later
-        self._why = self._parts.device.why_not_active()
-        self._enter(_LATCHED[robot])
 
     def _because(self) -> str:
         return f" ({self.why})" if self.why else ""
