@@ -18,14 +18,9 @@ class Requirement(NamedTuple):
     """What a reference needs of the wheels in one quantity (its absolute value).
 
     Attributes:
-        unit: unit of the quantity.
-        limit: limit of a wheel.
-        worst: largest value needed, by ``worst_wheel`` at ``worst_s``.
-        worst_wheel: name of the wheel, such as ``fl``.
-        worst_s: time of the scenario [s].
-        first: first value beyond the limit; None, like the next two, where the limit is kept.
-        first_wheel: the wheel that needs it.
-        first_s: time of the scenario [s].
+        unit: unit of the quantity. limit: limit of a wheel.
+        worst: largest value needed, by the wheel ``worst_wheel`` (``fl``) at the scenario's time ``worst_s`` [s].
+        first: first value beyond the limit, by ``first_wheel`` at ``first_s``; all three None where the limit is kept.
     """
 
     unit: str
@@ -42,12 +37,11 @@ class Requirement(NamedTuple):
         """The warning for the user; None where the limit is kept."""
         if self.first is None:
             return None
-        first, most = f"{self.first:.3g}", f"{self.worst:.3g}"
-        worst = f"; at most wheel {self.worst_wheel} {most} {self.unit} at t = {self.worst_s:.3g} s"
+        first, most, unit = f"{self.first:.3g}", f"{self.worst:.3g}", self.unit
+        worst = f"; at most wheel {self.worst_wheel} {most} {unit} at t = {self.worst_s:.3g} s" * (most != first)
         return (
-            f"wheel {self.first_wheel} would need {first} {self.unit} at t = {self.first_s:.3g} s, its limit is "
-            f"{self.limit:g} {self.unit}{worst if most != first else ''}: the robot cannot follow this reference, make "
-            "it slower"
+            f"wheel {self.first_wheel} would need {first} {unit} at t = {self.first_s:.3g} s, its limit is "
+            f"{self.limit:g} {unit}{worst}: the robot cannot follow this reference, make it slower"
         )
 
 

@@ -3,7 +3,8 @@
 from dataclasses import dataclass
 from typing import ClassVar
 
-from hil.core.types import Acceleration, Pose, Reference, Twist
+from hil.core.types import Pose, Reference
+from hil.references.motion import at_rest
 
 
 @dataclass(frozen=True, slots=True)
@@ -23,4 +24,4 @@ class Hold:
 
     def at(self, t_s: float) -> Reference:
         """Return the pose, at rest."""
-        return Reference(Pose(self.x_m, self.y_m, self.heading_rad), Twist(0.0, 0.0, 0.0), Acceleration(0.0, 0.0, 0.0))
+        return at_rest(Pose(self.x_m, self.y_m, self.heading_rad))

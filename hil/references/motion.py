@@ -2,7 +2,17 @@
 
 from typing import Protocol
 
-from hil.core.types import Axes, Reference, make_acceleration, make_pose, make_reference, make_twist
+from hil.core.types import (
+    Acceleration,
+    Axes,
+    Pose,
+    Reference,
+    Twist,
+    make_acceleration,
+    make_pose,
+    make_reference,
+    make_twist,
+)
 
 
 class ReferenceSource(Protocol):
@@ -26,6 +36,11 @@ Phase = tuple[float, float, float]
 
 Point = tuple[Axes, Axes, Axes]
 """A point of a path: (x, y, heading), and the first and second derivatives of these by the path's parameter."""
+
+
+def at_rest(pose: Pose) -> Reference:
+    """Return the reference of a robot that rests at a pose."""
+    return Reference(pose, Twist(0.0, 0.0, 0.0), Acceleration(0.0, 0.0, 0.0))
 
 
 def motion_through(point: Point, rate: float, acceleration: float) -> Reference:

@@ -19,10 +19,10 @@ from itertools import accumulate, pairwise
 from typing import ClassVar, NamedTuple
 
 from hil.core.kinematics import wrap_angle
-from hil.core.types import Acceleration, Pose, Reference, Twist
+from hil.core.types import Pose, Reference
 from hil.references.curves import EASED_PEAKS, Bend, Eased, HeadingLaw, Line, Linear, Section
 from hil.references.double_s import Limits, Phase, after, profile, reachable_speed
-from hil.references.motion import motion_through
+from hil.references.motion import at_rest, motion_through
 
 SHARPEST_RAD = math.radians(150.0)
 """The robot stops at a corner that turns by more than this."""
@@ -49,7 +49,7 @@ class Route:
     def __init__(self, segments: Sequence[Segment], end: Pose) -> None:
         self._segments = segments
         *self._starts_s, self.span_s = accumulate((phase.duration_s for _, phase in segments), initial=0.0)
-        self._end = Reference(end, Twist(0.0, 0.0, 0.0), Acceleration(0.0, 0.0, 0.0))
+        self._end = at_rest(end)
 
     def at(self, t_s: float) -> Reference:
         """Return the reference at ``t_s``; from the end on it rests."""

@@ -9,8 +9,8 @@ import numpy as np
 
 from hil.core.errors import BadInputError
 from hil.core.options import NOT_NEGATIVE, Range
-from hil.core.types import Acceleration, Reference, Twist
-from hil.references.motion import Phase, ReferenceSource, motion_through, ramped
+from hil.core.types import Reference
+from hil.references.motion import Phase, ReferenceSource, at_rest, motion_through, ramped
 from hil.references.smoothing import SmoothingSpline
 from hil.references.table import Format, read_table
 
@@ -61,8 +61,7 @@ class Played:
         self._length_s = length_s
         self._ramp_s = ramp_s
         self.span_s = length_s + ramp_s
-        end = self._moving((length_s, 0.0, 0.0))
-        self._end = Reference(end.pose, Twist(0.0, 0.0, 0.0), Acceleration(0.0, 0.0, 0.0))
+        self._end = at_rest(self._moving((length_s, 0.0, 0.0)).pose)
 
     def at(self, t_s: float) -> Reference:
         """Return the reference at ``t_s``; from the end on it rests."""

@@ -4,7 +4,6 @@ An API process that ends is started again; no orders come meanwhile. One that is
 because an emergency stop must reach a process that listens.
 """
 
-import contextlib
 import os
 import subprocess
 import threading
@@ -58,13 +57,14 @@ class ApiChild:
         self.url = ""
         self.token_file: Path | None = None
         self.restarts = 0
-        with contextlib.ExitStack() as started:
-            started.callback(self.close)
+        try:
             self._start()
             self._wait_until_ready()
             service = Service(self.url, os.getpid(), config.title, config.device, str(self.token_file))
             self._claim = announce(service)
-            started.pop_all()
+        except BaseException:
+            self.close()
+            raise
 
     @property
     def alive(self) -> bool:
@@ -139,21 +139,18 @@ class ApiChild:
         """Wait until the first process is ready. Raises BadInputError if it refuses the config, DeviceError if it does
         not answer.
         """
-        deadline_s = time.monotonic() + _READY_S
-        while not self._ready and time.monotonic() < deadline_s:
-            assert self._lines is not None
+        assert self._lines is not None
+        while not self._ready:
             for record in self._lines.receive():
                 if "refused" in record:
                     raise BadInputError(str(record["refused"]))
                 self._handle(record)
-            if self._lines.ended:
-                break
+            if self._lines.ended or time.monotonic() > self._started_s + _READY_S:
+                raise DeviceError(
+                    "the API process did not start; its output is above, and 'pip install --force-reinstall fastapi "
+                    "uvicorn' helps where a package of it is broken"
+                )
             time.sleep(0.005)
-        if not self._ready:
-            raise DeviceError(
-                "the API process did not start; its output is above, and 'pip install --force-reinstall fastapi "
-                "uvicorn' helps where a package of it is broken"
-            )
 
     def _handle(self, record: dict[str, Any]) -> Order | None:
         """Return the order in a line; handle a line of another kind, and return None."""

@@ -5,16 +5,15 @@ from collections.abc import Callable
 
 from hil.core.errors import BadInputError
 from hil.core.kinematics import BodyTwist
-from hil.core.types import NAN_POSE, Acceleration, Pose, Reference, State, Twist
+from hil.core.types import NAN_POSE, Pose, Reference, State
 from hil.references import ReferenceSource
+from hil.references.motion import at_rest
 from hil.scenario import ServiceTable
 from hil.service.messages import Task
 from hil.service.motions import Drive, Follow, frame_at, way_to
 
-_REST = Twist(0.0, 0.0, 0.0), Acceleration(0.0, 0.0, 0.0)
-NOWHERE = Reference(NAN_POSE, *_REST)
+NOWHERE = at_rest(NAN_POSE)
 """The reference of a robot without a task."""
-
 
 Motion = Drive | Follow
 
@@ -100,13 +99,12 @@ class Conduct:
         """Return the reference of this tick for the robot's state; NOWHERE as long as no state was ever known."""
         self._t_s, self._state = t_s, state
         pose = state.pose if state is not None else None
-        reference = self._where(pose)
+        self.reference = self._where(pose)
         limit_m = self._options.error_limit_m
-        if pose is not None and math.dist(reference.pose[:2], pose[:2]) > limit_m:
+        if pose is not None and math.dist(self.reference.pose[:2], pose[:2]) > limit_m:
             self.give_up(f"the robot is more than {limit_m:g} m from where it should be")
-            reference = self._where(pose)
-        self.reference = reference
-        return reference
+            self.reference = self._where(pose)
+        return self.reference
 
     def held(self) -> None:
         """Give up the task, because the law was not called in this tick and the robot was stopped."""
@@ -123,7 +121,7 @@ class Conduct:
         if self._motion is None:
             if pose is None:
                 return NOWHERE
-            self._motion = self._hold(Reference(pose, *_REST))
+            self._motion = self._hold(at_rest(pose))
         if self.task is Task.TWIST and self._t_s > self._twist_until_s:
             self.stop()
         reference = self._motion.at(self._t_s, pose)
@@ -140,7 +138,7 @@ class Conduct:
         if not math.isfinite(sum(at.pose)):
             if self._state is None:
                 raise BadInputError("the robot's pose is not known; wait until the status has a pose")
-            at = Reference(self._state.pose, *_REST)
+            at = at_rest(self._state.pose)
         self._after_rest = None
         self._motion = drive = self._hold(at)
         return drive

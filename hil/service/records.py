@@ -1,4 +1,4 @@
-"""The sink of a service: a recording that starts and ends on orders, and live viewers all the time."""
+"""The recordings of a service: one that starts and ends on orders, and one for live viewers."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path

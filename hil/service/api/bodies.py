@@ -11,7 +11,6 @@ from typing import Any
 
 from pydantic import (
     BaseModel,
-    ConfigDict,
     Field,
     FiniteFloat,
     StrictBool,
@@ -30,10 +29,8 @@ _LONGEST_ECHO = 80
 _OF_OURS = "Value error, "  # pydantic's prefix of a ValueError's text
 
 
-class Body(BaseModel):
+class Body(BaseModel, extra="forbid", strict=True, allow_inf_nan=False):
     """An order without arguments. Unknown names are refused, and so are numbers written as strings."""
-
-    model_config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
 
     @model_validator(mode="before")
     @classmethod
@@ -46,10 +43,9 @@ class Body(BaseModel):
         return values
 
 
-class Reference(BaseModel):
+class Reference(BaseModel, extra="allow", strict=True, allow_inf_nan=False):
     """A path to follow, as in the scenario's ``[reference]``: keys other than ``kind`` are the kind's own."""
 
-    model_config = ConfigDict(extra="allow", strict=True, allow_inf_nan=False)
     __pydantic_extra__: dict[str, Option] = Field(init=False)
 
     kind: str = Field(min_length=1, max_length=100, description="circle, hold, ...; `hil list references` prints all")

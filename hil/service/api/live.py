@@ -16,7 +16,7 @@ from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, Field, ValidationError
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from hil.service import logs
@@ -33,17 +33,13 @@ _LONGEST_BACKLOG = 256
 _NO_NUMBER = -1  # of the answer to a message that is no order
 
 
-class _Order(BaseModel):
-    model_config = ConfigDict(extra="forbid", strict=True)
-
+class _Order(BaseModel, extra="forbid", strict=True):
     number: int = Field(ge=0, le=2**53)
     action: Action
     arguments: dict[str, Any] = {}
 
 
-class _Message(BaseModel):
-    model_config = ConfigDict(extra="forbid", strict=True)
-
+class _Message(BaseModel, extra="forbid", strict=True):
     order: _Order
 
 
@@ -69,7 +65,7 @@ class LiveClient:
             await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
         finally:
             self._control.watchers.discard(self._news)
-            for task in (*tasks, *self._pending):
+            for task in tasks:  # not those of ``_pending``: an order that was received must be sent
                 task.cancel()
             ends = await asyncio.gather(*tasks, return_exceptions=True)
         if self._control.gone.is_set():

@@ -44,7 +44,7 @@ class Focus(NamedTuple):
 Event = Key | Flags | Attributes | Focus
 
 _ESC = 0x1B
-_ARROWS = {"A": "up", "B": "down", "C": "right", "D": "left"}
+_ARROWS = {"A": Key("up"), "B": Key("down"), "C": Key("right"), "D": Key("left")}
 _NAMED = {9: "tab", 10: "enter", 13: "enter", 27: "escape", 32: "space", 127: "backspace"}
 _SHIFT, _CTRL, _LOCKS = 1, 4, 64 | 128
 # Parameters, intermediates and the final character.
@@ -65,16 +65,15 @@ class KeyDecoder:
 
     def feed(self, data: bytes) -> list[Event]:
         """Return the events that these bytes complete."""
-        left = self._rest + data
+        self._rest += data
         events: list[Event] = []
-        while left:
-            taken, event = _first(left)
-            if not taken:
+        while self._rest:
+            length, event = _first(self._rest)
+            if not length:
                 break
-            left = left[taken:]
+            self._rest = self._rest[length:]
             if event is not None:
                 events.append(event)
-        self._rest = left
         return events
 
     def settle(self) -> list[Event]:
@@ -92,7 +91,7 @@ def _first(data: bytes) -> tuple[int, Event | None]:
     if data[1] == ord("["):
         return _control_sequence(data)
     if data[1] == ord("O"):  # arrows in the keypad's application mode
-        return (3, _arrow(chr(data[2]))) if len(data) > 2 else (0, None)
+        return (3, _ARROWS.get(chr(data[2]))) if len(data) > 2 else (0, None)
     if data[1] == _ESC:
         return 1, Key("escape")
     key = _character(data[1])
@@ -123,15 +122,11 @@ def _meaning(parameters: str, final: str) -> Event | None:
     code, (modifiers, change) = fields[0][0], (*fields[1], 1)[:2]
     if change not in (1, 2, 3):
         return None
-    key = _arrow(final) if final != "u" else _character(code)
+    key = _ARROWS[final] if final != "u" else _character(code)
     if key is None:
         return None
     bits = (modifiers - 1) & ~_LOCKS
     return Key(key.name, Change(change), bool(bits & _CTRL), bool(bits & ~(_CTRL | _SHIFT)))
-
-
-def _arrow(final: str) -> Key | None:
-    return Key(_ARROWS[final]) if final in _ARROWS else None
 
 
 def _character(code: int) -> Key | None:
