@@ -188,12 +188,6 @@ class EmulatedMotors(Generic[SettingsT]):
         counts, bandwidth = int(values["counts_per_revolution"]), values["tracking_bandwidth_rad_s"]
         self.shafts = tuple(Shaft(counts, bandwidth) for _ in range(4))
         self.ticks = 0
-        self.current_a: FourWheels = STILL
-        self.temperature_degc: FourWheels = STILL
-        self.gyro_rad_s = (0.0, 0.0, 0.0)
-        self.acceleration_m_s2 = (0.0, 0.0, 0.0)
-        self.battery_v = 0.0
-        self.battery_a = 0.0
         self.torque_n_m: FourWheels = STILL
         self.on_tick: Callable[[Any], None] = lambda _motors: None
         self._plant_failed = False
@@ -309,8 +303,9 @@ class EmulatedMotors(Generic[SettingsT]):
         for shaft, count in zip(self.shafts, sense.count, strict=True):
             shaft.sample(count)
         unpack = self._ffi.unpack
-        self.current_a = tuple(unpack(sense.current_a, 4))
-        self.temperature_degc = tuple(unpack(sense.temperature_degc, 4))
-        self.gyro_rad_s = tuple(unpack(sense.gyro_rad_s, 3))
-        self.acceleration_m_s2 = tuple(unpack(sense.acceleration_m_s2, 3))
-        self.battery_v, self.battery_a = sense.battery_v, sense.battery_a
+        self.current_a: FourWheels = tuple(unpack(sense.current_a, 4))
+        self.temperature_degc: FourWheels = tuple(unpack(sense.temperature_degc, 4))
+        self.gyro_rad_s: tuple[float, float, float] = tuple(unpack(sense.gyro_rad_s, 3))
+        self.acceleration_m_s2: tuple[float, float, float] = tuple(unpack(sense.acceleration_m_s2, 3))
+        self.battery_v: float = sense.battery_v
+        self.battery_a: float = sense.battery_a

@@ -9,8 +9,7 @@ from hil.core.types import NAN, CommandMode, FourWheels
 from hil.drivers.dbc.file import Message, Signal
 from hil.drivers.dbc.mapping import Step
 from hil.drivers.dbc.received import Received
-from hil.drivers.dbc.robot import check_limits, check_wheels, gains, warnings, watchdog_raw
-from hil.drivers.dbc.settings import PHASES, Settings
+from hil.drivers.dbc.settings import PHASES, Settings, check_limits, check_wheels, gains, warnings, watchdog_raw
 from hil.drivers.port import NO_CHANNELS, Capabilities, Dialect, Driver, RobotFacts, Sample, Sensor, clamp, four
 
 _AGAIN_NS = 250_000_000

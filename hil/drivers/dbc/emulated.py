@@ -13,8 +13,7 @@ from hil.core.kinematics import body_twist, wheel_speeds
 from hil.core.types import FourWheels
 from hil.drivers.dbc.file import Signal
 from hil.drivers.dbc.mapping import Bound, Condition, Step
-from hil.drivers.dbc.robot import gains
-from hil.drivers.dbc.settings import Settings
+from hil.drivers.dbc.settings import Settings, gains
 from hil.drivers.emulated import STILL, EmulatedMotors
 from hil.drivers.port import clamp, four
 

@@ -1,10 +1,10 @@
 """Reads a user's DBC file with cantools, and keeps its messages as plain data."""
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from functools import lru_cache
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 from hil.core.errors import nearest
 from hil.drivers.port import EXTENDED, clamp
@@ -13,23 +13,39 @@ _CLASSIC_BYTES = 8
 _FLOAT_HIGHEST = {16: 65504.0, 32: 3.4028234663852886e38, 64: 1.7976931348623157e308}
 
 
-class Signal(NamedTuple):
+class Signal:
     """A signal of a DBC. Its value in its ``unit`` is ``factor`` × raw + ``offset``.
 
     ``low`` and ``high``: raw limits, from the DBC's minimum and maximum and from the number of bits. ``texts``: the
     value table. ``initial``: the raw value that is sent where nothing else is given.
     """
 
-    message: str
-    name: str
-    is_float: bool
-    factor: float
-    offset: float
-    low: float
-    high: float
-    unit: str
-    texts: Mapping[int, str]
-    initial: float
+    def __init__(self, message: str, signal: Any) -> None:
+        conversion = signal.conversion
+        self.message = message
+        self.name: str = signal.name
+        self.unit: str = signal.unit or ""
+        self.is_float: bool = conversion.is_float
+        self.factor: float = conversion.scale
+        self.offset: float = conversion.offset
+        low, high = _limits_of_bits(signal)
+        choices = (conversion.choices or {}).items()
+        self.texts = {int(raw): str(text) for raw, text in choices if low <= raw <= high}
+        self.low, self.high = self._limits(signal, low, high)
+        given = signal.raw_initial
+        initial = clamp(0, self.high, self.low) if given is None else clamp(given, high, low)
+        self.initial: float = initial if self.is_float else int(initial)
+
+    def _limits(self, signal: Any, low: float, high: float) -> tuple[float, float]:
+        """Return the raw limits: the DBC's minimum and maximum if it has both, within ``low`` and ``high``."""
+        given = [one for one in (signal.minimum, signal.maximum) if one is not None and math.isfinite(one)]
+        if len(given) == 2:
+            least, most = sorted((limit - self.offset) / self.factor for limit in given)
+            if not self.is_float:  # move a limit between two steps inwards, with a tolerance for rounding
+                least, most = math.ceil(least - 1e-6), math.floor(most + 1e-6)
+            if max(low, least) <= min(high, most):  # ignore limits outside the range of the bits
+                return max(low, least), min(high, most)
+        return low, high
 
     def __str__(self) -> str:
         return f"{self.message}.{self.name}"
@@ -69,18 +85,19 @@ class Signal(NamedTuple):
         return f"{self.physical(raw):g}" if text is None else repr(text)
 
 
-class Message(NamedTuple):
+class Message:
     """A message of a DBC. ``id``: as in ``Frame.id``. ``period_s``: None if the DBC has no cycle time.
 
     ``codec``: the message of cantools, which packs and unpacks it.
     """
 
-    name: str
-    id: int
-    length: int
-    period_s: float | None
-    signals: Mapping[str, Signal]
-    codec: Any
+    def __init__(self, codec: Any) -> None:
+        self.codec = codec
+        self.name: str = codec.name
+        self.id: int = codec.frame_id | (EXTENDED if codec.is_extended_frame else 0)
+        self.length: int = codec.length
+        self.period_s: float | None = codec.cycle_time / 1000.0 if codec.cycle_time else None
+        self.signals = {signal.name: Signal(codec.name, signal) for signal in codec.signals}
 
     def __str__(self) -> str:
         return f"{self.name} ({self.id & ~EXTENDED:#x})"
@@ -105,10 +122,7 @@ class Dbc:
             message = self._found[name]
             if (refusal := _refusal(message)) is not None:
                 raise ValueError(f"the message {name} of {self.name} {refusal}")
-            identifier = message.frame_id | (EXTENDED if message.is_extended_frame else 0)
-            period_s = message.cycle_time / 1000.0 if message.cycle_time else None
-            signals = {signal.name: _signal(name, signal) for signal in message.signals}
-            self._messages[name] = Message(name, identifier, message.length, period_s, signals, message)
+            self._messages[name] = Message(message)
         return self._messages[name]
 
     def messages(self, names: Iterable[str]) -> dict[str, Message]:
@@ -175,47 +189,12 @@ def _refusal(message: Any) -> str | None:
     return None
 
 
-def _signal(message: str, signal: Any) -> Signal:
-    conversion = signal.conversion
-    bits_low, bits_high = _limits_of_bits(signal)
-    low, high = _limits(signal)
-    texts = {int(raw): str(text) for raw, text in (conversion.choices or {}).items() if bits_low <= raw <= bits_high}
-    given = signal.raw_initial
-    initial = clamp(0, high, low) if given is None else clamp(given, bits_high, bits_low)
-    return Signal(
-        message,
-        signal.name,
-        conversion.is_float,
-        conversion.scale,
-        conversion.offset,
-        low,
-        high,
-        signal.unit or "",
-        texts,
-        initial if conversion.is_float else int(initial),
-    )
-
-
 def _limits_of_bits(signal: Any) -> tuple[float, float]:
     """Return the lowest and the highest raw number that the bits can hold."""
     if signal.conversion.is_float:
         return -_FLOAT_HIGHEST[signal.length], _FLOAT_HIGHEST[signal.length]
     high = (1 << signal.length - signal.is_signed) - 1
     return (-high - 1 if signal.is_signed else 0), high
-
-
-def _limits(signal: Any) -> tuple[float, float]:
-    """Return the raw limits: the DBC's minimum and maximum if it has both, within what the bits can hold."""
-    conversion = signal.conversion
-    low, high = _limits_of_bits(signal)
-    given = [one for one in (signal.minimum, signal.maximum) if one is not None and math.isfinite(one)]
-    if len(given) == 2:
-        least, most = sorted((limit - conversion.offset) / conversion.scale for limit in given)
-        if not conversion.is_float:  # move a limit between two steps inwards, with a tolerance for rounding
-            least, most = math.ceil(least - 1e-6), math.floor(most + 1e-6)
-        if max(low, least) <= min(high, most):  # ignore limits outside the range of the bits
-            low, high = max(low, least), min(high, most)
-    return low, high
 
 
 def _one_line(error: Exception) -> str:

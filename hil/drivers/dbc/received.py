@@ -7,8 +7,7 @@ from dataclasses import dataclass
 from hil.core.errors import BadInputError
 from hil.core.types import NAN
 from hil.drivers.dbc.file import Message, Signal
-from hil.drivers.dbc.robot import Gain
-from hil.drivers.dbc.settings import Plan
+from hil.drivers.dbc.settings import Gain, Plan
 from hil.drivers.port import holds_back, oldest
 
 
