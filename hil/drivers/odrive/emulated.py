@@ -24,6 +24,15 @@ _TO_ALL = (0x02, _ADDRESS, _REBOOT, 0x18)  # Estop, Address, Reboot, Clear_Error
 _MIN_BYTES: Mapping[int, int] = {  # of a command that is not empty; shorter ones are ignored
     0x07: 4, 0x0B: 8, 0x0C: 4, 0x0D: 4, 0x0E: 4, 0x0F: 8, 0x11: 4, 0x12: 8, 0x19: 4, 0x1A: 4, 0x1B: 8,
 }  # fmt: skip
+_SETTERS: Mapping[int, tuple[tuple[str, ...], bool]] = {  # what its numbers set, and whether they may be negative
+    0x0D: (("input_vel_rev_s", "input_torque_n_m"), True),
+    0x0E: (("input_torque_n_m",), True),
+    0x0F: (("velocity_limit_rev_s", "current_limit_a"), False),
+    0x11: (("trajectory_rev_s",), False),
+    0x12: (("acceleration_rev_s2", "deceleration_rev_s2"), False),
+    0x1A: (("position_gain",), False),
+    0x1B: (("velocity_gain", "integrator_gain"), False),
+}
 _REBOOT_ACTIONS = (_RESTART, _SAVE, _ERASE) = (0, 1, 2)
 _COUNTS_PER_TURN = 8192  # of the default encoder of 0.5
 
@@ -85,43 +94,29 @@ class EmulatedODrive(EmulatedMotors[Settings]):
 
     def _command(self, channel: int, axis: EmulatedAxis, command: int, payload: bytes) -> None:
         first, second = struct.unpack("<II", payload)
-        numbers = one, other = struct.unpack("<ff", payload)
-        if command in (0x0D, 0x0F, 0x12, 0x1B) and not all(map(math.isfinite, numbers)):
-            return
-        if command in (0x0C, 0x0E, 0x11, 0x1A) and not math.isfinite(one):
-            return
-        if command == 0x02:
+        number, other = struct.unpack("<ff", payload)
+        if command in _SETTERS:
+            names, is_signed = _SETTERS[command]
+            values = (number, other)[: len(names)]
+            if all(map(math.isfinite, values)) and (is_signed or min(values) >= 0.0):
+                axis.set(dict(zip(names, values, strict=True)))
+        elif command == 0x02:
             axis.fail_by(ESTOP)
         elif command == 0x07:
             axis.request(first, self.ticks)
         elif command == 0x0B:
             axis.control_mode, axis.input_mode = first, second
-        elif command == 0x0C:
+        elif command == 0x0C and math.isfinite(number):
             velocity_ff, torque_ff = struct.unpack_from("<hh", payload, 4)
-            axis.go_to(one, velocity_ff / 1000.0, torque_ff / 1000.0)
-        elif command == 0x0D:
-            axis.input_vel_rev_s, axis.input_torque_n_m = numbers
-        elif command == 0x0E:
-            axis.input_torque_n_m = one
-        elif command == 0x0F and min(numbers) >= 0.0:
-            axis.velocity_limit_rev_s, axis.current_limit_a = numbers
-        elif command == 0x11 and one >= 0.0:
-            axis.trajectory_limits = (one, *axis.trajectory_limits[1:])
-        elif command == 0x12 and min(numbers) >= 0.0:
-            axis.trajectory_limits = (axis.trajectory_limits[0], *numbers)
+            axis.go_to(number, velocity_ff / 1000.0, torque_ff / 1000.0)
         elif command == 0x18:
             axis.clear()
             axis.is_identified = self.firmware[1] >= 6 and payload[0] == 1
         elif command == 0x19:
             counts = struct.unpack_from("<i", payload)[0] / _COUNTS_PER_TURN
-            position = counts if self.firmware[1] == 5 else one
+            position = counts if self.firmware[1] == 5 else number
             if math.isfinite(position):
                 axis.set_position(position, self.shafts[channel])
-        elif command == 0x1A and one >= 0.0:
-            axis.position_gain = one
-        elif command == 0x1B and min(numbers) >= 0.0:
-            per_rad = axis.wheel_gain
-            axis.loop.set_gains(one * per_rad, other * per_rad)
 
     def _address(self, axis: EmulatedAxis, payload: bytes) -> None:
         """Set the node id if the message is for this axis. If another axis gets this one's id, this one loses it."""
@@ -147,18 +142,15 @@ class EmulatedODrive(EmulatedMotors[Settings]):
 
     def _parameter(self, axis: EmulatedAxis, payload: bytes) -> None:
         operation, number = struct.unpack_from("<BH", payload)
-        if operation == 1 and number == self._timeout_id:
-            (axis.watchdog_timeout_s,) = struct.unpack_from("<f", payload, 4)
-        elif operation == 1 and number == self._enable_id:
-            axis.enable_watchdog = bool(payload[4])
-        if operation == 1 and self.firmware < (0, 6, 11):
+        parameters = {self._timeout_id: ("watchdog_timeout_s", "<f"), self._enable_id: ("enable_watchdog", "<?")}
+        if number not in parameters:
             return
-        values = {
-            self._timeout_id: struct.pack("<f", axis.watchdog_timeout_s),
-            self._enable_id: struct.pack("<?", axis.enable_watchdog),
-        }
-        if number in values:
-            self._say(axis, 0x05, struct.pack("<BHB", 0, number, 0) + values[number])
+        name, layout = parameters[number]
+        if operation == 1:
+            axis.set({name: struct.unpack_from(layout, payload, 4)[0]})
+            if self.firmware < (0, 6, 11):
+                return
+        self._say(axis, 0x05, struct.pack("<BHB", 0, number, 0) + struct.pack(layout, getattr(axis, name)))
 
     # Answers and cyclic messages
 
@@ -166,42 +158,40 @@ class EmulatedODrive(EmulatedMotors[Settings]):
         self.send(Frame(axis.node << 5 | command, payload))
 
     def _answer(self, channel: int, axis: EmulatedAxis, command: int) -> None:
+        """Answer a question. There is no sensorless estimator in 0.5, so that its values and its error are 0."""
+        shaft, current_a, torque_n_m = self.shafts[channel], self.current_a[channel], self.torque_n_m[channel]
         is_old = self.firmware[1] == 5
-        payload = None
-        if command == 0x00 and not is_old:
-            payload = bytes((2, *self.hardware, *self.firmware, 0))
-        elif command == 0x03:
-            old, new = struct.pack("<Q", axis.motor_error), struct.pack("<II", axis.axis_error, axis.disarm_reason)
-            payload = old if is_old else new
-        elif command == 0x01 and not is_old:
-            payload = self._heartbeat(axis)
-        elif command == 0x04 and is_old:
-            payload = struct.pack("<II", axis.encoder_error, 0)
-        elif command == _ADDRESS and not is_old:
-            payload = bytes((axis.node,)) + axis.serial.to_bytes(6, "little") + b"\0"
-        elif command == 0x09:
-            payload = self._estimates(channel)
-        elif command == 0x0A and is_old:
-            count = math.floor(axis.position_rev(self.shafts[channel]) * _COUNTS_PER_TURN)
-            payload = struct.pack("<ii", (count + 2**31) % 2**32 - 2**31, count % _COUNTS_PER_TURN)
-        elif command == 0x14:
-            current = self.current_a[channel]
-            payload = struct.pack("<ff", current, current)
-        elif command == 0x15 and not is_old:
-            payload = struct.pack("<ff", self.temperature_degc[channel], math.nan)
-        elif command == 0x15 or (command == 0x05 and is_old):
-            payload = bytes(8)  # there is no sensorless estimator, and so no error of one
-        elif command == 0x17:
-            payload = struct.pack("<ff", self.battery_v, self.battery_a / (2 if is_old else 4))
-        elif command == 0x1C and self.firmware >= (0, 6, 9):
-            estimate = self.current_a[channel] * self.values["torque_constant_n_m_a"] / self._gear
-            payload = struct.pack("<ff", axis.torque_n_m, estimate)
-        elif command == 0x1D and self.firmware >= (0, 5, 4):
-            mechanical = self.torque_n_m[channel] * self.shafts[channel].speed_rad_s
-            powers = struct.pack("<ff", self.battery_v * self.battery_a / 4.0, mechanical)
-            payload = struct.pack("<II", axis.controller_error, 0) if is_old else powers
-        if payload is not None:
-            self._say(axis, command, payload)
+        floats = struct.Struct("<ff").pack
+        answers = {
+            0x09: self._estimates(channel),
+            0x14: floats(current_a, current_a),
+            0x17: floats(self.battery_v, self.battery_a / (2 if is_old else 4)),
+        }
+        if is_old:
+            count = math.floor(axis.position_rev(shaft) * _COUNTS_PER_TURN)
+            answers |= {
+                0x03: struct.pack("<Q", axis.motor_error),
+                0x04: struct.pack("<II", axis.encoder_error, 0),
+                0x05: bytes(8),
+                0x0A: struct.pack("<ii", (count + 2**31) % 2**32 - 2**31, count % _COUNTS_PER_TURN),
+                0x15: bytes(8),
+            }
+            if self.firmware >= (0, 5, 4):
+                answers[0x1D] = struct.pack("<II", axis.controller_error, 0)
+        else:
+            answers |= {
+                0x00: bytes((2, *self.hardware, *self.firmware, 0)),
+                0x01: self._heartbeat(axis),
+                0x03: struct.pack("<II", axis.axis_error, axis.disarm_reason),
+                _ADDRESS: bytes((axis.node,)) + axis.serial.to_bytes(6, "little") + b"\0",
+                0x15: floats(self.temperature_degc[channel], math.nan),
+                0x1D: floats(self.battery_v * self.battery_a / 4.0, torque_n_m * shaft.speed_rad_s),
+            }
+            if self.firmware >= (0, 6, 9):
+                estimate = current_a * self.values["torque_constant_n_m_a"] / self._gear
+                answers[0x1C] = floats(axis.torque_n_m, estimate)
+        if command in answers:
+            self._say(axis, command, answers[command])
 
     def _heartbeat(self, axis: EmulatedAxis) -> bytes:
         is_done = axis.trajectory.is_complete or axis.input_mode != TRAP_TRAJ

@@ -22,20 +22,12 @@ BITS: Mapping[int, Mapping[str, int]] = {
 }
 CONTROLLER_BITS: Mapping[str, int] = {BAD_MODE: 0x2, TOO_FAST: 0x1}  # of 0.5, beside the axis error
 _POSITION_GAIN = 20.0  # default of both firmwares [(rev/s)/rev]
-_TRAJECTORY = (2.0, 0.5, 0.5)  # default velocity, acceleration, deceleration of TRAP_TRAJ [rev/s, rev/s²]
 _TOLERANCE = 1.2  # default, of the speed limit
 _BOOT_TICKS = 500
 _STORED = (
-    "node",
-    "enable_watchdog",
-    "watchdog_timeout_s",
-    "velocity_limit_rev_s",
-    "current_limit_a",
-    "position_gain",
-    "trajectory_limits",
-    "control_mode",
-    "input_mode",
-)
+    "node", "enable_watchdog", "watchdog_timeout_s", "velocity_limit_rev_s", "current_limit_a", "position_gain",
+    "trajectory_rev_s", "acceleration_rev_s2", "deceleration_rev_s2", "control_mode", "input_mode",
+)  # fmt: skip
 
 
 class EmulatedAxis:
@@ -66,7 +58,7 @@ class EmulatedAxis:
         self.boot_left = 0
         self.is_identified = False
         self.set_defaults()
-        self._saved = self._configuration()
+        self.save()
         self.boot(0)
 
     # Configuration and reboot
@@ -77,20 +69,16 @@ class EmulatedAxis:
         self.watchdog_timeout_s = 0.0
         self.velocity_limit_rev_s, self.current_limit_a = math.inf, math.inf
         self.position_gain = _POSITION_GAIN
-        self.trajectory_limits = _TRAJECTORY
+        self.trajectory_rev_s, self.acceleration_rev_s2, self.deceleration_rev_s2 = 2.0, 0.5, 0.5  # of TRAP_TRAJ
         self.control_mode, self.input_mode = POSITION, PASSTHROUGH
-
-    def _configuration(self) -> dict[str, object]:
-        return {name: getattr(self, name) for name in _STORED}
 
     def save(self) -> None:
         """Store the configuration, so that it survives a reboot."""
-        self._saved = self._configuration()
+        self._saved = {name: getattr(self, name) for name in _STORED}
 
     def boot(self, ticks: int = _BOOT_TICKS) -> None:
         """Reboot with the stored configuration. For ``ticks`` ms the axis neither sends nor receives."""
-        for name, value in self._saved.items():
-            setattr(self, name, value)
+        self.set(self._saved)
         self.boot_left = ticks
         self.state, self.result = IDLE, SUCCESS
         self.is_identified = False
@@ -146,6 +134,15 @@ class EmulatedAxis:
             self.fed_tick = tick
             self.loop.reset()
 
+    def set(self, values: Mapping[str, float]) -> None:
+        """Set attributes by name; ``velocity_gain`` and ``integrator_gain`` are those of the velocity loop."""
+        if "velocity_gain" in values:
+            per_rad = self._gear * self._gear / math.tau  # from a gain per motor turn to one per radian of the wheel
+            self.loop.set_gains(values["velocity_gain"] * per_rad, values["integrator_gain"] * per_rad)
+            return
+        for name, value in values.items():
+            setattr(self, name, value)
+
     def go_to(self, position_rev: float, velocity_ff_rev_s: float, torque_ff_n_m: float) -> None:
         """Set the input to a position, with feedforward of velocity and torque."""
         self.trajectory.aim(position_rev)
@@ -158,11 +155,6 @@ class EmulatedAxis:
             self.fail_by(WATCHDOG)
 
     # Control
-
-    @property
-    def wheel_gain(self) -> float:
-        """Factor from a gain per motor turn to one per radian of the wheel."""
-        return self._gear * self._gear / math.tau
 
     def revolutions(self, wheel_rad: float) -> float:
         """Return the motor's turns for an angle of the wheel."""
@@ -197,10 +189,9 @@ class EmulatedAxis:
             return torque if abs(speed) < most or torque * speed <= 0.0 else 0.0
         target = self.input_vel_rev_s
         if self.control_mode == POSITION:
-            velocity, acceleration, deceleration = self.trajectory_limits
-            ramps = (velocity, min(acceleration, deceleration))
-            at, limits = self.position_rev(shaft), ramps if self.input_mode == TRAP_TRAJ else (math.inf, math.inf)
-            self.trajectory.step(at, speed, 0.0, *limits)
+            ramps = self.trajectory_rev_s, min(self.acceleration_rev_s2, self.deceleration_rev_s2)
+            at = self.position_rev(shaft)
+            self.trajectory.step(at, speed, 0.0, *(ramps if self.input_mode == TRAP_TRAJ else (math.inf, math.inf)))
             target = self.position_gain * (self.trajectory.position_rev - at) + self.trajectory.velocity
             target += self.velocity_ff_rev_s
         target_rad_s = clamp(target, most) / self._gear * math.tau

@@ -54,13 +54,7 @@ class VescController:
     """
 
     def __init__(
-        self,
-        number: int,
-        to_erpm: float,
-        constant: float,
-        resistance_ohm: float,
-        limit_n_m: float,
-        loop: SpeedLoop,
+        self, number: int, to_erpm: float, constant: float, resistance_ohm: float, limit_n_m: float, loop: SpeedLoop
     ) -> None:
         self.number, self._to_erpm, self._constant, self._limit_n_m = number, to_erpm, constant, limit_n_m
         self._resistance_ohm = resistance_ohm
