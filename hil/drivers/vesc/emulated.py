@@ -7,29 +7,22 @@ are sent at ``status_hz``.
 """
 
 import math
-import struct
-from collections.abc import Mapping
+from functools import partial
 
 from firmware_protocol.framing import Frame
 from hil.core.types import FourWheels
 from hil.drivers.emulated import EmulatedMotors
 from hil.drivers.port import four
 from hil.drivers.vesc.driver import Settings
-from hil.drivers.vesc.emulated_controller import Reply, VescController, can_parts, first_packet, packet
+from hil.drivers.vesc.emulated_controller import VescController, can_parts, first_packet, packet
 
 _EXTENDED = 0x8000_0000
 _UNDER_VOLTAGE, _HOT_MOTOR = 2, 6
 _MIN_V = 8.0
 _IDS, _PING_TICKS = 255, 10
 _SET_CURRENT, _SHORT_MESSAGE, _PING, _PONG = 1, 8, 17, 18
-_COMMANDS: Mapping[int, tuple[str, float]] = {  # CAN_PACKET_SET_...: mode, and counts per unit
-    0: ("duty", 1e5),
-    _SET_CURRENT: ("current", 1e3),
-    2: ("brake", 1e3),
-    3: ("rpm", 1.0),
-}
-_SHARES: Mapping[int, str] = {10: "current", 11: "brake"}  # ..._REL, of the largest current
-_COUNTS_PER_SHARE = 1e5
+# A current with a switch-off delay is ignored: the maker's page has the current first, the firmware reads it last, and
+# a misread current would drive the motor.
 _WITH_DELAY_BYTES = 6
 
 
@@ -93,21 +86,18 @@ class EmulatedVesc(EmulatedMotors[Settings]):
         if not frame.id & _EXTENDED:
             return
         for vesc in self.vescs:
-            if number not in (vesc.number, 255):
+            if number not in (vesc.number, 255) or (command == _SET_CURRENT and len(data) >= _WITH_DELAY_BYTES):
                 continue
-            if command in _COMMANDS or command in _SHARES:
-                _obey(vesc, command, data)
-            elif command == _SHORT_MESSAGE and len(data) > 2 and data[1] in (0, 2):
-                vesc.process(data[2:], self._can_reply(vesc.number, data[0]) if data[1] == 0 else _unanswered)
+            if vesc.obey(command, data):
+                continue
+            if command == _SHORT_MESSAGE and len(data) > 2 and data[1] in (0, 2):
+                vesc.process(data[2:], partial(self._can_reply, vesc.number, data[0], data[1] == 0))
             elif command == _PING and data:
                 self.send(Frame(_EXTENDED | _PONG << 8 | data[0], bytes((vesc.number, 0))))
 
-    def _can_reply(self, sender: int, to: int) -> Reply:
-        def reply(message: bytes) -> None:
-            for command, data in can_parts(sender, message):
-                self.send(Frame(_EXTENDED | command << 8 | to, data))
-
-        return reply
+    def _can_reply(self, sender: int, to: int, is_wanted: bool, message: bytes) -> None:
+        for command, data in can_parts(sender, message) if is_wanted else ():
+            self.send(Frame(_EXTENDED | command << 8 | to, data))
 
     # The serial line
 
@@ -144,23 +134,3 @@ class EmulatedVesc(EmulatedMotors[Settings]):
         data = bytes(self._bytes)
         self._bytes.clear()
         return data
-
-
-def _obey(vesc: VescController, command: int, data: bytes) -> None:
-    """Execute a motor command of 4 bytes.
-
-    A current with a switch-off delay has 6 bytes. It is ignored: the maker's page has the current first, the firmware
-    reads it last, and a misread current would drive the motor.
-    """
-    if len(data) < 4 or (command == _SET_CURRENT and len(data) >= _WITH_DELAY_BYTES):
-        return
-    (raw,) = struct.unpack_from(">i", data)
-    if command in _SHARES:
-        vesc.command_share(_SHARES[command], raw / _COUNTS_PER_SHARE)
-    else:
-        control, per_unit = _COMMANDS[command]
-        vesc.command(control, raw / per_unit)
-
-
-def _unanswered(_message: bytes) -> None:
-    """Discard an answer: the sender of the message does not want one."""

@@ -23,12 +23,11 @@ _MAX_DUTY = 0.95  # of the battery's voltage, by default
 _TICKS_PER_HOUR = 3_600_000
 
 FW_VERSION, GET_VALUES, GET_APPCONF, ALIVE, GET_VALUES_SELECTIVE = 0, 4, 17, 30, 50
-_COMMANDS: Mapping[int, tuple[str, float]] = {  # COMM_SET_...: mode, and counts per unit
-    5: ("duty", 1e5),
-    6: ("current", 1e3),
-    7: ("brake", 1e3),
-    8: ("rpm", 1.0),
-}
+_COMMANDS: Mapping[int, tuple[str, float]] = {  # CAN_PACKET_SET_...: mode, and counts per unit
+    0: ("duty", 1e5), 1: ("current", 1e3), 2: ("brake", 1e3), 3: ("rpm", 1.0), 10: ("current share", 1e5),
+    11: ("brake share", 1e5),
+}  # fmt: skip
+_COMM_SET = range(5, 9)  # COMM_SET_...: the first four of these, by a message
 _RANGES = {"B": (0, 255), "h": (-(2**15), 2**15 - 1), "i": (-(2**31), 2**31 - 1)}
 _EVERY_VALUE = (1 << 22) - 1
 
@@ -100,9 +99,16 @@ class VescController:
             self._loop.reset()
         self._control, self._set_point = control, set_point
 
-    def command_share(self, control: str, share: float) -> None:
-        """Take a current as a share of the largest one."""
-        self.command(control, share * self._limit_n_m / self._constant)
+    def obey(self, number: int, data: bytes) -> bool:
+        """Execute a motor command of CAN; return False if this is none. Data of less than 4 bytes are ignored."""
+        if number not in _COMMANDS:
+            return False
+        if len(data) >= 4:
+            control, per_unit = _COMMANDS[number]
+            value = struct.unpack_from(">i", data)[0] / per_unit
+            control, _, share = control.partition(" ")
+            self.command(control, value * self._limit_n_m / self._constant if share else value)
+        return True
 
     def fail(self, code: int) -> None:
         """Enter the fault with this code, as after a hardware fault."""
@@ -194,9 +200,8 @@ class VescController:
             reply(message[:5] + self._values(int.from_bytes(data[:4], "big")))
         elif code == ALIVE:
             self._quiet_ticks = 0
-        elif code in _COMMANDS and len(data) >= 4:
-            control, per_unit = _COMMANDS[code]
-            self.command(control, struct.unpack_from(">i", data)[0] / per_unit)
+        elif code in _COMM_SET:
+            self.obey(code - _COMM_SET.start, data)
 
     def _configuration(self) -> bytes:
         size = _CONFIGURATION_BYTES.get(self.version, _MAX_CONFIGURATION_BYTES)

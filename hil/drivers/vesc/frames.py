@@ -205,46 +205,35 @@ class SerialFraming:
         data = self._open + data
         frames = []
         at = 0
-        while at < len(data):
-            head = data[at]
-            end, cause = _packet_end(data, at)
-            if cause is None and end > len(data):
-                break
-            if cause is None:
-                message = data[at + head : end - 3]
-                cause = _wrong(message, data[end - 3 : end])
-            if cause is None:
-                frames.append(Frame(message[0], message[1:]))
-                at, self._is_in_step = end, True
-                continue
-            if self._is_in_step:
-                self.rejected[cause] += 1
-                self._is_in_step = False
-            at += 1
+        while at < len(data) and (found := _packet_at(data, at)) is not None:
+            if isinstance(found, bytes):
+                frames.append(Frame(found[0], found[1:]))
+                at += data[at] + len(found) + 3
+            else:
+                self.rejected[found] += self._is_in_step
+                at += 1
+            self._is_in_step = isinstance(found, bytes)
         self._open = data[at:]
         return frames
 
 
-def _packet_end(data: bytes, at: int) -> tuple[int, str | None]:
-    """Return the end of the packet that begins at ``at``, and None; or ``at`` and the reason why none begins there.
-
-    The end is beyond the data while the length is incomplete.
-    """
+def _packet_at(data: bytes, at: int) -> bytes | str | None:
+    """Return the message of the packet that begins at ``at``, or why none does; None while it is incomplete."""
     head = data[at]
     if head not in (2, 3):
-        return at, "start"
+        return "start"
     if len(data) < at + head:
-        return len(data) + 1, None
-    length = data[at + 1] if head == 2 else data[at + 1] << 8 | data[at + 2]
+        return None
+    length = int.from_bytes(data[at + 1 : at + head], "big")
     if not (1 if head == 2 else 255) <= length <= _MAX_BYTES:
-        return at, "length"
-    return at + head + length + 3, None
-
-
-def _wrong(message: bytes, tail: bytes) -> str | None:
-    if tail[2] != 3:
+        return "length"
+    end = at + head + length
+    if len(data) < end + 3:
+        return None
+    message, crc, last = data[at + head : end], data[end : end + 2], data[end + 2]
+    if last != 3:
         return "end"
-    return None if crc_hqx(message, 0) == tail[0] << 8 | tail[1] else "checksum"
+    return message if crc_hqx(message, 0) == int.from_bytes(crc, "big") else "checksum"
 
 
 class Bus:
