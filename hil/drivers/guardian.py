@@ -81,9 +81,8 @@ class Guardian(HostWatch):
         self._problem: str | None = None
         self._lock = threading.Lock()  # of phase and process; held only briefly
         self._released = threading.Event()
-        self._process: subprocess.Popen[bytes] | None = None
-        process = self._started()
-        self._process = process
+        self._process: subprocess.Popen[bytes] | None
+        self._process = process = self._started()
         self._keeper = threading.Thread(target=self._keep, args=(process,), name="guardian", daemon=True)
         try:
             self._keeper.start()
@@ -193,12 +192,11 @@ class Guardian(HostWatch):
     def _enter(self, phase: _Phase) -> None:
         with self._lock:
             self._phase = phase
-            self._write(self._line_of(phase))
+            self._write_phase()
 
-    def _line_of(self, phase: _Phase) -> bytes:
-        if phase is _Phase.ASKED:
-            return WATCH + b" %d" % self._session
-        return REST if phase is _Phase.REST else HOLD
+    def _write_phase(self) -> None:
+        watch = WATCH + b" %d" % self._session
+        self._write({_Phase.ASKED: watch, _Phase.REST: REST}.get(self._phase, HOLD))
 
     def _write(self, line: bytes) -> None:
         process = self._process
@@ -220,18 +218,16 @@ class Guardian(HostWatch):
     # The keeper: a thread that waits for answers, and for the guardian's death
 
     def _keep(self, process: subprocess.Popen[bytes]) -> None:
-        while True:
-            self._listen(process)
-            assert process.stdin is not None
+        found: subprocess.Popen[bytes] | None = process
+        while found is not None:
+            self._listen(found)
+            assert found.stdin is not None
             with self._lock:  # no other thread is writing to it
                 self._process = None
-                process.stdin.close()
-            process.kill()  # it may only have closed its pipe
-            process.wait()
+                found.stdin.close()
+            found.kill()  # it may only have closed its pipe
+            found.wait()
             found = self._restarted()
-            if found is None:
-                return
-            process = found
 
     def _listen(self, process: subprocess.Popen[bytes]) -> None:
         """Read answers until the guardian has ended."""
@@ -254,7 +250,7 @@ class Guardian(HostWatch):
         elif kind == REFUSED:
             self._refused = (int(number), why.decode())
 
-    def _restarted(self) -> "subprocess.Popen[bytes] | None":
+    def _restarted(self) -> subprocess.Popen[bytes] | None:
         """Return a new process in the phase of the old one; None when the guardian was released meanwhile."""
         while not self._released.is_set():
             try:
@@ -268,13 +264,13 @@ class Guardian(HostWatch):
                 self._answered_ns = time.monotonic_ns()
                 self._process = process
                 if self._phase is not _Phase.REST:
-                    self._write(self._line_of(self._phase))
+                    self._write_phase()
             if self._released.is_set():
                 _close(process)
             return process
         return None
 
-    def _started(self) -> "subprocess.Popen[bytes]":
+    def _started(self) -> subprocess.Popen[bytes]:
         """Start the process and wait until it is ready. Raises DeviceError."""
         try:
             process = subprocess.Popen(
@@ -294,7 +290,12 @@ class Guardian(HostWatch):
             patience.start()
             with contextlib.suppress(OSError):  # it will not become ready then
                 process.stdin.write(self._order + b"\n")
-            is_ready = process.stdout.readline() == READY + b"\n"
+            if process.stdout.readline() != READY + b"\n":
+                _close(process)
+                raise DeviceError(
+                    f"the guardian of serial port {self._port!r} did not start (exit status {process.returncode}); "
+                    "without it nothing would stop the robot if this process is killed"
+                )
         except BaseException as error:  # Ctrl-C: nothing has moved yet that would have to be stopped
             _close(process)
             process.stdout.close()
@@ -303,13 +304,6 @@ class Guardian(HostWatch):
             raise
         finally:
             patience.cancel()
-        if not is_ready:
-            _close(process)
-            process.stdout.close()
-            raise DeviceError(
-                f"the guardian of serial port {self._port!r} did not start (exit status {process.returncode}); without "
-                "it nothing would stop the robot if this process is killed"
-            )
         if sys.platform != "win32":
             os.set_blocking(process.stdin.fileno(), False)  # a hung guardian must not delay a tick
         return process
@@ -318,7 +312,7 @@ class Guardian(HostWatch):
         return DeviceError(f"the guardian of serial port {self._port!r} could not be started: {error}")
 
 
-def _close(process: "subprocess.Popen[bytes]") -> None:
+def _close(process: subprocess.Popen[bytes]) -> None:
     """Close the pipe, at which the process stops the robot if it has to, and wait for its end."""
     if process.stdin is not None:
         process.stdin.close()

@@ -13,7 +13,7 @@ import select
 import signal
 import sys
 import time
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple
 
 from hil.core.errors import LinkError
 from hil.drivers import guardian
@@ -45,10 +45,6 @@ class _State(enum.Enum):
     WATCHES = "stops the robot when the host is silent or ends"
     HAS_STOPPED = "has sent the stop, and sends it again after each further command of the host"
     STANDS_BY = "stops the robot when the host ends"
-
-
-class _Writer(Protocol):
-    def write(self, data: bytes) -> None: ...
 
 
 class _Beside:
@@ -92,8 +88,7 @@ class _Watcher:
         self._sees_silence = sees_silence(order.port)
         self._state = _State.RESTS
         self._session = 0
-        self._due_s = 0.0
-        self._alive_s = 0.0
+        self._due_s = self._alive_s = 0.0
         self._beside: _Beside | None = None
 
     def run(self) -> int:
@@ -124,11 +119,8 @@ class _Watcher:
         elif kind == guardian.WATCH:
             self._session = int(number)
             self._begin()
-        elif kind == guardian.HOLD:
-            self._state = _State.STANDS_BY
-            self._close_port()
-        elif kind == guardian.REST:
-            self._state = _State.RESTS
+        elif kind in (guardian.HOLD, guardian.REST):
+            self._state = _State.STANDS_BY if kind == guardian.HOLD else _State.RESTS
             self._close_port()
 
     def _begin(self) -> None:
@@ -188,22 +180,18 @@ class _Watcher:
         deadline = time.monotonic() + self._order.patience_s
         while True:
             try:
-                self._send_once(host_lives=host_lives)
+                return self._send_once(host_lives=host_lives)
             except LinkError:
                 if time.monotonic() > deadline:
                     raise
-                time.sleep(_RETRY_S)
-            else:
-                return
+            time.sleep(_RETRY_S)
 
     def _send_once(self, *, host_lives: bool) -> None:
         if self._beside is not None:
             try:
-                self._repeat(self._beside)
+                return self._repeat(self._beside)
             except LinkError:
                 self._close_port()
-            else:
-                return
         try:
             stream = SerialStream(self._order.port, self._order.baud)
         except LinkError:
@@ -211,12 +199,11 @@ class _Watcher:
                 raise
             # The host itself has the port open, so that its settings are right.
             self._beside = _Beside(self._order.port)
-            self._repeat(self._beside)
-            return
+            return self._repeat(self._beside)
         with contextlib.closing(stream):
-            self._repeat(stream)
+            return self._repeat(stream)
 
-    def _repeat(self, writer: _Writer) -> None:
+    def _repeat(self, writer: SerialStream | _Beside) -> None:
         stop = self._order.stop
         for _ in range(_TIMES):
             writer.write(stop)
