@@ -16,7 +16,7 @@ from hil.batch.comparison import Request, compare
 from hil.batch.comparison.conditions import FRICTIONS, MASS_FACTORS, Condition, Variation, conditions, variations
 from hil.batch.comparison.page import terminal, write_markdown
 from hil.batch.comparison.plan import entries
-from hil.batch.comparison.result import Comparison, Entry, Row, Run
+from hil.batch.comparison.result import OVER, Comparison, Entry, Row, Run
 from hil.batch.figures import shown_columns
 from hil.batch.job import PASSED, Outcome
 from hil.cli.main import app
@@ -126,13 +126,13 @@ def test_a_law_that_refuses_fails_or_kills_its_process_is_a_row_with_its_reason(
     laws = [f"laws.py:{name}" for name in ("Rests", "SpeedOnly", "Raises", "NoNumber", "Dies")]
     found = compare(asked(*laws, drives=["ideal", "motors"]), workers=2)
     rests, refused, raises, no_number, dies, *motors = found.rows
-    assert rests.nominal.figures is not None
-    assert refused.nominal.refused == "SpeedOnly: it gives speeds; set controller.command = speed"
-    assert not refused.has_failed
-    assert motors[1].nominal.figures is not None
-    assert "laws.py:31: ZeroDivisionError: no gain" in raises.nominal.failed
-    assert "gave no number" in no_number.nominal.failed
-    assert dies.nominal.failed == "crashed: exit code 7"
+    assert rests.runs[0].figures is not None
+    assert refused.runs[0].refused == "SpeedOnly: it gives speeds; set controller.command = speed"
+    assert refused.runs[0].failed is None
+    assert motors[1].runs[0].figures is not None
+    assert "laws.py:31: ZeroDivisionError: no gain" in raises.runs[0].failed
+    assert "gave no number" in no_number.runs[0].failed
+    assert dies.runs[0].failed == "crashed: exit code 7"
     assert found.has_failed
     for row in (refused, raises, no_number, dies):
         assert list(row.notes())
@@ -162,7 +162,7 @@ def test_a_figure_that_one_run_has_not_is_no_worst_figure() -> None:
     entry = Entry("dsc", "dsc", {CommandMode.TORQUE: {}}, {CommandMode.TORQUE: {}})
     runs = [run(Variation(), 0.5), run(Variation(0.8, None), 0.7), run(Variation(0.8, 0.08), None)]
     row = Row(entry, Condition(5.0, "ideal", None, None), runs)
-    assert (row.value("t10_s"), row.worst_over_mass("t10_s"), row.worst("t10_s")) == (0.5, 0.7, None)
+    assert tuple(row.worst("t10_s", over) for over in OVER) == (0.5, 0.7, None)
     assert row.worst("steady_rms_m") == 1.0
     assert list(row.notes()) == ["no t10 in 1 of 3 runs, first with mass x 0.8, friction 0.08: it never came"]
 

@@ -8,7 +8,7 @@ from io import StringIO
 from pathlib import Path
 
 from hil.batch.comparison.conditions import DRIVES, FRICTIONS, MASS_FACTORS, Condition
-from hil.batch.comparison.result import Comparison, Row
+from hil.batch.comparison.result import OVER, Comparison, Row
 from hil.batch.figures import Column, shown_columns
 from hil.batch.output import markdown_table
 from hil.core.outputs import Existing, write_whole
@@ -16,6 +16,21 @@ from hil.core.outputs import Existing, write_whole
 OVERVIEW = "figures"
 """The name of the picture of all figures."""
 _LAST_S = 1.0
+_MADE = """\
+Made by `{command}`; do not edit. Scenario `{scenario}`, seed {seed}, every run in
+lockstep through the wire in memory. Less is better in every column. In brackets behind a law are gains of
+the scenario that are not its defaults.
+"""
+_VARIED = """\
+A cell has three figures: nominal / worst over the plant's mass / worst over its mass and friction. The
+mass is {masses} times the nominal one, the friction {frictions}, each with each; what the law believes
+does not change. The lowest of the last is bold. A dash says that a run has no such figure; why is below
+the table.
+"""
+_NOMINAL = """\
+Nominal runs alone. The lowest figure is bold. A dash says that a run has no such figure; the reason is
+below the table.
+"""
 
 
 def names(condition: Condition) -> tuple[str, str]:
@@ -33,16 +48,19 @@ def older(folder: Path) -> list[Path]:
 def terminal(comparison: Comparison) -> Iterator[tuple[str, list[tuple[str, ...]], list[str]]]:
     """Yield for each condition its title, its table with a head (nominal and worst in a cell), and its notes."""
     columns = shown_columns()
-    for condition in comparison.conditions():
-        rows = comparison.under(condition)
+    for condition, rows in comparison.tables().items():
         head = ("law", *(f"{column.head} {column.unit}" for column in columns))
-        cells = [(row.entry.title(condition.mode), *(_pair(column, row) for column in columns)) for row in rows]
+        cells = [
+            (row.entry.title(condition.mode), *(_cell(column, row, ("nominal", "worst")) for column in columns))
+            for row in rows
+        ]
         yield condition.words, [head, *cells], list(_notes(comparison, rows))
 
 
-def _pair(column: Column, row: Row) -> str:
-    nominal = column.text(row.value(column.name))
-    return nominal if len(row.runs) == 1 else f"{nominal} / {column.text(row.worst(column.name))}"
+def _cell(column: Column, row: Row, over: Sequence[str], best: str | None = None) -> str:
+    """Return the worst of a figure over each of ``over``, of a nominal run once; the last in bold if it is ``best``."""
+    texts = [column.text(row.worst(column.name, one)) for one in (over if len(row.runs) > 1 else over[-1:])]
+    return " / ".join([*texts[:-1], f"**{texts[-1]}**" if texts[-1] == best else texts[-1]])
 
 
 def write_markdown(
@@ -54,15 +72,14 @@ def write_markdown(
     """
     columns = shown_columns()
     lines = [*_preface(comparison, command)]
-    for condition in comparison.conditions():
-        rows = comparison.under(condition)
-        late = _late(comparison, rows)
-        lines += ["", f"## {condition.words}", ""]
+    for condition, rows in comparison.tables().items():
+        least = {column: _least(column, rows) for column in columns if column not in _late(comparison, rows)}
+        best = {column: column.text(value) for column, value in least.items() if value is not None}
         table = [("law", *(f"{column.head} [{column.unit}]" for column in columns))]
         for row in rows:
-            cells = (_triple(column, row, rows, is_late=column in late) for column in columns)
+            cells = (_cell(column, row, OVER, best.get(column)) for column in columns)
             table.append((row.entry.title(condition.mode), *cells))
-        lines += [markdown_table(table).rstrip()]
+        lines += ["", f"## {condition.words}", "", markdown_table(table).rstrip()]
         if notes := list(_notes(comparison, rows)):
             lines += ["", *(f"- {note}" for note in notes)]
         lines += _shown(pictures, names(condition), file)
@@ -71,23 +88,10 @@ def write_markdown(
 
 
 def _preface(comparison: Comparison, command: str) -> Iterator[str]:
-    varied = len(comparison.rows[0].runs) > 1
     masses, frictions = (" and ".join(f"{value:g}" for value in values) for values in (MASS_FACTORS, FRICTIONS))
-    yield "# Laws compared"
-    yield ""
-    yield f"Made by `{command}`; do not edit. Scenario `{comparison.scenario}`, seed {comparison.seed}, every run in"
-    yield "lockstep through the wire in memory. Less is better in every column. In brackets behind a law are gains of"
-    yield "the scenario that are not its defaults."
-    yield ""
-    if varied:
-        yield "A cell has three figures: nominal / worst over the plant's mass / worst over its mass and friction. The"
-        yield f"mass is {masses} times the nominal one, the friction {frictions}, each with each; what the law believes"
-        yield "does not change. The lowest of the last is bold. A dash says that a run has no such figure; why is below"
-        yield "the table."
-    else:
-        yield "Nominal runs alone. The lowest figure is bold. A dash says that a run has no such figure; the reason is"
-        yield "below the table."
-    yield ""
+    made = _MADE.format(command=command, scenario=comparison.scenario, seed=comparison.seed)
+    cells = _VARIED.format(masses=masses, frictions=frictions) if len(comparison.rows[0].runs) > 1 else _NOMINAL
+    yield from ["# Laws compared", "", *made.splitlines(), "", *cells.splitlines(), ""]
     for column in shown_columns():
         yield f"- {column.head} [{column.unit}]: {column.meaning}."
 
@@ -101,16 +105,6 @@ def _late(comparison: Comparison, rows: Sequence[Row]) -> list[Column]:
 
 def _least(column: Column, rows: Sequence[Row]) -> float | None:
     return min((value for row in rows if (value := row.worst(column.name)) is not None), default=None)
-
-
-def _triple(column: Column, row: Row, rows: Sequence[Row], *, is_late: bool) -> str:
-    worst = row.worst(column.name)
-    text = column.text(worst)
-    if worst is not None and text == column.text(_least(column, rows)) and not is_late:
-        text = f"**{text}**"
-    if len(row.runs) == 1:
-        return text
-    return " / ".join([column.text(row.value(column.name)), column.text(row.worst_over_mass(column.name)), text])
 
 
 def _notes(comparison: Comparison, rows: Sequence[Row]) -> Iterator[str]:

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from hil.batch.comparison.conditions import Condition
 from hil.batch.comparison.page import OVERVIEW, names
-from hil.batch.comparison.result import Comparison, Row
+from hil.batch.comparison.result import Comparison, Curves
 from hil.batch.figures import shown_columns
 from hil.core.types import WHEEL_NAMES
 from hil.review.plots import (
@@ -32,24 +32,23 @@ _TITLE, _SMALL_TITLE = 64, 42
 def draw(comparison: Comparison, folder: Path, files: list[Path]) -> None:
     """Draw into a folder that exists, and add each file to ``files``. Raises BadInputError."""
     files.append(_figures(comparison, folder / f"{OVERVIEW}.png"))
-    for condition in comparison.conditions():
-        rows = [row for row in comparison.under(condition) if row.curves is not None]
-        if rows:
-            files.extend(_condition(comparison, condition, rows, folder))
+    for condition, rows in comparison.tables().items():
+        runs = [(row.entry.label, row.curves) for row in rows if row.curves is not None]
+        if runs:
+            files.extend(_condition(comparison, condition, runs, folder))
 
 
 def _figures(comparison: Comparison, file: Path) -> Path:
     columns = shown_columns()
-    tables = comparison.conditions()
     labels = list(dict.fromkeys(row.entry.label for row in comparison.rows))
-    groups = [table.words.replace(", ", "\n") for table in tables]
+    groups = [condition.words.replace(", ", "\n") for condition in comparison.tables()]
     with drawing(file, rows=-(-len(columns) // 2), columns=2, size_in=(12.0, 2.0 * len(columns))) as axes:
         for panel, column in zip(axes, columns, strict=False):
             bars = []
             for label in labels:
                 rows = [row for row in comparison.rows if row.entry.label == label]
-                nominal = [column.shown(row.value(column.name)) for row in rows]
-                bars.append(Bar(label, nominal, [column.shown(row.worst(column.name)) for row in rows]))
+                over = ("nominal", "worst")
+                bars.append(Bar(label, *([column.shown(row.worst(column.name, o)) for row in rows] for o in over)))
             worst = "; lighter the worst" if len(comparison.rows[0].runs) > 1 else ""
             title = textwrap.fill(f"{column.head}: {column.meaning}{worst}", _TITLE)
             log = column.name in _LOGARITHMIC
@@ -57,10 +56,11 @@ def _figures(comparison: Comparison, file: Path) -> Path:
     return file
 
 
-def _condition(comparison: Comparison, condition: Condition, rows: Sequence[Row], folder: Path) -> Iterator[Path]:
+def _condition(
+    comparison: Comparison, condition: Condition, runs: Sequence[tuple[str, Curves]], folder: Path
+) -> Iterator[Path]:
     # A law that has no curves here keeps its colour for the other pictures.
     numbers = {label: n for n, label in enumerate(dict.fromkeys(row.entry.label for row in comparison.rows))}
-    runs = [(row.entry.label, row.curves) for row in rows if row.curves is not None]
     reference = runs[0][1]
     error_file, torque_file = (folder / f"{name}.png" for name in names(condition))
     with drawing(error_file, columns=2, size_in=(12.0, 4.5)) as (path, error):
@@ -79,13 +79,8 @@ def _condition(comparison: Comparison, condition: Condition, rows: Sequence[Row]
         for panel, (label, curves) in zip(axes, runs, strict=False):
             shown = curves["loop.t_s"] <= _APPROACH_S
             torques = {wheel: curves[f"torque.{wheel}"][shown] for wheel in WHEEL_NAMES}
-            draw_wheels(
-                panel,
-                curves["loop.t_s"][shown],
-                torques,
-                title=textwrap.fill(label, _SMALL_TITLE),
-                y_label="torque [N·m]",
-            )
+            title = textwrap.fill(label, _SMALL_TITLE)
+            draw_wheels(panel, curves["loop.t_s"][shown], torques, title=title, y_label="torque [N·m]")
         for panel in axes[len(runs) :]:
             panel.set_axis_off()
     yield torque_file

@@ -13,6 +13,8 @@ from hil.core.types import CommandMode
 from hil.scenario import format_value
 
 Gains = dict[str, object]
+OVER = ("nominal", "worst_over_mass", "worst")
+"""Over which runs the worst of a figure is taken (``Row.worst``)."""
 Curves = Mapping[str, npt.NDArray[np.float64]]
 """Signals of a run by name, and ``torque.fl`` to ``torque.rl`` [N·m], each of shape (n,)."""
 
@@ -63,11 +65,6 @@ class Run(NamedTuple):
         """What ended the run, or why its figures do not describe the law."""
         return None if self.outcome.status in (PASSED, REFUSED) else self.outcome.reason
 
-    def plain(self) -> dict[str, Any]:
-        """Return it as plain values, for JSON."""
-        why = {"reasons": self.reasons, "refused": self.refused, "failed": self.failed}
-        return self.variation._asdict() | {"figures": self.figures} | why
-
 
 class Row(NamedTuple):
     """A law under a condition with all its runs, the nominal one first, and that one's curves if they were wanted."""
@@ -77,27 +74,21 @@ class Row(NamedTuple):
     runs: Sequence[Run]
     curves: Curves | None = None
 
-    @property
-    def nominal(self) -> Run:
-        """The nominal run."""
-        return self.runs[0]
-
-    def worst(self, name: str) -> float | None:
-        """Return a figure's worst over mass and friction; None when a run has none: that is worse than any."""
-        return _worst(self.runs, name)
-
-    def worst_over_mass(self, name: str) -> float | None:
-        """Return a figure's worst over the mass alone, at the nominal friction."""
-        return _worst([run for run in self.runs if run.variation.friction is None], name)
-
-    def value(self, name: str) -> float | None:
-        """Return a figure of the nominal run."""
-        return _worst([self.nominal], name)
+    def worst(self, name: str, over: str = "worst") -> float | None:
+        """Return the worst of a figure ``over`` some of the runs: ``nominal`` (the nominal one), ``worst_over_mass``
+        (those with the nominal friction) or ``worst`` (all). None when one of them has no such figure: that is worse
+        than any."""
+        some = self.runs[:1] if over == "nominal" else self.runs
+        if over == "worst_over_mass":
+            some = [run for run in self.runs if run.variation.friction is None]
+        values = [None if run.figures is None else run.figures[name] for run in some]
+        known = [value for value in values if value is not None]
+        return max(known) if len(known) == len(values) else None
 
     def notes(self) -> Iterator[str]:
         """Yield why figures are missing: one sentence for a law that refuses, or for each thing that went wrong."""
-        if self.nominal.refused is not None:
-            yield f"refused: {self.nominal.refused}"
+        if self.runs[0].refused is not None:
+            yield f"refused: {self.runs[0].refused}"
             return
         troubles: dict[str, str] = {}
         for run in self.runs:
@@ -106,37 +97,26 @@ class Row(NamedTuple):
         yield from (f"failed ({words}): {trouble}" for trouble, words in troubles.items())
         first: dict[str, tuple[list[str], list[Run]]] = {}  # by the reason of the first run that lacks a figure
         for column in shown_columns():
-            without = [run for run in self.runs if column.name in run.reasons]
-            if without:
+            if without := [run for run in self.runs if column.name in run.reasons]:
                 first.setdefault(without[0].reasons[column.name], ([], without))[0].append(column.head)
         for reason, (heads, without) in first.items():
-            yield f"no {', '.join(heads)}{self._among(without)}: {reason}"
-
-    def _among(self, without: Sequence[Run]) -> str:
-        if len(self.runs) == 1:
-            return ""
-        if len(without) == len(self.runs):
-            return f" in any of {len(self.runs)} runs"
-        return f" in {len(without)} of {len(self.runs)} runs, first with {without[0].variation.words}"
-
-    @property
-    def has_failed(self) -> bool:
-        """Whether a run failed, other than by the law refusing the mode."""
-        return any(run.failed is not None for run in self.runs)
+            among = f" in {len(without)} of {len(self.runs)} runs, first with {without[0].variation.words}"
+            if len(without) == len(self.runs):
+                among = "" if len(self.runs) == 1 else f" in any of {len(self.runs)} runs"
+            yield f"no {', '.join(heads)}{among}: {reason}"
 
     def plain(self) -> dict[str, Any]:
         """Return everything but the curves as plain values, for JSON."""
         names = [column.name for column in shown_columns()]
+        of_run = ("figures", "reasons", "refused", "failed")
         return {
             "law": self.entry.label,
             "gains": self.entry.gains[self.condition.mode],
             "condition": self.condition._asdict(),
-            "refused": self.nominal.refused,
-            "nominal": {name: self.value(name) for name in names},
-            "worst_over_mass": {name: self.worst_over_mass(name) for name in names},
-            "worst": {name: self.worst(name) for name in names},
+            "refused": self.runs[0].refused,
+            **{over: {name: self.worst(name, over) for name in names} for over in OVER},
             "notes": list(self.notes()),
-            "runs": [run.plain() for run in self.runs],
+            "runs": [run.variation._asdict() | {name: getattr(run, name) for name in of_run} for run in self.runs],
         }
 
 
@@ -148,30 +128,19 @@ class Comparison(NamedTuple):
     duration_s: float
     rows: Sequence[Row]
 
-    def conditions(self) -> list[Condition]:
-        """Return the conditions, in order."""
-        return list(dict.fromkeys(row.condition for row in self.rows))
-
-    def under(self, condition: Condition) -> list[Row]:
-        """Return the rows of a condition."""
-        return [row for row in self.rows if row.condition == condition]
+    def tables(self) -> dict[Condition, list[Row]]:
+        """Return the rows of each condition, in order."""
+        tables: dict[Condition, list[Row]] = {}
+        for row in self.rows:
+            tables.setdefault(row.condition, []).append(row)
+        return tables
 
     @property
     def has_failed(self) -> bool:
-        """Whether a run failed."""
-        return any(row.has_failed for row in self.rows)
+        """Whether a run failed, other than by the law refusing the mode."""
+        return any(run.failed is not None for row in self.rows for run in row.runs)
 
     def plain(self) -> dict[str, Any]:
         """Return everything but the curves as plain values, for JSON."""
-        return {
-            "scenario": self.scenario,
-            "seed": self.seed,
-            "passed": not self.has_failed,
-            "rows": [row.plain() for row in self.rows],
-        }
-
-
-def _worst(runs: Sequence[Run], name: str) -> float | None:
-    values = [None if run.figures is None else run.figures[name] for run in runs]
-    known = [value for value in values if value is not None]
-    return max(known) if len(known) == len(values) else None
+        rows = [row.plain() for row in self.rows]
+        return {"scenario": self.scenario, "seed": self.seed, "passed": not self.has_failed, "rows": rows}
