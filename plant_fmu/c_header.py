@@ -6,48 +6,60 @@ from plant_fmu.variables import STRUCTURE, Definition, Variable
 
 _C_TYPE = {"Real": "REAL", "Integer": "INTEGER", "Enumeration": "ENUMERATION"}
 _INT32 = (-(2**31), 2**31 - 1)
+_HEADER = """\
+/* Made from variables.toml by generate.py; do not edit. */
+#ifndef MECANUM_VARIABLES_H
+#define MECANUM_VARIABLES_H
+
+#include <math.h>
+#include <stdint.h>
+
+#define MECANUM_MODEL_NAME "{name}"
+#define MECANUM_GUID "{guid}"
+#define MECANUM_WHEELS {wheels}
+#define MECANUM_VARIABLE_COUNT {count}
+
+enum {{
+{items}
+}};
+
+{structures}
+/* X(value reference, type, causality, member of the snapshot, start, min, max, name) */
+/* clang-format off */
+#define MECANUM_VARIABLES(X) \\
+{rows}
+/* clang-format on */
+
+#endif
+"""
 
 
 def c_header(definition: Definition, guid: str) -> str:
     """Return mecanum_variables.h; ``guid`` is the one that an importer must give to get an instance."""
-    lines = [
-        "/* Made from variables.toml by generate.py; do not edit. */",
-        "#ifndef MECANUM_VARIABLES_H",
-        "#define MECANUM_VARIABLES_H",
-        "",
-        "#include <math.h>",
-        "#include <stdint.h>",
-        "",
-        f'#define MECANUM_MODEL_NAME "{definition.model["name"]}"',
-        f'#define MECANUM_GUID "{guid}"',
-        f"#define MECANUM_WHEELS {len(definition.wheels)}",
-        f"#define MECANUM_VARIABLE_COUNT {len(definition.variables)}",
-        "",
-        "enum {",
+    items = [
+        f"    MECANUM_{name.upper()}_{item['name'].upper()} = {value},"
+        for name, enumeration in definition.enumerations.items()
+        for value, item in enumerate(enumeration["items"], start=1)
     ]
-    for name, enumeration in definition.enumerations.items():
-        for value, item in enumerate(enumeration["items"], start=1):
-            lines.append(f"    MECANUM_{name.upper()}_{item['name'].upper()} = {value},")
-    lines += ["};", ""]
+    structures = []
     for causality, structure in STRUCTURE.items():
-        lines.append("typedef struct {")
+        structures.append("typedef struct {")
         for variable in definition.variables:
             if variable.causality == causality and not variable.wheel:
                 kind = "double" if variable.type == "Real" else "int32_t"
                 size = "" if variable.wheel is None else "[MECANUM_WHEELS]"
-                lines.append(f"    {kind} {variable.field}{size};")
-        lines += [f"}} mecanum_{structure};", ""]
+                structures.append(f"    {kind} {variable.field}{size};")
+        structures += [f"}} mecanum_{structure};", ""]
     rows = [f"    X({reference}, {_c_row(v)})" for reference, v in enumerate(definition.variables)]
-    lines += [
-        "/* X(value reference, type, causality, member of the snapshot, start, min, max, name) */",
-        "/* clang-format off */",
-        "#define MECANUM_VARIABLES(X) \\",
-        " \\\n".join(rows),
-        "/* clang-format on */",
-        "",
-        "#endif",
-    ]
-    return "\n".join(lines) + "\n"
+    return _HEADER.format(
+        name=definition.model["name"],
+        guid=guid,
+        wheels=len(definition.wheels),
+        count=len(definition.variables),
+        items="\n".join(items),
+        structures="\n".join(structures),
+        rows=" \\\n".join(rows),
+    )
 
 
 def _c_row(v: Variable) -> str:

@@ -23,15 +23,15 @@ class Variable:
     type: str
     causality: str
     variability: str
-    unit: str | None
-    display_unit: str | None  # the unit in which people think of it
-    start: float | int | None
-    minimum: float | int | None
-    maximum: float | int | None
     description: str
-    depends_on: tuple[str, ...]  # inputs with direct feedthrough
     field: str  # the member of its C structure, without an index
-    wheel: int | None  # the index into that member
+    wheel: int | None = None  # the index into that member
+    unit: str | None = None
+    display_unit: str | None = None  # the unit in which people think of it
+    start: float | int | None = None
+    minimum: float | int | None = None
+    maximum: float | int | None = None
+    depends_on: tuple[str, ...] = ()  # inputs with direct feedthrough
 
     @property
     def member(self) -> str:
@@ -70,7 +70,8 @@ def define(data: dict[str, Any]) -> Definition:
     for entry in data["variable"]:
         wheels: list[str | None] = [*data["wheels"]] if "*" in entry["name"] else [None]
         variables += [_variable(entry, wheel, data) for wheel in wheels]
-    variables.append(_time())
+    time = Variable(TIME, "Real", "independent", "continuous", "Time that the instance has reached", "time_s", unit="s")
+    variables.append(time)
     names = [variable.name for variable in variables]
     for variable in variables:
         if names.count(variable.name) > 1:
@@ -110,22 +111,4 @@ def _variable(entry: dict[str, Any], wheel: str | None, data: dict[str, Any]) ->
         depends_on=tuple(name.replace("*", wheel or "") for name in entry.get("depends_on", ())),
         field=name.replace(".*.", "_").replace(".", "_"),
         wheel=None if wheel is None else list(data["wheels"]).index(wheel),
-    )
-
-
-def _time() -> Variable:
-    return Variable(
-        name=TIME,
-        type="Real",
-        causality="independent",
-        variability="continuous",
-        unit="s",
-        display_unit=None,
-        start=None,
-        minimum=None,
-        maximum=None,
-        description="Time that the instance has reached",
-        depends_on=(),
-        field="time_s",
-        wheel=None,
     )

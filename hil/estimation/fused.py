@@ -34,7 +34,7 @@ _MOST_RAD = 0.01
 class Release:
     """Spreads the correction of a pose fix over time, with the time constant ``release_s`` [s]; with 0 the pose jumps.
 
-    A correction is no motion, and a law must not take it for one. At most 10 mm and 10 mrad are held back. The rest of
+    A law must not take a correction for motion. At most 10 mm and 10 mrad are held back. The rest of
     a larger correction, as after slip, is applied at once: acting on a wrong pose does more harm than a jump.
     """
 

@@ -10,6 +10,8 @@ double integrator, whose motion is computed exactly for any latency.
 import math
 import operator
 from collections import deque
+from collections.abc import Callable
+from types import MethodType
 from typing import NamedTuple
 
 from hil.core.kinematics import body_wrench
@@ -197,6 +199,10 @@ class Prediction(NamedTuple):
     twist: Axes
 
 
+make_prediction: Callable[[tuple[Pairs, float, Axes, Axes]], Prediction] = MethodType(tuple.__new__, Prediction)
+"""Make a Prediction from a plain tuple, in half the time of calling the class."""
+
+
 def torque_command(model: RobotModel, acceleration: Axes, predicted: Prediction) -> WheelCommand:
     """Return the torques for a world acceleration: τ = B⁺ (M u + C) + ξ (the paper's equation 18 with the model's C).
 
@@ -317,9 +323,5 @@ def _at_latency(reference: Reference, start: tuple[Axes, Axes], latency_s: float
     heading_error = math.remainder(heading - heading_d, math.tau) + turn - latency_s * (yaw_rate_d + half_s * ah)
     vx, vy, yaw_rate = vx + dvx, vy + dvy, yaw_rate + dvh
     vx_d, vy_d, yaw_rate_d = vx_d + latency_s * ax, vy_d + latency_s * ay, yaw_rate_d + latency_s * ah
-    return Prediction(
-        (x, y, heading_error, vx - vx_d, vy - vy_d, yaw_rate - yaw_rate_d),
-        heading + turn,
-        (vx_d, vy_d, yaw_rate_d),
-        (vx, vy, yaw_rate),
-    )
+    error = x, y, heading_error, vx - vx_d, vy - vy_d, yaw_rate - yaw_rate_d
+    return make_prediction((error, heading + turn, (vx_d, vy_d, yaw_rate_d), (vx, vy, yaw_rate)))

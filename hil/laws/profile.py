@@ -1,17 +1,10 @@
 """Time-optimal square-root profile with observer and delay prediction, one axis for each diagonal pair of wheels.
 
-Derivation, options and figures: PROFILE.md beside this file.
-
-The four wheels are two pairs on the diagonals of the body. Equal torques τ on FL and RR push the robot along the body's
-direction (1, -1) / √2, equal torques on FR and RL along (1, 1) / √2, each with the force 2 √2 τ / r and independently
-of the other pair. So the force and speed limits of the wheels form a square in these two directions. (In forward and
-left, and in any fixed direction ψ, they are a_max and v_max with p = |cos ψ| + |sin ψ|.) A difference within a pair
-turns the robot and pushes nothing:
+PROFILE.md beside this file has the derivation, the options and figures. Pair 1 is FL and RR, pair 2 is FR and RL. Equal
+torques τ_1 and τ_2 of the pairs push the robot along the body's directions (1, -1) / √2 and (1, 1) / √2, independently
+of each other. A difference within a pair turns the robot and does not push it:
 
     τ_FL = τ_1 - a    τ_RR = τ_1 + a    τ_FR = τ_2 + b    τ_RL = τ_2 - b    yaw torque 2 L (a + b) / r
-
-Four wheels move three degrees of freedom, which leaves a - b free. Either pair alone can turn the robot, so the heading
-gets some torque as long as one pair has torque to spare.
 """
 
 import math

@@ -5,6 +5,7 @@ at this tick, not how the robot would move under it: the active law moves the ro
 integrates an error that it cannot remove.
 """
 
+import itertools
 import re
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -47,10 +48,7 @@ class Shadows:
     @property
     def telemetry(self) -> tuple[float, ...]:
         """Four set points per shadow; NaN if it was not called or was dropped."""
-        row: tuple[float, ...] = ()
-        for command in self._commands.values():
-            row += command
-        return row
+        return tuple(itertools.chain.from_iterable(self._commands.values()))
 
     def limit_to(self, robot_speed_limit_rad_s: float) -> None:
         """Limit the set points to the robot's own speed limit, like those of the active law."""
@@ -64,11 +62,11 @@ class Shadows:
     def update(
         self, t_s: float, reference: Reference, state: State, applied: Applied, dt_s: float, *, begins: bool
     ) -> Sequence[str]:
-        """Ask each for its command of the tick at ``t_s``; where the run ``begins``, or begins anew, reset it first.
+        """Compute each shadow's command for the tick at ``t_s``. If the run ``begins`` or restarts, reset it first.
 
-        Return a sentence for each that was dropped for what it did.
+        Return a sentence for each shadow that was dropped because it raised an exception.
         """
-        dropped: Sequence[str] = ()
+        dropped: list[str] = []
         for name, law in list(self._laws.items()):
             try:
                 if begins:
@@ -78,7 +76,7 @@ class Shadows:
                 why = str(error) if isinstance(error, HilError) else f"{type(error).__name__}: {error}"
                 sentence = f"shadow {name} dropped at t = {t_s:.3f} s: {why}"
                 self.dropped[name] = (t_s, sentence)
-                dropped = (*dropped, sentence)
+                dropped.append(sentence)
                 self._commands[name] = NAN_WHEELS
                 del self._laws[name]
                 continue
@@ -88,7 +86,7 @@ class Shadows:
         return dropped
 
     def figures(self) -> list[dict[str, Any]]:
-        """Return for each shadow what became of it: ticks in which it was asked, commands that were no numbers."""
+        """Return for each shadow its number of updates and of invalid commands, and when and why it was dropped."""
         return [
             {
                 "name": name,

@@ -28,6 +28,7 @@ from hil.laws.prediction import (
     ExtendedStateObserver,
     Prediction,
     extrapolate,
+    make_prediction,
     speed_command,
     torque_command,
 )
@@ -176,7 +177,7 @@ def _present(reference: Reference, state: State) -> Prediction:
     (vx, vy, yaw_rate), (vx_d, vy_d, yaw_rate_d) = twist, twist_d
     heading_error = math.remainder(heading - heading_d, math.tau)
     error = x - x_d, y - y_d, heading_error, vx - vx_d, vy - vy_d, yaw_rate - yaw_rate_d
-    return Prediction(error, heading, twist_d, twist)
+    return make_prediction((error, heading, twist_d, twist))
 
 
 def _virtual_control(reference_twist: Axes, error: Pairs, gains: Pairs) -> Axes:

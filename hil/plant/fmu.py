@@ -73,7 +73,7 @@ class FmuPlant(shim.PlantPort):
             self.instance = instance = Instance(fmu, folder, library, self._context)
             resources.callback(instance.unload)
             if not _is_needed(folder, library.member):
-                # Where a loaded library's file may go, it goes now: a killed run then leaves nothing behind.
+                # Where the system allows it: a killed run then leaves no files behind.
                 shutil.rmtree(folder, ignore_errors=True)
             self._fmu = fmu
             self._start = start_values(start, fmu, instance.variables)

@@ -97,8 +97,8 @@ class Instance:
         Raises BadInputError when the FMU refuses a start value, DeviceError when it fails otherwise.
         """
         self._forget()
-        # All categories stay on, as they are in a new instance: what is logged without one, as pythonfmu does with the
-        # exception that it dies of, is lost once some have been chosen.
+        # No log categories are chosen, so all stay on. A choice would lose messages without a category, such as those
+        # in which pythonfmu reports a fatal exception.
         with self._answering(DeviceError, f"FMU {self._file} failed at its start"):
             if self.version == 2:
                 self.fmu.setupExperiment(startTime=0.0)
@@ -118,7 +118,7 @@ class Instance:
         def solve(from_s: float, to_s: float) -> int:
             try:
                 solver.step(from_s, to_s)
-            except Exception as error:  # noqa: BLE001 - C has called; the shim fails with these words
+            except Exception as error:  # noqa: BLE001 - called from C; the shim fails with this message
                 self._context.fatal = getattr(error, "status", None) == _FATAL
                 self._context.text = (self.message or str(error)).encode()[:_LONGEST_TEXT]
                 return 1
@@ -143,7 +143,7 @@ class Instance:
         if self._context.fatal:
             return
         if self._is_running and not self._context.failed:
-            # The instance goes away now, whatever it answers.
+            # The instance is freed, whatever it answers.
             with contextlib.suppress(FMICallException):
                 self.fmu.terminate()
         (self.fmu.fmi2FreeInstance if self.version == 2 else self.fmu.fmi3FreeInstance)(self.fmu.component)

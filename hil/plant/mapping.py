@@ -1,23 +1,12 @@
-"""Maps the signals of the bridge to variables of an FMU.
+"""Maps the signals of the bridge to variables of an FMU, and finds out which signals have to be derived from others.
 
 A row of ``[plant.map]`` names one signal and one variable, with
 
     bridge value = sign * scale * FMU value + offset
 
 for outputs; the value of an input is computed from the same equation. A signal without a row uses the variable of
-the same name. Signals that are then still missing are derived from others:
-
-    signal                 from
-    wheel.*.count          the wheel's angle, times counts per revolution / 2 pi, rounded down
-    wheel.*.speed_rad_s    the difference of the wheel's angle over the tick, divided by the tick
-    twist.*                the difference of the pose over the tick, divided by the tick; 0 at the start
-    wheel.*.current_a      the wheel's torque divided by the torque constant
-    gyro.z_rad_s           twist.yaw_rate_rad_s
-    gyro.x_rad_s, y        0: the robot stays level
-
-Required are the pose and, for each wheel, the torque or the duty, and the angle or both count and speed. Without
-accelerometer, battery or temperatures the firmware reports that it has no such sensor. A heading or an angle that the
-FMU wraps at a whole turn is unwrapped.
+the same name. plant_fmu/FOREIGN.md lists what is required and how a missing signal is derived (in ``derive.c``).
+Without accelerometer, battery or temperatures the firmware reports that it has no such sensor.
 
 There are no patterns for names: a third-party FMU rarely calls its wheels fl, fr, rr and rl, and some of them turn the
 other way round, so each wheel needs its own row.

@@ -140,7 +140,7 @@ class ChildProcess:
         self.kill()
 
     def wait(self) -> int:
-        """Wait for its end, kill it if it does not end by itself, and return Popen's status."""
+        """Wait for its end, kill it if it goes on, and return Popen's status."""
         return self._end(_END_S)
 
     def ending(self) -> str:
@@ -200,7 +200,7 @@ def _how(status: int) -> str:
     """Return how a process ended in words, from the status that Popen gives."""
     if status < 0:
         number = -status
-        # Real-time signals have no name in Python, but for the first and the last.
+        # Of the real-time signals Python names only the first and the last.
         name = next((known.name for known in signal.Signals if known == number), f"signal {number}")
         return f"was ended by {name} ({signal.strsignal(number)})"
     code = f"{status:#010X}" if status > 0xFFFF else status  # on Windows, an exception's code
@@ -211,11 +211,11 @@ _CHECK_S = 1.0
 
 
 class Parent:
-    """The process that started this one as a ``ChildProcess``; made once, before any FMU is loaded.
+    """The parent of this process, which is a ``ChildProcess``; made once, before any FMU is loaded.
 
-    ``requests`` and ``replies`` are the descriptors of its pipes. An FMU reads nothing from stdin, and what it prints
-    goes to stderr, line by line. When the parent has gone this process removes ``scratch``, the folder of its files,
-    and ends, also while an FMU hangs.
+    ``requests`` and ``replies`` are the descriptors of its pipes. An FMU reads nothing from stdin, and its output goes
+    to stderr, line by line. When the parent has ended, this process removes the folder ``scratch`` and ends too, also
+    while an FMU hangs.
     """
 
     def __init__(self) -> None:
@@ -253,11 +253,11 @@ class Parent:
         shutil.rmtree(self.scratch, ignore_errors=True)
         os._exit(0)
 
-    def _end_with_it(self, words: int) -> None:
-        """End when nobody reads any more what is printed here."""
+    def _end_with_it(self, stderr: int) -> None:
+        """End when nobody reads this process's stderr any more."""
         while True:
             time.sleep(_CHECK_S)
             try:
-                os.write(words, b"\0")
+                os.write(stderr, b"\0")
             except OSError:
                 self.end()

@@ -3,6 +3,7 @@
 import contextlib
 import tempfile
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict
 from functools import partial
 from pathlib import Path
 
@@ -17,17 +18,16 @@ from hil.plant.start import Settable, Value
 
 _OPENING_STEPS = 10.0  # time limits of a step that loading, initialising and resetting may take
 _NO_ROWS = SignalMap()
-_NO_WHY = "did not say why"  # as cosim.c has it
+_NO_WHY = "did not say why"  # as cosim.c writes it
 
 
 class RemotePlant(shim.PlantPort):
     """An instance of an FMU behind the plant port, like ``FmuPlant``, but loaded and stepped in a child process.
 
-    ``timeout_s`` is how long a tick may take until the FMU counts as hung; opening it and going back to the start
-    may take ten times as long. A process that takes more memory than ``memory_limit_mb`` is ended, where the system
-    tells how much it takes; where it does not, the first line of ``output`` says so. ``output`` has all that the FMU
-    prints and logs. The end of the child is a failure of the plant: the exchange fails, and ``message`` says why. The
-    child never outlives this process.
+    An FMU that takes longer than ``timeout_s`` for a tick counts as hung; opening and resetting may take ten times as
+    long. A process that uses more memory than ``memory_limit_mb`` is ended; on a system that does not report the
+    memory of a process, the first line of ``output`` says so. ``output`` has all that the FMU prints and logs. When the
+    child ends, the exchange fails, and ``message`` says why. The child never outlives this process.
 
     Raises BadInputError as ``FmuPlant`` does, and DeviceError when the FMU fails, crashes or hangs while it is opened.
     """
@@ -52,9 +52,7 @@ class RemotePlant(shim.PlantPort):
             "fmu": str(fmu.absolute()),
             "start": dict(start),
             "step_ns": step_ns,
-            "rows": dict(mapping.rows),
-            "counts_per_revolution": mapping.counts_per_revolution,
-            "torque_constant_n_m_a": mapping.torque_constant_n_m_a,
+            "mapping": asdict(mapping),
         }
         self._ffi, self._lib = shim.load()
         self._context = self._ffi.new("remote_plant *")
@@ -147,7 +145,7 @@ class RemotePlant(shim.PlantPort):
 
     @property
     def message(self) -> str:
-        """Why the plant failed: the FMU's words, or how its process ended; empty while it has not failed."""
+        """Why the plant failed: the FMU's message, or how its process ended; empty while it has not failed."""
         if not self._context.failed:
             return ""
         if not self._text:

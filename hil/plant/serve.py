@@ -1,8 +1,8 @@
 """An FMU in a process of its own: the child of ``hil.plant.remote``.
 
-``python -m hil.plant.serve SCRATCH`` says on stdout when it is there, takes one line of JSON that names the FMU,
-answers with one line whether it is open, and then answers the requests of ``remote.h`` until its stdin ends. All its
-files are in the folder SCRATCH, which it removes.
+``python -m hil.plant.serve SCRATCH`` writes a line of JSON to stdout when it has started. It reads one line that names
+the FMU, and answers with one line whether it is open. Then it answers the requests of ``remote.h`` until its stdin
+ends. All its files are in the folder SCRATCH, which it removes.
 """
 
 import tempfile
@@ -22,8 +22,8 @@ def main() -> None:
     parent = Parent()
     config = parent.receive()
     tempfile.tempdir = str(parent.scratch)
-    rows = {signal: Row(*row) for signal, row in config["rows"].items()}
-    mapping = SignalMap(rows, config["counts_per_revolution"], config["torque_constant_n_m_a"])
+    rows = {signal: Row(*row) for signal, row in config["mapping"].pop("rows").items()}
+    mapping = SignalMap(rows, **config["mapping"])
     try:
         plant = FmuPlant(Path(config["fmu"]), config["start"], config["step_ns"], mapping, prints_log=True)
     except HilError as error:
@@ -45,7 +45,7 @@ def main() -> None:
         reply.time_ns, reply.pose, reply.twist = plant.truth()
         reply.wheel_speed = plant.wheel_speeds()
         if lib.remote_answer(to_parent, reply) != 0 or reply.status == lib.REMOTE_FAILED:
-            break  # a plant that failed is opened anew, in another process
+            break  # a plant that failed is opened again, in another process
     plant.close()
     parent.end()
 

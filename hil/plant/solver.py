@@ -70,7 +70,7 @@ class Solver:
             if until_s - now_s > 1e-12 * max(1.0, now_s):  # CVode takes no step that is lost in rounding
                 try:
                     is_event, _, now_s = self._cvode.step(now_s, until_s)
-                finally:  # what the FMU refused is the reason of whatever CVode made of it
+                finally:  # a call that the FMU refused is the cause of CVode's failure
                     self._raise_what_was_kept()
             else:
                 now_s = until_s
@@ -88,7 +88,7 @@ class Solver:
         raise RuntimeError(f"the FMU had {_MOST_EVENTS} events within one tick")
 
     def _handle_event(self, time_s: float) -> None:
-        """Leave event mode when the discrete states have settled, and start the integration anew."""
+        """Leave event mode when the discrete states have settled, and restart the integration."""
         needs_update = True
         while needs_update:
             needs_update, terminates, _, _, is_next_defined, next_s = self._update()

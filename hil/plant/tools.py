@@ -1,6 +1,6 @@
 """What ``hil fmu check`` does: FMPy's validator, and a run of the FMU in a process of its own.
 
-A foreign FMU may crash or hang; that ends one part of the run, and the next one goes on in a new process.
+A foreign FMU may crash or hang. That ends one part of the run; the next part runs in a new process.
 """
 
 import contextlib

@@ -1,7 +1,7 @@
 """Reads an untrusted zip archive: its names, sizes and bytes may be false or malicious.
 
-The rules are those of FMI 3.0 section 2.5 (stored or deflated, not encrypted, forward slashes) and one of ours:
-what is opened here can be unpacked by every operating system. Every refusal is a BadInputError of one sentence.
+The rules are those of FMI 3.0 section 2.5 (stored or deflated, not encrypted, forward slashes). Moreover every
+operating system must be able to unpack the archive. Every refusal is a BadInputError of one sentence.
 """
 
 import contextlib

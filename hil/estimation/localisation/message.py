@@ -50,7 +50,7 @@ _FIELDS = {"version", "x_m", "y_m", "heading_rad", "covariance"}
 _STAMPS = ("age_s", "unix_time_s")
 
 
-class Refused(Exception):  # noqa: N818 - no error of ours: a datagram is refused and counted
+class Refused(Exception):  # noqa: N818 - not an error: a datagram is refused and counted
     """A datagram is not a valid fix; it is counted by ``cause``."""
 
     def __init__(self, cause: str) -> None:

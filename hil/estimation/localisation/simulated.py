@@ -60,7 +60,7 @@ class SimulatedFixes:
             if self._ahead_ns is None:
                 self._ahead_ns = now_ns - self._truth_age_ns - truth.time_ns
             self._sample(truth, truth.time_ns + self._ahead_ns)
-        arrived: list[MeasuredPose] = []
+        arrived = []
         while self._on_their_way and self._on_their_way[0].time_ns + self._latency_ns <= now_ns:
             arrived.append(self._on_their_way.popleft())
         self._counts["received"] += len(arrived)
@@ -86,12 +86,11 @@ class SimulatedFixes:
         if self._first_ns is None:
             self._first_ns = truth.time_ns
         period = time_ns // self._period_ns
-        if period == self._period:
-            return
-        self._period = period
-        fix = self._make(truth.pose, time_ns, (truth.time_ns - self._first_ns) / _NS)
-        if fix is not None:
-            self._on_their_way.append(fix)
+        if period != self._period:
+            self._period = period
+            fix = self._make(truth.pose, time_ns, (truth.time_ns - self._first_ns) / _NS)
+            if fix is not None:
+                self._on_their_way.append(fix)
 
     def _make(self, truth: Pose, time_ns: int, t_s: float) -> MeasuredPose | None:
         options, chance = self._options, self._random

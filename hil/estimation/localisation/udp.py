@@ -31,13 +31,11 @@ class UdpFixes:
         self._unix_time_s = unix_time_s
         self._refused: Counter[str] = Counter()
         self._received = 0
+        parsed = parse_address(address)
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         try:
             self._socket.setblocking(False)
-            self._socket.bind(parse_address(address))
-        except BadInputError:
-            self._socket.close()
-            raise
+            self._socket.bind(parsed)
         except OSError as error:
             self._socket.close()
             raise BadInputError(f"estimator.fix = {address!r} cannot be opened ({error}); choose another") from error
