@@ -8,6 +8,7 @@ from types import FrameType
 from typing import TYPE_CHECKING, Annotated
 
 import typer
+from typer import Argument, Option
 
 from hil.cli.commands import Group
 from hil.cli.options import AllowMotion, Force, Jobs, Json
@@ -40,25 +41,17 @@ app = typer.Typer(
 
 @app.command("run")
 def run(
-    plan: Annotated[Path, typer.Argument(metavar="PLAN.toml", help="what is run, see CAMPAIGNS.md")],
-    out: Annotated[
-        Path | None,
-        typer.Option(metavar="DIR", help="the results; by default runs/PLAN. What is there is not run again"),
-    ] = None,
-    dry_run: Annotated[bool, typer.Option("--dry-run", help="say how many runs and about how long")] = False,
+    plan: Annotated[Path, Argument(metavar="PLAN.toml", help="what is run, see CAMPAIGNS.md")],
+    out: Annotated[Path | None, Option(metavar="DIR", help="results, continued if begun; by default runs/PLAN")] = None,
+    dry_run: Annotated[bool, Option("--dry-run", help="say how many runs and about how long")] = False,
     workers: Jobs = None,
     scheduler: Annotated[
-        str | None,
-        typer.Option(metavar="URL", help="of Dask: tls://HOST:PORT, or tcp://127.0.0.1:PORT on this machine"),
+        str | None, Option(metavar="URL", help="of Dask: tls://HOST:PORT, or tcp://127.0.0.1:PORT on this machine")
     ] = None,
-    limit_s: Annotated[
-        float | None, typer.Option("--limit", metavar="S", help="a run that takes longer is ended as hung", min=1.0)
-    ] = None,
-    memory_mb: Annotated[
-        float | None, typer.Option("--memory", metavar="MB", help="a run whose process takes more is ended", min=100.0)
-    ] = None,
+    limit_s: Annotated[float | None, Option("--limit", metavar="S", help="a longer run ends as hung", min=1)] = None,
+    memory_mb: Annotated[float | None, Option("--memory", metavar="MB", help="limit of a run", min=100)] = None,
     redo: Annotated[
-        str | None, typer.Option(metavar="OUTCOMES", help="do again what came to one of these, as in lost,refused")
+        str | None, Option(metavar="OUTCOMES", help="do the runs with these outcomes again, as in lost,refused")
     ] = None,
     allow_motion: AllowMotion = False,
     as_json: Json = False,
@@ -95,8 +88,8 @@ def run(
 
 @app.command("report")
 def report(
-    folder: Annotated[Path, typer.Argument(metavar="DIR", help="the results of a campaign")],
-    html: Annotated[Path | None, typer.Option(metavar="FILE", help="the page; by default DIR/report.html")] = None,
+    folder: Annotated[Path, Argument(metavar="DIR", help="the results of a campaign")],
+    html: Annotated[Path | None, Option(metavar="FILE", help="the page; by default DIR/report.html")] = None,
     force: Force = False,
     as_json: Json = False,
 ) -> None:

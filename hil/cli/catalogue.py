@@ -4,6 +4,7 @@ from collections.abc import Iterator, Sequence
 from typing import Annotated
 
 import typer
+from typer import Argument, Option
 
 from hil.batch import catalogue as engine
 from hil.batch.catalogue import Verdict
@@ -13,24 +14,14 @@ from hil.record.files import new_in_runs
 
 
 def catalogue(
-    scenario: Annotated[
-        str, typer.Argument(metavar="[SCENARIO]", help="the scenario that gets the faults, 1.3 s of it")
-    ] = "circle_speed",
-    law: Annotated[
-        str | None, typer.Option(metavar="LAW", help="the law to test instead, without the scenario's gains")
-    ] = None,
-    link: Annotated[
-        list[str] | None, typer.Option("--link", metavar="memory|serial|can", help="by default each; may be repeated")
-    ] = None,
-    kind: Annotated[
-        list[str] | None, typer.Option("--kind", metavar="KIND", help="only faults of this kind; may be repeated")
-    ] = None,
-    pairs: Annotated[bool, typer.Option("--pairs", help="all pairs too, over memory unless --link says more")] = False,
-    sample: Annotated[
-        int | None, typer.Option("--sample", metavar="N", help="only so many of the pairs, chosen by --seed", min=0)
-    ] = None,
-    seed: Annotated[int, typer.Option("--seed", metavar="N", help="which pairs --sample takes")] = 0,
-    realtime: Annotated[bool, typer.Option("--realtime", help="a part of them in real time too")] = False,
+    scenario: Annotated[str, Argument(metavar="[SCENARIO]", help="gets the faults; 1.3 s of it run")] = "circle_speed",
+    law: Annotated[str | None, Option(metavar="LAW", help="the law to test instead, with its default gains")] = None,
+    link: Annotated[list[str] | None, Option(metavar="memory|serial|can", help="by default all; repeatable")] = None,
+    kind: Annotated[list[str] | None, Option(metavar="KIND", help="only faults of this kind; repeatable")] = None,
+    pairs: Annotated[bool, Option("--pairs", help="all pairs too, over memory unless --link says more")] = False,
+    sample: Annotated[int | None, Option(metavar="N", help="only N of the pairs, chosen by --seed", min=0)] = None,
+    seed: Annotated[int, Option(metavar="N", help="which pairs --sample takes")] = 0,
+    realtime: Annotated[bool, Option("--realtime", help="a part of them in real time too")] = False,
     sets: Sets = None,
     jobs: Jobs = None,
     limit_s: Limit = 60.0,

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
+from typer import Argument, Option
 
 from hil.batch.comparison import Comparison, Request, page
 from hil.batch.comparison import compare as run_comparison
@@ -22,26 +23,22 @@ from hil.core.outputs import Existing, check_free, existing_files
 def compare(
     laws_and_scenario: Annotated[
         list[str],
-        typer.Argument(
+        Argument(
             metavar="LAW SCENARIO",
             help="laws as LAW or LAW,KEY=VALUE,..., by default all that are shipped; last the scenario",
         ),
     ],
     torque: Annotated[
-        list[float] | None, typer.Option(metavar="N·M", help="limit of a wheel; by default 5 and 1.8; may be repeated")
+        list[float] | None, Option(metavar="N·M", help="limit of a wheel; by default 5 and 1.8; may be repeated")
     ] = None,
-    drive: Annotated[
-        list[str] | None, typer.Option(metavar="ideal|motors", help="by default both; may be repeated")
-    ] = None,
-    estimator: Annotated[
-        list[str] | None, typer.Option(metavar="NAME", help="by default the scenario's; may be repeated")
-    ] = None,
+    drive: Annotated[list[str] | None, Option(metavar="ideal|motors", help="by default both; repeatable")] = None,
+    estimator: Annotated[list[str] | None, Option(metavar="NAME", help="by default the scenario's; repeatable")] = None,
     contact: Annotated[
-        list[str] | None, typer.Option(metavar="rigid|slip", help="by default the scenario's; may be repeated")
+        list[str] | None, Option(metavar="rigid|slip", help="by default the scenario's; repeatable")
     ] = None,
-    quick: Annotated[bool, typer.Option("--quick", help="nominal runs alone")] = False,
-    out: Annotated[Path | None, typer.Option(metavar="DIR", help="pictures and every run as CSV")] = None,
-    markdown: Annotated[Path | None, typer.Option(metavar="FILE", help="a page with all tables")] = None,
+    quick: Annotated[bool, Option("--quick", help="nominal runs alone")] = False,
+    out: Annotated[Path | None, Option(metavar="DIR", help="pictures and every run as CSV")] = None,
+    markdown: Annotated[Path | None, Option(metavar="FILE", help="a page with all tables")] = None,
     jobs: Jobs = None,
     limit_s: Limit = 120.0,
     seed: Seed = None,

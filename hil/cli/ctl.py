@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import typer
+from typer import Argument, Option
 
 from hil.cli.commands import Group
 from hil.cli.options import Force, Json, ServicePort, ServiceUrl, TokenFile
@@ -45,7 +46,7 @@ def _order(context: typer.Context, action: Action, arguments: Mapping[str, Any] 
 @app.command()
 def status(
     context: typer.Context,
-    watch: Annotated[bool, typer.Option("--watch", help="until Ctrl-C, 20 times a second")] = False,
+    watch: Annotated[bool, Option("--watch", help="until Ctrl-C, 20 times a second")] = False,
     as_json: Json = False,
 ) -> None:
     """Show the state of the robot and the service."""
@@ -85,13 +86,9 @@ for _action in (Action.ARM, Action.DISARM, Action.ESTOP, Action.CLEAR, Action.ST
 @app.command(help=Action.TRACK.summary)
 def track(
     context: typer.Context,
-    kind: Annotated[str | None, typer.Argument(metavar="[KIND]", help="by default the configuration's")] = None,
-    sets: Annotated[
-        list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="an option of the kind, such as radius_m=0.5")
-    ] = None,
-    here: Annotated[
-        bool, typer.Option("--here", help="begin where the robot stands; else it drives to the begin first")
-    ] = False,
+    kind: Annotated[str | None, Argument(metavar="[KIND]", help="by default the configuration's")] = None,
+    sets: Annotated[list[str] | None, Option("--set", metavar="KEY=VALUE", help="an option: radius_m=0.5")] = None,
+    here: Annotated[bool, Option("--here", help="begin where the robot stands, not at the path's begin")] = False,
 ) -> None:
     if kind is None and sets:
         raise BadInputError("--set is for a KIND of its own; name one of 'hil list references'")
@@ -102,10 +99,10 @@ def track(
 @app.command(context_settings=_NUMBERS, help=Action.GO.summary)
 def go(
     context: typer.Context,
-    x_m: Annotated[float, typer.Argument(metavar="X", help="[m]")],
-    y_m: Annotated[float, typer.Argument(metavar="Y", help="[m]")],
-    heading: Annotated[float, typer.Argument(metavar="HEADING", help="[degrees]")],
-    radians: Annotated[bool, typer.Option("--rad", help="HEADING is in rad")] = False,
+    x_m: Annotated[float, Argument(metavar="X", help="[m]")],
+    y_m: Annotated[float, Argument(metavar="Y", help="[m]")],
+    heading: Annotated[float, Argument(metavar="HEADING", help="[degrees]")],
+    radians: Annotated[bool, Option("--rad", help="HEADING is in rad")] = False,
 ) -> None:
     heading_rad = heading if radians else math.radians(heading)
     _order(context, Action.GO, _finite({"x_m": x_m, "y_m": y_m, "heading_rad": heading_rad}))
@@ -114,12 +111,11 @@ def go(
 @app.command(context_settings=_NUMBERS)
 def twist(
     context: typer.Context,
-    vx_m_s: Annotated[float, typer.Argument(metavar="VX", help="forward [m/s]")],
-    vy_m_s: Annotated[float, typer.Argument(metavar="VY", help="to the left [m/s]")],
-    yaw_rate_rad_s: Annotated[float, typer.Argument(metavar="YAW", help="counter-clockwise [rad/s]")],
+    vx_m_s: Annotated[float, Argument(metavar="VX", help="forward [m/s]")],
+    vy_m_s: Annotated[float, Argument(metavar="VY", help="to the left [m/s]")],
+    yaw_rate_rad_s: Annotated[float, Argument(metavar="YAW", help="counter-clockwise [rad/s]")],
     for_s: Annotated[
-        float | None,
-        typer.Option("--for", metavar="SECONDS", help="repeat it for so long, then stop", min=0.05, max=3600),
+        float | None, Option("--for", metavar="SECONDS", help="repeat it for this time, then stop", min=0.05, max=3600)
     ] = None,
 ) -> None:
     """Drive by twist, in the body frame: once, in force until it times out, or repeated; Ctrl-C stops."""
@@ -133,7 +129,7 @@ def twist(
 
 @app.command(help=Action.GAINS.summary)
 def gains(
-    context: typer.Context, changes: Annotated[list[str] | None, typer.Argument(metavar="[NAME=VALUE]...")] = None
+    context: typer.Context, changes: Annotated[list[str] | None, Argument(metavar="[NAME=VALUE]...")] = None
 ) -> None:
     _order(context, Action.GAINS, {"gains": _assignments(changes) if changes else None})
 
@@ -141,7 +137,7 @@ def gains(
 @app.command(help=Action.RECORD.summary)
 def record(
     context: typer.Context,
-    file: Annotated[Path | None, typer.Argument(metavar="[FILE]", help=".rrd or .mcap; by default runs/...")] = None,
+    file: Annotated[Path | None, Argument(metavar="[FILE]", help=".rrd or .mcap; by default runs/...")] = None,
     force: Force = False,
 ) -> None:
     if file is not None:

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
+from typer import Argument, Option
 
 from hil.cli.output import drop_output, print_json, print_result, table
 from hil.core.errors import BadInputError
@@ -13,17 +14,13 @@ from hil.wire.trace import decode as decoder
 
 
 def decode(
-    trace: Annotated[Path, typer.Argument(metavar="FILE", help="a .blf, .asc, .log (candump -L) or .trc file")],
-    message: Annotated[
-        list[str] | None, typer.Option("--message", metavar="NAME", help="only this message; may be repeated")
-    ] = None,
-    from_s: Annotated[float, typer.Option("--from", metavar="S", help="seconds after the first frame")] = 0.0,
-    to_s: Annotated[float, typer.Option("--to", metavar="S")] = math.inf,
-    counts: Annotated[bool, typer.Option("--counts", help="how many frames of each message instead")] = False,
-    raw: Annotated[
-        bool, typer.Option("--raw", help="bare frames: of a robot with another maker's motor controllers")
-    ] = False,
-    as_json: Annotated[bool, typer.Option("--json", help="one JSON object a line: for each frame, or for all")] = False,
+    trace: Annotated[Path, Argument(metavar="FILE", help="a .blf, .asc, .log (candump -L) or .trc file")],
+    message: Annotated[list[str] | None, Option(metavar="NAME", help="only this message; repeatable")] = None,
+    from_s: Annotated[float, Option("--from", metavar="S", help="seconds after the first frame")] = 0.0,
+    to_s: Annotated[float, Option("--to", metavar="S")] = math.inf,
+    counts: Annotated[bool, Option("--counts", help="how many frames of each message instead")] = False,
+    raw: Annotated[bool, Option("--raw", help="bare frames of third-party motor controllers")] = False,
+    as_json: Annotated[bool, Option("--json", help="one JSON object a line: for each frame, or for all")] = False,
 ) -> None:
     """Print a trace of the bus in the terms of the wheel-command protocol."""
     read = decoder.read(trace, decoder.Selection.of(message or [], from_s, to_s, raw=raw))

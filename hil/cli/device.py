@@ -8,7 +8,7 @@ import time
 from collections.abc import Callable
 from typing import Annotated
 
-import typer
+from typer import Option
 
 from hil.cli.options import Force, LinkUrl, Mode, RobotFile, ScenarioName, Seed, Sets, TraceFile
 from hil.cli.output import say
@@ -31,23 +31,14 @@ def device(
     link: LinkUrl = None,
     mode: Mode = None,
     robot: RobotFile = None,
-    truth_port: Annotated[
-        int, typer.Option(metavar="PORT", help="for the truth; 0 takes a free one", min=0, max=65535)
-    ] = 0,
-    target: Annotated[
-        str,
-        typer.Option(metavar="host|qemu|unicorn", help="what the firmware runs on: this machine, or an emulated STM32"),
-    ] = "host",
-    dialect: Annotated[
-        str | None, typer.Option(metavar="NAME", help="what its motor controllers speak; as --set device.driver=NAME")
-    ] = None,
+    truth_port: Annotated[int, Option(metavar="PORT", help="for the truth; 0 takes a free one", min=0, max=65535)] = 0,
+    target: Annotated[str, Option(metavar="host|qemu|unicorn", help="this machine, or an emulated STM32")] = "host",
+    dialect: Annotated[str | None, Option(metavar="NAME", help="as --set device.driver=NAME")] = None,
     seed: Seed = None,
     sets: Sets = None,
     trace: TraceFile = None,
     force: Force = False,
-    until_eof: Annotated[
-        bool, typer.Option("--until-eof", help="end when stdin does, as when the program that started this one is gone")
-    ] = False,
+    until_eof: Annotated[bool, Option("--until-eof", help="end when stdin ends, as when the parent has ended")] = False,
 ) -> None:
     """Run the scenario's virtual robot in a process of its own; print one line when ready."""
     changes = [*(sets or []), *([] if dialect is None else [f"device.driver={dialect}"])]

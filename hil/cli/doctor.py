@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
+from typer import Option
 
 from hil.cli.checks import Finding, Verdict, install, ports, realtime, recording
 from hil.cli.options import Json
@@ -12,7 +13,7 @@ from hil.cli.output import print_result
 
 
 def doctor(
-    folder: Annotated[Path, typer.Option(metavar="FOLDER", help="where recordings are to be written")] = Path("runs"),
+    folder: Annotated[Path, Option(metavar="FOLDER", help="where recordings are to be written")] = Path("runs"),
     as_json: Json = False,
 ) -> None:
     """Check this machine and print remedies; exit 1 when there is a problem.

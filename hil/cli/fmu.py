@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
+from typer import Argument, Option
 
 from firmware_protocol.built import is_checkout, run_script
 from hil.cli.commands import Group
@@ -25,11 +26,9 @@ app = typer.Typer(cls=Group, no_args_is_help=True, help="The plant: build, look 
 
 @app.command("build")
 def build(
-    out: Annotated[Path | None, typer.Option(metavar="FOLDER", help="by default the shipped place")] = None,
-    all_platforms: Annotated[
-        bool, typer.Option("--all-platforms", help="compile for Linux, Windows and macOS with zig; needs --out")
-    ] = False,
-    mujoco: Annotated[bool, typer.Option("--mujoco", help="the MuJoCo plant instead, for this machine")] = False,
+    out: Annotated[Path | None, Option(metavar="FOLDER", help="by default the shipped place")] = None,
+    all_platforms: Annotated[bool, Option("--all-platforms", help="for Linux, Windows and macOS; needs --out")] = False,
+    mujoco: Annotated[bool, Option("--mujoco", help="the MuJoCo plant instead, for this machine")] = False,
 ) -> None:
     """Compile the Mecanum plant and package it as FMUs, one for FMI 2.0 and one for FMI 3.0. Needs a checkout."""
     if all_platforms and mujoco:
@@ -48,15 +47,13 @@ def build(
     print(done.stdout, end="")
 
 
-FmuName = Annotated[str, typer.Argument(metavar="FMU", help="a path, or the shipped name")]
+FmuName = Annotated[str, Argument(metavar="FMU", help="a path, or the shipped name")]
 
 
 @app.command("info")
 def show_info(
     fmu: FmuName = "mecanum",
-    names: Annotated[
-        str, typer.Argument(metavar="[PATTERN]", help="only variables with such names, for example 'wheel.*'")
-    ] = "*",
+    names: Annotated[str, Argument(metavar="[PATTERN]", help="only variables like this, as in 'wheel.*'")] = "*",
     as_json: Json = False,
 ) -> None:
     """Show an FMU's description of itself, and its variables with units. Runs none of its code."""

@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
-import typer
+from typer import Option
 
 from hil.cli.options import Force
 from hil.core.errors import BadInputError, nearest
@@ -23,8 +23,8 @@ _BEYOND = 1.25  # times the range, to show that the inputs saturate
 
 
 def fuzzy(
-    tables: Annotated[str, typer.Option(metavar="printed|corrected", help="which of the paper's tables")] = "printed",
-    out: Annotated[Path, typer.Option(metavar="FILE.png", help="where the picture goes")] = Path("gains.png"),
+    tables: Annotated[str, Option(metavar="printed|corrected", help="which of the paper's tables")] = "printed",
+    out: Annotated[Path, Option(metavar="FILE.png", help="where the picture goes")] = Path("gains.png"),
     force: Force = False,
 ) -> None:
     """Draw both gain surfaces of AFDSC's fuzzy block."""

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
+from typer import Argument, Option
 
 from hil.cli.new_robot import QUESTIONS, Question, Value, problem_with, robot_text, scenario_text
 from hil.cli.options import Force
@@ -20,24 +21,24 @@ SCENARIO_FILE = "first_circle.toml"
 _SLOWER = 1.25
 _TRIES = 40
 _Number = float | None
-_Metre = Annotated[_Number, typer.Option(metavar="METRE")]
-_Inertia = Annotated[_Number, typer.Option(metavar="KG·M²")]
+_Metre = Annotated[_Number, Option(metavar="METRE")]
+_Inertia = Annotated[_Number, Option(metavar="KG·M²")]
 
 
 def init(
-    directory: Annotated[Path, typer.Argument(metavar="[DIRECTORY]")] = Path(),
-    mass_kg: Annotated[_Number, typer.Option(metavar="KG")] = None,
+    directory: Annotated[Path, Argument(metavar="[DIRECTORY]")] = Path(),
+    mass_kg: Annotated[_Number, Option(metavar="KG")] = None,
     wheel_radius_m: _Metre = None,
     half_length_m: _Metre = None,
     half_width_m: _Metre = None,
     inertia_kg_m2: _Inertia = None,
     wheel_inertia_kg_m2: _Inertia = None,
-    torque_limit_n_m: Annotated[_Number, typer.Option(metavar="N·M")] = None,
-    speed_limit_rad_s: Annotated[_Number, typer.Option(metavar="RAD/S")] = None,
-    counts_per_revolution: Annotated[int | None, typer.Option(metavar="COUNTS")] = None,
-    torque_constant_n_m_a: Annotated[_Number, typer.Option(metavar="N·M/A")] = None,
-    link: Annotated[str | None, typer.Option(metavar="LINK")] = None,
-    defaults: Annotated[bool, typer.Option("--defaults", help="take what is proposed where no flag says more")] = False,
+    torque_limit_n_m: Annotated[_Number, Option(metavar="N·M")] = None,
+    speed_limit_rad_s: Annotated[_Number, Option(metavar="RAD/S")] = None,
+    counts_per_revolution: Annotated[int | None, Option(metavar="COUNTS")] = None,
+    torque_constant_n_m_a: Annotated[_Number, Option(metavar="N·M/A")] = None,
+    link: Annotated[str | None, Option(metavar="LINK")] = None,
+    defaults: Annotated[bool, Option("--defaults", help="take what is proposed where no flag says more")] = False,
     force: Force = False,
 ) -> None:
     """Write a robot file and a first scenario; ask for the values that no flag gives.

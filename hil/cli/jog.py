@@ -5,6 +5,7 @@ from collections.abc import Callable
 from typing import Annotated, NamedTuple
 
 import typer
+from typer import Argument, Option
 
 from hil.cli.options import Json, LinkUrl, RobotFile, ScenarioName, Sets
 from hil.cli.output import end_in_order, print_result, warn
@@ -33,11 +34,11 @@ _SHORT = ", but not far: the wheels stand on the ground, as a virtual robot's al
 
 def jog(
     scenario: ScenarioName,
-    wheel: Annotated[str, typer.Argument(metavar="fl|fr|rr|rl")],
+    wheel: Annotated[str, Argument(metavar="fl|fr|rr|rl")],
     link: LinkUrl = None,
     robot: RobotFile = None,
-    speed_rad_s: Annotated[float, typer.Option("--speed", metavar="RAD/S", help="at most 3, either way")] = 1.0,
-    seconds: Annotated[float, typer.Option(metavar="S", help="at most 10")] = 3.0,
+    speed_rad_s: Annotated[float, Option("--speed", metavar="RAD/S", help="at most 3, either way")] = 1.0,
+    seconds: Annotated[float, Option(metavar="S", help="at most 10")] = 3.0,
     sets: Sets = None,
     as_json: Json = False,
 ) -> None:

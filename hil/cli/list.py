@@ -4,7 +4,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import MISSING
 from typing import Annotated, Any
 
-import typer
+from typer import Argument
 
 from hil.cli.options import Json
 from hil.cli.output import print_result, table
@@ -97,7 +97,7 @@ _LISTS: Mapping[str, tuple[Row, Callable[[], Iterable[Row]]]] = {
 """Column names of each list, and the function that makes its rows."""
 
 
-def list_(what: Annotated[str, typer.Argument(metavar="|".join(_LISTS))], as_json: Json = False) -> None:
+def list_(what: Annotated[str, Argument(metavar="|".join(_LISTS))], as_json: Json = False) -> None:
     """Print the signals, laws, references, scenarios, forms of links, kinds of faults or drivers."""
     header, rows = listing(what)
     print_result(as_json, [dict(zip(header, row, strict=True)) for row in rows], table([header, *rows]))

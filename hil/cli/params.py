@@ -4,7 +4,7 @@ import contextlib
 from dataclasses import MISSING
 from typing import Annotated
 
-import typer
+from typer import Argument, Option
 
 from hil.cli.options import Json, PortOrBus
 from hil.cli.output import print_result, table
@@ -19,9 +19,9 @@ from hil.wire.url import parse_link
 
 def params(
     link: PortOrBus,
-    changes: Annotated[list[str] | None, typer.Argument(metavar="[NAME=VALUE]...", help="change these first")] = None,
-    store: Annotated[bool, typer.Option("--store", help="keep them across a reset")] = False,
-    restore: Annotated[bool, typer.Option("--restore", help="first take the values of the build")] = False,
+    changes: Annotated[list[str] | None, Argument(metavar="[NAME=VALUE]...", help="change these first")] = None,
+    store: Annotated[bool, Option("--store", help="keep them across a reset")] = False,
+    restore: Annotated[bool, Option("--restore", help="first take the values of the build")] = False,
     as_json: Json = False,
 ) -> None:
     """Show and change the parameters of a robot's firmware; it must be in IDLE to change. All are checked first."""

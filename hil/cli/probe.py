@@ -13,6 +13,7 @@ from dataclasses import dataclass, field
 from typing import Annotated
 
 import typer
+from typer import Option
 
 from firmware_protocol import codec
 from firmware_protocol.framing import Frame
@@ -41,7 +42,7 @@ _GREETINGS = 2
 
 def probe(
     link: PortOrBus,
-    driver: Annotated[str | None, typer.Option(metavar="NAME", help="look for this one only")] = None,
+    driver: Annotated[str | None, Option(metavar="NAME", help="look for this one only")] = None,
     as_json: Json = False,
 ) -> None:
     """Find the motor controllers on a bus or a port, and print a robot file for them.

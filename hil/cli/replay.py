@@ -4,7 +4,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Annotated
 
-import typer
+from typer import Argument, Option
 
 from hil.cli.options import Force, Json
 from hil.cli.output import print_result, table
@@ -16,11 +16,9 @@ from hil.review.replay import replay as replay_run
 
 
 def replay(
-    recording: Annotated[Path, typer.Argument(metavar="RUN", help="recording of a run")],
-    law: Annotated[str, typer.Option(metavar="LAW[,GAIN=VALUE...]", help="the law to compute")],
-    record: Annotated[
-        Path | None, typer.Option(metavar="FILE.rrd", help="record the run again with the replayed commands beside it")
-    ] = None,
+    recording: Annotated[Path, Argument(metavar="RUN", help="recording of a run")],
+    law: Annotated[str, Option(metavar="LAW[,GAIN=VALUE...]", help="the law to compute")],
+    record: Annotated[Path | None, Option(metavar="FILE.rrd", help="record the run with the replayed commands")] = None,
     force: Force = False,
     as_json: Json = False,
 ) -> None:

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import typer
+from typer import Option
 
 from hil.batch.reproduction import NotWrittenError, page
 from hil.batch.reproduction import reproduce as run_reproduction
@@ -18,13 +19,13 @@ from hil.core.outputs import existing_files
 def reproduce(
     out: Annotated[
         Path | None,
-        typer.Option(
+        Option(
             metavar="DIR",
             help="folder for pictures, recordings and summary.json; by default runs/reproduction, "
             "with --quick runs/reproduction-quick",
         ),
     ] = None,
-    quick: Annotated[bool, typer.Option("--quick", help="a few short runs instead of all")] = False,
+    quick: Annotated[bool, Option("--quick", help="a few short runs instead of all")] = False,
     jobs: Jobs = None,
     force: Force = False,
     as_json: Json = False,

@@ -4,7 +4,7 @@ from collections.abc import Collection, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any
 
-import typer
+from typer import Argument, Option
 
 from hil.cli.options import Force, Json
 from hil.cli.output import print_result, rows, table
@@ -21,18 +21,12 @@ _LONGEST_VALUE = 44
 
 
 def review(
-    recordings: Annotated[
-        list[Path], typer.Argument(metavar="RUN [OTHER]", help="a recording of hil run; with two, they are compared")
-    ],
-    html: Annotated[Path | None, typer.Option(metavar="FILE.html", help="a page with plots, in one file")] = None,
-    overlay: Annotated[
-        Path | None, typer.Option(metavar="FILE.rrd", help="both runs over one time axis, for hil view")
-    ] = None,
-    export: Annotated[
-        Path | None, typer.Option(metavar="FILE.csv|.parquet|.mcap", help="every signal, for other programs")
-    ] = None,
+    recordings: Annotated[list[Path], Argument(metavar="RUN [OTHER]", help="one recording, or two to compare")],
+    html: Annotated[Path | None, Option(metavar="FILE.html", help="a page with plots, in one file")] = None,
+    overlay: Annotated[Path | None, Option(metavar="FILE.rrd", help="both runs on one time axis, for hil view")] = None,
+    export: Annotated[Path | None, Option(metavar="FILE.csv|.parquet|.mcap", help="signals for other tools")] = None,
     trajectory: Annotated[
-        Path | None, typer.Option(metavar="FILE.csv", help="write the robot's poses, for reference.kind = 'trajectory'")
+        Path | None, Option(metavar="FILE.csv", help="write the robot's poses, for reference.kind = 'trajectory'")
     ] = None,
     force: Force = False,
     as_json: Json = False,

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
+from typer import Option
 
 from hil.cli import options as o
 from hil.cli.output import end_in_order, flush_output, print_json, print_result, rows, table, warn
@@ -30,17 +31,18 @@ def run(
     truth: o.TruthUrl = None,
     robot: o.RobotFile = None,
     record: Annotated[
-        str | None, typer.Option(metavar="FILE|none", help="recording (.rrd, .mcap); by default runs/SCENARIO-TIME.rrd")
+        str | None, Option(metavar="FILE|none", help="recording (.rrd, .mcap); by default runs/SCENARIO-TIME.rrd")
     ] = None,
     rotate: Annotated[
-        str | None, typer.Option(metavar="SIZE|TIME", help="record on in another file, as in 1GB, 10min or '1GB|10min'")
+        str | None,
+        Option(metavar="SIZE|TIME", help="begin a new file after this size or time: 1GB, 10min or '1GB|10min'"),
     ] = None,
     trace: o.TraceFile = None,
-    live: Annotated[bool, typer.Option("--live", help="serve live viewers on 127.0.0.1 while it runs")] = False,
+    live: Annotated[bool, Option("--live", help="serve live viewers on 127.0.0.1 while it runs")] = False,
     live_port: o.LivePort = o.LIVE_PORT,
     stream: Annotated[
         str | None,
-        typer.Option(
+        Option(
             metavar="udp://127.0.0.1:PORT",
             help="send JSON at 100 Hz, for PlotJuggler's UDP server; stays on this machine unless another's address "
             "is given",

@@ -4,7 +4,7 @@ import sys
 from pathlib import Path
 from typing import Annotated, Literal
 
-import typer
+from typer import Option
 
 from hil.cli.options import LIVE_PORT, AllowMotion, LinkUrl, LivePort, RobotFile, ScenarioName, Sets, TruthUrl
 
@@ -16,23 +16,19 @@ def serve(
     robot: RobotFile = None,
     record: Annotated[
         Path | None,
-        typer.Option(
+        Option(
             metavar="FILE",
             help="record from the start (.rrd, .mcap), to the next free FILE_2, FILE_3 where it is there already; "
             "hil ctl record does later",
         ),
     ] = None,
-    live: Annotated[bool, typer.Option("--live", help="serve live viewers on 127.0.0.1, for hil live")] = False,
+    live: Annotated[bool, Option("--live", help="serve live viewers on 127.0.0.1, for hil live")] = False,
     live_port: LivePort = LIVE_PORT,
-    token_file: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="with the API's token; by default a new one at each start")
-    ] = None,
-    log: Annotated[Literal["text", "json"], typer.Option(help="form of the log's lines on stderr")] = "text",
+    token_file: Annotated[Path | None, Option(metavar="FILE", help="the API's token; by default a new one")] = None,
+    log: Annotated[Literal["text", "json"], Option(help="form of the log's lines on stderr")] = "text",
     sets: Sets = None,
     allow_motion: AllowMotion = False,
-    print_unit: Annotated[
-        bool, typer.Option("--print-unit", help="print a unit for systemd that serves this, and end")
-    ] = False,
+    print_unit: Annotated[bool, Option("--print-unit", help="print a systemd unit that serves this, and end")] = False,
 ) -> None:
     """Serve a robot: armed, driven and recorded by `hil ctl` or over HTTP, until SIGTERM."""
     if print_unit:

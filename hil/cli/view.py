@@ -3,23 +3,21 @@
 from pathlib import Path
 from typing import Annotated
 
-import typer
+from typer import Argument, Option
 
 from hil.cli.options import LIVE_PORT, InBrowser
 from hil.cli.output import end_in_order, say
 from hil.record import viewer
 
 
-def view(recording: Annotated[Path, typer.Argument(metavar="RUN.rrd")], web: InBrowser = False) -> None:
+def view(recording: Annotated[Path, Argument(metavar="RUN.rrd")], web: InBrowser = False) -> None:
     """Open a recording in the rerun viewer."""
     viewer.view(recording, web=web)
 
 
 def live(
     web: InBrowser = False,
-    port: Annotated[
-        int, typer.Option(metavar="PORT", help="that hil run --live or hil serve --live serves on", min=1, max=65535)
-    ] = LIVE_PORT,
+    port: Annotated[int, Option(metavar="PORT", help="that a --live command serves on", min=1, max=65535)] = LIVE_PORT,
 ) -> None:
     """Open the rerun viewer on a run or service under way, and on each one after it; start it before or after those."""
     end_in_order()
