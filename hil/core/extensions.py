@@ -8,10 +8,12 @@ Each kind has a group, such as ``hil.laws``. A package registers a name in it:
 Another package cannot replace a shipped name. An entry point is imported only when it is used.
 """
 
+import sys
 import traceback
 from collections.abc import Collection, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import cache
 from importlib.metadata import EntryPoint, entry_points
 from typing import Any
 
@@ -29,8 +31,7 @@ class Extensions:
 
     def registered(self) -> list[EntryPoint]:
         """Return the entry points of other packages, sorted by name. A package that is installed twice gives one."""
-        points = {(point.name, package_of(point)): point for point in entry_points(group=self.group)}
-        return [points[key] for key in sorted(points)]
+        return _registered(self.group, tuple(sys.path))
 
     def names(self) -> list[str]:
         """Return every name, the shipped ones first."""
@@ -97,6 +98,13 @@ class Extensions:
         if names.count(point.name) > 1:
             return f"registered by more than one package; use {point.value!r}"
         return point.value
+
+
+@cache
+def _registered(group: str, _path: tuple[str, ...]) -> list[EntryPoint]:
+    """Look for packages once for each module search path, because that takes milliseconds."""
+    points = {(point.name, package_of(point)): point for point in entry_points(group=group)}
+    return [points[key] for key in sorted(points)]
 
 
 def package_of(point: EntryPoint) -> str:

@@ -7,10 +7,10 @@ and y left. The order of wheels is FL, FR, RR, RL everywhere (the paper's 1 to 4
 from collections.abc import Callable
 from enum import IntEnum
 from types import MethodType
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 NAN = float("nan")
-WHEEL_NAMES = ("fl", "fr", "rr", "rl")
+WHEEL_NAMES: Final = ("fl", "fr", "rr", "rl")
 
 
 class Wheels(NamedTuple):

@@ -28,14 +28,13 @@ class Outcome(StrEnum):
 class Case(NamedTuple):
     """A fault as the catalogue runs it: rows of ``[[fault]]``; the last row's kind is the kind of the case.
 
-    ``on_can`` is the outcome over CAN where it differs. ``cause``, for a robot that is lost, is part of the message
-    that says why. ``realtime``: the case is in the subset for real time.
+    ``cause``, for a robot that is lost, is part of the message that says why. ``realtime``: the case is in the subset
+    for real time.
     """
 
     name: str
     rows: tuple[Row, ...]
     outcome: Outcome
-    on_can: Outcome | None = None
     cause: str | None = None
     in_pairs: bool = True
     realtime: bool = False
@@ -44,10 +43,6 @@ class Case(NamedTuple):
     def kind(self) -> str:
         """The kind of the fault."""
         return str(self.rows[-1]["kind"])
-
-    def expected(self, link: str) -> Outcome:
-        """Return the outcome that a run over this link must have."""
-        return self.on_can if self.on_can is not None and link == "can" else self.outcome
 
 
 _GOES_ON, _REARMS, _ENDS = Outcome.GOES_ON, Outcome.REARMS, Outcome.ENDS
@@ -62,14 +57,13 @@ def _case(
     outcome: Outcome,
     *,
     window: Mapping[str, float],
-    on_can: Outcome | None = None,
     cause: str | None = None,
     in_pairs: bool = True,
     realtime: bool = False,
     **numbers: float,
 ) -> Case:
     row: Row = {"kind": kind, "target": target, **window, **numbers}
-    return Case(f"{kind} {target}", (row,), outcome, on_can, cause, in_pairs, realtime)
+    return Case(f"{kind} {target}", (row,), outcome, cause, in_pairs, realtime)
 
 
 CASES: tuple[Case, ...] = (

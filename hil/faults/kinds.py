@@ -5,9 +5,7 @@ Scenarios, the page and ``hil list`` use this table. Other packages add kinds th
 """
 
 import random
-import sys
 from collections.abc import Callable
-from functools import cache
 
 from firmware_protocol.framing import Frame
 from hil.core.errors import BadInputError, nearest
@@ -221,12 +219,6 @@ def kinds() -> tuple[Kind, ...]:
 
     Raises BadInputError when another package's kind cannot be loaded, or does not act on signals or frames.
     """
-    return _kinds(tuple(sys.path))
-
-
-@cache
-def _kinds(_path: tuple[str, ...]) -> tuple[Kind, ...]:
-    """See ``kinds``. Packages are looked for once for each module search path, which takes milliseconds."""
     found = list(KINDS)
     for named, point, kind in _EXTENSIONS.load_all("fault"):
         if not isinstance(kind, Kind) or kind.name != point.name:

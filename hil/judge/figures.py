@@ -6,10 +6,8 @@ figures that only the run itself knows.
 """
 
 import math
-import sys
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from functools import cache
 from typing import Any
 
 from hil.core.errors import BadInputError, nearest
@@ -130,12 +128,6 @@ def measures() -> Sequence[type[Measure]]:
     Raises BadInputError when another package's class cannot be loaded, does not have what ``Measure`` requires, or has
     a figure whose name is already in use.
     """
-    return _measures(tuple(sys.path))
-
-
-@cache
-def _measures(_path: tuple[str, ...]) -> Sequence[type[Measure]]:
-    """See ``measures``. Packages are looked for once for each module search path, which takes milliseconds."""
     found = list(SHIPPED)
     taken = {_key(figure.name) for figure in (*_OF_RUNS, *(one for measure in SHIPPED for one in measure.figures))}
     for named, point, measure in _EXTENSIONS.load_all("figure"):

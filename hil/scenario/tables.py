@@ -82,13 +82,13 @@ class FirmwareTable:
     counts_per_revolution: Annotated[int, Range(ge=4, le=32768), "encoder counts of one turn of a wheel"]
     torque_limit_n_m: Annotated[float, Range(gt=0, le=15.99609375), "of one wheel; all four are scaled together"]
     torque_constant_n_m_a: Annotated[
-        float, Range(ge=0.001, le=100), "torque at the wheel for one ampere, and back-EMF for one rad/s"
+        float, Range(ge=0.001, le=100), "torque at the wheel per ampere, back-EMF per rad/s"
     ]
     motor_resistance_ohm: Annotated[float, Range(ge=0.001, le=1000), "that the current loop assumes"] = 0.6
     motor_inductance_h: Annotated[float, Range(ge=1e-06, le=10), "that the current loop assumes"] = 5e-4
-    current_limit_a: Annotated[
-        float, Range(ge=0, le=21), "of one motor; all four are scaled together; 1.5 times the limit is a fault"
-    ] = 20.0
+    current_limit_a: Annotated[float, Range(ge=0, le=21), "of a motor: all four are scaled; 1.5 times is a fault"] = (
+        20.0
+    )
     current_bandwidth_rad_s: Annotated[float, Range(ge=10, le=5000), "of the current loop"] = 1000.0
     temperature_limit_degc: Annotated[
         float, Range(ge=0, le=200), "winding temperature that is a fault; from 15 K below it all four wheels are scaled"
@@ -102,9 +102,7 @@ class FirmwareTable:
     ] = 0.1
     ramp_s: Annotated[Milliseconds, Range(ge=0.001, le=2), "duration of the ramp from the set point to zero"] = 0.2
     overspeed_rad_s: Annotated[float, Range(ge=1, le=127), "wheel speed that is a fault"] = 100.0
-    encoder_fault_s: Annotated[
-        float, Range(ge=0.02, le=1), "an encoder that stands still or counts backward for this time is a fault"
-    ] = 0.1
+    encoder_fault_s: Annotated[float, Range(ge=0.02, le=1), "time an encoder may stand still or count backward"] = 0.1
 
 
 @dataclass(frozen=True)
@@ -112,12 +110,7 @@ class DeviceTable:
     """``[device]``: how the robot is reached and wired. ``settings`` is ``motors`` as the driver read it."""
 
     driver: Annotated[Text, _driver, "the driver that talks to the motor controllers"] = OUR_DRIVER
-    wheels: Annotated[tuple[Wheel, ...], _each_once, "the wheel at each motor output, in order"] = (
-        "fl",
-        "fr",
-        "rr",
-        "rl",
-    )
+    wheels: Annotated[tuple[Wheel, ...], _each_once, "the wheel at each motor output, in order"] = WHEEL_NAMES
     reversed: Annotated[tuple[Wheel, ...], _at_most_once, "wheels whose motor turns the other way"] = ()
     guardian_s: Annotated[
         float, Range(ge=0.1, le=2), "silence of the host after which a guardian process stops the motors (GUARDIAN.md)"
@@ -173,8 +166,7 @@ class ControllerTable:
     gains: Annotated[Mapping[Text, AnyOption], "the parameters of the law"] = field(default_factory=dict)
     shadow: Annotated[tuple[Text, ...], "laws that are computed in each tick, but do not drive the robot"] = ()
     shadow_gains: Annotated[
-        Mapping[Text, Mapping[Text, AnyOption]],
-        "gains of each shadow by its name; of a class the name without the file",
+        Mapping[Text, Mapping[Text, AnyOption]], "gains of each shadow, by its name without the file"
     ] = field(default_factory=dict)
 
     @property
@@ -202,16 +194,14 @@ class LoopTable:
 
     rate_hz: Annotated[int, _rate, "a command period is a whole number of 1 ms firmware ticks"]
     duration_s: Annotated[float, Range(gt=0, le=86_400), "duration from the first ACTIVE tick"]
-    mode: Annotated[
-        Literal["lockstep", "realtime"], "the host steps the robot's time, or both follow the wall clock"
-    ] = "lockstep"
+    mode: Annotated[Literal["lockstep", "realtime"], "the host steps time, or both follow the wall clock"] = "lockstep"
     seed: Annotated[int, Range(ge=0, le=2**32 - 1), "of all random numbers of the run"] = 1
     rearm: Annotated[bool, "reconnect and arm again after a lost link or a stop of the robot"] = False
     tick_limit_s: Annotated[
         float,
         Range(ge=0, infinite=True),
         _tick_limit,
-        "wall-clock time of a tick's work after which the run is ended; 0 or inf for no limit",
+        "of a tick's work by the wall clock, ends the run; 0 or inf for none",
     ] = 10.0
 
     @property
@@ -229,9 +219,7 @@ class LoopTable:
 class RealtimeTable:
     """``[realtime]``: requests to the operating system in mode realtime; a run reports those refused."""
 
-    priority: Annotated[
-        int, Range(ge=0, le=98), "of SCHED_FIFO, 0 for none; a real-time kernel's interrupt threads have 50"
-    ] = PRIORITY
+    priority: Annotated[int, Range(ge=0, le=98), "of SCHED_FIFO, 0 for none; interrupt threads have 50"] = PRIORITY
     cpus: Annotated[tuple[int, ...], _processors, "processors to run on; by default the isolated ones, if any"] = ()
     lock_memory: Annotated[bool, "keep memory from being swapped out"] = True
 

@@ -19,11 +19,7 @@ _SHARE = re.compile(r"(\d+(?:\.\d+)?) ?%")
 class FaultTable:
     """``[[fault]]``: one fault in start_s <= t < end_s of the scenario's time; hil/faults/FAULTS.md has every kind."""
 
-    kind: Annotated[
-        Text,
-        Expected(f"a kind of fault, one of {', '.join(names())}"),
-        "kind of fault; `hil list faults` prints them all",
-    ]
+    kind: Annotated[Text, Expected(f"a kind of fault, one of {', '.join(names())}"), "`hil list faults` prints all"]
     target: Annotated[Text, "what it acts on; may be left out if the kind has only one target"] = ""
     start_s: Annotated[float, Range(ge=0, le=1000000.0)] = 0.0
     end_s: Annotated[float, Range(gt=0, infinite=True)] = math.inf

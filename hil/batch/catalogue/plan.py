@@ -115,7 +115,7 @@ def alone(request: Request, mode: str = "lockstep") -> list[Trial]:
         return _of_motors(request, base) if mode == "lockstep" else []
     trials = []
     for case, link in itertools.product(_chosen(request), request.links or LINKS):
-        expected = case.expected(link)
+        expected = case.outcome
         if mode == "realtime":
             trials += [_trial(request, (case,), link, mode, True, {expected, Ending.REARMS})] if case.realtime else []
             continue
@@ -166,7 +166,7 @@ def _of_motors(request: Request, base: Scenario) -> list[Trial]:
 
 
 def _pair(request: Request, two: tuple[Case, Case], link: str) -> Trial:
-    worst = _ENDINGS[max(_ENDINGS.index(case.expected(link)) for case in two)]
+    worst = _ENDINGS[max(_ENDINGS.index(case.outcome) for case in two)]
     known = PAIRS.get((two[0].name, two[1].name))
     trial = _trial(request, two, link, "lockstep", True, {worst if known is None else known.outcome})
     if known is None:
@@ -182,7 +182,7 @@ def _chosen(request: Request) -> Iterator[Case]:
 def _trial(request: Request, cases: Sequence[Case], link: str, mode: str, rearm: bool, allowed: set[Ending]) -> Trial:
     name = " + ".join(case.name for case in cases)
     causes = {case.cause for case in cases if case.cause is not None}
-    ends = {case.cause for case in cases if case.cause is not None and case.expected(link) is Ending.ENDS}
+    ends = {case.cause for case in cases if case.cause is not None and case.outcome is Ending.ENDS}
     if mode == "realtime":
         causes |= {NO_FEEDBACK, SILENCE}
     file = "-".join([*name.replace("+", "").split(), link.partition(":")[0], mode, "rearm" if rearm else "end"])
