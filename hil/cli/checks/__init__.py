@@ -31,6 +31,11 @@ class Finding(NamedTuple):
 ok, note, problem = (partial(Finding, verdict) for verdict in Verdict)
 
 
+def ok_or_note(subject: str, is_ok: bool, fact: str, shortcoming: str, remedy: str) -> Finding:
+    """Return the finding ``fact`` if it is ok, else the note ``shortcoming`` with its remedy."""
+    return ok(subject, fact) if is_ok else note(subject, shortcoming, remedy)
+
+
 def text_of(path: Path) -> str | None:
     """Return the stripped text of a file such as those in /sys; None if it cannot be read."""
     try:

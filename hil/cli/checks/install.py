@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from packaging.requirements import Requirement
 
 from firmware_protocol.built import WHEEL_HOST, is_checkout, run_script
-from hil.cli.checks import Finding, note, ok, problem
+from hil.cli.checks import Finding, ok, ok_or_note, problem
 from hil.core.errors import BadInputError
 from hil.core.extensions import OUR_PACKAGE
 from hil.plant import archive
@@ -71,8 +71,5 @@ def check_native() -> Iterator[Finding]:
     if not is_checkout():
         return
     done = run_script("tools.build.compiler")
-    if done.returncode == 0:
-        yield ok("C compiler", done.stdout.strip())
-    else:
-        remedy = "sudo apt install gcc, or pip install ziglang; only builds need it"
-        yield note("C compiler", done.stderr.strip(), remedy)
+    remedy = "sudo apt install gcc, or pip install ziglang; only builds need it"
+    yield ok_or_note("C compiler", done.returncode == 0, done.stdout.strip(), done.stderr.strip(), remedy)

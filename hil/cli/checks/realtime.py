@@ -10,7 +10,7 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 
-from hil.cli.checks import Finding, note, ok, text_of
+from hil.cli.checks import Finding, note, ok, ok_or_note, text_of
 from hil.core.clock import TICK_NS, WallClock
 from hil.runtime.lateness import Lateness
 from hil.runtime.realtime import (
@@ -44,10 +44,10 @@ def check_kernel(root: Path = Path("/")) -> Iterator[Finding]:
 
 def _preemption(root: Path) -> Finding:
     version = platform.release()
-    if text_of(root / "sys/kernel/realtime") == "1" or "PREEMPT_RT" in platform.version():
-        return ok("kernel", f"Linux {version} with PREEMPT_RT")
-    return note(
+    return ok_or_note(
         "kernel",
+        text_of(root / "sys/kernel/realtime") == "1" or "PREEMPT_RT" in platform.version(),
+        f"Linux {version} with PREEMPT_RT",
         f"Linux {version} without PREEMPT_RT: one of its longer sections can make a tick late",
         "for less lateness install a real-time kernel: sudo apt install linux-image-rt-amd64 (Debian), sudo pro enable "
         "realtime-kernel (Ubuntu)",
@@ -64,22 +64,20 @@ def _timers(root: Path) -> Iterator[Finding]:
     options = dict(re.findall(r"^CONFIG_(\w+)=(\S+)$", config, re.MULTILINE))
     tickless = "full" if "NO_HZ_FULL" in options else "idle" if "NO_HZ_IDLE" in options else "no"
     facts = f"{options.get('HZ', '?')} Hz, without ticks: {tickless}"
-    if options.get("HIGH_RES_TIMERS") == "y":
-        yield ok("timers", f"high resolution ({facts})")
-    else:
-        sentence = f"no high resolution ({facts}): a tick is late by up to a jiffy"
-        yield note("timers", sentence, "boot a kernel with CONFIG_HIGH_RES_TIMERS=y")
+    sentence = f"no high resolution ({facts}): a tick is late by up to a jiffy"
+    remedy = "boot a kernel with CONFIG_HIGH_RES_TIMERS=y"
+    is_fine = options.get("HIGH_RES_TIMERS") == "y"
+    yield ok_or_note("timers", is_fine, f"high resolution ({facts})", sentence, remedy)
 
 
 def _governor(root: Path) -> Iterator[Finding]:
     """Yield how the processors' frequency is controlled. Virtual machines often have no control of it."""
     folder = root / "sys/devices/system/cpu"
     governors = sorted(set(filter(None, map(text_of, folder.glob("cpu[0-9]*/cpufreq/scaling_governor")))))
-    if governors == ["performance"]:
-        yield ok("frequency", "governor performance")
-    elif governors:
+    if governors:
         sentence = f"governor {', '.join(governors)}: a processor that slowed down begins a tick slowly"
-        yield note("frequency", sentence, "sudo cpupower frequency-set -g performance")
+        remedy = "sudo cpupower frequency-set -g performance"
+        yield ok_or_note("frequency", governors == ["performance"], "governor performance", sentence, remedy)
 
 
 def _isolation(root: Path) -> Iterator[Finding]:
@@ -99,13 +97,10 @@ def check_permissions() -> Iterator[Finding]:
     """Yield whether this user may set real-time priority, lock memory, and forbid deep idle states."""
     if sys.platform != "linux":
         return
-    if has_capability(CAP_SYS_NICE):
-        yield ok("rtprio", "any real-time priority, by CAP_SYS_NICE")
-    elif (limit := priority_limit()) >= PRIORITY:
-        yield ok("rtprio", f"real-time priority up to {limit}")
-    else:
-        sentence = f"real-time priority up to {limit}, where a run asks for {PRIORITY}: other programs make ticks late"
-        yield note("rtprio", sentence, _raise_limit("rtprio", PRIORITY))
+    limit = 99 if has_capability(CAP_SYS_NICE) else priority_limit()
+    fact = f"real-time priority up to {limit}"
+    sentence = f"{fact}, where a run asks for {PRIORITY}: other programs make ticks late"
+    yield ok_or_note("rtprio", limit >= PRIORITY, fact, sentence, _raise_limit("rtprio", PRIORITY))
     memory_bytes = memory_limit_bytes()
     if memory_bytes is None or has_capability(CAP_IPC_LOCK):
         yield ok("memlock", "all memory may be locked")
@@ -113,15 +108,14 @@ def check_permissions() -> Iterator[Finding]:
         sentence = f"only {memory_bytes >> 10} KiB may be locked: a page swapped out makes a tick late"
         yield note("memlock", sentence, _raise_limit("memlock", "unlimited"))
     if DMA_LATENCY.exists():
-        if os.access(DMA_LATENCY, os.W_OK):
-            yield ok("idle states", "a run can forbid deep ones")
-        else:
-            yield note(
-                "idle states",
-                f"{DMA_LATENCY} may not be written: a processor may sleep so deep that it wakes late",
-                'echo \'KERNEL=="cpu_dma_latency", GROUP="plugdev", MODE="0660"\' | sudo tee '
-                "/etc/udev/rules.d/90-mecanum-hil.rules, then sudo udevadm control --reload && sudo udevadm trigger",
-            )
+        yield ok_or_note(
+            "idle states",
+            os.access(DMA_LATENCY, os.W_OK),
+            "a run can forbid deep ones",
+            f"{DMA_LATENCY} may not be written: a processor may sleep so deep that it wakes late",
+            'echo \'KERNEL=="cpu_dma_latency", GROUP="plugdev", MODE="0660"\' | sudo tee '
+            "/etc/udev/rules.d/90-mecanum-hil.rules, then sudo udevadm control --reload && sudo udevadm trigger",
+        )
 
 
 def _raise_limit(item: str, value: object) -> str:
@@ -138,24 +132,18 @@ def check_clock(source: Path = _SOURCE, sleeps: int = _SLEEPS) -> Iterator[Findi
         f"{sleeps} sleeps of 1 ms, {'with' if has_priority else 'without'} real-time priority: late by "
         f"{late_us['p50']:.0f} µs p50, {late_us['p99']:.0f} µs p99"
     )
-    if late_us["p99"] < _LATE_US:
-        yield ok("lateness", sentence)
-    else:
-        remedy = "end other programs, or isolate a processor" if has_priority else "see rtprio"
-        yield note("lateness", sentence, f"{remedy}; until then choose loop.rate_hz below 1000 (hil/runtime/LIMITS.md)")
+    remedy = "end other programs, or isolate a processor" if has_priority else "see rtprio"
+    remedy += "; until then choose loop.rate_hz below 1000 (hil/runtime/LIMITS.md)"
+    yield ok_or_note("lateness", late_us["p99"] < _LATE_US, sentence, sentence, remedy)
 
 
 def _clock_source(source: Path) -> Finding:
     resolution_ns = time.get_clock_info("monotonic").resolution * 1e9
     name = text_of(source) if sys.platform == "linux" else None
     facts = f"resolution {resolution_ns:.0f} ns" + (f", source {name}" if name else "")
-    if name not in _SLOW_SOURCES:
-        return ok("clock", facts)
-    return note(
-        "clock",
-        f"{facts}, which takes a microsecond or more to read",
-        "see why the kernel gave up tsc: sudo dmesg | grep -i clocksource",
-    )
+    sentence = f"{facts}, which takes a microsecond or more to read"
+    remedy = "see why the kernel gave up tsc: sudo dmesg | grep -i clocksource"
+    return ok_or_note("clock", name not in _SLOW_SOURCES, facts, sentence, remedy)
 
 
 def _lateness(sleeps: int) -> Lateness:

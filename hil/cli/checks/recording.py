@@ -11,7 +11,7 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 
-from hil.cli.checks import Finding, note, ok, problem
+from hil.cli.checks import Finding, note, ok, ok_or_note, problem
 from hil.core.errors import DeviceError
 from hil.record.viewer import has_display, viewer_environment, viewer_executable
 
@@ -39,16 +39,12 @@ def check_disk(folder: Path) -> Iterator[Finding]:
     free_bytes = shutil.disk_usage(place).free
     hours = free_bytes / A_SECOND_BYTES / 3600
     space = f"{place}: {free_bytes / 1e9:.1f} GB free, about {hours:.0f} h of recording at 1 kHz"
-    if free_bytes < _LOW_S * A_SECOND_BYTES:
-        yield note("disk", space, "free some, or record elsewhere with --record FILE")
-    else:
-        yield ok("disk", space)
+    is_enough = free_bytes >= _LOW_S * A_SECOND_BYTES
+    yield ok_or_note("disk", is_enough, space, space, "free some, or record elsewhere with --record FILE")
     speed = f"writes {speed_bytes_s / 1e6:.0f} MB/s, fsync p99 {sync_s * 1e3:.1f} ms"
-    if speed_bytes_s < _SLOW_BYTES_S or sync_s > _SLOW_SYNC_S:
-        needed = f"a recording at 1 kHz takes {A_SECOND_BYTES / 1e6:g} MB/s"
-        yield note("disk speed", f"{speed}; {needed}", "record on a local disk with --record FILE")
-    else:
-        yield ok("disk speed", speed)
+    is_fast = speed_bytes_s >= _SLOW_BYTES_S and sync_s <= _SLOW_SYNC_S
+    slow = f"{speed}; a recording at 1 kHz takes {A_SECOND_BYTES / 1e6:g} MB/s"
+    yield ok_or_note("disk speed", is_fast, speed, slow, "record on a local disk with --record FILE")
 
 
 def _measured(descriptor: int) -> tuple[float, float]:
@@ -73,14 +69,13 @@ def check_viewer(render_nodes: Path = _RENDER_NODES) -> Iterator[Finding]:
     if not has_display():
         yield note("display", "none, so that no window can be opened", "use hil view RUN.rrd --web and a browser")
     if sys.platform == "linux":
-        if any(render_nodes.glob("renderD*")):
-            yield ok("graphics", "there is a graphics processor")
-        else:
-            yield note(
-                "graphics",
-                "no graphics processor: the viewer is drawn in software, slowly",
-                "look at recordings on another machine, or with hil view RUN.rrd --web and its browser",
-            )
+        yield ok_or_note(
+            "graphics",
+            any(render_nodes.glob("renderD*")),
+            "there is a graphics processor",
+            "no graphics processor: the viewer is drawn in software, slowly",
+            "look at recordings on another machine, or with hil view RUN.rrd --web and its browser",
+        )
 
 
 def _viewer_version() -> Finding:
