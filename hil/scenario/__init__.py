@@ -10,24 +10,14 @@ came from, ``shipped()`` the names that ``load`` takes.
 
 from hil.core.options import format_value
 from hil.scenario.load import Sources, load, read, set_texts, shipped
-from hil.scenario.plant import SHIPPED_FMUS, PlantTable
+from hil.scenario.plant import SHIPPED_FMUS
 from hil.scenario.run import Scenario, from_plain, resolved, to_plain
-from hil.scenario.tables import (
-    ControllerTable,
-    DeviceTable,
-    FirmwareTable,
-    LinkTable,
-    LoopTable,
-    RealtimeTable,
-    ReferenceTable,
-    ServiceTable,
-)
-from hil.scenario.trial import AllowTable, ExpectTable, FaultTable
+from hil.scenario.tables import DeviceTable, FirmwareTable, RealtimeTable, ServiceTable
+from hil.scenario.trial import ExpectTable, FaultTable
 from hil.scenario.values import StartValue
 
 __all__ = [
-    "SHIPPED_FMUS", "AllowTable", "ControllerTable", "DeviceTable", "ExpectTable", "FaultTable",
-    "FirmwareTable", "LinkTable", "LoopTable", "PlantTable", "RealtimeTable", "ReferenceTable", "Scenario",
-    "ServiceTable", "Sources", "StartValue", "format_value", "from_plain", "load", "read", "resolved",
-    "set_texts", "shipped", "to_plain",
+    "SHIPPED_FMUS", "DeviceTable", "ExpectTable", "FaultTable", "FirmwareTable", "RealtimeTable", "Scenario",
+    "ServiceTable", "Sources", "StartValue", "format_value", "from_plain", "load", "read", "resolved", "set_texts",
+    "shipped", "to_plain",
 ]  # fmt: skip

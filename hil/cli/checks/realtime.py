@@ -12,17 +12,8 @@ from pathlib import Path
 
 from hil.cli.checks import Finding, note, ok, ok_or_note, text_of
 from hil.core.clock import TICK_NS, WallClock
+from hil.runtime import realtime
 from hil.runtime.lateness import Lateness
-from hil.runtime.realtime import (
-    CAP_IPC_LOCK,
-    CAP_SYS_NICE,
-    DMA_LATENCY,
-    has_capability,
-    memory_limit_bytes,
-    parse_cpus,
-    priority_limit,
-    real_time,
-)
 from hil.scenario.tables import PRIORITY, RealtimeTable
 
 _FEW_PROCESSORS = 2
@@ -81,7 +72,7 @@ def _governor(root: Path) -> Iterator[Finding]:
 
 
 def _isolation(root: Path) -> Iterator[Finding]:
-    isolated = parse_cpus(text_of(root / "sys/devices/system/cpu/isolated") or "")
+    isolated = realtime.parse_cpus(text_of(root / "sys/devices/system/cpu/isolated") or "")
     if isolated:
         yield ok("processors", f"isolated: {', '.join(map(str, isolated))}; runs in real time use these")
     elif (count := os.cpu_count() or 1) > _FEW_PROCESSORS:
@@ -97,22 +88,22 @@ def check_permissions() -> Iterator[Finding]:
     """Yield whether this user may set real-time priority, lock memory, and forbid deep idle states."""
     if sys.platform != "linux":
         return
-    limit = 99 if has_capability(CAP_SYS_NICE) else priority_limit()
+    limit = 99 if realtime.has_capability(realtime.CAP_SYS_NICE) else realtime.priority_limit()
     fact = f"real-time priority up to {limit}"
     sentence = f"{fact}, where a run asks for {PRIORITY}: other programs make ticks late"
     yield ok_or_note("rtprio", limit >= PRIORITY, fact, sentence, _raise_limit("rtprio", PRIORITY))
-    memory_bytes = memory_limit_bytes()
-    if memory_bytes is None or has_capability(CAP_IPC_LOCK):
+    memory_bytes = realtime.memory_limit_bytes()
+    if memory_bytes is None or realtime.has_capability(realtime.CAP_IPC_LOCK):
         yield ok("memlock", "all memory may be locked")
     else:
         sentence = f"only {memory_bytes >> 10} KiB may be locked: a page swapped out makes a tick late"
         yield note("memlock", sentence, _raise_limit("memlock", "unlimited"))
-    if DMA_LATENCY.exists():
+    if realtime.DMA_LATENCY.exists():
         yield ok_or_note(
             "idle states",
-            os.access(DMA_LATENCY, os.W_OK),
+            os.access(realtime.DMA_LATENCY, os.W_OK),
             "a run can forbid deep ones",
-            f"{DMA_LATENCY} may not be written: a processor may sleep so deep that it wakes late",
+            f"{realtime.DMA_LATENCY} may not be written: a processor may sleep so deep that it wakes late",
             'echo \'KERNEL=="cpu_dma_latency", GROUP="plugdev", MODE="0660"\' | sudo tee '
             "/etc/udev/rules.d/90-mecanum-hil.rules, then sudo udevadm control --reload && sudo udevadm trigger",
         )
@@ -125,7 +116,7 @@ def _raise_limit(item: str, value: object) -> str:
 def check_clock(source: Path = _SOURCE, sleeps: int = _SLEEPS) -> Iterator[Finding]:
     """Yield resolution and source of the clock, and the measured lateness of ``sleeps`` sleeps of 1 ms."""
     yield _clock_source(source)
-    with real_time(RealtimeTable(lock_memory=False)) as granted:
+    with realtime.real_time(RealtimeTable(lock_memory=False)) as granted:
         late_us = _lateness(sleeps).percentiles_us()
     has_priority = "priority" in granted.figures()["granted"]
     sentence = (
