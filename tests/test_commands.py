@@ -75,7 +75,7 @@ def test_help_lists_them_and_imports_none(outside: Path) -> None:
     [
         ("absent", "of the package outside-package: 'no_such_package:app' cannot be loaded: ModuleNotFoundError"),
         ("gone", "'outside_package:gone' cannot be loaded: AttributeError"),
-        ("number", "command 'number': 7 is no command"),
+        ("number", "command 'number': 7 is not a command"),
         ("wheel", "command 'wheel': unknown; did you mean 'wheels'?"),
     ],
 )

@@ -161,7 +161,7 @@ def test_a_board_that_speaks_is_the_only_one_asked_and_its_geometry_is_in_the_fi
     robot = tmp_path / "robot.toml"
     robot.write_text(answer.robot_file or "")
     assert load("circle_speed", robot=robot).robot.wheel_radius_m == pytest.approx(0.0325, rel=1e-3)
-    assert "# not measured, but for wheel_radius_m, half_length_m, half_width_m" in robot.read_text()
+    assert "# not measured, except wheel_radius_m, half_length_m, half_width_m" in robot.read_text()
 
 
 def test_where_bytes_come_that_nobody_understands_nothing_is_sent() -> None:

@@ -20,9 +20,7 @@ if TYPE_CHECKING:
 
 
 class FileFirst(Group):
-    """A group of commands whose first command is called when the first argument is no command but, for example, a
-    file.
-    """
+    """A group whose first command is called when the first argument is not a command's name."""
 
     def parse_args(self, ctx: typer.Context, args: list[str]) -> list[str]:  # type: ignore[override]
         """Insert the name of the first command if none is given."""

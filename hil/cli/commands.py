@@ -49,7 +49,7 @@ _PLACES = {
     "show": "check:show", "list": "list:list_", "live": "view:live",
     "campaign": "campaign:app", "ctl": "ctl:app", "fmu": "fmu:app",
 }  # fmt: skip
-"""Where a command is that is not the function of its own name in the file of its name."""
+"""Module and name of each command that is not simply ``hil.cli.NAME:NAME``."""
 
 _EXTENSIONS = Extensions("hil.commands", SHIPPED)
 
@@ -82,7 +82,7 @@ class Commands(TyperGroup):
             return _command(cmd_name, found)
         except Exception as error:
             raise BadInputError(
-                f"command {cmd_name!r}: {found!r} is no command ({type(error).__name__}: {error}); expected a "
+                f"command {cmd_name!r}: {found!r} is not a command ({type(error).__name__}: {error}); expected a "
                 "function or a typer.Typer, see https://typer.tiangolo.com"
             ) from error
 

@@ -38,7 +38,7 @@ def init(
     counts_per_revolution: Annotated[int | None, Option(metavar="COUNTS")] = None,
     torque_constant_n_m_a: Annotated[_Number, Option(metavar="N·M/A")] = None,
     link: Annotated[str | None, Option(metavar="LINK")] = None,
-    defaults: Annotated[bool, Option("--defaults", help="take what is proposed where no flag says more")] = False,
+    defaults: Annotated[bool, Option("--defaults", help="take the proposed value where no flag gives one")] = False,
     force: Force = False,
 ) -> None:
     """Write a robot file and a first scenario; ask for the values that no flag gives.

@@ -163,7 +163,7 @@ def scenario_text(answers: Answers, slowness: float) -> str:
 
 extends = "robot.toml"
 
-[plant.start]                           # where the virtual robot stands; one of its own is put there by hand
+[plant.start]                           # where the virtual robot stands; a real one is put there by hand
 start_x_m = {_RADIUS_M - _OFF_M:g}
 start_y_m = 0.0
 start_heading_rad = 0.0
@@ -201,7 +201,7 @@ def _not_reported(table: str, found: Found) -> Sequence[str]:
     sentences = [f"cannot be asked for: {unknown}"] if unknown else []
     if table == "device.motors":
         return [f"{sentence}; write them here, or the defaults hold" for sentence in sentences]
-    exceptions = f", but for {known}" if known else ""
+    exceptions = f", except {known}" if known else ""
     return [f"not measured{exceptions}: the paper's robot; replace before anything moves", *sentences]
 
 

@@ -21,7 +21,7 @@ def params(
     link: PortOrBus,
     changes: Annotated[list[str] | None, Argument(metavar="[NAME=VALUE]...", help="change these first")] = None,
     store: Annotated[bool, Option("--store", help="keep them across a reset")] = False,
-    restore: Annotated[bool, Option("--restore", help="first take the values of the build")] = False,
+    restore: Annotated[bool, Option("--restore", help="first go back to the values of the build")] = False,
     as_json: Json = False,
 ) -> None:
     """Show and change the parameters of a robot's firmware; it must be in IDLE to change. All are checked first."""

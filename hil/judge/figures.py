@@ -98,7 +98,7 @@ _OF_RUNS = (
     Figure("frames.sent", "frames sent", "", 1, "frames to the robot", None, printed=False),
     Figure("frames.received", "frames received", "", 1, "frames from the robot", None, printed=False),
     Figure(
-        "frames.rejected", "frames rejected", "", 1, "frames that were not accepted, whatever the cause", printed=False
+        "frames.rejected", "frames rejected", "", 1, "frames that were not accepted, for any cause", printed=False
     ),
     Figure("link_statistics.lost.snapshots", "snapshots lost", "", 1, "feedback that never came", printed=False),
     Figure("link_statistics.feedback_age_ms.p50", "feedback age p50", "ms", 1.0, f"{_AGE}, median", printed=False),
@@ -111,10 +111,10 @@ _OF_RUNS = (
         "link_statistics.round_trip_ms.p99", "round trip p99", "ms", 1.0, f"{_ROUND_TRIP}, 99th percentile",
         column="round_trip_p99_ms", printed=False
     ),
-    Figure("commands_refused", "commands refused", "", 1, "ticks in which the law gave no number", printed=False),
+    Figure("commands_refused", "commands refused", "", 1, "ticks in which the law's command was not finite", printed=False),
     Figure("stale_ticks", "stale ticks", "", 1, "ticks in which no feedback was fresh enough to drive", printed=False),
-    Figure("held_ticks", "held ticks", "", 1, "ticks in which the state was unknown or the robot away", printed=False),
-    Figure("recoveries", "recoveries", "", 1, "times that the robot was lost and came back", printed=False),
+    Figure("held_ticks", "held ticks", "", 1, "ticks in which the state was unknown or the robot lost", printed=False),
+    Figure("recoveries", "recoveries", "", 1, "times that the robot was lost and armed again", printed=False),
     Figure("expect", "expectations failed", "", 1, "expectations that did not hold", printed=False),
 )  # fmt: skip
 """Figures that do not follow from the rows."""
@@ -235,7 +235,7 @@ class RunFigures:
             yield
         except NoFigureError:
             raise
-        except Exception as error:  # noqa: BLE001 - whatever code of another package raises
+        except Exception as error:  # noqa: BLE001 - another package's code may raise anything
             self._reasons[kind] = f"{kind.__module__}:{kind.__qualname__} failed: {type(error).__name__}: {error}"
 
 

@@ -125,7 +125,7 @@ class Signals(Mapping[str, Series]):
 
 @dataclass(frozen=True, repr=False)
 class RunResult:
-    """A finished run; its ``repr`` sums it up in a few lines.
+    """A finished run; its ``repr`` is a summary in a few lines.
 
     Attributes:
         scenario: what was run.

@@ -91,7 +91,7 @@ def belief_rows(metrics: Mapping[str, Any]) -> Iterator[Row]:
         ]
         yield "pose fixes", ", ".join(counts) or "none came"
     if refused := metrics.get("commands_refused"):
-        yield "law", f"the law gave no number {refused} times, and the robot was held still"
+        yield "law", f"the law's command was not finite {refused} times, and the robot was held at rest"
     if stale := metrics.get("stale_ticks"):
         yield "stale", f"{stale} ticks, in which the feedback or the truth was too old: the robot was not driven"
     if held := metrics.get("held_ticks"):
@@ -124,7 +124,7 @@ def why_not_passed(metrics: Mapping[str, Any]) -> Iterator[Row]:
     if metrics["failure"] is not None:
         yield "failure", metrics["failure"]
     if refused := metrics["commands_refused"]:
-        yield "law", f"the law gave no number {refused} times, and the robot was held still"
+        yield "law", f"the law's command was not finite {refused} times, and the robot was held at rest"
     yield from (("expectation", row["text"]) for row in in_order(metrics["expect"]) if row["passed"] is False)
     yield from (("allow", row["text"]) for row in metrics["allow"] if not row["passed"])
     yield from (("fault", applied_words(row)) for row in metrics["fault"] if not row["applied"])

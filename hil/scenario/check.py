@@ -150,7 +150,7 @@ def _contradictions(tables: Tables) -> Iterator[tuple[str, str]]:
         yield "controller.shadow", words
     for name in tables.controller.shadow_gains:
         if name not in shadows:
-            yield f"controller.shadow_gains.{name}", f"there is no such shadow{nearest(name, shadows)}"
+            yield f"controller.shadow_gains.{name}", f"no shadow has this name{nearest(name, shadows)}"
     period_s = 1.0 / loop.rate_hz
     if firmware.watchdog_s <= period_s:
         words = f"expected more than the command period of {period_s:g} s, or every command would come too late"
