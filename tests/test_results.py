@@ -77,7 +77,7 @@ def test_a_result_is_printed_in_a_few_lines_that_say_why_it_has_not_passed() -> 
     assert len(text) < 600
     assert lines[0].startswith("<RunResult circle_speed: ")
     assert lines[1] == "  passed: no"
-    assert lines[2].startswith("  loop.tick below 5 from 0 s to the end: failed, 5 at t = 0.025 s")
+    assert lines[2].startswith("  expectation: loop.tick below 5 from 0 s to the end: failed, 5 at t = 0.025 s")
     assert "ticks 20" in lines[-1]
 
 

@@ -111,7 +111,7 @@ _OF_RUNS = (
         "link_statistics.round_trip_ms.p99", "round trip p99", "ms", 1.0, f"{_ROUND_TRIP}, 99th percentile",
         column="round_trip_p99_ms", printed=False
     ),
-    Figure("commands_refused", "commands refused", "", 1, "ticks in which the law's command was not finite", printed=False),
+    Figure("commands_refused", "commands refused", "", 1, "ticks with a command that was not finite", printed=False),
     Figure("stale_ticks", "stale ticks", "", 1, "ticks in which no feedback was fresh enough to drive", printed=False),
     Figure("held_ticks", "held ticks", "", 1, "ticks in which the state was unknown or the robot lost", printed=False),
     Figure("recoveries", "recoveries", "", 1, "times that the robot was lost and armed again", printed=False),
