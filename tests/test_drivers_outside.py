@@ -73,7 +73,6 @@ MOTORS = '''
             self.made.append(self)
             self._per_rad_s = self.settings.counts_per_rad_s
             self._targets = (0.0, 0.0, 0.0, 0.0)
-            self._loops = self.speed_loops()
 
         @property
         def is_driving(self):
@@ -85,9 +84,8 @@ MOTORS = '''
 
         def tick(self):
             self.was_driving = self.was_driving or self.is_driving
-            speeds = [shaft.speed_rad_s for shaft in self.shafts]
-            self.send(Frame(0x11, SPEEDS.pack(*(round(speed * self._per_rad_s) for speed in speeds))))
-            return tuple(loop.torque(*pair) for loop, *pair in zip(self._loops, self._targets, speeds))
+            self.send(Frame(0x11, SPEEDS.pack(*(round(speed * self._per_rad_s) for speed in self.speeds_rad_s))))
+            return self.follow(self._targets)
 
 
     class Failing(Tiny):

@@ -165,6 +165,7 @@ class EmulatedMotors(Generic[SettingsT]):
         values: the parameters of [firmware]; used are the torque constant, limits, encoder and loop gains.
         ticks: number of ticks of 1 ms since power-on.
         shafts: of the four channels.
+        loops: of the four channels, with the gains and the limit of [firmware].
         current_a: measured currents of the four motors.
         battery_v: measured voltage.
         on_tick: called with this object after each tick.
@@ -187,6 +188,8 @@ class EmulatedMotors(Generic[SettingsT]):
         self._sense = self._ffi.new("wheel_sense *")
         counts, bandwidth = int(values["counts_per_revolution"]), values["tracking_bandwidth_rad_s"]
         self.shafts = tuple(Shaft(counts, bandwidth) for _ in range(4))
+        gains = values["speed_kp_n_m_s_rad"], values["speed_ki_n_m_rad"]
+        self.loops = tuple(SpeedLoop(*gains, values["torque_limit_n_m"]) for _ in range(4))
         self.ticks = 0
         self.torque_n_m: FourWheels = STILL
         self.on_tick: Callable[[Any], None] = lambda _motors: None
@@ -220,10 +223,15 @@ class EmulatedMotors(Generic[SettingsT]):
         """The speeds of the four shafts, as the controllers measure them."""
         return four(shaft.speed_rad_s for shaft in self.shafts)
 
-    def speed_loops(self) -> tuple[SpeedLoop, ...]:
-        """Return four loops with the gains and the limit of [firmware]."""
-        gains = self.values["speed_kp_n_m_s_rad"], self.values["speed_ki_n_m_rad"]
-        return tuple(SpeedLoop(*gains, self.values["torque_limit_n_m"]) for _ in range(4))
+    def follow(self, targets_rad_s: FourWheels, torques_n_m: FourWheels = STILL) -> FourWheels:
+        """Return the torques of the four speed loops in this tick [N·m]; ``torques_n_m`` are added to them."""
+        wheels = zip(self.loops, targets_rad_s, self.speeds_rad_s, torques_n_m, strict=True)
+        return four(loop.torque(target, speed, torque) for loop, target, speed, torque in wheels)
+
+    def reset_loops(self) -> None:
+        """Set the integrals of the speed loops to zero."""
+        for loop in self.loops:
+            loop.reset()
 
     def send(self, frame: Frame) -> None:
         """Send a frame."""

@@ -50,7 +50,6 @@ class EmulatedDbc(EmulatedMotors[Settings]):
         self.is_stopped = False
         self.overrides: dict[str, float] = {}
         self.ignored = 0
-        self._loops = self.speed_loops()
 
     @property
     def is_driving(self) -> bool:
@@ -158,10 +157,8 @@ class EmulatedDbc(EmulatedMotors[Settings]):
         if self.is_on and self._timeout_s is not None and late_s > self._timeout_s:
             self._switch_off()
         self._send_due_messages()
-        speeds = self.speeds_rad_s
-        if not self.is_on and all(abs(speed) < _STANDING_RAD_S for speed in speeds):
-            for loop in self._loops:
-                loop.reset()
+        if not self.is_on and all(abs(speed) < _STANDING_RAD_S for speed in self.speeds_rad_s):
+            self.reset_loops()
             return None
         targets = torques = STILL
         if self.is_on and "torque" in self._commanded:
@@ -172,8 +169,7 @@ class EmulatedDbc(EmulatedMotors[Settings]):
             targets = wheel_speeds((forward, left, yaw_rate), self._radius_m, self._lever_m)
         elif self.is_on:
             targets, torques = four(self._commanded["speed"]), four(self._commanded.get("feedforward", STILL))
-        wheels = zip(self._loops, targets, speeds, torques, strict=True)
-        return four(loop.torque(target, speed, torque) for loop, target, speed, torque in wheels)
+        return self.follow(targets, torques)
 
     # Sent frames
 

@@ -53,7 +53,7 @@ class EmulatedODrive(EmulatedMotors[Settings]):
         limit, constant = self.values["torque_limit_n_m"], self.values["torque_constant_n_m_a"]
         self.axes = [
             EmulatedAxis(node, 0x3868_0000_1000 + node, self.firmware[1], loop, gear, limit, constant)
-            for node, loop in zip(settings.node_ids, self.speed_loops(), strict=True)
+            for node, loop in zip(settings.node_ids, self.loops, strict=True)
         ]
 
     @property

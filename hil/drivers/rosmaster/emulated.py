@@ -81,20 +81,17 @@ class EmulatedRosmaster(EmulatedMotors[Settings]):
         self._credit = 0.0
         self._receiver = _Receiver()
         self._targets_mm_s: tuple[float, ...] | None = None  # None while no speed loop runs
-        self._percents: list[int] | None = None  # of the motors' voltages; None where no voltage is commanded
+        self._percents: list[int] | None = None  # of the motors' voltages; None if they are released
         self._pid = _PID
         self._yaw_rad = 0.0
-        self._is_braking = False
         self._is_reporting = True
         self._is_off = False
         self._bad_checks = 0
-        self._counts = (0, 0, 0, 0)
         self._speeds_mm_s = (0.0, 0.0, 0.0, 0.0)
-        self._loops = self.speed_loops()
 
     @property
     def is_driving(self) -> bool:
-        return self._targets_mm_s is not None or self._percents is not None
+        return self._targets_mm_s is not None or any(self._percents or ())
 
     def _set_car(self, number: int) -> None:
         """Take the geometry of a car; another number than those of CARS changes nothing."""
@@ -102,7 +99,7 @@ class EmulatedRosmaster(EmulatedMotors[Settings]):
             if car.number == number:
                 self.car_number = number
                 self._car = replace(self.settings, car=name).geometry
-                self._has_counts = False
+                self._counts = self._read_counts()
 
     def feed(self, data: bytes) -> None:
         self._line += data[: _HOST_BUFFER - len(self._line)]
@@ -177,18 +174,16 @@ class EmulatedRosmaster(EmulatedMotors[Settings]):
         """
         if self._targets_mm_s is not None:
             return
-        before = self._percents or [0, 0, 0, 0]
-        self._percents = [
-            percent if abs(percent) <= _MAX_PERCENT else old for percent, old in zip(percents, before, strict=True)
-        ]
+        m1, m2, m3, m4 = percents
+        wheels = zip((m1, m3, m4, m2), self._percents or [0, 0, 0, 0], strict=True)
+        self._percents = [percent if abs(percent) <= _MAX_PERCENT else before for percent, before in wheels]
 
     def _set_pid(self, kp: int, ki: int, kd: int) -> None:
         """Set the gains: those of the emulated loops change by the same factors. kd is stored but has no effect."""
         self._pid = (kp, ki, kd)
-        for loop in self._loops:
-            loop.set_gains(
-                self.values["speed_kp_n_m_s_rad"] * kp / _PID[0], self.values["speed_ki_n_m_rad"] * ki / _PID[1]
-            )
+        gains = self.values["speed_kp_n_m_s_rad"] * kp / _PID[0], self.values["speed_ki_n_m_rad"] * ki / _PID[1]
+        for loop in self.loops:
+            loop.set_gains(*gains)
 
     def _reset(self) -> None:
         self._stop(is_braking=False)
@@ -196,10 +191,9 @@ class EmulatedRosmaster(EmulatedMotors[Settings]):
         self._is_reporting, self._is_off, self._bad_checks = True, False, 0
 
     def _stop(self, *, is_braking: bool) -> None:
-        self._targets_mm_s = self._percents = None
-        self._is_braking = is_braking
-        for loop in self._loops:
-            loop.reset()
+        self._targets_mm_s = None
+        self._percents = [0, 0, 0, 0] if is_braking else None
+        self.reset_loops()
 
     def tick(self) -> FourWheels | None:
         self._receive_bytes()
@@ -210,22 +204,18 @@ class EmulatedRosmaster(EmulatedMotors[Settings]):
             self._check_battery()
         if self._is_reporting and not self._is_off:
             self._report(self.ticks % _REPORT_TICKS)
-        speeds = self.speeds_rad_s
         if self._targets_mm_s is not None:
             targets = [speed / 1000.0 / self._car.wheel_radius_m for speed in self._targets_mm_s]
-            return four(loop.torque(*pair) for loop, *pair in zip(self._loops, targets, speeds, strict=True))
-        if self._percents is not None:
-            fl, rl, fr, rr = (
-                self._torque_of(percent, speeds[at]) for percent, at in zip(self._percents, (0, 3, 1, 2), strict=True)
-            )
-            return fl, fr, rr, rl
-        if self._is_braking:
-            # The windings are shorted: the motor's back-EMF drives the current that brakes it.
-            return four(self._torque_of(0, speed) for speed in speeds)
-        return None
+            return self.follow(four(targets))
+        if self._percents is None:
+            return None
+        return four(map(self._torque_of, self._percents, self.speeds_rad_s))
 
     def _torque_of(self, percent: int, speed_rad_s: float) -> float:
-        """Return the torque [N·m] of a motor at a commanded voltage, whose pulses begin beyond the dead zone."""
+        """Return the torque [N·m] of a motor at a commanded voltage, whose pulses begin beyond the dead zone.
+
+        At 0 its windings are shorted: its back-EMF drives the current that brakes it.
+        """
         per_percent = (_MAX_PULSE - _DEAD_PULSE) / _MAX_PERCENT
         pulse = math.copysign(_DEAD_PULSE, percent) + percent * per_percent if percent else 0.0
         constant, resistance = self.values["torque_constant_n_m_a"], self.values["motor_resistance_ohm"]
@@ -244,13 +234,13 @@ class EmulatedRosmaster(EmulatedMotors[Settings]):
 
     def _measure(self) -> None:
         """Compute the speeds from the counts of 10 ms; one count is 15 mm/s on an X3."""
+        before, self._counts = self._counts, self._read_counts()
+        per_count = 100.0 * math.tau * self._car.wheel_radius_m * 1000.0 / self._car.counts_per_turn
+        self._speeds_mm_s = four(per_count * (now - then) for now, then in zip(self._counts, before, strict=True))
+
+    def _read_counts(self) -> tuple[int, int, int, int]:
         per_turn = self._car.counts_per_turn
-        counts = four(math.floor(shaft.position_rad / math.tau * per_turn) for shaft in self.shafts)
-        per_count = 100.0 * math.tau * self._car.wheel_radius_m * 1000.0 / per_turn
-        before = self._counts if self._has_counts else counts
-        self._has_counts = True
-        self._speeds_mm_s = four(per_count * (now - then) for now, then in zip(counts, before, strict=True))
-        self._counts = counts
+        return four(math.floor(shaft.position_rad / math.tau * per_turn) for shaft in self.shafts)
 
     def _check_battery(self) -> None:
         is_good = self.settings.battery_low_v < self.battery_v < self.settings.battery_high_v

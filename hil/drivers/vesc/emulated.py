@@ -44,7 +44,7 @@ class EmulatedVesc(EmulatedMotors[Settings]):
         limit = self.values["torque_limit_n_m"]
         self.vescs = tuple(
             VescController(number, to_erpm, constant, resistance, limit, loop)
-            for number, loop in zip(settings.ids, self.speed_loops(), strict=True)
+            for number, loop in zip(settings.ids, self.loops, strict=True)
         )
         self._by_id = {vesc.number: vesc for vesc in self.vescs}
         self._measure()

@@ -34,7 +34,6 @@ class EmulatedWheeltec(EmulatedMotors[Settings]):
         self._is_off = False
         self._radius_m = settings.wheel_radius_m or self.values["wheel_radius_m"]
         self._lever_m = settings.lever_m or self.values["half_length_m"] + self.values["half_width_m"]
-        self._loops = self.speed_loops()
 
     @property
     def is_driving(self) -> bool:
@@ -72,10 +71,7 @@ class EmulatedWheeltec(EmulatedMotors[Settings]):
         x, y, turn = self._ramped
         limit = self.settings.speed_limit_m_s
         rims = wheel_speeds((x, y, turn), 1.0, self._lever_m)
-        return four(
-            loop.torque(clamp(rim, limit) / self._radius_m, speed)
-            for loop, rim, speed in zip(self._loops, rims, self.speeds_rad_s, strict=True)
-        )
+        return self.follow(four(clamp(rim, limit) / self._radius_m for rim in rims))
 
     def _control(self) -> None:
         self._steps_without_command += 1
@@ -86,8 +82,7 @@ class EmulatedWheeltec(EmulatedMotors[Settings]):
             self._ramped[axis] += clamp(clamp(target, limit) - self._ramped[axis], _STEP)
         was_off, self._is_off = self._is_off, self.is_switched_off or self.battery_v < self.settings.battery_low_v
         if self._is_off:
-            for loop in self._loops:
-                loop.reset()
+            self.reset_loops()
         elif was_off:
             self._targets, self._ramped = [0.0, 0.0, 0.0], [0.0, 0.0, 0.0]
 
