@@ -258,5 +258,5 @@ def test_a_law_that_fails_keeps_neither_the_robot_away_nor_an_emergency_stop_fro
         served.order(Action.ESTOP)
         served.run(0.5)
         assert served.phases[-2:] == [Phase.ACTIVE, Phase.ESTOP]
-        assert not served.pilot.emergency.owed
+        assert not served.pilot.emergency.pending
         assert served.last("robot.state") == RobotState.ESTOP

@@ -101,7 +101,7 @@ def test_an_emergency_stop_that_did_not_go_out_is_told_and_not_confirmed_or_clea
         with nothing_goes_out(bench.bench):
             bench.pilot.estop()
             bench.run(0.3)
-            assert bench.pilot.emergency.owed
+            assert bench.pilot.emergency.pending
             assert "the stop could not be sent: the transmit queue stays full" in str(bench.pilot.why)
             assert "the stop could not be sent: the transmit queue stays full" in bench.notes
             bench.pilot.clear()
@@ -109,12 +109,12 @@ def test_an_emergency_stop_that_did_not_go_out_is_told_and_not_confirmed_or_clea
             assert bench.pilot.phase is Phase.ESTOP
             assert bench.last("robot.state") != State.ESTOP
             bench.run(3.0)
-            assert bench.pilot.emergency.owed
+            assert bench.pilot.emergency.pending
             assert "the stop could not be sent" in str(bench.pilot.why)
             bench.pilot.estop()  # takes the clear back
         bench.run_until(Phase.ESTOP)
         bench.run(0.5)
-        assert not bench.pilot.emergency.owed
+        assert not bench.pilot.emergency.pending
         assert "could not be sent" not in str(bench.pilot.why)
         assert bench.last("robot.state") == State.ESTOP
 
@@ -242,7 +242,7 @@ def test_a_robot_that_is_not_driven_stays_with_the_service(changes: dict[str, An
         bench.run(0.1)
         bench.pilot.estop()
         bench.run(1.0)
-        assert not bench.pilot.emergency.owed
+        assert not bench.pilot.emergency.pending
         assert not robot_of(bench.bench)._stop.is_owed
         bench.pilot.clear()
         bench.run_until(Phase.DISARMED)

@@ -104,9 +104,7 @@ class ApiChild:
             process.kill()
 
     def close(self) -> None:
-        """End the API process, which informs its clients, and withdraw the announcement of the service. Closing twice
-        is allowed.
-        """
+        """End the API process, which informs its clients, and withdraw the announcement. May be called twice."""
         if self._claim is not None:
             self._claim.release()
         self._closing.set()
@@ -136,9 +134,7 @@ class ApiChild:
         self._lines = LinePoll(self._process.stdout.fileno())  # last, because the ticks poll it from here on
 
     def _wait_until_ready(self) -> None:
-        """Wait until the first process is ready. Raises BadInputError if it refuses the config, DeviceError if it does
-        not answer.
-        """
+        """Wait until the first process is ready. Raises BadInputError and DeviceError as the constructor."""
         assert self._lines is not None
         while not self._ready:
             for record in self._lines.receive():

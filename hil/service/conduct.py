@@ -70,9 +70,7 @@ class Conduct:
         return drive.set_target(twist)
 
     def track(self, path: ReferenceSource, *, here: bool) -> None:
-        """Follow a path once the robot rests: shifted to the robot's pose (``here``), or in the world frame, from the
-        path's start.
-        """
+        """Follow a path once the robot rests: shifted to its pose (``here``), or from the path's start in the world."""
         begin = path.at(0.0).pose
 
         def follow(at: Reference) -> Motion:

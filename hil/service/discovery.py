@@ -44,9 +44,9 @@ def announce(service: Service) -> ProcessLock:
     """Announce a service until the claim is released or this process ends. Raises BadInputError."""
     try:
         return ProcessLock(state_folder(), str(service.port), dataclasses.asdict(service))
-    except LockHeldError as taken:
+    except LockHeldError as error:
         raise BadInputError(
-            f"port {service.port}: process {taken.holder.get('pid', '?')} serves there; choose another port"
+            f"port {service.port}: process {error.holder.get('pid', '?')} serves there; choose another port"
         ) from None
 
 
@@ -71,9 +71,7 @@ def make_token(path: Path) -> None:
 
 
 def read_token(path: Path) -> str:
-    """Return the token in a file. Raises BadInputError when it cannot be read, is no token, or other users can read
-    it.
-    """
+    """Return the token in a file. Raises BadInputError when it is unreadable, no token, or readable by others."""
     try:
         text = path.read_text(encoding="ascii").strip()
         mode = path.stat().st_mode

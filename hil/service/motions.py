@@ -148,9 +148,7 @@ def way_to(start: Pose, end: Pose, options: ServiceTable) -> Route | None:
 
 
 def frame_at(pose: Pose, begin: Pose) -> Pose:
-    """Return the pose of a path's origin in the world; ``begin`` is its start in its own frame, ``pose`` the same in
-    the world.
-    """
+    """Return a path's origin in the world. The path starts at ``begin`` in its own frame, at ``pose`` in the world."""
     turn_rad = pose.heading_rad - begin.heading_rad
     x_m, y_m, _ = to_world(BodyTwist(*begin), turn_rad)
     return Pose(pose.x_m - x_m, pose.y_m - y_m, turn_rad)

@@ -26,7 +26,6 @@ from hil.service.stand_ins import without_law
 _ARMING_LIMIT_S = 4.0
 _STOPPING_LIMIT_S = 5.0
 _CLEARING_LIMIT_S = 2.0
-_ESTOP_REPEAT_S = 0.3
 _LATCHED = {RobotState.FAULT: Phase.FAULT, RobotState.ESTOP: Phase.ESTOP}
 
 
@@ -48,7 +47,7 @@ class Pilot:
         self._tick = Tick(parts, mode, timing)
         self._t_s = 0.0
         self._deadline_s = math.inf
-        self.emergency = EmergencyStop(_ESTOP_REPEAT_S)
+        self.emergency = EmergencyStop()
         self._why: str | None = None
         self._trouble: str | None = None
         self._law_failed = False
@@ -103,7 +102,7 @@ class Pilot:
             self._enter(Phase.STOPPING, _STOPPING_LIMIT_S)
         elif self.phase in (Phase.FAULT, Phase.ESTOP):
             self._parts.device.disarm()
-            self.emergency.keep()
+            self.emergency.drop_clear()
             self._deadline_s = math.inf
 
     def estop(self) -> None:
@@ -235,7 +234,7 @@ class Pilot:
         self._parts.device.disarm()
         if isinstance(error, DeviceError) and feedback is not None and feedback.state in _LATCHED:
             self._enter(_LATCHED[feedback.state])
-        elif self.emergency.owed:
+        elif self.emergency.pending:
             self._enter(Phase.ESTOP)
         else:  # the law failed, or the robot refuses
             self._enter(Phase.STOPPING, _STOPPING_LIMIT_S)
@@ -254,10 +253,10 @@ class Pilot:
             return
         self._tick.restart()
         self.recoveries += self._was_connected
-        if not self._was_connected and not self.emergency.owed:
+        if not self._was_connected and not self.emergency.pending:
             self._why = None
         self._was_connected = True
-        if self.emergency.owed:
+        if self.emergency.pending:
             self.emergency.request(t_s)
             self._enter(Phase.ESTOP)
             self._parts.device.estop()
@@ -274,7 +273,7 @@ class Pilot:
 
     def _be_latched(self, robot: RobotState, t_s: float) -> None:
         device = self._parts.device
-        if self.emergency.is_sent(robot, t_s):
+        if self.emergency.must_send(robot, t_s):
             device.estop()
         elif self.emergency.pop_clear():
             self.clear()

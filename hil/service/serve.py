@@ -128,7 +128,7 @@ class _Service:
         self._ticks = self._deadline_misses = 0
         self._lateness = Lateness()
         self._t_s = 0.0
-        self._estop_owed = False
+        self._estop_pending = False
         self._phase = Phase.AWAY
         self._bench: Bench | None = None
 
@@ -142,7 +142,7 @@ class _Service:
             beside = resources.enter_context(ThreadPoolExecutor(1, "beside"))
             beside.submit(time.monotonic).result()  # starts the thread before this one gets real-time priority
             pilot = self._pilot(bench)
-            if self._estop_owed:
+            if self._estop_pending:
                 pilot.estop()
             signals = self.parts.laws.signals
             desk = Desk(self.scenario, self.made_of, signals, pilot, self.records, self.api.send, reload, beside)
@@ -189,7 +189,7 @@ class _Service:
             self.api.send(Answer(order.number, None if can_do else f"the robot is away: {why}"))
             if order.action is Action.SHUTDOWN:
                 return False
-            self._estop_owed = self._estop_owed or order.action is Action.ESTOP
+            self._estop_pending = self._estop_pending or order.action is Action.ESTOP
         self._send_status(link=self.scenario.link.url, why=why)
         self.notifier.beat(time.monotonic_ns())
         return not self.ending.requests
@@ -252,8 +252,8 @@ class _Service:
                 pilot.disarm()
                 limit_s = time.monotonic() + _ENDING_LIMIT_S
             if limit_s is not None:
-                owed = pilot.emergency.owed and pilot.phase is not Phase.AWAY
-                if pilot.phase not in (Phase.ARMING, Phase.ACTIVE, Phase.STOPPING) and not owed:
+                pending = pilot.emergency.pending and pilot.phase is not Phase.AWAY
+                if pilot.phase not in (Phase.ARMING, Phase.ACTIVE, Phase.STOPPING) and not pending:
                     return
                 if self.ending.requests > 1:
                     logs.warning("second signal to end; the robot's watchdog stops it")

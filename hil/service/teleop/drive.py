@@ -48,19 +48,17 @@ def teleop(client: Client, speeds: Speeds, *, gamepad: bool, dead_zone: float, e
     BadInputError. In any case the robot was told to stop, if it could be reached, and the terminal is restored.
     """
     terminal = Terminal()
-    with contextlib.ExitStack() as resources:
-        gamepads = resources.enter_context(contextlib.closing(Gamepads())) if gamepad else None
-        try:
-            with client.live() as live, Signals() as signals:
-                try:
-                    terminal.enter()
-                    keys = HeldKeys(reports_releases=terminal.reports_releases)
-                    return _Session(live, terminal, signals, gamepads, Operator(keys, speeds, dead_zone, expo)).run()
-                finally:
-                    terminal.leave()
-        except LostTerminalError:
-            terminal.forget()
-            raise
+    try:
+        with contextlib.ExitStack() as resources:
+            gamepads = resources.enter_context(contextlib.closing(Gamepads())) if gamepad else None
+            live, signals = resources.enter_context(client.live()), resources.enter_context(Signals())
+            resources.callback(terminal.leave)
+            terminal.enter()
+            keys = HeldKeys(reports_releases=terminal.reports_releases)
+            return _Session(live, terminal, signals, gamepads, Operator(keys, speeds, dead_zone, expo)).run()
+    except LostTerminalError:
+        terminal.forget()
+        raise
 
 
 @dataclass
@@ -110,19 +108,17 @@ class _Session:
             self._terminal.show(self._screen(now_s))
 
     def _handle_signals(self) -> None:
-        came = self._signals.received()
-        _end_for(came)
-        if signal.SIGTSTP in came:
+        received = self._signals.received()
+        _end_for(received)
+        if signal.SIGTSTP in received:
             self._stop()
             self._terminal.leave()
             self._signals.suspend()
             _end_for(self._signals.received())
-            self._come_back()
-        elif signal.SIGCONT in came:  # after a SIGSTOP, which cannot be handled
+        elif signal.SIGCONT in received:  # after a SIGSTOP, which cannot be handled
             self._terminal.leave()
-            self._come_back()
-
-    def _come_back(self) -> None:
+        else:
+            return
         self._terminal.enter()
         self._heartbeat = Heartbeat()
         self._let_go("continued; press again")
@@ -254,8 +250,8 @@ def _twist(twist: BodyTwist) -> str:
     return f"{forward:6.3f} m/s forward, {left:6.3f} m/s to the left, {yaw_rate:6.3f} rad/s"
 
 
-def _end_for(came: set[int]) -> None:
-    if signal.SIGHUP in came:
+def _end_for(received: set[int]) -> None:
+    if signal.SIGHUP in received:
         raise LostTerminalError("the terminal is gone; the robot was told to stop")
-    if signal.SIGINT in came or signal.SIGTERM in came:
+    if signal.SIGINT in received or signal.SIGTERM in received:
         raise RunInterruptedError("interrupted; the robot was told to stop")
