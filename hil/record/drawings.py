@@ -71,7 +71,10 @@ def drawn_pose(rows: Rows, column: Mapping[str, int]) -> Rows:
 
 
 def turned(vectors: Rows, heading_rad: Rows) -> Rows:
-    """Turn vectors of shape (n, k, 2) from the body frame into the world frame, headings of shape (n,)."""
+    """Turn vectors of shape (n, k, 2), or (1, k, 2) for all, from the body frame into the world frame.
+
+    Headings have shape (n,).
+    """
     cosine, sine = np.cos(heading_rad)[:, None], np.sin(heading_rad)[:, None]
     x, y = vectors[..., 0], vectors[..., 1]
     return np.stack([cosine * x - sine * y, sine * x + cosine * y], axis=-1)
@@ -133,8 +136,10 @@ class Trails:
         poses = drawn_pose(rows, self._column)
         seen = np.isfinite(poses).all(axis=1)
         if seen.any():
-            bodies = rr.LineStrips2D.columns(strips=list(_outlines(poses[seen])))
-            self._rerun.send_columns(f"{PLAN}/robot", indexes=indexes(times[seen]), columns=bodies)
+            poses = poses[seen]
+            outlines = poses[:, None, :2] + turned(_BODY_M[None], poses[:, 2])
+            bodies = rr.LineStrips2D.columns(strips=list(outlines))
+            self._rerun.send_columns(f"{PLAN}/robot", indexes(times[seen]), bodies)
 
     def _trail(self, name: str, points: Rows, times: Times, order: int) -> None:
         ends = np.vstack([self._end.get(name, points[0]), points])
@@ -144,17 +149,9 @@ class Trails:
         if not seen.any():
             return
         segments, index = segments[seen], indexes(times[seen])
-        flat = rr.LineStrips2D.columns(strips=list(segments))
-        self._rerun.send_columns(f"{PLAN}/{name}", indexes=index, columns=flat)
-        height = np.full((*segments.shape[:2], 1), (order + 1) * _FLOOR_STEP_M)
-        solid = rr.LineStrips3D.columns(strips=list(np.concatenate([segments, height], axis=2)))
-        self._rerun.send_columns(f"{FLOOR}/{name}", indexes=index, columns=solid)
-
-
-def _outlines(poses: Rows) -> Rows:
-    """Outline of the robot's symbol at poses (n, 3) in the world frame, shape (n, 6, 2)."""
-    outlines = np.broadcast_to(_BODY_M, (len(poses), *_BODY_M.shape))
-    return poses[:, None, :2] + turned(outlines, poses[:, 2])
+        self._rerun.send_columns(f"{PLAN}/{name}", index, rr.LineStrips2D.columns(strips=list(segments)))
+        solid = rr.LineStrips3D.columns(strips=list(_raised(segments, (order + 1) * _FLOOR_STEP_M)))
+        self._rerun.send_columns(f"{FLOOR}/{name}", index, solid)
 
 
 SCENE = "/world"
@@ -203,19 +200,16 @@ class Scene:
         names = [wheel.upper() for wheel in WHEEL_NAMES]
         forces = rr.Arrows3D.from_fields(colors=WHEEL_COLOURS, radii=[thick], labels=names, show_labels=True)
         self._rerun.log(f"{SCENE}/force", forces, static=True)
-        error = rr.Arrows3D.from_fields(colors=[ALARM_COLOUR], radii=[thick])
-        self._rerun.log(f"{SCENE}/error", error, static=True)
-        reference = rr.Arrows3D.from_fields(colors=[REFERENCE_COLOUR], radii=[thick])
-        self._rerun.log(f"{SCENE}/reference", reference, static=True)
+        for name, colour in (("error", ALARM_COLOUR), ("reference", REFERENCE_COLOUR)):
+            self._rerun.log(f"{SCENE}/{name}", rr.Arrows3D.from_fields(colors=[colour], radii=[thick]), static=True)
 
     def rows(self, rows: Rows, times: Times) -> None:
         """Draw rows of shape (n, signals)."""
         angles = self._turn(rows[:, self._speeds], times[:, 0])
         keep = self._decimator.keep(times[:, 0])
-        known = np.isfinite(drawn_pose(rows[keep], self._column)).all(axis=1)
-        if not known.any():
+        keep = keep[np.isfinite(drawn_pose(rows[keep], self._column)).all(axis=1)]
+        if not len(keep):
             return
-        keep = keep[known]
         rows, times = rows[keep], times[keep]
         drawn = drawn_pose(rows, self._column)
         self._robot(drawn, angles[keep], times)
@@ -239,10 +233,10 @@ class Scene:
             parent_frame=[f"tf#{SCENE}"] * len(poses),
             child_frame=["base_link"] * len(poses),
         )
-        self._rerun.send_columns(f"{SCENE}/pose", indexes=index, columns=columns)
+        self._rerun.send_columns(f"{SCENE}/pose", index, columns)
         for wheel, angle in zip(WHEEL_NAMES, angles_rad.T, strict=True):
             turned_wheel = self._joints[wheel].compute_transform_columns(np.remainder(angle, 2 * np.pi))
-            self._rerun.send_columns(f"{SCENE}/wheel/{wheel}", indexes=index, columns=turned_wheel)
+            self._rerun.send_columns(f"{SCENE}/wheel/{wheel}", index, turned_wheel)
 
     def _forces(self, poses: Rows, rows: Rows, times: Times) -> None:
         if self._torque_constant is None:
@@ -254,11 +248,9 @@ class Scene:
         poses, torques = poses[known], torques[known]
         scale = self._shape.force_scale_m_n / self._shape.wheel_radius_m
         vectors = turned(torques[:, :, None] * drive_directions() * scale, poses[:, 2])
-        places = np.broadcast_to(self._shape.centres_m, vectors.shape)
-        origins = poses[:, None, :2] + turned(places, poses[:, 2])
-        self._arrows(
-            "force", _raised(origins, _ABOVE_WHEEL * self._shape.wheel_radius_m), _raised(vectors, 0.0), times[known]
-        )
+        origins = poses[:, None, :2] + turned(self._shape.centres_m[None], poses[:, 2])
+        height_m = _ABOVE_WHEEL * self._shape.wheel_radius_m
+        self._arrows("force", _raised(origins, height_m), _raised(vectors, 0.0), times[known])
 
     def _reference(self, poses: Rows, reference: Rows, times: Times) -> None:
         """Draw the reference as an arrow along its heading, and the error as one from it to the robot."""
@@ -268,17 +260,15 @@ class Scene:
         poses, reference, times = poses[known], reference[known], times[known]
         height = 3 * self._shape.wheel_radius_m
         origins = _raised(reference[:, None, :2], height)
-        nose = np.broadcast_to(np.array([[self._shape.half_length_m, 0.0]]), (len(reference), 1, 2))
-        self._arrows("reference", origins, _raised(turned(nose, reference[:, 2]), 0.0), times)
+        nose = turned(np.array([[[self._shape.half_length_m, 0.0]]]), reference[:, 2])
+        self._arrows("reference", origins, _raised(nose, 0.0), times)
         self._arrows("error", origins, _raised((poses - reference)[:, None, :2], 0.0), times)
 
     def _arrows(self, name: str, origins: Rows, vectors: Rows, times: Times) -> None:
         """Log arrows of shape (n, k, 3)."""
         count = vectors.shape[1]
         columns = rr.Arrows3D.columns(origins=origins.reshape(-1, 3), vectors=vectors.reshape(-1, 3))
-        self._rerun.send_columns(
-            f"{SCENE}/{name}", indexes=indexes(times), columns=columns.partition([count] * len(vectors))
-        )
+        self._rerun.send_columns(f"{SCENE}/{name}", indexes(times), columns.partition([count] * len(vectors)))
 
 
 def _raised(points: Rows, height_m: float) -> Rows:

@@ -17,24 +17,9 @@ FAULT_LANES = "/fault"
 Codes = npt.NDArray[np.float64]
 Columns = Mapping[str, int]
 
-_GREEN, _YELLOW, _ORANGE, _RED, _PURPLE, _BLUE, _GREY = (
-    0x3FB27FFF,
-    0xE0C341FF,
-    0xF4A23AFF,
-    0xEB5757FF,
-    0xB5179EFF,
-    0x6C8EBFFF,
-    0x8D99AEFF,
-)
-_ROBOT_COLOURS = {
-    "BOOT": _GREY,
-    "IDLE": _BLUE,
-    "ARMED": _ORANGE,
-    "ACTIVE": _GREEN,
-    "STOPPING": _YELLOW,
-    "FAULT": _RED,
-    "ESTOP": _PURPLE,
-}
+_GREEN, _YELLOW, _ORANGE, _RED, _GREY = 0x3FB27FFF, 0xE0C341FF, 0xF4A23AFF, 0xEB5757FF, 0x8D99AEFF
+_ROBOT_COLOURS = {"BOOT": _GREY, "IDLE": 0x6C8EBFFF, "ARMED": _ORANGE, "ACTIVE": _GREEN}
+_ROBOT_COLOURS |= {"STOPPING": _YELLOW, "FAULT": _RED, "ESTOP": 0xB5179EFF}
 _GOOD, _LOSSY, _STALE, _SILENT = range(4)
 _LINK_STATES = {_GOOD: "GOOD", _LOSSY: "LOSSY", _STALE: "STALE", _SILENT: "SILENT"}
 _LOSSY_S = 0.1
@@ -58,22 +43,17 @@ class Lane(NamedTuple):
 def lanes(column: Columns, values: Mapping[str, Any]) -> list[Lane]:
     """Return the lanes of a run. ``column``: index of each signal in a row; ``values``: the scenario's, by key."""
     robot = state_names()
-    found = [
-        Lane(
-            ROBOT_LANE, robot, [_ROBOT_COLOURS.get(name, _GREY) for name in robot.values()], _one(column, "robot.state")
-        )
-    ]
+    colours = [_ROBOT_COLOURS.get(name, _GREY) for name in robot.values()]
+    found = [Lane(ROBOT_LANE, robot, colours, _one(column, "robot.state"))]
     watchdog_s = values.get("firmware.watchdog_s")
     stale_ms = _STALE_MS if watchdog_s is None else float(watchdog_s) * 1e3
-    link_colours = [_GREEN, _YELLOW, _ORANGE, _RED]
     if {"link.rejected", "link.lost", "link.feedback_age_ms"} <= column.keys():
-        found.append(Lane("/link/state", _LINK_STATES, link_colours, _Link(column, stale_ms)))
+        found.append(Lane("/link/state", _LINK_STATES, [_GREEN, _YELLOW, _ORANGE, _RED], _Link(column, stale_ms)))
     if "estimator.health" in column:
         health = {0: "GOOD", 1: "DEGRADED", 2: "LOST"}
         found.append(Lane("/ctrl/estimator/health", health, [_GREEN, _ORANGE, _RED], _one(column, "estimator.health")))
-    for number, row in enumerate(table_rows(values, "fault")):
-        found.append(_fault_lane(number, row, column["loop.t_s"]))
-    return found
+    faults = enumerate(table_rows(values, "fault"))
+    return found + [_fault_lane(number, row, column["loop.t_s"]) for number, row in faults]
 
 
 def _one(column: Columns, signal: str) -> Callable[[npt.NDArray[np.float64]], Codes]:

@@ -30,6 +30,11 @@ _MORE_COLOURS = (*WHEEL_COLOURS, X_COLOUR, HEADING_COLOUR, PLAIN_COLOUR, TRUTH_C
 # A unit as part of a path.
 _UNIT_PATHS = {"m/s²": "m_s2", "rad/s": "rad_s", "m/s": "m_s", "N·m": "n_m", "1/s": "1_s", "°C": "degc", "%": "percent"}
 _AXES = ("x", "y", "heading")
+_OF_AXES = {
+    "pose": ("x_m", "y_m", "heading_rad"),
+    "twist": ("vx_m_s", "vy_m_s", "yaw_rate_rad_s"),
+    "acceleration": ("ax_m_s2", "ay_m_s2", "yaw_acceleration_rad_s2"),
+}
 _AXIS_COLOURS = (X_COLOUR, Y_COLOUR, HEADING_COLOUR)
 
 
@@ -60,23 +65,16 @@ def _wheels(path: str, quantity: str) -> Entity:
 
 def _wide_wheels(path: str, quantity: str) -> Entity:
     """Wheels drawn wide and dim, so that the same wheels of another entity show on top of them."""
-    entity = _wheels(path, quantity)
-    series = (Series(one.signal, f"{one.label} cmd", _dim(one.colour)) for one in entity.series)
+    series = []
+    for signal, label, (red, green, blue) in _wheels(path, quantity).series:
+        series.append(Series(signal, f"{label} cmd", (red // 2, green // 2, blue // 2)))
     return Entity(path, tuple(series), width_px=5.0)
-
-
-def _dim(colour: Colour) -> Colour:
-    red, green, blue = (channel // 2 for channel in colour)
-    return red, green, blue
 
 
 def _axes(path: str, pattern: str) -> Entity:
     """Return an entity of x, y and heading; ``pattern`` is a name with ``{}`` for the axis, or a group of signals."""
-    names = {"pose": ("x_m", "y_m", "heading_rad"), "twist": ("vx_m_s", "vy_m_s", "yaw_rate_rad_s")}
-    names["acceleration"] = ("ax_m_s2", "ay_m_s2", "yaw_acceleration_rad_s2")
-    signals = [pattern.format(axis) for axis in _AXES]
-    if "{}" not in pattern:
-        signals = [f"{pattern}.{name}" for name in names[path.split("/")[2]]]
+    names = _AXES if "{}" in pattern else _OF_AXES[path.split("/")[2]]
+    signals = [pattern.format(name) if "{}" in pattern else f"{pattern}.{name}" for name in names]
     return _entity(path, *zip(signals, _AXES, _AXIS_COLOURS, strict=True))
 
 

@@ -31,20 +31,15 @@ ZERO_KEY = "zero_unix_ns"
 CDR_HEADER = b"\0\1\0\0"  # little-endian
 LEVELS = {"debug": 1, "info": 2, "warning": 3, "error": 4}
 """The numbers of the levels in ``foxglove.Log``."""
+_INTEGER, _STRING = {"type": "integer"}, {"type": "string"}
 _LOG_SCHEMA = {
     "title": "foxglove.Log",
     "type": "object",
     "properties": {
-        "timestamp": {
-            "type": "object",
-            "title": "time",
-            "properties": {"sec": {"type": "integer"}, "nsec": {"type": "integer"}},
-        },
+        "timestamp": {"type": "object", "title": "time", "properties": {"sec": _INTEGER, "nsec": _INTEGER}},
         "level": {"type": "integer", "enum": [0, 1, 2, 3, 4, 5]},
-        "message": {"type": "string"},
-        "name": {"type": "string"},
-        "file": {"type": "string"},
-        "line": {"type": "integer"},
+        **dict.fromkeys(("message", "name", "file"), _STRING),
+        "line": _INTEGER,
     },
 }
 
@@ -53,11 +48,10 @@ class McapFile:
     """An MCAP file that grows by chunks. Raises OSError when it cannot be opened or written.
 
     Args:
-        path: the file.
-        zero_unix_ns: Unix time at the run's t = 0 [ns], for the stamps.
+        zero_unix_ns: Unix time at the run's t = 0 [ns], for the time stamps.
         signals: names of the columns of every row.
-        properties: what the run was, as texts by name.
-        part: which file of the run it is, see ``hil.record.properties``.
+        properties: facts about the run, as texts by name.
+        part: which file of the run it is (see ``hil.record.properties``).
     """
 
     def __init__(
@@ -155,16 +149,12 @@ def _definition(tree: Mapping[str, Any]) -> str:
     texts: list[str] = []
 
     def define(branch: Mapping[str, Any], kind: str) -> None:
-        place = len(texts)
-        texts.append("")
-        lines = []
-        for name, inner in branch.items():
-            if isinstance(inner, dict):
-                lines.append(f"hil/{kind}{name.title().replace('_', '')} {name}")
-                define(inner, kind + name.title().replace("_", ""))
-            else:
-                lines.append(f"float64 {name}")
-        texts[place] = (f"MSG: hil/{kind}\n" if place else "") + "\n".join(lines) + "\n"
+        groups = [name for name, inner in branch.items() if isinstance(inner, dict)]
+        kinds = {name: kind + name.title().replace("_", "") for name in groups}
+        lines = [f"hil/{kinds[name]} {name}" if name in kinds else f"float64 {name}" for name in branch]
+        texts.append((f"MSG: hil/{kind}\n" if texts else "") + "\n".join(lines) + "\n")
+        for name, inner_kind in kinds.items():
+            define(branch[name], inner_kind)
 
     define(tree, "Row")
     return ("=" * 80 + "\n").join(texts)

@@ -62,7 +62,7 @@ class RobotShape:
         return next(digit for digit in _ROUND_TO if digit * power <= exact * (1 + 1e-9)) * power
 
     def urdf(self) -> str:
-        """Return the URDF; its meshes are the files of ``meshes``."""
+        """Return the URDF; ``write`` writes the meshes that it names."""
         radius = self.wheel_radius_m
         wheel_width = _WHEEL_WIDTH * radius
         length = 2 * self.half_length_m + 0.6 * radius
@@ -93,14 +93,10 @@ class RobotShape:
             wheels=wheels,
         )
 
-    def meshes(self) -> dict[str, bytes]:
-        """Return the meshes of the URDF, binary STL by file name."""
-        return {f"rollers_{side}.stl": _stl(_rollers(self.wheel_radius_m, sign)) for sign, side in _SIDES.items()}
-
     def write(self, directory: Path) -> Path:
-        """Write URDF and meshes to a folder and return the path of the URDF."""
-        for name, mesh in self.meshes().items():
-            (directory / name).write_bytes(mesh)
+        """Write the URDF and its meshes (binary STL) to a folder and return the path of the URDF."""
+        for sign, side in _SIDES.items():
+            (directory / f"rollers_{side}.stl").write_bytes(_stl(_rollers(self.wheel_radius_m, sign)))
         path = directory / "robot.urdf"
         path.write_text(self.urdf(), encoding="utf-8")
         return path

@@ -17,8 +17,8 @@ from hil.record.blueprint import blueprint
 from hil.record.decimate import Decimator
 from hil.record.drawings import RowTimes, Scene, Times, Trails, indexes, seconds_index
 from hil.record.lanes import Lane, lanes
-from hil.record.layout import ALARM_COLOUR, layout
-from hil.record.limits import LIMITS_PATH, limit_values, limits
+from hil.record.layout import ALARM_COLOUR, Colour, Series, layout
+from hil.record.limits import LIMITS_PATH, Limit, limit_values, limits
 from hil.record.properties import (
     APPLICATION,
     PART_PROPERTY,
@@ -86,12 +86,12 @@ class Stream:
         self._drawn_times = RowTimes(self._column)
         self._undrawn: list[Rows] = []
         self._rerun = rr.RecordingStream(APPLICATION, recording_id=recording_id)
-        layout_of_views = blueprint(self._layout, limits=self._limits, shape=shape, live=live)
-        self._rerun.set_sinks(sink, default_blueprint=layout_of_views)
+        views = blueprint(self._layout, limits=self._limits, shape=shape, live=live)
+        self._rerun.set_sinks(sink, default_blueprint=views)
         self._drawings: list[Trails | Scene] = [Trails(self._rerun, self._column)]
         if shape is not None:
-            torque_constant = values.get("firmware.torque_constant_n_m_a")
-            self._drawings.append(Scene(self._rerun, self._column, shape, torque_constant))
+            torque_constant_n_m_a = values.get("firmware.torque_constant_n_m_a")
+            self._drawings.append(Scene(self._rerun, self._column, shape, torque_constant_n_m_a))
         if part is not None:
             self._rerun.send_property(PART_PROPERTY, rr.AnyValues(json=json.dumps(part)))
         self._describe(live=live)
@@ -103,8 +103,7 @@ class Stream:
         The views get them later, about ``_DRAWN_AT_ONCE`` rows at once: few large pieces need less disk, and each piece
         takes 2.8 kB in a reader's index.
         """
-        index = indexes(self._times(rows))
-        self._rerun.send_columns(SIGNALS_PATH, indexes=index, columns=rr.Scalars.columns(scalars=rows))
+        self._rerun.send_columns(SIGNALS_PATH, indexes(self._times(rows)), rr.Scalars.columns(scalars=rows))
         self._undrawn.append(rows)
         if sum(map(len, self._undrawn)) >= _DRAWN_AT_ONCE:
             self._draw_rest()
@@ -118,18 +117,15 @@ class Stream:
         if len(drawn):
             index, values = indexes(times[drawn]), rows[drawn]
             for path, columns in self._entities:
-                self._rerun.send_columns(path, indexes=index, columns=rr.Scalars.columns(scalars=values[:, columns]))
+                self._rerun.send_columns(path, index, rr.Scalars.columns(scalars=values[:, columns]))
         self._draw_limits(times)
         for drawing in self._drawings:
             drawing.rows(rows, times)
 
     def event(self, t_s: float, level: str, text: str) -> None:
         """Write a line of the event log at scenario time ``t_s``."""
-        self._rerun.send_columns(
-            "/events",
-            indexes=[seconds_index(np.array([t_s]))],
-            columns=rr.TextLog.columns(text=[text], level=[_LEVELS.get(level, "INFO")]),
-        )
+        line = rr.TextLog.columns(text=[text], level=[_LEVELS.get(level, "INFO")])
+        self._rerun.send_columns("/events", [seconds_index(np.array([t_s]))], line)
 
     def finish(self, summary: Mapping[str, object] | None, recorder: Mapping[str, int]) -> None:
         """Write the run's summary, also to the page, unless it is None; then the recorder's counts."""
@@ -156,32 +152,27 @@ class Stream:
         held = drawn if live else {SIGNALS_PATH: list(self._column)}
         self._rerun.send_property(SIGNALS_PROPERTY, rr.AnyValues(json=json.dumps(held)))
         if self._properties:
-            texts = rr.AnyValues(drop_untyped_nones=True, **self._properties)
-            self._rerun.send_property(RUN_PROPERTY, texts)
+            self._rerun.send_property(RUN_PROPERTY, rr.AnyValues(drop_untyped_nones=True, **self._properties))
         if "scenario_name" in self._properties:
             self._rerun.send_recording_name(self._properties["scenario_name"])
         for entity in self._layout:
-            style = rr.SeriesLines(
-                names=[series.label for series in entity.series],
-                colors=[series.colour for series in entity.series],
-                widths=[entity.width_px] * len(entity.series),
-            )
-            self._rerun.log(entity.path, style, static=True)
+            self._line_style(entity.path, entity.series, [one.colour for one in entity.series], entity.width_px)
         for path, lines in self._limits.items():
-            style = rr.SeriesLines(
-                names=[line.label for line in lines],
-                colors=[ALARM_COLOUR] * len(lines),
-                widths=[_LIMIT_WIDTH_PX] * len(lines),
-            )
-            self._rerun.log(LIMITS_PATH + path, style, static=True)
+            self._line_style(LIMITS_PATH + path, lines, [ALARM_COLOUR] * len(lines), _LIMIT_WIDTH_PX)
         for lane in self._lanes:
             # As an array: rerun would take a list of three or four numbers for one colour.
             colours = np.array(lane.colours, dtype=np.uint32)
-            style_of_states = rr.StateConfiguration(values=list(lane.names.values()), colors=colours)
-            self._rerun.log(lane.path, style_of_states, static=True)
+            states = rr.StateConfiguration(values=list(lane.names.values()), colors=colours)
+            self._rerun.log(lane.path, states, static=True)
         for drawing in self._drawings:
             drawing.describe()
         self._page(None)
+
+    def _line_style(
+        self, path: str, lines: Sequence[Series | Limit], colours: Sequence[Colour], width_px: float
+    ) -> None:
+        labels, widths = [line.label for line in lines], [width_px] * len(lines)
+        self._rerun.log(path, rr.SeriesLines(names=labels, colors=colours, widths=widths), static=True)
 
     def _page(self, summary: Mapping[str, object] | None) -> None:
         """Log the page: the run's properties and, at the end, its figures."""
@@ -203,8 +194,7 @@ class Stream:
             name = lane.names.get(int(codes[i]), f"UNKNOWN {codes[i]:g}")
             if name != self._lane_states.get(lane.path):
                 self._lane_states[lane.path] = name
-                state = rr.StateChange.columns(state=[name])
-                self._rerun.send_columns(lane.path, indexes=indexes(times[i : i + 1]), columns=state)
+                self._rerun.send_columns(lane.path, indexes(times[i : i + 1]), rr.StateChange.columns(state=[name]))
 
     def _draw_limits(self, times: Times) -> None:
         # No further than the run has come: a live view follows the newest point.
@@ -214,8 +204,7 @@ class Stream:
         for path, lines in self._limits.items():
             drawn = limit_values(lines, t_s)
             if np.isfinite(drawn).any():
-                scalars = rr.Scalars.columns(scalars=drawn)
-                self._rerun.send_columns(LIMITS_PATH + path, indexes=[seconds_index(t_s)], columns=scalars)
+                self._rerun.send_columns(LIMITS_PATH + path, [seconds_index(t_s)], rr.Scalars.columns(scalars=drawn))
 
 
 class LiveServer:
@@ -228,13 +217,8 @@ class LiveServer:
     def __init__(self, port: int, *, recording_id: str, signals: Sequence[str], properties: Mapping[str, str]) -> None:
         rr.set_strict_mode(True)
         _check_port(port)
-        self._stream = Stream(
-            rr.GrpcServerSink(HOST, port, server_memory_limit=_MEMORY_LIMIT),
-            recording_id=recording_id,
-            signals=signals,
-            properties=properties,
-            live=True,
-        )
+        sink = rr.GrpcServerSink(HOST, port, server_memory_limit=_MEMORY_LIMIT)
+        self._stream = Stream(sink, recording_id=recording_id, signals=signals, properties=properties, live=True)
         self._t_column = list(signals).index("loop.t_s")
         self._decimator = Decimator(LIVE_PERIOD_S)
         self._queue: deque[Callable[[], None]] = deque(maxlen=_QUEUE_LENGTH)

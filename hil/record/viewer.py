@@ -6,6 +6,7 @@ web page reconnects by itself: ``hil live`` reconnects it each time a program be
 
 import contextlib
 import importlib.util
+import itertools
 import json
 import os
 import shutil
@@ -189,16 +190,24 @@ def _check_ended(viewer: "subprocess.Popen[bytes]", remedy: str) -> None:
 
 
 @contextlib.contextmanager
-def _web_viewer(*sources: str) -> Iterator[tuple["subprocess.Popen[bytes]", int, int]]:
-    """Serve rerun's web page; yields the process, the port of the data and the port of the page."""
-    data_port, page_port = free_port(), free_port()
-    viewer = _start("--serve-web", "--port", str(data_port), "--web-viewer-port", str(page_port), *sources)
+def _listening_viewer(port: int, *options: str) -> Iterator["subprocess.Popen[bytes]"]:
+    """Start a viewer, yield it once it listens on the port, and end it."""
+    viewer = _start(*options)
     try:
-        wait_until_listening(viewer, page_port)
-        yield viewer, data_port, page_port
+        wait_until_listening(viewer, port)
+        yield viewer
     finally:
         viewer.terminate()
         viewer.wait()
+
+
+@contextlib.contextmanager
+def _web_viewer(*sources: str) -> Iterator[tuple["subprocess.Popen[bytes]", int, int]]:
+    """Serve rerun's web page; yields the process, the port of the data and the port of the page."""
+    data_port, page_port = free_port(), free_port()
+    ports = ("--port", str(data_port), "--web-viewer-port", str(page_port))
+    with _listening_viewer(page_port, "--serve-web", *ports, *sources) as viewer:
+        yield viewer, data_port, page_port
 
 
 def _web_address(port: int, source: str) -> str:
@@ -208,76 +217,54 @@ def _web_address(port: int, source: str) -> str:
 
 def _live_in_window(port: int, say: Callable[[str], None]) -> None:
     viewer_port = free_port()
-    viewer = _start("--hide-welcome-screen", "--port", str(viewer_port))
-    try:
-        wait_until_listening(viewer, viewer_port)
+    with _listening_viewer(viewer_port, "--hide-welcome-screen", "--port", str(viewer_port)) as viewer:
         window = Window(viewer_port)
         say(_waiting(port))
         on_each_run(port, found=lambda: window.show(port), going_on=lambda: viewer.poll() is None)
         _check_ended(viewer, "; try 'hil live --web'")
-    finally:
-        viewer.terminate()
-        viewer.wait()
 
 
 def _live_in_browser(port: int, say: Callable[[str], None]) -> None:
     with (
         _web_viewer() as (viewer, _, page_port),
-        _Page(port, _web_address(page_port, live_address(port))) as page,
+        _live_page(port, _web_address(page_port, live_address(port))) as (address, next_run),
     ):
-        say(f"{_waiting(port)}; open {page.address} until Ctrl-C")
-        on_each_run(port, found=page.next_run, going_on=lambda: viewer.poll() is None)
+        say(f"{_waiting(port)}; open {address} until Ctrl-C")
+        on_each_run(port, found=next_run, going_on=lambda: viewer.poll() is None)
         raise DeviceError(f"the rerun viewer ended with exit status {viewer.returncode}")
 
 
-class _Page:
-    """Serves a page that embeds rerun's viewer and reloads it for each run; a context manager."""
+@contextlib.contextmanager
+def _live_page(port: int, viewer_address: str) -> Iterator[tuple[str, Callable[[], None]]]:
+    """Serve a page that embeds rerun's viewer; yields its URL, and a function that makes it reload the viewer."""
+    runs = itertools.count(1)
+    state = {"number": 0, "address": viewer_address, "note": _waiting(port)}
 
-    def __init__(self, port: int, viewer_address: str) -> None:
-        self._runs = 0
-        state = {"address": viewer_address, "note": _waiting(port)}
-        page = self
+    class Handler(BaseHTTPRequestHandler):
+        def do_GET(self) -> None:
+            answers = {
+                "/": ("text/html; charset=utf-8", _PAGE.read_bytes()),
+                "/run": ("application/json", json.dumps(state).encode()),
+            }
+            if (answer := answers.get(self.path.partition("?")[0])) is None:
+                self.send_error(HTTPStatus.NOT_FOUND)
+                return
+            kind, content = answer
+            self.send_response(HTTPStatus.OK)
+            self.send_header("Content-Type", kind)
+            self.send_header("Content-Length", str(len(content)))
+            self.end_headers()
+            self.wfile.write(content)
 
-        class Handler(BaseHTTPRequestHandler):
-            def do_GET(self) -> None:
-                path = self.path.partition("?")[0]
-                if path == "/":
-                    self._answer("text/html; charset=utf-8", _PAGE.read_bytes())
-                elif path == "/run":
-                    self._answer("application/json", json.dumps({"number": page._runs, **state}).encode())
-                else:
-                    self.send_error(HTTPStatus.NOT_FOUND)
+        def log_message(self, *_: object) -> None:
+            """Log no requests."""
 
-            def _answer(self, kind: str, content: bytes) -> None:
-                self.send_response(HTTPStatus.OK)
-                self.send_header("Content-Type", kind)
-                self.send_header("Content-Length", str(len(content)))
-                self.end_headers()
-                self.wfile.write(content)
-
-            def log_message(self, *_: object) -> None:
-                """Log no requests."""
-
-        self._server = ThreadingHTTPServer((HOST, 0), Handler)
-        self._thread = threading.Thread(target=self._server.serve_forever, name="page", daemon=True)
-
-    @property
-    def address(self) -> str:
-        """The page's URL."""
-        return f"http://{HOST}:{self._server.server_port}/"
-
-    def next_run(self) -> None:
-        """Make the page reload the viewer."""
-        self._runs += 1
-
-    def __enter__(self) -> "_Page":
-        self._thread.start()
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._server.shutdown()
-        self._server.server_close()
-        self._thread.join()
+    with ThreadingHTTPServer((HOST, 0), Handler) as server:
+        threading.Thread(target=server.serve_forever, name="page", daemon=True).start()
+        try:
+            yield f"http://{HOST}:{server.server_port}/", lambda: state.update(number=next(runs))
+        finally:
+            server.shutdown()
 
 
 def _waiting(port: int) -> str:

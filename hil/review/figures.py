@@ -24,17 +24,8 @@ _WHAT_IT_WAS = {"scenario": "scenario_name", "law": "law", "mode": "mode", "link
 _FROM_SUMMARY = ("passed", "realtime_factor", "lateness_us", "frames", "link_statistics", "pose_fixes", "wire_sha256")
 # No reason is given where one of these is None.
 _OUTCOME = (
-    "failure",
-    "stopped",
-    "expect",
-    "fault",
-    "recoveries",
-    "commands_refused",
-    "stale_ticks",
-    "held_ticks",
-    "allow",
-    "realtime",
-    "robot_slipped_ticks",
+    *("failure", "stopped", "expect", "fault", "recoveries", "commands_refused"),
+    *("stale_ticks", "held_ticks", "allow", "realtime", "robot_slipped_ticks"),
 )
 _MADE = ("command", "started", "mecanum_hil", "commit", "python", "machine")
 _NAMED = 4

@@ -39,11 +39,7 @@ _STYLE: Any = {
     "axes.titlesize": 10.0,
     "axes.titleweight": "bold",
     "axes.titlelocation": "left",
-    "axes.edgecolor": _INK,
-    "axes.labelcolor": _INK,
-    "text.color": _INK,
-    "xtick.color": _INK,
-    "ytick.color": _INK,
+    **dict.fromkeys(("axes.edgecolor", "axes.labelcolor", "text.color", "xtick.color", "ytick.color"), _INK),
     "axes.spines.top": False,
     "axes.spines.right": False,
     "axes.grid": True,
@@ -127,16 +123,12 @@ def thinned(curve: Curve, points: int = 1200) -> Curve:
     if count <= points:
         return curve
     size = -(-2 * count // points)
-    padding = (0, -count % size)
-    x = np.pad(curve.x, padding, mode="edge").reshape(-1, size)
-    y = np.pad(curve.y, padding, mode="edge").reshape(-1, size)
-    there = np.isfinite(y)
-    least = np.argmin(np.where(there, y, np.inf), axis=1)
-    greatest = np.argmax(np.where(there, y, -np.inf), axis=1)
-    places = np.sort(np.stack([least, greatest], axis=1), axis=1)
-    return curve._replace(
-        x=np.take_along_axis(x, places, axis=1).ravel(), y=np.take_along_axis(y, places, axis=1).ravel()
-    )
+    x, y = (np.pad(series, (0, -count % size), mode="edge").reshape(-1, size) for series in (curve.x, curve.y))
+    known = np.isfinite(y)
+    extremes = np.argmin(np.where(known, y, np.inf), axis=1), np.argmax(np.where(known, y, -np.inf), axis=1)
+    places = np.sort(np.stack(extremes, axis=1), axis=1)
+    kept_x, kept_y = (np.take_along_axis(series, places, axis=1).ravel() for series in (x, y))
+    return curve._replace(x=kept_x, y=kept_y)
 
 
 def colour_of(number: int) -> Colour:
@@ -164,11 +156,8 @@ def draw_curves(
 
 def _legend(axes: "Axes", **inside: Any) -> None:
     """Show the legend within the axes, or beside them when it is so long that it would hide what they show."""
-    _, labels = axes.get_legend_handles_labels()
-    if len(labels) > _MOST_INSIDE:
-        axes.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0))
-    else:
-        axes.legend(**inside)
+    is_long = len(axes.get_legend_handles_labels()[1]) > _MOST_INSIDE
+    axes.legend(**({"loc": "upper left", "bbox_to_anchor": (1.0, 1.0)} if is_long else inside))
 
 
 def draw_path(axes: "Axes", reference: Curve, curves: Sequence[Curve], *, title: str = "Path") -> None:
@@ -177,10 +166,8 @@ def draw_path(axes: "Axes", reference: Curve, curves: Sequence[Curve], *, title:
     axes.plot(reference.x, reference.y, label=reference.label, color=colour, linewidth=4.0, alpha=0.5)
     draw_curves(axes, curves, title=title, x_label="x [m]", y_label="y [m]")
     for number, curve in enumerate(curves):
-        there = np.flatnonzero(np.isfinite(curve.x) & np.isfinite(curve.y))
-        if len(there):
-            colour = rgb(curve.colour or colour_of(number))
-            axes.plot(curve.x[there[0]], curve.y[there[0]], "o", color=colour, markersize=4.0)
+        known = np.flatnonzero(np.isfinite(curve.x) & np.isfinite(curve.y))[:1]
+        axes.plot(curve.x[known], curve.y[known], "o", color=rgb(curve.colour or colour_of(number)), markersize=4.0)
     axes.set_aspect("equal", adjustable="datalim")
 
 
@@ -217,8 +204,8 @@ def draw_bars(
 
     Raises ValueError when a bar does not have one value for each group.
     """
-    there = [value for bar in bars for value in (*bar.nominal, *bar.worst) if value is not None]
-    log = log and bool(there) and min(there) > 0.0
+    values = [value for bar in bars for value in (*bar.nominal, *bar.worst) if value is not None]
+    log = log and min(values, default=0.0) > 0.0
     width = _BAR_SHARE / max(1, len(bars))
     for number, bar in enumerate(bars):
         colour = rgb(colour_of(number))
@@ -251,5 +238,5 @@ def draw_bars(
 
 def rgb(colour: Colour) -> tuple[float, float, float]:
     """Return a colour as matplotlib takes it."""
-    red, green, blue = colour
-    return red / 255, green / 255, blue / 255
+    red, green, blue = (channel / 255 for channel in colour)
+    return red, green, blue
