@@ -9,7 +9,8 @@ Source: mjbots moteus, docs/protocol/can.md and docs/protocol/registers.md.
 
 import math
 import struct
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from itertools import islice
 from typing import NamedTuple
 
 from hil.core.types import NAN
@@ -42,39 +43,21 @@ FAULTS: Mapping[int, str] = {
 }
 """Fault codes of register 0x00f. Codes from 96 on only say what limits the power."""
 
-_STEPS: Mapping[str, tuple[float, float, float]] = {
-    "position": (1e-2, 1e-4, 1e-5),
-    "velocity": (1e-1, 2.5e-4, 1e-5),
-    "acceleration": (5e-2, 1e-3, 1e-5),
-    "torque": (5e-1, 1e-2, 1e-3),
-    "share": (1 / 127, 1 / 32767, 1 / 2147483647),
-    "time": (1e-2, 1e-3, 1e-6),
-    "current": (1.0, 1e-1, 1e-3),
-    "voltage": (5e-1, 1e-1, 1e-3),
-    "temperature": (1.0, 1e-1, 1e-3),
-    "power": (10.0, 5e-2, 1e-4),
-    "count": (1.0, 1.0, 1.0),
-}
-"""One count as int8, int16 and int32, by quantity [rev, rev/s, rev/s², N·m, 1, s, A, V, °C, W, 1]."""
-
-_QUANTITIES: Mapping[int, str] = {
-    register: quantity
-    for quantity, registers in {
-        "position": (0x01, 0x20, 0x26, 0x38, 0x40, 0x41, 0x50, 0x130, 0x131),
-        "velocity": (0x02, 0x1E, 0x21, 0x28, 0x39, 0x51),
-        "acceleration": (0x29,),
-        "torque": (0x03, 0x22, 0x25, 0x3A),
-        "share": (0x18, 0x23, 0x24, 0x2B),
-        "time": (0x27,),
-        "current": (0x04, 0x05, 0x1C, 0x1D),
-        "voltage": (0x0D, 0x19, 0x1A, 0x1B),
-        "temperature": (0x0A, 0x0E),
-        "power": (0x07,),
-        "count": (0x0B, 0x0C, 0x2D),
-    }.items()
-    for register in registers
-}
-"""The quantity of each register. Registers that are not here have plain whole numbers."""
+_QUANTITIES = (
+    ((1e-2, 1e-4, 1e-5), (0x01, 0x20, 0x26, 0x38, 0x40, 0x41, 0x50, 0x130, 0x131)),  # position [rev]
+    ((1e-1, 2.5e-4, 1e-5), (0x02, 0x1E, 0x21, 0x28, 0x39, 0x51)),  # velocity [rev/s]
+    ((5e-2, 1e-3, 1e-5), (0x29,)),  # acceleration [rev/s²]
+    ((5e-1, 1e-2, 1e-3), (0x03, 0x22, 0x25, 0x3A)),  # torque [N·m]
+    ((1 / 127, 1 / 32767, 1 / 2147483647), (0x18, 0x23, 0x24, 0x2B)),  # share
+    ((1e-2, 1e-3, 1e-6), (0x27,)),  # time [s]
+    ((1.0, 1e-1, 1e-3), (0x04, 0x05, 0x1C, 0x1D)),  # current [A]
+    ((5e-1, 1e-1, 1e-3), (0x0D, 0x19, 0x1A, 0x1B)),  # voltage [V]
+    ((1.0, 1e-1, 1e-3), (0x0A, 0x0E)),  # temperature [°C]
+    ((10.0, 5e-2, 1e-4), (0x07,)),  # power [W]
+    ((1.0, 1.0, 1.0), (0x0B, 0x0C, 0x2D)),  # count
+)
+"""The quantities: one count as int8, int16 and int32, and the registers. All others have plain whole numbers."""
+_STEPS = {register: steps for steps, registers in _QUANTITIES for register in registers}
 
 WRITE, READ, REPLY = 0x00, 0x10, 0x20
 WRITE_ERROR, READ_ERROR = 0x30, 0x31
@@ -127,11 +110,7 @@ def header(code: int, kind: int, first: int, count: int) -> bytes:
 
 def varuint(value: int) -> bytes:
     """Return a number in bytes of 7 bits each, least significant first."""
-    encoded = bytearray()
-    while value > 0x7F:
-        encoded.append(value & 0x7F | 0x80)
-        value >>= 7
-    return bytes((*encoded, value))
+    return bytes((value,)) if value < 0x80 else bytes((value & 0x7F | 0x80,)) + varuint(value >> 7)
 
 
 def pack(kind: int, raw: float) -> bytes:
@@ -146,10 +125,9 @@ def padded(payload: bytes) -> bytes:
 
 def physical(register: int, kind: int, raw: float) -> float:
     """Return a raw value in rev, rev/s, N·m, s, A, V, °C or W; NaN for the lowest whole number of its type."""
-    quantity = _QUANTITIES.get(register)
-    if kind == FLOAT or quantity is None:
+    if kind == FLOAT or register not in _STEPS:
         return raw
-    return NAN if raw == -(1 << (8 << kind) - 1) else raw * _STEPS[quantity][kind]
+    return NAN if raw == -(1 << (8 << kind) - 1) else raw * _STEPS[register][kind]
 
 
 def raw_of(register: int, kind: int, value: float) -> float:
@@ -159,7 +137,7 @@ def raw_of(register: int, kind: int, value: float) -> float:
     most = (1 << (8 << kind) - 1) - 1
     if not math.isfinite(value):
         return -most - 1
-    return int(clamp(value / _STEPS[_QUANTITIES[register]][kind], most))
+    return int(clamp(value / _STEPS[register][kind], most))
 
 
 def parse_reply(payload: bytes) -> dict[int, float] | None:
@@ -168,7 +146,7 @@ def parse_reply(payload: bytes) -> dict[int, float] | None:
     if not is_whole or any(one.code not in (REPLY, WRITE_ERROR, READ_ERROR) for one in found):
         return None
     values = [one for one in found if one.code == REPLY]
-    if any(one.register not in _QUANTITIES and not math.isfinite(one.raw) for one in values):
+    if any(one.register not in _STEPS and not math.isfinite(one.raw) for one in values):
         return None
     return {one.register: physical(one.register, one.kind, one.raw) for one in values}
 
@@ -176,48 +154,35 @@ def parse_reply(payload: bytes) -> dict[int, float] | None:
 def subframes(payload: bytes) -> tuple[list[Subframe], bool]:
     """Return the subframes up to the first unknown or incomplete one, and whether there was no such one."""
     found: list[Subframe] = []
-    at = 0
+    rest = iter(payload)
     try:
-        while at < len(payload):
-            code = payload[at]
-            at += 1
+        for code in rest:
             if code == _NOP:
                 continue
             if code in (WRITE_ERROR, READ_ERROR, STREAM_TO_DEVICE, STREAM_POLL):
-                register, at = _varuint(payload, at)
-                number, at = _varuint(payload, at)
-                size = number if code == STREAM_TO_DEVICE else 0
-                if at + size > len(payload):
+                register, number = _varuint(rest), _varuint(rest)
+                data = bytes(islice(rest, min(number, len(payload)))) if code == STREAM_TO_DEVICE else b""
+                if code == STREAM_TO_DEVICE and len(data) < number:
                     return found, False
-                found.append(Subframe(code, register, raw=number, data=payload[at : at + size]))
-                at += size
+                found.append(Subframe(code, register, raw=number, data=data))
                 continue
             operation, kind, count = code & 0xF0, code >> 2 & 3, code & 3
             if operation > REPLY:
                 return found, False
-            if not count:
-                count, at = _varuint(payload, at)
-            first, at = _varuint(payload, at)
+            count = count or _varuint(rest)
+            first = _varuint(rest)
             for register in range(first, first + count):
-                raw = 0.0
-                if operation != READ:
-                    (raw,) = struct.unpack_from(_FORMATS[kind], payload, at)
-                    at += struct.calcsize(_FORMATS[kind])
+                data = b"" if operation == READ else bytes(islice(rest, struct.calcsize(_FORMATS[kind])))
+                raw = 0.0 if operation == READ else struct.unpack(_FORMATS[kind], data)[0]
                 found.append(Subframe(operation, register, kind, raw))
                 if len(found) > _MAX_REGISTERS:
                     return found, False
-    except (IndexError, struct.error):
+    except (StopIteration, struct.error):
         return found, False
     return found, True
 
 
-def _varuint(payload: bytes, at: int) -> tuple[int, int]:
-    """Return the number at a position, and the position after it. Raises IndexError beyond the end."""
-    value = shift = 0
-    while True:
-        byte = payload[at]
-        at += 1
-        value |= (byte & 0x7F) << shift
-        shift += 7
-        if byte < 0x80:
-            return value, at
+def _varuint(rest: Iterator[int]) -> int:
+    """Take a number from the bytes. Raises StopIteration at their end."""
+    byte = next(rest)
+    return byte if byte < 0x80 else byte & 0x7F | _varuint(rest) << 7
