@@ -15,9 +15,8 @@ from typing import Any, NamedTuple
 
 import pyarrow as pa
 
-from hil.batch.campaign.checks import check_run, needs_bench
 from hil.batch.campaign.load import Plan, load_plan
-from hil.batch.campaign.points import Point, points
+from hil.batch.campaign.points import Point, check_run, needs_bench, points
 from hil.batch.campaign.tables import KeepTable
 from hil.batch.figures import MACHINE, as_judged, check_figure, row_columns
 from hil.batch.job import ALWAYS, ENDED, FAILED, IF_FAILED, NEVER, PASSED, Job, Outcome
@@ -56,13 +55,8 @@ class Place(NamedTuple):
     memory_mb: float | None = None
 
 
-class _How(NamedTuple):
-    """How runs are done; ``scratch`` is a folder for recordings until they are kept."""
-
-    place: Place
-    scratch: Path
-    on_trouble: Callable[[str | None], None]
-    is_stopping: Callable[[], bool]
+Outcomes = Callable[[Sequence[Run], str], Iterator[list[Outcome]]]
+"""Does runs, recorded as the second argument says, and yields their outcomes."""
 
 
 class Campaign:
@@ -151,18 +145,19 @@ class Campaign:
                 scratch = resources.enter_context(tempfile.TemporaryDirectory(prefix="hil_campaign_"))
             except OSError as error:
                 raise BadInputError(f"no temporary folder can be made ({error}); make room for one") from error
-            how = _How(place, Path(scratch), on_trouble, is_stopping)
+            do = partial(self._outcomes, place, Path(scratch), on_trouble, is_stopping)
             self._begin(store)
             there = self._there(folder)
             store.drop({key for key, row in there.items() if row["outcome"] in redo})
             there = self._there(folder) if redo else there
             yield list(there.values())
             record = {"failures": IF_FAILED, "all": ALWAYS}.get(str(self.plan.tables.keep), NEVER)
-            for outcomes in self._outcomes([run for run in self.runs if run.key not in there], record, how):
+            for outcomes in do([run for run in self.runs if run.key not in there], record):
                 new = [self._kept(outcome, store) for outcome in outcomes]
                 store.append(new)
                 yield new
-            yield from self._record_worst(store, how)
+            if isinstance(self.plan.tables.keep, KeepTable) and not is_stopping():
+                yield from self._record_worst(store, self.plan.tables.keep, do)
 
     @property
     def records_worst(self) -> bool:
@@ -198,28 +193,27 @@ class Campaign:
     def _by_key(self) -> dict[str, Run]:
         return {run.key: run for run in self.runs}
 
-    def _outcomes(self, runs: Sequence[Run], record: str, how: _How) -> Iterator[list[Outcome]]:
+    def _outcomes(
+        self,
+        place: Place,
+        scratch: Path,
+        on_trouble: Callable[[str | None], None],
+        is_stopping: Callable[[], bool],
+        runs: Sequence[Run],
+        record: str,
+    ) -> Iterator[list[Outcome]]:
         if not runs:
             return
-        place = how.place
-        jobs = (
-            self.job(
-                run,
-                limit_s=place.limit_s,
-                memory_mb=place.memory_mb,
-                retries_crash=True,
-                record=record,
-                recording=str(how.scratch / f"{run.key}.rrd"),
-            )
-            for run in runs
-        )
+        how: dict[str, Any] = {"limit_s": place.limit_s, "memory_mb": place.memory_mb, "record": record}
+        files = (str(scratch / f"{run.key}.rrd") for run in runs)
+        jobs = (self.job(run, retries_crash=True, recording=file, **how) for run, file in zip(runs, files, strict=True))
         if place.scheduler is None:
             pool: Pool = LocalPool(place.workers)
         else:
             from hil.batch.dask_pool import DaskPool  # which takes a second, and need not be installed
 
             pool = DaskPool(place.scheduler, on_bench=self.on_bench)
-        yield from run_plan(FixedPlan(jobs), pool, on_trouble=how.on_trouble, is_stopping=how.is_stopping)
+        yield from run_plan(FixedPlan(jobs), pool, on_trouble=on_trouble, is_stopping=is_stopping)
 
     def _kept(self, outcome: Outcome, store: Store) -> dict[str, Any]:
         """Keep the recording of a run, and return its row."""
@@ -231,15 +225,18 @@ class Campaign:
     def _commit(self) -> str | None:
         return versions().get("commit")
 
-    def _record_worst(self, store: Store, how: _How) -> Iterator[Sequence[Row]]:
+    def _record_worst(self, store: Store, keep: KeepTable, do: Outcomes) -> Iterator[Sequence[Row]]:
         """Run the worst once more to record them, and remove recordings of runs that are no longer among them."""
-        keep = self.plan.tables.keep
-        if not isinstance(keep, KeepTable) or how.is_stopping():
-            return
+
+        def badness(row: Row) -> tuple[bool, float]:
+            """Return how bad a run was; one without the figure, as after an early end, is worse than all others."""
+            value = as_judged(row)[keep.by]
+            return value is None, value or 0.0
+
         began = [row for row in self._there(store.folder).values() if row["outcome"] in (PASSED, FAILED, ENDED)]
-        worst = [row[KEY] for row in sorted(began, key=partial(_badness, by=keep.by), reverse=True)[: keep.worst]]
+        worst = [row[KEY] for row in sorted(began, key=badness, reverse=True)[: keep.worst]]
         there = store.recorded()
-        for outcomes in self._outcomes([self._by_key[key] for key in worst if key not in there], ALWAYS, how):
+        for outcomes in do([self._by_key[key] for key in worst if key not in there], ALWAYS):
             for outcome in outcomes:
                 self._kept(outcome, store)
             yield []
@@ -281,12 +278,6 @@ class Campaign:
         }
 
 
-def _badness(row: Row, by: str) -> tuple[bool, float]:
-    """Return how bad a run was; a run without the figure, as after an early end, is worse than all others."""
-    value = as_judged(row)[by]
-    return value is None, value or 0.0
-
-
 @contextlib.contextmanager
 def _of(run: str) -> Iterator[None]:
     """Begin the lines of a BadInputError with the run that it is about."""
@@ -307,9 +298,9 @@ def _type(values: Sequence[Any]) -> pa.DataType:
 
 def _found_from_anywhere(key: str, value: object, plan: Plan) -> object:
     """Return a value of the campaign's file that is a path as an absolute one."""
-    if key in ("plant.fmu", "controller.law") and isinstance(value, str):
+    if not isinstance(value, str):
+        return value
+    is_file = key in ("reference.file", "device.motors.file")
+    if key in ("plant.fmu", "controller.law"):
         is_file = is_path(value if key == "plant.fmu" else value.rpartition(":")[0])
-        return str(plan.folder / value) if is_file else value
-    if key in ("reference.file", "device.motors.file") and isinstance(value, str):
-        return str(plan.folder / value)
-    return value
+    return str(plan.folder / value) if is_file else value

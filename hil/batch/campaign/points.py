@@ -1,6 +1,7 @@
 """The runs of a campaign: all combinations of samples, seeds, grids, lists, faults and laws, always in this order.
 
-Laws vary fastest and samples slowest, so that the runs of a campaign that was stopped are those of a smaller one.
+Laws vary fastest and samples slowest, so that the runs of a campaign that was stopped are those of a smaller one. Each
+run is checked before the first one begins, for everything for which it would be refused.
 """
 
 import itertools
@@ -10,10 +11,13 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
 
 from hil.batch.campaign.load import Plan
-from hil.batch.campaign.tables import AlternativeTable, AxisTable, LawTable
+from hil.batch.campaign.tables import AxisTable, LawTable
 from hil.core.errors import BadInputError
 from hil.laws.shadows import short_name
+from hil.runtime.parts import RunParts
+from hil.runtime.robots import check_plant_start, needed_truth
 from hil.scenario import Scenario, format_value
+from hil.wire.url import parse_link
 
 NO_FAULT = "none"
 Sets = Mapping[str, object]
@@ -55,10 +59,11 @@ def points(plan: Plan) -> Iterator[Point]:
             f"campaign {plan.place('laws')}: two laws are both called {twice!r}, and a report could not tell them "
             'apart; name one, as in { law = "./my_law.py:Law", name = "mine" }'
         )
-    faults = [(row.name, _faults(row, base)) for row in tables.fault] or [(NO_FAULT, {})]
+    more = {row.name: [*map(_row, base.fault), *row.rows] if row.rows else None for row in tables.fault}
+    faults = [(name, {} if rows is None else {"fault": rows}) for name, rows in (more or {NO_FAULT: None}).items()]
     expect = {"expect": [*map(_row, base.expect), *tables.expect]} if tables.expect else {}
     seeds = tables.seeds or (base.loop.seed,)
-    grids, lists = _grids(tables.axes), _lists(tables.axes)
+    grids, lists = (_combined(tables.axes, kind) for kind in ("grid", "list"))
     draws = _draws(tables.axes, tables.samples or 1, tables.seed, latin=tables.latin)
     product = itertools.product(enumerate(draws), seeds, grids, lists, faults, laws)
     for (sample, drawn), seed, grid, listed, (fault, rows), (law, choice) in product:
@@ -70,15 +75,10 @@ def points(plan: Plan) -> Iterator[Point]:
 def _law(table: LawTable) -> tuple[str, dict[str, object]]:
     """Return a law's name, and the keys of the scenario that choose it."""
     options = [f"{name}={format_value(value)}" for name, value in table.gains.items()]
-    options += [table.command] if table.command is not None else []
-    label = table.name or ",".join((short_name(table.law), *options))
     command = {} if table.command is None else {"controller.command": table.command}
+    label = table.name or ",".join((short_name(table.law), *options, *command.values()))
     gains = {f"controller.gains.{name}": value for name, value in table.gains.items()}
     return label, {"controller.law": table.law, **command, **gains}
-
-
-def _faults(table: AlternativeTable, base: Scenario) -> dict[str, object]:
-    return {"fault": [*map(_row, base.fault), *table.rows]} if table.rows else {}
 
 
 def _row(row: Any) -> dict[str, object]:
@@ -86,14 +86,11 @@ def _row(row: Any) -> dict[str, object]:
     return {key: value for key, value in row if value is not None and value != math.inf}
 
 
-def _grids(axes: Mapping[str, AxisTable]) -> list[dict[str, Any]]:
-    grids = {key: axis.values for key, axis in axes.items() if axis.kind == "grid"}
-    return [dict(zip(grids, values, strict=True)) for values in itertools.product(*grids.values())]
-
-
-def _lists(axes: Mapping[str, AxisTable]) -> list[dict[str, Any]]:
-    lists = {key: axis.values for key, axis in axes.items() if axis.kind == "list"}
-    return [dict(zip(lists, values, strict=True)) for values in zip(*lists.values(), strict=True)] or [{}]
+def _combined(axes: Mapping[str, AxisTable], kind: str) -> list[dict[str, Any]]:
+    """Return the values of the axes of a kind: of grids each with each, of lists in step."""
+    some = {key: axis.values for key, axis in axes.items() if axis.kind == kind}
+    each = itertools.product(*some.values()) if kind == "grid" else zip(*some.values(), strict=True)
+    return [dict(zip(some, values, strict=True)) for values in each] or [{}]
 
 
 def _draws(axes: Mapping[str, AxisTable], samples: int, seed: int, *, latin: bool) -> list[dict[str, float]]:
@@ -126,3 +123,51 @@ def _within(axis: AxisTable, share: float) -> float:
     if axis.kind == "log_uniform":
         return math.exp(math.log(low) + share * (math.log(high) - math.log(low)))
     return float(low + share * (high - low))
+
+
+def check_run(scenario: Scenario, made: set[tuple[str, ...]], *, allow_motion: bool) -> None:
+    """Raise BadInputError for a run that would be refused.
+
+    ``made`` collects the choices of laws and references that were tried before; each is tried once.
+    """
+    _check_link(scenario, allow_motion=allow_motion)
+    check_plant_start(scenario)
+    for row in scenario.expect:
+        if row.from_s >= scenario.loop.duration_s:
+            raise BadInputError(
+                f"the expectation of {row.signal} begins at {row.from_s:g} s, and the run ends at "
+                f"{scenario.loop.duration_s:g} s: it would always fail; give another, or expect = [] in [set] and "
+                "[[expect]] rows of the campaign's own"
+            )
+    controller, reference = scenario.controller, scenario.reference
+    gains = (controller.gains, controller.shadow_gains)
+    choice = (controller.law, *controller.shadow, reference.kind, *map(repr, (*gains, reference.options)))
+    if choice not in made:
+        made.add(choice)
+        RunParts(scenario)
+
+
+def _check_link(scenario: Scenario, *, allow_motion: bool) -> None:
+    """Raise BadInputError for a run over an external link that could not begin with any robot."""
+    if parse_link(scenario.link.url).is_within_process:
+        return
+    where, is_makers = f"link.url = {scenario.link.url!r}", scenario.device.is_makers
+    if (setting := needed_truth(scenario.estimator)) is not None:
+        raise BadInputError(
+            f'{where}: {setting}, and of a robot behind a link no truth is known; give estimator.source = "odometry"'
+        )
+    if is_makers and scenario.loop.mode == "lockstep":
+        raise BadInputError(
+            f"{where}: the protocol of {scenario.device.driver!r} has no STEP, so that nobody can let its time pass "
+            'from outside; give loop.mode = "realtime", or link.url = "memory:"'
+        )
+    if is_makers and not allow_motion:
+        raise BadInputError(
+            f"{where}: the robot has motor controllers: real motors would move; add --allow-motion when it may move"
+        )
+
+
+def needs_bench(scenario: Scenario) -> bool:
+    """Return whether a run needs the one hardware bench: a robot behind a link, or a source of pose fixes."""
+    is_fixed_from_outside = scenario.estimator.source == "fused" and scenario.estimator.fix != "simulated"
+    return is_fixed_from_outside or not parse_link(scenario.link.url).is_within_process

@@ -61,15 +61,14 @@ class Condition(NamedTuple):
     @property
     def words(self) -> str:
         """The heading of its table."""
-        more = [] if self.estimator is None else [f"state from {self.estimator}"]
-        more += [] if self.contact is None else [f"{self.contact} contact"]
-        return ", ".join([f"{self.torque_n_m:g} N·m", DRIVES[self.drive].words, *more])
+        estimator = "" if self.estimator is None else f", state from {self.estimator}"
+        contact = "" if self.contact is None else f", {self.contact} contact"
+        return f"{self.torque_n_m:g} N·m, {DRIVES[self.drive].words}{estimator}{contact}"
 
     @property
     def slug(self) -> str:
         """The name of its files."""
-        names = (f"{self.torque_n_m:g}nm", self.drive, self.estimator, self.contact)
-        return "-".join(name for name in names if name is not None)
+        return "-".join(filter(None, (f"{self.torque_n_m:g}nm", self.drive, self.estimator, self.contact)))
 
     @property
     def mode(self) -> CommandMode:
@@ -97,31 +96,25 @@ class Variation(NamedTuple):
     @property
     def words(self) -> str:
         """What differs, in words."""
-        mass = [] if self.mass_factor == 1.0 else [f"mass x {self.mass_factor:g}"]
-        friction = [] if self.friction is None else [f"friction {self.friction:g}"]
-        return ", ".join(mass + friction) or "nominal"
+        mass = "" if self.mass_factor == 1.0 else f"mass x {self.mass_factor:g}"
+        friction = "" if self.friction is None else f"friction {self.friction:g}"
+        return ", ".join(filter(None, (mass, friction))) or "nominal"
 
     def sets(self, mass_kg: float) -> Sets:
         """Return the keys of the scenario that make it; ``mass_kg`` is the nominal mass."""
         mass = {} if self.mass_factor == 1.0 else {"plant.start.mass_kg": self.mass_factor * mass_kg}
-        friction = {} if self.friction is None else {"plant.start.friction_coefficient": self.friction}
-        return mass | friction
-
-
-NOMINAL = Variation()
+        return mass | ({} if self.friction is None else {"plant.start.friction_coefficient": self.friction})
 
 
 def conditions(
     torques_n_m: Sequence[float], drives: Sequence[str], estimators: Sequence[str], contacts: Sequence[str]
 ) -> list[Condition]:
     """Return all combinations; without estimators or contacts they are None, the scenario's own."""
-    return [
-        Condition(*one) for one in itertools.product(torques_n_m, drives, estimators or (None,), contacts or (None,))
-    ]
+    each = itertools.product(torques_n_m, drives, estimators or (None,), contacts or (None,))
+    return [Condition(*one) for one in each]
 
 
 def variations(*, quick: bool) -> list[Variation]:
     """Return the robots to run, the nominal one first; with ``quick`` only that one."""
-    if quick:
-        return [NOMINAL]
-    return [Variation(*one) for one in itertools.product((1.0, *MASS_FACTORS), (None, *FRICTIONS))]
+    every = [Variation(*one) for one in itertools.product((1.0, *MASS_FACTORS), (None, *FRICTIONS))]
+    return every[:1] if quick else every

@@ -10,16 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hil.batch.comparison.conditions import (
-    CONTACTS,
-    DRIVES,
-    ESTIMATORS,
-    NOMINAL,
-    Condition,
-    Variation,
-    conditions,
-    variations,
-)
+from hil.batch.comparison.conditions import CONTACTS, DRIVES, ESTIMATORS, Condition, Variation, conditions, variations
 from hil.batch.comparison.result import Comparison, Curves, Entry, Gains, Row, Run
 from hil.batch.job import Job
 from hil.batch.keys import make_job
@@ -70,8 +61,7 @@ def compare(
 
     Raises BadInputError, before anything is run, for a law, a gain, a scenario or a condition that does not exist.
     """
-    _check_is_scenario(request.scenario)
-    _check_choices(request)
+    _check_request(request)
     tables = conditions(request.torques_n_m, request.drives, request.estimators, request.contacts)
     _check_sets(request.sets, tables)
     base = load(request.scenario, set=request.sets, mode=MODE, link=LINK, seed=request.seed)
@@ -82,9 +72,9 @@ def compare(
     done = []
     with tempfile.TemporaryDirectory(prefix="hil_compare_") as scratch:
         jobs = [
-            _job(scenario, entry, table, limit_s, Path(scratch) if request.curves and robot == NOMINAL else None)
+            _job(scenario, entry, table, limit_s, scratch if request.curves and number == 0 else None)
             for table, entry in rows
-            for robot, scenario in zip(robots, scenarios[table], strict=True)
+            for number, scenario in enumerate(scenarios[table])
         ]
         outcomes = zip(jobs, run_jobs(jobs, workers, on_progress), strict=True)
         for table, entry in rows:
@@ -95,17 +85,15 @@ def compare(
     return Comparison(base.name, base.loop.seed, base.loop.duration_s, done)
 
 
-def _job(scenario: Scenario, entry: Entry, table: Condition, limit_s: float, scratch: Path | None) -> Job:
+def _job(scenario: Scenario, entry: Entry, table: Condition, limit_s: float, scratch: str | None) -> Job:
     """Return a law's job in a scenario; with a scratch folder it leaves there the signals that pictures need.
 
     The scenario's expectations are left out, because laws are judged by their figures alone.
     """
     controller = replace(scenario.controller, law=entry.law, gains=dict(entry.gains[table.mode]))
-    changed = replace(scenario, controller=controller, expect=())
-    if scratch is None:
-        return make_job(changed, limit_s=limit_s)
-    job = make_job(changed, options={"signals": [*_CURVES, *_CURRENTS]}, limit_s=limit_s)
-    return job._replace(signals_file=str(scratch / f"{job.key}.npz"))
+    options = {} if scratch is None else {"signals": [*_CURVES, *_CURRENTS]}
+    job = make_job(replace(scenario, controller=controller, expect=()), options=options, limit_s=limit_s)
+    return job._replace(signals_file="" if scratch is None else str(Path(scratch, f"{job.key}.npz")))
 
 
 def _curves(job: Job, torque_constant_n_m_a: float) -> Curves | None:
@@ -145,16 +133,14 @@ def _scenarios(request: Request, base: Scenario, table: Condition, robots: Seque
     return scenarios
 
 
-def _check_is_scenario(name: str) -> None:
-    """Raise BadInputError when the last word of a command line is a law: the scenario was forgotten."""
-    law = name.partition(",")[0]
-    if name not in shipped() and (law in SHIPPED or ":" in law):
+def _check_request(request: Request) -> None:
+    """Raise BadInputError for a law in the place of the scenario, which was forgotten, and for unknown conditions."""
+    law = request.scenario.partition(",")[0]
+    if request.scenario not in shipped() and (law in SHIPPED or ":" in law):
         raise BadInputError(
-            f"scenario {name}: this is a law; the last argument is the scenario, one of hil list scenarios or a file"
+            f"scenario {request.scenario}: this is a law; the last argument is the scenario, one of hil list scenarios "
+            "or a file"
         )
-
-
-def _check_choices(request: Request) -> None:
     for torque_n_m in request.torques_n_m:
         if not torque_n_m > 0.0:
             raise BadInputError(f"--torque {torque_n_m:g}: expected the limit of a wheel in N·m, more than 0")
@@ -193,12 +179,10 @@ def entries(texts: Sequence[str], scenario: str, sets: Sequence[str]) -> list[En
     ``speed.``, for one. Raises BadInputError for a law that does not exist, for gains that it does not take, and for
     one named twice.
     """
-    named: dict[str, Entry] = {}
     for text in texts:
-        if text in named:
+        if texts.count(text) > 1:
             raise BadInputError(f"law {text}: it is named twice; name it once, or with other gains, as in {text},key=1")
-        named[text] = _entry(text, scenario, sets)
-    return list(named.values())
+    return [_entry(text, scenario, sets) for text in texts]
 
 
 def _entry(text: str, scenario: str, sets: Sequence[str]) -> Entry:
