@@ -37,7 +37,7 @@ SLOW = (
     "test_catalogue.py::test_a_run_that_hangs_is_ended_and_one_that_crashes_is_told",
     "test_comparison.py::test_a_law_that_refuses_fails_or_kills_its_process_is_a_row_with_its_reason",
     "test_comparison.py::test_ctrl_c_ends_the_runs_and_says_so",
-    "test_ctl.py::test_another_program_at_the_services_port_is_told_from_it",
+    "test_ctl.py::test_another_program_at_the_port_of_a_service_is_recognised",
     "test_ctl.py::test_on_a_terminal_the_status_is_watched_until_ctrl_c",
     "test_foreign_plant_runs.py::test_a_foreign_fmu_takes_down_the_run_in_order",
     "test_foreign_plant_runs.py::test_an_fmu_that_cannot_be_opened_ends_with_exit_code_3",

@@ -68,7 +68,7 @@ def test_bad_input_is_a_sentence(side: ControlSide, command: str, sentence: str)
     assert side.orders == []
 
 
-def test_the_exit_code_tells_bad_input_from_a_refusal(side: ControlSide) -> None:
+def test_bad_input_and_a_refusal_have_different_exit_codes(side: ControlSide) -> None:
     side.refuse("the robot is not armed; arm it first")
     done = hil("ctl", "twist", "0.1", "0", "0", "--for", "60")
     assert (done.returncode, done.stderr) == (3, "hil: refused: the robot is not armed; arm it first\n")
@@ -137,7 +137,7 @@ def read_on(live: ClientConnection) -> None:
         live.recv(timeout=30.0)
 
 
-def test_at_the_end_those_who_watch_are_told_and_nothing_is_left_behind(tmp_path: Path) -> None:
+def test_a_service_that_ends_informs_its_watchers_and_removes_its_files(tmp_path: Path) -> None:
     command = [*HIL, "ctl", "status", "--watch", "--json"]
     pipe = subprocess.PIPE
     with own_state(tmp_path), served() as side, side.live() as live:
@@ -159,7 +159,7 @@ def test_at_the_end_those_who_watch_are_told_and_nothing_is_left_behind(tmp_path
     assert {path.suffix for path in token.parent.iterdir()} == {".lock"}
 
 
-def test_the_service_is_found_or_it_is_said_why_not(tmp_path: Path, side: ControlSide) -> None:
+def test_the_service_is_found_or_the_error_names_the_reason(tmp_path: Path, side: ControlSide) -> None:
     (mine,) = running()
     with own_state(tmp_path):
         with pytest.raises(LinkError, match="no service of yours runs on this machine"):
@@ -188,7 +188,7 @@ def test_the_service_is_found_or_it_is_said_why_not(tmp_path: Path, side: Contro
     assert side.actions == [Action.ARM] * 3
 
 
-def test_another_program_at_the_services_port_is_told_from_it(tmp_path: Path) -> None:
+def test_another_program_at_the_port_of_a_service_is_recognised(tmp_path: Path) -> None:
     web = ThreadingHTTPServer(("127.0.0.1", 0), SimpleHTTPRequestHandler)
     server = threading.Thread(target=web.serve_forever)
     server.start()

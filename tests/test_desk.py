@@ -1,4 +1,4 @@
-"""Orders at the desk of a service: what is done at once, what takes its time, and what became outdated meanwhile."""
+"""Orders at the desk of a service: short ones, long ones, and long ones that became outdated."""
 
 import itertools
 import json
@@ -112,7 +112,7 @@ def test_a_path_that_was_read_too_late_is_not_followed(meanwhile: Action) -> Non
 
 
 @pytest.mark.parametrize("action", sorted(MOVING))
-def test_what_waited_through_a_stall_moves_nothing(action: Action) -> None:
+def test_an_order_that_waited_through_a_stall_moves_nothing(action: Action) -> None:
     with Served() as served:
         served.run_until(Phase.DISARMED)
         number = served.order(action, stalled=True)
@@ -190,7 +190,7 @@ def test_an_emergency_stop_that_waited_is_done() -> None:
         (Action.TRACK, {"here": True, "reference": {"kind": "waypoints", "file": "none.csv"}}, "none.csv"),
     ],
 )
-def test_what_cannot_be_made_is_refused_and_the_robot_goes_on(
+def test_an_order_that_cannot_be_carried_out_is_refused_and_the_robot_goes_on(
     action: Action, arguments: dict[str, Any], why: str
 ) -> None:
     with Served() as served:

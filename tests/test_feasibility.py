@@ -1,4 +1,4 @@
-"""What a reference asks of the wheels, against matrices written down on their own."""
+"""The wheel speeds and torques that a reference needs, compared with an independent computation by matrices."""
 
 import math
 
@@ -53,7 +53,7 @@ def demanded(source, t_s: np.ndarray):
 
 @share_of_examples(0.25)
 @given(st.one_of(circles, eights, squares, spins, routes), st.floats(2.0, 20.0), st.floats(0.05, 2.0))
-def test_demands_are_those_of_an_independent_computation(source, speed_limit, torque_limit):
+def test_requirements_agree_with_an_independent_computation(source, speed_limit, torque_limit):
     found = feasibility(source, robot(speed_limit, torque_limit), 5.0, 0.02)
     t_s = np.arange(int(min(5.0, source.span_s) / 0.02 + 1e-9) + 1) * 0.02
     for demand, values, limit in zip(found[:2], demanded(source, t_s), (speed_limit, torque_limit), strict=True):
@@ -79,7 +79,7 @@ def test_a_circle_with_a_fixed_heading_asks_for_the_diagonal_of_its_speed(radius
     assert speed.worst == pytest.approx(math.sqrt(2.0) * math.tau * radius / period / RADIUS, rel=1e-4)
 
 
-def test_the_time_in_which_a_reference_differs_bounds_the_work():
+def test_a_periodic_reference_is_sampled_over_one_period_only():
     assert feasibility(Hold(1.0, 2.0, 3.0), robot(20.0, 2.0), 1e9, 0.001).speed.worst == 0.0
     calls: list[float] = []
 
@@ -93,7 +93,7 @@ def test_the_time_in_which_a_reference_differs_bounds_the_work():
     assert calls[-1] == pytest.approx(math.tau / 1e-3, rel=1e-3)
 
 
-def test_a_demand_is_told_in_one_sentence_and_only_when_it_is_too_much():
+def test_a_requirement_beyond_the_limit_gives_one_warning():
     source = Circle(1.0, 4.0)
     assert feasibility(source, robot(40.0, 2.1), 10.0, 0.01).sentences == ()
     speed, torque = feasibility(source, robot(20.0, 0.6), 10.0, 0.01).sentences

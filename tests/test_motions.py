@@ -1,4 +1,4 @@
-"""Laws of the references that a service makes of orders."""
+"""Properties of the references that a service makes from orders."""
 
 import math
 
@@ -45,7 +45,7 @@ def test_a_drive_keeps_its_limits_and_its_derivatives_are_its_own(pose: Pose, wa
 
 
 @given(poses, twists)
-def test_a_drive_without_a_wish_comes_to_rest_and_stays(pose: Pose, wanted: BodyTwist) -> None:
+def test_a_drive_without_a_twist_comes_to_rest_and_stays(pose: Pose, wanted: BodyTwist) -> None:
     drive = Drive(at_rest(pose), 0.0, OPTIONS)
     drive.set_target(wanted)
     for number in range(1, 100):

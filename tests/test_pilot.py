@@ -259,7 +259,7 @@ def test_a_robot_that_was_reset_is_greeted_again_and_stays_disarmed(armed: bool)
         bench.armed()
 
 
-def test_a_fault_of_the_robot_is_told_and_cleared() -> None:
+def test_a_fault_of_the_robot_is_reported_and_cleared() -> None:
     rows = [fault("stuck_encoder", 2.0, target="fl", end_s=3.0)]
     with PilotBench(fault=rows) as bench:
         bench.armed()
@@ -332,7 +332,7 @@ _RAISED = (LinkError("the line broke"), RobotStoppedError("it stopped"), DeviceE
 
 
 @pytest.mark.parametrize("name", ["poll", "send", "armed", "estop", "clear", "greeted", "reopen", "begin_again"])
-def test_each_tick_is_told_once_whatever_call_of_the_device_fails(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_each_tick_has_one_row_whatever_call_of_the_device_fails(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     with PilotBench() as bench:
         device, raised = bench.bench.device, 0
 
@@ -366,7 +366,7 @@ def test_each_tick_is_told_once_whatever_call_of_the_device_fails(name: str, mon
         assert len(bench.rows) == 700
 
 
-def test_each_tick_is_told_once_when_the_law_fails_in_its_own_signals(tmp_path: Path) -> None:
+def test_each_tick_has_one_row_when_the_law_fails_in_its_own_signals(tmp_path: Path) -> None:
     law = tmp_path / "own_signals.py"
     law.write_text(_FAILS_TO_TELL)
     with PilotBench(**{"controller.law": f"{law}:FailsToTell", "controller.gains": {}}) as bench:

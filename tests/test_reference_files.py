@@ -1,4 +1,4 @@
-"""References from files: what a file means, and one sentence with the line for each way in which it can be wrong."""
+"""References from files: their meaning, and one error message with the line for each possible mistake."""
 
 import json
 import math
@@ -77,7 +77,7 @@ def made(folder: Path, kind: str, text: str, **options: object):
         ("trajectory", TIMED + "0,0,0,0\n1,0,0,0\n2,nan,0,0\n3,0,0,0\n", ", line 4: x_m = 'nan'; expected a number"),
     ],
 )
-def test_what_is_wrong_with_a_file_is_said_with_its_line(tmp_path, kind, text, message):
+def test_an_error_in_a_file_names_its_line(tmp_path, kind, text, message):
     with pytest.raises(BadInputError) as caught:
         made(tmp_path, kind, text)
     assert str(caught.value).startswith(f"reference.file = 'way.csv'{message}")

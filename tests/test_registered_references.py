@@ -1,4 +1,4 @@
-"""A reference of another package: used by its name, listed, checked as ours, and blamed for what it raises."""
+"""A reference of another package: found by its name, listed, checked, and named in the errors that it raises."""
 
 import hashlib
 import sys
@@ -80,7 +80,7 @@ def test_the_list_names_the_package_and_loads_nothing(install):
     assert "outside_package" not in sys.modules
 
 
-def test_its_options_are_checked_as_ours(install):
+def test_its_options_are_checked_like_those_of_shipped_references(install):
     install()
     assert make_reference("sway", {"reach_m": 2}).at(0.0).pose.x_m == 2.0
     assert "reach_m" in refusal({"rech_m": 1.0})

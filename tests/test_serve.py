@@ -1,4 +1,4 @@
-"""hil serve as its users run it: real processes, a real pseudo-terminal, and the robot's truth by a path of its own."""
+"""hil serve as users run it: real processes and a pseudo-terminal; the true pose is read past the service."""
 
 import contextlib
 import json
@@ -257,7 +257,7 @@ def test_a_service_waits_for_a_robot_that_is_not_there_yet(tmp_path: Path) -> No
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="elsewhere a server is refused that takes nobody in")
-def test_a_link_that_takes_its_time_to_be_opened_keeps_nobody_waiting(tmp_path: Path) -> None:
+def test_orders_are_answered_while_a_link_is_slow_to_open(tmp_path: Path) -> None:
     with socket.create_server(("127.0.0.1", 0), backlog=0) as server:
         address = server.getsockname()
         # Nobody accepts this one, and who comes after it is not even answered.

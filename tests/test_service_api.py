@@ -1,4 +1,4 @@
-"""The API over HTTP: who is let in, what is refused, and what reaches the control process."""
+"""The API over HTTP: access, refusals, and the orders that reach the control process."""
 
 import json
 import stat

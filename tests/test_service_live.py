@@ -88,7 +88,7 @@ def test_a_refusal_and_a_missing_answer_reach_the_client(side: ControlSide) -> N
         assert "has not answered arm" in next_answer(live)["refused"]
 
 
-def test_a_client_that_does_not_read_holds_nobody_up_and_then_gets_the_newest_status(side: ControlSide) -> None:
+def test_a_client_that_does_not_read_delays_no_other_and_later_gets_the_newest_status(side: ControlSide) -> None:
     with side.live() as slow, side.live() as quick:
         # What the sockets take in is read away, so that only the newest is left to be sent.
         for ticks in range(2000, 2020):
@@ -182,7 +182,7 @@ def test_a_client_that_sends_more_than_it_reads_is_closed_and_drives_no_longer(
     assert "Exception" not in said, "what could not be sent any more is no failure"
 
 
-def test_emergency_stops_come_first_of_what_is_at_hand(side: ControlSide) -> None:
+def test_emergency_stops_come_before_other_waiting_orders(side: ControlSide) -> None:
     with side.live() as live:
         with side.turn:
             order(live, 1, "twist", TWIST)
@@ -215,7 +215,7 @@ def test_an_api_process_that_is_killed_or_hangs_is_restarted_with_its_port_and_t
     assert token.exists(), "it is the user's"
 
 
-def test_an_api_process_is_not_killed_because_nobody_looked_at_it(
+def test_an_api_process_is_not_killed_because_the_control_process_stalled(
     side: ControlSide, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("hil.service.api_child._HUNG_S", 0.3)

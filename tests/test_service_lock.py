@@ -1,4 +1,4 @@
-"""One process a device, one record a service: what the operating system forgets with the process that died."""
+"""The lock of a device and the record of a service: the operating system releases both when their process ends."""
 
 import os
 import stat

@@ -1,4 +1,4 @@
-"""Structured lines on stderr, that are never waited for."""
+"""Structured log lines on stderr; writing them never waits."""
 
 import json
 import logging

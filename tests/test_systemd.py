@@ -1,4 +1,4 @@
-"""What a service tells systemd, over a real datagram socket, and its unit."""
+"""The messages of a service to systemd, over a real datagram socket, and its unit."""
 
 import os
 import shutil
@@ -65,7 +65,7 @@ def test_the_loop_beats_three_times_a_watchdog_period_however_often_it_turns(
 @pytest.mark.parametrize(
     "change", [{"WATCHDOG_USEC": "0"}, {"WATCHDOG_USEC": "soon"}, {"WATCHDOG_PID": "1"}, {"NOTIFY_SOCKET": ""}]
 )
-def test_a_watchdog_that_is_not_ours_gets_no_beat(
+def test_a_watchdog_of_another_process_gets_no_beat(
     manager: tuple[socket.socket, dict[str, str]], change: dict[str, str]
 ) -> None:
     end, environment = manager
@@ -94,7 +94,7 @@ def test_a_manager_that_does_not_read_is_not_waited_for_and_a_gone_one_is_no_err
     Notifier(environment).ready()
 
 
-def test_without_systemd_nothing_is_said() -> None:
+def test_without_systemd_nothing_is_sent() -> None:
     notifier = Notifier({})
     notifier.ready()
     notifier.beat(0)

@@ -125,7 +125,7 @@ def test_keys_that_repeat_drive_and_the_last_repeat_stops(robot: Robot) -> None:
         assert window.modes == window.before
 
 
-def test_a_key_that_is_told_to_be_released_stops_and_the_terminal_is_put_back(robot: Robot) -> None:
+def test_a_reported_release_stops_the_robot_and_the_terminal_is_restored(robot: Robot) -> None:
     with teleop(kitty=True) as window:
         assert window.flags == 11
         window.says("reports when a key is released")

@@ -1,4 +1,4 @@
-"""What teleop makes of bytes, of held keys and of sticks: laws."""
+"""Properties of teleop's decoder of bytes, of its held keys and of its sticks."""
 
 import math
 
@@ -76,7 +76,9 @@ def test_a_sequence_without_end_is_the_esc_key_and_a_number_without_end_is_nothi
 
 
 @given(st.lists(st.tuples(KEY, st.sampled_from(Change))))
-def test_told_keys_are_those_pressed_and_not_released_since(changes: list[tuple[str, Change]]) -> None:
+def test_with_reported_releases_the_held_keys_are_those_pressed_and_not_released(
+    changes: list[tuple[str, Change]],
+) -> None:
     keys = HeldKeys(reports_releases=True)
     for name, change in changes:
         keys.on_key(Key(name, change), 0.0)
@@ -89,7 +91,7 @@ def test_told_keys_are_those_pressed_and_not_released_since(changes: list[tuple[
 
 
 @given(st.lists(st.tuples(KEY, st.floats(0.001, 2.0)), min_size=1), st.floats(0.0, 2.0))
-def test_repeated_keys_hold_one_key_and_no_longer_than_they_say(
+def test_a_repeated_key_is_held_alone_and_no_longer_than_its_limits(
     presses: list[tuple[str, float]], after_s: float
 ) -> None:
     keys, now_s = HeldKeys(reports_releases=False), 0.0
@@ -106,7 +108,7 @@ def test_repeated_keys_hold_one_key_and_no_longer_than_they_say(
     assert not keys.held(now_s)[0]
 
 
-def test_a_terminal_is_lost_when_a_question_is_not_answered_in_time() -> None:
+def test_a_terminal_is_lost_when_a_query_is_not_answered_in_time() -> None:
     heartbeat = Heartbeat()
     assert [heartbeat.due(t_s) for t_s in (0.0, 0.05, 0.1)] == [True, False, True]
     assert not heartbeat.is_lost(0.3)
@@ -181,7 +183,7 @@ def test_only_an_enter_right_after_an_a_arms(typed: list[str]) -> None:
         ("enter", False, None),
     ],
 )
-def test_of_what_was_typed_while_nobody_looked_only_what_stops_counts(name: str, ctrl: bool, wish: Wish | None) -> None:
+def test_of_keys_read_too_late_only_those_that_stop_count(name: str, ctrl: bool, wish: Wish | None) -> None:
     operator = operator_of(0.5)
     operator.on_key(Key("i"), 0.0)
     operator.on_key(Key("a"), 0.0)
@@ -191,7 +193,7 @@ def test_of_what_was_typed_while_nobody_looked_only_what_stops_counts(name: str,
 
 
 @pytest.mark.parametrize("stop", ["space", "escape", "k", "e"])
-def test_after_a_stop_everything_must_be_pressed_anew(stop: str) -> None:
+def test_after_a_stop_everything_must_be_pressed_again(stop: str) -> None:
     operator = operator_of(0.5)
     pad = Pad(dead_man=True, estop=False, sticks=Direction(1.0, 0.0, 0.0))
     operator.on_pad(pad._replace(dead_man=False))
