@@ -166,15 +166,6 @@ def test_plants_are_independent(plant: FmuPlant) -> None:
     assert plant.truth() != moved
 
 
-def test_the_tick_may_have_another_length() -> None:
-    with FmuPlant(FMU, {"start_vx_m_s": 1.0}, step_ns=500_000) as plant:
-        plant.step(ZERO, 3)
-        assert plant.truth().time_ns == 1_500_000
-        assert plant.truth().pose.x_m == pytest.approx(1.5e-3, rel=1e-12)
-    with pytest.raises(BadInputError, match="plant step 0 ns"):
-        FmuPlant(FMU, {}, step_ns=0)
-
-
 def test_closing(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     """Closing twice is fine; later calls fail with a sentence; no file and no change of directory stays."""
     monkeypatch.chdir(tmp_path)

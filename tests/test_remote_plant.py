@@ -76,12 +76,12 @@ def test_the_child_gives_the_bits_of_the_plant_in_this_process() -> None:
 
 
 @pytest.mark.parametrize("version", [2, 3])
-def test_a_map_and_the_length_of_a_tick_reach_the_child(tmp_path: Path, version: int) -> None:
+def test_start_and_map_reach_the_child(tmp_path: Path, version: int) -> None:
     fmu = foreign_fmu(tmp_path, version)
-    arguments = (fmu, {"gear": "geared", "reversed": True}, 500_000, foreign_map(version))
+    arguments = (fmu, {"gear": "geared", "reversed": True}, foreign_map(version))
     with FmuPlant(*arguments) as here, RemotePlant(*arguments) as there:
         assert list(exchanges(there, 100)) == list(exchanges(here, 100))
-        assert there.truth().time_ns == 50_000_000
+        assert there.truth().time_ns == 100_000_000
         assert max(there.wheel_speeds()) > 0.1
 
 

@@ -11,16 +11,7 @@ from hil.core.model import RobotModel
 from hil.core.options import Range
 from hil.core.signals import EstimatorSignals
 from hil.core.types import Axes, MeasuredPose, Pose, PoseFix, State
-from hil.estimation.belief import (
-    Acceptance,
-    Belief,
-    Step,
-    corrected,
-    gate_of,
-    position_sigma_m,
-    start,
-    start_unknown,
-)
+from hil.estimation.belief import Acceptance, Belief, Step, corrected, gate_of, position_sigma_m, start, start_unknown
 from hil.estimation.history import History
 from hil.estimation.measurement import DEGRADED, GOOD, LOST, NO_STATUS, Estimator, Measurement, measured_twist
 from hil.estimation.motion import Motion, MotionReader

@@ -12,6 +12,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from hil.core.clock import TICK_NS
 from hil.core.errors import BadInputError, DeviceError
 from hil.core.types import PoseFix, Wheels, make_fix, make_pose, make_twist
 from hil.plant import archive, shim
@@ -25,7 +26,7 @@ class FmuPlant(shim.PlantPort):
     """An instance of an FMU that is connected to the plant port, in its start state until it is stepped.
 
     ``start`` gives start values of variables by name, in the FMU's units; the others keep the FMU's defaults.
-    ``mapping`` gives the variable of each signal for which the names differ. A tick lasts ``step_ns``.
+    ``mapping`` gives the variable of each signal for which the names differ.
 
     ``settable`` are the variables that may be set between two ticks, by name.
 
@@ -42,30 +43,20 @@ class FmuPlant(shim.PlantPort):
     _functions = "cosim"
 
     def __init__(
-        self,
-        fmu: Path,
-        start: Mapping[str, Value],
-        step_ns: int = 1_000_000,
-        mapping: SignalMap | None = None,
-        *,
-        prints_log: bool = False,
+        self, fmu: Path, start: Mapping[str, Value], mapping: SignalMap | None = None, *, prints_log: bool = False
     ) -> None:
         library = archive.library_of(fmu)
-        if step_ns <= 0:
-            raise BadInputError(f"plant step {step_ns} ns; expected a positive number")
         self._ffi, self._lib = shim.load()
-        self._context = self._ffi.new("cosim *", {"step_ns": step_ns, "prints_log": prints_log})
-        # What a call looks up each time costs more than the call.
+        self._context = self._ffi.new("cosim *", {"step_ns": TICK_NS, "prints_log": prints_log})
+        # Looked up once: a look-up takes longer than a call.
         self._run = self._lib.cosim_run
         place_of = functools.partial(self._ffi.offsetof, "cosim")
         between = place_of("signal") - place_of("steps") - 8
         unpack = struct.Struct(f"=Q{between}x6d").unpack_from
         self._read_motion = functools.partial(unpack, self._ffi.buffer(self._context), place_of("steps"))
-        self._step_ns = step_ns
         self._torque = self._ffi.new("float[4]")
         self._speeds = self._context.signal + self._lib.COSIM_WHEEL_SPEED
         self._solve: Any = None  # the solver as a C function, for model exchange
-        self._step_s = step_ns / 1e9
         self.wire((0, 1, 2, 3), (1, 1, 1, 1))
         with contextlib.ExitStack() as resources:
             folder = archive.extract(fmu)
@@ -114,13 +105,13 @@ class FmuPlant(shim.PlantPort):
         """
         self._torque[0:4] = torque_n_m
         if self._run(self._context, self._torque, ticks) != 0:
-            raise DeviceError(f"the plant stopped at {self._time_ns / 1e9:g} s: {self.message}")
+            raise DeviceError(f"the plant stopped at {self.truth().time_ns / 1e9:g} s: {self.message}")
 
     def truth(self) -> PoseFix:
         """Return pose and twist, world frame, with the time since the start."""
         steps, x_m, y_m, heading_rad, vx_m_s, vy_m_s, yaw_rate_rad_s = self._read_motion()
         twist = make_twist((vx_m_s, vy_m_s, yaw_rate_rad_s))
-        return make_fix((steps * self._step_ns, make_pose((x_m, y_m, heading_rad)), twist))
+        return make_fix((steps * TICK_NS, make_pose((x_m, y_m, heading_rad)), twist))
 
     def wheel_speeds(self) -> Wheels:
         """Return the true wheel speeds [rad/s]."""
@@ -193,15 +184,10 @@ class FmuPlant(shim.PlantPort):
     def _initialise(self) -> None:
         self.instance.initialise(self._start)
         if self.instance.is_model_exchange and self._solve is None:
-            self._solve = self._ffi.callback("int(double, double)", self.instance.solver(self._step_s), error=1)
+            self._solve = self._ffi.callback("int(double, double)", self.instance.solver(), error=1)
             self._context.solve = self._solve
         if self._lib.cosim_start(self._context) != 0:
             raise DeviceError(f"the plant has no outputs at its start: {self.message}")
-
-    @property
-    def _time_ns(self) -> int:
-        """Time of the newest outputs since the start [ns]."""
-        return int(self._context.steps * self._context.step_ns)
 
 
 def _is_needed(folder: Path, member: str) -> bool:

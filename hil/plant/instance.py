@@ -111,9 +111,9 @@ class Instance:
             self.fmu.exitInitializationMode()
         self._is_running = True
 
-    def solver(self, longest_step_s: float) -> Callable[[float, float], int]:
+    def solver(self) -> Callable[[float, float], int]:
         """Return the ``solve`` of the shim for an initialised FMU for model exchange."""
-        solver = Solver(self.fmu, self.description, self.version, longest_step_s)
+        solver = Solver(self.fmu, self.description, self.version)
 
         def solve(from_s: float, to_s: float) -> int:
             try:

@@ -7,6 +7,7 @@ from dataclasses import asdict
 from functools import partial
 from pathlib import Path
 
+from hil.core.clock import TICK_NS
 from hil.core.errors import BadInputError, DeviceError
 from hil.core.subprocesses import DEFAULT_LIMIT_MB, MEMORY_IS_KNOWN
 from hil.core.types import Pose, PoseFix, Twist, Wheels
@@ -38,31 +39,21 @@ class RemotePlant(shim.PlantPort):
         self,
         fmu: Path,
         start: Mapping[str, Value],
-        step_ns: int = 1_000_000,
         mapping: SignalMap = _NO_ROWS,
         *,
         timeout_s: float = 2.0,
         memory_limit_mb: float = DEFAULT_LIMIT_MB,
     ) -> None:
-        self._fmu = fmu
-        self._step_ns = step_ns
-        self._timeout_s = timeout_s
-        self._memory_limit_mb = memory_limit_mb
-        self._config = {
-            "fmu": str(fmu.absolute()),
-            "start": dict(start),
-            "step_ns": step_ns,
-            "mapping": asdict(mapping),
-        }
+        self._fmu, self._timeout_s, self._memory_limit_mb = fmu, timeout_s, memory_limit_mb
+        self._config = {"fmu": str(fmu.absolute()), "start": dict(start), "mapping": asdict(mapping)}
         self._ffi, self._lib = shim.load()
         self._context = self._ffi.new("remote_plant *")
         self._wiring: tuple[Sequence[int], Sequence[int]] = ((0, 1, 2, 3), (1, 1, 1, 1))
         self._closed = False
         self.output = ChildOutput()
         if not MEMORY_IS_KNOWN:
-            self.output.feed(
-                f"nothing yet; its limit of {memory_limit_mb:g} MB is not watched on this system\n".encode()
-            )
+            text = f"nothing yet; its limit of {memory_limit_mb:g} MB is not watched on this system\n"
+            self.output.feed(text.encode())
         self._open()
 
     def _open(self) -> None:
@@ -129,7 +120,7 @@ class RemotePlant(shim.PlantPort):
 
         Raises DeviceError when the FMU fails.
         """
-        first = self.truth().time_ns // self._step_ns
+        first = self.truth().time_ns // TICK_NS
         drive = {"enabled": 1, "torque_n_m": list(torque_n_m)}
         for tick in range(first, first + ticks):
             self._request({"kind": self._lib.REMOTE_TICK, "drive": drive | {"tick": tick}})

@@ -25,7 +25,7 @@ def main() -> None:
     rows = {signal: Row(*row) for signal, row in config["mapping"].pop("rows").items()}
     mapping = SignalMap(rows, **config["mapping"])
     try:
-        plant = FmuPlant(Path(config["fmu"]), config["start"], config["step_ns"], mapping, prints_log=True)
+        plant = FmuPlant(Path(config["fmu"]), config["start"], mapping, prints_log=True)
     except HilError as error:
         parent.send(**{"refused" if isinstance(error, BadInputError) else "failed": str(error)})
         parent.end()

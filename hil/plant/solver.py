@@ -8,6 +8,7 @@ import math
 from collections.abc import Callable
 from typing import Any
 
+from hil.core.clock import TICK_NS
 from hil.core.errors import BadInputError
 
 _RELATIVE_TOLERANCE = 1e-10
@@ -20,7 +21,7 @@ class Solver:
     Raises BadInputError when FMPy has no CVode for this platform.
     """
 
-    def __init__(self, fmu: Any, description: Any, version: int, longest_step_s: float) -> None:
+    def __init__(self, fmu: Any, description: Any, version: int) -> None:
         try:
             from fmpy.sundials import CVodeSolver
         except (ImportError, OSError) as error:
@@ -48,7 +49,7 @@ class Solver:
             set_time=self._kept(fmu.setTime),
             input=self,
             startTime=0.0,
-            maxStep=longest_step_s,
+            maxStep=TICK_NS / 1e9,
             relativeTolerance=_RELATIVE_TOLERANCE,
         )
         self._raise_what_was_kept()
