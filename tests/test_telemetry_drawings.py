@@ -11,8 +11,8 @@ import pytest
 
 from hil.record import Recording
 from hil.record.blueprint import blueprint
+from hil.record.lanes import limits
 from hil.record.layout import layout
-from hil.record.limits import limits
 from hil.runtime.provenance import properties
 from hil.scenario import load
 from tests.recorded_circle import PERIOD_S, circle_rows, circle_table, column

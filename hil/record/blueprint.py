@@ -9,9 +9,8 @@ from collections.abc import Mapping, Sequence
 import rerun.blueprint as rrb
 
 from hil.record.drawings import BODY, FLOOR, PLAN, SCENE, TRAILS
-from hil.record.lanes import FAULT_LANES, ROBOT_LANE
+from hil.record.lanes import FAULT_LANES, LIMITS_PATH, ROBOT_LANE, Limit
 from hil.record.layout import MORE_PATH, NO_UNIT, SHADOW_GROUP, Entity
-from hil.record.limits import LIMITS_PATH, Limit
 from hil.record.robot_model import RobotShape
 
 LIVE_WINDOW_S = 10.0

@@ -16,9 +16,8 @@ import rerun as rr
 from hil.record.blueprint import blueprint
 from hil.record.decimate import Decimator
 from hil.record.drawings import RowTimes, Scene, Times, Trails, indexes, seconds_index
-from hil.record.lanes import Lane, lanes
+from hil.record.lanes import LIMITS_PATH, Lane, Limit, lanes, limit_values, limits
 from hil.record.layout import ALARM_COLOUR, Colour, Series, layout
-from hil.record.limits import LIMITS_PATH, Limit, limit_values, limits
 from hil.record.properties import (
     APPLICATION,
     PART_PROPERTY,

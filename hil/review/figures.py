@@ -18,9 +18,9 @@ from hil.scenario.trial import ExpectTable
 
 _NO_SUMMARY = "the recording has no summary: the run did not come to its end"
 _NO_END = "the recording has no summary and no end: how the run ended is not known"
-_NOT_HERE = "the recording has no summary: it is in a later part, which was not read"
-_UNSAID = "the run's summary does not have it"
-_WHAT_IT_WAS = {"scenario": "scenario_name", "law": "law", "mode": "mode", "link": "link", "seed": "seed"}
+_IN_LATER_PART = "the recording has no summary: it is in a later part, which was not read"
+_NOT_IN_SUMMARY = "the run's summary does not have it"
+_IDENTITY = {"scenario": "scenario_name", "law": "law", "mode": "mode", "link": "link", "seed": "seed"}
 _FROM_SUMMARY = ("passed", "realtime_factor", "lateness_us", "frames", "link_statistics", "pose_fixes", "wire_sha256")
 # No reason is given where one of these is None.
 _OUTCOME = (
@@ -53,7 +53,7 @@ def read_for_figures(path: Path, more: Collection[str] = ()) -> RecordedRun:
 def figures(run: RecordedRun) -> dict[str, Any]:
     """Return the figures of a recording that was read; see ``review``.
 
-    ``made`` says when and with which versions the run was made, ``notes`` what was wrong with the file, and ``events``
+    ``made`` has the time and the versions of the run, ``notes`` sentences on what is missing in the file, ``events``
     the event log. Without a summary the expectations are checked over the recorded rows.
     """
     if "loop.t_s" not in run.signals:
@@ -67,19 +67,19 @@ def figures(run: RecordedRun) -> dict[str, Any]:
     )
     found["ticks"] += (run.rows_dropped or 0) + run.rows_missing
     summary = run.summary or {}
-    no_summary = _NOT_HERE if run.goes_on else _NO_END if run.rows_dropped is None else _NO_SUMMARY
+    no_summary = _IN_LATER_PART if run.goes_on else _NO_END if run.rows_dropped is None else _NO_SUMMARY
     for name in _FROM_SUMMARY:
         found[name] = summary.get(name)
         if found[name] is None:
-            reasons[name] = no_summary if run.summary is None else summary.get("reasons", {}).get(name, _UNSAID)
-    was = {name: summary.get(name, run.properties.get(stored)) for name, stored in _WHAT_IT_WAS.items()}
+            reasons[name] = no_summary if run.summary is None else summary.get("reasons", {}).get(name, _NOT_IN_SUMMARY)
+    identity = {name: summary.get(name, run.properties.get(stored)) for name, stored in _IDENTITY.items()}
     outcome = {name: summary.get(name) for name in _OUTCOME}
     if run.summary is None:
         outcome["failure"] = no_summary
         outcome["expect"] = outcomes_of([row for row in expected(run) if row.signal in run.signals], run.signals, cut_s)
     return {
         "passed": found.pop("passed"),
-        **was,
+        **identity,
         **outcome,
         **found,
         "recording": str(run.path),
