@@ -116,19 +116,10 @@ class Watchdog(NamedTuple):
 
 _TWIST = {"forward": "velocity", "left": "velocity", "yaw_rate": "yaw rate"}
 _WHEELS = {name: dict.fromkeys(WHEEL_NAMES, name) for name in ("speed", "torque", "position", "current", "temperature")}
-COMMANDS: Mapping[str, Mapping[str, str]] = {
-    "speed": _WHEELS["speed"],
-    "torque": _WHEELS["torque"],
-    "twist": _TWIST,
-    "feedforward": _WHEELS["torque"],
-}
+COMMANDS = {name: _WHEELS[name] for name in ("speed", "torque")} | {"twist": _TWIST, "feedforward": _WHEELS["torque"]}
 """The dimension of each signal of the commanded quantities."""
-FEEDBACK: Mapping[str, Mapping[str, str]] = {
-    "speed": _WHEELS["speed"],
+FEEDBACK = {name: _WHEELS[name] for name in ("speed", "position", "current", "temperature")} | {
     "twist": _TWIST,
-    "position": _WHEELS["position"],
-    "current": _WHEELS["current"],
-    "temperature": _WHEELS["temperature"],
     "battery_voltage": {"signal": "voltage"},
     "battery_current": {"signal": "current"},
     "yaw_rate": {"signal": "yaw rate"},

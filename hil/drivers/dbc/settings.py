@@ -90,10 +90,9 @@ class Plan:
         signals += [condition.signal for condition in self.armed_when + self.identity + self.errors]
         signals += [self.watchdog.read.signal] if self.watchdog.read else []
         self.received = dbc.messages(signal.message for signal in signals)
+        self._cycle_time_s = settings.cycle_time_s
         self._check_messages()
         self._check_roles({"command": commanded, "counters": self.counters, "watchdog.set": written})
-        self._cycle_time_s = settings.cycle_time_s
-        self._check_cycle_times()
         if settings.estop_latches and not settings.estop:
             raise ValueError("estop_latches = true: nothing is sent for an e-stop; give [device.motors.estop] too")
         self.feedback_hz = self._feedback_hz(settings.feedback)
@@ -111,7 +110,7 @@ class Plan:
         return late_ns(period_s) if period_s else None
 
     def _check_messages(self) -> None:
-        """Raise ValueError if a message is sent and received, has the identifier of another, or is never sent."""
+        """Raise ValueError if a message is used in two ways, or is named in a table but used nowhere."""
         if both := [name for name in self.sent if name in self.received]:
             raise ValueError(
                 f"the message {both[0]} is sent by one table and received by another; it is one or the other"
@@ -126,6 +125,11 @@ class Plan:
         for what, name in (used | {f"constants.{name}": name for name in self.constants}).items():
             if name not in self.sent:
                 raise ValueError(f"{what}: {name} is never sent; name it in command, enable or disable too")
+        for name in self._cycle_time_s:
+            if name not in self.received:
+                raise ValueError(f"cycle_time_s.{name}: no table reads such a message{nearest(name, self.received)}")
+            if name in (signal.message for signal in self.measured):
+                raise ValueError(f"cycle_time_s.{name}: odometry rests on it; give feedback.rate_hz instead")
 
     def _check_roles(self, roles: Mapping[str, Sequence[Signal]]) -> None:
         """Raise ValueError if a signal has two roles, or a role and a value in ``constants`` or a phase."""
@@ -142,14 +146,6 @@ class Plan:
         for role, steps in {"constants": (self.constants,), **self.phases}.items():
             for name, field_name in [(name, one) for step in steps for name, fields in step.items() for one in fields]:
                 check(f"{name}.{field_name}", role)
-
-    def _check_cycle_times(self) -> None:
-        """Raise ValueError for the cycle time of a message that is not received, or whose rate is given elsewhere."""
-        for name in self._cycle_time_s:
-            if name not in self.received:
-                raise ValueError(f"cycle_time_s.{name}: no table reads such a message{nearest(name, self.received)}")
-            if name in (signal.message for signal in self.measured):
-                raise ValueError(f"cycle_time_s.{name}: odometry rests on it; give feedback.rate_hz instead")
 
     def _feedback_hz(self, given: Table) -> float:
         if "rate_hz" in given:
@@ -216,7 +212,7 @@ def check_wheels(plan: Plan, robot: RobotFacts) -> None:
 
 
 def check_limits(plan: Plan, robot: RobotFacts, gain: Gain) -> None:
-    """Raise BadInputError if a commanded signal cannot carry a limit of the robot, or zero."""
+    """Raise BadInputError if a commanded signal cannot carry a limit of the robot, or has no raw number for zero."""
     ground_m_s = robot.speed_limit_rad_s * robot.wheel_radius_m
     limits = {
         "speed": ("robot.speed_limit_rad_s", robot.speed_limit_rad_s),
@@ -227,25 +223,19 @@ def check_limits(plan: Plan, robot: RobotFacts, gain: Gain) -> None:
     for bound in (bound for quantity in plan.commands.values() for bound in quantity.bounds):
         name, limit = limits[bound.dimension]
         signal = bound.signal
-        _check_zero(signal)
+        zero = -signal.offset / signal.factor
+        if not signal.is_float and abs(zero - round(zero)) > _WHOLE * max(1.0, abs(zero)):
+            raise BadInputError(
+                f"{_KEY}.command: {signal} goes in steps of {signal.factor:g} from an offset of {signal.offset:g}, and "
+                f"so has no zero: the nearest is {signal.physical(round(zero)):.4g}, by which a robot at rest would "
+                "creep; take a signal that has one, or correct factor and offset in the DBC"
+            )
         low, high = sorted(gain(bound) * signal.physical(raw) for raw in (signal.low, signal.high))
         if -limit < low or limit > high:
             raise BadInputError(
                 f"{_KEY}.command: {signal} goes from {low:.4g} to {high:.4g} {SI[bound.dimension]}, and {name} "
                 f"asks for {limit:.4g} both ways; lower that, or correct unit, scale or gear_ratio"
             )
-
-
-def _check_zero(signal: Signal) -> None:
-    """Raise BadInputError if a signal has no raw number for zero: the nearest one would be a motion."""
-    zero = -signal.offset / signal.factor
-    if signal.is_float or abs(zero - round(zero)) <= _WHOLE * max(1.0, abs(zero)):
-        return
-    raise BadInputError(
-        f"{_KEY}.command: {signal} goes in steps of {signal.factor:g} from an offset of {signal.offset:g}, and so has "
-        f"no zero: the nearest is {signal.physical(round(zero)):.4g}, by which a robot at rest would creep; take a "
-        "signal that has one, or correct factor and offset in the DBC"
-    )
 
 
 def watchdog_raw(plan: Plan, robot: RobotFacts, gain: Gain) -> float:
