@@ -5,7 +5,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, Generic, TypeVar
 
 from hil.core.types import NAN, WHEEL_NAMES
-from hil.drivers.port import Capabilities, Driver, Found, RobotFacts, Sample, chosen, four, lowest, oldest
+from hil.drivers.port import Capabilities, Driver, Found, RobotFacts, Sample, four, oldest
 
 
 class Channel:
@@ -13,7 +13,8 @@ class Channel:
 
     Attributes:
         stamp_ns: when the speed arrived; None before the first.
-        speed, position: in the maker's units, see ``FourMotors``. Others [A, °C, V, A].
+        speed, position: in the maker's units; ``FourMotors`` converts them.
+        current_a, temperature_degc: of the motor. supply_v, supply_a: of the controller's supply.
     """
 
     def __init__(self) -> None:
@@ -59,7 +60,7 @@ class FourMotors(Driver, Generic[SettingsT, ChannelT]):
 
     def _with(self, flags: Iterable[bool | None]) -> str:
         """Return the ids of the channels whose flag is set, in words; empty when none is."""
-        return chosen(self._ids, flags)
+        return ", ".join(str(number) for number, flag in zip(self._ids, flags, strict=True) if flag)
 
     @property
     def sample(self) -> Sample | None:
@@ -73,7 +74,7 @@ class FourMotors(Driver, Generic[SettingsT, ChannelT]):
             four(channel.position * to_rad for channel in channels),
             four(channel.current_a for channel in channels),
             four(channel.temperature_degc for channel in channels),
-            lowest(channel.supply_v for channel in channels),
+            min((channel.supply_v for channel in channels if not math.isnan(channel.supply_v)), default=NAN),
             math.fsum(channel.supply_a for channel in channels),
         )
 

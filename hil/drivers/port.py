@@ -4,7 +4,6 @@ Quantities are those of the wheels' axles, in the order of the robot's channels 
 each channel drives). A driver knows its maker's units, gear ratio and node ids, and nothing of the robot's wiring.
 """
 
-import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -289,11 +288,6 @@ def four_ids(low: int, high: int) -> Callable[[tuple[int, ...]], tuple[int, ...]
     return check
 
 
-def chosen(ids: Iterable[int], flags: Iterable[bool | None]) -> str:
-    """Return the ids whose flag is set, in words; empty when none is."""
-    return ", ".join(str(number) for number, flag in zip(ids, flags, strict=True) if flag)
-
-
 def oldest(stamps: Iterable[int | None]) -> int | None:
     """Return the oldest of the channels' stamps, None while one of them has none."""
     found = list(stamps)
@@ -316,8 +310,3 @@ def holds_back(stamp_ns: int, other_ns: int, limit_ns: int) -> int:
     never goes back in time, and still gets old.
     """
     return min(stamp_ns, other_ns + limit_ns)
-
-
-def lowest(values: Iterable[float]) -> float:
-    """Return the lowest known value, NaN if none is known: four controllers measure the voltage of one battery."""
-    return min((value for value in values if not math.isnan(value)), default=NAN)

@@ -178,16 +178,15 @@ def dotted(version: Sequence[int]) -> str:
 
 
 class Endpoint(NamedTuple):
-    """A parameter of firmware 0.6 and the value to set, as bytes: a bool with ``is_switch``, else a float32."""
+    """A parameter of firmware 0.6 and the value to set: a bool of one byte, or a float32."""
 
     name: str
     number: int
     target: bytes
-    is_switch: bool
 
     def is_plausible(self, value: bytes) -> bool:
         """Return whether a value that was read can belong to this parameter. If not, nothing is written to it."""
-        if self.is_switch:
+        if len(self.target) == 1:
             return value[0] in (0, 1)
         return len(value) == FLOAT.size and math.isfinite(number := FLOAT.unpack(value)[0]) and number >= 0.0
 
@@ -208,6 +207,6 @@ def setup(watchdog_endpoints: Sequence[int], mode: CommandMode, watchdog_s: floa
         control_mode, standstill = TORQUE_CONTROL, (SET_INPUT_TORQUE, TORQUE.pack(0.0))
     if not watchdog_endpoints:
         return Setup(control_mode, standstill, ())
-    timeout = Endpoint("axis0.config.watchdog_timeout", watchdog_endpoints[0], FLOAT.pack(watchdog_s), False)
-    switch = Endpoint("axis0.config.enable_watchdog", watchdog_endpoints[1], b"\x01", True)
+    timeout = Endpoint("axis0.config.watchdog_timeout", watchdog_endpoints[0], FLOAT.pack(watchdog_s))
+    switch = Endpoint("axis0.config.enable_watchdog", watchdog_endpoints[1], b"\x01")
     return Setup(control_mode, standstill, (timeout, switch))
