@@ -16,7 +16,7 @@ from hil.core.errors import BadInputError
 from hil.core.json_lines import LineReader, LineWriter
 from hil.service import logs
 from hil.service.discovery import make_token, own_token_file, read_token
-from hil.service.messages import ApiConfig, Limits
+from hil.service.messages import HOST, ApiConfig, Limits
 
 
 def main() -> int:
@@ -42,18 +42,18 @@ def main() -> int:
     # Imported late: it takes a second, and a refusal should be quick.
     from hil.service.api.server import serve
 
-    ready = {"url": f"http://{config.host}:{port}", "token_file": str(path)}
+    ready = {"url": f"http://{HOST}:{port}", "token_file": str(path)}
     asyncio.run(serve(config, listener, token, lines, writer, ready))
     return 0
 
 
 def _listen(config: ApiConfig) -> socket.socket:
     try:
-        listener = socket.create_server((config.host, config.port))
+        listener = socket.create_server((HOST, config.port))
     except OSError as error:
         why = os.strerror(error.errno or 0)  # without the address, which Python's message repeats
         raise BadInputError(
-            f"the API cannot listen on {config.host}:{config.port} ({why}); end the program that uses it, or choose "
+            f"the API cannot listen on {HOST}:{config.port} ({why}); end the program that uses it, or choose "
             "another port in service.port"
         ) from error
     # Connections inherit it. Without it an answer's body waits 40 ms, until the client acknowledges its header; asyncio

@@ -10,6 +10,7 @@ from enum import StrEnum
 from typing import Any, Literal, Self
 
 HOST = "127.0.0.1"
+"""The address of every service's API: the loopback interface only."""
 
 LogStyle = Literal["text", "json"]
 
@@ -162,15 +163,14 @@ class ApiConfig:
     """The API of one service.
 
     Attributes:
-        title: the scenario's name. device: URL of the link. host: address to listen on. port: TCP port; 0 picks a free
-            one. token_file: file that holds the access token, made if missing; None makes a new token at each start.
+        title: the scenario's name. device: URL of the link. port: TCP port; 0 picks a free one.
+        token_file: file that holds the access token, made if missing; None makes a new token at each start.
         log: format of the lines on stderr.
     """
 
     title: str
     device: str
     limits: Limits
-    host: str = HOST
     port: int = 8770
     token_file: str | None = None
     log: LogStyle = "text"

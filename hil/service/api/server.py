@@ -16,7 +16,7 @@ from hil.core.json_lines import LineReader, LineWriter
 from hil.service import logs
 from hil.service.api.control import Control
 from hil.service.api.routes import make_app
-from hil.service.messages import ApiConfig
+from hil.service.messages import HOST, ApiConfig
 
 _PING_S = 5.0
 _LONGEST_BYTES = 64 * 1024  # of a body or a WebSocket message
@@ -73,7 +73,7 @@ async def serve(
     """
     control = Control(lines, writer, config.limits.twist_timeout_s)
     port = listener.getsockname()[1]
-    hosts = frozenset(f"{name}:{port}".encode() for name in (config.host, "localhost"))
+    hosts = frozenset(f"{name}:{port}".encode() for name in (HOST, "localhost"))
 
     class Server(uvicorn.Server):
         async def startup(self, sockets: list[socket.socket] | None = None) -> None:

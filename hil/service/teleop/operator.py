@@ -22,14 +22,10 @@ class Speeds(NamedTuple):
 
 # A compass around k, at the same place on every keyboard, and the arrows.
 KEYS = {
-    "up": Direction(1, 0, 0),
-    "down": Direction(-1, 0, 0),
-    "left": Direction(0, 1, 0),
-    "right": Direction(0, -1, 0),
-    "i": Direction(1, 0, 0),
-    ",": Direction(-1, 0, 0),
-    "j": Direction(0, 1, 0),
-    "l": Direction(0, -1, 0),
+    **dict.fromkeys(("up", "i"), Direction(1, 0, 0)),
+    **dict.fromkeys(("down", ","), Direction(-1, 0, 0)),
+    **dict.fromkeys(("left", "j"), Direction(0, 1, 0)),
+    **dict.fromkeys(("right", "l"), Direction(0, -1, 0)),
     "u": Direction(1, 1, 0),
     "o": Direction(1, -1, 0),
     "m": Direction(-1, 1, 0),
