@@ -15,7 +15,7 @@ import time
 import traceback
 from collections.abc import Iterator
 from pathlib import Path
-from types import TracebackType
+from typing import Any
 
 from hil.batch.job import FOREIGN, LOST, REFUSED, Job, Outcome, plain
 from hil.batch.keys import is_current
@@ -31,11 +31,12 @@ def main(kind: str) -> int:
     work = pkgutil.resolve_name(kind)
     stray: list[str] = []
 
-    def keep(kind: type[BaseException], error: BaseException | None, trace: TracebackType | None) -> None:
-        stray.append(_error_line(kind, error, trace))
+    def keep(args: Any) -> None:
+        frames = traceback.extract_tb(args.exc_traceback)
+        where = f" at {Path(frames[-1].filename).name}:{frames[-1].lineno}" if frames else ""
+        stray.append(f"{args.exc_type.__name__}: {args.exc_value}{where}")
 
-    threading.excepthook = lambda args: keep(args.exc_type, args.exc_value, args.exc_traceback)
-    sys.unraisablehook = lambda args: keep(args.exc_type, args.exc_value, args.exc_traceback)
+    threading.excepthook = sys.unraisablehook = keep
     answers.write(READY)
     answers.flush()
     for line in _lines():
@@ -72,13 +73,6 @@ def _lines() -> Iterator[str]:
         is_idle.clear()
         yield line
         is_idle.set()
-
-
-def _error_line(kind: type[BaseException], error: BaseException | None, trace: TracebackType | None) -> str:
-    """Return what was raised and where, in one line."""
-    frames = traceback.extract_tb(trace)
-    where = f" at {Path(frames[-1].filename).name}:{frames[-1].lineno}" if frames else ""
-    return f"{kind.__name__}: {error}{where}"
 
 
 if __name__ == "__main__":

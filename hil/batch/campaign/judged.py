@@ -72,13 +72,19 @@ class Effect(NamedTuple):
 
 
 class Judged:
-    """A campaign's results: its plan and the rows of the runs that are done, each a mapping of columns."""
+    """A campaign's results: its plan and the rows of the runs that are done, each a mapping of columns.
+
+    ``by`` is the figure by which runs are worst. What is drawn independently is the sample, or without random axes the
+    seed.
+    """
 
     def __init__(self, folder: Path, about: Mapping[str, Any], plan: Sequence[Row], rows: Sequence[Row]) -> None:
         self.folder = folder
         self.about = about
         self.plan = plan
         self.rows = rows
+        self.by = str(about["by"])
+        self._unit = "sample" if about["samples"] > 1 else "seed"
 
     @cached_property
     def axes(self) -> dict[str, str]:
@@ -115,11 +121,6 @@ class Judged:
                 counts = (len(rows), sum(passed), len(set(units)))
                 rates.append(Rate(axis, value, *counts, share_of(units, passed)))
         return rates
-
-    @property
-    def _unit(self) -> str:
-        """The column of what is drawn independently: the sample, or without random axes the seed."""
-        return "sample" if self.about["samples"] > 1 else "seed"
 
     def spreads(self) -> Iterator[Spread]:
         """Yield how each figure is spread over the runs of each law."""
@@ -158,22 +159,16 @@ class Judged:
     @cached_property
     def effects(self) -> list[Effect]:
         """The effect of each axis on each figure."""
-        return [Effect(axis, figure, self._effect(axis, figure)) for figure in COMPARED for axis in self.axes]
-
-    def _effect(self, axis: str, figure: str) -> float | None:
-        rows = [row for row in self.rows if row[figure] is not None]
-        if not rows:
-            return None
-        groups: Sequence[object] = [row[axis] for row in rows]
-        values = np.array([row[figure] for row in rows])
-        if self.axes[axis] not in RANDOM:
-            return share_explained(groups, values)
-        return share_explained(binned(np.array(groups, dtype=np.float64)), values, [row["sample"] for row in rows])
-
-    @property
-    def by(self) -> str:
-        """The figure by which runs are worst."""
-        return str(self.about["by"])
+        found = []
+        for figure, (axis, kind) in itertools.product(COMPARED, self.axes.items()):
+            rows = [row for row in self.rows if row[figure] is not None]
+            values = np.array([row[figure] for row in rows])
+            groups: Sequence[object] = [row[axis] for row in rows]
+            draws = None
+            if rows and kind in RANDOM:
+                groups, draws = binned(np.array(groups, dtype=np.float64)), [row["sample"] for row in rows]
+            found.append(Effect(axis, figure, share_explained(groups, values, draws) if rows else None))
+        return found
 
     @cached_property
     def worst(self) -> list[Row]:

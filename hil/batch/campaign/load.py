@@ -65,10 +65,8 @@ class Plan(NamedTuple):
 def _named(key: str, words: str) -> int:
     """Return how many leading parts of a dotted key a sentence names."""
     parts = key.split(".")
-    for end in range(len(parts), 0, -1):
-        if re.search(rf"(?<![\w.]){re.escape('.'.join(parts[:end]))}(?!\w)", words):
-            return end
-    return 0
+    begins = {end: re.escape(".".join(parts[:end])) for end in range(len(parts), 0, -1)}
+    return next((end for end, begin in begins.items() if re.search(rf"(?<![\w.]){begin}(?!\w)", words)), 0)
 
 
 def load_plan(file: Path) -> Plan:
@@ -107,14 +105,11 @@ def _is_axis(table: Mapping[str, Any]) -> bool:
     return any(kind in table for kind in AXIS_KINDS) or not any(isinstance(one, Mapping) for one in table.values())
 
 
-def _dotted(
-    table: Mapping[str, Any], is_value: Callable[[Mapping[str, Any]], bool], path: tuple[str, ...] = ()
-) -> dict[str, Any]:
+def _dotted(table: Mapping[str, Any], is_value: Callable[[Mapping[str, Any]], bool], path: str = "") -> dict[str, Any]:
     found: dict[str, Any] = {}
     for key, value in table.items():
-        here = (*path, key)
         is_table = isinstance(value, Mapping) and not is_value(value)
-        found |= _dotted(value, is_value, here) if is_table else {".".join(here): value}
+        found |= _dotted(value, is_value, f"{path}{key}.") if is_table else {path + key: value}
     return found
 
 
@@ -137,12 +132,10 @@ def _sentences(problems: Sequence[Problem], file: Path, lines: Mapping[tuple[str
         yield f"{where}: {problem.sentence if path else words}"
 
 
-def _frozen(value: Any) -> Any:
+def _frozen(value: Any, key: str = "") -> Any:
     """Return plain values with tuples for lists, and a law that is given only by its name as a table."""
     if isinstance(value, Mapping):
-        return {key: _frozen(_laws(item) if key == "laws" else item) for key, item in value.items()}
-    return tuple(map(_frozen, value)) if isinstance(value, list | tuple) else value
-
-
-def _laws(laws: object) -> object:
-    return [{"law": law} if isinstance(law, str) else law for law in laws] if isinstance(laws, list) else laws
+        return {key: _frozen(item, key) for key, item in value.items()}
+    if not isinstance(value, list | tuple):
+        return value
+    return tuple({"law": one} if key == "laws" and isinstance(one, str) else _frozen(one) for one in value)

@@ -28,15 +28,8 @@ from typing import NamedTuple
 
 from firmware_protocol.codec import decode
 from firmware_protocol.framing import Frame
-from firmware_protocol.generated.messages import (
-    SCHEMA_HASH,
-    Estop,
-    HostHeartbeat,
-    Mode,
-    Request,
-    TorqueCommand,
-    WheelCommand,
-)
+from firmware_protocol.generated import messages
+from firmware_protocol.generated.messages import Estop, HostHeartbeat, Mode, Request, TorqueCommand, WheelCommand
 from hil.core.types import WHEEL_NAMES
 
 # PROTOCOL.md, "States" and "Freshness".
@@ -152,13 +145,12 @@ class _Session:
         if not tick.enabled or (self._stopped is None and self._mode == Mode.TORQUE):
             return (0,) * 4
         allowed = self._target if self._stopped is None else tuple(self._left * value for value in self._turning)
-        each = zip(self._driven_away, tick.speed_rad_s, allowed, tick.torque_n_m, tick.motor_n_m, strict=True)
-        return tuple(
-            ticks + 1
-            if self._is_away(speed, bound, max(torques)) or self._is_away(-speed, -bound, -min(torques))
-            else 0
-            for ticks, speed, bound, *torques in each
+        each = zip(tick.speed_rad_s, allowed, tick.torque_n_m, tick.motor_n_m, strict=True)
+        away = (
+            self._is_away(speed, bound, max(torques)) or self._is_away(-speed, -bound, -min(torques))
+            for speed, bound, *torques in each
         )
+        return tuple(ticks + 1 if now else 0 for ticks, now in zip(self._driven_away, away, strict=True))
 
     def _is_away(self, speed_rad_s: float, bound_rad_s: float, torque_n_m: float) -> bool:
         """Return whether a wheel is too fast in the positive direction and driven further."""
@@ -189,10 +181,7 @@ class SafetyJudge:
 
     def __init__(self) -> None:
         self.violations: list[str] = []
-        self.violation_ticks = 0
-        self.ticks = 0
-        self.driven_ticks = 0
-        self.silent_ticks = 0
+        self.violation_ticks = self.ticks = self.driven_ticks = self.silent_ticks = 0
         self.silent_rad_s = 0.0
         self._has_driven = False
         self.power_on(Limits(0, 0, 0.0))
@@ -223,15 +212,18 @@ class SafetyJudge:
     def hold(self, tick: Tick) -> None:
         """Judge the commands to the drives in the current tick."""
         self._judge(tick)
-        self._count(tick)
+        largest = max(map(abs, tick.set_point_rad_s))
+        self.driven_ticks += largest > 0.0
+        if self._has_driven and all(session.is_silent for session in self._sessions):
+            self.silent_ticks += 1
+            self.silent_rad_s = max(self.silent_rad_s, largest)
         self.ticks += 1
         self._life_ticks += 1
         self._armed_ticks += 1
         if self._armed_ticks >= _ARM_TIMEOUT_TICKS:
             self._armed = None
-        for session in (self._session, self._ending):
-            if session is not None:
-                session.record(tick)
+        for session in self._sessions:
+            session.record(tick)
         if not tick.enabled:
             self._ending = None
 
@@ -242,15 +234,14 @@ class SafetyJudge:
         elif heartbeat.request == Request.ARM:
             announced, self._announced = self._announced, None
             is_new = heartbeat.nonce == announced and heartbeat.nonce != self._last_nonce
-            if is_new and heartbeat.schema_hash == SCHEMA_HASH:
+            if is_new and heartbeat.schema_hash == messages.SCHEMA_HASH:
                 self._armed = (heartbeat.nonce, heartbeat.mode)
                 self._armed_ticks = 0
 
     def _end(self, *, at_once: bool) -> None:
         self._armed = None
-        for session in (self._session, self._ending):
-            if session is not None:
-                session.stop(at_once=at_once)
+        for session in self._sessions:
+            session.stop(at_once=at_once)
 
     def _command(self, mode: int, command: WheelCommand | TorqueCommand) -> None:
         if self._session is not None and self._session.is_live:
@@ -270,18 +261,15 @@ class SafetyJudge:
             self._violate(f"the drives are given a duty beyond 1: {tick.duty}")
         if not tick.enabled and any((*tick.torque_n_m, *tick.duty)):
             self._violate(f"the drives are off, but are given torque {tick.torque_n_m} and duty {tick.duty}")
-        accounts = [session for session in (self._session, self._ending) if session is not None]
-        complaints = [session.complaint(tick) for session in accounts] or [_unasked(tick)]
-        if all(complaints):
+        complaints = [session.complaint(tick) for session in self._sessions]
+        if not complaints and (tick.enabled or any(tick.set_point_rad_s)):
+            complaints = [f"nothing was asked, but the drives are {'on' if tick.enabled else 'given set points'}"]
+        if complaints and all(complaints):
             self._violate(str(complaints[0]))
 
-    def _count(self, tick: Tick) -> None:
-        largest = max(map(abs, tick.set_point_rad_s))
-        self.driven_ticks += largest > 0.0
-        accounts = [session for session in (self._session, self._ending) if session is not None]
-        if self._has_driven and all(session.is_silent for session in accounts):
-            self.silent_ticks += 1
-            self.silent_rad_s = max(self.silent_rad_s, largest)
+    @property
+    def _sessions(self) -> list[_Session]:
+        return [session for session in (self._session, self._ending) if session is not None]
 
     def _violate(self, what: str) -> None:
         self.violation_ticks += 1
@@ -294,11 +282,4 @@ def _beyond(given: Four, allowed: Four, what: str, unit: str, by: str) -> str | 
     for name, value, bound in zip(WHEEL_NAMES, given, allowed, strict=True):
         if value * bound < 0.0 or abs(value) > abs(bound) * (1.0 + _ROUNDING):
             return f"the {what} of {name} is {value:.6g} {unit}; {by} {bound:.6g}"
-    return None
-
-
-def _unasked(tick: Tick) -> str | None:
-    """Return what is wrong with a tick before any session, or None."""
-    if tick.enabled or any(tick.set_point_rad_s):
-        return f"nothing was asked, but the drives are {'on' if tick.enabled else 'given set points'}"
     return None

@@ -69,16 +69,8 @@ class WatchedNode(HostNode):
     def _exchange(self, _context: object, drive: Any, sense: Any) -> int:
         failed: int = self._plant(self._plant_context, drive, sense)
         if drive != self._no_drive:
-            self._judge.hold(
-                Tick(
-                    enabled=bool(drive.enabled),
-                    set_point_rad_s=self.look().set_point_rad_s,
-                    torque_n_m=tuple(drive.torque_n_m),
-                    duty=tuple(drive.duty),
-                    speed_rad_s=self._speeds_rad_s(),
-                    motor_n_m=self._motor_n_m,
-                )
-            )
+            given = (self.look().set_point_rad_s, tuple(drive.torque_n_m), tuple(drive.duty))
+            self._judge.hold(Tick(bool(drive.enabled), *given, self._speeds_rad_s(), self._motor_n_m))
         self._counts.append(tuple(sense.count))
         self._motor_n_m = tuple(self._n_m_a * current_a for current_a in sense.current_a)
         return failed
