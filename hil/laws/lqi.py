@@ -89,26 +89,22 @@ class Lqi:
         """Return the command of this tick, not limited."""
         if not self._feedback:
             self._feedback = _feedback(self._options, self._torque, dt_s)
-        if not self._torque:
-            return self._by_speed(reference, extrapolate(reference, state, applied.latency_s), applied, dt_s)
-        predicted = self._predictor.predict(reference, state, applied, dt_s)
+        ki, kp, kd = self._feedback
+        if self._torque:
+            predicted = self._predictor.predict(reference, state, applied, dt_s)
+            ax, ay, ah = reference.acceleration
+        else:
+            predicted = extrapolate(reference, state, applied.latency_s)
+            ax, ay, ah = predicted.reference_twist
         ix, iy, ih = self._integrated(predicted, applied, dt_s)
         x, y, heading, vx, vy, yaw_rate = predicted.error
-        ax, ay, ah = reference.acceleration
-        ki, kp, kd = self._feedback
-        commanded = (
+        desired = (
             ax - ki * ix - kp * x - kd * vx,
             ay - ki * iy - kp * y - kd * vy,
             ah - ki * ih - kp * heading - kd * yaw_rate,
         )
-        return self._predictor.command(commanded, predicted)
-
-    def _by_speed(self, reference: Reference, predicted: Prediction, applied: Applied, dt_s: float) -> WheelCommand:
-        ix, iy, ih = self._integrated(predicted, applied, dt_s)
-        x, y, heading, _, _, _ = predicted.error
-        vx, vy, yaw_rate = predicted.reference_twist
-        ki, kp = self._feedback
-        desired = vx - ki * ix - kp * x, vy - ki * iy - kp * y, yaw_rate - ki * ih - kp * heading
+        if self._torque:
+            return self._predictor.command(desired, predicted)
         return speed_command(self._model, desired, predicted, reference.acceleration)
 
     def _integrated(self, predicted: Prediction, applied: Applied, dt_s: float) -> Axes:
@@ -122,7 +118,7 @@ class Lqi:
 
 
 def _feedback(options: Lqi.Options, torque: bool, dt_s: float) -> tuple[float, ...]:
-    """Return the gains of ∫e, e and, in TORQUE mode, ė for ticks of ``dt_s`` [s] with zero-order hold."""
+    """Return the gains of ∫e, e and ė for ticks of ``dt_s`` [s] with zero-order hold; that of ė is 0 in SPEED mode."""
     import numpy as np
 
     t = dt_s
@@ -135,7 +131,7 @@ def _feedback(options: Lqi.Options, torque: bool, dt_s: float) -> tuple[float, .
         b = np.array([[t * t / 2], [t]])
         weights = [options.speed_integral_1_s4, options.speed_error_1_s2]
     try:
-        return tuple(lqr_gain(a, b, np.diag(weights), np.eye(1))[0].tolist())
+        return (*lqr_gain(a, b, np.diag(weights), np.eye(1))[0].tolist(), 0.0)[:3]
     except (ValueError, np.linalg.LinAlgError) as error:
         raise BadInputError(
             f"controller.gains: no gains exist for the weights {weights} at {1.0 / t:g} Hz ({error}); take "

@@ -161,14 +161,10 @@ def settable_variables(variables: Variables, driven: Collection[str]) -> dict[st
     FMI 2.0 section 2.2.7 and FMI 3.0 section 2.4.7.4: inputs, here those that are not ``driven`` by the firmware, and
     tunable parameters.
     """
-    return {
-        name: variable
-        for name, variable in variables.items()
-        if variable.type in FLOATS and not variable.shape and name == variable.name and _may_change(variable, driven)
-    }
-
-
-def _may_change(variable: Any, driven: Collection[str]) -> bool:
-    if variable.causality == "input":
-        return variable.name not in driven
-    return bool(variable.causality == "parameter" and variable.variability == "tunable")
+    found = {}
+    for name, variable in variables.items():
+        is_tunable = variable.causality == "parameter" and variable.variability == "tunable"
+        may_change = is_tunable or (variable.causality == "input" and name not in driven)
+        if may_change and variable.type in FLOATS and not variable.shape and name == variable.name:
+            found[name] = variable
+    return found

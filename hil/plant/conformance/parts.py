@@ -18,6 +18,7 @@ _STEPS = 20
 _GUARD = b"\xa5" * 64
 # Of the check for leaks. A call that takes longer than _LONGEST_S cannot be done often enough.
 _LONGEST_S, _BLOCKS, _BLOCK_S, _FEWEST, _MOST = 0.25, 5, 1.0, 4, 200
+_ONLY_ONE = "more than one instance in a process is not claimed"
 _NOISE_BYTES = 64 * 1024  # by so much the heap grows and shrinks in a block without a leak
 
 
@@ -89,8 +90,7 @@ def variables(model: Model) -> Iterator[Finding]:
 
 def initialization(model: Model) -> Iterator[Finding]:
     """In initialization mode outputs follow the inputs, whatever these were when outputs were read before."""
-    if not model.inputs:
-        raise NotTestedError("there are no floating-point inputs")
+    _require(model.inputs, "there are no floating-point inputs")
     with model.instance(initialised=False) as slave:
         slave.enter_initialization()
         slave.drive(1)
@@ -113,8 +113,7 @@ def time(model: Model) -> Iterator[Finding]:
     FMI 2.0 section 4.2.1 has it integrate just there. FMI 3.0 section 4.2.1 lets it get elsewhere, and say where.
     """
     clock = next((v for v in model.variables if v.causality == "independent"), None)
-    if clock is None and model.is_fmi2:
-        raise NotTestedError("no variable is the time")
+    _require(clock is not None or not model.is_fmi2, "no variable is the time")
     with model.instance() as slave:
         reached_s = model.start_s
         for step in range(_STEPS + 1):
@@ -133,8 +132,7 @@ def time(model: Model) -> Iterator[Finding]:
 
 def step_size(model: Model) -> Iterator[Finding]:
     """When claimed: communication steps of any size are done, and a short one goes less far."""
-    if not model.claims.canHandleVariableCommunicationStepSize:
-        raise NotTestedError("variable communication step sizes are not claimed")
+    _require(model.claims.canHandleVariableCommunicationStepSize, "variable communication step sizes are not claimed")
     with model.instance() as slave:
         time_s = model.start_s
         for factor in (1.0, 0.5, 3.0, 0.1, 1.7):
@@ -155,8 +153,7 @@ def step_size(model: Model) -> Iterator[Finding]:
 
 def saved_state(model: Model) -> Iterator[Finding]:
     """When claimed: a restored state, also one that was bytes, continues with the same bits."""
-    if not model.claims.canGetAndSetFMUstate:
-        raise NotTestedError("saved states are not claimed")
+    _require(model.claims.canGetAndSetFMUstate, "saved states are not claimed")
     with model.instance() as slave:
         slave.simulate(0, _STEPS)
         state = slave.fmu.getFMUState()
@@ -206,8 +203,7 @@ def reset(model: Model) -> Iterator[Finding]:
 
 def two_instances(model: Model) -> Iterator[Finding]:
     """Stepping one instance does not move another, unless only one is allowed."""
-    if model.claims.canBeInstantiatedOnlyOncePerProcess:
-        raise NotTestedError("more than one instance in a process is not claimed")
+    _require(not model.claims.canBeInstantiatedOnlyOncePerProcess, _ONLY_ONE)
     with model.instance() as alone:
         expected = alone.simulate(0, _STEPS)
     with model.instance() as one, model.instance() as two:
@@ -222,8 +218,7 @@ def two_instances(model: Model) -> Iterator[Finding]:
 
 def many_instances(model: Model) -> Iterator[Finding]:
     """Instances that were freed leave no memory behind."""
-    if model.claims.canBeInstantiatedOnlyOncePerProcess:
-        raise NotTestedError("more than one instance in a process is not claimed")
+    _require(not model.claims.canBeInstantiatedOnlyOncePerProcess, _ONLY_ONE)
 
     def live() -> None:
         with model.instance() as slave:
@@ -248,6 +243,11 @@ def title(part: Callable[[Model], Iterator[Finding]]) -> str:
     return part.__name__.replace("_", " ")
 
 
+def _require(condition: object, reason: str) -> None:
+    if not condition:
+        raise NotTestedError(reason)
+
+
 def _bytes_per_call(live: Callable[[], None]) -> float:
     """Return by how many bytes the resident memory grows with each call of ``live``; 0 when that is lost in noise.
 
@@ -255,14 +255,12 @@ def _bytes_per_call(live: Callable[[], None]) -> float:
     second smallest growth is taken. A leak is found from 330 bytes a call on, or more where a call takes longer than
     5 ms. Raises NotTestedError where memory cannot be measured.
     """
-    if not MEMORY_IS_KNOWN:
-        raise NotTestedError("resident memory can be read on Linux only")
+    _require(MEMORY_IS_KNOWN, "resident memory can be read on Linux only")
     live()
     begin = clocks.perf_counter()
     live()
     each_s = clocks.perf_counter() - begin
-    if each_s > _LONGEST_S:
-        raise NotTestedError(f"an instance takes {each_s:.2g} s, too long to make many")
+    _require(each_s <= _LONGEST_S, f"an instance takes {each_s:.2g} s, too long to make many")
     calls = int(min(max(_BLOCK_S / max(each_s, 1e-6), _FEWEST), _MOST))
     sizes = []
     for _ in range(_BLOCKS + 1):  # the first one warms up
