@@ -85,11 +85,10 @@ class Vesc(FourMotors[Settings, Channel]):
         )
         super().__init__(settings, robot, capabilities, "VESC", ids, channels, 1.0 / self._to_erpm, to_rad)
         self._messages = frames.CanMessages(settings.host_id)
-        self._round = 0
         self._asked: int | None = None  # the VESC whose answers are awaited
         self._may_wait = not self._is_bus  # the VESC at the line may wait for the rest of an unfinished packet
         self._unassigned: Sequence[frames.Version] = ()  # versions on a serial line, until values with an id follow
-        self._turn = 0
+        self._round = self._turn = 0
         self._calls = 0  # of ``ask`` since the newest questions
         self._is_arming = self._has_commanded = False
         self._to_current = 1.0 / robot.torque_constant_n_m_a
@@ -130,8 +129,7 @@ class Vesc(FourMotors[Settings, Channel]):
         if not open_ids:
             self._asked = None
             return self._poll()
-        later = [vesc for vesc in open_ids if self._ids.index(vesc) >= self._turn]
-        self._asked, self._calls = (later or open_ids)[0], 0
+        self._asked, self._calls = min(open_ids, key=lambda vesc: (self._ids.index(vesc) - self._turn) % 4), 0
         self._turn = self._ids.index(self._asked) + 1
         channel = self._by_id[self._asked]
         questions = [] if channel.is_identified else [*self._wire.questions]
@@ -159,12 +157,8 @@ class Vesc(FourMotors[Settings, Channel]):
                 )
         if self.missing:
             return None
-        words = [
-            f"{vesc} ({version.hardware or 'unnamed'}, firmware {version.major}.{version.minor:02})"
-            for vesc, channel in self._by_id.items()
-            if (version := channel.version) is not None
-        ]
-        return f"four VESCs with the ids {', '.join(words)}"
+        words = ", ".join(f"{vesc} ({channel.version})" for vesc, channel in self._by_id.items())
+        return f"four VESCs with the ids {words}"
 
     @property
     def missing(self) -> str:

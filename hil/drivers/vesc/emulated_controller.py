@@ -56,19 +56,15 @@ class VescController:
         self, number: int, to_erpm: float, constant: float, resistance_ohm: float, limit_n_m: float, loop: SpeedLoop
     ) -> None:
         self.number, self._to_erpm, self._constant, self._limit_n_m = number, to_erpm, constant, limit_n_m
-        self._resistance_ohm = resistance_ohm
-        self._loop = loop
-        self.version = (6, 5)
-        self.hardware = b"60_MK6"
-        self.timeout_ticks = _TIMEOUT_TICKS
-        self.timeout_brake_a = 0.0
+        self._resistance_ohm, self._loop = resistance_ohm, loop
+        self.version, self.hardware = (6, 5), b"60_MK6"
+        self.timeout_ticks, self.timeout_brake_a = _TIMEOUT_TICKS, 0.0
         self.answers_configuration = True
         self.configured_number = number
         self.enabled_statuses: tuple[int, ...] = (1, 4, 5)
         self.kill_switch = False
         self.has_status = True
-        self.fault = 0
-        self._fault_ticks_left = 0
+        self.fault = self._fault_ticks_left = 0
         self._quiet_ticks = _TIMEOUT_TICKS + 1  # no command since the power came on
         self._control, self._set_point = "off", 0.0
         self.speed = self.current_a = self.duty = self.input_v = self.input_a = self.degc = 0.0

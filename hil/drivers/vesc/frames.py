@@ -113,6 +113,9 @@ class Version(NamedTuple):
     minor: int
     hardware: str
 
+    def __str__(self) -> str:
+        return f"{self.hardware or 'unnamed'}, firmware {self.major}.{self.minor:02}"
+
 
 def parse_version(message: bytes) -> Version | None:
     """Return the version of an answer to COMM_FW_VERSION; None for another message."""

@@ -83,8 +83,7 @@ class LineProbe(Probe):
     def found(self) -> Found | None:
         if self._version is None or self._near is None:
             return None
-        major, minor, hardware = self._version
-        near = f"a VESC ({hardware}, firmware {major}.{minor:02}) with the id {self._near} at the line"
+        near = f"a VESC ({self._version}) with the id {self._near} at the line"
         if self._behind is None:
             silent = f"it has not reported within {_SCAN_S:g} s which others are on its CAN bus"
             return Found([near, silent], None, unknown=_UNKNOWN)
