@@ -32,7 +32,7 @@ class Spin:
 
     @property
     def span_s(self) -> float:
-        """The ramps, and until the robot stands to its path as before [s]."""
+        """The ramps, and the time until the robot has the same angle to its path again [s]."""
         turning = self.speed_m_s / self.radius_m if self.path == "circle" else 0.0
         relative = abs(self.yaw_rate_rad_s - turning)
         return max(self.ramp_s, self.yaw_ramp_s) + (math.tau / relative if relative else 0.0)

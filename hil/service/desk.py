@@ -24,6 +24,7 @@ from hil.service.messages import MOVING, Action, Answer, Order
 from hil.service.pilot import Pilot
 from hil.service.records import Records, finished, recording_of
 
+_RECORDING = (Action.RECORD, Action.STOP_RECORDING)
 _STALLED = "the service stalled while this order waited; give it again"
 
 Result = Mapping[str, Any] | None
@@ -134,7 +135,7 @@ class Desk:
         return {"vx_m_s": twist.forward_m_s, "vy_m_s": twist.left_m_s, "yaw_rate_rad_s": twist.yaw_rate_rad_s}
 
     def _track(self, reference: Mapping[str, Any] | None, here: bool) -> Long:
-        self.pilot.need_active()  # before a path is read in vain
+        self.pilot.need_active()  # before the path is read, which takes long
         requests_before = self.pilot.motion_requests
         table = self.scenario.reference
         options = {"kind": table.kind, **table.options} if reference is None else dict(reference)
@@ -184,7 +185,7 @@ class Desk:
         return new.gains
 
     def _record(self, path: str | None, force: bool) -> Long:
-        if self._are_records_busy or self.records.path is not None:
+        if self._is_under_way(*_RECORDING) or self.records.path is not None:
             raise BadInputError(f"{self.records.path or 'a recording'} is being written; stop that first")
         made_of = self.made_of
 
@@ -200,7 +201,7 @@ class Desk:
         return Long(start, use)
 
     def _stop_recording(self) -> Long:
-        recording = None if self._are_records_busy else self.records.end()
+        recording = None if self._is_under_way(*_RECORDING) else self.records.end()
         if recording is None:
             raise BadInputError("nothing is being recorded")
 
@@ -210,13 +211,8 @@ class Desk:
 
         return Long(partial(finished, recording), result_of)
 
-    @property
-    def _are_records_busy(self) -> bool:
-        """Whether a recording is being started or finished."""
-        return self._is_under_way(Action.RECORD) or self._is_under_way(Action.STOP_RECORDING)
-
-    def _is_under_way(self, action: Action) -> bool:
-        return any(order.action is action for order, _, _ in self._under_way)
+    def _is_under_way(self, *actions: Action) -> bool:
+        return any(order.action in actions for order, _, _ in self._under_way)
 
     def _shut_down(self) -> None:
         self.shutdown = True

@@ -110,7 +110,7 @@ class Pilot:
         self.emergency.request(self._t_s)
         self._why = "an e-stop was asked for"
         if self.phase is Phase.AWAY:
-            self._why += "; the robot is away: it is sent blindly now, and again as soon as it is back"
+            self._why += "; the robot is away: it is sent now without an answer, and again as soon as it is back"
             self.motion_requests += 1
         else:
             self._enter(Phase.ESTOP)

@@ -55,14 +55,16 @@ class Track(Body):
     """Follow a path."""
 
     reference: Reference | None = Field(default=None, description="null for that of the configuration")
-    here: bool = Field(default=False, description="begin it where the robot stands; else it drives to its begin first")
+    here: bool = Field(
+        default=False, description="start it at the robot's pose; otherwise the robot first drives to its start"
+    )
 
 
 class Gains(Body):
-    """Change the law's own numbers."""
+    """Change gains of the law."""
 
     gains: dict[str, Option] | None = Field(
-        default=None, description="by name, over those of the configuration; null reads its file again"
+        default=None, description="changes by name; null reads the gains of the configuration's file again"
     )
 
 
@@ -76,7 +78,7 @@ class Record(Body):
         pattern=r"\.(rrd|mcap)$",
         description="an .rrd or .mcap file, as the service's user sees it; null for a name by scenario and time",
     )
-    force: bool = Field(default=False, description="replace the file if it is there already; else that is refused")
+    force: bool = Field(default=False, description="replace an existing file; otherwise the order is refused")
 
 
 def bodies(limits: Limits) -> Mapping[Action, type[Body]]:
