@@ -18,7 +18,7 @@ from hil.estimation.choice import EstimatorOptions
 from hil.laws.shadows import short_name
 from hil.scenario.plant import PlantTable
 from hil.scenario.trial import AllowTable, ExpectTable, FaultTable
-from hil.scenario.values import AnyOption, Milliseconds, Setting, Text
+from hil.scenario.values import AnyOption, Milliseconds, Setting, Text, check
 from hil.wire.url import parse_link
 
 TICKS_PER_SECOND = 1000  # the firmware loop
@@ -37,18 +37,6 @@ def _driver(driver: str) -> str:
     return driver
 
 
-def _each_once(wheels: tuple[Wheel, ...]) -> tuple[Wheel, ...]:
-    if sorted(wheels) != sorted(WHEEL_NAMES):
-        raise ValueError('expected each of "fl", "fr", "rr" and "rl" once')
-    return wheels
-
-
-def _at_most_once(wheels: tuple[Wheel, ...]) -> tuple[Wheel, ...]:
-    if len(set(wheels)) != len(wheels):
-        raise ValueError("expected each wheel at most once")
-    return wheels
-
-
 def _link(url: str) -> str:
     try:
         parse_link(url)
@@ -57,22 +45,15 @@ def _link(url: str) -> str:
     return url
 
 
-def _rate(rate_hz: int) -> int:
-    if rate_hz not in RATES_HZ:
-        raise ValueError(f"expected one of {', '.join(map(str, RATES_HZ))}, a whole number of ms a period")
-    return rate_hz
-
-
-def _tick_limit(tick_limit_s: float) -> float:
-    if 0.0 < tick_limit_s < LEAST_TICK_LIMIT_S:
-        raise ValueError(f"expected at least {LEAST_TICK_LIMIT_S:g} s, or 0 for no limit")
-    return tick_limit_s
-
-
-def _processors(cpus: tuple[int, ...]) -> tuple[int, ...]:
-    if min(cpus, default=0) < 0 or len(set(cpus)) != len(cpus):
-        raise ValueError("expected the numbers of processors, from 0 and each once")
-    return cpus
+_each_once = check(lambda wheels: sorted(wheels) == sorted(WHEEL_NAMES), 'each of "fl", "fr", "rr" and "rl" once')
+_at_most_once = check(lambda wheels: len(set(wheels)) == len(wheels), "each wheel at most once")
+_rate = check(RATES_HZ.__contains__, f"one of {', '.join(map(str, RATES_HZ))}, a whole number of ms a period")
+_tick_limit = check(
+    lambda s: s == 0.0 or s >= LEAST_TICK_LIMIT_S, f"at least {LEAST_TICK_LIMIT_S:g} s, or 0 for no limit"
+)
+_processors = check(
+    lambda cpus: min(cpus, default=0) >= 0 and len(set(cpus)) == len(cpus), "processor numbers, from 0, each once"
+)
 
 
 @dataclass(frozen=True)

@@ -2,7 +2,7 @@
 
 import math
 import re
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import PurePath
 from typing import Annotated, Any
 
@@ -16,10 +16,21 @@ def is_path(name: str) -> bool:
     return "/" in name or "\\" in name or PurePath(name).suffix != ""
 
 
-def _text(value: str) -> str:
-    if not value or re.search(r"[\x00-\x1f\x7f]", value):
-        raise ValueError("expected text of one line, not empty")
-    return value
+def check(is_valid: Callable[[Any], bool], expected: str) -> Callable[[Any], Any]:
+    """Return a check for ``Annotated``: it returns a valid value, and raises ValueError for another."""
+
+    def checked(value: Any) -> Any:
+        if not is_valid(value):
+            raise ValueError(f"expected {expected}")
+        return value
+
+    return checked
+
+
+_text = check(lambda text: text and not re.search(r"[\x00-\x1f\x7f]", text), "text of one line, not empty")
+_milliseconds = check(
+    lambda s: abs(s * 1000.0 - round(s * 1000.0)) <= 1e-6, "a whole number of milliseconds, such as 0.025"
+)
 
 
 def _option(value: object) -> OptionValue:
@@ -51,12 +62,6 @@ def _setting(value: object) -> object:
     if isinstance(value, Mapping):
         return {_text(str(key)): _setting(item) for key, item in value.items()}
     return _option(value)
-
-
-def _milliseconds(value: float) -> float:
-    if abs(value * 1000.0 - round(value * 1000.0)) > 1e-6:
-        raise ValueError("expected a whole number of milliseconds, such as 0.025")
-    return value
 
 
 Text = Annotated[str, _text]

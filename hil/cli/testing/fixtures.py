@@ -108,20 +108,13 @@ class RunScenario:
         record: bool = True,
         check: bool = True,
     ) -> RunResult:
-        """Run a scenario, and return its result.
+        """Run a scenario, and return its result; a run that does not pass fails the test, except with ``check=False``.
 
-        Args:
-            scenario: what to run.
-            set: changes to any of its keys. This argument and the next four override the options --hil-set and so on.
-            mode: ``lockstep`` or ``realtime``.
-            link: URL of the link.
-            seed: of everything random in the run.
-            truth: URL of the truth socket of a robot in another process.
-            on: the robot to run on, with its link, truth and mode; it must have been started with the same ``set``.
-            record: whether to record, into the test's ``tmp_path`` or below ``--hil-record DIR``.
-            check: whether a run that does not pass fails the test. If False, the test judges ``result.passed`` itself.
+        ``set``, ``mode``, ``link``, ``seed`` and ``truth`` are those of ``hil run``, and override --hil-set and so on.
+        ``on`` is the robot to run on, with its link, truth and mode; it must have been started with the same ``set``.
+        With ``record`` the run is recorded into the test's ``tmp_path``, or below ``--hil-record DIR``.
 
-        Without ``check`` raises BadInputError for a wrong scenario or option, and LinkError or DeviceError when the
+        With ``check=False`` raises BadInputError for a wrong scenario or option, and LinkError or DeviceError when the
         robot cannot be reached or does not arm. Later failures are in the result.
         """
         __tracebackhide__ = True
