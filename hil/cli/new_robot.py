@@ -5,7 +5,7 @@ comment.
 """
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import NamedTuple
 
 from hil.core.model import GRAVITY_M_S2
@@ -34,10 +34,10 @@ _COMMENT_COLUMN = 40
 
 
 class Question(NamedTuple):
-    """A key of a robot's file, and its proposed value, a function of the earlier answers."""
+    """A key of a robot's file, and its proposed value; None if that follows from earlier answers."""
 
     key: str
-    proposed: Callable[[Answers], Value]
+    default: Value | None = None
 
     @property
     def parameter(self) -> str:
@@ -54,6 +54,25 @@ class Question(NamedTuple):
         """The key's meaning in the scenario's table."""
         return option_of(self.key).meaning
 
+    def proposed(self, answers: Answers) -> Value:
+        """Return the proposed value, which may follow from the earlier answers."""
+        if self.default is not None:
+            return self.default
+        known = {key.partition(".")[2]: value for key, value in answers.items()}
+        mass_kg, radius_m, length_m, width_m = (float(known[question.parameter]) for question in QUESTIONS[:4])
+        match self.parameter:
+            case "inertia_kg_m2":  # of a plate between the wheels
+                value = mass_kg * (length_m**2 + width_m**2) / 3
+            case "wheel_inertia_kg_m2":
+                value = _WHEEL_SHARE * mass_kg * radius_m**2 / 2
+            case "torque_limit_n_m":  # at which the rollers begin to slip: mu m g / 4 r / sqrt(2)
+                value = min(15.0, _GRIP * mass_kg * GRAVITY_M_S2 / 4 * radius_m / math.sqrt(2))
+            case "speed_limit_rad_s":
+                value = min(60.0, _SPEED_M_S / radius_m)
+            case _:  # the torque constant at which the torque limit takes about 1.4 A
+                value = max(0.001, 0.7 * float(known["torque_limit_n_m"]))
+        return _rounded(value)
+
     def read(self, text: str) -> Value:
         """Return the value of a text; a number if the option is one. Raises ValueError."""
         kind = option_of(self.key).type
@@ -62,53 +81,24 @@ class Question(NamedTuple):
         return float(text) if kind is float else text
 
 
-def _number(answers: Answers, name: str) -> float:
-    return float(answers[f"robot.{name}"])
+QUESTIONS = (
+    Question("robot.mass_kg", 20.0),
+    Question("robot.wheel_radius_m", 0.075),
+    Question("robot.half_length_m", 0.3),
+    Question("robot.half_width_m", 0.3),
+    Question("robot.inertia_kg_m2"),
+    Question("robot.wheel_inertia_kg_m2"),
+    Question("robot.torque_limit_n_m"),
+    Question("robot.speed_limit_rad_s"),
+    Question("firmware.counts_per_revolution", 4096),
+    Question("firmware.torque_constant_n_m_a"),
+    Question("link.url", "memory:"),
+)
 
 
 def _rounded(value: float) -> float:
     """Return a value rounded to three digits."""
     return float(f"{value:.3g}")
-
-
-def _box_inertia(answers: Answers) -> float:
-    """Return the yaw inertia of a plate between the wheels, m (l1² + l2²) / 3."""
-    length_m, width_m = _number(answers, "half_length_m"), _number(answers, "half_width_m")
-    return _rounded(_number(answers, "mass_kg") * (length_m**2 + width_m**2) / 3)
-
-
-def _wheel_inertia(answers: Answers) -> float:
-    return _rounded(_WHEEL_SHARE * _number(answers, "mass_kg") * _number(answers, "wheel_radius_m") ** 2 / 2)
-
-
-def _gripping_torque(answers: Answers) -> float:
-    """Return the torque at which the rollers begin to slip with a friction of 0.7: mu m g / 4 r / sqrt(2)."""
-    weight_n = _number(answers, "mass_kg") * GRAVITY_M_S2
-    return min(15.0, _rounded(_GRIP * weight_n / 4 * _number(answers, "wheel_radius_m") / math.sqrt(2)))
-
-
-def _walking_speed(answers: Answers) -> float:
-    return min(60.0, _rounded(_SPEED_M_S / _number(answers, "wheel_radius_m")))
-
-
-def _torque_constant(answers: Answers) -> float:
-    """Return a torque constant at which the torque limit takes about 1.4 A."""
-    return max(0.001, _rounded(0.7 * _number(answers, "torque_limit_n_m")))
-
-
-QUESTIONS = (
-    Question("robot.mass_kg", lambda _: 20.0),
-    Question("robot.wheel_radius_m", lambda _: 0.075),
-    Question("robot.half_length_m", lambda _: 0.3),
-    Question("robot.half_width_m", lambda _: 0.3),
-    Question("robot.inertia_kg_m2", _box_inertia),
-    Question("robot.wheel_inertia_kg_m2", _wheel_inertia),
-    Question("robot.torque_limit_n_m", _gripping_torque),
-    Question("robot.speed_limit_rad_s", _walking_speed),
-    Question("firmware.counts_per_revolution", lambda _: 4096),
-    Question("firmware.torque_constant_n_m_a", _torque_constant),
-    Question("link.url", lambda _: "memory:"),
-)
 
 
 def option_of(key: str) -> Option:
