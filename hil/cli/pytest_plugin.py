@@ -50,9 +50,7 @@ def pytest_configure(config: pytest.Config) -> None:
 
 
 def pytest_collect_file(file_path: Path, parent: pytest.Collector) -> "ScenarioFile | None":
-    if file_path.name.endswith(TEST_SUFFIX):
-        return ScenarioFile.from_parent(parent, path=file_path)
-    return None
+    return ScenarioFile.from_parent(parent, path=file_path) if file_path.name.endswith(TEST_SUFFIX) else None
 
 
 def pytest_itemcollected(item: pytest.Item) -> None:

@@ -54,9 +54,7 @@ class Guard:
         if not all(map(math.isfinite, speed + torque)):
             self.refused += 1
             return WheelCommand(mode, ZERO_WHEELS, ZERO_WHEELS), False
-        limited_speed = _scaled(speed, self.speed_limit_rad_s)
-        limited_torque = _scaled(torque, self.torque_limit_n_m)
-        return WheelCommand(mode, limited_speed, limited_torque), True
+        return WheelCommand(mode, _scaled(speed, self.speed_limit_rad_s), _scaled(torque, self.torque_limit_n_m)), True
 
 
 class Brake:

@@ -116,9 +116,7 @@ class Kind(NamedTuple):
     @property
     def unit(self) -> str:
         """The unit of ``value`` in words."""
-        if self.value is None:
-            return "-"
-        return self.value.unit or self.value.meaning
+        return "-" if self.value is None else self.value.unit or self.value.meaning
 
     def check_target(self, target: str, value: float | None) -> None:
         """Raise ValueError, with part of a message, unless the kind acts on the target.

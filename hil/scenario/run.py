@@ -61,9 +61,7 @@ class Scenario(Tables):
     @property
     def fmu_sha256(self) -> str | None:
         """SHA-256, in hex, of an FMU given by its path; None for a shipped one, and where it cannot be read."""
-        if self.plant.fmu in SHIPPED_FMUS:
-            return None
-        return _sha256(self.directory / self.plant.fmu)
+        return None if self.plant.fmu in SHIPPED_FMUS else _sha256(self.directory / self.plant.fmu)
 
 
 def _sha256(path: Path) -> str | None:

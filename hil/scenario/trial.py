@@ -147,6 +147,4 @@ REALTIME_ALLOW: dict[str, int | str] = {"stale_ticks": "5%", "held_ticks": "5%"}
 
 def most(limit: int | str, ticks: int) -> int:
     """Return the greatest number that a limit allows in a run of ``ticks``."""
-    if isinstance(limit, int):
-        return limit
-    return int(Fraction(limit.rstrip("% ")) * ticks / 100)
+    return limit if isinstance(limit, int) else int(Fraction(limit.rstrip("% ")) * ticks / 100)

@@ -35,9 +35,7 @@ _milliseconds = check(
 
 def _option(value: object) -> OptionValue:
     """Accept any option; its law or reference checks the names, types and ranges."""
-    if isinstance(value, list | tuple):
-        return tuple(map(_scalar, value))
-    return _scalar(value)
+    return tuple(map(_scalar, value)) if isinstance(value, list | tuple) else _scalar(value)
 
 
 def _scalar(value: object) -> Scalar:
