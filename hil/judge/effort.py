@@ -20,10 +20,8 @@ class Overshoot(Measure):
     """
 
     figures = (
-        Figure(
-            "overshoot_m", "overshoot", "mm", 1e3, "how far past the reference, along the line of the initial error",
-            column="overshoot_m"
-        ),
+        Figure("overshoot_m", "overshoot", "mm", 1e3, "how far past the reference, along the line of the initial error",
+               column="overshoot_m"),
     )  # fmt: skip
     signals = ("loop.t_s", "error.x_m", "error.y_m")
 
@@ -97,14 +95,10 @@ class Effort(Measure):
     """
 
     figures = (
-        Figure(
-            "effort_n_m_s", "effort", "N·m·s", 1.0, "∫ Σ abs(τ) dt over the four wheels, by the measured currents",
-            column="effort_n_m_s"
-        ),
-        Figure(
-            "torque_variation_n_m_per_s", "torque variation", "N·m/s a wheel", 1.0,
-            "mean absolute slew of a wheel's torque", column="torque_variation_n_m_per_s"
-        ),
+        Figure("effort_n_m_s", "effort", "N·m·s", 1.0, "∫ Σ abs(τ) dt over the four wheels, by the measured currents",
+               column="effort_n_m_s"),
+        Figure("torque_variation_n_m_per_s", "torque variation", "N·m/s a wheel", 1.0,
+               "mean absolute slew of a wheel's torque", column="torque_variation_n_m_per_s"),
     )  # fmt: skip
     signals = ("loop.t_s", *_CURRENTS)
 
@@ -164,10 +158,8 @@ class Saturation(Measure):
     """
 
     figures = (
-        Figure(
-            "saturation_s", "saturated for", "s", 1.0, "how long a wheel's command was at its limit",
-            column="saturation_s"
-        ),
+        Figure("saturation_s", "saturated for", "s", 1.0, "how long a wheel's command was at its limit",
+               column="saturation_s"),
     )  # fmt: skip
     signals = (
         "loop.t_s",

@@ -97,20 +97,14 @@ _OF_RUNS = (
     Figure("realtime_factor", "times real time", "", 1.0, "robot time over wall time", None),
     Figure("frames.sent", "frames sent", "", 1, "frames to the robot", None, printed=False),
     Figure("frames.received", "frames received", "", 1, "frames from the robot", None, printed=False),
-    Figure(
-        "frames.rejected", "frames rejected", "", 1, "frames that were not accepted, for any cause", printed=False
-    ),
+    Figure("frames.rejected", "frames rejected", "", 1, "frames that were not accepted, for any cause", printed=False),
     Figure("link_statistics.lost.snapshots", "snapshots lost", "", 1, "feedback that never came", printed=False),
     Figure("link_statistics.feedback_age_ms.p50", "feedback age p50", "ms", 1.0, f"{_AGE}, median", printed=False),
-    Figure(
-        "link_statistics.feedback_age_ms.p99", "feedback age p99", "ms", 1.0, f"{_AGE}, 99th percentile",
-        column="feedback_age_p99_ms", printed=False
-    ),
+    Figure("link_statistics.feedback_age_ms.p99", "feedback age p99", "ms", 1.0, f"{_AGE}, 99th percentile",
+           column="feedback_age_p99_ms", printed=False),
     Figure("link_statistics.round_trip_ms.p50", "round trip p50", "ms", 1.0, f"{_ROUND_TRIP}, median", printed=False),
-    Figure(
-        "link_statistics.round_trip_ms.p99", "round trip p99", "ms", 1.0, f"{_ROUND_TRIP}, 99th percentile",
-        column="round_trip_p99_ms", printed=False
-    ),
+    Figure("link_statistics.round_trip_ms.p99", "round trip p99", "ms", 1.0, f"{_ROUND_TRIP}, 99th percentile",
+           column="round_trip_p99_ms", printed=False),
     Figure("commands_refused", "commands refused", "", 1, "ticks with a command that was not finite", printed=False),
     Figure("stale_ticks", "stale ticks", "", 1, "ticks in which no feedback was fresh enough to drive", printed=False),
     Figure("held_ticks", "held ticks", "", 1, "ticks in which the state was unknown or the robot lost", printed=False),

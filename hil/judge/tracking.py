@@ -35,23 +35,15 @@ class Tracking(Measure):
     """
 
     figures = (
-        Figure(
-            "tracked_s", "tracked after", "s", 1.0,
-            "first time from which the planar error stays below 2 % of its initial value", column="tracked_s",
-            of_end=True
-        ),
-        Figure(
-            "t10_s", "within 10 mm after", "s", 1.0, "first time from which the planar error stays below 10 mm",
-            column="t10_s", of_end=True
-        ),
-        Figure(
-            "steady_rms_m", "steady error rms", "mm", 1e3, "planar error over the last 5 s, root mean square",
-            column="steady_rms_m", of_end=True
-        ),
-        Figure(
-            "steady_max_m", "steady error max", "mm", 1e3, "planar error over the last 5 s, largest",
-            column="steady_max_m", of_end=True
-        ),
+        Figure("tracked_s", "tracked after", "s", 1.0,
+               "first time from which the planar error stays below 2 % of its initial value", column="tracked_s",
+               of_end=True),
+        Figure("t10_s", "within 10 mm after", "s", 1.0, "first time from which the planar error stays below 10 mm",
+               column="t10_s", of_end=True),
+        Figure("steady_rms_m", "steady error rms", "mm", 1e3, "planar error over the last 5 s, root mean square",
+               column="steady_rms_m", of_end=True),
+        Figure("steady_max_m", "steady error max", "mm", 1e3, "planar error over the last 5 s, largest",
+               column="steady_max_m", of_end=True),
     )  # fmt: skip
     signals = ("loop.t_s", "error.planar_m")
 
@@ -130,20 +122,14 @@ class EstimationError(Measure):
     """How far the pose that the controller acted on was from the truth, over all ticks that have both."""
 
     figures = (
-        Figure(
-            "estimation_error.rms_m", "estimation error rms", "mm", 1e3,
-            "distance of the estimated pose from the true one, root mean square", column="estimation_rms_m",
-            printed=False
-        ),
-        Figure(
-            "estimation_error.max_m", "estimation error max", "mm", 1e3,
-            "distance of the estimated pose from the true one, largest", column="estimation_max_m", printed=False
-        ),
-        Figure(
-            "estimation_error.heading_rms_rad", "heading error rms", "mrad", 1e3,
-            "difference of the estimated heading from the true one, root mean square",
-            column="estimation_heading_rms_rad", printed=False
-        ),
+        Figure("estimation_error.rms_m", "estimation error rms", "mm", 1e3,
+               "distance of the estimated pose from the true one, root mean square", column="estimation_rms_m",
+               printed=False),
+        Figure("estimation_error.max_m", "estimation error max", "mm", 1e3,
+               "distance of the estimated pose from the true one, largest", column="estimation_max_m", printed=False),
+        Figure("estimation_error.heading_rms_rad", "heading error rms", "mrad", 1e3,
+               "difference of the estimated heading from the true one, root mean square",
+               column="estimation_heading_rms_rad", printed=False),
     )  # fmt: skip
     signals = (
         "loop.t_s",
