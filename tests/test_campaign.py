@@ -148,7 +148,7 @@ def test_a_run_that_fails_is_a_row_with_its_reason_which_can_be_done_again(
     assert [row["outcome"] for row in rows] == ["passed", "ended", "failed", "ended", "passed", "lost", "lost"]
     reasons = [row["reason"] for row in rows]
     assert "ZeroDivisionError: too heavy" in reasons[1]
-    assert reasons[2].endswith("times, and the robot was held still")
+    assert reasons[2].endswith("times, and the robot was held at rest")
     assert "SIGSEGV (Segmentation fault); its last words: 'the last words of a crash'" in reasons[3]
     assert reasons[5] == "hung: it was ended after 4.0 s"
     assert reasons[6] == "its process ended twice, at last: crashed: exit code 7"
@@ -534,15 +534,15 @@ def test_a_killed_worker_and_a_scheduler_that_comes_back_lose_no_run(tmp_path: P
     troubles: set[str] = set()
     done, kills = 0, [first.kill, scheduler.kill]
 
-    def tell(told) -> None:
-        if told.trouble is not None and told.trouble not in troubles:
-            troubles.add(told.trouble)
-            if "cannot be reached" in told.trouble:
+    def on_trouble(trouble: str | None) -> None:
+        if trouble is not None and trouble not in troubles:
+            troubles.add(trouble)
+            if "cannot be reached" in trouble:
                 scheduler.wait()
                 cluster.scheduler()
                 cluster.worker()
 
-    for rows in Campaign(plan).perform(tmp_path / "out", Place(cluster.address, 0, LIMIT_S), tell):
+    for rows in Campaign(plan).perform(tmp_path / "out", Place(cluster.address, 0, LIMIT_S), on_trouble):
         done += len(rows)
         if kills and done >= 6 * (3 - len(kills)):
             kills.pop(0)()
