@@ -89,7 +89,7 @@ class MakersRobot(LinkedDevice):
                 self._watch.hold()
         else:
             self._watch.rest()
-        self.report.forget()
+        self.report.newest = None  # until the next sample
         self._discard()
 
     def begin_again(self) -> None:

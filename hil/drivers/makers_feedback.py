@@ -87,10 +87,6 @@ class MakersReport:
 
     # Feedback
 
-    def forget(self) -> None:
-        """Have no feedback until the next sample: the link was lost."""
-        self.newest = None
-
     def restart(self) -> None:
         """Continue with controllers that may have been reset."""
         self.newest = None

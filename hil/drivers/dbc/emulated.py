@@ -100,8 +100,7 @@ class EmulatedDbc(EmulatedMotors[Settings]):
         return advances
 
     def _is_last(self, message: str, raw: Mapping[str, float], phase: str) -> bool:
-        steps = self._plan.phases[phase]
-        return bool(steps) and _asks(steps[-1], message, raw)
+        return any(_asks(step, message, raw) for step in self._plan.phases[phase][-1:])
 
     def _enable(self, message: str, raw: Mapping[str, float]) -> None:
         steps = self._plan.phases["enable"]
@@ -110,14 +109,13 @@ class EmulatedDbc(EmulatedMotors[Settings]):
         if self._step and _asks(steps[0], message, raw) and not _asks(steps[self._step], message, raw):
             self._step = 0  # the sequence begins again
             self._done.clear()
-        step = steps[self._step]
-        if _asks(step, message, raw):
+        if _asks(steps[self._step], message, raw):
             self._done.add(message)
-            if self._done == set(step):
-                self._done.clear()
-                self._step = (self._step + 1) % len(steps)
-                if self._step == 0:
-                    self._switch_on()
+        if self._done == set(steps[self._step]):
+            self._done.clear()
+            self._step = (self._step + 1) % len(steps)
+            if self._step == 0:
+                self._switch_on()
 
     def _command(self, message: str, raw: Mapping[str, float], physical: Mapping[str, float]) -> None:
         commanded = [
@@ -126,10 +124,8 @@ class EmulatedDbc(EmulatedMotors[Settings]):
             for index, bound in enumerate(quantity.bounds)
             if bound.signal.message == message
         ]
-        if not commanded:
-            return
-        if not _agrees(raw, self._plan.constants.get(message, {})):
-            self.ignored += 1
+        if not commanded or not _agrees(raw, self._plan.constants.get(message, {})):
+            self.ignored += 1 if commanded else 0
             return
         if not self._plan.phases["enable"] and not self.is_on:
             self._switch_on()
