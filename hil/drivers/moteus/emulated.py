@@ -134,9 +134,8 @@ class _Answer:
 
     def add_value(self, register: int, kind: int, raw: float) -> None:
         """Add the raw value of a register."""
-        if self._values and (kind != self._kind or register != self._first + len(self._values)):
+        if kind != self._kind or register != self._first + len(self._values):
             self._close()
-        if not self._values:
             self._first, self._kind = register, kind
         self._values.append(frames.pack(kind, raw))
 
