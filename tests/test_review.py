@@ -273,7 +273,7 @@ def test_a_recording_that_crashes_its_decoder_is_refused(
 
 @pytest.mark.parametrize(
     ("content", "problem"),
-    [(b"", "is empty"), (b"hello world\n" * 99, "not a recording"), (b"RRF2" + bytes(8), "cut so short")],
+    [(b"", "is empty"), (b"hello world\n" * 99, "not a recording"), (b"RRF2" + bytes(8), "cut off so early")],
 )
 def test_a_foreign_file_is_refused(tmp_path: Path, content: bytes, problem: str) -> None:
     path = tmp_path / "foreign.rrd"
