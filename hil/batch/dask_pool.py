@@ -233,7 +233,7 @@ def _result(job: Job, future: "distributed.Future[Done | None]") -> Done | None:
         return None
     is_error = future.status == "error"
     try:
-        done: Done | None = future.result(timeout=_GATHER_S)
+        return future.result(timeout=_GATHER_S)
     except distributed.KilledWorker as error:
         reason = f"every worker of Dask that had it was lost, {error.allowed_failures + 1} of them"
         return Outcome(job.key, LOST, reason), None
@@ -246,7 +246,6 @@ def _result(job: Job, future: "distributed.Future[Done | None]") -> Done | None:
                 "writable, and give the same command again"
             ) from error
         return None
-    return done
 
 
 def _connect(address: str) -> "distributed.Client":
@@ -270,10 +269,9 @@ def check_address(address: str) -> None:
     Whoever reaches a scheduler can run programs on its workers, so without TLS it must be on this machine.
     """
     parts = urlsplit(address)
-    try:
+    host = port = None
+    with contextlib.suppress(ValueError):
         host, port = parts.hostname, parts.port
-    except ValueError:
-        host = port = None
     if parts.scheme not in ("tls", "tcp") or not host or not port:
         raise BadInputError(f"--scheduler {address}: expected tls://HOST:PORT, or tcp://127.0.0.1:PORT on this machine")
     is_loopback = host == "localhost"

@@ -1,7 +1,7 @@
 """Does one job in a worker process: runs its scenario, records it on request, and judges it."""
 
 import functools
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -45,7 +45,12 @@ def _run(job: Job, scenario: Scenario, *, record: bool) -> Outcome:
             signals: dict[str, Any] = {name: result.signals[name] for name in job.options["signals"]}
             np.savez(job.signals_file, **signals)
         undriven = next((row["text"] for row in result.metrics["allow"] if not row["passed"]), None)
-        return verdict(job, result, run_columns(result.metrics), reasons=result.metrics["reasons"], undriven=undriven)
+        status = FAILED if result.failure is None else ENDED
+        reason = next((words for _, words in why_not_passed(result.metrics)), None)  # first what ended it
+        if result.passed:
+            status, reason = PASSED, None
+        details = {"reasons": result.metrics["reasons"], "undriven": undriven}
+        return Outcome(job.key, status, reason, run_columns(result.metrics), details)
 
     options = RunOptions(
         record=path, allow_motion=job.allow_motion, make_robot=_kept().robot, keep_signals=bool(job.signals_file)
@@ -72,16 +77,5 @@ def attempt(job: Job, scenario: Scenario, judge: Callable[[RunResult], Outcome],
         return Outcome(job.key, ENDED, str(error))
 
 
-def verdict(job: Job, result: RunResult, figures: Mapping[str, Any], **details: Any) -> Outcome:
-    """Return the outcome of a run by its failure and by whether it passed."""
-    if result.failure is not None:
-        return Outcome(job.key, ENDED, str(result.failure), figures, details)
-    if result.passed:
-        return Outcome(job.key, PASSED, None, figures, details)
-    return Outcome(job.key, FAILED, next(why_not_passed(result.metrics))[1], figures, details)
-
-
-@functools.cache
-def _kept() -> KeptRobot:
-    """Return the robot of this process, whose FMU stays open."""
-    return KeptRobot()
+_kept = functools.cache(KeptRobot)
+"""The robot of this process, whose FMU stays open."""

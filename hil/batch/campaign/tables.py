@@ -11,6 +11,7 @@ RANDOM = ("uniform", "log_uniform")
 """Kinds of axes whose values are drawn."""
 AXIS_KINDS = ("grid", "list", *RANDOM)
 _MOST_RUNS = 10_000_000
+_SCENARIO = "a shipped name, or a path relative to this file"
 
 
 @dataclass(frozen=True)
@@ -108,11 +109,7 @@ def _keep(keep: object) -> object:
 class PlanTables:
     """A campaign's file."""
 
-    scenario: Annotated[
-        Text,
-        Expected("a shipped name, or a path relative to this file"),
-        "a shipped name, or a path relative to this file",
-    ]
+    scenario: Annotated[Text, Expected(_SCENARIO), _SCENARIO]
     seeds: Annotated[Any, _seeds, "loop.seed: how many from 1 on, or which"] = ()
     laws: Annotated[tuple[LawTable, ...], "by default the scenario's own"] = ()
     axes: Annotated[Mapping[Text, AxisTable], "by the scenario's dotted keys"] = field(default_factory=dict)

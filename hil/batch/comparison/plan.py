@@ -199,8 +199,8 @@ def _entry(text: str, scenario: str, sets: Sequence[str]) -> Entry:
             raise BadInputError(f"law {text}: it has no dataclass Options, so it takes no gains; leave them out")
     defaults = {field.name: field.default for field in dataclasses.fields(kind)} if kind is not None else {}
     hidden = {
-        mode: {name: value for name, value in of_mode.items() if name not in given[mode] and value != defaults[name]}
-        for mode, of_mode in gains.items()
+        mode: {name: value for name, value in own[mode].items() if name not in given[mode] and value != defaults[name]}
+        for mode in CommandMode
     }
     return Entry(text, base.controller.law, gains, hidden)
 

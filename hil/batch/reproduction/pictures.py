@@ -29,8 +29,6 @@ _CONVERGED_S = 3.0
 _AXIS_M = 0.3
 _JOINED = 4
 """From so many latencies on, the points are joined by a line."""
-_SHIFT_S = published.SILENT_FROM_S
-"""Section IV.B counts from when the robot's computer was started; a scenario from its first tick."""
 
 
 def circle(path: Path, shown: Mapping[str, Signals]) -> None:
@@ -89,21 +87,21 @@ def path_in_plane(path: Path, shown: Mapping[str, Signals]) -> None:
 def control_signals(path: Path, shown: Mapping[str, Signals]) -> None:
     """Draw Fig. 11: the commanded torques of the wheels, none while nobody commands, and the error below them."""
     run = shown["experiment"]
-    t_s = run["loop.t_s"] + _SHIFT_S
+    silent_s, driven_s = published.SILENT_FROM_S, published.SILENT_TO_S
+    there_s = driven_s + published.TRANSITION_S
+    t_s = run["loop.t_s"] + silent_s  # section IV.B counts from when the robot's computer was started
     wheels = {wheel: run[f"wheel.{wheel}.torque_command_n_m"] for wheel in WHEEL_NAMES}
     with drawing(path, rows=2, size_in=(8.0, 6.0)) as (above, below):
         draw_wheels(above, t_s, wheels, title="Fig. 11, ours: control signals", y_label="torque [N·m]")
         draw_curves(below, [Curve("", t_s, run["error.planar_m"])], title="Distance to the reference", y_label="[m]")
         for axes in (above, below):
-            axes.axvspan(published.SILENT_FROM_S, published.SILENT_TO_S, color="#eeeeee")
-            axes.axvspan(
-                published.SILENT_TO_S, published.SILENT_TO_S + published.TRANSITION_S, color="#fff3d6", zorder=0
-            )
+            axes.axvspan(silent_s, driven_s, color="#eeeeee")
+            axes.axvspan(driven_s, there_s, color="#fff3d6", zorder=0)
             axes.set_xlim(t_s[0], t_s[-1])
-        place = (published.SILENT_FROM_S + published.SILENT_TO_S) / 2
-        above.annotate("nobody commands", (place, 0.5), xycoords=("data", "axes fraction"), ha="center", fontsize=8)
-        place = published.SILENT_TO_S + published.TRANSITION_S + 0.1
-        below.annotate("the paper's transition", (place, 0.5), xycoords=("data", "axes fraction"), fontsize=8)
+        place = ((silent_s + driven_s) / 2, 0.5)
+        above.annotate("nobody commands", place, xycoords=("data", "axes fraction"), ha="center", fontsize=8)
+        place = (there_s + 0.1, 0.5)
+        below.annotate("the paper's transition", place, xycoords=("data", "axes fraction"), fontsize=8)
 
 
 def delay(path: Path, results: Results) -> None:

@@ -130,13 +130,16 @@ def circle(*, quick: bool = False) -> Iterator[Case]:
 
 def experiment(*, quick: bool = False) -> Iterator[Case]:
     """Section IV.B: the experiment over latency, and from where and how fast the robot comes to the path."""
-    shorter = {"loop.duration_s": TRANSITION_S, **_UNJUDGED} if quick else {}
-    yield Case("experiment", "experiment", {}, EXPERIMENT, shorter, records=True)
+    brief = {"loop.duration_s": TRANSITION_S, **_UNJUDGED}
+    yield Case("experiment", "experiment", {}, EXPERIMENT, brief if quick else {}, records=True)
     for driven_name, latencies_ms in LATENCIES_MS.items():
         for latency_ms in latencies_ms:
             if quick and (driven_name != "afdsc torque" or latency_ms not in (latencies_ms[0], latencies_ms[-1])):
                 continue
-            sets = {**DRIVEN[driven_name].sets, **_latency(latency_ms), **_UNJUDGED}
+            back_ms = latency_ms // 2  # divided between the two ways, in whole ticks of the robot
+            ways = {"command": latency_ms - back_ms, "feedback": back_ms}
+            latencies = {f"link.{way}_latency_s": ms / 1000.0 for way, ms in ways.items()}
+            sets = {**DRIVEN[driven_name].sets, **latencies, **_UNJUDGED}
             if quick:
                 sets |= {"loop.duration_s": QUICK_DELAY_S, "fault": []}
             row: dict[str, str | float] = {"driven": driven_name, "latency_ms": float(latency_ms)}
@@ -144,21 +147,10 @@ def experiment(*, quick: bool = False) -> Iterator[Case]:
     if quick:
         return
     for start_x_m in STARTS_X_M:
-        sets = {"plant.start.start_x_m": start_x_m, "loop.duration_s": TRANSITION_S, **_UNJUDGED}
         row = {"driven": "afdsc torque", "start_x_m": start_x_m}
+        sets = {"plant.start.start_x_m": start_x_m, **brief}
         yield Case(f"from x = {start_x_m:g} m", "transition", row, EXPERIMENT, sets)
     for top_rad_s in TOP_SPEEDS_RAD_S:
-        sets = {
-            **DRIVEN["afdsc speed"].sets,
-            "robot.speed_limit_rad_s": top_rad_s,
-            "loop.duration_s": TRANSITION_S,
-            **_UNJUDGED,
-        }
         row = {"driven": "afdsc speed", "start_x_m": STARTS_X_M[0], "top_speed_rad_s": top_rad_s}
+        sets = {**DRIVEN["afdsc speed"].sets, "robot.speed_limit_rad_s": top_rad_s, **brief}
         yield Case(f"at most {top_rad_s:g} rad/s", "transition", row, EXPERIMENT, sets)
-
-
-def _latency(latency_ms: int) -> Settings:
-    """Divide a latency between the two ways, in whole ticks of the robot."""
-    back_ms = latency_ms // 2
-    return {"link.command_latency_s": (latency_ms - back_ms) / 1000.0, "link.feedback_latency_s": back_ms / 1000.0}
