@@ -52,22 +52,22 @@ def boards(tmp_path_factory):
     cc = shutil.which("cc") or shutil.which("gcc") or shutil.which("clang")
     if cc is None:
         pytest.skip("no C compiler on this machine: install gcc or clang")
+    ffi = cffi.FFI()
+    headers = (
+        HERE / "generated" / "wheel_parameters.h",
+        HERE / "firmware" / "parameters.h",
+        PORT / "board.h",
+        PORT / "motor_board.h",
+    )
+    sections = (re.findall(r"/\* cffi: begin \*/(.*?)/\* cffi: end \*/", h.read_text(), re.DOTALL) for h in headers)
+    types = "".join(chain.from_iterable(sections)).replace("WHEEL_COUNT", "4")
+    ffi.cdef(types.replace("extern const ", "extern "))  # cffi reads variables, not constants
     folder = tmp_path_factory.mktemp("boards")
     made = {}
     for name in BOARDS:
         library = folder / f"{name}.so"
         command = [cc, *FIRMWARE_FLAGS, "-shared", "-fPIC", "-o", library, PORT / "boards" / f"{name}.c"]
         subprocess.run(list(map(str, command)), check=True)
-        ffi = cffi.FFI()
-        headers = (
-            HERE / "generated" / "wheel_parameters.h",
-            HERE / "firmware" / "parameters.h",
-            PORT / "board.h",
-            PORT / "motor_board.h",
-        )
-        sections = (re.findall(r"/\* cffi: begin \*/(.*?)/\* cffi: end \*/", h.read_text(), re.DOTALL) for h in headers)
-        types = "".join(chain.from_iterable(sections)).replace("WHEEL_COUNT", "4")
-        ffi.cdef(types.replace("extern const ", "extern "))  # cffi reads variables, not constants
         made[name] = (ffi, ffi.dlopen(str(library)))
     return made
 
