@@ -25,7 +25,7 @@ EXPECT = [
 @pytest.fixture(scope="module")
 def ran(tmp_path_factory: pytest.TempPathFactory) -> tuple[RunResult, RecordedRun]:
     """A run of 8 s whose link is lost after 6 s, and its recording."""
-    path = tmp_path_factory.mktemp("cut") / "run.rrd"
+    path = tmp_path_factory.mktemp("cut") / "run.mcap"
     lost = [{"kind": "disconnect", "start_s": 6.0, "end_s": 7.0}]
     result = hil.run(
         "circle_speed", set={"loop.duration_s": 8.0, "fault": lost, "expect": EXPECT}, record=path, mode="lockstep"

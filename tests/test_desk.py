@@ -132,11 +132,11 @@ def test_a_path_that_was_being_read_when_the_service_stood_still_is_not_followed
 
 def test_a_second_recording_is_refused_whenever_it_is_asked_for(tmp_path: Path) -> None:
     with Served() as served:
-        first = served.order(Action.RECORD, path=str(tmp_path / "one.rrd"), force=False)
+        first = served.order(Action.RECORD, path=str(tmp_path / "one.mcap"), force=False)
         served.beside.work()  # it has been started, and nobody has taken note yet
-        second = served.order(Action.RECORD, path=str(tmp_path / "two.rrd"), force=False)
+        second = served.order(Action.RECORD, path=str(tmp_path / "two.mcap"), force=False)
         assert "is being written" in served.refusal(second)
-        assert served.answers[first].result["path"] == str(tmp_path / "one.rrd")
+        assert served.answers[first].result["path"] == str(tmp_path / "one.mcap")
         end = served.order(Action.STOP_RECORDING)
         again = served.order(Action.STOP_RECORDING)
         served.finish()
@@ -162,7 +162,7 @@ def test_a_recording_names_the_code_that_is_served_and_not_the_files_of_later(tm
 
 def test_a_recording_that_is_being_started_at_the_end_is_one_that_can_be_finished(tmp_path: Path) -> None:
     with Served() as served:
-        served.order(Action.RECORD, path=str(tmp_path / "one.rrd"), force=False)
+        served.order(Action.RECORD, path=str(tmp_path / "one.mcap"), force=False)
         served.beside.work()
         served.desk.end()
         recording = served.records.end()

@@ -90,7 +90,7 @@ def test_own_signals_of_a_shipped_law_are_as_a_law_of_somebody_else_must_have_th
 
 
 def test_own_signals_are_in_the_run_and_its_recording_and_are_judged(tmp_path):
-    record = tmp_path / "run.rrd"
+    record = tmp_path / "run.mcap"
     expect = [{"signal": "mine.count", "settles_to": 100, "tolerance": 0.5}]
     given_keys = SHORT | {"controller.law": counting(tmp_path), "expect": expect}
     result = hil.run("paper_circle", set=given_keys, record=record)
@@ -127,7 +127,7 @@ def test_own_signals_are_asked_for_only_where_somebody_reads_them(tmp_path, monk
     assert {name: value for name, value in alone.items() if name not in depends_on_the_wall_clock} == {
         name: value for name, value in kept.items() if name not in depends_on_the_wall_clock
     }
-    assert ticks_asked(tmp_path / "run.rrd")[0] == 100
+    assert ticks_asked(tmp_path / "run.mcap")[0] == 100
     (judged, figures), (faulty, _) = ticks_asked(expect=[degree]), ticks_asked(fault=[fault])
     assert (judged, faulty) == (100, 100)
     assert figures["expect"][0]["passed"]

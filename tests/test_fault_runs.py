@@ -125,9 +125,9 @@ def test_the_recording_tells_when_a_fault_began_and_what_it_did(tmp_path) -> Non
     from hil.runtime.assembly import run
 
     path = write(tmp_path, [fault("drop"), {"kind": "gyro_bias", "value": 0.1}], duration_s=0.3)
-    recorded = run(path, record=tmp_path / "faulty.rrd", set=["expect=[]"])
+    recorded = run(path, record=tmp_path / "faulty.mcap", set=["expect=[]"])
     assert recorded.metrics["recorded"]["error"] is None
-    text = [event for event in read(tmp_path / "faulty.rrd").events if "fault" in event.text]
+    text = [event for event in read(tmp_path / "faulty.mcap").events if "fault" in event.text]
     assert [event.text.split(":")[0] for event in text].count("fault begins") == 2
     assert any(f"applied {applied(recorded)[0]} times (frames lost)" in event.text for event in text)
 

@@ -76,16 +76,12 @@ def test_the_example_of_the_page_runs_as_written(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("mode", ["lockstep", REAL_TIME])
 @pytest.mark.parametrize("flaw", FLAWS)
-def test_a_foreign_fmu_takes_down_the_run_in_order(flawed: Path, tmp_path: Path, flaw: str, mode: str) -> None:
-    recording = tmp_path / "run.rrd"
-    done = subprocess.run(
-        [*HIL, "run", "circle_speed", *sets(flawed), "--mode", mode, "--record", str(recording)],
-        env=environment() | {"FLAW": f"{flaw} 0.5"},  # after the first torque
-        capture_output=True,
-        text=True,
-        timeout=60,
-        check=False,
-    )
+def test_a_foreign_fmu_takes_down_the_run_in_order(
+    flawed: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, flaw: str, mode: str
+) -> None:
+    recording = tmp_path / "run.mcap"
+    monkeypatch.setenv("FLAW", f"{flaw} 0.5")  # after the first torque
+    done = hil("run", "circle_speed", *sets(flawed), "--mode", mode, "--record", str(recording))
     assert done.returncode == 3
     told = FAILED.fullmatch(done.stderr)
     assert told is not None, done.stderr
@@ -110,7 +106,7 @@ def test_what_a_chatty_fmu_prints_is_recorded_in_part_and_disturbs_nothing(
     short = {"loop.duration_s": 0.4, "expect": [], "plant.fmu": flawed}
     quiet = bridge.run("circle_speed", set=short)
     monkeypatch.setenv("FLAW", "print 0")
-    recording = tmp_path / "run.rrd"
+    recording = tmp_path / "run.mcap"
     chatty = bridge.run("circle_speed", set=short, record=recording)
     assert chatty.failure is None
     assert chatty.metrics["wire_sha256"] == quiet.metrics["wire_sha256"]
@@ -161,7 +157,7 @@ def test_in_two_processes_both_end_with_exit_code_3(
     flawed: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, mode: str, flaw: str, truth: bool
 ) -> None:
     monkeypatch.setenv("FLAW", f"{flaw} 0.5")
-    recording = tmp_path / "run.rrd"
+    recording = tmp_path / "run.mcap"
     common = ("circle_speed", *sets(flawed), "--mode", mode)
     with device(*common, "--link", "serial:pty") as robot:
         by_truth = ("--truth", robot.truth) if truth else ("--set", "estimator.source=odometry")
@@ -214,7 +210,7 @@ def test_odometry_of_a_robot_in_another_process_begins_there_too(flawed: Path) -
     for truth_is_given in (True, False):
         with device(*common, "--link", "serial:pty") as robot:
             truth = ("--truth", robot.truth) if truth_is_given else ()
-            recording = flawed.with_name(f"{truth_is_given}.rrd")
+            recording = flawed.with_name(f"{truth_is_given}.mcap")
             run_json(*common, *short, "--link", robot.link, *truth, "--record", recording)
             assert read(recording).signals["pose.y_m"][0] == (0.25 if truth_is_given else 0.0)
 
@@ -223,7 +219,7 @@ def test_odometry_of_a_robot_in_another_process_begins_there_too(flawed: Path) -
 @pytest.mark.parametrize("mode", ["lockstep", REAL_TIME])
 def test_ctrl_c_stops_the_robot_while_its_plant_goes_on(flawed: Path, tmp_path: Path, mode: str) -> None:
     """The signal goes to the whole group, as from a terminal, in the middle of the run."""
-    recording = tmp_path / "run.rrd"
+    recording = tmp_path / "run.mcap"
     options = ("--mode", mode, "--record", str(recording), *sets(flawed, "loop.duration_s=3600"))
     run = subprocess.Popen(
         [*HIL, "run", "circle_speed", *options],

@@ -120,15 +120,15 @@ def test_a_pair_review_says_that_the_laws_file_changed(tmp_path, monkeypatch) ->
     law = Path("law.py")
     short = {"loop.duration_s": 0.1, "expect": [], "controller.law": "./law.py:Still", "controller.gains": {}}
     Path("still.toml").write_text('extends = "circle_speed"\n')
-    for name, text in (("old.rrd", LAW), ("new.mcap", LAW.replace("gains = NO_GAINS", "gains = NO_GAINS\n    a = 1"))):
+    for name, text in (("old.mcap", LAW), ("new.mcap", LAW.replace("gains = NO_GAINS", "gains = NO_GAINS\n    a = 1"))):
         law.write_text(text)
         hil.run("./still.toml", set=short, record=name)
         assert read(Path(name)).properties["law_sha256"] == hashlib.sha256(text.encode()).hexdigest()
-    told = changes(read(Path("old.rrd")), read(Path("new.mcap")))
+    told = changes(read(Path("old.mcap")), read(Path("new.mcap")))
     assert [change.key for change in told] == ["law_sha256"]
-    done = CliRunner().invoke(app, ["review", "old.rrd", "new.mcap"])
+    done = CliRunner().invoke(app, ["review", "old.mcap", "new.mcap"])
     assert done.exit_code == 0, done.exception
-    first, second = (read(Path(name)).properties["law_sha256"][:12] for name in ("old.rrd", "new.mcap"))
+    first, second = (read(Path(name)).properties["law_sha256"][:12] for name in ("old.mcap", "new.mcap"))
     assert done.stdout.splitlines()[-1].split() == ["code", "of", "the", "law", first, second]
 
 

@@ -41,7 +41,7 @@ def told(path: Path, *changes: str) -> tuple[dict[str, tuple[int, float, str]], 
 def test_faults_and_expectations_are_told_at_their_tick_and_counts_at_the_end(tmp_path: Path) -> None:
     window = "kind = 'override', target = 'error.planar_m', value = 9.0, start_s = 0.5, end_s = 0.752"
     events, result = told(
-        tmp_path / "run.rrd",
+        tmp_path / "run.mcap",
         f"fault=[{{ {window} }}, {{ kind = 'drop', target = 'command', value = 0.1, start_s = 1.5 }}]",
         "expect=[{ signal = 'error.planar_m', below = 8.0 }, { signal = 'loop.tick', above = -1, to_s = 1.0 },"
         "{ signal = 'loop.tick', settles_to = 399, tolerance = 0.5 }]",
@@ -68,7 +68,7 @@ def test_faults_and_expectations_are_told_at_their_tick_and_counts_at_the_end(tm
 
 def test_a_loss_and_a_recovery_are_told_when_they_happen(tmp_path: Path) -> None:
     events, result = told(
-        tmp_path / "run.rrd", "loop.rearm=true", "expect=[]", "fault=[{kind='disconnect', start_s=0.5, end_s=0.6}]"
+        tmp_path / "run.mcap", "loop.rearm=true", "expect=[]", "fault=[{kind='disconnect', start_s=0.5, end_s=0.6}]"
     )
     (recovery,) = result.metrics["recoveries"]
     lost = events[f"{recovery['why']}; it is being brought back"]

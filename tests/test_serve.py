@@ -127,14 +127,14 @@ def is_at_rest(truth: TruthClient) -> bool:
 
 
 def test_sigterm_ramps_down_disarms_closes_the_recording_and_exits_0(tmp_path: Path) -> None:
-    with serving(tmp_path, "--record", "run.rrd") as service:
+    with serving(tmp_path, "--record", "run.mcap") as service:
         service.drive()
         service.process.send_signal(signal.SIGTERM)
         assert service.process.wait(30) == 0
         service.line("the robot is disarmed")
         assert service.line("recording finished")["lost"] == 0
         assert not is_running(service.api_pid)
-    run = read(tmp_path / "run.rrd")
+    run = read(tmp_path / "run.mcap")
     assert max(abs(run.signals[f"wheel.{wheel}.speed_rad_s"][-1]) for wheel in ("fl", "fr", "rr", "rl")) < 0.5
     assert any("the robot is stopping" in event.text for event in run.events)
 
@@ -142,13 +142,13 @@ def test_sigterm_ramps_down_disarms_closes_the_recording_and_exits_0(tmp_path: P
 def test_a_killed_services_recording_is_still_there_after_its_next_start(tmp_path: Path) -> None:
     recorded = []
     for _ in range(2):
-        with serving(tmp_path, "--record", "n.rrd") as service:
+        with serving(tmp_path, "--record", "n.mcap") as service:
             recorded.append(service.until(phase="disarmed")["recording"])
             service.process.kill()
             service.process.wait()
         shutil.rmtree(tmp_path / "state")  # with the token of the killed one
-    assert recorded == ["n.rrd", "n_2.rrd"]
-    assert any((line.get("asked"), line.get("path")) == ("n.rrd", "n_2.rrd") for line in service.lines)
+    assert recorded == ["n.mcap", "n_2.mcap"]
+    assert any((line.get("asked"), line.get("path")) == ("n.mcap", "n_2.mcap") for line in service.lines)
     first, second = (wait_for(lambda name=name: has_rows(tmp_path / name)) for name in recorded)  # type: ignore[misc]
     assert first.properties["started"] < second.properties["started"]
 

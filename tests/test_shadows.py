@@ -66,7 +66,7 @@ def test_a_shadow_has_gains_of_its_own():
 def test_a_shadow_that_raises_is_dropped_with_a_sentence_and_the_run_goes_on(tmp_path):
     path = tmp_path / "broken.py"
     path.write_text(BROKEN, encoding="utf-8")
-    record = tmp_path / "run.rrd"
+    record = tmp_path / "run.mcap"
     shadows = {"controller.shadow": ["dsc", f"{path}:Broken"]}
     result = hil.run("paper_circle", set=SHORT | shadows, record=record)
     assert result.passed

@@ -56,21 +56,21 @@ def law(folder: Path, stuck: str) -> str:
 @pytest.mark.parametrize(("stuck", "mode"), [(LOOP, "lockstep"), (STUBBORN, "lockstep"), (LOOP, "realtime")])
 def test_a_law_that_never_returns_ends_the_run_with_a_sentence(tmp_path: Path, stuck: str, mode: str) -> None:
     result = hil.run(
-        "circle_speed", set={**LIMIT, "controller.law": law(tmp_path, stuck)}, mode=mode, record=tmp_path / "run.rrd"
+        "circle_speed", set={**LIMIT, "controller.law": law(tmp_path, stuck)}, mode=mode, record=tmp_path / "run.mcap"
     )
     assert result.exit_code == 3
     assert isinstance(result.failure, OverdueError)
     assert "did not end within 0.2 s of wall-clock time at " in str(result.failure)
     assert "stuck_law.py:" in str(result.failure)
     assert result.metrics["stopped"]
-    recorded = len(read(tmp_path / "run.rrd", ["loop.tick"]).signals["loop.tick"])
+    recorded = len(read(tmp_path / "run.mcap", ["loop.tick"]).signals["loop.tick"])
     assert result.metrics["ticks"] == recorded >= 19
 
 
 def test_a_law_that_no_exception_gets_to_ends_the_process_and_its_recording_is_kept(tmp_path: Path) -> None:
     sets = [f"--set={key}={json.dumps(value)}" for key, value in LIMIT.items() if key != "controller.gains"]
     command = module_command(
-        "hil.cli.main", "run", "circle_speed", "--record", str(tmp_path / "run.rrd"), "--json", *sets
+        "hil.cli.main", "run", "circle_speed", "--record", str(tmp_path / "run.mcap"), "--json", *sets
     )
     ran = subprocess.run(
         [*command, "--set", "controller.gains={}", "--set", f"controller.law={law(tmp_path, SLEEP)}"],
@@ -84,7 +84,7 @@ def test_a_law_that_no_exception_gets_to_ends_the_process_and_its_recording_is_k
     assert "in update: a law that does not return? loop.tick_limit_s is the limit" in sentence
     assert "time.sleep(60.0)" in ran.stderr
     assert json.loads(ran.stdout) == {"passed": False, "failure": sentence}
-    run = read(tmp_path / "run.rrd")
+    run = read(tmp_path / "run.mcap")
     assert len(run.signals["loop.tick"]) == 19
     found = figures(run)
     assert (found["passed"], found["failure"]) == (False, sentence)
