@@ -249,6 +249,11 @@ ENDLESS = """
 """
 
 
+def children_of(pid: int) -> list[int]:
+    shown = subprocess.run(["ps", "-eo", "pid=,ppid="], capture_output=True, text=True, check=True).stdout
+    return [int(child) for child, parent in map(str.split, shown.splitlines()) if int(parent) == pid]
+
+
 @contextlib.contextmanager
 def begun(suite: pytest.Pytester, *options: str) -> Iterator[tuple[subprocess.Popen[str], list[int]]]:
     """Start a session that would last a day of robot time; give it, and its children's process ids."""
@@ -266,10 +271,9 @@ def begun(suite: pytest.Pytester, *options: str) -> Iterator[tuple[subprocess.Po
         try:
             wait_for(lambda: list((suite.path / "temp").rglob("paper_circle.rrd")), 60.0)
             robot, worker = map(int, (suite.path / "pids").read_text().split())
-            shown = subprocess.run(["ps", "-eo", "pid=,ppid="], capture_output=True, text=True, check=True).stdout
-            children = [int(pid) for pid, parent in map(str.split, shown.splitlines()) if int(parent) == worker]
+            # The recorder's process starts after its file was made.
+            children = wait_for(lambda: found if len(found := children_of(worker)) >= 2 else None, 60.0)
             assert robot in children
-            assert len(children) >= 2, "the robot and the recorder"
             yield session, children
         finally:
             session.kill()
