@@ -12,7 +12,7 @@ from hil.core.errors import BadInputError, LinkError, nearest
 from hil.core.link_protocol import WHEEL_DBC, LinkProtocol, Side
 from hil.core.ports import Received
 from hil.wire.can_errors import BUS_OFF, CAUSES, causes_of, failure
-from hil.wire.can_ports import CanPort, PythonCan, SocketCan
+from hil.wire.can_ports import PythonCan, SocketCan
 from hil.wire.url import CanUrl
 
 _QUEUE_FULL_S = 0.05  # at 1 Mbit/s and full load a queue of 100 frames is empty after 13 ms
@@ -20,7 +20,7 @@ _QUEUE_RETRY_S = 0.0005
 _MOST_FILTERS = 8
 _IDENTIFIER_BITS = 11
 # Interfaces with filters in the kernel or the driver, which pass error frames on. python-can would filter the others in
-# Python, and drop error frames too; ``_refusal`` filters there at no further cost.
+# Python, and drop error frames too; ``receive`` filters there at no further cost.
 _FILTERING_INTERFACES = ("socketcan", "ixxat")
 
 
@@ -52,7 +52,7 @@ class CanLink:
         self._failures = (can.CanError, OSError, ValueError)
         self._rejected = dict.fromkeys(("foreign", "garbled", "unknown_id", "length", *CAUSES), 0)
         self._bus: Any = None
-        self._port: CanPort | None = None
+        self._port: PythonCan | SocketCan | None = None
         self.on_foreign: Callable[[Any], None] | None = None
         self.now_ns: Callable[[], int] = time.monotonic_ns
         if url.interface not in can.VALID_INTERFACES:
@@ -80,7 +80,7 @@ class CanLink:
         if self._url.interface == "socketcan":
             self._port = SocketCan(self._can, self._bus, self._url)
         else:
-            self._port = PythonCan(self._can, self._bus, self._url, self._count_garbled)
+            self._port = PythonCan(self._can, self._bus, self._url, self._rejected)
 
     def _options(self) -> Iterator[tuple[str, Any]]:
         url = self._url
@@ -92,13 +92,8 @@ class CanLink:
             yield "protocol", self._can.CanProtocol.CAN_FD
         if url.interface in _FILTERING_INTERFACES and (senders := self._protocol.senders) is not None:
             accepted_ids = [number for number, sender in senders.items() if sender == self._sender]
-            yield (
-                "can_filters",
-                [
-                    {"can_id": f.identifier, "can_mask": f.mask, "extended": False}
-                    for f in filters_for(accepted_ids, _MOST_FILTERS)
-                ],
-            )
+            filters = filters_for(accepted_ids, _MOST_FILTERS)
+            yield "can_filters", [{"can_id": f.identifier, "can_mask": f.mask, "extended": False} for f in filters]
         if url.interface == "socketcand":
             yield from _socketcand(url)
         else:
@@ -119,7 +114,7 @@ class CanLink:
 
     def receive(self, timeout_ns: int) -> Received | None:
         deadline_ns = time.monotonic_ns() + timeout_ns if timeout_ns > 0 else 0
-        port = self._open_port()
+        port, refusal = self._open_port(), self._protocol.refusal
         while True:
             try:
                 raw = port.receive(timeout_ns)
@@ -130,20 +125,17 @@ class CanLink:
                     raise self._bus_off()
                 return None
             frame = port.frame_of(raw)
-            cause = "foreign" if frame is None else self._refusal(*frame)
+            cause = "foreign" if frame is None else refusal(frame.id, len(frame.payload), self._sender)
             if frame is not None and cause is None:
                 return Received((frame,), self.now_ns())
             if cause in self._rejected:
                 self._count(cause, port.message_of(raw))
             timeout_ns = max(0, deadline_ns - time.monotonic_ns())
 
-    def _open_port(self) -> CanPort:
+    def _open_port(self) -> PythonCan | SocketCan:
         if self._port is None:
             raise LinkError(f"{self.describe()}, is closed; reopen it")
         return self._port
-
-    def _count_garbled(self) -> None:
-        self._rejected["garbled"] += 1
 
     def _count(self, cause: str, message: Any) -> None:
         """Count a dropped frame by its cause, an error frame by its classes. Raises LinkError for a bus-off."""
@@ -161,9 +153,6 @@ class CanLink:
             "check the bit rate, the cable and its two terminators; Linux restarts it by itself with: "
             f"ip link set {self._url.channel} type can restart-ms 100"
         )
-
-    def _refusal(self, number: int, payload: bytes) -> str | None:
-        return self._protocol.refusal(number, len(payload), self._sender)
 
     def rejected(self) -> dict[str, int]:
         return dict(self._rejected)
@@ -229,14 +218,10 @@ def filters_for(identifiers: Iterable[int], most: int) -> list[Filter]:
     """
     filters = [Filter(identifier, (1 << _IDENTIFIER_BITS) - 1) for identifier in sorted(set(identifiers))]
     while len(filters) > 1:
-        cost, one, other = min(_unions(filters))
+        pairs = combinations(filters, 2)
+        cost, one, other = min((one.joined(two).width - one.width - two.width, one, two) for one, two in pairs)
         if cost > 0 and len(filters) <= most:
             break
         union = one.joined(other)
         filters = sorted([union] + [f for f in filters if f.joined(union) != union])
     return filters
-
-
-def _unions(filters: list[Filter]) -> Iterator[tuple[int, Filter, Filter]]:
-    for one, other in combinations(filters, 2):
-        yield one.joined(other).width - one.width - other.width, one, other

@@ -10,8 +10,7 @@ import select
 import socket
 import struct
 import time
-from collections.abc import Callable
-from typing import Any, Protocol
+from typing import Any
 
 from firmware_protocol.framing import Frame
 from hil.core.ports import EXTENDED, REMOTE
@@ -32,30 +31,14 @@ _EXTENDED_IDS, _STANDARD_IDS = 0x1FFFFFFF, 0x7FF
 _SWITCHED, _ERROR_STATE, _IS_FD = 0x01, 0x02, 0x04
 
 
-class CanPort(Protocol):
-    """What ``CanLink`` needs of an open bus."""
-
-    def send(self, frame: Frame) -> None:
-        """Send a frame."""
-
-    def receive(self, timeout_ns: int) -> Any:
-        """Return the next raw message, or None after the timeout; 0 never waits."""
-
-    def frame_of(self, raw: Any) -> Frame | None:
-        """Return the raw message as a frame, its id flagged with EXTENDED and REMOTE; None for an error frame."""
-
-    def message_of(self, raw: Any) -> Any:
-        """Return the raw message as a ``can.Message``."""
-
-
 class PythonCan:
-    """Any bus of python-can. ``garbled`` is called for each line of text that is no frame."""
+    """Any bus of python-can. Counts each line of text that is no frame in ``rejected``, as ``garbled``."""
 
-    def __init__(self, can: Any, bus: Any, url: CanUrl, garbled: Callable[[], None]) -> None:
+    def __init__(self, can: Any, bus: Any, url: CanUrl, rejected: dict[str, int]) -> None:
         self._can = can
         self._bus = bus
         self._url = url
-        self._garbled = garbled
+        self._rejected = rejected
         self._failures = (can.CanError, OSError, ValueError)
         self._descriptor = self._find_descriptor()
         # Without it an adapter that accepts no more bytes would block the sender for ever.
@@ -71,6 +54,7 @@ class PythonCan:
             return None  # slcan over a URL, or on Windows
 
     def send(self, frame: Frame) -> None:
+        """Send a frame."""
         message = self._can.Message(
             arbitration_id=frame.id & ~(EXTENDED | REMOTE),
             data=frame.payload,
@@ -89,6 +73,7 @@ class PythonCan:
             raise
 
     def receive(self, timeout_ns: int) -> Any:
+        """Return the next raw message, or None after the timeout; 0 never waits."""
         if self._descriptor is None:
             return self._recv(max(0, timeout_ns) * 1e-9)
         deadline_ns = time.monotonic_ns() + timeout_ns
@@ -109,21 +94,23 @@ class PythonCan:
                 raise
             if is_not_text:
                 self._bus.flush()  # otherwise python-can would decode the same bytes again with the next line
-            self._garbled()
+            self._rejected["garbled"] += 1
             return None
 
     def frame_of(self, raw: Any) -> Frame | None:
+        """Return the raw message as a frame, its id flagged with EXTENDED and REMOTE; None for an error frame."""
         if raw.is_error_frame:
             return None
         flags = EXTENDED * raw.is_extended_id | REMOTE * raw.is_remote_frame
         return Frame(raw.arbitration_id | flags, bytes(raw.data))
 
     def message_of(self, raw: Any) -> Any:
+        """Return the raw message as a ``can.Message``."""
         return raw
 
 
 class SocketCan:
-    """The raw socket of python-can's socketcan bus; the bus opens it, sets its filters and closes it."""
+    """The raw socket of python-can's socketcan bus, with the methods of ``PythonCan``; the bus opens and closes it."""
 
     def __init__(self, can: Any, bus: Any, url: CanUrl) -> None:
         self._can = can
