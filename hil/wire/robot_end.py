@@ -40,9 +40,6 @@ class Wire(Protocol):
     def send_from(self, node: Node) -> None:
         """Send the robot's waiting output."""
 
-    def drop_from(self, node: Node) -> None:
-        """Discard the robot's waiting output, because the transport is lost."""
-
     def close(self) -> None:
         """Release the transport."""
 
@@ -68,6 +65,7 @@ class SerialWire:
             self._lost = lost
 
     def drop_from(self, node: Node) -> None:
+        """Discard the robot's waiting output, because the transport is lost."""
         node.take_bytes()
 
     def close(self) -> None:
@@ -95,6 +93,7 @@ class CanWire:
             self._link.send(frame)
 
     def drop_from(self, node: Node) -> None:
+        """Discard the robot's waiting output, because the transport is lost."""
         node.take_frames()
 
     def close(self) -> None:
@@ -110,7 +109,7 @@ class ReopeningWire:
     back.
     """
 
-    def __init__(self, wire: Wire, reopen: Callable[[], None], say: Callable[[str], None]) -> None:
+    def __init__(self, wire: SerialWire | CanWire, reopen: Callable[[], None], say: Callable[[str], None]) -> None:
         self._wire = wire
         self._reopen = reopen
         self._say = say
@@ -139,9 +138,6 @@ class ReopeningWire:
             self._wire.send_from(node)
         except LinkError as error:
             self._lose(error)
-
-    def drop_from(self, node: Node) -> None:
-        self._wire.drop_from(node)
 
     def _lose(self, error: LinkError) -> None:
         self._lost = True

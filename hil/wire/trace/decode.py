@@ -122,9 +122,7 @@ def _signals(message: codec.Message) -> Iterator[str]:
 
 
 class Reading:
-    """Iterates over the selected frames of a file; afterwards ``trouble`` says in a sentence where reading broke
-    off.
-    """
+    """Iterates over the selected frames of a file. If reading stopped early, ``trouble`` then says where and why."""
 
     def __init__(self, path: Path, selection: Selection) -> None:
         self._path = path
@@ -134,12 +132,10 @@ class Reading:
         self.trouble: str | None = None
 
     def __iter__(self) -> Iterator[Entry]:
-        selection = self._selection
+        kinds, from_s, to_s, _ = self._selection
         for message in self._messages():
             entry = self._entry(message)
-            if selection.from_s <= entry.t_s <= selection.to_s and (
-                not selection.kinds or entry.kind in selection.kinds
-            ):
+            if from_s <= entry.t_s <= to_s and (not kinds or entry.kind in kinds):
                 yield entry
 
     def _messages(self) -> Iterator[Any]:
@@ -161,13 +157,13 @@ class Reading:
         import can
 
         ending = self._path.suffix.lower()
+        # Vector's text format has seconds since its start, whose time is in its header.
+        readers: dict[str, Any] = {
+            ".asc": partial(can.ASCReader, relative_timestamp=False),
+            ".log": can.CanutilsLogReader,
+            ".trc": can.TRCReader,
+        }
         with self._path.open("rb") as file:
-            # Vector's text format has seconds since its start, whose time is in its header.
-            readers: dict[str, Any] = {
-                ".asc": partial(can.ASCReader, relative_timestamp=False),
-                ".log": can.CanutilsLogReader,
-                ".trc": can.TRCReader,
-            }
             for message in readers[ending](damage.sound_lines(file, ending)):
                 damage.check_length(message)
                 self.frames += 1

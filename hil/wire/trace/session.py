@@ -166,9 +166,6 @@ class TracedWire:
         self._traced.node = node
         self._wire.send_from(self._traced)
 
-    def drop_from(self, node: Node) -> None:
-        self._wire.drop_from(node)
-
     def close(self) -> None:
         self._wire.close()
 
