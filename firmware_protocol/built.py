@@ -115,10 +115,13 @@ def digest_in_library(library: Path) -> str | None:
 
 SOURCES = (
     *sorted((HERE / "firmware").glob("*.c")),
+    *sorted((HERE / "client").glob("*.c")),
     *sorted((HERE / "port" / "host").glob("*.c")),
     HERE / "generated" / "wheel_messages.c",
 )
-HEADERS = tuple(header for folder in ("firmware", "port/host", "generated") for header in (HERE / folder).glob("*.h"))
+HEADERS = tuple(
+    header for folder in ("firmware", "client", "port/host", "generated") for header in (HERE / folder).glob("*.h")
+)
 WHEEL_HOST = Built(
     HERE / f"libwheel_host{SUFFIX}",
     "tools.build.wheel_host",

@@ -141,6 +141,11 @@ def _header_lines(schema: Schema) -> Iterator[str]:
         yield ""
         yield f"#define WP_{m.name}_ID 0x{m.id:03X}u"
         yield f"#define WP_{m.name}_LENGTH {m.length}u"
+        # A host computes in double precision, and rounds once: it needs the step and the largest value.
+        if len(scales := {(s.scale, s.maximum) for s in m.signals if s.scaled and m.sender == "HOST"}) == 1:
+            ((step, maximum),) = scales
+            yield f"#define WP_{m.name}_STEP {step!r}"
+            yield f"#define WP_{m.name}_MAX {maximum!r}"
         yield ""
         yield from _comment(m.comment)
         yield "typedef struct {"

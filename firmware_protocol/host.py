@@ -25,7 +25,8 @@ _HEADERS = (
     "generated/wheel_parameters.h",
     "firmware/parameters.h",
     "port/host/host.h",
-    "port/host/line.h",
+    "client/wheel_line.h",
+    "client/wheel_client.h",
     "port/host/direct.h",
 )
 _SECTION = re.compile(r"/\* cffi: begin \*/(.*?)/\* cffi: end \*/", re.DOTALL)

@@ -5,9 +5,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from firmware_protocol import codec
-from firmware_protocol.framing import Frame, pack
+from firmware_protocol.framing import Frame, PackedFrames, pack
 from firmware_protocol.generated import messages as m
-from firmware_protocol.host import HostNode
+from firmware_protocol.host import HostNode, library
 from firmware_protocol.host_line import HostLine
 from hil.core.errors import LinkError
 from hil.robot.direct import DirectLink
@@ -126,7 +126,12 @@ STEP = pack([codec.encode(m.Step(0, 1))])
 )
 def test_the_library_sends_what_is_whole_and_stops_there(rest: bytes) -> None:
     rig = WheelRig(lockstep=True)
-    some, _ = HostLine().converse(rig.node, STEP + rest, HostLine())
+    ffi, lib = library()
+    lines = HostLine(), HostLine()
+    direct = ffi.new("wheel_direct *", {"here": lines[0].handle, "there": lines[1].handle})
+    lib.wheel_direct_send(direct, rig.node.handle, STEP + rest, len(STEP + rest))
+    lib.wheel_direct_receive(direct, rig.node.handle)
+    some = list(PackedFrames(ffi.buffer(direct.answer)[: direct.answer_bytes], direct.received_frames))
     assert codec.decode(some[-1]) == m.StepDone(1)
     assert sum(frame.id == m.StepDone.ID for frame in some) == 1
 

@@ -12,6 +12,7 @@ import pytest
 
 from tests.plugin_suites import run
 from tests.processes import HIL, ROOT, environment, hil, wait_for
+from tools.build.compiler import compiler
 
 EXAMPLES = ROOT / "docs" / "examples"
 
@@ -75,6 +76,25 @@ def test_a_recording_of_the_bad_day_is_read(tmp_path, capsys) -> None:
 def test_the_campaign_passes_for_every_robot(tmp_path) -> None:
     done = hil("campaign", EXAMPLES / "mass_and_friction.toml", "--out", tmp_path / "runs")
     assert (done.returncode, "12 runs: 12 passed" in done.stdout) == (0, True), done.stderr
+
+
+@pytest.mark.alone
+@pytest.mark.skipif(sys.platform == "win32", reason="it opens a POSIX terminal")
+def test_a_robot_is_driven_from_c(tmp_path) -> None:
+    client, program = ROOT / "firmware_protocol", tmp_path / "drive"
+    core = [client / "firmware" / f"{name}.c" for name in ("framing", "cobs", "crc")]
+    sources = [EXAMPLES / "drive.c", *sorted((client / "client").glob("*.c")), *core]
+    flags = ["-std=gnu11", "-Wall", "-Wextra", "-Wconversion", "-Werror", "-fsanitize=address,undefined", f"-I{client}"]
+    words = [*compiler(), *flags, *sources, client / "generated" / "wheel_messages.c", "-lm", "-o", program]
+    subprocess.run(words, check=True)
+    command = [*HIL, "device", "paper_circle", "--link", "serial:pty", "--mode", "realtime", "--until-eof"]
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, cwd=tmp_path) as device:
+        assert device.stdout is not None
+        [port] = re.findall(r"link=serial:(\S+)", device.stdout.readline())
+        driven = subprocess.run([program, port], capture_output=True, text=True, timeout=60, check=False)
+        device.communicate()
+    assert (driven.returncode, driven.stderr) == (0, "")
+    assert re.fullmatch(r"(3\.9|4\.0)\d rad/s\nat rest\n", driven.stdout)
 
 
 @pytest.mark.alone

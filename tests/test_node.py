@@ -5,10 +5,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from firmware_protocol import codec
-from firmware_protocol.framing import Frame, Framer, pack
+from firmware_protocol.framing import Frame, Framer
 from firmware_protocol.generated import messages as m
 from firmware_protocol.host import HostNode, library, parameter_hash, parameters
-from hil.robot.snapshot import SnapshotReader
+from tests.client_rig import feed, new_client
 from tests.examples import share_of_examples
 from tests.wheel_rig import PARAMETERS, REST_TICKS, WheelRig
 
@@ -294,12 +294,9 @@ def test_a_sensor_fault_is_still_told():
     rig.heard()
     rig.current_a[0] = float("nan")
     rig.run(20)
-    reader = SnapshotReader()
-    for message in rig.heard():
-        reader.read(pack([codec.encode(message)]), 0)
-    assert reader.feedback is not None
-    assert reader.feedback.state is m.State.FAULT
-    assert reader.incomplete == 0
+    client = new_client()
+    assert feed(client, rig.heard())[-1].state is m.State.FAULT
+    assert client.view.incomplete == 0
 
 
 @pytest.mark.parametrize("kind", [m.HostHeartbeat, m.TorqueFeedforward, m.WheelCommand, m.TorqueCommand, m.Step])

@@ -55,7 +55,7 @@ def test_every_value_of_a_row_stands_under_its_signals_name() -> None:
         received=131,
         rejected=lambda: {"one": 132, "other": 1},
         snapshots_lost=134,
-        round_trip=SimpleNamespace(ms=138.0),
+        round_trip_ms=138.0,
         clock_sync=SimpleNamespace(offset_us=140.0, drift_ppm=141.0),
     )
     wire = SimpleNamespace(byte_counts=lambda: (135, 136), load_percent=lambda: 137.0)

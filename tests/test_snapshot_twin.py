@@ -1,4 +1,4 @@
-"""The library's reader of snapshots says what its twin in Python does, whatever comes and however it is cut."""
+"""The library puts snapshots together as its twin in Python does, whatever comes and however it is cut."""
 
 from collections.abc import Iterator
 from random import Random
@@ -7,9 +7,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from firmware_protocol import codec
-from firmware_protocol.framing import Frame, pack
+from firmware_protocol.framing import Frame
 from firmware_protocol.generated import messages as m
-from hil.robot.snapshot import SnapshotReader
+from tests.client_rig import feedback, new_client, take
 from tests.examples import share_of_examples
 from tests.protocol_cases import frames as any_frames
 from tests.snapshot_twin import SnapshotAssembler
@@ -77,25 +77,26 @@ def batches(frames: list[Frame], chance: Random) -> Iterator[list[Frame]]:
     chance=st.randoms(use_true_random=False),
 )
 def test_it_reads_what_the_python_twin_does(pieces, chance) -> None:
-    reader, twin = SnapshotReader(), SnapshotAssembler()
-    newest, taken = None, 0
+    client, twin = new_client(), SnapshotAssembler()
+    newest, counted, refused = None, 0, 0
     for piece, accident in pieces:
         if piece == "restart":
-            reader.restart()
+            client.begin(1)
             twin.restart()
+            newest = None
             continue
         for batch in batches(spoilt(piece, accident), chance):
-            packed, at = pack(batch), 0
-            while batch:
-                at, step_done, sequences = reader.read(packed, at), None, []
-                while batch and step_done is None and type(message := codec.decode(batch[0])) in OWN:
-                    step_done = message.tick if isinstance(message, m.StepDone) else None
-                    sequences += [message.sequence] if isinstance(message, m.Tick) else []
-                    newest, taken = twin.feed(message) or newest, taken + 1
-                    batch.pop(0)
-                assert packed[at:] == pack(batch), "up to the first that is none of its own, or behind a STEP_DONE"
-                assert (reader.step_done, list(reader.sequences)) == (step_done, sequences)
-                assert repr(reader.feedback) == repr(newest), "NaN and all"
-                assert (reader.frames, reader.lost, reader.incomplete) == (taken, twin.lost, twin.incomplete)
-                if batch and step_done is None:
-                    at += len(pack([batch.pop(0)]))
+            messages = []
+            for frame in batch:
+                if (message := codec.decode(frame)) is None:
+                    refused += 1
+                    continue
+                newest = twin.feed(message) or newest
+                counted += frame.id < m.HelloRequest.ID
+                if type(message) not in OWN:
+                    messages.append(frame.id)
+            assert take(client, batch) == messages, "it stops behind each that is none of its own"
+            assert repr(feedback(client)) == repr(newest), "NaN and all"
+            view = client.view
+            assert (view.received, view.out_of_range) == (counted, refused)
+            assert (view.lost, view.incomplete) == (twin.lost, twin.incomplete)

@@ -9,10 +9,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from firmware_protocol import codec
-from firmware_protocol.framing import Frame, Framer, pack
+from firmware_protocol.framing import Frame, Framer
 from firmware_protocol.generated import messages as m
 from hil.core.signals import SIGNAL_NAMES
-from hil.robot.snapshot import SnapshotReader
 from hil.runtime.assembly import run
 from hil.wire.can_bus import CanLink
 from hil.wire.can_frame import classic_bits, fd_bits
@@ -21,6 +20,7 @@ from hil.wire.framed import StreamLink
 from hil.wire.statistics import WINDOW_NS, LoadWindow, observe
 from hil.wire.streams import memory_pair
 from hil.wire.url import SerialUrl, parse_link
+from tests.client_rig import feed, new_client
 from tests.heard import everything
 
 MS = 1_000_000
@@ -187,10 +187,9 @@ def test_snapshots_that_a_fault_swallows_are_counted_as_lost():
 
 
 def test_a_tick_that_is_repeated_leaves_no_gap_in_the_count():
-    reader = SnapshotReader()
-    for number in (254, 255, 255, 0, 1, 1, 5):
-        reader.read(pack([codec.encode(m.Tick(0, 0, 0, m.State.ACTIVE, 0, number))]), 0)
-    assert reader.lost == 3
+    client = new_client()
+    feed(client, [m.Tick(0, 0, 0, m.State.ACTIVE, 0, number) for number in (254, 255, 255, 0, 1, 1, 5)])
+    assert client.view.lost == 3
 
 
 def test_the_signals_say_how_the_link_is_at_each_tick():

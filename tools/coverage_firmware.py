@@ -1,8 +1,8 @@
 """Measures which lines and branches of the firmware core are run by its tests, with gcc's --coverage and gcov.
 
-The host's end of a line is measured too. ``python -m tools.coverage_firmware`` builds an instrumented host library
-aside, runs the tests of the core on it, and prints a row a file. It fails when a test fails or a line was not run.
-``--missing`` names the branches not taken.
+The host's half of the protocol is measured too. ``python -m tools.coverage_firmware`` builds an instrumented host
+library aside, runs the tests of the core on it, and prints a row a file. It fails when a test fails or a line was not
+run. ``--missing`` names the branches not taken.
 """
 
 import argparse
@@ -15,11 +15,11 @@ import tempfile
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from firmware_protocol.built import FIRMWARE_FLAGS, HERE, SOURCES
+from firmware_protocol.built import FIRMWARE_FLAGS, SOURCES
 from tools.build.compiler import compiler
 
 ROOT = Path(__file__).parent.parent
-CORE = (*sorted((HERE / "firmware").glob("*.c")), *(HERE / "port" / "host" / name for name in ("line.c", "direct.c")))
+CORE = tuple(source for source in SOURCES if source.parent.name in ("firmware", "client") or source.name == "direct.c")
 TESTS = (
     "tests/test_node.py",
     "tests/test_node_faults.py",
@@ -29,10 +29,12 @@ TESTS = (
     "tests/test_node_states.py",
     "tests/test_node_thresholds.py",
     "tests/test_current_loop.py",
+    "tests/test_client.py",
     "tests/test_direct.py",
     "tests/test_line_of_the_library.py",
     "tests/test_parameters.py",
     "tests/test_snapshot.py",
+    "tests/test_snapshot_twin.py",
 )
 
 

@@ -1,4 +1,4 @@
-"""Fuzzes the C decoder, the host's end of a line and the firmware core with libFuzzer, under ASan and UBSan.
+"""Fuzzes the C decoder, both halves of the protocol and the serial line with libFuzzer, under ASan and UBSan.
 
 ``python -m tools.fuzz --runs 10000000`` runs each target so often. The targets, what they check after every call, and
 the mutator that gets past CRC and COBS are in ``tests/fuzz``. An input that breaks a check is kept and named.
@@ -20,9 +20,9 @@ from firmware_protocol.built import FIRMWARE_FLAGS, SOURCES
 ROOT = Path(__file__).parent.parent
 HARNESSES = ROOT / "tests" / "fuzz"
 FRAMES = ROOT / "tests" / "vectors" / "frames.csv"
-TARGETS = ("decoder", "line", "node")
+TARGETS = ("decoder", "line", "client", "node")
 COMPILERS = ("clang", *(f"clang-{version}" for version in range(22, 13, -1)))
-CORE = [source for source in SOURCES if "port" not in source.parts or source.name == "line.c"]
+CORE = [source for source in SOURCES if "port" not in source.parts]
 # Comparisons are not traced: the mutator writes valid frames itself, and a run is 1.5 times as fast.
 FUZZ = (
     "-g",
@@ -32,7 +32,11 @@ FUZZ = (
 )
 LONGEST = 512
 # The choices in front of the node's stream (node_fuzzer.c): IDLE, ARMED, ACTIVE in both modes, 16 bytes a tick.
-STARTS = [bytes([start, 15, 0, 0, 0, 0, 255, 0]) for start in range(4)]
+# Those of the client: 24 calls between the pieces of the stream (client_fuzzer.c): the way to ACTIVE, and others.
+HEADERS = {
+    "node": [bytes([start, 15, 0, 0, 0, 0, 255, 0]) for start in range(4)],
+    "client": [bytes([mode, 11, 0, 1, 15] + [0, 1, 2, 7, 15] * 3 + [12, 10, 5, 4]) for mode in (16, 17, 32, 33)],
+}
 
 
 class UnavailableError(Exception):
@@ -74,7 +78,7 @@ def write_seeds(target: str, folder: Path) -> None:
         serial = [bytes.fromhex(row["serial"]) for row in csv.DictReader(file)]
     streams = [*serial, *(b"".join(serial[i : i + 30]) for i in range(0, len(serial), 30))]
     for i, stream in enumerate(streams):
-        header = STARTS[i % len(STARTS)] if target == "node" else b""
+        header = HEADERS[target][i % 4] if target in HEADERS else b""
         (folder / f"seed{i}").write_bytes(header + stream)
 
 

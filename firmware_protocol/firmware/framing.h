@@ -1,5 +1,5 @@
 /* Serial framing: COBS(id16 LE | sequence8 | payload | CRC16-CCITT-FALSE LE) 00. PROTOCOL.md explains it. The
- * host's end, port/host/line.h, is made of it; framing.py is another implementation, which shares nothing
+ * host's end, client/wheel_line.h, is made of it; framing.py is another implementation, which shares nothing
  * with it. */
 #ifndef WHEEL_FRAMING_H
 #define WHEEL_FRAMING_H

@@ -183,6 +183,8 @@ bool wp_host_heartbeat_decode(const uint8_t *payload, size_t length, wp_host_hea
 
 #define WP_TORQUE_FEEDFORWARD_ID 0x030u
 #define WP_TORQUE_FEEDFORWARD_LENGTH 8u
+#define WP_TORQUE_FEEDFORWARD_STEP 0.00390625
+#define WP_TORQUE_FEEDFORWARD_MAX 15.99609375
 
 /* Torque feedforward, staged: applied only together with the WHEEL_COMMAND of the same session and
  * sequence that follows it. */
@@ -200,6 +202,8 @@ bool wp_torque_feedforward_decode(const uint8_t *payload, size_t length, wp_torq
 
 #define WP_WHEEL_COMMAND_ID 0x040u
 #define WP_WHEEL_COMMAND_LENGTH 8u
+#define WP_WHEEL_COMMAND_STEP 0.015625
+#define WP_WHEEL_COMMAND_MAX 63.984375
 
 /* Wheel speed set points. In speed mode the only message that feeds the watchdog. */
 typedef struct {
@@ -216,6 +220,8 @@ bool wp_wheel_command_decode(const uint8_t *payload, size_t length, wp_wheel_com
 
 #define WP_TORQUE_COMMAND_ID 0x041u
 #define WP_TORQUE_COMMAND_LENGTH 8u
+#define WP_TORQUE_COMMAND_STEP 0.00390625
+#define WP_TORQUE_COMMAND_MAX 15.99609375
 
 /* Wheel torque set points. In torque mode the only message that feeds the watchdog. */
 typedef struct {

@@ -104,18 +104,16 @@ class MakersReport:
             return
         temperatures = self._map.temperatures_from_wire(Wheels(*sample.temperature_degc))
         self.health = Health(sample.battery_v, sample.battery_a, temperatures)
-        self.newest = self._map.feedback_from_wire(
-            Feedback(
-                sample.stamp_ns,
-                state,
-                sequence,
-                _AGE_UNKNOWN_MS,
-                self._angles.add(sample),
-                Wheels(*sample.speed_rad_s),
-                Wheels(*sample.current_a),
-                sample.acceleration_m_s2,
-                sample.yaw_rate_rad_s,
-            )
+        self.newest = Feedback(
+            sample.stamp_ns,
+            state,
+            sequence,
+            _AGE_UNKNOWN_MS,
+            self._map.counts_from_wire(self._angles.add(sample)),
+            self._map.from_wire(sample.speed_rad_s),
+            self._map.from_wire(sample.current_a),
+            sample.acceleration_m_s2,
+            sample.yaw_rate_rad_s,
         )
 
     # Reasons

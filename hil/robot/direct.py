@@ -1,10 +1,14 @@
 """A virtual robot in lockstep with its host in the same thread: its true pose, and the host's end of the link."""
 
+import time
+from collections import Counter
+from collections.abc import Callable
 from typing import Protocol, cast
 
-from firmware_protocol.framing import FRAME_OVERHEAD, PACKED_HEADERS, Frame, unsendable
+from firmware_protocol.client import Client
+from firmware_protocol.framing import FRAME_OVERHEAD, PACKED_HEADERS, Frame, PackedFrames, unsendable
 from firmware_protocol.generated.messages import Estop
-from firmware_protocol.host import HostNode
+from firmware_protocol.host import HostNode, library
 from firmware_protocol.host_line import HostLine
 from hil.core.ports import Link, Received
 from hil.robot.virtual import VirtualStm32
@@ -45,17 +49,35 @@ class LibraryRobot(Protocol):
     node: HostNode
 
 
-class DirectLink(StreamLink):
-    """A faster ``StreamLink``: the bytes stay in the host library, and one call exchanges all frames of a tick."""
+class DirectLink:
+    """A ``StreamLink`` whose bytes stay in the host library. ``step`` makes a whole exchange in one call.
 
-    _framing: HostLine
+    Attributes:
+        now_ns: the clock that stamps received frames.
+        answer: the packed frames of the newest exchange.
+    """
+
+    counts_frames = True
 
     def __init__(self, robot: LibraryRobot, stream: DirectStream) -> None:
-        super().__init__(stream)
+        ffi, lib = library()
         self._robot = robot
+        self._stream = stream
         self._there = HostLine()
-        self._unsent = b""  # packed
+        self._direct = ffi.new("wheel_direct *", {"there": self._there.handle})
+        self.answer = ffi.buffer(self._direct.answer)
+        self._earlier: Counter[str] = Counter()  # rejected before the link was reopened
+        self._begin_line()
+        self._unsent = PackedFrames(b"", 0)
+        self._unsent_bytes = 0  # on the line
+        self._client: Client | None = None
         self._is_open = True
+        self._lib, self._step = lib, lib.wheel_direct_step
+        self.now_ns: Callable[[], int] = time.monotonic_ns
+
+    def _begin_line(self) -> None:
+        self._here = HostLine()
+        self._direct.here = self._here.handle
 
     def send(self, frame: Frame) -> None:
         number, payload = frame
@@ -64,23 +86,72 @@ class DirectLink(StreamLink):
             raise unsendable(frame)
         if not self._is_open:
             raise closed()
-        self._unsent += header + payload
-        self.sent_frames += 1
-        self.sent_bytes += FRAME_OVERHEAD + len(payload) + (number == Estop.ID)
+        self._unsent = PackedFrames(self._unsent.packed + header + payload, len(self._unsent) + 1)
+        self._unsent_bytes += FRAME_OVERHEAD + len(payload) + (number == Estop.ID)
 
     def receive(self, _timeout_ns: int) -> Received | None:
-        unsent = self._unsent
-        if not unsent:
+        if not self._unsent.packed:
             return None
-        self._unsent = b""
-        frames, size = self._framing.converse(self._robot.node, unsent, self._there)
-        if not size:
+        self._hand_over()
+        direct = self._direct
+        before = direct.received_frames
+        self._lib.wheel_direct_receive(direct, self._robot.node.handle)
+        count = direct.received_frames - before
+        return Received(PackedFrames(self.answer[: direct.answer_bytes], count), self.now_ns()) if count else None
+
+    def _hand_over(self) -> None:
+        packed, self._unsent, self._unsent_bytes = self._unsent.packed, PackedFrames(b"", 0), 0
+        self._lib.wheel_direct_send(self._direct, self._robot.node.handle, packed, len(packed))
+
+    def step(self, client: Client, ticks: int) -> Received | None:
+        """Send what waits in the client, and a STEP; the client takes the answer.
+
+        Return None when that was all. Otherwise look at ``client.view``, and take the frames that are returned.
+        """
+        if not self._is_open:
+            raise closed()
+        if self._unsent.packed:
+            self._hand_over()
+        self._client = client
+        direct, now_ns = self._direct, self.now_ns()
+        if self._step(direct, self._robot.node.handle, client.handle, ticks, now_ns):
             return None
-        self.received_frames += len(frames)
-        self.received_bytes += size
-        return Received(frames, self.now_ns())
+        return Received(PackedFrames(self.answer[direct.answer_at : direct.answer_bytes], 0), now_ns)
+
+    # The counters; what waits in the client counts as sent.
+
+    @property
+    def sent_frames(self) -> int:
+        waiting = 0 if self._client is None else self._client.view.out_frames
+        return int(self._direct.sent_frames + len(self._unsent) + waiting)
+
+    @property
+    def sent_bytes(self) -> int:
+        waiting = 0 if self._client is None else self._client.view.out_serial_bytes
+        return int(self._direct.sent_bytes + self._unsent_bytes + waiting)
+
+    @property
+    def received_frames(self) -> int:
+        return int(self._direct.received_frames)
+
+    @property
+    def received_bytes(self) -> int:
+        return int(self._direct.received_bytes)
+
+    def rejected(self) -> dict[str, int]:
+        counts = {cause: count + self._earlier[cause] for cause, count in self._here.rejected.items()}
+        return counts | {"unread_bytes": 0}
+
+    def reopen(self) -> None:
+        self._stream.reopen()
+        # A partial frame and the gap in the running number belong to the line that was lost.
+        self._earlier = Counter(self.rejected())
+        self._begin_line()
+
+    def describe(self) -> str:
+        return self._stream.describe()
 
     def close(self) -> None:
         self._is_open = False
-        self._unsent = b""
-        super().close()
+        self._unsent, self._unsent_bytes = PackedFrames(b"", 0), 0
+        self._stream.close()

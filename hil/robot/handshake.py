@@ -1,11 +1,12 @@
 """The handshake: HELLO and its pages, and the checks of the robot before anything moves."""
 
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from typing import NamedTuple
 
 from firmware_protocol import codec
 from firmware_protocol.capabilities import Capability
+from firmware_protocol.framing import Frame
 from firmware_protocol.generated import messages as m
 from hil.core.errors import BadInputError, DeviceError
 from hil.core.ports import Link
@@ -101,6 +102,11 @@ class Greeting:
         self._pages: dict[type, codec.Message] = {}
         self._status: m.Status | None = None
 
+    @property
+    def frames(self) -> list[Frame]:
+        """The pages so far."""
+        return [codec.encode(page) for page in self._pages.values()]
+
     def feed(self, message: codec.Message | None) -> RobotInfo | None:
         """Add a message. Once all pages are there, each page or STATUS returns the robot's info; else None.
 
@@ -141,12 +147,11 @@ class Greeting:
         )
 
 
-def greet(link: Link, send: Callable[[codec.Message], None], *, status: bool = False) -> RobotInfo:
+def greet(link: Link, greeting: Greeting, *, status: bool = False) -> RobotInfo:
     """Request the HELLO pages until all have come. With ``status`` wait for a STATUS too, up to 0.2 s longer.
 
     Raises DeviceError when the robot does not answer within 2 s, BadInputError when it uses another version.
     """
-    greeting = Greeting()
     before = link.rejected()
     received_frames = 0
     deadline_ns = time.monotonic_ns() + SILENCE_NS
@@ -156,7 +161,7 @@ def greet(link: Link, send: Callable[[codec.Message], None], *, status: bool = F
         if found is not None and (found.reset_cause is not None or not status or now_ns >= retry_ns):
             return found
         if now_ns >= retry_ns:
-            send(m.HelloRequest(m.PROTOCOL_VERSION))
+            link.send(codec.encode(m.HelloRequest(m.PROTOCOL_VERSION)))
             retry_ns = now_ns + RETRY_NS
         received = link.receive(RETRY_NS)
         for frame in received.frames if received is not None else ():

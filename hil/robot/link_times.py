@@ -24,35 +24,17 @@ _HELD_AT_MOST_US = 0xFFFF  # TIME_SYNC_RESPONSE.held_us is limited to this
 
 
 class RoundTrip:
-    """Time from sending a command to the first TICK that reports it as applied (TICK.sequence).
+    """Times from sending a command to the first TICK that reports it as applied (TICK.sequence).
 
-    ``ms`` is the newest round trip, NaN before the first. A command that no TICK reports has no round trip.
+    A command that no TICK reports has no round trip.
     """
 
     def __init__(self) -> None:
-        self._sent_ns: list[int | None] = [None] * 256
-        self._echoed: int | None = None
         self._all_ms = Reservoir()
-        self.ms = NAN
 
-    def sent(self, sequence: int, now_ns: int) -> None:
-        """Record that a command was sent."""
-        self._sent_ns[sequence] = now_ns
-
-    def echoed(self, sequence: int, stamp_ns: int) -> None:
-        """Record that a TICK was received."""
-        if sequence == self._echoed:
-            return
-        self._echoed = sequence
-        sent_ns = self._sent_ns[sequence]
-        if sent_ns is not None:
-            self._sent_ns[sequence] = None
-            self.ms = (stamp_ns - sent_ns) * 1e-6
-            self._all_ms.append(self.ms)
-
-    def restart(self) -> None:
-        """Start a new session: commands of the last one no longer give a round trip."""
-        self._sent_ns = [None] * 256
+    def add(self, took_ns: int) -> None:
+        """Add a round trip."""
+        self._all_ms.append(took_ns * 1e-6)
 
     def figures(self) -> dict[str, Any] | None:
         """Return median, 99th percentile [ms] and number of the round trips; None if there were none."""

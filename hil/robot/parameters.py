@@ -81,7 +81,7 @@ class ParameterClient:
         return self._identify()._replace(reset_cause=self._reset_cause)
 
     def _identify(self, *, status: bool = False) -> handshake.RobotInfo:
-        return handshake.greet(self._link, lambda message: self._link.send(codec.encode(message)), status=status)
+        return handshake.greet(self._link, handshake.Greeting(), status=status)
 
     def read(self) -> list[Held]:
         """Return every parameter, in the firmware's order."""

@@ -8,7 +8,7 @@ from typing import Protocol
 from firmware_protocol.generated.messages import State
 from hil.core.errors import DeviceError
 from hil.core.ports import Clock
-from hil.core.types import WheelCommand
+from hil.core.types import NAN, WheelCommand
 from hil.robot.link_times import ClockSync, PollAge, RoundTrip
 from hil.robot.robot_report import Health
 from hil.robot.snapshot import Feedback
@@ -61,8 +61,12 @@ class Device(Protocol):
     Every method may raise LinkError when the link is lost.
     """
 
-    round_trip: RoundTrip
     clock_sync: ClockSync
+    round_trip_ms: float  # the newest; NaN before the first
+
+    @property
+    def round_trip(self) -> RoundTrip:
+        """All round trips of commands."""
 
     @property
     def tick(self) -> int:
@@ -214,7 +218,7 @@ class LinkedDevice(ABC):
 
     def __init__(self, link: ConditionedLink, *, is_lockstep: bool) -> None:
         self._is_lockstep = is_lockstep
-        self.round_trip = RoundTrip()
+        self.round_trip_ms = NAN
         self.clock_sync = ClockSync()
         self._link = link
         self._poll_age = PollAge()
@@ -223,6 +227,10 @@ class LinkedDevice(ABC):
     @property
     def is_lockstep(self) -> bool:
         return self._is_lockstep
+
+    @property
+    def round_trip(self) -> RoundTrip:
+        return RoundTrip()
 
     def describe_link(self) -> str:
         return self._link.describe()

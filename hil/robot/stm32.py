@@ -1,39 +1,52 @@
 """The host's side of the wheel-command protocol: handshake, arming, commands, feedback, lockstep.
 
 The robot behind the link may be a board with motors, a board connected to the simulated plant, or the host library.
-This code works the same with each; only HELLO tells them apart.
+This code works the same with each; only HELLO tells them apart. The protocol itself is in C
+(``firmware_protocol.client``); this is what connects it to a link, a clock and the words for a person.
 """
 
 import contextlib
 import math
+import struct
+import time
 from collections.abc import Iterator
+from typing import Any, NoReturn
 
-from firmware_protocol.codec import Message
+from firmware_protocol.built import BuildError
+from firmware_protocol.client import Client
+from firmware_protocol.codec import Message, decode, encode
+from firmware_protocol.framing import PackedFrames, pack, packed_frame
 from firmware_protocol.generated import messages as m
-from hil.core.errors import DeviceError, HilError, RobotStoppedError
-from hil.core.ports import Clock
-from hil.core.types import ZERO_WHEELS, CommandMode, WheelCommand
+from hil.core.errors import BadInputError, DeviceError, HilError, RobotStoppedError
+from hil.core.ports import Clock, Received
+from hil.core.types import NAN, NAN_WHEELS, CommandMode, WheelCommand, Wheels
 from hil.robot import handshake
-from hil.robot.channel import Channel
-from hil.robot.handshake import Expected, RobotInfo
-from hil.robot.link_times import SYNC_PERIOD_NS
+from hil.robot.direct import DirectLink
+from hil.robot.handshake import RETRY_NS, SILENCE_NS, Expected, Greeting, RobotInfo
+from hil.robot.link_times import SYNC_PERIOD_NS, RoundTrip
 from hil.robot.port import LinkedDevice
 from hil.robot.robot_report import RobotReport
-from hil.robot.session import Session, Step
 from hil.robot.snapshot import Feedback
 from hil.robot.wheel_map import WheelMap
 from hil.wire.conditions import ConditionedLink
 
 _MOST_A_POLL = 200  # frames; a robot sends at most some ten a tick
-_ESTOP_BY_HOST = 1
 _AT_REST = (m.State.IDLE, m.State.FAULT, m.State.ESTOP)
+_STATES = {int(state): state for state in m.State}
+_FULL = 512  # bytes of frames that may wait for a step
+# Members of wheel_view: from robot_time_us to slow, and from current_a to yaw_rate_rad_s.
+_ROUND_TRIPS_AT_ONCE = 128
+_SNAPSHOT = struct.Struct("=Qq4f4H3B?3I")
+_SLOW = struct.Struct("=8f")
+_ARMING_DONE, _ARMING_NEW_NONCE, _ARMING_STRANGER, _ARMING_REFUSED, _ARMING_LATCHED = 0, 4, 5, 6, 7
+_STEP_AWAITED, _STEP_ELSEWHERE = 1, 3
 
 
 class Stm32(LinkedDevice):
     """A robot with the protocol of wheel.dbc, at the other end of a link. See ``hil.robot.port.Device``.
 
     ``nonces`` are the session nonces to use, in order. Raises DeviceError when the robot does not answer, refuses
-    or stops; BadInputError when it does not match the scenario.
+    or stops; BadInputError when it does not match the scenario, or the host library cannot be loaded.
     """
 
     def __init__(
@@ -48,23 +61,50 @@ class Stm32(LinkedDevice):
         self._mode = mode
         self._expected = expected
         self._map = wheel_map
-        self._session = Session(nonces, mode, expected)
-        self.report = RobotReport(wheel_map)
-        self._channel = self._line = Channel(link, wheel_map, self.round_trip, self._on_message)
+        self._nonces = nonces
+        try:
+            self._client = Client(m.Mode(mode), expected.parameter_hash & 0xFF, next(nonces))
+        except BuildError as error:
+            raise BadInputError(str(error)) from error
+        # Without conditions on the link to a robot in this thread, a step is one call into the library.
+        self._direct = link.transport if link.is_plain and isinstance(link.transport, DirectLink) else None
+        self._snapshot = self._client.member("robot_time_us", _SNAPSHOT.size)
+        self._slow = self._client.member("current_a", _SLOW.size)
+        self._snapshots_seen = self._slow_seen = self._round_trips_seen = 0
+        self._held: tuple[Wheels, tuple[float, float, float], float] = (NAN_WHEELS, (NAN, NAN, NAN), NAN)
+        self._feedback: Feedback | None = None
+        self._greeting: Greeting | None = None
+        self._info: RobotInfo | None = None
+        self._round_trip = RoundTrip()
         self._next_sync_ns = 0
+        self.report = RobotReport(wheel_map)
 
     # Connecting
 
     def connect(self) -> RobotInfo:
         """Request HELLO and check the answer against the scenario."""
-        info = handshake.greet(self._link, self._channel.send)
-        self._session.accept(info)
+        greeting = Greeting()
+        self._accept(handshake.greet(self._link, greeting))
+        for page in greeting.frames:
+            self._client.take(packed := pack([page]), 0, len(packed), 0)
         self._synchronise_tick()
-        return info
+        assert self._info is not None
+        return self._info
+
+    def _accept(self, info: RobotInfo) -> None:
+        """Accept the robot's answer to HELLO. Raises BadInputError when it does not match the scenario, or is not the
+        robot with which the run began."""
+        handshake.check(info, self._expected)
+        if self._info is not None and not self._info.is_same_robot(info):
+            raise BadInputError(
+                f"another robot answers on the link: {info.describe()}; the run began with {self._info.describe()}; "
+                "plug in the first one, or start a new run"
+            )
+        self._info = info  # the fault record and reset cause may be new
 
     @property
     def info(self) -> RobotInfo | None:
-        return self._session.info
+        return self._info
 
     @property
     def speed_limit_rad_s(self) -> float:
@@ -90,8 +130,8 @@ class Stm32(LinkedDevice):
         return True
 
     def leave(self) -> None:
-        self._session.leave()
-        self._channel.feedback = None
+        self._client.leave()
+        self._feedback = None
         self.report.status = None
         self.clock_sync.give_up()
         self._discard()
@@ -99,61 +139,53 @@ class Stm32(LinkedDevice):
     def begin_again(self) -> None:
         """Start again with a new nonce and a handshake. Raises RobotStoppedError if the robot is silent in lockstep."""
         self.leave()
-        self._channel.restart()
+        self._client.begin(next(self._nonces))
+        self._greeting = Greeting()
         self.report.restart()
-        self.round_trip.restart()
-        self._session.begin_again()
         self._synchronise_tick()
 
     def greeted(self) -> bool:
         """Request HELLO when it is due; return whether the robot has answered."""
-        assert self._clock is not None
-        if (hello := self._session.hello(self._clock.now_ns())) is not None:
-            self._channel.send(hello)
         self.poll()
-        return self._session.is_greeted
+        return self._greeting is None
 
     # Arming and stopping
 
     def armed(self) -> bool:
         """Do the session's next step; return whether the robot is ACTIVE in our session."""
-        feedback, status = self.poll(), self.report.status
-        step = self._session.next_step(None if feedback is None else feedback.state, status)
-        match step:
-            case Step.HOLD:
-                self.send(WheelCommand(self._mode, ZERO_WHEELS, ZERO_WHEELS))
-            case Step.ARM | Step.ARM_ANEW:
-                if step is Step.ARM_ANEW:
-                    self.report.status = None
-                    self._session.renew()
-                self._request(m.Request.IDLE)
-                self._request(m.Request.ARM)
-            case Step.STRANGER:
-                raise RobotStoppedError("the robot has not answered HELLO since the link was lost; it is not armed")
-            case Step.REFUSED:
-                assert status is not None
-                refusal = m.ArmRefusal(status.arm_refusal).name
-                raise DeviceError(f"the robot refused to arm: {refusal}; see the arming rules in PROTOCOL.md")
-            case Step.LATCHED:
-                raise DeviceError(self.why_not_active())
-        return step is Step.DONE
+        self.poll()
+        step = self._client.arm(self._now_ns())
+        if step == _ARMING_NEW_NONCE:
+            self.report.status = None
+            self._client.renew(next(self._nonces))
+            step = self._client.arm(self._now_ns())
+        self._flush()
+        if step == _ARMING_STRANGER:
+            raise RobotStoppedError("the robot has not answered HELLO since the link was lost; it is not armed")
+        if step == _ARMING_REFUSED:
+            assert self.report.status is not None
+            refusal = m.ArmRefusal(self.report.status.arm_refusal).name
+            raise DeviceError(f"the robot refused to arm: {refusal}; see the arming rules in PROTOCOL.md")
+        if step == _ARMING_LATCHED:
+            raise DeviceError(self.why_not_active())
+        return step == _ARMING_DONE
 
     def why_not_active(self) -> str:
         return self.report.why_not_active(None if self.feedback is None else self.feedback.state)
 
     def disarm(self) -> None:
-        if self._session.request is not m.Request.IDLE:
+        if self._client.view.request != m.Request.IDLE:
             with contextlib.suppress(HilError):  # called after failures: it must not raise
                 self._request(m.Request.IDLE)
                 self._link.flush()
 
     def estop(self) -> None:
-        self._session.request = m.Request.IDLE
-        self._channel.send(m.Estop(_ESTOP_BY_HOST, 0))
+        self._client.estop()
+        self._flush()
         self._link.flush()
 
     def clear(self) -> None:
-        self._session.renew()  # the robot ignores a CLEAR with the nonce of the last one
+        self._client.renew(next(self._nonces))  # the robot ignores a CLEAR with the nonce of the last one
         self._request(m.Request.CLEAR)
 
     def stop(self, period_ns: int, limit_ns: int) -> bool:
@@ -180,7 +212,7 @@ class Stm32(LinkedDevice):
             received = self._link.receive(left_ns)
             if received is None:
                 return
-            self._channel.receive(received)
+            self._take(received)
 
     def poll(self) -> Feedback | None:
         """Read what has arrived; return the newest snapshot. Sends heartbeat and TIME_SYNC when they are due.
@@ -191,67 +223,181 @@ class Stm32(LinkedDevice):
         if not self._is_lockstep:
             # The rest is read in the next tick: a host that is slower than its robot would never finish.
             while taken < _MOST_A_POLL and (received := self._link.receive(0)) is not None:
-                self._channel.receive(received)
+                self._take(received)
                 taken += len(received.frames)
-        self._channel.hash.keep_up()
         if self._clock is not None:
             now_ns = self._clock.now_ns()
-            if self._session.is_heartbeat_due(now_ns):
-                self._request(self._session.request)
+            if self._client.poll(now_ns):
+                self._flush()
             if now_ns >= self._next_sync_ns:
                 self._synchronise(now_ns)
             if not self._is_lockstep:
                 self._poll_age.record_poll(now_ns, everything=taken < _MOST_A_POLL)
-        return self._channel.feedback
+        return self._feedback
 
     @property
     def feedback(self) -> Feedback | None:
-        return self._channel.feedback
+        return self._feedback
 
     def send(self, command: WheelCommand) -> int:
-        sequence = self._sequence = (self._sequence + 1) & 0xFF
-        if self._clock is not None:
-            self.round_trip.sent(sequence, self._clock.now_ns())
-        mode, speed_rad_s, torque_n_m = command
-        session = self._session.nonce & 0xF
-        torque = self._map.to_wire(torque_n_m)
-        if mode is CommandMode.TORQUE:
-            self._channel.send(m.TorqueCommand(*torque, sequence, session))
-            return sequence
-        if any(torque):
-            self._channel.send(m.TorqueFeedforward(*torque, sequence, session))
-        self._channel.send(m.WheelCommand(*self._map.to_wire(speed_rad_s), sequence, session))
+        _, speed_rad_s, torque_n_m = command
+        to_wire, clock = self._map.to_wire, self._clock
+        now_ns = None if clock is None else clock.now_ns()
+        sequence = self._client.command(to_wire(speed_rad_s), to_wire(torque_n_m), now_ns)
+        if sequence < 0:
+            self._refuse(command)
+        if self._direct is None:
+            self._flush()
         return sequence
 
+    def _refuse(self, command: WheelCommand) -> NoReturn:
+        """Raise ValueError for a command that the wire cannot carry."""
+        _, speed_rad_s, torque_n_m = command
+        if self._mode is CommandMode.TORQUE:
+            encode(m.TorqueCommand(*self._map.to_wire(torque_n_m), 0, 0))
+        else:
+            encode(m.TorqueFeedforward(*self._map.to_wire(torque_n_m), 0, 0))
+            encode(m.WheelCommand(*self._map.to_wire(speed_rad_s), 0, 0))
+        raise ValueError("no room for a command: too many frames wait to be sent")
+
     def step(self, ticks: int) -> None:
-        self._channel.step(self._channel.tick, ticks)
+        if self._direct is None:
+            self._client.step(ticks)
+            self._flush()
+            self._await_step()
+        else:
+            left = self._direct.step(self._client, ticks)
+            if left is not None:
+                self._attend(self._direct.answer, left.stamp_ns)
+                self._take(left)
+                self._await_step()
+        self._renew_feedback()
+
+    def _await_step(self) -> None:
+        """Take what comes until STEP is answered. Raises RobotStoppedError when it is not within 2 s of wall-clock
+        time, or the robot is at another tick.
+        """
+        view = self._client.view
+        begin_ns = sent_ns = time.monotonic_ns()
+        while view.step == _STEP_AWAITED:
+            received = self._link.receive(RETRY_NS)
+            if received is not None:
+                self._take(received)
+            now_ns = time.monotonic_ns()
+            if now_ns - begin_ns > SILENCE_NS:
+                raise RobotStoppedError("the robot did not answer STEP within 2 s of wall-clock time; it was lost")
+            if received is None and now_ns - sent_ns > RETRY_NS:
+                self._client.step_again()
+                self._flush()
+                sent_ns = now_ns
 
     @property
     def tick(self) -> int:
-        return self._channel.tick
+        return int(self._client.view.tick)
 
     # Messages
+
+    def _now_ns(self) -> int | None:
+        return None if self._clock is None else self._clock.now_ns()
+
+    def _flush(self) -> None:
+        """Send what waits in the client. To a robot in this thread the next step carries it."""
+        view = self._client.view
+        if view.log_is_due:
+            self._client.hash_log()
+        if not view.out_bytes or (self._direct is not None and view.out_bytes < _FULL):
+            return
+        try:
+            for frame in self._client.out():
+                self._link.send(frame)
+        except BaseException:
+            self._client.unsent()
+            raise
+        self._client.sent()
+
+    def _take(self, received: Received) -> None:
+        """Process frames that arrived together. Raises RobotStoppedError for a step that ended at a wrong tick."""
+        frames, stamp_ns = received
+        packed = frames.packed if type(frames) is PackedFrames else pack(frames)
+        at, end = 0, len(packed)
+        while at < end:
+            at = self._client.take(packed, at, end, stamp_ns)
+            self._attend(packed, stamp_ns)
+        self._renew_feedback()
+
+    def _attend(self, packed: Any, stamp_ns: int) -> None:
+        """Do what the client's view asks for after it has taken frames."""
+        client = self._client
+        view = client.view
+        if view.log_is_due:
+            client.hash_log()
+        if view.message_id:
+            frame, _ = packed_frame(packed, view.message_at)
+            if (message := decode(frame)) is not None:
+                self._on_message(message, stamp_ns)
+        elif view.step == _STEP_ELSEWHERE:
+            raise RobotStoppedError(
+                f"the robot is at tick {view.step_done_tick} where {view.step_target} was expected; it was reset "
+                "or is stepped by another host"
+            )
+
+    def _renew_feedback(self) -> None:
+        """Make the feedback of the newest snapshot."""
+        values = _SNAPSHOT.unpack(self._snapshot)
+        snapshots, round_trips, slow = values[14:]
+        if round_trips != self._round_trips_seen:
+            self.round_trip_ms = values[1] * 1e-6
+            if round_trips - self._round_trips_seen >= _ROUND_TRIPS_AT_ONCE:
+                self._add_round_trips(round_trips)
+        if snapshots == self._snapshots_seen:
+            return
+        self._snapshots_seen = snapshots
+        if slow != self._slow_seen:
+            self._slow_seen = slow
+            held = _SLOW.unpack(self._slow)
+            self._held = self._map.from_wire(held[:4]), held[4:7], held[7]
+        state, sequence, age_ms = values[10:13]
+        speed, counts = self._map.from_wire(values[2:6]), self._map.counts_from_wire(values[6:10])
+        current, acceleration, yaw_rate = self._held
+        self._feedback = Feedback(
+            values[0] * 1000, _STATES[state], sequence, age_ms, counts, speed, current, acceleration, yaw_rate
+        )
+
+    def _add_round_trips(self, count: int) -> None:
+        """Add the round trips up to this number to the figures."""
+        newest = self._client.view.round_trips_ns
+        for number in range(max(self._round_trips_seen, count - len(newest)), count):
+            self._round_trip.add(newest[number % len(newest)])
+        self._round_trips_seen = count
+
+    @property
+    def round_trip(self) -> RoundTrip:
+        self._add_round_trips(self._client.view.round_trips)
+        return self._round_trip
 
     def _synchronise_tick(self) -> None:
         """Lockstep: ask for the robot's current firmware tick."""
         if self._is_lockstep:
-            self._channel.step(0, 0)
+            self.step(0)
 
     def _synchronise(self, now_ns: int) -> None:
         self._next_sync_ns = now_ns + SYNC_PERIOD_NS
-        self._channel.send(m.TimeSyncRequest(self.clock_sync.request(now_ns)))
+        frame = encode(m.TimeSyncRequest(self.clock_sync.request(now_ns)))
+        self._client.add(frame.id, frame.payload)
+        self._flush()
         if self._is_lockstep and self._link.next_due_ns() is None:
             # A step of 0 ticks, so that the answer gets the time of this tick, not of the next step's end.
-            self._channel.step(self.tick, 0)
+            self.step(0)
 
     def _request(self, request: m.Request) -> None:
-        now_ns = None if self._clock is None else self._clock.now_ns()
-        self._channel.send(self._session.heartbeat(request, now_ns))
+        self._client.request(request, self._now_ns())
+        self._flush()
 
     def _on_message(self, message: Message, stamp_ns: int) -> None:
-        if self._session.feed(message):
-            return
-        if isinstance(message, m.TimeSyncResponse):
+        if self._greeting is not None and (info := self._greeting.feed(message)) is not None:
+            self._accept(info)
+            self._greeting = None
+        elif isinstance(message, m.TimeSyncResponse):
             self.clock_sync.answered(message.sequence, message.received_us, message.held_us, stamp_ns)
         else:
             self.report.feed(message)
@@ -259,9 +405,23 @@ class Stm32(LinkedDevice):
     # Counters
 
     @property
+    def sent(self) -> int:
+        return int(self._client.view.sent)
+
+    @property
+    def received(self) -> int:
+        return int(self._client.view.received)
+
+    @property
     def snapshots_lost(self) -> int:
-        return self._channel.lost
+        view = self._client.view
+        return int(view.lost + view.incomplete)
+
+    def wire_sha256(self) -> str:
+        return self._client.hexdigest()
 
     def rejected(self) -> dict[str, int]:
+        view = self._client.view
+        own = {"range": view.out_of_range, "incomplete_snapshot": view.incomplete}
         robot = {f"robot_{cause}": count for cause, count in self.report.rejected.items()}
-        return {cause: count for cause, count in (self._channel.rejected() | robot).items() if count}
+        return {cause: count for cause, count in (self._link.rejected() | own | robot).items() if count}

@@ -2,8 +2,7 @@
 
 from collections.abc import Sequence
 
-from hil.core.types import WHEEL_NAMES, Wheels
-from hil.robot.snapshot import Feedback
+from hil.core.types import WHEEL_NAMES, FourWheels, Wheels, make_wheels
 
 
 class WheelMap:
@@ -25,21 +24,18 @@ class WheelMap:
         channels = zip(self.wheel_of_channel, self.sign_of_channel, strict=True)
         return Wheels(*(sign * value[wheel] for wheel, sign in channels))
 
-    def from_wire(self, value: Sequence[float]) -> Wheels:
+    def from_wire(self, value: FourWheels) -> Wheels:
         """Return values per channel of the robot in the order and sign of our wheels."""
+        if self.is_identity:
+            return make_wheels(value)
         return Wheels(*(self.sign_of_channel[c] * value[c] for c in self._channel_of_wheel))
 
-    def feedback_from_wire(self, feedback: Feedback) -> Feedback:
-        """Return feedback in the order and sign of our wheels."""
+    def counts_from_wire(self, value: tuple[int, int, int, int]) -> tuple[int, int, int, int]:
+        """Return encoder counts, modulo 65536, in the order and sign of our wheels."""
         if self.is_identity:
-            return feedback
-        count = tuple(self.sign_of_channel[c] * feedback.encoder_count[c] & 0xFFFF for c in self._channel_of_wheel)
-        fl, fr, rr, rl = count
-        return feedback._replace(
-            encoder_count=(fl, fr, rr, rl),
-            speed_rad_s=self.from_wire(feedback.speed_rad_s),
-            current_a=self.from_wire(feedback.current_a),
-        )
+            return value
+        fl, fr, rr, rl = (self.sign_of_channel[c] * value[c] & 0xFFFF for c in self._channel_of_wheel)
+        return fl, fr, rr, rl
 
     def temperatures_from_wire(self, value: Wheels) -> Wheels:
         """Return temperatures in the order of our wheels."""

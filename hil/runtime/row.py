@@ -111,7 +111,7 @@ class RowWriter:
             device.snapshots_lost,
             *wire.byte_counts(),
             wire.load_percent(),
-            device.round_trip.ms,
+            device.round_trip_ms,
             latency_s * 1e3,
             device.clock_sync.offset_us,
             device.clock_sync.drift_ppm,

@@ -115,6 +115,8 @@ class ConditionedLink:
     transport's own method directly.
 
     Attributes:
+        transport: the link below.
+        is_plain: whether frames pass unchanged, at once and unobserved in both directions.
         may_hold: whether commands can be delayed at all; if not, nothing is ever due.
     """
 
@@ -147,8 +149,10 @@ class ConditionedLink:
         self._in = _Way("feedback", rows, self._time)
         self._ready: deque[Received] = deque()
         self.may_hold = self._has_rows or command_latency_ns > 0
-        is_plain = observer is None and bus is None
-        self._put = link.send if is_plain else self._put_on_wire
+        is_bare = observer is None and bus is None
+        self.transport = link
+        self.is_plain = is_bare and not self.may_hold and not feedback_latency_ns
+        self._put = link.send if is_bare else self._put_on_wire
         self._receive_now = link.receive if observer is None else self._receive_from_wire
         self.send = self._send if self.may_hold else self._put
         self.receive = self._receive if self._has_rows or bus is not None or feedback_latency_ns else self._receive_now

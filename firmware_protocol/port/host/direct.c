@@ -1,36 +1,51 @@
 #include "direct.h"
 
-#include "packed.h"
+#include "../../client/packed.h"
 
-_Static_assert(WHEEL_HOST_QUEUE *(WHEEL_PACKED_HEADER + sizeof((wheel_frame *)0)->payload) +
-                       WHEEL_LINE_OPEN <=
+#define CHUNK 512u
+
+_Static_assert(WHEEL_HOST_QUEUE *(WHEEL_PACKED_HEADER + WP_PAYLOAD_MAX) + WHEEL_LINE_OPEN <=
                    WHEEL_DIRECT_ROOM,
                "a full queue of the robot has no room");
 
-static void tell(wheel_line *line, wheel_host *robot, const uint8_t *packed, size_t length) {
-    uint8_t bytes[WHEEL_LINE_LONGEST];
+void wheel_direct_send(wheel_direct *direct, wheel_host *robot, const uint8_t *packed, size_t length) {
+    uint8_t bytes[WHEEL_LINE_GROWTH * (WHEEL_PACKED_HEADER + WP_PAYLOAD_MAX)];
     wheel_packed frame;
     for (size_t at = 0; wheel_packed_take(packed, at, length, &frame); at = frame.next) {
-        const size_t written = wheel_line_encode(line, frame.id, frame.payload, frame.length, bytes);
+        const size_t size = frame.next - at;
+        const size_t written = size > WHEEL_PACKED_HEADER + WP_PAYLOAD_MAX
+                                   ? 0u
+                                   : wheel_line_encode(direct->there, packed + at, size, bytes);
         if (written == 0u) {
             return;
         }
+        direct->sent_frames++;
+        direct->sent_bytes += written;
         wheel_host_feed(robot, bytes, written);
     }
 }
 
-size_t wheel_direct_converse(wheel_line *there, wheel_line *back, wheel_host *robot, const uint8_t *packed,
-                             size_t length, uint8_t *answer, size_t used[2]) {
-    uint8_t bytes[512];
-    size_t count = 0;
+void wheel_direct_receive(wheel_direct *direct, wheel_host *robot) {
+    uint8_t bytes[CHUNK];
     size_t taken;
-    used[0] = used[1] = 0;
-    tell(there, robot, packed, length);
+    direct->answer_bytes = direct->answer_at = 0;
     while ((taken = wheel_host_take_bytes(robot, bytes, sizeof bytes)) > 0u) {
         size_t written = 0;
-        count += wheel_line_feed(back, bytes, taken, answer + used[0], &written);
-        used[0] += written;
-        used[1] += taken;
+        direct->received_frames +=
+            wheel_line_feed(direct->here, bytes, taken, direct->answer + direct->answer_bytes, &written);
+        direct->answer_bytes += (uint32_t)written;
+        direct->received_bytes += taken;
     }
-    return count;
+}
+
+bool wheel_direct_step(wheel_direct *direct, wheel_host *robot, wheel_client *client, uint16_t ticks,
+                       int64_t now_ns) {
+    const wheel_view *known = wheel_client_view(client);
+    wheel_client_step(client, ticks);
+    wheel_direct_send(direct, robot, wheel_client_out(client), known->out_bytes);
+    wheel_client_sent(client);
+    wheel_direct_receive(direct, robot);
+    direct->answer_at = (uint32_t)wheel_client_take(client, direct->answer, 0, direct->answer_bytes, now_ns);
+    return known->step == WHEEL_STEP_DONE && known->message_id == 0u && !known->log_is_due &&
+           direct->answer_at == direct->answer_bytes;
 }

@@ -1,20 +1,37 @@
-/* A serial line between a controller and the robot of the host library, both in the caller's thread. Frames
- * are packed as in line.h.
- */
+/* A client and a robot in one thread: frames go over a serial line in memory, as bytes, both ways. */
 #ifndef WHEEL_DIRECT_H
 #define WHEEL_DIRECT_H
 
+#include "../../client/wheel_client.h"
+#include "../../client/wheel_line.h"
 #include "host.h"
-#include "line.h"
 
 /* cffi: begin */
-/* Sends the robot packed frames by the line `there`, byte by byte as on any other, and packs what it has to
- * send then, as it comes by the line `back`; returns how many frames that are. `used` becomes how many bytes
- * were written into `answer`, which has room for WHEEL_DIRECT_ROOM, and how many the line carried for them.
- * What is sent ends at a frame that is cut or has not the length of its id. */
-size_t wheel_direct_converse(wheel_line *there, wheel_line *back, wheel_host *robot, const uint8_t *packed,
-                             size_t length, uint8_t *answer, size_t used[2]);
+/* Bytes of packed frames that one exchange may bring: those of the robot's full queue. */
 #define WHEEL_DIRECT_ROOM 65536
+
+typedef struct {
+    wheel_line *here;  /* the client's end of the line, for what it receives */
+    wheel_line *there; /* and for what it sends */
+    uint32_t answer_bytes;
+    uint32_t answer_at;   /* wheel_direct_step: what comes from here on was not taken yet */
+    uint64_t sent_frames; /* in all, to the robot and from it */
+    uint64_t sent_bytes;
+    uint64_t received_frames;
+    uint64_t received_bytes;
+    uint8_t answer[WHEEL_DIRECT_ROOM]; /* packed frames */
+} wheel_direct;
+
+/* Sends packed frames to the robot, up to one that has not the length of its id. */
+void wheel_direct_send(wheel_direct *direct, wheel_host *robot, const uint8_t *packed, size_t length);
+
+/* Puts all that the robot sends into `answer`. */
+void wheel_direct_receive(wheel_direct *direct, wheel_host *robot);
+
+/* Sends what the client has to send and a STEP of so many ticks, and has the client take the answer. Returns
+ * whether that was all: the step is done, nothing is left to take, and no log is due. */
+bool wheel_direct_step(wheel_direct *direct, wheel_host *robot, wheel_client *client, uint16_t ticks,
+                       int64_t now_ns);
 /* cffi: end */
 
 #endif

@@ -1,0 +1,143 @@
+"""The host's half of the wheel protocol, in C (``client/wheel_client.h``): messages, snapshots and the session.
+
+``Client`` has no I/O. It takes the packed frames that a robot sent, and holds those that are to be sent to it.
+"""
+
+import hashlib
+import struct
+from collections.abc import Sequence
+from typing import Any
+
+from firmware_protocol.framing import PackedFrames
+from firmware_protocol.generated.messages import Mode, Request
+from firmware_protocol.host import library
+
+_COMMAND = struct.Struct("=8d")
+_LOG_BYTES = 1 << 15
+_NO_TIME = -1
+
+
+class Client:
+    """The host's session with one robot. ``wheel_client.h`` explains the calls; their names are the same.
+
+    ``parameter_check`` is the low byte of the parameter hash that the robot must have. Times are those of one clock
+    [ns]. Raises BuildError when the host library cannot be loaded.
+
+    Attributes:
+        handle: the C struct, for other functions of the library; valid as long as this object.
+        view: ``wheel_view``, what is known of the robot.
+    """
+
+    def __init__(self, mode: Mode, parameter_check: int, nonce: int) -> None:
+        ffi, lib = library()
+        self._ffi, self._lib = ffi, lib
+        self._memory = ffi.new("uint64_t[]", lib.wheel_client_size() // 8 + 1)
+        self.handle = ffi.cast("wheel_client *", self._memory)
+        lib.wheel_client_init(self.handle, mode, parameter_check, nonce)
+        self.view: Any = lib.wheel_client_view(self.handle)
+        self._out = ffi.buffer(lib.wheel_client_out(self.handle), lib.WHEEL_CLIENT_OUT)
+        self._logs = ffi.new("uint8_t[]", _LOG_BYTES), ffi.new("uint8_t[]", _LOG_BYTES)
+        lib.wheel_client_log(self.handle, *self._logs, _LOG_BYTES)
+        self._logged = ffi.new("size_t[2]")
+        self._hashes = hashlib.sha256(), hashlib.sha256()
+        values = ffi.new("double[8]")
+        self._speeds, self._torques = values, values + 4
+        self._value_bytes = ffi.buffer(values)
+        # Called in each tick: looked up once.
+        self._take, self._poll, self._command = (
+            lib.wheel_client_take,
+            lib.wheel_client_poll,
+            lib.wheel_client_command,
+        )
+
+    def member(self, name: str, size: int) -> memoryview:
+        """Return ``size`` bytes of the view, from the member of this name on; they change with the view."""
+        offset = self._ffi.offsetof("wheel_view", name)
+        return memoryview(self._ffi.buffer(self.view))[offset : offset + size]
+
+    # What the robot sends
+
+    def take(self, packed: Any, begin: int, end: int, now_ns: int) -> int:
+        """Take packed frames from ``begin`` on; return where the next one begins, or ``end``. Then see ``view``."""
+        at: int = self._take(self.handle, packed, begin, end, now_ns)
+        return at
+
+    # What is sent to the robot
+
+    def out(self) -> PackedFrames:
+        """Return the frames that wait to be sent; call ``sent`` or ``unsent`` then."""
+        return PackedFrames(self._out[: self.view.out_bytes], self.view.out_frames)
+
+    def sent(self) -> None:
+        """The frames of ``out`` were sent."""
+        self._lib.wheel_client_sent(self.handle)
+
+    def unsent(self) -> None:
+        """The frames of ``out`` could not be sent; they do not count."""
+        self._lib.wheel_client_unsent(self.handle)
+
+    def command(self, speed_rad_s: Sequence[float], torque_n_m: Sequence[float], now_ns: int | None) -> int:
+        """Add a command for the four channels; return its sequence number, or -1 when it cannot be sent."""
+        _COMMAND.pack_into(self._value_bytes, 0, *speed_rad_s, *torque_n_m)
+        time_ns = _NO_TIME if now_ns is None else now_ns
+        sequence: int = self._command(self.handle, self._speeds, self._torques, time_ns)
+        return sequence
+
+    def poll(self, now_ns: int) -> bool:
+        """Add HELLO and the heartbeat when they are due; return whether one was."""
+        is_due: bool = self._poll(self.handle, now_ns)
+        return is_due
+
+    def arm(self, now_ns: int | None) -> int:
+        """Take the next step towards ACTIVE; return it (``WHEEL_ARMING_...``)."""
+        step: int = self._lib.wheel_client_arm(self.handle, _NO_TIME if now_ns is None else now_ns)
+        return step
+
+    def request(self, request: Request, now_ns: int | None) -> None:
+        """Set what the heartbeats ask for, and add the first one."""
+        self._lib.wheel_client_request(self.handle, request, _NO_TIME if now_ns is None else now_ns)
+
+    def estop(self) -> None:
+        """Add ESTOP."""
+        self._lib.wheel_client_estop(self.handle)
+
+    def add(self, number: int, payload: bytes) -> None:
+        """Add one message of another kind. Raises ValueError when it has not the length of its id, or has no room."""
+        if not self._lib.wheel_client_add(self.handle, number, payload, len(payload)):
+            raise ValueError(f"message {number:#05x} of {len(payload)} bytes cannot be sent")
+
+    def step(self, ticks: int) -> None:
+        """Lockstep: add a STEP of so many ticks; 0 asks for the robot's tick."""
+        self._lib.wheel_client_step(self.handle, ticks)
+
+    def step_again(self) -> None:
+        """Add the same STEP again, because no answer came."""
+        self._lib.wheel_client_step_again(self.handle)
+
+    # The session
+
+    def leave(self) -> None:
+        """Leave the robot, because the link or the robot was lost."""
+        self._lib.wheel_client_leave(self.handle)
+
+    def begin(self, nonce: int) -> None:
+        """Leave the robot, and begin anew with one that may have been reset, or may be another."""
+        self._lib.wheel_client_begin(self.handle, nonce)
+
+    def renew(self, nonce: int) -> None:
+        """Begin another session with the same robot."""
+        self._lib.wheel_client_renew(self.handle, nonce)
+
+    # The log
+
+    def hash_log(self) -> None:
+        """Hash what the logs hold; due when ``view.log_is_due``."""
+        self._lib.wheel_client_log_take(self.handle, self._logged)
+        for log, used, digest in zip(self._logs, self._logged, self._hashes, strict=True):
+            digest.update(self._ffi.buffer(log, used))
+
+    def hexdigest(self) -> str:
+        """Return the hash of the session so far: the frames of each direction, in order."""
+        self.hash_log()
+        sent, received = self._hashes
+        return hashlib.sha256(sent.digest() + received.digest()).hexdigest()

@@ -1,0 +1,293 @@
+/* What the robot sends: messages, snapshots of its feedback, and the answers to STEP. */
+#include "internal.h"
+#include "packed.h"
+
+#include <string.h>
+
+/* The parts in the order in which they are sent, as in TICK.parts. */
+enum { ENCODERS = 1, WHEEL_SPEEDS = 2, CURRENTS = 4, ACCELEROMETER = 8, GYRO = 16 };
+
+#define HELLO_PAGES 8u
+_Static_assert(WP_HELLO_FAULT_ADDRESS_ID == WP_HELLO_IDENTITY_ID + HELLO_PAGES - 1u,
+               "the pages are numbered");
+
+void wheel_feedback_restart(wheel_client *client) {
+    client->missing = 0;
+    client->has_number = false;
+    client->has_time = false;
+}
+
+/* Snapshots */
+
+static void commit(wheel_client *client) {
+    wheel_view *view = &client->view;
+    const wp_tick *tick = &client->open;
+    const uint8_t parts = tick->parts;
+    if ((parts & ENCODERS) != 0u) {
+        const wp_encoders *e = &client->encoders;
+        memcpy(view->encoder_count, (uint16_t[4]){e->fl_count, e->fr_count, e->rr_count, e->rl_count}, 8u);
+    }
+    if ((parts & WHEEL_SPEEDS) != 0u) {
+        const wp_wheel_speeds *w = &client->speeds;
+        memcpy(view->speed_rad_s, (float[4]){w->fl_rad_s, w->fr_rad_s, w->rr_rad_s, w->rl_rad_s}, 16u);
+    }
+    if ((parts & CURRENTS) != 0u) {
+        const wp_currents *c = &client->currents;
+        memcpy(view->current_a, (float[4]){c->fl_a, c->fr_a, c->rr_a, c->rl_a}, 16u);
+    }
+    if ((parts & ACCELEROMETER) != 0u) {
+        const wp_accelerometer *a = &client->accelerometer;
+        memcpy(view->acceleration_m_s2, (float[3]){a->x_m_s2, a->y_m_s2, a->z_m_s2}, 12u);
+    }
+    if ((parts & GYRO) != 0u) {
+        view->yaw_rate_rad_s = client->gyro.z_rad_s;
+    }
+    if (client->has_time) {
+        view->robot_time_us += (uint32_t)(tick->time_us - client->time_us);
+    } else {
+        view->robot_time_us = tick->time_us;
+    }
+    client->time_us = tick->time_us;
+    client->has_time = true;
+    view->state = tick->state;
+    view->command_sequence = tick->sequence;
+    view->command_age_ms = tick->command_age_ms;
+    view->has_feedback = true;
+    view->snapshots++;
+    view->slow += (parts & (CURRENTS | ACCELEROMETER | GYRO)) != 0u;
+}
+
+static void open_snapshot(wheel_client *client, const wp_tick *tick, int64_t now_ns) {
+    wheel_view *view = &client->view;
+    view->incomplete += client->missing != 0u;
+    if (client->has_number) {
+        const uint8_t missing = (uint8_t)(tick->snapshot - client->number - 1u);
+        /* Half the circle or more is a repeated TICK, one that was overtaken, or a robot that was reset. */
+        view->lost += missing < 128u ? missing : 0u;
+    }
+    client->number = tick->snapshot;
+    client->has_number = true;
+    client->open = *tick;
+    client->missing = tick->parts;
+    if (tick->sequence == client->reported) {
+        return;
+    }
+    client->reported = tick->sequence;
+    const int64_t commanded_ns = client->commanded_ns[tick->sequence];
+    if (commanded_ns >= 0) {
+        client->commanded_ns[tick->sequence] = -1;
+        view->round_trip_ns = now_ns - commanded_ns;
+        view->round_trips_ns[view->round_trips++ % 256u] = view->round_trip_ns;
+    }
+}
+
+/* The inertial sensors' parts carry their sampling instant. */
+static bool belongs(const wheel_client *client, uint16_t sampled) {
+    return sampled == (uint16_t)(client->open.time_us / 1000u);
+}
+
+static void take_part(wheel_client *client, uint8_t part, bool belongs_to_it) {
+    const uint8_t missing = client->missing;
+    if (missing == 0u) {
+        return;
+    }
+    const uint8_t turn = (uint8_t)(missing & (0u - missing)); /* the lowest bit */
+    if (part != turn || !belongs_to_it) {
+        client->missing = 0;
+        client->view.incomplete++;
+        return;
+    }
+    client->missing = (uint8_t)(missing & ~part);
+    if (client->missing == 0u) {
+        commit(client);
+    }
+}
+
+/* Takes a message of a snapshot; false if it is none, or not valid. */
+static bool take_snapshot(wheel_client *client, const wheel_packed *frame, int64_t now_ns) {
+    wp_tick tick;
+    switch (frame->id) {
+    case WP_TICK_ID:
+        if (!wp_tick_decode(frame->payload, frame->length, &tick)) {
+            return false;
+        }
+        open_snapshot(client, &tick, now_ns);
+        return true;
+    case WP_ENCODERS_ID:
+        if (!wp_encoders_decode(frame->payload, frame->length, &client->encoders)) {
+            return false;
+        }
+        take_part(client, ENCODERS, true);
+        return true;
+    case WP_WHEEL_SPEEDS_ID:
+        if (!wp_wheel_speeds_decode(frame->payload, frame->length, &client->speeds)) {
+            return false;
+        }
+        take_part(client, WHEEL_SPEEDS, true);
+        return true;
+    case WP_CURRENTS_ID:
+        if (!wp_currents_decode(frame->payload, frame->length, &client->currents)) {
+            return false;
+        }
+        take_part(client, CURRENTS, true);
+        return true;
+    case WP_ACCELEROMETER_ID:
+        if (!wp_accelerometer_decode(frame->payload, frame->length, &client->accelerometer)) {
+            return false;
+        }
+        take_part(client, ACCELEROMETER, belongs(client, client->accelerometer.tick));
+        return true;
+    case WP_GYRO_ID:
+        if (!wp_gyro_decode(frame->payload, frame->length, &client->gyro)) {
+            return false;
+        }
+        take_part(client, GYRO, belongs(client, client->gyro.tick));
+        return true;
+    default:
+        return false;
+    }
+}
+
+/* Other messages */
+
+/* Whether this answer ended the step; if not, it is a second answer to a STEP that was sent twice. */
+static bool ends_step(wheel_client *client, uint32_t tick) {
+    wheel_view *view = &client->view;
+    view->step_done_tick = tick;
+    if (view->step != WHEEL_STEP_AWAITED || (client->step_ticks != 0u && tick == client->step_from)) {
+        return false;
+    }
+    if (client->step_ticks != 0u && tick != view->step_target) {
+        view->step = WHEEL_STEP_ELSEWHERE;
+        return false;
+    }
+    view->tick = tick;
+    view->step = WHEEL_STEP_DONE;
+    return true;
+}
+
+static bool take_page(wheel_client *client, const wheel_packed *frame) {
+    const uint8_t *payload = frame->payload;
+    const size_t length = frame->length;
+    wheel_robot *robot = &client->robot;
+    wp_hello_fault_status status;
+    wp_hello_fault_place place;
+    wp_hello_fault_address address;
+    bool is_valid = false;
+    switch (frame->id) {
+    case WP_HELLO_IDENTITY_ID:
+        is_valid = wp_hello_identity_decode(payload, length, &robot->identity);
+        break;
+    case WP_HELLO_FIRMWARE_ID:
+        is_valid = wp_hello_firmware_decode(payload, length, &robot->firmware);
+        break;
+    case WP_HELLO_PARAMETERS_ID:
+        is_valid = wp_hello_parameters_decode(payload, length, &robot->parameters);
+        break;
+    case WP_HELLO_GEOMETRY_ID:
+        is_valid = wp_hello_geometry_decode(payload, length, &robot->geometry);
+        break;
+    case WP_HELLO_LIMITS_ID:
+        is_valid = wp_hello_limits_decode(payload, length, &robot->limits);
+        break;
+    case WP_HELLO_FAULT_STATUS_ID:
+        is_valid = wp_hello_fault_status_decode(payload, length, &status);
+        break;
+    case WP_HELLO_FAULT_PLACE_ID:
+        is_valid = wp_hello_fault_place_decode(payload, length, &place);
+        break;
+    default:
+        is_valid = wp_hello_fault_address_decode(payload, length, &address);
+    }
+    if (!is_valid) {
+        return false;
+    }
+    client->pages = (uint8_t)(client->pages | (1u << (frame->id - WP_HELLO_IDENTITY_ID)));
+    client->view.is_greeted =
+        client->view.is_greeted || (client->pages == (1u << HELLO_PAGES) - 1u &&
+                                    robot->identity.protocol_version == WP_PROTOCOL_VERSION &&
+                                    robot->identity.schema_hash == WP_SCHEMA_HASH);
+    return true;
+}
+
+/* X(NAME, name): decodes a message only to see whether it is valid. */
+#define CHECK(NAME, name)                                                                                    \
+    case WP_##NAME##_ID: {                                                                                   \
+        wp_##name message;                                                                                   \
+        return wp_##name##_decode(frame->payload, frame->length, &message);                                  \
+    }
+
+static bool is_valid(const wheel_packed *frame) {
+    switch (frame->id) {
+        WP_MESSAGES(CHECK)
+    default:
+        return false;
+    }
+}
+
+static bool take_other(wheel_client *client, const wheel_packed *frame) {
+    if (frame->id == WP_STATUS_ID) {
+        wp_status status;
+        if (!wp_status_decode(frame->payload, frame->length, &status)) {
+            return false;
+        }
+        client->status = status;
+        client->has_status = true;
+        return true;
+    }
+    if (frame->id >= WP_HELLO_IDENTITY_ID && frame->id < WP_HELLO_IDENTITY_ID + HELLO_PAGES) {
+        return take_page(client, frame);
+    }
+    return is_valid(frame);
+}
+
+/* Whether a STEP_DONE is valid; `*is_logged` becomes whether it ended a step. */
+static bool take_step_done(wheel_client *client, const wheel_packed *frame, bool *is_logged) {
+    wp_step_done done;
+    if (!wp_step_done_decode(frame->payload, frame->length, &done)) {
+        return false;
+    }
+    *is_logged = ends_step(client, done.tick);
+    return true;
+}
+
+size_t wheel_client_take(wheel_client *client, const uint8_t *packed, size_t begin, size_t end,
+                         int64_t now_ns) {
+    wheel_view *view = &client->view;
+    wheel_packed frame;
+    size_t at = begin;
+    view->message_id = 0;
+    while (wheel_packed_take(packed, at, end, &frame)) {
+        const size_t size = frame.next - at;
+        bool is_counted = frame.id < WP_HELLO_REQUEST_ID;
+        bool is_logged = is_counted;
+        if (!wheel_log_has_room(client, &client->received_log, size)) {
+            return at;
+        }
+        if (take_snapshot(client, &frame, now_ns)) {
+            /* the usual case */
+        } else if (frame.id == WP_STEP_DONE_ID) {
+            if (!take_step_done(client, &frame, &is_logged)) {
+                view->out_of_range++;
+                at = frame.next;
+                continue;
+            }
+        } else if (take_other(client, &frame)) {
+            view->message_id = frame.id;
+            view->message_at = (uint32_t)at;
+        } else {
+            view->out_of_range++;
+            at = frame.next;
+            continue;
+        }
+        view->received += is_counted;
+        if (is_logged) {
+            wheel_log_add(client, &client->received_log, packed + at, size);
+        }
+        at = frame.next;
+        if (view->message_id != 0u || view->step == WHEEL_STEP_ELSEWHERE) {
+            return at;
+        }
+    }
+    return at < end ? end : at; /* over a frame that is cut */
+}

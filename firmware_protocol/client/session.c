@@ -1,0 +1,311 @@
+/* The host's session, and what the host sends. */
+#include "internal.h"
+#include "packed.h"
+
+#include <math.h>
+#include <string.h>
+
+#define HEARTBEAT_NS 100000000
+#define HELLO_NS 200000000
+#define ESTOP_BY_HOST 1u
+#define SERIAL_OVERHEAD 7u /* bytes of a frame on a serial line besides its payload */
+
+size_t wheel_client_size(void) {
+    return sizeof(wheel_client);
+}
+
+const wheel_view *wheel_client_view(const wheel_client *client) {
+    return &client->view;
+}
+
+static void forget_commands(wheel_client *client) {
+    for (size_t i = 0; i < 256u; i++) {
+        client->commanded_ns[i] = -1;
+    }
+}
+
+void wheel_client_init(wheel_client *client, uint8_t mode, uint8_t parameter_check, uint16_t nonce) {
+    memset(client, 0, sizeof *client);
+    wheel_view *view = &client->view;
+    for (size_t i = 0; i < 4u; i++) {
+        view->speed_rad_s[i] = view->current_a[i] = NAN;
+    }
+    view->acceleration_m_s2[0] = view->acceleration_m_s2[1] = view->acceleration_m_s2[2] = NAN;
+    view->yaw_rate_rad_s = NAN;
+    view->nonce = nonce;
+    client->mode = mode;
+    client->parameter_check = parameter_check;
+    client->reported = -1;
+    forget_commands(client);
+}
+
+/* Frames to send */
+
+static bool has_room(const wheel_client *client, size_t size, bool is_counted) {
+    return client->view.out_bytes + size <= sizeof client->out &&
+           (!is_counted || wheel_log_has_room(client, &client->sent_log, size));
+}
+
+static bool add(wheel_client *client, uint16_t id, const uint8_t *payload, size_t length, bool is_counted) {
+    wheel_view *view = &client->view;
+    const size_t size = WHEEL_PACKED_HEADER + length;
+    if (!has_room(client, size, is_counted)) {
+        return false;
+    }
+    uint8_t *at = client->out + view->out_bytes;
+    at[0] = (uint8_t)(id & 0xFFu);
+    at[1] = (uint8_t)(id >> 8);
+    at[2] = (uint8_t)length;
+    memcpy(at + WHEEL_PACKED_HEADER, payload, length);
+    view->out_bytes += (uint32_t)size;
+    view->out_frames++;
+    view->out_serial_bytes += (uint32_t)(SERIAL_OVERHEAD + length + (id == WP_ESTOP_ID));
+    if (is_counted) {
+        view->sent++;
+        client->out_counted++;
+        client->out_logged += (uint32_t)wheel_log_add(client, &client->sent_log, at, size);
+    }
+    return true;
+}
+
+bool wheel_client_add(wheel_client *client, uint16_t id, const uint8_t *payload, size_t length) {
+    return wp_payload_length(id) == (int)length && add(client, id, payload, length, id < WP_HELLO_REQUEST_ID);
+}
+
+const uint8_t *wheel_client_out(const wheel_client *client) {
+    return client->out;
+}
+
+void wheel_client_sent(wheel_client *client) {
+    client->view.out_bytes = client->view.out_frames = client->view.out_serial_bytes = 0;
+    client->out_counted = client->out_logged = 0;
+}
+
+void wheel_client_unsent(wheel_client *client) {
+    client->view.sent -= client->out_counted;
+    client->sent_log.used -= client->out_logged;
+    wheel_client_sent(client);
+}
+
+/* The nearest value that the wire carries, halves away from zero, and exact in single precision. NaN for a
+ * value that is not within the limit. */
+static float on_wire(double value, double limit, double step) {
+    if (!(value >= -limit && value <= limit)) {
+        return NAN;
+    }
+    const int32_t twice = (int32_t)(value * (2.0 / step));
+    return (float)((twice < 0 ? (twice - 1) / 2 : (twice + 1) / 2) * step);
+}
+
+int wheel_client_command(wheel_client *client, const double speed_rad_s[4], const double torque_n_m[4],
+                         int64_t now_ns) {
+    const bool is_torque = client->mode == WP_MODE_TORQUE;
+    const uint8_t sequence = (uint8_t)(client->sequence + 1u);
+    const uint8_t session = (uint8_t)(client->view.nonce & 0xFu);
+    uint8_t command[WP_WHEEL_COMMAND_LENGTH];
+    uint8_t forward[WP_TORQUE_FEEDFORWARD_LENGTH];
+    bool has_forward = false;
+    float torque[4];
+    for (size_t i = 0; i < 4u; i++) {
+        torque[i] = on_wire(torque_n_m[i], WP_TORQUE_COMMAND_MAX, WP_TORQUE_COMMAND_STEP);
+        has_forward = has_forward || torque_n_m[i] != 0.0;
+    }
+    client->sequence = sequence;
+    if (is_torque) {
+        const wp_torque_command message = {torque[0], torque[1], torque[2], torque[3], sequence, session};
+        if (!wp_torque_command_encode(&message, command)) {
+            return -1;
+        }
+    } else {
+        float speed[4];
+        for (size_t i = 0; i < 4u; i++) {
+            speed[i] = on_wire(speed_rad_s[i], WP_WHEEL_COMMAND_MAX, WP_WHEEL_COMMAND_STEP);
+        }
+        const wp_torque_feedforward ahead = {torque[0], torque[1], torque[2], torque[3], sequence, session};
+        const wp_wheel_command message = {speed[0], speed[1], speed[2], speed[3], sequence, session};
+        if (!wp_wheel_command_encode(&message, command) || !wp_torque_feedforward_encode(&ahead, forward)) {
+            return -1;
+        }
+    }
+    if (!has_room(client, 2u * (WHEEL_PACKED_HEADER + WP_PAYLOAD_MAX), true)) {
+        return -1;
+    }
+    client->commanded_ns[sequence] = now_ns;
+    if (!is_torque && has_forward) {
+        add(client, WP_TORQUE_FEEDFORWARD_ID, forward, sizeof forward, true);
+    }
+    add(client, is_torque ? WP_TORQUE_COMMAND_ID : WP_WHEEL_COMMAND_ID, command, sizeof command, true);
+    return sequence;
+}
+
+void wheel_client_estop(wheel_client *client) {
+    uint8_t payload[WP_ESTOP_LENGTH];
+    client->view.request = WP_REQUEST_IDLE;
+    wp_estop_encode(&(wp_estop){.source = ESTOP_BY_HOST}, payload);
+    if (!add(client, WP_ESTOP_ID, payload, sizeof payload, true)) {
+        /* Nothing that waits matters now, nor does a log that is full. */
+        wheel_client_unsent(client);
+        add(client, WP_ESTOP_ID, payload, sizeof payload, false);
+    }
+}
+
+static void add_step(wheel_client *client, bool is_counted) {
+    uint8_t payload[WP_STEP_LENGTH];
+    if (wp_step_encode(&(wp_step){.tick = client->step_from, .substeps = client->step_ticks}, payload)) {
+        add(client, WP_STEP_ID, payload, sizeof payload, is_counted);
+    }
+}
+
+void wheel_client_step(wheel_client *client, uint16_t ticks) {
+    client->step_from = client->view.tick;
+    client->step_ticks = ticks;
+    client->view.step_target = client->step_from + ticks;
+    client->view.step = WHEEL_STEP_AWAITED;
+    add_step(client, true);
+}
+
+void wheel_client_step_again(wheel_client *client) {
+    add_step(client, false);
+}
+
+/* The session */
+
+void wheel_client_request(wheel_client *client, uint8_t request, int64_t now_ns) {
+    uint8_t payload[WP_HOST_HEARTBEAT_LENGTH];
+    const wp_host_heartbeat heartbeat = {
+        .nonce = client->view.nonce,
+        .schema_hash = WP_SCHEMA_HASH,
+        .request = request,
+        .mode = client->mode,
+        .parameter_check = client->parameter_check,
+    };
+    if (!wp_host_heartbeat_encode(&heartbeat, payload)) {
+        return;
+    }
+    client->view.request = request;
+    if (now_ns >= 0) {
+        client->has_heartbeat = true;
+        client->heartbeat_ns = now_ns + HEARTBEAT_NS;
+    }
+    add(client, WP_HOST_HEARTBEAT_ID, payload, sizeof payload, true);
+}
+
+bool wheel_client_poll(wheel_client *client, int64_t now_ns) {
+    const uint32_t waiting = client->view.out_bytes;
+    if (client->is_asking && !client->view.is_greeted && now_ns >= client->hello_ns) {
+        uint8_t payload[WP_HELLO_REQUEST_LENGTH];
+        client->hello_ns = now_ns + HELLO_NS;
+        wp_hello_request_encode(&(wp_hello_request){.protocol_version = WP_PROTOCOL_VERSION}, payload);
+        add(client, WP_HELLO_REQUEST_ID, payload, sizeof payload, false);
+    }
+    if (client->has_heartbeat && now_ns >= client->heartbeat_ns) {
+        wheel_client_request(client, client->view.request, now_ns);
+    }
+    return client->view.out_bytes != waiting;
+}
+
+void wheel_client_leave(wheel_client *client) {
+    client->view.request = WP_REQUEST_IDLE;
+    client->view.is_greeted = client->view.has_feedback = false;
+    client->has_heartbeat = client->has_status = client->is_asking = false;
+    client->pages = 0;
+    wheel_client_sent(client); /* a command from before must not follow a new arming */
+}
+
+void wheel_client_begin(wheel_client *client, uint16_t nonce) {
+    wheel_client_leave(client);
+    client->is_asking = true;
+    client->hello_ns = 0;
+    client->view.nonce = nonce;
+    forget_commands(client);
+    wheel_feedback_restart(client);
+}
+
+void wheel_client_renew(wheel_client *client, uint16_t nonce) {
+    client->view.request = WP_REQUEST_IDLE;
+    client->view.nonce = nonce;
+}
+
+/* Refusals that another nonce may end. */
+static bool another_nonce_helps(uint8_t refusal) {
+    return refusal == WP_ARM_REFUSAL_NONCE_USED || refusal == WP_ARM_REFUSAL_SESSION_USED ||
+           refusal == WP_ARM_REFUSAL_NOT_IDLE || refusal == WP_ARM_REFUSAL_NOT_ANNOUNCED;
+}
+
+/* STATUS may report a state later than the feedback does: without it the cause is not known yet. */
+static bool is_latched(const wheel_client *client, uint8_t state) {
+    return client->has_status && client->status.state == state;
+}
+
+/* (state of the robot, what holds) -> what the host does; otherwise it waits. */
+static uint8_t arming(const wheel_client *client) {
+    const wheel_view *view = &client->view;
+    /* Another host may have armed the robot meanwhile. */
+    const bool is_ours = client->has_status && client->status.nonce == view->nonce;
+    const uint8_t refusal = client->has_status ? client->status.arm_refusal : (uint8_t)WP_ARM_REFUSAL_NONE;
+    if (!view->has_feedback) {
+        return WHEEL_ARMING_WAIT;
+    }
+    switch (view->state) {
+    case WP_STATE_ACTIVE:
+        return is_ours ? WHEEL_ARMING_DONE : WHEEL_ARMING_WAIT;
+    case WP_STATE_ARMED:
+        return is_ours ? WHEEL_ARMING_HOLD : WHEEL_ARMING_WAIT;
+    case WP_STATE_IDLE:
+        if (!view->is_greeted) {
+            return WHEEL_ARMING_STRANGER;
+        }
+        if (view->request == WP_REQUEST_IDLE) {
+            return WHEEL_ARMING_ASKED;
+        }
+        if (another_nonce_helps(refusal)) {
+            return WHEEL_ARMING_NEW_NONCE;
+        }
+        return refusal != WP_ARM_REFUSAL_NONE ? WHEEL_ARMING_REFUSED : WHEEL_ARMING_WAIT;
+    case WP_STATE_FAULT:
+    case WP_STATE_ESTOP:
+        return is_latched(client, view->state) ? WHEEL_ARMING_LATCHED : WHEEL_ARMING_WAIT;
+    default:
+        return WHEEL_ARMING_WAIT;
+    }
+}
+
+uint8_t wheel_client_arm(wheel_client *client, int64_t now_ns) {
+    static const double rest[4] = {0.0, 0.0, 0.0, 0.0};
+    const uint8_t step = arming(client);
+    if (step == WHEEL_ARMING_HOLD) {
+        wheel_client_command(client, rest, rest, now_ns);
+    } else if (step == WHEEL_ARMING_ASKED) {
+        wheel_client_request(client, WP_REQUEST_IDLE, now_ns);
+        wheel_client_request(client, WP_REQUEST_ARM, now_ns);
+    } else if (step == WHEEL_ARMING_NEW_NONCE) {
+        client->has_status = false;
+    }
+    return step;
+}
+
+/* The log */
+
+void wheel_client_log(wheel_client *client, uint8_t *sent, uint8_t *received, size_t capacity) {
+    client->sent_log = (wheel_log){sent, 0};
+    client->received_log = (wheel_log){received, 0};
+    client->log_capacity = capacity;
+}
+
+size_t wheel_log_add(wheel_client *client, wheel_log *log, const uint8_t *packed, size_t size) {
+    if (log->bytes == NULL) {
+        return 0;
+    }
+    memcpy(log->bytes + log->used, packed, size);
+    log->used += size;
+    client->view.log_is_due = client->view.log_is_due || 4u * log->used >= client->log_capacity;
+    return size;
+}
+
+void wheel_client_log_take(wheel_client *client, size_t bytes[2]) {
+    bytes[0] = client->sent_log.used;
+    bytes[1] = client->received_log.used;
+    client->sent_log.used = client->received_log.used = 0;
+    client->out_logged = 0;
+    client->view.log_is_due = false;
+}

@@ -1,0 +1,305 @@
+"""The host's half of the protocol in C, held against the codec and against a twin of its session in Python."""
+
+import hashlib
+import itertools
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from firmware_protocol import codec
+from firmware_protocol.framing import Frame, pack
+from firmware_protocol.generated import messages as m
+from firmware_protocol.host import library
+from tests.client_rig import new_client, sent, take
+from tests.examples import share_of_examples
+from tests.protocol_cases import frames as any_frames
+from tests.session_twin import SessionTwin, hello_pages
+
+REST = [0.0] * 4
+MS = 1_000_000
+
+# Commands
+
+numbers = (
+    st.floats(allow_nan=True, allow_infinity=True, width=64)
+    | st.floats(-70.0, 70.0)
+    | st.integers(-9000, 9000).map(lambda n: n / 256)
+)
+wheels = st.lists(numbers, min_size=4, max_size=4) | st.just(REST)
+
+
+def encoded(kind: type[m.Message], values: list[float], sequence: int) -> m.Message | None:
+    """Return what arrives of a message, by the codec in Python; None for one that it cannot encode."""
+    try:
+        return codec.decode(codec.encode(kind(*values, sequence, 0xB)))
+    except (ValueError, OverflowError):
+        return None
+
+
+@share_of_examples(3.0)
+@given(mode=st.sampled_from(m.Mode), speed=wheels, torque=wheels)
+def test_a_command_has_the_bytes_that_the_codec_gives(mode: m.Mode, speed: list[float], torque: list[float]) -> None:
+    client = new_client(mode, nonce=0xAB)
+    if mode is m.Mode.TORQUE:
+        expected = [encoded(m.TorqueCommand, torque, 1)]
+    else:
+        ahead = [encoded(m.TorqueFeedforward, torque, 1)] if any(torque) else []
+        expected = [*ahead, encoded(m.WheelCommand, speed, 1)]
+    number = client.command(speed, torque, 0)
+    assert (number, sent(client)) == ((-1, []) if None in expected else (1, expected))
+
+
+def test_a_command_that_has_no_room_is_refused_and_the_next_one_is_numbered_on() -> None:
+    client = new_client()
+    numbers = [client.command(REST, REST, 0) for _ in range(200)]
+    count = numbers.index(-1)
+    assert numbers[:count] == list(range(1, count + 1))
+    assert set(numbers[count:]) == {-1}
+    assert len(sent(client)) == count
+    assert client.command(REST, REST, 0) == 201
+
+
+# The session
+
+pages = list(hello_pages())
+states = st.sampled_from([None, *m.State])
+statuses = st.builds(
+    m.Status,
+    state=st.sampled_from(m.State),
+    mode=st.just(m.Mode.SPEED),
+    fault=st.just(m.Fault.NONE),
+    fault_wheel=st.just(0),
+    stop_reason=st.just(m.StopReason.NONE),
+    reset_cause=st.just(m.ResetCause.POWER_ON),
+    nonce=st.integers(1, 4),
+    arm_refusal=st.sampled_from(m.ArmRefusal),
+    limited=st.just(0),
+)
+nonces = st.integers(1, 4)
+events = st.one_of(
+    st.tuples(st.just("page"), st.integers(0, len(pages) - 1)),
+    st.tuples(st.just("pages"), st.just(None)),
+    st.tuples(st.just("state"), st.sampled_from(m.State)),
+    st.tuples(st.just("status"), statuses),
+    st.tuples(st.just("poll"), st.integers(0, 250)),
+    *[st.tuples(st.just("arm"), st.booleans())] * 3,
+    st.tuples(st.just("request"), st.sampled_from(m.Request)),
+    st.tuples(st.sampled_from(["begin", "renew"]), nonces),
+    st.tuples(st.sampled_from(["leave", "estop"]), st.just(None)),
+)
+
+
+@share_of_examples(3.0)
+@given(mode=st.sampled_from(m.Mode), history=st.lists(events, max_size=60))
+def test_the_session_goes_as_its_twin_does(mode: m.Mode, history: list) -> None:
+    client, twin = new_client(mode), SessionTwin(mode, 0x5A, 1)
+    now_ns, number, hellos, seen = 0, 0, 0, set()
+    _, lib = library()
+    steps = {getattr(lib, f"WHEEL_ARMING_{name}"): name for name in ("DONE", "WAIT", "HOLD", "ASKED")}
+    steps |= {getattr(lib, f"WHEEL_ARMING_{name}"): name for name in ("NEW_NONCE", "STRANGER", "REFUSED", "LATCHED")}
+    for event, what in history:
+        if event in ("page", "pages"):
+            heard = pages if event == "pages" else [pages[what]]
+            assert take(client, map(codec.encode, heard)) == [page.ID for page in heard]
+            seen |= {page.ID for page in heard}
+            twin.is_greeted = twin.is_greeted or len(seen) == len(pages)
+        elif event == "state":
+            number += 1
+            tick = m.Tick(number * 1000, 0, 0, what, 1, number & 0xFF)
+            assert take(client, map(codec.encode, (tick, m.Encoders(0, 0, 0, 0)))) == []
+            twin.state = what
+        elif event == "status":
+            assert take(client, [codec.encode(what)]) == [m.Status.ID]
+            twin.status = what
+        elif event == "poll":
+            now_ns += what * MS
+            assert client.poll(now_ns) == bool(client.view.out_bytes)
+            twin.poll(now_ns)
+        elif event == "arm":
+            at_ns = now_ns if what else -1
+            assert steps[client.arm(at_ns if what else None)] == twin.arm(at_ns)
+        elif event == "request":
+            client.request(what, now_ns)
+            twin.send(what, now_ns)
+        elif event in ("begin", "renew"):
+            getattr(client, event)(what)
+            getattr(twin, event)(what)
+        else:
+            getattr(client, event)()
+            getattr(twin, event)()
+        if event in ("begin", "leave"):
+            seen = set()
+        messages = sent(client)
+        hellos += sum(isinstance(message, m.HelloRequest) for message in messages)
+        assert [message for message in messages if not isinstance(message, m.HelloRequest)] == twin.out
+        twin.out.clear()
+        view = client.view
+        assert (view.is_greeted, view.request, view.nonce) == (twin.is_greeted, twin.request, twin.nonce)
+        assert hellos == twin.hellos
+
+
+def test_every_row_of_the_table_of_arming_is_the_twins() -> None:
+    _, lib = library()
+    found = set()
+    refusals = [None, *((refusal, nonce) for refusal in m.ArmRefusal for nonce in (1, 2))]
+    for state, is_greeted, request, refused, in_status in itertools.product(
+        [None, *m.State], (False, True), m.Request, refusals, (m.State.IDLE, m.State.FAULT, m.State.ESTOP)
+    ):
+        client, twin = new_client(), SessionTwin(m.Mode.SPEED, 0x5A, 1)
+        if is_greeted:
+            take(client, map(codec.encode, pages))
+            twin.is_greeted = True
+        if state is not None:
+            take(client, map(codec.encode, (m.Tick(0, 0, 0, state, 1, 0), m.Encoders(0, 0, 0, 0))))
+            twin.state = state
+        if refused is not None:
+            refusal, nonce = refused
+            twin.status = m.Status(in_status, 0, 0, 0, 0, 0, nonce, refusal, 0)
+            take(client, [codec.encode(twin.status)])
+        client.request(request, 0)
+        twin.send(request, 0)
+        step = twin.arm(0)
+        found.add(step)
+        assert client.arm(0) == getattr(lib, f"WHEEL_ARMING_{step}")
+        assert sent(client) == twin.out
+    assert found == {"DONE", "WAIT", "HOLD", "ASKED", "NEW_NONCE", "STRANGER", "REFUSED", "LATCHED"}
+
+
+def test_an_estop_is_sent_whatever_waits() -> None:
+    client = new_client()
+    hello = m.HelloRequest.ID, bytes([m.PROTOCOL_VERSION])
+    for _ in range(1024 // 4):
+        client.add(*hello)
+    with pytest.raises(ValueError, match="cannot be sent"):
+        client.add(*hello)
+    client.estop()
+    assert sent(client) == [m.Estop(1, 0)]
+    client.request(m.Request.IDLE, 0)
+    assert len(sent(client)) == 1
+
+
+def test_a_request_and_a_step_that_the_protocol_lacks_change_nothing() -> None:
+    client = new_client()
+    client.request(9, 0)  # type: ignore[arg-type]
+    client.step(1001)
+    client.poll(10**12)
+    assert (sent(client), client.view.request) == ([], m.Request.IDLE)
+
+
+def test_frames_of_another_protocol_are_counted() -> None:
+    client = new_client()
+    assert take(client, [Frame(0x123, b"12"), Frame(0xFFFF, bytes(64))]) == []
+    assert (client.view.out_of_range, client.view.received) == (2, 0)
+
+
+@pytest.mark.parametrize("number", sorted(m.LENGTHS))
+def test_a_message_of_a_wrong_length_is_counted_as_out_of_range(number: int) -> None:
+    client = new_client()
+    for length in range(9):
+        if length != m.LENGTHS[number]:
+            assert take(client, [Frame(number, bytes(length))]) == []
+    assert (client.view.out_of_range, client.view.received) == (8, 0)
+
+
+def test_without_a_log_all_else_is_the_same() -> None:
+    ffi, lib = library()
+    memory = ffi.new("uint64_t[]", lib.wheel_client_size() // 8 + 1)
+    bare, client = ffi.cast("wheel_client *", memory), new_client()
+    lib.wheel_client_init(bare, m.Mode.SPEED, 0x5A, 1)
+    packed = pack(map(codec.encode, [m.Tick(0, 0, 0, m.State.ACTIVE, 1, 0), m.Encoders(1, 2, 3, 4)]))
+    for one in (bare, client.handle):
+        lib.wheel_client_take(one, packed, 0, len(packed), 0)
+        lib.wheel_client_estop(one)
+    assert bytes(ffi.buffer(lib.wheel_client_view(bare))) == bytes(ffi.buffer(client.view))
+
+
+@pytest.mark.parametrize(("version", "schema"), [(1, m.SCHEMA_HASH), (m.PROTOCOL_VERSION, 1)])
+def test_a_robot_with_another_protocol_is_never_greeted(version: int, schema: int) -> None:
+    client = new_client()
+    take(client, map(codec.encode, hello_pages(version, schema)))
+    assert not client.view.is_greeted
+    take(client, map(codec.encode, hello_pages()))
+    assert client.view.is_greeted
+
+
+# Lockstep
+
+NONE, AWAITED, DONE, ELSEWHERE = range(4)
+
+
+def test_a_step_is_done_by_its_answer_alone_and_a_second_answer_is_not_logged() -> None:
+    client = new_client()
+    assert client.view.step == NONE
+    client.step(0)
+    take(client, [codec.encode(m.StepDone(40))])
+    assert (client.view.step, client.view.tick) == (DONE, 40)
+    client.step(5)
+    client.step_again()
+    assert sent(client) == [m.Step(0, 0), m.Step(40, 5), m.Step(40, 5)]
+    take(client, [codec.encode(m.StepDone(40))])  # the step before, which was sent twice
+    assert client.view.step == AWAITED
+    take(client, [codec.encode(m.StepDone(45))] * 2)
+    assert (client.view.step, client.view.tick) == (DONE, 45)
+    assert (client.view.sent, client.view.received) == (2, 4)
+    assert client.hexdigest() == digest([m.Step(0, 0), m.Step(40, 5)], [m.StepDone(40), m.StepDone(45)])
+
+
+def test_an_answer_with_another_tick_is_told_with_both() -> None:
+    client = new_client()
+    client.step(5)
+    take(client, [codec.encode(m.StepDone(7))])
+    assert (client.view.step, client.view.step_done_tick, client.view.step_target) == (ELSEWHERE, 7, 5)
+    assert client.view.tick == 0
+
+
+# The log
+
+
+def digest(to_robot: list[m.Message], to_host: list[m.Message]) -> str:
+    each = [hashlib.sha256(pack(map(codec.encode, way))).digest() for way in (to_robot, to_host)]
+    return hashlib.sha256(b"".join(each)).hexdigest()
+
+
+@given(turns=st.lists(st.tuples(st.lists(any_frames, max_size=8), st.integers(0, 8), st.booleans()), max_size=12))
+def test_the_log_has_every_message_in_order_but_for_hello_and_what_was_not_sent(turns: list) -> None:
+    client = new_client()
+    to_robot: list[Frame] = []
+    to_host: list[Frame] = []
+    for received, commands, arrives in turns:
+        take(client, received)
+        valid = [frame for frame in received if codec.decode(frame) is not None]
+        to_host += [frame for frame in valid if frame.id < m.HelloRequest.ID and frame.id != m.StepDone.ID]
+        for _ in range(commands):
+            client.command(REST, REST, 0)
+        client.add(m.HelloRequest.ID, bytes([m.PROTOCOL_VERSION]))
+        if arrives:
+            to_robot += [frame for frame in client.out() if frame.id < m.HelloRequest.ID]
+            client.sent()
+        else:
+            client.unsent()
+    ours = [hashlib.sha256(pack(way)).digest() for way in (to_robot, to_host)]
+    assert client.hexdigest() == hashlib.sha256(b"".join(ours)).hexdigest()
+    assert client.view.sent == len(to_robot)
+
+
+def test_a_log_that_is_never_taken_stops_the_client_before_it_overflows() -> None:
+    client = new_client()
+    packed = pack([codec.encode(m.Encoders(1, 2, 3, 4))] * 5000)
+    at = client.take(packed, 0, len(packed), 0)
+    assert client.view.log_is_due
+    assert 0 < at < len(packed)
+    assert client.take(packed, at, len(packed), 0) == at
+    while at < len(packed):
+        client.hash_log()
+        at = client.take(packed, at, len(packed), 0)
+    assert client.view.received == 5000
+    assert client.hexdigest() == digest([], [m.Encoders(1, 2, 3, 4)] * 5000)
+
+
+@pytest.mark.parametrize(("number", "payload"), [(0x123, b""), (m.TimeSyncRequest.ID, b"12"), (m.Step.ID, bytes(9))])
+def test_only_a_message_of_the_protocol_is_added(number: int, payload: bytes) -> None:
+    client = new_client()
+    with pytest.raises(ValueError, match="cannot be sent"):
+        client.add(number, payload)
+    assert sent(client) == []
