@@ -4,6 +4,7 @@ from pathlib import Path
 
 import pytest
 
+from tests import once
 from tools import fuzz
 
 
@@ -11,7 +12,8 @@ from tools import fuzz
 def test_a_short_run_breaks_no_check(target: str, tmp_path: Path) -> None:
     runs = 5000
     try:
-        outcome = fuzz.fuzz(target, runs, seed=1, keep_in=tmp_path)
+        shared = once.made("fuzz", fuzz.compile_shared_part)
+        outcome = fuzz.fuzz(target, runs, seed=1, keep_in=tmp_path, shared=shared)
     except fuzz.UnavailableError as error:
         pytest.skip(str(error))
     assert outcome.failure is None, outcome.failure

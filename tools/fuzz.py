@@ -12,6 +12,7 @@ import subprocess
 import sys
 import tempfile
 import time
+from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -53,8 +54,14 @@ class Outcome(NamedTuple):
     reproducer: Path | None
 
 
-def build(target: str, folder: Path) -> Path:
-    """Build a target and return the program. Raises UnavailableError without clang and its runtime."""
+def compile_shared_part(folder: Path) -> list[Path]:
+    """Compile what all targets share into object files. Raises UnavailableError without clang and its runtime."""
+    sources = [HARNESSES / "wire_mutator.c", *CORE]
+    _compile(["-c", *map(str, sources)], folder)
+    return [folder / f"{source.stem}.o" for source in sources]
+
+
+def _compile(words: list[str], folder: Path) -> None:
     compiler = next(filter(None, map(shutil.which, COMPILERS)), None)
     if compiler is None:
         raise UnavailableError("no clang on this machine; on Debian: apt install clang libclang-rt-dev")
@@ -63,13 +70,10 @@ def build(target: str, folder: Path) -> Path:
     probed = subprocess.run(probe, input=empty, capture_output=True, text=True, check=False)
     if probed.returncode != 0:
         raise UnavailableError("clang has no libFuzzer here; on Debian: apt install libclang-rt-dev")
-    program = folder / target
-    sources = [HARNESSES / f"{target}_fuzzer.c", HARNESSES / "wire_mutator.c", *CORE]
-    command = [compiler, *FIRMWARE_FLAGS, *FUZZ, "-o", str(program), *map(str, sources)]
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    command = [compiler, *FIRMWARE_FLAGS, *FUZZ, *words]
+    done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
     if done.returncode != 0:
         raise SystemExit(f"{' '.join(command)} failed:\n{done.stderr}")
-    return program
 
 
 def write_seeds(target: str, folder: Path) -> None:
@@ -82,11 +86,12 @@ def write_seeds(target: str, folder: Path) -> None:
         (folder / f"seed{i}").write_bytes(header + stream)
 
 
-def fuzz(target: str, runs: int, seed: int, keep_in: Path) -> Outcome:
-    """Run a target; an input that breaks a check is kept in ``keep_in``."""
+def fuzz(target: str, runs: int, seed: int, keep_in: Path, shared: Sequence[Path]) -> Outcome:
+    """Run a target with the objects of ``compile_shared_part``. An input that breaks a check is kept in ``keep_in``."""
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        program = build(target, folder)
+        program = folder / target
+        _compile(["-o", target, str(HARNESSES / f"{target}_fuzzer.c"), *map(str, shared)], folder)
         corpus = folder / "corpus"
         corpus.mkdir()
         write_seeds(target, corpus)
@@ -116,23 +121,29 @@ def main() -> int:
     parser.add_argument("--seed", type=int, default=1)
     arguments = parser.parse_args()
     failed = False
-    for target in arguments.target or TARGETS:
+    with tempfile.TemporaryDirectory() as folder:
         try:
-            outcome = fuzz(target, arguments.runs, arguments.seed, Path.cwd())
+            shared = compile_shared_part(Path(folder))
         except UnavailableError as error:
             print(f"tools.fuzz: {error}", file=sys.stderr)
             return 2
-        rate = outcome.runs / max(outcome.seconds, 1e-9)
-        print(
-            f"{target}: {outcome.runs} runs in {outcome.seconds:.0f} s ({rate:.0f}/s), "
-            f"{outcome.features} features reached, {'a check broke' if outcome.failure else 'no failure'}",
-            flush=True,
-        )
-        if outcome.failure is not None:
-            print(outcome.failure, file=sys.stderr)
-            print(f"the input is {outcome.reproducer}", file=sys.stderr)
-            failed = True
+        for target in arguments.target or TARGETS:
+            outcome = fuzz(target, arguments.runs, arguments.seed, Path.cwd(), shared)
+            failed = _report(target, outcome) or failed
     return int(failed)
+
+
+def _report(target: str, outcome: Outcome) -> bool:
+    """Print what a target went through; return whether a check broke."""
+    rate = outcome.runs / max(outcome.seconds, 1e-9)
+    print(
+        f"{target}: {outcome.runs} runs in {outcome.seconds:.0f} s ({rate:.0f}/s), "
+        f"{outcome.features} features reached, {'a check broke' if outcome.failure else 'no failure'}",
+        flush=True,
+    )
+    if outcome.failure is not None:
+        print(f"{outcome.failure}\nthe input is {outcome.reproducer}", file=sys.stderr)
+    return outcome.failure is not None
 
 
 if __name__ == "__main__":
