@@ -117,11 +117,11 @@ SOURCES = (
     *sorted((HERE / "firmware").glob("*.c")),
     *sorted((HERE / "client").glob("*.c")),
     *sorted((HERE / "port" / "host").glob("*.c")),
+    *sorted((HERE / "port" / "python").glob("*.c")),
     HERE / "generated" / "wheel_messages.c",
 )
-HEADERS = tuple(
-    header for folder in ("firmware", "client", "port/host", "generated") for header in (HERE / folder).glob("*.h")
-)
+_FOLDERS = ("firmware", "client", "port/host", "port/python", "generated")
+HEADERS = tuple(header for folder in _FOLDERS for header in (HERE / folder).glob("*.h"))
 WHEEL_HOST = Built(
     HERE / f"libwheel_host{SUFFIX}",
     "tools.build.wheel_host",

@@ -4,15 +4,15 @@
 """
 
 import hashlib
-import struct
-from collections.abc import Sequence
 from typing import Any
 
+from firmware_protocol.fast_calls import address_of, fast_calls
 from firmware_protocol.framing import PackedFrames
 from firmware_protocol.generated.messages import Mode, Request
 from firmware_protocol.host import library
 
-_COMMAND = struct.Struct("=8d")
+FourNumbers = tuple[float, float, float, float]
+
 _LOG_BYTES = 1 << 15
 _NO_TIME = -1
 
@@ -25,6 +25,7 @@ class Client:
 
     Attributes:
         handle: the C struct, for other functions of the library; valid as long as this object.
+        address: the same, for functions of ``fast_calls``.
         view: ``wheel_view``, what is known of the robot.
     """
 
@@ -40,15 +41,8 @@ class Client:
         lib.wheel_client_log(self.handle, *self._logs, _LOG_BYTES)
         self._logged = ffi.new("size_t[2]")
         self._hashes = hashlib.sha256(), hashlib.sha256()
-        values = ffi.new("double[8]")
-        self._speeds, self._torques = values, values + 4
-        self._value_bytes = ffi.buffer(values)
-        # Called in each tick: looked up once.
-        self._take, self._poll, self._command = (
-            lib.wheel_client_take,
-            lib.wheel_client_poll,
-            lib.wheel_client_command,
-        )
+        self.address = address_of(self.handle)
+        self._fast = fast_calls()
 
     def member(self, name: str, size: int) -> memoryview:
         """Return ``size`` bytes of the view, from the member of this name on; they change with the view."""
@@ -59,8 +53,14 @@ class Client:
 
     def take(self, packed: Any, begin: int, end: int, now_ns: int) -> int:
         """Take packed frames from ``begin`` on; return where the next one begins, or ``end``. Then see ``view``."""
-        at: int = self._take(self.handle, packed, begin, end, now_ns)
+        at: int = self._lib.wheel_client_take(self.handle, packed, begin, end, now_ns)
         return at
+
+    def snapshot(self) -> tuple[Any, ...]:
+        """Return the newest feedback: snapshots, round_trips, slow, round_trip_ns, robot time [ns], state,
+        command_sequence, command_age_ms, encoder counts, speeds [rad/s].
+        """
+        return self._fast.snapshot(self.address)
 
     # What is sent to the robot
 
@@ -76,17 +76,13 @@ class Client:
         """The frames of ``out`` could not be sent; they do not count."""
         self._lib.wheel_client_unsent(self.handle)
 
-    def command(self, speed_rad_s: Sequence[float], torque_n_m: Sequence[float], now_ns: int | None) -> int:
+    def command(self, speed_rad_s: FourNumbers, torque_n_m: FourNumbers, now_ns: int | None) -> int:
         """Add a command for the four channels; return its sequence number, or -1 when it cannot be sent."""
-        _COMMAND.pack_into(self._value_bytes, 0, *speed_rad_s, *torque_n_m)
-        time_ns = _NO_TIME if now_ns is None else now_ns
-        sequence: int = self._command(self.handle, self._speeds, self._torques, time_ns)
-        return sequence
+        return self._fast.command(self.address, speed_rad_s, torque_n_m, _NO_TIME if now_ns is None else now_ns)
 
     def poll(self, now_ns: int) -> bool:
         """Add HELLO and the heartbeat when they are due; return whether one was."""
-        is_due: bool = self._poll(self.handle, now_ns)
-        return is_due
+        return self._fast.poll(self.address, now_ns)
 
     def arm(self, now_ns: int | None) -> int:
         """Take the next step towards ACTIVE; return it (``WHEEL_ARMING_...``)."""

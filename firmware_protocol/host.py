@@ -28,6 +28,7 @@ _HEADERS = (
     "client/wheel_line.h",
     "client/wheel_client.h",
     "port/host/direct.h",
+    "port/python/fast_calls.h",
 )
 _SECTION = re.compile(r"/\* cffi: begin \*/(.*?)/\* cffi: end \*/", re.DOTALL)
 _BYTES = 1 << 17  # twice what all frames of a full queue take (WHEEL_HOST_QUEUE)
@@ -169,6 +170,7 @@ class HostNode:
 
     Attributes:
         handle: the C struct, for other functions of the library; valid as long as this object.
+        address: the same, for functions of ``fast_calls``.
     """
 
     def __init__(
@@ -187,6 +189,7 @@ class HostNode:
         block = _parameter_block(values)
         self._memory = self._ffi.new("uint64_t[]", self._lib.wheel_host_size() // 8 + 1)
         self.handle = self._ffi.cast("wheel_host *", self._memory)
+        self.address = int(self._ffi.cast("uintptr_t", self.handle))
         self._bytes = self._ffi.new("uint8_t[]", _BYTES)
         self._buffer = self._ffi.buffer(self._bytes, _BYTES)
         self._id = self._ffi.new("uint16_t *")

@@ -16,7 +16,7 @@ from tests.examples import share_of_examples
 from tests.protocol_cases import frames as any_frames
 from tests.session_twin import SessionTwin, hello_pages
 
-REST = [0.0] * 4
+REST = (0.0,) * 4
 MS = 1_000_000
 
 # Commands
@@ -26,10 +26,10 @@ numbers = (
     | st.floats(-70.0, 70.0)
     | st.integers(-9000, 9000).map(lambda n: n / 256)
 )
-wheels = st.lists(numbers, min_size=4, max_size=4) | st.just(REST)
+wheels = st.tuples(*[numbers] * 4) | st.just(REST)
 
 
-def encoded(kind: type[m.Message], values: list[float], sequence: int) -> m.Message | None:
+def encoded(kind: type[m.Message], values: tuple[float, ...], sequence: int) -> m.Message | None:
     """Return what arrives of a message, by the codec in Python; None for one that it cannot encode."""
     try:
         return codec.decode(codec.encode(kind(*values, sequence, 0xB)))
@@ -39,7 +39,7 @@ def encoded(kind: type[m.Message], values: list[float], sequence: int) -> m.Mess
 
 @share_of_examples(3.0)
 @given(mode=st.sampled_from(m.Mode), speed=wheels, torque=wheels)
-def test_a_command_has_the_bytes_that_the_codec_gives(mode: m.Mode, speed: list[float], torque: list[float]) -> None:
+def test_a_command_has_the_bytes_that_the_codec_gives(mode: m.Mode, speed: tuple[float, ...], torque: tuple[float, ...]) -> None:
     client = new_client(mode, nonce=0xAB)
     if mode is m.Mode.TORQUE:
         expected = [encoded(m.TorqueCommand, torque, 1)]

@@ -143,7 +143,7 @@ def test_packed_bytes_are_not_read_beyond_their_end(data, begin, frame, cut):
 def test_each_command_has_one_round_trip_also_when_many_ticks_come_at_once():
     client = new_client()
     for number in range(500):
-        assert client.command([0.0] * 4, [0.0] * 4, number) == (number + 1) & 0xFF
+        assert client.command((0.0,) * 4, (0.0,) * 4, number) == (number + 1) & 0xFF
         client.sent()
         if number % 100 == 99:
             ticks = [

@@ -6,6 +6,7 @@ from collections.abc import Callable
 from typing import Protocol, cast
 
 from firmware_protocol.client import Client
+from firmware_protocol.fast_calls import address_of, fast_calls
 from firmware_protocol.framing import FRAME_OVERHEAD, PACKED_HEADERS, Frame, PackedFrames, unsendable
 from firmware_protocol.generated.messages import Estop
 from firmware_protocol.host import HostNode, library
@@ -72,7 +73,7 @@ class DirectLink:
         self._unsent_bytes = 0  # on the line
         self._client: Client | None = None
         self._is_open = True
-        self._lib, self._step = lib, lib.wheel_direct_step
+        self._lib, self._address, self._step = lib, address_of(self._direct), fast_calls().step
         self.now_ns: Callable[[], int] = time.monotonic_ns
 
     def _begin_line(self) -> None:
@@ -113,9 +114,10 @@ class DirectLink:
         if self._unsent.packed:
             self._hand_over()
         self._client = client
-        direct, now_ns = self._direct, self.now_ns()
-        if self._step(direct, self._robot.node.handle, client.handle, ticks, now_ns):
+        now_ns = self.now_ns()
+        if self._step(self._address, self._robot.node.address, client.address, ticks, now_ns):
             return None
+        direct = self._direct
         return Received(PackedFrames(self.answer[direct.answer_at : direct.answer_bytes], 0), now_ns)
 
     # The counters; what waits in the client counts as sent.

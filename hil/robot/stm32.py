@@ -34,9 +34,8 @@ _MOST_A_POLL = 200  # frames; a robot sends at most some ten a tick
 _AT_REST = (m.State.IDLE, m.State.FAULT, m.State.ESTOP)
 _STATES = {int(state): state for state in m.State}
 _FULL = 512  # bytes of frames that may wait for a step
-# Members of wheel_view: from robot_time_us to slow, and from current_a to yaw_rate_rad_s.
 _ROUND_TRIPS_AT_ONCE = 128
-_SNAPSHOT = struct.Struct("=Qq4f4H3B?3I")
+# Members of wheel_view, from current_a to yaw_rate_rad_s.
 _SLOW = struct.Struct("=8f")
 _ARMING_DONE, _ARMING_NEW_NONCE, _ARMING_STRANGER, _ARMING_REFUSED, _ARMING_LATCHED = 0, 4, 5, 6, 7
 _STEP_AWAITED, _STEP_ELSEWHERE = 1, 3
@@ -68,7 +67,6 @@ class Stm32(LinkedDevice):
             raise BadInputError(str(error)) from error
         # Without conditions on the link to a robot in this thread, a step is one call into the library.
         self._direct = link.transport if link.is_plain and isinstance(link.transport, DirectLink) else None
-        self._snapshot = self._client.member("robot_time_us", _SNAPSHOT.size)
         self._slow = self._client.member("current_a", _SLOW.size)
         self._snapshots_seen = self._slow_seen = self._round_trips_seen = 0
         self._held: tuple[Wheels, tuple[float, float, float], float] = (NAN_WHEELS, (NAN, NAN, NAN), NAN)
@@ -343,10 +341,10 @@ class Stm32(LinkedDevice):
 
     def _renew_feedback(self) -> None:
         """Make the feedback of the newest snapshot."""
-        values = _SNAPSHOT.unpack(self._snapshot)
-        snapshots, round_trips, slow = values[14:]
+        newest = self._client.snapshot()
+        snapshots, round_trips, slow, round_trip_ns, time_ns, state, sequence, age_ms, counts, speed = newest
         if round_trips != self._round_trips_seen:
-            self.round_trip_ms = values[1] * 1e-6
+            self.round_trip_ms = round_trip_ns * 1e-6
             if round_trips - self._round_trips_seen >= _ROUND_TRIPS_AT_ONCE:
                 self._add_round_trips(round_trips)
         if snapshots == self._snapshots_seen:
@@ -356,12 +354,8 @@ class Stm32(LinkedDevice):
             self._slow_seen = slow
             held = _SLOW.unpack(self._slow)
             self._held = self._map.from_wire(held[:4]), held[4:7], held[7]
-        state, sequence, age_ms = values[10:13]
-        speed, counts = self._map.from_wire(values[2:6]), self._map.counts_from_wire(values[6:10])
-        current, acceleration, yaw_rate = self._held
-        self._feedback = Feedback(
-            values[0] * 1000, _STATES[state], sequence, age_ms, counts, speed, current, acceleration, yaw_rate
-        )
+        counts, speed = self._map.counts_from_wire(counts), self._map.from_wire(speed)
+        self._feedback = Feedback(time_ns, _STATES[state], sequence, age_ms, counts, speed, *self._held)
 
     def _add_round_trips(self, count: int) -> None:
         """Add the round trips up to this number to the figures."""

@@ -1,0 +1,94 @@
+#include "fast_calls.h"
+
+#include "../../client/wheel_client.h"
+#include "../host/direct.h"
+
+static wheel_python python;
+
+void wheel_python_begin(const wheel_python *given) {
+    python = *given;
+}
+
+/* Numbers of arguments are the caller's matter: fast_calls.py makes the functions, and they are private to
+ * this package. What the arguments are is CPython's: it sets an exception for what is no number or no tuple.
+ */
+
+static bool failed(void) {
+    return python.PyErr_Occurred() != NULL;
+}
+
+/* Reads a number; false with an exception. */
+static bool number(void *object, double *value) {
+    *value = python.PyFloat_AsDouble(object);
+    return *value != -1.0 || !failed();
+}
+
+static bool numbers(void *tuple, ptrdiff_t count, double *values) {
+    for (ptrdiff_t i = 0; i < count; i++) {
+        void *item = python.PyTuple_GetItem(tuple, i);
+        if (item == NULL || !number(item, &values[i])) {
+            return false;
+        }
+    }
+    return true;
+}
+
+void *wheel_python_command(void *self, void *const *arguments, ptrdiff_t count) {
+    (void)self, (void)count;
+    wheel_client *client = python.PyLong_AsVoidPtr(arguments[0]);
+    const int64_t now_ns = python.PyLong_AsLongLong(arguments[3]);
+    double speed_rad_s[4];
+    double torque_n_m[4];
+    if (!numbers(arguments[1], 4, speed_rad_s) || !numbers(arguments[2], 4, torque_n_m) || failed()) {
+        return NULL;
+    }
+    return python.PyLong_FromLongLong(wheel_client_command(client, speed_rad_s, torque_n_m, now_ns));
+}
+
+void *wheel_python_poll(void *self, void *const *arguments, ptrdiff_t count) {
+    (void)self, (void)count;
+    wheel_client *client = python.PyLong_AsVoidPtr(arguments[0]);
+    const int64_t now_ns = python.PyLong_AsLongLong(arguments[1]);
+    return failed() ? NULL : python.PyBool_FromLong(wheel_client_poll(client, now_ns));
+}
+
+void *wheel_python_step(void *self, void *const *arguments, ptrdiff_t count) {
+    (void)self, (void)count;
+    wheel_direct *direct = python.PyLong_AsVoidPtr(arguments[0]);
+    wheel_host *robot = python.PyLong_AsVoidPtr(arguments[1]);
+    wheel_client *client = python.PyLong_AsVoidPtr(arguments[2]);
+    const long long ticks = python.PyLong_AsLongLong(arguments[3]);
+    const int64_t now_ns = python.PyLong_AsLongLong(arguments[4]);
+    if (failed()) {
+        return NULL;
+    }
+    return python.PyBool_FromLong(wheel_direct_step(direct, robot, client, (uint16_t)ticks, now_ns));
+}
+
+void *wheel_python_snapshot(void *self, void *const *arguments, ptrdiff_t count) {
+    (void)self, (void)count;
+    const wheel_client *client = python.PyLong_AsVoidPtr(arguments[0]);
+    const wheel_view *view = wheel_client_view(client);
+    const long long whole[] = {view->snapshots,
+                               view->round_trips,
+                               view->slow,
+                               view->round_trip_ns,
+                               1000 * (long long)view->robot_time_us,
+                               view->state,
+                               view->command_sequence,
+                               view->command_age_ms};
+    const ptrdiff_t wholes = (ptrdiff_t)(sizeof whole / sizeof whole[0]);
+    void *counts = python.PyTuple_New(4);
+    void *speeds = python.PyTuple_New(4);
+    void *snapshot = python.PyTuple_New(wholes + 2);
+    for (ptrdiff_t i = 0; i < 4; i++) {
+        python.PyTuple_SetItem(counts, i, python.PyLong_FromLongLong(view->encoder_count[i]));
+        python.PyTuple_SetItem(speeds, i, python.PyFloat_FromDouble((double)view->speed_rad_s[i]));
+    }
+    for (ptrdiff_t i = 0; i < wholes; i++) {
+        python.PyTuple_SetItem(snapshot, i, python.PyLong_FromLongLong(whole[i]));
+    }
+    python.PyTuple_SetItem(snapshot, wholes, counts);
+    python.PyTuple_SetItem(snapshot, wholes + 1, speeds);
+    return snapshot;
+}
