@@ -169,7 +169,10 @@ def test_what_is_cut_before_its_first_rows_is_not_called_foreign(
 ) -> None:
     path: Path = request.getfixturevalue(kind)
     cut = tmp_path / f"cut{path.suffix}"
-    for size, problem in ((20, "cut so short that it does not tell whose recording it is"), (1000, "cut before its")):
+    for size, problem in (
+        (20, "cut off so early that its program is not known"),
+        (1000, "cut before its"),
+    ):
         cut.write_bytes(path.read_bytes()[:size])
         with pytest.raises(DamagedError, match=problem):
             decode(cut)

@@ -229,7 +229,7 @@ def test_a_part_is_one_by_its_own_number(rotated: Path, tmp_path: Path) -> None:
         shutil.copy(path, tmp_path)
     shutil.copy(numbered_path(rotated, 2), tmp_path / "run-7.rrd")
     decoded, signals = decode(tmp_path / "run.rrd")
-    assert decoded["notes"] == ["run-7.rrd is left out: it is part 2 of the run, by what it says itself"]
+    assert decoded["notes"] == ["run-7.rrd is left out: it is part 2 of the run by its content"]
     assert signals["loop.tick"].tolist() == list(range(500))
     assert [text for _, _, text in decoded["events"]] == ["tick 0", "tick 200", "tick 400"]
 

@@ -111,7 +111,7 @@ def test_a_viewer_that_is_open_shows_a_run_that_begins_and_the_next_one_after_it
     port, ended = free_port(), threading.Event()
     before = {shown.store_id for shown in viewer.get_state().recordings}
     window = Window(int(viewer.url.split(":")[2].split("/")[0]))
-    arguments = {"found": lambda: window.show(port), "going_on": lambda: not ended.is_set()}
+    arguments = {"found": lambda: window.show(port), "is_watching": lambda: not ended.is_set()}
     watcher = threading.Thread(target=on_each_run, args=(port,), kwargs=arguments)
     watcher.start()
     try:

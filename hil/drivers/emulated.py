@@ -44,17 +44,12 @@ class Shaft:
 
 
 class SpeedLoop:
-    """A proportional-integral speed loop with a torque limit and anti-windup."""
+    """A proportional-integral speed loop with a torque limit and anti-windup. ``gains``: kp and ki, as given."""
 
     def __init__(self, kp_n_m_s_rad: float, ki_n_m_rad: float, limit_n_m: float) -> None:
-        self._kp = kp_n_m_s_rad
-        self._ki = ki_n_m_rad
+        self.gains = kp_n_m_s_rad, ki_n_m_rad
         self._limit_n_m = limit_n_m
         self._integral_n_m = 0.0
-
-    def set_gains(self, kp_n_m_s_rad: float, ki_n_m_rad: float) -> None:
-        """Set the gains."""
-        self._kp, self._ki = kp_n_m_s_rad, ki_n_m_rad
 
     def reset(self) -> None:
         """Set the integral to zero."""
@@ -62,11 +57,12 @@ class SpeedLoop:
 
     def torque(self, target_rad_s: float, speed_rad_s: float, feedforward_n_m: float = 0.0) -> float:
         """Return the torque of this tick [N·m]."""
+        kp, ki = self.gains
         error = target_rad_s - speed_rad_s
-        wanted = feedforward_n_m + self._kp * error + self._integral_n_m
+        wanted = feedforward_n_m + kp * error + self._integral_n_m
         limited = clamp(wanted, self._limit_n_m)
         if wanted == limited or error * wanted < 0.0:
-            self._integral_n_m += self._ki * error * _TICK_S
+            self._integral_n_m += ki * error * _TICK_S
         return limited
 
 

@@ -12,10 +12,11 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from firmware_protocol.generated.messages import State
 from hil.core.types import WHEEL_NAMES
 from hil.faults.kinds import KINDS
 from hil.record.layout import Entity
-from hil.record.properties import state_names, table_rows
+from hil.record.properties import table_rows
 
 ROBOT_LANE = "/robot/state"
 FAULT_LANES = "/fault"
@@ -48,7 +49,7 @@ class Lane(NamedTuple):
 
 def lanes(column: Columns, values: Mapping[str, Any]) -> list[Lane]:
     """Return the lanes of a run. ``column``: index of each signal in a row; ``values``: the scenario's, by key."""
-    robot = state_names()
+    robot = {int(state): state.name for state in State}
     colours = [_ROBOT_COLOURS.get(name, _GREY) for name in robot.values()]
     found = [Lane(ROBOT_LANE, robot, colours, _one(column, "robot.state"))]
     watchdog_s = values.get("firmware.watchdog_s")

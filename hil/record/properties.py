@@ -62,13 +62,6 @@ def hash_text(text: str) -> str:
     return ", ".join(f"{name} {digest}" for name, digest in hashes.items())
 
 
-def state_names() -> dict[int, str]:
-    """Return the names of the robot's states by number (DBC TICK.state)."""
-    from firmware_protocol.generated.messages import State
-
-    return {int(state): state.name for state in State}
-
-
 def scenario_values(properties: Mapping[str, str]) -> dict[str, Any]:
     """Return the scenario's values by dotted key; empty when the properties have no scenario."""
     values: dict[str, Any] = json.loads(properties.get("scenario", "{}"))

@@ -205,11 +205,7 @@ class RingWriter(_Counts):
 
 
 def _putter(
-    words: "memoryview[int]",
-    rows: "memoryview[int]",
-    capacity: int,
-    width: int,
-    when_full: Callable[[Row], bool],
+    words: "memoryview[int]", rows: "memoryview[int]", capacity: int, width: int, when_full: Callable[[Row], bool]
 ) -> Callable[[Row], bool]:
     """Return ``RingWriter.try_put``: a closure, which needs no attribute look-ups; it is called in each tick."""
     pack = struct.Struct(f"{width}d").pack

@@ -1,6 +1,5 @@
 """The robot as a recording draws it: a URDF with its own sizes, and the rollers of its wheels as meshes."""
 
-import itertools
 import math
 import struct
 from collections.abc import Mapping
@@ -140,13 +139,12 @@ def _rollers(radius_m: float, sideways: float) -> Points:
     return np.concatenate([lowest @ _about_y(turn).T for turn in turns])
 
 
-def _sides(rings: Points) -> list[Points]:
-    triangles = []
-    for one, other in itertools.pairwise(rings):
-        for i in range(_CORNERS):
-            j = (i + 1) % _CORNERS
-            triangles += [np.array([one[i], other[j], one[j]]), np.array([one[i], other[i], other[j]])]
-    return triangles
+def _sides(rings: Points) -> Points:
+    """Return the triangles between each ring, shape (corners, 3), and the next one."""
+    one, other = rings[:-1], rings[1:]
+    one_next, other_next = np.roll(one, -1, axis=1), np.roll(other, -1, axis=1)
+    pairs = [np.stack(corners, axis=2) for corners in ((one, other_next, one_next), (one, other, other_next))]
+    return np.concatenate(pairs).reshape(-1, 3, 3)
 
 
 def _cap(ring: Points) -> list[Points]:

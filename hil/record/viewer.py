@@ -65,10 +65,10 @@ def live(port: int, *, web: bool, say: Callable[[str], None]) -> None:
         (_live_in_browser if web else _live_in_window)(port, say)
 
 
-def on_each_run(port: int, *, found: Callable[[], None], going_on: Callable[[], bool]) -> None:
-    """Call ``found`` each time a program begins to listen on the port, until ``going_on`` returns False."""
+def on_each_run(port: int, *, found: Callable[[], None], is_watching: Callable[[], bool]) -> None:
+    """Call ``found`` each time a program begins to listen on the port, until ``is_watching`` returns False."""
     listened = False
-    while going_on():
+    while is_watching():
         listens = _listens(port)
         if listens and not listened:
             found()
@@ -220,7 +220,7 @@ def _live_in_window(port: int, say: Callable[[str], None]) -> None:
     with _listening_viewer(viewer_port, "--hide-welcome-screen", "--port", str(viewer_port)) as viewer:
         window = Window(viewer_port)
         say(_waiting(port))
-        on_each_run(port, found=lambda: window.show(port), going_on=lambda: viewer.poll() is None)
+        on_each_run(port, found=lambda: window.show(port), is_watching=lambda: viewer.poll() is None)
         _check_ended(viewer, "; try 'hil live --web'")
 
 
@@ -230,7 +230,7 @@ def _live_in_browser(port: int, say: Callable[[str], None]) -> None:
         _live_page(port, _web_address(page_port, live_address(port))) as (address, next_run),
     ):
         say(f"{_waiting(port)}; open {address} until Ctrl-C")
-        on_each_run(port, found=next_run, going_on=lambda: viewer.poll() is None)
+        on_each_run(port, found=next_run, is_watching=lambda: viewer.poll() is None)
         raise DeviceError(f"the rerun viewer ended with exit status {viewer.returncode}")
 
 

@@ -48,7 +48,7 @@ def why_nothing(programs: Collection[str], cut_bytes: int | None) -> str:
         return "damaged: it does not say what its signals are" if cut_bytes is None else CUT_BEFORE_ROWS
     if programs or cut_bytes is None:
         return "a recording of another program"
-    return "cut so short that it does not tell whose recording it is"
+    return "cut off so early that its program is not known"
 
 
 def json_property(properties: dict[str, dict[str, str]], name: str) -> dict[str, Any] | None:
@@ -83,7 +83,7 @@ def check_plausible(signals: dict[str, Series]) -> None:
     if not signals.keys() >= CLOCK or not len(signals["loop.t_s"]):
         return
     t_s, tick = signals["loop.t_s"], signals["loop.tick"]
-    with np.errstate(all="ignore"):  # what is damaged may be any number
+    with np.errstate(all="ignore"):  # a damaged value may be any number
         bad = ~(np.isfinite(t_s) & (tick == np.rint(tick)))
         for name in _MEASURED & signals.keys():
             bad |= np.abs(signals[name]) >= _LARGEST

@@ -74,7 +74,7 @@ def decode(path: Path, selection: Selection = None) -> tuple[dict[str, Any], dic
         summary=json_property(last.properties, SUMMARY_PROPERTY),
         rows_dropped=None if recorder is None else recorder.get("rows_dropped"),
         rows_missing=missing + sum(contents.lost_rows for contents in parts),
-        goes_on=next_number is not None,
+        is_continued=next_number is not None,
         parts=[str(one) for one, _ in files],
         notes=notes,
     )
@@ -111,7 +111,7 @@ def _files(path: Path, selection: Selection) -> tuple[list[tuple[Path, Contents]
         if later is None or part is None or later["recording_id"] != part["recording_id"]:
             continue
         if later["number"] != int(other.stem.rpartition("-")[2]):
-            notes.append(f"{other.name} is left out: it is part {later['number']} of the run, by what it says itself")
+            notes.append(f"{other.name} is left out: it is part {later['number']} of the run by its content")
             continue
         files.append((other, contents))
     return files, notes
@@ -129,7 +129,7 @@ def _alone(path: Path, part: dict[str, Any]) -> str:
     alone = f"{path.name} is part {number} of its run, from row {part['first_row']} on, and read alone"
     stem = path.stem.removesuffix(f"-{number}")
     if stem == path.stem:
-        return f"{alone}; its name does not tell where the others are"
+        return f"{alone}; the others cannot be found by its name"
     first = path.with_name(stem + path.suffix)
     if first.exists():
         return f"{alone}; review {first.name} for the whole run"
@@ -170,7 +170,7 @@ def _read(path: Path, selection: Selection) -> Contents:
 def main() -> int:
     """Write the answer and return 0; if the file cannot be read, write only the reason and return 1."""
     output = os.fdopen(os.dup(1), "wb")
-    os.dup2(2, 1)  # what a library prints must not get into the answer
+    os.dup2(2, 1)  # output of a library must not get into the answer
     refuse_pandas()
     with output:
         try:

@@ -67,7 +67,7 @@ def figures(run: RecordedRun) -> dict[str, Any]:
     )
     found["ticks"] += (run.rows_dropped or 0) + run.rows_missing
     summary = run.summary or {}
-    no_summary = _IN_LATER_PART if run.goes_on else _NO_END if run.rows_dropped is None else _NO_SUMMARY
+    no_summary = _IN_LATER_PART if run.is_continued else _NO_END if run.rows_dropped is None else _NO_SUMMARY
     for name in _FROM_SUMMARY:
         found[name] = summary.get(name)
         if found[name] is None:
@@ -121,7 +121,7 @@ def _cut_s(run: RecordedRun) -> float | None:
     t_s = run.signals["loop.t_s"]
     last_s = float(t_s[-1]) if len(t_s) else 0.0
     duration_s, rate_hz = scenario_number(run, "loop.duration_s"), scenario_number(run, "loop.rate_hz")
-    if run.goes_on or duration_s is None or not rate_hz:
+    if run.is_continued or duration_s is None or not rate_hz:
         return last_s
     return last_s if last_s < duration_s - 2.0 / rate_hz else None
 

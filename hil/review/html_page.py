@@ -29,13 +29,7 @@ class Picture(NamedTuple):
 
 
 def picture(
-    title: str,
-    caption: str,
-    draw: "Callable[[list[Axes]], None]",
-    *,
-    height_in: float,
-    rows: int = 1,
-    columns: int = 1,
+    title: str, caption: str, draw: "Callable[[list[Axes]], None]", *, height_in: float, rows: int = 1, columns: int = 1
 ) -> Picture:
     """Call ``draw`` with ``rows`` times ``columns`` axes, together as wide as a page, and return the plot."""
     buffer = BytesIO()

@@ -12,7 +12,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-import numpy.typing as npt
 
 from hil.core.errors import BadInputError
 from hil.core.outputs import Existing, whole_file
@@ -23,13 +22,11 @@ from hil.record.layout import REFERENCE_COLOUR, Colour
 from hil.record.properties import OVERLAY_PROPERTY
 from hil.record.started_process import rerun_environment
 from hil.review.difference import changes
-from hil.review.plots import Curve, colour_of, thinned
+from hil.review.plots import Curve, Series, colour_of, thinned
 from hil.review.reader import RecordedRun, read
 
 if TYPE_CHECKING:
     import rerun.blueprint as rrb
-
-Series = npt.NDArray[np.float64]
 
 _APPLICATION = "mecanum-hil-overlay"
 _RUNS = ("first", "second")

@@ -14,11 +14,7 @@ from hil.review.pictures import Shown, pictures
 from hil.review.plots import colour_of
 from hil.review.reader import RecordedRun
 
-_RUN_VERDICTS = {
-    True: ("passed", "passed"),
-    None: ("not known whether it passed", "note"),
-    False: ("failed", "failed"),
-}
+_RUN_VERDICTS = {True: ("passed", "passed"), None: ("not known whether it passed", "note"), False: ("failed", "failed")}
 _VERDICTS = {True: "held", None: "not judged", False: "failed"}
 
 

@@ -5,19 +5,16 @@ from functools import partial
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from hil.core.types import WHEEL_NAMES
 from hil.record.layout import ALARM_COLOUR, Colour
 from hil.review.figures import scenario_number
 from hil.review.html_page import Picture, picture
-from hil.review.plots import Curve, draw_curves, draw_error, draw_path, rgb, thinned
+from hil.review.plots import Curve, Series, draw_curves, draw_error, draw_path, rgb, thinned
 from hil.review.reader import RecordedRun
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-
-Series = npt.NDArray[np.float64]
 
 _ERRORS = {
     "error.x_m": "x [mm]",

@@ -18,11 +18,10 @@ from hil.core.errors import BadInputError
 from hil.core.subprocesses import module_command
 from hil.record.files import EXPECTED_FILE, check_is_recording
 from hil.record.started_process import rerun_environment
+from hil.review.contents import Series
 
 if TYPE_CHECKING:
     import pandas as pd
-
-Series = npt.NDArray[np.float64]
 
 _INSTALL = "install rerun-sdk==0.41.*, or read it on a machine that has it"
 _REPAIR = "'rerun rrd optimize --continue-on-error' may recover what is whole"
@@ -54,7 +53,7 @@ class RecordedRun:
         rows_dropped: rows that the run dropped because the recorder was too slow; None when the recorder did not
             finish.
         rows_missing: rows that are in none of its files.
-        goes_on: whether the run continued in a file that was not read.
+        is_continued: whether the run continued in a file that was not read.
         parts: the files, in order.
         held: the names of all signals of the recording, read or not.
         notes: sentences on what is missing in the files, or could not be read.
@@ -67,7 +66,7 @@ class RecordedRun:
     summary: dict[str, Any] | None
     rows_dropped: int | None
     rows_missing: int = 0
-    goes_on: bool = False
+    is_continued: bool = False
     parts: tuple[Path, ...] = ()
     held: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator, Mapping, Sequence
 from itertools import chain, count
+from typing import get_args
 
 from firmware_protocol.framing import Frame
 from hil.core.kinematics import body_twist, wheel_speeds
@@ -14,15 +15,8 @@ from hil.drivers.port import NO_CHANNELS, Capabilities, Dialect, Driver, RobotFa
 
 _AGAIN_NS = 250_000_000
 """After this time the steps of arming are repeated: one of their frames may have been lost."""
-_SENSORS: Mapping[str, Sensor] = {
-    "position": "position",
-    "current": "current",
-    "temperature": "temperature",
-    "battery_voltage": "battery_voltage",
-    "battery_current": "battery_current",
-    "yaw_rate": "gyro",
-    "acceleration": "accelerometer",
-}
+_MEASURES = {"gyro": "yaw_rate", "accelerometer": "acceleration"}
+"""What sensors measure, if the quantity has another name."""
 
 
 class _Packer:
@@ -81,7 +75,7 @@ class DbcDriver(Driver):
             modes=frozenset({CommandMode.TORQUE if plan.motion == "torque" else CommandMode.SPEED}),
             is_twist=plan.motion == "twist",
             feedback_hz=plan.feedback_hz,
-            sensors=frozenset(sensor for name, sensor in _SENSORS.items() if name in plan.feedback),
+            sensors=frozenset(sensor for sensor in get_args(Sensor) if _MEASURES.get(sensor, sensor) in plan.feedback),
             adds_torque="feedforward" in plan.commands,
             watchdog="set" if plan.watchdog.set else "fixed" if plan.watchdog.timeout_s else "none",
             latches_estop=settings.estop_latches,

@@ -17,7 +17,8 @@ class Signal:
     """A signal of a DBC. Its value in its ``unit`` is ``factor`` × raw + ``offset``.
 
     ``low`` and ``high``: raw limits, from the DBC's minimum and maximum and from the number of bits. ``texts``: the
-    value table. ``initial``: the raw value that is sent where nothing else is given.
+    value table. ``initial``: the raw value that is sent where nothing else is given. ``span``: number of units after
+    which a position in this signal wraps; 0 for floats, which do not wrap.
     """
 
     def __init__(self, message: str, signal: Any) -> None:
@@ -32,6 +33,7 @@ class Signal:
         choices = (conversion.choices or {}).items()
         self.texts = {int(raw): str(text) for raw, text in choices if low <= raw <= high}
         self.low, self.high = self._limits(signal, low, high)
+        self.span: float = 0.0 if self.is_float else abs(self.factor) * (self.high - self.low + 1)
         given = signal.raw_initial
         initial = clamp(0, self.high, self.low) if given is None else clamp(given, high, low)
         self.initial: float = initial if self.is_float else int(initial)

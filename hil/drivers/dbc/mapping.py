@@ -33,28 +33,24 @@ class Unit(NamedTuple):
 
 _DEGREE = math.pi / 180.0
 _CURRENTS = {"A": 1.0, "mA": 1e-3}
-_SIZES: Mapping[str, Mapping[Place, Mapping[str, float]]] = {
-    "speed": {
-        "shaft": {
-            "rad/s": 1.0,
-            "rpm, r/min, rev/min, 1/min, U/min": math.tau / 60.0,
-            "rev/s, turn/s, turns/s, rps": math.tau,
-            "deg/s, °/s": _DEGREE,
-        },
-        "ground": {"m/s": 1.0, "mm/s": 1e-3},
-    },
-    "torque": {"shaft torque": {"Nm, N·m, N*m, N.m": 1.0, "mNm": 1e-3}, "phase": _CURRENTS},
-    "position": {
-        "shaft": {"rad": 1.0, "rev, turn, turns": math.tau, "deg, °": _DEGREE},
-        "ground": {"m": 1.0, "mm": 1e-3},
-    },
-    "current": {"wheel": _CURRENTS},
-    "temperature": {"wheel": {"degC, °C, C, deg C": 1.0}},
-    "voltage": {"wheel": {"V": 1.0, "mV": 1e-3}},
-    "velocity": {"wheel": {"m/s": 1.0, "mm/s": 1e-3, "km/h": 1.0 / 3.6}},
-    "yaw rate": {"wheel": {"rad/s": 1.0, "mrad/s": 1e-3, "deg/s, °/s": _DEGREE}},
-    "acceleration": {"wheel": {"m/s^2, m/s2, m/s²": 1.0, "g": 9.80665}},
-    "time": {"wheel": {"s": 1.0, "ms": 1e-3}},
+_ANGLES = {"rad": 1.0, "rev, turn, turns": math.tau, "deg, °": _DEGREE}
+_SPEEDS = {
+    "rad/s": 1.0,
+    "rpm, r/min, rev/min, 1/min, U/min": math.tau / 60.0,
+    "rev/s, turn/s, turns/s, rps": math.tau,
+    "deg/s, °/s": _DEGREE,
+}
+_DIMENSIONS: Mapping[str, tuple[str, Mapping[Place, Mapping[str, float]]]] = {
+    "speed": ("rad/s of the wheel", {"shaft": _SPEEDS, "ground": {"m/s": 1.0, "mm/s": 1e-3}}),
+    "torque": ("N·m at the wheel", {"shaft torque": {"Nm, N·m, N*m, N.m": 1.0, "mNm": 1e-3}, "phase": _CURRENTS}),
+    "position": ("rad of the wheel", {"shaft": _ANGLES, "ground": {"m": 1.0, "mm": 1e-3}}),
+    "current": ("A", {"wheel": _CURRENTS}),
+    "temperature": ("°C", {"wheel": {"degC, °C, C, deg C": 1.0}}),
+    "voltage": ("V", {"wheel": {"V": 1.0, "mV": 1e-3}}),
+    "velocity": ("m/s", {"wheel": {"m/s": 1.0, "mm/s": 1e-3, "km/h": 1.0 / 3.6}}),
+    "yaw rate": ("rad/s", {"wheel": {"rad/s": 1.0, "mrad/s": 1e-3, "deg/s, °/s": _DEGREE}}),
+    "acceleration": ("m/s²", {"wheel": {"m/s^2, m/s2, m/s²": 1.0, "g": 9.80665}}),
+    "time": ("s", {"wheel": {"s": 1.0, "ms": 1e-3}}),
 }
 UNITS: Mapping[str, Mapping[str, Unit]] = {
     dimension: {
@@ -63,20 +59,10 @@ UNITS: Mapping[str, Mapping[str, Unit]] = {
         for names, factor in sizes.items()
         for name in names.split(", ")
     }
-    for dimension, places in _SIZES.items()
+    for dimension, (_, places) in _DIMENSIONS.items()
 }
-SI = {
-    "speed": "rad/s of the wheel",
-    "torque": "N·m at the wheel",
-    "position": "rad of the wheel",
-    "current": "A",
-    "temperature": "°C",
-    "voltage": "V",
-    "velocity": "m/s",
-    "yaw rate": "rad/s",
-    "acceleration": "m/s²",
-    "time": "s",
-}
+SI = {dimension: words for dimension, (words, _) in _DIMENSIONS.items()}
+"""The SI unit of each dimension, in words."""
 
 
 class Bound(NamedTuple):

@@ -105,7 +105,7 @@ class Received:
             for name, quantity in plan.feedback.items()
         }
         if positions := plan.feedback.get("position"):
-            spans = [abs(gain(one)) * (positions.wraps_at or _span(one.signal)) for one in positions.bounds]
+            spans = [abs(gain(one)) * (positions.wraps_at or one.signal.span) for one in positions.bounds]
             speeds = self._quantities.get("speed", [None] * 4)
             self._quantities["position"] = [
                 _WrappingPosition(reading, speed, span) if span else reading
@@ -213,8 +213,3 @@ class Received:
         if reading is None or reading.source.stamp_ns is None or reading.source.stamp_ns <= since_ns:
             return NAN
         return NAN if reading.source.is_silent(self._now_ns) else reading.value
-
-
-def _span(signal: Signal) -> float:
-    """Return the span after which a position wraps, in the signal's unit; 0 for floats, which do not wrap."""
-    return 0.0 if signal.is_float else abs(signal.factor) * (signal.high - signal.low + 1)

@@ -138,7 +138,7 @@ class EmulatedAxis:
         """Set attributes by name; ``velocity_gain`` and ``integrator_gain`` are those of the velocity loop."""
         if "velocity_gain" in values:
             per_rad = self._gear * self._gear / math.tau  # from a gain per motor turn to one per radian of the wheel
-            self.loop.set_gains(values["velocity_gain"] * per_rad, values["integrator_gain"] * per_rad)
+            self.loop.gains = values["velocity_gain"] * per_rad, values["integrator_gain"] * per_rad
             return
         for name, value in values.items():
             setattr(self, name, value)

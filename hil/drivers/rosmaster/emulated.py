@@ -183,7 +183,7 @@ class EmulatedRosmaster(EmulatedMotors[Settings]):
         self._pid = (kp, ki, kd)
         gains = self.values["speed_kp_n_m_s_rad"] * kp / _PID[0], self.values["speed_ki_n_m_rad"] * ki / _PID[1]
         for loop in self.loops:
-            loop.set_gains(*gains)
+            loop.gains = gains
 
     def _reset(self) -> None:
         self._stop(is_braking=False)

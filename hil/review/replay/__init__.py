@@ -12,7 +12,6 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from hil.core.errors import BadInputError, DeviceError, OverdueError
 from hil.core.guard import Guard
@@ -25,12 +24,10 @@ from hil.laws.registry import make_controller
 from hil.laws.shadows import QUANTITY, short_name
 from hil.record import Recording, check_output_path
 from hil.review import RecordedRun
-from hil.review.replay.recorded import check_signals, model_of, recorded_gains, rows, scenario_of, tuples
+from hil.review.replay.recorded import Series, check_signals, model_of, recorded_gains, rows, scenario_of, tuples
 from hil.scenario.toml_text import parse_value
 
 __all__ = ["Difference", "Replay", "replay", "write_replay"]
-
-Series = npt.NDArray[np.float64]
 
 _LABEL = "open loop: computed afterwards from the recorded states; it never drove the robot"
 
