@@ -3,7 +3,7 @@
 PYTHON ?= python3
 BIN := .venv/bin
 NATIVE_SOURCES := $(wildcard tools/build/*.py firmware_protocol/built.py firmware_protocol/firmware/*.[ch] \
-	firmware_protocol/client/*.[ch] firmware_protocol/port/host/*.[ch] firmware_protocol/generated/*.[ch] plant_fmu/*.[ch] plant_fmu/*.py \
+	firmware_protocol/client/*.[ch] firmware_protocol/port/host/*.[ch] firmware_protocol/port/python/*.[ch] firmware_protocol/generated/*.[ch] plant_fmu/*.[ch] plant_fmu/*.py \
 	plant_fmu/*.toml plant_fmu/generated/*.* plant_fmu/generated/*/* plant_fmu/documentation/*.* \
 	plant_fmu/documentation/licenses/* plant_fmu/reference/* hil/plant/*.[ch] hil/plant/built.py)
 

@@ -39,7 +39,9 @@ def encoded(kind: type[m.Message], values: tuple[float, ...], sequence: int) -> 
 
 @share_of_examples(3.0)
 @given(mode=st.sampled_from(m.Mode), speed=wheels, torque=wheels)
-def test_a_command_has_the_bytes_that_the_codec_gives(mode: m.Mode, speed: tuple[float, ...], torque: tuple[float, ...]) -> None:
+def test_a_command_has_the_bytes_that_the_codec_gives(
+    mode: m.Mode, speed: tuple[float, ...], torque: tuple[float, ...]
+) -> None:
     client = new_client(mode, nonce=0xAB)
     if mode is m.Mode.TORQUE:
         expected = [encoded(m.TorqueCommand, torque, 1)]
