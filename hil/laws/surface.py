@@ -124,14 +124,14 @@ class SurfaceLaw:
 class ObservedSurfaceLaw(SurfaceLaw):
     """Dynamic surface control without its lag: the feedforward bypasses the filter, an observer removes steady errors.
 
-    The paper's filter delays all of x̄2 = q̇_d - K1 e, also the reference's own speed. That causes the steady error
-    ς ω² r0 / K1. Here only the feedback -K1 e is filtered, ς ẋ + x = -K1 e, and the commanded acceleration is
+    The paper filters all of x̄2 = q̇_d - K1 e, so it delays the reference's own speed too. That causes the steady error
+    ς ω² r0 / K1. Here the filter acts on the feedback -K1 e alone: ς ẋ + x = -K1 e. The commanded acceleration is
 
         u = q̈_d + ẋ - K2 (ė - x) - ẑ
 
-    with ẑ the acceleration that the commands do not explain, such as that of unmodelled friction or a wrong mass, as an
-    extended state observer of bandwidth ``observer_rad_s`` estimates it. All values are predicted for the time when the
-    command takes effect. In SPEED mode the observer is not used: only the firmware knows which torque acts.
+    An extended state observer of bandwidth ``observer_rad_s`` estimates the disturbance ẑ: the acceleration that the
+    commands do not explain, for example from friction or a wrong mass. All values are predicted for the time when the
+    command takes effect. SPEED mode does not use the observer, because only the firmware knows the torques there.
     """
 
     def __init__(

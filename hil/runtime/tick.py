@@ -67,16 +67,17 @@ _LawInputs = tuple[State, float, bool]
 class Tick:
     """Does one tick after another, and writes a row for each.
 
-    A tick is ``sense`` and then ``drive``; for a robot that must not be driven or is not connected, ``record_away``.
+    A tick is ``sense``, then ``drive``. If the robot must not be driven, ``record_away`` replaces ``drive``; if it is
+    not connected, it replaces both.
 
-    The law is given the latency: in lockstep the scenario's ``[link]`` latencies, without faults; in real time the
-    measured one, which includes faults.
+    The law is told the latency. In lockstep this is the sum of the scenario's ``[link]`` latencies, without faults. In
+    real time it is measured, so it includes faults.
 
     Attributes:
         count: ticks that have a row.
-        is_stale: whether the last tick stopped the robot because its feedback, or the truth used by the state estimate,
-            was too old. In TORQUE mode the robot is braked by its wheel speeds; when these are too old as well, no
-            torque is commanded and it coasts.
+        is_stale: whether the last tick stopped the robot because its feedback was too old, or the true pose that the
+            estimate uses. In TORQUE mode the brake then needs the wheel speeds; if these are too old as well, no torque
+            is commanded and the robot coasts.
     """
 
     def __init__(self, parts: TickParts, mode: CommandMode, timing: Timing) -> None:

@@ -62,11 +62,11 @@ def load(
     link: str | None = None,
     seed: int | None = None,
 ) -> Scenario:
-    """Return the scenario of a shipped name, or of a path (with a slash or ``.toml``), validated and frozen.
+    """Return a scenario, validated and frozen: a shipped one by its name, or a file by its path.
 
-    ``set`` takes dotted keys with values (of ``controller.law`` also a class), or texts ``key=value`` whose value is
-    read as TOML and, where that fails, as text. Relative paths in a file start from its folder, those in ``set`` from
-    the current one.
+    A path has a slash or ends in ``.toml``. ``set`` is a mapping of dotted keys to values, or texts ``key=value``. The
+    value in such a text is read as TOML, or as plain text if it is not TOML. A mapping may also give ``controller.law``
+    as a class. A relative path in a file starts from the file's folder; one in ``set`` starts from the current folder.
     Raises BadInputError, with one line for each problem.
     """
     return read(name_or_path, robot=robot).scenario(set=set, mode=mode, link=link, seed=seed)

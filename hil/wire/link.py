@@ -103,7 +103,7 @@ class LinkUrl(ABC):
     ) -> tuple["Wire", str]:
         """Open the robot's end of a link, and return it with the URL that a host uses to reach it.
 
-        When the link is lost later, it is reopened, and ``say`` is called with a sentence.
+        A link that is lost later is reopened; ``say`` gets one message about the loss and one when it is open again.
         """
         raise BadInputError(
             f"{self} does not reach another process; use --link serial:pty, serial:PATH or can:INTERFACE/CHANNEL"

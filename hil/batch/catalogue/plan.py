@@ -28,9 +28,9 @@ _IN_TORQUE_MODE = {"WHEEL_COMMAND": "TORQUE_COMMAND", "wheel.fl.speed_command_ra
 
 
 class Request(NamedTuple):
-    """What the user wants to run: base scenario with changes, links and kinds, and where recordings go.
+    """What the user wants to run: the base scenario and its changes, links, kinds of fault, and the recordings' folder.
 
-    ``sample`` is how many of the pairs, None for all; ``seed`` chooses them.
+    ``sample`` is how many pairs of faults are run, None for all; ``seed`` chooses them.
     """
 
     scenario: str

@@ -15,10 +15,10 @@ Settings = Mapping[str, object]
 
 
 class Case(NamedTuple):
-    """A run to do: a shipped scenario and what is set in it.
+    """A run to do: a shipped scenario and the values that are set in it.
 
-    ``group`` is its table, ``row`` the values in which it differs from the other rows there. ``records`` asks for a
-    recording.
+    ``group`` is the table of results that it belongs to. ``row`` has the values that tell it from the table's other
+    rows. ``records`` asks for a recording.
     """
 
     name: str

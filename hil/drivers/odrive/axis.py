@@ -22,13 +22,13 @@ Steps = Generator[Sequence[Frame], None, bool]
 class Axis(Channel):
     """A node on the bus. Quantities are the motor's [rev, rev/s, A, V, °C], NaN if not known.
 
-    A value that is polled becomes unknown ``late_ns`` after its newest answer; the stamps of the encoder estimates,
-    which come more often, give the time.
+    A polled value becomes unknown when its newest answer is more than ``late_ns`` old. This is checked at each encoder
+    estimate, because these arrive more often.
 
     Attributes:
-        firmware: None until it is known, and for an unsupported one.
-        version, hardware: from Get_Version.
-        trouble: why arming or closed loop ended; empty if it did not.
+        firmware: None while it is unknown, or if it is not supported.
+        version, hardware: from Get_Version; None until then.
+        trouble: why arming failed or closed loop ended; empty if neither happened.
     """
 
     def __init__(self, node: int, setup: Setup, late_ns: int) -> None:
