@@ -23,7 +23,7 @@ class HostWatch:
         return self._warning
 
     def begin(self) -> bool:
-        """Ask to be watched, before the robot is armed; return whether that is confirmed. Call it until it is.
+        """Ask for the watch, before the robot is armed; return whether it is confirmed. Call this until it is.
 
         Raises DeviceError when the watch is refused or impossible.
         """

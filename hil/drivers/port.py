@@ -113,7 +113,8 @@ class Driver(ABC):
     def ask(self) -> Sequence[Frame]:
         """Return frames that ask for identity and version; once these are known, frames that ask for the state.
 
-        They move nothing. Controllers that send their state by themselves are not asked: it may feed a watchdog.
+        They move nothing. A controller that sends its state unasked is not asked for it, because that may feed its
+        watchdog.
         """
         return ()
 

@@ -139,11 +139,11 @@ def moved(belief: Belief, step: Step, time_ns: int, share: float = 1.0) -> Belie
 
 
 def corrected(belief: Belief, fix: MeasuredPose, acceptance: Acceptance) -> Belief:
-    """Return the belief after a fix of its own instant.
+    """Return the belief corrected by a fix of the same instant.
 
-    A fix beyond the gate is rejected, and so is one whose covariance is invalid or nearly singular. When enough fixes
-    beyond the gate in a row agree with one another and with the motion between them, the last of them is taken as a new
-    start: the robot was elsewhere than believed.
+    A fix is rejected if it is beyond the gate, or if its covariance is invalid or nearly singular. When enough fixes in
+    a row are beyond the gate, but agree with one another and with the motion between them, the robot was not where it
+    was believed to be. Then the belief starts anew from the last of them.
     """
     r = fix.covariance
     if min(r.xx_m2, r.yy_m2, r.hh_rad2) <= 0.0 or not is_regular(*r, share=_LEAST_SHARE):

@@ -191,9 +191,9 @@ def names(some: tuple[Kind, ...] | None = None) -> tuple[str, ...]:
 
 
 def find(name: str, target: str | None) -> Kind:
-    """Return the kind of a row: of two kinds with the same name, the one that acts on the target.
+    """Return the kind of fault with this name; if there are several, the one that can act on the target.
 
-    Raises ValueError, with part of a message, when there is none of this name.
+    Raises ValueError when there is none of this name; its text is a part of a message.
     """
     same = [kind for kind in kinds() if kind.name == name]
     if not same:

@@ -171,8 +171,8 @@ def number(metrics: Mapping[str, Any], name: str) -> float | None:
 class RunFigures:
     """Computes the figures of a run that follow from its rows, block by block, in bounded memory.
 
-    ``names`` are the run's signals. ``lacks`` returns, for the name of a missing signal, the reason why a figure that
-    needs it is None. Raises BadInputError as ``measures``.
+    ``names`` are the run's signals. ``lacks`` takes the name of a missing signal, and returns the reason to give for
+    each figure that needs it and is None. Raises BadInputError as ``measures`` does.
     """
 
     def __init__(

@@ -32,10 +32,10 @@ _SMALLEST_BYTES = 1_000_000
 
 
 def check_output_path(what: str, path: Path, existing: Existing = "refuse") -> None:
-    """Raise BadInputError unless a file of the kind ``what``, a key of ``OUTPUTS``, can be written; touches nothing.
+    """Raise BadInputError unless this file can be written. Nothing is made or changed.
 
-    ``existing`` says what to do if the file exists. A file that by its name is a later part of another recording
-    (``RUN-2.rrd``) is never replaced.
+    ``what`` is the kind of file, a key of ``OUTPUTS``; ``existing`` says what to do if the file exists. A file that is
+    named like a later part of another recording (``RUN-2.rrd``) is never replaced.
     """
     folder = path.absolute().parent
     *others, last = OUTPUTS[what]

@@ -121,9 +121,9 @@ class Limit(NamedTuple):
 
 
 def limits(values: Mapping[str, Any], entities: Sequence[Entity]) -> dict[str, tuple[Limit, ...]]:
-    """Return the limits of a scenario (its values by dotted key), by the path of the entity that holds the signals.
+    """Return the limits that a scenario sets on signals, by the path of the entity that shows them.
 
-    Entities without a limit are left out.
+    ``values`` are the scenario's, by dotted key. Entities without a limit are left out.
     """
     of_signal: dict[str, list[Limit]] = {}
     for row in table_rows(values, "expect"):

@@ -30,7 +30,7 @@ class Timing(NamedTuple):
 class Sampling:
     """Waits for the ticks of a run, and keeps the truth of each sampling instant until its tick.
 
-    Tick ``number`` samples ``number`` periods after ``begin``, and is computed one feedback latency later.
+    Tick n takes its sample n periods after the instant given to ``begin``. It is computed one feedback latency later.
     """
 
     def __init__(self, clock: Clock, device: Device, truth: PoseSource | None, timing: Timing) -> None:

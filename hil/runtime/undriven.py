@@ -14,17 +14,16 @@ _LATE_KINDS = ("delay", "jitter")  # their value is a time [s] by which frames m
 class Undriven:
     """Counts the ticks in which the robot was not driven, and those of them that no fault of the scenario explains.
 
-    There are two kinds. A tick is stale when the feedback was too old, or the ground truth that the state is made of.
-    Any other undriven tick is held: the robot's state was unknown, the estimator was lost, or the robot was not
-    connected.
+    There are two kinds. A tick is stale if the feedback, or the true pose that the estimate uses, was too old. Any
+    other undriven tick is held: the robot's state was unknown, the estimator was lost, or the robot was not connected.
 
-    A streak is an unbroken row of undriven ticks. A fault that can cut off feedback, state or robot explains every tick
-    of a streak from the first one that it can have affected. So the time that the robot needs to recover counts as the
-    fault's, however long it is. A fault can affect ticks from one feedback latency before its start, for what was
-    sampled then was still on its way. It can affect ticks after its end for both latencies, plus the age at which
-    feedback is too old, plus two periods; a fault that delays frames, for its delay in addition.
+    A streak is an unbroken row of undriven ticks. A fault that can cut off feedback, state or robot explains all ticks
+    of a streak from the first one that it can have affected. So it also explains the time that the robot needs to
+    recover, however long that is. A fault can affect ticks in a window that is longer than the fault. The window begins
+    one feedback latency before it, because a sample of that time was still on its way. The window ends after it by both
+    latencies, the age at which feedback is too old, two periods and, for a fault that delays frames, its delay.
 
-    When no tick of the whole run was driven, no fault explains any: such a run does not test the law.
+    If no tick of the whole run was driven, no fault explains any: such a run does not test the law.
     """
 
     def __init__(self, faults: Sequence[FaultRow], timing: Timing) -> None:

@@ -32,13 +32,16 @@ _LATCHED = {RobotState.FAULT: Phase.FAULT, RobotState.ESTOP: Phase.ESTOP}
 class Pilot:
     """The state machine of a service. ``tick`` is called once a tick; it raises only errors that end the service.
 
-    Reconnection to a lost robot is tried for ever. The robot comes back disarmed, and only ``arm`` arms it. When the
+    A lost robot is reconnected to, however long that takes. It comes back disarmed, and only ``arm`` arms it. When the
     phase ACTIVE ends, the task ends too.
 
     Attributes:
-        phase: of the robot. state: estimated, None while it is away.
-        conduct: the task of an ACTIVE robot, to be read; ``active`` returns it for orders. emergency: the e-stop.
-        motion_requests: counts phases and orders for a motion, so that a slow order can tell that it is outdated.
+        phase: the robot's phase.
+        state: the estimated state; None while the robot is away.
+        conduct: the tasks of an ACTIVE robot, for reading; to give it an order, use ``active``.
+        emergency: the e-stop.
+        motion_requests: grows with each change of phase and each order for a motion. An order that takes long compares
+            it to find out whether it is outdated.
         recoveries: how often a lost robot came back.
     """
 

@@ -108,11 +108,11 @@ class _Way:
 
 
 class ConditionedLink:
-    """A link with its conditions. Fault rows act from the start of the scenario's time; latency always acts.
+    """A link with its conditions. Latency always acts; fault rows act only once the scenario's time has begun.
 
-    Frames that carry lockstep (``LinkProtocol.exempt_from``) pass without conditions. ``service`` sends the commands
-    that are due; ``next_due_ns`` says when to call it again. A direction without conditions and observer calls the
-    transport's own method directly.
+    Conditions do not apply to the frames of lockstep (``LinkProtocol.exempt_from``). ``service`` sends the commands
+    that are due; ``next_due_ns`` says when to call it again. For a direction without conditions and observer, ``send``
+    or ``receive`` is the transport's own method.
 
     Attributes:
         transport: the link below.

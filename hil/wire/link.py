@@ -37,10 +37,10 @@ def unchanged(stream: "HostStream") -> "HostStream":
 
 
 class LinkUrl(ABC):
-    """A link of one kind, as named by its URL. It opens nothing; ``str`` gives its shortest URL.
+    """The URL of a link; each kind of link is a subclass. Making one opens nothing; ``str`` gives its shortest form.
 
-    ``open_host`` and ``open_robot`` are for links to another process, ``open_pair`` for links within this one. Opening
-    raises LinkError, or BadInputError when the URL asks for something that does not exist.
+    ``open_host`` and ``open_robot`` open a link to another process, ``open_pair`` a link within this one. They raise
+    LinkError, or BadInputError when the URL asks for something that does not exist.
 
     Attributes:
         example: a URL, for messages.
@@ -49,8 +49,8 @@ class LinkUrl(ABC):
         wire: the medium of the frames; None if it depends on the robot's protocol.
         is_switched: whether the data of FD frames has its own bit rate.
         is_within_process: whether the robot is made inside this process.
-        is_direct: whether in lockstep host and robot may run in one thread by direct calls.
-        serial_port: name and speed [baud] of a port that a guardian process may also open, or None.
+        is_direct: whether in lockstep the host may call the robot directly, in one thread.
+        serial_port: name and speed [baud] of its port, if a guardian process can open it too; else None.
     """
 
     example: ClassVar[str]

@@ -134,9 +134,9 @@ class Campaign:
     ) -> Iterator[Sequence[Row]]:
         """Do the runs that are still to do, and yield their rows as they come, each when it is on the disk.
 
-        The rows that are there already come first, except of runs whose outcome is in ``redo``: these are done again.
-        ``on_trouble`` and ``is_stopping`` are those of ``run_plan``. Raises BadInputError when the folder cannot be
-        written to or is that of another campaign, LinkError when there is no scheduler.
+        The rows that the folder already has are yielded first. Those with an outcome in ``redo`` are removed instead,
+        and their runs are done again. ``on_trouble`` and ``is_stopping`` are as in ``run_plan``. Raises BadInputError
+        when the folder cannot be written to or belongs to another campaign, LinkError when there is no scheduler.
         """
         check_folder(folder, self.about())
         with contextlib.ExitStack() as resources:

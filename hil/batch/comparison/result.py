@@ -75,9 +75,11 @@ class Row(NamedTuple):
     curves: Curves | None = None
 
     def worst(self, name: str, over: str = "worst") -> float | None:
-        """Return the worst of a figure ``over`` some of the runs: ``nominal`` (the nominal one), ``worst_over_mass``
-        (those with the nominal friction) or ``worst`` (all). None when one of them has no such figure: that is worse
-        than any."""
+        """Return the worst value of a figure in some of the runs; None if one of these lacks it, which is worse still.
+
+        ``over`` says which runs: ``nominal`` (that one), ``worst_over_mass`` (those with the nominal friction) or
+        ``worst`` (all).
+        """
         some = self.runs[:1] if over == "nominal" else self.runs
         if over == "worst_over_mass":
             some = [run for run in self.runs if run.variation.friction is None]

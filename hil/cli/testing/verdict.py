@@ -90,7 +90,8 @@ def run_as_test(
 ) -> Verdict:
     """Run a scenario and return its outcome. ``repeat`` is the command that repeats it.
 
-    A law that takes too long and cannot be interrupted ends the pytest session; its last sentence is not captured.
+    A law that takes too long and cannot be interrupted ends the pytest session. Capturing is suspended before that, so
+    that the message about it is seen.
     """
     from hil.runtime.assembly import RunOptions, run_scenario
 

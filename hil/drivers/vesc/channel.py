@@ -15,16 +15,19 @@ _CORRECTION_PER_STEP = 0.15  # tuned with odometry on a circle: with less it dri
 
 
 class Channel(four_motors.Channel):
-    """One VESC. Speed: ERPM. Position: steps of the tachometer, smoothed by the speed: one may be 10° of a wheel.
+    """One VESC. The speed is in ERPM, the position in steps of the tachometer.
+
+    A step may be 10° of a wheel, so the position follows the speed between steps.
 
     Attributes:
         steps: the newest tachometer value. steps_ns: its time of arrival.
-        turned: the same without wraps.
+        turned: the steps counted since the first value, without the tachometer's overflow.
         current_a: positive for a torque forwards. temperature_degc: of the MOSFETs.
         fault, status: values of GET_VALUES_SELECTIVE; None until they are answered.
         asked_ns: time of the first unanswered question for the fault; None without one.
-        is_running: whether its timeout had not run out although nothing was commanded; None while unknown.
-        timeout: None while unknown. foreign_id: id in an app configuration that is not its own, else None.
+        is_running: whether its timeout had not run out before the first command was sent, for example because another
+            program had commanded it; None while unknown.
+        timeout: None while unknown. foreign_id: the id in its app configuration if that is not its own, else None.
     """
 
     def forget(self) -> None:

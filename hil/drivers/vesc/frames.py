@@ -85,7 +85,7 @@ def request_values(*bits: int) -> bytes:
 def parse_values(message: bytes) -> dict[str, float] | None:
     """Return the values of an answer by name; None for another or damaged message.
 
-    A firmware leaves out a value that it does not know. This can be recognised only of the last one, the status.
+    A firmware leaves out a value that it does not know. Only a missing status can be recognised, because it is last.
     """
     if len(message) < 5 or message[0] != GET_VALUES_SELECTIVE:
         return None
@@ -128,8 +128,8 @@ def parse_version(message: bytes) -> Version | None:
 class Timeout(NamedTuple):
     """The timeout of an app configuration: after ``timeout_s`` without a command the VESC brakes.
 
-    ``vesc``: the id in the configuration. A ``timeout_s`` of 0 stands for no timeout. ``brake_current_a``: current of
-    the brake.
+    ``vesc`` is the id in the configuration. A ``timeout_s`` of 0 means no timeout. ``brake_current_a`` is the current
+    with which it brakes.
     """
 
     vesc: int
@@ -138,11 +138,11 @@ class Timeout(NamedTuple):
 
 
 def parse_timeout(message: bytes) -> Timeout | None:
-    """Return the timeout of an answer to COMM_GET_APPCONF; None for another message or a current that is not finite.
+    """Return the timeout in an answer to COMM_GET_APPCONF; None for another message, or if the current is not finite.
 
-    Only the first bytes of the configuration are the same in all firmwares that were examined (VESC.md); a message much
-    shorter than any of them is not accepted. Numbers of ``float32_auto`` are IEEE 754 singles, except that subnormal
-    ones are sent as 0.
+    Only the first bytes of the configuration are read, because they alone are the same in all firmwares that were
+    examined (VESC.md). A message much shorter than in any of these gives None. Numbers of ``float32_auto`` are IEEE 754
+    singles, except that subnormal ones are sent as 0.
     """
     if len(message) < _MIN_APPCONF or message[0] != GET_APPCONF:
         return None
@@ -293,11 +293,11 @@ _OVERHEAD_BYTES = 6  # of a short packet: begin, length, code, checksum and end
 
 
 def repeated_past_packet(commands: Sequence[Frame]) -> Sequence[Frame]:
-    """Return commands for a serial line, repeated so often that they fill the longest packet.
+    """Return commands for a serial line, repeated until they are longer than the longest packet.
 
-    After a lost byte, or one that another program has sent, a VESC may wait for the rest of a packet as long as that.
-    When it is complete and its checksum wrong, the VESC reads the bytes again, with old commands among them. The last
-    commands that it then executes are these.
+    After a lost or a stray byte, a VESC may take the bytes that follow for one long packet. When this is complete, its
+    checksum is wrong. The VESC then reads its bytes again, and executes the old commands among them. The repetition
+    makes sure that it executes these commands last.
     """
     size = sum(len(frame.payload) + _OVERHEAD_BYTES for frame in commands)
     return [*commands] * (LONGEST_PACKET // size + 1)

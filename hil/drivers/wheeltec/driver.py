@@ -78,9 +78,10 @@ _BAUD = 115_200
 
 @dataclass(frozen=True, slots=True)
 class Settings:
-    """``[device.motors]``. ``wheel_radius_m`` and ``lever_m``: of the firmware; 0 stands for the values of [robot].
+    """``[device.motors]`` for this base.
 
-    ``speed_limit_m_s``: the firmware's limit of each rim speed and, in rad/s, of the yaw rate. ``stops_on_silence``:
+    ``wheel_radius_m`` and ``lever_m`` are the firmware's; 0 means the values of ``[robot]``. ``speed_limit_m_s`` is the
+    firmware's limit of each rim speed [m/s] and, as the same number, of the yaw rate [rad/s]. ``stops_on_silence`` is
     whether the firmware stops the wheels 1 s after the last command (WHEELTEC.md says how to find out).
     """
 

@@ -37,9 +37,9 @@ class NotTestedError(Exception):
 
 
 class Slave:
-    """One instance. Calls that the FMU answers with discard or worse raise FMICallException.
+    """One instance of an FMU. A call that the FMU answers with discard or worse raises FMICallException.
 
-    In FMI 3.0 it uses no event mode, early return or intermediate update.
+    An FMI 3.0 instance is made without event mode, early return and intermediate update.
     """
 
     def __init__(self, model: "Model") -> None:
