@@ -11,8 +11,8 @@ NATIVE_SOURCES := $(wildcard tools/build/*.py firmware_protocol/built.py firmwar
 export PYTHONDONTWRITEBYTECODE :=
 PYTEST := $(BIN)/python -m pytest
 BESIDE := --numprocesses auto --maxprocesses 8 --dist worksteal
-# Tests of real time mostly wait: two at once disturb each other little.
-PAIRWISE := --numprocesses 2 --dist worksteal
+# Tests of real time mostly wait: three at once disturb each other little.
+PAIRWISE := --numprocesses 3 --dist worksteal
 SOCKETCAN_TESTS := tests/test_socketcan_*.py
 
 .PHONY: help demo test test-rest test-all test-socketcan catalogue check proof bench nightly picture format native fmu clean setup
@@ -74,7 +74,7 @@ check: setup .venv/tools
 ## show what the tests of the firmware are worth
 proof: setup .venv/tools
 	$(BIN)/python -m tools.coverage_firmware
-	$(BIN)/python -m tools.mutate --sample 20
+	$(BIN)/python -m tools.mutate --sample 12
 
 # ARGS goes to tools.bench, as in make bench ARGS=--short.
 ## measure what a run costs, against named peers
