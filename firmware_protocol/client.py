@@ -62,6 +62,10 @@ class Client:
         """
         return self._fast.snapshot(self.address)
 
+    def counts(self) -> tuple[int, int, int]:
+        """Return how many messages were sent and received, and how many snapshots are missing or incomplete."""
+        return self._fast.counts(self.address)
+
     # What is sent to the robot
 
     def out(self) -> PackedFrames:

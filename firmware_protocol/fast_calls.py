@@ -45,6 +45,7 @@ class FastCalls(NamedTuple):
     poll: Callable[[int, int], bool]
     step: Callable[[int, int, int, int, int], bool]
     snapshot: Callable[[int], tuple[Any, ...]]
+    counts: Callable[[int], tuple[int, int, int]]
 
 
 def address_of(pointer: Any) -> int:

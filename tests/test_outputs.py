@@ -17,6 +17,7 @@ from hil.cli.ctl import app as ctl
 from hil.cli.main import app
 from hil.core.errors import BadInputError
 from hil.core.outputs import claim, free_name, write_whole
+from hil.core.signals import pack_row
 from hil.record import Recording
 from hil.record.files import check_output_path, new_in_runs, numbered_path
 from hil.review import read
@@ -141,7 +142,7 @@ def test_a_numbered_recording_is_no_part_of_another(tmp_path: Path) -> None:
     first.write_bytes(KEPT)
     with Recording(first, properties={}, blocking=True, existing="number") as recording:
         for row in circle_rows(20):
-            recording.put(row)
+            recording.put(pack_row(row))
         report = recording.finish({})
     assert recording.path == report.path == tmp_path / "run_2.mcap"
     assert report.parts == (tmp_path / "run_2.mcap",)

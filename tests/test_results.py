@@ -9,7 +9,7 @@ import pytest
 
 import hil
 from hil.core.errors import BadInputError
-from hil.core.signals import SIGNAL_NAMES
+from hil.core.signals import SIGNAL_NAMES, pack_row
 from hil.core.types import ZERO_WHEELS, Applied, CommandMode, Reference, State, WheelCommand
 from hil.judge.expectations import check_expectation
 from hil.judge.figures import RunFigures, signal_figures
@@ -27,7 +27,7 @@ def test_the_figures_made_as_the_run_goes_are_those_of_all_its_rows_to_the_last_
     rows = list(circle_rows(ROWS))
     sink = MemorySink(SIGNAL_NAMES, RunFigures(SETUP, SIGNAL_NAMES), keep=True)
     for row in rows:
-        sink.put(row)
+        sink.put(pack_row(row))
     figures, reasons = sink.figures()
     signals = sink.signals()
     assert (figures, reasons) == signal_figures(signals, SETUP)
@@ -43,7 +43,7 @@ def test_without_its_rows_a_run_needs_no_more_memory_when_it_goes_on() -> None:
     try:
         sizes = []
         for row in itertools.chain.from_iterable([rows] * 20):
-            sink.put(row)
+            sink.put(pack_row(row))
             if row is rows[-1]:
                 sizes.append(tracemalloc.get_traced_memory()[0])
     finally:

@@ -13,7 +13,7 @@ from mcap.opcode import Opcode
 
 from hil.cli.review import review as command
 from hil.core.errors import BadInputError
-from hil.core.signals import SIGNAL_NAMES
+from hil.core.signals import SIGNAL_NAMES, pack_row
 from hil.judge.figures import SHIPPED, signal_figures
 from hil.record import Recording
 from hil.record.properties import SIGNALS_PATH
@@ -52,7 +52,7 @@ def recorded(path: Path) -> Path:
     with Recording(path, properties=PROPERTIES, blocking=True) as recorder:
         recorder.event(-0.02, "info", "ARMED")
         for row in circle_table(ROWS):
-            recorder.put(tuple(row))
+            recorder.put(pack_row(tuple(row)))
         recorder.event(5.4, "warning", "STOPPING: host request")
         assert recorder.finish(SUMMARY).complete
     return path

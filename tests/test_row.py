@@ -51,16 +51,14 @@ def test_every_value_of_a_row_stands_under_its_signals_name() -> None:
     applied = Applied(WheelCommand(CommandMode.SPEED, four(100), four(110)), True, 0.12)
     device = SimpleNamespace(
         report=SimpleNamespace(health=(120.0, 121.0, four(122))),
-        sent=130,
-        received=131,
+        counts=lambda: (130, 131, 134),
         rejected=lambda: {"one": 132, "other": 1},
-        snapshots_lost=134,
         round_trip_ms=138.0,
         clock_sync=SimpleNamespace(offset_us=140.0, drift_ppm=141.0),
     )
     wire = SimpleNamespace(byte_counts=lambda: (135, 136), load_percent=lambda: 137.0)
-    extra = SimpleNamespace(telemetry=(150.0, 151.0))
-    rows: list[tuple[float, ...]] = []
+    extra = SimpleNamespace(signals=("one", "other"), telemetry=(150.0, 151.0))
+    rows: list[bytes] = []
     writer = RowWriter(
         device, wire, SimpleNamespace(gains=gains), [extra], [SimpleNamespace(put=rows.append)], LATENCY_NS
     )
@@ -113,8 +111,8 @@ def test_every_value_of_a_row_stands_under_its_signals_name() -> None:
         "battery.current_a": 121.0,
         **{f"robot.acceleration_{axis}_m_s2": 70.0 + place for place, axis in enumerate("xyz")},
         **{f"estimator.{name}": value for name, value in estimator._asdict().items()},
-        "guard.saturated": True,
-        "guard.held": False,
+        "guard.saturated": 1.0,
+        "guard.held": 0.0,
         "link.sent": 130,
         "link.received": 131,
         "link.rejected": 133,
@@ -128,7 +126,8 @@ def test_every_value_of_a_row_stands_under_its_signals_name() -> None:
         "link.clock_offset_us": 140.0,
         "link.clock_drift_ppm": 141.0,
     }
-    (row,) = rows
+    (packed,) = rows
+    row = memoryview(packed).cast("d").tolist()
     assert sorted(expected) == sorted(SIGNAL_NAMES)
     assert dict(zip(SIGNAL_NAMES, row[:-2], strict=True)) == pytest.approx(expected)
-    assert row[-2:] == extra.telemetry
+    assert row[-2:] == list(extra.telemetry)

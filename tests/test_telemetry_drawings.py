@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
+from hil.core.signals import pack_row
 from hil.record import Recording
 from hil.record.blueprint import blueprint
 from hil.record.lanes import limits
@@ -52,7 +53,7 @@ def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
     assert json.loads(told["gains"])["filter_s"] == 0.0675
     with Recording(path, properties=told, blocking=True) as recorder:
         for row in circle_rows(ROWS):
-            recorder.put(row)
+            recorder.put(pack_row(row))
         assert recorder.finish({"passed": True}).complete
     return path
 
@@ -126,7 +127,7 @@ def test_faults_have_lanes_of_their_own(recording: Path) -> None:
 
 
 def test_the_link_is_lossy_for_a_while_after_a_loss_and_silent_without_feedback(tmp_path: Path) -> None:
-    from hil.core.signals import INDEX
+    from hil.core.signals import INDEX, pack_row
 
     path, table = tmp_path / "run.rrd", circle_table(1000)
     table[200:, INDEX["link.lost"]] = 1.0
@@ -134,7 +135,7 @@ def test_the_link_is_lossy_for_a_while_after_a_loss_and_silent_without_feedback(
     table[800:, INDEX["link.feedback_age_ms"]] = np.nan
     with Recording(path, properties={}, blocking=True) as recorder:
         for row in table:
-            recorder.put(tuple(row))
+            recorder.put(pack_row(tuple(row)))
         recorder.finish({})
     expected = [(0.0, "GOOD"), (0.2, "LOSSY"), (0.3, "GOOD"), (0.5, "STALE"), (0.6, "GOOD"), (0.8, "SILENT")]
     found = states(path, "/link/state")

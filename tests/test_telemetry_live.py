@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 
 from hil.core.errors import BadInputError
+from hil.core.signals import pack_row
 from hil.record import Recording
 from hil.record.viewer import free_port, has_display, live_address, live_hint, show_live, view, viewer_executable
 from hil.review.contents import DamagedError
@@ -46,7 +47,7 @@ def test_a_run_is_served_thinned_on_the_loopback_interface_alone(tmp_path: Path)
     port, received = free_port(), tmp_path / "received.rrd"
     with Recording(None, properties={}, blocking=True, live_port=port) as recording:
         for row in circle_rows(2000):
-            recording.put(row)
+            recording.put(pack_row(row))
         report = recording.finish({"passed": True}, keep_live=True)
         assert (report.rows_put, report.rows_lost, report.error) == (2000, 0, None)
         assert listening_addresses(port) == LOOPBACK
@@ -84,7 +85,7 @@ def test_a_viewer_that_is_absent_frozen_killed_and_restarted_costs_no_row(tmp_pa
 
         def put(begin: int, end: int) -> None:
             for row in rows[begin:end]:
-                recording.put(row)
+                recording.put(pack_row(row))
             wait_for(lambda: recording.ring.saved == end)
 
         put(0, 3000)

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from hil.core.errors import BadInputError
-from hil.core.signals import SIGNAL_NAMES
+from hil.core.signals import SIGNAL_NAMES, pack_row
 from hil.judge.words import outcome_rows
 from hil.record import Recording, Rotation, check_output_path, ring_process
 from hil.record.files import has_end, numbered_path
@@ -42,7 +42,7 @@ def rotated(tmp_path_factory: pytest.TempPathFactory) -> Path:
             if tick % 200 == 0:
                 wait_for(lambda tick=tick: recording.ring.saved == tick)
                 recording.event(row[0], "info", f"tick {tick}")
-            recording.put(row)
+            recording.put(pack_row(row))
         report = recording.finish({"passed": True})
     assert report.parts == (path, numbered_path(path, 2), numbered_path(path, 3))
     assert report.troubles == ()
@@ -104,7 +104,7 @@ def test_parts_that_are_removed_in_mid_run_are_counted_as_lost(tmp_path: Path) -
             if tick == 500:
                 wait_for(lambda: recording.ring.saved == 500)
                 shutil.rmtree(path.parent)
-            recording.put(row)
+            recording.put(pack_row(row))
         report = recording.finish({"passed": True})
     assert (report.rows_written, report.rows_lost, report.rows_dropped, report.events_lost) == (400, 500, 0, 1)
     assert report.error is not None
@@ -123,7 +123,7 @@ def test_what_a_killed_recorder_had_no_time_to_count_is_in_the_recording_once(me
     first.event(0.0, "info", "counted")
     first.check()
     for row in rows[:20]:
-        memory.writer.try_put(row)
+        memory.writer.try_put(pack_row(row))
     before = memory.copy()
     first.event(0.01, "info", "written")
     first.write_until(20)
@@ -132,7 +132,7 @@ def test_what_a_killed_recorder_had_no_time_to_count_is_in_the_recording_once(me
     second.event(0.01, "info", "written")
     second.event(0.02, "info", "later")
     for row in rows[20:]:
-        memory.writer.try_put(row)
+        memory.writer.try_put(pack_row(row))
     second.finish({})
     whole, signals = decode(tmp_path / "run.mcap")
     assert [text for _, _, text in whole["events"]] == ["counted", "written", "later"]
@@ -150,7 +150,7 @@ def test_a_recorder_that_is_told_to_end_leaves_what_it_cannot_write_to_the_next(
     shutil.rmtree(folder)
     folder.write_text("in the place of the folder")
     for row in circle_rows(30):
-        memory_of_folder.writer.try_put(row)
+        memory_of_folder.writer.try_put(pack_row(row))
     parts.finish(None)
     assert (memory_of_folder.ring.tail, memory_of_folder.ring.saved) == (0, 0)
     folder.unlink()
@@ -167,7 +167,7 @@ def test_a_summary_that_cannot_be_written_leaves_the_recording_incomplete(tmp_pa
         recording = Recording(path, properties={}, blocking=True, capacity=256)
     with recording:
         for row in circle_rows(100):
-            recording.put(row)
+            recording.put(pack_row(row))
         report = recording.finish({"text": "x" * 600_000})
     assert (report.rows_written, report.rows_lost, report.complete) == (100, 0, False)
     assert report.error == "its summary could not be written: it could not be written any more (File too large)"
@@ -192,7 +192,7 @@ def test_a_part_does_not_take_the_place_of_another_runs(tmp_path: Path) -> None:
     numbered_path(path, 2).write_text("of another run")
     with Recording(path, properties={}, blocking=True, rotation=ROTATION) as recording:
         for row in circle_rows(300):
-            recording.put(row)
+            recording.put(pack_row(row))
         report = recording.finish({})
     assert numbered_path(path, 2).read_text() == "of another run"
     assert report.complete
@@ -282,7 +282,7 @@ def test_a_config_of_more_than_a_pipe_holds_reaches_a_recorder_that_was_restarte
     ) as recording:
         os.kill(recording.pid, signal.SIGKILL)
         for row in circle_rows(300):
-            recording.put(row)
+            recording.put(pack_row(row))
         wait_for(lambda: recording.ring.saved == 300)
         assert recording.restarts == 1
         assert recording.finish({}).complete
@@ -296,7 +296,7 @@ def test_a_restart_that_fails_ends_the_restarts_and_not_the_run(
         monkeypatch.setattr(sys, "executable", str(tmp_path / "no-python"))
         os.kill(recording.pid, signal.SIGKILL)
         for row in circle_rows(200):
-            recording.put(row)
+            recording.put(pack_row(row))
         report = recording.finish({})
     assert (report.restarts, report.rows_put, report.rows_written) == (0, 200, 0)
     assert report.rows_lost + report.rows_dropped == 200

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from hil.core.errors import BadInputError, DeviceError
-from hil.core.signals import SIGNAL_NAMES
+from hil.core.signals import SIGNAL_NAMES, pack_row
 from hil.record import Recording, RecordingReport, check_output_path, early_recorder, ring_process, rotation
 from hil.record.files import numbered_path
 from hil.record.started_process import StartedProcess, rerun_environment
@@ -60,7 +60,7 @@ def test_lockstep_waits_for_room_and_leaves_nothing_behind(tmp_path: Path) -> No
     descriptors = len(list(Path("/proc/self/fd").iterdir()))
     with record(tmp_path / "run.rrd", capacity=256) as recording:
         for row in circle_rows(2000):
-            recording.put(row)
+            recording.put(pack_row(row))
         report = recording.finish({})
     path = tmp_path / "run.rrd"
     assert report == RecordingReport(path, 2000, 2000, 0, 0, 0, None, parts=(path,))
@@ -75,7 +75,7 @@ def test_a_recorder_that_was_started_early_records_and_needs_no_tables(tmp_path:
     path = tmp_path / "run.rrd"
     with early_recorder(".rrd") as make_recording, make_recording(path, properties={}, blocking=True) as recording:
         for row in circle_rows(200):
-            recording.put(row)
+            recording.put(pack_row(row))
         mapped = Path(f"/proc/{recording.pid}/maps").read_text()
         assert recording.finish({"passed": True}).complete
     assert "rerun_bindings" in mapped
@@ -100,7 +100,7 @@ def test_real_time_drops_what_a_stopped_recorder_has_no_room_for(tmp_path: Path)
     with record(tmp_path / "run.rrd", blocking=False, capacity=256) as recording:
         os.kill(recording.pid, signal.SIGSTOP)
         for row in circle_rows(1000):
-            recording.put(row)
+            recording.put(pack_row(row))
         os.kill(recording.pid, signal.SIGCONT)
         report = recording.finish({})
     assert (report.rows_put, report.rows_written, report.rows_dropped, report.rows_lost) == (
@@ -120,12 +120,12 @@ def test_a_recorder_that_is_killed_is_restarted_and_nothing_is_lost(tmp_path: Pa
     with record(tmp_path / name, blocking=False) as recording:
         recording.event(0.1, "info", "before")
         for row in rows[:2000]:
-            recording.put(row)
+            recording.put(pack_row(row))
         wait_until(lambda: recording.ring.saved >= 1000)
         os.kill(recording.pid, signal.SIGKILL)
         recording.event(2.0, "info", "meanwhile")
         for row in rows[2000:]:
-            recording.put(row)
+            recording.put(pack_row(row))
         report = recording.finish({"passed": True})
     assert report.complete
     assert report.restarts == 1
@@ -147,13 +147,13 @@ def test_the_run_goes_on_when_the_recorder_dies_again_and_again(
     rows = list(circle_rows(4000))
     with record(tmp_path / "run.mcap", capacity=2048) as recording:
         for row in rows[:1500]:
-            recording.put(row)
+            recording.put(pack_row(row))
         wait_until(lambda: recording.ring.saved >= 1000)
         for restarts in (0, 1):
             wait_until(lambda restarts=restarts: recording.restarts == restarts)  # type: ignore[misc]
             os.kill(recording.pid, signal.SIGKILL)
         for row in rows[1500:]:
-            recording.put(row)
+            recording.put(pack_row(row))
         report = recording.finish({"passed": True})
     assert report.error == "the recorder ended before the run: exit status -9"
     assert report.rows_put == 4000
@@ -172,7 +172,7 @@ def test_a_long_run_goes_on_in_another_file_each_of_which_is_whole(tmp_path: Pat
     rotate = rotation("900MB|1s")
     with Recording(path, properties={"law": "none"}, blocking=True, rotation=rotate) as recording:
         for row in circle_rows(2500):
-            recording.put(row)
+            recording.put(pack_row(row))
         report = recording.finish({"passed": True})
     assert report.complete
     assert report.parts == (path, numbered_path(path, 2), numbered_path(path, 3))
@@ -192,7 +192,7 @@ def test_a_long_run_goes_on_in_another_file_each_of_which_is_whole(tmp_path: Pat
 def path_of_another_run(folder: Path, name: str) -> Path:
     path = folder / f"other-{name}"
     with record(path) as recording:
-        recording.put(next(circle_rows(1)))
+        recording.put(pack_row(next(circle_rows(1))))
         recording.finish({"passed": False})
     return path
 
@@ -204,11 +204,11 @@ def test_a_folder_that_is_removed_costs_its_rows_and_no_more(tmp_path: Path) -> 
     rows = list(circle_rows(2000))
     with record(folder / "run.mcap", blocking=False) as recording:
         for row in rows[:1000]:
-            recording.put(row)
+            recording.put(pack_row(row))
         wait_until(lambda: recording.ring.saved == 1000)
         shutil.rmtree(folder)
         for row in rows[1000:]:
-            recording.put(row)
+            recording.put(pack_row(row))
         report = recording.finish({"passed": True})
     assert report.error == "it could not be written any more (run.mcap was removed)"
     assert (report.rows_written, report.rows_lost) == (1000, 1000)
@@ -231,7 +231,7 @@ begin_s = time.perf_counter()
 for i, row in enumerate(rows):
     while time.perf_counter() < begin_s + 0.001 * i:
         pass
-    recording.put(row)
+    recording.put(pack_row(row))
     os.write(1, b"+")
 """
 
@@ -267,7 +267,7 @@ def test_mcap_needs_no_rerun(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
     path = tmp_path / "run.mcap"
     with record(path) as recording:
         for row in circle_rows(200):
-            recording.put(row)
+            recording.put(pack_row(row))
         recording.event(0.1, "warning", "a line")
         assert recording.finish({"passed": True}).complete
     run = read(path)
@@ -293,7 +293,7 @@ if sys.argv[2] == "heir" and heir == 0:
     os.close(1)
     signal.pause()
 for row in circle_rows(1500):
-    recording.put(row)
+    recording.put(pack_row(row))
 recording.event(1.5, "info", "last words")
 print(recording.pid, heir, flush=True)
 os.kill(os.getpid(), signal.SIGKILL)
@@ -328,7 +328,7 @@ def test_an_interrupt_of_the_terminal_does_not_reach_the_file(tmp_path: Path) ->
         assert os.getpgid(recording.pid) != os.getpgrp()
         os.kill(recording.pid, signal.SIGINT)
         for row in circle_rows(100):
-            recording.put(row)
+            recording.put(pack_row(row))
         assert recording.finish({}).complete
     assert_same_bits(tmp_path / "run.rrd", 100)
 
@@ -337,7 +337,7 @@ def test_an_interrupt_of_the_terminal_does_not_reach_the_file(tmp_path: Path) ->
 def test_a_recorder_that_is_told_to_end_finishes_the_file(tmp_path: Path) -> None:
     with record(tmp_path / "run.rrd") as recording:
         for row in circle_rows(100):
-            recording.put(row)
+            recording.put(pack_row(row))
         os.kill(recording.pid, signal.SIGTERM)
         wait_for(lambda: has_ended(recording.pid))
         report = recording.finish({})
@@ -358,7 +358,7 @@ def test_a_limit_of_the_file_costs_rows_and_not_the_run(tmp_path: Path) -> None:
         resource.setrlimit(resource.RLIMIT_FSIZE, limits)
     with recording:
         for row in circle_rows(4000):
-            recording.put(row)
+            recording.put(pack_row(row))
         report = recording.finish({"passed": True})
     assert report.error == "it could not be written any more (File too large)"
     assert report.rows_dropped == 0

@@ -17,7 +17,7 @@ import pytest
 import rerun
 from PIL import Image
 
-from hil.core.signals import SIGNAL_NAMES
+from hil.core.signals import SIGNAL_NAMES, pack_row
 from hil.record import Recording
 from hil.record.layout import HEADING_COLOUR, REFERENCE_COLOUR, TRUTH_COLOUR, WHEEL_COLOURS, X_COLOUR, Y_COLOUR, Colour
 from hil.record.viewer import Window, free_port, on_each_run
@@ -74,7 +74,7 @@ def record(recorder: Recording) -> None:
     """Give the recorder a made-up run."""
     recorder.event(0.0, "info", "ACTIVE")
     for row in circle_rows(1600):
-        recorder.put((*row, 0.5))
+        recorder.put(pack_row((*row, 0.5)))
 
 
 @pytest.fixture(scope="module")

@@ -262,7 +262,7 @@ def test_a_device_traces_its_own_end(tmp_path, ending):
 def test_a_frame_goes_through_the_ring_as_it_is(payload, number, unix_us, sent):
     flags = packing.SENT * sent + packing.EXTENDED + packing.FD * (len(payload) > 8)
     row = packing.pack(unix_us, flags, number, len(payload), payload)
-    assert len(row) == packing.WIDTH
-    back = packing.unpack([float(value) for value in row])
+    assert len(row) == 8 * packing.WIDTH
+    back = packing.unpack(memoryview(row).cast("d"))
     assert (back["arbitration_id"], back["data"], back["is_rx"]) == (number, payload, not sent)
     assert back["timestamp"] == pytest.approx(unix_us * 1e-6, abs=1e-6)

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 
 import hil
 from hil.core.errors import BadInputError
-from hil.core.signals import SIGNAL_NAMES
+from hil.core.signals import SIGNAL_NAMES, pack_row
 from hil.record.udp import MOST_BYTES, DatagramWriter, UdpStream, parse_destination
 from tests.examples import share_of_examples
 from tests.recorded_circle import circle_rows
@@ -126,7 +126,7 @@ def test_a_tick_never_waits_for_a_sender_that_stands_still(receiver: Receiver) -
     with UdpStream(parse_destination(receiver.url), signals=SIGNAL_NAMES, blocking=False) as stream:
         os.kill(stream.pid, signal.SIGSTOP)
         for _ in range(count):
-            stream.put(row)
+            stream.put(pack_row(row))
         os.kill(stream.pid, signal.SIGCONT)
         figures = stream.finish()
     assert figures["rows_dropped"] == count - capacity
@@ -138,7 +138,7 @@ def test_a_run_goes_on_when_the_sender_was_killed(receiver: Receiver) -> None:
     with UdpStream(parse_destination(receiver.url), signals=SIGNAL_NAMES, blocking=True) as stream:
         os.kill(stream.pid, signal.SIGKILL)
         for row in circle_rows(20_000):
-            stream.put(row)
+            stream.put(pack_row(row))
         figures = stream.finish()
     assert figures["sent"] is None
     assert figures["error"].startswith("the sender of the stream ended before the run")

@@ -134,8 +134,9 @@ class FixSource(Protocol):
 class Sink(Protocol):
     """Receives samples. In real time it does not block; it drops and counts what it cannot accept."""
 
-    def put(self, row: tuple[float, ...]) -> None:
-        """Accept one row of values, in the order of the run's signals: ``hil.core.signals.SIGNALS``, then others."""
+    def put(self, row: bytes) -> None:
+        """Accept one row: the values of ``hil.core.signals.SIGNALS`` in their order, then those of the run's other
+        signals, as doubles (``hil.core.signals.pack_row``)."""
 
 
 Note = Callable[[float, str, str], None]

@@ -5,6 +5,8 @@ groups below, so each signal is defined once; its name ends with the unit. A run
 (``hil.core.ports.OwnSignals``); their names end with the unit too.
 """
 
+from array import array
+from collections.abc import Iterable
 from typing import NamedTuple
 
 from hil.core.types import WHEEL_NAMES, Gains, Pose, Twist, Wheels
@@ -177,6 +179,11 @@ _UNITS = {
     "_rad": "rad", "_us": "µs", "_ms": "ms", "_m": "m", "_s": "s", "_a": "A", "_v": "V", "_degc": "°C",
     "_bytes": "B", "_percent": "%", "_ppm": "ppm",
 }  # fmt: skip
+
+
+def pack_row(values: Iterable[float]) -> bytes:
+    """Return a row as sinks take it: the values as doubles, one after the other, in this machine's byte order."""
+    return array("d", values).tobytes()
 
 
 def unit_of(name: str) -> str:

@@ -1,6 +1,5 @@
 """The result of a run: signals as arrays, figures, and the exit code that follows from them."""
 
-import struct
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -35,7 +34,6 @@ class MemorySink:
         self._age_place = names.index("link.feedback_age_ms")
         self._age_ms = Reservoir()
         self._blocks: list[Series] = []
-        self._pack = struct.Struct(f"{len(names)}d").pack
         self._row_bytes = 8 * len(names)
         self._block_bytes = BLOCK_ROWS * self._row_bytes
         self._steps: Iterator[None] = iter(())
@@ -47,12 +45,11 @@ class MemorySink:
         self._bytes = self._block.data.cast("B")
         self._filled = 0  # bytes
 
-    def put(self, row: tuple[float, ...]) -> None:
-        """Take one row in the order of the signals."""
+    def put(self, row: bytes) -> None:
+        """Take one row."""
         begin = self._filled
         end = begin + self._row_bytes
-        # Called with the row alone, ``pack`` takes the tuple as it is; ``pack_into`` has it copied twice.
-        self._bytes[begin:end] = self._pack(*row)
+        self._bytes[begin:end] = row
         self._filled = end
         if end >= self._block_bytes:
             self._begin_block()

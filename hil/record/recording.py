@@ -59,7 +59,7 @@ class RunRecording(AbstractContextManager["RunRecording"], Protocol):
     def path(self) -> Path | None:
         """The file, or None if there is only a live view."""
 
-    def put(self, row: tuple[float, ...]) -> None:
+    def put(self, row: bytes) -> None:
         """Take one row in the order of the signals."""
 
     def event(self, t_s: float, level: str, text: str) -> None:
@@ -114,7 +114,7 @@ class Recording(RingProcess):
 
     Attributes:
         path: the file, or None if there is only a live view.
-        put: takes one row in the order of the signals; raises struct.error when its length is wrong.
+        put: takes one row in the order of the signals; raises ValueError when its length is wrong.
     """
 
     def __init__(

@@ -12,7 +12,6 @@ covers it. The recorder reads up to the ``head`` of its previous poll, which is 
 
 import mmap
 import os
-import struct
 import sys
 import tempfile
 import uuid
@@ -23,7 +22,8 @@ if TYPE_CHECKING:
     import numpy as np
     import numpy.typing as npt
 
-Row = tuple[float, ...]
+Row: TypeAlias = bytes
+"""The values of a row as doubles, one after the other."""
 Rows: TypeAlias = "npt.NDArray[np.float64]"
 
 # Words of the header, 8 bytes each. What the two sides write lies in cache lines of its own.
@@ -175,7 +175,7 @@ class RingWriter(_Counts):
 
     Attributes:
         try_put: stores one row and returns True. When the ring is full, it stores nothing and returns
-            ``when_full(row)``. Raises struct.error for a row of the wrong width, or with a value that is not a number.
+            ``when_full(row)``. Raises ValueError for a row of the wrong width.
     """
 
     def __init__(
@@ -208,7 +208,6 @@ def _putter(
     words: "memoryview[int]", rows: "memoryview[int]", capacity: int, width: int, when_full: Callable[[Row], bool]
 ) -> Callable[[Row], bool]:
     """Return ``RingWriter.try_put``: a closure, which needs no attribute look-ups; it is called in each tick."""
-    pack = struct.Struct(f"{width}d").pack
     row_bytes = width * 8
     head = tail_seen = 0
 
@@ -219,8 +218,7 @@ def _putter(
             if head - tail_seen >= capacity:
                 return when_full(row)
         begin = head % capacity * row_bytes
-        # Called with the row alone, ``pack`` takes the tuple as it is; ``pack_into`` has it copied twice.
-        rows[begin : begin + row_bytes] = pack(*row)
+        rows[begin : begin + row_bytes] = row
         head += 1
         words[_HEAD] = head
         return True

@@ -42,7 +42,7 @@ class RingProcess:
     Raises BadInputError when the process refuses the config, DeviceError when it does not start.
 
     Attributes:
-        put: takes one row; raises struct.error when its width is wrong.
+        put: takes one row; raises ValueError when its width is wrong.
         ring: the ring; it counts the rows that were put, saved and dropped.
         restarts: how often the process was started again.
         troubles: for each process that died, how it ended, as text.

@@ -411,6 +411,9 @@ class Stm32(LinkedDevice):
         view = self._client.view
         return int(view.lost + view.incomplete)
 
+    def counts(self) -> tuple[int, int, int]:
+        return self._client.counts()
+
     def wire_sha256(self) -> str:
         return self._client.hexdigest()
 

@@ -1,6 +1,7 @@
 """Writes the event log of a run: begin and end of faults, and the outcome of expectations."""
 
 import math
+import struct
 from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any
@@ -11,6 +12,7 @@ from hil.judge.expectations import Watch, outcome_figures
 from hil.plant.child_output import ChildOutput, log_lines
 from hil.scenario import ExpectTable, FaultTable
 
+_value_at = struct.Struct("d").unpack_from  # at an offset in a row
 _LEVELS = {True: "info", None: "warning", False: "error"}
 
 
@@ -31,8 +33,8 @@ class RunEvents:
     ) -> None:
         self._note = note
         self._output = ChildOutput() if output is None else output
-        self._t_place = names.index("loop.t_s")
-        self._watches = [(names.index(row.signal), Watch(row)) for row in expect]
+        self._t_at = 8 * names.index("loop.t_s")
+        self._watches = [(8 * names.index(row.signal), Watch(row)) for row in expect]
         self._open: tuple[tuple[int, Watch], ...] = ()
         self._undecided = [watch for _, watch in self._watches]
         self._noted: dict[int, str] = {}  # what was logged when an expectation failed
@@ -42,23 +44,23 @@ class RunEvents:
             edges.append((fault.start_s, partial(self._begin, fault.start_s, fault.words)))
             if not find(fault.kind, fault.target).is_instant:
                 edges.append((fault.end_s, partial(self._end, fault.end_s, fault.words)))
-        for place, watch in self._watches:
+        for at, watch in self._watches:
             row = watch.expect
-            edges.append((row.from_s, partial(self._watch, place, watch)))
+            edges.append((row.from_s, partial(self._watch, at, watch)))
             # A sample at exactly to_s is still checked.
             edges.append((math.nextafter(row.to_s, math.inf), partial(self._close, watch)))
         self._edges = sorted(edges, key=lambda edge: edge[0], reverse=True)
         self._next_s = self._edges[-1][0] if edges else math.inf
 
-    def put(self, row: tuple[float, ...]) -> None:
+    def put(self, row: bytes) -> None:
         """Process the row of a tick."""
-        t_s = row[self._t_place]
+        (t_s,) = _value_at(row, self._t_at)
         if t_s >= self._next_s:
             self._cross(t_s)
         if self._output:
             log_lines(self._output.new_lines(), t_s, self._note)
-        for place, watch in self._open:
-            if watch.add(t_s, row[place]):
+        for at, watch in self._open:
+            if watch.add(t_s, *_value_at(row, at)):
                 self._note_failure(watch)
 
     def finish(self, t_s: float, *, is_cut: bool) -> list[dict[str, Any]]:
@@ -88,8 +90,8 @@ class RunEvents:
         self._in_force.remove(words)
         self._note(at_s, "info", f"fault ends: {words}")
 
-    def _watch(self, place: int, watch: Watch) -> None:
-        self._open += ((place, watch),)
+    def _watch(self, at: int, watch: Watch) -> None:
+        self._open += ((at, watch),)
 
     def _close(self, watch: Watch) -> None:
         self._decide(watch, watch.expect.to_s, None)

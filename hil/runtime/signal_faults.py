@@ -158,9 +158,9 @@ class SignalFaults:
             torque_n_m=self._passed("torque_command", command.torque_n_m, Wheels._make),
         )
 
-    def recorded(self, row: tuple[float, ...]) -> tuple[float, ...]:
+    def recorded(self, row: list[float]) -> list[float]:
         """Return the row with the faults of signals that nothing reads."""
-        return self._passed("recorded", row, tuple) if "recorded" in self._groups else row
+        return self._passed("recorded", row, list) if "recorded" in self._groups else row
 
     def _passed(self, group: str, numbers: Sequence[float], make: Callable[[list[float]], Made]) -> Made:
         values = list(numbers)

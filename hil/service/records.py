@@ -45,7 +45,7 @@ class Records:
         if (recording := self.end()) is not None:
             finished(recording)
 
-    def put(self, row: tuple[float, ...]) -> None:
+    def put(self, row: bytes) -> None:
         """Write one row, in the order of the signals."""
         for recording in (self._recording, self._live):
             if recording is not None:

@@ -28,7 +28,7 @@ import numpy as np
 
 import hil
 from hil.core.errors import BadInputError
-from hil.core.signals import SIGNAL_NAMES
+from hil.core.signals import SIGNAL_NAMES, pack_row
 from hil.core.types import WHEEL_NAMES
 from hil.record import Recording
 from hil.record.viewer import free_port, live_address, viewer_executable
@@ -163,7 +163,7 @@ class _Bench:
         path, names = self._folder / "long.rrd", tuple(self._signals)
         with Recording(path, properties=self._told, blocking=True, signals=names, existing="replace") as recording:
             for row in self._rows(names, ticks):
-                recording.put(row)
+                recording.put(pack_row(row))
             report = recording.finish({})
         if not report.complete:
             raise RuntimeError(f"the recording is not complete: {report.error}")
@@ -189,12 +189,12 @@ class _Bench:
             path, properties=self._told, blocking=False, signals=FORTY, live_port=port, existing="replace"
         ) as recording:
             if port is None:
-                turn = _turn(rows, recording.put)
+                turn = _turn(rows, lambda row: recording.put(pack_row(row)))
             else:
                 for row in rows[:WARM_UP]:
-                    recording.put(row)
+                    recording.put(pack_row(row))
                 with _viewer(port, self._folder / "received.rrd", freeze=viewer == "frozen"):
-                    turn = _turn(rows, recording.put, begin=WARM_UP)
+                    turn = _turn(rows, lambda row: recording.put(pack_row(row)), begin=WARM_UP)
             report = recording.finish({})
         if not report.complete:
             raise RuntimeError(f"the recording is not complete: {report.error}")

@@ -65,10 +65,19 @@ void *wheel_python_step(void *self, void *const *arguments, ptrdiff_t count) {
     return python.PyBool_FromLong(wheel_direct_step(direct, robot, client, (uint16_t)ticks, now_ns));
 }
 
+/* Returns a new tuple with room for `more` further items behind the whole numbers. */
+static void *tuple_of(const long long *whole, ptrdiff_t count, ptrdiff_t more) {
+    void *tuple = python.PyTuple_New(count + more);
+    for (ptrdiff_t i = 0; tuple != NULL && i < count; i++) {
+        python.PyTuple_SetItem(tuple, i, python.PyLong_FromLongLong(whole[i]));
+    }
+    return tuple;
+}
+
 void *wheel_python_snapshot(void *self, void *const *arguments, ptrdiff_t count) {
     (void)self, (void)count;
-    const wheel_client *client = python.PyLong_AsVoidPtr(arguments[0]);
-    const wheel_view *view = wheel_client_view(client);
+    const wheel_view *view = wheel_client_view(python.PyLong_AsVoidPtr(arguments[0]));
+    const uint16_t *encoders = view->encoder_count;
     const long long whole[] = {view->snapshots,
                                view->round_trips,
                                view->slow,
@@ -77,18 +86,24 @@ void *wheel_python_snapshot(void *self, void *const *arguments, ptrdiff_t count)
                                view->state,
                                view->command_sequence,
                                view->command_age_ms};
-    const ptrdiff_t wholes = (ptrdiff_t)(sizeof whole / sizeof whole[0]);
-    void *counts = python.PyTuple_New(4);
+    void *snapshot = tuple_of(whole, 8, 2);
+    void *counts = tuple_of((long long[]){encoders[0], encoders[1], encoders[2], encoders[3]}, 4, 0);
     void *speeds = python.PyTuple_New(4);
-    void *snapshot = python.PyTuple_New(wholes + 2);
+    if (snapshot == NULL || counts == NULL || speeds == NULL) {
+        return NULL; /* no memory: what was made is lost with the process */
+    }
     for (ptrdiff_t i = 0; i < 4; i++) {
-        python.PyTuple_SetItem(counts, i, python.PyLong_FromLongLong(view->encoder_count[i]));
         python.PyTuple_SetItem(speeds, i, python.PyFloat_FromDouble((double)view->speed_rad_s[i]));
     }
-    for (ptrdiff_t i = 0; i < wholes; i++) {
-        python.PyTuple_SetItem(snapshot, i, python.PyLong_FromLongLong(whole[i]));
-    }
-    python.PyTuple_SetItem(snapshot, wholes, counts);
-    python.PyTuple_SetItem(snapshot, wholes + 1, speeds);
+    python.PyTuple_SetItem(snapshot, 8, counts);
+    python.PyTuple_SetItem(snapshot, 9, speeds);
     return snapshot;
+}
+
+void *wheel_python_counts(void *self, void *const *arguments, ptrdiff_t count) {
+    (void)self, (void)count;
+    const wheel_view *view = wheel_client_view(python.PyLong_AsVoidPtr(arguments[0]));
+    const long long whole[] = {(long long)view->sent, (long long)view->received,
+                               (long long)view->lost + view->incomplete};
+    return tuple_of(whole, 3, 0);
 }

@@ -43,6 +43,9 @@ void *wheel_python_step(void *self, void *const *arguments, ptrdiff_t count);
 /* snapshot(client): snapshots, round_trips, slow, round_trip_ns, robot time [ns], state, command_sequence,
  * command_age_ms, encoder counts and speeds of the client's view. */
 void *wheel_python_snapshot(void *self, void *const *arguments, ptrdiff_t count);
+
+/* counts(client): messages sent and received, snapshots lost or incomplete. */
+void *wheel_python_counts(void *self, void *const *arguments, ptrdiff_t count);
 /* cffi: end */
 
 #endif

@@ -39,9 +39,9 @@ class RecordingHere:
             rr.FileSink(self.path), recording_id=str(uuid.uuid4()), signals=signals, properties=properties, live=False
         )
 
-    def put(self, row: tuple[float, ...]) -> None:
+    def put(self, row: bytes) -> None:
         """Take one row in the order of the signals."""
-        self._rows.extend(row)
+        self._rows.frombytes(row)
 
     def event(self, t_s: float, level: str, text: str) -> None:
         """Add a line to the event log."""

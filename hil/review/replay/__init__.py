@@ -17,6 +17,7 @@ from hil.core.errors import BadInputError, DeviceError, OverdueError
 from hil.core.guard import Guard
 from hil.core.outputs import Existing
 from hil.core.ports import Controller
+from hil.core.signals import pack_row
 from hil.core.tick_watch import TickOverdue, TickWatch
 from hil.core.types import NAN, WHEEL_NAMES, ZERO_WHEELS, Applied, CommandMode, WheelCommand
 from hil.judge.words import with_page
@@ -164,7 +165,7 @@ def write_replay(run: RecordedRun, replayed: Replay, path: Path, existing: Exist
         for sentence in (about, *replayed.notes):
             recording.event(float(run.signals["loop.t_s"][0]), "warning", sentence)
         for row in tuples(list(signals.values())):
-            recording.put(row)
+            recording.put(pack_row(row))
         report = recording.finish(with_page(run.summary) if run.summary else {})
     if not report.complete:
         why = report.error or "not all rows or events could be passed on"

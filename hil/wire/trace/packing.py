@@ -13,21 +13,16 @@ SENT, EXTENDED, REMOTE, ERROR, FD, SWITCHED = (1 << place for place in range(6))
 MOST_CLASSIC_BYTES, MOST_BYTES = 8, 64
 _WORDS = MOST_BYTES // 4
 _PAD = struct.Struct("<16I")
-_SHORT = struct.Struct("<2I")
-_REST = (0.0,) * (_WORDS - 2)
 WIDTH = 4 + _WORDS
+_ROW = struct.Struct(f"{WIDTH}d")
 
-Row = tuple[float, ...]
 
-
-def pack(unix_us: int, flags: int, number: int, length: int, payload: bytes) -> Row:
+def pack(unix_us: int, flags: int, number: int, length: int, payload: bytes) -> bytes:
     """Return the row; ``length`` is that of the payload, or the one that a remote frame requests."""
-    if len(payload) <= _SHORT.size:
-        return (unix_us, flags, number, length, *_SHORT.unpack(payload.ljust(_SHORT.size, b"\0")), *_REST)
-    return (unix_us, flags, number, length, *_PAD.unpack(payload.ljust(_PAD.size, b"\0")))
+    return _ROW.pack(unix_us, flags, number, length, *_PAD.unpack(payload.ljust(_PAD.size, b"\0")))
 
 
-def pack_message(unix_us: int, message: Any) -> Row:
+def pack_message(unix_us: int, message: Any) -> bytes:
     """Return the row of a ``can.Message`` that was received."""
     kinds = (
         (EXTENDED, message.is_extended_id),
