@@ -1,6 +1,6 @@
 /* Arms a robot on a serial line, drives it forward for a second, and stops it. In firmware_protocol/:
- *     cc -I. ../docs/examples/drive.c client/*.[c] firmware/{framing,cobs,crc}.c generated/*.[c] -lm -o drive
- *     hil device paper_circle --link serial:pty --mode realtime     and, with the port that it prints:
+ *     cc -I. ../docs/examples/drive.c client/[a-z]*.c firmware/{framing,cobs,crc}.c generated/[a-z]*.c -lm -o
+ * drive hil device paper_circle --link serial:pty --mode realtime     and, with the port that it prints:
  *     ./drive /dev/pts/5 */
 #include "client/wheel_client.h"
 #include "client/wheel_line.h"
