@@ -1,7 +1,7 @@
 /* Arms a robot on a serial line, drives it forward for a second, and stops it. In firmware_protocol/:
- *     cc -I. ../docs/examples/drive.c client/[a-z]*.c firmware/{framing,cobs,crc}.c generated/[a-z]*.c -lm -o
- * drive hil device paper_circle --link serial:pty --mode realtime     and, with the port that it prints:
- *     ./drive /dev/pts/5 */
+ *     cc -I. ../docs/examples/drive.c client/[a-z]*.c firmware/{framing,cobs,crc}.c generated/[a-z]*.c -lm
+ *     hil device paper_circle --link serial:pty --mode realtime     and, with the port that it prints:
+ *     ./a.out /dev/pts/5 */
 #include "client/wheel_client.h"
 #include "client/wheel_line.h"
 #include <fcntl.h>
