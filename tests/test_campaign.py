@@ -354,7 +354,7 @@ from tests.campaigns import do
 
 plan, disk = map(Path, sys.argv[1:])
 ballast = disk / "ballast"
-ballast.write_bytes(bytes(540 * 1024))
+ballast.write_bytes(bytes(580 * 1024))
 try:
     do(plan, disk / "out")
 except BadInputError as error:

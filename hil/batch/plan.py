@@ -46,6 +46,8 @@ def run_plan(
 ) -> Iterator[list[Outcome]]:
     """Do a plan's jobs in a pool, and yield outcomes as they come, in any order. The pool is closed at the end.
 
+    An empty list is yielded when for half a second none has come.
+
     A job whose key is in ``known`` is not done again: the known outcome is yielded, so a plan that was stopped
     continues where it was. ``on_trouble`` gets the pool's ``trouble`` at least twice a second. ``is_stopping`` is
     called as often: once it returns True, finished outcomes are yielded and the rest is dropped.
@@ -67,8 +69,7 @@ def run_plan(
                     return
                 new = _collected(pool)
             on_trouble(pool.trouble())
-            if new:
-                yield new
+            yield new
         yield _collected(pool)
 
 

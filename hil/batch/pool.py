@@ -24,7 +24,7 @@ READY = "ready\n"
 MODULE = "hil.batch.worker"
 _START_S = 120.0
 _END_S = 10.0
-_MEMORY_S = 0.2
+_LOOK_S = 0.2
 COLLECT_S = 0.5
 _AHEAD = 1
 """Jobs queued per worker besides the running one, so that no worker waits for the next."""
@@ -183,6 +183,10 @@ class _Process:
         )
         self._is_ready = False
         self.ended_why: str | None = None
+        self._limits: tuple[float, float, float | None] | None = None  # of the line that is awaited: end, s, MB
+        self._lock = threading.Lock()  # between a line that comes and a limit that is passed
+        self._closing = threading.Event()
+        threading.Thread(target=self._guard, name="job limits", daemon=True).start()
 
     def perform(self, job: Job) -> Outcome | None:
         """Do a job and return its outcome; None when the process has ended, by itself or for a limit."""
@@ -202,29 +206,31 @@ class _Process:
     def _line(self, limit_s: float, memory_mb: float | None) -> bytes:
         """Return the process's next line, or less when it ends; at a limit it is ended and ``ended_why`` is set."""
         assert self._process.stdout is not None
-        is_done = threading.Event()
-
-        def guard() -> None:
-            end = time.monotonic() + limit_s
-            while self.ended_why is None:
-                left_s = max(0.0, end - time.monotonic())
-                if is_done.wait(left_s if memory_mb is None else min(left_s, _MEMORY_S)):
-                    return
-                if memory_mb is not None:
-                    self.ended_why = excess(self._process.pid, memory_mb)
-                if time.monotonic() >= end:
-                    self.ended_why = f"hung: it was ended after {limit_s:.1f} s"
-            self._process.kill()
-
-        thread = threading.Thread(target=guard, name="job limits", daemon=True)
-        thread.start()
+        self._limits = time.monotonic() + limit_s, limit_s, memory_mb
         try:
             return bytes(self._process.stdout.readline())
         except OSError:
             return b""
         finally:
-            is_done.set()
-            thread.join()
+            with self._lock:
+                self._limits = None
+
+    def _guard(self) -> None:
+        """End the process when a line takes too long, or too much memory; the body of a thread.
+
+        It looks now and then for as long as the process lives: a thread for each line costs more than all else.
+        """
+        while self.ended_why is None and not self._closing.wait(_LOOK_S):
+            with self._lock:
+                if self._limits is None:
+                    continue
+                end, limit_s, memory_mb = self._limits
+                if memory_mb is not None:
+                    self.ended_why = excess(self._process.pid, memory_mb)
+                if time.monotonic() >= end:
+                    self.ended_why = f"hung: it was ended after {limit_s:.1f} s"
+                if self.ended_why is not None:
+                    self._process.kill()
 
     def last_words(self) -> str:
         """Return how the process ended, with the last line it wrote to stderr."""
@@ -235,6 +241,7 @@ class _Process:
 
     def close(self) -> None:
         """Close the process's stdin, which ends it; if it does not end, kill it."""
+        self._closing.set()
         try:
             self._process.communicate(timeout=_END_S)
         except (subprocess.TimeoutExpired, OSError, ValueError):

@@ -14,6 +14,7 @@ import itertools
 import json
 import os
 import re
+import time
 import uuid
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from pathlib import Path
@@ -40,6 +41,8 @@ _ABOUT = {"name", "scenario", "laws", "faults", "seeds", "samples", "axes", "kee
 _ANEW = "give hil campaign with its plan once more, which writes it anew"
 _REDO = "remove it, and the same command does its runs again"
 _ATTEMPTS = 10
+_REST, _LONGEST_REST_S = 9.0, 0.5
+"""After rows were added, how long to wait for more: in that time, but no longer than so many seconds."""
 _NO_ROWS = pa.schema([(KEY, pa.string())]).empty_table()
 Row = Mapping[str, Any]
 
@@ -70,6 +73,7 @@ class Store:
         self.folder = folder
         self._schema = schema
         self._rows = folder / ROWS
+        self._rested_s = 0.0
         with _writing(folder):
             (folder / RECORDINGS).mkdir(parents=True, exist_ok=True)
             self._rows.mkdir(exist_ok=True)
@@ -92,9 +96,17 @@ class Store:
     def append(self, rows: Sequence[Row]) -> None:
         """Add rows; when this returns they are on the disk. Raises BadInputError when they cannot be written."""
         if rows:
+            began_s = time.monotonic()
             with _writing(self.folder):
                 self._write(pa.Table.from_pylist(list(rows), schema=self._schema), 0)
                 self._merge()
+            ended_s = time.monotonic()
+            self._rested_s = ended_s + min(_REST * (ended_s - began_s), _LONGEST_REST_S)
+
+    @property
+    def is_rested(self) -> bool:
+        """Whether rows may be added again without most of the time going into files; a file costs as much as a run."""
+        return time.monotonic() >= self._rested_s
 
     def drop(self, keys: Collection[str]) -> None:
         """Remove rows with their recordings; a kill meanwhile leaves all of the rows or none.

@@ -168,6 +168,8 @@ def items(options: object) -> Iterator[tuple[str, Any]]:
 
 def plain(value: Any) -> Any:
     """Convert a dataclass of options, and the dataclasses in it, to dictionaries; return other values unchanged."""
+    if isinstance(value, str | float | int):  # most values, and the cheapest question
+        return value
     if is_dataclass(value):
         return {name: plain(one) for name, one in items(value)}
     if isinstance(value, Mapping):
@@ -247,7 +249,14 @@ def _read(option: Option, value: Any, path: Path, problems: list[Problem]) -> An
 
 def _typed(option: Option, value: Any, path: Path, problems: list[Problem]) -> Any:
     """Return a value, converted to the option's type. Raises ValueError for a wrong type or a number out of range."""
-    kind, origin, inner = option.type, get_origin(option.type), get_args(option.type)
+    kind = option.type
+    if kind is float:
+        return _float(option, value)
+    if kind in (int, bool, str):
+        if type(value) is not kind or (kind is int and not option.range.holds(value)):
+            raise ValueError(option.expected)
+        return value
+    origin, inner = get_origin(kind), get_args(kind)
     if type(None) in inner:
         return None if value is None else _read(option._replace(type=inner[0]), value, path, problems)
     if is_dataclass(kind):
@@ -268,10 +277,6 @@ def _typed(option: Option, value: Any, path: Path, problems: list[Problem]) -> A
         good = isinstance(value, Mapping)
         if good:
             return _mapping(inner, value, path, problems)
-    elif kind is float:
-        return _float(option, value)
-    elif kind in (int, bool, str):
-        good = type(value) is kind and (kind is not int or option.range.holds(value))
     else:
         good = True
     if not good:

@@ -43,10 +43,10 @@ def check(tree: Tree, scenario: str, directory: FilePath) -> Tables:
     """
     try:
         tables = build(Tables, cast("Mapping[str, object]", layers.plain(tree)))
-        given = dict(values(tables))
         for found in (_contradictions(tables), _unknown_signals(tables, directory)):
-            if problems := [Problem(tuple(k.split(".")), "value", words, given.get(k, ABSENT)) for k, words in found]:
-                raise OptionsError(problems)
+            if wrong := list(found):
+                given = dict(values(tables))
+                raise OptionsError([Problem(tuple(k.split(".")), "value", w, given.get(k, ABSENT)) for k, w in wrong])
         make_reference(tables.reference.kind, tables.reference.options, directory)
     except OptionsError as error:
         raise BadInputError("\n".join(describe(error.problems, tree, scenario))) from None

@@ -2,7 +2,7 @@
 
 import hashlib
 import json
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, is_dataclass
 from pathlib import Path, PurePath
 from typing import Annotated, Any
@@ -81,21 +81,25 @@ def resolved(scenario: Scenario) -> list[tuple[str, object, str]]:
     return [(key, value, scenario.provenance[key]) for key, value in values(scenario)]
 
 
-def values(tables: Tables) -> Iterator[tuple[str, object]]:
-    """Yield dotted key and value of every value except None, in the order of the tables."""
+def values(tables: Tables) -> list[tuple[str, object]]:
+    """Return dotted key and value of every value except None, in the order of the tables."""
+    found: list[tuple[str, object]] = []
     for name in options_of(Tables):
-        yield from _walk(getattr(tables, name), name)
+        _walk(getattr(tables, name), name, found)
+    return found
 
 
-def _walk(value: object, key: str) -> Iterator[tuple[str, object]]:
-    if is_dataclass(value) or isinstance(value, Mapping):
+def _walk(value: object, key: str, found: list[tuple[str, object]]) -> None:
+    if isinstance(value, str | float | int):  # most values, and the cheapest question
+        found.append((key, value))
+    elif is_dataclass(value) or isinstance(value, Mapping):
         for name, child in value.items() if isinstance(value, Mapping) else items(value):
-            yield from _walk(child, f"{key}.{name}")
+            _walk(child, f"{key}.{name}", found)
     elif isinstance(value, tuple) and key in _ARRAYS_OF_TABLES:
         for index, row in enumerate(value):
-            yield from _walk(row, f"{key}.{index}")
+            _walk(row, f"{key}.{index}", found)
     elif value is not None:
-        yield key, value
+        found.append((key, value))
 
 
 def tables_of(tables: Tables) -> dict[str, Any]:

@@ -152,10 +152,17 @@ class Campaign:
             there = self._there(folder) if redo else there
             yield list(there.values())
             record = {"failures": IF_FAILED, "all": ALWAYS}.get(str(self.plan.tables.keep), NEVER)
-            for outcomes in do([run for run in self.runs if run.key not in there], record):
-                new = [self._kept(outcome, store) for outcome in outcomes]
+            new: list[Row] = []
+            try:
+                for outcomes in do([run for run in self.runs if run.key not in there], record):
+                    new += [self._kept(outcome, store) for outcome in outcomes]
+                    if new and (store.is_rested or not outcomes):
+                        rows, new = new, []
+                        store.append(rows)
+                        yield rows
+            finally:
                 store.append(new)
-                yield new
+            yield new
             if isinstance(self.plan.tables.keep, KeepTable) and not is_stopping():
                 yield from self._record_worst(store, self.plan.tables.keep, do)
 
