@@ -22,7 +22,7 @@ class PilotBench:
     def __init__(self, scenario: str = "circle_speed", options: ServiceTable = OPTIONS, **overrides: Any) -> None:
         loaded = load(scenario, set={"loop.mode": "lockstep", "loop.rate_hz": 100, **overrides})
         self.made = RunParts(loaded)
-        self.rows: list[tuple[float, ...]] = []
+        self.rows: list[list[float]] = []
         self.notes: list[str] = []
         self._resources = contextlib.ExitStack()
         self.bench = self._resources.enter_context(
@@ -36,8 +36,8 @@ class PilotBench:
         self.bench.begin(origin_ns)
         self.phases = [self.pilot.phase]
 
-    def put(self, row: tuple[float, ...]) -> None:
-        self.rows.append(row)
+    def put(self, row: bytes) -> None:
+        self.rows.append(memoryview(row).cast("d").tolist())
 
     def run(self, time_s: float) -> None:
         """Let robot time pass."""

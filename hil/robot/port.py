@@ -62,7 +62,10 @@ class Device(Protocol):
     """
 
     clock_sync: ClockSync
-    round_trip_ms: float  # the newest; NaN before the first
+
+    @property
+    def round_trip_ms(self) -> float:
+        """The newest time from a command to the first feedback that reports it; NaN before the first."""
 
     @property
     def round_trip(self) -> RoundTrip:
@@ -221,7 +224,6 @@ class LinkedDevice(ABC):
 
     def __init__(self, link: ConditionedLink, *, is_lockstep: bool) -> None:
         self._is_lockstep = is_lockstep
-        self.round_trip_ms = NAN
         self.clock_sync = ClockSync()
         self._link = link
         self._poll_age = PollAge()
@@ -230,6 +232,10 @@ class LinkedDevice(ABC):
     @property
     def is_lockstep(self) -> bool:
         return self._is_lockstep
+
+    @property
+    def round_trip_ms(self) -> float:
+        return NAN
 
     @property
     def round_trip(self) -> RoundTrip:

@@ -7,22 +7,19 @@ This code works the same with each; only HELLO tells them apart. The protocol it
 
 import contextlib
 import math
-import struct
-import time
 from collections.abc import Iterator
-from typing import Any, NoReturn
 
 from firmware_protocol.built import BuildError
 from firmware_protocol.client import Client
-from firmware_protocol.codec import Message, decode, encode
-from firmware_protocol.framing import PackedFrames, pack, packed_frame
+from firmware_protocol.codec import Message, encode
+from firmware_protocol.framing import pack
 from firmware_protocol.generated import messages as m
 from hil.core.errors import BadInputError, DeviceError, HilError, RobotStoppedError
-from hil.core.ports import Clock, Received
-from hil.core.types import NAN, NAN_WHEELS, CommandMode, WheelCommand, Wheels
+from hil.core.ports import Clock
+from hil.core.types import CommandMode, WheelCommand
 from hil.robot import handshake
-from hil.robot.direct import DirectLink
-from hil.robot.handshake import RETRY_NS, SILENCE_NS, Expected, Greeting, RobotInfo
+from hil.robot.channel import Channel
+from hil.robot.handshake import Expected, Greeting, RobotInfo
 from hil.robot.link_times import SYNC_PERIOD_NS, RoundTrip
 from hil.robot.port import LinkedDevice
 from hil.robot.robot_report import RobotReport
@@ -32,13 +29,7 @@ from hil.wire.conditions import ConditionedLink
 
 _MOST_A_POLL = 200  # frames; a robot sends at most some ten a tick
 _AT_REST = (m.State.IDLE, m.State.FAULT, m.State.ESTOP)
-_STATES = {int(state): state for state in m.State}
-_FULL = 512  # bytes of frames that may wait for a step
-_ROUND_TRIPS_AT_ONCE = 128
-# Members of wheel_view, from current_a to yaw_rate_rad_s.
-_SLOW = struct.Struct("=8f")
 _ARMING_DONE, _ARMING_NEW_NONCE, _ARMING_STRANGER, _ARMING_REFUSED, _ARMING_LATCHED = 0, 4, 5, 6, 7
-_STEP_AWAITED, _STEP_ELSEWHERE = 1, 3
 
 
 class Stm32(LinkedDevice):
@@ -65,15 +56,9 @@ class Stm32(LinkedDevice):
             self._client = Client(m.Mode(mode), expected.parameter_hash & 0xFF, next(nonces))
         except BuildError as error:
             raise BadInputError(str(error)) from error
-        # Without conditions on the link to a robot in this thread, a step is one call into the library.
-        self._direct = link.transport if link.is_plain and isinstance(link.transport, DirectLink) else None
-        self._slow = self._client.member("current_a", _SLOW.size)
-        self._snapshots_seen = self._slow_seen = self._round_trips_seen = 0
-        self._held: tuple[Wheels, tuple[float, float, float], float] = (NAN_WHEELS, (NAN, NAN, NAN), NAN)
-        self._feedback: Feedback | None = None
+        self._channel = Channel(link, self._client, wheel_map, self._on_message)
         self._greeting: Greeting | None = None
         self._info: RobotInfo | None = None
-        self._round_trip = RoundTrip()
         self._next_sync_ns = 0
         self.report = RobotReport(wheel_map)
 
@@ -129,7 +114,7 @@ class Stm32(LinkedDevice):
 
     def leave(self) -> None:
         self._client.leave()
-        self._feedback = None
+        self._channel.forget()
         self.report.status = None
         self.clock_sync.give_up()
         self._discard()
@@ -157,7 +142,7 @@ class Stm32(LinkedDevice):
             self.report.status = None
             self._client.renew(next(self._nonces))
             step = self._client.arm(self._now_ns())
-        self._flush()
+        self._channel.flush()
         if step == _ARMING_STRANGER:
             raise RobotStoppedError("the robot has not answered HELLO since the link was lost; it is not armed")
         if step == _ARMING_REFUSED:
@@ -179,7 +164,7 @@ class Stm32(LinkedDevice):
 
     def estop(self) -> None:
         self._client.estop()
-        self._flush()
+        self._channel.flush()
         self._link.flush()
 
     def clear(self) -> None:
@@ -210,7 +195,7 @@ class Stm32(LinkedDevice):
             received = self._link.receive(left_ns)
             if received is None:
                 return
-            self._take(received)
+            self._channel.take(received)
 
     def poll(self) -> Feedback | None:
         """Read what has arrived; return the newest snapshot. Sends heartbeat and TIME_SYNC when they are due.
@@ -221,21 +206,21 @@ class Stm32(LinkedDevice):
         if not self._is_lockstep:
             # The rest is read in the next tick: a host that is slower than its robot would never finish.
             while taken < _MOST_A_POLL and (received := self._link.receive(0)) is not None:
-                self._take(received)
+                self._channel.take(received)
                 taken += len(received.frames)
         if self._clock is not None:
             now_ns = self._clock.now_ns()
             if self._client.poll(now_ns):
-                self._flush()
+                self._channel.flush()
             if now_ns >= self._next_sync_ns:
                 self._synchronise(now_ns)
             if not self._is_lockstep:
                 self._poll_age.record_poll(now_ns, everything=taken < _MOST_A_POLL)
-        return self._feedback
+        return self._channel.feedback
 
     @property
     def feedback(self) -> Feedback | None:
-        return self._feedback
+        return self._channel.feedback
 
     def send(self, command: WheelCommand) -> int:
         _, speed_rad_s, torque_n_m = command
@@ -243,12 +228,11 @@ class Stm32(LinkedDevice):
         now_ns = None if clock is None else clock.now_ns()
         sequence = self._client.command(to_wire(speed_rad_s), to_wire(torque_n_m), now_ns)
         if sequence < 0:
-            self._refuse(command)
-        if self._direct is None:
-            self._flush()
+            self._raise_unsendable(command)
+        self._channel.flush()
         return sequence
 
-    def _refuse(self, command: WheelCommand) -> NoReturn:
+    def _raise_unsendable(self, command: WheelCommand) -> None:
         """Raise ValueError for a command that the wire cannot carry."""
         _, speed_rad_s, torque_n_m = command
         if self._mode is CommandMode.TORQUE:
@@ -259,35 +243,7 @@ class Stm32(LinkedDevice):
         raise ValueError("no room for a command: too many frames wait to be sent")
 
     def step(self, ticks: int) -> None:
-        if self._direct is None:
-            self._client.step(ticks)
-            self._flush()
-            self._await_step()
-        else:
-            left = self._direct.step(self._client, ticks)
-            if left is not None:
-                self._attend(self._direct.answer, left.stamp_ns)
-                self._take(left)
-                self._await_step()
-        self._renew_feedback()
-
-    def _await_step(self) -> None:
-        """Take what comes until STEP is answered. Raises RobotStoppedError when it is not within 2 s of wall-clock
-        time, or the robot is at another tick.
-        """
-        view = self._client.view
-        begin_ns = sent_ns = time.monotonic_ns()
-        while view.step == _STEP_AWAITED:
-            received = self._link.receive(RETRY_NS)
-            if received is not None:
-                self._take(received)
-            now_ns = time.monotonic_ns()
-            if now_ns - begin_ns > SILENCE_NS:
-                raise RobotStoppedError("the robot did not answer STEP within 2 s of wall-clock time; it was lost")
-            if received is None and now_ns - sent_ns > RETRY_NS:
-                self._client.step_again()
-                self._flush()
-                sent_ns = now_ns
+        self._channel.step(ticks)
 
     @property
     def tick(self) -> int:
@@ -298,77 +254,6 @@ class Stm32(LinkedDevice):
     def _now_ns(self) -> int | None:
         return None if self._clock is None else self._clock.now_ns()
 
-    def _flush(self) -> None:
-        """Send what waits in the client. To a robot in this thread the next step carries it."""
-        view = self._client.view
-        if view.log_is_due:
-            self._client.hash_log()
-        if not view.out_bytes or (self._direct is not None and view.out_bytes < _FULL):
-            return
-        try:
-            for frame in self._client.out():
-                self._link.send(frame)
-        except BaseException:
-            self._client.unsent()
-            raise
-        self._client.sent()
-
-    def _take(self, received: Received) -> None:
-        """Process frames that arrived together. Raises RobotStoppedError for a step that ended at a wrong tick."""
-        frames, stamp_ns = received
-        packed = frames.packed if type(frames) is PackedFrames else pack(frames)
-        at, end = 0, len(packed)
-        while at < end:
-            at = self._client.take(packed, at, end, stamp_ns)
-            self._attend(packed, stamp_ns)
-        self._renew_feedback()
-
-    def _attend(self, packed: Any, stamp_ns: int) -> None:
-        """Do what the client's view asks for after it has taken frames."""
-        client = self._client
-        view = client.view
-        if view.log_is_due:
-            client.hash_log()
-        if view.message_id:
-            frame, _ = packed_frame(packed, view.message_at)
-            if (message := decode(frame)) is not None:
-                self._on_message(message, stamp_ns)
-        elif view.step == _STEP_ELSEWHERE:
-            raise RobotStoppedError(
-                f"the robot is at tick {view.step_done_tick} where {view.step_target} was expected; it was reset "
-                "or is stepped by another host"
-            )
-
-    def _renew_feedback(self) -> None:
-        """Make the feedback of the newest snapshot."""
-        newest = self._client.snapshot()
-        snapshots, round_trips, slow, round_trip_ns, time_ns, state, sequence, age_ms, counts, speed = newest
-        if round_trips != self._round_trips_seen:
-            self.round_trip_ms = round_trip_ns * 1e-6
-            if round_trips - self._round_trips_seen >= _ROUND_TRIPS_AT_ONCE:
-                self._add_round_trips(round_trips)
-        if snapshots == self._snapshots_seen:
-            return
-        self._snapshots_seen = snapshots
-        if slow != self._slow_seen:
-            self._slow_seen = slow
-            held = _SLOW.unpack(self._slow)
-            self._held = self._map.from_wire(held[:4]), held[4:7], held[7]
-        counts, speed = self._map.counts_from_wire(counts), self._map.from_wire(speed)
-        self._feedback = Feedback(time_ns, _STATES[state], sequence, age_ms, counts, speed, *self._held)
-
-    def _add_round_trips(self, count: int) -> None:
-        """Add the round trips up to this number to the figures."""
-        newest = self._client.view.round_trips_ns
-        for number in range(max(self._round_trips_seen, count - len(newest)), count):
-            self._round_trip.add(newest[number % len(newest)])
-        self._round_trips_seen = count
-
-    @property
-    def round_trip(self) -> RoundTrip:
-        self._add_round_trips(self._client.view.round_trips)
-        return self._round_trip
-
     def _synchronise_tick(self) -> None:
         """Lockstep: ask for the robot's current firmware tick."""
         if self._is_lockstep:
@@ -378,14 +263,14 @@ class Stm32(LinkedDevice):
         self._next_sync_ns = now_ns + SYNC_PERIOD_NS
         frame = encode(m.TimeSyncRequest(self.clock_sync.request(now_ns)))
         self._client.add(frame.id, frame.payload)
-        self._flush()
+        self._channel.flush()
         if self._is_lockstep and self._link.next_due_ns() is None:
             # A step of 0 ticks, so that the answer gets the time of this tick, not of the next step's end.
             self.step(0)
 
     def _request(self, request: m.Request) -> None:
         self._client.request(request, self._now_ns())
-        self._flush()
+        self._channel.flush()
 
     def _on_message(self, message: Message, stamp_ns: int) -> None:
         if self._greeting is not None and (info := self._greeting.feed(message)) is not None:
@@ -417,8 +302,14 @@ class Stm32(LinkedDevice):
     def wire_sha256(self) -> str:
         return self._client.hexdigest()
 
+    @property
+    def round_trip(self) -> RoundTrip:
+        return self._channel.round_trip
+
+    @property
+    def round_trip_ms(self) -> float:
+        return self._channel.round_trip_ms
+
     def rejected(self) -> dict[str, int]:
-        view = self._client.view
-        own = {"range": view.out_of_range, "incomplete_snapshot": view.incomplete}
         robot = {f"robot_{cause}": count for cause, count in self.report.rejected.items()}
-        return {cause: count for cause, count in (self._link.rejected() | own | robot).items() if count}
+        return {cause: count for cause, count in (self._channel.rejected() | robot).items() if count}

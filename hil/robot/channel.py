@@ -1,0 +1,174 @@
+"""Connects the client in C with a link: sends what it holds, gives it what arrives, makes feedback of snapshots."""
+
+import struct
+import time
+from collections.abc import Callable
+from typing import Any
+
+from firmware_protocol.client import Client
+from firmware_protocol.codec import Message, decode
+from firmware_protocol.framing import PackedFrames, pack, packed_frame
+from firmware_protocol.generated import messages as m
+from hil.core.errors import RobotStoppedError
+from hil.core.ports import Received
+from hil.core.types import NAN, NAN_WHEELS, Wheels
+from hil.robot.direct import DirectLink
+from hil.robot.handshake import RETRY_NS, SILENCE_NS
+from hil.robot.link_times import RoundTrip
+from hil.robot.snapshot import Feedback
+from hil.robot.wheel_map import WheelMap
+from hil.wire.conditions import ConditionedLink
+
+_STATES = {int(state): state for state in m.State}
+_FULL = 512  # bytes of frames that may wait for a step
+_ROUND_TRIPS_AT_ONCE = 128
+_SLOW = struct.Struct("=8f")  # members of wheel_view, from current_a to yaw_rate_rad_s
+_STEP_AWAITED, _STEP_ELSEWHERE = 1, 3
+
+
+class Channel:
+    """Exchanges frames between ``client`` and the robot at the other end of ``link``.
+
+    ``on_message`` gets every message that is not part of a snapshot, with its time of arrival.
+
+    Attributes:
+        feedback: the newest snapshot, with the wheels in our order. None before the first, and after ``forget``.
+        round_trip_ms: the newest time from a command to the first TICK that reports it; NaN before the first.
+    """
+
+    def __init__(
+        self, link: ConditionedLink, client: Client, wheel_map: WheelMap, on_message: Callable[[Message, int], None]
+    ) -> None:
+        self._link = link
+        self._client = client
+        self._map = wheel_map
+        self._on_message = on_message
+        # Without conditions on the link to a robot in this thread, a step is one call into the library.
+        self._direct = link.transport if link.is_plain and isinstance(link.transport, DirectLink) else None
+        self._slow = client.member("current_a", _SLOW.size)
+        self._snapshots_seen = self._slow_seen = self._round_trips_seen = 0
+        self._held: tuple[Wheels, tuple[float, float, float], float] = (NAN_WHEELS, (NAN, NAN, NAN), NAN)
+        self._round_trip = RoundTrip()
+        self.feedback: Feedback | None = None
+        self.round_trip_ms = NAN
+
+    def forget(self) -> None:
+        """Have no feedback until the next snapshot: the link or the robot was lost."""
+        self.feedback = None
+
+    # What is sent
+
+    def flush(self) -> None:
+        """Send what waits in the client. To a robot in this thread the next step carries it.
+
+        Raises LinkError when the link is lost; what waited is then forgotten.
+        """
+        view = self._client.view
+        if view.log_is_due:
+            self._client.hash_log()
+        if not view.out_bytes or (self._direct is not None and view.out_bytes < _FULL):
+            return
+        try:
+            for frame in self._client.out():
+                self._link.send(frame)
+        except BaseException:
+            self._client.unsent()
+            raise
+        self._client.sent()
+
+    def step(self, ticks: int) -> None:
+        """Lockstep: run the robot for a number of ticks, and take all that it sends; 0 only asks for its tick.
+
+        Raises RobotStoppedError when it does not answer within 2 s of wall-clock time, or is at another tick.
+        """
+        if self._direct is None:
+            self._client.step(ticks)
+            self.flush()
+            self._await_step()
+        else:
+            left = self._direct.step(self._client, ticks)
+            if left is not None:
+                self._attend(self._direct.answer, left.stamp_ns)
+                self.take(left)
+                self._await_step()
+        self._renew_feedback()
+
+    def _await_step(self) -> None:
+        view = self._client.view
+        begin_ns = sent_ns = time.monotonic_ns()
+        while view.step == _STEP_AWAITED:
+            received = self._link.receive(RETRY_NS)
+            if received is not None:
+                self.take(received)
+            now_ns = time.monotonic_ns()
+            if now_ns - begin_ns > SILENCE_NS:
+                raise RobotStoppedError("the robot did not answer STEP within 2 s of wall-clock time; it was lost")
+            if received is None and now_ns - sent_ns > RETRY_NS:
+                self._client.step_again()
+                self.flush()
+                sent_ns = now_ns
+
+    # What arrives
+
+    def take(self, received: Received) -> None:
+        """Process frames that arrived together. Raises RobotStoppedError for a step that ended at a wrong tick."""
+        frames, stamp_ns = received
+        packed = frames.packed if type(frames) is PackedFrames else pack(frames)
+        at, end = 0, len(packed)
+        while at < end:
+            at = self._client.take(packed, at, end, stamp_ns)
+            self._attend(packed, stamp_ns)
+        self._renew_feedback()
+
+    def _attend(self, packed: Any, stamp_ns: int) -> None:
+        """Do what the client's view asks for after it has taken frames."""
+        view = self._client.view
+        if view.log_is_due:
+            self._client.hash_log()
+        if view.message_id:
+            frame, _ = packed_frame(packed, view.message_at)
+            if (message := decode(frame)) is not None:
+                self._on_message(message, stamp_ns)
+        elif view.step == _STEP_ELSEWHERE:
+            raise RobotStoppedError(
+                f"the robot is at tick {view.step_done_tick} where {view.step_target} was expected; it was reset "
+                "or is stepped by another host"
+            )
+
+    def _renew_feedback(self) -> None:
+        """Make the feedback of the newest snapshot."""
+        newest = self._client.snapshot()
+        snapshots, round_trips, slow, round_trip_ns, time_ns, state, sequence, age_ms, counts, speed = newest
+        if round_trips != self._round_trips_seen:
+            self.round_trip_ms = round_trip_ns * 1e-6
+            if round_trips - self._round_trips_seen >= _ROUND_TRIPS_AT_ONCE:
+                self._add_round_trips(round_trips)
+        if snapshots == self._snapshots_seen:
+            return
+        self._snapshots_seen = snapshots
+        if slow != self._slow_seen:
+            self._slow_seen = slow
+            held = _SLOW.unpack(self._slow)
+            self._held = self._map.from_wire(held[:4]), held[4:7], held[7]
+        counts, speed = self._map.counts_from_wire(counts), self._map.from_wire(speed)
+        self.feedback = Feedback(time_ns, _STATES[state], sequence, age_ms, counts, speed, *self._held)
+
+    # Counters
+
+    def _add_round_trips(self, count: int) -> None:
+        """Add the round trips up to this number to the figures."""
+        newest = self._client.view.round_trips_ns
+        for number in range(max(self._round_trips_seen, count - len(newest)), count):
+            self._round_trip.add(newest[number % len(newest)])
+        self._round_trips_seen = count
+
+    @property
+    def round_trip(self) -> RoundTrip:
+        """All round trips of commands."""
+        self._add_round_trips(self._client.view.round_trips)
+        return self._round_trip
+
+    def rejected(self) -> dict[str, int]:
+        """Return the number of received frames that this side dropped, by cause."""
+        view = self._client.view
+        return self._link.rejected() | {"range": view.out_of_range, "incomplete_snapshot": view.incomplete}
