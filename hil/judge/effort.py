@@ -6,7 +6,7 @@ from functools import reduce
 import numpy as np
 
 from hil.core.types import WHEEL_NAMES
-from hil.judge.measure import RESOLUTION_M, Figure, Measure, NoFigureError, RunSetup, Series, TruthGaps
+from hil.judge.measure import RESOLUTION_M, Figure, Measure, NoFigureError, RunSetup, Series, TruthGaps, since_start
 
 AT_LIMIT = 0.999
 """A command counts as at its limit from this share of it on, because codecs and rounding reduce it slightly."""
@@ -33,11 +33,11 @@ class Overshoot(Measure):
 
     def add(self, signals: Mapping[str, Series]) -> None:
         """Add rows; those before t = 0 do not count."""
-        active = signals["loop.t_s"] >= 0.0
-        t_s = signals["loop.t_s"][active]
+        begun = since_start(signals)
+        t_s = begun["loop.t_s"]
         if not len(t_s):
             return
-        error_m = np.column_stack([signals["error.x_m"], signals["error.y_m"]])[active]
+        error_m = np.column_stack([begun["error.x_m"], begun["error.y_m"]])
         if self._initial_m is None:
             self._initial_m = float(np.hypot(*error_m[0]))
             if self._initial_m >= RESOLUTION_M:
@@ -113,12 +113,11 @@ class Effort(Measure):
 
     def add(self, signals: Mapping[str, Series]) -> None:
         """Add rows; those before t = 0 do not count."""
-        active = signals["loop.t_s"] >= 0.0
-        t_s = signals["loop.t_s"][active]
+        begun = since_start(signals)
+        t_s = begun["loop.t_s"]
         if not len(t_s) or self._torque_constant_n_m_a is None:
             return
-        current_a = np.column_stack([signals[name] for name in _CURRENTS])
-        torque_n_m = (self._torque_constant_n_m_a * current_a)[active]
+        torque_n_m = self._torque_constant_n_m_a * np.column_stack([begun[name] for name in _CURRENTS])
         # Sums over four columns: a matrix product takes a fifth of the time.
         ones = np.ones(torque_n_m.shape[1])
         measured = np.isfinite(torque_n_m) @ ones
@@ -174,9 +173,9 @@ class Saturation(Measure):
 
     def add(self, signals: Mapping[str, Series]) -> None:
         """Add rows; those before t = 0 do not count."""
-        active = signals["loop.t_s"] >= 0.0
-        if active.any():
-            held_s, at_limit = self._held.add(signals["loop.t_s"][active], self._at_limit(signals)[active])
+        begun = since_start(signals)
+        if len(begun["loop.t_s"]):
+            held_s, at_limit = self._held.add(begun["loop.t_s"], self._at_limit(begun))
             self._saturation_s += float(held_s @ at_limit[:-1])
 
     def value(self, _name: str) -> float:

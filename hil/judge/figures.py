@@ -173,6 +173,9 @@ class RunFigures:
 
     ``names`` are the run's signals. ``lacks`` takes the name of a missing signal, and returns the reason to give for
     each figure that needs it and is None. Raises BadInputError as ``measures`` does.
+
+    Attributes:
+        signals: those that ``add`` needs.
     """
 
     def __init__(
@@ -181,6 +184,8 @@ class RunFigures:
         names: Collection[str],
         lacks: Callable[[str], str] = lambda name: f"the run has no signal {name}",
     ) -> None:
+        needed = figure_signals()
+        self.signals = [name for name in names if name in needed]
         self._made: list[tuple[type[Measure], Measure | None]] = []
         self._reasons: dict[type[Measure], str] = {}  # why a measure has no figures
         for kind in measures():
@@ -241,9 +246,8 @@ def signal_figures(
 ) -> tuple[dict[str, Any], dict[str, str]]:
     """Return the figures of a whole run at once, as ``RunFigures`` does."""
     run = RunFigures(setup, signals, **lacks)
-    needed = figure_signals() & signals.keys()
     for start in range(0, len(signals["loop.t_s"]), BLOCK_ROWS):
-        for _ in run.add({name: signals[name][start : start + BLOCK_ROWS] for name in needed}):
+        for _ in run.add({name: signals[name][start : start + BLOCK_ROWS] for name in run.signals}):
             pass
     return run.figures(cut)
 

@@ -79,6 +79,12 @@ class Measure(Protocol):
         """
 
 
+def since_start(signals: Mapping[str, Series]) -> Mapping[str, Series]:
+    """Return the rows from t = 0 on; nearly always that is all of them, and nothing is copied."""
+    active = signals["loop.t_s"] >= 0.0
+    return signals if active.all() else {name: values[active] for name, values in signals.items()}
+
+
 class NoFigureError(Exception):
     """A figure is not defined for this run; the text says why."""
 

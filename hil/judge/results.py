@@ -32,6 +32,7 @@ class MemorySink:
         self._figures = figures
         self._keep = keep
         self._age_place = names.index("link.feedback_age_ms")
+        self._places = [names.index(name) for name in figures.signals]
         self._age_ms = Reservoir()
         self._blocks: list[Series] = []
         self._row_bytes = 8 * len(names)
@@ -94,7 +95,9 @@ class MemorySink:
     def _work(self, rows: Series) -> Iterator[None]:
         self._age_ms.extend(rows[:, self._age_place])
         yield
-        yield from self._figures.add({name: rows[:, i] for i, name in enumerate(self._names)})
+        # Copied once: each measure would gather its columns from all over the block.
+        columns = np.ascontiguousarray(rows.T[self._places])
+        yield from self._figures.add(dict(zip(self._figures.signals, columns, strict=True)))
 
 
 class Signals(Mapping[str, Series]):

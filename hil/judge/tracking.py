@@ -4,7 +4,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from hil.judge.measure import RESOLUTION_M, Figure, Measure, NoFigureError, RunSetup, Series, TruthGaps
+from hil.judge.measure import RESOLUTION_M, Figure, Measure, NoFigureError, RunSetup, Series, TruthGaps, since_start
 
 TRACKED_RATIO = 0.02
 TRACKED_DISTANCE_M = 0.010
@@ -53,23 +53,23 @@ class Tracking(Measure):
         self._initial_m = 0.0
         self._ratio = _Settling(np.nan)
         self._distance = _Settling(TRACKED_DISTANCE_M)
-        self._tail = (np.empty(0), np.empty(0))
+        self._tail: list[tuple[Series, Series]] = []  # the newest blocks, of 6 s at least
 
     def add(self, signals: Mapping[str, Series]) -> None:
         """Add rows; those before t = 0 do not count."""
-        active = signals["loop.t_s"] >= 0.0
-        t_s, planar_m = (signals[name][active] for name in self.signals)
+        begun = since_start(signals)
+        t_s, planar_m = begun["loop.t_s"], begun["error.planar_m"]
         if not len(t_s):
             return
-        if not len(self._tail[0]):
+        if not self._tail:
             self._first_s, self._initial_m = float(t_s[0]), float(planar_m[0])
             self._ratio = _Settling(TRACKED_RATIO * self._initial_m)
         self._gaps.add(t_s, planar_m)
         self._ratio.add(t_s, planar_m)
         self._distance.add(t_s, planar_m)
-        times, errors = (np.concatenate(both) for both in zip(self._tail, (t_s, planar_m), strict=True))
-        start = min(int(np.searchsorted(times, times[-1] - _MORE_THAN_WINDOW_S)), max(0, len(times) - 2))
-        self._tail = (times[start:], errors[start:])
+        self._tail.append((t_s.copy(), planar_m.copy()))
+        while len(self._tail) > 2 and self._tail[1][0][0] < t_s[-1] - _MORE_THAN_WINDOW_S:
+            del self._tail[0]
 
     def value(self, name: str) -> float:
         """Return one of the figures. Raises NoFigureError where it is not defined."""
@@ -97,15 +97,17 @@ class Tracking(Measure):
         if settling.since_s is None:
             raise NoFigureError(
                 f"the planar error did not stay below {settling.limit_m * 1e3:.3g} mm: it was "
-                f"{self._tail[1][-1] * 1e3:.3g} mm at the end"
+                f"{self._tail[-1][1][-1] * 1e3:.3g} mm at the end"
             )
         return settling.since_s - self._first_s
 
     def _steady(self) -> Series:
         """Return the errors of the last 5 s."""
-        t_s, planar_m = self._tail
-        if len(t_s) < 2:
+        if sum(len(t_s) for t_s, _ in self._tail) < 2:
             raise NoFigureError("the run has fewer than two samples")
+        t_s, planar_m = (np.concatenate(column) for column in zip(*self._tail, strict=True))
+        start = min(int(np.searchsorted(t_s, t_s[-1] - _MORE_THAN_WINDOW_S)), len(t_s) - 2)
+        t_s, planar_m = t_s[start:], planar_m[start:]
         # n samples cover n periods. Half a period of tolerance lets a run as long as the window pass.
         period_s = float(np.median(np.diff(t_s)))
         covered_s = float(t_s[-1] - self._first_s) + period_s

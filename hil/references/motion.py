@@ -29,6 +29,9 @@ class ReferenceSource(Protocol):
     def at(self, t_s: float) -> Reference:
         """Return pose, twist and acceleration in the world frame at this time of the scenario [s], at least 0."""
 
+    def __hash__(self) -> int:
+        """Equal sources are the same motion."""
+
 
 Phase = tuple[float, float, float]
 """Path parameter, and its first and second derivative with respect to time."""
