@@ -297,14 +297,15 @@ def test_a_url_that_cannot_be_opened_is_one_sentence(port, says):
     assert "\n" not in str(caught.value)
 
 
-def test_a_handshake_over_noise_says_that_the_baud_rate_is_wrong():
+def test_a_handshake_over_noise_says_that_the_baud_rate_is_wrong(monkeypatch):
     master = pty.PtyStream()
     with (
         contextlib.closing(master),
         contextlib.closing(StreamLink(SerialStream(master.port, 921_600))) as host,
-        pytest.raises(DeviceError, match=r"were damaged: set baud= in the link"),
     ):
-        handshake.greet(host, lambda message: master.write(b"\x55\xaa noise \0"))
+        monkeypatch.setattr(host, "send", lambda _: master.write(b"\x55\xaa noise \0"))
+        with pytest.raises(DeviceError, match=r"were damaged: set baud= in the link"):
+            handshake.greet(host, handshake.Greeting())
 
 
 def test_a_handshake_in_silence_names_the_link():
@@ -314,7 +315,7 @@ def test_a_handshake_in_silence_names_the_link():
         contextlib.closing(StreamLink(SerialStream(master.port, 921_600))) as host,
         pytest.raises(DeviceError, match=r"did not answer HELLO within 2 s \(serial port .* check that it is"),
     ):
-        handshake.greet(host, lambda message: None)
+        handshake.greet(host, handshake.Greeting())
 
 
 class FloodedPort:

@@ -221,6 +221,7 @@ def test_a_folder_that_is_removed_costs_its_rows_and_no_more(tmp_path: Path) -> 
 _FAST_RUN = """
 import os, sys, time
 from pathlib import Path
+from hil.core.signals import pack_row
 from hil.record import Recording
 from tests.recorded_circle import circle_rows
 
@@ -284,6 +285,7 @@ def test_mcap_needs_no_rerun(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
 _KILLED_RUN = """
 import os, signal, sys
 from pathlib import Path
+from hil.core.signals import pack_row
 from hil.record import Recording
 from tests.recorded_circle import circle_rows
 
