@@ -6,31 +6,33 @@ needs no Python call.
 
 import functools
 import hashlib
-import re
 import struct
 import zlib
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import cffi
-
 from firmware_protocol.built import OTHER, WHEEL_HOST, BuildError, digest_in_library
 from firmware_protocol.capabilities import Capability
+from firmware_protocol.declarations import declared
 from firmware_protocol.framing import Frame
 from firmware_protocol.generated.messages import Fault, FaultWheel, Mode, ResetCause, State, StopReason, Type
 
-_HEADERS = (
-    "firmware/plant_port.h",
-    "generated/wheel_parameters.h",
-    "firmware/parameters.h",
-    "port/host/host.h",
-    "client/wheel_line.h",
-    "client/wheel_client.h",
-    "port/host/direct.h",
-    "port/python/fast_calls.h",
+HEADERS = tuple(
+    Path(__file__).parent / header
+    for header in (
+        "firmware/plant_port.h",
+        "generated/wheel_parameters.h",
+        "firmware/parameters.h",
+        "port/host/host.h",
+        "client/wheel_line.h",
+        "client/wheel_client.h",
+        "port/host/direct.h",
+        "port/python/fast_calls.h",
+    )
 )
-_SECTION = re.compile(r"/\* cffi: begin \*/(.*?)/\* cffi: end \*/", re.DOTALL)
+TABLE = "extern const wheel_parameter_info wheel_parameter_table[];"
+"""What cffi needs to know of the host library: the marked parts of these headers, and this declaration."""
 _BYTES = 1 << 17  # twice what all frames of a full queue take (WHEEL_HOST_QUEUE)
 
 # The host library has no power stage of its own, and its user decides whether time comes from STEP.
@@ -68,18 +70,12 @@ def loaded() -> Loaded:
     path = WHEEL_HOST.path if OTHER is None else Path(OTHER)
     if not path.is_file():
         raise BuildError(f"{path} does not exist; build it, or unset WHEEL_HOST_LIBRARY")
-    here = Path(__file__).parent
-    table = "extern const wheel_parameter_info wheel_parameter_table[];"
-    return load_library(path, [here / header for header in _HEADERS], table)
+    return load_library(path, HEADERS, TABLE)
 
 
 def load_library(path: Path, headers: Iterable[Path], declarations: str = "") -> Loaded:
     """Load a library, with the declarations that C headers mark for cffi, and further ``declarations``."""
-    ffi = cffi.FFI()
-    for header in headers:
-        for section in _SECTION.findall(header.read_text(encoding="utf-8")):
-            ffi.cdef(section)
-    ffi.cdef(declarations)
+    ffi = declared(path, headers, declarations)
     digest = hashlib.sha256(path.read_bytes()).hexdigest()
     return Loaded(ffi, ffi.dlopen(str(path)), digest, digest_in_library(path))
 

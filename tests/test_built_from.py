@@ -15,6 +15,7 @@ import hil
 from firmware_protocol import built as native
 from firmware_protocol import host
 from firmware_protocol.built import WHEEL_HOST, BuildError, Built, digest_in_library
+from firmware_protocol.declarations import are_written, declared, write_declarations
 from hil.cli.main import app
 from hil.core.errors import BadInputError
 from hil.plant import archive, shim
@@ -41,7 +42,7 @@ ALL = [WHEEL_HOST, COSIM, *PLANTS.values()]
 def checkout(tmp_path: Path) -> Path:
     """A checkout of the FMU's shim alone, with its library."""
     port = PLANT_PORT.relative_to(ROOT)
-    of_the_wire = (Path("firmware_protocol/__init__.py"), Path("firmware_protocol/built.py"))
+    of_the_wire = (Path("firmware_protocol", f"{name}.py") for name in ("__init__", "built", "declarations"))
     for path in (Path("hil/__init__.py"), Path("pyproject.toml"), port, *of_the_wire):
         (tmp_path / path).parent.mkdir(parents=True, exist_ok=True)
         shutil.copy(ROOT / path, tmp_path / path)
@@ -177,3 +178,14 @@ def test_a_recording_names_each_native_library(tmp_path: Path) -> None:
         assert properties[f"{name}_sha256"] == hashlib.sha256(built.path.read_bytes()).hexdigest()
         assert properties[f"{name}_sources_sha256"] == built.digest()
     assert properties["fmu_sha256"] == archive.sha256(archive.place("mecanum", Path()))
+
+
+def test_declarations_of_another_library_are_not_taken(tmp_path: Path) -> None:
+    library = Path(shutil.copy(WHEEL_HOST.path, tmp_path))
+    assert not are_written(library)
+    write_declarations(library, host.HEADERS, host.TABLE)
+    assert are_written(library)
+    library.write_bytes(library.read_bytes().replace(str(WHEEL_HOST.digest()).encode(), b"0" * 64))
+    assert not are_written(library)
+    ffi = declared(library, host.HEADERS, host.TABLE)
+    assert ffi.sizeof("wheel_view") == host.library()[0].sizeof("wheel_view")

@@ -30,5 +30,10 @@ def test_nothing_heavy_is_imported_before_it_is_needed(program: str, heavy: set[
     assert not _imported(program) & heavy
 
 
+def test_the_libraries_are_loaded_without_a_parser_of_c() -> None:
+    program = "from firmware_protocol.host import library; from hil.plant.shim import load; library(), load()"
+    assert not _imported(program) & {"cffi", "pycparser"}
+
+
 def test_a_run_imports_no_viewer_no_plots_and_no_tables() -> None:
     assert not _imported("import hil.runtime.assembly") & {"fmpy", "matplotlib", "pandas", "pyarrow", "rerun", "scipy"}

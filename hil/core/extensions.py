@@ -101,10 +101,15 @@ class Extensions:
 
 
 @cache
-def _registered(group: str, _path: tuple[str, ...]) -> list[EntryPoint]:
-    """Look for packages once for each module search path, because that takes milliseconds."""
-    points = {(point.name, package_of(point)): point for point in entry_points(group=group)}
+def _registered(group: str, path: tuple[str, ...]) -> list[EntryPoint]:
+    points = {(point.name, package_of(point)): point for point in _all_registered(path).select(group=group)}
     return [points[key] for key in sorted(points)]
+
+
+@cache
+def _all_registered(_path: tuple[str, ...]) -> Any:
+    """Look for packages once for each module search path, because that takes milliseconds."""
+    return entry_points()
 
 
 def package_of(point: EntryPoint) -> str:

@@ -27,7 +27,7 @@ class Reservoir:
         self._pending = array("d")
         self._kept = array("d")
         self._seen = 0
-        self._chance = np.random.default_rng(1)
+        self._chance: np.random.Generator | None = None  # made when needed: NumPy imports it only then
 
     def append(self, value: float) -> None:
         """Add a value."""
@@ -54,6 +54,7 @@ class Reservoir:
         self._kept += self._pending[:room]
         self._seen += min(room, len(self._pending))
         if len(more := self._pending[room:]):
+            self._chance = self._chance or np.random.default_rng(1)
             places = self._chance.integers(0, self._seen + 1 + np.arange(len(more)))
             lucky = places < CAPACITY
             np.frombuffer(self._kept)[places[lucky]] = np.frombuffer(more)[lucky]
