@@ -7,8 +7,7 @@ from firmware_protocol.client import Client
 from firmware_protocol.codec import Message
 from firmware_protocol.framing import Frame, pack
 from firmware_protocol.generated import messages as m
-from hil.core.types import Wheels
-from hil.robot.snapshot import Feedback
+from hil.core.types import Feedback, Wheels
 
 
 def new_client(mode: m.Mode = m.Mode.SPEED, nonce: int = 1) -> Client:

@@ -11,6 +11,7 @@ from hil.core.types import (
     Acceleration,
     Applied,
     CommandMode,
+    Feedback,
     Gains,
     Pose,
     PoseFix,
@@ -20,7 +21,6 @@ from hil.core.types import (
     WheelCommand,
     Wheels,
 )
-from hil.robot.snapshot import Feedback
 from hil.runtime.row import RowWriter
 
 LATENCY_NS = 3_000_000

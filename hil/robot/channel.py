@@ -11,11 +11,10 @@ from firmware_protocol.framing import PackedFrames, pack, packed_frame
 from firmware_protocol.generated import messages as m
 from hil.core.errors import RobotStoppedError
 from hil.core.ports import Received
-from hil.core.types import NAN, NAN_WHEELS, Wheels
+from hil.core.types import NAN, NAN_WHEELS, Feedback, Wheels, make_feedback
 from hil.robot.direct import DirectLink
 from hil.robot.handshake import RETRY_NS, SILENCE_NS
 from hil.robot.link_times import RoundTrip
-from hil.robot.snapshot import Feedback
 from hil.robot.wheel_map import WheelMap
 from hil.wire.conditions import ConditionedLink
 
@@ -151,7 +150,7 @@ class Channel:
             held = _SLOW.unpack(self._slow)
             self._held = self._map.from_wire(held[:4]), held[4:7], held[7]
         counts, speed = self._map.counts_from_wire(counts), self._map.from_wire(speed)
-        self.feedback = Feedback(time_ns, _STATES[state], sequence, age_ms, counts, speed, *self._held)
+        self.feedback = make_feedback((time_ns, _STATES[state], sequence, age_ms, counts, speed, *self._held))
 
     # Counters
 

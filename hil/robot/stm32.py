@@ -16,14 +16,13 @@ from firmware_protocol.framing import pack
 from firmware_protocol.generated import messages as m
 from hil.core.errors import BadInputError, DeviceError, HilError, RobotStoppedError
 from hil.core.ports import Clock
-from hil.core.types import CommandMode, WheelCommand
+from hil.core.types import CommandMode, Feedback, WheelCommand
 from hil.robot import handshake
 from hil.robot.channel import Channel
 from hil.robot.handshake import Expected, Greeting, RobotInfo
 from hil.robot.link_times import SYNC_PERIOD_NS, RoundTrip
 from hil.robot.port import LinkedDevice
 from hil.robot.robot_report import RobotReport
-from hil.robot.snapshot import Feedback
 from hil.robot.wheel_map import WheelMap
 from hil.wire.conditions import ConditionedLink
 
