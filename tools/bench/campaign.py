@@ -3,13 +3,18 @@
 
 The paper's circle, 15 s at 1 kHz, not recorded, each with another mass. The rate is beside that of a pool of the
 standard library's, as many processes that call ``hil.run``; of one worker and of two, in turns. Rates are from the
-first run that is done to the last: how long processes take to begin is not in them. Memory is that of one process that
-does short runs, one after the other, when a tenth of them is done, a half, and all.
+first run that is done to the last: how long processes take to begin is not in them. With ``--peer`` the campaign of
+another checkout takes part in the turns. The coordinator is the process that hands out the runs and stores the answers:
+what it does in a second of a processor, with workers that answer with a recorded outcome. Memory is that of one process
+that does short runs, one after the other, when a tenth of them is done, a half, and all.
 """
 
 import argparse
 import json
 import multiprocessing
+import pkgutil
+import subprocess
+import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterable, Iterator
@@ -21,8 +26,11 @@ from rich.console import Console
 from rich.table import Table
 
 import hil
+from hil.batch import pool
 from hil.batch.campaign.campaign import Campaign, Place
-from hil.batch.pool import MODULE, Runner
+from hil.batch.job import Job, Outcome, plain
+from hil.batch.pool import MODULE, READY, Runner
+from hil.scenario import from_plain
 
 PLAN = """
 scenario = "{scenario}"
@@ -34,6 +42,8 @@ expect = []
 [axes]
 plant.start.mass_kg = {{ uniform = [16, 24] }}
 """
+THIS = "tools.bench.campaign"
+ANSWERS = 2000
 LIMIT_S = 600.0
 SHORT_S = 0.2
 
@@ -45,6 +55,7 @@ def main() -> None:
     parser.add_argument("--seconds", type=float, default=15.0, help="of robot time each")
     parser.add_argument("--turns", type=int, default=3, help="of scaling and of the pool; the best counts; 0 for none")
     parser.add_argument("--turn-runs", type=int, default=40, help="in a turn")
+    parser.add_argument("--peer", type=Path, metavar="CHECKOUT", help="with its own .venv, measured in the same turns")
     parser.add_argument("--short-runs", type=int, default=10_000, help="for memory; 0 for none")
     parser.add_argument("--json", type=Path, metavar="FILE", help="write the figures")
     options = parser.parse_args()
@@ -53,7 +64,8 @@ def main() -> None:
         if options.runs:
             figures["paper circles"] = circles(Path(folder), options.runs, options.seconds)
         if options.turns:
-            figures["scaling"] = scaling(Path(folder), options.turns, options.turn_runs, options.seconds)
+            figures["scaling"] = scaling(Path(folder), options)
+            figures["coordinator"] = coordinator(Path(folder))
         if options.short_runs:
             figures["memory"] = memory(Path(folder), options.short_runs)
     print_figures(figures)
@@ -69,20 +81,61 @@ def circles(folder: Path, runs: int, seconds: float) -> dict[str, float]:
     return {"runs": runs, "wall_s": wall_s, "runs_per_s": rate}
 
 
-def scaling(folder: Path, turns: int, runs: int, seconds: float) -> dict[str, float]:
-    """Return the rates of one worker and of two, and of a pool of two processes."""
-    one, two, pool = [], [], []
-    for turn in range(turns):
+def scaling(folder: Path, options: argparse.Namespace) -> dict[str, float]:
+    """Return the rates of one worker and of two, of a pool of two processes, and of the peer's two workers."""
+    runs, seconds = options.turn_runs, options.seconds
+    one, two, pools, peer = [], [], [], []
+    for turn in range(options.turns):
         one.append(of_campaign(folder / f"one-{turn}", runs // 2, seconds, 1))
         two.append(of_campaign(folder / f"two-{turn}", runs, seconds, 2))
-        pool.append(of_pool(folder / f"pool-{turn}", runs, seconds, 2))
-    return {
+        pools.append(of_pool(folder / f"pool-{turn}", runs, seconds, 2))
+        if options.peer is not None:
+            peer.append(of_peer(folder / f"peer-{turn}.json", options.peer, runs, seconds))
+    figures = {
         "one_runs_per_s": max(one),
         "two_runs_per_s": max(two),
-        "pool_runs_per_s": max(pool),
+        "pool_runs_per_s": max(pools),
         "efficiency": max(two) / (2.0 * max(one)),
-        "of_pool": max(two) / max(pool),
+        "of_pool": max(two) / max(pools),
     }
+    return figures | ({"peer_runs_per_s": max(peer), "of_peer": max(two) / max(peer)} if peer else {})
+
+
+def of_peer(file: Path, checkout: Path, runs: int, seconds: float) -> float:
+    """Return the rate of another checkout's campaign with two workers."""
+    options = {"runs": runs, "seconds": seconds, "turns": 0, "short-runs": 0, "json": file}
+    words = [word for name, value in options.items() for word in (f"--{name}", str(value))]
+    python = checkout.absolute() / ".venv" / Path(sys.executable).relative_to(sys.prefix)
+    subprocess.run([python, "-m", THIS, *words], cwd=checkout, check=True, stdout=subprocess.DEVNULL)
+    return float(json.loads(file.read_text(encoding="utf-8"))["paper circles"]["runs_per_s"])
+
+
+def coordinator(folder: Path) -> dict[str, float]:
+    """Return how many runs a second the process that hands them out can do, by the time that it has a processor."""
+    begin_s = time.process_time()
+    campaign = _campaign(folder / "answers", "circle_speed", ANSWERS, SHORT_S)
+    prepared_s = time.process_time()
+    pool.MODULE = THIS
+    try:
+        for _ in campaign.perform(folder / "answers" / "out", Place(None, 2, LIMIT_S)):
+            pass
+    finally:
+        pool.MODULE = MODULE
+    return {
+        "prepared_per_s": ANSWERS / (prepared_s - begin_s),
+        "answers_per_s": ANSWERS / (time.process_time() - prepared_s),
+    }
+
+
+def answer(kind: str) -> None:
+    """Be a worker that does its first job, and answers each other one with the same outcome."""
+    perform: Callable[..., Outcome] = pkgutil.resolve_name(kind)
+    recorded: Outcome | None = None
+    print(READY, end="", flush=True)
+    for line in sys.stdin:
+        job = Job(**json.loads(line))
+        recorded = recorded or perform(job, from_plain(job.scenario))
+        print(json.dumps(plain(recorded._replace(key=job.key))), flush=True)
 
 
 def of_campaign(folder: Path, runs: int, seconds: float, workers: int) -> float:
@@ -164,4 +217,4 @@ def print_figures(figures: dict[str, dict[str, float]]) -> None:
 
 
 if __name__ == "__main__":
-    main()
+    answer(sys.argv[1]) if sys.argv[1:] and ":" in sys.argv[1] else main()
