@@ -36,7 +36,6 @@ class Client:
         self.handle = ffi.cast("wheel_client *", self._memory)
         lib.wheel_client_init(self.handle, mode, parameter_check, nonce)
         self.view: Any = lib.wheel_client_view(self.handle)
-        self._out = ffi.buffer(lib.wheel_client_out(self.handle), lib.WHEEL_CLIENT_OUT)
         self._logs = ffi.new("uint8_t[]", _LOG_BYTES), ffi.new("uint8_t[]", _LOG_BYTES)
         lib.wheel_client_log(self.handle, *self._logs, _LOG_BYTES)
         self._logged = ffi.new("size_t[2]")
@@ -51,10 +50,9 @@ class Client:
 
     # What the robot sends
 
-    def take(self, packed: Any, begin: int, end: int, now_ns: int) -> int:
-        """Take packed frames from ``begin`` on; return where the next one begins, or ``end``. Then see ``view``."""
-        at: int = self._lib.wheel_client_take(self.handle, packed, begin, end, now_ns)
-        return at
+    def take(self, packed: bytes, begin: int, now_ns: int) -> int:
+        """Take packed frames from ``begin`` on; return where the next one begins, or the end. Then see ``view``."""
+        return self._fast.take(self.address, packed, begin, now_ns)
 
     def snapshot(self) -> tuple[Any, ...]:
         """Return the newest feedback: snapshots, round_trips, slow, round_trip_ns, robot time [ns], state,
@@ -70,11 +68,11 @@ class Client:
 
     def out(self) -> PackedFrames:
         """Return the frames that wait to be sent; call ``sent`` or ``unsent`` then."""
-        return PackedFrames(self._out[: self.view.out_bytes], self.view.out_frames)
+        return PackedFrames(self._fast.out(self.address), self.view.out_frames)
 
     def sent(self) -> None:
         """The frames of ``out`` were sent."""
-        self._lib.wheel_client_sent(self.handle)
+        self._fast.sent(self.address)
 
     def unsent(self) -> None:
         """The frames of ``out`` could not be sent; they do not count."""
@@ -108,7 +106,7 @@ class Client:
 
     def step(self, ticks: int) -> None:
         """Lockstep: add a STEP of so many ticks; 0 asks for the robot's tick."""
-        self._lib.wheel_client_step(self.handle, ticks)
+        self._fast.ask(self.address, ticks)
 
     def step_again(self) -> None:
         """Add the same STEP again, because no answer came."""

@@ -10,23 +10,7 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
-from firmware_protocol.built import HERE, digest_in_library
-
-HOST_HEADERS = tuple(
-    HERE / header
-    for header in (
-        "firmware/plant_port.h",
-        "generated/wheel_parameters.h",
-        "firmware/parameters.h",
-        "port/host/host.h",
-        "client/wheel_line.h",
-        "client/wheel_client.h",
-        "port/host/direct.h",
-        "port/python/fast_calls.h",
-    )
-)
-PARAMETER_TABLE = "extern const wheel_parameter_info wheel_parameter_table[];"
-"""What cffi needs to know of the host library: the marked parts of these headers, and this declaration."""
+from firmware_protocol.built import digest_in_library
 
 _SECTION = re.compile(r"/\* cffi: begin \*/(.*?)/\* cffi: end \*/", re.DOTALL)
 _SUFFIX = ".cffi"

@@ -24,6 +24,9 @@ _NEEDED = (
     "PyFloat_FromDouble",
     "PyLong_FromLongLong",
     "PyBool_FromLong",
+    "PyBytes_FromStringAndSize",
+    "PyBytes_AsStringAndSize",
+    "Py_DecRef",
 )
 
 
@@ -46,6 +49,12 @@ class FastCalls(NamedTuple):
     step: Callable[[int, int, int, int, int], bool]
     snapshot: Callable[[int], tuple[Any, ...]]
     counts: Callable[[int], tuple[int, int, int]]
+    out: Callable[[int], bytes]
+    sent: Callable[[int], bool]
+    ask: Callable[[int, int], bool]
+    take: Callable[[int, bytes, int, int], int]
+    exchange: Callable[[int, int, int, bytes], bytes]
+    split: Callable[[bytes, int], tuple[bytes, bytes]]
 
 
 def address_of(pointer: Any) -> int:

@@ -51,23 +51,31 @@ make_frame: Callable[[tuple[int, bytes]], Frame] = MethodType(tuple.__new__, Fra
 class PackedFrames(Sequence[Frame]):
     """Frames stored one after the other in ``packed``, in C's layout: id16 LE, length8, payload.
 
-    Each becomes a ``Frame`` when it is accessed.
+    Each becomes a ``Frame`` when it is accessed. They are counted when their number is asked for and not given.
     """
 
     __slots__ = ("_count", "packed")
 
-    def __init__(self, packed: bytes, count: int) -> None:
+    def __init__(self, packed: bytes, count: int | None = None) -> None:
         self.packed = packed
         self._count = count
 
     def __len__(self) -> int:
+        if self._count is None:
+            self._count = sum(1 for _ in self)
         return self._count
+
+    def __bool__(self) -> bool:
+        return bool(self.packed)
 
     def __iter__(self) -> Iterator[Frame]:
         at, packed = 0, self.packed
-        while at < len(packed):
-            frame, at = packed_frame(packed, at)
-            yield frame
+        end = len(packed)
+        while at < end:
+            number, length = packed[at] | packed[at + 1] << 8, packed[at + 2]
+            begin = at + 3
+            at = begin + length
+            yield make_frame((number, packed[begin:at]))
 
     @overload
     def __getitem__(self, place: int) -> Frame: ...

@@ -14,10 +14,25 @@ from typing import Any, NamedTuple
 
 from firmware_protocol.built import OTHER, WHEEL_HOST, BuildError, digest_in_library
 from firmware_protocol.capabilities import Capability
-from firmware_protocol.declarations import HOST_HEADERS, PARAMETER_TABLE, declared
+from firmware_protocol.declarations import declared
 from firmware_protocol.framing import Frame
 from firmware_protocol.generated.messages import Fault, FaultWheel, Mode, ResetCause, State, StopReason, Type
 
+HEADERS = tuple(
+    Path(__file__).parent / header
+    for header in (
+        "firmware/plant_port.h",
+        "generated/wheel_parameters.h",
+        "firmware/parameters.h",
+        "port/host/host.h",
+        "client/wheel_line.h",
+        "client/wheel_client.h",
+        "port/host/direct.h",
+        "port/python/fast_calls.h",
+    )
+)
+TABLE = "extern const wheel_parameter_info wheel_parameter_table[];"
+"""What cffi needs to know of the host library: the marked parts of these headers, and this declaration."""
 _BYTES = 1 << 17  # twice what all frames of a full queue take (WHEEL_HOST_QUEUE)
 
 # The host library has no power stage of its own, and its user decides whether time comes from STEP.
@@ -55,7 +70,7 @@ def loaded() -> Loaded:
     path = WHEEL_HOST.path if OTHER is None else Path(OTHER)
     if not path.is_file():
         raise BuildError(f"{path} does not exist; build it, or unset WHEEL_HOST_LIBRARY")
-    return load_library(path, HOST_HEADERS, PARAMETER_TABLE)
+    return load_library(path, HEADERS, TABLE)
 
 
 def load_library(path: Path, headers: Iterable[Path], declarations: str = "") -> Loaded:

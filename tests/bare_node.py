@@ -12,10 +12,10 @@ from typing import Any
 from firmware_protocol import codec
 from firmware_protocol.built import HERE, OTHER, WHEEL_HOST
 from firmware_protocol.capabilities import Capability
-from firmware_protocol.declarations import HOST_HEADERS, PARAMETER_TABLE, read_headers
+from firmware_protocol.declarations import read_headers
 from firmware_protocol.framing import Frame
 from firmware_protocol.generated import messages as m
-from firmware_protocol.host import library, parameter_hash
+from firmware_protocol.host import HEADERS, TABLE, library, parameter_hash
 from tests.wheel_rig import INERTIA_KG_M2, PARAMETERS
 
 _HEADERS = ("cobs.h", "framing.h", "parameters.h", "states.h", "control.h", "plant_port.h", "node.h")
@@ -30,7 +30,7 @@ ALL = Capability((1 << 11) - 1) & ~(Capability.LOCKSTEP | Capability.POWER_STAGE
 def core() -> tuple[Any, Any]:
     """Return cffi's (ffi, library) with all that the core's headers declare."""
     library()  # up to date
-    ffi = read_headers(HOST_HEADERS, PARAMETER_TABLE)
+    ffi = read_headers(HEADERS, TABLE)
     generated = ("wheel_messages.h", "wheel_parameters.h")
     files = [*(HERE / "generated" / name for name in generated), *(HERE / "firmware" / name for name in _HEADERS)]
     text = "".join(file.read_text(encoding="utf-8") for file in files)

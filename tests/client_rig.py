@@ -7,7 +7,8 @@ from firmware_protocol.client import Client
 from firmware_protocol.codec import Message
 from firmware_protocol.framing import Frame, pack
 from firmware_protocol.generated import messages as m
-from hil.core.types import Feedback, Wheels
+from hil.core.types import Wheels
+from hil.robot.snapshot import Feedback
 
 
 def new_client(mode: m.Mode = m.Mode.SPEED, nonce: int = 1) -> Client:
@@ -39,7 +40,7 @@ def take(client: Client, frames: Iterable[Frame], now_ns: int = 0) -> list[int]:
     """Have the client take frames that arrive together; return the ids of the messages behind which it stopped."""
     packed, at, ids = pack(frames), 0, []
     while at < len(packed):
-        before, at = at, client.take(packed, at, len(packed), now_ns)
+        before, at = at, client.take(packed, at, now_ns)
         if client.view.message_id:
             ids.append(client.view.message_id)
         if client.view.log_is_due:

@@ -2,7 +2,8 @@
 
 from firmware_protocol.codec import Message
 from firmware_protocol.generated.messages import Accelerometer, Currents, Encoders, Gyro, State, Tick, WheelSpeeds
-from hil.core.types import NAN, NAN_WHEELS, Feedback, make_wheels
+from hil.core.types import NAN, NAN_WHEELS, make_wheels
+from hil.robot.snapshot import Feedback
 
 _PARTS: dict[type, int] = {Encoders: 1, WheelSpeeds: 2, Currents: 4, Accelerometer: 8, Gyro: 16}
 _INERTIAL = _PARTS[Accelerometer]  # and above

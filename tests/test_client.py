@@ -288,13 +288,13 @@ def test_the_log_has_every_message_in_order_but_for_hello_and_what_was_not_sent(
 def test_a_log_that_is_never_taken_stops_the_client_before_it_overflows() -> None:
     client = new_client()
     packed = pack([codec.encode(m.Encoders(1, 2, 3, 4))] * 5000)
-    at = client.take(packed, 0, len(packed), 0)
+    at = client.take(packed, 0, 0)
     assert client.view.log_is_due
     assert 0 < at < len(packed)
-    assert client.take(packed, at, len(packed), 0) == at
+    assert client.take(packed, at, 0) == at
     while at < len(packed):
         client.hash_log()
-        at = client.take(packed, at, len(packed), 0)
+        at = client.take(packed, at, 0)
     assert client.view.received == 5000
     assert client.hexdigest() == digest([], [m.Encoders(1, 2, 3, 4)] * 5000)
 

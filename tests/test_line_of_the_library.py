@@ -9,7 +9,8 @@ from hypothesis import strategies as st
 
 from firmware_protocol.framing import CAUSES, Deframer, Frame, Framer, PackedFrames, pack
 from firmware_protocol.generated import messages as m
-from firmware_protocol.host_line import HostLine
+from firmware_protocol.host import library
+from firmware_protocol.host_line import HostLine, split
 from tests.bare_node import core
 from tests.protocol_cases import frames, rejected
 from tests.wheel_rig import WheelRig
@@ -128,3 +129,29 @@ def test_packed_frames_are_the_frames(some: list[Frame], wide: bytes) -> None:
     assert (list(packed), len(packed)) == (some, len(some))
     assert (packed[0], packed[-1], packed[1:]) == (some[0], some[-1], some[1:])
     assert pack(packed) == packed.packed == pack(some)
+
+
+@given(some=st.lists(frames, max_size=90))
+def test_packed_frames_are_encoded_as_one_by_one(some: list[Frame]) -> None:
+    one_by_one, at_once = HostLine(), HostLine()
+    assert at_once.encode_packed(pack(some)) == b"".join(map(one_by_one.encode, some))
+
+
+def test_more_frames_than_a_client_holds_are_refused() -> None:
+    with pytest.raises(ValueError, match="1025 bytes of frames at once: expected at most 1024"):
+        HostLine().encode_packed(bytes(1025))
+
+
+@given(some=st.lists(frames, max_size=8), limit=st.integers(0, 0x7FF), cut=st.integers(0, 9))
+def test_a_split_keeps_the_order_of_both_groups_and_drops_what_is_cut(some: list[Frame], limit: int, cut: int) -> None:
+    below, others = split(PackedFrames(pack(some)), limit)
+    assert list(below) == [one for one in some if one.id < limit]
+    assert list(others) == [one for one in some if one.id >= limit]
+
+    ffi, lib = library()
+    packed, out, used = pack(some)[: -cut or None], ffi.new("uint8_t[]", 100), ffi.new("size_t *")
+    begin = lib.wheel_packed_split(packed, len(packed), limit, out, used)
+    while len(pack(some)) > len(packed):
+        some = some[:-1]
+    assert bytes(out)[:begin] == pack([one for one in some if one.id < limit])
+    assert bytes(out)[begin : used[0]] == pack([one for one in some if one.id >= limit])

@@ -1,6 +1,7 @@
 """Latency acts on robot time, and leaves lockstep and handshake alone."""
 
 import itertools
+from collections.abc import Sequence
 
 import pytest
 from hypothesis import given
@@ -169,8 +170,8 @@ def test_an_observer_sees_what_crosses_the_wire_and_not_what_waits_or_is_lost() 
         def __init__(self) -> None:
             self.frames: list[Frame] = []
 
-        def sent(self, frame: Frame) -> None:
-            self.frames.append(frame)
+        def sent(self, frames: Sequence[Frame]) -> None:
+            self.frames += frames
 
         def received(self, received: Received | None) -> None:
             self.frames += received.frames if received is not None else ()

@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 
 from firmware_protocol.framing import Deframer, Frame, Framer
 from firmware_protocol.generated import messages as m
+from hil.core.clock import LockstepClock
 from hil.core.errors import LinkError
 from hil.core.ports import Received
 from hil.faults.kind import NEVER_NS, FaultRow
@@ -158,6 +159,20 @@ def test_reordering_swaps_neighbours_and_the_last_one_leaves_at_the_end() -> Non
     out = send_each_ms(wire, link, 107)
     assert out[100:] == [(101, 101), (101, 100), (103, 103), (103, 102), (105, 104), (105, 105), (106, 106)]
     assert faults[0].applied == 2  # nobody overtook the one that the window's end let go
+
+
+def test_in_lockstep_what_is_due_within_a_tick_is_sent_at_its_end() -> None:
+    """A window may end between two ticks, and the clock shows whole ticks only."""
+    wire, link, _ = fault_link(row("reorder", end=100_400_000))
+    clock = LockstepClock(lambda ticks: None)
+    wire.now = 100 * MS
+    link.send(command(1))
+    clock.wait_until(100 * MS)
+    link.hand_over_until(clock, 101 * MS)
+    clock.wait_until(101 * MS)
+    wire.now = clock.now_ns()
+    link.service()
+    assert wire.sent == [(101 * MS, command(1))]
 
 
 def test_a_frame_that_nobody_overtook_is_not_counted() -> None:

@@ -11,7 +11,6 @@ from hil.core.types import (
     Acceleration,
     Applied,
     CommandMode,
-    Feedback,
     Gains,
     Pose,
     PoseFix,
@@ -21,6 +20,7 @@ from hil.core.types import (
     WheelCommand,
     Wheels,
 )
+from hil.robot.snapshot import Feedback
 from hil.runtime.row import RowWriter
 
 LATENCY_NS = 3_000_000

@@ -58,6 +58,24 @@ size_t wheel_line_encode(wheel_line *line, const uint8_t *packed, size_t length,
     return written;
 }
 
+static size_t copy_group(const uint8_t *packed, size_t length, uint16_t limit, bool below, uint8_t *out) {
+    wheel_packed frame;
+    size_t written = 0;
+    for (size_t at = 0; wheel_packed_take(packed, at, length, &frame); at = frame.next) {
+        if ((frame.id < limit) == below) {
+            memcpy(out + written, packed + at, frame.next - at);
+            written += frame.next - at;
+        }
+    }
+    return written;
+}
+
+size_t wheel_packed_split(const uint8_t *packed, size_t length, uint16_t limit, uint8_t *out, size_t *used) {
+    const size_t below = copy_group(packed, length, limit, true, out);
+    *used = below + copy_group(packed, length, limit, false, out + below);
+    return below;
+}
+
 void wheel_line_count(const wheel_line *line, wheel_line_counts *counts) {
     const wheel_deframer *deframer = &line->deframer;
     *counts = (wheel_line_counts){

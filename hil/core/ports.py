@@ -1,9 +1,9 @@
 """The interfaces that the control loop uses: clock, link, control law, pose sources and sinks."""
 
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol, runtime_checkable
 
-from firmware_protocol.framing import Frame
+from firmware_protocol.framing import Frame, PackedFrames
 from hil.core.types import Applied, Gains, MeasuredPose, PoseFix, Reference, State, WheelCommand
 
 
@@ -71,6 +71,14 @@ class Link(Protocol):
 
     def close(self) -> None:
         """Release the link. Closing twice is allowed."""
+
+
+@runtime_checkable
+class PackedLink(Link, Protocol):
+    """A link that also sends many frames of our own protocol in one call."""
+
+    def send_packed(self, frames: PackedFrames) -> None:
+        """Send frames, which must be messages of ours, in order. Raises LinkError when the link is lost."""
 
 
 class Controller(Protocol):

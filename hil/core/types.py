@@ -7,9 +7,7 @@ and y left. The order of wheels is FL, FR, RR, RL everywhere (the paper's 1 to 4
 from collections.abc import Callable
 from enum import IntEnum
 from types import MethodType
-from typing import Any, Final, NamedTuple
-
-from firmware_protocol.generated.messages import State as RobotState
+from typing import Final, NamedTuple
 
 NAN = float("nan")
 WHEEL_NAMES: Final = ("fl", "fr", "rr", "rl")
@@ -93,25 +91,6 @@ class WheelCommand(NamedTuple):
     torque_n_m: Wheels
 
 
-class Feedback(NamedTuple):
-    """What the robot measured at one sampling instant.
-
-    ``robot_time_ns`` is the robot's own clock (TICK.time_us), unwrapped since the first snapshot. ``current_a``,
-    ``acceleration_m_s2`` and ``yaw_rate_rad_s`` come at a lower rate and keep their last value; NaN before the first.
-    Current and acceleration (body frame, 9.81 upwards at rest) are means over the feedback period that ends then.
-    """
-
-    robot_time_ns: int
-    state: RobotState
-    command_sequence: int
-    command_age_ms: int
-    encoder_count: tuple[int, int, int, int]
-    speed_rad_s: Wheels
-    current_a: Wheels
-    acceleration_m_s2: Axes
-    yaw_rate_rad_s: float
-
-
 class Applied(NamedTuple):
     """The command of the last tick, after the guard, and its latency.
 
@@ -173,8 +152,6 @@ make_state: Callable[[tuple[Pose, Twist]], State] = MethodType(tuple.__new__, St
 make_reference: Callable[[tuple[Pose, Twist, Acceleration]], Reference] = MethodType(tuple.__new__, Reference)
 make_command: Callable[[tuple[CommandMode, Wheels, Wheels]], WheelCommand] = MethodType(tuple.__new__, WheelCommand)
 make_gains: Callable[[Pairs], Gains] = MethodType(tuple.__new__, Gains)
-make_feedback: Callable[[tuple[Any, ...]], Feedback] = MethodType(tuple.__new__, Feedback)
-make_applied: Callable[[tuple[WheelCommand, bool, float]], Applied] = MethodType(tuple.__new__, Applied)
 make_fix: Callable[[tuple[int, Pose, Twist]], PoseFix] = MethodType(tuple.__new__, PoseFix)
 
 ZERO_WHEELS = Wheels(0.0, 0.0, 0.0, 0.0)

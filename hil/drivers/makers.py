@@ -13,13 +13,14 @@ from collections.abc import Sequence
 from firmware_protocol.generated.messages import State
 from hil.core.errors import BadInputError, DeviceError, HilError, LinkError
 from hil.core.ports import Clock
-from hil.core.types import CommandMode, Feedback, FourWheels, WheelCommand
+from hil.core.types import CommandMode, FourWheels, WheelCommand
 from hil.drivers.host_watch import HostWatch
 from hil.drivers.makers_feedback import MakersReport, MotorsInfo
 from hil.drivers.motor_stop import REPEAT_NS, REST, MotorLine, MotorStop, Terms
 from hil.drivers.port import Driver, DriverError
 from hil.robot.handshake import SILENCE_NS
 from hil.robot.port import LinkedDevice
+from hil.robot.snapshot import Feedback
 from hil.robot.wheel_map import WheelMap
 from hil.wire.conditions import ConditionedLink
 

@@ -4,9 +4,10 @@ import math
 from typing import NamedTuple
 
 from firmware_protocol.generated.messages import State
-from hil.core.types import Feedback, FourWheels, Wheels
+from hil.core.types import FourWheels, Wheels
 from hil.drivers.port import Driver, Sample, four
 from hil.robot.robot_report import Health
+from hil.robot.snapshot import Feedback
 from hil.robot.wheel_map import WheelMap
 
 # A longer gap is a lost link or a stall of this process: the mean of two speeds is not the speed between them.

@@ -19,7 +19,7 @@ NO_STATUS = EstimatorSignals(*[NAN] * len(EstimatorSignals._fields))
 
 
 class Measurement(Protocol):
-    """The part of a feedback snapshot that estimators use (``hil.core.types.Feedback`` has more)."""
+    """The part of a feedback snapshot that estimators use (``hil.robot.snapshot.Feedback`` has more)."""
 
     @property
     def robot_time_ns(self) -> int:

@@ -11,10 +11,11 @@ from firmware_protocol.framing import PackedFrames, pack, packed_frame
 from firmware_protocol.generated import messages as m
 from hil.core.errors import RobotStoppedError
 from hil.core.ports import Received
-from hil.core.types import NAN, NAN_WHEELS, Feedback, Wheels, make_feedback
+from hil.core.types import NAN, NAN_WHEELS, Wheels
 from hil.robot.direct import DirectLink
 from hil.robot.handshake import RETRY_NS, SILENCE_NS
 from hil.robot.link_times import RoundTrip
+from hil.robot.snapshot import Feedback
 from hil.robot.wheel_map import WheelMap
 from hil.wire.conditions import ConditionedLink
 
@@ -42,8 +43,9 @@ class Channel:
         self._client = client
         self._map = wheel_map
         self._on_message = on_message
-        # Without conditions on the link to a robot in this thread, a step is one call into the library.
-        self._direct = link.transport if link.is_plain and isinstance(link.transport, DirectLink) else None
+        # To a robot in this thread a step is one call into the library, unless conditions act on feedback.
+        self._direct = link.transport if isinstance(link.transport, DirectLink) else None
+        self._is_plain = link.is_plain
         self._slow = client.member("current_a", _SLOW.size)
         self._snapshots_seen = self._slow_seen = self._round_trips_seen = 0
         self._held: tuple[Wheels, tuple[float, float, float], float] = (NAN_WHEELS, (NAN, NAN, NAN), NAN)
@@ -58,18 +60,19 @@ class Channel:
     # What is sent
 
     def flush(self) -> None:
-        """Send what waits in the client. To a robot in this thread the next step carries it.
+        """Send what waits in the client. To a robot in this thread the next step carries it, unless conditions act now.
 
         Raises LinkError when the link is lost; what waited is then forgotten.
         """
         view = self._client.view
         if view.log_is_due:
             self._client.hash_log()
-        if not view.out_bytes or (self._direct is not None and view.out_bytes < _FULL):
+        if not view.out_bytes:
+            return
+        if self._direct is not None and view.out_bytes < _FULL and (self._is_plain or self._link.lets_commands_pass()):
             return
         try:
-            for frame in self._client.out():
-                self._link.send(frame)
+            self._link.send_all(self._client.out())
         except BaseException:
             self._client.unsent()
             raise
@@ -80,15 +83,23 @@ class Channel:
 
         Raises RobotStoppedError when it does not answer within 2 s of wall-clock time, or is at another tick.
         """
-        if self._direct is None:
-            self._client.step(ticks)
+        direct, client = self._direct, self._client
+        if direct is None:
+            client.step(ticks)
             self.flush()
             self._await_step()
-        else:
-            left = self._direct.step(self._client, ticks)
+        elif self._is_plain or self._link.lets_feedback_pass():
+            left = direct.step(client, ticks)
             if left is not None:
-                self._attend(self._direct.answer, left.stamp_ns)
-                self.take(left)
+                self._attend(direct.answer, left.stamp_ns)
+                self._take(left)
+                self._await_step()
+        else:
+            client.step(ticks)
+            ready = self._link.exchange(direct, client)
+            while ready and client.view.step == _STEP_AWAITED:
+                self._take(ready.popleft())
+            if client.view.step == _STEP_AWAITED:
                 self._await_step()
         self._renew_feedback()
 
@@ -98,7 +109,7 @@ class Channel:
         while view.step == _STEP_AWAITED:
             received = self._link.receive(RETRY_NS)
             if received is not None:
-                self.take(received)
+                self._take(received)
             now_ns = time.monotonic_ns()
             if now_ns - begin_ns > SILENCE_NS:
                 raise RobotStoppedError("the robot did not answer STEP within 2 s of wall-clock time; it was lost")
@@ -111,13 +122,16 @@ class Channel:
 
     def take(self, received: Received) -> None:
         """Process frames that arrived together. Raises RobotStoppedError for a step that ended at a wrong tick."""
+        self._take(received)
+        self._renew_feedback()
+
+    def _take(self, received: Received) -> None:
         frames, stamp_ns = received
         packed = frames.packed if type(frames) is PackedFrames else pack(frames)
         at, end = 0, len(packed)
         while at < end:
-            at = self._client.take(packed, at, end, stamp_ns)
+            at = self._client.take(packed, at, stamp_ns)
             self._attend(packed, stamp_ns)
-        self._renew_feedback()
 
     def _attend(self, packed: Any, stamp_ns: int) -> None:
         """Do what the client's view asks for after it has taken frames."""
@@ -150,7 +164,7 @@ class Channel:
             held = _SLOW.unpack(self._slow)
             self._held = self._map.from_wire(held[:4]), held[4:7], held[7]
         counts, speed = self._map.counts_from_wire(counts), self._map.from_wire(speed)
-        self.feedback = make_feedback((time_ns, _STATES[state], sequence, age_ms, counts, speed, *self._held))
+        self.feedback = Feedback(time_ns, _STATES[state], sequence, age_ms, counts, speed, *self._held)
 
     # Counters
 

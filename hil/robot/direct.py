@@ -17,6 +17,9 @@ from hil.wire.framed import StreamLink
 from hil.wire.link import Line
 from hil.wire.streams import DirectStream, closed
 
+_MORE_ON_THE_LINE = FRAME_OVERHEAD - len(PACKED_HEADERS[Estop.ID, Estop.LENGTH])  # than packed
+_ESTOP = PACKED_HEADERS[Estop.ID, Estop.LENGTH]
+
 
 class DirectTruth:
     """The robot's true pose. In lockstep it does not change between two exchanges with the host."""
@@ -69,11 +72,13 @@ class DirectLink:
         self.answer = ffi.buffer(self._direct.answer)
         self._earlier: Counter[str] = Counter()  # rejected before the link was reopened
         self._begin_line()
-        self._unsent = PackedFrames(b"", 0)
+        self._unsent = b""  # packed
+        self._unsent_frames = 0
         self._unsent_bytes = 0  # on the line
         self._client: Client | None = None
         self._is_open = True
         self._lib, self._address, self._step = lib, address_of(self._direct), fast_calls().step
+        self._exchange = fast_calls().exchange
         self.now_ns: Callable[[], int] = time.monotonic_ns
 
     def _begin_line(self) -> None:
@@ -85,24 +90,41 @@ class DirectLink:
         header = PACKED_HEADERS.get((number, len(payload)))
         if header is None:
             raise unsendable(frame)
+        self.send_packed(PackedFrames(header + payload, 1))
+
+    def send_packed(self, frames: PackedFrames) -> None:
         if not self._is_open:
             raise closed()
-        self._unsent = PackedFrames(self._unsent.packed + header + payload, len(self._unsent) + 1)
-        self._unsent_bytes += FRAME_OVERHEAD + len(payload) + (number == Estop.ID)
+        packed, count = frames.packed, len(frames)
+        self._unsent += packed
+        self._unsent_frames += count
+        self._unsent_bytes += len(packed) + count * _MORE_ON_THE_LINE
+        if _ESTOP in packed:
+            self._unsent_bytes += sum(frame.id == Estop.ID for frame in frames)
 
     def receive(self, _timeout_ns: int) -> Received | None:
-        if not self._unsent.packed:
+        if not self._unsent:
             return None
-        self._hand_over()
-        direct = self._direct
-        before = direct.received_frames
-        self._lib.wheel_direct_receive(direct, self._robot.node.handle)
-        count = direct.received_frames - before
-        return Received(PackedFrames(self.answer[: direct.answer_bytes], count), self.now_ns()) if count else None
+        direct, node = self._direct, self._robot.node.handle
+        packed = self._handed_over()
+        self._lib.wheel_direct_send(direct, node, packed, len(packed))
+        self._lib.wheel_direct_receive(direct, node)
+        answer = self.answer[: direct.answer_bytes]
+        return Received(PackedFrames(answer), self.now_ns()) if answer else None
 
-    def _hand_over(self) -> None:
-        packed, self._unsent, self._unsent_bytes = self._unsent.packed, PackedFrames(b"", 0), 0
-        self._lib.wheel_direct_send(self._direct, self._robot.node.handle, packed, len(packed))
+    def exchange(self, client: Client) -> PackedFrames:
+        """Send what waits in the client, and return all that the robot then sends."""
+        if not self._is_open:
+            client.unsent()
+            raise closed()
+        self._client = client
+        packed = self._handed_over() if self._unsent else b""
+        return PackedFrames(self._exchange(self._address, self._robot.node.address, client.address, packed))
+
+    def _handed_over(self) -> bytes:
+        """Return what was not sent yet, and forget it."""
+        packed, self._unsent, self._unsent_frames, self._unsent_bytes = self._unsent, b"", 0, 0
+        return packed
 
     def step(self, client: Client, ticks: int) -> Received | None:
         """Send what waits in the client, and a STEP; the client takes the answer.
@@ -111,8 +133,9 @@ class DirectLink:
         """
         if not self._is_open:
             raise closed()
-        if self._unsent.packed:
-            self._hand_over()
+        if self._unsent:
+            packed = self._handed_over()
+            self._lib.wheel_direct_send(self._direct, self._robot.node.handle, packed, len(packed))
         self._client = client
         now_ns = self.now_ns()
         if self._step(self._address, self._robot.node.address, client.address, ticks, now_ns):
@@ -125,7 +148,7 @@ class DirectLink:
     @property
     def sent_frames(self) -> int:
         waiting = 0 if self._client is None else self._client.view.out_frames
-        return int(self._direct.sent_frames + len(self._unsent) + waiting)
+        return int(self._direct.sent_frames + self._unsent_frames + waiting)
 
     @property
     def sent_bytes(self) -> int:
@@ -155,5 +178,5 @@ class DirectLink:
 
     def close(self) -> None:
         self._is_open = False
-        self._unsent, self._unsent_bytes = PackedFrames(b"", 0), 0
+        self._handed_over()
         self._stream.close()

@@ -8,9 +8,10 @@ from typing import Protocol
 from firmware_protocol.generated.messages import State
 from hil.core.errors import DeviceError
 from hil.core.ports import Clock
-from hil.core.types import NAN, Feedback, WheelCommand
+from hil.core.types import NAN, WheelCommand
 from hil.robot.link_times import ClockSync, PollAge, RoundTrip
 from hil.robot.robot_report import Health
+from hil.robot.snapshot import Feedback
 from hil.robot.wire_hash import WireHash
 from hil.wire.conditions import ConditionedLink
 

@@ -16,13 +16,14 @@ from firmware_protocol.framing import pack
 from firmware_protocol.generated import messages as m
 from hil.core.errors import BadInputError, DeviceError, HilError, RobotStoppedError
 from hil.core.ports import Clock
-from hil.core.types import CommandMode, Feedback, WheelCommand
+from hil.core.types import CommandMode, WheelCommand
 from hil.robot import handshake
 from hil.robot.channel import Channel
 from hil.robot.handshake import Expected, Greeting, RobotInfo
 from hil.robot.link_times import SYNC_PERIOD_NS, RoundTrip
 from hil.robot.port import LinkedDevice
 from hil.robot.robot_report import RobotReport
+from hil.robot.snapshot import Feedback
 from hil.robot.wheel_map import WheelMap
 from hil.wire.conditions import ConditionedLink
 
@@ -68,7 +69,7 @@ class Stm32(LinkedDevice):
         greeting = Greeting()
         self._accept(handshake.greet(self._link, greeting))
         for page in greeting.frames:
-            self._client.take(packed := pack([page]), 0, len(packed), 0)
+            self._client.take(pack([page]), 0, 0)
         self._synchronise_tick()
         assert self._info is not None
         return self._info

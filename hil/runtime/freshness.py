@@ -5,8 +5,9 @@ from math import isfinite
 from firmware_protocol.generated.messages import State as RobotState
 from hil.core.errors import DeviceError, LinkError, RobotStoppedError
 from hil.core.ports import Clock
-from hil.core.types import Feedback, PoseFix
+from hil.core.types import PoseFix
 from hil.robot.port import Device
+from hil.robot.snapshot import Feedback
 from hil.runtime.sampling import Timing
 from hil.runtime.signal_faults import SignalFaults
 

@@ -6,8 +6,9 @@ from math import hypot, remainder, tau
 
 from hil.core.ports import Controller, OwnSignals, Sink
 from hil.core.signals import SIGNAL_NAMES, EstimatorSignals, LoopSignals
-from hil.core.types import NAN, NAN_POSE, NAN_WHEELS, Applied, CommandMode, Feedback, PoseFix, Reference, State, Twist
+from hil.core.types import NAN, NAN_POSE, NAN_WHEELS, Applied, CommandMode, PoseFix, Reference, State, Twist
 from hil.robot.port import Device
+from hil.robot.snapshot import Feedback
 from hil.runtime.signal_faults import SignalFaults
 from hil.wire.statistics import LinkStatistics
 

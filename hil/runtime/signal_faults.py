@@ -11,20 +11,10 @@ from typing import TypeVar
 
 from firmware_protocol.generated.messages import State as RobotState
 from hil.core.signals import SIGNAL_NAMES, ReferenceSignals
-from hil.core.types import (
-    WHEEL_NAMES,
-    Acceleration,
-    Feedback,
-    Pose,
-    PoseFix,
-    Reference,
-    State,
-    Twist,
-    WheelCommand,
-    Wheels,
-)
+from hil.core.types import WHEEL_NAMES, Acceleration, Pose, PoseFix, Reference, State, Twist, WheelCommand, Wheels
 from hil.faults.kind import FaultRow, generators
 from hil.faults.kinds import find
+from hil.robot.snapshot import Feedback
 
 _PER_WHEEL = {
     "speed_rad_s": "speed",

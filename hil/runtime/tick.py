@@ -13,18 +13,17 @@ from hil.core.types import (
     ZERO_WHEELS,
     Applied,
     CommandMode,
-    Feedback,
     PoseFix,
     Reference,
     State,
     WheelCommand,
-    make_applied,
 )
 from hil.estimation.measurement import LOST, Estimator
 from hil.laws.shadows import Shadows
 from hil.references import ReferenceSource
 from hil.robot.link_times import CommandLatency
 from hil.robot.port import Device
+from hil.robot.snapshot import Feedback
 from hil.runtime.freshness import Freshness
 from hil.runtime.row import RowWriter
 from hil.runtime.sampling import Timing
@@ -143,7 +142,7 @@ class Tick:
             self._measure_latency(sequence, feedback)
         if self._shadows is not None:
             self._update_shadows(self._shadows, now.t_s, reference, inputs)
-        self._applied = applied = make_applied((command, saturated, self._latency.s))
+        self._applied = applied = Applied(command, saturated, self._latency.s)
         silent_ns, is_held = self._freshness.silent_ns, inputs is None
         self._rows.write(
             tick=now,

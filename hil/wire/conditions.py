@@ -1,110 +1,32 @@
 """The conditions of a link, directly above the transport: latency and faults of frames, in both directions.
 
 A command passes the latency, then the fault rows, then the faults of the bus; feedback passes them in reverse order.
-Each direction has one queue of delayed frames. An observer sees what crosses the wire, below all conditions.
+Each direction (``direction.py``) has one queue of delayed frames. An observer sees what crosses the wire, below all
+conditions.
 """
 
-import heapq
 import time
 from collections import deque
-from collections.abc import Iterator, Sequence
-from typing import NamedTuple
+from collections.abc import Sequence
+from typing import Protocol
 
-from firmware_protocol.framing import Frame
+from firmware_protocol.client import Client
+from firmware_protocol.framing import Frame, PackedFrames
+from firmware_protocol.host_line import split
 from hil.core.errors import LinkError
 from hil.core.link_protocol import WHEEL_DBC, LinkProtocol
-from hil.core.ports import Clock, Link, Received
+from hil.core.ports import Clock, Link, PackedLink, Received
+from hil.faults.kind import NEVER_NS
+from hil.wire.direction import LATENCY, Direction
 from hil.wire.faults import BusFaults, LinkFault, ScenarioTime
 from hil.wire.statistics import LinkStatistics
 
-_LATENCY = -1
 
+class DirectTransport(Protocol):
+    """A link to a robot in this thread."""
 
-class _Waiting(NamedTuple):
-    """Frames in the queue of a direction, in the order in which they continue.
-
-    ``place`` is the stage at which they wait: the latency before the rows, the row of that number (only ``reorder``
-    holds frames), the delay of all rows, or the latency behind them. ``number`` is a running number in the queue.
-    """
-
-    due_ns: int
-    place: int
-    number: int
-    frames: Sequence[Frame]
-
-
-class _Way:
-    """One direction: its fault rows, and the queue of delayed frames, by the time of the clock."""
-
-    def __init__(self, direction: str, rows: Sequence[LinkFault], time: ScenarioTime) -> None:
-        self.direction = direction
-        self.rows = rows
-        self.behind_rows = len(rows)
-        self.latency_behind_rows = len(rows) + 1
-        self._time = time
-        self._queue: list[_Waiting] = []
-        self._count = 0
-
-    def hold(self, frames: Sequence[Frame], due_ns: int, place: int) -> None:
-        """Delay frames until a time of the clock."""
-        self._count += 1
-        heapq.heappush(self._queue, _Waiting(due_ns, place, self._count, frames))
-
-    def pass_rows(self, frames: list[Frame], t_ns: int, first: int = 0, delay_ns: int = 0) -> None:
-        """Apply the rows from ``first`` on to a frame and its copies, at a time of the scenario; queue what comes
-        out.
-        """
-        for place, fault in enumerate(self.rows[first:], first):
-            if not frames:
-                return
-            if not fault.concerns(self.direction, frames[0].id):
-                continue
-            if not fault.row.is_in_force(t_ns):
-                fault.notice(self.direction, frames[0], t_ns)
-                continue
-            if fault.kind != "reorder":
-                delay_ns += fault.delay_ns()
-                frames = fault.changed(self.direction, frames)
-            elif (overtaken := self._remove_overtaken(place)) is not None:
-                fault.applied += 1
-                self.pass_rows(frames, t_ns, place + 1, delay_ns)
-                self.pass_rows(overtaken, t_ns, place + 1, delay_ns)
-                return
-            elif fault.chance.random() < fault.row.value:
-                self.hold(frames, self._time.on_clock_ns(fault.row.end_ns), place)
-                return
-        # Nothing overtakes frames that already wait behind the rows.
-        waiting = (one.due_ns for one in self._queue if one.place == self.behind_rows)
-        due_ns = max([self._time.on_clock_ns(t_ns + delay_ns), *waiting])
-        for frame in frames:
-            self.hold((frame,), due_ns, self.behind_rows)
-
-    def _remove_overtaken(self, place: int) -> list[Frame] | None:
-        """Return the frames that the row of this number holds, and remove them from the queue."""
-        held = next((one for one in self._queue if one.place == place), None)
-        if held is None:
-            return None
-        self._queue.remove(held)
-        heapq.heapify(self._queue)
-        return list(held.frames)
-
-    def next_due_ns(self) -> int | None:
-        """Return the clock time at which the next queued frames are due, or None when the queue is empty."""
-        return self._queue[0].due_ns if self._queue else None
-
-    def due(self, now_ns: int, t_ns: int | None, *, everything: bool = False) -> Iterator[_Waiting]:
-        """Remove and yield what is due by now, in order; with ``everything`` also what is not yet due."""
-        while self._queue and (everything or self._queue[0].due_ns <= now_ns):
-            one = heapq.heappop(self._queue)
-            if t_ns is not None and 0 <= one.place < self.behind_rows:  # nothing overtook it in the row's window
-                end_ns = self.rows[one.place].row.end_ns
-                self.pass_rows(list(one.frames), min(t_ns, end_ns), one.place + 1)
-            else:
-                yield one
-
-    def forget(self, *, but_latency: bool = False) -> None:
-        """Discard the queue; ``but_latency`` keeps what has not reached the rows yet."""
-        self._queue = [one for one in self._queue if but_latency and one.place == _LATENCY]
+    def exchange(self, client: Client) -> PackedFrames:
+        """Send what waits in the client, and return all that the robot then sends. Raises LinkError when it is lost."""
 
 
 class ConditionedLink:
@@ -145,27 +67,38 @@ class ConditionedLink:
         self._cut: LinkFault | None = None  # the row that cut the link
         rows = [fault for fault in faults if fault.kind != "disconnect"]
         self._has_rows = bool(faults)
-        self._out = _Way("command", rows, self._time)
-        self._in = _Way("feedback", rows, self._time)
+        self._out = Direction("command", rows, self._time, protocol.exempt_from)
+        self._in = Direction("feedback", rows, self._time, protocol.exempt_from)
         self._ready: deque[Received] = deque()
         self.may_hold = self._has_rows or command_latency_ns > 0
         is_bare = observer is None and bus is None
         self.transport = link
         self.is_plain = is_bare and not self.may_hold and not feedback_latency_ns
-        self._put = link.send if is_bare else self._put_on_wire
+        self._is_bare = is_bare
+        self._send_packed = link.send_packed if isinstance(link, PackedLink) and bus is None else None
         self._receive_now = link.receive if observer is None else self._receive_from_wire
-        self.send = self._send if self.may_hold else self._put
+        self.send = self._send if self.may_hold or not is_bare else link.send
         self.receive = self._receive if self._has_rows or bus is not None or feedback_latency_ns else self._receive_now
 
-    def _put_on_wire(self, frame: Frame) -> None:
-        if self._bus is not None:
-            t_ns = self._time.now_ns()
-            self._bus.babble(t_ns)
-            if t_ns is not None and frame.id < self._exempt_from:
-                frame = self._bus.sent(frame, t_ns)
-        self._link.send(frame)
-        if self._observer is not None:
-            self._observer.sent(frame)
+    def _put(self, frames: Sequence[Frame]) -> None:
+        """Put frames on the wire."""
+        if self._send_packed is not None and type(frames) is PackedFrames:
+            self._send_packed(frames)
+            if self._observer is not None:
+                self._observer.sent(frames)
+            return
+        for frame in frames:
+            if self._bus is not None:
+                frame = self._spoilt(self._bus, frame)
+            self._link.send(frame)
+            if self._observer is not None:
+                self._observer.sent((frame,))
+
+    def _spoilt(self, bus: BusFaults, frame: Frame) -> Frame:
+        """Return a command as it arrives over a bus with faults."""
+        t_ns = self._time.now_ns()
+        bus.babble(t_ns)
+        return frame if t_ns is None or frame.id >= self._exempt_from else bus.sent(frame, t_ns)
 
     def _receive_from_wire(self, timeout_ns: int) -> Received | None:
         received = self._link.receive(timeout_ns)
@@ -175,47 +108,80 @@ class ConditionedLink:
 
     # Commands
 
-    def _send(self, frame: Frame) -> None:
-        if frame.id >= self._exempt_from:
-            self._put(frame)
-        elif self._command_latency_ns:
-            self._out.hold((frame,), self._clock.now_ns() + self._command_latency_ns, _LATENCY)
-        else:
-            self._enter(frame)
-            self.service()
+    def lets_commands_pass(self) -> bool:
+        """Whether a command that is sent now passes at once, unchanged and unobserved."""
+        return self._is_bare and not self._command_latency_ns and self._is_open(self._out)
 
-    def _enter(self, frame: Frame) -> None:
-        """Apply the rows to a command. Raises LinkError while the link is cut."""
-        t_ns = self._time.now_ns() if self._has_rows else None
-        if t_ns is None:
-            self._put(frame)
+    def _is_open(self, way: Direction) -> bool:
+        t_ns = self._time.now_ns()
+        return t_ns is None or (way.is_open(t_ns) and not (self._disconnects and self._is_cut(t_ns)))
+
+    def _send(self, frame: Frame) -> None:
+        self.send_all((frame,))
+
+    def send_all(self, frames: Sequence[Frame]) -> None:
+        """Send frames, in order. Raises LinkError when the link is lost."""
+        if not self.may_hold:
+            self._put(frames)
             return
-        self._refuse_if_cut(t_ns)
-        self._out.pass_rows([frame], t_ns)
+        delayed, exempt = self._apart(frames)
+        if delayed and exempt:  # in their order
+            for frame in frames:
+                self.send_all((frame,))
+        elif exempt:
+            self._put(frames)
+        elif self._command_latency_ns:
+            self._out.hold(frames, self._clock.now_ns() + self._command_latency_ns, LATENCY)
+        else:
+            self.service()
+            self._enter(frames)
+
+    def _apart(self, frames: Sequence[Frame]) -> tuple[Sequence[Frame], Sequence[Frame]]:
+        """Return the frames that conditions apply to, and those that are exempt, each in their order."""
+        limit = self._exempt_from
+        if type(frames) is PackedFrames:
+            return split(frames, limit)
+        return [one for one in frames if one.id < limit], [one for one in frames if one.id >= limit]
+
+    def _enter(self, frames: Sequence[Frame]) -> None:
+        """Apply the rows to commands. Raises LinkError while the link is cut."""
+        t_ns = self._time.now_ns() if self._has_rows else None
+        if t_ns is not None:
+            self._refuse_if_cut(t_ns)
+            frames = self._out.pass_rows(frames, t_ns)
+        if frames:
+            self._put(frames)
 
     def service(self, *, everything: bool = False) -> None:
         """Send the commands that are due, or with ``everything`` all that wait."""
-        if not self.may_hold:
+        now_ns, way = self._clock.now_ns(), self._out
+        if way.due_ns > now_ns and not (everything or self._disconnects):
             return
-        t_ns = self._time.now_ns()
+        t_ns = self._time.at(now_ns)
         if t_ns is not None and self._is_cut(t_ns):
-            self._out.forget(but_latency=True)
-        for one in self._out.due(self._clock.now_ns(), t_ns, everything=everything):
-            for frame in one.frames:
-                if one.place == _LATENCY:
-                    self._enter(frame)
-                else:
-                    self._put(frame)
+            way.forget(but_latency=True)
+        for one in way.due(now_ns, t_ns, everything=everything):
+            if one.place == LATENCY:
+                self._enter(one.frames)
+            else:
+                self._put(one.frames)
 
     def next_due_ns(self) -> int | None:
         """Return the clock time at which the next command is due, or None when none waits."""
-        return self._out.next_due_ns()
+        return None if self._out.due_ns == NEVER_NS else self._out.due_ns
 
     def hand_over_until(self, clock: Clock, t_ns: int) -> None:
-        """Let time pass on the clock while a command becomes due before ``t_ns``, and send it."""
-        self.service()
-        while (due_ns := self.next_due_ns()) is not None and due_ns < t_ns:
-            clock.wait_until(due_ns)
+        """Let time pass on the clock while a command becomes due before ``t_ns``, and send it.
+
+        In lockstep a command that is due within the last tick before ``t_ns`` is sent at ``t_ns``.
+        """
+        if self._disconnects:
+            self.service()
+        while self._out.due_ns < t_ns:
+            before_ns = clock.now_ns()
+            clock.wait_until(self._out.due_ns)
+            if clock.now_ns() == before_ns:
+                return
             self.service()
 
     def flush(self) -> None:
@@ -224,47 +190,74 @@ class ConditionedLink:
 
     # Feedback
 
+    def lets_feedback_pass(self) -> bool:
+        """Whether all feedback that comes now passes at once, unchanged and unobserved."""
+        return self._is_bare and not self._feedback_latency_ns and not self._ready and self._is_open(self._in)
+
+    def exchange(self, transport: DirectTransport, client: Client) -> deque[Received]:
+        """Send what waits in the client to a robot that answers at once; return what ``receive`` would return now.
+
+        Its frames are exempt, or ``lets_commands_pass`` was true when they were added. What is not removed from the
+        result will be received later.
+        """
+        now_ns = self._clock.now_ns()
+        if self._in.due_ns <= now_ns:
+            self._let_in(now_ns)
+        if self._observer is None:
+            answer = transport.exchange(client)
+        else:
+            frames = client.out()
+            answer = transport.exchange(client)
+            self._observer.sent(frames)
+            self._observer.received(Received(answer, now_ns) if answer else None)
+        if answer:
+            self._admit(answer, now_ns, now_ns)
+        return self._ready
+
     def _receive(self, timeout_ns: int) -> Received | None:
         deadline_ns = time.monotonic_ns() + timeout_ns if timeout_ns > 0 else 0
         while True:
-            self._let_in()
+            now_ns = self._clock.now_ns()
+            if self._in.due_ns <= now_ns:
+                self._let_in(now_ns)
             if self._ready:
                 return self._ready.popleft()
             received = self._receive_now(timeout_ns)
             if received is None:
                 return None
-            self._admit(received)
+            self._admit(*received, self._clock.now_ns())
             timeout_ns = max(0, deadline_ns - time.monotonic_ns())
 
-    def _admit(self, received: Received) -> None:
+    def _admit(self, frames: Sequence[Frame], stamp_ns: int, now_ns: int) -> None:
         """Apply the conditions to what came from the wire."""
-        t_ns = self._time.now_ns()
-        frames, stamp_ns = received
+        t_ns = self._time.at(now_ns)
         if self._bus is not None:
-            self._bus.babble(t_ns)
-            if t_ns is not None:
-                frames = [one for one in frames if one.id >= self._exempt_from or self._bus.arrives(one, t_ns)]
-        if t_ns is not None and self._has_rows:
-            for frame in frames:
-                if frame.id >= self._exempt_from:
-                    self._ready.append(Received((frame,), stamp_ns))
-                elif not self._is_cut(t_ns):
-                    self._in.pass_rows([frame], t_ns)
-                    self._let_in()
-        elif not self._feedback_latency_ns:
-            if frames:
-                self._ready.append(Received(frames, stamp_ns))
-        else:
-            if late := [frame for frame in frames if frame.id < self._exempt_from]:
-                due_ns = self._clock.now_ns() + self._feedback_latency_ns
-                self._in.hold(late, due_ns, self._in.latency_behind_rows)
-            if at_once := [frame for frame in frames if frame.id >= self._exempt_from]:
-                self._ready.append(Received(at_once, stamp_ns))
+            frames = self._undamaged(self._bus, frames, t_ns)
+        late: Sequence[Frame] = ()
+        is_cut = bool(self._disconnects) and t_ns is not None and self._is_cut(t_ns)
+        if self._feedback_latency_ns or is_cut:
+            late, frames = self._apart(frames)
+        if is_cut:
+            late = ()
+        elif self._in.rows and t_ns is not None:
+            if self._feedback_latency_ns:
+                late = self._in.pass_rows(late, t_ns)
+            else:
+                frames = self._in.pass_rows(frames, t_ns)
+        if frames:
+            self._ready.append(Received(frames, stamp_ns))
+        if late:
+            self._in.hold(late, now_ns + self._feedback_latency_ns, self._in.latency_behind_rows)
 
-    def _let_in(self) -> None:
+    def _undamaged(self, bus: BusFaults, frames: Sequence[Frame], t_ns: int | None) -> Sequence[Frame]:
+        """Return the frames that arrive over a bus with faults."""
+        bus.babble(t_ns)
+        return [one for one in frames if t_ns is None or one.id >= self._exempt_from or bus.arrives(one, t_ns)]
+
+    def _let_in(self, now_ns: int) -> None:
         """Make the feedback that is due available; its time stamp is when it was due."""
-        now_ns, latency_ns = self._clock.now_ns(), self._feedback_latency_ns
-        for one in self._in.due(now_ns, self._time.now_ns()):
+        latency_ns = self._feedback_latency_ns
+        for one in self._in.due(now_ns, self._time.at(now_ns)):
             if one.place == self._in.latency_behind_rows:
                 self._ready.append(Received(one.frames, one.due_ns))
             elif latency_ns:

@@ -3,7 +3,7 @@
 import random
 from collections.abc import Sequence
 
-from firmware_protocol.framing import Frame
+from firmware_protocol.framing import PACKED_HEADERS, Frame
 from hil.core.clock import TICK_NS
 from hil.core.errors import LinkError
 from hil.core.link_protocol import STANDARD_IDS, WHEEL_DBC, LinkProtocol
@@ -23,6 +23,7 @@ _BITS_OF_FRAME = 47
 _ERROR_COUNTS = 8
 _BUS_OFF = 256
 _MOST_DATA = 8
+_DIRECTION_OF = {"HOST": "command", "ROBOT": "feedback"}
 
 
 class ScenarioTime:
@@ -38,7 +39,11 @@ class ScenarioTime:
 
     def now_ns(self) -> int | None:
         """Return the scenario's time, or None before it has begun."""
-        return None if self._origin_ns is None else self._clock.now_ns() - self._origin_ns
+        return self.at(self._clock.now_ns())
+
+    def at(self, clock_ns: int) -> int | None:
+        """Return the scenario's time at a time of the clock, or None before it has begun."""
+        return None if self._origin_ns is None else clock_ns - self._origin_ns
 
     def on_clock_ns(self, t_ns: int) -> int:
         """Convert a time of the scenario to clock time."""
@@ -50,6 +55,9 @@ class LinkFault:
 
     Attributes:
         applied: number of times that it had an effect.
+        delays: whether it only delays frames.
+        is_of_one_message: whether it acts only on frames of one message.
+        header: the bytes before the payload of each frame of its message, packed; empty if it acts on all.
     """
 
     def __init__(self, row: FaultRow, chance: random.Random, protocol: LinkProtocol) -> None:
@@ -60,6 +68,13 @@ class LinkFault:
         self.applied = 0
         self._direction = row.target if row.target in DIRECTIONS else None
         self._message = None if row.target in (*DIRECTIONS, "link") else row.target
+        self.is_of_one_message = self._message is not None
+        self.header = b""
+        self.delays = row.kind in ("delay", "jitter")
+        if self._message is not None and protocol.senders is not None:
+            number = next(number for number, name in protocol.names.items() if name == self._message)
+            self._direction = _DIRECTION_OF[protocol.senders[number]]
+            self.header = PACKED_HEADERS[number, protocol.lengths[number]]
         make = find(row.kind, row.target).on_frames
         self._effect = None if make is None else make(row, chance)
         self._newest: dict[tuple[str, int], Frame] = {}  # frames that freeze repeats, by direction and id
@@ -72,6 +87,14 @@ class LinkFault:
             return number is not None and self._names.get(number) == self._message
         return self._direction in (None, direction)
 
+    def is_at_work(self, t_ns: int) -> bool:
+        """Whether the row acts on frames at this time, or takes note of them; ``freeze`` does so before its window."""
+        return self.row.is_in_force(t_ns) or (self.kind == "freeze" and t_ns < self.row.start_ns)
+
+    def acts_on(self, direction: str) -> bool:
+        """Whether the row acts on any frame of this direction."""
+        return self._direction in (None, direction)
+
     def strikes(self) -> bool:
         """Decide at random whether a frame is hit, and count it."""
         if self.chance.random() >= self.row.value:
@@ -79,10 +102,9 @@ class LinkFault:
         self.applied += 1
         return True
 
-    def notice(self, direction: str, frame: Frame, t_ns: int) -> None:
-        """Note a frame that passes outside the window; before it, ``freeze`` keeps the newest."""
-        if self.kind == "freeze" and t_ns < self.row.start_ns:
-            self._newest[direction, frame.id] = frame
+    def note(self, direction: str, frame: Frame) -> None:
+        """Keep the newest frame of its id before the window, which ``freeze`` then repeats."""
+        self._newest[direction, frame.id] = frame
 
     def changed(self, direction: str, frames: list[Frame]) -> list[Frame]:
         """Apply the row, in force, to a frame and its copies; return the frames in order, none if they are lost."""
@@ -97,9 +119,7 @@ class LinkFault:
         return changed
 
     def delay_ns(self) -> int:
-        """Return the delay of a frame by the row, in force: whole ticks, like robot time in lockstep."""
-        if self.kind not in ("delay", "jitter"):
-            return 0
+        """Return the delay of a frame by a row that ``delays``, in force: whole ticks, like robot time in lockstep."""
         seconds = self.row.value * (self.chance.random() if self.kind == "jitter" else 1.0)
         ticks = -(-round(seconds * 1e9) // TICK_NS)
         self.applied += ticks > 0

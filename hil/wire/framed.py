@@ -4,7 +4,8 @@ import time
 from collections import Counter
 from collections.abc import Callable, Sequence
 
-from firmware_protocol.framing import Frame
+from firmware_protocol.framing import Frame, PackedFrames
+from firmware_protocol.host_line import HostLine
 from hil.core.link_protocol import WHEEL_DBC, LinkProtocol
 from hil.core.ports import Received
 from hil.wire.streams import HostStream
@@ -31,7 +32,7 @@ class StreamLink:
         assert protocol.make_framing is not None, "a protocol of buses only"
         self._make_framing = protocol.make_framing
         self._framing = protocol.make_framing()  # for received bytes
-        self._encode = protocol.make_framing().encode  # kept over ``reopen``: the running number continues
+        self._sender = protocol.make_framing()  # kept over ``reopen``: the running number continues
         self._earlier: Counter[str] = Counter()  # rejected before the link was reopened
         self._waiting: tuple[Sequence[Frame], int] | None = None
         self.now_ns: Callable[[], int] = time.monotonic_ns
@@ -41,9 +42,15 @@ class StreamLink:
         self.received_bytes = 0
 
     def send(self, frame: Frame) -> None:
-        data = self._encode(frame)
+        self._write(self._sender.encode(frame), 1)
+
+    def send_packed(self, frames: PackedFrames) -> None:
+        assert isinstance(self._sender, HostLine), "frames of another protocol are not packed"
+        self._write(self._sender.encode_packed(frames.packed), len(frames))
+
+    def _write(self, data: bytes, frames: int) -> None:
         self._stream.write(data)
-        self.sent_frames += 1
+        self.sent_frames += frames
         self.sent_bytes += len(data)
 
     def receive(self, timeout_ns: int) -> Received | None:

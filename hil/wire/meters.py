@@ -57,8 +57,8 @@ class Meter(Protocol):
     def begin(self) -> None:
         """Start all counts at zero."""
 
-    def sent(self, frame: Frame) -> int:
-        """Count a frame that was just sent; return how long it occupies the wire [ns]."""
+    def sent(self, frames: Sequence[Frame]) -> int:
+        """Count the ``frames`` that were sent since the last call; return how long they occupy the wire [ns]."""
 
     def received(self, frames: Sequence[Frame]) -> int:
         """Count the ``frames`` that were received since the last call; return how long they occupied the wire [ns]."""
@@ -92,7 +92,7 @@ class LineMeter:
         link = self._link
         self._before = link.sent_frames, link.sent_bytes, link.received_frames, link.received_bytes
 
-    def sent(self, _frame: Frame) -> int:
+    def sent(self, _frames: Sequence[Frame]) -> int:
         before, self._sent_bytes = self._sent_bytes, self._link.sent_bytes
         return round((self._sent_bytes - before) * self._byte_ns)
 
@@ -138,16 +138,22 @@ class BusMeter:
     def begin(self) -> None:
         self._sent = self._received = self.foreign = Count()
 
-    def sent(self, frame: Frame) -> int:
-        usage = self._ours(frame)
-        self._sent = self._sent.and_one(usage)
-        return usage.busy_ns
+    def sent(self, frames: Sequence[Frame]) -> int:
+        self._sent, busy_ns = self._counted(self._sent, frames)
+        return busy_ns
 
     def received(self, frames: Sequence[Frame]) -> int:
-        usages = [self._ours(frame) for frame in frames]
-        for usage in usages:
-            self._received = self._received.and_one(usage)
-        return sum(usage.busy_ns for usage in usages)
+        self._received, busy_ns = self._counted(self._received, frames)
+        return busy_ns
+
+    def _counted(self, count: Count, frames: Sequence[Frame]) -> tuple[Count, int]:
+        """Return the count with these frames, and how long they occupied the bus [ns]."""
+        busy_ns = 0
+        for frame in frames:
+            usage = self._ours(frame)
+            count = count.and_one(usage)
+            busy_ns += usage.busy_ns
+        return count, busy_ns
 
     def overheard(self, message: Any) -> int:
         usage = self._others(message)

@@ -4,6 +4,7 @@ It observes the transport itself, below latency and faults of frames. Only the f
 line are below it. Time stamps are by the run's clock. STATISTICS.md explains each figure.
 """
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 from firmware_protocol.framing import Frame
@@ -88,13 +89,13 @@ class LinkStatistics:
         self._down = LoadWindow()
         self._up = LoadWindow() if self._meter.duplex else self._down
 
-    def sent(self, frame: Frame) -> None:
-        """Count and trace a frame that was just sent."""
+    def sent(self, frames: Sequence[Frame]) -> None:
+        """Count and trace frames that were just sent."""
         now_ns = self._clock.now_ns()
         if self._meter.timed:
-            self._down.add(now_ns, self._meter.sent(frame))
+            self._down.add(now_ns, self._meter.sent(frames))
         if self._trace is not None:
-            self._trace.frame(now_ns, frame, sent=True)
+            self._trace.frames(now_ns, frames, sent=True)
 
     def received(self, received: Received | None) -> None:
         """Count and trace the result of one call of the transport's ``receive``."""
@@ -107,8 +108,7 @@ class LinkStatistics:
         if self._meter.timed:
             self._up.add(stamp_ns, self._meter.received(frames))
         if trace is not None:
-            for frame in frames:
-                trace.frame(stamp_ns, frame, sent=False)
+            trace.frames(stamp_ns, frames, sent=False)
 
     def overhear(self, message: Any) -> None:
         """Count and trace a ``can.Message`` that is not of this link's protocol."""

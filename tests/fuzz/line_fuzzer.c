@@ -45,6 +45,22 @@ static size_t check_packed(const uint8_t *packed, size_t used) {
     return count;
 }
 
+/* Both groups have all the bytes, each its own ids. */
+static void check_split(const uint8_t *packed, size_t used, uint16_t limit) {
+    uint8_t *out = room(used);
+    size_t written = 0;
+    const size_t begin = wheel_packed_split(packed, used, limit, out, &written);
+    CHECK(written == used && begin <= used);
+    for (size_t at = 0; at < used; at += 3u + out[at + 2u]) {
+        CHECK(((out[at] | (out[at + 1u] << 8)) < limit) == (at < begin));
+    }
+    free(out);
+    uint8_t *any = room(used); /* from any byte on it is something else, or cut */
+    CHECK(used == 0u || wheel_packed_split(packed + 1u, used - 1u, limit, any, &written) <= written);
+    CHECK(used == 0u || written <= used - 1u);
+    free(any);
+}
+
 int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size) {
     wheel_line *line = room(wheel_line_size());
     wheel_line_init(line);
@@ -59,6 +75,7 @@ int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size) {
         const size_t count = wheel_line_feed(line, piece, sizes[i], packed, &used);
         CHECK(used <= sizes[i] + WHEEL_LINE_OPEN && all_used + used <= size);
         CHECK(check_packed(packed, used) == count);
+        check_split(packed, used, size == 0u ? 0u : (uint16_t)(data[size - 1u] * 8u));
         all_used += used;
         frames += count;
         free(packed);

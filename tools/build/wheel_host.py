@@ -4,14 +4,15 @@ import sys
 from pathlib import Path
 
 from firmware_protocol.built import SOURCES, WHEEL_HOST, BuildError
-from firmware_protocol.declarations import HOST_HEADERS, PARAMETER_TABLE, are_written, write_declarations
+from firmware_protocol.declarations import are_written, write_declarations
+from firmware_protocol.host import HEADERS, TABLE
 from tools.build.compiler import compile_shared
 
 
 def build(library: Path = WHEEL_HOST.path) -> Path:
     """Build the host library and return its path. Raises BuildError with the compiler's words."""
     compile_shared(SOURCES, library, built=WHEEL_HOST)
-    write_declarations(library, HOST_HEADERS, PARAMETER_TABLE)
+    write_declarations(library, HEADERS, TABLE)
     return library
 
 

@@ -107,3 +107,94 @@ void *wheel_python_counts(void *self, void *const *arguments, ptrdiff_t count) {
                                (long long)view->lost + view->incomplete};
     return tuple_of(whole, 3, 0);
 }
+
+/* Reads bytes; false with an exception. */
+static bool bytes_of(void *object, uint8_t **bytes, size_t *length) {
+    char *start;
+    ptrdiff_t size;
+    if (python.PyBytes_AsStringAndSize(object, &start, &size) < 0) {
+        return false;
+    }
+    *bytes = (uint8_t *)start;
+    *length = (size_t)size;
+    return true;
+}
+
+static void *new_bytes(const uint8_t *bytes, size_t length) {
+    return python.PyBytes_FromStringAndSize((const char *)bytes, (ptrdiff_t)length);
+}
+
+void *wheel_python_out(void *self, void *const *arguments, ptrdiff_t count) {
+    (void)self, (void)count;
+    const wheel_client *client = python.PyLong_AsVoidPtr(arguments[0]);
+    return new_bytes(wheel_client_out(client), wheel_client_view(client)->out_bytes);
+}
+
+void *wheel_python_sent(void *self, void *const *arguments, ptrdiff_t count) {
+    (void)self, (void)count;
+    wheel_client_sent(python.PyLong_AsVoidPtr(arguments[0]));
+    return python.PyBool_FromLong(false);
+}
+
+void *wheel_python_ask(void *self, void *const *arguments, ptrdiff_t count) {
+    (void)self, (void)count;
+    wheel_client *client = python.PyLong_AsVoidPtr(arguments[0]);
+    const long long ticks = python.PyLong_AsLongLong(arguments[1]);
+    if (failed()) {
+        return NULL;
+    }
+    wheel_client_step(client, (uint16_t)ticks);
+    return python.PyBool_FromLong(false);
+}
+
+void *wheel_python_take(void *self, void *const *arguments, ptrdiff_t count) {
+    (void)self, (void)count;
+    wheel_client *client = python.PyLong_AsVoidPtr(arguments[0]);
+    const long long begin = python.PyLong_AsLongLong(arguments[2]);
+    const int64_t now_ns = python.PyLong_AsLongLong(arguments[3]);
+    uint8_t *packed;
+    size_t length;
+    if (failed() || !bytes_of(arguments[1], &packed, &length)) {
+        return NULL;
+    }
+    return python.PyLong_FromLongLong(
+        (long long)wheel_client_take(client, packed, (size_t)begin, length, now_ns));
+}
+
+void *wheel_python_exchange(void *self, void *const *arguments, ptrdiff_t count) {
+    (void)self, (void)count;
+    wheel_direct *direct = python.PyLong_AsVoidPtr(arguments[0]);
+    wheel_host *robot = python.PyLong_AsVoidPtr(arguments[1]);
+    wheel_client *client = python.PyLong_AsVoidPtr(arguments[2]);
+    uint8_t *packed;
+    size_t length;
+    if (!bytes_of(arguments[3], &packed, &length)) {
+        return NULL;
+    }
+    wheel_direct_send(direct, robot, packed, length);
+    wheel_direct_send(direct, robot, wheel_client_out(client), wheel_client_view(client)->out_bytes);
+    wheel_client_sent(client);
+    wheel_direct_receive(direct, robot);
+    return new_bytes(direct->answer, direct->answer_bytes);
+}
+
+void *wheel_python_split(void *self, void *const *arguments, ptrdiff_t count) {
+    (void)self, (void)count;
+    const long long limit = python.PyLong_AsLongLong(arguments[1]);
+    uint8_t *packed;
+    uint8_t *sorted;
+    size_t length;
+    size_t used;
+    if (failed() || !bytes_of(arguments[0], &packed, &length)) {
+        return NULL;
+    }
+    void *room = new_bytes(NULL, length);
+    void *groups = python.PyTuple_New(2);
+    if (bytes_of(room, &sorted, &used)) {
+        const size_t below = wheel_packed_split(packed, length, (uint16_t)limit, sorted, &used);
+        python.PyTuple_SetItem(groups, 0, new_bytes(sorted, below));
+        python.PyTuple_SetItem(groups, 1, new_bytes(sorted + below, used - below));
+    }
+    python.Py_DecRef(room);
+    return groups;
+}

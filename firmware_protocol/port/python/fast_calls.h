@@ -24,6 +24,9 @@ typedef struct {
     void *(*PyFloat_FromDouble)(double);
     void *(*PyLong_FromLongLong)(long long);
     void *(*PyBool_FromLong)(long);
+    void *(*PyBytes_FromStringAndSize)(const char *, ptrdiff_t);
+    int (*PyBytes_AsStringAndSize)(void *, char **, ptrdiff_t *);
+    void (*Py_DecRef)(void *);
 } wheel_python;
 
 void wheel_python_begin(const wheel_python *python);
@@ -46,6 +49,25 @@ void *wheel_python_snapshot(void *self, void *const *arguments, ptrdiff_t count)
 
 /* counts(client): messages sent and received, snapshots lost or incomplete. */
 void *wheel_python_counts(void *self, void *const *arguments, ptrdiff_t count);
+
+/* out(client): the packed frames that wait to be sent, as bytes. */
+void *wheel_python_out(void *self, void *const *arguments, ptrdiff_t count);
+
+/* sent(client): wheel_client_sent; returns False. */
+void *wheel_python_sent(void *self, void *const *arguments, ptrdiff_t count);
+
+/* ask(client, ticks): wheel_client_step; returns False. */
+void *wheel_python_ask(void *self, void *const *arguments, ptrdiff_t count);
+
+/* take(client, packed, begin, now_ns): wheel_client_take, to the end of the bytes. */
+void *wheel_python_take(void *self, void *const *arguments, ptrdiff_t count);
+
+/* exchange(direct, robot, client, packed): sends the packed frames, then what waits in the client, and returns
+ * the answer as bytes. */
+void *wheel_python_exchange(void *self, void *const *arguments, ptrdiff_t count);
+
+/* split(packed, limit): wheel_packed_split; returns both groups as bytes. */
+void *wheel_python_split(void *self, void *const *arguments, ptrdiff_t count);
 /* cffi: end */
 
 #endif

@@ -100,6 +100,11 @@ class Trace:
         """Set the Unix time at which the clock of the time stamps was zero."""
         self._zero_unix_us = zero_unix_ns // 1000
 
+    def frames(self, stamp_ns: int, frames: Sequence[Frame], *, sent: bool) -> None:
+        """Trace frames of this link, which crossed the wire together."""
+        for frame in frames:
+            self.frame(stamp_ns, frame, sent=sent)
+
     def frame(self, stamp_ns: int, frame: Frame, *, sent: bool) -> None:
         """Trace a frame of this link. Payloads that only a serial line can carry become CAN FD frames of up to 64
         bytes.
