@@ -27,6 +27,9 @@ _STATUS = ("ok", "warning", "discard", "error", "fatal", "pending")
 DISCARD = _STATUS.index("discard")
 _ROUNDING = 1e-9  # relative to the time, at least to 1 s
 
+# FMPy's proxy has the address of the logger that it was given last, and gives it the messages of all instances.
+_NEWEST_LOGGER: list[fmi2CallbackFunctions] = []
+
 
 class InstantiationError(Exception):
     """The FMU gave no instance."""
@@ -180,6 +183,7 @@ class Model:
             from fmpy.logging import addLoggerProxy
 
             addLoggerProxy(ctypes.byref(callbacks))
+            _NEWEST_LOGGER[:] = [callbacks]
         return callbacks
 
     def log(self, _environment: Any, _status: int, _category: bytes, message: bytes | None) -> None:
