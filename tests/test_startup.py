@@ -8,6 +8,13 @@ import pytest
 from tests.processes import environment
 
 _HELP = "from hil.cli.main import app\ntry: app(['--help'])\nexcept SystemExit: pass"
+# Not hil probe, whose classes are those of the drivers.
+_COMMANDS = """
+from hil.cli.commands import SHIPPED, shipped_command
+for name in SHIPPED:
+    if name != "probe":
+        shipped_command(name)
+"""
 _HEAVY = {"can", "cffi", "fmpy", "matplotlib", "pandas", "pyarrow", "rerun", "rich", "scipy"}
 
 
@@ -21,10 +28,11 @@ def _imported(program: str) -> set[str]:
     ("program", "heavy"),
     [
         (_HELP, _HEAVY | {"numpy", "pydantic"}),
+        (_COMMANDS, (_HEAVY - {"rich"}) | {"numpy", "pydantic"}),
         ("import hil", _HEAVY | {"numpy", "pydantic", "typer"}),
         ("import hil.record", _HEAVY | {"numpy", "pydantic", "typer"}),
     ],
-    ids=["hil --help", "import hil", "what starts a recorder"],
+    ids=["hil --help", "help of a command", "import hil", "what starts a recorder"],
 )
 def test_nothing_heavy_is_imported_before_it_is_needed(program: str, heavy: set[str]) -> None:
     assert not _imported(program) & heavy

@@ -1,16 +1,16 @@
 """``hil catalogue``."""
 
 from collections.abc import Iterator, Sequence
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 from typer import Argument, Option
 
-from hil.batch import catalogue as engine
-from hil.batch.catalogue import Verdict
 from hil.cli.options import Jobs, Json, Limit, Sets
 from hil.cli.output import batch, print_result, table
-from hil.record.files import new_in_runs
+
+if TYPE_CHECKING:
+    from hil.batch.catalogue import Verdict
 
 
 def catalogue(
@@ -28,6 +28,9 @@ def catalogue(
     as_json: Json = False,
 ) -> None:
     """Run the fault catalogue and judge every run for safety; exit 1 when one is not as it should be."""
+    from hil.batch import catalogue as engine
+    from hil.record.files import new_in_runs
+
     sets = [*([] if law is None else [f"controller.law={law}"]), *(sets or [])]
     recordings = new_in_runs("catalogue", "", "go where you may write")
     request = engine.Request(scenario, sets, link or [], kind or [], recordings, sample, seed)
@@ -41,7 +44,7 @@ def catalogue(
     raise typer.Exit(0 if passed else 1)
 
 
-def _lines(verdicts: Sequence[Verdict]) -> Iterator[str]:
+def _lines(verdicts: "Sequence[Verdict]") -> Iterator[str]:
     """Yield a row for each run of the catalogue, and how many were safe."""
     head = ("fault", "link", "re-arm", "outcome", "applied", "recoveries", "after silence", "wall s", "verdict")
     yield from table([head, *map(_row, verdicts)])
@@ -53,7 +56,7 @@ def _lines(verdicts: Sequence[Verdict]) -> Iterator[str]:
         yield f"  {verdict.fault} over {verdict.link}: {verdict.verdict}{where}"
 
 
-def _row(verdict: Verdict) -> tuple[str, ...]:
+def _row(verdict: "Verdict") -> tuple[str, ...]:
     return (
         verdict.fault,
         verdict.link + (", real time" if verdict.mode == "realtime" else ""),

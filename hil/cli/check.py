@@ -1,15 +1,15 @@
 """``hil check`` and ``hil show``: a scenario is checked and printed without running it."""
 
 from collections.abc import Iterator
+from typing import TYPE_CHECKING
 
 import typer
 
 from hil.cli.options import Json, LinkUrl, Mode, RobotFile, ScenarioName, Seed, Sets
 from hil.cli.output import print_result, rows, table
-from hil.references import Feasibility
-from hil.runtime.assembly import check_scenario
-from hil.scenario import format_value, load
-from hil.scenario import resolved as resolved_values
+
+if TYPE_CHECKING:
+    from hil.references import Feasibility
 
 
 def check(
@@ -22,6 +22,9 @@ def check(
     as_json: Json = False,
 ) -> None:
     """Check a scenario without running it: its values, its law, and whether the robot can follow its reference."""
+    from hil.runtime.assembly import check_scenario
+    from hil.scenario import load
+
     resolved = load(scenario, set=sets or [], robot=robot, mode=mode, link=link, seed=seed)
     feasibility = check_scenario(resolved)
     found = {"scenario": resolved.name, "reference": {"kind": resolved.reference.kind, **feasibility.figures()}}
@@ -39,12 +42,15 @@ def show(
     as_json: Json = False,
 ) -> None:
     """Print every value of a scenario and where it came from."""
+    from hil.scenario import format_value, load
+    from hil.scenario import resolved as resolved_values
+
     values = resolved_values(load(scenario, set=sets or [], robot=robot, mode=mode, link=link, seed=seed))
     found = {key: {"value": value, "from": where} for key, value, where in values}
     print_result(as_json, found, table([(key, format_value(value), where) for key, value, where in values]))
 
 
-def _rows(feasibility: Feasibility) -> Iterator[tuple[str, str]]:
+def _rows(feasibility: "Feasibility") -> Iterator[tuple[str, str]]:
     """Yield the wheel speed and torque that a reference needs, and why it is not feasible, if it is not."""
     for label, needed in (("wheel speed", feasibility.speed), ("wheel torque", feasibility.torque)):
         most = f"at most {needed.worst:.3g} {needed.unit}, of wheel {needed.worst_wheel} at t = {needed.worst_s:.3g} s"

@@ -4,20 +4,18 @@ import shlex
 import sys
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 from typer import Argument, Option
 
-from hil.batch.comparison import Comparison, Request, page
-from hil.batch.comparison import compare as run_comparison
-from hil.batch.comparison.conditions import DRIVES, TORQUES_N_M
-from hil.batch.comparison.pictures import draw
-from hil.batch.output import deferred, prepare_folder, remove
 from hil.cli.options import Force, Jobs, Json, Limit, Seed, Sets
 from hil.cli.output import batch, print_result, table
 from hil.core.errors import BadInputError
 from hil.core.outputs import Existing, check_free, existing_files
+
+if TYPE_CHECKING:
+    from hil.batch.comparison import Comparison
 
 
 def compare(
@@ -47,6 +45,11 @@ def compare(
     as_json: Json = False,
 ) -> None:
     """Run laws under the same conditions and print one table for each; exit 1 when a run failed."""
+    from hil.batch.comparison import Request, page
+    from hil.batch.comparison import compare as run_comparison
+    from hil.batch.comparison.conditions import DRIVES, TORQUES_N_M
+    from hil.batch.output import prepare_folder
+
     *laws, scenario = laws_and_scenario
     request = Request(
         laws,
@@ -74,8 +77,12 @@ def compare(
     raise typer.Exit(1 if comparison.has_failed else 0)
 
 
-def _write(comparison: Comparison, out: Path | None, markdown: Path | None, existing: Existing) -> None:
+def _write(comparison: "Comparison", out: Path | None, markdown: Path | None, existing: Existing) -> None:
     """Write the files. If one cannot be written, the others still are; then raises BadInputError for the first."""
+    from hil.batch.comparison import page
+    from hil.batch.comparison.pictures import draw
+    from hil.batch.output import deferred, remove
+
     pictures: list[Path] = []
     errors: list[BadInputError] = []
     if out is not None:
@@ -91,8 +98,10 @@ def _write(comparison: Comparison, out: Path | None, markdown: Path | None, exis
         raise errors[0]
 
 
-def _lines(comparison: Comparison) -> Iterator[str]:
+def _lines(comparison: "Comparison") -> Iterator[str]:
     """Yield a table for each condition, and below it why figures are missing."""
+    from hil.batch.comparison import page
+
     for number, (title, rows, notes) in enumerate(page.terminal(comparison)):
         yield title if number == 0 else f"\n{title}"
         yield from table(rows)

@@ -5,7 +5,7 @@ import math
 import sys
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from typer import Argument, Option
@@ -15,9 +15,10 @@ from hil.cli.options import Force, Json, ServicePort, ServiceUrl, TokenFile
 from hil.cli.output import end_in_order, print_json, print_result, rows
 from hil.core.errors import BadInputError, RunInterruptedError
 from hil.core.outputs import check_free, existing_files
-from hil.scenario.toml_text import parse_value
-from hil.service.client import Client, find
 from hil.service.messages import Action
+
+if TYPE_CHECKING:
+    from hil.service.client import Client
 
 app = typer.Typer(
     cls=Group, no_args_is_help=True, help="Drive the robot that hil serve runs; an order returns when accepted."
@@ -33,7 +34,9 @@ def choose_service(
     context.obj = (url, port, token_file)
 
 
-def _client(context: typer.Context) -> Client:
+def _client(context: typer.Context) -> "Client":
+    from hil.service.client import find
+
     return find(*context.obj)
 
 
@@ -160,6 +163,8 @@ def _finite(arguments: dict[str, float]) -> dict[str, float]:
 
 def _assignments(texts: list[str]) -> dict[str, Any]:
     """Parse KEY=VALUE texts to a mapping; a value is TOML, or else plain text."""
+    from hil.scenario.toml_text import parse_value
+
     values: dict[str, Any] = {}
     for text in texts:
         key, equals, value = text.partition("=")

@@ -6,24 +6,21 @@ import sys
 import threading
 import time
 from collections.abc import Callable
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 from typer import Option
 
 from hil.cli.options import Force, LinkUrl, Mode, RobotFile, ScenarioName, Seed, Sets, TraceFile
 from hil.cli.output import say
-from hil.core.clock import TICK_NS, WallClock
+from hil.core.clock import TICK_NS
 from hil.core.errors import BadInputError
 from hil.core.outputs import existing_files
 from hil.core.subprocesses import wait_for_end
-from hil.record import check_output_path
-from hil.robot.targets.robot import open_server, open_target
-from hil.robot.truth_server import TruthServer
-from hil.robot.virtual import VirtualStm32
-from hil.runtime.realtime import real_time
-from hil.runtime.robots import link_of, no_lockstep, node_maker, open_trace, protocol_of, virtual_robot
-from hil.scenario import Scenario, load
-from hil.wire.trace import Trace, TracedWire
+
+if TYPE_CHECKING:
+    from hil.robot.virtual import VirtualStm32
+    from hil.scenario import Scenario
+    from hil.wire.trace import Trace
 
 
 def device(
@@ -41,6 +38,10 @@ def device(
     until_eof: Annotated[bool, Option("--until-eof", help="end when stdin ends, as when the parent has ended")] = False,
 ) -> None:
     """Run the scenario's virtual robot in a process of its own; print one line when ready."""
+    from hil.record import check_output_path
+    from hil.runtime.robots import open_trace
+    from hil.scenario import load
+
     changes = [*(sets or []), *([] if dialect is None else [f"device.driver={dialect}"])]
     resolved = load(scenario, set=changes, robot=robot, mode=mode, link=link, seed=seed)
     existing = existing_files(force=force)
@@ -54,10 +55,10 @@ def device(
 
 
 def _serve(
-    scenario: Scenario,
-    robot: VirtualStm32,
+    scenario: "Scenario",
+    robot: "VirtualStm32",
     truth_port: int,
-    trace: Trace | None,
+    trace: "Trace | None",
     lifeline: int | None,
     resources: contextlib.ExitStack,
 ) -> None:
@@ -67,6 +68,13 @@ def _serve(
     was not granted; at the end the last output of a foreign FMU, and a line if robot time was lost or the trace is
     incomplete. Raises LinkError when the link is lost, DeviceError when the plant fails.
     """
+    from hil.core.clock import WallClock
+    from hil.robot.targets.robot import open_server
+    from hil.robot.truth_server import TruthServer
+    from hil.runtime.realtime import real_time
+    from hil.runtime.robots import link_of, protocol_of
+    from hil.wire.trace import TracedWire
+
     lockstep, protocol = scenario.loop.mode == "lockstep", protocol_of(scenario.device)
     wire, reach = link_of(scenario).open_robot(say, lockstep=lockstep, protocol=protocol)
     resources.callback(wire.close)
@@ -99,8 +107,12 @@ def _serve(
             say(trouble)
 
 
-def _robot(scenario: Scenario, target: str) -> VirtualStm32:
+def _robot(scenario: "Scenario", target: str) -> "VirtualStm32":
     """Make the scenario's robot. Raises BadInputError when it cannot run in its own process."""
+    from hil.robot.targets.robot import open_target
+    from hil.robot.virtual import VirtualStm32
+    from hil.runtime.robots import link_of, no_lockstep, node_maker, virtual_robot
+
     made_of, driver = virtual_robot(scenario), scenario.device.driver
     if not scenario.device.is_makers:
         return open_target(target, made_of, link_of(scenario))
@@ -114,7 +126,7 @@ def _robot(scenario: Scenario, target: str) -> VirtualStm32:
 class _RobotTime:
     """The clock of a robot in lockstep; it continues when a power cycle sets the robot's own time to 0."""
 
-    def __init__(self, robot: VirtualStm32) -> None:
+    def __init__(self, robot: "VirtualStm32") -> None:
         self._robot = robot
         self._base = 0
         self._last = 0

@@ -2,14 +2,16 @@
 
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 from typer import Option
 
-from hil.cli.checks import Finding, Verdict, install, ports, realtime, recording
 from hil.cli.options import Json
 from hil.cli.output import print_result
+
+if TYPE_CHECKING:
+    from hil.cli.checks import Finding
 
 
 def doctor(
@@ -20,6 +22,8 @@ def doctor(
 
     Kernel, permissions, clock, ports, CAN, disk, viewer, compiler and versions are looked at; nothing is changed.
     """
+    from hil.cli.checks import Verdict, install, ports, realtime, recording
+
     findings = [
         *install.check_versions(),
         *install.check_native(),
@@ -35,7 +39,7 @@ def doctor(
     raise typer.Exit(any(finding.verdict is Verdict.PROBLEM for finding in findings))
 
 
-def lines(findings: Sequence[Finding]) -> Iterator[str]:
+def lines(findings: "Sequence[Finding]") -> Iterator[str]:
     """Yield the findings, the verdict first, and the remedy below."""
     for verdict, subject, sentence, remedy in findings:
         yield f"{verdict:<8} {subject:<15} {sentence}"

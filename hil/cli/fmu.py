@@ -3,23 +3,19 @@
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 from typer import Argument, Option
 
-from firmware_protocol.built import is_checkout, run_script
 from hil.cli.commands import Group
 from hil.cli.options import Json
 from hil.cli.output import print_result, table
 from hil.core.errors import BadInputError
-from hil.plant import archive
-from hil.plant.built import FMUS, MUJOCO
-from hil.plant.child_output import one_line
-from hil.plant.conformance import Kind
-from hil.plant.description import FmuInfo, VariableInfo, info
-from hil.plant.tools import CheckResult, check
-from plant_fmu import path as shipped_path
+
+if TYPE_CHECKING:
+    from hil.plant.description import FmuInfo, VariableInfo
+    from hil.plant.tools import CheckResult
 
 app = typer.Typer(cls=Group, no_args_is_help=True, help="The plant: build, look at and check FMUs.")
 
@@ -31,6 +27,10 @@ def build(
     mujoco: Annotated[bool, Option("--mujoco", help="the MuJoCo plant instead, for this machine")] = False,
 ) -> None:
     """Compile the Mecanum plant and package it as FMUs, one for FMI 2.0 and one for FMI 3.0. Needs a checkout."""
+    from firmware_protocol.built import is_checkout, run_script
+    from hil.plant.built import FMUS, MUJOCO
+    from plant_fmu import path as shipped_path
+
     if all_platforms and mujoco:
         raise BadInputError("--mujoco is built for this machine only; leave out --all-platforms")
     if all_platforms and out is None:
@@ -57,6 +57,9 @@ def show_info(
     as_json: Json = False,
 ) -> None:
     """Show an FMU's description of itself, and its variables with units. Runs none of its code."""
+    from hil.plant import archive
+    from hil.plant.description import info
+
     about = info(archive.locate(fmu, Path()), names)
     print_result(as_json, asdict(about), _info_lines(about))
 
@@ -64,6 +67,9 @@ def show_info(
 @app.command("check")
 def check_fmu(fmu: FmuName = "mecanum", as_json: Json = False) -> None:
     """Validate an FMU and run it through the FMI calling sequence; exit 1 when it violates the standard."""
+    from hil.plant import archive
+    from hil.plant.tools import check
+
     path = archive.locate(fmu, Path())
     result = check(path)
     found = {"fmu": str(path), "passed": not result.violations, **asdict(result)}
@@ -71,7 +77,7 @@ def check_fmu(fmu: FmuName = "mecanum", as_json: Json = False) -> None:
     raise typer.Exit(1 if result.violations else 0)
 
 
-def _info_lines(info: FmuInfo) -> Iterator[str]:
+def _info_lines(info: "FmuInfo") -> Iterator[str]:
     """Yield an FMU's description, and its variables as a table."""
     yield f"{info.path}{f' (shipped as {info.shipped})' if info.shipped else ''}"
     facts = [("model", info.model_name), *info.about.items(), ("FMI version", info.fmi_version)]
@@ -91,8 +97,11 @@ def _info_lines(info: FmuInfo) -> Iterator[str]:
     yield from _table([head, *variables])
 
 
-def _check_lines(fmu: Path, result: CheckResult) -> Iterator[str]:
+def _check_lines(fmu: Path, result: "CheckResult") -> Iterator[str]:
     """Yield the parts of a check as a table, then its findings, violations of the standard first."""
+    from hil.plant.child_output import one_line
+    from hil.plant.conformance import Kind
+
     parts = [("part", "outcome", "reason")]
     for part in result.parts:
         kinds = {finding.kind for finding in part.findings}
@@ -114,6 +123,8 @@ def _check_lines(fmu: Path, result: CheckResult) -> Iterator[str]:
 
 def _table(rows: Sequence[Sequence[str]]) -> Iterator[str]:
     """Yield a table of an FMU's texts, which may hold line breaks."""
+    from hil.plant.child_output import one_line
+
     return table([tuple(map(one_line, row)) for row in rows])
 
 

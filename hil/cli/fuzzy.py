@@ -4,20 +4,20 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-import numpy as np
 from typer import Option
 
 from hil.cli.options import Force
 from hil.core.errors import BadInputError, nearest
 from hil.core.outputs import Existing, check_free, existing_files
-from hil.laws.fuzzy import K1_1_S, K2_1_S, RULES, FuzzyBlock, Rules, Tables
-from hil.review.plots import Series, drawing
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
+    from hil.laws.fuzzy import Rules, Tables
+    from hil.review.plots import Series
+
 _SETS = ("NB", "NS", "Z", "PS", "PB")
-_PEAKS = np.linspace(-1.0, 1.0, len(_SETS))
+_PEAKS = (-1.0, -0.5, 0.0, 0.5, 1.0)
 _POINTS = 201
 _BEYOND = 1.25  # times the range, to show that the inputs saturate
 
@@ -28,6 +28,8 @@ def fuzzy(
     force: Force = False,
 ) -> None:
     """Draw both gain surfaces of AFDSC's fuzzy block."""
+    from hil.laws.fuzzy import RULES
+
     if tables not in RULES:
         raise BadInputError(f"--tables {tables}: there are no such tables{nearest(tables, RULES)}")
     if out.suffix.lower() != ".png":
@@ -38,11 +40,16 @@ def fuzzy(
     print(out)
 
 
-def draw_gains(tables: Tables, path: Path, existing: Existing = "refuse") -> None:
+def draw_gains(tables: "Tables", path: Path, existing: Existing = "refuse") -> None:
     """Write a PNG of K1 and K2 [1/s] over error and rate in units of their ranges, with the rules at the peaks.
 
     ``existing`` says what to do when the file exists. Raises BadInputError when the file cannot be written.
     """
+    import numpy as np
+
+    from hil.laws.fuzzy import K1_1_S, K2_1_S, RULES, FuzzyBlock
+    from hil.review.plots import drawing
+
     across = np.linspace(-_BEYOND, _BEYOND, _POINTS)
     error, rate = np.meshgrid(across, across)
     surfaces = FuzzyBlock.from_tables(tables, 1.0, 1.0).gains_batch(error, rate)
@@ -53,7 +60,9 @@ def draw_gains(tables: Tables, path: Path, existing: Existing = "refuse") -> Non
             _draw(axes, f"{name}, tables {tables}", across, surface, rules, levels)
 
 
-def _draw(axes: "Axes", title: str, across: Series, surface: Series, rules: Rules, levels: Mapping[str, float]) -> None:
+def _draw(
+    axes: "Axes", title: str, across: "Series", surface: "Series", rules: "Rules", levels: Mapping[str, float]
+) -> None:
     from matplotlib.patheffects import withStroke
 
     outline = [withStroke(linewidth=2.0, foreground="#333333")]

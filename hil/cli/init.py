@@ -4,17 +4,17 @@ import sys
 import tempfile
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 from typer import Argument, Option
 
-from hil.cli.new_robot import QUESTIONS, Question, Value, problem_with, robot_text, scenario_text
 from hil.cli.options import Force
 from hil.core.errors import BadInputError
 from hil.core.outputs import Existing, check_free, existing_files, write_whole
-from hil.runtime.assembly import check_scenario
-from hil.scenario import load
+
+if TYPE_CHECKING:
+    from hil.cli.new_robot import Question, Value
 
 ROBOT_FILE = "robot.toml"
 SCENARIO_FILE = "first_circle.toml"
@@ -45,6 +45,8 @@ def init(
 
     Each question, and the file, says what its value means.
     """
+    from hil.cli.new_robot import QUESTIONS, problem_with
+
     arguments = dict(locals())
     given: dict[str, Value | None] = {one.key: arguments[one.parameter] for one in QUESTIONS}
     is_interactive = not defaults and sys.stdin.isatty()
@@ -66,8 +68,10 @@ def init(
     print(f"Next: hil run {scenario}{elsewhere}    # on the virtual robot")
 
 
-def _prompt(question: Question, proposed: Value) -> Value:
+def _prompt(question: "Question", proposed: "Value") -> "Value":
     """Ask until the answer is valid in the scenario's table."""
+    from hil.cli.new_robot import problem_with
+
     while True:
         text = typer.prompt(f"{question.key}: {question.description}", default=str(proposed))
         try:
@@ -81,13 +85,15 @@ def _prompt(question: Question, proposed: Value) -> Value:
         print(problem)
 
 
-def begin(folder: Path, answers: Mapping[str, Value], existing: Existing = "refuse") -> tuple[Path, Path]:
+def begin(folder: Path, answers: "Mapping[str, Value]", existing: Existing = "refuse") -> tuple[Path, Path]:
     """Write ``robot.toml`` and ``first_circle.toml`` into ``folder``, which is made if missing; return their paths.
 
     ``answers`` has a value for every question. Raises BadInputError when a file exists and may not be replaced, when
     values contradict each other, or when the robot cannot follow the scenario's circle even at the lowest speed that is
     tried.
     """
+    from hil.cli.new_robot import robot_text
+
     robot, scenario = folder / ROBOT_FILE, folder / SCENARIO_FILE
     for path in (robot, scenario):
         check_free("file", path, existing)
@@ -101,8 +107,12 @@ def begin(folder: Path, answers: Mapping[str, Value], existing: Existing = "refu
     return robot, scenario
 
 
-def _feasible(answers: Mapping[str, Value]) -> str:
+def _feasible(answers: "Mapping[str, Value]") -> str:
     """Return a scenario whose circle the robot can follow, at the highest speed of those tried."""
+    from hil.cli.new_robot import robot_text, scenario_text
+    from hil.runtime.assembly import check_scenario
+    from hil.scenario import load
+
     slowness = 1.0
     with tempfile.TemporaryDirectory() as trial:
         Path(trial, ROBOT_FILE).write_text(robot_text(answers), encoding="utf-8")

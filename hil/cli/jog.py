@@ -2,7 +2,7 @@
 
 import sys
 from collections.abc import Callable
-from typing import Annotated, NamedTuple
+from typing import TYPE_CHECKING, Annotated, NamedTuple
 
 import typer
 from typer import Argument, Option
@@ -10,16 +10,11 @@ from typer import Argument, Option
 from hil.cli.options import Json, LinkUrl, RobotFile, ScenarioName, Sets
 from hil.cli.output import end_in_order, print_result, warn
 from hil.core.errors import BadInputError, DeviceError, RunInterruptedError
-from hil.core.guard import Guard
-from hil.core.model import RobotModel
 from hil.core.types import WHEEL_NAMES, ZERO_WHEELS, CommandMode, WheelCommand, Wheels
-from hil.runtime.bench import Bench
-from hil.runtime.freshness import Freshness
-from hil.runtime.sampling import Timing
-from hil.scenario import Scenario, load
-from hil.scenario.motors import make_driver
-from hil.wire.device_lock import device_held
-from hil.wire.url import parse_link
+
+if TYPE_CHECKING:
+    from hil.core.model import RobotModel
+    from hil.scenario import Scenario
 
 MOST_RAD_S = 3.0
 MOST_S = 10.0
@@ -47,6 +42,10 @@ def jog(
     Put the robot on blocks, so that no wheel touches the ground. The exit code is 1 where the wheels' sensors saw
     something else than this wheel turning this way.
     """
+    from hil.scenario import load
+    from hil.wire.device_lock import device_held
+    from hil.wire.url import parse_link
+
     end_in_order()
     changes = [*(sets or []), "controller.command=speed", "controller.law=pid", "fault=[]", "expect=[]"]
     changes.append("estimator.source=odometry")  # the pose does not matter
@@ -107,7 +106,7 @@ class Jogged(NamedTuple):
 
 
 def turn_wheel(
-    scenario: Scenario, wheel: str, speed_rad_s: float, seconds: float, warn: Callable[[str], None] = lambda _: None
+    scenario: "Scenario", wheel: str, speed_rad_s: float, seconds: float, warn: Callable[[str], None] = lambda _: None
 ) -> Jogged:
     """Turn a wheel for ``seconds`` with ramps of 0.5 s at both ends, and stop.
 
@@ -115,6 +114,10 @@ def turn_wheel(
     BadInputError for a wheel or a number out of range and for a controller that takes body velocities, DeviceError and
     LinkError when the robot refuses, stops or is lost.
     """
+    from hil.runtime.bench import Bench
+    from hil.runtime.freshness import Freshness
+    from hil.runtime.sampling import Timing
+
     check(scenario, wheel, speed_rad_s, seconds)
     period_ns = scenario.loop.period_ns
     stale_ns = round(scenario.firmware.watchdog_s * 1e9)
@@ -148,8 +151,10 @@ def turn_wheel(
     return Jogged(speed_rad_s * (seconds - _RAMP_S), Wheels(*turned))
 
 
-def _limited(model: RobotModel, robot_rad_s: float, speed_rad_s: float, warn: Callable[[str], None]) -> float:
+def _limited(model: "RobotModel", robot_rad_s: float, speed_rad_s: float, warn: Callable[[str], None]) -> float:
     """Return the speed, limited by the guard."""
+    from hil.core.guard import Guard
+
     guard = Guard(model.speed_limit_rad_s, model.torque_limit_n_m)
     guard.limit_to(robot_rad_s)
     command = WheelCommand(CommandMode.SPEED, ZERO_WHEELS._replace(fl=speed_rad_s), ZERO_WHEELS)
@@ -159,8 +164,10 @@ def _limited(model: RobotModel, robot_rad_s: float, speed_rad_s: float, warn: Ca
     return limited.speed_rad_s.fl
 
 
-def check(scenario: Scenario, wheel: str, speed_rad_s: float, seconds: float) -> None:
+def check(scenario: "Scenario", wheel: str, speed_rad_s: float, seconds: float) -> None:
     """Raise BadInputError for arguments that ``turn_wheel`` refuses, before anything is opened."""
+    from hil.scenario.motors import make_driver
+
     if wheel not in WHEEL_NAMES:
         raise BadInputError(f"wheel {wheel!r}: expected one of {', '.join(WHEEL_NAMES)}")
     if not 0.0 < abs(speed_rad_s) <= MOST_RAD_S:

@@ -1,8 +1,9 @@
 """``hil list``: the names that a scenario can use."""
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+import pkgutil
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import MISSING
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 from typer import Argument
 
@@ -10,16 +11,10 @@ from hil.cli.options import Json
 from hil.cli.output import print_result, table
 from hil.core.errors import BadInputError, nearest
 from hil.core.options import options_of
-from hil.core.signals import SIGNALS, Signal
 from hil.core.types import CommandMode
-from hil.drivers.port import Capabilities, Dialect, RobotFacts
-from hil.drivers.registry import EXTENSIONS, OUR_DRIVER, SHIPPED, dialect, make_driver, make_settings
-from hil.faults.kinds import kinds as fault_kinds
-from hil.laws.registry import laws
-from hil.references import references
-from hil.scenario import load, shipped
-from hil.scenario.motors import robot_facts
-from hil.wire.url import link_forms
+
+if TYPE_CHECKING:
+    from hil.drivers.port import Capabilities, Dialect, RobotFacts
 
 Row = tuple[str, ...]
 
@@ -31,7 +26,10 @@ _OURS = ("can, can_fd, serial", "speed with torque, torque", "loop.rate_hz", "as
 _AS_MAPPED = ("as its file says",) * 5
 
 
-def _faults() -> Iterable[Row]:
+def fault_rows() -> Iterable[Row]:
+    """Return a row for each kind of fault."""
+    from hil.faults.kinds import kinds as fault_kinds
+
     return ((k.name, k.acts_on, k.target_words.replace("`", ""), k.unit, k.meaning) for k in fault_kinds())
 
 
@@ -40,6 +38,10 @@ def driver_rows() -> Sequence[tuple[str, ...]]:
 
     For a driver that cannot be loaded the last column says why, and the other columns are empty.
     """
+    from hil.drivers.registry import EXTENSIONS, OUR_DRIVER, SHIPPED
+    from hil.scenario import load
+    from hil.scenario.motors import robot_facts
+
     facts = robot_facts(load("circle_speed", set={"device.driver": next(iter(SHIPPED)), "loop.rate_hz": _RATE_HZ}))
     rows: list[tuple[str, ...]] = [(OUR_DRIVER, *_OURS, "latched", "our own firmware")]
     rows += [(name, *_abilities(name, facts), what) for name, what in SHIPPED.items()]
@@ -52,14 +54,18 @@ def driver_rows() -> Sequence[tuple[str, ...]]:
     return rows
 
 
-def _abilities(name: str, facts: RobotFacts) -> tuple[str, ...]:
+def _abilities(name: str, facts: "RobotFacts") -> tuple[str, ...]:
+    from hil.drivers.registry import dialect
+
     made = dialect(name)
     settings: Any = made.settings
     needs_settings = any(option.default is MISSING for option in options_of(settings).values())
     return (", ".join(sorted(made.wires)), *(_AS_MAPPED if needs_settings else _words(name, made, facts)))
 
 
-def _words(name: str, made: Dialect, facts: RobotFacts) -> tuple[str, ...]:
+def _words(name: str, made: "Dialect", facts: "RobotFacts") -> tuple[str, ...]:
+    from hil.drivers.registry import make_driver, make_settings
+
     settings = make_settings(name, {}, "device.motors")
     rates = {}
     for wire in sorted(made.wires):
@@ -78,23 +84,23 @@ def _words(name: str, made: Dialect, facts: RobotFacts) -> tuple[str, ...]:
     )
 
 
-def _commands(can: Capabilities) -> str:
+def _commands(can: "Capabilities") -> str:
     if can.is_twist:
         return "velocity of the body"
     speed = "speed with torque" if can.adds_torque else "speed"
     return ", ".join(speed if mode is CommandMode.SPEED else "torque" for mode in sorted(can.modes))
 
 
-_LISTS: Mapping[str, tuple[Row, Callable[[], Iterable[Row]]]] = {
-    "signals": (Signal._fields, lambda: SIGNALS),
-    "laws": (("law", "package", "meaning"), laws),
-    "references": (("reference", "package", "meaning"), references),
-    "scenarios": (("scenario", "meaning"), lambda: shipped().items()),
-    "links": (("link", "meaning"), lambda: link_forms().items()),
-    "faults": (("kind", "acts on", "target", "value", "meaning"), _faults),
-    "drivers": (DRIVER_COLUMNS, driver_rows),
+_LISTS = {
+    "signals": (("name", "unit", "meaning"), "hil.core.signals:SIGNALS"),
+    "laws": (("law", "package", "meaning"), "hil.laws.registry:laws"),
+    "references": (("reference", "package", "meaning"), "hil.references:references"),
+    "scenarios": (("scenario", "meaning"), "hil.scenario:shipped"),
+    "links": (("link", "meaning"), "hil.wire.url:link_forms"),
+    "faults": (("kind", "acts on", "target", "value", "meaning"), "hil.cli.list:fault_rows"),
+    "drivers": (DRIVER_COLUMNS, "hil.cli.list:driver_rows"),
 }
-"""Column names of each list, and the function that makes its rows."""
+"""Column names of each list, and where its rows are, or the function that makes them: imported when it is called."""
 
 
 def list_(what: Annotated[str, Argument(metavar="|".join(_LISTS))], as_json: Json = False) -> None:
@@ -107,5 +113,7 @@ def listing(what: str) -> tuple[Row, list[Row]]:
     """Return the column names and the rows of ``hil list``. Raises BadInputError for an unknown list."""
     if what not in _LISTS:
         raise BadInputError(f"there is no list of {what!r}{nearest(what, _LISTS)}")
-    header, rows = _LISTS[what]
-    return header, list(rows())
+    header, place = _LISTS[what]
+    rows = pkgutil.resolve_name(place)
+    rows = rows() if callable(rows) else rows
+    return header, list(rows.items() if isinstance(rows, Mapping) else rows)

@@ -10,11 +10,6 @@ from hil.cli.options import Json, PortOrBus
 from hil.cli.output import print_result, table
 from hil.core.errors import BadInputError
 from hil.core.options import options_of
-from hil.robot.parameters import ParameterClient, assignments
-from hil.scenario import FirmwareTable
-from hil.scenario.check import WATCHDOG_PERIODS
-from hil.wire.device_lock import device_held
-from hil.wire.url import parse_link
 
 
 def params(
@@ -25,6 +20,10 @@ def params(
     as_json: Json = False,
 ) -> None:
     """Show and change the parameters of a robot's firmware; it must be in IDLE to change. All are checked first."""
+    from hil.robot.parameters import ParameterClient, assignments
+    from hil.wire.device_lock import device_held
+    from hil.wire.url import parse_link
+
     url = parse_link(link)
     if url.is_within_process:
         raise BadInputError(
@@ -59,6 +58,9 @@ def params(
 
 def _default(parameter: str) -> str:
     """Return the default of a parameter in a scenario; "-" if the scenario must give a value."""
+    from hil.scenario import FirmwareTable
+    from hil.scenario.check import WATCHDOG_PERIODS
+
     follows = {"watchdog_s": f"{WATCHDOG_PERIODS} command periods", "feedback_period_s": "1 command period"}
     if parameter in follows:
         return follows[parameter]

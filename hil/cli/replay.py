@@ -2,17 +2,16 @@
 
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 from typer import Argument, Option
 
 from hil.cli.options import Force, Json
 from hil.cli.output import print_result, table
 from hil.core.outputs import existing_files
-from hil.record import check_output_path
-from hil.review import read
-from hil.review.replay import Replay, write_replay
-from hil.review.replay import replay as replay_run
+
+if TYPE_CHECKING:
+    from hil.review.replay import Replay
 
 
 def replay(
@@ -23,6 +22,11 @@ def replay(
     as_json: Json = False,
 ) -> None:
     """Open loop: feed a recording's states and references to another law, and show how its commands differ."""
+    from hil.record import check_output_path
+    from hil.review import read
+    from hil.review.replay import replay as replay_run
+    from hil.review.replay import write_replay
+
     existing = existing_files(force=force)
     if record is not None and record.resolve() != recording.resolve():
         check_output_path("recording", record, existing)
@@ -34,7 +38,7 @@ def replay(
     print_result(as_json, found, _lines(replayed))
 
 
-def _lines(replayed: Replay) -> Iterator[str]:
+def _lines(replayed: "Replay") -> Iterator[str]:
     gains = "".join(f", {name} = {value}" for name, value in replayed.gains.items())
     yield f"{replayed.law}{gains} on {replayed.path}, where {replayed.recorded_law} was in command"
     yield replayed.figures()["label"]

@@ -3,17 +3,17 @@
 import sys
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from typer import Option
 
-from hil.batch.reproduction import NotWrittenError, page
-from hil.batch.reproduction import reproduce as run_reproduction
-from hil.batch.reproduction.runs import failures
 from hil.cli.options import Force, Jobs, Json
 from hil.cli.output import batch, print_result, table
 from hil.core.outputs import existing_files
+
+if TYPE_CHECKING:
+    pass
 
 
 def reproduce(
@@ -31,6 +31,10 @@ def reproduce(
     as_json: Json = False,
 ) -> None:
     """Run section IV of the paper and say which of its figures come out, which do not, and why."""
+    from hil.batch.reproduction import NotWrittenError
+    from hil.batch.reproduction import reproduce as run_reproduction
+    from hil.batch.reproduction.runs import failures
+
     out = out or Path("runs/reproduction-quick" if quick else "runs/reproduction")
     not_written: NotWrittenError | None = None
     existing = existing_files(force=force)
@@ -48,6 +52,8 @@ def reproduce(
 
 def text_of(summary: Mapping[str, Any]) -> Iterator[str]:
     """Yield the tables of a reproduction, then which results of the paper are reproduced and which are not."""
+    from hil.batch.reproduction import page
+
     yield "Assumptions, where the paper gives no value\n"
     for place, what, ours, why in page.assumptions(summary)[1:]:
         yield f"  {place}, {what}: {ours}\n    {why}"

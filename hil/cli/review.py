@@ -2,7 +2,7 @@
 
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 from typer import Argument, Option
 
@@ -10,10 +10,9 @@ from hil.cli.options import Force, Json
 from hil.cli.output import print_result, rows, table
 from hil.core.errors import BadInputError
 from hil.core.outputs import Existing, existing_files
-from hil.judge.words import belief_rows, figure_rows, link_rows, outcome_rows
-from hil.record.files import check_output_path
-from hil.review import Change, Difference, changes, differences, read, write_trajectory
-from hil.review.figures import figures, read_for_figures
+
+if TYPE_CHECKING:
+    from hil.review import Change, Difference
 
 _EVENTS_SHOWN = 8
 _CHANGES_SHOWN = 20
@@ -36,6 +35,9 @@ def review(
     The exit code is 0 whenever the recordings could be read, even if a run failed: it is about the review, not the run.
     Whether the run passed is "passed" in the output of --json.
     """
+    from hil.review import changes, differences, read, write_trajectory
+    from hil.review.figures import figures, read_for_figures
+
     existing = existing_files(force=force)
     _check(recordings, existing, {"page": html, "overlay": overlay, "export": export, "trajectory": trajectory})
     needed: Collection[str] = ()
@@ -72,6 +74,8 @@ def _check(recordings: Sequence[Path], existing: Existing, files: Mapping[str, P
 
     ``files`` are the files to write by kind, None for those not wanted.
     """
+    from hil.record.files import check_output_path
+
     if len(recordings) > 2:
         raise BadInputError(f"{len(recordings)} recordings were given; hil review takes one, or two to compare")
     if (overlay := files["overlay"]) is not None and len(recordings) == 1:
@@ -87,6 +91,8 @@ def _check(recordings: Sequence[Path], existing: Existing, files: Mapping[str, P
 
 def _one(found: Mapping[str, Any]) -> Iterator[str]:
     """Yield the run, why it failed, its events and its figures, on one screen."""
+    from hil.judge.words import belief_rows, figure_rows, link_rows, outcome_rows
+
     yield from rows(_about(found))
     passed = found["passed"]
     yield from rows([("passed", "not known" if passed is None else "yes" if passed else "no")])
@@ -126,7 +132,7 @@ def _event_rows(found: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
 
 
 def _two(
-    found: Sequence[Mapping[str, Any]], different: Sequence[Difference], changed: Sequence[Change]
+    found: Sequence[Mapping[str, Any]], different: "Sequence[Difference]", changed: "Sequence[Change]"
 ) -> Iterator[str]:
     """Yield both runs, every figure of both, and the differences of their scenarios."""
     for which, run in zip(("first", "second"), found, strict=True):
@@ -141,7 +147,7 @@ def _two(
         yield f"{len(changed) - _CHANGES_SHOWN} more; --json and --html have them all"
 
 
-def _difference_row(row: Difference) -> tuple[str, ...]:
+def _difference_row(row: "Difference") -> tuple[str, ...]:
     def text(value: float | None, form: str) -> str:
         return "-" if value is None else f"{value * row.scale:{form}} {row.unit}".rstrip()
 
