@@ -6,6 +6,7 @@ from firmware_protocol.host import library
 
 _MOST_AT_ONCE = 1 << 12  # bytes passed to the library in one call
 _NOTHING = PackedFrames(b"")
+_OF_NOISE = slice(8, None)  # of the bytes of wheel_line_counts
 _MOST_TO_SEND = 1 << 10  # packed bytes
 
 
@@ -27,7 +28,9 @@ class HostLine:
 
     def __init__(self) -> None:
         ffi, lib = library()
-        self._new = ffi.new
+        self._counts = ffi.new("wheel_line_counts *")
+        self._count_bytes = ffi.buffer(self._counts)
+        self._noise_bytes, self._noise = b"", 0
         self._memory = ffi.new("uint64_t[]", lib.wheel_line_size() // 8 + 1)
         self.handle = ffi.cast("wheel_line *", self._memory)
         lib.wheel_line_init(self.handle)
@@ -72,11 +75,20 @@ class HostLine:
         pieces = [self.feed(data[at : at + _MOST_AT_ONCE]) for at in range(0, len(data), _MOST_AT_ONCE)]
         return PackedFrames(b"".join(piece.packed for piece in pieces), sum(map(len, pieces)))
 
+    def noise(self) -> int:
+        """Return how many pieces were no frame: the sum of ``rejected`` but for lost frames."""
+        counts = self._counts
+        self._count(self.handle, counts)
+        if self._noise_bytes != (now := self._count_bytes[_OF_NOISE]):
+            self._noise_bytes = now
+            self._noise = int(counts.cobs + counts.crc + counts.length + counts.unknown_id + counts.overrun)
+        return self._noise
+
     @property
     def rejected(self) -> dict[str, int]:
         """How many pieces were no frame, by cause (``CAUSES``); ``lost`` are frames that the other side counted and
         that did not arrive whole, but not 128 and more in a row.
         """
-        counts = self._new("wheel_line_counts *")
+        counts = self._counts
         self._count(self.handle, counts)
         return {cause: getattr(counts, cause) for cause in (*CAUSES, "lost")}

@@ -155,3 +155,12 @@ def test_a_split_keeps_the_order_of_both_groups_and_drops_what_is_cut(some: list
         some = some[:-1]
     assert bytes(out)[:begin] == pack([one for one in some if one.id < limit])
     assert bytes(out)[begin : used[0]] == pack([one for one in some if one.id >= limit])
+
+
+@given(pieces=st.lists(frames.map(lambda frame: Framer().encode(frame)) | st.binary(max_size=30), max_size=10))
+def test_noise_is_all_that_was_no_frame(pieces: list[bytes]) -> None:
+    line = HostLine()
+    for piece in pieces:
+        line.feed(piece)
+        counts = line.rejected
+        assert line.noise() == sum(counts.values()) - counts["lost"]

@@ -5,6 +5,7 @@ import os
 import signal
 import subprocess
 import time
+from collections.abc import Iterable
 
 import can
 import cantools
@@ -13,6 +14,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from firmware_protocol import codec
+from firmware_protocol.framing import Frame, PackedFrames, pack
 from firmware_protocol.generated import messages as m
 from hil.core.errors import BadInputError
 from hil.runtime.assembly import run
@@ -35,6 +37,10 @@ def frames(path) -> list[can.Message]:
     options = {"relative_timestamp": False} if path.suffix == ".asc" else {}
     with can.LogReader(path, **options) as reader:
         return list(reader)
+
+
+def packed(some: Iterable[Frame]) -> PackedFrames:
+    return PackedFrames(pack(some))
 
 
 def counted(read: list[can.Message]) -> list[can.Message]:
@@ -128,13 +134,26 @@ def test_a_trace_that_cannot_be_written_is_refused_before_anything_starts(tmp_pa
 def test_a_writer_that_dies_is_reported_and_the_run_goes_on(tmp_path):
     with Trace(tmp_path / "bus.log", blocking=True) as trace:
         os.kill(trace.pid, signal.SIGKILL)
-        frame = codec.encode(m.TimeSyncRequest(1))
+        together = packed(codec.encode(m.TimeSyncRequest(number)) for number in range(3))
         for number in range(20_000):
-            trace.frame(number * 1000, frame, sent=True)
+            trace.frames(number * 1000, together, sent=True)
         report = trace.finish()
-    assert report.dropped + report.lost == 20_000
+    assert report.dropped + report.lost == 60_000
+    assert report.dropped > 0
     assert "incomplete" in report.trouble()
     assert "ended before the run" in report.trouble()
+
+
+def test_frames_that_crossed_together_are_traced_and_counted_one_by_one(tmp_path):
+    all_kinds = [codec.encode(m.TimeSyncRequest(number)) for number in range(40)]
+    with Trace(tmp_path / "bus.blf", blocking=True) as trace:
+        trace.frames(5_000_000, packed(all_kinds[:9]), sent=False)
+        trace.frames(6_000_000, packed(all_kinds[9:]), sent=True)  # more than one row of the ring holds
+        report = trace.finish()
+    read = frames(tmp_path / "bus.blf")
+    assert [(one.arbitration_id, bytes(one.data)) for one in read] == all_kinds
+    assert [one.is_rx for one in read] == [True] * 9 + [False] * 31
+    assert (report.frames, report.dropped, report.lost) == (40, 0, 0)
 
 
 def test_a_frame_that_the_format_has_no_room_for_ends_the_trace_with_a_sentence(tmp_path):
@@ -263,6 +282,6 @@ def test_a_frame_goes_through_the_ring_as_it_is(payload, number, unix_us, sent):
     flags = packing.SENT * sent + packing.EXTENDED + packing.FD * (len(payload) > 8)
     row = packing.pack(unix_us, flags, number, len(payload), payload)
     assert len(row) == 8 * packing.WIDTH
-    back = packing.unpack(memoryview(row).cast("d"))
+    (back,) = packing.unpack(row)
     assert (back["arbitration_id"], back["data"], back["is_rx"]) == (number, payload, not sent)
     assert back["timestamp"] == pytest.approx(unix_us * 1e-6, abs=1e-6)

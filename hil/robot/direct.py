@@ -71,6 +71,7 @@ class DirectLink:
         self._direct = ffi.new("wheel_direct *", {"there": self._there.handle})
         self.answer = ffi.buffer(self._direct.answer)
         self._earlier: Counter[str] = Counter()  # rejected before the link was reopened
+        self._earlier_noise = 0
         self._begin_line()
         self._unsent = b""  # packed
         self._unsent_frames = 0
@@ -119,7 +120,9 @@ class DirectLink:
             raise closed()
         self._client = client
         packed = self._handed_over() if self._unsent else b""
-        return PackedFrames(self._exchange(self._address, self._robot.node.address, client.address, packed))
+        before = self._direct.received_frames
+        answer = self._exchange(self._address, self._robot.node.address, client.address, packed)
+        return PackedFrames(answer, self._direct.received_frames - before)
 
     def _handed_over(self) -> bytes:
         """Return what was not sent yet, and forget it."""
@@ -167,9 +170,14 @@ class DirectLink:
         counts = {cause: count + self._earlier[cause] for cause, count in self._here.rejected.items()}
         return counts | {"unread_bytes": 0}
 
+    def noise(self) -> int:
+        """Return how many pieces of what was received were no frame."""
+        return self._here.noise() + self._earlier_noise
+
     def reopen(self) -> None:
         self._stream.reopen()
         # A partial frame and the gap in the running number belong to the line that was lost.
+        self._earlier_noise = self.noise()
         self._earlier = Counter(self.rejected())
         self._begin_line()
 

@@ -15,6 +15,7 @@ _MOST_AT_ONCE = 50
 makes.
 """
 
+_NO_NOISE = ("lost", "unread_bytes")
 _MOST_NOISE = 65536  # bytes without a frame in one call: more than any buffer of a line holds
 
 
@@ -93,6 +94,13 @@ class StreamLink:
     def rejected(self) -> dict[str, int]:
         counts = {cause: count + self._earlier[cause] for cause, count in self._framing.rejected.items()}
         return counts | {"unread_bytes": self._stream.unread_bytes()}
+
+    def noise(self) -> int:
+        """Return how many pieces of what was received were no frame."""
+        framing = self._framing
+        counts = {} if isinstance(framing, HostLine) else framing.rejected
+        now = framing.noise() if isinstance(framing, HostLine) else 0
+        return now + sum(count for cause, count in (*counts.items(), *self._earlier.items()) if cause not in _NO_NOISE)
 
     def reopen(self) -> None:
         self._stream.reopen()

@@ -66,6 +66,9 @@ class Meter(Protocol):
     def overheard(self, message: Any) -> int:
         """Count a ``can.Message`` of another node; return how long it occupied the bus [ns]."""
 
+    def noise(self) -> int:
+        """Return how many frames the framing could not decode; 0 for CAN, whose refused frames arrive one by one."""
+
     def counts(self) -> tuple[Count, Count]:
         """Return what was sent and what was received since ``begin``."""
 
@@ -102,6 +105,9 @@ class LineMeter:
 
     def overheard(self, _message: Any) -> int:
         raise NotImplementedError("a line between two ends has no other nodes")
+
+    def noise(self) -> int:
+        return self._link.noise()
 
     def counts(self) -> tuple[Count, Count]:
         (sent, _, received, _), (sent_bytes, received_bytes) = self._before, self.byte_counts()
@@ -159,6 +165,9 @@ class BusMeter:
         usage = self._others(message)
         self.foreign = self.foreign.and_one(usage)
         return usage.busy_ns
+
+    def noise(self) -> int:
+        return 0
 
     def counts(self) -> tuple[Count, Count]:
         return self._sent, self._received

@@ -19,7 +19,6 @@ if TYPE_CHECKING:
 _BUCKET_NS = 10_000_000
 _BUCKETS = 10
 WINDOW_NS = _BUCKET_NS * _BUCKETS
-_NO_NOISE = ("lost", "unread_bytes")
 
 
 class LoadWindow:
@@ -79,7 +78,7 @@ class LinkStatistics:
         self._trace = trace
         self.byte_counts = meter.byte_counts
         self.is_needed = meter.timed or trace is not None
-        self._noise_seen = self._noise()
+        self._noise_seen = meter.noise()
         self.begin()
 
     def begin(self) -> None:
@@ -117,16 +116,8 @@ class LinkStatistics:
         if self._trace is not None:
             self._trace.foreign(now_ns, message)
 
-    def _noise(self) -> int:
-        """Return how many frames the framing could not decode; 0 for CAN, whose refused frames arrive one by one
-        (``overhear``).
-        """
-        if not self._meter.duplex:
-            return 0
-        return sum(count for cause, count in self._link.rejected().items() if cause not in _NO_NOISE)
-
     def _trace_noise(self, trace: "Trace") -> None:
-        count = self._noise()
+        count = self._meter.noise()
         if count != self._noise_seen:
             trace.rejected(self._clock.now_ns(), count - self._noise_seen)
             self._noise_seen = count

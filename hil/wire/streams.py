@@ -172,6 +172,9 @@ class MemoryBus(_End[Frame]):
     def rejected(self) -> dict[str, int]:
         return {}
 
+    def noise(self) -> int:
+        return 0
+
     def describe(self) -> str:
         return "a bus in memory, with no bit rate"
 

@@ -1,25 +1,28 @@
-"""A frame as a row of floats, for the ring buffer between a run and its trace writer.
+"""Frames as rows of bytes, for the ring buffer between a run and its trace writer.
 
-A row is: Unix time [µs], flags, identifier, length, and 64 bytes of payload in 16 words of 32 bits. All are whole
-numbers that a float64 holds exactly.
+A row is four doubles, Unix time [µs], flags, identifier, length, and the payload, padded with zeros. With the flag
+PACKED it holds frames that crossed the wire together, one after the other as ``PackedFrames`` has them; the identifier
+is then 0.
 """
 
 import struct
-from collections.abc import Sequence
+from collections.abc import Iterator
 from typing import Any
 
-SENT, EXTENDED, REMOTE, ERROR, FD, SWITCHED = (1 << place for place in range(6))
+from firmware_protocol.framing import PackedFrames
+
+SENT, EXTENDED, REMOTE, ERROR, FD, SWITCHED, PACKED = (1 << place for place in range(7))
 
 MOST_CLASSIC_BYTES, MOST_BYTES = 8, 64
-_WORDS = MOST_BYTES // 4
-_PAD = struct.Struct("<16I")
-WIDTH = 4 + _WORDS
-_ROW = struct.Struct(f"{WIDTH}d")
+MOST_PACKED = 128
+"""The most bytes of frames that a row holds."""
+_ROW = struct.Struct(f"4d{MOST_PACKED}s")
+WIDTH = _ROW.size // 8
 
 
 def pack(unix_us: int, flags: int, number: int, length: int, payload: bytes) -> bytes:
     """Return the row; ``length`` is that of the payload, or the one that a remote frame requests."""
-    return _ROW.pack(unix_us, flags, number, length, *_PAD.unpack(payload.ljust(_PAD.size, b"\0")))
+    return _ROW.pack(unix_us, flags, number, length, payload)
 
 
 def pack_message(unix_us: int, message: Any) -> bytes:
@@ -35,20 +38,22 @@ def pack_message(unix_us: int, message: Any) -> bytes:
     return pack(unix_us, flags, message.arbitration_id, message.dlc, bytes(message.data))
 
 
-def unpack(row: Sequence[float]) -> dict[str, Any]:
-    """Return the arguments of ``can.Message``."""
-    unix_us, flags, number, length, *words = (int(value) for value in row)
-    payload = _PAD.pack(*words)[:length]
+def unpack(row: bytes) -> Iterator[dict[str, Any]]:
+    """Yield the arguments of ``can.Message`` for each frame of a row."""
+    *numbers, content = _ROW.unpack(row)
+    unix_us, flags, number, length = map(int, numbers)
     remote = bool(flags & REMOTE)
-    return {
-        "timestamp": unix_us * 1e-6,
-        "arbitration_id": number,
-        "is_extended_id": bool(flags & EXTENDED),
-        "is_remote_frame": remote,
-        "is_error_frame": bool(flags & ERROR),
-        "is_fd": bool(flags & FD),
-        "bitrate_switch": bool(flags & SWITCHED),
-        "is_rx": not flags & SENT,
-        "dlc": length,
-        "data": None if remote else payload,
-    }
+    frames = PackedFrames(content[:length]) if flags & PACKED else [(number, content[:length])]
+    for number, payload in frames:
+        yield {
+            "timestamp": unix_us * 1e-6,
+            "arbitration_id": number,
+            "is_extended_id": bool(flags & EXTENDED),
+            "is_remote_frame": remote,
+            "is_error_frame": bool(flags & ERROR),
+            "is_fd": bool(flags & FD),
+            "bitrate_switch": bool(flags & SWITCHED),
+            "is_rx": not flags & SENT,
+            "dlc": len(payload) if flags & PACKED else length,
+            "data": None if remote else payload,
+        }

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Self
 
-from firmware_protocol.framing import Frame
+from firmware_protocol.framing import Frame, PackedFrames
 from firmware_protocol.host_line import HostLine
 from hil.core.link_protocol import WHEEL_DBC, LinkProtocol
 from hil.core.outputs import Existing, claim, release
@@ -77,6 +77,7 @@ class Trace:
         self._zero_unix_us = 0
         self._flags = packing.FD * fd + packing.SWITCHED * (fd and switched)
         self._report: TraceReport | None = None
+        self._passed = self._dropped = 0  # frames
         try:
             self._process = RingProcess(
                 StartedProcess("hil.wire.trace.writer", child_environment()),
@@ -102,8 +103,19 @@ class Trace:
 
     def frames(self, stamp_ns: int, frames: Sequence[Frame], *, sent: bool) -> None:
         """Trace frames of this link, which crossed the wire together."""
+        if type(frames) is PackedFrames and len(frames.packed) <= packing.MOST_PACKED:
+            flags, packed = self._flags + packing.PACKED + packing.SENT * sent, frames.packed
+            self._put(packing.pack(self._zero_unix_us + stamp_ns // 1000, flags, 0, len(packed), packed), len(frames))
+            return
         for frame in frames:
             self.frame(stamp_ns, frame, sent=sent)
+
+    def _put(self, row: bytes, frames: int = 1) -> None:
+        """Give the writer a row with so many frames, or count them as dropped."""
+        if self._process.ring.try_put(row):
+            self._passed += frames
+        else:
+            self._dropped += frames
 
     def frame(self, stamp_ns: int, frame: Frame, *, sent: bool) -> None:
         """Trace a frame of this link. Payloads that only a serial line can carry become CAN FD frames of up to 64
@@ -120,27 +132,26 @@ class Trace:
         if number >= REMOTE:
             flags += packing.EXTENDED * (number >= EXTENDED) + packing.REMOTE * bool(number & REMOTE)
             number &= ~(EXTENDED | REMOTE)
-        self._process.put(packing.pack(self._zero_unix_us + stamp_ns // 1000, flags, number, len(payload), payload))
+        self._put(packing.pack(self._zero_unix_us + stamp_ns // 1000, flags, number, len(payload), payload))
 
     def foreign(self, stamp_ns: int, message: Any) -> None:
         """Trace a ``can.Message`` that is not of this link's protocol."""
-        self._process.put(packing.pack_message(self._zero_unix_us + stamp_ns // 1000, message))
+        self._put(packing.pack_message(self._zero_unix_us + stamp_ns // 1000, message))
 
     def rejected(self, stamp_ns: int, count: int) -> None:
         """Trace ``count`` frames that the framing could not decode, each as an error frame."""
         row = packing.pack(self._zero_unix_us + stamp_ns // 1000, packing.ERROR, 0, 0, b"")
         for _ in range(count):
-            self._process.put(row)
+            self._put(row)
 
     def finish(self) -> TraceReport:
         """Write the rest, end the process and return the report; raises no error for a writer that died."""
         if self._report is None:
             process = self._process
             reply = process.end({})
-            written = int(reply["rows_written"]) if "rows_written" in reply else process.ring.saved
-            self._report = TraceReport(
-                self._path, written, process.ring.dropped, process.ring.head - written, reply.get("error")
-            )
+            written = int(reply.get("frames_written", process.ring.lines_saved))
+            error = reply.get("error")
+            self._report = TraceReport(self._path, written, self._dropped, self._passed - written, error)
             process.close()
         return self._report
 
@@ -217,9 +228,7 @@ class _TracedNode:
             self._trace.rejected(self._now_ns(), noise)
 
     def _trace_frames(self, frames: Sequence[Frame], *, sent: bool) -> None:
-        now_ns = self._now_ns()
-        for frame in frames:
-            self._trace.frame(now_ns, frame, sent=sent)
+        self._trace.frames(self._now_ns(), frames, sent=sent)
 
 
 def _noise(framing: Framing) -> int:

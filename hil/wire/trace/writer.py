@@ -18,7 +18,7 @@ _BATCH = 1000
 
 
 class TraceWriter:
-    """Moves frames from the ring to python-can's writer for the file's ending.
+    """Moves frames from the ring to python-can's writer for the file's ending. It counts frames as the ring's lines.
 
     Raises RefusedError when the file cannot be opened.
     """
@@ -26,6 +26,7 @@ class TraceWriter:
     def __init__(self, config: Record, ring: RingReader) -> None:
         self._ring = ring
         self._error: str | None = None
+        self._frames = 0  # of the batch that is written
         self._path = Path(config["path"])
         try:
             self._file: Any = can.Logger(self._path)
@@ -43,7 +44,7 @@ class TraceWriter:
         """Write the rest and close the file."""
         self._write_until(self._ring.head)
         self._attempt(self._file.stop)
-        return {"rows_written": self._ring.saved, "error": self._error}
+        return {"frames_written": self._ring.lines_saved, "error": self._error}
 
     def close(self) -> None:
         """Do nothing: nothing is left to release."""
@@ -55,12 +56,16 @@ class TraceWriter:
             # After the first failure frames are only discarded, so that the run never waits.
             if self._error is None and self._attempt(partial(self._write, table)):
                 self._ring.release(end)
+                self._ring.add_lines_saved(self._frames)
             else:
                 self._ring.give_up(end)
 
     def _write(self, table: Any) -> None:
+        self._frames = 0
         for row in table:
-            self._file.on_message_received(can.Message(**packing.unpack(row)))
+            for message in packing.unpack(row.tobytes()):
+                self._file.on_message_received(can.Message(**message))
+                self._frames += 1
         # Keeps the file valid up to here if the machine or this process dies. A BLF file is written in blocks.
         self._file.file.flush()
 
