@@ -49,6 +49,12 @@ BENCHES = (
         (
             Row("tick: loop of FMPy, cantools, python-can, NumPy, in ours", ("not recorded", "ratio"), AT_LEAST, 8, 5),
             Row("the same with rr.log for each signal, ours recorded", ("recorded", "ratio"), AT_LEAST, 25, 20),
+            Row(
+                "a tick with a frame fault armed for later", ("frame fault, armed for later", "of_plain"), AT_MOST, 2, 3
+            ),
+            Row("a tick with a frame fault on feedback", ("frame fault on feedback", "of_plain"), AT_MOST, 2, 3),
+            Row("a tick with latency of 2 + 2 ms", ("latency of 2 + 2 ms", "of_plain"), AT_MOST, 2, 3),
+            Row("a tick with a trace", ("trace", "of_plain"), AT_MOST, 2, 3),
         ),
     ),
     Bench(

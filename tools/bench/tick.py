@@ -5,6 +5,8 @@ the wire, beside ``naive_loop``: FMPy's class, cantools, python-can's virtual bu
 without and with a recording, all in turns. A tick reaches from one exchange with the robot to the next. Ratios are of
 the 10th percentiles, the ticks in which nobody else had the processor or its caches; of the turns the least counts.
 Both loops have to be on the circle at the end.
+
+Under conditions of the link, or with a trace, a tick is compared with ours without, in the same turns.
 """
 
 import argparse
@@ -12,9 +14,10 @@ import contextlib
 import json
 import tempfile
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import NamedTuple
+from types import MappingProxyType
+from typing import Any, NamedTuple
 
 import numpy as np
 from rich.console import Console
@@ -33,6 +36,20 @@ SCENARIO = "paper_circle"
 FIRST = 600  # ticks that do not count
 ON_THE_CIRCLE_M = 0.02
 WAYS = ("not recorded", "recorded")
+_NOTHING: Mapping[str, Any] = MappingProxyType({})
+_LATER = {"start_s": 1000.0}
+# Without latency the robot stays on the circle even if some commands or feedback are lost.
+CONDITIONS: Mapping[str, Mapping[str, Any]] = {
+    "frame fault, armed for later": {"fault": [{"kind": "drop", "target": "command", "value": 0.05, **_LATER}]},
+    "freeze, armed for later": {"fault": [{"kind": "freeze", "target": "feedback", **_LATER}]},
+    "frame fault on commands": {"fault": [{"kind": "drop", "target": "command", "value": 0.05}]},
+    "frame fault on feedback": {"fault": [{"kind": "drop", "target": "feedback", "value": 0.01}]},
+    "frame fault on a message": {"fault": [{"kind": "mute", "target": "STATUS"}]},
+    "jitter of feedback": {"fault": [{"kind": "jitter", "target": "feedback", "value": 0.003}]},
+    "latency of 2 + 2 ms": {"link.command_latency_s": 0.002, "link.feedback_latency_s": 0.002},
+    "trace": {},
+}
+"""What to set for each; ``trace`` also writes one."""
 
 
 class Turn(NamedTuple):
@@ -52,6 +69,9 @@ def main() -> None:
     options = parser.parse_args()
     figures = measure(options.turns, options.seconds, options.naive_seconds)
     print_figures(figures)
+    under = measure_conditions(options.turns, options.seconds)
+    print_conditions(under)
+    figures |= under
     if options.json is not None:
         options.json.write_text(json.dumps(figures, indent=2) + "\n", encoding="utf-8")
 
@@ -76,8 +96,24 @@ def measure(turns: int, seconds: float, naive_seconds: float) -> dict[str, dict[
     return figures
 
 
-def ours(seconds: float, record: Path | None) -> Turn:
-    """Run the bridge, as ``hil run`` does with and without a recording."""
+def measure_conditions(turns: int, seconds: float) -> dict[str, dict[str, float]]:
+    """Return for each of ``CONDITIONS`` what a tick takes, and how many times a plain one."""
+    taken: dict[str, list[Turn]] = {name: [] for name in ("plain", *CONDITIONS)}
+    with tempfile.TemporaryDirectory() as folder:
+        for _ in range(turns):
+            for name, some in taken.items():
+                trace = Path(folder, "bus.blf") if name == "trace" else None
+                some.append(ours(seconds, None, trace, CONDITIONS.get(name, {})))
+    p10_us = {name: min(turn.p10_us for turn in some) for name, some in taken.items()}
+    p50_us = {name: min(turn.p50_us for turn in some) for name, some in taken.items()}
+    return {
+        name: {"p10_us": p10_us[name], "p50_us": p50_us[name], "of_plain": p10_us[name] / p10_us["plain"]}
+        for name in taken
+    }
+
+
+def ours(seconds: float, record: Path | None, trace: Path | None = None, changes: Mapping[str, Any] = _NOTHING) -> Turn:
+    """Run the bridge, as ``hil run`` does with and without a recording and a trace. ``changes`` are of the scenario."""
     stamps_ns: list[int] = []
 
     @contextlib.contextmanager
@@ -93,11 +129,11 @@ def ours(seconds: float, record: Path | None) -> Turn:
             robot.plant.truth = stamped_truth  # type: ignore[method-assign]
             yield robot
 
-    result = run_scenario(
-        _scenario(seconds), RunOptions(record=record, existing="replace", make_robot=stamped_robot, keep_signals=False)
-    )
-    if not result.passed:
-        raise SystemExit(f"the run failed: {result.failure or result.metrics['expect'][0]['text']}")
+    options = RunOptions(record=record, trace=trace, existing="replace", make_robot=stamped_robot, keep_signals=False)
+    result = run_scenario(_scenario(seconds, changes), options)
+    end = result.metrics["expect"][0]
+    if result.failure is not None or not end["passed"]:  # a fault that was not applied also fails a run
+        raise SystemExit(f"the run failed: {result.failure or end['text']}")
     # What follows is the stop, in which no law is asked.
     return _turn(stamps_ns[: round(seconds * result.scenario.loop.rate_hz)])
 
@@ -122,9 +158,10 @@ def _turn(stamps_ns: list[int]) -> Turn:
     return Turn(float(p10_us), float(p50_us))
 
 
-def _scenario(seconds: float) -> Scenario:
+def _scenario(seconds: float, changes: Mapping[str, Any] = _NOTHING) -> Scenario:
     at_the_end = {"signal": "error.planar_m", "below": ON_THE_CIRCLE_M, "from_s": seconds - 0.01}
-    return load(SCENARIO, mode="lockstep", link="memory:", set={"loop.duration_s": seconds, "expect": [at_the_end]})
+    changed = {"loop.duration_s": seconds, "expect": [at_the_end], **changes}
+    return load(SCENARIO, mode="lockstep", link="memory:", set=changed)
 
 
 def print_figures(figures: dict[str, dict[str, float]]) -> None:
@@ -133,6 +170,14 @@ def print_figures(figures: dict[str, dict[str, float]]) -> None:
     for name, row in figures.items():
         took = [f"{row[f'{way}_{percentile}']:.1f}" for percentile in ("p50_us", "p10_us") for way in ("ours", "naive")]
         table.add_row(name, *took, f"{row['ratio']:.1f}")
+    Console().print(table)
+
+
+def print_conditions(figures: dict[str, dict[str, float]]) -> None:
+    """Print the table of the conditions."""
+    table = Table("conditions", "p50", "p10", "of a plain one", title="a tick, µs")
+    for name, row in figures.items():
+        table.add_row(name, f"{row['p50_us']:.1f}", f"{row['p10_us']:.1f}", f"{row['of_plain']:.2f}")
     Console().print(table)
 
 
