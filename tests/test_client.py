@@ -305,3 +305,13 @@ def test_only_a_message_of_the_protocol_is_added(number: int, payload: bytes) ->
     with pytest.raises(ValueError, match="cannot be sent"):
         client.add(number, payload)
     assert sent(client) == []
+
+
+def test_the_tick_of_a_robot_that_may_be_another_is_asked_for_as_the_first_time() -> None:
+    client = new_client()
+    client.step(5)
+    take(client, [codec.encode(m.StepDone(5))])
+    assert (client.view.tick, sent(client)) == (5, [m.Step(0, 5)])
+    client.begin(2)
+    client.step(0)
+    assert sent(client) == [m.Step(0, 0)]

@@ -217,6 +217,7 @@ void wheel_client_begin(wheel_client *client, uint16_t nonce) {
     client->is_asking = true;
     client->hello_ns = 0;
     client->view.nonce = nonce;
+    client->view.tick = 0; /* of this robot it is not known */
     forget_commands(client);
     wheel_feedback_restart(client);
 }
