@@ -85,11 +85,11 @@ def without_panels(root: Pane) -> rrb.Blueprint:
     return rrb.Blueprint(root, *panels, auto_views=False)
 
 
-def window(*, live: bool) -> rrb.VisibleTimeRange:
+def window(*, live: bool) -> rrb.VisibleTimeRanges:
     """Return the range of time that a view shows: the last ``LIVE_WINDOW_S`` seconds, or the whole run."""
     infinite, cursor = rrb.TimeRangeBoundary.infinite, rrb.TimeRangeBoundary.cursor_relative
     start, end = (cursor(seconds=-LIVE_WINDOW_S), cursor()) if live else (infinite(), infinite())
-    return rrb.VisibleTimeRange("t", start=start, end=end)
+    return rrb.VisibleTimeRanges([rrb.VisibleTimeRange("t", start=start, end=end)])
 
 
 class _Views:
@@ -180,7 +180,7 @@ class _Views:
             name=f"Robot: wheel forces {scale}, reference orange, error red",
             origin=SCENE,
             contents=f"{SCENE}/**",
-            overrides={f"{FLOOR}/{name}": [rrb.VisibleTimeRanges([self._window])] for name, _, _, _ in TRAILS},
+            overrides={f"{FLOOR}/{name}": [self._window] for name, _, _, _ in TRAILS},
             eye_controls=rrb.EyeControls3D(
                 position=(-0.7 * far, -0.55 * far, 0.75 * far),
                 look_target=(0.0, 0.0, 0.0),
@@ -195,7 +195,7 @@ class _Views:
             # From the root: a transform on the origin itself would not apply.
             origin="/",
             contents=f"{PLAN}/**",
-            overrides={f"{PLAN}/{name}": [rrb.VisibleTimeRanges([self._window])] for name, _, _, _ in TRAILS},
+            overrides={f"{PLAN}/{name}": [self._window] for name, _, _, _ in TRAILS},
         )
 
 
