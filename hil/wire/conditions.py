@@ -245,9 +245,19 @@ class ConditionedLink:
             else:
                 frames = self._in.pass_rows(frames, t_ns)
         if frames:
-            self._ready.append(Received(frames, stamp_ns))
+            self._add_ready(frames, stamp_ns)
         if late:
             self._in.hold(late, now_ns + self._feedback_latency_ns, self._in.latency_behind_rows)
+
+    def _add_ready(self, frames: Sequence[Frame], stamp_ns: int) -> None:
+        """Make frames available, together with those of the same time before them."""
+        ready = self._ready
+        if ready and ready[-1].stamp_ns == stamp_ns and type(frames) is PackedFrames:
+            before = ready[-1].frames
+            if type(before) is PackedFrames:
+                ready[-1] = Received(PackedFrames(before.packed + frames.packed), stamp_ns)
+                return
+        ready.append(Received(frames, stamp_ns))
 
     def _undamaged(self, bus: BusFaults, frames: Sequence[Frame], t_ns: int | None) -> Sequence[Frame]:
         """Return the frames that arrive over a bus with faults."""

@@ -50,6 +50,11 @@ class ScenarioTime:
         return t_ns + (self._origin_ns or 0)
 
 
+def _whole_ticks(seconds: float) -> int:
+    """Return a time in whole ticks, rounded up [ns]."""
+    return -(-round(seconds * 1e9) // TICK_NS) * TICK_NS
+
+
 class LinkFault:
     """A row that acts on a link, with its own random generator.
 
@@ -71,6 +76,7 @@ class LinkFault:
         self.is_of_one_message = self._message is not None
         self.header = b""
         self.delays = row.kind in ("delay", "jitter")
+        self._delay_ns = _whole_ticks(row.value) if self.delays else 0
         if self._message is not None and protocol.senders is not None:
             number = next(number for number, name in protocol.names.items() if name == self._message)
             self._direction = _DIRECTION_OF[protocol.senders[number]]
@@ -120,10 +126,9 @@ class LinkFault:
 
     def delay_ns(self) -> int:
         """Return the delay of a frame by a row that ``delays``, in force: whole ticks, like robot time in lockstep."""
-        seconds = self.row.value * (self.chance.random() if self.kind == "jitter" else 1.0)
-        ticks = -(-round(seconds * 1e9) // TICK_NS)
-        self.applied += ticks > 0
-        return ticks * TICK_NS
+        delay_ns = _whole_ticks(self.row.value * self.chance.random()) if self.kind == "jitter" else self._delay_ns
+        self.applied += delay_ns > 0
+        return delay_ns
 
     def due(self, t_ns: int) -> range:
         """Count the frames that a babble sends now to keep its rate since its window began; return their numbers.
