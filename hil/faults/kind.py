@@ -51,7 +51,9 @@ def generators(rows: Sequence[FaultRow], seed: int) -> list[random.Random]:
 SignalEffect: TypeAlias = Callable[[float, int], float]
 """Takes a signal's value and the scenario's time [ns] inside the window; returns the value that is seen instead."""
 FrameEffect: TypeAlias = Callable[[str, list[Frame]], list[Frame]]
-"""Takes a direction, "command" or "feedback", and a frame with its copies; returns the frames to pass on."""
+"""Takes a direction, "command" or "feedback", and a frame with its copies; returns the frames to pass on, in a new list
+unless they are the same.
+"""
 
 
 class Quantity(NamedTuple):
