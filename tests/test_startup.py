@@ -5,6 +5,7 @@ import sys
 
 import pytest
 
+from hil.core.subprocesses import child_environment
 from tests.processes import environment
 
 _HELP = "from hil.cli.main import app\ntry: app(['--help'])\nexcept SystemExit: pass"
@@ -45,3 +46,10 @@ def test_the_libraries_are_loaded_without_a_parser_of_c() -> None:
 
 def test_a_run_imports_no_viewer_no_plots_and_no_tables() -> None:
     assert not _imported("import hil.runtime.assembly") & {"fmpy", "matplotlib", "pandas", "pyarrow", "rerun", "scipy"}
+
+
+def test_numpy_starts_no_threads_unless_the_user_wants_some(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv("OPENBLAS_NUM_THREADS", raising=False)
+    assert child_environment()["OPENBLAS_NUM_THREADS"] == "1"
+    monkeypatch.setenv("OPENBLAS_NUM_THREADS", "4")
+    assert child_environment()["OPENBLAS_NUM_THREADS"] == "4"

@@ -13,6 +13,7 @@ import typer
 from hil.cli.commands import Commands
 from hil.cli.output import drop_output, flush_output
 from hil.core.errors import BadInputError, HilError
+from hil.core.subprocesses import one_thread_a_process
 
 app = typer.Typer(
     cls=Commands,
@@ -36,6 +37,7 @@ _GC_THRESHOLD = 100_000
 def main() -> None:
     """Entry point. A HilError is printed as one sentence on stderr, and gives the exit code."""
     gc.set_threshold(_GC_THRESHOLD)
+    one_thread_a_process()
     try:
         try:
             app(prog_name="hil", standalone_mode=True)
