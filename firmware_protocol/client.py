@@ -13,6 +13,8 @@ from firmware_protocol.host import library
 
 FourNumbers = tuple[float, float, float, float]
 
+MOST_TICKS = 1000
+"""The most that one STEP runs (wheel.dbc, STEP.substeps)."""
 _LOG_BYTES = 1 << 15
 _NO_TIME = -1
 
@@ -105,8 +107,9 @@ class Client:
             raise ValueError(f"message {number:#05x} of {len(payload)} bytes cannot be sent")
 
     def step(self, ticks: int) -> None:
-        """Lockstep: add a STEP of so many ticks; 0 asks for the robot's tick."""
-        self._fast.ask(self.address, ticks)
+        """Lockstep: add a STEP of so many ticks; 0 asks for the robot's tick. Raises ValueError for more than 1000."""
+        if ticks > MOST_TICKS or not self._fast.ask(self.address, ticks):
+            raise ValueError(f"STEP of {ticks} ticks cannot be sent; expected at most {MOST_TICKS}")
 
     def step_again(self) -> None:
         """Add the same STEP again, because no answer came."""

@@ -115,6 +115,7 @@ def _header_lines(schema: Schema) -> Iterator[str]:
     yield "#define WHEEL_MESSAGES_H"
     yield ""
     yield from ("#include <stdbool.h>", "#include <stddef.h>", "#include <stdint.h>", "")
+    yield from ("#ifdef __cplusplus", 'extern "C" {', "#endif", "")
     yield f"#define WP_PROTOCOL_VERSION {schema.version}u"
     yield f"#define WP_SCHEMA_HASH 0x{schema.hash():08X}u"
     yield f"#define WP_PAYLOAD_MAX {MAX_PAYLOAD}u"
@@ -157,7 +158,7 @@ def _header_lines(schema: Schema) -> Iterator[str]:
         yield f"{_encode_signature(m)};"
         yield f"{_decode_signature(m)};"
     yield ""
-    yield "#endif"
+    yield from ("#ifdef __cplusplus", "}", "#endif", "", "#endif")
 
 
 def _comment(text: str) -> list[str]:

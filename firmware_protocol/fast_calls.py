@@ -24,6 +24,8 @@ _NEEDED = (
     "PyFloat_FromDouble",
     "PyLong_FromLongLong",
     "PyBool_FromLong",
+    "PyEval_SaveThread",
+    "PyEval_RestoreThread",
     "PyBytes_FromStringAndSize",
     "PyBytes_AsStringAndSize",
     "Py_DecRef",
@@ -68,8 +70,9 @@ def fast_calls() -> FastCalls:
     ffi, lib = library()
     needed = {name: ctypes.cast(getattr(ctypes.pythonapi, name), ctypes.c_void_p).value for name in _NEEDED}
     lib.wheel_python_begin(ffi.new("wheel_python *", {name: ffi.cast("void *", at) for name, at in needed.items()}))
-    make = ctypes.pythonapi.PyCFunction_NewEx
-    make.restype, make.argtypes = ctypes.py_object, (ctypes.c_void_p, ctypes.c_void_p, ctypes.c_void_p)
+    make = ctypes.PYFUNCTYPE(ctypes.py_object, ctypes.c_void_p, ctypes.c_void_p, ctypes.c_void_p)(
+        ("PyCFunction_NewEx", ctypes.pythonapi)
+    )
     functions = []
     for name in FastCalls._fields:
         start = address_of(ffi.addressof(lib, f"wheel_python_{name}"))

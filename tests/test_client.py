@@ -8,6 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from firmware_protocol import codec
+from firmware_protocol.client import Client
 from firmware_protocol.framing import Frame, pack
 from firmware_protocol.generated import messages as m
 from firmware_protocol.host import library
@@ -169,14 +170,11 @@ def test_every_row_of_the_table_of_arming_is_the_twins() -> None:
 
 
 def test_an_estop_is_sent_whatever_waits() -> None:
-    client = new_client()
-    hello = m.HelloRequest.ID, bytes([m.PROTOCOL_VERSION])
-    for _ in range(1024 // 4):
-        client.add(*hello)
+    client = full()
     with pytest.raises(ValueError, match="cannot be sent"):
-        client.add(*hello)
+        client.add(m.HelloRequest.ID, bytes([m.PROTOCOL_VERSION]))
     client.estop()
-    assert sent(client) == [m.Estop(1, 0)]
+    assert (client.view.sent, sent(client)) == (1, [m.Estop(1, 0)])
     client.request(m.Request.IDLE, 0)
     assert len(sent(client)) == 1
 
@@ -184,7 +182,8 @@ def test_an_estop_is_sent_whatever_waits() -> None:
 def test_a_request_and_a_step_that_the_protocol_lacks_change_nothing() -> None:
     client = new_client()
     client.request(9, 0)  # type: ignore[arg-type]
-    client.step(1001)
+    with pytest.raises(ValueError, match="expected at most 1000"):
+        client.step(1001)
     client.poll(10**12)
     assert (sent(client), client.view.request) == ([], m.Request.IDLE)
 
@@ -193,6 +192,43 @@ def test_frames_of_another_protocol_are_counted() -> None:
     client = new_client()
     assert take(client, [Frame(0x123, b"12"), Frame(0xFFFF, bytes(64))]) == []
     assert (client.view.out_of_range, client.view.received) == (2, 0)
+
+
+def full() -> Client:
+    """Return a client in which nothing more has room."""
+    client, lib = new_client(), library()[1]
+    while lib.wheel_client_add(client.handle, m.HelloRequest.ID, bytes([m.PROTOCOL_VERSION]), 1):
+        pass
+    return client
+
+
+def test_a_stop_takes_the_place_of_what_waits_and_another_request_has_to_wait() -> None:
+    client, lib = full(), library()[1]
+    assert not lib.wheel_client_request(client.handle, m.Request.ARM, 0)
+    assert not lib.wheel_client_step(client.handle, 1)
+    assert (client.view.request, client.view.step) == (m.Request.IDLE, NONE)
+    assert lib.wheel_client_request(client.handle, m.Request.IDLE, 0)
+    assert sent(client) == [m.HostHeartbeat(1, m.SCHEMA_HASH, m.Request.IDLE, m.Mode.SPEED, 0x5A)]
+
+
+def test_what_waits_when_the_robot_is_left_counts_for_nothing() -> None:
+    client = new_client()
+    client.command(REST, REST, 0)
+    client.leave()
+    assert (client.view.sent, client.view.out_bytes, sent(client)) == (0, 0, [])
+    assert client.hexdigest() == digest([], [])
+
+
+def test_a_log_begun_anew_has_nothing_to_take_back() -> None:
+    client, (ffi, lib) = new_client(), library()
+    logs = [ffi.new("uint8_t[]", 4096) for _ in range(4)]
+    lib.wheel_client_log(client.handle, logs[0], logs[1], 4096)
+    client.command(REST, REST, 0)
+    lib.wheel_client_log(client.handle, logs[2], logs[3], 4096)
+    client.unsent()
+    used = ffi.new("size_t[2]")
+    lib.wheel_client_log_take(client.handle, used)
+    assert list(used) == [0, 0]
 
 
 @pytest.mark.parametrize("number", sorted(m.LENGTHS))

@@ -99,6 +99,16 @@ def test_a_foreign_fmu_takes_down_the_run_in_order(
     assert event.level == "ERROR"
 
 
+def test_a_foreign_fmu_that_hangs_in_a_step_of_one_call_is_ended_too(
+    flawed: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Where a step is one call of the library, the threads that watch the plant still get their turn."""
+    monkeypatch.setenv("FLAW", "hang 0.5")
+    done = hil("run", "paper_circle", *sets(flawed), "--record", "none")
+    assert done.returncode == 3
+    assert FLAWS["hang"] in done.stderr
+
+
 def test_what_a_chatty_fmu_prints_is_recorded_in_part_and_disturbs_nothing(
     flawed: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

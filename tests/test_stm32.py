@@ -11,7 +11,8 @@ from firmware_protocol.framing import Framer
 from firmware_protocol.generated import messages as m
 from firmware_protocol.host import parameter_hash
 from hil.core.clock import LockstepClock
-from hil.core.errors import BadInputError, DeviceError
+from hil.core.errors import BadInputError, DeviceError, RobotStoppedError
+from hil.core.ports import Received
 from hil.core.types import ZERO_WHEELS, CommandMode, WheelCommand
 from hil.robot.handshake import Expected
 from hil.robot.stm32 import Stm32
@@ -33,7 +34,7 @@ class Line(DirectStream):
         self._rig = rig
         self._said = b""
 
-    def says(self, message: m.StepDone) -> None:
+    def says(self, message: codec.Message) -> None:
         """Let another robot send something."""
         self._said += Framer().encode(codec.encode(message))
 
@@ -159,6 +160,37 @@ def test_the_second_answer_to_a_step_sent_twice_is_ignored():
         return device.wire_sha256()
 
     assert run(twice=True) == run(twice=False)
+
+
+def test_a_robot_that_was_refused_is_not_armed() -> None:
+    rig = WheelRig(lockstep=True)
+    device, clock = driver(rig, allow_motion=True)
+    device.connect()
+    device.attend(clock)
+    device._expected = device._expected._replace(parameter_hash=1)
+    device.begin_again()
+    with pytest.raises(BadInputError, match="firmware parameters"):
+        device.greeted()
+    with pytest.raises(RobotStoppedError, match="it is not armed"):
+        device.armed()
+    assert rig.node.look().state is m.State.IDLE
+
+
+def test_feedback_from_before_a_loss_does_not_come_back() -> None:
+    line = Line(rig := WheelRig(lockstep=True))
+    device, clock = driver(rig, line=line)
+    device.connect()
+    device.attend(clock)
+    clock.wait_until(PERIOD_NS)
+    for message in (m.Tick(7000, 0, 0, m.State.ACTIVE, 1, 9), m.Encoders(1, 2, 3, 4), m.StepDone(7)):
+        line.says(message)
+    with pytest.raises(RobotStoppedError, match="at tick 7"):
+        clock.wait_until(2 * PERIOD_NS)
+    assert device.feedback is not None
+    assert device.feedback.encoder_count == (1, 2, 3, 4)
+    device.leave()
+    device._channel.take(Received([codec.encode(m.Power(12.0, 1.0))], 0))
+    assert device.feedback is None
 
 
 def test_a_round_trip_ends_with_the_tick_that_says_so_even_without_its_snapshot():

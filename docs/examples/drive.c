@@ -18,30 +18,30 @@ static void receive(int port, int64_t now_ns) {
     size_t used = 0;
     const ssize_t count = read(port, bytes, sizeof bytes);
     wheel_line_feed(&line, bytes, count > 0 ? (size_t)count : 0u, packed, &used);
-    for (size_t at = 0; at < used;) {
+    for (size_t at = 0; at < used;)
         at = wheel_client_take(&client, packed, at, used, now_ns);
-    }
 }
 
 int main(int count, char **words) {
     uint8_t bytes[WHEEL_LINE_GROWTH * WHEEL_CLIENT_OUT];
     struct termios settings;
     const int port = count == 2 ? open(words[1], O_RDWR | O_NOCTTY | O_NONBLOCK) : -1;
-    if (port < 0 || tcgetattr(port, &settings) != 0) {
+    if (port < 0 || tcgetattr(port, &settings) != 0)
         return fprintf(stderr, "usage: drive PORT, a serial port that can be opened\n"), 2;
-    }
-    cfmakeraw(&settings);
-    tcsetattr(port, TCSANOW, &settings);
-    wheel_line_init(&line);
-    wheel_client_init(&client, WP_MODE_SPEED, 0, 0);
-    wheel_client_begin(&client, (uint16_t)time(NULL)); /* a nonce that the robot has not seen */
-    int driven = -1;                                   /* periods since the robot was ACTIVE */
+    cfmakeraw(&settings), cfsetspeed(&settings, B921600), tcsetattr(port, TCSANOW, &settings);
+    wheel_line_init(&line), wheel_client_init(&client, WP_MODE_SPEED, 0, 0);
+    uint16_t nonce = (uint16_t)time(NULL); /* one that the robot has not seen */
+    wheel_client_begin(&client, nonce);
+    int driven = -1; /* periods since the robot was ACTIVE */
     for (int64_t now_ns = 0; now_ns < 500LL * PERIOD_NS; now_ns += PERIOD_NS) {
         receive(port, now_ns);
-        client.parameter_check = (uint8_t)client.robot.parameters.parameter_hash; /* whatever it has */
+        wheel_client_expect(&client, (uint8_t)client.robot.parameters.parameter_hash); /* whatever it has */
         wheel_client_poll(&client, now_ns);
         if (driven < 0) {
-            driven = wheel_client_arm(&client, now_ns) == WHEEL_ARMING_DONE ? 0 : -1;
+            const uint8_t step = wheel_client_arm(&client, now_ns);
+            driven = step == WHEEL_ARMING_DONE ? 0 : -1;
+            if (step == WHEEL_ARMING_NEW_NONCE)
+                wheel_client_renew(&client, ++nonce);
         } else if (driven++ < 100) {
             wheel_client_command(&client, forward, nothing, now_ns);
         } else if (client.view.request != WP_REQUEST_IDLE) {

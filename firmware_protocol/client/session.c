@@ -138,39 +138,48 @@ int wheel_client_command(wheel_client *client, const double speed_rad_s[4], cons
     return sequence;
 }
 
+/* Adds a frame that stops the robot in the place of all that waits, even if the log is full. */
+static void replace_all(wheel_client *client, uint16_t id, const uint8_t *payload, size_t length) {
+    wheel_client_unsent(client);
+    if (!add(client, id, payload, length, true)) {
+        add(client, id, payload, length, false);
+    }
+}
+
 void wheel_client_estop(wheel_client *client) {
     uint8_t payload[WP_ESTOP_LENGTH];
     client->view.request = WP_REQUEST_IDLE;
     wp_estop_encode(&(wp_estop){.source = ESTOP_BY_HOST}, payload);
     if (!add(client, WP_ESTOP_ID, payload, sizeof payload, true)) {
-        /* Nothing that waits matters now, nor does a log that is full. */
-        wheel_client_unsent(client);
-        add(client, WP_ESTOP_ID, payload, sizeof payload, false);
+        replace_all(client, WP_ESTOP_ID, payload, sizeof payload);
     }
 }
 
-static void add_step(wheel_client *client, bool is_counted) {
+static bool add_step(wheel_client *client, uint32_t from, uint16_t ticks, bool is_counted) {
     uint8_t payload[WP_STEP_LENGTH];
-    if (wp_step_encode(&(wp_step){.tick = client->step_from, .substeps = client->step_ticks}, payload)) {
-        add(client, WP_STEP_ID, payload, sizeof payload, is_counted);
+    return wp_step_encode(&(wp_step){.tick = from, .substeps = ticks}, payload) &&
+           add(client, WP_STEP_ID, payload, sizeof payload, is_counted);
+}
+
+bool wheel_client_step(wheel_client *client, uint16_t ticks) {
+    wheel_view *view = &client->view;
+    if (!add_step(client, view->tick, ticks, true)) {
+        return false;
     }
-}
-
-void wheel_client_step(wheel_client *client, uint16_t ticks) {
-    client->step_from = client->view.tick;
+    client->step_from = view->tick;
     client->step_ticks = ticks;
-    client->view.step_target = client->step_from + ticks;
-    client->view.step = WHEEL_STEP_AWAITED;
-    add_step(client, true);
+    view->step_target = view->tick + ticks;
+    view->step = WHEEL_STEP_AWAITED;
+    return true;
 }
 
-void wheel_client_step_again(wheel_client *client) {
-    add_step(client, false);
+bool wheel_client_step_again(wheel_client *client) {
+    return add_step(client, client->step_from, client->step_ticks, false);
 }
 
 /* The session */
 
-void wheel_client_request(wheel_client *client, uint8_t request, int64_t now_ns) {
+bool wheel_client_request(wheel_client *client, uint8_t request, int64_t now_ns) {
     uint8_t payload[WP_HOST_HEARTBEAT_LENGTH];
     const wp_host_heartbeat heartbeat = {
         .nonce = client->view.nonce,
@@ -180,14 +189,20 @@ void wheel_client_request(wheel_client *client, uint8_t request, int64_t now_ns)
         .parameter_check = client->parameter_check,
     };
     if (!wp_host_heartbeat_encode(&heartbeat, payload)) {
-        return;
+        return false;
+    }
+    if (!add(client, WP_HOST_HEARTBEAT_ID, payload, sizeof payload, true)) {
+        if (request != WP_REQUEST_IDLE) {
+            return false;
+        }
+        replace_all(client, WP_HOST_HEARTBEAT_ID, payload, sizeof payload); /* a stop is not lost */
     }
     client->view.request = request;
     if (now_ns >= 0) {
         client->has_heartbeat = true;
         client->heartbeat_ns = now_ns + HEARTBEAT_NS;
     }
-    add(client, WP_HOST_HEARTBEAT_ID, payload, sizeof payload, true);
+    return true;
 }
 
 bool wheel_client_poll(wheel_client *client, int64_t now_ns) {
@@ -209,7 +224,8 @@ void wheel_client_leave(wheel_client *client) {
     client->view.is_greeted = client->view.has_feedback = false;
     client->has_heartbeat = client->has_status = client->is_asking = false;
     client->pages = 0;
-    wheel_client_sent(client); /* a command from before must not follow a new arming */
+    client->view.step = WHEEL_STEP_NONE;
+    wheel_client_unsent(client); /* a command from before must not follow a new arming */
 }
 
 void wheel_client_begin(wheel_client *client, uint16_t nonce) {
@@ -220,6 +236,10 @@ void wheel_client_begin(wheel_client *client, uint16_t nonce) {
     client->view.tick = 0; /* of this robot it is not known */
     forget_commands(client);
     wheel_feedback_restart(client);
+}
+
+void wheel_client_expect(wheel_client *client, uint8_t parameter_check) {
+    client->parameter_check = parameter_check;
 }
 
 void wheel_client_renew(wheel_client *client, uint16_t nonce) {
@@ -291,6 +311,8 @@ void wheel_client_log(wheel_client *client, uint8_t *sent, uint8_t *received, si
     client->sent_log = (wheel_log){sent, 0};
     client->received_log = (wheel_log){received, 0};
     client->log_capacity = capacity;
+    client->out_logged = 0;
+    client->view.log_is_due = false;
 }
 
 size_t wheel_log_add(wheel_client *client, wheel_log *log, const uint8_t *packed, size_t size) {

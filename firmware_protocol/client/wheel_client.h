@@ -7,7 +7,8 @@
  *     serial   `wheel_line` (wheel_line.h) turns frames into bytes, and bytes into frames
  *
  * Frames are packed one after the other: id16 little-endian, length8, payload. A program that drives a
- * robot does this once a period, with the time of any clock that does not jump [ns]:
+ * robot calls wheel_client_init and wheel_client_begin, and then this once a period, with the time of any
+ * clock that does not jump [ns]:
  *
  *     wheel_client_take(client, packed, 0, used, now_ns)   what has arrived; again while it stops early
  *     wheel_client_poll(client, now_ns)                    HELLO and heartbeat, when they are due
@@ -16,7 +17,7 @@
  *     wheel_client_out(client), wheel_client_sent(client)  the frames to send
  *
  * and ends with wheel_client_request(client, WP_REQUEST_IDLE, now_ns). The robot stops by itself when no
- * command comes (HELLO_PARAMETERS.watchdog_ms). examples/drive.c is such a program.
+ * command comes (HELLO_PARAMETERS.watchdog_ms). docs/examples/drive.c is such a program.
  *
  * The host's session, and what changes it:
  *
@@ -37,7 +38,7 @@
  *
  * The robot arms on the change from IDLE to ARM, so IDLE is always sent first.
  *
- * A client may be copied and moved. It is used by one thread at a time.
+ * A client without a log may be copied and moved. It is used by one thread at a time.
  */
 #ifndef WHEEL_CLIENT_H
 #define WHEEL_CLIENT_H
@@ -48,10 +49,14 @@
 
 #include "../generated/wheel_messages.h"
 
+#ifdef __cplusplus
+extern "C" {
+#endif
+
 /* cffi: begin */
 /* What is known of the robot: read it, never write it. Wheels are in the robot's order, FL, FR, RR, RL. The
  * first part is the newest snapshot of feedback: all its values are of one sampling instant, except those
- * that come at a lower rate. The order of the members leaves no padding. */
+ * that come at a lower rate. */
 typedef struct {
     uint64_t robot_time_us; /* the robot's clock at that instant; does not wrap after the first snapshot */
     int64_t round_trip_ns;  /* newest time from a command to the first TICK that reports it in force */
@@ -60,10 +65,10 @@ typedef struct {
     uint8_t state;            /* enum wp_state */
     uint8_t command_sequence; /* of the command in force, and its age */
     uint8_t command_age_ms;
-    bool has_feedback; /* whether there is a snapshot, since the last wheel_client_leave */
+    bool has_feedback; /* whether a snapshot came since wheel_client_leave; if not, these are old */
     uint32_t snapshots;
     uint32_t round_trips; /* how many there were */
-    uint32_t slow;        /* snapshots that brought some of the following */
+    uint32_t slow;        /* snapshots that brought currents, acceleration or yaw rate */
 
     /* At a lower rate: these hold their last value, and are NaN before the first. */
     float current_a[4];
@@ -130,7 +135,9 @@ const wheel_view *wheel_client_view(const wheel_client *client);
 
 /* Takes packed frames from offset `begin` on; returns where the next one begins, or `end`. It stops behind
  * each message that is no part of a snapshot, and tells its id, so that the caller can look at it; a frame
- * that is no valid message is dropped. It also stops, without a message, before a log would overflow. */
+ * that is no valid message is dropped. It also stops, without a message, before a log
+ * would overflow, and goes on once wheel_client_log_take was called; and behind each frame while `step` is
+ * WHEEL_STEP_ELSEWHERE. */
 size_t wheel_client_take(wheel_client *client, const uint8_t *packed, size_t begin, size_t end,
                          int64_t now_ns);
 
@@ -147,9 +154,10 @@ uint8_t wheel_client_arm(wheel_client *client, int64_t now_ns);
 int wheel_client_command(wheel_client *client, const double speed_rad_s[4], const double torque_n_m[4],
                          int64_t now_ns);
 
-/* Sets what the heartbeats ask for (enum wp_request), and adds the first one. A negative time adds only that
- * one. */
-void wheel_client_request(wheel_client *client, uint8_t request, int64_t now_ns);
+/* Sets what the heartbeats ask for (enum wp_request), and adds the first one; with a negative time no other
+ * follows. Returns false, and changes nothing, if there is no room; IDLE then takes the place of all that
+ * waits. */
+bool wheel_client_request(wheel_client *client, uint8_t request, int64_t now_ns);
 
 /* Adds ESTOP: the robot stops at once and stays in ESTOP. Without room it takes the place of all that waits.
  */
@@ -158,17 +166,22 @@ void wheel_client_estop(wheel_client *client);
 /* Adds one message of another kind: HELLO_REQUEST, TIME_SYNC_REQUEST, or one for a robot's parameters. */
 bool wheel_client_add(wheel_client *client, uint16_t id, const uint8_t *payload, size_t length);
 
-/* Lockstep: adds a STEP of so many ticks, at most 1000, from `view.tick` on; 0 asks for the robot's tick. */
-void wheel_client_step(wheel_client *client, uint16_t ticks);
+/* Lockstep: adds a STEP of so many ticks, at most 1000, from `view.tick` on; 0 asks for the robot's tick.
+ * Returns false, and changes nothing, for more ticks or without room. */
+bool wheel_client_step(wheel_client *client, uint16_t ticks);
 
-/* Adds the same STEP again, because no answer came. A robot that has done it only repeats its answer. */
-void wheel_client_step_again(wheel_client *client);
+/* Adds the same STEP again, because no answer came. A robot that has done it only repeats its answer. Returns
+ * whether there was room. */
+bool wheel_client_step_again(wheel_client *client);
 
 /* Leaves the robot, because the link or the robot was lost. */
 void wheel_client_leave(wheel_client *client);
 
 /* Leaves the robot, and begins anew with one that may have been reset, or may be another. */
 void wheel_client_begin(wheel_client *client, uint16_t nonce);
+
+/* Sets the check of the parameters that the robot has to have, before it is armed. */
+void wheel_client_expect(wheel_client *client, uint8_t parameter_check);
 
 /* Begins another session with the same robot. */
 void wheel_client_renew(wheel_client *client, uint16_t nonce);
@@ -188,7 +201,8 @@ void wheel_client_unsent(wheel_client *client);
  * with the same log had the same session. */
 void wheel_client_log(wheel_client *client, uint8_t *sent, uint8_t *received, size_t capacity);
 
-/* Forgets what the logs hold; `bytes` becomes how much that was, sent and received. */
+/* Forgets what the logs hold; `bytes` becomes how much that was, sent and received. To be called while no
+ * frame waits to be sent: what waits is in the log already. */
 void wheel_client_log_take(wheel_client *client, size_t bytes[2]);
 /* cffi: end */
 
@@ -206,8 +220,8 @@ typedef struct {
     size_t used;
 } wheel_log;
 
-/* Complete here so that it can be a variable or a member; only `view`, `robot` and `status` are to be read.
- */
+/* Complete here so that it can be a variable or a member. Only `view`, `robot` and `status` are for others,
+ * and only to be read. */
 struct wheel_client {
     wheel_view view;
     wheel_robot robot;
@@ -248,5 +262,9 @@ struct wheel_client {
     wheel_log received_log;
     size_t log_capacity;
 };
+
+#ifdef __cplusplus
+}
+#endif
 
 #endif

@@ -10,6 +10,10 @@
 
 #include "../firmware/framing.h"
 
+#ifdef __cplusplus
+extern "C" {
+#endif
+
 /* cffi: begin */
 /* Both directions of a line. */
 typedef struct wheel_line wheel_line;
@@ -40,8 +44,8 @@ size_t wheel_line_encode(wheel_line *line, const uint8_t *packed, size_t length,
 #define WHEEL_LINE_GROWTH 3
 
 /* Copies packed frames in two groups, each in its order: those with an id below `limit`, then the others.
- * Returns where the others begin; `*used` becomes how many bytes were written, at most `length`. A frame that is
- * cut is not copied. `out` has room for `length` bytes. */
+ * Returns where the others begin; `*used` becomes how many bytes were written, at most `length`. A frame that
+ * is cut is not copied. `out` has room for `length` bytes. */
 size_t wheel_packed_split(const uint8_t *packed, size_t length, uint16_t limit, uint8_t *out, size_t *used);
 
 void wheel_line_count(const wheel_line *line, wheel_line_counts *counts);
@@ -52,5 +56,9 @@ struct wheel_line {
     wheel_deframer deframer;
     uint8_t sequence;
 };
+
+#ifdef __cplusplus
+}
+#endif
 
 #endif

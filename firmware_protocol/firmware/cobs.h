@@ -7,6 +7,10 @@
 #include <stddef.h>
 #include <stdint.h>
 
+#ifdef __cplusplus
+extern "C" {
+#endif
+
 /* Bytes that encoding `length` bytes takes at most. */
 #define WHEEL_COBS_MAX(length) ((length) + (length) / 254u + 1u)
 
@@ -15,5 +19,9 @@ size_t wheel_cobs_encode(const uint8_t *data, size_t length, uint8_t *encoded);
 
 /* Decodes in place and sets the length. False when the bytes are not an encoding; they are then undefined. */
 bool wheel_cobs_decode(uint8_t *bytes, size_t *length);
+
+#ifdef __cplusplus
+}
+#endif
 
 #endif

@@ -11,6 +11,10 @@
 #include "../generated/wheel_messages.h"
 #include "cobs.h"
 
+#ifdef __cplusplus
+extern "C" {
+#endif
+
 /* id, sequence, payload, CRC */
 #define WHEEL_FRAME_BODY_MAX (2u + 1u + WP_PAYLOAD_MAX + 2u)
 /* Bytes on the wire of the longest frame, with the zero: 15. */
@@ -48,5 +52,9 @@ bool wheel_deframer_feed(wheel_deframer *deframer, uint8_t byte, wheel_frame *fr
 /* Writes a frame with its zero and returns the number of bytes; 0 when the length is not the id's.
  * `sequence` counts the frames that this line has sent, wrapping. `out` holds WHEEL_FRAME_MAX bytes. */
 size_t wheel_frame_encode(const wheel_frame *frame, uint8_t sequence, uint8_t *out);
+
+#ifdef __cplusplus
+}
+#endif
 
 #endif

@@ -6,6 +6,10 @@
 #include <stddef.h>
 #include <stdint.h>
 
+#ifdef __cplusplus
+extern "C" {
+#endif
+
 #define WP_PROTOCOL_VERSION 2u
 #define WP_SCHEMA_HASH 0x8DC26BB0u
 #define WP_PAYLOAD_MAX 8u
@@ -664,5 +668,9 @@ typedef struct {
 
 bool wp_hello_fault_address_encode(const wp_hello_fault_address *message, uint8_t *payload);
 bool wp_hello_fault_address_decode(const uint8_t *payload, size_t length, wp_hello_fault_address *message);
+
+#ifdef __cplusplus
+}
+#endif
 
 #endif

@@ -5,7 +5,7 @@ import time
 from collections.abc import Callable
 from typing import Any
 
-from firmware_protocol.client import Client
+from firmware_protocol.client import MOST_TICKS, Client
 from firmware_protocol.codec import Message, decode
 from firmware_protocol.framing import PackedFrames, pack, packed_frame
 from firmware_protocol.generated import messages as m
@@ -56,20 +56,21 @@ class Channel:
     def forget(self) -> None:
         """Have no feedback until the next snapshot: the link or the robot was lost."""
         self.feedback = None
+        self._snapshots_seen = self._client.view.snapshots
 
     # What is sent
 
-    def flush(self) -> None:
-        """Send what waits in the client. To a robot in this thread the next step carries it, unless conditions act now.
+    def flush(self, *, everything: bool = False) -> None:
+        """Send what waits in the client. To a robot in this thread the next step carries it, unless conditions act now,
+        too much waits, or ``everything`` is to go.
 
         Raises LinkError when the link is lost; what waited is then forgotten.
         """
         view = self._client.view
-        if view.log_is_due:
-            self._client.hash_log()
         if not view.out_bytes:
             return
-        if self._direct is not None and view.out_bytes < _FULL and (self._is_plain or self._link.lets_commands_pass()):
+        may_wait = self._direct is not None and view.out_bytes < _FULL and not everything
+        if may_wait and (self._is_plain or self._link.lets_commands_pass()):
             return
         try:
             self._link.send_all(self._client.out())
@@ -77,12 +78,22 @@ class Channel:
             self._client.unsent()
             raise
         self._client.sent()
+        if view.log_is_due:
+            self._client.hash_log()
 
     def step(self, ticks: int) -> None:
         """Lockstep: run the robot for a number of ticks, and take all that it sends; 0 only asks for its tick.
 
         Raises RobotStoppedError when it does not answer within 2 s of wall-clock time, or is at another tick.
         """
+        if ticks > MOST_TICKS:
+            raise ValueError(f"a step of {ticks} ticks; expected at most {MOST_TICKS}")
+        try:
+            self._step(ticks)
+        finally:
+            self._renew_feedback()
+
+    def _step(self, ticks: int) -> None:
         direct, client = self._direct, self._client
         if direct is None:
             client.step(ticks)
@@ -101,7 +112,6 @@ class Channel:
                 self._take(ready.popleft())
             if client.view.step == _STEP_AWAITED:
                 self._await_step()
-        self._renew_feedback()
 
     def _await_step(self) -> None:
         view = self._client.view
@@ -115,15 +125,17 @@ class Channel:
                 raise RobotStoppedError("the robot did not answer STEP within 2 s of wall-clock time; it was lost")
             if received is None and now_ns - sent_ns > RETRY_NS:
                 self._client.step_again()
-                self.flush()
+                self.flush(everything=True)
                 sent_ns = now_ns
 
     # What arrives
 
     def take(self, received: Received) -> None:
         """Process frames that arrived together. Raises RobotStoppedError for a step that ended at a wrong tick."""
-        self._take(received)
-        self._renew_feedback()
+        try:
+            self._take(received)
+        finally:
+            self._renew_feedback()
 
     def _take(self, received: Received) -> None:
         frames, stamp_ns = received

@@ -29,7 +29,7 @@ from hil.wire.conditions import ConditionedLink
 
 _MOST_A_POLL = 200  # frames; a robot sends at most some ten a tick
 _AT_REST = (m.State.IDLE, m.State.FAULT, m.State.ESTOP)
-_ARMING_DONE, _ARMING_NEW_NONCE, _ARMING_STRANGER, _ARMING_REFUSED, _ARMING_LATCHED = 0, 4, 5, 6, 7
+_ARMING_DONE, _ARMING_NEW_NONCE, _ARMING_REFUSED, _ARMING_LATCHED = 0, 4, 6, 7
 
 
 class Stm32(LinkedDevice):
@@ -59,6 +59,7 @@ class Stm32(LinkedDevice):
         self._channel = Channel(link, self._client, wheel_map, self._on_message)
         self._greeting: Greeting | None = None
         self._info: RobotInfo | None = None
+        self._is_accepted = False  # since the link was opened, or lost
         self._next_sync_ns = 0
         self.report = RobotReport(wheel_map)
 
@@ -84,6 +85,7 @@ class Stm32(LinkedDevice):
                 "plug in the first one, or start a new run"
             )
         self._info = info  # the fault record and reset cause may be new
+        self._is_accepted = True
 
     @property
     def info(self) -> RobotInfo | None:
@@ -113,6 +115,7 @@ class Stm32(LinkedDevice):
         return True
 
     def leave(self) -> None:
+        self._is_accepted = False
         self._client.leave()
         self._channel.forget()
         self.report.status = None
@@ -136,15 +139,15 @@ class Stm32(LinkedDevice):
 
     def armed(self) -> bool:
         """Do the session's next step; return whether the robot is ACTIVE in our session."""
-        self.poll()
+        feedback = self.poll()
+        if not self._is_accepted and feedback is not None and feedback.state is m.State.IDLE:
+            raise RobotStoppedError("the robot has not answered HELLO since the link was lost; it is not armed")
         step = self._client.arm(self._now_ns())
         if step == _ARMING_NEW_NONCE:
             self.report.status = None
             self._client.renew(next(self._nonces))
             step = self._client.arm(self._now_ns())
         self._channel.flush()
-        if step == _ARMING_STRANGER:
-            raise RobotStoppedError("the robot has not answered HELLO since the link was lost; it is not armed")
         if step == _ARMING_REFUSED:
             assert self.report.status is not None
             refusal = m.ArmRefusal(self.report.status.arm_refusal).name

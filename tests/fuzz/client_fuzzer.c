@@ -109,7 +109,11 @@ static void call(wheel_client *client, uint8_t what, const double *values, int64
         wheel_client_unsent(client);
         break;
     case 14:
-        wheel_client_log_take(client, logged);
+        if ((what & 16u) != 0u) {
+            wheel_client_log(client, sent_log, received_log, LOG);
+        } else {
+            wheel_client_log_take(client, logged);
+        }
         break;
     default:
         wheel_client_sent(client);

@@ -41,7 +41,10 @@ void wheel_direct_receive(wheel_direct *direct, wheel_host *robot) {
 bool wheel_direct_step(wheel_direct *direct, wheel_host *robot, wheel_client *client, uint16_t ticks,
                        int64_t now_ns) {
     const wheel_view *known = wheel_client_view(client);
-    wheel_client_step(client, ticks);
+    if (!wheel_client_step(client, ticks)) {
+        direct->answer_at = direct->answer_bytes = 0;
+        return false;
+    }
     wheel_direct_send(direct, robot, wheel_client_out(client), known->out_bytes);
     wheel_client_sent(client);
     wheel_direct_receive(direct, robot);

@@ -62,7 +62,11 @@ void *wheel_python_step(void *self, void *const *arguments, ptrdiff_t count) {
     if (failed()) {
         return NULL;
     }
-    return python.PyBool_FromLong(wheel_direct_step(direct, robot, client, (uint16_t)ticks, now_ns));
+    /* A plant in a process of its own may take long, or hang: others must be able to end it. */
+    void *thread = python.PyEval_SaveThread();
+    const bool is_whole = wheel_direct_step(direct, robot, client, (uint16_t)ticks, now_ns);
+    python.PyEval_RestoreThread(thread);
+    return python.PyBool_FromLong(is_whole);
 }
 
 /* Returns a new tuple with room for `more` further items behind the whole numbers. */
@@ -76,7 +80,11 @@ static void *tuple_of(const long long *whole, ptrdiff_t count, ptrdiff_t more) {
 
 void *wheel_python_snapshot(void *self, void *const *arguments, ptrdiff_t count) {
     (void)self, (void)count;
-    const wheel_view *view = wheel_client_view(python.PyLong_AsVoidPtr(arguments[0]));
+    const wheel_client *client = python.PyLong_AsVoidPtr(arguments[0]);
+    if (client == NULL) {
+        return NULL;
+    }
+    const wheel_view *view = wheel_client_view(client);
     const uint16_t *encoders = view->encoder_count;
     const long long whole[] = {view->snapshots,
                                view->round_trips,
@@ -102,7 +110,11 @@ void *wheel_python_snapshot(void *self, void *const *arguments, ptrdiff_t count)
 
 void *wheel_python_counts(void *self, void *const *arguments, ptrdiff_t count) {
     (void)self, (void)count;
-    const wheel_view *view = wheel_client_view(python.PyLong_AsVoidPtr(arguments[0]));
+    const wheel_client *client = python.PyLong_AsVoidPtr(arguments[0]);
+    if (client == NULL) {
+        return NULL;
+    }
+    const wheel_view *view = wheel_client_view(client);
     const long long whole[] = {(long long)view->sent, (long long)view->received,
                                (long long)view->lost + view->incomplete};
     return tuple_of(whole, 3, 0);
@@ -143,8 +155,7 @@ void *wheel_python_ask(void *self, void *const *arguments, ptrdiff_t count) {
     if (failed()) {
         return NULL;
     }
-    wheel_client_step(client, (uint16_t)ticks);
-    return python.PyBool_FromLong(false);
+    return python.PyBool_FromLong(wheel_client_step(client, (uint16_t)ticks));
 }
 
 void *wheel_python_take(void *self, void *const *arguments, ptrdiff_t count) {
@@ -171,10 +182,12 @@ void *wheel_python_exchange(void *self, void *const *arguments, ptrdiff_t count)
     if (!bytes_of(arguments[3], &packed, &length)) {
         return NULL;
     }
+    void *thread = python.PyEval_SaveThread();
     wheel_direct_send(direct, robot, packed, length);
     wheel_direct_send(direct, robot, wheel_client_out(client), wheel_client_view(client)->out_bytes);
     wheel_client_sent(client);
     wheel_direct_receive(direct, robot);
+    python.PyEval_RestoreThread(thread);
     return new_bytes(direct->answer, direct->answer_bytes);
 }
 

@@ -24,6 +24,8 @@ typedef struct {
     void *(*PyFloat_FromDouble)(double);
     void *(*PyLong_FromLongLong)(long long);
     void *(*PyBool_FromLong)(long);
+    void *(*PyEval_SaveThread)(void); /* lets other threads run, until PyEval_RestoreThread */
+    void (*PyEval_RestoreThread)(void *);
     void *(*PyBytes_FromStringAndSize)(const char *, ptrdiff_t);
     int (*PyBytes_AsStringAndSize)(void *, char **, ptrdiff_t *);
     void (*Py_DecRef)(void *);
@@ -62,8 +64,8 @@ void *wheel_python_ask(void *self, void *const *arguments, ptrdiff_t count);
 /* take(client, packed, begin, now_ns): wheel_client_take, to the end of the bytes. */
 void *wheel_python_take(void *self, void *const *arguments, ptrdiff_t count);
 
-/* exchange(direct, robot, client, packed): sends the packed frames, then what waits in the client, and returns
- * the answer as bytes. */
+/* exchange(direct, robot, client, packed): sends the packed frames, then what waits in the client, and
+ * returns the answer as bytes. */
 void *wheel_python_exchange(void *self, void *const *arguments, ptrdiff_t count);
 
 /* split(packed, limit): wheel_packed_split; returns both groups as bytes. */
