@@ -171,6 +171,7 @@ def test_a_robot_that_was_refused_is_not_armed() -> None:
     device.begin_again()
     with pytest.raises(BadInputError, match="firmware parameters"):
         device.greeted()
+    clock.wait_until(clock.now_ns() + PERIOD_NS)
     with pytest.raises(RobotStoppedError, match="it is not armed"):
         device.armed()
     assert rig.node.look().state is m.State.IDLE
