@@ -20,6 +20,7 @@ from tests.wheel_rig import INERTIA_KG_M2, PARAMETERS
 
 _HEADERS = ("cobs.h", "framing.h", "parameters.h", "states.h", "control.h", "plant_port.h", "node.h")
 _DEFINE = re.compile(r"^#define (WP_PAYLOAD_MAX|WHEEL_\w+) +([^/\n]+)", re.MULTILINE)
+_FOR_CPP = re.compile(r"^#ifdef __cplusplus\n.*?^#endif\n", re.MULTILINE | re.DOTALL)
 _DIRECTIVE = re.compile(r"^#(.*\\\n)*.*\n", re.MULTILINE)
 _DECLARED = re.compile(r"/\* cffi: begin \*/.*?/\* cffi: end \*/|extern const wheel_parameter_info [^;]*;", re.DOTALL)
 
@@ -35,7 +36,7 @@ def core() -> tuple[Any, Any]:
     files = [*(HERE / "generated" / name for name in generated), *(HERE / "firmware" / name for name in _HEADERS)]
     text = "".join(file.read_text(encoding="utf-8") for file in files)
     constants = dict(_DEFINE.findall(text)) | {"WHEEL_FRAME_MAX": "15"}
-    text = _DIRECTIVE.sub("", _DECLARED.sub("", text))
+    text = _DIRECTIVE.sub("", _DECLARED.sub("", _FOR_CPP.sub("", text)))
     while found := re.search(rf"\b({'|'.join(constants)})\b", text):
         text = re.sub(rf"\b{found[1]}\b", f"({constants[found[1]].strip()})", text)
     ffi.cdef(text)

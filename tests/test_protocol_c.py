@@ -69,7 +69,10 @@ def c(cc: str, tmp_path_factory: pytest.TempPathFactory) -> tuple[Any, Any]:
     compile_c(cc, *trap, "-shared", "-fPIC", "-o", library, *SOURCES)
     ffi = cffi.FFI()
     for header in HEADERS:
-        text = re.sub(r"^#(.*\\\n)*.*\n", "", header.read_text(encoding="utf-8"), flags=re.MULTILINE)
+        text = re.sub(
+            r"^#ifdef __cplusplus\n.*?^#endif\n", "", header.read_text("utf-8"), flags=re.MULTILINE | re.DOTALL
+        )
+        text = re.sub(r"^#(.*\\\n)*.*\n", "", text, flags=re.MULTILINE)
         for name, value in DEFINES.items():
             text = text.replace(name, value)
         ffi.cdef(text)
