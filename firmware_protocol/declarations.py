@@ -12,6 +12,22 @@ from typing import Any
 
 from firmware_protocol.built import digest_in_library
 
+HEADERS = tuple(
+    Path(__file__).parent / header
+    for header in (
+        "firmware/plant_port.h",
+        "generated/wheel_parameters.h",
+        "firmware/parameters.h",
+        "port/host/host.h",
+        "client/wheel_line.h",
+        "client/wheel_client.h",
+        "port/host/direct.h",
+        "port/python/fast_calls.h",
+    )
+)
+TABLE = "extern const wheel_parameter_info wheel_parameter_table[];"
+"""What cffi needs to know of the host library: the marked parts of these headers, and this declaration."""
+
 _SECTION = re.compile(r"/\* cffi: begin \*/(.*?)/\* cffi: end \*/", re.DOTALL)
 _SUFFIX = ".cffi"
 

@@ -14,25 +14,10 @@ from typing import Any, NamedTuple
 
 from firmware_protocol.built import OTHER, WHEEL_HOST, BuildError, digest_in_library
 from firmware_protocol.capabilities import Capability
-from firmware_protocol.declarations import declared
+from firmware_protocol.declarations import HEADERS, TABLE, declared
 from firmware_protocol.framing import Frame
 from firmware_protocol.generated.messages import Fault, FaultWheel, Mode, ResetCause, State, StopReason, Type
 
-HEADERS = tuple(
-    Path(__file__).parent / header
-    for header in (
-        "firmware/plant_port.h",
-        "generated/wheel_parameters.h",
-        "firmware/parameters.h",
-        "port/host/host.h",
-        "client/wheel_line.h",
-        "client/wheel_client.h",
-        "port/host/direct.h",
-        "port/python/fast_calls.h",
-    )
-)
-TABLE = "extern const wheel_parameter_info wheel_parameter_table[];"
-"""What cffi needs to know of the host library: the marked parts of these headers, and this declaration."""
 _BYTES = 1 << 17  # twice what all frames of a full queue take (WHEEL_HOST_QUEUE)
 
 # The host library has no power stage of its own, and its user decides whether time comes from STEP.

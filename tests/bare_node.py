@@ -12,10 +12,10 @@ from typing import Any
 from firmware_protocol import codec
 from firmware_protocol.built import HERE, OTHER, WHEEL_HOST
 from firmware_protocol.capabilities import Capability
-from firmware_protocol.declarations import read_headers
+from firmware_protocol.declarations import HEADERS, TABLE, read_headers
 from firmware_protocol.framing import Frame
 from firmware_protocol.generated import messages as m
-from firmware_protocol.host import HEADERS, TABLE, library, parameter_hash
+from firmware_protocol.host import library, parameter_hash
 from tests.wheel_rig import INERTIA_KG_M2, PARAMETERS
 
 _HEADERS = ("cobs.h", "framing.h", "parameters.h", "states.h", "control.h", "plant_port.h", "node.h")

@@ -15,7 +15,7 @@ import hil
 from firmware_protocol import built as native
 from firmware_protocol import host
 from firmware_protocol.built import WHEEL_HOST, BuildError, Built, digest_in_library
-from firmware_protocol.declarations import are_written, declared, write_declarations
+from firmware_protocol.declarations import HEADERS, TABLE, are_written, declared, write_declarations
 from hil.cli.main import app
 from hil.core.errors import BadInputError
 from hil.plant import archive, shim
@@ -183,9 +183,9 @@ def test_a_recording_names_each_native_library(tmp_path: Path) -> None:
 def test_declarations_of_another_library_are_not_taken(tmp_path: Path) -> None:
     library = Path(shutil.copy(WHEEL_HOST.path, tmp_path))
     assert not are_written(library)
-    write_declarations(library, host.HEADERS, host.TABLE)
+    write_declarations(library, HEADERS, TABLE)
     assert are_written(library)
     library.write_bytes(library.read_bytes().replace(str(WHEEL_HOST.digest()).encode(), b"0" * 64))
     assert not are_written(library)
-    ffi = declared(library, host.HEADERS, host.TABLE)
+    ffi = declared(library, HEADERS, TABLE)
     assert ffi.sizeof("wheel_view") == host.library()[0].sizeof("wheel_view")

@@ -4,8 +4,7 @@ import sys
 from pathlib import Path
 
 from firmware_protocol.built import SOURCES, WHEEL_HOST, BuildError
-from firmware_protocol.declarations import are_written, write_declarations
-from firmware_protocol.host import HEADERS, TABLE
+from firmware_protocol.declarations import HEADERS, TABLE, are_written, write_declarations
 from tools.build.compiler import compile_shared
 
 
