@@ -211,6 +211,24 @@ def test_a_stop_takes_the_place_of_what_waits_and_another_request_has_to_wait() 
     assert sent(client) == [m.HostHeartbeat(1, m.SCHEMA_HASH, m.Request.IDLE, m.Mode.SPEED, 0x5A)]
 
 
+def test_an_estop_is_sent_though_the_log_is_full() -> None:
+    client, (ffi, lib) = new_client(), library()
+    logs = [ffi.new("uint8_t[]", 14) for _ in range(2)]
+    lib.wheel_client_log(client.handle, *logs, 14)
+    assert lib.wheel_client_request(client.handle, m.Request.IDLE, 0)
+    client.sent()
+    assert not lib.wheel_client_request(client.handle, m.Request.ARM, 0)
+    client.estop()
+    assert sent(client) == [m.Estop(1, 0)]
+
+
+def test_the_expected_parameters_may_be_known_late() -> None:
+    client, lib = new_client(), library()[1]
+    lib.wheel_client_expect(client.handle, 0xA5)
+    client.request(m.Request.IDLE, 0)
+    assert sent(client) == [m.HostHeartbeat(1, m.SCHEMA_HASH, m.Request.IDLE, m.Mode.SPEED, 0xA5)]
+
+
 def test_what_waits_when_the_robot_is_left_counts_for_nothing() -> None:
     client = new_client()
     client.command(REST, REST, 0)

@@ -15,6 +15,7 @@ from hil.runtime.assembly import RunOptions, run_scenario
 from hil.scenario import load
 from hil.wire.framed import StreamLink
 from hil.wire.streams import DirectStream
+from tests.client_rig import new_client
 from tests.protocol_cases import frames
 from tests.wheel_rig import WheelRig
 
@@ -134,6 +135,14 @@ def test_the_library_sends_what_is_whole_and_stops_there(rest: bytes) -> None:
     some = list(PackedFrames(ffi.buffer(direct.answer)[: direct.answer_bytes], direct.received_frames))
     assert codec.decode(some[-1]) == m.StepDone(1)
     assert sum(frame.id == m.StepDone.ID for frame in some) == 1
+
+
+def test_a_step_that_cannot_be_sent_is_none() -> None:
+    link, *_ = both()
+    client = new_client()
+    left = link.step(client, 1001)
+    assert left is not None
+    assert (len(left.frames.packed), client.view.out_bytes, client.view.step) == (0, 0, 0)
 
 
 def test_a_run_is_the_same_with_a_firmware_that_is_asked_for_bytes() -> None:
