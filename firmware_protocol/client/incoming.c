@@ -81,18 +81,13 @@ static void open_snapshot(wheel_client *client, const wp_tick *tick, int64_t now
     }
 }
 
-/* The inertial sensors' parts carry their sampling instant. */
-static bool belongs(const wheel_client *client, uint16_t sampled) {
-    return sampled == (uint16_t)(client->open.time_us / 1000u);
-}
-
-static void take_part(wheel_client *client, uint8_t part, bool belongs_to_it) {
+static void take_part(wheel_client *client, uint8_t part, bool belongs) {
     const uint8_t missing = client->missing;
     if (missing == 0u) {
         return;
     }
     const uint8_t turn = (uint8_t)(missing & (0u - missing)); /* the lowest bit */
-    if (part != turn || !belongs_to_it) {
+    if (part != turn || !belongs) {
         client->missing = 0;
         client->view.incomplete++;
         return;
@@ -105,47 +100,49 @@ static void take_part(wheel_client *client, uint8_t part, bool belongs_to_it) {
 
 /* Takes a message of a snapshot; false if it is none, or not valid. */
 static bool take_snapshot(wheel_client *client, const wheel_packed *frame, int64_t now_ns) {
+    const uint8_t *payload = frame->payload;
+    const size_t length = frame->length;
+    const uint16_t open_ms = (uint16_t)(client->open.time_us / 1000u);
+    uint16_t sampled_ms = open_ms; /* only the inertial sensors' parts carry their sampling instant */
     wp_tick tick;
+    uint8_t part = 0;
+    bool is_valid = false;
     switch (frame->id) {
     case WP_TICK_ID:
-        if (!wp_tick_decode(frame->payload, frame->length, &tick)) {
-            return false;
+        if (wp_tick_decode(payload, length, &tick)) {
+            open_snapshot(client, &tick, now_ns);
+            return true;
         }
-        open_snapshot(client, &tick, now_ns);
-        return true;
+        return false;
     case WP_ENCODERS_ID:
-        if (!wp_encoders_decode(frame->payload, frame->length, &client->encoders)) {
-            return false;
-        }
-        take_part(client, ENCODERS, true);
-        return true;
+        part = ENCODERS;
+        is_valid = wp_encoders_decode(payload, length, &client->encoders);
+        break;
     case WP_WHEEL_SPEEDS_ID:
-        if (!wp_wheel_speeds_decode(frame->payload, frame->length, &client->speeds)) {
-            return false;
-        }
-        take_part(client, WHEEL_SPEEDS, true);
-        return true;
+        part = WHEEL_SPEEDS;
+        is_valid = wp_wheel_speeds_decode(payload, length, &client->speeds);
+        break;
     case WP_CURRENTS_ID:
-        if (!wp_currents_decode(frame->payload, frame->length, &client->currents)) {
-            return false;
-        }
-        take_part(client, CURRENTS, true);
-        return true;
+        part = CURRENTS;
+        is_valid = wp_currents_decode(payload, length, &client->currents);
+        break;
     case WP_ACCELEROMETER_ID:
-        if (!wp_accelerometer_decode(frame->payload, frame->length, &client->accelerometer)) {
-            return false;
-        }
-        take_part(client, ACCELEROMETER, belongs(client, client->accelerometer.tick));
-        return true;
+        part = ACCELEROMETER;
+        is_valid = wp_accelerometer_decode(payload, length, &client->accelerometer);
+        sampled_ms = client->accelerometer.tick;
+        break;
     case WP_GYRO_ID:
-        if (!wp_gyro_decode(frame->payload, frame->length, &client->gyro)) {
-            return false;
-        }
-        take_part(client, GYRO, belongs(client, client->gyro.tick));
-        return true;
+        part = GYRO;
+        is_valid = wp_gyro_decode(payload, length, &client->gyro);
+        sampled_ms = client->gyro.tick;
+        break;
     default:
         return false;
     }
+    if (is_valid) {
+        take_part(client, part, sampled_ms == open_ms);
+    }
+    return is_valid;
 }
 
 /* Other messages */

@@ -78,13 +78,18 @@ static void *tuple_of(const long long *whole, ptrdiff_t count, ptrdiff_t more) {
     return tuple;
 }
 
+/* Returns the view of the client at an address; NULL with an exception. */
+static const wheel_view *view_at(void *address) {
+    const wheel_client *client = python.PyLong_AsVoidPtr(address);
+    return client == NULL ? NULL : wheel_client_view(client);
+}
+
 void *wheel_python_snapshot(void *self, void *const *arguments, ptrdiff_t count) {
     (void)self, (void)count;
-    const wheel_client *client = python.PyLong_AsVoidPtr(arguments[0]);
-    if (client == NULL) {
+    const wheel_view *view = view_at(arguments[0]);
+    if (view == NULL) {
         return NULL;
     }
-    const wheel_view *view = wheel_client_view(client);
     const uint16_t *encoders = view->encoder_count;
     const long long whole[] = {view->snapshots,
                                view->round_trips,
@@ -110,11 +115,10 @@ void *wheel_python_snapshot(void *self, void *const *arguments, ptrdiff_t count)
 
 void *wheel_python_counts(void *self, void *const *arguments, ptrdiff_t count) {
     (void)self, (void)count;
-    const wheel_client *client = python.PyLong_AsVoidPtr(arguments[0]);
-    if (client == NULL) {
+    const wheel_view *view = view_at(arguments[0]);
+    if (view == NULL) {
         return NULL;
     }
-    const wheel_view *view = wheel_client_view(client);
     const long long whole[] = {(long long)view->sent, (long long)view->received,
                                (long long)view->lost + view->incomplete};
     return tuple_of(whole, 3, 0);
