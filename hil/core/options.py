@@ -132,10 +132,10 @@ def build(kind: type[T], given: Mapping[str, object], where: str = "") -> T:
     return made  # type: ignore[no-any-return]
 
 
-def require_ranges(options: object, where: str) -> None:
+def require_ranges(options: Any, where: str) -> None:
     """Raise OptionsError if an option is wrong; for the ``__post_init__`` of a dataclass made without ``build``."""
     problems: list[Problem] = []
-    for name, option in _options(options).items():
+    for name, option in options_of(options.__class__).items():
         _read(option, getattr(options, name), (where, name), problems)
     if problems:
         raise OptionsError(problems)
@@ -154,14 +154,9 @@ def options_of(kind: Any) -> Mapping[str, Option]:
     }
 
 
-def _options(made: Any) -> Mapping[str, Option]:
-    kind: Any = type(made)
-    return options_of(kind)
-
-
-def items(options: object) -> Iterator[tuple[str, Any]]:
+def items(options: Any) -> Iterator[tuple[str, Any]]:
     """Yield name and value of each option of a dataclass instance, as in its table."""
-    for name, option in _options(options).items():
+    for name, option in options_of(options.__class__).items():
         value = getattr(options, name)
         yield from value.items() if option.accepts_others else [(name, value)]
 
@@ -183,8 +178,6 @@ def format_value(value: object) -> str:
         return "true" if value else "false"
     if isinstance(value, str):
         return json.dumps(value, ensure_ascii=False)
-    if isinstance(value, float):
-        return repr(value) if math.isfinite(value) else str(value)
     if isinstance(value, list | tuple):
         return f"[{', '.join(map(format_value, value))}]"
     if isinstance(value, Mapping):
@@ -216,19 +209,17 @@ def _table(kind: type, given: Mapping[str, object], path: Path, problems: list[P
     if rest is not None:
         values[rest.name] = _read(rest, others, path, problems)
     else:
-        known = {name: nearest(name, options) or "; it takes none" for name in others}
-        problems += [Problem((*path, name), "unknown", hint) for name, hint in known.items()]
+        problems += [Problem((*path, key), "unknown", nearest(key, options) or "; it takes none") for key in others]
     for name, option in options.items():
         if name not in values and option.default is MISSING:
             problems.append(Problem((*path, name), "missing", option.expected))
-    if len(problems) > before:
-        return None
-    try:
-        return kind(**values)
-    except OptionsError as error:
-        problems += [problem._replace(path=path + problem.path) for problem in error.problems]
-    except ValueError as error:
-        problems.append(Problem(path, "value", str(error)))
+    if len(problems) == before:
+        try:
+            return kind(**values)
+        except OptionsError as error:
+            problems += [problem._replace(path=path + problem.path) for problem in error.problems]
+        except ValueError as error:
+            problems.append(Problem(path, "value", str(error)))
     return None
 
 
@@ -259,6 +250,7 @@ def _typed(option: Option, value: Any, path: Path, problems: list[Problem]) -> A
     origin, inner = get_origin(kind), get_args(kind)
     if type(None) in inner:
         return None if value is None else _read(option._replace(type=inner[0]), value, path, problems)
+    good = True
     if is_dataclass(kind):
         if isinstance(value, Mapping):
             return _table(kind, value, path, problems)  # type: ignore[arg-type]
@@ -268,17 +260,15 @@ def _typed(option: Option, value: Any, path: Path, problems: list[Problem]) -> A
         if not good and not isinstance(value, str) and str(value) in inner:
             raise ValueError(f"expected text in quotation marks: {format_value(str(value))}")
     elif origin is tuple:
-        good = isinstance(value, list | tuple) and (inner[-1] is ... or len(value) == len(inner))
-        if good:
+        if isinstance(value, list | tuple) and (inner[-1] is ... or len(value) == len(inner)):
             kinds = [inner[0]] * len(value) if inner[-1] is ... else inner
             pairs = enumerate(zip(kinds, value, strict=True))
             return tuple(_read(_parsed(one), item, (*path, str(i)), problems) for i, (one, item) in pairs)
+        good = False
     elif origin is not None and issubclass(origin, Mapping):
-        good = isinstance(value, Mapping)
-        if good:
+        if isinstance(value, Mapping):
             return _mapping(inner, value, path, problems)
-    else:
-        good = True
+        good = False
     if not good:
         raise ValueError(option.expected)
     return value
