@@ -109,9 +109,9 @@ class Store:
         return time.monotonic() >= self._rested_s
 
     def drop(self, keys: Collection[str]) -> None:
-        """Remove rows with their recordings; a kill meanwhile leaves all of the rows or none.
+        """Remove rows with their recordings. If the process is killed meanwhile, either all of the rows stay or none.
 
-        Raises BadInputError when that cannot be written.
+        Raises BadInputError when the folder cannot be written to.
         """
         files = _row_files(self._rows)
         if not keys or not files:

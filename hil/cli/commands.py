@@ -65,9 +65,7 @@ class Group(TyperGroup):
 
 
 class Commands(TyperGroup):
-    """The group ``hil``. Its help imports no command: it prints the rows of ``SHIPPED``, then other packages'
-    commands.
-    """
+    """The group ``hil``. Its help prints the rows of ``SHIPPED``, then other packages' commands; it imports none."""
 
     def list_commands(self, ctx: Any) -> list[str]:
         """Return the names of all commands, shipped ones first."""

@@ -211,9 +211,7 @@ def _lines(table: str, rows: list[tuple[str, Value | list[str]]]) -> Iterator[st
 
 
 def _inertia_at_a_wheel(answers: Answers) -> float:
-    """Return the inertia at one wheel in straight motion [kg·m²]: a quarter of the robot's mass, and the wheel's
-    own.
-    """
+    """Return the inertia that one wheel feels in straight motion [kg·m²]: its own, and a quarter of the robot's."""
     mass_kg, radius_m, wheel_kg_m2 = (
         float(answers[f"robot.{name}"]) for name in ("mass_kg", "wheel_radius_m", "wheel_inertia_kg_m2")
     )

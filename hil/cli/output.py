@@ -114,9 +114,7 @@ class RunsProgress:
 
 @contextlib.contextmanager
 def batch(*, as_json: bool) -> Iterator[RunsProgress | None]:
-    """Make interrupts end the runs in order; yield a function that shows progress, or None with ``--json`` or without a
-    terminal.
-    """
+    """End the runs in order on an interrupt. Yield what shows progress; None with ``--json`` or without a terminal."""
     end_in_order()
     progress = None if as_json or not sys.stderr.isatty() else RunsProgress()
     try:

@@ -29,10 +29,10 @@ class Guard:
         self.refused = 0
 
     def limit_to(self, robot_speed_limit_rad_s: float) -> None:
-        """Apply the wheel speed limit that the robot reports, too; infinity if it reports none.
+        """Apply also the wheel speed limit that the robot reports; infinity if it reports none.
 
-        The robot's limit includes the margin for the overshoot of its speed loop: our firmware reports 0.8 times the
-        speed at which it goes to FAULT (PROTOCOL.md, "Limits").
+        That limit leaves a margin for the overshoot of the robot's speed loop: our firmware reports 0.8 times the speed
+        at which it goes to FAULT (PROTOCOL.md, "Limits").
         """
         self.speed_limit_rad_s = min(self._own_speed_limit_rad_s, max(0.0, robot_speed_limit_rad_s))
 

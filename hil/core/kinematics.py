@@ -67,7 +67,7 @@ def wheel_speeds(body: Axes, wheel_radius_m: float, lever_m: float) -> FourWheel
 
 
 def body_twist(wheel_speed_rad_s: FourWheels, wheel_radius_m: float, lever_m: float) -> BodyTwist:
-    """Return the body twist of these wheel speeds [rad/s], as a least-squares fit: four speeds, three velocities.
+    """Return the body twist of four wheel speeds [rad/s], as a least-squares fit: it has only three velocities.
 
     ``lever_m`` is half the length plus half the width between the wheel centres. The map is linear: wheel angles [rad]
     in place of speeds give a displacement [m, m, rad] in the body frame.

@@ -15,8 +15,9 @@ def module_command(module: str, *arguments: str) -> list[str]:
 
 
 def one_thread_a_process() -> None:
-    """Keep NumPy, where it is imported from now on, from starting a thread for each processor, unless the user says
-    how many. The threads take 0.04 s to start on two processors, and nothing of ours has work for them.
+    """Keep NumPy from starting a thread for each processor when it is imported, unless the user sets their number.
+
+    The threads take 0.04 s to start on two processors, and nothing of ours has work for them.
     """
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 

@@ -54,12 +54,12 @@ class _Phase(enum.Enum):
 
 
 class Guardian(HostWatch):
-    """A watch by another process. A guardian that dies or hangs is restarted in a thread.
+    """Watches this process from another one, which stops the motors when this one dies or hangs.
 
-    ``stop``: the bytes that stop the motors behind ``port`` at any time, also in the middle of an unfinished frame.
-    They are sent after ``silence_s`` without a beat. If the port is not free ``patience_s`` after the host's death,
-    another program has taken the robot over, and nothing is sent. ``priority``: the host's real-time priority, 0 for
-    none. Raises DeviceError when the process does not start.
+    ``stop``: the bytes that stop the motors behind ``port`` at any time, even after a part of a frame. They are sent
+    after ``silence_s`` without a beat. If the port is not free ``patience_s`` after the host's death, another program
+    has taken the robot over, and nothing is sent. ``priority``: the host's real-time priority, 0 for none. A guardian
+    that dies or hangs is restarted. Raises DeviceError when the process does not start.
     """
 
     def __init__(

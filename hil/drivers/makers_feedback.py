@@ -64,8 +64,8 @@ class MotorsInfo(NamedTuple):
 class MakersReport:
     """What the controllers report: feedback in the order of the wheels, health, and why they stopped.
 
-    No first feedback is made of a sample older than ``stale_s``: it may hold a speed of long ago, from before the
-    others answered.
+    The first feedback needs a sample no older than ``stale_s``: an older one may hold the speed of a controller that
+    answered long before the others.
 
     Attributes:
         newest: the newest feedback; None before the first sample of all four that is no older than ``stale_s``.

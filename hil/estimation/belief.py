@@ -99,8 +99,8 @@ def start_unknown(time_ns: int, bias_sigma_rad_s: float) -> Belief:
 def moved(belief: Belief, step: Step, time_ns: int, share: float = 1.0) -> Belief:
     """Return the belief at ``time_ns``, after this share of a step: x ← f(x, u), P ← F P Fᵀ + Q.
 
-    The displacement is taken at the heading half way. Its noise is the same in all directions, that of the heading
-    acts at the end.
+    The displacement is rotated by the heading half way. Its noise is the same in all directions; the noise of the
+    heading acts at the end of the step.
     """
     forward, left, biased_s = share * step.forward_m, share * step.left_m, share * step.biased_s
     turned = share * step.turned_rad - belief.bias_rad_s * biased_s

@@ -28,8 +28,7 @@ class Outcome(StrEnum):
 class Case(NamedTuple):
     """A fault as the catalogue runs it: rows of ``[[fault]]``; the last row's kind is the kind of the case.
 
-    ``cause``, for a robot that is lost, is part of the message that says why. ``realtime``: the case is in the subset
-    for real time.
+    ``cause`` must be in the message that says why the robot was lost. ``realtime``: the case is also run in real time.
     """
 
     name: str

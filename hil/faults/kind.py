@@ -14,9 +14,9 @@ NEVER_NS = 2**62
 
 
 class FaultRow(NamedTuple):
-    """A row of ``[[fault]]`` in numbers: times in ns of the scenario's time; a number that its kind lacks is 0.
+    """A row of ``[[fault]]`` as numbers; those that its kind does not have are 0.
 
-    Its window is start_ns <= t < end_ns.
+    It is in force while start_ns <= t < end_ns, in the scenario's time.
     """
 
     kind: str
@@ -31,7 +31,7 @@ class FaultRow(NamedTuple):
     radius_m: float = 0.0
 
     def is_in_force(self, t_ns: int) -> bool:
-        """Tell whether a time is in the window."""
+        """Return whether the row is in force at this time."""
         return self.start_ns <= t_ns < self.end_ns
 
 

@@ -37,8 +37,7 @@ class Figure(NamedTuple):
 
 
 class CommandLimits(NamedTuple):
-    """The largest command of one wheel that the scenario's ``[robot]`` allows: [rad/s] in SPEED mode, [N·m] in TORQUE
-    mode."""
+    """The largest command of one wheel that ``[robot]`` allows: the speed in SPEED mode, the torque in TORQUE mode."""
 
     speed_rad_s: float
     torque_n_m: float

@@ -32,8 +32,8 @@ class Watch:
     It also calls ``look`` several times in that time, at least every tenth of a second.
 
     ``pending`` returns a token of the request that waits for its reply, a different one for each request, or None.
-    The watch counts its rounds, not time, so a suspended program is not taken for a hang. Detection may be late by a
-    twentieth of the first ``limit_s``, or of 2 s if that is shorter.
+    The watch counts its rounds in place of time, so that a program that was suspended is not taken for one that hangs.
+    It may be late by a twentieth of the first ``limit_s``, and by 0.1 s at most.
     """
 
     def __init__(

@@ -116,7 +116,7 @@ class RemotePlant(shim.PlantPort):
         self._wiring = (tuple(wheel_of_channel), tuple(sign_of_channel))
 
     def step(self, torque_n_m: Wheels, ticks: int = 1) -> None:
-        """Apply the torques of the channels, in single precision as on the plant port, for a number of ticks.
+        """Run the plant for a number of ticks under these torques of the channels, in single precision as on the wire.
 
         Raises DeviceError when the FMU fails.
         """

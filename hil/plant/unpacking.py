@@ -56,9 +56,9 @@ def refuse_folder(fmu: Path) -> None:
 
 
 def pieces(fmu: Path, archive: zipfile.ZipFile, entry: zipfile.ZipInfo) -> Iterator[bytes]:
-    """Yield the bytes of an entry in pieces of bounded size, and never more than the entry says that it has.
+    """Yield the bytes of an entry in pieces of bounded size, never more than the size that the archive gives for it.
 
-    Raises BadInputError when they are damaged, or more or fewer than the entry says.
+    Raises BadInputError when they are damaged, or not as many as that size.
     """
     try:
         with archive.open(entry) as file:

@@ -60,9 +60,9 @@ class UdpStream(RingProcess):
     def finish(self) -> dict[str, Any]:
         """Send the remaining rows, end the process and return its counts; never raises for a process that died.
 
-        ``sent`` counts the datagrams that the system accepted, ``lost`` those that it did not, and those that nobody
-        listened to; both are None when the process died. ``rows_dropped`` counts rows that found the ring full. A
-        receiver that is too slow sees its own losses in ``sequence``.
+        ``sent`` counts the datagrams that the system accepted, ``lost`` those that it refused or that nobody listened
+        to; both are None when the process died. ``rows_dropped`` counts rows for which the ring had no room. A receiver
+        that is too slow sees its own losses in ``sequence``.
         """
         if self._figures is None:
             reply = self.end({})

@@ -114,7 +114,7 @@ def has_display() -> bool:
 
 
 def viewer_executable() -> Path:
-    """Return the viewer that came with rerun-sdk, or else a ``rerun`` on the search path.
+    """Return the path of the viewer that came with rerun-sdk, or else of a ``rerun`` on the search path.
 
     Raises DeviceError when there is neither.
     """

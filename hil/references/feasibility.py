@@ -89,10 +89,10 @@ def feasibility(source: ReferenceSource, model: RobotModel, duration_s: float, p
     """Return what a reference needs of the wheels until ``duration_s`` [s], by inverse kinematics and dynamics.
 
     It is sampled at the loop's period ``period_s`` [s], but at least every 10 ms and at most 20,000 times. A periodic
-    reference is sampled over its start and one period. A jump of the reference itself does not count, such as that of
-    a circle without a ramp at t = 0: a robot that starts away from the reference has to catch up anyway.
+    reference is sampled over its start and one period. A jump of the reference does not count, such as that of a circle
+    without a ramp at t = 0: a robot that starts away from the reference has to catch up in any case.
 
-    The newest results are kept: many runs of a process have the same reference and the same robot.
+    The newest results are cached, because many runs of a process have the same reference and robot.
     """
     until_s = min(duration_s, source.span_s)
     step_s = max(period_s, FINEST_S, until_s / MOST_SAMPLES)

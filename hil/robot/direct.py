@@ -132,7 +132,8 @@ class DirectLink:
     def step(self, client: Client, ticks: int) -> Received | None:
         """Send what waits in the client, and a STEP; the client takes the answer.
 
-        Return None when that was all. Otherwise look at ``client.view``, and take the frames that are returned.
+        Return None if the client took all of it. Otherwise it stopped early: see ``client.view``, and then give it
+        the rest, which is returned.
         """
         if not self._is_open:
             raise closed()

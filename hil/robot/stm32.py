@@ -76,8 +76,7 @@ class Stm32(LinkedDevice):
         return self._info
 
     def _accept(self, info: RobotInfo) -> None:
-        """Accept the robot's answer to HELLO. Raises BadInputError when it does not match the scenario, or is not the
-        robot with which the run began."""
+        """Accept the answer to HELLO. Raises BadInputError if the scenario or the run is of another robot."""
         handshake.check(info, self._expected)
         if self._info is not None and not self._info.is_same_robot(info):
             raise BadInputError(

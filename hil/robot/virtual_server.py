@@ -86,7 +86,7 @@ class VirtualServer:
         self._publish()
 
     def request_reset(self, answer: Callable[[bool], None]) -> None:
-        """Request a power cycle before the next exchange; ``answer`` is called with whether it was done.
+        """Request a power cycle before the next exchange; ``answer`` is then called with True if it was done.
 
         It is refused while the robot is armed or moves, except in lockstep if the host has been silent for 2 s.
         """

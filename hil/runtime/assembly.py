@@ -254,9 +254,7 @@ class _Run:
         return laws.signals if is_named else SIGNAL_NAMES
 
     def _end_stuck(self, sentence: str) -> None:
-        """Finish what the run's end would, in another thread, because the law blocks the main thread: stop the robot,
-        close the files.
-        """
+        """Stop the robot and close the files, in another thread: a law that does not return blocks the main one."""
         with contextlib.suppress(HilError):
             self._bench.device.close()
         if self._trace is not None:
@@ -270,9 +268,7 @@ class _Run:
             self._options.on_stuck(sentence)
 
     def drive(self) -> tuple[Report, RealTime | None]:
-        """Arm the robot and run the loop; return its report, and the real-time settings that were granted (None in
-        lockstep).
-        """
+        """Arm the robot and run the loop; return its report, and the granted real-time settings (None in lockstep)."""
         scenario, bench = self._scenario, self._bench
         # After all other processes were started, which would inherit the processors; before arming, because locking
         # memory takes time.
@@ -310,9 +306,7 @@ class _Run:
                 self._options.warn(sentence)
 
     def _reach(self, step: Callable[[], T]) -> T:
-        """Take a step towards ACTIVE. If it fails because the robot in this process failed, raise that failure
-        instead.
-        """
+        """Take a step towards ACTIVE. If the robot in this process has failed, raise its failure in place of ours."""
         try:
             return step()
         except (DeviceError, LinkError):

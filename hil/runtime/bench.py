@@ -150,9 +150,7 @@ class Bench:
     def _makers_robot(
         self, link: ConditionedLink, guarding: contextlib.ExitStack, *, allow_motion: bool
     ) -> MakersRobot:
-        """Return the session with third-party motor controllers. If they are in another process, a watchdog guards
-        them.
-        """
+        """Return the session with third-party motor controllers. A watchdog guards those in another process."""
         scenario, local = self._scenario, self.local
         firmware, mode, driver = scenario.firmware, scenario.controller.mode, make_driver(scenario)
         watch = HostWatch()
@@ -257,9 +255,7 @@ def _fix_source(scenario: Scenario) -> FixSource | None:
 
 
 def _nonces(seed: int | None) -> Iterator[int]:
-    """Yield session nonces: in lockstep from the seed, so that runs repeat exactly; otherwise from the system's random
-    source.
-    """
+    """Yield session nonces: in lockstep from the seed, so that runs repeat exactly, else from the system's source."""
     source = random.SystemRandom() if seed is None else random.Random(seed)
     while True:
         yield source.randrange(1, 0x10000)

@@ -130,9 +130,7 @@ class Freshness:
         return self.silent_ns > self._stale_ns
 
     def has_aged(self) -> bool:
-        """Whether the truth has become too old since ``poll``, because this process stalled; not for use in
-        lockstep.
-        """
+        """Real time: whether the truth has become too old since ``poll``, because this process stalled."""
         return self.truth_ns is not None and self._clock.now_ns() - self._truth_received_ns > self._stale_ns
 
     def restart(self) -> bool:
@@ -147,9 +145,7 @@ class Freshness:
         return was_reset
 
     def _began_anew(self, feedback: Feedback, passed_ns: int) -> bool:
-        """Whether the robot's clock restarted since the last feedback: it jumped by 1 s or more (a restart looks like a
-        jump ahead, to the wrap-around).
-        """
+        """Whether the robot's clock jumped by 1 s or more since the last feedback. A restart looks like that."""
         return not -_LEAP_NS < feedback.robot_time_ns - self._newest_ns - passed_ns < _LEAP_NS
 
     def _was_reset(self) -> bool:

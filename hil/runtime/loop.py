@@ -137,9 +137,7 @@ class Loop:
         return self._parts.device.stop(self._timing.period_ns, _STOP_LIMIT_NS)
 
     def _give_up(self, failure: HilError | None) -> HilError | None:
-        """Close the device. Return the failure, with the device's own trouble appended if closing did not stop the
-        robot.
-        """
+        """Close the device. Return the failure; if closing did not stop the robot, with the device's own trouble."""
         device = self._parts.device
         device.close()
         trouble = device.report.trouble

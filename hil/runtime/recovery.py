@@ -91,8 +91,7 @@ class Recovery:
     def begin_now(self) -> None:
         """Lockstep: repeat the handshake at once. No time passes until the robot's tick is known.
 
-        This also holds after a lost link: the link that carries STEP still works, otherwise STEP itself would have
-        failed.
+        It is done after a lost link too: the link that carries STEP still works, or STEP itself would have failed.
         """
         self._step = self._begin
         self.advance()

@@ -18,9 +18,7 @@ _REJECTED_EVERY = 100  # ticks; the sum over all causes is too slow for every ti
 
 
 class RowWriter:
-    """Puts one row per tick into sinks: the values of ``SIGNALS`` in their order, then the signals of each of
-    ``extra``.
-    """
+    """Puts a row per tick into sinks: the values of ``SIGNALS`` in order, then the signals of each of ``extra``."""
 
     def __init__(
         self,

@@ -21,9 +21,7 @@ class Timing(NamedTuple):
 
     @property
     def latency_s(self) -> float:
-        """Time from the sampling instant to the first firmware tick that uses the command [s], without the line's own
-        delay.
-        """
+        """Time from sampling to the first firmware tick that uses the command [s], without the line's own delay."""
         return (self.command_latency_ns + self.feedback_latency_ns) * 1e-9
 
 
@@ -53,8 +51,7 @@ class Sampling:
     def wait(self, number: int) -> int:
         """Wait until the samples of the tick's instant have arrived; return the lateness [ns].
 
-        Raises LinkError or RobotStoppedError when robot time stands still because the robot is lost or stopped
-        (lockstep).
+        In lockstep it raises LinkError or RobotStoppedError when the robot is lost or stopped: its time stands still.
         """
         instant = number + self._late_periods
         late_ns = self._device.wait_until(self._origin_ns + instant * self._period_ns)

@@ -197,9 +197,7 @@ class Tick:
         return (self._freshness.silent_ns + self._timing.feedback_latency_ns) * 1e-6
 
     def keep_armed(self) -> None:
-        """Command zeros before the first feedback arrives; no row is written. Raises LinkError when the link is
-        lost.
-        """
+        """Command zeros until the first feedback arrives; write no row. Raises LinkError when the link is lost."""
         self._parts.device.poll()
         self._parts.device.send(self._rest)
 

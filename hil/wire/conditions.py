@@ -171,7 +171,7 @@ class ConditionedLink:
         return None if self._out.due_ns == NEVER_NS else self._out.due_ns
 
     def hand_over_until(self, clock: Clock, t_ns: int) -> None:
-        """Let time pass on the clock while a command becomes due before ``t_ns``, and send it.
+        """Send the commands that become due before ``t_ns``, each when the clock has reached its time.
 
         In lockstep a command that is due within the last tick before ``t_ns`` is sent at ``t_ns``.
         """

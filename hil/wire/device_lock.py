@@ -67,9 +67,7 @@ def _file_name(device: str) -> str:
 
 
 def _make_for_all(folder: Path) -> None:
-    """Make the folder so that every user may lock in it. Raises OSError, also if a symbolic link stands in its
-    place.
-    """
+    """Make the folder, writable for every user. Raises OSError, also if a symbolic link stands in its place."""
     try:
         folder.mkdir(parents=sys.platform == "win32")
     except FileExistsError:

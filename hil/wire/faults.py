@@ -86,9 +86,7 @@ class LinkFault:
         self._newest: dict[tuple[str, int], Frame] = {}  # frames that freeze repeats, by direction and id
 
     def concerns(self, direction: str, number: int | None) -> bool:
-        """Whether the row acts on frames of this direction and id; None is an unknown id, which belongs to no
-        message.
-        """
+        """Whether the row acts on frames of this direction and id. The id None is unknown, and of no message."""
         if self._message is not None:
             return number is not None and self._names.get(number) == self._message
         return self._direction in (None, direction)
@@ -158,8 +156,8 @@ def foreign_id(fault: LinkFault, protocol: LinkProtocol) -> int:
 class BusFaults:
     """Bit errors, truncation and babble on a CAN bus, as the bus's controllers would see them.
 
-    A destroyed frame occupies the wire for its own time and an error frame, some 0.15 ms at 1 Mbit/s each time; that
-    time is not modelled. ``babbler`` is the node that babbles; None if no row needs one.
+    A destroyed frame takes no time here; on a bus it and its error frame take some 0.15 ms at 1 Mbit/s. ``babbler`` is
+    the node that babbles; None if no row needs one.
 
     Attributes:
         rejected: number of destroyed or cut frames, by the causes of ``Link.rejected``.
@@ -174,9 +172,7 @@ class BusFaults:
         self.rejected = {"error_bit": 0, "error_bus_off": 0, "length": 0}
 
     def sent(self, frame: Frame, t_ns: int) -> Frame:
-        """Return a command as it arrives at the robot. Raises LinkError when the host's controller went bus-off over
-        it.
-        """
+        """Return a command as it arrives at the robot. Raises LinkError if it put the host's controller bus-off."""
         passed = self._passed(frame, "command", t_ns)
         if passed is None:
             self.rejected["error_bus_off"] += 1
@@ -224,9 +220,7 @@ class BusFaults:
         return frame
 
     def _comes_through(self, fault: LinkFault, direction: str, length: int) -> bool:
-        """Send a frame until it arrives intact, with an error frame for each failed attempt; return False if its sender
-        goes bus-off.
-        """
+        """Send a frame until it arrives intact; return False if its sender went bus-off. Each failure is counted."""
         whole = (1.0 - fault.row.value) ** (_BITS_OF_FRAME + 8 * length)
         while fault.chance.random() >= whole:
             fault.applied += 1

@@ -77,9 +77,7 @@ class Meter(Protocol):
 
 
 class LineMeter:
-    """A serial line, or a similar link without a bit rate (``baud`` None). All bytes count, also those outside
-    frames.
-    """
+    """A serial line, or a similar link without a bit rate (``baud`` None). Bytes outside frames count too."""
 
     duplex = True
     foreign = None
@@ -126,9 +124,7 @@ class LineMeter:
 
 
 class BusMeter:
-    """A CAN bus with its bit rates [bit/s], classic or FD; ``data_bitrate`` is that of FD's data phase, if it has its
-    own.
-    """
+    """A CAN bus, classic or FD, with its bit rates [bit/s]; ``data_bitrate`` is FD's second one, if it has one."""
 
     duplex = False
     timed = True

@@ -1,6 +1,4 @@
-"""Failures of serial ports, as sentences: what is wrong and what to do. For lines and for CAN adapters on serial
-ports.
-"""
+"""Failures of serial ports as sentences on what is wrong and what to do; CAN adapters use such ports too."""
 
 import errno
 import os
@@ -47,9 +45,7 @@ def words_of(error: Exception) -> str:
 
 
 def opening_problem(error: Exception) -> str | None:
-    """Return the problem of a port that could not be opened, to follow its name in a sentence; None for any other
-    error.
-    """
+    """Return why a port could not be opened, in words that follow its name; None for any other error."""
     number, text = _number_of(error), str(error)
     if number == errno.ENOENT or "FileNotFoundError" in text:
         return f"does not exist; {LIST_PORTS}"
@@ -66,7 +62,7 @@ def opening_problem(error: Exception) -> str | None:
 
 
 def is_shared(port: str, error: Exception) -> bool:
-    """Whether another program reads the port too: bytes had come and were gone, and the port still exists.
+    """Whether another program reads the port too: bytes had arrived and were gone when read, but the port still exists.
 
     pyserial uses the same words for a port that was unplugged.
     """

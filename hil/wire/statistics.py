@@ -67,8 +67,8 @@ class LinkStatistics:
 
     Attributes:
         byte_counts: a function that returns the bytes sent and received since ``begin``.
-        is_needed: whether ``sent`` and ``received`` must be called; not for a link without a bit rate and a trace,
-            which counts by itself.
+        is_needed: whether ``sent`` and ``received`` must be called: they are for the load of a link with a bit rate,
+            and for a trace.
     """
 
     def __init__(self, link: Link, meter: Meter, clock: Clock, trace: "Trace | None" = None) -> None:
@@ -131,9 +131,7 @@ class LinkStatistics:
 
     @property
     def counts_frames(self) -> bool:
-        """Whether frames carry a running number by which lost ones are noticed, as this project's frames on a serial
-        line do.
-        """
+        """Whether frames carry a running number by which lost ones are noticed, as ours do on a serial line."""
         return self._meter.counts_frames
 
     def figures(self) -> dict[str, Any]:
@@ -153,9 +151,7 @@ class LinkStatistics:
 
 
 def observe(link: Any, url: LinkUrl, clock: Clock, trace: "Trace | None" = None) -> LinkStatistics:
-    """Return the statistics of a transport that was opened from ``url``, and let the transport stamp by the run's
-    clock.
-    """
+    """Return the statistics of a transport opened from ``url``. Its time stamps are from now on by the run's clock."""
     statistics = LinkStatistics(link, url.meter(link), clock, trace)
     link.now_ns = clock.now_ns
     if url.is_bus:

@@ -172,8 +172,7 @@ class Campaign:
         return isinstance(self.plan.tables.keep, KeepTable)
 
     def left(self, folder: Path, redo: Collection[str] = ()) -> int:
-        """Return how many runs ``perform`` would do in a folder, which need not exist. Raises BadInputError as it
-        does."""
+        """Return how many runs ``perform`` would do in a folder, which need not exist. Raises BadInputError too."""
         check_folder(folder, self.about())
         there = self._there(folder) if (folder / ROWS).is_dir() else {}
         return sum(run.key not in there or there[run.key]["outcome"] in redo for run in self.runs)

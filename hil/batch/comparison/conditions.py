@@ -1,5 +1,4 @@
-"""The conditions of a comparison as data: torque limits, drives, estimators, floors, and robots that differ from the
-law's model."""
+"""The conditions of a comparison: torque limits, drives, estimators, floors, and robots unlike the law's model."""
 
 import itertools
 from collections.abc import Mapping, Sequence

@@ -13,8 +13,8 @@ from hil.laws.fuzzy import K1_1_S, K2_1_S, RULES
 class Printed(NamedTuple):
     """A figure of the paper.
 
-    ``law`` is the law's registered name, ``figure`` the name of our figure (``hil.judge.figures``), ``digit`` a unit of
-    the last digit printed, in the figure's own unit.
+    ``law`` is the law's registered name, ``figure`` the name of our figure (``hil.judge.figures``). ``digit`` is one
+    unit of the last printed digit, in the figure's unit: 0.1 for 0.6.
     """
 
     law: str

@@ -68,9 +68,7 @@ def _latency(device: str, name: str) -> Finding:
 
 
 def check_can(net: Path = NET) -> Iterator[Finding]:
-    """Yield a finding for each CAN interface in ``net``, the kernel's devices, and one for the manufacturers'
-    libraries.
-    """
+    """Yield a finding for each CAN interface in the kernel's folder ``net``, and one for the makers' libraries."""
     folders = sorted(net.glob("*")) if sys.platform == "linux" else []
     interfaces = [folder for folder in folders if text_of(folder / "type") == _ARPHRD_CAN]
     yield from map(_interface, interfaces)

@@ -41,7 +41,7 @@ MOTORS = {"c620": Motor(20.0 / 16384, 16384, 3591 / 187), "c610": Motor(10.0 / 1
 
 @dataclass(frozen=True, slots=True)
 class Settings:
-    """``[device.motors]``. ``ids``: controller ids in channel order, as set with each one's button.
+    """``[device.motors]``. ``ids``: controller ids in channel order, as set with the button of each controller.
 
     ``gear_ratio``: 0 means that of the motor's own gearbox. The gains turn a wheel's speed error into its torque.
     ``temperature_limit_degc``: the robot is stopped when a motor is hotter.

@@ -27,7 +27,8 @@ class Settings:
     """``[device.motors]``. A signal is written ``"MESSAGE.Signal"``, with a minus before it to invert its sign.
 
     ``gear_ratio``: motor turns per turn of the wheel. ``estop_latches``: commands do not end an ``estop``. ``plan`` is
-    the mapping, which ``__post_init__`` builds. Raises ValueError if the DBC lacks something or tables contradict.
+    the mapping, which ``__post_init__`` builds. Raises ValueError if the DBC lacks something, or tables contradict each
+    other.
     """
 
     file: str

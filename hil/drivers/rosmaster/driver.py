@@ -184,10 +184,10 @@ class Rosmaster(TwistBase):
 
     @property
     def sample(self) -> Sample | None:
-        """The newest twist, with the last values of the other reports: wheel positions may be 40 ms older.
+        """Return the newest twist, with the last values of the other reports: wheel positions may be 40 ms older.
 
-        None before both twist and encoder counts have come: odometry would jump from angles that are integrated from
-        speeds to those of the encoders.
+        None until both a twist and encoder counts have come. Before that the angles would be integrated from speeds,
+        and odometry would jump when the encoders' angles replace them.
         """
         if self._twist is None or self._counts is None:
             return None

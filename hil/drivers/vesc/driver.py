@@ -44,7 +44,7 @@ _ID = Range(ge=0, le=frames.MAX_ID)
 
 @dataclass(frozen=True, slots=True)
 class Settings:
-    """``[device.motors]``. ``ids``: of the channels in order. ``pole_pairs``: of a motor, half of its magnets.
+    """``[device.motors]``. ``ids``: controller ids in channel order. ``pole_pairs``: half the magnets of a motor.
 
     ``gear_ratio``: motor turns per turn of the wheel. ``status_hz``: rate of the status messages, as set in VESC Tool.
     ``serial_id``: id of the VESC at the serial line. ``host_id``: id of this computer on the bus, which no VESC may

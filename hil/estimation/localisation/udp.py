@@ -20,8 +20,8 @@ _NS = 1e9
 class UdpFixes:
     """A FixSource that reads datagrams without waiting, and counts refused ones by cause.
 
-    A fix older than ``oldest_s`` is refused as ``stale``. One more than 10 ms from the future, more than clocks of one
-    machine differ, is refused as ``future``. ``unix_time_s`` is the clock with which stamps of Unix time are compared.
+    A fix older than ``oldest_s`` is refused as ``stale``. One stamped more than 10 ms ahead of now is refused as
+    ``future``: clocks of one machine differ by less. ``unix_time_s`` is the clock for stamps of Unix time.
 
     Raises BadInputError for an address that is invalid or in use.
     """

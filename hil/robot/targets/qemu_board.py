@@ -32,10 +32,9 @@ _CHUNK = 65536
 class QemuBoard(EmulatedBoard):
     """A ``hil-emulated`` firmware in QEMU, powered on.
 
-    ``feed`` returns at once. When the firmware has sent something, ``on_output`` is called in a thread of this object;
-    it may call ``take_bytes``. ``check`` raises what ``on_output`` raised, and DeviceError when the process ended or
-    fell silent. Robot time passes by STEP only. ``stored`` are parameters that the firmware stored before
-    (``HostNode.stored``).
+    ``feed`` returns at once. When the firmware has sent something, a thread of this object calls ``on_output``, which
+    may call ``take_bytes``; ``check`` raises what it raised. Robot time passes by STEP only. ``stored`` are the
+    parameters that the firmware stored before (``HostNode.stored``).
 
     Raises BadInputError when QEMU is not installed, DeviceError when it does not run the firmware.
     """

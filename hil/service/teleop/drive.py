@@ -44,8 +44,9 @@ _HELP = (
 def teleop(client: Client, speeds: Speeds, *, gamepad: bool, dead_zone: float, expo: float) -> str:
     """Drive a served robot until the operator quits; return a sentence on its final state.
 
+    At the end, also after an error, the robot is ordered to stop if it can be reached, and the terminal is restored.
     Raises LostTerminalError, LinkError when the service is lost, RunInterruptedError for SIGINT and SIGTERM, and
-    BadInputError. In any case the robot was told to stop, if it could be reached, and the terminal is restored.
+    BadInputError.
     """
     terminal = Terminal()
     try:

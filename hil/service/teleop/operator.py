@@ -123,7 +123,7 @@ class HeldKeys:
 
 
 class Heartbeat:
-    """Queries to a terminal that reports releases: one that does not answer could not report a release either.
+    """Queries that a terminal must answer. One that does not answer could not report the release of a key either.
 
     Key repeats cannot replace the queries: when a second key is held, the first is no longer repeated.
     """

@@ -230,9 +230,7 @@ def read(path: Path, selection: Selection) -> Reading:
 
 
 class Tally(NamedTuple):
-    """Number of frames of a kind; ``per_s`` is its rate between the first and the last frame counted, None if these
-    coincide.
-    """
+    """Number of frames of a kind; ``per_s`` is their rate from the trace's first to its last frame, None for one."""
 
     message: str
     id: int | None

@@ -1,6 +1,4 @@
-"""The trace of a link: frames on the wire go to a process that writes them to a file; at the host's end or the
-robot's.
-"""
+"""The trace of a link, at the host's end or the robot's: a process writes the frames on the wire to a file."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -118,9 +116,7 @@ class Trace:
             self._dropped += frames
 
     def frame(self, stamp_ns: int, frame: Frame, *, sent: bool) -> None:
-        """Trace a frame of this link. Payloads that only a serial line can carry become CAN FD frames of up to 64
-        bytes.
-        """
+        """Trace a frame of this link. A payload that only a serial line can carry becomes several CAN FD frames."""
         number, payload = frame
         if len(payload) > packing.MOST_BYTES:
             for at in range(0, len(payload), packing.MOST_BYTES):
