@@ -17,8 +17,8 @@ from hil.wire.framed import StreamLink
 from hil.wire.link import Line
 from hil.wire.streams import DirectStream, closed
 
-_MORE_ON_THE_LINE = FRAME_OVERHEAD - len(PACKED_HEADERS[Estop.ID, Estop.LENGTH])  # than packed
 _ESTOP = PACKED_HEADERS[Estop.ID, Estop.LENGTH]
+_MORE_ON_THE_LINE = FRAME_OVERHEAD - len(_ESTOP)  # than packed
 
 
 class DirectTruth:

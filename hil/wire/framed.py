@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 from firmware_protocol.framing import Frame, PackedFrames
 from firmware_protocol.host_line import HostLine
 from hil.core.link_protocol import WHEEL_DBC, LinkProtocol
-from hil.core.ports import Received
+from hil.core.ports import Framing, Received
 from hil.wire.streams import HostStream
 
 _MOST_AT_ONCE = 50
@@ -15,8 +15,14 @@ _MOST_AT_ONCE = 50
 makes.
 """
 
-_NO_NOISE = ("lost", "unread_bytes")
 _MOST_NOISE = 65536  # bytes without a frame in one call: more than any buffer of a line holds
+
+
+def noise_of(framing: Framing) -> int:
+    """Return how many pieces were no frame: the sum of ``rejected`` without lost frames."""
+    if isinstance(framing, HostLine):
+        return framing.noise()  # the same, faster
+    return sum(count for cause, count in framing.rejected.items() if cause != "lost")
 
 
 class StreamLink:
@@ -35,6 +41,7 @@ class StreamLink:
         self._framing = protocol.make_framing()  # for received bytes
         self._sender = protocol.make_framing()  # kept over ``reopen``: the running number continues
         self._earlier: Counter[str] = Counter()  # rejected before the link was reopened
+        self._earlier_noise = 0
         self._waiting: tuple[Sequence[Frame], int] | None = None
         self.now_ns: Callable[[], int] = time.monotonic_ns
         self.sent_frames = 0
@@ -97,14 +104,12 @@ class StreamLink:
 
     def noise(self) -> int:
         """Return how many pieces of what was received were no frame."""
-        framing = self._framing
-        counts = {} if isinstance(framing, HostLine) else framing.rejected
-        now = framing.noise() if isinstance(framing, HostLine) else 0
-        return now + sum(count for cause, count in (*counts.items(), *self._earlier.items()) if cause not in _NO_NOISE)
+        return noise_of(self._framing) + self._earlier_noise
 
     def reopen(self) -> None:
         self._stream.reopen()
         # A new framing: a partial frame and the gap in the running number belong to the line that was lost.
+        self._earlier_noise = self.noise()
         self._earlier = Counter(self.rejected())
         self._framing = self._make_framing()
         self._waiting = None

@@ -14,6 +14,7 @@ from hil.core.subprocesses import child_environment
 from hil.record.files import check_output_path
 from hil.record.ring_process import RingProcess
 from hil.record.started_process import StartedProcess
+from hil.wire.framed import noise_of
 from hil.wire.robot_end import Node, Wire
 from hil.wire.trace import packing
 
@@ -218,14 +219,10 @@ class _TracedNode:
         self.node.count_unsent(frames)
 
     def _trace_bytes(self, framing: Framing, data: bytes) -> None:
-        before = _noise(framing)
+        before = noise_of(framing)
         self._trace_frames(framing.feed(data), sent=framing is self._sent)
-        if noise := _noise(framing) - before:
+        if noise := noise_of(framing) - before:
             self._trace.rejected(self._now_ns(), noise)
 
     def _trace_frames(self, frames: Sequence[Frame], *, sent: bool) -> None:
         self._trace.frames(self._now_ns(), frames, sent=sent)
-
-
-def _noise(framing: Framing) -> int:
-    return sum(count for cause, count in framing.rejected.items() if cause != "lost")
