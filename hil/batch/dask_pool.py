@@ -100,14 +100,12 @@ class DaskPool:
     The jobs of a lost Dask worker go to another, and are lost when Dask gives them up. When the scheduler is lost, its
     jobs are submitted again once it is back.
 
-    Raises LinkError when no scheduler answers, BadInputError for an address without TLS certificates; ``room`` and
-    ``collect`` raise LinkError when the scheduler did not come back within ``patience_s``, and when a worker cannot do
-    jobs at all.
+    Raises LinkError when no scheduler answers, BadInputError for an address without TLS certificates. ``room`` and
+    ``collect`` raise LinkError when the scheduler did not come back within 5 min, or a worker cannot do jobs at all.
     """
 
-    def __init__(self, address: str, *, on_bench: bool = False, patience_s: float = _PATIENCE_S) -> None:
+    def __init__(self, address: str, *, on_bench: bool = False) -> None:
         self._address = address
-        self._patience_s = patience_s
         self._runners = RunnersOfAWorker()
         self._resources = {BENCH: 1} if on_bench else None
         self._client: distributed.Client | None = _connect(address)
@@ -200,9 +198,9 @@ class DaskPool:
     def _reconnect(self) -> None:
         """Try to connect again. The client itself tries for a while, and then closes."""
         self._gone_s = self._gone_s or time.monotonic()
-        if time.monotonic() - self._gone_s > self._patience_s:
+        if time.monotonic() - self._gone_s > _PATIENCE_S:
             raise LinkError(
-                f"--scheduler {self._address}: it has gone, and did not come back within {self._patience_s:g} s; "
+                f"--scheduler {self._address}: it has gone, and did not come back within {_PATIENCE_S:g} s; "
                 "give the same command again when it is there, and the campaign goes on"
             )
         if self._client is None or self._client.status == "closed":

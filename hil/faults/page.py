@@ -8,6 +8,7 @@ import sys
 from collections.abc import Iterator
 from pathlib import Path
 
+from hil.core.options import format_value
 from hil.faults.cases import CASES, PAIRS, Row
 from hil.faults.kind import Kind, Quantity
 from hil.faults.kinds import KINDS
@@ -54,7 +55,8 @@ def _section(kind: Kind) -> str:
     if kind.explains:
         where = "; of wheel speeds, `robot.*` and `truth.*` only" if kind.acts_on == "signal" else ""
         rows.append(f"- explains ticks in which the robot is not driven{where}")
-    example = [f'    kind = "{kind.name}"', *(f"    {key} = {_toml(value)}" for key, value in kind.example.items())]
+    keys = {"kind": kind.name, **kind.example}
+    example = [f"    {key} = {format_value(value)}" for key, value in keys.items()]
     return "\n".join([f"### {kind.name}", "", kind.meaning, "", *rows, "", "    [[fault]]", *example, ""])
 
 
@@ -62,10 +64,6 @@ def _quantity(quantity: Quantity) -> str:
     unit = f" [{quantity.unit}]" if quantity.unit else ""
     default = "" if quantity.default is None else f"; by default {quantity.default:g}"
     return f"- `{quantity.name}`{unit}: {quantity.meaning}, {quantity.range}{default}"
-
-
-def _toml(value: str | float) -> str:
-    return f'"{value}"' if isinstance(value, str) else f"{value}"
 
 
 def main(arguments: list[str]) -> int:

@@ -11,6 +11,8 @@ from hil.core.json_lines import LineReader, LineWriter
 from hil.core.subprocesses import away_from_terminal, child_environment, module_command
 from hil.record.ring import SharedBlock
 
+_WAIT_S = 0.0005
+
 WITH_RERUN = "rerun"
 """Argument of the recorder process: import rerun at once, before the config comes."""
 
@@ -45,9 +47,8 @@ class StallTimeout:
     It counts waits and not seconds: while this program is suspended, the other process must not count as stalled.
     """
 
-    def __init__(self, waits: int, wait_s: float = 0.0005) -> None:
+    def __init__(self, waits: int) -> None:
         self._waits = self._left = waits
-        self._wait_s = wait_s
         self._progress: object = None
 
     def wait(self, progress: object) -> bool:
@@ -56,7 +57,7 @@ class StallTimeout:
             self._progress = progress
             self._left = self._waits
         self._left -= 1
-        time.sleep(self._wait_s)
+        time.sleep(_WAIT_S)
         return self._left > 0
 
 

@@ -171,19 +171,18 @@ def draw_path(axes: "Axes", reference: Curve, curves: Sequence[Curve], *, title:
     axes.set_aspect("equal", adjustable="datalim")
 
 
-def draw_error(axes: "Axes", curves: Sequence[Curve], *, title: str = "Planar error", log: bool = True) -> None:
-    """Draw the planar error over time, given in s and m and shown in mm, on a logarithmic scale or not.
+def draw_error(axes: "Axes", curves: Sequence[Curve], *, title: str = "Planar error") -> None:
+    """Draw the planar error over time, given in s and m and shown in mm, on a logarithmic scale.
 
-    On the logarithmic scale a line marks 10 mm, the error of t10, and errors below 0.01 mm are drawn at 0.01 mm.
+    A line marks 10 mm, the error of t10. Errors below 0.01 mm are drawn at 0.01 mm.
     """
     label = "planar error [mm]"
     scaled = [curve._replace(y=curve.y * 1e3) for curve in curves]
-    if log:
-        if any(np.any(curve.y < _LEAST_ERROR_MM) for curve in scaled):
-            label += f", less than {_LEAST_ERROR_MM:g} shown as that"
-        scaled = [curve._replace(y=np.maximum(curve.y, _LEAST_ERROR_MM)) for curve in scaled]
-        axes.set_yscale("log")
-        axes.axhline(10.0, color=rgb(ALARM_COLOUR), linewidth=0.8, linestyle=":")
+    if any(np.any(curve.y < _LEAST_ERROR_MM) for curve in scaled):
+        label += f", less than {_LEAST_ERROR_MM:g} shown as that"
+    scaled = [curve._replace(y=np.maximum(curve.y, _LEAST_ERROR_MM)) for curve in scaled]
+    axes.set_yscale("log")
+    axes.axhline(10.0, color=rgb(ALARM_COLOUR), linewidth=0.8, linestyle=":")
     draw_curves(axes, scaled, title=title, y_label=label)
 
 

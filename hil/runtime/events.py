@@ -48,7 +48,7 @@ class RunEvents:
             row = watch.expect
             edges.append((row.from_s, partial(self._watch, at, watch)))
             # A sample at exactly to_s is still checked.
-            edges.append((math.nextafter(row.to_s, math.inf), partial(self._close, watch)))
+            edges.append((math.nextafter(row.to_s, math.inf), partial(self._decide, watch, row.to_s, None)))
         self._edges = sorted(edges, key=lambda edge: edge[0], reverse=True)
         self._next_s = self._edges[-1][0] if edges else math.inf
 
@@ -92,9 +92,6 @@ class RunEvents:
 
     def _watch(self, at: int, watch: Watch) -> None:
         self._open += ((at, watch),)
-
-    def _close(self, watch: Watch) -> None:
-        self._decide(watch, watch.expect.to_s, None)
 
     def _note_failure(self, watch: Watch) -> None:
         """Log at once that an expectation has failed. The worst value is logged when its time window ends."""

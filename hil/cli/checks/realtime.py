@@ -113,14 +113,14 @@ def _raise_limit(item: str, value: object) -> str:
     return f"echo '{getpass.getuser()} - {item} {value}' | sudo tee -a {_LIMITS}, and log in again"
 
 
-def check_clock(source: Path = _SOURCE, sleeps: int = _SLEEPS) -> Iterator[Finding]:
-    """Yield resolution and source of the clock, and the measured lateness of ``sleeps`` sleeps of 1 ms."""
-    yield _clock_source(source)
+def check_clock() -> Iterator[Finding]:
+    """Yield resolution and source of the clock, and the measured lateness of sleeps of 1 ms."""
+    yield _clock_source()
     with realtime.real_time(RealtimeTable(lock_memory=False)) as granted:
-        late_us = _lateness(sleeps).percentiles_us()
+        late_us = _lateness().percentiles_us()
     has_priority = "priority" in granted.figures()["granted"]
     sentence = (
-        f"{sleeps} sleeps of 1 ms, {'with' if has_priority else 'without'} real-time priority: late by "
+        f"{_SLEEPS} sleeps of 1 ms, {'with' if has_priority else 'without'} real-time priority: late by "
         f"{late_us['p50']:.0f} µs p50, {late_us['p99']:.0f} µs p99"
     )
     remedy = "end other programs, or isolate a processor" if has_priority else "see rtprio"
@@ -128,19 +128,19 @@ def check_clock(source: Path = _SOURCE, sleeps: int = _SLEEPS) -> Iterator[Findi
     yield ok_or_note("lateness", late_us["p99"] < _LATE_US, sentence, sentence, remedy)
 
 
-def _clock_source(source: Path) -> Finding:
+def _clock_source() -> Finding:
     resolution_ns = time.get_clock_info("monotonic").resolution * 1e9
-    name = text_of(source) if sys.platform == "linux" else None
+    name = text_of(_SOURCE) if sys.platform == "linux" else None
     facts = f"resolution {resolution_ns:.0f} ns" + (f", source {name}" if name else "")
     sentence = f"{facts}, which takes a microsecond or more to read"
     remedy = "see why the kernel gave up tsc: sudo dmesg | grep -i clocksource"
     return ok_or_note("clock", name not in _SLOW_SOURCES, facts, sentence, remedy)
 
 
-def _lateness(sleeps: int) -> Lateness:
+def _lateness() -> Lateness:
     clock, late = WallClock(), Lateness()
     due_ns = clock.now_ns() + TICK_NS
-    for _ in range(sleeps):
+    for _ in range(_SLEEPS):
         late.add(clock.wait_until(due_ns))
         due_ns = max(due_ns, clock.now_ns()) + TICK_NS
     return late
