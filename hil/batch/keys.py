@@ -1,7 +1,6 @@
 """The key of a job: a hash of its scenario with its seed, of the files it names, and of the versions it depends on.
 
-Two jobs with the same key have the same figures in lockstep, on any machine. Of a file the bytes enter the key, not its
-path.
+Two jobs with the same key have the same figures in lockstep, on any machine. A file enters by its bytes, not its path.
 """
 
 import functools

@@ -20,8 +20,7 @@ class Plan(Protocol):
     def next_jobs(self, outcomes: Sequence[Outcome], room: int) -> Sequence[Job]:
         """Return the next jobs, at most ``room``; ``outcomes`` are those since the last call.
 
-        An empty list while jobs are running means: call again when some have finished. An empty list while none is
-        running ends the plan.
+        An empty list ends the plan if no job is running; otherwise it means: call again when some have finished.
         """
 
 

@@ -64,8 +64,7 @@ def attempt(job: Job, scenario: Scenario, judge: Callable[[RunResult], Outcome],
     """Run a scenario with these options and return what ``judge`` says of it.
 
     A run that is refused or ends with a HilError is an outcome too. Any other exception is raised: it is a defect of
-    this package or of a law, and ends the process. The laws' modules are forgotten first, so nothing is left of an
-    earlier run.
+    this package or of a law, and ends the process. Laws are imported anew, so that nothing is left of an earlier run.
     """
     try:
         for law in (scenario.controller.law, *scenario.controller.shadow):

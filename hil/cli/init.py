@@ -89,8 +89,7 @@ def begin(folder: Path, answers: "Mapping[str, Value]", existing: Existing = "re
     """Write ``robot.toml`` and ``first_circle.toml`` into ``folder``, which is made if missing; return their paths.
 
     ``answers`` has a value for every question. Raises BadInputError when a file exists and may not be replaced, when
-    values contradict each other, or when the robot cannot follow the scenario's circle even at the lowest speed that is
-    tried.
+    values contradict each other, or when the robot cannot follow the scenario's circle at any speed that is tried.
     """
     from hil.cli.new_robot import robot_text
 

@@ -1,7 +1,6 @@
 """Robot files for ``hil init`` and ``hil probe``: the questions about a robot, and the texts of its files.
 
-Proposed answers come from the paper's robot and from earlier answers. In the files each value has its meaning as a
-comment.
+Proposed answers come from the paper's robot and from earlier answers. In the files each value has a comment.
 """
 
 import math
@@ -120,8 +119,7 @@ def problem_with(question: Question, value: Value) -> str | None:
 def robot_text(answers: Answers, driver: str | None = None, found: Found | None = None) -> str:
     """Return the robot's file; ``answers`` has every question's key.
 
-    ``driver`` and ``found`` describe motor controllers that a probe has found; then the file marks the values that are
-    not measured.
+    ``driver`` and ``found`` describe motor controllers from a probe; the file then marks what was not measured.
     """
     speed_kp = min(100.0, _rounded(_LOOP_RAD_S * _inertia_at_a_wheel(answers)))
     more: dict[str, Value | list[str]] = {

@@ -65,8 +65,7 @@ def near(word: str, known: Iterable[str]) -> list[str]:
     """Return the known words that are similar to ``word``: at most three, or an empty list.
 
     Case is ignored, a hyphen equals an underscore, and a part of a known word matches it. Otherwise the similarity of
-    the letters decides, after a common prefix such as ``wheel.fl.`` is removed: it would make all signals of a wheel
-    similar.
+    the letters decides, without a common prefix such as ``wheel.fl.``, by which all signals of a wheel are similar.
     """
     folded = {one: _folded(one) for one in known}
     meant = _folded(word)

@@ -14,8 +14,7 @@ class Guard:
 
     All four wheels are scaled by one factor, so that the direction of motion, or of force, is kept. The speed limit is
     the smaller of ``speed_limit_rad_s`` and the robot's own, which is set with ``limit_to``. ``refused`` counts
-    commands with a NaN or an infinity; a stop replaced them. Raises BadInputError for a limit that is not a finite
-    number above zero.
+    commands with a NaN or an infinity; a stop replaced them. Raises BadInputError unless limits are finite and above 0.
     """
 
     def __init__(self, speed_limit_rad_s: float, torque_limit_n_m: float) -> None:

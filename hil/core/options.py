@@ -1,8 +1,7 @@
 """Options: a frozen dataclass defines a table of a scenario, or the options of a law or a reference.
 
 Its fields give the names, types and defaults. ``Annotated`` adds, in any order: a ``Range``, a text that explains the
-option, ``Expected`` words for messages, and functions that return the checked value or raise ValueError with what was
-expected:
+option, ``Expected`` words for messages, and functions that return the checked value or raise ValueError:
 
     @dataclass(frozen=True)
     class Options:

@@ -39,9 +39,8 @@ def free_name(path: Path) -> Path:
 def claim(what: str, path: Path, existing: Existing = "refuse") -> Path:
     """Reserve a file for this process to write, and return its path.
 
-    The file is created empty, so that only one of two processes gets the name. With ``replace`` nothing is created or
-    reserved, and the path is returned unchanged. Raises BadInputError when the file exists (``refuse``) or cannot be
-    created.
+    The file is created empty, so that only one of two processes gets the name. With ``replace`` nothing is created, and
+    the path is returned unchanged. Raises BadInputError when the file exists (``refuse``) or cannot be created.
     """
     if existing == "replace":
         return path

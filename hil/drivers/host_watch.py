@@ -10,8 +10,8 @@ if TYPE_CHECKING:  # the guardian's process imports this module, and starts in h
 class HostWatch:
     """Watches this process from the arming of the robot until its wheels rest. No call waits for anything.
 
-    This class itself watches nothing: for a robot in this process, one that stops by itself, or one whose link cannot
-    be used by a second process.
+    This class itself watches nothing. It serves for a robot in this process, for one that stops by itself, and for one
+    whose link a second process cannot use.
     """
 
     def __init__(self, warning: str | None = None) -> None:

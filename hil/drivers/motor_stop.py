@@ -173,8 +173,7 @@ class MotorStop:
     def go_on(self, now_ns: int) -> bool:
         """Command the next step of the ramp (in mode TORQUE: brake), at its end leave closed loop.
 
-        Return True once the stop was sent whole and the wheels rest, or 1 s after it. Raises LinkError when the link
-        is lost.
+        Return True once the stop was sent whole and the wheels rest, or 1 s after it. Raises LinkError for a lost link.
         """
         if self._ramp is None:
             return self.is_sent and (self._owed_since_ns is None or now_ns > self._owed_since_ns + self.wait_ns)

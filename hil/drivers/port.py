@@ -113,8 +113,7 @@ class Driver(ABC):
     def ask(self) -> Sequence[Frame]:
         """Return frames that ask for identity and version; once these are known, frames that ask for the state.
 
-        They move nothing. A controller that sends its state unasked is not asked for it, because that may feed its
-        watchdog.
+        They move nothing. A controller that sends its state unasked is not asked: that may feed its watchdog.
         """
         return ()
 

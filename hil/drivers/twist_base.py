@@ -1,8 +1,7 @@
 """Shared by the drivers of bases that take a velocity of the body: conversions, arming, and packets on a serial line.
 
 A base controls its wheels with the wheel radius and lever of its own firmware. The wheels reach the commanded speeds
-only if these are converted to a twist with the firmware's values. So the firmware's values are used here, also where
-[robot] has others.
+only if these are converted to a twist with the same values. So these are used here, also where [robot] has others.
 """
 
 import math

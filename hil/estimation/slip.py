@@ -15,8 +15,7 @@ class SlipDetector:
 
     - Front and rear wheels: the one combination of four wheel speeds that no motion of a rigid robot has.
     - Wheels and gyro: the difference of the yaw rates times the lever L.
-    - Wheels and accelerometer: the difference of the changes of velocity; the only one that shows that all four wheels
-      spin alike.
+    - Wheels and accelerometer: the difference of the changes of velocity; only this shows four wheels that spin alike.
 
     Each difference goes through a leaky integrator of 0.1 s (0.2 s for the accelerometer), in which quantisation
     cancels out. Slip begins when one exceeds ``threshold_m_s`` and ends when all are below half of it. A bias of the

@@ -1,7 +1,6 @@
 """Expectations and allowances: what ``[[expect]]`` claims of signals, what ``[allow]`` permits, and the outcomes.
 
-No side effects. A run adds sample by sample, so it reports a failed expectation at once; a review checks a whole
-recording.
+No side effects. A run adds sample by sample, and so reports a failure at once; a review checks a whole recording.
 """
 
 import math

@@ -1,7 +1,7 @@
 """AFDSC: dynamic surface control with fuzzy gains (Nguyen Minh et al. 2023, section III.B).
 
-One fuzzy block per axis sets the gains at every tick: K1 from 3 to 15 1/s and K2 from 10 to 40 1/s. In SPEED mode only
-K1 is in force.
+One fuzzy block per axis sets the gains at every tick: K1 from 3 to 15 1/s and K2 from 10 to 40 1/s. SPEED mode uses
+K1 alone.
 """
 
 from dataclasses import dataclass

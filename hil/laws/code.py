@@ -1,8 +1,7 @@
 """The hash of a law's code: it identifies in a recording which code drove the robot.
 
-It covers the law's file and every module that the file imports, directly or indirectly, from the same place: from the
-file's folder for a law in a file, from the package for a law in a package. Other modules, such as NumPy, are not
-covered.
+It covers the law's file and every module that the file imports, directly or indirectly, from the same place: from its
+folder, or from its package for a law in a package. Other modules, such as NumPy, are not covered.
 """
 
 import ast

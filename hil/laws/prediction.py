@@ -215,8 +215,7 @@ def torque_command(model: RobotModel, acceleration: Axes, predicted: Prediction)
 def speed_command(model: RobotModel, desired: Axes, predicted: Prediction, acceleration: Axes) -> WheelCommand:
     """Return the set points of the firmware's speed loop for a world twist: ω = H Rᵀ x̄2 / r.
 
-    ``desired`` is the twist [m/s, m/s, rad/s]. The torque feedforward follows from the reference's twist and
-    ``acceleration``.
+    ``desired`` is the twist [m/s, m/s, rad/s]. The reference's twist and ``acceleration`` give the torque feedforward.
     """
     _, heading_rad, twist, _ = predicted
     feedforward = model.wheel_torques(acceleration, twist, heading_rad, twist)

@@ -67,8 +67,7 @@ class SurfaceLaw:
 
     In TORQUE mode the command is τ = B⁺ (M u + C) + ξ (equation 18 with the model's C). In SPEED mode the firmware's
     speed loop replaces the inner surface: the set points are ω = H Rᵀ x̄2 / r with the torque feedforward
-    B⁺ (M q̈_d + C) + ξ of the reference. x̄2 is not filtered there, because a filter would only add lag. K2 and ς are
-    not used.
+    B⁺ (M q̈_d + C) + ξ of the reference. K2 and ς are not used there: to filter x̄2 would only add lag.
 
     ``gains`` are K1 and K2 [1/s]; a subclass whose gains change overrides ``_gains_at``.
     """

@@ -71,8 +71,7 @@ def _variables_in(fmu: Path, _state: tuple[int, int]) -> dict[str, Any]:
 class VariableInfo:
     """A variable as in modelDescription.xml, with start and range as text; None for what is not given.
 
-    ``dimensions`` are the start sizes of an array, empty for a scalar; ``items`` are the names and numbers of an
-    enumeration.
+    ``dimensions`` are an array's start sizes, empty for a scalar; ``items`` an enumeration's names and numbers.
     """
 
     name: str

@@ -214,8 +214,7 @@ class Parent:
     """The parent of this process, which is a ``ChildProcess``; made once, before any FMU is loaded.
 
     ``requests`` and ``replies`` are the descriptors of its pipes. An FMU reads nothing from stdin, and its output goes
-    to stderr, line by line. When the parent has ended, this process removes the folder ``scratch`` and ends too, also
-    while an FMU hangs.
+    to stderr, line by line. When the parent has ended, this process removes ``scratch`` and ends, even in a hung FMU.
     """
 
     def __init__(self) -> None:

@@ -46,8 +46,7 @@ class Start(NamedTuple):
 def start_values(start: Mapping[str, Value], fmu: Path, variables: Variables) -> tuple[Start, ...]:
     """Return what to set before the initialization: parameters, inputs, and whatever has a start that may be set.
 
-    An item of an enumeration may be given by name or number. Raises BadInputError with a line for each value that
-    does not fit.
+    An item of an enumeration may be given by name or number. Raises BadInputError with a line for each bad value.
     """
     values, problems = [], []
     for name, value in start.items():
@@ -158,8 +157,7 @@ class Settable(NamedTuple):
 def settable_variables(variables: Variables, driven: Collection[str]) -> dict[str, Any]:
     """Return the scalars of a floating-point type that may be set in step mode, by name.
 
-    FMI 2.0 section 2.2.7 and FMI 3.0 section 2.4.7.4: inputs, here those that are not ``driven`` by the firmware, and
-    tunable parameters.
+    FMI 2.0 section 2.2.7, FMI 3.0 section 2.4.7.4: tunable parameters, and inputs (here those not ``driven`` by us).
     """
     found = {}
     for name, variable in variables.items():

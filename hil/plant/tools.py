@@ -60,9 +60,8 @@ def check(fmu: Path, longest_s: float = _LONGEST_CALL_S) -> CheckResult:
     The run is that of ``hil.plant.conformance``. A call of the FMU that takes longer than ``longest_s`` is a hang.
     Its process is ended at 2000 MB.
 
-    Raises BadInputError when the file is no readable FMU, and when it is one that cannot be run here: of another
-    version, without co-simulation, or without a library for this platform. Raises DeviceError when no process can be
-    started.
+    Raises BadInputError when the file is no readable FMU or cannot be run here: it is of another version, or without
+    co-simulation or a library for this platform. Raises DeviceError when no process can be started.
     """
     archive.read_header(fmu)
     shim.load()  # the child needs it: raise here what is missing

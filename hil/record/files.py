@@ -77,8 +77,7 @@ def check_writable(folder: Path, size_bytes: int = _BEGINNING_BYTES) -> None:
 def why_not_written(path: Path, error: Exception) -> str:
     """Return as text why writing to an open file failed.
 
-    rerun's errors lack the system's reason. For them this tries to write in the same folder, and takes the reason from
-    there.
+    rerun's errors lack the system's reason. For them this tries to write in the same folder, which gives the reason.
     """
     if not isinstance(error, OSError):
         try:

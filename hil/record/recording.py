@@ -78,9 +78,8 @@ def _start_recorder(suffix: str | None, *, live: bool) -> StartedProcess:
 def early_recorder(suffix: str | None, *, live: bool = False) -> Iterator[Callable[..., "Recording"]]:
     """Start the recorder process now, so that it imports its libraries while the run gets ready.
 
-    Yields a callable that makes the Recording. ``suffix`` is the file's, None for no file; with neither a file nor live
-    viewers no process is started. A process that no Recording uses ends with the context. Raises OSError when it cannot
-    be started.
+    Yields a callable that makes the Recording. ``suffix`` is the file's, None for no file; with neither file nor live
+    viewers no process is started. One that no Recording uses ends with the context. Raises OSError if it cannot start.
     """
     if suffix is None and not live:
         yield Recording

@@ -74,8 +74,7 @@ class Bend:
     """A curve that turns by an angle; its curvature rises from zero and falls back as 1 - cos.
 
     At constant speed neither the acceleration nor the yaw acceleration jumps. The direction and the derivatives of the
-    position are exact. The position is interpolated by quintic Hermite polynomials, with an error below 1e-11 of the
-    length.
+    position are exact. The position is interpolated by quintic Hermite polynomials, to 1e-11 of the length.
     """
 
     PIECES = 64
@@ -158,8 +157,7 @@ def _turned(u: Series, turn: float) -> Series:
 def _quintics(places: Complexes, slopes: Complexes, bends: Complexes) -> list[tuple[complex, ...]]:
     """Return the coefficients, lowest first, of one polynomial over 0 to 1 for each step between two nodes.
 
-    ``slopes`` and ``bends`` are the first and second derivatives by a parameter that is 0 at the first node and 1 at
-    the last.
+    ``slopes`` and ``bends`` are its first and second derivatives by a parameter from 0 (first node) to 1 (last one).
     """
     h = 1.0 / (len(places) - 1)
     p, q = places[:-1], places[1:]

@@ -113,8 +113,7 @@ def scenario_number(run: RecordedRun, key: str) -> float | None:
 def _cut_s(run: RecordedRun) -> float | None:
     """Return the time of the last row of a run that was cut short; None for one that came to its end.
 
-    A run with a summary came to its end unless it has a failure. A run without one did if its last row is at the end of
-    its duration.
+    With a summary a run is complete unless that has a failure; without one, if its last row is at its planned end.
     """
     if run.summary is not None and run.summary.get("failure") is None:
         return None

@@ -1,7 +1,6 @@
 """An overlay of two runs as a recording for the viewer: each signal of both over the scenario's time.
 
-Both begin at t = 0, their first ACTIVE tick, whatever their rates are. ``hil view`` opens the file, which has its own
-layout of views.
+Both begin at t = 0, their first ACTIVE tick, at any rates. ``hil view`` opens the file, which has its own layout.
 """
 
 import json

@@ -57,8 +57,7 @@ def run(
 ) -> RunResult:
     """Run a scenario, as ``hil run`` does, and return its result.
 
-    The result holds all signals. A file is recorded only when ``record`` names one (``hil run`` records into ``runs/``
-    by default).
+    The result holds all signals. Unlike ``hil run``, it records only into a file that ``record`` names.
 
     ``scenario`` is a shipped name or a path; ``set`` overrides any of its keys, ``robot`` merges a robot's own file.
     ``law`` is the control law: a class, or a text as ``controller.law`` takes it. ``truth`` is the URL of the truth
@@ -97,7 +96,7 @@ class RunOptions:
     """Options of a run that are not part of the scenario.
 
     Attributes:
-        truth, rotate, trace, stream, allow_motion: as of ``run``.
+        truth, rotate, trace, stream, allow_motion: as for ``run``.
         record: the file of a recording, or None.
         existing: what to do when ``record`` exists already. A ``trace`` is never numbered: "number" counts as "refuse"
             there.

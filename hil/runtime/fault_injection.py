@@ -65,8 +65,7 @@ class RunFaults:
     def bus(self, url: LinkUrl) -> BusFaults | None:
         """Return the faults of a link's bus; None for a link that is no bus, or without such faults.
 
-        Raises BadInputError for frames in memory, which have no bits, and LinkError when a babbling node cannot be
-        opened.
+        Raises BadInputError for frames in memory, which have no bits, LinkError when no babbling node can be opened.
         """
         if not self._of_bytes or not (url.is_bus or self._protocol.make_framing is None):
             return None
@@ -102,8 +101,7 @@ class RunFaults:
     def applied(self) -> list[int | None]:
         """Return how often each row of the run was applied; None if the robot that counted is gone.
 
-        Also None if the robot now has another number of rows: its process was restarted, or another client set its
-        faults.
+        Also None if the robot has another number of rows by now: it was restarted, or another client set its faults.
         """
         of_robot: Sequence[int | None] = [None] * len(self._of_robot)
         with contextlib.suppress(HilError):

@@ -9,8 +9,7 @@ _FIRST_NS = 1_000
 _DECADES = 6
 _A_DECADE = 10
 EDGES_NS = tuple(round(_FIRST_NS * 10 ** (place / _A_DECADE)) for place in range(_DECADES * _A_DECADE + 1))
-"""Edges between the buckets [ns], ten per decade from 1 µs to 1 s. The first bucket is below all, the last one
-above.
+"""Edges between the buckets [ns], ten per decade from 1 µs to 1 s. The first bucket is below all, the last above.
 """
 SHARES = {"p50": 0.5, "p99": 0.99, "p99.9": 0.999}
 

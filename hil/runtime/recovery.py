@@ -75,11 +75,9 @@ class Recovery:
             self._step = self._begin
 
     def advance(self) -> bool:
-        """Take the next step if it is due; return whether recovery is complete: ACTIVE, or feedback received if ``arm``
-        is False.
+        """Take the next step if it is due; return whether that was the last: ACTIVE, or without ``arm`` any feedback.
 
-        Raises DeviceError when the robot refuses to arm or is in FAULT or ESTOP, BadInputError when it is another
-        robot.
+        Raises DeviceError when the robot refuses to arm or is in FAULT or ESTOP, BadInputError for another robot.
         """
         self._standstill_ns = None
         try:

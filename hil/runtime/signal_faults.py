@@ -1,8 +1,7 @@
 """Faults of the signals of a tick: bias, override and reset, each applied where its signal is produced.
 
 Sensor faults act before the estimator, reference faults before the law, command faults before the guard: all later
-stages see them, and the guard limits them. A fault of a signal that nothing reads changes only the recording and the
-judging.
+stages see them, and the guard limits them. A fault of a signal that nothing reads changes only recording and judging.
 """
 
 import random

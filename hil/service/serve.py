@@ -45,9 +45,8 @@ _ENDING_LIMIT_S = 7.0  # longer than the pilot waits for a robot to stop
 class Options:
     """The options of ``hil serve`` besides the configuration.
 
-    ``record`` is a file to record to from the start, numbered if it exists; ``live_port`` serves viewers;
-    ``token_file`` holds the API's token; ``truth`` is the URL of a virtual robot's truth socket; ``log`` is the format
-    of the log's lines.
+    ``record`` is a file to record to from the start, numbered if it exists. ``live_port`` serves viewers. The API's
+    token is in ``token_file``. ``truth`` is the URL of a virtual robot's truth socket. ``log`` is the log's format.
     """
 
     record: Path | None = None

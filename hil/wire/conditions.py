@@ -1,8 +1,7 @@
 """The conditions of a link, directly above the transport: latency and faults of frames, in both directions.
 
 A command passes the latency, then the fault rows, then the faults of the bus; feedback passes them in reverse order.
-Each direction (``direction.py``) has one queue of delayed frames. An observer sees what crosses the wire, below all
-conditions.
+Each direction (``direction.py``) has one queue of delayed frames. An observer sees the wire, below all conditions.
 """
 
 import time
@@ -197,8 +196,8 @@ class ConditionedLink:
     def exchange(self, transport: DirectTransport, client: Client) -> deque[Received]:
         """Send what waits in the client to a robot that answers at once; return what ``receive`` would return now.
 
-        Its frames are exempt, or ``lets_commands_pass`` was true when they were added. What is not removed from the
-        result will be received later.
+        The client's frames must be exempt, or were added while ``lets_commands_pass``. ``receive`` returns later what
+        the caller leaves in the result.
         """
         now_ns = self._clock.now_ns()
         if self._in.due_ns <= now_ns:

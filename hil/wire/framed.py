@@ -11,9 +11,7 @@ from hil.core.ports import Framing, Received
 from hil.wire.streams import HostStream
 
 _MOST_AT_ONCE = 50
-"""The most frames that one call returns: those of a few ticks. A host with a backlog decides how many calls it
-makes.
-"""
+"""The most frames that one call returns: those of a few ticks. The caller decides how often it calls."""
 
 _MOST_NOISE = 65536  # bytes without a frame in one call: more than any buffer of a line holds
 

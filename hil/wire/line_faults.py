@@ -16,8 +16,8 @@ _LONGEST_GARBAGE = 16
 class FaultLine:
     """The host's end of a line, with faults in both directions.
 
-    Nothing happens before the scenario's time has begun. Frames that carry lockstep are not changed. A zero byte before
-    each of them separates it from a frame that was cut before it.
+    Nothing happens before the scenario's time has begun. Frames that carry lockstep are not changed; each gets a zero
+    byte before it, because the frame before it may have been cut.
     """
 
     def __init__(

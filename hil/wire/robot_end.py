@@ -101,8 +101,7 @@ class CanWire:
 
 
 class ReopeningWire:
-    """A wire that is reopened after it was lost. Meanwhile the firmware goes on, as on a board; its watchdog stops the
-    wheels.
+    """A wire that is reopened after it was lost. Meanwhile the firmware runs, as on a board, and stops the wheels.
 
     ``reopen`` is called after 0.1 s, then after twice as long each time, up to 2 s, in its own thread, because it may
     take seconds (an slcan adapter alone takes 2 s). ``say`` gets a sentence when the link is lost and when it is

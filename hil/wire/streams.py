@@ -141,8 +141,7 @@ class MemoryStream(_End[bytes]):
 
 
 class MemoryBus(_End[Frame]):
-    """One end of a bus with two nodes in memory, without a bit rate; ``memory_bus`` makes both. Bytes are those of
-    payloads.
+    """One end of a bus in memory, without a bit rate; ``memory_bus`` makes both. Bytes are those of payloads.
 
     Attributes:
         now_ns: the clock that stamps received frames.

@@ -75,8 +75,8 @@ class MemoryUrl(LinkUrl):
 class SerialUrl(LinkUrl):
     """A serial line: pyserial's name or URL of the port, and its speed [baud].
 
-    The port ``pty`` makes a new pseudo-terminal, and ``symlink`` gives it a fixed name. Raises BadInputError when a
-    field is out of range.
+    The port ``pty`` makes a new pseudo-terminal; ``symlink`` gives it a fixed name. Raises BadInputError for a field
+    out of range.
     """
 
     example: ClassVar[str] = "serial:/dev/ttyACM0"

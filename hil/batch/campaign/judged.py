@@ -49,8 +49,7 @@ class Spread(NamedTuple):
 class Duel(NamedTuple):
     """Two laws in the same runs: the mean of first minus second, and the share of pairs in which the first was less.
 
-    ``units`` is the number of independent draws among the ``pairs``; ``left_out`` counts further pairs, in which a run
-    lacks the figure.
+    ``units`` is the number of independent draws among the ``pairs``. In ``left_out`` further pairs a run has no figure.
     """
 
     first: str
@@ -74,8 +73,7 @@ class Effect(NamedTuple):
 class Judged:
     """A campaign's results: its plan and the rows of the runs that are done, each a mapping of columns.
 
-    ``by`` is the figure by which runs are worst. What is drawn independently is the sample, or without random axes the
-    seed.
+    ``by`` is the figure by which runs are worst. Samples are drawn independently, or without random axes the seeds.
     """
 
     def __init__(self, folder: Path, about: Mapping[str, Any], plan: Sequence[Row], rows: Sequence[Row]) -> None:

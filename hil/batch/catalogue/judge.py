@@ -51,8 +51,7 @@ Four = tuple[float, ...]
 class Tick(NamedTuple):
     """The commands to the drives for one tick, and how the wheels turn and are driven at its start.
 
-    ``set_point_rad_s`` is that of the speed loop, ``speed_rad_s`` is by the encoders, ``motor_n_m`` the torque of the
-    measured currents.
+    ``set_point_rad_s`` is that of the speed loop, ``speed_rad_s`` by the encoders, ``motor_n_m`` by measured currents.
     """
 
     enabled: bool

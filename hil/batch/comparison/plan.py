@@ -174,10 +174,9 @@ def _check_sets(sets: Sequence[str], tables: Sequence[Condition]) -> None:
 def entries(texts: Sequence[str], scenario: str, sets: Sequence[str]) -> list[Entry]:
     """Return the laws with gains that texts such as ``dsc,k1_1_s=8`` or ``./my_law.py:MyLaw,speed.gain=3`` name.
 
-    A law starts from the gains of the scenario when it is the scenario's own and the mode is the scenario's too, and
-    from its defaults otherwise. The text's own gains override these: for both modes or, after ``torque.`` or
-    ``speed.``, for one. Raises BadInputError for a law that does not exist, for gains that it does not take, and for
-    one named twice.
+    In the scenario's mode the scenario's own law starts from the scenario's gains; otherwise a law starts from its
+    defaults. The text's gains override these: for both modes or, after ``torque.`` or ``speed.``, for one. Raises
+    BadInputError for a law that does not exist or is named twice, and for gains that it does not take.
     """
     for text in texts:
         if texts.count(text) > 1:

@@ -77,8 +77,7 @@ class Row(NamedTuple):
     def worst(self, name: str, over: str = "worst") -> float | None:
         """Return the worst value of a figure in some of the runs; None if one of these lacks it, which is worse still.
 
-        ``over`` says which runs: ``nominal`` (that one), ``worst_over_mass`` (those with the nominal friction) or
-        ``worst`` (all).
+        ``over`` says which: ``nominal`` (that run), ``worst_over_mass`` (those with nominal friction), ``worst`` (all).
         """
         some = self.runs[:1] if over == "nominal" else self.runs
         if over == "worst_over_mass":

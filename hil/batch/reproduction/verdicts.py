@@ -1,7 +1,6 @@
 """Which of the paper's results we reproduce, which not, and why, computed from the figures of our runs.
 
-No side effects: results in, verdicts out. No sentence holds a number that was not computed here or printed in the
-paper.
+No side effects: results in, verdicts out. Every number in a sentence is computed here, or printed in the paper.
 """
 
 import math
@@ -31,8 +30,7 @@ class Verdict(NamedTuple):
 
     ``verdict``: ``COMES_OUT`` (reproduced), ``FITTED`` (reproduced, but only because we chose a value that the paper
     does not give), ``DOES_NOT``, ``NO_NUMBER`` (cannot be compared), ``NOT_RUN`` (left out by ``--quick``). ``paper``
-    and ``ours`` are in ``unit``, None where there is no number; ``tolerance`` is the largest difference that still
-    counts as equal.
+    and ``ours`` are in ``unit``, None without a number. ``tolerance`` is the largest difference that counts as equal.
     """
 
     place: str

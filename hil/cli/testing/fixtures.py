@@ -38,8 +38,7 @@ class StartRobot:
         link: str = "serial:pty",
         seed: int | None = None,
     ) -> RobotProcess:
-        """Start the scenario's robot at its end of ``link``, by default a new pseudo-terminal; return it when it is
-        ready.
+        """Start the scenario's robot behind ``link``, by default a new pseudo-terminal; return it when it is ready.
 
         ``set``, ``mode`` and ``seed`` are those of ``hil device`` and override --hil-set, --hil-mode and --hil-seed.
         Raises BadInputError for a wrong scenario or option, DeviceError when the robot does not become ready.
@@ -84,8 +83,7 @@ class OpenLink:
 
 @dataclass
 class RunScenario:
-    """Fixture ``hil_run``: runs scenarios as ``hil.run`` does, and adds their figures to the test's properties in the
-    pytest report.
+    """Fixture ``hil_run``: runs scenarios as ``hil.run`` does, and adds their figures to the test in pytest's report.
 
     A scenario is a shipped name or a path; a relative path starts from the folder of the test file.
     """

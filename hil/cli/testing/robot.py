@@ -28,8 +28,7 @@ _READY = "ready "
 class RobotProcess:
     """A virtual robot that is ready. It ends with ``close``, and also when this process ends in any way.
 
-    Raises BadInputError when the scenario cannot run in its own process, DeviceError when the robot does not become
-    ready.
+    Raises BadInputError when the scenario cannot run in a process of its own, DeviceError when it is never ready.
 
     Attributes:
         scenario: the robot's scenario.

@@ -26,9 +26,8 @@ _UNKNOWN_LATE_NS = 250_000_000
 class Settings:
     """``[device.motors]``. A signal is written ``"MESSAGE.Signal"``, with a minus before it to invert its sign.
 
-    ``gear_ratio``: motor turns per turn of the wheel. ``estop_latches``: commands do not end an ``estop``. ``plan`` is
-    the mapping, which ``__post_init__`` builds. Raises ValueError if the DBC lacks something, or tables contradict each
-    other.
+    ``gear_ratio``: motor turns per turn of the wheel. ``estop_latches``: commands do not end an ``estop``. ``plan``:
+    the mapping, built here. Raises ValueError if the DBC lacks something, or if tables contradict each other.
     """
 
     file: str

@@ -110,8 +110,7 @@ def initialization(model: Model) -> Iterator[Finding]:
 def time(model: Model) -> Iterator[Finding]:
     """The FMU's own time is the communication point that it has reached.
 
-    In FMI 2.0 (section 4.2.1) that is the end of the step. In FMI 3.0 (section 4.2.1) the FMU may reach another time,
-    and then reports it.
+    In FMI 2.0 (section 4.2.1) that is the end of the step. In FMI 3.0 (section 4.2.1) the FMU may report another.
     """
     clock = next((v for v in model.variables if v.causality == "independent"), None)
     _require(clock is not None or not model.is_fmi2, "no variable is the time")

@@ -93,8 +93,7 @@ class QemuServer(VirtualServer):
 def open_target(target: str, made_of: VirtualRobot, url: LinkUrl) -> VirtualStm32:
     """Make the robot for ``--target``.
 
-    Raises BadInputError when there is no such target, when it does not support the link or the mode, or when its tools
-    are not installed.
+    Raises BadInputError for an unknown target, one that lacks the link or the mode, and one without its tools here.
     """
     if target not in TARGETS:
         raise BadInputError(f"--target {target!r}: there is no such target{nearest(target, TARGETS)}")

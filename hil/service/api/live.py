@@ -5,8 +5,7 @@ Messages are JSON objects, as on the pipe between the processes:
     to the client    {"status": {...}}    {"answer": {"number": 7, "refused": null, "result": {}}}
     from the client  {"order": {"number": 7, "action": "twist", "arguments": {"vx_m_s": 0.2, ...}}}
 
-The number is chosen by the client. A client that reads slowly gets fewer statuses, each time the newest, but all
-answers.
+The client chooses the number. A client that reads slowly gets all answers, but of the statuses only the newest.
 """
 
 import asyncio

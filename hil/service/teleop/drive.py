@@ -45,8 +45,7 @@ def teleop(client: Client, speeds: Speeds, *, gamepad: bool, dead_zone: float, e
     """Drive a served robot until the operator quits; return a sentence on its final state.
 
     At the end, also after an error, the robot is ordered to stop if it can be reached, and the terminal is restored.
-    Raises LostTerminalError, LinkError when the service is lost, RunInterruptedError for SIGINT and SIGTERM, and
-    BadInputError.
+    Raises BadInputError, LostTerminalError, LinkError for a lost service, RunInterruptedError for SIGINT and SIGTERM.
     """
     terminal = Terminal()
     try:

@@ -1,8 +1,7 @@
 """Frames as rows of bytes, for the ring buffer between a run and its trace writer.
 
-A row is four doubles, Unix time [µs], flags, identifier, length, and the payload, padded with zeros. With the flag
-PACKED it holds frames that crossed the wire together, one after the other as ``PackedFrames`` has them; the identifier
-is then 0.
+A row is four doubles, Unix time [µs], flags, identifier and length, and the payload, padded with zeros. With the flag
+PACKED it holds frames that crossed the wire together, as ``PackedFrames`` has them, and the identifier is 0.
 """
 
 import struct

@@ -21,8 +21,7 @@ class Peripheral:
 
     ``reset_values`` has the reset value of each register by its offset. A subclass overrides ``read`` and ``write``
     for registers that do more, and ``reset`` for state that is in no register. ``irq`` is its interrupt line, connected
-    to nothing at first. Raises MachineError for an offset without a register: the firmware relies on something that is
-    not modelled.
+    to nothing at first. Raises MachineError for an offset without a register: the firmware needs what is not modelled.
     """
 
     def __init__(self, name: str, reset_values: Mapping[int, int]) -> None:
