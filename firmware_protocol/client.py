@@ -4,7 +4,8 @@
 """
 
 import hashlib
-from typing import Any
+from collections.abc import Sequence
+from typing import Any, TypeVar
 
 from firmware_protocol.fast_calls import address_of, fast_calls
 from firmware_protocol.framing import PackedFrames
@@ -17,6 +18,8 @@ MOST_TICKS = 1000
 """The most that one STEP runs (wheel.dbc, STEP.substeps)."""
 _LOG_BYTES = 1 << 15
 _NO_TIME = -1
+
+_Feedback = TypeVar("_Feedback")
 
 
 class Client:
@@ -45,10 +48,13 @@ class Client:
         self.address = address_of(self.handle)
         self._fast = fast_calls()
 
-    def member(self, name: str, size: int) -> memoryview:
-        """Return ``size`` bytes of the view, from the member of this name on; they change with the view."""
-        offset = self._ffi.offsetof("wheel_view", name)
-        return memoryview(self._ffi.buffer(self.view))[offset : offset + size]
+    def wire(self, wheel_of_channel: Sequence[int], sign_of_channel: Sequence[int]) -> None:
+        """Set which wheel each of the robot's channels drives, and in which direction; ``view`` is then of wheels.
+
+        Raises ValueError unless that is a permutation of 0 to 3 with signs 1 and -1.
+        """
+        if not self._lib.wheel_client_wire(self.handle, tuple(wheel_of_channel), tuple(sign_of_channel)):
+            raise ValueError(f"wheels {tuple(wheel_of_channel)} with signs {tuple(sign_of_channel)} on the channels")
 
     # What the robot sends
 
@@ -56,11 +62,20 @@ class Client:
         """Take packed frames from ``begin`` on; return where the next one begins, or the end. Then see ``view``."""
         return self._fast.take(self.address, packed, begin, now_ns)
 
-    def snapshot(self) -> tuple[Any, ...]:
-        """Return the newest feedback: snapshots, round_trips, slow, round_trip_ns, robot time [ns], state,
-        command_sequence, command_age_ms, encoder counts, speeds [rad/s].
+    def feedback(self, kind: type[_Feedback], wheels: type, states: tuple[Any, ...]) -> _Feedback | None:
+        """Return the newest snapshot; None before the first, and after ``leave`` or ``begin`` until the next.
+
+        ``kind`` is a class of named tuples: robot time [ns], state, command_sequence, command_age_ms, encoder counts,
+        speeds [rad/s], currents [A], acceleration [m/s²], yaw rate [rad/s]. ``wheels`` is one of four numbers, and
+        ``states`` has an object for each state.
         """
-        return self._fast.snapshot(self.address)
+        feedback: _Feedback | None = self._fast.feedback(self.address, kind, wheels, states)
+        return feedback
+
+    def round_trips_ns(self, begin: int) -> list[int]:
+        """Return the round trips from this number on, oldest first, of the newest 256."""
+        count, newest = self.view.round_trips, self.view.round_trips_ns
+        return [newest[number % len(newest)] for number in range(max(begin, count - len(newest)), count)]
 
     def counts(self) -> tuple[int, int, int]:
         """Return how many messages were sent and received, and how many snapshots are missing or incomplete."""
@@ -81,7 +96,7 @@ class Client:
         self._lib.wheel_client_unsent(self.handle)
 
     def command(self, speed_rad_s: FourNumbers, torque_n_m: FourNumbers, now_ns: int | None) -> int:
-        """Add a command for the four channels; return its sequence number, or -1 when it cannot be sent."""
+        """Add a command for the four wheels; return its sequence number, or -1 when it cannot be sent."""
         return self._fast.command(self.address, speed_rad_s, torque_n_m, _NO_TIME if now_ns is None else now_ns)
 
     def poll(self, now_ns: int) -> bool:

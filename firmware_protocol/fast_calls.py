@@ -6,7 +6,7 @@ check neither the number of their arguments nor addresses: only this package cal
 
 import ctypes
 import functools
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
 
 from firmware_protocol.host import library
@@ -29,6 +29,9 @@ _NEEDED = (
     "PyBytes_FromStringAndSize",
     "PyBytes_AsStringAndSize",
     "Py_DecRef",
+    "Py_IncRef",
+    "Py_BuildValue",
+    "PyType_GenericAlloc",
 )
 
 
@@ -49,7 +52,7 @@ class FastCalls(NamedTuple):
     command: Callable[[int, Sequence[float], Sequence[float], int], int]
     poll: Callable[[int, int], bool]
     step: Callable[[int, int, int, int, int], bool]
-    snapshot: Callable[[int], tuple[Any, ...]]
+    feedback: Callable[[int, type, type, tuple[Any, ...]], Any]
     counts: Callable[[int], tuple[int, int, int]]
     out: Callable[[int], bytes]
     sent: Callable[[int], bool]
@@ -57,6 +60,55 @@ class FastCalls(NamedTuple):
     take: Callable[[int, bytes, int, int], int]
     exchange: Callable[[int, int, int, bytes], bytes]
     split: Callable[[bytes, int], tuple[bytes, bytes]]
+    row: Callable[..., bytes]
+
+
+class Scaled(NamedTuple):
+    """A number of a row that is multiplied by ``unit`` first."""
+
+    name: str
+    unit: float
+
+
+Objects = tuple["str | Scaled | Objects | None", ...]
+"""What the members of a tuple are: the name of a number, another tuple, or None for what is left out."""
+_SKIP, _TUPLE = -1, -2
+
+
+class RowLayout:
+    """Makes rows of numbers from nested tuples.
+
+    ``names`` are those of a row, in order. ``objects`` describes what ``row`` is called with. ``difference`` names the
+    first of the three numbers (x, y, heading) of two poses, and of what becomes their difference: x, y, heading in
+    [-π, π], and distance. A number that is in no object stays NaN. Raises BuildError when the host library cannot be
+    loaded.
+
+    Attributes:
+        row: the function that makes a row: doubles, as bytes.
+    """
+
+    def __init__(self, names: Sequence[str], objects: Objects, difference: tuple[str, str, str]) -> None:
+        ffi, _ = library()
+        places = {name: place for place, name in enumerate(names)}
+        members = ffi.new("wheel_python_member[]", list(_members(objects, places)))
+        numbers = ffi.new("double[]", [float("nan")] * len(names))
+        first = [places[name] for name in difference]
+        layout = ffi.new("wheel_python_layout *", (numbers, len(names), *first, members))
+        self._memory = members, numbers, layout
+        self.row: Callable[..., bytes] = functools.partial(fast_calls().row, address_of(layout))
+
+
+def _members(objects: Objects, places: Mapping[str, int]) -> Iterator[tuple[int, int, float]]:
+    for member in objects:
+        if member is None:
+            yield _SKIP, 0, 1.0
+        elif isinstance(member, str):
+            yield places[member], 0, 1.0
+        elif isinstance(member, Scaled):
+            yield places[member.name], 0, member.unit
+        else:
+            yield _TUPLE, len(member), 1.0
+            yield from _members(member, places)
 
 
 def address_of(pointer: Any) -> int:

@@ -2,6 +2,7 @@
 
 import hashlib
 import itertools
+from collections.abc import Sequence
 
 import pytest
 from hypothesis import given
@@ -12,7 +13,8 @@ from firmware_protocol.client import Client
 from firmware_protocol.framing import Frame, pack
 from firmware_protocol.generated import messages as m
 from firmware_protocol.host import library
-from tests.client_rig import new_client, sent, take
+from hil.core.types import FourWheels
+from tests.client_rig import feed, new_client, sent, take
 from tests.examples import share_of_examples
 from tests.protocol_cases import frames as any_frames
 from tests.session_twin import SessionTwin, hello_pages
@@ -369,3 +371,31 @@ def test_the_tick_of_a_robot_that_may_be_another_is_asked_for_as_the_first_time(
     client.begin(2)
     client.step(0)
     assert sent(client) == [m.Step(0, 0)]
+
+
+@given(
+    wheels=st.permutations(range(4)),
+    signs=st.tuples(*[st.sampled_from((1, -1))] * 4),
+    values=st.tuples(*[st.integers(-31, 31)] * 4),
+)
+def test_wiring_gives_each_channel_its_wheel(wheels: list[int], signs: tuple[int, ...], values: FourWheels) -> None:
+    client = new_client()
+    client.wire(wheels, signs)
+    client.command(values, (0.0,) * 4, 0)
+    channels = [sign * values[wheel] for wheel, sign in zip(wheels, signs, strict=True)]
+    assert sent(client) == [m.WheelCommand(*channels, 1, 1)]
+    (found,) = feed(
+        client,
+        [m.Tick(0, 0, 0, m.State.IDLE, 7, 0), m.Encoders(*(one & 0xFFFF for one in channels))]
+        + [kind(*channels) for kind in (m.WheelSpeeds, m.Currents)],
+    )
+    assert found.speed_rad_s == found.current_a == values
+    assert found.encoder_count == tuple(value & 0xFFFF for value in values)
+
+
+@pytest.mark.parametrize(
+    ("wheels", "signs"), [((0, 1, 2, 2), (1,) * 4), ((0, 1, 2, 4), (1,) * 4), (range(4), (1, 1, 1, 0))]
+)
+def test_a_wiring_that_is_none_is_refused(wheels: Sequence[int], signs: Sequence[int]) -> None:
+    with pytest.raises(ValueError, match="on the channels"):
+        new_client().wire(wheels, signs)

@@ -1,14 +1,20 @@
 """The calls of a tick from Python: as the library's own, and CPython's exceptions for what is no argument of theirs."""
 
+import math
 import sys
 import tracemalloc
 
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
-from firmware_protocol.fast_calls import fast_calls
+from firmware_protocol.client import Client
+from firmware_protocol.fast_calls import RowLayout, Scaled, fast_calls
 from firmware_protocol.framing import Frame, pack
 from firmware_protocol.generated import messages as m
-from tests.client_rig import new_client, sent
+from hil.core.types import Axes, Wheels
+from hil.robot.snapshot import Feedback
+from tests.client_rig import feed, feedback, new_client, sent
 
 FOUR = (1.0, -2.0, 3, 4.5)
 
@@ -46,13 +52,87 @@ def test_a_time_that_is_no_int_raises() -> None:
     assert not client.view.out_bytes
 
 
-def test_a_thousand_snapshots_leave_no_object_behind() -> None:
+def a_robot_in(state: m.State) -> Client:
+    """Return a client that has one snapshot, of all parts."""
     client = new_client()
-    before = client.snapshot()
+    tick = m.Tick(5_000, 3, 7, state, 31, 1)
+    feed(
+        client,
+        [
+            tick,
+            m.Encoders(1, 2, 3, 4),
+            m.WheelSpeeds(0.1, 0.2, 0.3, 0.4),
+            m.Currents(1.0, 2.0, 3.0, 4.0),
+            m.Accelerometer(0.5, 0.25, 9.75, 5),
+            m.Gyro(0.0, 0.0, 0.125, 5),
+        ],
+    )
+    return client
+
+
+def test_feedback_is_a_named_tuple_with_what_the_view_has() -> None:
+    client = a_robot_in(m.State.ACTIVE)
+    found = client.feedback(Feedback, Wheels, tuple(m.State))
+    assert found == feedback(client)
+    assert type(found) is Feedback
+    assert (type(found.speed_rad_s), type(found.current_a), found.state) == (Wheels, Wheels, m.State.ACTIVE)
+    client.leave()
+    assert client.feedback(Feedback, Wheels, tuple(m.State)) is None
+
+
+def test_feedback_and_rows_leave_no_object_behind() -> None:
+    client = a_robot_in(m.State.ACTIVE)
+    states = tuple(m.State)
+    layout = RowLayout(("a", "b", "x", "y", "h", "d"), ("a", (None, Scaled("b", 2.0))), ("a", "a", "x"))
+    references = [sys.getrefcount(one) for one in (*states, None, Feedback, Wheels)]
+    tracemalloc.start()
     for _ in range(1000):
-        assert repr(client.snapshot()) == repr(before)
-    assert before[:2] == (0, 0)
-    assert len(before[8]) == len(before[9]) == 4
+        assert client.feedback(Feedback, Wheels, states).command_age_ms == 7
+        assert layout.row(1, (0, 3)) == layout.row(1.0, ("left out", True + 2))
+    client.leave()
+    for _ in range(1000):
+        assert client.feedback(Feedback, Wheels, states) is None
+    kept_bytes, _ = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    grown = [sys.getrefcount(one) for one in (*states, None, Feedback, Wheels)]
+    assert all(abs(now - before) < 100 for now, before in zip(grown, references, strict=True))
+    assert kept_bytes < 10_000
+
+
+def test_feedback_in_a_state_that_nobody_named_raises() -> None:
+    client = a_robot_in(m.State.ESTOP)
+    with pytest.raises(IndexError):
+        client.feedback(Feedback, Wheels, (m.State.BOOT,))
+
+
+NAMES = ("x", "y", "h", "to_x", "to_y", "to_h", "dx", "dy", "dh", "d", "a", "b")
+numbers = st.floats(allow_nan=False, allow_infinity=False, width=32)
+
+
+@given(pose=st.tuples(numbers, numbers, numbers), to=st.tuples(numbers, numbers, numbers), a=numbers)
+def test_a_row_has_each_number_in_its_place_and_the_difference_of_the_poses(pose: Axes, to: Axes, a: float) -> None:
+    layout = RowLayout(NAMES, (NAMES[:3], (NAMES[3:6], None), Scaled("a", 0.5)), ("x", "to_x", "dx"))
+    row = dict(zip(NAMES, memoryview(layout.row(pose, (to, "left out"), a)).cast("d"), strict=True))
+    x, y, h = (one - other for one, other in zip(pose, to, strict=True))
+    assert [row[name] for name in NAMES[:9]] == [*pose, *to, x, y, math.remainder(h, math.tau)]
+    assert row["d"] == pytest.approx(math.hypot(x, y), rel=1e-15)
+    assert row["a"] == 0.5 * a
+    assert math.isnan(row["b"]), "no object has it"
+
+
+def test_an_infinite_heading_has_no_difference() -> None:
+    layout = RowLayout(NAMES, (NAMES[:3], NAMES[3:6]), ("x", "to_x", "dx"))
+    row = memoryview(layout.row((0, 0, math.inf), (0, 0, 0))).cast("d")
+    assert math.isnan(row[NAMES.index("dh")])
+
+
+@pytest.mark.parametrize(
+    ("objects", "error"), [((("a", 1),), TypeError), (((1,),), IndexError), ((1,), SystemError), ((None,), SystemError)]
+)
+def test_what_has_not_the_layout_of_a_row_raises(objects: tuple, error: type) -> None:
+    layout = RowLayout(("a", "b", "x", "y", "h", "d"), (("a", "b"),), ("a", "a", "x"))
+    with pytest.raises(error):
+        layout.row(*objects)
 
 
 @pytest.mark.parametrize("wrong", [None, "a", bytearray(3), 3])

@@ -60,7 +60,13 @@ def test_every_value_of_a_row_stands_under_its_signals_name() -> None:
     extra = SimpleNamespace(signals=("one", "other"), telemetry=(150.0, 151.0))
     rows: list[bytes] = []
     writer = RowWriter(
-        device, wire, SimpleNamespace(gains=gains), [extra], [SimpleNamespace(put=rows.append)], LATENCY_NS
+        device,
+        wire,
+        SimpleNamespace(gains=gains),
+        CommandMode.SPEED,
+        [extra],
+        [SimpleNamespace(put=rows.append)],
+        LATENCY_NS,
     )
     writer.write(
         tick=loop,

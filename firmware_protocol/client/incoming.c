@@ -19,21 +19,32 @@ void wheel_feedback_restart(wheel_client *client) {
 
 /* Snapshots */
 
+/* Values of the robot's channels as values of wheels. */
+static void set_wheels(const wheel_client *client, float wheels[4], const float channels[4]) {
+    for (size_t i = 0; i < 4u; i++) {
+        wheels[client->wheel_of_channel[i]] = (float)client->sign_of_channel[i] * channels[i];
+    }
+}
+
 static void commit(wheel_client *client) {
     wheel_view *view = &client->view;
     const wp_tick *tick = &client->open;
     const uint8_t parts = tick->parts;
     if ((parts & ENCODERS) != 0u) {
         const wp_encoders *e = &client->encoders;
-        memcpy(view->encoder_count, (uint16_t[4]){e->fl_count, e->fr_count, e->rr_count, e->rl_count}, 8u);
+        const uint16_t counts[4] = {e->fl_count, e->fr_count, e->rr_count, e->rl_count};
+        for (size_t i = 0; i < 4u; i++) {
+            view->encoder_count[client->wheel_of_channel[i]] =
+                (uint16_t)(client->sign_of_channel[i] * counts[i]);
+        }
     }
     if ((parts & WHEEL_SPEEDS) != 0u) {
         const wp_wheel_speeds *w = &client->speeds;
-        memcpy(view->speed_rad_s, (float[4]){w->fl_rad_s, w->fr_rad_s, w->rr_rad_s, w->rl_rad_s}, 16u);
+        set_wheels(client, view->speed_rad_s, (float[4]){w->fl_rad_s, w->fr_rad_s, w->rr_rad_s, w->rl_rad_s});
     }
     if ((parts & CURRENTS) != 0u) {
         const wp_currents *c = &client->currents;
-        memcpy(view->current_a, (float[4]){c->fl_a, c->fr_a, c->rr_a, c->rl_a}, 16u);
+        set_wheels(client, view->current_a, (float[4]){c->fl_a, c->fr_a, c->rr_a, c->rl_a});
     }
     if ((parts & ACCELEROMETER) != 0u) {
         const wp_accelerometer *a = &client->accelerometer;
@@ -54,7 +65,6 @@ static void commit(wheel_client *client) {
     view->command_age_ms = tick->command_age_ms;
     view->has_feedback = true;
     view->snapshots++;
-    view->slow += (parts & (CURRENTS | ACCELEROMETER | GYRO)) != 0u;
 }
 
 static void open_snapshot(wheel_client *client, const wp_tick *tick, int64_t now_ns) {
@@ -78,6 +88,8 @@ static void open_snapshot(wheel_client *client, const wp_tick *tick, int64_t now
         client->commanded_ns[tick->sequence] = -1;
         view->round_trip_ns = now_ns - commanded_ns;
         view->round_trips_ns[view->round_trips++ % 256u] = view->round_trip_ns;
+        view->log_is_due = view->log_is_due || (client->received_log.bytes != NULL &&
+                                                view->round_trips - client->round_trips_logged >= 128u);
     }
 }
 

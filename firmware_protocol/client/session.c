@@ -36,7 +36,27 @@ void wheel_client_init(wheel_client *client, uint8_t mode, uint8_t parameter_che
     client->mode = mode;
     client->parameter_check = parameter_check;
     client->reported = -1;
+    for (uint8_t i = 0; i < 4u; i++) {
+        client->wheel_of_channel[i] = i;
+        client->sign_of_channel[i] = 1;
+    }
     forget_commands(client);
+}
+
+bool wheel_client_wire(wheel_client *client, const uint8_t wheel_of_channel[4],
+                       const int8_t sign_of_channel[4]) {
+    unsigned wheels = 0;
+    bool are_signs = true;
+    for (size_t i = 0; i < 4u; i++) {
+        wheels |= wheel_of_channel[i] < 4u ? 1u << wheel_of_channel[i] : 0u;
+        are_signs = are_signs && (sign_of_channel[i] == 1 || sign_of_channel[i] == -1);
+    }
+    if (wheels != 0xFu || !are_signs) {
+        return false;
+    }
+    memcpy(client->wheel_of_channel, wheel_of_channel, sizeof client->wheel_of_channel);
+    memcpy(client->sign_of_channel, sign_of_channel, sizeof client->sign_of_channel);
+    return true;
 }
 
 /* Frames to send */
@@ -107,7 +127,8 @@ int wheel_client_command(wheel_client *client, const double speed_rad_s[4], cons
     bool has_forward = false;
     float torque[4];
     for (size_t i = 0; i < 4u; i++) {
-        torque[i] = on_wire(torque_n_m[i], WP_TORQUE_COMMAND_MAX, WP_TORQUE_COMMAND_STEP);
+        const double torque_of_channel = client->sign_of_channel[i] * torque_n_m[client->wheel_of_channel[i]];
+        torque[i] = on_wire(torque_of_channel, WP_TORQUE_COMMAND_MAX, WP_TORQUE_COMMAND_STEP);
         has_forward = has_forward || torque_n_m[i] != 0.0;
     }
     client->sequence = sequence;
@@ -119,7 +140,9 @@ int wheel_client_command(wheel_client *client, const double speed_rad_s[4], cons
     } else {
         float speed[4];
         for (size_t i = 0; i < 4u; i++) {
-            speed[i] = on_wire(speed_rad_s[i], WP_WHEEL_COMMAND_MAX, WP_WHEEL_COMMAND_STEP);
+            const double speed_of_channel =
+                client->sign_of_channel[i] * speed_rad_s[client->wheel_of_channel[i]];
+            speed[i] = on_wire(speed_of_channel, WP_WHEEL_COMMAND_MAX, WP_WHEEL_COMMAND_STEP);
         }
         const wp_torque_feedforward ahead = {torque[0], torque[1], torque[2], torque[3], sequence, session};
         const wp_wheel_command message = {speed[0], speed[1], speed[2], speed[3], sequence, session};
@@ -253,6 +276,7 @@ void wheel_client_log(wheel_client *client, uint8_t *sent, uint8_t *received, si
     client->sent_log = (wheel_log){sent, 0};
     client->received_log = (wheel_log){received, 0};
     client->log_capacity = capacity;
+    client->round_trips_logged = client->view.round_trips;
     client->out_logged = 0;
     client->view.log_is_due = false;
 }
@@ -272,5 +296,6 @@ void wheel_client_log_take(wheel_client *client, size_t bytes[2]) {
     bytes[1] = client->received_log.used;
     client->sent_log.used = client->received_log.used = 0;
     client->out_logged = 0;
+    client->round_trips_logged = client->view.round_trips;
     client->view.log_is_due = false;
 }

@@ -54,9 +54,9 @@ extern "C" {
 #endif
 
 /* cffi: begin */
-/* What is known of the robot: read it, never write it. Wheels are in the robot's order, FL, FR, RR, RL. The
- * first part is the newest snapshot of feedback: all its values are of one sampling instant, except those
- * that come at a lower rate. */
+/* What is known of the robot: read it, never write it. Wheels are in the order FL, FR, RR, RL. The first part
+ * is the newest snapshot of feedback: all its values are of one sampling instant, except those that come at a
+ * lower rate. */
 typedef struct {
     uint64_t robot_time_us; /* the robot's clock at that instant; does not wrap after the first snapshot */
     int64_t round_trip_ns;  /* newest time from a command to the first TICK that reports it in force */
@@ -68,7 +68,6 @@ typedef struct {
     bool has_feedback; /* whether a snapshot came since wheel_client_leave; if not, these are old */
     uint32_t snapshots;
     uint32_t round_trips; /* how many there were */
-    uint32_t slow;        /* snapshots that brought currents, acceleration or yaw rate */
 
     /* At a lower rate: these hold their last value, and are NaN before the first. */
     float current_a[4];
@@ -84,7 +83,7 @@ typedef struct {
     /* The session. */
     bool is_greeted;
     uint8_t request; /* enum wp_request */
-    bool log_is_due; /* a log is filling up: wheel_client_log_take */
+    bool log_is_due; /* a log, or `round_trips_ns`, is filling up: wheel_client_log_take */
     uint16_t nonce;
     /* wheel_client_take has stopped behind this message, which began at `message_at`; 0 if behind none. */
     uint16_t message_id;
@@ -129,6 +128,12 @@ size_t wheel_client_size(void);
 /* Begins with a robot of which nothing is known. `mode` is enum wp_mode, and `parameter_check` the lowest 8
  * bits of the parameter hash that the robot has to have. */
 void wheel_client_init(wheel_client *client, uint8_t mode, uint8_t parameter_check, uint16_t nonce);
+
+/* Sets which wheel, 0 to 3 in the order of wheel_view, each of the robot's channels drives, and its
+ * direction, 1 or -1. Commands and feedback are of wheels; frames are of channels. Before it the wheels are
+ * the channels. Returns false, and changes nothing, unless each wheel is there once. */
+bool wheel_client_wire(wheel_client *client, const uint8_t wheel_of_channel[4],
+                       const int8_t sign_of_channel[4]);
 
 /* The view of a client: the same address for as long as it lives. */
 const wheel_view *wheel_client_view(const wheel_client *client);
@@ -201,8 +206,8 @@ void wheel_client_unsent(wheel_client *client);
  * with the same log had the same session. */
 void wheel_client_log(wheel_client *client, uint8_t *sent, uint8_t *received, size_t capacity);
 
-/* Forgets what the logs hold; `bytes` becomes how much that was, sent and received. To be called while no
- * frame waits to be sent: what waits is in the log already. */
+/* Forgets what the logs hold; `bytes` becomes how much that was, sent and received. Read the newest round
+ * trips before it. To be called while no frame waits to be sent: what waits is in the log already. */
 void wheel_client_log_take(wheel_client *client, size_t bytes[2]);
 /* cffi: end */
 
@@ -228,6 +233,8 @@ struct wheel_client {
     wp_status status; /* valid if has_status */
     bool has_status;
 
+    uint8_t wheel_of_channel[4];
+    int8_t sign_of_channel[4];
     uint8_t mode;
     uint8_t parameter_check;
     uint8_t sequence;
@@ -261,6 +268,7 @@ struct wheel_client {
     wheel_log sent_log;
     wheel_log received_log;
     size_t log_capacity;
+    uint32_t round_trips_logged;
 };
 
 #ifdef __cplusplus

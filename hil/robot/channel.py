@@ -1,6 +1,5 @@
 """Connects the client in C with a link: sends what it holds, gives it what arrives, makes feedback of snapshots."""
 
-import struct
 import time
 from collections.abc import Callable
 from typing import Any
@@ -11,18 +10,15 @@ from firmware_protocol.framing import PackedFrames, pack, packed_frame
 from firmware_protocol.generated import messages as m
 from hil.core.errors import RobotStoppedError
 from hil.core.ports import Received
-from hil.core.types import NAN, NAN_WHEELS, Wheels
+from hil.core.types import NAN, Wheels
 from hil.robot.direct import DirectLink
 from hil.robot.handshake import RETRY_NS, SILENCE_NS
 from hil.robot.link_times import RoundTrip
 from hil.robot.snapshot import Feedback
-from hil.robot.wheel_map import WheelMap
 from hil.wire.conditions import ConditionedLink
 
-_STATES = {int(state): state for state in m.State}
+_STATES = tuple(m.State)
 _FULL = 512  # bytes of frames that may wait for a step
-_ROUND_TRIPS_AT_ONCE = 128
-_SLOW = struct.Struct("=8f")  # members of wheel_view, from current_a to yaw_rate_rad_s
 _STEP_AWAITED, _STEP_ELSEWHERE = 1, 3
 
 
@@ -32,31 +28,23 @@ class Channel:
     ``on_message`` gets every message that is not part of a snapshot, with its time of arrival.
 
     Attributes:
-        feedback: the newest snapshot, with the wheels in our order. None before the first, and after ``forget``.
-        round_trip_ms: the newest time from a command to the first TICK that reports it; NaN before the first.
+        feedback: the newest snapshot. None before the first, and until the next when the robot was left.
     """
 
-    def __init__(
-        self, link: ConditionedLink, client: Client, wheel_map: WheelMap, on_message: Callable[[Message, int], None]
-    ) -> None:
+    def __init__(self, link: ConditionedLink, client: Client, on_message: Callable[[Message, int], None]) -> None:
         self._link = link
         self._client = client
-        self._map = wheel_map
         self._on_message = on_message
         # To a robot in this thread a step is one call into the library, unless conditions act on feedback.
         self._direct = link.transport if isinstance(link.transport, DirectLink) else None
         self._is_plain = link.is_plain
-        self._slow = client.member("current_a", _SLOW.size)
-        self._snapshots_seen = self._slow_seen = self._round_trips_seen = 0
-        self._held: tuple[Wheels, tuple[float, float, float], float] = (NAN_WHEELS, (NAN, NAN, NAN), NAN)
+        self._round_trips_seen = 0
         self._round_trip = RoundTrip()
         self.feedback: Feedback | None = None
-        self.round_trip_ms = NAN
 
     def forget(self) -> None:
         """Have no feedback until the next snapshot: the link or the robot was lost."""
-        self.feedback = None
-        self._snapshots_seen = self._client.view.snapshots
+        self._renew_feedback()
 
     # What is sent
 
@@ -79,7 +67,7 @@ class Channel:
             raise
         self._client.sent()
         if view.log_is_due:
-            self._client.hash_log()
+            self._empty_log()
 
     def step(self, ticks: int) -> None:
         """Lockstep: run the robot for a number of ticks, and take all that it sends; 0 only asks for its tick.
@@ -149,7 +137,7 @@ class Channel:
         """Do what the client's view asks for after it has taken frames."""
         view = self._client.view
         if view.log_is_due:
-            self._client.hash_log()
+            self._empty_log()
         if view.message_id:
             frame, _ = packed_frame(packed, view.message_at)
             if (message := decode(frame)) is not None:
@@ -161,36 +149,29 @@ class Channel:
             )
 
     def _renew_feedback(self) -> None:
-        """Make the feedback of the newest snapshot."""
-        newest = self._client.snapshot()
-        snapshots, round_trips, slow, round_trip_ns, time_ns, state, sequence, age_ms, counts, speed = newest
-        if round_trips != self._round_trips_seen:
-            self.round_trip_ms = round_trip_ns * 1e-6
-            if round_trips - self._round_trips_seen >= _ROUND_TRIPS_AT_ONCE:
-                self._add_round_trips(round_trips)
-        if snapshots == self._snapshots_seen:
-            return
-        self._snapshots_seen = snapshots
-        if slow != self._slow_seen:
-            self._slow_seen = slow
-            held = _SLOW.unpack(self._slow)
-            self._held = self._map.from_wire(held[:4]), held[4:7], held[7]
-        counts, speed = self._map.counts_from_wire(counts), self._map.from_wire(speed)
-        self.feedback = Feedback(time_ns, _STATES[state], sequence, age_ms, counts, speed, *self._held)
+        self.feedback = self._client.feedback(Feedback, Wheels, _STATES)
 
     # Counters
 
-    def _add_round_trips(self, count: int) -> None:
-        """Add the round trips up to this number to the figures."""
-        newest = self._client.view.round_trips_ns
-        for number in range(max(self._round_trips_seen, count - len(newest)), count):
-            self._round_trip.add(newest[number % len(newest)])
-        self._round_trips_seen = count
+    def _empty_log(self) -> None:
+        """Hash the client's log, and note its round trips before they are overwritten."""
+        self._note_round_trips()
+        self._client.hash_log()
+
+    def _note_round_trips(self) -> None:
+        self._round_trip.add(self._client.round_trips_ns(self._round_trips_seen))
+        self._round_trips_seen = self._client.view.round_trips
+
+    @property
+    def round_trip_ms(self) -> float:
+        """The newest time from a command to the first TICK that reports it; NaN before the first."""
+        view = self._client.view
+        return view.round_trip_ns * 1e-6 if view.round_trips else NAN
 
     @property
     def round_trip(self) -> RoundTrip:
         """All round trips of commands."""
-        self._add_round_trips(self._client.view.round_trips)
+        self._note_round_trips()
         return self._round_trip
 
     def rejected(self) -> dict[str, int]:

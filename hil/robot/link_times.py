@@ -6,7 +6,10 @@ the link are therefore included, like those of a real link.
 
 import statistics
 from collections import deque
+from collections.abc import Sequence
 from typing import Any, NamedTuple
+
+import numpy as np
 
 from hil.core.percentiles import Reservoir
 from hil.core.types import NAN
@@ -32,9 +35,9 @@ class RoundTrip:
     def __init__(self) -> None:
         self._all_ms = Reservoir()
 
-    def add(self, took_ns: int) -> None:
-        """Add a round trip."""
-        self._all_ms.append(took_ns * 1e-6)
+    def add(self, took_ns: Sequence[int]) -> None:
+        """Add round trips."""
+        self._all_ms.extend(np.array(took_ns) * 1e-6)
 
     def figures(self) -> dict[str, Any] | None:
         """Return median, 99th percentile [ms] and number of the round trips; None if there were none."""

@@ -56,7 +56,8 @@ class Stm32(LinkedDevice):
             self._client = Client(m.Mode(mode), expected.parameter_hash & 0xFF, next(nonces))
         except BuildError as error:
             raise BadInputError(str(error)) from error
-        self._channel = Channel(link, self._client, wheel_map, self._on_message)
+        self._client.wire(wheel_map.wheel_of_channel, wheel_map.sign_of_channel)
+        self._channel = Channel(link, self._client, self._on_message)
         self._greeting: Greeting | None = None
         self._info: RobotInfo | None = None
         self._is_accepted = False  # since the link was opened, or lost
@@ -226,9 +227,7 @@ class Stm32(LinkedDevice):
 
     def send(self, command: WheelCommand) -> int:
         _, speed_rad_s, torque_n_m = command
-        to_wire, clock = self._map.to_wire, self._clock
-        now_ns = None if clock is None else clock.now_ns()
-        sequence = self._client.command(to_wire(speed_rad_s), to_wire(torque_n_m), now_ns)
+        sequence = self._client.command(speed_rad_s, torque_n_m, self._now_ns())
         if sequence < 0:
             self._raise_unsendable(command)
         self._channel.flush()

@@ -5,11 +5,12 @@ stages see them, and the guard limits them. A fault of a signal that nothing rea
 """
 
 import random
+from array import array
 from collections.abc import Callable, Sequence
 from typing import TypeVar
 
 from firmware_protocol.generated.messages import State as RobotState
-from hil.core.signals import SIGNAL_NAMES, ReferenceSignals
+from hil.core.signals import SIGNAL_NAMES, ReferenceSignals, pack_row
 from hil.core.types import WHEEL_NAMES, Acceleration, Pose, PoseFix, Reference, State, Twist, WheelCommand, Wheels
 from hil.faults.kind import FaultRow, generators
 from hil.faults.kinds import find
@@ -157,9 +158,9 @@ class SignalFaults:
             torque_n_m=self._passed("torque_command", command.torque_n_m, Wheels._make),
         )
 
-    def recorded(self, row: list[float]) -> list[float]:
+    def recorded(self, row: bytes) -> bytes:
         """Return the row with the faults of signals that nothing reads."""
-        return self._passed("recorded", row, list) if "recorded" in self._groups else row
+        return self._passed("recorded", array("d", row), pack_row) if "recorded" in self._groups else row
 
     def _passed(self, group: str, numbers: Sequence[float], make: Callable[[list[float]], Made]) -> Made:
         values = list(numbers)

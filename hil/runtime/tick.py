@@ -85,6 +85,7 @@ class Tick:
         self._timing = timing
         self._period_ns = timing.period_ns
         self._is_lockstep = parts.device.is_lockstep
+        self._mode = mode
         self._rows = self._make_rows()
         self._freshness = Freshness(parts.clock, parts.device, parts.faults, timing)
         self._rest = WheelCommand(mode, ZERO_WHEELS, ZERO_WHEELS)
@@ -256,7 +257,8 @@ class Tick:
     def _make_rows(self) -> RowWriter:
         parts = self._parts
         latency_ns = self._timing.feedback_latency_ns
-        return RowWriter(parts.device, parts.wire, parts.controller, parts.extra, parts.sinks, latency_ns, parts.faults)
+        controller, mode = parts.controller, self._mode
+        return RowWriter(parts.device, parts.wire, controller, mode, parts.extra, parts.sinks, latency_ns, parts.faults)
 
     def _update_shadows(self, shadows: Shadows, t_s: float, reference: Reference, inputs: _LawInputs | None) -> None:
         """Compute the shadow laws from the same arguments, after the command was sent."""

@@ -3,6 +3,10 @@
 #include "../../client/wheel_client.h"
 #include "../host/direct.h"
 
+#include <math.h>
+
+#define TURN_RAD 6.283185307179586
+
 static wheel_python python;
 
 void wheel_python_begin(const wheel_python *given) {
@@ -69,11 +73,23 @@ void *wheel_python_step(void *self, void *const *arguments, ptrdiff_t count) {
     return python.PyBool_FromLong(is_whole);
 }
 
-/* Returns a new tuple with room for `more` further items behind the whole numbers. */
-static void *tuple_of(const long long *whole, ptrdiff_t count, ptrdiff_t more) {
-    void *tuple = python.PyTuple_New(count + more);
+static void *new_bytes(const uint8_t *bytes, size_t length) {
+    return python.PyBytes_FromStringAndSize((const char *)bytes, (ptrdiff_t)length);
+}
+
+static void *whole_numbers(const int64_t *values, ptrdiff_t count) {
+    void *tuple = python.PyTuple_New(count);
     for (ptrdiff_t i = 0; tuple != NULL && i < count; i++) {
-        python.PyTuple_SetItem(tuple, i, python.PyLong_FromLongLong(whole[i]));
+        python.PyTuple_SetItem(tuple, i, python.PyLong_FromLongLong(values[i]));
+    }
+    return tuple;
+}
+
+/* Returns a new tuple of floats; `kind` is a class of named tuples, or NULL. */
+static void *floats(void *kind, const float *values, ptrdiff_t count) {
+    void *tuple = kind == NULL ? python.PyTuple_New(count) : python.PyType_GenericAlloc(kind, count);
+    for (ptrdiff_t i = 0; tuple != NULL && i < count; i++) {
+        python.PyTuple_SetItem(tuple, i, python.PyFloat_FromDouble((double)values[i]));
     }
     return tuple;
 }
@@ -84,33 +100,40 @@ static const wheel_view *view_at(void *address) {
     return client == NULL ? NULL : wheel_client_view(client);
 }
 
-void *wheel_python_snapshot(void *self, void *const *arguments, ptrdiff_t count) {
+void *wheel_python_feedback(void *self, void *const *arguments, ptrdiff_t count) {
     (void)self, (void)count;
     const wheel_view *view = view_at(arguments[0]);
     if (view == NULL) {
         return NULL;
     }
-    const uint16_t *encoders = view->encoder_count;
-    const long long whole[] = {view->snapshots,
-                               view->round_trips,
-                               view->slow,
-                               view->round_trip_ns,
-                               1000 * (long long)view->robot_time_us,
-                               view->state,
-                               view->command_sequence,
-                               view->command_age_ms};
-    void *snapshot = tuple_of(whole, 8, 2);
-    void *counts = tuple_of((long long[]){encoders[0], encoders[1], encoders[2], encoders[3]}, 4, 0);
-    void *speeds = python.PyTuple_New(4);
-    if (snapshot == NULL || counts == NULL || speeds == NULL) {
-        return NULL; /* no memory: what was made is lost with the process */
+    if (!view->has_feedback) {
+        return python.Py_BuildValue("");
     }
-    for (ptrdiff_t i = 0; i < 4; i++) {
-        python.PyTuple_SetItem(speeds, i, python.PyFloat_FromDouble((double)view->speed_rad_s[i]));
+    void *state = python.PyTuple_GetItem(arguments[3], view->state);
+    void *feedback = state == NULL ? NULL : python.PyType_GenericAlloc(arguments[1], 9);
+    if (feedback == NULL) {
+        return NULL;
     }
-    python.PyTuple_SetItem(snapshot, 8, counts);
-    python.PyTuple_SetItem(snapshot, 9, speeds);
-    return snapshot;
+    void *wheels = arguments[2];
+    const uint16_t *counts = view->encoder_count;
+    python.Py_IncRef(state);
+    void *items[] = {python.PyLong_FromLongLong(1000 * (long long)view->robot_time_us),
+                     state,
+                     python.PyLong_FromLongLong(view->command_sequence),
+                     python.PyLong_FromLongLong(view->command_age_ms),
+                     whole_numbers((int64_t[]){counts[0], counts[1], counts[2], counts[3]}, 4),
+                     floats(wheels, view->speed_rad_s, 4),
+                     floats(wheels, view->current_a, 4),
+                     floats(NULL, view->acceleration_m_s2, 3),
+                     python.PyFloat_FromDouble((double)view->yaw_rate_rad_s)};
+    for (ptrdiff_t i = 0; i < 9; i++) {
+        python.PyTuple_SetItem(feedback, i, items[i]);
+    }
+    if (failed()) { /* no memory */
+        python.Py_DecRef(feedback);
+        return NULL;
+    }
+    return feedback;
 }
 
 void *wheel_python_counts(void *self, void *const *arguments, ptrdiff_t count) {
@@ -119,9 +142,52 @@ void *wheel_python_counts(void *self, void *const *arguments, ptrdiff_t count) {
     if (view == NULL) {
         return NULL;
     }
-    const long long whole[] = {(long long)view->sent, (long long)view->received,
-                               (long long)view->lost + view->incomplete};
-    return tuple_of(whole, 3, 0);
+    return whole_numbers(
+        (int64_t[]){(int64_t)view->sent, (int64_t)view->received, (int64_t)view->lost + view->incomplete}, 3);
+}
+
+/* Puts the numbers of a tuple in their places; returns the member behind its own, or NULL with an exception.
+ */
+static const wheel_python_member *put(const wheel_python_member *member, void *const *objects, void *tuple,
+                                      ptrdiff_t length, double *row) {
+    for (ptrdiff_t i = 0; i < length; i++) {
+        void *object = objects != NULL ? objects[i] : python.PyTuple_GetItem(tuple, i);
+        if (object == NULL) {
+            return NULL;
+        }
+        if (member->place == WHEEL_PYTHON_TUPLE) {
+            member = put(member + 1, NULL, object, member->length, row);
+            if (member == NULL) {
+                return NULL;
+            }
+            continue;
+        }
+        if (member->place != WHEEL_PYTHON_SKIP) {
+            double value;
+            if (!number(object, &value)) {
+                return NULL;
+            }
+            row[member->place] = value * member->unit;
+        }
+        member++;
+    }
+    return member;
+}
+
+void *wheel_python_row(void *self, void *const *arguments, ptrdiff_t count) {
+    (void)self;
+    const wheel_python_layout *layout = python.PyLong_AsVoidPtr(arguments[0]);
+    if (layout == NULL || put(layout->members, arguments + 1, NULL, count - 1, layout->numbers) == NULL) {
+        return NULL;
+    }
+    const double *pose = layout->numbers + layout->pose;
+    const double *other = layout->numbers + layout->other_pose;
+    double *difference = layout->numbers + layout->difference;
+    difference[0] = pose[0] - other[0];
+    difference[1] = pose[1] - other[1];
+    difference[2] = remainder(pose[2] - other[2], TURN_RAD);
+    difference[3] = hypot(difference[0], difference[1]);
+    return new_bytes((const uint8_t *)layout->numbers, sizeof(double) * layout->count);
 }
 
 /* Reads bytes; false with an exception. */
@@ -134,10 +200,6 @@ static bool bytes_of(void *object, uint8_t **bytes, size_t *length) {
     *bytes = (uint8_t *)start;
     *length = (size_t)size;
     return true;
-}
-
-static void *new_bytes(const uint8_t *bytes, size_t length) {
-    return python.PyBytes_FromStringAndSize((const char *)bytes, (ptrdiff_t)length);
 }
 
 void *wheel_python_out(void *self, void *const *arguments, ptrdiff_t count) {

@@ -29,6 +29,9 @@ typedef struct {
     void *(*PyBytes_FromStringAndSize)(const char *, ptrdiff_t);
     int (*PyBytes_AsStringAndSize)(void *, char **, ptrdiff_t *);
     void (*Py_DecRef)(void *);
+    void (*Py_IncRef)(void *);
+    void *(*Py_BuildValue)(const char *, ...);
+    void *(*PyType_GenericAlloc)(void *, ptrdiff_t);
 } wheel_python;
 
 void wheel_python_begin(const wheel_python *python);
@@ -45,9 +48,9 @@ void *wheel_python_poll(void *self, void *const *arguments, ptrdiff_t count);
 /* step(direct, robot, client, ticks, now_ns): wheel_direct_step. */
 void *wheel_python_step(void *self, void *const *arguments, ptrdiff_t count);
 
-/* snapshot(client): snapshots, round_trips, slow, round_trip_ns, robot time [ns], state, command_sequence,
- * command_age_ms, encoder counts and speeds of the client's view. */
-void *wheel_python_snapshot(void *self, void *const *arguments, ptrdiff_t count);
+/* feedback(client, Feedback, Wheels, states): the newest snapshot, None before the first, as a Feedback of
+ * hil.robot.snapshot. The kinds are classes of named tuples; `states` has an object for each wp_state. */
+void *wheel_python_feedback(void *self, void *const *arguments, ptrdiff_t count);
 
 /* counts(client): messages sent and received, snapshots lost or incomplete. */
 void *wheel_python_counts(void *self, void *const *arguments, ptrdiff_t count);
@@ -70,6 +73,30 @@ void *wheel_python_exchange(void *self, void *const *arguments, ptrdiff_t count)
 
 /* split(packed, limit): wheel_packed_split; returns both groups as bytes. */
 void *wheel_python_split(void *self, void *const *arguments, ptrdiff_t count);
+
+/* One member of a tuple, in the order of the members. */
+typedef struct {
+    int16_t place;  /* of its number in the row; or one of these */
+    int16_t length; /* of a tuple */
+    double unit;    /* by which the number is multiplied */
+} wheel_python_member;
+#define WHEEL_PYTHON_SKIP -1
+#define WHEEL_PYTHON_TUPLE -2 /* its members follow */
+
+typedef struct {
+    double *numbers;
+    uint32_t count;
+    /* Places of x, y and heading of two poses, and of the first one minus the second: x, y, heading from -pi
+     * to pi, and the distance. */
+    uint32_t pose;
+    uint32_t other_pose;
+    uint32_t difference;
+    const wheel_python_member *members; /* of the tuple of the objects */
+} wheel_python_layout;
+
+/* row(layout, objects...): puts the numbers of nested tuples in their places, and returns a copy of all
+ * numbers as bytes. Those that have no member keep their value. */
+void *wheel_python_row(void *self, void *const *arguments, ptrdiff_t count);
 /* cffi: end */
 
 #endif
