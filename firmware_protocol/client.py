@@ -74,8 +74,8 @@ class Client:
 
     def round_trips_ns(self, begin: int) -> list[int]:
         """Return the round trips from this number on, oldest first, of the newest 256."""
-        count, newest = self.view.round_trips, self.view.round_trips_ns
-        return [newest[number % len(newest)] for number in range(max(begin, count - len(newest)), count)]
+        count, newest = self.view.round_trips, self._ffi.unpack(self.view.round_trips_ns, 256)
+        return [newest[number % 256] for number in range(max(begin, count - 256), count)]
 
     def counts(self) -> tuple[int, int, int]:
         """Return how many messages were sent and received, and how many snapshots are missing or incomplete."""

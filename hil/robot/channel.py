@@ -26,9 +26,6 @@ class Channel:
     """Exchanges frames between ``client`` and the robot at the other end of ``link``.
 
     ``on_message`` gets every message that is not part of a snapshot, with its time of arrival.
-
-    Attributes:
-        feedback: the newest snapshot. None before the first, and until the next when the robot was left.
     """
 
     def __init__(self, link: ConditionedLink, client: Client, on_message: Callable[[Message, int], None]) -> None:
@@ -37,14 +34,11 @@ class Channel:
         self._on_message = on_message
         # To a robot in this thread a step is one call into the library, unless conditions act on feedback.
         self._direct = link.transport if isinstance(link.transport, DirectLink) else None
+        if self._direct is not None:
+            self._direct.serve(client)
         self._is_plain = link.is_plain
         self._round_trips_seen = 0
         self._round_trip = RoundTrip()
-        self.feedback: Feedback | None = None
-
-    def forget(self) -> None:
-        """Have no feedback until the next snapshot: the link or the robot was lost."""
-        self._renew_feedback()
 
     # What is sent
 
@@ -76,12 +70,6 @@ class Channel:
         """
         if ticks > MOST_TICKS:
             raise ValueError(f"a step of {ticks} ticks; expected at most {MOST_TICKS}")
-        try:
-            self._step(ticks)
-        finally:
-            self._renew_feedback()
-
-    def _step(self, ticks: int) -> None:
         direct, client = self._direct, self._client
         if direct is None:
             client.step(ticks)
@@ -91,15 +79,14 @@ class Channel:
             left = direct.step(client, ticks)
             if left is not None:
                 self._attend(direct.answer, left.stamp_ns)
-                self._take(left)
+                self.take(left)
                 self._await_step()
         else:
             client.step(ticks)
             ready = self._link.exchange(direct, client)
             while ready and client.view.step == _STEP_AWAITED:
-                self._take(ready.popleft())
-            if client.view.step == _STEP_AWAITED:
-                self._await_step()
+                self.take(ready.popleft())
+            self._await_step()
 
     def _await_step(self) -> None:
         view = self._client.view
@@ -107,7 +94,7 @@ class Channel:
         while view.step == _STEP_AWAITED:
             received = self._link.receive(RETRY_NS)
             if received is not None:
-                self._take(received)
+                self.take(received)
             now_ns = time.monotonic_ns()
             if now_ns - begin_ns > SILENCE_NS:
                 raise RobotStoppedError("the robot did not answer STEP within 2 s of wall-clock time; it was lost")
@@ -120,12 +107,6 @@ class Channel:
 
     def take(self, received: Received) -> None:
         """Process frames that arrived together. Raises RobotStoppedError for a step that ended at a wrong tick."""
-        try:
-            self._take(received)
-        finally:
-            self._renew_feedback()
-
-    def _take(self, received: Received) -> None:
         frames, stamp_ns = received
         packed = frames.packed if type(frames) is PackedFrames else pack(frames)
         at, end = 0, len(packed)
@@ -148,8 +129,10 @@ class Channel:
                 "or is stepped by another host"
             )
 
-    def _renew_feedback(self) -> None:
-        self.feedback = self._client.feedback(Feedback, Wheels, _STATES)
+    @property
+    def feedback(self) -> Feedback | None:
+        """The newest snapshot. None before the first, and until the next when the robot was left."""
+        return self._client.feedback(Feedback, Wheels, _STATES)
 
     # Counters
 

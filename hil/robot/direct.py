@@ -76,10 +76,9 @@ class DirectLink:
         self._unsent = b""  # packed
         self._unsent_frames = 0
         self._unsent_bytes = 0  # on the line
-        self._client: Client | None = None
+        self._view = ffi.new("wheel_view *")  # of no client: nothing waits
         self._is_open = True
-        self._lib, self._address, self._step = lib, address_of(self._direct), fast_calls().step
-        self._exchange = fast_calls().exchange
+        self._lib, self._address, self._fast = lib, address_of(self._direct), fast_calls()
         self.now_ns: Callable[[], int] = time.monotonic_ns
 
     def _begin_line(self) -> None:
@@ -113,15 +112,18 @@ class DirectLink:
         answer = self.answer[: direct.answer_bytes]
         return Received(PackedFrames(answer), self.now_ns()) if answer else None
 
+    def serve(self, client: Client) -> None:
+        """Set the client whose frames ``step`` and ``exchange`` send."""
+        self._view = client.view
+
     def exchange(self, client: Client) -> PackedFrames:
         """Send what waits in the client, and return all that the robot then sends."""
         if not self._is_open:
             client.unsent()
             raise closed()
-        self._client = client
         packed = self._handed_over() if self._unsent else b""
         before = self._direct.received_frames
-        answer = self._exchange(self._address, self._robot.node.address, client.address, packed)
+        answer = self._fast.exchange(self._address, self._robot.node.address, client.address, packed)
         return PackedFrames(answer, self._direct.received_frames - before)
 
     def _handed_over(self) -> bytes:
@@ -140,9 +142,8 @@ class DirectLink:
         if self._unsent:
             packed = self._handed_over()
             self._lib.wheel_direct_send(self._direct, self._robot.node.handle, packed, len(packed))
-        self._client = client
         now_ns = self.now_ns()
-        if self._step(self._address, self._robot.node.address, client.address, ticks, now_ns):
+        if self._fast.step(self._address, self._robot.node.address, client.address, ticks, now_ns):
             return None
         direct = self._direct
         return Received(PackedFrames(self.answer[direct.answer_at : direct.answer_bytes], 0), now_ns)
@@ -151,21 +152,19 @@ class DirectLink:
 
     @property
     def sent_frames(self) -> int:
-        waiting = 0 if self._client is None else self._client.view.out_frames
-        return int(self._direct.sent_frames + self._unsent_frames + waiting)
+        return self._direct.sent_frames + self._unsent_frames + self._view.out_frames  # type: ignore[no-any-return]
 
     @property
     def sent_bytes(self) -> int:
-        waiting = 0 if self._client is None else self._client.view.out_serial_bytes
-        return int(self._direct.sent_bytes + self._unsent_bytes + waiting)
+        return self._direct.sent_bytes + self._unsent_bytes + self._view.out_serial_bytes  # type: ignore[no-any-return]
 
     @property
     def received_frames(self) -> int:
-        return int(self._direct.received_frames)
+        return self._direct.received_frames  # type: ignore[no-any-return]
 
     @property
     def received_bytes(self) -> int:
-        return int(self._direct.received_bytes)
+        return self._direct.received_bytes  # type: ignore[no-any-return]
 
     def rejected(self) -> dict[str, int]:
         counts = {cause: count + self._earlier[cause] for cause, count in self._here.rejected.items()}

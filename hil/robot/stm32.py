@@ -117,7 +117,6 @@ class Stm32(LinkedDevice):
     def leave(self) -> None:
         self._is_accepted = False
         self._client.leave()
-        self._channel.forget()
         self.report.status = None
         self.clock_sync.give_up()
         self._discard()
