@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hil.core.signals import INDEX, SIGNAL_NAMES
+from hil.core.signals import INDEX, SIGNAL_NAMES, pack_row
 from hil.core.types import CommandMode, WheelCommand, Wheels
 from hil.faults.kind import NEVER_NS, FaultRow
 from hil.runtime.signal_faults import SignalFaults
@@ -53,7 +53,7 @@ def test_rows_act_in_order_and_a_reset_ends_what_began_before(rows, t_ns, expect
 def test_every_signal_has_a_place(signal, value) -> None:
     faults = SignalFaults([row("override", value=value, target=signal)])
     faults.at(0)
-    recorded = faults.recorded(tuple(float("nan") for _ in SIGNAL_NAMES))
+    recorded = memoryview(faults.recorded(pack_row(float("nan") for _ in SIGNAL_NAMES))).cast("d")
     changed = [name for name in SIGNAL_NAMES if recorded[INDEX[name]] == value]
     group = signal.split(".")[0]
     within_tick = group in ("truth", "pose", "twist", "reference", "robot") or (
