@@ -5,8 +5,8 @@ from pathlib import Path
 from typing import Any
 
 from hil.batch.campaign.campaign import Campaign, Place
-from hil.batch.figures import MACHINE
-from hil.batch.store import KEY, read_rows
+from hil.batch.figures import KEY, MACHINE
+from hil.batch.store import read_rows
 
 PLAN = """
 scenario = "circle_speed"

@@ -8,12 +8,12 @@ import pytest
 
 import hil
 from firmware_protocol.built import WHEEL_HOST
-from hil.batch.figures import MACHINE
+from hil.batch.figures import KEY, MACHINE, outcome_of, row_of
 from hil.batch.job import LOST, PASSED, REFUSED, Job, Outcome
 from hil.batch.keys import key_of, make_job
 from hil.batch.plan import run_jobs, run_plan
 from hil.batch.pool import LocalPool
-from hil.batch.store import KEY, Store, outcome_of, read_rows, row_of
+from hil.batch.store import Store, read_rows
 from hil.core.errors import BadInputError, LinkError
 from hil.core.subprocesses import MEMORY_IS_KNOWN
 from hil.scenario import Scenario, load

@@ -25,10 +25,10 @@ from hil.batch.campaign.statistics import (
     unit_means,
     wilson,
 )
-from hil.batch.figures import MACHINE, run_columns
+from hil.batch.figures import KEY, MACHINE, run_columns
 from hil.batch.keys import key_of
 from hil.batch.run import run
-from hil.batch.store import KEY, ROWS, Store, read_rows
+from hil.batch.store import ROWS, Store, read_rows
 from hil.core.errors import BadInputError
 from hil.robot.virtual import KeptRobot
 from hil.runtime.assembly import RunOptions, run_scenario

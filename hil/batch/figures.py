@@ -6,15 +6,16 @@ The figures themselves, those of other packages among them, are registered in ``
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 
-from hil.batch.job import FAILED, PASSED
+from hil.batch.job import FAILED, PASSED, Outcome
 from hil.judge.figures import check_figure as check_name
 from hil.judge.figures import number, table_figures
 from hil.judge.words import in_order
 
+KEY = "key"
 MACHINE = "machine."
 """The prefix of columns that depend on the machine and not on the run."""
 _COUNTS = ("ticks", "commands_refused", "stale_ticks", "held_ticks", "deadline_misses")
-_TEXTS = ("key", "law", "fault", "outcome", "reason", "failed_expectation", "wire_sha256")
+_TEXTS = (KEY, "law", "fault", "outcome", "reason", "failed_expectation", "wire_sha256")
 _WHOLE = ("seed", "sample", "faults_applied", "recoveries", *_COUNTS)
 _OF_MACHINE = {"wall_s": float, "worker": str, "commit": str, "tick_p50_us": float}
 
@@ -105,6 +106,20 @@ def run_columns(metrics: Mapping[str, Any]) -> dict[str, Any]:
         "failed_expectation": next(failed, None),
         f"{MACHINE}tick_p50_us": number(metrics, "tick_us.p50"),
     }
+
+
+def row_of(outcome: Outcome) -> dict[str, Any]:
+    """Return an outcome as a row, without its details and recording."""
+    machine = {f"{MACHINE}wall_s": outcome.wall_s, f"{MACHINE}worker": outcome.worker}
+    return {KEY: outcome.key, "outcome": outcome.status, "reason": outcome.reason, **outcome.figures, **machine}
+
+
+def outcome_of(row: Mapping[str, Any]) -> Outcome:
+    """Return the outcome from a row of ``row_of``, so that a plan can continue from it."""
+    figures = dict(row)
+    wall_s, worker = (figures.pop(f"{MACHINE}{name}") for name in ("wall_s", "worker"))
+    key, status, reason = (figures.pop(name) for name in (KEY, "outcome", "reason"))
+    return Outcome(key, status, reason, figures, wall_s=wall_s, worker=worker)
 
 
 def as_judged(row: Mapping[str, Any]) -> dict[str, Any]:

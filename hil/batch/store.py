@@ -24,11 +24,9 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from filelock import FileLock, Timeout
 
-from hil.batch.figures import MACHINE
-from hil.batch.job import Outcome
+from hil.batch.figures import KEY
 from hil.core.errors import BadInputError
 
-KEY = "key"
 PLAN, ABOUT, ROWS, RECORDINGS = "plan.parquet", "campaign.json", "rows", "recordings"
 RECORDING_SUFFIX = ".rrd"
 _REPLACES = b"hil.replaces"
@@ -42,23 +40,9 @@ _ANEW = "give hil campaign with its plan once more, which writes it anew"
 _REDO = "remove it, and the same command does its runs again"
 _ATTEMPTS = 10
 _REST, _LONGEST_REST_S = 9.0, 0.5
-"""After rows were added, how long to wait for more: in that time, but no longer than so many seconds."""
+"""After rows were added no more are added for this many times as long as that took, but not for longer than this."""
 _NO_ROWS = pa.schema([(KEY, pa.string())]).empty_table()
 Row = Mapping[str, Any]
-
-
-def row_of(outcome: Outcome) -> dict[str, Any]:
-    """Return an outcome as a row. Its details and recording are not in it."""
-    machine = {f"{MACHINE}wall_s": outcome.wall_s, f"{MACHINE}worker": outcome.worker}
-    return {KEY: outcome.key, "outcome": outcome.status, "reason": outcome.reason, **outcome.figures, **machine}
-
-
-def outcome_of(row: Row) -> Outcome:
-    """Return the outcome from a row of ``row_of``, so that a plan can continue from it."""
-    figures = dict(row)
-    wall_s, worker = (figures.pop(f"{MACHINE}{name}") for name in ("wall_s", "worker"))
-    key, status, reason = (figures.pop(name) for name in (KEY, "outcome", "reason"))
-    return Outcome(key, status, reason, figures, wall_s=wall_s, worker=worker)
 
 
 class Store:
@@ -224,10 +208,9 @@ def read_about(folder: Path) -> dict[str, Any]:
 def read_plan(folder: Path) -> list[dict[str, Any]]:
     """Return the planned jobs of a folder, as rows. Raises BadInputError when they cannot be read."""
     file = folder / PLAN
-    try:
-        return list(_read(file, _ANEW).to_pylist())
-    except FileNotFoundError:
-        raise BadInputError(f"campaign file {file}: there is no such file; {_ANEW}") from None
+    if not file.is_file():
+        raise BadInputError(f"campaign file {file}: there is no such file; {_ANEW}")
+    return list(_read(file, _ANEW).to_pylist())
 
 
 def read_rows(folder: Path) -> pa.Table:

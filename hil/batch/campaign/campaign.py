@@ -18,12 +18,12 @@ import pyarrow as pa
 from hil.batch.campaign.load import Plan, load_plan
 from hil.batch.campaign.points import Point, check_run, needs_bench, points
 from hil.batch.campaign.tables import KeepTable
-from hil.batch.figures import MACHINE, as_judged, check_figure, row_columns
+from hil.batch.figures import KEY, MACHINE, as_judged, check_figure, row_columns, row_of
 from hil.batch.job import ALWAYS, ENDED, FAILED, IF_FAILED, NEVER, PASSED, Job, Outcome
 from hil.batch.keys import SCENARIO_RUN, key_of
 from hil.batch.plan import FixedPlan, run_plan
 from hil.batch.pool import LocalPool, Pool, Runner
-from hil.batch.store import KEY, ROWS, Row, Store, check_folder, read_rows, row_of
+from hil.batch.store import ROWS, Row, Store, check_folder, read_rows
 from hil.core.errors import BadInputError
 from hil.core.options import plain
 from hil.runtime.provenance import versions

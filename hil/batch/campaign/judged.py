@@ -12,9 +12,9 @@ import numpy.typing as npt
 
 from hil.batch.campaign.statistics import Interval, binned, paired_difference, share_explained, share_of
 from hil.batch.campaign.tables import RANDOM
-from hil.batch.figures import MACHINE, as_judged
+from hil.batch.figures import KEY, MACHINE, as_judged
 from hil.batch.job import PASSED
-from hil.batch.store import KEY, RECORDINGS, read_about, read_plan, read_rows
+from hil.batch.store import RECORDINGS, read_about, read_plan, read_rows
 
 Series = npt.NDArray[np.float64]
 Row = Mapping[str, Any]

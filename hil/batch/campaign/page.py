@@ -9,9 +9,8 @@ from typing import Any
 
 from hil.batch.campaign.judged import COMPARED, Judged, duel_words, percent, word
 from hil.batch.campaign.pictures import draw_distributions, draw_duels, draw_effects
-from hil.batch.figures import column_of
+from hil.batch.figures import KEY, column_of
 from hil.batch.job import PASSED
-from hil.batch.store import KEY
 from hil.core.outputs import Existing
 from hil.review.html_page import document, figure, mark, picture, table, write_document
 
