@@ -5,8 +5,8 @@ import shutil
 import signal
 import subprocess
 import sys
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +16,7 @@ import pytest
 from hil.core.errors import BadInputError
 from hil.core.signals import SIGNAL_NAMES, pack_row
 from hil.judge.words import outcome_rows
-from hil.record import Recording, Rotation, check_output_path, ring_process
+from hil.record import Recording, Rotation, check_output_path, early_recorder, ring_process
 from hil.record.files import has_end, numbered_path
 from hil.record.ring import RingReader, RingWriter, SharedBlock, ring_bytes
 from hil.record.ring_child import RefusedError
@@ -25,6 +25,8 @@ from hil.record.started_process import StallTimeout
 from hil.record.viewer import viewer_executable
 from hil.review import RecordedRun, figures, read
 from hil.review.decode import decode
+from hil.runtime.assembly import RunOptions, run_scenario
+from hil.scenario import load
 from tests.processes import wait_for
 from tests.recorded_circle import circle_rows
 
@@ -185,6 +187,30 @@ def test_a_file_that_cannot_have_its_beginning_is_refused_at_once(tmp_path: Path
         memory.files()
     assert list(tmp_path.iterdir()) == []
     memory.close()
+
+
+@linux_only
+def test_what_a_recorder_refuses_when_the_run_is_under_way_ends_it(tmp_path: Path) -> None:
+    path = tmp_path / "run.mcap"
+    refusal = r"recording .*run\.mcap: File too large; choose a path that can be written"
+    scenario = load("paper_circle", mode="lockstep", link="memory:", set=["loop.duration_s=86400"])
+    with limited_recorder() as make_recording, pytest.raises(BadInputError, match=refusal):
+        run_scenario(scenario, RunOptions(record=path, make_recording=make_recording, keep_signals=False))
+    assert list(tmp_path.iterdir()) == []
+    with limited_recorder() as make_recording, make_recording(path, properties={}, blocking=True, wait=False) as short:
+        short.put(pack_row(next(circle_rows(1))))
+        with pytest.raises(BadInputError, match=refusal):
+            short.finish({})
+    assert list(tmp_path.iterdir()) == []
+
+
+@contextmanager
+def limited_recorder() -> Iterator[Callable[..., Recording]]:
+    """A recorder process that cannot write the beginning of a file."""
+    with ExitStack() as stack:
+        with files_of_at_most(5000):
+            make_recording = stack.enter_context(early_recorder(".mcap"))
+        yield make_recording
 
 
 def test_a_part_does_not_take_the_place_of_another_runs(tmp_path: Path) -> None:

@@ -83,6 +83,23 @@ def test_a_recorder_that_was_started_early_records_and_needs_no_tables(tmp_path:
     assert_same_bits(path, 200)
 
 
+@pytest.mark.parametrize("capacity", [16384, 256], ids=["all in the ring", "waits when it is full"])
+def test_a_run_in_lockstep_goes_on_before_its_recorder_is_ready(tmp_path: Path, capacity: int) -> None:
+    path = tmp_path / "run.rrd"
+    properties = {"text": "x" * 200_000}  # more than the pipe holds
+    with Recording(path, properties=properties, blocking=True, capacity=capacity, wait=False) as recording:
+        recording.event(0.0, "info", "robot")
+        for row in circle_rows(2000):
+            recording.put(pack_row(row))
+            if recording.ring.head == 256:
+                assert recording.ring.file_number == 0, "256 rows took longer than to import rerun"
+        assert recording.finish({"passed": True}).complete
+    assert_same_bits(path, 2000)
+    run = read(path)
+    assert (run.summary, run.properties) == ({"passed": True}, properties)
+    assert [event.text for event in run.events] == ["robot"]
+
+
 def test_a_recorder_started_for_nothing_is_ended_and_one_that_died_meanwhile_is_told(tmp_path: Path) -> None:
     with StartedProcess("hil.record.recorder", rerun_environment()) as unused:
         assert unused.process.poll() is None
@@ -91,6 +108,14 @@ def test_a_recorder_started_for_nothing_is_ended_and_one_that_died_meanwhile_is_
         started.process.kill()
         with pytest.raises(DeviceError, match=r"^the recorder did not start: exit status .*; run without a recording"):
             Recording(tmp_path / "run.mcap", properties={}, blocking=True, started=started)
+    assert list(tmp_path.iterdir()) == []
+    with StartedProcess("hil.record.recorder", rerun_environment()) as started:
+        started.process.kill()
+        path = tmp_path / "run.mcap"
+        with Recording(path, properties={}, blocking=True, started=started, wait=False) as recording:
+            recording.put(pack_row(next(circle_rows(1))))
+            with pytest.raises(DeviceError, match=r"^the recorder did not start: exit status .*; run without"):
+                recording.finish({})
     assert list(tmp_path.iterdir()) == []
 
 

@@ -9,6 +9,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any, Protocol
 
+from hil.core.errors import HilError
 from hil.core.outputs import Existing, claim, release
 from hil.core.signals import SIGNAL_NAMES
 from hil.record.files import Rotation, check_output_path, numbered_path
@@ -91,9 +92,9 @@ def early_recorder(suffix: str | None, *, live: bool = False) -> Iterator[Callab
 class Recording(RingProcess):
     """A sink that records in a separate process; a context manager.
 
-    The constructor returns when the recorder is ready: after half a second, or sooner if it was ``started`` before. If
-    the run dies, the recorder finishes the file by itself. If the recorder dies, the run goes on: a new recorder
-    continues in the next file (``RUN-2.rrd``), beginning with the rows that were not safe yet. See RECORDING.md.
+    The recorder is ready after half a second, or sooner if it was ``started`` before. If the run dies, the recorder
+    finishes the file by itself. If the recorder dies, the run goes on: a new recorder continues in the next file
+    (``RUN-2.rrd``), beginning with the rows that were not safe yet. See RECORDING.md.
 
     Args:
         path: the ``.rrd`` or ``.mcap`` file, or None if there is only a live view.
@@ -106,6 +107,8 @@ class Recording(RingProcess):
         rotation: when the recording continues in the next file.
         existing: what to do if the file exists; attribute ``path`` has the name that was chosen.
         started: a recorder process that is already running (see ``early_recorder``); by default one is started now.
+        wait: return when the recorder is ready. Otherwise return at once, for a run in lockstep: its rows wait in the
+            ring, and what the recorder refuses is raised by ``put`` when the ring is full, or by ``finish``.
 
     Raises:
         BadInputError: the path cannot be written, or the port cannot be used.
@@ -128,11 +131,13 @@ class Recording(RingProcess):
         rotation: Rotation = Rotation(),  # noqa: B008 -- immutable
         existing: Existing = "refuse",
         started: StartedProcess | None = None,
+        wait: bool = True,
     ) -> None:
         if path is not None:
             check_output_path("recording", path, existing)
             path = claim("recording", path, existing)
         self.path = path
+        self._existing = existing
         self._live_port = live_port
         self._result: RecordingReport | None = None
         config = {
@@ -154,11 +159,23 @@ class Recording(RingProcess):
                 name="the recorder",
                 remedy="run without a recording to go on",
                 restart=True,
+                wait=wait,
             )
         except BaseException:
-            if path is not None:
-                release(path, existing)
+            self._release()
             raise
+
+    def wait_ready(self) -> None:
+        """Wait until the recorder is ready. Raises as the constructor; no file is left then."""
+        try:
+            super().wait_ready()
+        except HilError:
+            self._release()
+            raise
+
+    def _release(self) -> None:
+        if self.path is not None:
+            release(self.path, self._existing)
 
     def event(self, t_s: float, level: str, text: str) -> None:
         """Add a line to the event log; ``level`` is debug, info, warning or error. Never waits."""
@@ -167,8 +184,8 @@ class Recording(RingProcess):
     def finish(self, summary: Mapping[str, object], *, keep_live: bool = False) -> RecordingReport:
         """Write the rows that are still in the ring, then the summary; close the file and return the report.
 
-        If the recorder process died, the report says so; no exception is raised. With ``keep_live`` live viewers are
-        still served after that, until ``close``.
+        If the recorder process died, the report says so. With ``keep_live`` live viewers are still served after that,
+        until ``close``. Raises only as ``wait_ready``.
         """
         if self._result is None:
             keep_live = keep_live and self._live_port is not None

@@ -30,7 +30,7 @@ _LONG_LIFE_S = 60.0  # after a longer life the starts are counted from one again
 class RingProcess:
     """Sends rows and lines to a ``StartedProcess`` and receives its report; a context manager.
 
-    The constructor returns when the process is ready. Without ``blocking`` the process cannot delay a tick.
+    Without ``blocking`` the process cannot delay a tick.
 
     Args:
         config: settings of the process, as JSON values.
@@ -38,8 +38,10 @@ class RingProcess:
         name: the process's name in messages. remedy: what the messages advise the user to do.
         restart: start another process when this one dies, at most six times in a row, after a pause of 0.1 s that
             doubles each time; its config then has ``restarts`` above 0.
+        wait: return when the process is ready. Otherwise return at once: rows wait in the ring, and ``put`` calls
+            ``wait_ready`` when the ring is full, ``end`` in any case.
 
-    Raises BadInputError when the process refuses the config, DeviceError when it does not start.
+    Raises as ``wait_ready``.
 
     Attributes:
         put: takes one row; raises ValueError when its width is wrong.
@@ -59,8 +61,10 @@ class RingProcess:
         name: str,
         remedy: str,
         restart: bool = False,
+        wait: bool = True,
     ) -> None:
         self._name = name
+        self._remedy = remedy
         self._waits = blocking
         self._restart = restart
         self._child = started
@@ -79,20 +83,17 @@ class RingProcess:
         self.restarts = 0
         self.troubles: list[str] = []
         self._last_line: Mapping[str, object] | None = None
-        self._ready = False
+        self._first_reply: Mapping[str, Any] = {}
+        self._takes_lines = True  # False while the process is replaced
         self._send_config()
         self._keeper = threading.Thread(target=self._keep, name="keeper", daemon=True)
         self._keeper.start()
-        try:
-            reply = self._report()
-            self._ready = "ready" in reply
-            if "refused" in reply:
-                raise BadInputError(str(reply["refused"]))
-            if not self._ready:
-                raise DeviceError(f"{name} did not start: {self.troubles[-1]}; {remedy}")
-        except BaseException:  # also for KeyboardInterrupt: the shared memory must be freed
-            self.close()
-            raise
+        if wait:
+            try:
+                self.wait_ready()
+            except BaseException:  # also for KeyboardInterrupt: the shared memory must be freed
+                self.close()
+                raise
 
     @property
     def pid(self) -> int:
@@ -106,6 +107,17 @@ class RingProcess:
             self._send_unsent()
             return self._lines_dropped + len(self._unsaved) + self.ring.lines_lost
 
+    def wait_ready(self) -> None:
+        """Wait until the process is ready. Raises BadInputError when it refuses the config, DeviceError when it does
+        not start; so does every later call.
+        """
+        if not self._first_reply:
+            self._first_reply = self._report()
+        if "refused" in self._first_reply:
+            raise BadInputError(str(self._first_reply["refused"]))
+        if not self._first_reply:
+            raise DeviceError(f"{self._name} did not start: {self.troubles[-1]}; {self._remedy}")
+
     def send(self, record: Mapping[str, object]) -> None:
         """Send a line. Never waits, neither for the process nor for its restart."""
         self._unsent.append(record)
@@ -115,12 +127,13 @@ class RingProcess:
         """Send the last line, with the run's summary, and return the process's report.
 
         With ``keep_live`` the process serves live viewers until ``close``. If the process died, the report has
-        ``error`` alone; no exception is raised.
+        ``error`` alone; no exception is raised, except as by ``wait_ready``.
         """
+        self.wait_ready()
         with self._swap:
             self._send_unsent()
             self._last_line = {"finish": dict(summary), "keep_live": keep_live}
-            if self._ready:
+            if self._takes_lines:
                 self._child.lines.send(self._last_line, always=True)
         return self._report() or {"error": f"{self._name} ended before the run: {self.troubles[-1]}"}
 
@@ -165,24 +178,26 @@ class RingProcess:
     def _keep(self) -> None:
         """Receive replies, and start the process again when it ends too early; the body of the keeper thread."""
         start_children_as_ordinary()
+        self._flush_all()
         starts = 0
-        finished = False
+        was_ready = finished = False
         while True:
             reply = self._child.replies.read()
             if reply is not None:
-                if self.restarts and "ready" in reply:
+                if was_ready and "ready" in reply:
                     self._send_again()
                     self._flush_all()
                 else:
                     self._reports.put(reply)
-                    finished = "ready" not in reply
+                    was_ready = "ready" in reply
+                    finished = not was_ready
                 continue
             trouble = self._child.trouble()
             if finished or self._closing.is_set():
                 break
             self.troubles.append(trouble)
             starts = 1 if time.monotonic() - self._child.started_s > _LONG_LIFE_S else starts + 1
-            if not (self._restart and (self._ready or self.restarts)) or starts > _STARTS_IN_A_ROW:
+            if not (self._restart and was_ready) or starts > _STARTS_IN_A_ROW:
                 break
             if self._closing.wait(_FIRST_BACK_OFF_S * 2 ** (starts - 1)) or not self._start_next():
                 break
@@ -195,7 +210,7 @@ class RingProcess:
             if self._closing.is_set():
                 return False
             self._child.close()
-            self._ready = False
+            self._takes_lines = False
             try:
                 self._child = self._child.again()
             except OSError as error:
@@ -209,7 +224,9 @@ class RingProcess:
     def _send_again(self) -> None:
         """Send the lines that the last process had not saved to the new one, which is ready now."""
         with self._swap:
-            self._ready = True
+            if self._closing.is_set():
+                return
+            self._takes_lines = True
             self._forget_saved_lines()
             for record in self._unsaved if self._last_line is None else [*self._unsaved, self._last_line]:
                 self._child.lines.send(record, always=True)
@@ -227,7 +244,7 @@ class RingProcess:
         self._forget_saved_lines()
         while self._unsent:
             record = self._unsent.popleft()
-            if not self._gone.is_set() and (not self._ready or self._child.lines.send(record)):
+            if not self._gone.is_set() and (not self._takes_lines or self._child.lines.send(record)):
                 self._unsaved.append(record)
             else:
                 self._lines_dropped += 1
@@ -248,7 +265,11 @@ class RingProcess:
             self._lines_seen_saved += 1
 
     def _put_later(self, row: Row) -> bool:
-        """With ``blocking`` wait for room; otherwise, or when the process stalls, drop the row and count it."""
+        """With ``blocking`` wait for room; otherwise, or when the process stalls, drop the row and count it.
+
+        Raises as ``wait_ready``.
+        """
+        self.wait_ready()
         stall = StallTimeout(_STALL_WAITS)
         while self._waits and not self._gone.is_set() and stall.wait((self.ring.tail, self.restarts)):
             if not self.ring.full:

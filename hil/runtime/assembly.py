@@ -209,6 +209,8 @@ class _Run:
         further: dict[str, Any] = {"rotation": options.rotate} if any(options.rotate) else {}
         if options.existing != "refuse":
             further["existing"] = options.existing
+        if self._is_lockstep and options.live_port is None:
+            further["wait"] = False  # only simulated time passes before the recorder is ready
         return options.make_recording(
             options.record,
             properties=properties(self._scenario, self._ingredients),
@@ -262,7 +264,8 @@ class _Run:
             t_s = self._loop.t_s
             self._recording.event(t_s, "error", sentence)
             outcomes = self._events.finish(t_s, is_cut=True)
-            self._recording.finish(with_page({"passed": False, "failure": sentence, "expect": outcomes}))
+            with contextlib.suppress(HilError):  # nothing was recorded; the sentence counts for more
+                self._recording.finish(with_page({"passed": False, "failure": sentence, "expect": outcomes}))
         if self._options.on_stuck is not None:
             self._options.on_stuck(sentence)
 

@@ -30,6 +30,7 @@ class RecordingHere:
         live_port: None = None,
         signals: Sequence[str] = SIGNAL_NAMES,
         existing: Existing = "refuse",
+        wait: bool = False,
     ) -> None:
         assert blocking, "in real time nothing waits for it"
         self.path: Path = claim("recording", path, existing)
