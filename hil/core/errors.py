@@ -24,9 +24,7 @@ class UnknownSignalError(BadInputError, KeyError):
     __str__ = Exception.__str__  # KeyError.__str__ would put quotation marks around the message
 
     def __init__(self, name: object, known: Iterable[str]) -> None:
-        hint = nearest(str(name), known)  # the list of all signals is too long for a sentence
-        rest = hint if "did you mean" in hint else "; `hil list signals` prints them all"
-        super().__init__(f"the run has no signal {name!r}{rest}")
+        super().__init__(f"the run has no signal {name!r}{nearest(str(name), known, SEE_SIGNALS)}")
 
 
 class LinkError(HilError):
@@ -100,8 +98,14 @@ def _likeness(word: str, known: str) -> float:
     return difflib.SequenceMatcher(None, known, word).ratio()
 
 
-def nearest(word: str, known: Iterable[str]) -> str:
-    """Return ``"; did you mean 'x'?"`` with the similar known words, or the list of all known words if none is.
+SEE_SIGNALS = "; `hil list signals` prints them all"
+"""For ``nearest`` of a signal: the names of all are too long for a sentence."""
+
+
+def nearest(word: str, known: Iterable[str], otherwise: str | None = None) -> str:
+    """Return ``"; did you mean 'x'?"`` with the known words that are similar to ``word``.
+
+    If none is, return ``otherwise``, by default a list of all known words.
 
     >>> nearest("mas_kg", ["mass_kg", "law"])
     "; did you mean 'mass_kg'?"
@@ -109,4 +113,6 @@ def nearest(word: str, known: Iterable[str]) -> str:
     choice = list(known)
     if found := near(word, choice):
         return f"; did you mean {' or '.join(map(repr, found))}?"
+    if otherwise is not None:
+        return otherwise
     return f"; known: {', '.join(sorted(choice))}" if choice else ""

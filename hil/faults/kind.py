@@ -129,9 +129,8 @@ class Kind(NamedTuple):
             if target in SIGNAL_NAMES and target not in self.targets:
                 raise ValueError(f"target = {target!r} is not a target of {self.name}; it is the time of the run")
         elif self.targets and target not in self.targets:
-            hint = nearest(target, self.targets)
-            if "did you mean" not in hint and len(self.targets) > 12:
-                hint = f"; expected {self.target_words.replace('`', '')}"
+            expected = f"; expected {self.target_words.replace('`', '')}" if len(self.targets) > 12 else None
+            hint = nearest(target, self.targets, expected)
             raise ValueError(f"target = {target!r} is not a target of {self.name}{hint}")
         if target == "robot.state" and self.name == "bias":
             raise ValueError("target = 'robot.state' is not a quantity; use override with the number of a state")

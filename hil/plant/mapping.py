@@ -184,9 +184,7 @@ class _Resolver:
 
 def nearest_of(name: str, known: list[str], fmu: Path) -> str:
     """Return a hint after an unknown name: similar names, the known ones, or for a long list where to find it."""
-    words = nearest(name, known)
-    is_long = words.startswith("; known") and len(known) > _LONGEST_LIST
-    return f"; hil fmu info {fmu} lists what it has" if is_long else words
+    return nearest(name, known, f"; hil fmu info {fmu} lists what it has" if len(known) > _LONGEST_LIST else None)
 
 
 def _element(places: list[int], name: str, shape: tuple[int, ...]) -> int:

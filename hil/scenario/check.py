@@ -6,7 +6,7 @@ from dataclasses import is_dataclass
 from pathlib import Path as FilePath
 from typing import Any, cast, get_args
 
-from hil.core.errors import BadInputError, near, nearest
+from hil.core.errors import SEE_SIGNALS, BadInputError, near, nearest
 from hil.core.options import ABSENT, OptionsError, Problem, build, options_of
 from hil.core.signals import INDEX
 from hil.references import make_reference
@@ -136,9 +136,7 @@ def _unknown_signals(tables: Tables, directory: FilePath) -> Iterator[tuple[str,
     known = make_laws(tables, directory).signals  # only when needed, because it runs the code of third-party laws
     for key, name in named.items():
         if name not in known:
-            hint = nearest(name, known)  # the names of all signals are too long for a message
-            hint = hint if "did you mean" in hint else "; `hil list signals` prints them all"
-            yield key, f"expected the name of a signal{hint}"
+            yield key, f"expected the name of a signal{nearest(name, known, SEE_SIGNALS)}"
 
 
 def _contradictions(tables: Tables) -> Iterator[tuple[str, str]]:

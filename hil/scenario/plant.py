@@ -17,10 +17,9 @@ PLANT_SIGNALS = (*INPUTS, *OUTPUTS)
 
 def _signal_of_plant(name: str) -> str:
     if name not in PLANT_SIGNALS:
-        hint = nearest(name, PLANT_SIGNALS)
         patterns = sorted({re.sub(r"^wheel\.\w+", "wheel.*", signal) for signal in PLANT_SIGNALS})
-        known = hint if "did you mean" in hint else f"; known: {', '.join(patterns)}"
-        raise ValueError(f"the plant has no such signal{known}")
+        hint = nearest(name, PLANT_SIGNALS, f"; known: {', '.join(patterns)}")
+        raise ValueError(f"the plant has no such signal{hint}")
     return name
 
 
