@@ -13,13 +13,13 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
+from firmware_protocol.client import Client
 from hil.core.guard import Guard
 from hil.estimation.truth import TruthEstimator
 from hil.judge.results import MemorySink
 from hil.laws.surface import SurfaceLaw
 from hil.plant.fmu import FmuPlant
 from hil.references.circle import Circle
-from hil.robot.channel import Channel
 from hil.robot.direct import DirectLink
 from hil.robot.stm32 import Stm32
 from hil.runtime.assembly import RunOptions, run_scenario
@@ -46,10 +46,10 @@ class Part(NamedTuple):
 PARTS = (
     Part("wait: the robot's time passes", Sampling, "wait"),
     Part("STEP, firmware, FMU, answer: one call of the library", DirectLink, "step", 1),
-    Part("feedback from the snapshot", Channel, "_renew_feedback", 1),
     Part("the true pose", FmuPlant, "truth", 1),
     Part("the tick", Loop, "_tick"),
     Part("feedback: fresh? the robot ACTIVE?", Freshness, "poll", 1),
+    Part("feedback from the snapshot", Client, "feedback", 2),
     Part("estimate", TruthEstimator, "update", 1),
     Part("reference", Circle, "at", 1),
     Part("law, guard, command, row", Tick, "drive", 1),
