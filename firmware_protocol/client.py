@@ -77,9 +77,11 @@ class Client:
         count, newest = self.view.round_trips, self._ffi.unpack(self.view.round_trips_ns, 256)
         return [newest[number % 256] for number in range(max(begin, count - 256), count)]
 
-    def counts(self) -> tuple[int, int, int]:
-        """Return how many messages were sent and received, and how many snapshots are missing or incomplete."""
-        return self._fast.counts(self.address)
+    def link_figures(self) -> tuple[float, float, float, float]:
+        """Return how many messages were sent and received, how many snapshots are missing or incomplete, and the newest
+        round trip [ms], NaN before the first.
+        """
+        return self._fast.link_figures(self.address)
 
     # What is sent to the robot
 

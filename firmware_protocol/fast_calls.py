@@ -53,7 +53,7 @@ class FastCalls(NamedTuple):
     poll: Callable[[int, int], bool]
     step: Callable[[int, int, int, int, int], bool]
     feedback: Callable[[int, type, type, tuple[Any, ...]], Any]
-    counts: Callable[[int], tuple[int, int, int]]
+    link_figures: Callable[[int], tuple[float, float, float, float]]
     out: Callable[[int], bytes]
     sent: Callable[[int], bool]
     ask: Callable[[int, int], bool]

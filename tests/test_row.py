@@ -51,9 +51,8 @@ def test_every_value_of_a_row_stands_under_its_signals_name() -> None:
     applied = Applied(WheelCommand(CommandMode.SPEED, four(100), four(110)), True, 0.12)
     device = SimpleNamespace(
         report=SimpleNamespace(health=(120.0, 121.0, four(122))),
-        counts=lambda: (130, 131, 134),
+        link_figures=lambda: (130, 131, 134, 138.0),
         rejected=lambda: {"one": 132, "other": 1},
-        round_trip_ms=138.0,
         clock_sync=SimpleNamespace(offset_us=140.0, drift_ppm=141.0),
     )
     wire = SimpleNamespace(byte_counts=lambda: (135, 136), load_percent=lambda: 137.0)

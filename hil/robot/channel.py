@@ -10,7 +10,7 @@ from firmware_protocol.framing import PackedFrames, pack, packed_frame
 from firmware_protocol.generated import messages as m
 from hil.core.errors import RobotStoppedError
 from hil.core.ports import Received
-from hil.core.types import NAN, Wheels
+from hil.core.types import Wheels
 from hil.robot.direct import DirectLink
 from hil.robot.handshake import RETRY_NS, SILENCE_NS
 from hil.robot.link_times import RoundTrip
@@ -144,12 +144,6 @@ class Channel:
     def _note_round_trips(self) -> None:
         self._round_trip.add(self._client.round_trips_ns(self._round_trips_seen))
         self._round_trips_seen = self._client.view.round_trips
-
-    @property
-    def round_trip_ms(self) -> float:
-        """The newest time from a command to the first TICK that reports it; NaN before the first."""
-        view = self._client.view
-        return view.round_trip_ns * 1e-6 if view.round_trips else NAN
 
     @property
     def round_trip(self) -> RoundTrip:

@@ -64,10 +64,6 @@ class Device(Protocol):
     clock_sync: ClockSync
 
     @property
-    def round_trip_ms(self) -> float:
-        """The newest time from a command to the first feedback that reports it; NaN before the first."""
-
-    @property
     def round_trip(self) -> RoundTrip:
         """All round trips of commands."""
 
@@ -188,8 +184,10 @@ class Device(Protocol):
     def received(self) -> int:
         """Number of frames received so far."""
 
-    def counts(self) -> tuple[int, int, int]:
-        """Return ``sent``, ``received`` and ``snapshots_lost``: fast, for every tick."""
+    def link_figures(self) -> tuple[float, float, float, float]:
+        """Return ``sent``, ``received``, ``snapshots_lost``, and the newest time from a command to the first feedback
+        that reports it [ms], NaN before the first: fast, for every tick.
+        """
 
     def wire_sha256(self) -> str:
         """Return the hash of all frames of the session, in both directions and in order."""
@@ -232,10 +230,6 @@ class LinkedDevice(ABC):
     @property
     def is_lockstep(self) -> bool:
         return self._is_lockstep
-
-    @property
-    def round_trip_ms(self) -> float:
-        return NAN
 
     @property
     def round_trip(self) -> RoundTrip:
@@ -312,8 +306,8 @@ class LinkedDevice(ABC):
     def snapshots_lost(self) -> int:
         return 0
 
-    def counts(self) -> tuple[int, int, int]:
-        return self.sent, self.received, self.snapshots_lost
+    def link_figures(self) -> tuple[float, float, float, float]:
+        return self.sent, self.received, self.snapshots_lost, NAN
 
     def wire_sha256(self) -> str:
         return self._line.hash.hexdigest()

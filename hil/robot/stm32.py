@@ -226,7 +226,8 @@ class Stm32(LinkedDevice):
 
     def send(self, command: WheelCommand) -> int:
         _, speed_rad_s, torque_n_m = command
-        sequence = self._client.command(speed_rad_s, torque_n_m, self._now_ns())
+        clock = self._clock
+        sequence = self._client.command(speed_rad_s, torque_n_m, None if clock is None else clock.now_ns())
         if sequence < 0:
             self._raise_unsendable(command)
         self._channel.flush()
@@ -296,8 +297,8 @@ class Stm32(LinkedDevice):
         view = self._client.view
         return int(view.lost + view.incomplete)
 
-    def counts(self) -> tuple[int, int, int]:
-        return self._client.counts()
+    def link_figures(self) -> tuple[float, float, float, float]:
+        return self._client.link_figures()
 
     def wire_sha256(self) -> str:
         return self._client.hexdigest()
@@ -305,10 +306,6 @@ class Stm32(LinkedDevice):
     @property
     def round_trip(self) -> RoundTrip:
         return self._channel.round_trip
-
-    @property
-    def round_trip_ms(self) -> float:
-        return self._channel.round_trip_ms
 
     def rejected(self) -> dict[str, int]:
         robot = {f"robot_{cause}": count for cause, count in self.report.rejected.items()}

@@ -21,12 +21,9 @@ class Lateness:
         self.counts = [0] * (len(EDGES_NS) + 1)
         self.worst_ns = 0
 
-    def add(self, late_ns: int) -> None:
-        """Count a tick that began ``late_ns`` late; 0 if on time."""
-        if late_ns < _FIRST_NS:  # all of lockstep
-            self.counts[0] += 1
-        else:
-            self.counts[bisect_right(EDGES_NS, late_ns)] += 1
+    def add(self, late_ns: int, ticks: int = 1) -> None:
+        """Count ticks that began ``late_ns`` late; 0 if on time."""
+        self.counts[bisect_right(EDGES_NS, late_ns)] += ticks
         if late_ns > self.worst_ns:
             self.worst_ns = late_ns
 

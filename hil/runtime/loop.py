@@ -119,6 +119,8 @@ class Loop:
         except HilError as error:
             failure = self._give_up(failure or error)
         ticks = self._ticker.count
+        if self._parts.device.is_lockstep:
+            self.lateness.add(0, ticks)
         robot_s = self.t_s + self._timing.period_ns * 1e-9 if ticks else 0.0
         recoveries = tuple(self._recoveries)
         undriven = self._undriven.counts(ticks)
@@ -167,6 +169,8 @@ class Loop:
             if is_lockstep:  # no tick is late in lockstep
                 number += 1
                 continue
+            if number >= 0:
+                self.lateness.add(late_ns)
             following = self._sampling.following(number)
             if following != number + 1:
                 # Count only ticks of this run; the last misses appear in no later row.
@@ -207,7 +211,6 @@ class Loop:
         ticker, faults, t_ns = self._ticker, self._faults, number * self._period_ns
         self.t_s = t_s = t_ns * 1e-9
         now = LoopSignals(t_s, number, late_ns * 1e-3, self._tick_us, self._misses)
-        self.lateness.add(late_ns)
         fix = self._sampling.fix_of(number)
         if faults is not None:
             faults.at(t_ns)

@@ -31,7 +31,7 @@ def bench_status(pilot: Pilot, bench: Bench, granted: RealTime) -> dict[str, Any
         "gains": {name: value for name, value in gains._asdict().items() if math.isfinite(value)},
         "health": _HEALTH[int(health)] if math.isfinite(health) else None,
         "feedback_age_ms": pilot.feedback_age_ms,
-        "round_trip_ms": _finite(device.round_trip_ms),
+        "round_trip_ms": _finite(device.link_figures()[3]),
         "frames": {"sent": device.sent, "received": device.received, "rejected": device.rejected()},
         "recoveries": pilot.recoveries,
         "twist_age_s": conduct.twist_age_s,

@@ -86,10 +86,10 @@ static void *whole_numbers(const int64_t *values, ptrdiff_t count) {
 }
 
 /* Returns a new tuple of floats; `kind` is a class of named tuples, or NULL. */
-static void *floats(void *kind, const float *values, ptrdiff_t count) {
+static void *floats(void *kind, const double *values, ptrdiff_t count) {
     void *tuple = kind == NULL ? python.PyTuple_New(count) : python.PyType_GenericAlloc(kind, count);
     for (ptrdiff_t i = 0; tuple != NULL && i < count; i++) {
-        python.PyTuple_SetItem(tuple, i, python.PyFloat_FromDouble((double)values[i]));
+        python.PyTuple_SetItem(tuple, i, python.PyFloat_FromDouble(values[i]));
     }
     return tuple;
 }
@@ -115,6 +115,9 @@ void *wheel_python_feedback(void *self, void *const *arguments, ptrdiff_t count)
         return NULL;
     }
     void *wheels = arguments[2];
+    const float *v = view->speed_rad_s;
+    const float *c = view->current_a;
+    const float *a = view->acceleration_m_s2;
     const uint16_t *counts = view->encoder_count;
     python.Py_IncRef(state);
     void *items[] = {python.PyLong_FromLongLong(1000 * (long long)view->robot_time_us),
@@ -122,9 +125,9 @@ void *wheel_python_feedback(void *self, void *const *arguments, ptrdiff_t count)
                      python.PyLong_FromLongLong(view->command_sequence),
                      python.PyLong_FromLongLong(view->command_age_ms),
                      whole_numbers((int64_t[]){counts[0], counts[1], counts[2], counts[3]}, 4),
-                     floats(wheels, view->speed_rad_s, 4),
-                     floats(wheels, view->current_a, 4),
-                     floats(NULL, view->acceleration_m_s2, 3),
+                     floats(wheels, (double[]){v[0], v[1], v[2], v[3]}, 4),
+                     floats(wheels, (double[]){c[0], c[1], c[2], c[3]}, 4),
+                     floats(NULL, (double[]){a[0], a[1], a[2]}, 3),
                      python.PyFloat_FromDouble((double)view->yaw_rate_rad_s)};
     for (ptrdiff_t i = 0; i < 9; i++) {
         python.PyTuple_SetItem(feedback, i, items[i]);
@@ -136,14 +139,15 @@ void *wheel_python_feedback(void *self, void *const *arguments, ptrdiff_t count)
     return feedback;
 }
 
-void *wheel_python_counts(void *self, void *const *arguments, ptrdiff_t count) {
+void *wheel_python_link_figures(void *self, void *const *arguments, ptrdiff_t count) {
     (void)self, (void)count;
     const wheel_view *view = view_at(arguments[0]);
     if (view == NULL) {
         return NULL;
     }
-    return whole_numbers(
-        (int64_t[]){(int64_t)view->sent, (int64_t)view->received, (int64_t)view->lost + view->incomplete}, 3);
+    const double lost = (double)view->lost + view->incomplete;
+    const double round_trip_ms = view->round_trips == 0u ? (double)NAN : (double)view->round_trip_ns * 1e-6;
+    return floats(NULL, (double[]){(double)view->sent, (double)view->received, lost, round_trip_ms}, 4);
 }
 
 /* Puts the numbers of a tuple in their places; returns the member behind its own, or NULL with an exception.

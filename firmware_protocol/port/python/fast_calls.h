@@ -52,8 +52,9 @@ void *wheel_python_step(void *self, void *const *arguments, ptrdiff_t count);
  * hil.robot.snapshot. The kinds are classes of named tuples; `states` has an object for each wp_state. */
 void *wheel_python_feedback(void *self, void *const *arguments, ptrdiff_t count);
 
-/* counts(client): messages sent and received, snapshots lost or incomplete. */
-void *wheel_python_counts(void *self, void *const *arguments, ptrdiff_t count);
+/* link_figures(client): messages sent and received, snapshots lost or incomplete, the newest round trip [ms]
+ * or NaN. */
+void *wheel_python_link_figures(void *self, void *const *arguments, ptrdiff_t count);
 
 /* out(client): the packed frames that wait to be sent, as bytes. */
 void *wheel_python_out(void *self, void *const *arguments, ptrdiff_t count);
