@@ -124,16 +124,17 @@ class Runner:
 
     def run(self, job: Job) -> Outcome:
         """Do a job; after a crash once more if it has ``retries_crash``, unless ``kill`` was called."""
-        outcome = self._try(job)
-        is_crash = outcome.status == LOST and "crashed" in str(outcome.reason)
-        if is_crash and job.retries_crash and not self.is_ending:
-            outcome = self._try(job)
+        outcome, has_crashed = self._try(job)
+        if has_crashed and job.retries_crash and not self.is_ending:
+            outcome, _ = self._try(job)
             if outcome.status == LOST:
                 return outcome._replace(reason=f"its process ended twice, at last: {outcome.reason}")
         return outcome
 
-    def _try(self, job: Job) -> Outcome:
+    def _try(self, job: Job) -> tuple[Outcome, bool]:
+        """Return the outcome, and whether it is a crash: the process was not ended for a limit."""
         began = time.monotonic()
+        limit: str | None = None
         try:
             if self._process is not None and self._process.made_for != (job.kind, job.library):
                 self.close()
@@ -142,13 +143,14 @@ class Runner:
                 process.kill()
             outcome = process.perform(job)
             if outcome is not None:
-                return outcome
-            reason = process.ended_why or f"crashed: {process.last_words()}"
+                return outcome, False
+            limit = process.ended_why
+            reason = limit or f"crashed: {process.last_words()}"
         except Exception as error:  # noqa: BLE001 -- no process can be made, an answer cannot be read, ...
             self._kill()
             reason = f"crashed: {type(error).__name__}: {error}"
         self.close()
-        return Outcome(job.key, LOST, reason, wall_s=time.monotonic() - began)
+        return Outcome(job.key, LOST, reason, wall_s=time.monotonic() - began), limit is None
 
     def kill(self) -> None:
         """End the process at once and try nothing again; may be called from another thread."""

@@ -19,13 +19,13 @@ from hil.core.subprocesses import away_from_terminal, child_environment, module_
 from hil.service import logs
 from hil.service.discovery import Service, announce
 from hil.service.messages import SILENT_S, Action, Answer, ApiConfig, Order, Status, to_line
+from hil.wire.reopening import BackOff
 
 _READY_S = 60.0
 _EXIT_S = 5.0
 _HUNG_S = 5.0
-_FIRST_BACK_OFF_S = 0.1
-_LONGEST_BACK_OFF_S = 5.0
-_LONG_LIFE_S = 60.0  # after a life of this length the back-off starts again at its first value
+_LONGEST_WAIT_NS = 5_000_000_000
+_LONG_LIFE_S = 60.0  # after a life of this length the waits between attempts are short again
 
 
 class ApiChild:
@@ -50,7 +50,7 @@ class ApiChild:
         self._process: subprocess.Popen[bytes] | None = None
         self._lines: LinePoll | None = None
         self._ready = False
-        self._back_off_s = _FIRST_BACK_OFF_S
+        self._waits = BackOff(_LONGEST_WAIT_NS)
         self._claim: ProcessLock | None = None
         self._writer: LineWriter
         self._started_s = self._alive_s = self._polled_s = 0.0
@@ -180,14 +180,14 @@ class ApiChild:
             os.sched_setaffinity(0, self._cores)
         status = self._end_process()
         if time.monotonic() - self._started_s > _LONG_LIFE_S:
-            self._back_off_s = _FIRST_BACK_OFF_S
-        logs.error("API process ended", exit_status=status, again_in_s=self._back_off_s)
-        while not self._closing.wait(self._back_off_s):
-            self._back_off_s = min(2 * self._back_off_s, _LONGEST_BACK_OFF_S)
+            self._waits = BackOff(_LONGEST_WAIT_NS)
+        logs.error("API process ended", exit_status=status, again_in_s=self._waits.wait_ns * 1e-9)
+        while not self._closing.wait(self._waits.next_ns() * 1e-9):
             try:
                 self._start()
             except OSError as error:
-                logs.error("API process could not be started", why=str(error), again_in_s=self._back_off_s)
+                again_in_s = self._waits.wait_ns * 1e-9
+                logs.error("API process could not be started", why=str(error), again_in_s=again_in_s)
             else:
                 break
 

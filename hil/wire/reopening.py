@@ -6,18 +6,18 @@ from concurrent.futures import Future, wait
 from typing import Any, Generic, TypeVar
 
 _FIRST_NS = 100_000_000
-_LONGEST_NS = 2_000_000_000
 
 
 class BackOff:
-    """The waits between attempts: 0.1 s, and twice as long each time, up to 2 s. ``wait_ns`` is the next one."""
+    """The waits between attempts: 0.1 s, and twice as long each time, up to a longest. ``wait_ns`` is the next one."""
 
-    def __init__(self) -> None:
+    def __init__(self, longest_ns: int = 2_000_000_000) -> None:
         self.wait_ns = _FIRST_NS
+        self._longest_ns = longest_ns
 
     def next_ns(self) -> int:
         """Return the next wait, and double the one after it."""
-        wait_ns, self.wait_ns = self.wait_ns, min(2 * self.wait_ns, _LONGEST_NS)
+        wait_ns, self.wait_ns = self.wait_ns, min(2 * self.wait_ns, self._longest_ns)
         return wait_ns
 
 
