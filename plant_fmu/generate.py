@@ -41,10 +41,10 @@ def render(definition: Definition) -> dict[Path, str]:
     }
 
 
-def stale(definition: Definition | None = None) -> list[Path]:
-    """Return the files that differ from what variables.toml gives."""
+def stale(definition: Definition | None = None) -> dict[Path, str]:
+    """Return the files that differ from what variables.toml gives, each with the content that it should have."""
     made = render(definition or read())
-    return [path for path, text in made.items() if not path.exists() or path.read_text("utf-8") != text]
+    return {path: text for path, text in made.items() if not path.exists() or path.read_text("utf-8") != text}
 
 
 def main() -> None:
@@ -53,12 +53,11 @@ def main() -> None:
     parser.add_argument("--check", action="store_true", help="write nothing; exit 1 when a file is stale")
     check = parser.parse_args().check
     try:
-        definition = read()
-        for path in stale(definition):
+        for path, text in stale().items():
             if check:
                 sys.exit(f"{path.relative_to(HERE)} is stale; run python -m plant_fmu.generate")
             path.parent.mkdir(parents=True, exist_ok=True)
-            path.write_text(render(definition)[path], encoding="utf-8", newline="\n")
+            path.write_text(text, encoding="utf-8", newline="\n")
             print(path)
     except DefinitionError as error:
         sys.exit(f"variables.toml: {error}")

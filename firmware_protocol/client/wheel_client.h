@@ -140,8 +140,8 @@ const wheel_view *wheel_client_view(const wheel_client *client);
 
 /* Takes packed frames from offset `begin` on; returns where the next one begins, or `end`. It stops behind
  * each message that is no part of a snapshot, and tells its id, so that the caller can look at it; a frame
- * that is no valid message is dropped. It also stops, without a message, before a log
- * would overflow, and goes on once wheel_client_log_take was called; and behind each frame while `step` is
+ * that is no valid message is dropped. It also stops, without a message, before a log would overflow, and
+ * goes on once wheel_client_log_take was called; and behind each frame while `step` is
  * WHEEL_STEP_ELSEWHERE. */
 size_t wheel_client_take(wheel_client *client, const uint8_t *packed, size_t begin, size_t end,
                          int64_t now_ns);

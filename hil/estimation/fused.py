@@ -25,8 +25,8 @@ _MOST_RAD = 0.01
 class Release:
     """Spreads the correction of a pose fix over time, with the time constant ``release_s`` [s]; with 0 the pose jumps.
 
-    A law must not take a correction for motion. At most 10 mm and 10 mrad are held back. The rest of
-    a larger correction, as after slip, is applied at once: acting on a wrong pose does more harm than a jump.
+    A law must not take a correction for motion. At most 10 mm and 10 mrad are held back. The rest of a larger
+    correction, as after slip, is applied at once: acting on a wrong pose does more harm than a jump.
     """
 
     def __init__(self, release_s: float) -> None:

@@ -51,9 +51,7 @@ def generators(rows: Sequence[FaultRow], seed: int) -> list[random.Random]:
 SignalEffect: TypeAlias = Callable[[float, int], float]
 """Takes a signal's value and the scenario's time [ns] inside the window; returns the value that is seen instead."""
 FrameEffect: TypeAlias = Callable[[str, list[Frame]], list[Frame]]
-"""Takes a direction, "command" or "feedback", and a frame with its copies; returns the frames to pass on, in a new list
-unless they are the same.
-"""
+"""Takes a direction, "command" or "feedback", and a list of a frame's copies, which stays; returns what to pass on."""
 
 
 class Quantity(NamedTuple):
