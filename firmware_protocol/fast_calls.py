@@ -54,6 +54,7 @@ class FastCalls(NamedTuple):
     step: Callable[[int, int, int, int, int], bool]
     feedback: Callable[[int, type, type, tuple[Any, ...]], Any]
     link_figures: Callable[[int], tuple[float, float, float, float]]
+    line_bytes: Callable[[int, int, float], tuple[float, float]]
     out: Callable[[int], bytes]
     sent: Callable[[int], bool]
     ask: Callable[[int, int], bool]

@@ -77,6 +77,7 @@ class DirectLink:
         self._unsent_frames = 0
         self._unsent_bytes = 0  # on the line
         self._view = ffi.new("wheel_view *")  # of no client: nothing waits
+        self._view_address = address_of(self._view)
         self._is_open = True
         self._lib, self._address, self._fast = lib, address_of(self._direct), fast_calls()
         self.now_ns: Callable[[], int] = time.monotonic_ns
@@ -114,7 +115,7 @@ class DirectLink:
 
     def serve(self, client: Client) -> None:
         """Set the client whose frames ``step`` and ``exchange`` send."""
-        self._view = client.view
+        self._view, self._view_address = client.view, address_of(client.view)
 
     def exchange(self, client: Client) -> PackedFrames:
         """Send what waits in the client, and return all that the robot then sends."""
@@ -155,16 +156,11 @@ class DirectLink:
         return self._direct.sent_frames + self._unsent_frames + self._view.out_frames  # type: ignore[no-any-return]
 
     @property
-    def sent_bytes(self) -> int:
-        return self._direct.sent_bytes + self._unsent_bytes + self._view.out_serial_bytes  # type: ignore[no-any-return]
-
-    @property
     def received_frames(self) -> int:
         return self._direct.received_frames  # type: ignore[no-any-return]
 
-    @property
-    def received_bytes(self) -> int:
-        return self._direct.received_bytes  # type: ignore[no-any-return]
+    def byte_counts(self) -> tuple[float, float]:
+        return self._fast.line_bytes(self._address, self._view_address, self._unsent_bytes)
 
     def rejected(self) -> dict[str, int]:
         counts = {cause: count + self._earlier[cause] for cause, count in self._here.rejected.items()}

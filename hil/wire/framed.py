@@ -84,6 +84,9 @@ class StreamLink:
             if timeout_ns > 0:
                 timeout_ns = deadline_ns - time.monotonic_ns()
 
+    def byte_counts(self) -> tuple[float, float]:
+        return self.sent_bytes, self.received_bytes
+
     @property
     def counts_frames(self) -> bool:
         """Whether frames carry a running number by which lost ones are noticed."""

@@ -72,7 +72,7 @@ class Meter(Protocol):
     def counts(self) -> tuple[Count, Count]:
         """Return what was sent and what was received since ``begin``."""
 
-    def byte_counts(self) -> tuple[int, int]:
+    def byte_counts(self) -> tuple[float, float]:
         """Return only the bytes sent and received; fast, for every tick."""
 
 
@@ -86,19 +86,20 @@ class LineMeter:
         self._link = link
         self._byte_ns = _BITS_PER_BYTE * 1_000_000_000 / baud if baud else 0.0
         self.timed = baud is not None
-        self._sent_bytes, self._received_bytes = link.sent_bytes, link.received_bytes  # already counted
+        self._sent_bytes, self._received_bytes = link.byte_counts()  # already counted
         self.begin()
 
     def begin(self) -> None:
         link = self._link
-        self._before = link.sent_frames, link.sent_bytes, link.received_frames, link.received_bytes
+        self._frames_before = link.sent_frames, link.received_frames
+        self._bytes_before = link.byte_counts()
 
     def sent(self, _frames: Sequence[Frame]) -> int:
-        before, self._sent_bytes = self._sent_bytes, self._link.sent_bytes
+        before, (self._sent_bytes, _) = self._sent_bytes, self._link.byte_counts()
         return round((self._sent_bytes - before) * self._byte_ns)
 
     def received(self, _frames: Sequence[Frame]) -> int:
-        before, self._received_bytes = self._received_bytes, self._link.received_bytes
+        before, (_, self._received_bytes) = self._received_bytes, self._link.byte_counts()
         return round((self._received_bytes - before) * self._byte_ns)
 
     def overheard(self, _message: Any) -> int:
@@ -108,15 +109,16 @@ class LineMeter:
         return self._link.noise()
 
     def counts(self) -> tuple[Count, Count]:
-        (sent, _, received, _), (sent_bytes, received_bytes) = self._before, self.byte_counts()
+        link, (sent, received) = self._link, self._frames_before
+        sent_bytes, received_bytes = map(int, self.byte_counts())
         return (
-            Count(self._link.sent_frames - sent, sent_bytes, sent_bytes * _BITS_PER_BYTE),
-            Count(self._link.received_frames - received, received_bytes, received_bytes * _BITS_PER_BYTE),
+            Count(link.sent_frames - sent, sent_bytes, sent_bytes * _BITS_PER_BYTE),
+            Count(link.received_frames - received, received_bytes, received_bytes * _BITS_PER_BYTE),
         )
 
-    def byte_counts(self) -> tuple[int, int]:
-        link, (_, sent, _, received) = self._link, self._before
-        return link.sent_bytes - sent, link.received_bytes - received
+    def byte_counts(self) -> tuple[float, float]:
+        (sent, received), (sent_before, received_before) = self._link.byte_counts(), self._bytes_before
+        return sent - sent_before, received - received_before
 
     @property
     def counts_frames(self) -> bool:
@@ -168,7 +170,7 @@ class BusMeter:
     def counts(self) -> tuple[Count, Count]:
         return self._sent, self._received
 
-    def byte_counts(self) -> tuple[int, int]:
+    def byte_counts(self) -> tuple[float, float]:
         return self._sent.bytes, self._received.bytes
 
     def _ours(self, frame: Frame) -> Usage:

@@ -168,6 +168,9 @@ class MemoryBus(_End[Frame]):
         self.received_bytes += sum(len(frame.payload) for frame in frames)
         return Received(frames, self.now_ns())
 
+    def byte_counts(self) -> tuple[float, float]:
+        return self.sent_bytes, self.received_bytes
+
     def rejected(self) -> dict[str, int]:
         return {}
 

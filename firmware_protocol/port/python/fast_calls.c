@@ -150,6 +150,18 @@ void *wheel_python_link_figures(void *self, void *const *arguments, ptrdiff_t co
     return floats(NULL, (double[]){(double)view->sent, (double)view->received, lost, round_trip_ms}, 4);
 }
 
+void *wheel_python_line_bytes(void *self, void *const *arguments, ptrdiff_t count) {
+    (void)self, (void)count;
+    const wheel_direct *direct = python.PyLong_AsVoidPtr(arguments[0]);
+    const wheel_view *view = python.PyLong_AsVoidPtr(arguments[1]);
+    double more;
+    if (direct == NULL || view == NULL || !number(arguments[2], &more)) {
+        return NULL;
+    }
+    const double sent = (double)direct->sent_bytes + view->out_serial_bytes + more;
+    return floats(NULL, (double[]){sent, (double)direct->received_bytes}, 2);
+}
+
 /* Puts the numbers of a tuple in their places; returns the member behind its own, or NULL with an exception.
  */
 static const wheel_python_member *put(const wheel_python_member *member, void *const *objects, void *tuple,

@@ -56,6 +56,10 @@ void *wheel_python_feedback(void *self, void *const *arguments, ptrdiff_t count)
  * or NaN. */
 void *wheel_python_link_figures(void *self, void *const *arguments, ptrdiff_t count);
 
+/* line_bytes(direct, view, more): bytes on the line, sent and received; those that wait in the client of this
+ * view, and `more`, count as sent. */
+void *wheel_python_line_bytes(void *self, void *const *arguments, ptrdiff_t count);
+
 /* out(client): the packed frames that wait to be sent, as bytes. */
 void *wheel_python_out(void *self, void *const *arguments, ptrdiff_t count);
 
