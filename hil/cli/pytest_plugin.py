@@ -127,9 +127,9 @@ def hil_link(virtual_robot: "StartRobot") -> "Iterator[OpenLink]":
 
 @pytest.fixture
 def hil_run(request: pytest.FixtureRequest) -> "RunScenario":
-    """Run scenarios with overrides, each recorded into the test's ``tmp_path`` (or below ``--hil-record DIR``), its
-    figures added to the pytest report.
+    """Run scenarios with overrides, record each, and add its figures to the pytest report.
 
+    Recordings go into the test's ``tmp_path``, or below ``--hil-record DIR``.
     ``hil_run("paper_circle", set={"robot.mass_kg": 24.0})`` returns a ``hil.RunResult``; a run that does not pass fails
     the test, except with ``check=False``.
     """

@@ -74,8 +74,10 @@ class Extensions:
         return same[0]
 
     def load(self, name: str, subject: str) -> Any:
-        """Import and return the object that is registered under a name that is not shipped. Raises BadInputError as
-        ``find`` does, and when the package cannot be imported or has no such object."""
+        """Import and return the object of a name that is not shipped.
+
+        Raises BadInputError as ``find`` does, and when the package cannot be imported or has no such object.
+        """
         point = self.find(name, subject)
         try:
             return point.load()

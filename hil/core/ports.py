@@ -143,8 +143,7 @@ class Sink(Protocol):
     """Receives samples. In real time it does not block; it drops and counts what it cannot accept."""
 
     def put(self, row: bytes) -> None:
-        """Accept one row: the values of ``hil.core.signals.SIGNALS`` in their order, then those of the run's other
-        signals, as doubles (``hil.core.signals.pack_row``)."""
+        """Accept one row of doubles: the values of ``hil.core.signals.SIGNALS`` in order, then the run's other ones."""
 
 
 Note = Callable[[float, str, str], None]

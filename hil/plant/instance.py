@@ -155,8 +155,7 @@ class Instance:
             self.fmu.freeLibrary()
 
     def _set_starts(self, starts: Sequence[Start]) -> None:
-        """Set values where both standards allow it: before the initialization mode, and structural parameters first,
-        in configuration mode (FMI 3.0 section 2.3.3)."""
+        """Set values before the initialization mode, structural parameters in configuration mode (FMI 3.0, 2.3.3)."""
         structural = [start for start in starts if start.variable.causality == "structuralParameter"]
         if structural:
             with self._answering(DeviceError, f"FMU {self._file} refused its configuration mode"):

@@ -108,8 +108,9 @@ class RingProcess:
             return self._lines_dropped + len(self._unsaved) + self.ring.lines_lost
 
     def wait_ready(self) -> None:
-        """Wait until the process is ready. Raises BadInputError when it refuses the config, DeviceError when it does
-        not start; so does every later call.
+        """Wait until the process is ready. Raises BadInputError if it refuses the config, DeviceError if it never is.
+
+        Every later call does the same.
         """
         if not self._first_reply:
             self._first_reply = self._report()

@@ -43,10 +43,9 @@ class Channel:
     # What is sent
 
     def flush(self, *, everything: bool = False) -> None:
-        """Send what waits in the client. To a robot in this thread the next step carries it, unless conditions act now,
-        too much waits, or ``everything`` is to go.
+        """Send what waits in the client. Raises LinkError when the link is lost; what waited is then forgotten.
 
-        Raises LinkError when the link is lost; what waited is then forgotten.
+        To a robot in this thread the next step carries it, unless conditions act now, much waits, or ``everything``.
         """
         view = self._client.view
         if not view.out_bytes:

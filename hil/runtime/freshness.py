@@ -112,10 +112,9 @@ class Freshness:
         self.truth_ns = time_ns + self._ahead_ns
 
     def robot_now_ns(self, feedback: Feedback) -> int:
-        """Return the present robot time: from TIME_SYNC in real time once its offset is known, otherwise from the
-        newest feedback.
+        """Return the present robot time, in real time by TIME_SYNC once that is known, else by the newest feedback.
 
-        From feedback it is exact only to a tick, because its age on the link is not known. A TIME_SYNC offset that
+        By feedback it is exact only to a tick, because its age on the link is not known. A TIME_SYNC offset that
         differs by 50 ms or more belongs to the clock before a reset and is not used.
         """
         now_ns = feedback.robot_time_ns + self._timing.feedback_latency_ns + self.silent_ns

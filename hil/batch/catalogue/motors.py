@@ -82,8 +82,10 @@ class MotorsJudge:
         return found
 
     def _commanded(self, signals: Signals, ticks: int) -> tuple[int, int, np.ndarray, np.ndarray]:
-        """Return the first tick of the run, the one at which its last command expires, and the range of the recent
-        commands for each tick and wheel, of shape (ticks, 4)."""
+        """Return the run's first tick, that at which its last command expires, and the lowest and highest commands.
+
+        The latter are those still in force, for each tick and wheel, of shape (ticks, 4).
+        """
         t_s = signals["loop.t_s"]
         origin_s = float(np.nanmedian(signals["robot.time_s"] - t_s)) if len(t_s) else 0
         at = np.rint((t_s + origin_s) * 1000).astype(int)
