@@ -185,7 +185,7 @@ class Device(Protocol):
         """Number of frames received so far."""
 
     def link_figures(self) -> tuple[float, float, float, float]:
-        """Return ``sent``, ``received``, ``snapshots_lost`` and the newest of ``round_trip`` [ms], NaN before the first."""
+        """Return ``sent``, ``received``, ``snapshots_lost`` and the newest of ``round_trip`` [ms], or NaN."""
 
     def wire_sha256(self) -> str:
         """Return the hash of all frames of the session, in both directions and in order."""
