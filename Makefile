@@ -13,6 +13,7 @@ PYTEST := $(BIN)/python -m pytest
 BESIDE := --numprocesses auto --maxprocesses 8 --dist worksteal
 # Tests of real time mostly wait: three at once disturb each other little.
 PAIRWISE := --numprocesses 3 --dist worksteal
+ALONE_TESTS := $(shell grep -l 'pytest\.mark\.alone' tests/test_*.py)
 SOCKETCAN_TESTS := tests/test_socketcan_*.py
 
 .PHONY: help demo test test-rest test-all test-socketcan catalogue check proof bench nightly picture format native fmu clean setup
@@ -30,15 +31,21 @@ demo: setup
 test: setup .venv/tools
 	$(PYTEST) $(BESIDE) -m 'not slow and not alone' $(ARGS)
 
-# Real time comes after all else, and SocketCAN, whose kernel is a process that needs a processor, by itself.
 ## run the tests that make test leaves out: the slow ones, and those of real time
 test-rest: setup .venv/tools
 	$(PYTEST) $(BESIDE) -m 'slow and not alone' $(ARGS)
-	$(PYTEST) $(PAIRWISE) -m 'alone and not socketcan' $(ARGS)
-	$(PYTEST) -m socketcan $(SOCKETCAN_TESTS) $(ARGS)
+	$(REAL_TIME)
 
 ## run all tests, each once
-test-all: test test-rest
+test-all: setup .venv/tools
+	$(PYTEST) $(BESIDE) -m 'not alone' $(ARGS)
+	$(REAL_TIME)
+
+# Real time comes after all else, and SocketCAN, whose kernel is a process that needs a processor, by itself.
+define REAL_TIME
+$(PYTEST) $(PAIRWISE) -m 'alone and not socketcan' $(ALONE_TESTS) $(ARGS)
+$(PYTEST) -m socketcan $(SOCKETCAN_TESTS) $(ARGS)
+endef
 
 # For example: make test-socketcan ARGS='-k lockstep -v'. Where there is no SocketCAN it says so and fails at once.
 ## run only the tests over real SocketCAN, which test-rest runs too
@@ -101,16 +108,25 @@ format: .venv/tools
 ## set up .venv and build what is native; the others do it by themselves
 setup: .venv/installed native
 
+# A target that needs the tools installs them with the rest, which is quicker than one after the other.
+TOOLS := [campaign,dev,mujoco,targets,teleop]
+test test-rest test-all test-socketcan check proof bench nightly picture format fmu: EXTRAS := $(TOOLS)
+
+# The pip that comes with Python may be old and slow. Bytecode is made for what is imported, when it is imported.
+PIP_INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check --no-compile
+
 .venv/installed: pyproject.toml tools/hatch_build.py
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "Python 3.11 or newer is needed; set PYTHON")'
 	@$(PYTHON) -c 'import ensurepip, venv' || { echo "Python's venv is missing; on Debian: apt install python3-venv"; exit 1; }
 	$(PYTHON) -m venv .venv
-	$(BIN)/pip install --quiet --disable-pip-version-check --editable .
+	$(PIP_INSTALL) --upgrade pip
+	$(PIP_INSTALL) --editable '.$(EXTRAS)'
 	@touch $@ .venv/native
+	@$(if $(EXTRAS),touch .venv/tools)
 
 # Packages for tests, checks and the FMUs of all platforms.
 .venv/tools: .venv/installed
-	$(BIN)/pip install --quiet --disable-pip-version-check --editable '.[campaign,dev,mujoco,targets,teleop]'
+	@[ -e $@ ] && [ ! $< -nt $@ ] || { set -x; $(PIP_INSTALL) --editable '.$(TOOLS)'; }
 	@touch $@
 
 native: .venv/native

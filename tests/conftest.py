@@ -30,6 +30,8 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
             if not item.path.name.startswith("test_socketcan_"):
                 raise pytest.UsageError(f"{item.nodeid}: make runs socketcan tests in tests/test_socketcan_*.py alone")
             item.add_marker(pytest.mark.alone)
+        elif item.get_closest_marker("alone") and "pytest.mark.alone" not in item.path.read_text(encoding="utf-8"):
+            raise pytest.UsageError(f"{item.nodeid}: make looks for alone tests in files with pytest.mark.alone")
         if is_slow(item.path.name, item.name):
             item.add_marker(pytest.mark.slow)
     if "PYTEST_XDIST_WORKER" in os.environ:

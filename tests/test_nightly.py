@@ -28,10 +28,11 @@ def test_make_help_has_a_line_for_every_target() -> None:
 
 
 @needs_make
-def test_all_tests_are_chosen_once_by_test_and_test_rest() -> None:
-    shown = make("--dry-run", "test-all", "ARGS=")
+@pytest.mark.parametrize(("targets", "sessions"), [(("test-all",), 3), (("test", "test-rest"), 4)])
+def test_every_test_is_chosen_once(targets: tuple[str, ...], sessions: int) -> None:
+    shown = make("--dry-run", *targets, "ARGS=")
     chosen = [one or other for one, other in re.findall(r"pytest .*?-m (?:'(.+?)'|(\w+))", shown)]
-    assert len(chosen) == 4
+    assert len(chosen) == sessions
     for slow, alone, socketcan in itertools.product((True, False), repeat=3):
         if alone or not socketcan:  # tests/conftest.py marks every socketcan test as alone
             marks = {"slow": slow, "alone": alone, "socketcan": socketcan}
