@@ -249,28 +249,27 @@ def _typed(option: Option, value: Any, path: Path, problems: list[Problem]) -> A
     origin, inner = get_origin(kind), get_args(kind)
     if type(None) in inner:
         return None if value is None else _read(option._replace(type=inner[0]), value, path, problems)
-    good = True
     if is_dataclass(kind):
         if isinstance(value, Mapping):
             return _table(kind, value, path, problems)  # type: ignore[arg-type]
-        good = isinstance(value, kind)  # type: ignore[arg-type]
+        if isinstance(value, kind):  # type: ignore[arg-type]
+            return value
     elif origin is Literal:
-        good = any(value == choice and type(value) is type(choice) for choice in inner)
-        if not good and not isinstance(value, str) and str(value) in inner:
+        if any(value == choice and type(value) is type(choice) for choice in inner):
+            return value
+        if not isinstance(value, str) and str(value) in inner:
             raise ValueError(f"expected text in quotation marks: {format_value(str(value))}")
     elif origin is tuple:
         if isinstance(value, list | tuple) and (inner[-1] is ... or len(value) == len(inner)):
             kinds = [inner[0]] * len(value) if inner[-1] is ... else inner
             pairs = enumerate(zip(kinds, value, strict=True))
             return tuple(_read(_parsed(one), item, (*path, str(i)), problems) for i, (one, item) in pairs)
-        good = False
     elif origin is not None and issubclass(origin, Mapping):
         if isinstance(value, Mapping):
             return _mapping(inner, value, path, problems)
-        good = False
-    if not good:
-        raise ValueError(option.expected)
-    return value
+    else:
+        return value
+    raise ValueError(option.expected)
 
 
 def _mapping(kinds: Sequence[Any], value: Mapping[Any, Any], path: Path, problems: list[Problem]) -> dict[Any, Any]:
