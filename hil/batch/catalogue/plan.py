@@ -106,9 +106,9 @@ def scenarios(request: Request, trials: Sequence[Trial]) -> Iterator[Scenario | 
 
 
 def alone(request: Request, mode: str = "lockstep") -> list[Trial]:
-    """Return every case over each link, twice if it re-arms: with and without loop.rearm. In real time a part of them.
+    """Return every case over each link; a case that re-arms also without ``loop.rearm``.
 
-    In real time a stall of the machine may trip the robot's watchdog in any of them, after which it re-arms.
+    In real time only some cases are run, and each may re-arm: a stall of the machine may trip the robot's watchdog.
     """
     base = load(request.scenario, set=request.sets)
     if base.device.is_makers:

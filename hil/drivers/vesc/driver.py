@@ -106,9 +106,9 @@ class Vesc(FourMotors[Settings, Channel]):
     def ask(self) -> Sequence[Frame]:
         """See ``Driver``. Ask one VESC at a time; the next one after an answer, or after ``_MAX_CALLS`` calls.
 
-        A missing timeout does not delay the others. When the first question over a line stays unanswered, the VESC at
-        the line may be waiting for the rest of a packet, and hold old commands. Then so many stops go before the next
-        question that the last command that it executes is a stop.
+        When the first question over a line stays unanswered, the VESC at the line may be waiting for the rest of a
+        packet, and hold old commands. Stops go before the next question, enough that the last of what it executes is
+        a stop.
         """
         before: Sequence[Frame] = ()
         if self._asked is not None:
