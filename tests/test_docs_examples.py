@@ -97,6 +97,28 @@ def test_a_robot_is_driven_from_c(tmp_path) -> None:
     assert re.fullmatch(r"(3\.9|4\.0)\d rad/s\nat rest\n", driven.stdout)
 
 
+@pytest.mark.skipif(shutil.which("clang") is None, reason="needs clang as a compiler of C++: apt install clang")
+def test_the_client_links_to_a_program_in_cpp(tmp_path) -> None:
+    program = """
+        #include "client/wheel_client.h"
+        #include "client/wheel_line.h"
+        static wheel_client client;
+        int main() {
+            wheel_client_init(&client, WP_MODE_SPEED, 0, 1);
+            wheel_client_request(&client, WP_REQUEST_IDLE, 0);
+            return client.view.out_frames == 1 && wheel_client_size() == sizeof client ? 0 : 1;
+        }
+    """
+    client = ROOT / "firmware_protocol"
+    (tmp_path / "main.cpp").write_text(program, encoding="utf-8")
+    core = [client / "firmware" / f"{name}.c" for name in ("framing", "cobs", "crc")]
+    sources = [*(client / "client").glob("*.c"), *core, client / "generated" / "wheel_messages.c"]
+    strict = ["clang", "-c", "-std=c++17", "-Wall", "-Wextra", "-Werror", f"-I{client}", "main.cpp", "-o", "main.o"]
+    subprocess.run(strict, check=True, cwd=tmp_path)
+    subprocess.run(["clang", "main.o", *sources, f"-I{client}", "-lm", "-o", "program"], check=True, cwd=tmp_path)
+    subprocess.run([tmp_path / "program"], check=True)
+
+
 @pytest.mark.alone
 @pytest.mark.skipif(sys.platform == "win32", reason="its state folder is Linux's")
 def test_a_robot_is_driven_over_http(tmp_path) -> None:
