@@ -10,7 +10,7 @@ from hil.core.types import CommandMode, FourWheels
 from hil.drivers.port import Driver, RobotFacts, Sample, Wire
 from hil.drivers.registry import dialect, emulated
 from hil.plant import archive
-from hil.plant.description import parameter_names
+from hil.plant.archive import read_header
 from hil.plant.fmu import FmuPlant
 from hil.runtime.robots import firmware_values, plant_start
 from hil.scenario import load
@@ -52,7 +52,7 @@ class Rig:
         )
         options = build(made.settings, settings or {}, "device.motors")
         self.driver: Driver = made.make(options, self.facts)
-        self.plant = FmuPlant(fmu, plant_start(scenario, parameter_names(fmu)))
+        self.plant = FmuPlant(fmu, plant_start(scenario, read_header(fmu).parameters))
         others = options if emulated_settings is None else build(made.settings, emulated_settings, "device.motors")
         self.node = emulated(name)(
             others, firmware_values(scenario), self.plant.exchange_address, self.plant.context_address

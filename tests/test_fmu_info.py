@@ -6,7 +6,7 @@ import pytest
 
 from hil.core.errors import BadInputError
 from hil.plant.archive import library_of
-from hil.plant.description import info, parameter_names
+from hil.plant.description import check_start, info
 from hil.plant.fmu import FmuPlant
 from tests.broken_fmu import pack
 from tests.plant_testbed import FMU
@@ -45,7 +45,7 @@ def test_an_unusable_description_is_refused_in_the_same_words_by_all_who_read_it
     fmu = pack(tmp_path / "a.fmu", 2, lambda _, data: data.replace(b'valueReference="1"', b'valueReference="&#10;one"'))
     assert library_of(fmu).fmi_version == "2.0"
     words = set()
-    for read in (info, parameter_names, lambda path: FmuPlant(path, {})):
+    for read in (info, lambda path: check_start(path, {}), lambda path: FmuPlant(path, {})):
         with pytest.raises(BadInputError, match=r"its modelDescription\.xml cannot be used \(.*one") as caught:
             read(fmu)
         words.add(str(caught.value))

@@ -5,13 +5,13 @@ import pytest
 from hypothesis import given
 
 from hil.core.types import Pose
-from hil.plant.description import parameter_names
+from hil.plant.archive import read_header
 from hil.plant.mapping import Row
 from hil.runtime.robots import plant_start, signal_map, start_pose
 from hil.scenario import load
 from tests.plant_testbed import FMU
 
-SHIPPED = parameter_names(FMU)
+SHIPPED = read_header(FMU).parameters
 
 
 def test_the_shipped_fmu_has_every_parameter_that_the_scenario_believes() -> None:

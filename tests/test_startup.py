@@ -48,6 +48,18 @@ def test_a_run_imports_no_viewer_no_plots_and_no_tables() -> None:
     assert not _imported("import hil.runtime.assembly") & {"fmpy", "matplotlib", "pandas", "pyarrow", "rerun", "scipy"}
 
 
+def test_a_run_on_this_machine_needs_no_locks_no_parser_of_c_and_no_masked_arrays() -> None:
+    """``numpy.ma`` is imported by NumPy's own medians and percentiles."""
+    run = "import hil\nhil.run('paper_circle', set={'loop.duration_s': 6.0})"
+    assert not _imported(f"{run}\nassert 'numpy.ma' not in sys.modules") & {"can", "cffi", "filelock", "rich", "serial"}
+
+
+def test_a_recorder_imports_no_more_than_rerun_needs() -> None:
+    recorder = "from hil.record.recorder import _import_rerun\n_import_rerun()"
+    assert "rerun" in (imported := _imported(recorder))
+    assert not imported & {"cobs", "email", "http", "matplotlib", "pandas", "pydantic", "ssl", "typer"}
+
+
 def test_numpy_starts_no_threads_unless_the_user_wants_some(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv("OPENBLAS_NUM_THREADS", raising=False)
     assert child_environment()["OPENBLAS_NUM_THREADS"] == "1"

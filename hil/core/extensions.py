@@ -14,10 +14,12 @@ from collections.abc import Collection, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cache
-from importlib.metadata import EntryPoint, entry_points
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from hil.core.errors import BadInputError, nearest
+
+if TYPE_CHECKING:
+    from importlib.metadata import EntryPoint
 
 OUR_PACKAGE = "mecanum-hil"
 
@@ -29,7 +31,7 @@ class Extensions:
     group: str
     shipped: Collection[str]
 
-    def registered(self) -> list[EntryPoint]:
+    def registered(self) -> "list[EntryPoint]":
         """Return the entry points of other packages, sorted by name. A package that is installed twice gives one."""
         return _registered(self.group, tuple(sys.path))
 
@@ -53,7 +55,7 @@ class Extensions:
         value = next((p.value for p in self.registered() if p.name == name and name not in self.shipped), "")
         return value.rpartition(":")[0] or None
 
-    def find(self, name: str, subject: str) -> EntryPoint:
+    def find(self, name: str, subject: str) -> "EntryPoint":
         """Return the entry point of a name that is not shipped. ``package.module:Name`` need not be registered.
 
         ``subject`` begins the error messages, for example ``law.name = 'my_law'``. Raises BadInputError for a name that
@@ -61,6 +63,8 @@ class Extensions:
         ``package.module:Name``.
         """
         if ":" in name:
+            from importlib.metadata import EntryPoint
+
             return EntryPoint(name, name, self.group)
         same = [point for point in self.registered() if point.name == name]
         if not same:
@@ -85,7 +89,7 @@ class Extensions:
             begin = f"{from_package(subject, point)}: {point.value!r} cannot be loaded"
             raise BadInputError(f"{begin}: {type(error).__name__}: {error}") from error
 
-    def load_all(self, kind: str) -> Iterator[tuple[str, EntryPoint, Any]]:
+    def load_all(self, kind: str) -> Iterator[tuple[str, "EntryPoint", Any]]:
         """Import every registered object, and yield (subject for messages, entry point, object). Raises as ``load``.
 
         ``kind`` is the word for such an object, such as ``figure``.
@@ -94,7 +98,7 @@ class Extensions:
             subject = f"{kind} {point.name!r}"
             yield from_package(subject, point), point, self.load(point.name, subject)
 
-    def _line(self, point: EntryPoint, names: list[str]) -> str:
+    def _line(self, point: "EntryPoint", names: list[str]) -> str:
         if point.name in self.shipped:
             return f"not used: a shipped one has this name; use {point.value!r}"
         if names.count(point.name) > 1:
@@ -103,7 +107,7 @@ class Extensions:
 
 
 @cache
-def _registered(group: str, path: tuple[str, ...]) -> list[EntryPoint]:
+def _registered(group: str, path: tuple[str, ...]) -> "list[EntryPoint]":
     points = {(point.name, package_of(point)): point for point in _all_registered(path).select(group=group)}
     return [points[key] for key in sorted(points)]
 
@@ -111,15 +115,17 @@ def _registered(group: str, path: tuple[str, ...]) -> list[EntryPoint]:
 @cache
 def _all_registered(_path: tuple[str, ...]) -> Any:
     """Look for packages once for each module search path, because that takes milliseconds."""
+    from importlib.metadata import entry_points  # here, because a recorder looks for none
+
     return entry_points()
 
 
-def package_of(point: EntryPoint) -> str:
+def package_of(point: "EntryPoint") -> str:
     """Return the name of the package that registers an entry point."""
     return point.dist.name if point.dist is not None else "unknown"
 
 
-def from_package(subject: str, point: EntryPoint) -> str:
+def from_package(subject: str, point: "EntryPoint") -> str:
     """Return the beginning of an error message about another package's object."""
     return f"{subject}, of the package {package_of(point)}"
 

@@ -1,6 +1,7 @@
 """Settling times and steady tracking error of a run, and the error of its pose estimate."""
 
 from collections.abc import Mapping
+from statistics import median
 
 import numpy as np
 
@@ -109,7 +110,7 @@ class Tracking(Measure):
         start = min(int(np.searchsorted(t_s, t_s[-1] - _MORE_THAN_WINDOW_S)), len(t_s) - 2)
         t_s, planar_m = t_s[start:], planar_m[start:]
         # n samples cover n periods. Half a period of tolerance lets a run as long as the window pass.
-        period_s = float(np.median(np.diff(t_s)))
+        period_s = median(np.diff(t_s).tolist())  # NumPy's median imports numpy.ma
         covered_s = float(t_s[-1] - self._first_s) + period_s
         if covered_s < STEADY_WINDOW_S - period_s / 2:
             raise NoFigureError(f"the run lasted {covered_s:.3g} s, less than the window of {STEADY_WINDOW_S:g} s")

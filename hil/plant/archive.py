@@ -29,14 +29,15 @@ _BUILT_BY = {SHIPPED["mecanum_mujoco"]: "hil fmu build --mujoco"}
 
 
 class Header(NamedTuple):
-    """The root element of modelDescription.xml and its interfaces.
+    """What modelDescription.xml says, as far as it can be had without FMPy.
 
     ``interfaces`` has the attributes of each interface's element by its name: CoSimulation, ModelExchange and, in
-    FMI 3.0, ScheduledExecution.
+    FMI 3.0, ScheduledExecution. ``parameters`` are the names of the variables that are parameters.
     """
 
     fmi_version: str
     interfaces: dict[str, dict[str, str]]
+    parameters: frozenset[str]
 
 
 class Library(NamedTuple):
@@ -111,6 +112,13 @@ def is_shipped(fmu: Path) -> bool:
 
 def read_header(fmu: Path) -> Header:
     """Check the archive and its XML, and return the header of modelDescription.xml. Raises BadInputError."""
+    now = fmu.stat() if fmu.is_file() else None
+    return _header(fmu, None if now is None else (now.st_mtime_ns, now.st_size))
+
+
+@functools.lru_cache
+def _header(fmu: Path, _state: tuple[int, int] | None) -> Header:
+    """Read the header, cached until the file changes."""
     with opened(fmu) as archive:
         if DESCRIPTIONS[0] not in archive.namelist():
             raise BadInputError(f"FMU {fmu}: it has no modelDescription.xml, so it is no FMU")
@@ -126,7 +134,9 @@ def read_header(fmu: Path) -> Header:
         if DESCRIPTIONS[1] in archive.namelist():
             _read_xml(fmu, archive, DESCRIPTIONS[1])
     known = (*INTERFACES, "ScheduledExecution")
-    return Header(version[:3], {child.tag: child.attrib for child in root if child.tag in known})
+    interfaces = {child.tag: child.attrib for child in root if child.tag in known}
+    parameters = (variable.get("name", "") for variable in root.iterfind("ModelVariables/*[@causality='parameter']"))
+    return Header(version[:3], interfaces, frozenset(parameters))
 
 
 def library_of(fmu: Path) -> Library:

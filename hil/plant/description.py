@@ -42,12 +42,6 @@ def variables_of(description: Any) -> dict[str, Any]:
     return variables
 
 
-def parameter_names(fmu: Path) -> frozenset[str]:
-    """Return the names of the FMU's parameters. Raises BadInputError when the file is no readable FMU."""
-    named = _variables(fmu).items()
-    return frozenset(name for name, one in named if name == one.name and one.causality == "parameter")
-
-
 def check_start(fmu: Path, start: Mapping[str, Value]) -> None:
     """Raise BadInputError, with a line for each start value that does not fit the FMU. The FMU's code is not run."""
     start_values(start, fmu, _variables(fmu))

@@ -14,7 +14,6 @@ import numpy.typing as npt
 
 from firmware_protocol.generated.messages import State
 from hil.core.types import WHEEL_NAMES
-from hil.faults.kinds import KINDS
 from hil.record.layout import Entity
 from hil.record.properties import table_rows
 
@@ -92,6 +91,8 @@ class _Link:
 
 
 def _fault_lane(number: int, row: Mapping[str, Any], t_column: int) -> Lane:
+    from hil.faults.kinds import KINDS  # only for a run with faults: it imports the wire's protocol
+
     kind, target = str(row["kind"]), str(row["target"])
     begin_s, end_s = float(row.get("start_s", 0.0)), float(row.get("end_s", math.inf))
     is_instant = any(known.is_instant and known.name == kind and target in known.targets for known in KINDS)

@@ -71,7 +71,7 @@ class SharedBlock:
         if self._fd is not None:
             os.ftruncate(self._fd, size)
         self._map(size)
-        self.buffer[:] = bytes(size)
+        self.buffer[:: mmap.PAGESIZE] = bytes(-(-size // mmap.PAGESIZE))
         return self
 
     @classmethod

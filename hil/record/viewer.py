@@ -16,8 +16,6 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
-from http import HTTPStatus
-from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from urllib.parse import quote
 
@@ -237,6 +235,9 @@ def _live_in_browser(port: int, say: Callable[[str], None]) -> None:
 @contextlib.contextmanager
 def _live_page(port: int, viewer_address: str) -> Iterator[tuple[str, Callable[[], None]]]:
     """Serve a page that embeds rerun's viewer; yields its URL, and a function that makes it reload the viewer."""
+    from http import HTTPStatus
+    from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+
     runs = itertools.count(1)
     state = {"number": 0, "address": viewer_address, "note": _waiting(port)}
 

@@ -5,6 +5,7 @@ import json
 import platform
 import subprocess
 from collections.abc import Mapping
+from concurrent.futures import ThreadPoolExecutor
 from datetime import UTC, datetime
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -21,28 +22,35 @@ def ingredients(scenario: "Scenario") -> dict[str, str]:
     """Return what decides a run besides its scenario's text: the law's options, and SHA-256 hashes of files and code.
 
     Call it when the parts of the run are made: files may change before a recording begins. Adds to ``law_ingredients``:
-    ``map_sha256`` of ``[plant.map]``; ``reference_file_sha256`` and ``motors_file_sha256`` of files that the scenario
-    names; ``reference_sha256`` and ``driver_sha256`` of the code of another package's reference and driver;
-    ``fmu_sha256`` of the FMU if it is on this machine; ``wheel_host_sha256`` and ``cosim_sha256`` of the native
-    libraries that this process has loaded; ``wheel_host_sources_sha256`` and ``cosim_sources_sha256`` of the sources
-    they were built from, which are the same on every machine. A key without a value is left out.
+    ``commit`` if the code runs from a checkout; ``map_sha256`` of ``[plant.map]``; ``reference_file_sha256`` and
+    ``motors_file_sha256`` of files that the scenario names; ``reference_sha256`` and ``driver_sha256`` of the code of
+    another package's reference and driver; ``fmu_sha256`` of the FMU if it is on this machine; ``wheel_host_sha256``
+    and ``cosim_sha256`` of the native libraries that this process has loaded; ``wheel_host_sources_sha256`` and
+    ``cosim_sources_sha256`` of the sources they were built from, which are the same on every machine. A key without a
+    value is left out.
 
     Raises BadInputError as ``law_ingredients``, and for an FMU or a native library that cannot be used.
     """
+    with ThreadPoolExecutor(1) as pool:
+        commit = pool.submit(_commit)  # git takes as long as all the hashes
+        found = law_ingredients(scenario) | _hashes(scenario) | {"commit": commit.result()}
+    return {name: text for name, text in found.items() if text is not None}
+
+
+def _hashes(scenario: "Scenario") -> dict[str, str | None]:
     from hil.drivers.registry import driver_module
     from hil.laws.code import code_of_module
     from hil.references import reference_module
 
     directory = scenario.directory
     files = {"reference_file": scenario.reference.options, "motors_file": scenario.device.motors}
-    found = {
+    return {
         "map_sha256": hashlib.sha256(json.dumps(plain(scenario.plant.map), sort_keys=True).encode()).hexdigest(),
         **{f"{name}_sha256": _sha256_of(table.get("file"), directory) for name, table in files.items()},
         "reference_sha256": code_of_module(reference_module(scenario.reference.kind)),
         "driver_sha256": code_of_module(driver_module(scenario.device.driver)),
         **_plant_and_libraries(scenario),
     }
-    return law_ingredients(scenario) | {name: text for name, text in found.items() if text is not None}
 
 
 def law_ingredients(scenario: "Scenario") -> dict[str, str]:
@@ -68,8 +76,7 @@ def properties(scenario: "Scenario", made_of: Mapping[str, str] | None = None) -
     """Return a recording's properties. ``made_of`` are its ``ingredients``; by default they are computed now.
 
     ``scenario`` is a JSON object of every resolved value by its dotted key, ``scenario_sources`` one of where each was
-    given; ``scenario_sha256`` is the hash that a controller and a device compare. ``commit`` is present only when the
-    code runs from a checkout.
+    given; ``scenario_sha256`` is the hash that a controller and a device compare.
     """
     from hil.scenario import resolved
 
@@ -83,7 +90,7 @@ def properties(scenario: "Scenario", made_of: Mapping[str, str] | None = None) -
         "link": scenario.link.url,
         "seed": str(scenario.loop.seed),
         "started": datetime.now(UTC).isoformat(timespec="seconds"),
-        **versions(),
+        **_packages(),
         **(ingredients(scenario) if made_of is None else made_of),
         "scenario_sha256": scenario.hash,
         "scenario": json.dumps({key: value for key, value, _ in values}, default=str),
@@ -124,14 +131,17 @@ def _sha256_of(file: object, directory: Path) -> str | None:
 
 def versions() -> dict[str, str]:
     """Return the versions that a result depends on."""
-    found = {
+    commit = _commit()
+    return _packages() if commit is None else {**_packages(), "commit": commit}
+
+
+def _packages() -> dict[str, str]:
+    return {
         "mecanum_hil": _version("mecanum-hil"),
         "rerun_sdk": _version("rerun-sdk"),
         "python": platform.python_version(),
         "machine": f"{platform.system()} {platform.machine()}",
     }
-    commit = _commit()
-    return found if commit is None else {**found, "commit": commit}
 
 
 def _version(package: str) -> str:

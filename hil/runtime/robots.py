@@ -14,7 +14,7 @@ from hil.core.types import Pose
 from hil.drivers.registry import dialect, emulated
 from hil.estimation.choice import EstimatorOptions
 from hil.plant import archive
-from hil.plant.description import check_start, parameter_names
+from hil.plant.description import check_start
 from hil.plant.mapping import Row, SignalMap
 from hil.robot.faults import Body
 from hil.robot.virtual import MakeNode, VirtualPlant, VirtualRobot
@@ -70,7 +70,7 @@ def plant_start(scenario: Scenario, known: Collection[str]) -> dict[str, StartVa
 def check_plant_start(scenario: Scenario) -> None:
     """Raise BadInputError if the scenario's FMU rejects the start values; the FMU is not opened."""
     fmu = archive.locate(scenario.plant.fmu, scenario.directory)
-    check_start(fmu, plant_start(scenario, parameter_names(fmu)))
+    check_start(fmu, plant_start(scenario, archive.read_header(fmu).parameters))
 
 
 def signal_map(scenario: Scenario) -> SignalMap:
@@ -98,7 +98,7 @@ def start_pose(scenario: Scenario) -> Pose | None:
 def virtual_robot(scenario: Scenario) -> VirtualRobot:
     """Return the parts of the scenario's virtual robot. Raises BadInputError when its FMU is missing or not an FMU."""
     fmu = archive.locate(scenario.plant.fmu, scenario.directory)
-    known = parameter_names(fmu)
+    known = archive.read_header(fmu).parameters
     start = plant_start(scenario, known)
     return VirtualRobot(
         VirtualPlant(fmu, start, signal_map(scenario), scenario.plant.timeout_s, scenario.plant.memory_limit_mb),

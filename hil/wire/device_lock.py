@@ -11,12 +11,13 @@ import sys
 from collections.abc import Iterator
 from datetime import datetime
 from pathlib import Path
-
-from platformdirs import site_data_path
+from typing import TYPE_CHECKING
 
 from hil.core.errors import LinkError
-from hil.core.process_lock import LockHeldError, ProcessLock
 from hil.wire.link import LinkUrl
+
+if TYPE_CHECKING:
+    from hil.core.process_lock import LockHeldError
 
 
 @contextlib.contextmanager
@@ -29,6 +30,8 @@ def device_held(url: LinkUrl, command: str) -> Iterator[None]:
     if name is None:
         yield
         return
+    from hil.core.process_lock import LockHeldError, ProcessLock  # only for a device: most runs have none
+
     folder = _folder()
     record = {"pid": os.getpid(), "command": command, "since": f"{datetime.now():%Y-%m-%d %H:%M:%S}"}  # noqa: DTZ005
     try:
@@ -48,7 +51,7 @@ def device_held(url: LinkUrl, command: str) -> Iterator[None]:
         claim.release()
 
 
-def _refusal(link: str, taken: LockHeldError) -> str:
+def _refusal(link: str, taken: "LockHeldError") -> str:
     holder = taken.holder
     if not holder:
         return f"link {link!r}: another process is starting or ending its use of the device; try again"
@@ -81,6 +84,8 @@ def _make_for_all(folder: Path) -> None:
 def _folder() -> Path:
     """Return the folder that all users of this machine share."""
     if sys.platform == "win32":
+        from platformdirs import site_data_path
+
         return site_data_path("mecanum-hil", appauthor=False) / "locks"
     # Not TMPDIR, which may be private to a user, nor /run/lock, which only root may write on newer systems. /tmp may be
     # private to a systemd unit, or read-only; Linux has /dev/shm, a folder in memory that is neither.

@@ -25,7 +25,7 @@ from rich.table import Table
 
 from hil.core.types import PoseFix
 from hil.plant import archive
-from hil.plant.description import parameter_names
+from hil.plant.archive import read_header
 from hil.robot.virtual import MakeNode, VirtualRobot, VirtualStm32, new_robot
 from hil.runtime.assembly import RunOptions, run_scenario
 from hil.runtime.robots import plant_start
@@ -142,7 +142,7 @@ def naive(seconds: float, record: Path | None) -> Turn:
     """Run the naive loop from the same start."""
     scenario = _scenario(seconds)
     fmu = archive.locate(scenario.plant.fmu, scenario.directory)
-    start = plant_start(scenario, parameter_names(fmu))
+    start = plant_start(scenario, read_header(fmu).parameters)
     loop = NaiveLoop(scenario.robot, start, record)
     try:
         stamps_ns, error_m = loop.run(round(seconds * scenario.loop.rate_hz))
