@@ -125,9 +125,9 @@ void *wheel_python_feedback(void *self, void *const *arguments, ptrdiff_t count)
                      python.PyLong_FromLongLong(view->command_sequence),
                      python.PyLong_FromLongLong(view->command_age_ms),
                      whole_numbers((int64_t[]){counts[0], counts[1], counts[2], counts[3]}, 4),
-                     floats(wheels, (double[]){v[0], v[1], v[2], v[3]}, 4),
-                     floats(wheels, (double[]){c[0], c[1], c[2], c[3]}, 4),
-                     floats(NULL, (double[]){a[0], a[1], a[2]}, 3),
+                     floats(wheels, (double[]){(double)v[0], (double)v[1], (double)v[2], (double)v[3]}, 4),
+                     floats(wheels, (double[]){(double)c[0], (double)c[1], (double)c[2], (double)c[3]}, 4),
+                     floats(NULL, (double[]){(double)a[0], (double)a[1], (double)a[2]}, 3),
                      python.PyFloat_FromDouble((double)view->yaw_rate_rad_s)};
     for (ptrdiff_t i = 0; i < 9; i++) {
         python.PyTuple_SetItem(feedback, i, items[i]);
