@@ -61,6 +61,62 @@ def test_a_claim_holds_when_it_holds_of_every_sample(values, claimed, from_s, sp
     )
 
 
+@given(
+    VALUES,
+    st.one_of(
+        CLAIMS.map(lambda pair: pair[0]),
+        st.tuples(LIMIT, TOLERANCE).map(lambda p: claim(settles_to=p[0], tolerance=p[1])),
+    ),
+    st.integers(0, 10),
+    st.integers(0, 30),
+)
+def test_the_margin_is_positive_exactly_where_a_claim_holds(values, row, from_s, span) -> None:
+    outcome = check_expectation(replace(row, from_s=float(from_s), to_s=float(from_s + span)), signals(values))
+    assert outcome.margin is not None
+    assert math.isfinite(outcome.margin)
+    assert outcome.passed == (outcome.margin > 0.0)
+
+
+@given(st.lists(st.floats(-50, 50), min_size=1, max_size=9), CLAIMS, st.floats(-1e-3, 1e-3), st.floats(0.01, 100.0))
+def test_the_margin_is_continuous_and_does_not_depend_on_the_unit(values, claimed, step, unit) -> None:
+    row, _ = claimed
+    limits = {
+        name: value
+        for name in ("below", "above", "equals", "tolerance", "within")
+        if (value := getattr(row, name)) is not None
+    }
+
+    def found(values: list[float], by: float = 1.0) -> float:
+        scaled = {
+            name: tuple(by * one for one in value) if isinstance(value, tuple) else by * value
+            for name, value in limits.items()
+        }
+        margin = check_expectation(claim(**scaled), signals([by * value for value in values])).margin
+        assert margin is not None
+        return margin
+
+    flat = [limit for value in limits.values() for limit in (value if isinstance(value, tuple) else (value,))]
+    is_exact = (row.equals is not None and not row.tolerance) or (row.within is not None and len(set(row.within)) == 1)
+    if not is_exact:
+        width = (
+            abs(flat[-1] - flat[0]) / 2.0
+            if len(flat) == 2 and row.equals is None
+            else (row.tolerance or abs(flat[0]) or 1.0)
+        )
+        assert abs(found([value + step for value in values]) - found(values)) <= abs(step) / width * 1.001 + 1e-9
+    if any(flat) and not (is_exact and not flat[0]):
+        assert found(values, unit) == pytest.approx(found(values), rel=1e-6, abs=1e-6)
+
+
+def test_a_claim_that_settles_late_has_less_margin_than_one_that_settles_early_at_the_same_value() -> None:
+    row = claim(settles_to=0.0, tolerance=1.0)
+    margins = [check_expectation(row, signals([2.0] * late + [0.0] * (10 - late))).margin for late in range(11)]
+    assert margins == sorted(margins, reverse=True)
+    assert margins[0] == 1.0
+    assert margins[10] == -1.0
+    assert margins[3] == pytest.approx(6 / 9)
+
+
 @given(VALUES, LIMIT, TOLERANCE, st.integers(0, 10), st.integers(0, 30))
 def test_settling_is_the_earliest_time_from_which_it_stays_near(values, target, tolerance, from_s, span) -> None:
     samples = [(t, v) for t, v in enumerate(values) if from_s <= t <= from_s + span]

@@ -4,6 +4,7 @@ No side effects. A run adds sample by sample, and so reports a failure at once; 
 """
 
 import math
+import sys
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 
@@ -27,6 +28,8 @@ class Outcome(NamedTuple):
         violated_s: total time of violation [s]: each violation lasts from its first sample to the next good one, or to
             the last sample. None where ``worst_s`` is None.
         settled_s: of ``settles_to``: the first time from which it stayed within the tolerance.
+        margin: how far inside the claim the run was, as ``margin`` defines it; negative where it is broken, None when
+            it is not judged.
         text: a sentence for the user with all of this.
     """
 
@@ -38,6 +41,36 @@ class Outcome(NamedTuple):
     worst_value: float | None = None
     violated_s: float | None = None
     settled_s: float | None = None
+    margin: float | None = None
+
+
+_WITHOUT_VALUE = -1.0
+"""The margin of a gap, and of no sample at all."""
+_LARGEST = 1e6
+
+
+def margin(expect: ExpectTable, lowest: float, highest: float) -> float:
+    """Return how far values from ``lowest`` to ``highest`` are inside a claim; negative: how far outside.
+
+    It is a share of what the claim permits, so that claims about different signals compare: 1 stands for half the width
+    of the permitted interval; with a single limit for its size, or for 1 if the limit is 0. It is continuous in the
+    values, but for values that must be met exactly: 1 where they are. It is never 0.
+    """
+    above, below = expect.within or (expect.above, expect.below)
+    centre = expect.equals if expect.settles_to is None else expect.settles_to
+    is_open = expect.within is None and centre is None
+    if centre is not None:
+        scale = expect.tolerance or 0.0
+        room = scale - max(abs(lowest - centre), abs(highest - centre))
+    else:
+        limits = [limit for limit in (above, below) if limit is not None]
+        scale = (limits[-1] - limits[0]) / 2.0 if len(limits) == 2 else abs(limits[0]) or 1.0
+        room = min(math.inf if below is None else below - highest, math.inf if above is None else lowest - above)
+    if not scale:
+        scale = abs(limits[0] if centre is None else centre) or 1.0
+        room = room or scale
+    holds = room > 0.0 or (room == 0.0 and not is_open)
+    return math.copysign(min(max(abs(room) / scale, sys.float_info.min), _LARGEST), 1.0 if holds else -1.0)
 
 
 class _Claim(NamedTuple):
@@ -91,10 +124,21 @@ class Watch:
         self._violations = 0
         self._since_s = 0.0  # start of the current violation
         self._violated_s = 0.0  # total of the violations that have ended
+        self._lowest, self._highest = math.inf, -math.inf  # NaN is neither
+        self._gaps = 0
+        self._begin_s = 0.0
+        self._newest = (math.nan, math.nan)
 
     def add(self, t_s: float, value: float) -> bool:
         """Add a sample in the expectation's time; return whether the claim has just failed because of it."""
         self._samples += 1
+        self._newest = (t_s, value)
+        if self._samples == 1:
+            self._begin_s = t_s
+        if value < self._lowest:
+            self._lowest = value
+        if value > self._highest:
+            self._highest = value
         if self._claim.holds(value):
             if not self._held:
                 self._held_since_s = t_s
@@ -107,6 +151,7 @@ class Watch:
         self._held = 0
         self._violations += 1
         self._last = (t_s, value)
+        self._gaps += value != value
         distance = self._claim.distance(value)
         if self._first is None or distance > self._worst_distance:
             self._worst, self._worst_distance = self._last, -math.inf if math.isnan(distance) else distance
@@ -119,6 +164,28 @@ class Watch:
 
         ``cut_s`` is the time at which the run ended early; None for a complete run.
         """
+        outcome = self._outcome(cut_s)
+        return outcome if outcome.passed is None else outcome._replace(margin=self._margin())
+
+    def _margin(self) -> float:
+        """Return the margin of the samples so far.
+
+        That of a ``settles_to`` is the last sample's, or, if less, the share of the time that was left when it settled.
+        """
+        if not self._samples:
+            return _WITHOUT_VALUE
+        if self._settles:
+            t_s, value = self._newest
+            found = _WITHOUT_VALUE if math.isnan(value) else margin(self.expect, value, value)
+            if self._held == self._samples or not self._held:
+                return found
+            return min(found, (t_s - self._held_since_s) / (t_s - self._begin_s) or sys.float_info.min)
+        if self._gaps == self._samples:
+            return _WITHOUT_VALUE
+        found = margin(self.expect, self._lowest, self._highest)
+        return min(found, _WITHOUT_VALUE) if self._gaps else found
+
+    def _outcome(self, cut_s: float | None) -> Outcome:
         until = "to the end" if math.isinf(self.expect.to_s) else f"to {self.expect.to_s:g} s"
         claim = f"{self.expect.signal} {self._claim.text} from {self.expect.from_s:g} s {until}"
         if self._first is not None and not self._settles:
@@ -205,5 +272,8 @@ def allow_figures(allow: AllowTable, counts: Mapping[str, TickCount], ticks: int
             f"{name}: {count.unexplained} of {ticks} {option.meaning}; no fault of the scenario explains them, and "
             f"allow.{name} permits {share}: {'as allowed' if passed else 'find the cause, or raise it'}"
         )
-        figures.append({"name": name, "passed": passed, **count._asdict(), "limit": limit, "text": text})
+        found = 1.0 - count.unexplained / (allowed + 0.5)
+        figures.append(
+            {"name": name, "passed": passed, **count._asdict(), "limit": limit, "margin": found, "text": text}
+        )
     return figures
