@@ -89,9 +89,9 @@ class Client:
         """Return the frames that wait to be sent; call ``sent`` or ``unsent`` then."""
         return PackedFrames(self._fast.out(self.address), self.view.out_frames)
 
-    def sent(self) -> None:
-        """The frames of ``out`` were sent."""
-        self._fast.sent(self.address)
+    def sent(self) -> int:
+        """The frames of ``out`` were sent; return their number."""
+        return self._fast.sent(self.address)
 
     def unsent(self) -> None:
         """The frames of ``out`` could not be sent; they do not count."""

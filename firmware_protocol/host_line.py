@@ -1,6 +1,9 @@
 """The host's end of a serial line, in the firmware's C: takes a fifth of the time of ``firmware_protocol.framing``."""
 
-from firmware_protocol.fast_calls import fast_calls
+import functools
+from collections.abc import Callable
+
+from firmware_protocol.fast_calls import address_of, fast_calls
 from firmware_protocol.framing import CAUSES, PACKED_HEADERS, Frame, PackedFrames, unsendable
 from firmware_protocol.host import library
 
@@ -24,6 +27,12 @@ class HostLine:
     It numbers the frames that it sends, modulo 256. Received bytes raise no error: what is not a valid frame is dropped
     and counted. Memory is bounded. ``handle`` is the C struct, for other functions of the library; it is valid as long
     as this object.
+
+    Attributes:
+        receive_for: as ``feed``, for the client at an address, which takes the frames of the bytes that arrived at a
+            time [ns], and then adds what is due (``Client.poll``). Returns the number of frames. If the client needs
+            attention (see its ``view``), it returns the packed frames, and how far the client took them.
+        encode_for: returns what waits in the client at an address as bytes for the wire.
     """
 
     def __init__(self) -> None:
@@ -34,6 +43,11 @@ class HostLine:
         self._memory = ffi.new("uint64_t[]", lib.wheel_line_size() // 8 + 1)
         self.handle = ffi.cast("wheel_line *", self._memory)
         lib.wheel_line_init(self.handle)
+        address, fast = address_of(self.handle), fast_calls()
+        self.receive_for: Callable[[int, bytes, int], int | tuple[bytes, int]] = functools.partial(
+            fast.receive, address
+        )
+        self.encode_for: Callable[[int], bytes] = functools.partial(fast.encode, address)
         self._packed, self._used = ffi.new("uint8_t[]", _MOST_AT_ONCE + lib.WHEEL_LINE_OPEN), ffi.new("size_t *")
         self._received = ffi.buffer(self._packed)
         self._encoded = ffi.new("uint8_t[]", lib.WHEEL_LINE_GROWTH * _MOST_TO_SEND)

@@ -16,8 +16,10 @@ from hil.robot.handshake import RETRY_NS, SILENCE_NS
 from hil.robot.link_times import RoundTrip
 from hil.robot.snapshot import Feedback
 from hil.wire.conditions import ConditionedLink
+from hil.wire.framed import StreamLink
 
 _STATES = tuple(m.State)
+_MOST_FRAMES = 200  # that one call takes; a robot sends at most some ten a tick
 _FULL = 512  # bytes of frames that may wait for a step
 _STEP_AWAITED, _STEP_ELSEWHERE = 1, 3
 
@@ -37,6 +39,8 @@ class Channel:
         if self._direct is not None:
             self._direct.serve(client)
         self._is_plain = link.is_plain
+        # A line without conditions passes bytes between stream and client, in the library.
+        self._line = link.transport if self._is_plain and isinstance(link.transport, StreamLink) else None
         self._round_trips_seen = 0
         self._round_trip = RoundTrip()
 
@@ -47,20 +51,24 @@ class Channel:
 
         To a robot in this thread the next step carries it, unless conditions act now, much waits, or ``everything``.
         """
-        view = self._client.view
-        if not view.out_bytes:
-            return
-        may_wait = self._direct is not None and view.out_bytes < _FULL and not everything
-        if may_wait and (self._is_plain or self._link.lets_commands_pass()):
-            return
+        client = self._client
         try:
-            self._link.send_all(self._client.out())
+            if self._line is not None:
+                self._line.send_from(client)
+            elif client.view.out_bytes and not self._may_wait(everything):
+                self._link.send_all(client.out())
+                client.sent()
         except BaseException:
-            self._client.unsent()
+            client.unsent()
             raise
-        self._client.sent()
-        if view.log_is_due:
+        if client.view.log_is_due:
             self._empty_log()
+
+    def _may_wait(self, everything: bool) -> bool:
+        """Return whether the next step may carry what waits."""
+        if self._direct is None or everything or self._client.view.out_bytes >= _FULL:
+            return False
+        return self._is_plain or self._link.lets_commands_pass()
 
     def step(self, ticks: int) -> None:
         """Lockstep: run the robot for a number of ticks, and take all that it sends; 0 only asks for its tick.
@@ -108,10 +116,36 @@ class Channel:
         """Process frames that arrived together. Raises RobotStoppedError for a step that ended at a wrong tick."""
         frames, stamp_ns = received
         packed = frames.packed if type(frames) is PackedFrames else pack(frames)
-        at, end = 0, len(packed)
-        while at < end:
+        self._take_from(packed, 0, stamp_ns)
+
+    def _take_from(self, packed: bytes, at: int, stamp_ns: int) -> None:
+        while at < len(packed):
             at = self._client.take(packed, at, stamp_ns)
             self._attend(packed, stamp_ns)
+
+    def receive(self) -> int | None:
+        """Real time: take what has arrived, and send what is then due.
+
+        Return the time at which nothing was left to be read. None if there may be more: it is read in the next tick,
+        because a host that is slower than its robot would never finish.
+        """
+        if self._line is not None:
+            return self._line.receive_for(self._client, self._link.clock, self._attend_from)
+        taken = 0
+        while taken < _MOST_FRAMES and (received := self._link.receive(0)) is not None:
+            self.take(received)
+            taken += len(received.frames)
+        now_ns = self._link.clock.now_ns()
+        if self._client.poll(now_ns):
+            self.flush()
+        return now_ns if taken < _MOST_FRAMES else None
+
+    def _attend_from(self, packed: bytes, at: int, stamp_ns: int) -> None:
+        """Go on where the client has stopped in packed frames."""
+        self._attend(packed, stamp_ns)
+        self._take_from(packed, at, stamp_ns)
+        self._client.poll(stamp_ns)
+        self.flush()
 
     def _attend(self, packed: Any, stamp_ns: int) -> None:
         """Do what the client's view asks for after it has taken frames."""

@@ -27,7 +27,6 @@ from hil.robot.snapshot import Feedback
 from hil.robot.wheel_map import WheelMap
 from hil.wire.conditions import ConditionedLink
 
-_MOST_A_POLL = 200  # frames; a robot sends at most some ten a tick
 _AT_REST = (m.State.IDLE, m.State.FAULT, m.State.ESTOP)
 _ARMING_DONE, _ARMING_NEW_NONCE, _ARMING_REFUSED, _ARMING_LATCHED = 0, 4, 6, 7
 
@@ -204,21 +203,17 @@ class Stm32(LinkedDevice):
 
         In lockstep only ``step`` reads, because what has arrived between steps depends on the wall clock.
         """
-        taken = 0
-        if not self._is_lockstep:
-            # The rest is read in the next tick: a host that is slower than its robot would never finish.
-            while taken < _MOST_A_POLL and (received := self._link.receive(0)) is not None:
-                self._channel.take(received)
-                taken += len(received.frames)
-        if self._clock is not None:
-            now_ns = self._clock.now_ns()
-            if self._client.poll(now_ns):
-                self._channel.flush()
+        clock, channel = self._clock, self._channel
+        emptied_ns = None if self._is_lockstep else channel.receive()
+        if clock is not None:
+            now_ns = clock.now_ns() if emptied_ns is None else emptied_ns
+            if self._is_lockstep and self._client.poll(now_ns):
+                channel.flush()
             if now_ns >= self._next_sync_ns:
                 self._synchronise(now_ns)
             if not self._is_lockstep:
-                self._poll_age.record_poll(now_ns, everything=taken < _MOST_A_POLL)
-        return self._channel.feedback
+                self._poll_age.record_poll(now_ns, everything=emptied_ns is not None)
+        return channel.feedback
 
     @property
     def feedback(self) -> Feedback | None:

@@ -37,6 +37,7 @@ class ConditionedLink:
 
     Attributes:
         transport: the link below.
+        clock: the clock of the run.
         is_plain: whether frames pass unchanged, at once and unobserved in both directions.
         may_hold: whether commands can be delayed at all; if not, nothing is ever due.
     """
@@ -55,7 +56,7 @@ class ConditionedLink:
         protocol: LinkProtocol = WHEEL_DBC,
     ) -> None:
         self._link = link
-        self._clock = clock
+        self.clock = clock
         self._time = scenario_time or ScenarioTime(clock)
         self._command_latency_ns = command_latency_ns
         self._feedback_latency_ns = feedback_latency_ns
@@ -130,7 +131,7 @@ class ConditionedLink:
         elif exempt:
             self._put(frames)
         elif self._command_latency_ns:
-            self._out.hold(frames, self._clock.now_ns() + self._command_latency_ns, LATENCY)
+            self._out.hold(frames, self.clock.now_ns() + self._command_latency_ns, LATENCY)
         else:
             self.service()
             self._enter(frames)
@@ -153,7 +154,7 @@ class ConditionedLink:
 
     def service(self, *, everything: bool = False) -> None:
         """Send the commands that are due, or with ``everything`` all that wait."""
-        now_ns, way = self._clock.now_ns(), self._out
+        now_ns, way = self.clock.now_ns(), self._out
         if way.due_ns > now_ns and not (everything or self._disconnects):
             return
         t_ns = self._time.at(now_ns)
@@ -199,7 +200,7 @@ class ConditionedLink:
         The client's frames must be exempt, or were added while ``lets_commands_pass``. ``receive`` returns later what
         the caller leaves in the result.
         """
-        now_ns = self._clock.now_ns()
+        now_ns = self.clock.now_ns()
         if self._in.due_ns <= now_ns:
             self._let_in(now_ns)
         if self._observer is None:
@@ -216,7 +217,7 @@ class ConditionedLink:
     def _receive(self, timeout_ns: int) -> Received | None:
         deadline_ns = time.monotonic_ns() + timeout_ns if timeout_ns > 0 else 0
         while True:
-            now_ns = self._clock.now_ns()
+            now_ns = self.clock.now_ns()
             if self._in.due_ns <= now_ns:
                 self._let_in(now_ns)
             if self._ready:
@@ -224,7 +225,7 @@ class ConditionedLink:
             received = self._receive_now(timeout_ns)
             if received is None:
                 return None
-            self._admit(*received, self._clock.now_ns())
+            self._admit(*received, self.clock.now_ns())
             timeout_ns = max(0, deadline_ns - time.monotonic_ns())
 
     def _admit(self, frames: Sequence[Frame], stamp_ns: int, now_ns: int) -> None:

@@ -4,14 +4,21 @@ import time
 from collections import Counter
 from collections.abc import Callable, Sequence
 
-from firmware_protocol.framing import Frame, PackedFrames
+from firmware_protocol.client import Client
+from firmware_protocol.framing import Frame, PackedFrames, pack
 from firmware_protocol.host_line import HostLine
 from hil.core.link_protocol import WHEEL_DBC, LinkProtocol
-from hil.core.ports import Framing, Received
+from hil.core.ports import Clock, Framing, Received
 from hil.wire.streams import HostStream
 
 _MOST_AT_ONCE = 50
 """The most frames that one call returns: those of a few ticks. The caller decides how often it calls."""
+
+_MOST_READS = 2
+"""The most reads of one ``receive_for``. The rest is read in the next tick: a host that is slower than its robot would
+never finish.
+"""
+_SHORT = 2048  # bytes; a read of fewer has emptied the line (HostStream)
 
 _MOST_NOISE = 65536  # bytes without a frame in one call: more than any buffer of a line holds
 
@@ -49,6 +56,42 @@ class StreamLink:
 
     def send(self, frame: Frame) -> None:
         self._write(self._sender.encode(frame), 1)
+
+    def send_from(self, client: Client) -> None:
+        """Send what waits in ``client``. Raises LinkError when the link is lost; then it still waits."""
+        assert isinstance(self._sender, HostLine), "a client speaks our own protocol"
+        data = self._sender.encode_for(client.address)
+        if data:
+            self._stream.write(data)
+            self.sent_frames += client.sent()
+            self.sent_bytes += len(data)
+
+    def receive_for(self, client: Client, clock: Clock, attend: Callable[[bytes, int, int], None]) -> int | None:
+        """Have ``client`` take what has arrived, without waiting, and add what is due to be sent.
+
+        If the client needs attention, ``attend`` is called with packed frames, how far the client took them, and the
+        time of their arrival. Return the time at which nothing was left to be read; None if there may be more.
+        """
+        framing = self._framing
+        assert isinstance(framing, HostLine), "a client speaks our own protocol"
+        if self._waiting is not None:
+            (frames, stamp_ns), self._waiting = self._waiting, None
+            self.received_frames += len(frames)
+            attend(pack(frames), 0, stamp_ns)
+        for _ in range(_MOST_READS):
+            data = self._stream.read(0)
+            now_ns = clock.now_ns()
+            taken = framing.receive_for(client.address, data, now_ns)
+            self.received_bytes += len(data)
+            if isinstance(taken, int):
+                self.received_frames += taken
+            else:
+                packed, at = taken
+                self.received_frames += len(PackedFrames(packed))
+                attend(packed, at, now_ns)
+            if len(data) < _SHORT:
+                return now_ns
+        return None
 
     def send_packed(self, frames: PackedFrames) -> None:
         assert isinstance(self._sender, HostLine), "frames of another protocol are not packed"

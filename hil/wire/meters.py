@@ -40,11 +40,13 @@ class Meter(Protocol):
 
     Attributes:
         duplex: whether each direction has its own line (serial), or both share one (CAN).
-        timed: whether the link has a bit rate. Without one, ``sent`` and ``received`` need not be called.
+        timed: whether the link has a bit rate.
+        by_frame: whether ``sent`` and ``received`` must be called with every frame; if not, they ignore the frames.
     """
 
     duplex: bool
     timed: bool
+    by_frame: bool
 
     @property
     def foreign(self) -> Count | None:
@@ -80,19 +82,19 @@ class LineMeter:
     """A serial line, or a similar link without a bit rate (``baud`` None). Bytes outside frames count too."""
 
     duplex = True
+    by_frame = False
     foreign = None
 
     def __init__(self, link: "StreamLink | MemoryBus", baud: int | None) -> None:
         self._link = link
         self._byte_ns = _BITS_PER_BYTE * 1_000_000_000 / baud if baud else 0.0
         self.timed = baud is not None
-        self._sent_bytes, self._received_bytes = link.byte_counts()  # already counted
         self.begin()
 
     def begin(self) -> None:
         link = self._link
         self._frames_before = link.sent_frames, link.received_frames
-        self._bytes_before = link.byte_counts()
+        self._bytes_before = self._sent_bytes, self._received_bytes = link.byte_counts()
 
     def sent(self, _frames: Sequence[Frame]) -> int:
         before, (self._sent_bytes, _) = self._sent_bytes, self._link.byte_counts()
@@ -129,6 +131,7 @@ class BusMeter:
     """A CAN bus, classic or FD, with its bit rates [bit/s]; ``data_bitrate`` is FD's second one, if it has one."""
 
     duplex = False
+    by_frame = True
     timed = True
     counts_frames = False
 

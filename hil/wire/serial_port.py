@@ -2,6 +2,7 @@
 
 import array
 import contextlib
+import os
 import re
 import select
 import sys
@@ -15,6 +16,7 @@ from hil.wire.reopening import OpeningBeside
 from hil.wire.serial_failures import LIST_PORTS, PORT_ERRORS, SHARED, is_gone, is_shared, opening_problem, words_of
 
 _CHUNK = 65536
+_TERMINAL_CHUNK = 4096  # as many bytes as Linux keeps for a reader of a terminal
 _READ_S = 0.05  # how long one read of a Reader blocks, which is also how long it takes to stop
 _LONGEST = 1 << 20  # bytes kept for a host that does not read; older ones are dropped
 _WRITE_TIMEOUT_S = 1.0  # a line that accepts no byte for that long is lost
@@ -134,8 +136,9 @@ def _rate_of(port: Any) -> int | None:
 class SerialStream:
     """A serial port as a byte stream, opened exclusively.
 
-    Reads wait in ``select`` if the port has a file descriptor, otherwise in a ``Reader``. The driver's low-latency mode
-    is set if it has one. A write that is not accepted within 1 s means that the line is lost.
+    Reads wait in ``select`` if the port has a file descriptor, otherwise in a ``Reader``. A terminal device is read and
+    written with one system call; pyserial, which needs two, does what that leaves. The driver's low-latency mode is set
+    if it has one. A write that is not accepted within 1 s means that the line is lost.
 
     Raises LinkError when the port does not exist, is busy, is forbidden, is no serial port or refuses the baud rate.
     """
@@ -147,6 +150,7 @@ class SerialStream:
         self._baud = baud
         self._port: Any = None
         self._reader: Reader | None = None
+        self._terminal: int | None = None  # its file descriptor
         self._low_latency = False
         self._unread_bytes = 0  # of earlier readers
         self._opening: OpeningBeside[Any] | None = None
@@ -193,7 +197,9 @@ class SerialStream:
             self._release()
             raise _open_failure(self._name, self._baud, error) from error
         self._check_baud()
-        self._reader = None if self._has_descriptor() else Reader(self._port)
+        has_descriptor = self._has_descriptor()
+        self._reader = None if has_descriptor else Reader(self._port)
+        self._terminal = self._port.fileno() if has_descriptor and "://" not in self._name else None
         self._low_latency = self._set_low_latency()
 
     def _check_baud(self) -> None:
@@ -219,6 +225,14 @@ class SerialStream:
         return True
 
     def write(self, data: bytes) -> None:
+        if self._terminal is not None:
+            try:
+                written = os.write(self._terminal, data)
+            except OSError:
+                written = 0
+            if written == len(data):
+                return
+            data = data[written:]
         try:
             self._port.write(data)
         except serial.SerialTimeoutException as error:
@@ -235,7 +249,13 @@ class SerialStream:
                 return self._reader.read(timeout_ns)
             if timeout_ns > 0:
                 select.select([self._port.fileno()], [], [], timeout_ns * 1e-9)
-            return bytes(self._port.read(_CHUNK))
+            if self._terminal is not None:
+                try:
+                    if data := os.read(self._terminal, _TERMINAL_CHUNK):
+                        return data
+                except OSError:
+                    pass
+            return bytes(self._port.read(_CHUNK))  # tells a line without bytes from one that is gone
         except _LOSSES as error:
             raise self._lost(error) from error
 
@@ -259,6 +279,7 @@ class SerialStream:
         self._release()
 
     def _release(self) -> None:
+        self._terminal = None
         if self._reader is not None:
             self._reader.stop()
         _close(self._port)

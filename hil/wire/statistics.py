@@ -67,8 +67,7 @@ class LinkStatistics:
 
     Attributes:
         byte_counts: a function that returns the bytes sent and received since ``begin``.
-        is_needed: whether ``sent`` and ``received`` must be called: they are for the load of a link with a bit rate,
-            and for a trace.
+        is_needed: whether ``sent`` and ``received`` must be called: they are for a bus, and for a trace.
     """
 
     def __init__(self, link: Link, meter: Meter, clock: Clock, trace: "Trace | None" = None) -> None:
@@ -77,7 +76,7 @@ class LinkStatistics:
         self._clock = clock
         self._trace = trace
         self.byte_counts = meter.byte_counts
-        self.is_needed = meter.timed or trace is not None
+        self.is_needed = meter.by_frame or trace is not None
         self._noise_seen = meter.noise()
         self.begin()
 
@@ -91,7 +90,7 @@ class LinkStatistics:
     def sent(self, frames: Sequence[Frame]) -> None:
         """Count and trace frames that were just sent."""
         now_ns = self._clock.now_ns()
-        if self._meter.timed:
+        if self._meter.by_frame:
             self._down.add(now_ns, self._meter.sent(frames))
         if self._trace is not None:
             self._trace.frames(now_ns, frames, sent=True)
@@ -104,7 +103,7 @@ class LinkStatistics:
         if received is None:
             return
         frames, stamp_ns = received
-        if self._meter.timed:
+        if self._meter.by_frame:
             self._up.add(stamp_ns, self._meter.received(frames))
         if trace is not None:
             trace.frames(stamp_ns, frames, sent=False)
@@ -122,11 +121,19 @@ class LinkStatistics:
             trace.rejected(self._clock.now_ns(), count - self._noise_seen)
             self._noise_seen = count
 
+    def _count_bytes(self, now_ns: int) -> None:
+        """Add to the load of a line what went over it since the last call."""
+        meter = self._meter
+        if meter.timed and not meter.by_frame:
+            self._down.add(now_ns, meter.sent(()))
+            self._up.add(now_ns, meter.received(()))
+
     def load_percent(self) -> float:
         """Return the load of the last 100 ms [%], on a serial line of the busier direction; NaN without a bit rate."""
         if not self._meter.timed:
             return NAN
         now_ns = self._clock.now_ns()
+        self._count_bytes(now_ns)
         return max(self._down.percent(now_ns), self._up.percent(now_ns))
 
     @property
@@ -136,7 +143,9 @@ class LinkStatistics:
 
     def figures(self) -> dict[str, Any]:
         """Return the figures since ``begin``, by name."""
-        lasted_ns = self._clock.now_ns() - self._since_ns
+        now_ns = self._clock.now_ns()
+        self._count_bytes(now_ns)
+        lasted_ns = now_ns - self._since_ns
         sent, received = self._meter.counts()
         foreign = self._meter.foreign
         lines = {"sent": self._down, "received": self._up} if self._meter.duplex else {"bus": self._down}

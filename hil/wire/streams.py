@@ -30,7 +30,10 @@ class ByteStream(Protocol):
 
 
 class HostStream(Protocol):
-    """The host's end of a line, which can be reopened after it was lost."""
+    """The host's end of a line, which can be reopened after it was lost.
+
+    ``read`` returns all that has arrived, or at least 2 KiB of it.
+    """
 
     def write(self, data: bytes) -> None: ...
     def read(self, timeout_ns: int) -> bytes: ...

@@ -226,8 +226,10 @@ void *wheel_python_out(void *self, void *const *arguments, ptrdiff_t count) {
 
 void *wheel_python_sent(void *self, void *const *arguments, ptrdiff_t count) {
     (void)self, (void)count;
-    wheel_client_sent(python.PyLong_AsVoidPtr(arguments[0]));
-    return python.PyBool_FromLong(false);
+    wheel_client *client = python.PyLong_AsVoidPtr(arguments[0]);
+    const long long frames = wheel_client_view(client)->out_frames;
+    wheel_client_sent(client);
+    return python.PyLong_FromLongLong(frames);
 }
 
 void *wheel_python_ask(void *self, void *const *arguments, ptrdiff_t count) {
@@ -252,6 +254,46 @@ void *wheel_python_take(void *self, void *const *arguments, ptrdiff_t count) {
     }
     return python.PyLong_FromLongLong(
         (long long)wheel_client_take(client, packed, (size_t)begin, length, now_ns));
+}
+
+void *wheel_python_receive(void *self, void *const *arguments, ptrdiff_t count) {
+    (void)self, (void)count;
+    wheel_line *line = python.PyLong_AsVoidPtr(arguments[0]);
+    wheel_client *client = python.PyLong_AsVoidPtr(arguments[1]);
+    const int64_t now_ns = python.PyLong_AsLongLong(arguments[3]);
+    uint8_t *bytes;
+    uint8_t *packed;
+    size_t length;
+    size_t used;
+    if (failed() || !bytes_of(arguments[2], &bytes, &length)) {
+        return NULL;
+    }
+    void *room = new_bytes(NULL, length + WHEEL_LINE_OPEN);
+    if (!bytes_of(room, &packed, &used)) {
+        return NULL;
+    }
+    const wheel_view *view = wheel_client_view(client);
+    const size_t frames = wheel_line_feed(line, bytes, length, packed, &used);
+    const size_t at = wheel_client_take(client, packed, 0, used, now_ns);
+    void *result;
+    if (at == used && view->message_id == 0u && !view->log_is_due && !wheel_client_poll(client, now_ns)) {
+        result = python.PyLong_FromLongLong((long long)frames);
+    } else {
+        result = python.PyTuple_New(2);
+        python.PyTuple_SetItem(result, 0, new_bytes(packed, used));
+        python.PyTuple_SetItem(result, 1, python.PyLong_FromLongLong((long long)at));
+    }
+    python.Py_DecRef(room);
+    return result;
+}
+
+void *wheel_python_encode(void *self, void *const *arguments, ptrdiff_t count) {
+    (void)self, (void)count;
+    wheel_line *line = python.PyLong_AsVoidPtr(arguments[0]);
+    const wheel_client *client = python.PyLong_AsVoidPtr(arguments[1]);
+    uint8_t bytes[WHEEL_LINE_GROWTH * WHEEL_CLIENT_OUT];
+    const size_t length = wheel_client_view(client)->out_bytes;
+    return new_bytes(bytes, wheel_line_encode(line, wheel_client_out(client), length, bytes));
 }
 
 void *wheel_python_exchange(void *self, void *const *arguments, ptrdiff_t count) {

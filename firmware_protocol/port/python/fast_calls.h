@@ -63,7 +63,7 @@ void *wheel_python_line_bytes(void *self, void *const *arguments, ptrdiff_t coun
 /* out(client): the packed frames that wait to be sent, as bytes. */
 void *wheel_python_out(void *self, void *const *arguments, ptrdiff_t count);
 
-/* sent(client): wheel_client_sent; returns False. */
+/* sent(client): wheel_client_sent; returns the number of frames. */
 void *wheel_python_sent(void *self, void *const *arguments, ptrdiff_t count);
 
 /* ask(client, ticks): wheel_client_step; returns False. */
@@ -71,6 +71,14 @@ void *wheel_python_ask(void *self, void *const *arguments, ptrdiff_t count);
 
 /* take(client, packed, begin, now_ns): wheel_client_take, to the end of the bytes. */
 void *wheel_python_take(void *self, void *const *arguments, ptrdiff_t count);
+
+/* receive(line, client, bytes, now_ns): the client takes the frames of received bytes, and adds what is due
+ * (wheel_client_poll). Returns the number of frames; or, if the client needs attention, the packed frames and
+ * how far it took them. */
+void *wheel_python_receive(void *self, void *const *arguments, ptrdiff_t count);
+
+/* encode(line, client): what waits in the client as bytes of the line. */
+void *wheel_python_encode(void *self, void *const *arguments, ptrdiff_t count);
 
 /* exchange(direct, robot, client, packed): sends the packed frames, then what waits in the client, and
  * returns the answer as bytes. */
