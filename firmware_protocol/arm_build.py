@@ -7,11 +7,13 @@ arm-none-eabi-gcc (on Debian gcc-arm-none-eabi) or the PyPI package ziglang, and
 import argparse
 import hashlib
 import importlib.util
+import os
 import shutil
 import subprocess
 import sys
 import tempfile
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
@@ -98,6 +100,7 @@ _GCC = (
     "-fno-tree-loop-distribute-patterns",  # memcpy must not become a call of itself
     "-mword-relocations",  # the address of a function is one word, which arm_stack finds
 )
+_INCLUDE = ("-isystem", str(PORT / "include"), f"-ffile-prefix-map={HERE}=.")
 _LINK = ("-nostdlib", "-Wl,--gc-sections", "-Wl,--entry=reset", f"-Wl,-T,{PORT / 'stm32f405.ld'}")
 _ZIG_MACHINE = ("-target", "thumb-freestanding-eabihf", "-mcpu=cortex_m4+vfp4d16sp")
 _ZIG = (
@@ -119,17 +122,23 @@ class Built:
     stack: StackUse | None
 
 
+def _headers() -> list[Path]:
+    return [*HERE.glob("firmware/*.h"), *HERE.glob("generated/*.h"), *PORT.rglob("*.h")]
+
+
 def source_hash(target: Target) -> int:
     """Return the first 32 bits of the SHA-256 over the sources: HELLO_FIRMWARE.build."""
     digest = hashlib.sha256()
-    headers = [*HERE.glob("firmware/*.h"), *HERE.glob("generated/*.h"), *PORT.rglob("*.h"), PORT / "stm32f405.ld"]
-    for path in sorted({*target.sources(), *headers}):
+    for path in sorted({*target.sources(), *_headers(), PORT / "stm32f405.ld"}):
         digest.update(path.relative_to(HERE).as_posix().encode() + b"\0" + path.read_bytes() + b"\0")
     return int.from_bytes(digest.digest()[:4], "big")
 
 
-def build(target: Target, output: Path = OUTPUT) -> Built:
+def build(target: Target, output: Path = OUTPUT, objects: Path | None = None) -> Built:
     """Build one firmware into the folder ``output``, with gcc if it is installed, otherwise with zig.
+
+    gcc's object files stay in the folder ``objects``, by default one in ``output``; one that was made of the same
+    source, headers, flags and compiler is used again. Several processes may use the folder at once.
 
     Raises BuildError when neither is installed, or with the compiler's message when it fails.
     """
@@ -137,9 +146,10 @@ def build(target: Target, output: Path = OUTPUT) -> Built:
     elf = output / f"{target.name}.elf"
     stack = None
     if gcc := shutil.which("arm-none-eabi-gcc"):
-        stack = _build_with_gcc(gcc, target, elf)
+        stack = _build_with_gcc(gcc, target, elf, output / "objects" if objects is None else objects)
     elif importlib.util.find_spec("ziglang"):
-        _run([sys.executable, "-m", "ziglang", "cc", *_ZIG_MACHINE, *_ZIG, *_common_arguments(target, elf)])
+        zig = [sys.executable, "-m", "ziglang", "cc", *_ZIG_MACHINE, *_ZIG, *_FLAGS, *_INCLUDE, _build_number(target)]
+        _run([*zig, *_LINK, *map(str, target.sources()), "-o", str(elf)])
     else:
         raise BuildError(
             "no C compiler for ARM is installed: install arm-none-eabi-gcc (on Debian: gcc-arm-none-eabi), or ziglang "
@@ -151,18 +161,35 @@ def build(target: Target, output: Path = OUTPUT) -> Built:
     return Built(target, elf, image, stack)
 
 
-def _common_arguments(target: Target, elf: Path) -> list[str]:
-    define = f"-DFIRMWARE_BUILD=0x{source_hash(target):08X}u"
-    include = ("-isystem", str(PORT / "include"), f"-ffile-prefix-map={HERE}=.")
-    return [*_FLAGS, *include, define, *_LINK, *map(str, target.sources()), "-o", str(elf)]
+def _build_number(target: Target) -> str:
+    return f"-DFIRMWARE_BUILD=0x{source_hash(target):08X}u"
 
 
-def _build_with_gcc(gcc: str, target: Target, elf: Path) -> StackUse:
-    headers = _run([gcc, "-print-file-name=include"]).strip()
-    with tempfile.TemporaryDirectory() as folder:
-        frames = ("-fstack-usage", "-dumpdir", f"{folder}/", "-isystem", headers)
-        _run([gcc, *_MACHINE, *_GCC, *frames, *_common_arguments(target, elf), "-lgcc"])
-        usage = "".join(path.read_text(encoding="utf-8") for path in sorted(Path(folder).glob("*.su")))
+def _build_with_gcc(gcc: str, target: Target, elf: Path, objects: Path) -> StackUse:
+    compiler = [gcc, *_MACHINE, *_GCC, "-isystem", _run([gcc, "-print-file-name=include"]).strip(), *_FLAGS, *_INCLUDE]
+    common = hashlib.sha256(repr((compiler, _run([gcc, "--version"]))).encode())
+    for header in sorted(_headers()):
+        common.update(header.read_bytes() + b"\0")
+
+    def compiled(source: Path) -> Path:
+        """Return the object file of a source; what gcc says of its stack is beside it."""
+        command = [*compiler, _build_number(target)] if source.name == "robot.c" else compiler
+        digest = common.copy()
+        digest.update(repr((str(source), command)).encode() + source.read_bytes())
+        made = objects / f"{source.stem}-{digest.hexdigest()[:16]}.o"
+        if not made.exists():
+            with tempfile.TemporaryDirectory(dir=objects, prefix=f".{source.stem}.") as folder:
+                fresh = Path(folder) / made.name
+                _run([*command, "-fstack-usage", "-c", str(source), "-o", str(fresh)])
+                fresh.with_suffix(".su").replace(made.with_suffix(".su"))
+                fresh.replace(made)  # last: where it is, all is
+        return made
+
+    objects.mkdir(parents=True, exist_ok=True)
+    with ThreadPoolExecutor(os.cpu_count()) as pool:
+        parts = list(pool.map(compiled, target.sources()))
+    _run([gcc, *_MACHINE, *_FLAGS, *_LINK, *map(str, parts), "-o", str(elf), "-lgcc"])
+    usage = "".join(part.with_suffix(".su").read_text(encoding="utf-8") for part in parts)
     objdump = str(Path(gcc).with_name(Path(gcc).name.replace("gcc", "objdump")))
     disassembly = _run([objdump, "-d", "-z", "--no-show-raw-insn", str(elf)])
     return worst_stack(disassembly, usage, read_elf(elf))

@@ -2,6 +2,7 @@
 
 import functools
 import shutil
+from pathlib import Path
 
 import pytest
 
@@ -19,4 +20,8 @@ def firmware(variant: str, board: str, link: str) -> Built:
     """Return a firmware that gcc has built."""
     need_gcc()
     target = Target(variant, board, link)
-    return once.made(target.name, functools.partial(build, target))
+    return once.made(target.name, functools.partial(_build, target))
+
+
+def _build(target: Target, folder: Path) -> Built:
+    return build(target, folder, folder.parent / "objects")

@@ -1,6 +1,5 @@
 """The same conversation with the host library and with an emulated board, each in front of four free wheels."""
 
-import functools
 import importlib.util
 import random
 import shutil
@@ -9,13 +8,13 @@ from pathlib import Path
 import pytest
 
 from firmware_protocol import codec
-from firmware_protocol.arm_build import TARGETS, build
+from firmware_protocol.arm_build import TARGETS
 from firmware_protocol.framing import Deframer, Frame, Framer
 from firmware_protocol.generated import messages as m
 from firmware_protocol.host import library, parameter_hash, stored_parameters
 from firmware_protocol.stm32_flash import HIL_BOARD
 from hil.wire.robot_end import Node
-from tests import once
+from tests import arm_firmwares
 from tests.arm_programs import HAS_COMPILER, NEEDS_COMPILER
 from tests.wheel_rig import PARAMETERS, WheelRig
 
@@ -33,9 +32,9 @@ needs_qemu = pytest.mark.skipif(
 
 
 def firmware(link: str) -> Path:
-    """Build the firmware of the emulated targets, once."""
+    """Return the firmware of the emulated targets."""
     target = next(t for t in TARGETS if t.variant == "hil-emulated" and t.link == link)
-    return once.made(target.name, functools.partial(build, target)).elf
+    return arm_firmwares.firmware(*target).elf
 
 
 def plant_of(rig: WheelRig) -> tuple[int, int]:

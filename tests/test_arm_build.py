@@ -136,6 +136,21 @@ def test_two_builds_are_the_same_bytes(firmwares, tmp_path):
     assert build(target, tmp_path).elf.read_bytes() == firmwares[target].elf.read_bytes()
 
 
+def test_only_what_has_changed_is_compiled_anew(firmwares, tmp_path, monkeypatch):
+    target = TARGETS[0]
+    built = firmwares[target]
+    objects = tmp_path / "objects"
+    shutil.copytree(built.elf.parents[1] / "objects", objects)
+    before = set(objects.iterdir())
+    again = build(target, tmp_path, objects)
+    assert set(objects.iterdir()) == before
+    assert again.elf.read_bytes() == built.elf.read_bytes()
+    assert again.stack == built.stack
+    monkeypatch.setattr(arm_build, "source_hash", lambda _: 1)  # the number that the firmware says of itself
+    assert build(target, tmp_path, objects).elf.read_bytes() != built.elf.read_bytes()
+    assert [path.name.partition("-")[0] for path in set(objects.iterdir()) - before if path.suffix == ".o"] == ["robot"]
+
+
 def test_the_build_number_follows_the_sources(firmwares):
     hashes = [arm_build.source_hash(target) for target in TARGETS]
     assert len(set(hashes)) == len(TARGETS)

@@ -140,7 +140,9 @@ def test_a_device_that_is_killed_leaves_neither_qemu_nor_a_file(tmp_path: Path, 
 @on_linux
 @needs_compiler
 @needs_qemu
-def test_a_device_that_is_told_to_stop_takes_qemu_with_it():
+def test_a_device_whose_cache_cannot_be_written_starts_and_takes_qemu_with_it(tmp_path, monkeypatch):
+    (tmp_path / "no folder").touch()
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "no folder"))
     with device("paper_circle", *LOCKSTEP, "--target", "qemu", "--link", "serial:pty") as robot:
         qemu = qemu_of(robot.process.pid)
     assert robot.process.returncode == 0
