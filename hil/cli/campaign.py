@@ -67,7 +67,7 @@ def run(
 
             check_address(scheduler)
         campaign = Campaign(plan, allow_motion=allow_motion)
-        folder = out if out is not None else Path("runs") / campaign.plan.name
+        folder = out if out is not None else Path("runs") / campaign.plan.file.name
         # The number of workers of an existing cluster is not known here: estimate for one worker.
         is_one = scheduler is not None or campaign.in_real_time or campaign.on_bench
         count = workers or (1 if is_one else os.cpu_count() or 1)

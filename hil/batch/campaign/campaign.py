@@ -73,7 +73,7 @@ class Campaign:
         self._allow_motion = allow_motion
         keep = plan.tables.keep
         if isinstance(keep, KeepTable):
-            check_figure(keep.by, f"campaign {plan.place('keep')}: keep.by")
+            check_figure(keep.by, f"campaign {plan.file.place('keep')}: keep.by")
         runs: dict[str, Point] = {}
         made: set[tuple[str, ...]] = set()
         self.on_bench = self.in_real_time = False
@@ -94,8 +94,8 @@ class Campaign:
         self.runs = [Run(key, point) for key, point in runs.items()]
         if isinstance(keep, KeepTable) and self.in_real_time:
             raise BadInputError(
-                f"campaign {plan.place('keep')}: keep.worst runs the worst once more to record them, and in real time "
-                'no run comes twice; give keep = "failures" or "all"'
+                f"campaign {plan.file.place('keep')}: keep.worst runs the worst once more to record them, and in real "
+                'time no run comes twice; give keep = "failures" or "all"'
             )
 
     def job(self, run: Run, **how: Any) -> Job:
@@ -271,7 +271,7 @@ class Campaign:
         tables = self.plan.tables
         keep = plain(tables.keep) if isinstance(tables.keep, KeepTable) else tables.keep
         return {
-            "name": self.plan.name,
+            "name": self.plan.file.name,
             "scenario": tables.scenario,
             "laws": list(dict.fromkeys(run.point.law for run in self.runs)),
             "faults": list(dict.fromkeys(run.point.fault for run in self.runs)),
@@ -309,4 +309,4 @@ def _found_from_anywhere(key: str, value: object, plan: Plan) -> object:
     is_file = key in ("reference.file", "device.motors.file")
     if key in ("plant.fmu", "controller.law"):
         is_file = is_path(value if key == "plant.fmu" else value.rpartition(":")[0])
-    return str(plan.folder / value) if is_file else value
+    return str(plan.file.folder / value) if is_file else value

@@ -56,7 +56,7 @@ def points(plan: Plan) -> Iterator[Point]:
     called = [label for label, _ in laws]
     if twice := next((label for number, label in enumerate(called) if label in called[:number]), None):
         raise BadInputError(
-            f"campaign {plan.place('laws')}: two laws are both called {twice!r}, and a report could not tell them "
+            f"campaign {plan.file.place('laws')}: two laws are both called {twice!r}, and a report could not tell them "
             'apart; name one, as in { law = "./my_law.py:Law", name = "mine" }'
         )
     more = {row.name: [*map(_row, base.fault), *row.rows] if row.rows else None for row in tables.fault}
