@@ -1,13 +1,14 @@
 """The fault catalogue: every kind has a case, a sound robot passes, an unsafe one, a hung and a crashed run do not."""
 
 import json
+import subprocess
 import sys
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from firmware_protocol.built import HERE, SOURCES
+from firmware_protocol.built import FLAGS, HERE, SOURCES
 from hil.batch.catalogue.plan import Request, alone, pairs, scenarios
 from hil.batch.catalogue.verdicts import job_of, run_trials
 from hil.batch.keys import make_job
@@ -19,9 +20,10 @@ from hil.faults.cases import CASES, DURATION_S, Outcome
 from hil.faults.kinds import KINDS, find
 from hil.scenario import Scenario
 from hil.scenario.trial import FaultTable
+from tests import once
 from tests.processes import hil
 from tests.trials import done_here
-from tools.build.compiler import compile_shared
+from tools.build.compiler import compile_shared, compiler
 
 # What is changed in the firmware's sources, and the faults that show it.
 UNSAFE = {
@@ -81,6 +83,7 @@ UNSAFE = {
     ),
     "the set point is no number": ("node.c", "float left = 0.0f;", 'float left = __builtin_nanf("");', ("duplicate",)),
 }  # fmt: skip
+UNSAFE_FLAGS = ("-w", "-O0", f"-I{HERE / 'firmware'}")
 ONCE = ("--link", "memory", "--jobs", "1")
 LAWS = """
 import os
@@ -164,6 +167,15 @@ def test_a_sample_of_the_pairs_is_chosen_by_its_seed_and_all_seeds_together_take
     assert names(0) == []
 
 
+def _compiled(folder: Path) -> dict[str, Path]:
+    """Return the object file of each source of the firmware, by the source's name."""
+    made = {source.name: folder / f"{source.stem}.o" for source in SOURCES}
+    for source in SOURCES:
+        words = [*compiler(), *FLAGS, *UNSAFE_FLAGS, "-fPIC", "-c", str(source), "-o", str(made[source.name])]
+        subprocess.run(words, check=True)
+    return made
+
+
 @pytest.mark.parametrize("flaw", UNSAFE)
 def test_an_unsafe_firmware_is_caught(flaw, tmp_path) -> None:
     name, before, after, kinds = UNSAFE[flaw]
@@ -171,9 +183,9 @@ def test_an_unsafe_firmware_is_caught(flaw, tmp_path) -> None:
     assert text.count(before) == 1
     changed = tmp_path / name
     changed.write_text(text.replace(before, after).replace('"../generated/', f'"{HERE}/generated/'), encoding="utf-8")
-    sources = [changed if source.name == name else source for source in SOURCES]
+    sound = [made for source, made in once.made("objects of the firmware", _compiled).items() if source != name]
     library = tmp_path / "libunsafe.so"
-    compile_shared(sources, library, flags=("-w", "-O0", f"-I{HERE / 'firmware'}"))
+    compile_shared([changed, *sound], library, flags=UNSAFE_FLAGS)
     request = Request("circle_speed", [], ["memory"], kinds, tmp_path)
     trial = alone(request)[0]
     [scenario] = scenarios(request, [trial])
@@ -185,7 +197,7 @@ def test_an_unsafe_firmware_is_caught(flaw, tmp_path) -> None:
 
 def test_a_run_that_hangs_is_ended_and_one_that_crashes_is_told(tmp_path) -> None:
     (tmp_path / "laws.py").write_text(LAWS, encoding="utf-8")
-    hung, *_ = catalogue("--law", "laws.py:Hangs", "--kind", "push", "--limit", "2", *ONCE, cwd=tmp_path, code=1)
+    hung, *_ = catalogue("--law", "laws.py:Hangs", "--kind", "push", "--limit", "1", *ONCE, cwd=tmp_path, code=1)
     assert hung["verdict"].startswith("hung")
     assert hung["outcome"] is None
     crashed, *_ = catalogue("--law", "laws.py:Crashes", "--kind", "push", *ONCE, cwd=tmp_path, code=1)
