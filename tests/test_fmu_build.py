@@ -88,16 +88,8 @@ def test_the_validator_has_nothing_to_say(fmi: int) -> None:
     assert validate_fmu(str(build.build(fmi=fmi))) == []
 
 
-@pytest.mark.parametrize("fmi", VERSIONS)
-def test_the_archive_depends_on_its_inputs_alone(tmp_path: Path, fmi: int) -> None:
-    one, two = (build.build(tmp_path / name, fmi=fmi) for name in ("one.fmu", "two.fmu"))
-    assert one.read_bytes() == two.read_bytes() == plant_fmu.path(fmi).read_bytes()
-    with zipfile.ZipFile(one) as archive:
-        assert all(entry.date_time == (1980, 1, 1, 0, 0, 0) for entry in archive.infolist())
-
-
 def test_an_up_to_date_fmu_is_left_alone(tmp_path: Path) -> None:
-    out = build.build(tmp_path / "one.fmu")
+    out = Path(shutil.copy(build.build(), tmp_path / "one.fmu"))
     before = out.stat()
     build.build(out)
     assert (out.stat().st_ino, out.stat().st_mtime_ns) == (before.st_ino, before.st_mtime_ns)
@@ -269,10 +261,15 @@ def test_a_compiler_that_fails_is_quoted(tmp_path: Path) -> None:
     assert list(tmp_path.glob("lib*")) == []
 
 
-def test_as_a_program(tmp_path: Path) -> None:
+def test_the_program_makes_archives_that_depend_on_their_inputs_alone(tmp_path: Path) -> None:
     command = [sys.executable, "-m", "tools.build.fmu", "--out", str(tmp_path)]
     done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=True)
     assert done.stdout.splitlines() == [str(tmp_path / plant_fmu.path(fmi).name) for fmi in VERSIONS]
+    for fmi in VERSIONS:
+        made = tmp_path / plant_fmu.path(fmi).name
+        assert made.read_bytes() == build.build(fmi=fmi).read_bytes()  # of another time, in another folder
+        with zipfile.ZipFile(made) as archive:
+            assert all(entry.date_time == (1980, 1, 1, 0, 0, 0) for entry in archive.infolist())
     nowhere = [sys.executable, "-m", "tools.build.fmu", "--all-platforms"]
     refused = subprocess.run(nowhere, cwd=ROOT, capture_output=True, text=True, check=False)
     assert (refused.returncode, "--out FOLDER" in refused.stderr) == (2, True)
