@@ -74,6 +74,7 @@ check: setup .venv/tools
 	$(BIN)/python -m firmware_protocol.generate --check
 	$(BIN)/python -m plant_fmu.generate --check
 	$(BIN)/python -m plant_fmu.reference --check
+	$(BIN)/python -m tools.rules --check
 	$(BIN)/python -m hil.faults.page --check
 	$(BIN)/python -m hil.batch.reproduction.page --check
 

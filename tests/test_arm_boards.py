@@ -94,6 +94,7 @@ def test_lines_are_on_pins_that_the_chip_has_for_them(boards, board):
     assert function_of(lib.BOARD.host_can.receive) == "CAN1_RX"
 
 
+@pytest.mark.proves("R-SER-1")
 @pytest.mark.parametrize("board", BOARDS)
 def test_serial_rates_are_met_within_a_hundredth(boards, board):
     _, lib = boards[board]
@@ -102,6 +103,7 @@ def test_serial_rates_are_met_within_a_hundredth(boards, board):
         assert abs(bus_hz / round(bus_hz / line.baud) / line.baud - 1) < 0.01
 
 
+@pytest.mark.proves("R-CAN-1")
 @pytest.mark.parametrize("board", BOARDS)
 def test_a_can_bit_takes_a_microsecond_and_is_sampled_at_three_quarters_or_later(boards, board):
     can = boards[board][1].BOARD.host_can

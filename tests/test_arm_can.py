@@ -26,12 +26,14 @@ def test_only_the_hosts_messages_pass_the_can_filters():
     assert {half >> 5 for half in halves} == {m.frame_id for m in DBC.values() if "HOST" in m.senders}
 
 
+@pytest.mark.proves("R-CAN-1")
 def test_a_can_bit_is_14_quanta_of_3_clocks():
     own = machine("hil", "hil_f405", "can")
     own.boot()
     assert own.peek(CAN + BTR) == 2 | (10 - 1) << 16 | (3 - 1) << 20
 
 
+@pytest.mark.proves("R-CAN-2")
 def test_a_can_frame_goes_out_as_it_is():
     own = with_motors("f405_drivers", "can")
     own.write(SCRATCH, struct.pack("<HB", 0x123, 5) + bytes([1, 2, 3, 4, 5, 99, 99, 99]))

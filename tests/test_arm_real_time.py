@@ -69,6 +69,7 @@ class Bench:
         return [(one.state, one.fault) for one in self.heard if isinstance(one, m.Status)]
 
 
+@pytest.mark.proves("R-PORT-3")
 def test_each_tick_goes_through_the_plant_once(elf):
     bench = Bench(elf)
     bench.run_until(lambda: len(bench.ticks()) >= 10)
@@ -95,6 +96,7 @@ def test_step_is_refused_without_lockstep(elf):
     assert [one.state for one in bench.heard if isinstance(one, m.LinkCounters)][-1] == 1
 
 
+@pytest.mark.proves("R-PORT-4", "R-PORT-6")
 def test_a_plant_that_falls_silent_is_asked_again_and_then_a_fault_until_it_is_back(elf):
     bench = Bench(elf)
     bench.run_until(lambda: len(bench.ticks()) >= 3)

@@ -40,6 +40,7 @@ def encoded(kind: type[m.Message], values: tuple[float, ...], sequence: int) -> 
         return None
 
 
+@pytest.mark.proves("R-GEN-7", "R-GEN-9")
 @share_of_examples(3.0)
 @given(mode=st.sampled_from(m.Mode), speed=wheels, torque=wheels)
 def test_a_command_has_the_bytes_that_the_codec_gives(
@@ -95,6 +96,7 @@ events = st.one_of(
 )
 
 
+@pytest.mark.proves("R-BEAT-1", "R-BEAT-2")
 @share_of_examples(3.0)
 @given(mode=st.sampled_from(m.Mode), history=st.lists(events, max_size=60))
 def test_the_session_goes_as_its_twin_does(mode: m.Mode, history: list) -> None:
@@ -144,6 +146,7 @@ def test_the_session_goes_as_its_twin_does(mode: m.Mode, history: list) -> None:
         assert hellos == twin.hellos
 
 
+@pytest.mark.proves("R-ARM-4")
 def test_every_row_of_the_table_of_arming_is_the_twins() -> None:
     _, lib = library()
     found = set()
@@ -171,6 +174,7 @@ def test_every_row_of_the_table_of_arming_is_the_twins() -> None:
     assert found == {"DONE", "WAIT", "HOLD", "ASKED", "NEW_NONCE", "STRANGER", "REFUSED", "LATCHED"}
 
 
+@pytest.mark.proves("R-STOP-2")
 def test_an_estop_is_sent_whatever_waits() -> None:
     client = full()
     with pytest.raises(ValueError, match="cannot be sent"):
@@ -272,6 +276,7 @@ def test_without_a_log_all_else_is_the_same() -> None:
     assert bytes(ffi.buffer(lib.wheel_client_view(bare))) == bytes(ffi.buffer(client.view))
 
 
+@pytest.mark.proves("R-HELLO-6")
 @pytest.mark.parametrize(("version", "schema"), [(1, m.SCHEMA_HASH), (m.PROTOCOL_VERSION, 1)])
 def test_a_robot_with_another_protocol_is_never_greeted(version: int, schema: int) -> None:
     client = new_client()

@@ -66,6 +66,7 @@ def test_on_the_grid_decode_inverts_encode(number: int, data: st.DataObject) -> 
     assert codec.decode(codec.encode(message)) == message
 
 
+@pytest.mark.proves("R-GEN-10")
 @by_id
 @share_of_examples(0.4)
 @given(data=st.data())
@@ -85,6 +86,7 @@ def nearest(value: float, s: Limits) -> float:
     return math.copysign(raw, value) * s.scale
 
 
+@pytest.mark.proves("R-GEN-10")
 def test_halves_go_away_from_zero() -> None:
     step = 1 / 64
     below_half = math.nextafter(0.5 * step, 0.0)
@@ -115,6 +117,7 @@ def test_both_ends_of_every_range_agree_with_cantools(number: int) -> None:
             assert codec.decode(Frame(number, payload)) == build(number, values)
 
 
+@pytest.mark.proves("R-GEN-7")
 @by_id
 def test_beyond_each_range_encoding_names_message_field_value_and_range(number: int) -> None:
     signals = limits(number)
@@ -147,6 +150,7 @@ def test_an_integer_field_takes_no_float(number: int) -> None:
                 build(number, good | {s.name: s.raw_minimum + 0.5}).encode()
 
 
+@pytest.mark.proves("R-GEN-8")
 @by_id
 @share_of_examples(0.4)
 @given(data=st.data())
@@ -164,6 +168,7 @@ def test_any_payload_is_refused_or_has_one_meaning(number: int, data: st.DataObj
         assert codec.encode(message) == frame
 
 
+@pytest.mark.proves("R-GEN-8")
 @by_id
 def test_a_raw_value_just_outside_its_limits_is_refused(number: int) -> None:
     for name, payload in out_of_range_payloads(number):
@@ -185,6 +190,7 @@ def raw_value(number: int, s: Limits, payload: bytes) -> int:
     return value
 
 
+@pytest.mark.proves("R-TRN-1")
 @by_id
 def test_another_length_is_refused_as_such(number: int) -> None:
     for length in range(12):

@@ -63,6 +63,7 @@ def odometry() -> OdometryEstimator:
     return OdometryEstimator(ROBOT, START, COUNTS, slip_threshold_m_s=0.1)
 
 
+@pytest.mark.proves("R-SNAP-12")
 @given(body_twists, st.integers(0, 0xFFFF), st.booleans())
 def test_odometry_follows_an_arc(body, offset, with_gyro):
     """Within the encoders' resolution (0.12 mm a count) and the midpoint rule's error at 200 Hz."""

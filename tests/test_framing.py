@@ -23,11 +23,13 @@ wire = st.lists(
 """What a line may carry: valid frames among bytes of any kind."""
 
 
+@pytest.mark.proves("R-SER-4")
 def test_the_crc_has_its_check_value() -> None:
     assert crc16(b"123456789") == 0x29B1
     assert crc16(b"") == 0xFFFF
 
 
+@pytest.mark.proves("R-SER-2")
 @pytest.mark.parametrize("vector", vectors(), ids=lambda v: f"{v.message.NAME}-{v.sequence}")
 def test_golden_vectors(vector: Vector) -> None:
     framer = Framer()
@@ -40,6 +42,7 @@ def test_golden_vectors(vector: Vector) -> None:
     assert not any(deframer.rejected.values())
 
 
+@pytest.mark.proves("R-GEN-1", "R-CNT-2", "R-CNT-3", "R-CNT-4", "R-CNT-5", "R-CNT-6")
 @pytest.mark.parametrize(("cause", "serial"), rejected(), ids=lambda x: x if isinstance(x, str) else x.hex())
 def test_rejected_vectors(cause: str, serial: bytes) -> None:
     deframer = Deframer()
@@ -74,6 +77,7 @@ def test_where_the_stream_is_split_changes_nothing(stream: bytes, cuts: list[int
     assert (pieces.bytes, pieces.frames, pieces.lost) == (whole.bytes, whole.frames, whole.lost)
 
 
+@pytest.mark.proves("R-SER-5")
 @given(garbage=st.binary(max_size=100), frame=frames)
 def test_the_next_zero_ends_every_disturbance(garbage: bytes, frame: Frame) -> None:
     deframer = Deframer()
@@ -82,6 +86,7 @@ def test_the_next_zero_ends_every_disturbance(garbage: bytes, frame: Frame) -> N
     assert deframer.feed(Framer().encode(frame)) == [frame]
 
 
+@pytest.mark.proves("R-SER-6")
 @given(frame=frames)
 def test_stray_zeros_are_no_errors(frame: Frame) -> None:
     deframer = Deframer()
@@ -89,6 +94,7 @@ def test_stray_zeros_are_no_errors(frame: Frame) -> None:
     assert not any(deframer.rejected.values())
 
 
+@pytest.mark.proves("R-SER-7")
 @given(half=st.binary(min_size=1, max_size=MAX_ENCODED), before=st.integers(0, 300))
 def test_an_estop_is_heard_behind_half_a_frame(half: bytes, before: int) -> None:
     framer, deframer = Framer(), Deframer()
@@ -99,6 +105,7 @@ def test_an_estop_is_heard_behind_half_a_frame(half: bytes, before: int) -> None
     assert deframer.feed(framer.encode(estop)) == [estop]
 
 
+@pytest.mark.proves("R-SER-8")
 def test_memory_is_bounded_and_an_endless_frame_is_one_overrun() -> None:
     deframer = Deframer()
     for _ in range(100):
@@ -109,6 +116,7 @@ def test_memory_is_bounded_and_an_endless_frame_is_one_overrun() -> None:
     assert deframer.rejected["overrun"] == 1
 
 
+@pytest.mark.proves("R-SER-3")
 def test_lost_frames_show_as_gaps_of_the_sequence() -> None:
     framer, deframer = Framer(), Deframer()
     sent = [framer.encode(STEP_DONE) for _ in range(600)]
@@ -126,6 +134,7 @@ def test_a_corrupted_frame_is_both_rejected_and_lost() -> None:
     assert (deframer.rejected["crc"], deframer.lost) == (1, 1)
 
 
+@pytest.mark.proves("R-SER-3")
 def test_a_repeated_frame_or_a_new_sender_is_no_loss() -> None:
     framer, deframer = Framer(), Deframer()
     for _ in range(50):

@@ -84,6 +84,7 @@ def test_a_limit_must_be_a_limit(value):
         Guard(20.0, value)
 
 
+@pytest.mark.proves("R-LIM-5")
 @given(commands, limit, limit | st.just(math.inf) | st.floats(-5.0, 0.0))
 def test_what_the_robot_takes_is_a_limit_too_and_the_last_word_counts(command, own, robot):
     guard = Guard(own, 5.0)

@@ -44,6 +44,7 @@ def test_cobs_decodes_and_refuses_as_the_cobs_package(data: bytes, place: int, v
         assert bytes(in_place)[: length[0]] == expected
 
 
+@pytest.mark.proves("R-GEN-1", "R-SER-3", "R-SER-8")
 @given(pieces=st.lists(st.builds(lambda f: Framer().encode(f), frames) | st.binary(max_size=30), max_size=10))
 def test_it_takes_and_counts_what_the_python_twin_does(pieces: list[bytes]) -> None:
     stream = b"".join(pieces) + b"".join(serial for _, serial in rejected())
@@ -86,12 +87,14 @@ def test_the_hosts_line_hears_what_the_python_twin_does(pieces: list[bytes], cut
     assert line.rejected == twin.rejected | {"lost": twin.lost}
 
 
+@pytest.mark.proves("R-SER-2")
 @given(sent=st.lists(frames, max_size=300))
 def test_the_hosts_line_sends_what_the_python_twin_does(sent: list[Frame]) -> None:
     line, twin = HostLine(), Framer()
     assert [line.encode(frame) for frame in sent] == [twin.encode(frame) for frame in sent]
 
 
+@pytest.mark.proves("R-SER-7")
 @given(half=st.binary(min_size=1, max_size=20))
 def test_an_estop_of_the_hosts_line_is_obeyed_behind_half_a_frame(half: bytes) -> None:
     rig, line = WheelRig(), HostLine()

@@ -304,6 +304,7 @@ def line(*rows: FaultRow, seed: int = 1):
     return wire, FaultLine(wire, time, faults), faults
 
 
+@pytest.mark.proves("R-STEP-9")
 @given(st.integers(0, 2**32 - 1), st.sampled_from(["bit_errors", "truncation", "babble"]), st.floats(0.001, 0.2))
 def test_spoilt_bytes_never_make_a_wrong_frame_and_never_touch_lockstep(seed, kind, value) -> None:
     babbles = kind == "babble"

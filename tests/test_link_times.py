@@ -80,6 +80,7 @@ def test_one_exchange_is_wrong_by_half_its_round_trip_at_most(there_us, back_us,
     assert way["p50"] == way["p99"] == pytest.approx(there_us + back_us)
 
 
+@pytest.mark.proves("R-TIME-4")
 def test_the_robot_s_clock_wraps_and_the_offset_does_not():
     robot, sync = Robot(2**31 - 3_000_000, 0.0), ClockSync()
     seen = []

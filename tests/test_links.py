@@ -237,6 +237,7 @@ FOREIGN = [
 ]
 
 
+@pytest.mark.proves("R-CAN-3", "R-CAN-4")
 @pytest.mark.parametrize("fd", [False, True])
 def test_a_host_gets_the_robots_messages_over_can_and_counts_what_is_foreign(fd):
     url = CanUrl("virtual", f"test_links_{fd}", fd=fd)
@@ -253,6 +254,7 @@ def test_a_host_gets_the_robots_messages_over_can_and_counts_what_is_foreign(fd)
         assert host.receive(1_000_000) is None
 
 
+@pytest.mark.proves("R-CAN-3", "R-CNT-4", "R-CNT-6", "R-STEP-8")
 def test_a_robots_firmware_gets_and_counts_every_standard_data_frame_of_others():
     url = CanUrl("virtual", "test_links_robot")
     rig = WheelRig(lockstep=True)

@@ -13,6 +13,7 @@ from tests.examples import share_of_examples
 from tests.wheel_rig import PARAMETERS, REST_TICKS, WheelRig
 
 
+@pytest.mark.proves("R-STATE-4")
 def test_drives_the_wheels_to_the_commanded_speed():
     rig = WheelRig()
     rig.activate()
@@ -22,6 +23,7 @@ def test_drives_the_wheels_to_the_commanded_speed():
     assert feedback.fl_rad_s == pytest.approx(rig.speed_rad_s[0], abs=0.3)
 
 
+@pytest.mark.proves("R-STATE-2", "R-CNT-10")
 def test_starts_idle_and_does_not_move_on_commands_there():
     rig = WheelRig()
     assert rig.state is m.State.IDLE
@@ -30,6 +32,7 @@ def test_starts_idle_and_does_not_move_on_commands_there():
     assert rig.node.look().rejected["state"] == 20
 
 
+@pytest.mark.proves("R-CMD-2", "R-FF-2")
 def test_first_command_must_be_zero():
     rig = WheelRig()
     rig.arm()
@@ -42,6 +45,7 @@ def test_first_command_must_be_zero():
     assert rig.speed_rad_s == [0.0] * 4
 
 
+@pytest.mark.proves("R-WD-2", "R-RAMP-4", "R-GEN-4")
 def test_silence_ramps_the_set_point_to_zero_and_latches():
     rig = WheelRig()
     rig.activate()
@@ -63,6 +67,7 @@ def test_silence_ramps_the_set_point_to_zero_and_latches():
     assert max(map(abs, rig.speed_rad_s)) < 0.5
 
 
+@pytest.mark.proves("R-GEN-2", "R-GEN-3", "R-FF-3")
 @pytest.mark.parametrize(
     "feed",
     [
@@ -105,6 +110,7 @@ def test_nothing_but_a_fresh_command_feeds_the_watchdog(feed):
     assert rig.state is m.State.STOPPING
 
 
+@pytest.mark.proves("R-CMD-4")
 @given(distance=st.integers(0, 255))
 def test_sequence_window(distance):
     rig = WheelRig()
@@ -116,6 +122,7 @@ def test_sequence_window(distance):
     assert (rig.node.look().rejected["stale"] == before) == (1 <= distance <= 20)
 
 
+@pytest.mark.proves("R-ARM-3", "R-GEN-4")
 def test_a_repeated_wish_never_rearms():
     rig = WheelRig()
     rig.activate()
@@ -130,6 +137,7 @@ def test_a_repeated_wish_never_rearms():
     assert rig.state is m.State.ARMED
 
 
+@pytest.mark.proves("R-ARM-1", "R-ARM-3")
 def test_a_wish_that_was_held_never_arms():
     """Through a stop, an e-stop and its clearing, and a reset: only an announced nonce arms, and only once."""
     rig = WheelRig()
@@ -155,6 +163,7 @@ def test_a_wish_that_was_held_never_arms():
     assert reset.state is m.State.ARMED
 
 
+@pytest.mark.proves("R-ARM-2")
 def test_an_announcement_holds_for_the_state_in_which_it_was_made():
     rig = WheelRig()
     rig.heartbeat(m.Request.IDLE, 0x1234)
@@ -164,6 +173,7 @@ def test_an_announcement_holds_for_the_state_in_which_it_was_made():
     assert rig.state is m.State.IDLE
 
 
+@pytest.mark.proves("R-REF-5", "R-REF-6", "R-ARM-7")
 @pytest.mark.parametrize(
     ("change", "refusal"),
     [
@@ -180,6 +190,7 @@ def test_arming_is_refused_with_a_reason(change, refusal):
     assert [x for x in rig.heard() if isinstance(x, m.Status)][-1].arm_refusal == refusal
 
 
+@pytest.mark.proves("R-REF-4", "R-SES-1")
 def test_a_session_number_is_not_used_twice_in_a_row():
     rig = WheelRig()
     rig.arm(nonce=0x0017)
@@ -188,6 +199,7 @@ def test_a_session_number_is_not_used_twice_in_a_row():
     assert [x for x in rig.heard() if isinstance(x, m.Status)][-1].arm_refusal == m.ArmRefusal.SESSION_USED
 
 
+@pytest.mark.proves("R-STATE-3")
 def test_armed_without_a_command_falls_back():
     rig = WheelRig()
     rig.arm()
@@ -195,6 +207,7 @@ def test_armed_without_a_command_falls_back():
     assert (rig.state, rig.node.look().stop_reason) == (m.State.IDLE, m.StopReason.ARM_TIMEOUT)
 
 
+@pytest.mark.proves("R-STATE-7", "R-STATE-10", "R-STOP-3", "R-CLEAR-1")
 @pytest.mark.parametrize("mode", [m.Mode.SPEED, m.Mode.TORQUE])
 def test_estop_brakes_at_once_and_latches(mode):
     rig = WheelRig()
@@ -224,6 +237,7 @@ def test_estop_brakes_at_once_and_latches(mode):
     assert rig.state is m.State.IDLE
 
 
+@pytest.mark.proves("R-RAMP-3")
 @pytest.mark.parametrize("end", ["estop", "silence"])
 def test_a_stop_does_not_drive_with_what_was_wound_up(end):
     """Wheels blocked under a command, then stopped, then free: they must not start."""
@@ -240,6 +254,7 @@ def test_a_stop_does_not_drive_with_what_was_wound_up(end):
     assert max(map(abs, rig.speed_rad_s)) < 0.2
 
 
+@pytest.mark.proves("R-STOP-4", "R-GEN-6")
 @pytest.mark.parametrize("end", ["idle", "fault"])
 def test_estop_never_switches_drives_on(end):
     rig = WheelRig()
@@ -263,6 +278,7 @@ def test_estop_never_switches_drives_on(end):
     assert rig.state is m.State.ESTOP
 
 
+@pytest.mark.proves("R-STATE-12")
 def test_a_plant_that_is_gone_is_not_cleared():
     rig = WheelRig()
     rig.fail = True
@@ -274,6 +290,7 @@ def test_a_plant_that_is_gone_is_not_cleared():
     assert rig.state is m.State.FAULT
 
 
+@pytest.mark.proves("R-STAT-1", "R-GEN-6")
 def test_estop_of_a_faulty_robot_latches_and_keeps_its_reason():
     rig = WheelRig(overspeed_rad_s=8.0)
     rig.activate()
@@ -287,6 +304,7 @@ def test_estop_of_a_faulty_robot_latches_and_keeps_its_reason():
     assert (rig.state, rig.node.look().stop_reason) == (m.State.ESTOP, m.StopReason.ESTOP)
 
 
+@pytest.mark.proves("R-SNAP-3", "R-FAULT-1")
 def test_a_sensor_fault_is_still_told():
     rig = WheelRig()
     rig.activate()
@@ -299,6 +317,7 @@ def test_a_sensor_fault_is_still_told():
     assert client.view.incomplete == 0
 
 
+@pytest.mark.proves("R-GEN-1", "R-GEN-2", "R-GEN-8", "R-CNT-7", "R-STEP-8")
 @pytest.mark.parametrize("kind", [m.HostHeartbeat, m.TorqueFeedforward, m.WheelCommand, m.TorqueCommand, m.Step])
 def test_a_payload_out_of_range_does_nothing_and_is_counted(kind):
     rig = WheelRig(lockstep=True)
@@ -311,6 +330,7 @@ def test_a_payload_out_of_range_does_nothing_and_is_counted(kind):
     assert rig.node.look().rejected["range"] == 1
 
 
+@pytest.mark.proves("R-RAMP-2")
 def test_torque_mode_stops_by_the_speed_loop():
     rig = WheelRig()
     rig.activate(m.Mode.TORQUE)
@@ -324,6 +344,7 @@ def test_torque_mode_stops_by_the_speed_loop():
     assert rig.state is m.State.IDLE
 
 
+@pytest.mark.proves("R-FF-1", "R-FF-2")
 def test_feedforward_needs_the_command_of_its_sequence():
     rig = WheelRig()
     rig.activate()
@@ -339,6 +360,7 @@ def test_feedforward_needs_the_command_of_its_sequence():
     assert rig.node.look().rejected["feedforward_unmatched"] == 1
 
 
+@pytest.mark.proves("R-LIM-1")
 def test_all_four_are_scaled_together_at_the_limit():
     rig = WheelRig(torque_limit_n_m=2.0)
     rig.activate(m.Mode.TORQUE)
@@ -347,6 +369,7 @@ def test_all_four_are_scaled_together_at_the_limit():
     assert rig.torque_n_m == [2.0, -1.0, 0.5, 0.0]
 
 
+@pytest.mark.proves("R-FAULT-1", "R-GEN-5")
 def test_a_failed_plant_and_a_sensor_that_is_no_number_are_faults():
     rig = WheelRig()
     rig.activate()
@@ -364,6 +387,7 @@ def test_a_failed_plant_and_a_sensor_that_is_no_number_are_faults():
     assert (rig.state, rig.node.look().plant_failed) == (m.State.FAULT, True)
 
 
+@pytest.mark.proves("R-FAULT-2")
 def test_overspeed_is_a_fault():
     rig = WheelRig(overspeed_rad_s=8.0)
     rig.activate()
@@ -377,6 +401,7 @@ def push(rig, speed_rad_s):
     rig.drive(0.0, 200)
 
 
+@pytest.mark.proves("R-LIM-2", "R-LIM-3", "R-LIM-4")
 @pytest.mark.parametrize(("overspeed_rad_s", "limit_rad_s"), [(8.0, 6.390625), (10.0, 8.0), (100.0, 63.984375)])
 def test_a_command_beyond_the_speed_limit_is_scaled_and_keeps_its_direction(overspeed_rad_s, limit_rad_s):
     """0.8 times the speed that is a fault, in steps of 1/64; a robot that stands more drives as it is told."""
@@ -394,6 +419,7 @@ def test_a_command_beyond_the_speed_limit_is_scaled_and_keeps_its_direction(over
     assert view.rejected["range"] == 0
 
 
+@pytest.mark.proves("R-LIM-7")
 @pytest.mark.parametrize(("asked_rad_s", "is_counted"), [(8.0, False), (-8.0, False), (8.015625, True)])
 def test_a_scaled_speed_is_counted_and_the_end_of_the_limit_is_not(asked_rad_s, is_counted):
     rig = WheelRig(overspeed_rad_s=10.0)
@@ -406,6 +432,7 @@ def test_a_scaled_speed_is_counted_and_the_end_of_the_limit_is_not(asked_rad_s, 
     assert second - first == (100 if is_counted else 0)
 
 
+@pytest.mark.proves("R-STEP-4", "R-STEP-5", "R-STEP-6", "R-TIME-1")
 def test_step_is_idempotent_and_answers_after_the_feedback():
     rig = WheelRig(lockstep=True)
     rig.heard()
@@ -418,6 +445,7 @@ def test_step_is_idempotent_and_answers_after_the_feedback():
     assert rig.node.look().tick == 5
 
 
+@pytest.mark.proves("R-STEP-2")
 @pytest.mark.parametrize("kind", [{"lockstep": False}, {"lockstep": True, "power_stage": True}])
 def test_step_is_refused_outside_lockstep_and_by_motors(kind):
     rig = WheelRig(**kind)
@@ -427,6 +455,7 @@ def test_step_is_refused_outside_lockstep_and_by_motors(kind):
     assert rig.node.look().tick == 0
 
 
+@pytest.mark.proves("R-HELLO-1", "R-HASH-3")
 def test_hello_reports_identity_and_parameter_hash():
     rig = WheelRig(overspeed_rad_s=40.0)
     rig.heard()
@@ -455,6 +484,7 @@ def test_parameters_match_their_structure():
     assert [name for name, _ in ffi.typeof("wheel_parameters").fields] == [p.name for p in parameters()]
 
 
+@pytest.mark.proves("R-CNT-1", "R-CNT-2", "R-CNT-10", "R-CNT-12")
 def test_counters_of_the_link_reach_the_host_and_wrap():
     rig = WheelRig()
     for _ in range(300):
@@ -474,6 +504,7 @@ _ANY_FRAME = st.builds(
 )
 
 
+@pytest.mark.proves("R-GEN-2")
 @share_of_examples(3.0)
 @given(data=st.lists(st.binary(max_size=40) | _ANY_FRAME, max_size=40))
 def test_neither_bytes_nor_valid_frames_move_an_idle_robot(data):
@@ -489,6 +520,7 @@ def test_neither_bytes_nor_valid_frames_move_an_idle_robot(data):
 _PLAUSIBLE = st.builds(Frame, st.sampled_from(sorted(set(m.LENGTHS) - {m.Step.ID})), st.binary(min_size=8, max_size=8))
 
 
+@pytest.mark.proves("R-GEN-3")
 @share_of_examples(3.0)
 @given(frames=st.lists(_PLAUSIBLE, max_size=60))
 def test_no_stale_frames_keep_an_active_robot_going(frames):

@@ -34,6 +34,7 @@ def set_temperature(rig: WheelRig, wheel: int, value: float) -> None:
     rig.temperature_degc[wheel] = value
 
 
+@pytest.mark.proves("R-FAULT-4", "R-FAULT-5", "R-FAULT-9", "R-GEN-5")
 @pytest.mark.parametrize("wheel", range(4))
 @pytest.mark.parametrize(
     ("cause", "ticks", "harmless", "break_it"),
@@ -65,6 +66,7 @@ def test_a_limit_is_a_fault_of_its_wheel_beyond_it_and_in_time(
     assert rig.torque_n_m == rig.duty == [0.0] * 4
 
 
+@pytest.mark.proves("R-FAULT-6")
 def test_a_low_battery_is_a_fault_of_a_driving_robot_only() -> None:
     rig, sequence = driving(undervoltage_v=18.0)
     rig.battery_v = 17.99
@@ -88,6 +90,7 @@ def test_a_low_battery_is_a_fault_of_a_driving_robot_only() -> None:
     assert rig.state is m.State.FAULT
 
 
+@pytest.mark.proves("R-FAULT-6")
 def test_a_battery_that_sags_while_stopping_is_a_fault() -> None:
     rig, _ = driving(undervoltage_v=18.0)
     rig.run(50)
@@ -97,6 +100,7 @@ def test_a_battery_that_sags_while_stopping_is_a_fault() -> None:
     assert rig.state is m.State.FAULT
 
 
+@pytest.mark.proves("R-FAULT-2", "R-FAULT-9")
 @pytest.mark.parametrize("wheel", range(4))
 @pytest.mark.parametrize("pushed_rad_s", [100.5, -100.5])
 def test_overspeed_of_any_wheel_either_way_is_a_fault(wheel: int, pushed_rad_s: float) -> None:
@@ -109,6 +113,7 @@ def test_overspeed_of_any_wheel_either_way_is_a_fault(wheel: int, pushed_rad_s: 
     assert (rig.state, fault(rig)) == (m.State.FAULT, (m.Fault.OVERSPEED, m.FaultWheel(wheel + 1)))
 
 
+@pytest.mark.proves("R-FAULT-1")
 @pytest.mark.parametrize(
     "path", ["current_a", "temperature_degc", "gyro_rad_s", "acceleration_m_s2", "battery_v", "battery_a"]
 )
@@ -123,6 +128,7 @@ def test_a_value_that_no_sensor_gives_is_a_fault_at_once(path: str, value: float
             break
 
 
+@pytest.mark.proves("R-FAULT-7", "R-FAULT-9")
 @pytest.mark.parametrize("wheel", range(4))
 @pytest.mark.parametrize("speed_rad_s", [10.0, -10.0])
 def test_a_dead_encoder_is_found_and_named(wheel: int, speed_rad_s: float) -> None:
@@ -155,6 +161,7 @@ def test_a_dead_encoder_is_found_in_either_mode(mode: m.Mode) -> None:
     assert (rig.state, fault(rig)) == (m.State.FAULT, (m.Fault.ENCODER_STUCK, m.FaultWheel.RR))
 
 
+@pytest.mark.proves("R-FAULT-8", "R-FAULT-9")
 @pytest.mark.parametrize("wheel", range(4))
 @pytest.mark.parametrize("speed_rad_s", [5.0, -5.0])
 def test_a_wheel_wired_the_wrong_way_round_is_found(wheel: int, speed_rad_s: float) -> None:
@@ -166,6 +173,7 @@ def test_a_wheel_wired_the_wrong_way_round_is_found(wheel: int, speed_rad_s: flo
     assert max(map(abs, rig.speed_rad_s)) < 30.0
 
 
+@pytest.mark.proves("R-FAULT-8")
 @pytest.mark.parametrize("end", ["estop", "silence", "request"])
 @pytest.mark.parametrize("wheel", range(4))
 @pytest.mark.parametrize("torque_n_m", [1.0, -1.0])
@@ -192,6 +200,7 @@ def test_a_stop_of_torque_mode_does_not_drive_a_wheel_whose_encoder_is_mirrored(
     assert max(map(abs, rig.speed_rad_s)) < 45.0
 
 
+@pytest.mark.proves("R-FAULT-11")
 @pytest.mark.parametrize("end", ["estop", "silence"])
 def test_a_robot_that_a_slope_drives_on_keeps_its_brakes(end: str) -> None:
     """All four wheels gain speed against their torque, and say so together: no encoder is wrong."""
@@ -207,6 +216,7 @@ def test_a_robot_that_a_slope_drives_on_keeps_its_brakes(end: str) -> None:
     assert fault(rig) == (m.Fault.NONE, m.FaultWheel.NONE)
 
 
+@pytest.mark.proves("R-FAULT-7")
 @pytest.mark.parametrize("period_s", [0.02, 0.1, 1.0])
 def test_the_time_until_an_encoder_fault_is_a_parameter(period_s: float) -> None:
     rig, sequence = driving(encoder_fault_s=period_s, speed_kp_n_m_s_rad=0.2, speed_ki_n_m_rad=0.0)
@@ -221,6 +231,7 @@ def test_the_time_until_an_encoder_fault_is_a_parameter(period_s: float) -> None
     assert fault(rig) == (m.Fault.ENCODER_STUCK, m.FaultWheel.RL)
 
 
+@pytest.mark.proves("R-FAULT-10")
 def test_the_first_fault_is_kept_and_clearing_forgets_it() -> None:
     rig, _ = driving()
     rig.temperature_degc[1] = 130.0
@@ -239,6 +250,7 @@ def test_the_first_fault_is_kept_and_clearing_forgets_it() -> None:
     assert rig.state is m.State.ACTIVE
 
 
+@pytest.mark.proves("R-STATE-12")
 @pytest.mark.parametrize("cause", ["temperature", "current", "sensor"])
 def test_a_cause_that_lasts_is_a_fault_again_after_clearing(cause: str) -> None:
     rig = WheelRig()
@@ -251,6 +263,7 @@ def test_a_cause_that_lasts_is_a_fault_again_after_clearing(cause: str) -> None:
     assert rig.state is m.State.FAULT
 
 
+@pytest.mark.proves("R-STATE-7", "R-GEN-5")
 def test_a_fault_while_an_estop_brakes_switches_off_and_stays_an_estop() -> None:
     rig, _ = driving()
     rig.send(m.Estop(0, 0))
@@ -261,6 +274,7 @@ def test_a_fault_while_an_estop_brakes_switches_off_and_stays_an_estop() -> None
     assert (rig.state, rig.enabled, rig.torque_n_m) == (m.State.ESTOP, False, [0.0] * 4)
 
 
+@pytest.mark.proves("R-STATE-7")
 def test_an_estop_gives_up_on_wheels_that_do_not_stop() -> None:
     rig, _ = driving()
     rig.held = [True] * 4  # towed
@@ -271,6 +285,7 @@ def test_an_estop_gives_up_on_wheels_that_do_not_stop() -> None:
     assert not rig.enabled
 
 
+@pytest.mark.proves("R-STATE-5")
 def test_a_stop_gives_up_on_wheels_that_do_not_stop() -> None:
     rig, _ = driving()
     rig.held = [True] * 4
@@ -301,6 +316,7 @@ class Stand(WheelRig):
         assert (self.state, fault(self)) == (m.State.ACTIVE, (m.Fault.NONE, m.FaultWheel.NONE))
 
 
+@pytest.mark.proves("R-FAULT-11")
 def test_all_wheels_blocked_is_no_encoder_fault() -> None:
     stand = Stand(m.Mode.SPEED)
     stand.held = [True] * 4
@@ -329,6 +345,7 @@ def moves(value: st.SearchStrategy[float]) -> st.SearchStrategy[list[tuple[tuple
     return st.lists(st.tuples(four | same, st.integers(20, 400)), min_size=1, max_size=12)
 
 
+@pytest.mark.proves("R-FAULT-11")
 @share_of_examples(0.6)
 @given(
     profile=moves(_SPEED | st.sampled_from([0.0, 2.1, -2.1, 60.0, -60.0])),
@@ -346,6 +363,7 @@ def test_no_false_alarm_whatever_speeds_are_commanded(
     stand.assert_no_fault()
 
 
+@pytest.mark.proves("R-FAULT-11")
 @share_of_examples(0.6)
 @given(profile=moves(_TORQUE))
 def test_no_false_alarm_whatever_torques_are_commanded(profile: list[tuple[tuple[float, ...], int]]) -> None:

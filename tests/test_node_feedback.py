@@ -17,6 +17,7 @@ WRAP = 1 << 32
 time_us = st.sampled_from([0, 1, WRAP - 1, WRAP - 70_000]) | st.integers(0, WRAP - 1)
 
 
+@pytest.mark.proves("R-TIME-3", "R-TIME-4")
 @given(received=time_us, held=st.integers(0, 200_000), sequence=st.integers(0, 255))
 def test_time_sync_stamps_arrival_and_waiting_across_the_wrap(received: int, held: int, sequence: int) -> None:
     node = BareNode()
@@ -25,6 +26,7 @@ def test_time_sync_stamps_arrival_and_waiting_across_the_wrap(received: int, hel
     assert node.heard(received + held) == [m.TimeSyncResponse(received, min(held, 0xFFFF), sequence)]
 
 
+@pytest.mark.proves("R-TIME-3")
 @given(requests=st.lists(st.tuples(time_us, st.integers(0, 255)), max_size=8), sent=time_us)
 def test_each_of_several_time_syncs_that_wait_tells_its_own_waiting(requests: list[tuple[int, int]], sent: int) -> None:
     node = BareNode()
@@ -35,6 +37,7 @@ def test_each_of_several_time_syncs_that_wait_tells_its_own_waiting(requests: li
     assert node.heard(sent) == expected
 
 
+@pytest.mark.proves("R-GEN-3")
 def test_time_sync_is_answered_in_every_state_and_feeds_no_watchdog() -> None:
     rig = WheelRig()
     rig.activate()
@@ -47,6 +50,7 @@ def test_time_sync_is_answered_in_every_state_and_feeds_no_watchdog() -> None:
     assert rig.state is m.State.STOPPING
 
 
+@pytest.mark.proves("R-ABS-1")
 @given(turns=st.lists(st.lists(st.integers(-32768, 32767), min_size=4, max_size=4), max_size=20))
 def test_absolute_counts_follow_the_wrapping_ones(turns: list[list[int]]) -> None:
     """From zero at the beginning, whatever the encoders said then; up to half a circle in a tick."""
@@ -62,6 +66,7 @@ def test_absolute_counts_follow_the_wrapping_ones(turns: list[list[int]]) -> Non
     assert list(node.node.absolute_count) == [t & 0xFFFF_FFFF for t in total]
 
 
+@pytest.mark.proves("R-ABS-1")
 def test_absolute_counts_are_told_once_a_second_wheel_by_wheel() -> None:
     rig = WheelRig()
     rig.speed_rad_s = [90.0, -90.0, 30.0, 0.0]
@@ -83,6 +88,7 @@ BITS = {m.Currents: 4, m.Accelerometer: 8, m.Gyro: 16}
 TENTH = {Capability.POWER: m.Power, Capability.TEMPERATURES: m.Temperatures}
 
 
+@pytest.mark.proves("R-SNAP-3", "R-POW-1", "R-HELLO-5")
 @given(has=st.sets(st.sampled_from([*SLOW, *TENTH])))
 def test_only_parts_with_a_sensor_are_sent_and_announced(has: set[Capability]) -> None:
     capabilities = Capability(sum(has)) | Capability.SPEED | Capability.TORQUE
@@ -97,7 +103,10 @@ def test_only_parts_with_a_sensor_are_sent_and_announced(has: set[Capability]) -
     assert announced == {3 | sum(BITS[kind] for c, kind in SLOW.items() if c in has)}
 
 
-@pytest.mark.parametrize(("period_s", "fast", "slow"), [(0.001, 100, 20), (0.004, 25, 5), (0.005, 20, 20), (0.2, 1, 1)])
+@pytest.mark.proves("R-SNAP-2")
+@pytest.mark.parametrize(
+    ("period_s", "fast", "slow"), [(0.001, 100, 20), (0.004, 25, 5), (0.005, 20, 20), (0.007, 15, 15), (0.2, 1, 1)]
+)
 def test_slow_parts_come_at_200_hz_at_most(period_s: float, fast: int, slow: int) -> None:
     """Four does not divide five: the slow parts then come with the snapshots that fall on their ticks."""
     rig = WheelRig(feedback_period_s=period_s)
@@ -107,6 +116,7 @@ def test_slow_parts_come_at_200_hz_at_most(period_s: float, fast: int, slow: int
     assert kinds[m.Currents] == kinds[m.Gyro] == kinds[m.Accelerometer] == slow
 
 
+@pytest.mark.proves("R-MEAN-2")
 def test_what_the_sensors_say_arrives() -> None:
     node = BareNode()
     node.sense.current_a = [1.0, -2.0, 3.0, 40.0]
@@ -134,6 +144,7 @@ def test_a_speed_beyond_its_message_is_told_as_its_end(push: float) -> None:
     assert speeds.rr_rad_s == math.copysign(127.99609375, push)
 
 
+@pytest.mark.proves("R-SNAP-11")
 def test_the_age_of_the_command_stays_at_its_end() -> None:
     rig = WheelRig(watchdog_s=0.1)
     rig.activate()
@@ -144,6 +155,7 @@ def test_the_age_of_the_command_stays_at_its_end() -> None:
     assert [x.command_age_ms for x in rig.heard() if isinstance(x, m.Tick)][-1] == 255
 
 
+@pytest.mark.proves("R-HELLO-1", "R-HELLO-3", "R-HELLO-5")
 def test_hello_tells_the_identity() -> None:
     node = BareNode()
     node.heard()
@@ -163,6 +175,7 @@ def listen(node: BareNode, ticks: int) -> list[object]:
     return heard
 
 
+@pytest.mark.proves("R-CNT-1", "R-CNT-12")
 def test_every_cause_of_a_port_is_told_in_its_place() -> None:
     node = BareNode()
     for place, name in enumerate(
@@ -178,6 +191,7 @@ def test_every_cause_of_a_port_is_told_in_its_place() -> None:
     assert port == m.PortCounters(5, 30, 40, 6, 7, 8)
 
 
+@pytest.mark.proves("R-CNT-3", "R-CNT-4", "R-CNT-5", "R-SER-3")
 def test_the_line_is_counted_by_cause_and_by_loss() -> None:
     rig = WheelRig()
     framer = Framer()
@@ -207,6 +221,7 @@ def test_what_does_not_fit_the_queue_is_counted_and_told() -> None:
     assert told[-1].transmit_overrun == lost & 0xFF
 
 
+@pytest.mark.proves("R-CNT-4", "R-CNT-6", "R-TRN-1")
 def test_a_message_of_a_wrong_length_or_direction_is_counted() -> None:
     rig = WheelRig()
     for frame in (Frame(m.Estop.ID, b"\0"), Frame(m.Estop.ID, b"\0\0\0"), Frame(m.Estop.ID, b"")):
@@ -230,6 +245,7 @@ def limited(rig: WheelRig) -> int:
     return [x for x in rig.heard() if isinstance(x, m.Status)][-1].limited
 
 
+@pytest.mark.proves("R-LIM-1", "R-LIM-6", "R-LIM-7")
 @pytest.mark.parametrize(
     ("changes", "hottest_degc", "largest_n_m"),
     [
@@ -256,6 +272,7 @@ def test_all_four_are_scaled_by_one_factor_at_each_limit(
     assert (limited(rig) > 0) == (factor < 1.0)
 
 
+@pytest.mark.proves("R-LIM-6")
 @pytest.mark.parametrize("temperature_degc", [120.0, 150.0, 1e6])
 def test_nothing_is_allowed_beyond_the_temperature_limit(temperature_degc: float) -> None:
     node = BareNode()
@@ -264,6 +281,7 @@ def test_nothing_is_allowed_beyond_the_temperature_limit(temperature_degc: float
     assert node.lib.wheel_node_torque_limit(node.node) == 0.0
 
 
+@pytest.mark.proves("R-LIM-6", "R-LIM-7")
 def test_the_speed_loop_is_limited_too_and_counted() -> None:
     rig = WheelRig()
     rig.activate()
@@ -273,6 +291,7 @@ def test_the_speed_loop_is_limited_too_and_counted() -> None:
     assert limited(rig) >= 50
 
 
+@pytest.mark.proves("R-DRIVE-1")
 def test_the_duties_drive_the_torques_through_real_windings() -> None:
     node = BareNode()
     node.activate(m.Mode.TORQUE)
@@ -293,6 +312,7 @@ def test_the_duties_drive_the_torques_through_real_windings() -> None:
     assert list(node.drive.torque_n_m) == [4.0, -2.0, 1.0, 0.0], "a drive with a current loop of its own goes on"
 
 
+@pytest.mark.proves("R-SES-2")
 def test_a_current_loop_begins_anew_with_each_session() -> None:
     node = BareNode()
     node.activate(m.Mode.TORQUE)

@@ -73,6 +73,7 @@ def on_wire(message: codec.Message) -> bytes:
 numbers = st.floats(-12.0, 12.0, width=32)
 
 
+@pytest.mark.proves("R-MEAN-1", "R-MEAN-2", "R-MEAN-3", "R-SNAP-8")
 @share_of_examples(0.3)
 @given(period=st.sampled_from([1, 2, 5, 7, 20, 50]), values=st.lists(numbers, min_size=51, max_size=120))
 def test_each_is_the_mean_over_the_period_that_ends_with_the_snapshot(period: int, values: list[float]) -> None:
@@ -86,6 +87,7 @@ def test_each_is_the_mean_over_the_period_that_ends_with_the_snapshot(period: in
             assert on_wire(heard[kind]) == on_wire(expected), (tick, kind)
 
 
+@pytest.mark.proves("R-MEAN-3", "R-SNAP-2")
 def test_the_first_snapshot_after_a_reset_and_a_period_of_one_millisecond_tell_the_instant() -> None:
     (first,) = (x for x in Robot(0.2).say(3.0) if isinstance(x, m.Currents))
     assert first.fl_a == 3.0
@@ -95,6 +97,7 @@ def test_the_first_snapshot_after_a_reset_and_a_period_of_one_millisecond_tell_t
         assert [x.fl_a for x in heard] == ([0.25 * tick] if tick % 5 == 0 else [])
 
 
+@pytest.mark.proves("R-MEAN-3")
 def test_the_longest_period_is_two_hundred_samples() -> None:
     node = Robot(0.2)
     values = [single(0.01 * tick) for tick in range(201)]
@@ -103,6 +106,7 @@ def test_the_longest_period_is_two_hundred_samples() -> None:
     assert on_wire(currents) == on_wire(told(values[1:], 200)[m.Currents])
 
 
+@pytest.mark.proves("R-MEAN-4", "R-SNAP-3")
 @pytest.mark.parametrize("gone", [{1}, {1, 2, 3, 4}, {5}, {1, 5}])
 def test_a_tick_without_a_number_is_left_out(gone: set[int]) -> None:
     node = Robot()
@@ -117,6 +121,7 @@ def test_a_tick_without_a_number_is_left_out(gone: set[int]) -> None:
     assert [x.fl_a for x in currents] == [8.0], "the next period knows nothing of it"
 
 
+@pytest.mark.proves("R-MEAN-5")
 def test_the_battery_is_told_as_the_mean_over_the_newest_period_that_has_ended() -> None:
     for period, last in ((5, range(96, 101)), (7, range(92, 99)), (200, range(1))):
         node = Robot(period / 1000)

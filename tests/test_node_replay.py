@@ -73,6 +73,7 @@ def play(rig: WheelRig, tape: list[codec.Message | int]) -> float:
 MODES = pytest.mark.parametrize("mode", [m.Mode.SPEED, m.Mode.TORQUE])
 
 
+@pytest.mark.proves("R-REF-1")
 @MODES
 def test_the_session_before_is_refused_when_it_is_replayed_whole(mode: m.Mode) -> None:
     rig, tape = record(0x1231, mode)
@@ -83,6 +84,7 @@ def test_the_session_before_is_refused_when_it_is_replayed_whole(mode: m.Mode) -
     assert m.ArmRefusal.NONCE_USED in refused
 
 
+@pytest.mark.proves("R-ARM-1")
 @MODES
 def test_a_recording_without_its_announcement_moves_no_fresh_robot(mode: m.Mode) -> None:
     """A log that begins in the middle of a session."""
@@ -92,6 +94,7 @@ def test_a_recording_without_its_announcement_moves_no_fresh_robot(mode: m.Mode)
     assert rig.state is State.IDLE
 
 
+@pytest.mark.proves("R-SES-4")
 @MODES
 def test_a_recording_stops_a_robot_that_drives_in_another_session(mode: m.Mode) -> None:
     """Its IDLE request ends the session, as any host's does, and nothing that follows arms."""
@@ -103,6 +106,7 @@ def test_a_recording_stops_a_robot_that_drives_in_another_session(mode: m.Mode) 
     assert rig.state is State.IDLE
 
 
+@pytest.mark.proves("R-GEN-4")
 @MODES
 @pytest.mark.parametrize("state", [State.STOPPING, State.FAULT, State.ESTOP])
 def test_a_recording_moves_no_robot_that_stopped(state: State, mode: m.Mode) -> None:
@@ -135,6 +139,7 @@ _, OLD = record(0x1231)
 COMMANDS = [x for x in OLD if isinstance(x, m.WheelCommand | m.TorqueFeedforward)]
 
 
+@pytest.mark.proves("R-SES-1")
 @share_of_examples(2.0)
 @given(frames=st.lists(st.sampled_from(COMMANDS) | st.integers(1, 10), max_size=80))
 def test_old_commands_neither_move_a_new_session_nor_keep_it_alive(frames: list[codec.Message | int]) -> None:
@@ -159,6 +164,7 @@ FRESH: dict[str, Callable[[WheelRig, int], None]] = {
 }
 
 
+@pytest.mark.proves("R-CMD-4", "R-CMD-5", "R-CNT-9")
 @pytest.mark.parametrize("kind", FRESH)
 def test_commands_out_of_the_window_are_counted_as_stale(kind: str) -> None:
     rig = WheelRig()
@@ -174,6 +180,7 @@ def test_commands_out_of_the_window_are_counted_as_stale(kind: str) -> None:
     assert rig.state is State.STOPPING
 
 
+@pytest.mark.proves("R-CMD-4")
 @pytest.mark.parametrize("late", [*range(1, 600, 7), 235, 236, 255, 256])
 def test_a_late_command_looks_fresh_again_when_the_sequence_wrapped_and_only_then(late: int) -> None:
     """PROTOCOL.md: 236 to 255 commands late, and the same once round again. It is the session's own, from before."""
@@ -190,6 +197,7 @@ def test_a_late_command_looks_fresh_again_when_the_sequence_wrapped_and_only_the
     assert accepted == (1 <= (old[-1 - late].sequence - newest) % 256 <= 20)
 
 
+@pytest.mark.proves("R-CMD-4", "R-CNT-8")
 @MODES
 @pytest.mark.parametrize("nonce", [0x1232, 0x4321])
 def test_a_recorded_session_of_256_commands_moves_no_other_session(mode: m.Mode, nonce: int) -> None:
@@ -205,6 +213,7 @@ def test_a_recorded_session_of_256_commands_moves_no_other_session(mode: m.Mode,
     assert rig.speed_rad_s == [0.0] * 4
 
 
+@pytest.mark.proves("R-GEN-2")
 @share_of_examples(1.5)
 @given(data=st.data())
 def test_a_session_at_rest_on_a_line_that_spoils_every_frame_moves_nothing(data: st.DataObject) -> None:
@@ -222,6 +231,7 @@ def test_a_session_at_rest_on_a_line_that_spoils_every_frame_moves_nothing(data:
     assert rig.state is not State.ACTIVE, "60 ms without a whole command"
 
 
+@pytest.mark.proves("R-CMD-1", "R-CMD-5", "R-CNT-8", "R-CNT-9", "R-CNT-10")
 def test_each_refused_command_is_counted_once_by_its_cause() -> None:
     rig = WheelRig()
     rig.activate()

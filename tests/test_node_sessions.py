@@ -17,6 +17,7 @@ def fault_and_clear(node: BareNode) -> None:
     assert node.state is State.IDLE
 
 
+@pytest.mark.proves("R-SES-2")
 def test_a_staged_feedforward_does_not_wait_for_the_next_session() -> None:
     node = BareNode()
     node.activate(nonce=0x1231)
@@ -28,6 +29,7 @@ def test_a_staged_feedforward_does_not_wait_for_the_next_session() -> None:
     assert node.node.rejections.feedforward_unmatched == 0
 
 
+@pytest.mark.proves("R-SES-2")
 @pytest.mark.parametrize("leftover", ["speed_loop", "current_loop"])
 def test_no_integral_outlives_its_session(leftover: str) -> None:
     node = BareNode()
@@ -41,6 +43,7 @@ def test_no_integral_outlives_its_session(leftover: str) -> None:
     assert list(node.drive.torque_n_m) == list(node.drive.duty) == [0.0] * 4
 
 
+@pytest.mark.proves("R-SES-2")
 def test_what_was_seen_of_an_encoder_does_not_count_in_the_next_session() -> None:
     node = BareNode()
     node.activate(nonce=0x1231)
@@ -51,6 +54,7 @@ def test_what_was_seen_of_an_encoder_does_not_count_in_the_next_session() -> Non
     assert [(w.still_ticks, w.backward_ticks) for w in node.node.encoder] == [(0, 0)] * 4
 
 
+@pytest.mark.proves("R-SES-2", "R-SNAP-11")
 def test_a_session_begins_without_a_command() -> None:
     rig = WheelRig(feedback_period_s=0.001)
     rig.activate()
@@ -62,6 +66,7 @@ def test_a_session_begins_without_a_command() -> None:
     assert [(x.sequence, x.command_age_ms) for x in rig.heard() if isinstance(x, m.Tick)] == [(0, 255)]
 
 
+@pytest.mark.proves("R-RAMP-3")
 def test_a_stop_begins_with_an_empty_integral() -> None:
     """An e-stop and a stop alike: what was wound up must not drive on."""
     for end in (m.Estop(0, 0), m.HostHeartbeat(0x99, m.SCHEMA_HASH, m.Request.IDLE, m.Mode.SPEED, 0)):
@@ -72,6 +77,7 @@ def test_a_stop_begins_with_an_empty_integral() -> None:
         assert list(node.node.speed_loop.integral_n_m) == [0.0] * 4
 
 
+@pytest.mark.proves("R-RAMP-1")
 @pytest.mark.parametrize(
     ("set_point", "speed", "begins_at"),
     [(8.0, 3.0, 3.0), (3.0, 8.0, 3.0), (-8.0, -3.0, -3.0), (-3.0, -8.0, -3.0), (8.0, -3.0, 0.0), (-3.0, 8.0, 0.0)],
@@ -92,6 +98,7 @@ def refusal(node: BareNode) -> m.ArmRefusal:
     return m.ArmRefusal(node.node.arm_refusal)
 
 
+@pytest.mark.proves("R-ARM-2", "R-REF-3")
 def test_an_announcement_is_used_up_by_any_arming() -> None:
     """Also by a refused one."""
     node = BareNode()
@@ -105,6 +112,7 @@ def test_an_announcement_is_used_up_by_any_arming() -> None:
     assert (node.state, refusal(node)) == (State.ARMED, m.ArmRefusal.NONE)
 
 
+@pytest.mark.proves("R-ARM-1")
 def test_the_last_announcement_holds() -> None:
     node = BareNode()
     for nonce in (0x51, 0x62, 0x73):
@@ -116,6 +124,7 @@ def test_the_last_announcement_holds() -> None:
     assert node.state is State.ARMED
 
 
+@pytest.mark.proves("R-REF-2", "R-ARM-8")
 @pytest.mark.parametrize("state", [State.ARMED, State.ACTIVE])
 def test_another_host_cannot_take_a_session_over(state: State) -> None:
     node = BareNode()
@@ -129,6 +138,7 @@ def test_another_host_cannot_take_a_session_over(state: State) -> None:
     assert refusal(node) is m.ArmRefusal.NOT_IDLE, "the heartbeat of the session is no wish to arm, and changes nothing"
 
 
+@pytest.mark.proves("R-ARM-7", "R-REF-1")
 @pytest.mark.parametrize("state", [State.STOPPING, State.IDLE, State.FAULT, State.ESTOP])
 def test_the_nonce_of_a_session_that_has_ended_is_told_as_used_whatever_else_holds(state: State) -> None:
     """PROTOCOL.md: NONCE_USED comes before NOT_IDLE; in ARMED and ACTIVE the same ARM is the session's heartbeat."""
@@ -146,6 +156,7 @@ def test_the_nonce_of_a_session_that_has_ended_is_told_as_used_whatever_else_hol
     assert (node.state, refusal(node)) == (state, m.ArmRefusal.NONCE_USED)
 
 
+@pytest.mark.proves("R-STAT-2")
 def test_a_refusal_is_told_once_and_again_when_it_changes() -> None:
     node = BareNode()
     node.heard()
@@ -161,6 +172,7 @@ def test_a_refusal_is_told_once_and_again_when_it_changes() -> None:
     assert told(0x52) == [m.ArmRefusal.NOT_ANNOUNCED]
 
 
+@pytest.mark.proves("R-HELLO-2")
 def test_a_host_that_greets_is_not_told_what_was_refused_to_another() -> None:
     node = BareNode()
     node.heartbeat(m.Request.ARM, 0x51)
@@ -168,6 +180,7 @@ def test_a_host_that_greets_is_not_told_what_was_refused_to_another() -> None:
     assert refusal(node) is m.ArmRefusal.NONE
 
 
+@pytest.mark.proves("R-REF-4", "R-SES-1")
 @pytest.mark.parametrize("nonce", [0x1231, 0x4321, 0xFFF1])
 def test_the_last_sessions_number_is_refused_but_the_first_session_is_free(nonce: int) -> None:
     fresh = BareNode()
@@ -180,6 +193,7 @@ def test_the_last_sessions_number_is_refused_but_the_first_session_is_free(nonce
     assert (node.state, refusal(node)) == (State.IDLE, m.ArmRefusal.SESSION_USED)
 
 
+@pytest.mark.proves("R-REF-6")
 def test_the_parameter_check_is_the_low_byte_of_the_hash() -> None:
     node = BareNode()
     wanted = node.lib.wheel_parameters_hash(node.ffi.addressof(node.node, "parameters")) & 0xFF
@@ -192,6 +206,7 @@ def test_the_parameter_check_is_the_low_byte_of_the_hash() -> None:
     assert accepted == [wanted]
 
 
+@pytest.mark.proves("R-FAULT-10", "R-GEN-5")
 def test_a_fault_does_not_hide_the_one_before_and_switches_off_in_the_same_tick() -> None:
     node = BareNode()
     node.activate()
@@ -206,6 +221,7 @@ def test_a_fault_does_not_hide_the_one_before_and_switches_off_in_the_same_tick(
     assert list(node.node.set_point_rad_s) == [0.0] * 4
 
 
+@pytest.mark.proves("R-CLEAR-1", "R-CLEAR-2")
 def test_clearing_needs_an_unused_nonce_and_works_on_a_latched_state_only() -> None:
     node = BareNode()
     node.heartbeat(m.Request.CLEAR, 0x50)
@@ -223,6 +239,7 @@ def test_clearing_needs_an_unused_nonce_and_works_on_a_latched_state_only() -> N
         assert node.state is State.ESTOP
 
 
+@pytest.mark.proves("R-CLEAR-3")
 def test_an_estop_that_brakes_is_not_cleared_before_the_wheels_rest() -> None:
     rig = WheelRig()
     rig.activate()
@@ -242,6 +259,7 @@ def test_an_estop_that_brakes_is_not_cleared_before_the_wheels_rest() -> None:
     assert rig.state is State.IDLE, "a wish that was not heard has not used up its nonce"
 
 
+@pytest.mark.proves("R-CMD-2", "R-CNT-10")
 @pytest.mark.parametrize("mode", [m.Mode.SPEED, m.Mode.TORQUE])
 @pytest.mark.parametrize("wheel", range(4))
 @pytest.mark.parametrize("value", [1 / 64, -1 / 64])
@@ -255,6 +273,7 @@ def test_the_first_command_is_zero_in_every_wheel(mode: m.Mode, wheel: int, valu
     assert node.node.setting.age_ticks == 0xFFFF_FFFF
 
 
+@pytest.mark.proves("R-FF-2", "R-CNT-10")
 @pytest.mark.parametrize("state", [State.IDLE, State.ARMED, State.STOPPING, State.ESTOP, State.FAULT])
 def test_a_feedforward_outside_of_active_is_refused_and_counted(state: State) -> None:
     node = BareNode()
@@ -262,3 +281,17 @@ def test_a_feedforward_outside_of_active_is_refused_and_counted(state: State) ->
     node.node.state = state
     node.send(m.TorqueFeedforward(1.0, 1.0, 1.0, 1.0, 1, 1))
     assert (node.node.rejections.state, node.node.staged.present) == (1, False)
+
+
+@pytest.mark.proves("R-FF-1", "R-FF-2")
+def test_a_feedforward_that_is_replaced_is_counted_and_the_newer_one_acts() -> None:
+    node = BareNode()
+    node.activate()
+    for torque_n_m, sequence in ((1.0, 1), (2.0, 2)):
+        node.send(m.TorqueFeedforward(torque_n_m, torque_n_m, torque_n_m, torque_n_m, sequence, 1))
+    node.send(m.WheelCommand(0, 0, 0, 0, 2, 1))
+    node.tick()
+    assert list(node.drive.torque_n_m) == [2.0] * 4
+    rejections = node.node.rejections
+    counts = {name: getattr(rejections, name) for name, _ in node.ffi.typeof("wheel_rejections").fields}
+    assert counts == dict.fromkeys(counts, 0) | {"feedforward_unmatched": 1}

@@ -37,6 +37,18 @@ ALLOWED = {
 """What PROTOCOL.md says of each state; where it says nothing, an event does nothing."""
 
 
+@pytest.mark.proves(
+    "R-STATE-1",
+    "R-STATE-2",
+    "R-STATE-3",
+    "R-STATE-4",
+    "R-STATE-5",
+    "R-STATE-6",
+    "R-STATE-7",
+    "R-STATE-8",
+    "R-STATE-9",
+    "R-STATE-11",
+)
 @pytest.mark.parametrize("event", EVENTS)
 @pytest.mark.parametrize("state", State)
 def test_the_table_says_what_the_document_says(state: State, event: str) -> None:
@@ -45,6 +57,7 @@ def test_the_table_says_what_the_document_says(state: State, event: str) -> None
     assert lib.wheel_next_state(state, number) == ALLOWED.get((state, event), state)
 
 
+@pytest.mark.proves("R-STATE-11")
 def test_the_table_has_no_row_that_is_not_tested() -> None:
     ffi, lib = core()
     assert ffi.sizeof(lib.wheel_transitions) == len(ALLOWED) * ffi.sizeof("wheel_transition")
@@ -52,6 +65,7 @@ def test_the_table_has_no_row_that_is_not_tested() -> None:
     assert rows == {(s, getattr(lib, f"WHEEL_EVENT_{e}")): to for (s, e), to in ALLOWED.items()}
 
 
+@pytest.mark.proves("R-STATE-11", "R-ARM-2")
 @pytest.mark.parametrize("event", EVENTS)
 @pytest.mark.parametrize("state", State)
 def test_an_event_that_the_table_does_not_know_changes_not_one_byte_of_the_robot(state: State, event: str) -> None:
@@ -153,6 +167,9 @@ DO: dict[str, Callable[[WheelRig], None]] = {
 }
 
 
+@pytest.mark.proves(
+    "R-STATE-2", "R-STATE-3", "R-STATE-4", "R-STATE-5", "R-STATE-6", "R-STATE-7", "R-STATE-8", "R-STATE-9", "R-SES-4"
+)
 @pytest.mark.parametrize("event", DO)
 @pytest.mark.parametrize("state", INTO)
 def test_each_event_in_each_state_from_outside(state: State, event: str) -> None:
@@ -171,6 +188,7 @@ def test_each_event_in_each_state_from_outside(state: State, event: str) -> None
     assert rig.state is ALLOWED.get((state, event), state)
 
 
+@pytest.mark.proves("R-STATE-2", "R-STATE-3", "R-STATE-4", "R-STATE-5", "R-STATE-6", "R-STATE-7")
 @pytest.mark.parametrize(("state", "drives"), [(s, s in (State.ACTIVE, State.STOPPING, State.ESTOP)) for s in INTO])
 def test_the_drives_are_on_in_the_states_that_drive_only(state: State, drives: bool) -> None:
     rig = WheelRig()
@@ -182,6 +200,7 @@ def test_the_drives_are_on_in_the_states_that_drive_only(state: State, drives: b
     assert any(rig.torque_n_m) == any(rig.duty) == drives
 
 
+@pytest.mark.proves("R-STAT-2")
 @pytest.mark.parametrize("state", INTO)
 def test_each_change_of_state_is_told_at_once(state: State) -> None:
     rig = WheelRig()
@@ -205,6 +224,7 @@ REASONS = {
 }
 
 
+@pytest.mark.proves("R-STAT-1", "R-WD-2")
 @pytest.mark.parametrize(("state", "event"), [(s, e) for s, events in REASONS.items() for e in events])
 def test_the_reason_of_a_stop_is_kept_until_the_next_session(state: State, event: str) -> None:
     rig = WheelRig()
@@ -220,6 +240,7 @@ def test_the_reason_of_a_stop_is_kept_until_the_next_session(state: State, event
     assert (rig.state, rig.node.look().stop_reason) == (State.ARMED, m.StopReason.NONE)
 
 
+@pytest.mark.proves("R-FAULT-3", "R-STATE-1", "R-STATE-6")
 @pytest.mark.parametrize("value", [1e9, 0.0, -1.0, float("nan"), float("inf")])
 @pytest.mark.parametrize("name", ["counts_per_revolution", "tracking_bandwidth_rad_s", "watchdog_s", "ramp_s"])
 def test_a_robot_of_a_wrong_build_boots_into_a_fault_that_nothing_clears(name: str, value: float) -> None:
@@ -240,6 +261,7 @@ def test_a_robot_of_a_wrong_build_boots_into_a_fault_that_nothing_clears(name: s
         assert node.state is State.ESTOP, "a way round the fault"
 
 
+@pytest.mark.proves("R-REF-7", "R-HELLO-5")
 def test_a_mode_that_the_robot_cannot_do_is_refused() -> None:
     for mode, capability in ((m.Mode.SPEED, Capability.SPEED), (m.Mode.TORQUE, Capability.TORQUE)):
         for has in (True, False):
@@ -260,6 +282,7 @@ def test_time_in_a_state_and_since_a_command_does_not_wrap() -> None:
     assert (node.node.state_ticks, node.node.setting.age_ticks) == (0xFFFF_FFFF, 0xFFFF_FFFF)
 
 
+@pytest.mark.proves("R-WD-2", "R-RAMP-1", "R-RAMP-4")
 def test_the_watchdog_and_the_ramp_take_exactly_their_time() -> None:
     for watchdog_s, ramp_s in ((0.02, 0.001), (0.05, 0.2), (0.1, 2.0)):
         rig = WheelRig(watchdog_s=watchdog_s, ramp_s=ramp_s)
@@ -280,6 +303,7 @@ def test_the_watchdog_and_the_ramp_take_exactly_their_time() -> None:
         assert set_points[-1] == 0.0
 
 
+@pytest.mark.proves("R-RAMP-1")
 @pytest.mark.parametrize("speed_rad_s", [10.0, -10.0])
 def test_a_stop_begins_at_the_speed_when_that_is_nearer_to_zero(speed_rad_s: float) -> None:
     """The wheels have just begun to follow a far set point: no jump towards it."""
@@ -294,6 +318,7 @@ def test_a_stop_begins_at_the_speed_when_that_is_nearer_to_zero(speed_rad_s: flo
     assert 0.0 < after[0] / speed_rad_s < 1.2
 
 
+@pytest.mark.proves("R-RAMP-1")
 @pytest.mark.parametrize("sign", [1.0, -1.0])
 def test_a_stop_of_wheels_that_still_turn_the_other_way_begins_at_zero(sign: float) -> None:
     rig = WheelRig()
@@ -305,6 +330,7 @@ def test_a_stop_of_wheels_that_still_turn_the_other_way_begins_at_zero(sign: flo
     assert rig.node.look().set_point_rad_s == (0.0,) * 4
 
 
+@pytest.mark.proves("R-STATE-5")
 def test_a_robot_that_rests_only_for_a_moment_is_not_stopped() -> None:
     """Fifty ticks at rest; a passing through zero is none."""
     rig = WheelRig(ramp_s=0.001)
@@ -322,6 +348,7 @@ def test_a_robot_that_rests_only_for_a_moment_is_not_stopped() -> None:
     assert rig.state is State.IDLE
 
 
+@pytest.mark.proves("R-STATE-7")
 def test_a_robot_at_rest_ends_an_estop_at_once() -> None:
     rig = WheelRig()
     rig.activate()

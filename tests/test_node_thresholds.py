@@ -49,6 +49,7 @@ def only(wheel: int, value: float) -> list[float]:
     return [value if i == wheel else 0.0 for i in range(4)]
 
 
+@pytest.mark.proves("R-FAULT-7", "R-FAULT-9")
 @WHEELS
 @SIGNS
 @pytest.mark.parametrize(
@@ -80,6 +81,7 @@ def test_an_encoder_is_stuck_when_everything_says_that_its_wheel_turns(
     assert supervise(node, 100) == expected
 
 
+@pytest.mark.proves("R-FAULT-7")
 def test_the_torque_that_counts_is_a_part_of_the_limit_in_force() -> None:
     """With hot windings the limit is less, and less torque is strong."""
     values = {"speed_rad_s": still(0, 3.0), "set_point_rad_s": only(0, 3.0), "torque_n_m": only(0, 0.5)}
@@ -97,6 +99,7 @@ def test_in_torque_mode_the_set_point_is_the_speed_and_says_nothing() -> None:
     assert supervise(active(m.Mode.SPEED), FAULT_TICKS, **values) == NO_FAULT
 
 
+@pytest.mark.proves("R-FAULT-7")
 def test_a_wheel_that_turned_between_was_not_stuck() -> None:
     node = active()
     stuck = {"set_point_rad_s": only(1, 3.0), "torque_n_m": only(1, STRONG_N_M)}
@@ -105,6 +108,7 @@ def test_a_wheel_that_turned_between_was_not_stuck() -> None:
         assert supervise(node, 1, speed_rad_s=still(1, 3.0, own=0.25)) == NO_FAULT
 
 
+@pytest.mark.proves("R-FAULT-7")
 @WHEELS
 @SIGNS
 @pytest.mark.parametrize(("changed", "found"), [(0.0990, True), (0.1010, False)])
@@ -130,6 +134,7 @@ def direction(wheel: int, sign: float, target: float, torque: float, speeds: lis
     }
 
 
+@pytest.mark.proves("R-FAULT-8", "R-FAULT-9")
 @WHEELS
 @SIGNS
 @pytest.mark.parametrize(
@@ -168,6 +173,7 @@ def test_a_wheel_runs_away_against_its_torque_its_set_point_or_the_other_wheels(
     assert supervise(node, 200) == expected
 
 
+@pytest.mark.proves("R-FAULT-8")
 @WHEELS
 @SIGNS
 @pytest.mark.parametrize("lapse", ["torque", "mode"])
@@ -185,6 +191,7 @@ def test_a_gain_counts_from_where_the_wheel_was_last_not_driven_against(wheel: i
     assert supervise(node, 1) == (m.Fault.WRONG_DIRECTION, wheel + 1)
 
 
+@pytest.mark.proves("R-FAULT-8")
 @WHEELS
 @SIGNS
 @pytest.mark.parametrize(
@@ -215,6 +222,7 @@ def test_an_encoder_is_mirrored_when_its_torque_and_the_others_contradict_it(
     assert supervise(node, 200) == expected
 
 
+@pytest.mark.proves("R-FAULT-8", "R-FAULT-11")
 @WHEELS
 @SIGNS
 @pytest.mark.parametrize(("lost", "found"), [(0.1875, True), (0.21875, False)])
@@ -257,6 +265,7 @@ def test_a_wheel_that_was_right_for_one_tick_is_not_mirrored(wheel: int) -> None
         assert supervise(node, 1, **right) == NO_FAULT
 
 
+@pytest.mark.proves("R-FAULT-8")
 @WHEELS
 @SIGNS
 def test_direction_is_watched_under_the_speed_loop_and_in_the_stop_of_either_mode(wheel: int, sign: float) -> None:
@@ -276,6 +285,7 @@ def test_direction_is_watched_under_the_speed_loop_and_in_the_stop_of_either_mod
             assert found == expected, name
 
 
+@pytest.mark.proves("R-STATE-5")
 @WHEELS
 @SIGNS
 def test_a_wheel_rests_below_a_fifth_of_a_rad_s_for_fifty_ticks(wheel: int, sign: float) -> None:
@@ -293,6 +303,7 @@ def test_a_wheel_rests_below_a_fifth_of_a_rad_s_for_fifty_ticks(wheel: int, sign
     assert node.state is State.IDLE
 
 
+@pytest.mark.proves("R-STATE-5")
 def test_a_stop_is_over_after_the_ramp_and_a_second_later_at_the_latest() -> None:
     for ticks, rests, expected in (
         (199, True, State.STOPPING),
@@ -307,6 +318,7 @@ def test_a_stop_is_over_after_the_ramp_and_a_second_later_at_the_latest() -> Non
         assert node.state is expected, ticks
 
 
+@pytest.mark.proves("R-STATE-7")
 def test_an_estop_brakes_for_a_second_at_the_latest() -> None:
     node = active()
     node.send(m.Estop(0, 0))
@@ -326,6 +338,7 @@ def test_encoders_are_watched_while_an_estop_brakes_and_not_when_it_is_over() ->
         assert node.node.fault == (m.Fault.WRONG_DIRECTION if braking else m.Fault.NONE)
 
 
+@pytest.mark.proves("R-FAULT-2", "R-FAULT-4")
 @WHEELS
 @SIGNS
 def test_overspeed_and_overcurrent_begin_beyond_their_limits(wheel: int, sign: float) -> None:
@@ -340,6 +353,7 @@ def test_overspeed_and_overcurrent_begin_beyond_their_limits(wheel: int, sign: f
     assert supervise(node, 1) == (m.Fault.OVERCURRENT, wheel + 1)
 
 
+@pytest.mark.proves("R-FAULT-5", "R-FAULT-9")
 @WHEELS
 def test_the_hottest_wheel_is_named(wheel: int) -> None:
     node = active()
@@ -349,6 +363,7 @@ def test_the_hottest_wheel_is_named(wheel: int) -> None:
         node = active()
 
 
+@pytest.mark.proves("R-FAULT-1")
 def test_what_is_just_plausible_is_taken() -> None:
     node = active()
     sense = node.node.sense
@@ -358,6 +373,7 @@ def test_what_is_just_plausible_is_taken() -> None:
     assert supervise(node, 1) == (m.Fault.SENSOR, 0)
 
 
+@pytest.mark.proves("R-FAULT-1")
 @WHEELS
 def test_a_winding_colder_than_any_robot_is_a_sensor_without_its_wire(wheel: int) -> None:
     """It would not tell any heat, and the current limit with it."""

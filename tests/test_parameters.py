@@ -49,6 +49,7 @@ def ask(
     return answer
 
 
+@pytest.mark.proves("R-PAR-1", "R-PAR-2")
 @each
 def test_every_parameter_is_read_with_its_type_and_range(index: int) -> None:
     row, rig = ROWS[index], WheelRig()
@@ -61,6 +62,7 @@ def test_every_parameter_is_read_with_its_type_and_range(index: int) -> None:
         assert (answer.result, answer.type, answer.value) == (Result.OK, row.type, bits(row, value))
 
 
+@pytest.mark.proves("R-PAR-2", "R-PAR-4", "R-PAR-9")
 @each
 def test_every_parameter_takes_its_range_and_nothing_else(index: int) -> None:
     row, rig = ROWS[index], WheelRig()
@@ -79,6 +81,7 @@ def test_every_parameter_takes_its_range_and_nothing_else(index: int) -> None:
     assert ask(rig, Operation.READ, index).value == bits(row, row.maximum)
 
 
+@pytest.mark.proves("R-PAR-5", "R-HASH-3")
 @each
 def test_a_write_changes_that_parameter_and_the_hash_only(index: int) -> None:
     row, rig = ROWS[index], WheelRig()
@@ -92,6 +95,7 @@ def test_a_write_changes_that_parameter_and_the_hash_only(index: int) -> None:
     assert told.parameter_hash == parameter_hash(changed) != parameter_hash(PARAMETERS)
 
 
+@pytest.mark.proves("R-PAR-10")
 @pytest.mark.parametrize("index", [len(ROWS), 100, 255])
 @pytest.mark.parametrize("operation", [Operation.READ, Operation.READ_MINIMUM, Operation.READ_MAXIMUM, Operation.WRITE])
 def test_a_parameter_that_does_not_exist_is_refused(index: int, operation: Operation) -> None:
@@ -99,6 +103,7 @@ def test_a_parameter_that_does_not_exist_is_refused(index: int, operation: Opera
     assert (answer.result, answer.value, answer.type) == (Result.PARAMETER, 0, Type.FLOAT32)
 
 
+@pytest.mark.proves("R-CNT-7")
 def test_an_operation_that_does_not_exist_is_counted_as_out_of_range() -> None:
     rig = WheelRig()
     good = bytearray(m.ParameterRequest(0, Operation.RESTORE, 0, 0).encode())
@@ -133,6 +138,7 @@ BUSY = {
 }
 
 
+@pytest.mark.proves("R-PAR-3", "R-PAR-9")
 @pytest.mark.parametrize("state", BUSY)
 def test_parameters_are_read_in_every_state_and_change_in_idle_only(state: State) -> None:
     rig = WheelRig()
@@ -149,6 +155,7 @@ def test_parameters_are_read_in_every_state_and_change_in_idle_only(state: State
     assert rig.node.stored() is None
 
 
+@pytest.mark.proves("R-REF-6")
 def test_a_host_with_the_old_parameters_does_not_arm() -> None:
     """One in 256 changes has the same check; this is not one of them."""
     rig = WheelRig()
@@ -164,6 +171,7 @@ def test_a_host_with_the_old_parameters_does_not_arm() -> None:
     assert rig.state is State.ARMED
 
 
+@pytest.mark.proves("R-PAR-5")
 def test_a_change_takes_effect() -> None:
     rig = WheelRig()
     index = [p.name for p in ROWS].index("watchdog_s")
@@ -188,6 +196,7 @@ def stored_after(changes: dict[str, float]) -> bytes:
     return kept
 
 
+@pytest.mark.proves("R-PAR-5")
 @given(
     st.fixed_dictionaries(
         {}, optional={p.name: st.floats(single(p.minimum), single(p.maximum), width=32) for p in ROWS[1:]}
@@ -200,12 +209,14 @@ def test_what_is_stored_is_in_force_after_a_reset(changes: dict[str, float]) -> 
     assert read == [bits(p, (PARAMETERS | changes)[p.name]) for p in ROWS]
 
 
+@pytest.mark.proves("R-PAR-5")
 def test_without_a_store_a_reset_forgets() -> None:
     rig = WheelRig()
     ask(rig, Operation.WRITE, 18, bits(ROWS[18], 0.5))
     assert rig.node.stored() is None
 
 
+@pytest.mark.proves("R-PAR-6", "R-PAR-9")
 def test_restore_goes_back_to_the_build_also_after_a_reset() -> None:
     rig = WheelRig(stored=stored_after({"ramp_s": 0.5, "watchdog_s": 0.1}))
     answer = ask(rig, Operation.RESTORE)
@@ -227,6 +238,7 @@ def sealed(body: bytes) -> bytes:
     return body + struct.pack("<I", zlib.crc32(body))
 
 
+@pytest.mark.proves("R-PAR-13")
 def test_any_one_wrong_bit_of_what_was_stored_is_noticed() -> None:
     assert ramp_with(KEPT) == 0.5
     assert sealed(KEPT[:-4]) == KEPT, "the checksum is the usual CRC-32"
@@ -236,12 +248,14 @@ def test_any_one_wrong_bit_of_what_was_stored_is_noticed() -> None:
         assert ramp_with(damaged) == single(PARAMETERS["ramp_s"]), bit
 
 
+@pytest.mark.proves("R-PAR-13")
 @given(cut=st.integers(0, len(KEPT) - 1), fill=st.sampled_from([b"\0", b"\xff"]))
 def test_a_power_cut_while_storing_leaves_the_build_in_force(cut: int, fill: bytes) -> None:
     """The port wrote the first bytes, and the rest is as the flash was erased."""
     assert ramp_with(KEPT[:cut] + fill * (len(KEPT) - cut)) == single(PARAMETERS["ramp_s"])
 
 
+@pytest.mark.proves("R-PAR-13")
 @pytest.mark.parametrize(
     "foreign",
     [
@@ -257,6 +271,7 @@ def test_what_another_firmware_stored_is_ignored_as_a_whole(foreign: bytes) -> N
     assert ramp_with(foreign) == single(PARAMETERS["ramp_s"])
 
 
+@pytest.mark.proves("R-PAR-7")
 def test_a_board_ends_a_range_where_its_hardware_does() -> None:
     ffi = BareNode().ffi
     maximum = ffi.new("wheel_parameters *", {p.name: p.maximum for p in ROWS} | {"ramp_s": 0.4})
@@ -273,6 +288,7 @@ def test_a_board_ends_a_range_where_its_hardware_does() -> None:
     assert (wrong.state, wrong.node.fault) == (State.FAULT, m.Fault.PARAMETERS)
 
 
+@pytest.mark.proves("R-PAR-12")
 def test_a_robot_without_storage_says_so() -> None:
     node = BareNode(capabilities=ALL & ~Capability.STORAGE)
     refused = ask(node, Operation.STORE)
@@ -280,6 +296,7 @@ def test_a_robot_without_storage_says_so() -> None:
     assert ask(node, Operation.RESTORE).result == Result.OK
 
 
+@pytest.mark.proves("R-PAR-3", "R-PAR-11")
 @pytest.mark.parametrize("kept", [True, False])
 def test_a_store_is_answered_when_the_port_is_done_and_bars_changes_until_then(kept: bool) -> None:
     node = BareNode()
@@ -303,6 +320,7 @@ def test_a_store_is_answered_when_the_port_is_done_and_bars_changes_until_then(k
     assert ask(node, Operation.WRITE, 0, 2048).result == Result.OK
 
 
+@pytest.mark.proves("R-REF-2")
 def test_a_robot_does_not_arm_while_its_parameters_are_being_kept() -> None:
     """Writing flash may stop a processor for longer than a watchdog: the drives would hold what they had."""
     node = BareNode()

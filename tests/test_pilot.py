@@ -149,6 +149,7 @@ def test_disarming_in_motion_ramps_down_and_ends_in_idle() -> None:
         assert is_still(bench)
 
 
+@pytest.mark.proves("R-STOP-3", "R-CLEAR-2")
 def test_an_emergency_stop_latches_until_it_is_cleared_and_clearing_arms_nothing() -> None:
     with armed_pilot() as bench:
         bench.pilot.active().track(bench.made.reference, here=True)
@@ -212,6 +213,7 @@ def test_a_lost_link_is_reopened_and_only_who_asks_arms_again() -> None:
         assert bench.pilot.conduct.task is Task.HOLD
 
 
+@pytest.mark.proves("R-STOP-2")
 def test_an_emergency_stop_reaches_a_robot_that_was_away() -> None:
     with PilotBench(fault=[fault("disconnect", 2.0, end_s=3.0)]) as bench:
         bench.armed()
@@ -222,6 +224,7 @@ def test_an_emergency_stop_reaches_a_robot_that_was_away() -> None:
         assert bench.last("robot.state") == RobotState.ESTOP
 
 
+@pytest.mark.proves("R-STOP-2")
 def test_an_emergency_stop_outlasts_a_reset_of_the_robot_and_any_earlier_clear() -> None:
     with PilotBench(fault=[fault("reset", 1.5, target="robot")]) as bench:
         bench.armed()

@@ -80,6 +80,7 @@ def c_encode(c, message: Sample | Drive, sequence: int) -> bytes:
     return bytes(ffi.buffer(out, length))
 
 
+@pytest.mark.proves("R-PORT-2")
 @given(st.lists(samples | drives, min_size=1, max_size=3))
 def test_what_the_firmware_sends_is_what_python_would_send(c, messages):
     framer = PlantFramer()
@@ -88,6 +89,7 @@ def test_what_the_firmware_sends_is_what_python_would_send(c, messages):
     assert PlantDeframer().feed(b"".join(sent)) == messages
 
 
+@pytest.mark.proves("R-PORT-2")
 @given(st.lists(senses, min_size=1, max_size=3))
 def test_senses_arrive_in_the_firmware_bit_for_bit(c, messages):
     framer = PlantFramer()
@@ -120,6 +122,7 @@ def test_no_bytes_raise_and_none_move_the_plant(pieces):
     assert moved == []
 
 
+@pytest.mark.proves("R-PORT-5")
 @given(drives, st.integers(1, 5))
 def test_a_repeated_drive_is_answered_again_and_moves_the_plant_once(drive, repeats):
     moved = []
@@ -160,6 +163,7 @@ def test_a_length_that_is_not_the_identifiers_is_dropped(wrong):
     assert PlantDeframer().feed(data) == []
 
 
+@pytest.mark.proves("R-PORT-1")
 def test_no_identifier_is_one_of_the_hosts_line():
     assert not {int(number) for number in PlantId} & set(LENGTHS)
     assert all(number > 0x7FF for number in PlantId)

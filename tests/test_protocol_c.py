@@ -103,6 +103,7 @@ def c_decode(c: tuple[Any, Any], number: int, payload: bytes) -> tuple[float, ..
     return None
 
 
+@pytest.mark.proves("R-SER-2", "R-GEN-9")
 @pytest.mark.skipif(sys.platform == "win32", reason="gcc for Windows has no AddressSanitizer")
 def test_the_golden_vectors_under_sanitizers(cc: str, tmp_path: Path) -> None:
     program = tmp_path / "check_vectors"
@@ -142,6 +143,7 @@ def test_the_constants_agree(c: tuple[Any, Any]) -> None:
     assert lib.WP_ARM_REFUSAL_MODE == messages.ArmRefusal.MODE
 
 
+@pytest.mark.proves("R-GEN-9")
 @by_id
 @share_of_examples(0.4)
 @given(data=st.data())
@@ -150,6 +152,7 @@ def test_c_and_python_encode_the_same_bits(c: tuple[Any, Any], number: int, data
     assert c_encode(c, number, values) == MESSAGES[number](**values).encode()
 
 
+@pytest.mark.proves("R-GEN-9")
 @by_id
 @share_of_examples(0.4)
 @given(data=st.data())
@@ -158,6 +161,7 @@ def test_c_and_python_decode_the_same_values(c: tuple[Any, Any], number: int, da
     assert c_decode(c, number, payload) == MESSAGES[number].decode(payload)
 
 
+@pytest.mark.proves("R-GEN-8")
 @by_id
 def test_c_refuses_a_raw_value_just_outside_its_limits(c: tuple[Any, Any], number: int) -> None:
     for name, payload in out_of_range_payloads(number):
@@ -172,6 +176,7 @@ def next_binary32(value: float, direction: int) -> float:
     return neighbour
 
 
+@pytest.mark.proves("R-GEN-7")
 @by_id
 def test_c_refuses_what_python_refuses(c: tuple[Any, Any], number: int) -> None:
     signals = limits(number)
@@ -189,6 +194,7 @@ def test_c_refuses_what_python_refuses(c: tuple[Any, Any], number: int) -> None:
             assert c_encode(c, number, good | {s.name: value}) is None, (s.name, value)
 
 
+@pytest.mark.proves("R-GEN-10")
 @by_id
 def test_c_rounds_halves_and_their_neighbours_as_python(c: tuple[Any, Any], number: int) -> None:
     signals = limits(number)
@@ -202,6 +208,7 @@ def test_c_rounds_halves_and_their_neighbours_as_python(c: tuple[Any, Any], numb
                     assert c_encode(c, number, values) == MESSAGES[number](**values).encode(), values
 
 
+@pytest.mark.proves("R-SER-4")
 @given(data=st.binary(max_size=300))
 def test_crc_agrees(c: tuple[Any, Any], data: bytes) -> None:
     assert c[1].wheel_crc16(data, len(data)) == crc16(data)
@@ -244,6 +251,7 @@ def test_cobs_decodes_and_refuses_as_the_cobs_package(
         assert bytes(in_place)[: length[0]] == expected
 
 
+@pytest.mark.proves("R-GEN-9", "R-SER-2")
 @given(frame=frames, sequence=st.integers(0, 255))
 def test_both_framers_write_the_same_bytes(c: tuple[Any, Any], frame: Frame, sequence: int) -> None:
     ffi, lib = c
@@ -275,6 +283,7 @@ def disturb(pieces: list[tuple[bytes, int, int]]) -> bytes:
     return bytes(stream)
 
 
+@pytest.mark.proves("R-GEN-1", "R-GEN-9")
 @given(
     stream=st.lists(
         st.tuples(

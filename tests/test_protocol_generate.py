@@ -123,6 +123,7 @@ def test_parameters_that_cannot_be_are_refused(tmp_path: Path, old: str, new: st
         read_schema(PROTOCOL / "wheel.dbc", path)
 
 
+@pytest.mark.proves("R-HASH-1")
 @pytest.mark.parametrize(("old", "new"), [('"ramp_s"', '"slope_s"'), ("maximum = 2\n", "maximum = 3\n")])
 def test_the_parameters_are_part_of_the_schema_hash(tmp_path: Path, old: str, new: str) -> None:
     path = tmp_path / "parameters.toml"
@@ -132,6 +133,7 @@ def test_the_parameters_are_part_of_the_schema_hash(tmp_path: Path, old: str, ne
     assert changed.parameter_table_hash() != read_schema(PROTOCOL / "wheel.dbc").parameter_table_hash()
 
 
+@pytest.mark.proves("R-HASH-1", "R-HASH-2")
 @pytest.mark.parametrize(
     ("old", "new", "changes"),
     [
@@ -157,6 +159,7 @@ def test_the_schema_hash_covers_meaning_and_nothing_else(tmp_path: Path, old: st
     assert (read_schema(path).hash() != SCHEMA_HASH) == changes
 
 
+@pytest.mark.proves("R-HASH-1")
 def test_the_canonical_list_is_what_the_document_shows() -> None:
     canonical = read_schema(PROTOCOL / "wheel.dbc").canonical()
     document = (PROTOCOL / "PROTOCOL.md").read_text(encoding="utf-8")
@@ -166,6 +169,7 @@ def test_the_canonical_list_is_what_the_document_shows() -> None:
     assert all(part in canonical for part in shown)
 
 
+@pytest.mark.proves("R-SER-2")
 def test_the_worked_example_is_a_golden_vector() -> None:
     document = (PROTOCOL / "PROTOCOL.md").read_text(encoding="utf-8")
     (vector,) = (v for v in vectors() if isinstance(v.message, WheelCommand) and v.message.fl_rad_s == 1.5)

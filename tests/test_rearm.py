@@ -74,6 +74,7 @@ def test_a_lost_link_is_reopened_with_back_off_and_the_run_goes_on(link):
     assert fault["applied"] == 4, "the command that found no link, and three attempts to open it"
 
 
+@pytest.mark.proves("R-ARM-4", "R-CMD-2")
 def test_nothing_is_commanded_while_it_is_away_and_zeros_before_the_new_session(tmp_path):
     result = run_short(BACK_AT_THE_SECOND, trace=tmp_path / "line.log")
     signals = result.signals
@@ -90,6 +91,7 @@ def test_nothing_is_commanded_while_it_is_away_and_zeros_before_the_new_session(
     assert {x.session for x in commands} == {armed.nonce & 0xF}
 
 
+@pytest.mark.proves("R-GEN-4")
 def test_the_robot_has_stopped_until_the_new_arm():
     """The truth, not what the host believes: from watchdog, ramp and run-out on it only coasts, 2 mm/s here."""
     result = run_short(BACK_AT_THE_FOURTH)
@@ -277,6 +279,7 @@ def at_command(monkeypatch: pytest.MonkeyPatch) -> Callable[[int, Callable[[Benc
     return arrange
 
 
+@pytest.mark.proves("R-STATE-10")
 def test_an_e_stop_is_not_recovered_from(at_command):
     """Whoever pressed it decides when the robot may move again."""
     at_command(200, lambda bench: bench.device._link.send(codec.encode(m.Estop(0, 0))))

@@ -37,12 +37,14 @@ def told(host: Host) -> tuple[m.ResetCause, list[codec.Message]]:
     return m.ResetCause(status.reset_cause), pages
 
 
+@pytest.mark.proves("R-RESET-1", "R-RESET-4")
 def test_a_board_that_is_switched_on_says_so_and_removes_the_flags():
     with open_board("can") as board:
         assert told(Host(board, "can")) == (m.ResetCause.POWER_ON, NOTHING)
         assert board.machine.rcc.read(Rcc.CSR) >> 24 & 0xFE == 0
 
 
+@pytest.mark.proves("R-RESET-1", "R-RESET-2")
 def test_a_board_that_its_watchdog_has_reset_says_so():
     rig = WheelRig(lockstep=True)
     with open_board("can", rig) as board:
@@ -56,6 +58,7 @@ def test_a_board_that_its_watchdog_has_reset_says_so():
         assert (status.state, status.nonce) == (m.State.IDLE, 0)
 
 
+@pytest.mark.proves("R-RESET-1", "R-RESET-4")
 @pytest.mark.parametrize(
     ("flags", "cause"),
     [
@@ -76,6 +79,7 @@ def test_each_flag_of_the_chip_has_its_cause(monkeypatch: pytest.MonkeyPatch, fl
         assert told(Host(board, "can")) == (cause, NOTHING)
 
 
+@pytest.mark.proves("R-RESET-3", "R-RESET-4")
 @pytest.mark.parametrize("stacked", [True, False])
 def test_a_processor_fault_switches_off_is_recorded_and_told_once(stacked: bool):
     rig = WheelRig(lockstep=True)
@@ -104,6 +108,7 @@ def test_a_processor_fault_switches_off_is_recorded_and_told_once(stacked: bool)
         assert told(host) == (m.ResetCause.WATCHDOG, NOTHING)
 
 
+@pytest.mark.proves("R-RESET-4")
 def test_a_stack_that_has_left_the_memory_is_recorded_without_a_place():
     with open_board("can") as board:
         board.machine._core._uc.reg_write(arm.UC_ARM_REG_SP, 0x2000_0010)

@@ -22,6 +22,7 @@ SHORT: dict[str, Any] = {"loop.duration_s": 0.2, "expect": []}
 FAULT = ProcessorFault(1 << 9 | 1 << 15, 1 << 30, 0x0800_1234, 0x0800_0101, 0, 0x6000_0000)
 
 
+@pytest.mark.proves("R-RESET-5")
 @pytest.mark.parametrize("cause", m.ResetCause)
 def test_a_run_warns_once_of_a_reset_that_came_of_trouble(cause: m.ResetCause) -> None:
     said: list[str] = []

@@ -22,6 +22,7 @@ def run(scenario: str, changes: dict[str, Any], said: list[str]) -> RunResult:
     return run_scenario(load(scenario, set=changes), RunOptions(keep_signals=True, warn=said.append))
 
 
+@pytest.mark.proves("R-LIM-5")
 def test_a_run_keeps_within_what_the_robot_takes_and_says_so_once():
     said: list[str] = []
     result = run("circle_speed", SLOW | {"loop.duration_s": 2.0}, said)
@@ -44,6 +45,7 @@ def test_by_torque_no_speed_is_commanded_and_nothing_is_said():
     assert not [sentence for sentence in said if "takes wheel speeds" in sentence]
 
 
+@pytest.mark.proves("R-LIM-5")
 def test_a_service_keeps_within_what_the_robot_takes_and_says_so_once():
     with PilotBench("circle_speed", **SLOW) as bench:
         bench.run_until(Phase.DISARMED)

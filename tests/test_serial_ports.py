@@ -174,6 +174,18 @@ def test_a_baud_rate_is_set(baud):
         assert f"at {baud} baud" in stream.describe()
 
 
+@pytest.mark.proves("R-SER-1")
+def test_a_line_has_eight_bits_no_parity_one_stop_bit_and_no_flow_control_whatever_it_had():
+    master = pty.PtyStream()
+    with contextlib.closing(master):
+        subprocess.run(["stty", "-F", master.port, "cstopb", "crtscts", "ixon", "ixoff"], check=True)
+        url = parse_link(f"serial:{master.port}")
+        with contextlib.closing(url.open_host()) as link:
+            told = subprocess.run(["stty", "-F", master.port, "-a"], capture_output=True, text=True, check=True).stdout
+            assert "at 921600 baud" in link.describe()
+    assert {"cs8", "-parenb", "-cstopb", "-crtscts", "-ixon", "-ixoff"} <= set(told.replace(";", " ").split())
+
+
 def test_a_baud_rate_without_a_name_of_its_own_is_set():
     """stty tells only rates that have one; the driver's own answer is compared with the wish at opening."""
     master = pty.PtyStream()

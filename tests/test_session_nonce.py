@@ -10,6 +10,7 @@ from hil.runtime import bench
 from tests.bare_node import BareNode
 
 
+@pytest.mark.proves("R-ARM-5")
 def test_in_real_time_nonces_come_from_the_systems_random_source() -> None:
     """Neither Python's generator nor the clock decides: the same seed gives others, and each value can come."""
     drawn = []
@@ -23,12 +24,14 @@ def test_in_real_time_nonces_come_from_the_systems_random_source() -> None:
     assert sum(nonce >> 15 for nonce in drawn[0]) == pytest.approx(2000, abs=250), "eight standard deviations"
 
 
+@pytest.mark.proves("R-ARM-5")
 def test_in_lockstep_nonces_come_from_the_seed_alone() -> None:
     first, again, other = (list(islice(bench._nonces(seed), 100)) for seed in (5, 5, 6))
     assert first == again != other
     assert all(1 <= nonce <= 0xFFFF for nonce in first)
 
 
+@pytest.mark.proves("R-RESET-2")
 def test_the_robot_makes_no_nonce_of_its_own() -> None:
     """It has none to guess: after power-on none is announced, in force or cleared, and no request names one."""
     node = BareNode()

@@ -35,6 +35,7 @@ def test_a_whole_snapshot_commits_once():
     assert feedback.yaw_rate_rad_s == 0.5
 
 
+@pytest.mark.proves("R-SNAP-5", "R-SNAP-6", "R-SNAP-7")
 @given(keep=st.lists(st.lists(st.booleans(), min_size=6, max_size=6), min_size=1, max_size=20))
 def test_whole_snapshots_commit_and_others_do_not(keep):
     """Frames lost anywhere: what commits has its encoders and its gyro from the same sampling instant."""
@@ -52,6 +53,7 @@ def test_whole_snapshots_commit_and_others_do_not(keep):
         assert not set(heard) & set(lost_inside), "none with a part missing"
 
 
+@pytest.mark.proves("R-SNAP-5", "R-SNAP-8")
 def test_a_part_of_another_instant_is_not_mixed_in():
     client = new_client()
     assert feed(client, [*snapshot(1)[:4], *snapshot(2)[4:]]) == []
@@ -67,12 +69,14 @@ def test_slow_parts_hold_their_value():
     assert feedback.current_a == Wheels(1.0, 2.0, 3.0, 4.0)
 
 
+@pytest.mark.proves("R-SNAP-10")
 def test_time_is_unwrapped():
     client = new_client()
     a, b = feed(client, snapshot(0, time_us=0xFFFF_FFF0) + snapshot(1, time_us=0x10))
     assert b.robot_time_ns - a.robot_time_ns == 0x20 * 1000
 
 
+@pytest.mark.proves("R-SNAP-9")
 def test_gaps_are_counted():
     client = new_client()
     feed(client, [*snapshot(1), *snapshot(4)[:2], *snapshot(5)])
@@ -102,6 +106,7 @@ def test_a_burst_joining_two_instants_is_told_by_inertial_parts_or_counted_as_lo
 PARTS = (m.Tick, m.Encoders, m.WheelSpeeds, m.Currents, m.Accelerometer, m.Gyro)
 
 
+@pytest.mark.proves("R-SNAP-6")
 @pytest.mark.parametrize("kind", [*PARTS, m.StepDone])
 def test_an_invalid_message_is_counted_and_breaks_the_snapshot_that_lacks_it(kind):
     client = new_client()
@@ -118,6 +123,7 @@ def test_an_invalid_message_is_counted_and_breaks_the_snapshot_that_lacks_it(kin
     assert client.view.command_sequence == 3
 
 
+@pytest.mark.proves("R-SNAP-7")
 def test_it_begins_anew_with_another_robot():
     client = new_client()
     (before,) = feed(client, snapshot(200, time_us=0xFFFF_0000))

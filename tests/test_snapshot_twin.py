@@ -3,6 +3,7 @@
 from collections.abc import Iterator
 from random import Random
 
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -71,6 +72,7 @@ def batches(frames: list[Frame], chance: Random) -> Iterator[list[Frame]]:
         frames = frames[count:]
 
 
+@pytest.mark.proves("R-SNAP-5", "R-SNAP-6", "R-SNAP-7", "R-SNAP-10")
 @share_of_examples(3.0)
 @given(
     pieces=st.lists(st.tuples(snapshots | gaps | ends | strangers | st.just("restart"), accidents), max_size=12),

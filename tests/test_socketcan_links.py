@@ -63,6 +63,7 @@ def send_often(link: Link, frame: Frame) -> None:
         link.send(frame)
 
 
+@pytest.mark.proves("R-CAN-3")
 def test_of_all_identifiers_only_the_robot_s_pass_in_order(link: Link, other: socket.socket):
     arrived = []
     for can_id in EVERY_ID:
@@ -74,6 +75,7 @@ def test_of_all_identifiers_only_the_robot_s_pass_in_order(link: Link, other: so
     assert arrived == [Frame(can_id, bytes(range(length))) for can_id, length in sorted(HEARD.items())]
 
 
+@pytest.mark.proves("R-TRN-1")
 def test_a_frame_of_ours_with_another_length_is_dropped_and_counted(link: Link, other: socket.socket):
     for number, (can_id, expected) in enumerate(HEARD.items(), start=1):
         for length in range(9):
@@ -91,6 +93,7 @@ def test_error_frames_reach_the_counters_and_nobody_else(link: Link, other: sock
     assert sum(count for cause, count in link.rejected().items() if cause.startswith("error")) >= 3
 
 
+@pytest.mark.proves("R-CAN-2")
 def test_what_a_link_sends_is_a_classic_frame_with_its_bits(link: Link, other: socket.socket):
     for can_id, length in LENGTHS.items():
         link.send(Frame(can_id, bytes(range(1, length + 1))))

@@ -83,6 +83,7 @@ def test_connects_arms_and_stops():
     assert device.report.stop_reason() == "HOST_REQUEST"
 
 
+@pytest.mark.proves("R-HELLO-8")
 def test_a_power_stage_needs_a_yes():
     refused, _ = driver(WheelRig(power_stage=True), lockstep=False)
     with pytest.raises(BadInputError, match="--allow-motion"):
@@ -91,6 +92,7 @@ def test_a_power_stage_needs_a_yes():
     assert allowed.connect().capabilities & 1
 
 
+@pytest.mark.proves("R-HELLO-7")
 def test_other_parameters_are_refused_with_both_hashes():
     other = PARAMETERS | {"speed_kp_n_m_s_rad": 1.0}
     device, _ = driver(WheelRig(lockstep=True), values=other)
@@ -104,6 +106,7 @@ def test_the_modes_must_agree():
         device.connect()
 
 
+@pytest.mark.proves("R-ARM-6")
 def test_nonces_that_were_used_are_followed_by_others():
     rig = WheelRig(lockstep=True)
     first, clock = driver(rig, nonces=[0x1111, 0x2222])
@@ -162,6 +165,7 @@ def test_the_second_answer_to_a_step_sent_twice_is_ignored():
     assert run(twice=True) == run(twice=False)
 
 
+@pytest.mark.proves("R-HELLO-7")
 def test_a_robot_that_was_refused_is_not_armed() -> None:
     rig = WheelRig(lockstep=True)
     device, clock = driver(rig, allow_motion=True)
@@ -250,6 +254,7 @@ def test_in_lockstep_it_changes_nothing_when_an_answer_is_on_the_line(latencies)
     assert run(Line) == run(SlowLine)
 
 
+@pytest.mark.proves("R-STEP-6")
 def test_a_robot_that_was_reset_is_noticed():
     rig, another = WheelRig(lockstep=True), WheelRig(lockstep=True)
     device, _ = driver(rig)
@@ -299,6 +304,7 @@ def test_a_stop_does_not_wait_for_the_links_latency():
     assert rig.state is m.State.STOPPING
 
 
+@pytest.mark.proves("R-STATE-10")
 def test_latched_states_are_said_with_what_to_do():
     rig = WheelRig(lockstep=True)
     rig.send(m.Estop(0, 0))

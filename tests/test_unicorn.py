@@ -39,6 +39,7 @@ def open_board(link: str, rig: WheelRig | None = None):
         yield board
 
 
+@pytest.mark.proves("R-GEN-9", "R-STEP-5")
 @LINKS
 def test_every_frame_is_the_host_librarys(link: str):
     """Hello, arming, driving, feedforward, refusals, time-out, emergency stop: on ARM as here, twice."""
@@ -93,6 +94,7 @@ def parameter(host: Host, index: int) -> float:
     return float(struct.unpack("<f", struct.pack("<I", answer.value))[0])
 
 
+@pytest.mark.proves("R-PAR-5", "R-PAR-13")
 @LINKS
 def test_stored_parameters_survive_a_reset_and_a_torn_record_does_not_count(link: str):
     """A STORE appends a record to the flash; one that a power cut left without its mark is as if it had not been."""
@@ -130,6 +132,7 @@ def test_bus_off_disarms_and_is_counted_and_the_bus_comes_back():
         assert board.look().state is m.State.IDLE
 
 
+@pytest.mark.proves("R-RESET-2")
 @LINKS
 def test_firmware_that_hangs_is_reset_by_its_watchdog_and_disarmed(link: str):
     """The core stands still for 50 ms while the chip's clocks go on: nobody feeds the watchdog."""

@@ -65,6 +65,7 @@ _STATEMENT = re.compile(
     r"^\s+(?!return\b.*\S;|const |static |wp_|float |bool |uint\w+ |wheel_\w+ \w+;)[^{}]*;\s*(/\*.*)?$"
 )
 _ROW = re.compile(r"^\s+\{WP_STATE_\w+, WHEEL_EVENT_\w+, (WP_STATE_\w+)\},$")
+_FUNCTION = re.compile(r"^(?:static )?\w+ \**(\w+)\([^;]*?\) \{$|^const \w+ (\w+)\[\w+\] = \{$", re.MULTILINE)
 _COMMENT = re.compile(r"/\*.*?\*/", re.DOTALL)
 
 
@@ -117,6 +118,12 @@ def mutants(file: str) -> list[Mutant]:
         for after in changes(bare.rstrip())
         if after.strip() != bare.strip()
     ]
+
+
+def functions(file: str) -> list[str]:
+    """Return the names of a file's functions and tables."""
+    found = _FUNCTION.finditer((HERE / "firmware" / file).read_text(encoding="utf-8"))
+    return [one[1] or one[2] for one in found]
 
 
 class Bench:

@@ -29,6 +29,7 @@ class Case(NamedTuple):
     """A fault as the catalogue runs it: rows of ``[[fault]]``; the last row's kind is the kind of the case.
 
     ``cause`` must be in the message that says why the robot was lost. ``realtime``: the case is also run in real time.
+    ``rules``: the rules of PROTOCOL.md that the outcome depends on.
     """
 
     name: str
@@ -37,6 +38,7 @@ class Case(NamedTuple):
     cause: str | None = None
     in_pairs: bool = True
     realtime: bool = False
+    rules: tuple[str, ...] = ()
 
     @property
     def kind(self) -> str:
@@ -59,39 +61,42 @@ def _case(
     cause: str | None = None,
     in_pairs: bool = True,
     realtime: bool = False,
+    rules: tuple[str, ...] = (),
     **numbers: float,
 ) -> Case:
     row: Row = {"kind": kind, "target": target, **window, **numbers}
-    return Case(f"{kind} {target}", (row,), outcome, cause, in_pairs, realtime)
+    return Case(f"{kind} {target}", (row,), outcome, cause, in_pairs, realtime, rules)
 
 
 CASES: tuple[Case, ...] = (
-    _case("drop", "command", _GOES_ON, window=_LONG, value=0.3, realtime=True),
-    _case("drop", "feedback", _GOES_ON, window=_LONG, value=0.3, in_pairs=False),
-    _case("burst_loss", "command", _GOES_ON, window=_LONG, value=0.3, burst_frames=4.0),
-    _case("burst_loss", "feedback", _GOES_ON, window=_LONG, value=0.3, burst_frames=4.0, in_pairs=False),
+    _case("drop", "command", _GOES_ON, window=_LONG, value=0.3, rules=("R-CMD-4",), realtime=True),
+    _case("drop", "feedback", _GOES_ON, window=_LONG, value=0.3, rules=("R-SNAP-5",), in_pairs=False),
+    _case("burst_loss", "command", _GOES_ON, window=_LONG, value=0.3, burst_frames=4.0, rules=("R-CMD-4",)),
+    _case("burst_loss", "feedback", _GOES_ON, window=_LONG, value=0.3, burst_frames=4.0, rules=("R-SNAP-5",),
+          in_pairs=False),
     _case("delay", "command", _GOES_ON, window=_LONG, value=0.02, realtime=True),
     _case("delay", "feedback", _GOES_ON, window=_LONG, value=0.02, in_pairs=False),
     _case("jitter", "command", _GOES_ON, window=_LONG, value=0.02, in_pairs=False),
     _case("jitter", "feedback", _GOES_ON, window=_LONG, value=0.02),
-    _case("duplicate", "command", _GOES_ON, window=_LONG),
-    _case("reorder", "command", _GOES_ON, window=_LONG, value=0.3),
-    _case("bit_errors", "command", _GOES_ON, window=_LONG, value=0.002),
-    _case("bit_errors", "feedback", _GOES_ON, window=_LONG, value=0.001, in_pairs=False),
-    _case("truncation", "command", _GOES_ON, window=_LONG, value=0.2),
-    _case("truncation", "feedback", _GOES_ON, window=_LONG, value=0.1, in_pairs=False),
+    _case("duplicate", "command", _GOES_ON, window=_LONG, rules=("R-CMD-5",)),
+    _case("reorder", "command", _GOES_ON, window=_LONG, value=0.3, rules=("R-CMD-5",)),
+    _case("bit_errors", "command", _GOES_ON, window=_LONG, value=0.002, rules=("R-GEN-1", "R-SER-5")),
+    _case("bit_errors", "feedback", _GOES_ON, window=_LONG, value=0.001, rules=("R-GEN-1", "R-SER-5"), in_pairs=False),
+    _case("truncation", "command", _GOES_ON, window=_LONG, value=0.2, rules=("R-TRN-1", "R-SER-5")),
+    _case("truncation", "feedback", _GOES_ON, window=_LONG, value=0.1, rules=("R-TRN-1", "R-SER-5"), in_pairs=False),
     _case("disconnect", "link", _REARMS, cause="the fault disconnect", window={"start_s": 0.25, "end_s": 0.35},
-          realtime=True),
-    _case("mute", "WHEEL_COMMAND", _REARMS, cause=SILENCE, window=_LATER, realtime=True),
+          realtime=True, rules=("R-WD-2", "R-ARM-4")),
+    _case("mute", "WHEEL_COMMAND", _REARMS, cause=SILENCE, window=_LATER, rules=("R-WD-2", "R-ARM-4"), realtime=True),
     _case("mute", "TICK", _REARMS, cause=NO_FEEDBACK, window=_LATER, in_pairs=False),
-    _case("mute", "HOST_HEARTBEAT", _GOES_ON, window=_LONG, in_pairs=False),
-    _case("freeze", "command", _REARMS, cause=SILENCE, window=_LATER),
+    _case("mute", "HOST_HEARTBEAT", _GOES_ON, window=_LONG, rules=("R-GEN-3",), in_pairs=False),
+    _case("freeze", "command", _REARMS, cause=SILENCE, window=_LATER, rules=("R-CMD-5", "R-WD-2")),
     _case("freeze", "feedback", _REARMS, cause=NO_FEEDBACK, window=_LATER, in_pairs=False),
-    _case("babble", "command", _GOES_ON, window=_LONG, value=200.0, realtime=True),
-    _case("babble", "feedback", _GOES_ON, window=_LONG, value=200.0, in_pairs=False),
-    _case("reset", "robot", _REARMS, cause="it was reset", window={"start_s": 0.25}, realtime=True),
-    _case("stuck_encoder", "fl", _ENDS, cause="ENCODER_STUCK", window=_LATER),
-    _case("dead_motor", "rr", _GOES_ON, window=_LONG, realtime=True),
+    _case("babble", "command", _GOES_ON, window=_LONG, value=200.0, rules=("R-GEN-1", "R-CNT-6"), realtime=True),
+    _case("babble", "feedback", _GOES_ON, window=_LONG, value=200.0, rules=("R-GEN-1",), in_pairs=False),
+    _case("reset", "robot", _REARMS, cause="it was reset", window={"start_s": 0.25}, realtime=True,
+          rules=("R-RESET-2", "R-ARM-4")),
+    _case("stuck_encoder", "fl", _ENDS, cause="ENCODER_STUCK", window=_LATER, rules=("R-FAULT-7", "R-STATE-10")),
+    _case("dead_motor", "rr", _GOES_ON, window=_LONG, rules=("R-FAULT-11",), realtime=True),
     _case("low_battery", "battery", _GOES_ON, window=_LONG, value=15.0),
     _case("gyro_bias", "gyro", _GOES_ON, window=_LONG, value=0.5),
     _case("slow_clock", "clock", _GOES_ON, window=_LONG, value=50_000.0),
