@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hil.core.errors import BadInputError
-from hil.judge.expectations import check_expectation, outcomes_of
+from hil.judge.expectations import check_expectation, outcome_figures
 from hil.judge.words import in_order
 from hil.scenario import load
 from hil.scenario.trial import ExpectTable
@@ -235,5 +235,6 @@ def test_what_a_run_that_ended_early_did_not_come_to_is_not_judged(
 
 def test_failures_are_told_in_the_order_of_time() -> None:
     rows = [claim(below=9.0), claim(below=3.0), claim(below=9.0, from_s=9.0), claim(below=1.0)]
-    found = outcomes_of(rows, signals([0.0, 1.0, 2.0, 3.0, 9.5]), cut_s=4.0)
+    values = signals([0.0, 1.0, 2.0, 3.0, 9.5])
+    found = [outcome_figures(row, check_expectation(row, values, cut_s=4.0)) for row in rows]
     assert [row["violation_s"] for row in in_order(found)] == [1.0, 3.0, 4.0, None]

@@ -13,6 +13,7 @@ from mcap.opcode import Opcode
 
 from hil.cli.review import review as command
 from hil.core.errors import BadInputError
+from hil.core.options import options_of
 from hil.core.signals import SIGNAL_NAMES, pack_row
 from hil.judge.figures import SHIPPED, signal_figures
 from hil.record import Recording
@@ -20,6 +21,7 @@ from hil.record.properties import SIGNALS_PATH
 from hil.review import Event, RecordedRun, figures, read, review, to_frame
 from hil.review.contents import DamagedError, check_plausible
 from hil.review.decode import decode
+from hil.scenario.trial import AllowTable
 from tests.recorded_circle import circle_table, column
 
 ROWS = 6000
@@ -33,6 +35,7 @@ SUMMARY = {
     "pose_fixes": {"received": 60, "accepted": 58, "refused": {"waited": 12}},
     "wire_sha256": "ab" * 32,
     "stale_ticks": 3,
+    "allow": [{"name": name, "passed": True, "text": ""} for name in options_of(AllowTable)],
     "robot_slipped_ticks": 7,
     "reasons": {"realtime_factor": "because"},
 }
@@ -185,7 +188,12 @@ def test_a_recording_without_a_row_has_a_reason_for_each_figure_that_it_lacks(tm
     found = review(path)
     assert found["ticks"] == 0
     judged = (*dict.fromkeys(one.name.partition(".")[0] for kind in SHIPPED for one in kind.figures), *SUMMARY)
-    without = {name for name in judged if found.get(name) is None} - {"reasons", "stale_ticks", "robot_slipped_ticks"}
+    without = {name for name in judged if found.get(name) is None} - {
+        "reasons",
+        "stale_ticks",
+        "allow",
+        "robot_slipped_ticks",
+    }
     assert without == set(found["reasons"])
     assert found["failure"] == "the recording has no summary: the run did not come to its end"
 

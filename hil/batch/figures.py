@@ -14,7 +14,7 @@ from hil.judge.words import in_order
 KEY = "key"
 MACHINE = "machine."
 """The prefix of columns that depend on the machine and not on the run."""
-_COUNTS = ("ticks", "commands_refused", "stale_ticks", "held_ticks", "deadline_misses")
+_COUNTS = ("ticks", "stale_ticks", "held_ticks", "deadline_misses")
 _TEXTS = (KEY, "law", "fault", "outcome", "reason", "failed_expectation", "wire_sha256")
 _WHOLE = ("seed", "sample", "faults_applied", "recoveries", *_COUNTS)
 _OF_MACHINE = {"wall_s": float, "worker": str, "commit": str, "tick_p50_us": float}

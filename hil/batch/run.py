@@ -44,7 +44,8 @@ def _run(job: Job, scenario: Scenario, *, record: bool) -> Outcome:
         if job.signals_file:
             signals: dict[str, Any] = {name: result.signals[name] for name in job.options["signals"]}
             np.savez(job.signals_file, **signals)
-        undriven = next((row["text"] for row in result.metrics["allow"] if not row["passed"]), None)
+        rows = (row for row in result.metrics["allow"] if row["name"] in _UNDRIVEN)
+        undriven = next((row["text"] for row in rows if not row["passed"]), None)
         status = FAILED if result.failure is None else ENDED
         reason = next((words for _, words in why_not_passed(result.metrics)), None)  # first what ended it
         if result.passed:
@@ -75,6 +76,8 @@ def attempt(job: Job, scenario: Scenario, judge: Callable[[RunResult], Outcome],
     except HilError as error:
         return Outcome(job.key, ENDED, str(error))
 
+
+_UNDRIVEN = ("stale_ticks", "held_ticks")
 
 _kept = functools.cache(KeptRobot)
 """The robot of this process, whose FMU stays open."""

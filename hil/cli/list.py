@@ -33,6 +33,15 @@ def fault_rows() -> Iterable[Row]:
     return ((k.name, k.acts_on, k.target_words.replace("`", ""), k.unit, k.meaning) for k in fault_kinds())
 
 
+def figure_rows() -> Iterable[Row]:
+    """Return a row for each figure of a run that an expectation can name."""
+    from hil.core.signals import unit_of
+    from hil.judge.expectations import figures_by_key
+
+    found = figures_by_key().items()
+    return ((key, figure.unit if figure.scale == 1 else unit_of(key), figure.meaning) for key, figure in found)
+
+
 def driver_rows() -> Sequence[tuple[str, ...]]:
     """Return a row of DRIVER_COLUMNS for each driver with its default settings: the shipped ones, then other packages'.
 
@@ -93,6 +102,7 @@ def _commands(can: "Capabilities") -> str:
 
 _LISTS = {
     "signals": (("name", "unit", "meaning"), "hil.core.signals:SIGNALS"),
+    "figures": (("figure", "unit", "meaning"), "hil.cli.list:figure_rows"),
     "laws": (("law", "package", "meaning"), "hil.laws.registry:laws"),
     "references": (("reference", "package", "meaning"), "hil.references:references"),
     "scenarios": (("scenario", "meaning"), "hil.scenario:shipped"),
@@ -104,7 +114,7 @@ _LISTS = {
 
 
 def list_(what: Annotated[str, Argument(metavar="|".join(_LISTS))], as_json: Json = False) -> None:
-    """Print the signals, laws, references, scenarios, forms of links, kinds of faults or drivers."""
+    """Print the signals, figures, laws, references, scenarios, forms of links, kinds of faults or drivers."""
     header, rows = listing(what)
     print_result(as_json, [dict(zip(header, row, strict=True)) for row in rows], table([header, *rows]))
 

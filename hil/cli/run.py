@@ -52,6 +52,7 @@ def run(
     sets: o.Sets = None,
     force: o.Force = False,
     allow_motion: o.AllowMotion = False,
+    lenient: Annotated[bool, Option("--lenient", help="judge by [[expect]] alone, for exploring")] = False,
     as_json: o.Json = False,
 ) -> None:
     """Run a scenario and judge it."""
@@ -88,6 +89,7 @@ def run(
                 live_port=live_port if live else None,
                 stream=stream,
                 allow_motion=allow_motion,
+                lenient=lenient,
                 watch=_progress(resolved.loop.duration_s) if is_watched else None,
                 warn=warn,
                 linger=_linger if live and is_watched else None,

@@ -1,8 +1,9 @@
 """What a kind of fault is, and a row of ``[[fault]]`` as numbers for the code that applies it."""
 
+import math
 import random
 from collections.abc import Callable, Mapping, Sequence
-from typing import NamedTuple, TypeAlias
+from typing import Any, NamedTuple, TypeAlias
 
 from firmware_protocol.framing import Frame
 from firmware_protocol.generated.messages import State
@@ -11,6 +12,8 @@ from hil.core.signals import SIGNAL_NAMES
 
 NS_PER_S = 1_000_000_000
 NEVER_NS = 2**62
+REST_RAD_S = 0.2
+"""The default speed of a wheel below which a robot is at rest: 15 mm/s at the rim of a wheel of 75 mm."""
 
 
 class FaultRow(NamedTuple):
@@ -33,6 +36,38 @@ class FaultRow(NamedTuple):
     def is_in_force(self, t_ns: int) -> bool:
         """Return whether the row is in force at this time."""
         return self.start_ns <= t_ns < self.end_ns
+
+
+def claimed_span_s(claim: Mapping[str, Any], faults: Sequence[Mapping[str, Any]]) -> tuple[float, float]:
+    """Return from when to when a row of ``[[expect]]`` is judged; both tables as plain values, None or left out alike.
+
+    ``after_fault`` names a fault by its name, by its kind if only one row has that, or by its place. A robot that is at
+    rest while a fault lasts may drive again after it, so ``at_rest`` ends with a fault that still lasts when the claim
+    begins. Raises ValueError, with part of a message, when there is no such fault or more than one.
+    """
+    which, to_s = claim.get("after_fault"), float(claim.get("to_s", math.inf))
+    if which is None:
+        return float(claim.get("from_s", 0.0)), to_s
+    fault = _named(which, faults)
+    from_s = float(fault.get("start_s", 0.0)) + float(claim.get("within_s") or 0.0)
+    end_s = float(fault.get("end_s", math.inf))
+    return from_s, min(to_s, end_s) if claim.get("at_rest") and end_s > from_s else to_s
+
+
+def _named(which: int | str, faults: Sequence[Mapping[str, Any]]) -> Mapping[str, Any]:
+    if not faults:
+        raise ValueError("the scenario has no fault; add a row of [[fault]], or give from_s")
+    if isinstance(which, int):
+        if which >= len(faults):
+            raise ValueError(f"expected a place from 0 to {len(faults) - 1}: the scenario has {len(faults)} of them")
+        return faults[which]
+    found = [row for row in faults if row.get("name") == which] or [row for row in faults if row["kind"] == which]
+    if not found:
+        known = [row.get("name") or row["kind"] for row in faults]
+        raise ValueError(f"no fault has this name or kind{nearest(which, known)}")
+    if len(found) > 1:
+        raise ValueError(f'{len(found)} faults are of this kind; name one of them, as in name = "first {which}"')
+    return found[0]
 
 
 def generators(rows: Sequence[FaultRow], seed: int) -> list[random.Random]:

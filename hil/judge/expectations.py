@@ -1,6 +1,7 @@
-"""Expectations and allowances: what ``[[expect]]`` claims of signals, what ``[allow]`` permits, and the outcomes.
+"""Expectations and allowances: what ``[[expect]]`` claims, what ``[allow]`` permits, and the outcomes.
 
 No side effects. A run adds sample by sample, and so reports a failure at once; a review checks a whole recording.
+Claims about figures are judged when the figures are there.
 """
 
 import math
@@ -8,10 +9,18 @@ import sys
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 
-from hil.core.errors import UnknownSignalError
+from hil.core.errors import BadInputError, UnknownSignalError, nearest
+from hil.core.model import RobotModel
 from hil.core.options import options_of
-from hil.judge.measure import Series
-from hil.scenario.trial import AllowTable, ExpectTable, most
+from hil.core.signals import unit_of
+from hil.core.types import WHEEL_NAMES
+from hil.judge.figures import figures, number
+from hil.judge.measure import Figure, Series
+from hil.scenario import Scenario
+from hil.scenario.trial import AllowTable, ExpectTable, FaultTable, most, span_s
+
+_WHEEL_SPEEDS = tuple(f"wheel.{wheel}.speed_rad_s" for wheel in WHEEL_NAMES)
+_TRUE_POSE = ("truth.x_m", "truth.y_m", "truth.heading_rad")
 
 
 class Outcome(NamedTuple):
@@ -81,6 +90,45 @@ class _Claim(NamedTuple):
     text: str
 
 
+def signals_of(expect: ExpectTable) -> tuple[str, ...]:
+    """Return the signals that a claim is judged by; none for a claim about a figure."""
+    if expect.at_rest:
+        return (*_WHEEL_SPEEDS, *_TRUE_POSE)
+    return tuple(name for name in (expect.signal, expect.of) if name is not None)
+
+
+def _wrapped(angle_rad: float) -> float:
+    return math.remainder(angle_rad, math.tau) if math.isfinite(angle_rad) else math.nan
+
+
+class _Rest:
+    """The speed [rad/s] of the fastest wheel: as measured, or as the true movement between two ticks needs it.
+
+    NaN where neither is known. Before there is a movement, None unless the wheels were measured.
+    """
+
+    def __init__(self, robot: RobotModel | None) -> None:
+        self._robot = robot
+        self._before: tuple[float, ...] | None = None
+
+    def __call__(self, t_s: float, values: Sequence[float]) -> float | None:
+        known = [abs(speed) for speed in values[:4] if not math.isnan(speed)]
+        before, self._before = self._before, (t_s, *values[4:])
+        if before is None:
+            return max(known, default=None)
+        dt_s, x_m, y_m, heading_rad = (new - old for new, old in zip(self._before, before, strict=True))
+        if self._robot is not None and dt_s > 0.0 and math.isfinite(x_m + y_m + heading_rad):
+            rim_m = math.hypot(x_m, y_m) + self._robot.lever_m * abs(_wrapped(heading_rad))
+            known.append(rim_m / self._robot.wheel_radius_m / dt_s)
+        return max(known, default=math.nan)
+
+
+def _difference(expect: ExpectTable) -> Callable[[float, Sequence[float]], float | None]:
+    """Return the value of a comparison: the difference, of two headings the shorter way around."""
+    is_heading = unit_of(str(expect.signal)) == "rad"
+    return lambda _t_s, values: _wrapped(values[0] - values[1]) if is_heading else values[0] - values[1]
+
+
 def _claim(expect: ExpectTable) -> _Claim:
     if expect.within is not None:
         low, high = expect.within
@@ -97,7 +145,8 @@ def _claim(expect: ExpectTable) -> _Claim:
         assert above is not None, "a scenario's expectation has one claim"
         return _Claim(lambda value: value > above, lambda value: above - value, f"above {above:g}")
     if above is None:
-        return _Claim(lambda value: value < below, lambda value: value - below, f"below {below:g}")
+        text = f"at rest, wheels below {below:g} rad/s," if expect.at_rest else f"below {below:g}"
+        return _Claim(lambda value: value < below, lambda value: value - below, text)
     return _Claim(
         lambda value: above < value < below,
         lambda value: max(above - value, value - below),
@@ -106,13 +155,21 @@ def _claim(expect: ExpectTable) -> _Claim:
 
 
 class Watch:
-    """Checks one expectation sample by sample.
+    """Checks one expectation about signals sample by sample.
 
     It fails when there are no samples in its time, or when one of them is NaN: neither shows that the claim holds.
+    ``faults`` are those of the scenario. ``robot`` is its model; without it rest is judged by wheel speeds alone.
+
+    Attributes:
+        signals: those whose values ``add`` takes, in this order.
+        from_s, to_s: its time, both included.
     """
 
-    def __init__(self, expect: ExpectTable) -> None:
+    def __init__(self, expect: ExpectTable, faults: Sequence[FaultTable] = (), robot: RobotModel | None = None) -> None:
         self.expect = expect
+        self.signals = signals_of(expect)
+        self.from_s, self.to_s = span_s(expect, faults)
+        self._value = _Rest(robot) if expect.at_rest else None if expect.of is None else _difference(expect)
         self._claim = _claim(expect)
         self._settles = expect.settles_to is not None
         self._samples = 0
@@ -129,8 +186,11 @@ class Watch:
         self._begin_s = 0.0
         self._newest = (math.nan, math.nan)
 
-    def add(self, t_s: float, value: float) -> bool:
-        """Add a sample in the expectation's time; return whether the claim has just failed because of it."""
+    def add(self, t_s: float, values: Sequence[float]) -> bool:
+        """Add the signals at a time of the expectation; return whether the claim has just failed because of them."""
+        value = values[0] if self._value is None else self._value(t_s, values)
+        if value is None:
+            return False
         self._samples += 1
         self._newest = (t_s, value)
         if self._samples == 1:
@@ -186,15 +246,17 @@ class Watch:
         return min(found, _WITHOUT_VALUE) if self._gaps else found
 
     def _outcome(self, cut_s: float | None) -> Outcome:
-        until = "to the end" if math.isinf(self.expect.to_s) else f"to {self.expect.to_s:g} s"
-        claim = f"{self.expect.signal} {self._claim.text} from {self.expect.from_s:g} s {until}"
+        until = "to the end" if math.isinf(self.to_s) else f"to {self.to_s:g} s"
+        which = self.expect.after_fault
+        after = "" if which is None else f" ({self.expect.within_s:g} s after the fault {which})"
+        claim = f"{self.expect.subject} {self._claim.text} from {self.from_s:g} s{after} {until}"
         if self._first is not None and not self._settles:
             violated_s = self._violated_s + (0.0 if self._held else self._last[0] - self._since_s)
             text = f"{claim}: failed, {_found(self._first)}"
             if self._violations > 1:
                 text += f"; worst {_found(self._worst)}; {violated_s:.4g} s in all"
             return Outcome(False, text, *self._first, *self._worst, violated_s)
-        if cut_s is not None and self.expect.to_s > cut_s:
+        if cut_s is not None and self.to_s > cut_s:
             return Outcome(None, f"{claim}: not judged, the run ended at t = {cut_s:.6g} s{self._until()}")
         if not self._samples:
             return Outcome(False, f"{claim}: failed, the run has no samples there")
@@ -220,60 +282,114 @@ def _found(sample: tuple[float, float]) -> str:
     return f"{'no value' if math.isnan(value) else f'{value:.6g}'} at t = {t_s:.6g} s"
 
 
-def check_expectation(expect: ExpectTable, signals: Mapping[str, Series], cut_s: float | None = None) -> Outcome:
-    """Check one expectation against the signals of a run, ``loop.t_s`` among them.
+def check_expectation(
+    expect: ExpectTable,
+    signals: Mapping[str, Series],
+    cut_s: float | None = None,
+    faults: Sequence[FaultTable] = (),
+    robot: RobotModel | None = None,
+) -> Outcome:
+    """Check one expectation about signals against those of a run, ``loop.t_s`` among them.
 
-    ``cut_s`` is the time at which the run ended early, or None. Raises UnknownSignalError, which suggests similar
-    names, for a signal that is not there.
+    ``cut_s`` is the time at which the run ended early, or None; the rest is as for ``Watch``. Raises
+    UnknownSignalError, which suggests similar names, for a signal that is not there.
     """
-    if expect.signal not in signals:
-        raise UnknownSignalError(expect.signal, signals)
-    t_s, values = signals["loop.t_s"], signals[expect.signal]
-    inside = (t_s >= expect.from_s) & (t_s <= expect.to_s)
-    watch = Watch(expect)
-    for at_s, value in zip(t_s[inside].tolist(), values[inside].tolist(), strict=True):
-        watch.add(at_s, value)
+    watch = Watch(expect, faults, robot)
+    for name in watch.signals:
+        if name not in signals:
+            raise UnknownSignalError(name, signals)
+    t_s = signals["loop.t_s"]
+    inside = (t_s >= watch.from_s) & (t_s <= watch.to_s)
+    columns = (signals[name][inside].tolist() for name in watch.signals)
+    for at_s, *values in zip(t_s[inside].tolist(), *columns, strict=True):
+        watch.add(at_s, values)
     return watch.outcome(cut_s)
+
+
+def figures_by_key() -> dict[str, Figure]:
+    """Return every figure that a run can be judged by, by the name that users give it."""
+    return {figure.key: figure for figure in figures() if figure.name != "expect"}
+
+
+def check_figures(scenario: Scenario) -> None:
+    """Raise BadInputError for an expectation of a figure that no run has; it says where and suggests similar names."""
+    known = figures_by_key() if any(row.figure is not None for row in scenario.expect) else {}
+    for i, row in enumerate(scenario.expect):
+        if row.figure is not None and row.figure not in known:
+            where = scenario.provenance[key := f"expect.{i}.figure"]
+            hint = nearest(row.figure, known, otherwise="; `hil list figures` prints them all")
+            place = where if where.startswith("--") else f"scenario {where}"
+            raise BadInputError(f'{place}: {key} = "{row.figure}"; expected the name of a figure{hint}')
+
+
+def figure_outcome(expect: ExpectTable, metrics: Mapping[str, Any], cut_s: float | None = None) -> Outcome:
+    """Judge a claim about a figure of a run, from the run's JSON.
+
+    It fails where the run has no such figure, and is not judged where the run ended early.
+    """
+    figure = figures_by_key()[str(expect.figure)]
+    claim = _claim(expect)
+    subject = f"{figure.key} {claim.text}"
+    if cut_s is not None:
+        return Outcome(None, f"{subject}: not judged, the run ended at t = {cut_s:.6g} s")
+    value = number(metrics, figure.name)
+    if value is None:
+        why = why_none(figure, metrics)
+        text = f"{subject}: failed, the run has no such figure" + (f": {why}" if why else "")
+        return Outcome(False, text, margin=_WITHOUT_VALUE)
+    found = margin(expect, value, value)
+    if claim.holds(value):
+        return Outcome(True, f"{subject}: held, {value:.6g}", margin=found)
+    return Outcome(False, f"{subject}: failed, {value:.6g}", worst_value=value, margin=found)
+
+
+def why_none(figure: Figure, metrics: Mapping[str, Any]) -> str | None:
+    """Return the reason why a run has no value of a figure, or None where its JSON gives none."""
+    reason = metrics.get("reasons", {}).get(figure.name.partition(".")[0])
+    return None if reason is None else str(reason)
 
 
 def outcome_figures(expect: ExpectTable, outcome: Outcome) -> dict[str, Any]:
     """Return an expectation's outcome, in words and numbers, as a run's JSON has it."""
     fields = outcome._asdict()
     text = fields.pop("text")
-    return {"signal": expect.signal, **fields, "text": text}
+    return {"signal": expect.signal, "figure": expect.figure, **fields, "text": text}
 
 
-def outcomes_of(
-    rows: Sequence[ExpectTable], signals: Mapping[str, Series], cut_s: float | None = None
-) -> list[dict[str, Any]]:
-    """Return the outcome of each expectation as a run's JSON has it, checked against the signals of a run."""
-    return [outcome_figures(row, check_expectation(row, signals, cut_s)) for row in rows]
-
-
-class TickCount(NamedTuple):
-    """How many ticks of a kind a run had, and how many of them no fault of the scenario explains."""
+class Count(NamedTuple):
+    """How many events of a kind a run had, and how many of them no fault of the scenario explains."""
 
     all: int
     unexplained: int
 
 
-def allow_figures(allow: AllowTable, counts: Mapping[str, TickCount], ticks: int) -> list[dict[str, Any]]:
+def rejected_and_unmatched(by_cause: Mapping[str, int]) -> tuple[int, int]:
+    """Return how many frames were rejected, and how many torque feedforwards came without their command.
+
+    ``by_cause`` is ``frames.rejected`` of a run's JSON.
+    """
+    unmatched = by_cause.get("robot_feedforward_unmatched", 0)
+    return sum(by_cause.values()) - unmatched, unmatched
+
+
+def allow_figures(allow: AllowTable, counts: Mapping[str, Count], ticks: int) -> list[dict[str, Any]]:
     """Return the outcome of each limit of ``[allow]``, in its order, in words and numbers, as a run's JSON has it.
 
-    ``counts`` has an entry for each key of the table; ``ticks`` is the number of ticks of the run.
+    Keys of the table that ``counts`` does not have are left out; ``ticks`` is the number of ticks of the run.
     """
-    figures = []
+    found = []
     for name, option in options_of(AllowTable).items():
+        if name not in counts:
+            continue
         limit, count = getattr(allow, name), counts[name]
         allowed = most(limit, ticks)
         passed = count.unexplained <= allowed
+        of = f" of {ticks}" if option.meaning.startswith("ticks") else ""
         share = f"{allowed}, {limit}" if isinstance(limit, str) else f"{allowed}"
         text = (
-            f"{name}: {count.unexplained} of {ticks} {option.meaning}; no fault of the scenario explains them, and "
+            f"{name}: {count.unexplained}{of} {option.meaning}; no fault of the scenario explains them, and "
             f"allow.{name} permits {share}: {'as allowed' if passed else 'find the cause, or raise it'}"
         )
-        found = 1.0 - count.unexplained / (allowed + 0.5)
-        figures.append(
-            {"name": name, "passed": passed, **count._asdict(), "limit": limit, "margin": found, "text": text}
-        )
-    return figures
+        left = 1.0 - count.unexplained / (allowed + 0.5)
+        found.append({"name": name, "passed": passed, **count._asdict(), "limit": limit, "margin": left, "text": text})
+    return found

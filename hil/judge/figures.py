@@ -14,7 +14,7 @@ from hil.core.errors import BadInputError, nearest
 from hil.core.extensions import Extensions
 from hil.core.percentiles import Reservoir
 from hil.judge.effort import Effort, Overshoot, Saturation
-from hil.judge.measure import Figure, Measure, NoFigureError, RunSetup, Series
+from hil.judge.measure import Figure, Measure, NoFigureError, RunSetup, Series, since_start
 from hil.judge.tracking import EstimationError, Tracking
 
 BLOCK_ROWS = 1024
@@ -63,6 +63,32 @@ class TickTime(Measure):
         return percentiles._asdict()
 
 
+class Latency(Measure):
+    """The latency of the loop, as the law is told it; over the ticks from t = 0 on that have one."""
+
+    figures = (
+        Figure("latency_ms.p50", "latency p50", "ms", 1.0, "from sampling to the tick that uses the command, median",
+               printed=False),
+        Figure("latency_ms.p99", "latency p99", "ms", 1.0, "the same, 99th percentile", column="latency_p99_ms",
+               printed=False),
+    )  # fmt: skip
+    signals = ("loop.t_s", "link.latency_ms")
+
+    def __init__(self, _setup: RunSetup) -> None:
+        self._latency_ms = Reservoir()
+
+    def add(self, signals: Mapping[str, Series]) -> None:
+        """Add rows; those before t = 0 do not count."""
+        self._latency_ms.extend(since_start(signals)["link.latency_ms"])
+
+    def value(self, _name: str) -> dict[str, float]:
+        """Return the percentiles. Raises NoFigureError for a run of fewer than two ticks."""
+        percentiles = self._latency_ms.percentiles()
+        if percentiles is None:
+            raise NoFigureError("the run has fewer than two ticks with a latency")
+        return percentiles._asdict()
+
+
 class DeadlineMisses(Measure):
     """How many ticks began too late: the count in the newest row."""
 
@@ -90,6 +116,7 @@ SHIPPED: tuple[type[Measure], ...] = (
     EstimationError,
     Ticks,
     TickTime,
+    Latency,
     DeadlineMisses,
 )
 _AGE, _ROUND_TRIP = "age of the feedback that a tick used", "from a command to the feedback that it was in force"
@@ -97,7 +124,10 @@ _OF_RUNS = (
     Figure("realtime_factor", "times real time", "", 1.0, "robot time over wall time", None),
     Figure("frames.sent", "frames sent", "", 1, "frames to the robot", None, printed=False),
     Figure("frames.received", "frames received", "", 1, "frames from the robot", None, printed=False),
-    Figure("frames.rejected", "frames rejected", "", 1, "frames that were not accepted, for any cause", printed=False),
+    Figure("rejected", "frames rejected", "", 1, "frames that were not accepted from t = 0 on, for any cause",
+           column="rejected", printed=False),
+    Figure("unmatched", "feedforwards unmatched", "", 1, "torque feedforwards without their command",
+           column="unmatched", printed=False),
     Figure("link_statistics.lost.snapshots", "snapshots lost", "", 1, "feedback that never came", printed=False),
     Figure("link_statistics.feedback_age_ms.p50", "feedback age p50", "ms", 1.0, f"{_AGE}, median", printed=False),
     Figure("link_statistics.feedback_age_ms.p99", "feedback age p99", "ms", 1.0, f"{_AGE}, 99th percentile",
@@ -105,7 +135,8 @@ _OF_RUNS = (
     Figure("link_statistics.round_trip_ms.p50", "round trip p50", "ms", 1.0, f"{_ROUND_TRIP}, median", printed=False),
     Figure("link_statistics.round_trip_ms.p99", "round trip p99", "ms", 1.0, f"{_ROUND_TRIP}, 99th percentile",
            column="round_trip_p99_ms", printed=False),
-    Figure("commands_refused", "commands refused", "", 1, "ticks with a command that was not finite", printed=False),
+    Figure("commands_refused", "commands refused", "", 1, "ticks with a command that was not finite",
+           column="refused", printed=False),
     Figure("stale_ticks", "stale ticks", "", 1, "ticks in which no feedback was fresh enough to drive", printed=False),
     Figure("held_ticks", "held ticks", "", 1, "ticks in which the state was unknown or the robot lost", printed=False),
     Figure("recoveries", "recoveries", "", 1, "times that the robot was lost and armed again", printed=False),

@@ -35,6 +35,11 @@ class Figure(NamedTuple):
     of_end: bool = False
     printed: bool = True
 
+    @property
+    def key(self) -> str:
+        """What users call it in ``[[expect]]``, and tables in their columns: its column, or its name without one."""
+        return self.column or self.name
+
 
 class CommandLimits(NamedTuple):
     """The largest command of one wheel that ``[robot]`` allows: the speed in SPEED mode, the torque in TORQUE mode."""

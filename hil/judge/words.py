@@ -7,9 +7,13 @@ import math
 from collections.abc import Iterable, Iterator, Mapping
 from typing import Any
 
+from hil.judge.expectations import Count, allow_figures
 from hil.judge.figures import figures, number
+from hil.scenario.trial import AllowTable
 
 Row = tuple[str, str]
+
+LENIENT = "judged by [[expect]] alone: not by [allow], nor by whether every fault was applied"
 
 
 def with_page(metrics: Mapping[str, Any]) -> dict[str, Any]:
@@ -91,7 +95,7 @@ def belief_rows(metrics: Mapping[str, Any]) -> Iterator[Row]:
         ]
         yield "pose fixes", ", ".join(counts) or "none came"
     if refused := metrics.get("commands_refused"):
-        yield "law", f"the law's command was not finite {refused} times, and the robot was held at rest"
+        yield "law", f"its command was not finite {refused} times, and the robot was held at rest"
     if stale := metrics.get("stale_ticks"):
         yield "stale", f"{stale} ticks, in which the feedback or the truth was too old: the robot was not driven"
     if held := metrics.get("held_ticks"):
@@ -111,6 +115,8 @@ def outcome_rows(metrics: Mapping[str, Any]) -> Iterator[Row]:
     for row in metrics.get("allow") or ():
         if not row["passed"]:
             yield "allow", row["text"]
+    if metrics.get("lenient"):
+        yield "lenient", LENIENT
     for row in metrics.get("shadows") or ():
         if row["dropped"] is not None:
             yield "shadow", row["dropped"]
@@ -120,14 +126,32 @@ def outcome_rows(metrics: Mapping[str, Any]) -> Iterator[Row]:
 
 
 def why_not_passed(metrics: Mapping[str, Any]) -> Iterator[Row]:
-    """Yield kind and sentence for each reason why a run did not pass, causes before their consequences."""
+    """Yield kind and sentence for each reason why a run did not pass, causes before their consequences.
+
+    A run without any has passed.
+    """
     if metrics["failure"] is not None:
         yield "failure", metrics["failure"]
-    if refused := metrics["commands_refused"]:
-        yield "law", f"the law's command was not finite {refused} times, and the robot was held at rest"
     yield from (("expectation", row["text"]) for row in in_order(metrics["expect"]) if row["passed"] is False)
+    if metrics["lenient"]:
+        return
     yield from (("allow", row["text"]) for row in metrics["allow"] if not row["passed"])
+    # A fault that was never applied proves nothing.
     yield from (("fault", applied_words(row)) for row in metrics["fault"] if not row["applied"])
+
+
+def judged(metrics: dict[str, Any]) -> dict[str, Any]:
+    """Set ``passed`` in the JSON of a run that is complete but for it, and return the JSON."""
+    metrics["passed"] = next(why_not_passed(metrics), None) is None
+    return metrics
+
+
+def set_lost_rows(metrics: dict[str, Any], allow: AllowTable, lost: int) -> None:
+    """Set how many rows the recording of a run lacks, and judge the run anew."""
+    metrics["lost_rows"] = lost
+    row = allow_figures(allow, {"lost_rows": Count(lost, lost)}, metrics["ticks"])
+    metrics["allow"] = [one for one in metrics["allow"] if one["name"] != "lost_rows"] + row
+    judged(metrics)
 
 
 def in_order(expect: Iterable[Mapping[str, Any]]) -> list[Mapping[str, Any]]:

@@ -109,16 +109,21 @@ def _fault_lane(number: int, row: Mapping[str, Any], t_column: int) -> Lane:
 LIMITS_PATH = "/limits"
 """Prefix of an entity's path: there the limits of its signals are recorded."""
 
+_SPEEDS = tuple(f"wheel.{wheel}.speed_rad_s" for wheel in WHEEL_NAMES)
 _OF_WHEELS = (("torque_command_n_m", "robot.torque_limit_n_m"), ("current_a", "firmware.current_limit_a"))
 
 
 class Limit(NamedTuple):
-    """A line: a value in the unit of its signal, from one time to another, both included."""
+    """A line: a value in the unit of its signal, from one time to another, both included.
+
+    The value is above the signal ``of``, if that is given.
+    """
 
     label: str
     value: float
     from_s: float
     to_s: float
+    of: str | None = None
 
 
 def limits(values: Mapping[str, Any], entities: Sequence[Entity]) -> dict[str, tuple[Limit, ...]]:
@@ -127,10 +132,18 @@ def limits(values: Mapping[str, Any], entities: Sequence[Entity]) -> dict[str, t
     ``values`` are the scenario's, by dotted key. Entities without a limit are left out.
     """
     of_signal: dict[str, list[Limit]] = {}
+    faults = table_rows(values, "fault")
     for row in table_rows(values, "expect"):
-        span = float(row.get("from_s", 0.0)), float(row.get("to_s", math.inf))
-        claims = [Limit(f"{row['signal']} {word}", value, *span) for word, value in _claims(row)]
-        of_signal.setdefault(row["signal"], []).extend(claims)
+        if "figure" in row:  # a number of the whole run
+            continue
+        span, of = (float(row.get("from_s", 0.0)), float(row.get("to_s", math.inf))), row.get("of")
+        if "after_fault" in row:
+            from hil.faults.kind import claimed_span_s  # only then: it imports the wire's protocol
+
+            span = claimed_span_s(row, faults)
+        for signal in _SPEEDS if row.get("at_rest") else [row["signal"]]:
+            claims = [Limit(f"{signal} {word}", value, *span, of) for word, value in _claims(row)]
+            of_signal.setdefault(signal, []).extend(claims)
     for quantity, key in _OF_WHEELS:
         if (size := values.get(key)) is not None:
             both = [Limit("limit", sign * float(size), -math.inf, math.inf) for sign in (1.0, -1.0)]
@@ -145,15 +158,22 @@ def limits(values: Mapping[str, Any], entities: Sequence[Entity]) -> dict[str, t
     return found
 
 
-def limit_values(lines: Sequence[Limit], t_s: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-    """Return the limits at times of shape (n,): shape (n, limits), NaN at times outside the limit's span."""
-    value, begin, end = (np.array([line[i] for line in lines]) for i in (1, 2, 3))
+def limit_values(
+    lines: Sequence[Limit], column: Columns, rows: npt.NDArray[np.float64], t_s: npt.NDArray[np.float64]
+) -> npt.NDArray[np.float64]:
+    """Return the limits in rows of shape (n, signals), at their times (n,): shape (n, limits), NaN outside the span."""
+    begin, end = (np.array([line[i] for line in lines]) for i in (2, 3))
+    of = [0.0 if line.of is None else rows[:, column[line.of]] for line in lines]
+    values = (line.value + base for line, base in zip(lines, of, strict=True))
+    value = np.column_stack([np.broadcast_to(each, len(rows)) for each in values])
     claimed = (t_s[:, None] >= begin) & (t_s[:, None] <= end)
     return np.where(claimed, value, np.nan)
 
 
 def _claims(row: Mapping[str, Any]) -> list[tuple[str, float]]:
     """Return word and value of each line that an expectation draws."""
+    if row.get("at_rest"):
+        return [("at rest", side * float(row["below"])) for side in (1, -1)]
     claims = [(word, float(row[word])) for word in ("below", "above") if word in row]
     if "within" in row:
         low, high = row["within"]

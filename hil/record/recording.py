@@ -60,6 +60,10 @@ class RunRecording(AbstractContextManager["RunRecording"], Protocol):
     def path(self) -> Path | None:
         """The file, or None if there is only a live view."""
 
+    @property
+    def rows_dropped(self) -> int:
+        """Rows that were discarded so far because the recorder was too slow."""
+
     def put(self, row: bytes) -> None:
         """Take one row in the order of the signals."""
 
@@ -176,6 +180,10 @@ class Recording(RingProcess):
     def _release(self) -> None:
         if self.path is not None:
             release(self.path, self._existing)
+
+    @property
+    def rows_dropped(self) -> int:
+        return self.ring.dropped
 
     def event(self, t_s: float, level: str, text: str) -> None:
         """Add a line to the event log; ``level`` is debug, info, warning or error. Never waits."""

@@ -117,7 +117,7 @@ class Stream:
             index, values = indexes(times[drawn]), rows[drawn]
             for path, columns in self._entities:
                 self._rerun.send_columns(path, index, rr.Scalars.columns(scalars=values[:, columns]))
-        self._draw_limits(times)
+        self._draw_limits(rows, times)
         for drawing in self._drawings:
             drawing.rows(rows, times)
 
@@ -195,13 +195,14 @@ class Stream:
                 self._lane_states[lane.path] = name
                 self._rerun.send_columns(lane.path, indexes(times[i : i + 1]), rr.StateChange.columns(state=[name]))
 
-    def _draw_limits(self, times: Times) -> None:
+    def _draw_limits(self, rows: Rows, times: Times) -> None:
         # No further than the run has come: a live view follows the newest point.
-        t_s = times[self._limit_decimator.keep(times[:, 0]), 0]
+        kept = self._limit_decimator.keep(times[:, 0])
+        t_s = times[kept, 0]
         if not len(t_s):
             return
         for path, lines in self._limits.items():
-            drawn = limit_values(lines, t_s)
+            drawn = limit_values(lines, self._column, rows[kept], t_s)
             if np.isfinite(drawn).any():
                 self._rerun.send_columns(LIMITS_PATH + path, [seconds_index(t_s)], rr.Scalars.columns(scalars=drawn))
 

@@ -2,19 +2,30 @@
 
 import contextlib
 import json
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from hil.core.errors import BadInputError
-from hil.core.options import OptionsError, build
+from hil.core.model import RobotModel
+from hil.core.options import OptionsError, build, options_of
 from hil.core.signals import SIGNAL_NAMES
-from hil.judge.expectations import outcomes_of
+from hil.judge.expectations import (
+    check_expectation,
+    figure_outcome,
+    figures_by_key,
+    outcome_figures,
+    rejected_and_unmatched,
+    signals_of,
+)
 from hil.judge.figures import cut_words, figure_signals, signal_figures
 from hil.judge.measure import CommandLimits, RunSetup
+from hil.judge.words import set_lost_rows
 from hil.record.properties import table_rows
 from hil.review.reader import RecordedRun, read
-from hil.scenario.trial import ExpectTable
+from hil.scenario.trial import AllowTable, ExpectTable, FaultTable
+
+T = TypeVar("T")
 
 _NO_SUMMARY = "the recording has no summary: the run did not come to its end"
 _NO_END = "the recording has no summary and no end: how the run ended is not known"
@@ -25,7 +36,7 @@ _FROM_SUMMARY = ("passed", "realtime_factor", "lateness_us", "frames", "link_sta
 # No reason is given where one of these is None.
 _OUTCOME = (
     *("failure", "stopped", "expect", "fault", "recoveries", "commands_refused"),
-    *("stale_ticks", "held_ticks", "allow", "realtime", "robot_slipped_ticks"),
+    *("lenient", "stale_ticks", "held_ticks", "rejected", "unmatched", "allow", "realtime", "robot_slipped_ticks"),
 )
 _MADE = ("command", "started", "mecanum_hil", "commit", "python", "machine")
 _NAMED = 4
@@ -45,7 +56,7 @@ def read_for_figures(path: Path, more: Collection[str] = ()) -> RecordedRun:
     """Read a recording: the signals for its figures and expectations, and those of ``more``. Raises BadInputError."""
     needed = figure_signals().union(more)
     run = read(path, needed)
-    if run.summary is None and (further := {row.signal for row in expected(run)} - needed):
+    if run.summary is None and (further := {name for row in expected(run) for name in signals_of(row)} - needed):
         run = read(path, needed | further)
     return run
 
@@ -76,18 +87,39 @@ def figures(run: RecordedRun) -> dict[str, Any]:
     outcome = {name: summary.get(name) for name in _OUTCOME}
     if run.summary is None:
         outcome["failure"] = no_summary
-        outcome["expect"] = outcomes_of([row for row in expected(run) if row.signal in run.signals], run.signals, cut_s)
-    return {
+    result = {
         "passed": found.pop("passed"),
         **identity,
         **outcome,
         **found,
         "recording": str(run.path),
-        "notes": [*run.notes, *_other_version(run), *_late_begin(run)],
+        "notes": [*run.notes, *_other_version(run), *_judged_before(run), *_late_begin(run)],
         "made": {name: text for name, text in run.properties.items() if name in _MADE},
         "events": [event._asdict() for event in run.events],
         "reasons": reasons,
     }
+    if result["rejected"] is None and result["frames"] is not None:  # before version 0.3
+        result["rejected"], result["unmatched"] = rejected_and_unmatched(result["frames"]["rejected"])
+    if run.summary is None:
+        result["expect"] = _outcomes(run, result, cut_s)
+    result["lost_rows"] = lost = (run.rows_dropped or 0) + run.rows_missing
+    if summary.get("lost_rows", lost) != lost:
+        set_lost_rows(result, _tables(run, AllowTable, "allow")[0], lost)
+    return result
+
+
+def _outcomes(run: RecordedRun, found: Mapping[str, Any], cut_s: float | None) -> list[dict[str, Any]]:
+    """Return the outcomes of the expectations of a run without a summary, as far as its rows show them."""
+    faults, models = _tables(run, FaultTable, "fault"), _tables(run, RobotModel, "robot")
+    known, robot = figures_by_key(), models[0] if models else None
+    outcomes = []
+    for row in expected(run):
+        if row.figure is None and all(name in run.signals for name in signals_of(row)):
+            with contextlib.suppress(ValueError):  # after a fault that this version does not understand
+                outcomes.append((row, check_expectation(row, run.signals, cut_s, faults, robot)))
+        elif row.figure in known:
+            outcomes.append((row, figure_outcome(row, found, cut_s)))
+    return [outcome_figures(*one) for one in outcomes]
 
 
 def scenario_of(run: RecordedRun) -> dict[str, Any]:
@@ -134,11 +166,27 @@ def _limits(run: RecordedRun) -> CommandLimits | None:
 
 def expected(run: RecordedRun) -> list[ExpectTable]:
     """Return the rows of ``[[expect]]`` of the run's scenario, those that this version understands."""
-    rows = []
-    for row in table_rows(scenario_of(run), "expect"):
+    return _tables(run, ExpectTable, "expect")
+
+
+def _tables(run: RecordedRun, kind: type[T], table: str) -> list[T]:
+    """Return a table of the run's scenario, or the rows of an array; none of what this version does not understand."""
+    values = scenario_of(run)
+    one = {key.removeprefix(f"{table}."): value for key, value in values.items() if key.startswith(f"{table}.")}
+    made = []
+    for row in table_rows(values, table) or ([] if kind in (ExpectTable, FaultTable) else [one]):
         with contextlib.suppress(OptionsError):  # of a version that has other keys
-            rows.append(build(ExpectTable, row))
-    return rows
+            made.append(build(kind, row))
+    return made
+
+
+def _judged_before(run: RecordedRun) -> list[str]:
+    """Return a note on the limits of ``[allow]`` by which an older version did not judge the run."""
+    if run.summary is None or run.summary.get("passed") is None:
+        return []
+    judged = {row["name"] for row in run.summary.get("allow") or ()}
+    missing = [name for name in options_of(AllowTable) if name not in judged]
+    return [f"it was not judged by allow.{', '.join(missing)}: an older version made it"] if missing else []
 
 
 def _other_version(run: RecordedRun) -> list[str]:

@@ -11,6 +11,7 @@ from hil.core.errors import DeviceError, HilError, LinkError
 from hil.core.outputs import Existing, existing_files
 from hil.core.ports import Sink
 from hil.core.signals import SIGNAL_NAMES
+from hil.judge.expectations import signals_of
 from hil.judge.figures import RunFigures, figure_signals
 from hil.judge.measure import CommandLimits, RunSetup
 from hil.judge.results import MemorySink, RunResult, Signals
@@ -27,6 +28,7 @@ from hil.runtime.provenance import ingredients, properties
 from hil.runtime.realtime import RealTime, real_time
 from hil.runtime.report import close_recording, is_cut, run_figures
 from hil.runtime.robots import open_trace
+from hil.runtime.undriven import Rejections
 from hil.scenario import Scenario, load, set_texts
 from hil.wire.device_lock import device_held
 from hil.wire.trace import Trace
@@ -54,6 +56,7 @@ def run(
     stream: str | None = None,
     force: bool = False,
     allow_motion: bool = False,
+    lenient: bool = False,
 ) -> RunResult:
     """Run a scenario, as ``hil run`` does, and return its result.
 
@@ -64,7 +67,7 @@ def run(
     socket of a robot in another process. ``record`` is an ``.rrd`` or ``.mcap`` file; ``rotate`` is the size or
     duration after which the recording continues in a new file, as in ``1GB|10min``. ``trace`` is a ``.blf``, ``.asc``
     or ``.log`` file for the frames on the wire. ``stream`` is the URL ``udp://127.0.0.1:PORT`` of a program that plots
-    JSON datagrams. ``force`` replaces an existing recording or trace.
+    JSON datagrams. ``force`` replaces an existing recording or trace. ``lenient`` judges by ``[[expect]]`` alone.
 
     Raises BadInputError for a wrong scenario or option and for an output file that exists already, LinkError or
     DeviceError when the robot cannot be reached or does not arm. Later failures are in the result. A law that takes
@@ -86,6 +89,7 @@ def run(
             existing=existing_files(force=force),
             stream=stream,
             allow_motion=allow_motion,
+            lenient=lenient,
             make_recording=make_recording,
         )
         return run_scenario(loaded, options)
@@ -96,7 +100,7 @@ class RunOptions:
     """Options of a run that are not part of the scenario.
 
     Attributes:
-        truth, rotate, trace, stream, allow_motion: as for ``run``.
+        truth, rotate, trace, stream, allow_motion, lenient: as for ``run``.
         record: the file of a recording, or None.
         existing: what to do when ``record`` exists already. A ``trace`` is never numbered: "number" counts as "refuse"
             there.
@@ -120,6 +124,7 @@ class RunOptions:
     live_port: int | None = None
     stream: str | None = None
     allow_motion: bool = False
+    lenient: bool = False
     watch: Watch | None = None
     warn: Callable[[str], None] | None = None
     linger: Callable[[], None] | None = None
@@ -227,14 +232,17 @@ class _Run:
         figures = RunFigures(RunSetup(scenario.firmware.torque_constant_n_m_a, limits), names)
         self._memory = MemorySink(names, figures, keep=self._options.keep_signals)
         note = self._recording.event if self._recording is not None else _ignore
-        self._events = RunEvents(scenario.expect, scenario.fault, names, note, self._bench.plant_output)
-        sinks: list[Sink | None] = [self._memory, self._recording, self._stream, self._events]
+        self._events = RunEvents(scenario, names, note, self._bench.plant_output)
+        faults = [table.row for table in scenario.fault]
+        self._rejections = Rejections(self._bench.device, faults, self._parts.timing, names)
+        counting = self._rejections if self._rejections.windows else None
+        sinks: list[Sink | None] = [self._memory, self._recording, self._stream, self._events, counting]
         parts = self._parts.make(self._bench, [sink for sink in sinks if sink is not None], note)
         return Loop(
             parts._replace(extra=()) if names is SIGNAL_NAMES else parts,
             scenario.controller.mode,
             self._parts.timing,
-            faults=[table.row for table in scenario.fault],
+            faults=faults,
             rearm=scenario.loop.rearm,
             warn=self._options.warn,
             tick_limit_s=scenario.loop.tick_limit_s,
@@ -250,7 +258,8 @@ class _Run:
         scenario, laws, options = self._scenario, self._parts.laws, self._options
         if options.keep_signals or options.is_recorded or self._destination is not None or laws.extra_may_fail:
             return laws.signals
-        named = {row.signal for row in scenario.expect} | {row.target for row in scenario.fault} | figure_signals()
+        named = {name for row in scenario.expect for name in signals_of(row)} | figure_signals()
+        named |= {row.target for row in scenario.fault}
         is_named = any(name in named for own in laws.extra for name in own.signals)
         return laws.signals if is_named else SIGNAL_NAMES
 
@@ -263,7 +272,7 @@ class _Run:
         if self._recording is not None:
             t_s = self._loop.t_s
             self._recording.event(t_s, "error", sentence)
-            outcomes = self._events.finish(t_s, is_cut=True)
+            outcomes = list(self._events.finish(t_s, is_cut=True).values())
             with contextlib.suppress(HilError):  # nothing was recorded; the sentence counts for more
                 self._recording.finish(with_page({"passed": False, "failure": sentence, "expect": outcomes}))
         if self._options.on_stuck is not None:
@@ -278,6 +287,7 @@ class _Run:
         with taken as granted:
             origin_ns = self._reach(lambda: bench.device.start(bench.clock, scenario.loop.period_ns))
             bench.begin(origin_ns)
+            self._rejections.begin()
             watch = self._options.watch or contextlib.nullcontext
             with watch(self._loop):
                 return self._loop.run(origin_ns, round(scenario.loop.duration_s * NS)), granted
@@ -287,7 +297,8 @@ class _Run:
         scenario, loop, laws = self._scenario, self._loop, self._parts.laws
         report = report._replace(failure=self._bench.stop_robot() or report.failure)
         outcomes = self._events.finish(loop.t_s, is_cut=is_cut(scenario, loop, report))
-        metrics = run_figures(scenario, self._bench, self._memory, loop, report, outcomes)
+        is_lenient, causes = self._options.lenient, self._rejections.counts()
+        metrics = run_figures(scenario, self._bench, self._memory, loop, report, outcomes, causes, lenient=is_lenient)
         metrics["realtime"] = None if granted is None else granted.figures()
         metrics["shadows"] = [] if laws.shadows is None else laws.shadows.figures()
         metrics["reference"] = {"kind": scenario.reference.kind, **self._feasibility.figures()}
@@ -297,7 +308,7 @@ class _Run:
             metrics["streamed"] = self._stream.finish()
         linger = self._options.linger
         if self._recording is not None:
-            close_recording(self._recording, loop.t_s, metrics, keep_live=linger is not None)
+            close_recording(self._recording, loop.t_s, scenario.allow, metrics, keep_live=linger is not None)
             if linger is not None:
                 linger()
         return RunResult(scenario, metrics, Signals(self._memory.signals()), report.failure)

@@ -10,7 +10,7 @@ from hil.core.ports import Note
 from hil.faults.kinds import find
 from hil.judge.expectations import Watch, outcome_figures
 from hil.plant.child_output import ChildOutput, log_lines
-from hil.scenario import ExpectTable, FaultTable
+from hil.scenario import Scenario
 
 _value_at = struct.Struct("d").unpack_from  # at an offset in a row
 _LEVELS = {True: "info", None: "warning", False: "error"}
@@ -19,14 +19,13 @@ _LEVELS = {True: "info", None: "warning", False: "error"}
 class RunEvents:
     """A sink that looks at each row and writes a line of the event log when something happens.
 
-    A tick costs two comparisons, and one more per expectation in its time window. ``names`` are the signals of the run,
-    which must include ``loop.t_s``; ``output`` is the output of a plant that runs in its own process.
+    A tick costs two comparisons, and one more per expectation about signals in its time. ``names`` are the signals
+    of the run, which must include ``loop.t_s``; ``output`` is the output of a plant that runs in its own process.
     """
 
     def __init__(
         self,
-        expect: Sequence[ExpectTable],
-        faults: Sequence[FaultTable],
+        scenario: Scenario,
         names: Sequence[str],
         note: Note,
         output: ChildOutput | None = None,
@@ -34,21 +33,24 @@ class RunEvents:
         self._note = note
         self._output = ChildOutput() if output is None else output
         self._t_at = 8 * names.index("loop.t_s")
-        self._watches = [(8 * names.index(row.signal), Watch(row)) for row in expect]
-        self._open: tuple[tuple[int, Watch], ...] = ()
-        self._undecided = [watch for _, watch in self._watches]
+        self._expect = scenario.expect
+        self._places = {name: 8 * place for place, name in enumerate(names)}
+        self._watches = {
+            i: Watch(row, scenario.fault, scenario.robot) for i, row in enumerate(self._expect) if row.figure is None
+        }
+        self._open: tuple[tuple[tuple[int, ...], Watch], ...] = ()
+        self._undecided = list(self._watches.values())
         self._noted: dict[int, str] = {}  # what was logged when an expectation failed
         self._in_force: list[str] = []
         edges: list[tuple[float, Callable[[], None]]] = []
-        for fault in faults:
+        for fault in scenario.fault:
             edges.append((fault.start_s, partial(self._begin, fault.start_s, fault.words)))
             if not find(fault.kind, fault.target).is_instant:
                 edges.append((fault.end_s, partial(self._end, fault.end_s, fault.words)))
-        for at, watch in self._watches:
-            row = watch.expect
-            edges.append((row.from_s, partial(self._watch, at, watch)))
+        for watch in self._undecided:
+            edges.append((watch.from_s, partial(self._watch, watch)))
             # A sample at exactly to_s is still checked.
-            edges.append((math.nextafter(row.to_s, math.inf), partial(self._decide, watch, row.to_s, None)))
+            edges.append((math.nextafter(watch.to_s, math.inf), partial(self._decide, watch, watch.to_s, None)))
         self._edges = sorted(edges, key=lambda edge: edge[0], reverse=True)
         self._next_s = self._edges[-1][0] if edges else math.inf
 
@@ -59,14 +61,14 @@ class RunEvents:
             self._cross(t_s)
         if self._output:
             log_lines(self._output.new_lines(), t_s, self._note)
-        for at, watch in self._open:
-            if watch.add(t_s, *_value_at(row, at)):
+        for places, watch in self._open:
+            if watch.add(t_s, [_value_at(row, at)[0] for at in places]):
                 self._note_failure(watch)
 
-    def finish(self, t_s: float, *, is_cut: bool) -> list[dict[str, Any]]:
-        """End the log after the last tick, at ``t_s``; return the figures of all expectations.
+    def finish(self, t_s: float, *, is_cut: bool) -> dict[int, dict[str, Any]]:
+        """End the log after the last tick, at ``t_s``; return the outcomes of the expectations about signals.
 
-        ``is_cut``: the run ended before its planned duration.
+        They are by their place in the scenario. ``is_cut``: the run ended before its planned duration.
         """
         log_lines(self._output.end(), t_s, self._note)
         for words in self._in_force:
@@ -74,7 +76,7 @@ class RunEvents:
         cut_s = t_s if is_cut else None
         for watch in tuple(self._undecided):
             self._decide(watch, t_s, cut_s)
-        return [outcome_figures(watch.expect, watch.outcome(cut_s)) for _, watch in self._watches]
+        return {i: outcome_figures(watch.expect, watch.outcome(cut_s)) for i, watch in self._watches.items()}
 
     def _cross(self, t_s: float) -> None:
         """Run the actions that are due at a tick. Those at infinity never are."""
@@ -90,8 +92,8 @@ class RunEvents:
         self._in_force.remove(words)
         self._note(at_s, "info", f"fault ends: {words}")
 
-    def _watch(self, at: int, watch: Watch) -> None:
-        self._open += ((at, watch),)
+    def _watch(self, watch: Watch) -> None:
+        self._open += ((tuple(self._places[name] for name in watch.signals), watch),)
 
     def _note_failure(self, watch: Watch) -> None:
         """Log at once that an expectation has failed. The worst value is logged when its time window ends."""

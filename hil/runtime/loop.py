@@ -10,7 +10,7 @@ from hil.core.signals import LoopSignals
 from hil.core.tick_watch import TickOverdue, TickWatch
 from hil.core.types import NAN, CommandMode
 from hil.faults.kind import FaultRow
-from hil.judge.expectations import TickCount
+from hil.judge.expectations import Count
 from hil.runtime.lateness import Lateness
 from hil.runtime.recovery import Recovered, Recovery, Warned
 from hil.runtime.sampling import Sampling, Timing
@@ -33,7 +33,7 @@ class Report(NamedTuple):
 
     ticks: int
     deadline_misses: int
-    undriven: dict[str, TickCount]
+    undriven: dict[str, Count]
     robot_s: float
     wall_s: float
     stopped: bool

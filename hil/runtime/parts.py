@@ -5,6 +5,7 @@ from collections.abc import Sequence
 from hil.core.guard import Brake, Guard
 from hil.core.ports import Note, Sink
 from hil.estimation.choice import make_estimator
+from hil.judge.expectations import check_figures
 from hil.references import Feasibility, feasibility, make_reference
 from hil.runtime.bench import NS, Bench
 from hil.runtime.sampling import Timing
@@ -16,10 +17,11 @@ from hil.scenario.laws import make_laws
 class RunParts:
     """The parts that need only the scenario. They are made before anything is opened, so that bad input is found first.
 
-    Raises BadInputError when the law or the reference rejects its options.
+    Raises BadInputError when the law or the reference rejects its options, and for an expected figure that no run has.
     """
 
     def __init__(self, scenario: Scenario) -> None:
+        check_figures(scenario)
         self._scenario = scenario
         self.model = scenario.robot
         self.reference = make_reference(scenario.reference.kind, scenario.reference.options, scenario.directory)

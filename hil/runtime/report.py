@@ -1,17 +1,19 @@
 """Computes the figures of a finished run, and finishes its recording."""
 
 import math
+from collections.abc import Mapping
 from typing import Any
 
 from hil.core.percentiles import Percentiles
-from hil.judge.expectations import allow_figures
+from hil.judge.expectations import Count, allow_figures, figure_outcome, outcome_figures
 from hil.judge.figures import cut_words
 from hil.judge.results import MemorySink
-from hil.judge.words import applied_words, with_page
+from hil.judge.words import applied_words, judged, set_lost_rows, with_page
 from hil.record import RunRecording
 from hil.runtime.bench import Bench
 from hil.runtime.loop import Loop, Report
 from hil.scenario import Scenario
+from hil.scenario.trial import AllowTable
 
 _NO_VALUE = {
     "load": "a link in memory has no bit rate",
@@ -25,28 +27,40 @@ _NO_VALUE = {
 
 
 def run_figures(
-    scenario: Scenario, bench: Bench, memory: MemorySink, loop: Loop, report: Report, outcomes: list[dict[str, Any]]
+    scenario: Scenario,
+    bench: Bench,
+    memory: MemorySink,
+    loop: Loop,
+    report: Report,
+    outcomes: Mapping[int, dict[str, Any]],
+    rejections: Mapping[str, Count],
+    *,
+    lenient: bool = False,
 ) -> dict[str, Any]:
-    """Return the figures of a run by name; ``outcomes`` are the figures of its expectations."""
+    """Return the figures of a run by name.
+
+    ``outcomes`` are those of the expectations about signals, by their place in the scenario. ``lenient``: the run is
+    judged by its expectations alone.
+    """
     failure, duration_s = report.failure, scenario.loop.duration_s
-    figures, reasons = memory.figures(cut_words(loop.t_s, duration_s) if is_cut(scenario, loop, report) else None)
+    cut_s = loop.t_s if is_cut(scenario, loop, report) else None
+    figures, reasons = memory.figures(None if cut_s is None else cut_words(cut_s, duration_s))
     applied: list[dict[str, Any]] = [
         {"kind": row.kind, "target": row.target, "text": row.words, "applied": count, "counts": row.counts}
         | {"start_s": row.start_s, "end_s": row.end_s if math.isfinite(row.end_s) else None, "value": row.value}
         for row, count in zip(scenario.fault, bench.faults.applied(), strict=True)
     ]
-    allow = allow_figures(scenario.allow, report.undriven, report.ticks)
-    # A fault that was never applied proves nothing. Nor does a run whose law gave NaN, because the robot was then
-    # stopped.
-    judged = (*(row["passed"] for row in (*outcomes, *allow)), *(row["applied"] for row in applied))
+    refused = {"refused": Count(loop.commands_refused, loop.commands_refused)}
+    counts = {**report.undriven, **rejections, **refused, "lost_rows": Count(0, 0)}
     if not report.ticks:
         reasons["realtime_factor"] = "the run has no ticks"
     pose_fixes = loop.pose_fixes()
     if pose_fixes is None:
         reasons["pose_fixes"] = f"{scenario.estimator.source!r} takes none"
     device = bench.device
-    return {
-        "passed": failure is None and all(judged) and loop.commands_refused == 0,
+    metrics: dict[str, Any] = {
+        "passed": None,
+        "lenient": lenient,
         "scenario": scenario.name,
         "law": scenario.controller.law,
         "mode": scenario.loop.mode,
@@ -62,16 +76,21 @@ def run_figures(
         "wire_sha256": device.wire_sha256(),
         "stopped": report.stopped,
         "commands_refused": loop.commands_refused,
-        **{name: count.all for name, count in report.undriven.items()},
-        "allow": allow,
+        **{name: count.all for name, count in counts.items() if name != "refused"},
+        "allow": allow_figures(scenario.allow, counts, report.ticks),
         "recoveries": [recovered._asdict() for recovered in report.recoveries],
         "robot_slipped_ticks": bench.slipped_ticks,
-        "expect": outcomes,
+        "expect": [],
         "fault": applied,
         "failure": str(failure) if failure is not None else None,
         "recording": None,
         "reasons": reasons | {"recording": "no recording was asked for"},
     }
+    metrics["expect"] = [
+        outcomes[i] if i in outcomes else outcome_figures(row, figure_outcome(row, metrics, cut_s))
+        for i, row in enumerate(scenario.expect)
+    ]
+    return judged(metrics)
 
 
 def is_cut(scenario: Scenario, loop: Loop, report: Report) -> bool:
@@ -101,11 +120,17 @@ def _link_statistics(bench: Bench, age_ms: Percentiles | None) -> dict[str, Any]
     return figures | {"reasons": {name: _NO_VALUE[name] for name in missing}}
 
 
-def close_recording(recording: RunRecording, t_s: float, metrics: dict[str, Any], *, keep_live: bool) -> None:
+def close_recording(
+    recording: RunRecording, t_s: float, allow: AllowTable, metrics: dict[str, Any], *, keep_live: bool
+) -> None:
     """Finish the recording at ``t_s`` with the figures in it, and add the recorder's report to the figures.
 
     The event log gets what is known only at the end; events of the run are in it already.
     """
+    set_lost_rows(metrics, allow, recording.rows_dropped)
+    for row in metrics["expect"]:
+        if row["figure"] is not None:
+            recording.event(t_s, "info" if row["passed"] else "error", row["text"])
     for row in metrics["fault"]:
         recording.event(t_s, "info" if row["applied"] else "error", f"fault: {applied_words(row)}")
     if (trace := metrics.get("trace")) is not None and trace["trouble"] is not None:
@@ -116,6 +141,7 @@ def close_recording(recording: RunRecording, t_s: float, metrics: dict[str, Any]
         metrics["recording"] = str(recording.path)
         del metrics["reasons"]["recording"]
     report = recording.finish(with_page(metrics), keep_live=keep_live)
+    set_lost_rows(metrics, allow, report.rows_dropped + report.rows_lost)
     metrics["recorded"] = {
         "rows": report.rows_written,
         "dropped": report.rows_dropped,

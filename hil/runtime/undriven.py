@@ -1,13 +1,19 @@
-"""The ticks of a run in which the robot was not driven, and which of them a fault of the scenario explains."""
+"""Ticks in which the robot was not driven, frames that were rejected, and which of them a fault explains."""
 
+import math
+import struct
 from collections.abc import Sequence
 
 from hil.faults.kind import FaultRow
 from hil.faults.kinds import find
-from hil.judge.expectations import TickCount
+from hil.judge.expectations import Count, rejected_and_unmatched
+from hil.robot.port import Device
 from hil.runtime.sampling import Timing
 from hil.runtime.signal_faults import can_hold
 
+_value_at = struct.Struct("d").unpack_from  # at an offset in a row
+_REPORTED_S = 0.15
+"""Time in which a robot reports its counts at least once: every 0.1 s, and late."""
 _LATE_KINDS = ("delay", "jitter")  # their value is a time [s] by which frames may arrive after the window
 
 
@@ -27,12 +33,7 @@ class Undriven:
     """
 
     def __init__(self, faults: Sequence[FaultRow], timing: Timing) -> None:
-        tail_ns = timing.command_latency_ns + timing.feedback_latency_ns + timing.stale_ns + 2 * timing.period_ns
-        self._windows = [
-            (row.start_ns - timing.feedback_latency_ns, _last_ns(row) + tail_ns + _on_the_way_ns(row))
-            for row in faults
-            if can_hold(row)
-        ]
+        self._windows = [_window(row, timing) for row in faults if can_hold(row)]
         self._is_explained = False
         self._stale = self._stale_explained = 0
         self._held = self._held_explained = 0
@@ -52,14 +53,85 @@ class Undriven:
             self._held += 1
             self._held_explained += self._is_explained
 
-    def counts(self, ticks: int) -> dict[str, TickCount]:
+    def counts(self, ticks: int) -> dict[str, Count]:
         """Return all and the unexplained ticks of each kind, by its key in ``[allow]``; ``ticks`` is all of the run."""
         if self._stale + self._held == ticks:
-            return {"stale_ticks": TickCount(self._stale, self._stale), "held_ticks": TickCount(self._held, self._held)}
+            return {"stale_ticks": Count(self._stale, self._stale), "held_ticks": Count(self._held, self._held)}
         return {
-            "stale_ticks": TickCount(self._stale, self._stale - self._stale_explained),
-            "held_ticks": TickCount(self._held, self._held - self._held_explained),
+            "stale_ticks": Count(self._stale, self._stale - self._stale_explained),
+            "held_ticks": Count(self._held, self._held - self._held_explained),
         }
+
+
+class Rejections:
+    """Counts rejected frames and unmatched feedforwards, and those of them that no fault of the scenario explains.
+
+    A fault that can interrupt feedback, state or robot explains what is counted from its beginning until the end of its
+    window (see ``Undriven``), until the robot is driven again, and until the robot has reported its counts after that.
+    What was rejected before t = 0 does not count. A run with ``windows`` gives it each row, as a sink.
+    """
+
+    def __init__(self, device: Device, faults: Sequence[FaultRow], timing: Timing, names: Sequence[str]) -> None:
+        self._device = device
+        self._t_at, self._held_at = (8 * names.index(name) for name in ("loop.t_s", "guard.held"))
+        windows = sorted(_window(row, timing) for row in faults if can_hold(row))
+        # From the row before: what is counted in the first tick of a window is already in its row.
+        before_ns = 2 * timing.period_ns
+        self.windows = [((start - before_ns) * 1e-9, end * 1e-9 + _REPORTED_S) for start, end in windows]
+        self._next_s = self.windows[0][0] if windows else math.inf
+        self._at_begin = (0, 0)
+        self._at_start: tuple[int, int] | None = None  # of the window that is open
+        self._explained = [0, 0]
+
+    def begin(self) -> None:
+        """Begin to count, at t = 0."""
+        self._at_begin = self._read()
+        if self._next_s <= 0.0:
+            self._open(0.0)
+
+    def put(self, row: bytes) -> None:
+        """Take the row of a tick."""
+        (t_s,) = _value_at(row, self._t_at)
+        if t_s < self._next_s:
+            return
+        if self._at_start is not None:
+            if _value_at(row, self._held_at)[0]:
+                self._next_s = t_s + _REPORTED_S
+                return
+            self._close(self._at_start)
+        self._open(t_s)
+
+    def _open(self, t_s: float) -> None:
+        """Open the windows that have begun, if one of them still lasts."""
+        begun = [window for window in self.windows if window[0] <= t_s]
+        self.windows = self.windows[len(begun) :]
+        end_s = max((end_s for _, end_s in begun), default=t_s)
+        if end_s > t_s:
+            self._at_start, self._next_s = self._read(), end_s
+        else:
+            self._next_s = self.windows[0][0] if self.windows else math.inf
+
+    def counts(self) -> dict[str, Count]:
+        """Return the counts of the run by their keys in ``[allow]``."""
+        if self._at_start is not None:
+            self._close(self._at_start)
+        both = zip(self._read(), self._at_begin, self._explained, strict=True)
+        counts = (Count(now - before, now - before - explained) for now, before, explained in both)
+        return dict(zip(("rejected", "unmatched"), counts, strict=True))
+
+    def _close(self, at_start: tuple[int, int]) -> None:
+        changes = zip(self._explained, self._read(), at_start, strict=True)
+        self._explained = [explained + now - before for explained, now, before in changes]
+        self._at_start = None
+
+    def _read(self) -> tuple[int, int]:
+        return rejected_and_unmatched(self._device.rejected())
+
+
+def _window(row: FaultRow, timing: Timing) -> tuple[int, int]:
+    """Return the times [ns] from and to which a fault can affect ticks."""
+    tail_ns = timing.command_latency_ns + timing.feedback_latency_ns + timing.stale_ns + 2 * timing.period_ns
+    return row.start_ns - timing.feedback_latency_ns, _last_ns(row) + tail_ns + _on_the_way_ns(row)
 
 
 def _last_ns(row: FaultRow) -> int:

@@ -1,6 +1,7 @@
 """Checks a stacked scenario: each table by itself, then the tables against each other. Words the messages."""
 
 import re
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import is_dataclass
 from pathlib import Path as FilePath
@@ -8,14 +9,14 @@ from typing import Any, cast, get_args
 
 from hil.core.errors import SEE_SIGNALS, BadInputError, near, nearest
 from hil.core.options import ABSENT, OptionsError, Problem, build, options_of
-from hil.core.signals import INDEX
+from hil.core.signals import INDEX, unit_of
 from hil.references import make_reference
 from hil.scenario import layers, motors
 from hil.scenario.laws import make_laws
 from hil.scenario.layers import Given, Node, Path, Tree, leaves
 from hil.scenario.run import values
 from hil.scenario.tables import RATES_HZ, Tables
-from hil.scenario.trial import REALTIME_ALLOW
+from hil.scenario.trial import REALTIME_ALLOW, span_s
 
 WATCHDOG_PERIODS = 5
 _WATCHDOG_RULE = f"default: {WATCHDOG_PERIODS} command periods, within 0.02 to 0.1 s"
@@ -127,10 +128,22 @@ _TABLES = dict(_keys(Tables))
 
 def _unknown_signals(tables: Tables, directory: FilePath) -> Iterator[tuple[str, str]]:
     """Yield key and message for each row that names a signal which the run does not have."""
-    named = {f"expect.{i}.signal": row.signal for i, row in enumerate(tables.expect)}
+    named = {
+        f"expect.{i}.{key}": name
+        for i, row in enumerate(tables.expect)
+        for key, name in (("signal", row.signal), ("of", row.of))
+        if name is not None
+    }
     named |= {
         f"fault.{i}.target": table.target for i, table in enumerate(tables.fault) if table.row.acts_on == "signal"
     }
+    for i, row in enumerate(tables.expect):
+        if row.signal is not None and row.of is not None and unit_of(row.signal) != unit_of(row.of):
+            unit = unit_of(row.signal) or "without a unit"
+            yield (
+                f"expect.{i}.of",
+                f"expected a signal in the unit of {row.signal} ({unit}), to compare them",
+            )
     if INDEX.keys() >= set(named.values()):
         return
     known = make_laws(tables, directory).signals  # only when needed, because it runs the code of third-party laws
@@ -156,6 +169,21 @@ def _contradictions(tables: Tables) -> Iterator[tuple[str, str]]:
     if (limit := robot.speed_limit_rad_s) >= firmware.overspeed_rad_s:
         words = f"expected more than robot.speed_limit_rad_s = {limit:g}, or the robot would trip at a permitted speed"
         yield "firmware.overspeed_rad_s", words
+    for i, row in enumerate(tables.expect):
+        if row.after_fault is not None:
+            try:
+                from_s, to_s = span_s(row, tables.fault)
+            except ValueError as error:
+                yield f"expect.{i}.after_fault", str(error)
+            else:
+                if to_s < from_s:
+                    yield (
+                        f"expect.{i}.to_s",
+                        f"expected a time after {from_s:g} s, from when it is judged",
+                    )
+    for name in sorted(name for name, count in Counter(row.name for row in tables.fault).items() if name and count > 1):
+        at = next(i for i, row in reversed(list(enumerate(tables.fault))) if row.name == name)
+        yield f"fault.{at}.name", "another fault has this name; expected one of its own"
     if tables.device.is_makers:
         yield from motors.contradictions(tables)
     if estimator.source == "fused" and estimator.fix != "simulated" and loop.mode == "lockstep":

@@ -78,7 +78,8 @@ def contradictions(tables: Tables) -> Iterator[tuple[str, str]]:
             yield f"fault.{i}.target", words
         if fault.kind == "gyro_bias" and "gyro" not in can.sensors:
             yield f"fault.{i}.kind", f"{title} as it is set up has no gyro to act on; remove the row"
-    signals |= {f"expect.{i}.signal": row.signal for i, row in enumerate(tables.expect)}
+    for i, row in enumerate(tables.expect):
+        signals |= {f"expect.{i}.{key}": name for key in ("signal", "of") if (name := getattr(row, key)) is not None}
     for key, signal in signals.items():
         if signal in _SENSOR_OF and _SENSOR_OF[signal] not in can.sensors:
             hint = "remove the row (`hil list drivers` shows who measures what)"

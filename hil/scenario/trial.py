@@ -2,12 +2,13 @@
 
 import math
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from typing import Annotated, Any
 
-from hil.core.options import Expected, OptionsError, Problem, Range
-from hil.faults.kind import NEVER_NS, NS_PER_S, FaultRow
+from hil.core.options import Expected, OptionsError, Problem, Range, plain
+from hil.faults.kind import NEVER_NS, NS_PER_S, REST_RAD_S, FaultRow, claimed_span_s
 from hil.faults.kinds import find, names
 from hil.scenario.values import Text
 
@@ -23,6 +24,7 @@ class FaultTable:
     target: Annotated[Text, "what it acts on; may be left out if the kind has only one target"] = ""
     start_s: Annotated[float, Range(ge=0, le=1000000.0)] = 0.0
     end_s: Annotated[float, Range(gt=0, infinite=True)] = math.inf
+    name: Annotated[str | None, "by which an expectation names it, if there are several of a kind"] = None
     value: Annotated[float | None, "size of the fault, in the unit of its kind"] = None
     burst_frames: Annotated[float | None, "of burst_loss: mean length of a burst"] = None
     x_m: Annotated[float | None, "of slip_patch: centre of the circle, world frame"] = None
@@ -76,19 +78,50 @@ class FaultTable:
         return f"{self.kind} {self.target}{value} from {self.start_s:g} s{end}"
 
 
+def _which_fault(value: object) -> int | str | None:
+    """Accept the name or kind of a fault, or its place; None is no value."""
+    if value is None or (isinstance(value, str) and value):
+        return value
+    if isinstance(value, int) and not isinstance(value, bool) and value >= 0:
+        return value
+    raise ValueError("expected the name of a fault, its kind, or its place in the scenario, from 0")
+
+
+_SUBJECTS = "`signal`, `figure`, or `at_rest = true`"
+_CLAIMS = ("within", "equals", "settles_to")
+
+
 @dataclass(frozen=True)
 class ExpectTable:
-    """``[[expect]]``: a claim about a signal in from_s <= t <= to_s of the run.
+    """``[[expect]]``: a claim about a signal in from_s <= t <= to_s of the run, about a figure of it, or about rest.
 
-    One of: ``below`` or ``above`` or both; ``within`` = [low, high], both included; ``equals`` with a ``tolerance``;
-    ``settles_to`` with a ``tolerance``: from some time on it stays within it, until to_s.
+    A signal: one of ``below`` or ``above`` or both; ``within`` = [low, high], both included; ``equals`` with a
+    ``tolerance``; ``settles_to`` with a ``tolerance``: from some time on it stays within it, until to_s. With ``of``
+    the claim is about the signal minus that one.
+
+    A figure of the whole run: the same claims but ``settles_to``.
+
+    ``at_rest``: no wheel turns faster than ``below``, and the robot's true pose does not move faster than such wheels
+    would move it, where either is known.
+
+    ``after_fault`` with ``within_s`` is in place of ``from_s``: the claim begins so long after that fault has begun.
+    ``at_rest`` ends with the fault, if that still lasts then.
     """
 
     signal: Annotated[
-        Text,
+        str | None,
         Expected("the name of a signal; `hil list signals` prints them all"),
         "dotted name of a built-in signal, or of a signal of the law",
-    ]
+    ] = None
+    of: Annotated[str | None, "name of the signal with which the first is compared; the claim is on the difference"] = (
+        None
+    )
+    figure: Annotated[str | None, "name of a figure of the run; `hil list figures` prints them all"] = None
+    at_rest: Annotated[bool | None, "true: the claim is that the robot is at rest"] = None
+    after_fault: Annotated[Any, _which_fault, "name, kind or place (from 0) of the fault after which it is judged"] = (
+        None
+    )
+    within_s: Annotated[float | None, Range(ge=0), "time after the beginning of that fault"] = None
     from_s: Annotated[float, Range(ge=0)] = 0.0
     to_s: Annotated[float, Range(gt=0, infinite=True)] = math.inf
     below: float | None = None
@@ -99,20 +132,64 @@ class ExpectTable:
     tolerance: Annotated[float | None, Range(ge=0), "of equals (by default 0) and settles_to"] = None
 
     def __post_init__(self) -> None:
+        if sum((self.signal is not None, self.figure is not None, bool(self.at_rest))) != 1:
+            raise ValueError(f"needs one of {_SUBJECTS}")
+        if self.signal is None and self.of is not None:
+            raise ValueError(f"of = {self.of!r} is compared with a signal; name it with signal, or remove of")
+        if self.figure is not None:
+            self._check_figure()
+        if (self.after_fault is None) != (self.within_s is None):
+            raise ValueError("after_fault and within_s belong together: after which fault, and by when; give both")
+        if self.after_fault is not None and self.from_s:
+            raise ValueError("after_fault says from when it is judged; remove from_s")
+        self._check_claim()
+        if self.to_s < self.from_s:
+            raise ValueError(f"to_s = {self.to_s} is before from_s = {self.from_s}")
+
+    def _check_figure(self) -> None:
+        if self.from_s or self.to_s != math.inf or self.after_fault is not None or self.settles_to is not None:
+            raise ValueError(
+                f"the figure {self.figure!r} is one number of the whole run; it takes below, above, within or "
+                "equals, and no time"
+            )
+
+    def _check_claim(self) -> None:
         bounds = self.below is not None or self.above is not None
-        claims = [name for name in ("within", "equals", "settles_to") if getattr(self, name) is not None]
+        claims = [name for name in _CLAIMS if getattr(self, name) is not None]
+        if self.at_rest:
+            if self.above is not None or claims or self.tolerance is not None:
+                raise ValueError(
+                    f"at_rest takes no claim but below, the speed of a wheel at rest, by default {REST_RAD_S:g} rad/s"
+                )
+            if self.below is None:
+                object.__setattr__(self, "below", REST_RAD_S)
+            return
         if bounds + len(claims) != 1:
-            raise ValueError("needs one claim: below or above or both, within, equals, or settles_to")
+            more = "" if self.figure is not None else ", or settles_to"
+            raise ValueError(f"needs one claim: below or above or both, within, equals{more}")
         if self.below is not None and self.above is not None and self.above >= self.below:
             raise ValueError(f"above = {self.above} is not less than below = {self.below}: no value can pass")
         if self.within is not None and self.within[0] > self.within[1]:
             raise ValueError(f"within = {list(self.within)}: the first is more than the second; give [low, high]")
-        if self.tolerance is not None and (bounds or self.within is not None):
+        if self.tolerance is not None and self.equals is None and self.settles_to is None:
             raise ValueError("tolerance belongs to equals and settles_to; remove it")
         if self.settles_to is not None and not self.tolerance:
             raise ValueError("settles_to needs a tolerance of more than 0: how near is settled")
-        if self.to_s < self.from_s:
-            raise ValueError(f"to_s = {self.to_s} is before from_s = {self.from_s}")
+
+    @property
+    def subject(self) -> str:
+        """What the claim is about, in a few words."""
+        if self.of is not None:
+            return f"{self.signal} - {self.of}"
+        return self.signal or self.figure or "the robot"
+
+
+def span_s(expect: ExpectTable, faults: Sequence[FaultTable]) -> tuple[float, float]:
+    """Return from when to when an expectation is judged, with the faults of its scenario.
+
+    Raises ValueError, with part of a message, for a fault that the scenario does not have.
+    """
+    return claimed_span_s(plain(expect), [plain(row) for row in faults])
 
 
 def _limit(value: object) -> int | str:
@@ -132,13 +209,17 @@ Limit = Annotated[Any, _limit]
 class AllowTable:
     """``[allow]``: how many events that no fault of the scenario explains a passing run may have.
 
-    A key is the name of a figure of the run. The defaults are those of lockstep.
+    A key is one of the run's JSON; a share is one of the run's ticks. The defaults are those of lockstep.
     """
 
     stale_ticks: Annotated[Limit, "ticks not driven because the feedback or the truth was too old"] = 0
     held_ticks: Annotated[
         Limit, "ticks not driven because the state was unknown, the estimator lost, or the robot away"
     ] = 0
+    rejected: Annotated[Limit, "frames that the host or the robot did not accept"] = 0
+    refused: Annotated[Limit, "commands of the law that were not finite; the robot was held at rest instead"] = 0
+    unmatched: Annotated[Limit, "torque feedforwards that the robot dropped, as their command was not there"] = 0
+    lost_rows: Annotated[Limit, "ticks that the recording lacks"] = 0
 
 
 REALTIME_ALLOW: dict[str, int | str] = {"stale_ticks": "5%", "held_ticks": "5%"}

@@ -13,10 +13,13 @@ from typing import Any, NamedTuple
 from hil.batch.campaign.load import Plan
 from hil.batch.campaign.tables import AxisTable, LawTable
 from hil.core.errors import BadInputError
+from hil.core.options import items
+from hil.judge.expectations import check_figures
 from hil.laws.shadows import short_name
 from hil.runtime.parts import RunParts
 from hil.runtime.robots import check_plant_start, needed_truth
 from hil.scenario import Scenario, format_value
+from hil.scenario.trial import span_s
 from hil.wire.url import parse_link
 
 NO_FAULT = "none"
@@ -83,7 +86,7 @@ def _law(table: LawTable) -> tuple[str, dict[str, object]]:
 
 def _row(row: Any) -> dict[str, object]:
     """Return a row of the scenario without the keys that were not given, so that it can be given again."""
-    return {key: value for key, value in row if value is not None and value != math.inf}
+    return {key: value for key, value in items(row) if value is not None and value != math.inf}
 
 
 def _combined(axes: Mapping[str, AxisTable], kind: str) -> list[dict[str, Any]]:
@@ -130,12 +133,13 @@ def check_run(scenario: Scenario, made: set[tuple[str, ...]], *, allow_motion: b
 
     ``made`` collects the choices of laws and references that were tried before; each is tried once.
     """
+    check_figures(scenario)
     _check_link(scenario, allow_motion=allow_motion)
     check_plant_start(scenario)
     for row in scenario.expect:
-        if row.from_s >= scenario.loop.duration_s:
+        if (from_s := span_s(row, scenario.fault)[0]) >= scenario.loop.duration_s:
             raise BadInputError(
-                f"the expectation of {row.signal} begins at {row.from_s:g} s, and the run ends at "
+                f"the expectation of {row.subject} begins at {from_s:g} s, and the run ends at "
                 f"{scenario.loop.duration_s:g} s: it would always fail; give another, or expect = [] in [set] and "
                 "[[expect]] rows of the campaign's own"
             )

@@ -33,6 +33,7 @@ class RecordingHere:
         wait: bool = False,
     ) -> None:
         assert blocking, "in real time nothing waits for it"
+        self.rows_dropped = 0
         self.path: Path = claim("recording", path, existing)
         self._rows = array.array("d")
         self._width = len(signals)

@@ -1,0 +1,325 @@
+"""What a run is judged by beside the value of a signal: figures, differences, rest after a fault, and strict limits."""
+
+import math
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+import hil
+from hil.cli.list import listing
+from hil.core.errors import BadInputError
+from hil.core.options import build
+from hil.core.signals import SIGNAL_NAMES
+from hil.core.types import WHEEL_NAMES
+from hil.faults.kind import REST_RAD_S
+from hil.judge.expectations import Count, allow_figures, check_expectation, figure_outcome, figures_by_key
+from hil.judge.words import LENIENT, outcome_rows, why_not_passed
+from hil.record.lanes import limit_values, limits
+from hil.record.layout import layout
+from hil.review.figures import figures, read_for_figures
+from hil.runtime.parts import RunParts
+from hil.scenario import load
+from hil.scenario.trial import AllowTable, ExpectTable, FaultTable, span_s
+from tests.outside import outside_package
+
+ROBOT = load("circle_speed").robot
+NAN = float("nan")
+NUMBER = st.floats(-100, 100)
+SHORT = {"loop.duration_s": 1.0}
+CUT = {"kind": "disconnect", "start_s": 0.3, "end_s": 0.9}
+BELOW_1_MM = {"signal": "error.planar_m", "below": 1e-3}
+
+
+def expect(**row: Any) -> ExpectTable:
+    return build(ExpectTable, row)
+
+
+def run(*rows: dict[str, Any], scenario: str = "circle_speed", **more: Any) -> hil.RunResult:
+    """Run for a second with these expectations."""
+    record = more.pop("record", None)
+    lenient = more.pop("lenient", False)
+    sets = {**SHORT, **{key.replace("__", "."): value for key, value in more.items()}, "expect": list(rows)}
+    return hil.run(scenario, set=sets, record=record, lenient=lenient)
+
+
+# Figures
+
+
+@given(NUMBER, st.one_of(st.just({}), NUMBER.map(lambda v: {"above": v})), NUMBER)
+def test_a_claim_about_a_figure_holds_when_its_value_does(value: float, more: dict[str, float], below: float) -> None:
+    if more.get("above", -math.inf) >= below:
+        return
+    outcome = figure_outcome(expect(figure="steady_rms_m", below=below, **more), {"steady_rms_m": value})
+    assert outcome.passed is (more.get("above", -math.inf) < value < below)
+    assert f"{value:.6g}" in outcome.text
+
+
+@pytest.mark.parametrize("key", sorted(figures_by_key()))
+def test_every_figure_can_be_judged_and_is_listed(key: str) -> None:
+    assert figure_outcome(expect(figure=key, above=-1.0), {}).text.startswith(f"{key} above -1: failed, the run has no")
+    assert key in [row[0] for row in listing("figures")[1]]
+
+
+def test_the_figures_of_a_run_are_judged_and_those_that_it_lacks_fail_with_the_reason() -> None:
+    known = ("t10_s", "overshoot_m", "effort_n_m_s", "torque_variation_n_m_per_s", "saturation_s", "estimation_rms_m",
+             "latency_p99_ms", "feedback_age_p99_ms", "rejected", "refused", "unmatched")  # fmt: skip
+    wide = [{"figure": name, "within": [-1e9, 1e9]} for name in known]
+    result = run(*wide, {"figure": "steady_rms_m", "below": 1.0}, plant__start__start_x_m=0.0)
+    outcome = {row["figure"]: row for row in result.metrics["expect"]}
+    assert [name for name in known if not outcome[name]["passed"]] == ["t10_s"], "it does not settle in a second"
+    assert "the run has no such figure: the planar error did not stay below 10 mm" in outcome["t10_s"]["text"]
+    assert "less than the window of 5 s" in outcome["steady_rms_m"]["text"]
+    assert [row["passed"] for row in result.metrics["expect"]].count(False) == 2
+    assert not result.passed
+
+
+def test_the_latency_of_a_run_is_that_of_its_link() -> None:
+    result = run({"figure": "latency_p99_ms", "equals": 5.0, "tolerance": 1e-9})
+    assert result.passed, result
+
+
+def test_a_figure_of_a_run_that_ended_early_is_not_judged() -> None:
+    result = run({"figure": "effort_n_m_s", "below": 1e9}, fault=[CUT])
+    (row,) = result.metrics["expect"]
+    assert (row["passed"], result.passed, result.exit_code) == (None, False, 3)
+    assert "not judged, the run ended at t = 0.295 s" in row["text"]
+
+
+def test_an_unknown_figure_is_refused_with_its_place_and_near_names(tmp_path: Path) -> None:
+    path = tmp_path / "wrong.toml"
+    path.write_text('extends = "paper_circle"\n[[expect]]\nfigure = "steady_rms"\nbelow = 1\n')
+    with pytest.raises(BadInputError, match=r'wrong.toml:3: expect.0.figure = "steady_rms"; .*did you mean .*_rms_m'):
+        RunParts(load(str(path)))
+
+
+@pytest.mark.parametrize(
+    ("row", "words"),
+    [
+        ('signal = "error.x_m"\nfigure = "t10_s"\nbelow = 1', "needs one of"),
+        ("at_rest = false\nbelow = 1", "needs one of"),
+        ('figure = "t10_s"', "needs one claim"),
+        ('figure = "t10_s"\nbelow = 1\nfrom_s = 2.0', "one number of the whole run"),
+        ('figure = "t10_s"\nsettles_to = 1\ntolerance = 1', "one number of the whole run"),
+        ('figure = "t10_s"\nof = "error.x_m"\nbelow = 1', "name it with signal"),
+        ("at_rest = true\nabove = 1", "takes no claim but below"),
+        ('signal = "error.x_m"\nof = "error.heading_rad"\nbelow = 1', "the unit of error.x_m (m)"),
+        ('signal = "error.x_m"\nof = "error.z_m"\nbelow = 1', "expected the name of a signal"),
+        ("at_rest = true\nwithin_s = 1", "belong together"),
+        (
+            'at_rest = true\nwithin_s = 1\nafter_fault = "push"',
+            "no fault has this name or kind; known: drop",
+        ),
+        ("at_rest = true\nwithin_s = 1\nafter_fault = 9", "expected a place from 0 to 2"),
+        ("at_rest = true\nwithin_s = 1\nafter_fault = true", "expected the name of a fault, its kind, or its place"),
+        ('at_rest = true\nwithin_s = 1\nafter_fault = "drop"', "2 faults are of this kind; name one of them"),
+        ('at_rest = true\nwithin_s = 1\nafter_fault = "pull"\nfrom_s = 1', "remove from_s"),
+        ('at_rest = true\nwithin_s = 1\nafter_fault = "pull"\nto_s = 2.5', "expected a time after 3 s"),
+    ],
+)
+def test_what_contradicts_itself_is_refused_in_one_sentence(tmp_path: Path, row: str, words: str) -> None:
+    path = tmp_path / "wrong.toml"
+    faults = '[[fault]]\nkind = "drop"\ntarget = "command"\n' * 2
+    faults += '[[fault]]\nname = "pull"\nkind = "dead_motor"\ntarget = "fl"\nstart_s = 2\n'
+    path.write_text(f'extends = "paper_circle"\n{faults}[[expect]]\n{row}\n')
+    with pytest.raises(BadInputError) as error:
+        load(str(path))
+    assert words in str(error.value)
+    assert "wrong.toml:" in str(error.value)
+
+
+# Differences of signals
+
+SERIES = st.lists(st.tuples(NUMBER, NUMBER), min_size=1, max_size=20)
+
+
+@given(SERIES, NUMBER)
+def test_a_claim_of_one_signal_of_another_is_on_the_difference(pairs: list[tuple[float, float]], below: float) -> None:
+    one, other = (np.array(column) for column in zip(*pairs, strict=True))
+    signals = {"loop.t_s": np.arange(len(one), dtype=float), "wheel.fl.speed_rad_s": one, "wheel.fr.speed_rad_s": other}
+    claim = {"signal": "wheel.fl.speed_rad_s", "below": below}
+    compared = check_expectation(expect(**claim, of="wheel.fr.speed_rad_s"), signals)
+    direct = check_expectation(expect(**claim), {**signals, "wheel.fl.speed_rad_s": one - other})
+    assert compared[:1] + compared[2:] == direct[:1] + direct[2:]
+
+
+@given(st.floats(-20, 20), st.floats(-0.9, 0.9), st.integers(-3, 3))
+def test_headings_are_compared_the_shorter_way_around(heading: float, apart: float, turns: int) -> None:
+    signals = {
+        "loop.t_s": np.zeros(1),
+        "pose.heading_rad": np.array([heading + apart + turns * math.tau]),
+        "truth.heading_rad": np.array([heading]),
+    }
+    row = expect(signal="pose.heading_rad", of="truth.heading_rad", within=[-1.0, 1.0])
+    assert check_expectation(row, signals).passed
+
+
+def test_wheels_are_compared_with_their_commands_in_a_run_and_in_its_review(tmp_path: Path) -> None:
+    follows = {"signal": "wheel.fl.speed_rad_s", "of": "wheel.fl.speed_command_rad_s", "from_s": 0.5}
+    result = run({**follows, "within": [-20, 20]}, {**follows, "within": [-1e-9, 1e-9]}, record=tmp_path / "run.mcap")
+    assert [row["passed"] for row in result.metrics["expect"]] == [True, False]
+    recorded = read_for_figures(tmp_path / "run.mcap", SIGNAL_NAMES)
+    assert figures(recorded)["expect"] == result.metrics["expect"]
+    again = figures(replace(recorded, summary=None))["expect"]
+    assert again == result.metrics["expect"], "a run that was killed is judged by its rows"
+
+
+# At rest after a fault
+
+
+def resting(wheels: float, metres_a_second: float, *, known: bool = True) -> dict[str, np.ndarray]:
+    """The signals of a robot that moves evenly for a second, as measured and in truth."""
+    t_s = np.arange(0.0, 1.0, 0.01)
+    truth = {"truth.x_m": metres_a_second * t_s, "truth.y_m": 0 * t_s, "truth.heading_rad": 0 * t_s}
+    truth = {name: values if known else values * NAN for name, values in truth.items()}
+    speeds = {f"wheel.{wheel}.speed_rad_s": np.full_like(t_s, wheels) for wheel in WHEEL_NAMES}
+    return {"loop.t_s": t_s, **truth, **speeds}
+
+
+@given(st.floats(-1, 1), st.floats(-0.05, 0.05))
+def test_at_rest_neither_wheels_turn_nor_the_robot_moves(wheels: float, metres_a_second: float) -> None:
+    fastest = max(abs(wheels), abs(metres_a_second) / ROBOT.wheel_radius_m)
+    if abs(fastest - REST_RAD_S) > 1e-6:
+        signals = resting(wheels, metres_a_second)
+        assert check_expectation(expect(at_rest=True), signals, robot=ROBOT).passed is (fastest < REST_RAD_S)
+
+
+def test_without_truth_the_wheels_are_judged_and_without_feedback_the_truth_and_without_both_it_fails() -> None:
+    row = expect(at_rest=True, below=0.1)
+    assert check_expectation(row, resting(0.0, 9.0, known=False), robot=ROBOT).passed
+    assert not check_expectation(row, resting(0.2, 0.0, known=False), robot=ROBOT).passed
+    assert check_expectation(row, resting(NAN, 0.0), robot=ROBOT).passed
+    assert not check_expectation(row, resting(NAN, 0.1), robot=ROBOT).passed
+    outcome = check_expectation(row, resting(NAN, 0.0, known=False), robot=ROBOT)
+    assert (outcome.passed, "no value at t = 0.01 s" in outcome.text) == (False, True)
+
+
+def test_a_robot_must_be_at_rest_so_long_after_a_fault_and_may_drive_again_after_it() -> None:
+    rest = {"at_rest": True, "after_fault": "disconnect"}
+    more = {"fault": [CUT], "loop__rearm": True, "loop__duration_s": 2.0}
+    result = run({**rest, "within_s": 0.5}, {**rest, "within_s": 0.02}, {**rest, "within_s": 1.5}, **more)
+    assert [row["passed"] for row in result.metrics["expect"]] == [True, False, False]
+    assert "from 0.8 s (0.5 s after the fault disconnect) to 0.9 s: held" in result.metrics["expect"][0]["text"]
+    assert len(result.metrics["recoveries"]) == 1
+    assert result.metrics["expect"][2]["violation_s"] == pytest.approx(1.8), "and there it drives"
+
+
+def test_a_fault_is_named_by_its_name_its_kind_or_its_place() -> None:
+    rows = [FaultTable("drop", "command", start_s=1.0), FaultTable("drop", "feedback", start_s=2.0, name="late"),
+            FaultTable("push", "force_x_n", start_s=4.0, end_s=4.2, value=9.0)]  # fmt: skip
+    for which, begins in ((0, 1.0), ("late", 2.0), ("push", 4.0), (2, 4.0)):
+        row = expect(signal="error.x_m", below=1, after_fault=which, within_s=0.5)
+        assert span_s(row, rows) == (begins + 0.5, math.inf), "a signal recovers after the fault too"
+    assert span_s(expect(at_rest=True, after_fault="push", within_s=0.1), rows) == (4.1, 4.2)
+    assert span_s(expect(at_rest=True, after_fault="push", within_s=0.3, to_s=6.0), rows) == (4.3, 6.0)
+
+
+def test_the_viewer_draws_what_is_claimed_of_differences_and_of_rest() -> None:
+    scenario = {
+        "fault.0.kind": "disconnect", "fault.0.target": "link", "fault.0.start_s": 1.0, "fault.0.end_s": 3.0,
+        "expect.0.signal": "wheel.fl.speed_rad_s", "expect.0.of": "wheel.fl.speed_command_rad_s", "expect.0.below": 0.5,
+        "expect.1.at_rest": True, "expect.1.after_fault": "disconnect", "expect.1.within_s": 0.5,
+        "expect.1.below": 0.2,
+        "expect.2.figure": "t10_s", "expect.2.below": 1.0,
+    }  # fmt: skip
+    (lines,) = limits(scenario, layout(SIGNAL_NAMES)).values()
+    column = {name: i for i, name in enumerate(SIGNAL_NAMES)}
+    rows = np.zeros((3, len(SIGNAL_NAMES)))
+    rows[:, column["wheel.fl.speed_command_rad_s"]] = [1.0, 2.0, 3.0]
+    drawn = limit_values(lines, column, rows, np.array([0.0, 2.0, 4.0]))
+    assert drawn[:, 0].tolist() == [1.5, 2.5, 3.5]
+    assert {tuple(line) for line in np.nan_to_num(drawn[:, 1:].T, nan=9.0)} == {(9.0, 0.2, 9.0), (9.0, -0.2, 9.0)}
+
+
+# Missing truth
+
+
+def test_without_truth_only_expectations_on_truth_fail(tmp_path: Path) -> None:
+    rows = [BELOW_1_MM, {"figure": "overshoot_m", "below": 9}, {"figure": "effort_n_m_s", "below": 99},
+            {"signal": "guard.held", "equals": 0}, {"at_rest": True, "below": 30}]  # fmt: skip
+    assert run(*rows[1:], record=tmp_path / "run.mcap").passed
+    recorded = read_for_figures(tmp_path / "run.mcap", SIGNAL_NAMES)
+    unknown = {name: values * NAN for name, values in recorded.signals.items() if name.startswith(("truth", "error"))}
+    blind = figures(replace(recorded, signals={**recorded.signals, **unknown}, summary=None))["expect"]
+    assert {row["figure"] or row["signal"]: row["passed"] for row in blind} == {
+        "overshoot_m": False, "effort_n_m_s": True, "guard.held": True, None: True,
+    }  # fmt: skip
+    assert "the run has no ground truth" in blind[0]["text"]
+
+
+# Strict by default
+
+
+def garbled(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, explains: bool, **allow: object) -> hil.RunResult:
+    """A run in which another package's kind of fault loses speed commands, but not their feedforwards."""
+    source = f"""
+        from hil.faults.kind import Kind
+        from firmware_protocol.generated.messages import WheelCommand
+
+        def effect(direction, frames):
+            return [frame for frame in frames if frame.id != WheelCommand.ID]
+
+        garble = Kind("garble", "link", ("command",), "`command`", "Commands are lost.", "frames", {{}},
+                      explains={explains}, on_frames=lambda row, chance: effect)
+    """
+    outside_package(tmp_path, monkeypatch, source, {"hil.faults": {"garble": "outside_package:garble"}})
+    sets = {f"allow__{name}": limit for name, limit in allow.items()}
+    return run(fault=[{"kind": "garble", "target": "command", "start_s": 0.5, "end_s": 0.53}], **sets)
+
+
+def test_feedforwards_without_their_command_fail_a_run_that_no_fault_explains(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    result = garbled(tmp_path, monkeypatch, explains=False)
+    assert result.metrics["unmatched"] > 3
+    assert not result.passed
+    told = dict(why_not_passed(result.metrics))["allow"]
+    assert told.startswith(f"unmatched: {result.metrics['unmatched']} torque feedforwards that the robot dropped")
+    assert garbled(tmp_path / "more", monkeypatch, explains=False, unmatched="50%").passed
+
+
+def test_a_fault_of_the_scenario_explains_feedforwards_without_their_command(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    result = garbled(tmp_path, monkeypatch, explains=True)
+    assert result.metrics["unmatched"] > 3
+    assert result.passed, result
+
+
+def test_a_lenient_run_is_judged_by_its_expectations_alone_and_says_so(tmp_path: Path) -> None:
+    never = [{"kind": "drop", "target": "command", "value": 1e-9}]
+    assert not run({"figure": "ticks", "equals": 200}, fault=never).passed
+    result = run({"figure": "ticks", "equals": 200}, fault=never, lenient=True, record=tmp_path / "run.mcap")
+    assert result.passed
+    assert ("lenient", LENIENT) in list(outcome_rows(result.metrics))
+    assert ("lenient", LENIENT) in list(outcome_rows(figures(read_for_figures(tmp_path / "run.mcap"))))
+    assert not run({"figure": "ticks", "equals": 201}, lenient=True).passed
+    ended = run(lenient=True, fault=[CUT])
+    assert ended.exit_code == 3, "a lost link is no expectation"
+
+
+@given(st.integers(0, 500), st.integers(0, 500), st.integers(0, 500))
+def test_a_limit_is_on_what_no_fault_explains(explained: int, unexplained: int, limit: int) -> None:
+    count = Count(explained + unexplained, unexplained)
+    (row,) = allow_figures(AllowTable(rejected=limit), {"rejected": count}, ticks=1000)
+    assert row["passed"] is (unexplained <= limit)
+    assert row["text"].startswith(f"rejected: {unexplained} frames that the host or the robot did not accept")
+
+
+def test_rows_that_a_recording_lacks_fail_the_run_and_its_review(tmp_path: Path) -> None:
+    result = run({"figure": "ticks", "equals": 200}, record=tmp_path / "run.mcap")
+    assert (result.passed, result.metrics["lost_rows"]) == (True, 0)
+    recorded = read_for_figures(tmp_path / "run.mcap")
+    assert figures(recorded)["passed"]
+    gap = figures(replace(recorded, rows_dropped=2, rows_missing=1))
+    assert (gap["passed"], gap["lost_rows"]) == (False, 3)
+    assert next(row["text"] for row in gap["allow"] if not row["passed"]).startswith("lost_rows: 3 of 203 ticks that")
+
+
+def test_a_recording_of_an_older_version_is_read_and_says_by_what_it_was_not_judged() -> None:
+    old = figures(read_for_figures(Path("tests/recordings/circle_speed_ca92b7a.rrd")))
+    assert any(note.startswith("it was not judged by allow.") for note in old["notes"])
