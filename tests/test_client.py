@@ -194,6 +194,24 @@ def test_a_request_and_a_step_that_the_protocol_lacks_change_nothing() -> None:
     assert (sent(client), client.view.request) == ([], m.Request.IDLE)
 
 
+def test_a_request_without_a_time_is_sent_once() -> None:
+    client = new_client()
+    client.request(m.Request.IDLE, None)
+    assert len(sent(client)) == 1
+    assert not client.poll(10**12)
+
+
+def test_a_robot_is_asked_for_hello_every_fifth_of_a_second_until_it_has_answered() -> None:
+    client, hello = new_client(), m.HelloRequest(m.PROTOCOL_VERSION)
+    assert not client.poll(0)
+    client.begin(2)
+    for now_ms, expected in ((0, [hello]), (199, []), (200, [hello]), (401, [hello])):
+        client.poll(now_ms * MS)
+        assert sent(client) == expected, now_ms
+    take(client, map(codec.encode, pages))
+    assert not client.poll(1000 * MS)
+
+
 def test_frames_of_another_protocol_are_counted() -> None:
     client = new_client()
     assert take(client, [Frame(0x123, b"12"), Frame(0xFFFF, bytes(64))]) == []
@@ -269,9 +287,10 @@ def test_without_a_log_all_else_is_the_same() -> None:
     memory = ffi.new("uint64_t[]", lib.wheel_client_size() // 8 + 1)
     bare, client = ffi.cast("wheel_client *", memory), new_client()
     lib.wheel_client_init(bare, m.Mode.SPEED, 0x5A, 1)
-    packed = pack(map(codec.encode, [m.Tick(0, 0, 0, m.State.ACTIVE, 1, 0), m.Encoders(1, 2, 3, 4)]))
+    packed = pack(map(codec.encode, [m.Tick(0, 1, 0, m.State.ACTIVE, 1, 0), m.Encoders(1, 2, 3, 4)]))
     for one in (bare, client.handle):
-        lib.wheel_client_take(one, packed, 0, len(packed), 0)
+        assert lib.wheel_client_command(one, REST, REST, 0) == 1
+        lib.wheel_client_take(one, packed, 0, len(packed), 7)
         lib.wheel_client_estop(one)
     assert bytes(ffi.buffer(lib.wheel_client_view(bare))) == bytes(ffi.buffer(client.view))
 
@@ -399,7 +418,8 @@ def test_wiring_gives_each_channel_its_wheel(wheels: list[int], signs: tuple[int
 
 
 @pytest.mark.parametrize(
-    ("wheels", "signs"), [((0, 1, 2, 2), (1,) * 4), ((0, 1, 2, 4), (1,) * 4), (range(4), (1, 1, 1, 0))]
+    ("wheels", "signs"),
+    [((0, 1, 2, 2), (1,) * 4), ((0, 1, 2, 4), (1,) * 4), (range(4), (1, 1, 1, 0)), (range(4), (0, 1, 1, 1))],
 )
 def test_a_wiring_that_is_none_is_refused(wheels: Sequence[int], signs: Sequence[int]) -> None:
     with pytest.raises(ValueError, match="on the channels"):

@@ -123,7 +123,9 @@ STEP = pack([codec.encode(m.Step(0, 1))])
 
 
 @pytest.mark.parametrize(
-    "rest", [STEP[:1], STEP[:-1], b"\x23\x01\x00" + STEP, b"\x00\x03\x05" + STEP], ids=["cut", "short", "id", "length"]
+    "rest",
+    [STEP[:1], STEP[:-1], b"\x23\x01\x00" + STEP, b"\x00\x03\x05" + STEP, b"\x00\x03\x09" + 2 * STEP],
+    ids=["cut", "short", "id", "length", "beyond all"],
 )
 def test_the_library_sends_what_is_whole_and_stops_there(rest: bytes) -> None:
     rig = WheelRig(lockstep=True)

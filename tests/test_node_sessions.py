@@ -105,6 +105,9 @@ def test_an_announcement_is_used_up_by_any_arming() -> None:
     node.heartbeat(m.Request.IDLE, 0x51)
     node.send(m.HostHeartbeat(0x51, m.SCHEMA_HASH ^ 1, m.Request.ARM, m.Mode.SPEED, 0))
     assert (node.state, refusal(node)) == (State.IDLE, m.ArmRefusal.SCHEMA)
+    for nonce in (1, 2, 0x50, 0x52):  # nor is another announced by it
+        node.heartbeat(m.Request.ARM, nonce)
+        assert refusal(node) is m.ArmRefusal.NOT_ANNOUNCED
     node.heartbeat(m.Request.ARM, 0x51)
     assert (node.state, refusal(node)) == (State.IDLE, m.ArmRefusal.NOT_ANNOUNCED)
     node.heartbeat(m.Request.IDLE, 0x51)

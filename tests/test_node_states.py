@@ -96,8 +96,11 @@ def test_a_state_that_is_none_is_left_by_no_event_and_drives_nothing(state: int)
     for event in EVENTS:
         assert node.lib.wheel_next_state(state, getattr(node.lib, f"WHEEL_EVENT_{event}")) == state
     node.send(m.WheelCommand(5, 5, 5, 5, 1, 1))
-    node.tick()
-    assert (node.drive.enabled, list(node.drive.torque_n_m)) == (0, [0.0] * 4)
+    node.heard()
+    for _ in range(100):
+        node.tick()
+        assert (node.drive.enabled, list(node.drive.torque_n_m)) == (0, [0.0] * 4)
+        assert not [x for x in node.heard() if isinstance(x, m.Tick | m.Status)], "which cannot be said"
 
 
 def spin_up(rig: WheelRig) -> None:
