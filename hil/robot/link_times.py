@@ -5,6 +5,7 @@ the link are therefore included, like those of a real link.
 """
 
 import statistics
+from bisect import bisect_left, insort
 from collections import deque
 from collections.abc import Sequence
 from typing import Any, NamedTuple
@@ -59,7 +60,8 @@ class CommandLatency:
     def __init__(self, configured_s: float, longest_ns: int) -> None:
         self._longest_ns = longest_ns
         self._sampled_ns: list[int | None] = [None] * 256
-        self._recent_ns: deque[int] = deque(maxlen=_COMMANDS)
+        self._recent_ns: deque[int] = deque()
+        self._sorted_ns: list[int] = []  # the same
         self.s = configured_s
 
     def sent(self, sequence: int, sampled_ns: int | None) -> None:
@@ -75,9 +77,13 @@ class CommandLatency:
         latency_ns = at_ns - age_ms * 1_000_000 - sampled_ns
         if not 0 <= latency_ns <= self._longest_ns:
             return
-        self._recent_ns.append(latency_ns)
-        if len(self._recent_ns) >= _FEWEST_COMMANDS:
-            self.s = statistics.median_low(self._recent_ns) * 1e-9
+        recent, in_order = self._recent_ns, self._sorted_ns
+        if len(recent) == _COMMANDS:
+            del in_order[bisect_left(in_order, recent.popleft())]
+        recent.append(latency_ns)
+        insort(in_order, latency_ns)
+        if len(recent) >= _FEWEST_COMMANDS:
+            self.s = in_order[(len(in_order) - 1) // 2] * 1e-9
 
     def restart(self) -> None:
         """Start a new session, in which the robot's clock may have restarted. ``s`` keeps its value."""

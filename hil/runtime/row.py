@@ -51,7 +51,6 @@ _FEEDBACK = (
 _LINK = (
     "link.rejected",
     Scaled("link.feedback_age_ms", 1e-6),
-    "link.load_percent",
     "link.clock_offset_us",
     "link.clock_drift_ppm",
 )
@@ -91,7 +90,7 @@ class RowWriter:
             ("battery.voltage_v", "battery.current_a", _wheels("temperature_degc")),
             _group("estimator"),
             ("link.sent", "link.received", "link.lost", "link.rtt_ms"),
-            ("link.sent_bytes", "link.received_bytes"),
+            ("link.sent_bytes", "link.received_bytes", "link.load_percent"),
             "guard.held",
             *_LINK,
         )
@@ -132,11 +131,10 @@ class RowWriter:
             device.report.health,
             estimator,
             device.link_figures(),
-            wire.byte_counts(),
+            wire.traffic(),
             is_held,
             self._rejected,
             NAN if feedback is None else silent_ns + self._feedback_latency_ns,
-            wire.load_percent(),
             device.clock_sync.offset_us,
             device.clock_sync.drift_ppm,
             *[own.telemetry for own in self._extra],

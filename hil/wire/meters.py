@@ -41,12 +41,12 @@ class Meter(Protocol):
     Attributes:
         duplex: whether each direction has its own line (serial), or both share one (CAN).
         timed: whether the link has a bit rate.
-        by_frame: whether ``sent`` and ``received`` must be called with every frame; if not, they ignore the frames.
+        byte_ns: time that a byte occupies a serial line [ns]; 0 without a bit rate.
     """
 
     duplex: bool
     timed: bool
-    by_frame: bool
+    byte_ns: float
 
     @property
     def foreign(self) -> Count | None:
@@ -58,15 +58,6 @@ class Meter(Protocol):
 
     def begin(self) -> None:
         """Start all counts at zero."""
-
-    def sent(self, frames: Sequence[Frame]) -> int:
-        """Count the ``frames`` that were sent since the last call; return how long they occupy the wire [ns]."""
-
-    def received(self, frames: Sequence[Frame]) -> int:
-        """Count the ``frames`` that were received since the last call; return how long they occupied the wire [ns]."""
-
-    def overheard(self, message: Any) -> int:
-        """Count a ``can.Message`` of another node; return how long it occupied the bus [ns]."""
 
     def noise(self) -> int:
         """Return how many frames the framing could not decode; 0 for CAN, whose refused frames arrive one by one."""
@@ -82,30 +73,18 @@ class LineMeter:
     """A serial line, or a similar link without a bit rate (``baud`` None). Bytes outside frames count too."""
 
     duplex = True
-    by_frame = False
     foreign = None
 
     def __init__(self, link: "StreamLink | MemoryBus", baud: int | None) -> None:
         self._link = link
-        self._byte_ns = _BITS_PER_BYTE * 1_000_000_000 / baud if baud else 0.0
+        self.byte_ns = _BITS_PER_BYTE * 1_000_000_000 / baud if baud else 0.0
         self.timed = baud is not None
         self.begin()
 
     def begin(self) -> None:
         link = self._link
         self._frames_before = link.sent_frames, link.received_frames
-        self._bytes_before = self._sent_bytes, self._received_bytes = link.byte_counts()
-
-    def sent(self, _frames: Sequence[Frame]) -> int:
-        before, (self._sent_bytes, _) = self._sent_bytes, self._link.byte_counts()
-        return round((self._sent_bytes - before) * self._byte_ns)
-
-    def received(self, _frames: Sequence[Frame]) -> int:
-        before, (_, self._received_bytes) = self._received_bytes, self._link.byte_counts()
-        return round((self._received_bytes - before) * self._byte_ns)
-
-    def overheard(self, _message: Any) -> int:
-        raise NotImplementedError("a line between two ends has no other nodes")
+        self._bytes_before = link.byte_counts()
 
     def noise(self) -> int:
         return self._link.noise()
@@ -131,7 +110,7 @@ class BusMeter:
     """A CAN bus, classic or FD, with its bit rates [bit/s]; ``data_bitrate`` is FD's second one, if it has one."""
 
     duplex = False
-    by_frame = True
+    byte_ns = 0.0
     timed = True
     counts_frames = False
 
@@ -146,10 +125,12 @@ class BusMeter:
         self._sent = self._received = self.foreign = Count()
 
     def sent(self, frames: Sequence[Frame]) -> int:
+        """Count the ``frames`` that were sent since the last call; return how long they occupy the wire [ns]."""
         self._sent, busy_ns = self._counted(self._sent, frames)
         return busy_ns
 
     def received(self, frames: Sequence[Frame]) -> int:
+        """Count the ``frames`` that were received since the last call; return how long they occupied the wire [ns]."""
         self._received, busy_ns = self._counted(self._received, frames)
         return busy_ns
 
@@ -163,6 +144,7 @@ class BusMeter:
         return count, busy_ns
 
     def overheard(self, message: Any) -> int:
+        """Count a ``can.Message`` of another node; return how long it occupied the bus [ns]."""
         usage = self._others(message)
         self.foreign = self.foreign.and_one(usage)
         return usage.busy_ns

@@ -11,7 +11,7 @@ from firmware_protocol.framing import Frame
 from hil.core.ports import Clock, Link, Received
 from hil.core.types import NAN
 from hil.wire.link import LinkUrl
-from hil.wire.meters import Meter
+from hil.wire.meters import BusMeter, Meter
 
 if TYPE_CHECKING:
     from hil.wire.trace import Trace
@@ -24,49 +24,56 @@ WINDOW_NS = _BUCKET_NS * _BUCKETS
 class LoadWindow:
     """The load of a line: in the newest window of 100 ms, in the worst one, and in total.
 
-    Windows begin at multiples of 10 ms on the clock.
+    What occupies the line is counted in units of ``unit_ns``. Windows begin at multiples of 10 ms on the clock.
+
+    Attributes:
+        total: how much there was so far.
     """
 
-    def __init__(self) -> None:
-        self._buckets = [0] * _BUCKETS
-        self._newest = 0
-        self._sum_ns = 0
-        self._worst_ns = 0
-        self._total_ns = 0
+    def __init__(self, unit_ns: float = 1.0) -> None:
+        self._unit_ns = unit_ns
+        self._unit_percent = 100.0 * unit_ns / WINDOW_NS
+        self._totals: list[float] = [0] * _BUCKETS  # at the ends of the newest buckets: of number n at n modulo 10
+        self._next_ns = 0  # when the next bucket begins
+        self.total: float = 0
+        self._before: float = 0  # the total before the window
+        self._most: float = 0
 
-    def add(self, now_ns: int, busy_ns: int) -> None:
-        """Count a frame that occupies the line for ``busy_ns``."""
-        self._advance(now_ns)
-        self._buckets[self._newest % _BUCKETS] += busy_ns
-        self._sum_ns += busy_ns
-        self._total_ns += busy_ns
-        self._worst_ns = max(self._worst_ns, self._sum_ns)
+    def add(self, now_ns: int, units: float) -> None:
+        """Count a frame."""
+        self.count(now_ns, self.total + units)
 
-    def _advance(self, now_ns: int) -> None:
-        newest, bucket = self._newest, now_ns // _BUCKET_NS
-        if bucket <= newest:
-            return
-        self._newest = bucket
-        for place in range(newest + 1, min(bucket, newest + _BUCKETS) + 1):
-            self._sum_ns -= self._buckets[place % _BUCKETS]
-            self._buckets[place % _BUCKETS] = 0
+    def count(self, now_ns: int, total: float) -> float:
+        """Set how much there was so far; return the load of the window that ends now [%]."""
+        if now_ns >= self._next_ns:
+            self._advance(now_ns // _BUCKET_NS)
+        self.total = total
+        units = total - self._before
+        if units > self._most:
+            self._most = units
+        return units * self._unit_percent
+
+    def _advance(self, bucket: int) -> None:
+        last = self._next_ns // _BUCKET_NS - 1
+        for number in range(last, min(bucket, last + _BUCKETS)):
+            self._totals[number % _BUCKETS] = self.total
+        self._before = self._totals[bucket % _BUCKETS]
+        self._next_ns = (bucket + 1) * _BUCKET_NS
 
     def percent(self, now_ns: int) -> float:
         """Return the load of the window that ends now [%]."""
-        self._advance(now_ns)
-        return 100.0 * self._sum_ns / WINDOW_NS
+        return self.count(now_ns, self.total)
 
     def figures(self, lasted_ns: int) -> dict[str, float | None]:
         """Return the mean load over ``lasted_ns`` and that of the worst window [%]."""
-        mean = 100.0 * self._total_ns / lasted_ns if lasted_ns > 0 else None
-        return {"mean_percent": mean, "worst_100_ms_percent": 100.0 * self._worst_ns / WINDOW_NS}
+        mean = 100.0 * self.total * self._unit_ns / lasted_ns if lasted_ns > 0 else None
+        return {"mean_percent": mean, "worst_100_ms_percent": self._most * self._unit_percent}
 
 
 class LinkStatistics:
     """Counts what a transport sends and receives, with the ``meter`` of its kind, and traces it.
 
     Attributes:
-        byte_counts: a function that returns the bytes sent and received since ``begin``.
         is_needed: whether ``sent`` and ``received`` must be called: they are for a bus, and for a trace.
     """
 
@@ -75,8 +82,8 @@ class LinkStatistics:
         self._meter = meter
         self._clock = clock
         self._trace = trace
-        self.byte_counts = meter.byte_counts
-        self.is_needed = meter.by_frame or trace is not None
+        self._bus = meter if isinstance(meter, BusMeter) else None
+        self.is_needed = self._bus is not None or trace is not None
         self._noise_seen = meter.noise()
         self.begin()
 
@@ -84,14 +91,15 @@ class LinkStatistics:
         """Start all counts at zero, at the first ACTIVE tick: the handshake's traffic depends on the wall clock."""
         self._since_ns = self._clock.now_ns()
         self._meter.begin()
-        self._down = LoadWindow()
-        self._up = LoadWindow() if self._meter.duplex else self._down
+        unit_ns = self._meter.byte_ns if self._bus is None else 1.0
+        self._down = LoadWindow(unit_ns)
+        self._up = LoadWindow(unit_ns) if self._meter.duplex else self._down
 
     def sent(self, frames: Sequence[Frame]) -> None:
         """Count and trace frames that were just sent."""
         now_ns = self._clock.now_ns()
-        if self._meter.by_frame:
-            self._down.add(now_ns, self._meter.sent(frames))
+        if self._bus is not None:
+            self._down.add(now_ns, self._bus.sent(frames))
         if self._trace is not None:
             self._trace.frames(now_ns, frames, sent=True)
 
@@ -103,15 +111,16 @@ class LinkStatistics:
         if received is None:
             return
         frames, stamp_ns = received
-        if self._meter.by_frame:
-            self._up.add(stamp_ns, self._meter.received(frames))
+        if self._bus is not None:
+            self._up.add(stamp_ns, self._bus.received(frames))
         if trace is not None:
             trace.frames(stamp_ns, frames, sent=False)
 
     def overhear(self, message: Any) -> None:
         """Count and trace a ``can.Message`` that is not of this link's protocol."""
+        assert self._bus is not None, "a line between two ends has no other nodes"
         now_ns = self._clock.now_ns()
-        self._down.add(now_ns, self._meter.overheard(message))
+        self._down.add(now_ns, self._bus.overheard(message))
         if self._trace is not None:
             self._trace.foreign(now_ns, message)
 
@@ -121,20 +130,20 @@ class LinkStatistics:
             trace.rejected(self._clock.now_ns(), count - self._noise_seen)
             self._noise_seen = count
 
-    def _count_bytes(self, now_ns: int) -> None:
-        """Add to the load of a line what went over it since the last call."""
-        meter = self._meter
-        if meter.timed and not meter.by_frame:
-            self._down.add(now_ns, meter.sent(()))
-            self._up.add(now_ns, meter.received(()))
+    def traffic(self) -> tuple[float, float, float]:
+        """Return the bytes sent and received since ``begin``, and the load of the last 100 ms [%].
 
-    def load_percent(self) -> float:
-        """Return the load of the last 100 ms [%], on a serial line of the busier direction; NaN without a bit rate."""
+        The load of a serial line is that of its busier direction; it is NaN without a bit rate. A line is observed only
+        here: call it in every tick.
+        """
+        sent, received = self._meter.byte_counts()
         if not self._meter.timed:
-            return NAN
+            return sent, received, NAN
         now_ns = self._clock.now_ns()
-        self._count_bytes(now_ns)
-        return max(self._down.percent(now_ns), self._up.percent(now_ns))
+        if self._bus is not None:
+            return sent, received, self._down.percent(now_ns)
+        down, up = self._down.count(now_ns, sent), self._up.count(now_ns, received)
+        return sent, received, down if down > up else up
 
     @property
     def counts_frames(self) -> bool:
@@ -143,9 +152,9 @@ class LinkStatistics:
 
     def figures(self) -> dict[str, Any]:
         """Return the figures since ``begin``, by name."""
-        now_ns = self._clock.now_ns()
-        self._count_bytes(now_ns)
-        lasted_ns = now_ns - self._since_ns
+        if self._bus is None:  # also what no tick has counted: that of the stop
+            self._down.total, self._up.total = self._meter.byte_counts()
+        lasted_ns = self._clock.now_ns() - self._since_ns
         sent, received = self._meter.counts()
         foreign = self._meter.foreign
         lines = {"sent": self._down, "received": self._up} if self._meter.duplex else {"bus": self._down}
