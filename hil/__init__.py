@@ -8,7 +8,13 @@
 Nothing heavy is imported until it is needed.
 """
 
+import os
 from typing import TYPE_CHECKING, Any
+
+if "HIL_MUTANT" in os.environ:  # only in processes that hil verify has started
+    from hil.core import mutant as _mutant
+
+    _mutant.install()
 
 __version__ = "0.2.0"
 __all__ = ["RunResult", "__version__", "run"]

@@ -16,6 +16,7 @@ import time
 from typing import IO, Protocol, TypeVar
 
 from hil.batch.job import LOST, Job, Outcome, plain
+from hil.core import mutant as mutants
 from hil.core.subprocesses import away_from_terminal, excess, module_command
 from hil.record.started_process import rerun_environment
 
@@ -136,7 +137,7 @@ class Runner:
         began = time.monotonic()
         limit: str | None = None
         try:
-            if self._process is not None and self._process.made_for != (job.kind, job.library):
+            if self._process is not None and self._process.made_for != _made_for(job):
                 self.close()
             process = self._process = self._process or _Process(job)
             if self.is_ending:
@@ -168,19 +169,24 @@ class Runner:
             process.close()
 
 
+def _made_for(job: Job) -> tuple[object, ...]:
+    return job.kind, job.library, job.options.get("mutant")
+
+
 class _Process:
-    """One worker process; ``made_for`` is the kind and the library of the jobs that it can do."""
+    """One worker process; ``made_for`` is the kind, the library and the mutant of the jobs that it can do."""
 
     def __init__(self, job: Job) -> None:
-        self.made_for = (job.kind, job.library)
+        self.made_for = _made_for(job)
         self._stderr: IO[bytes] = tempfile.TemporaryFile()  # noqa: SIM115 -- closed in close()
         library = {} if job.library is None else {"WHEEL_HOST_LIBRARY": job.library}
+        mutant = {mutants.VARIABLE: job.options["mutant"]} if job.options.get("mutant") else {}
         self._process = subprocess.Popen(
             module_command(MODULE, job.kind),
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=self._stderr,
-            env=rerun_environment() | library,
+            env=rerun_environment() | library | mutant,
             **away_from_terminal(),
         )
         self._is_ready = False

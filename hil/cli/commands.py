@@ -30,6 +30,8 @@ SHIPPED = {
     "campaign": "Run a scenario thousands of times, over axes, laws, faults and seeds, and judge it on one page.",
     "compare": "Run laws under the same conditions and print one table for each; exit 1 when a run failed.",
     "catalogue": "Run the fault catalogue and judge every run for safety; exit 1 when one is not as it should be.",
+    "verify": "Put known defects into a suite of tests, one at a time, and say which it notices; exit 1 when one "
+    "survives.",
     "reproduce": "Run section IV of the paper and say which of its figures come out, which do not, and why.",
     "init": "Write a robot file and a first scenario; ask for the values that no flag gives.",
     "doctor": "Check this machine and print remedies; exit 1 when there is a problem.",

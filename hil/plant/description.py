@@ -42,6 +42,15 @@ def variables_of(description: Any) -> dict[str, Any]:
     return variables
 
 
+def start_defaults(fmu: Path) -> dict[str, Value]:
+    """Return the FMU's own start value of each parameter that has one, by name. Raises BadInputError."""
+    found: dict[str, Value] = {}
+    for name, variable in _variables(fmu).items():
+        if variable.causality == "parameter" and name == variable.name and variable.start is not None:
+            found[name] = variable.start if variable.type == "String" else float(variable.start)
+    return found
+
+
 def check_start(fmu: Path, start: Mapping[str, Value]) -> None:
     """Raise BadInputError, with a line for each start value that does not fit the FMU. The FMU's code is not run."""
     start_values(start, fmu, _variables(fmu))

@@ -23,6 +23,7 @@ from hil.robot.virtual import MakeNode, MakeRobot, new_robot
 from hil.runtime.bench import NS, Bench
 from hil.runtime.events import RunEvents
 from hil.runtime.loop import Loop, Report
+from hil.runtime.mutation import mutation
 from hil.runtime.parts import RunParts
 from hil.runtime.provenance import ingredients, properties
 from hil.runtime.realtime import RealTime, real_time
@@ -190,7 +191,7 @@ class _Run:
             allow_motion=options.allow_motion,
             trace=self._trace,
             make_node=options.make_node,
-            make_robot=options.make_robot,
+            make_robot=mutation().robot(options.make_robot),
             signals=laws.signals,
         )
         self._bench = resources.enter_context(bench)
@@ -218,7 +219,7 @@ class _Run:
             further["wait"] = False  # only simulated time passes before the recorder is ready
         return options.make_recording(
             options.record,
-            properties=properties(self._scenario, self._ingredients),
+            properties=properties(self._scenario, self._ingredients | mutation().properties),
             blocking=self._is_lockstep,
             live_port=options.live_port,
             signals=self._parts.laws.signals,
@@ -238,6 +239,7 @@ class _Run:
         counting = self._rejections if self._rejections.windows else None
         sinks: list[Sink | None] = [self._memory, self._recording, self._stream, self._events, counting]
         parts = self._parts.make(self._bench, [sink for sink in sinks if sink is not None], note)
+        parts = mutation().parts(scenario, parts)
         return Loop(
             parts._replace(extra=()) if names is SIGNAL_NAMES else parts,
             scenario.controller.mode,
@@ -299,6 +301,7 @@ class _Run:
         outcomes = self._events.finish(loop.t_s, is_cut=is_cut(scenario, loop, report))
         is_lenient, causes = self._options.lenient, self._rejections.counts()
         metrics = run_figures(scenario, self._bench, self._memory, loop, report, outcomes, causes, lenient=is_lenient)
+        metrics |= mutation().properties
         metrics["realtime"] = None if granted is None else granted.figures()
         metrics["shadows"] = [] if laws.shadows is None else laws.shadows.figures()
         metrics["reference"] = {"kind": scenario.reference.kind, **self._feasibility.figures()}

@@ -26,6 +26,7 @@ from hil.robot.truth import TruthClient
 from hil.robot.virtual import MakeNode, MakeRobot, new_robot
 from hil.runtime.fault_injection import RunFaults
 from hil.runtime.local_robot import LocalRobot
+from hil.runtime.mutation import mutation
 from hil.runtime.robots import (
     firmware_values,
     link_of,
@@ -136,7 +137,7 @@ class Bench:
             trace.begin(time.time_ns() - self.clock.now_ns())
         self.wire = observe(link, url, self.clock, trace)
         return ConditionedLink(
-            link,
+            mutation().link(link),
             self.clock,
             command_latency_ns=latency.command_latency_ns,
             feedback_latency_ns=latency.feedback_latency_ns,

@@ -102,6 +102,17 @@ def compile_shared(
         raise BuildError(f"{library}: cannot be written ({error.strerror}); make its folder writable") from error
 
 
+def compile_object(source: Path, target: Path, include: Sequence[Path], flags: Sequence[str]) -> None:
+    """Compile one C source into an object. Raises BuildError with what the compiler said."""
+    _run([*compiler(), *flags, *(f"-I{folder}" for folder in include), "-c", str(source), "-o", str(target)])
+
+
+def link_shared(objects: Iterable[Path], library: Path) -> None:
+    """Link objects into a shared library. Raises BuildError with what the linker said."""
+    mathematics = [] if library.suffix == ".dll" else ["-lm"]
+    _run([*compiler(), "-shared", "-o", str(library), *map(str, objects), *mathematics])
+
+
 def _on_the_path() -> list[str]:
     found = (shutil.which(name) for name in _ON_THE_PATH)
     return next(([path] for path in found if path), [])

@@ -1,0 +1,99 @@
+"""The members of a suite: scenarios, and pytest files, each of which may notice a mutant."""
+
+import functools
+import hashlib
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from firmware_protocol.built import ROOT
+from hil.batch.job import Job
+from hil.batch.keys import make_job
+from hil.core import TEST_SUFFIX
+from hil.core.errors import BadInputError
+from hil.core.mutant import Mutant
+from hil.plant import archive
+from hil.plant.description import start_defaults
+from hil.runtime.mutation import moved
+from hil.runtime.robots import link_of, plant_start
+from hil.scenario import Scenario, load, shipped
+
+RUN, TESTS = "hil.batch.verify.run:run", "hil.batch.verify.run:run_tests"
+"""The kinds of job."""
+_BASELINE = ".baseline.toml"
+
+
+class Member(NamedTuple):
+    """A member of a suite: a scenario, or a file of tests; then the scenario is only what its job is made with."""
+
+    name: str
+    scenario: Scenario
+    tests: Path | None = None
+
+    def job(self, mutant: Mutant | None = None, library: str | None = None, limit_s: float = 120.0) -> Job:
+        """Return the job of the member, with a mutant and its firmware library if it has one."""
+        options: dict[str, Any] = {"code": _code()} | ({} if mutant is None else {"mutant": mutant.to_text()})
+        if self.tests is not None:
+            options |= {"tests": str(self.tests), "sha256": hashlib.sha256(self.tests.read_bytes()).hexdigest()}
+        kind = RUN if self.tests is None else TESTS
+        return make_job(self.scenario, kind, options, None if library is None else Path(library), limit_s=limit_s)
+
+    def varied(self, seed: int, variation: Mapping[str, Any]) -> "Member":
+        """Return the scenario with another seed and with start values that a healthy robot may have.
+
+        Start values that its FMU does not have are left out. Raises ValueError as ``moved``.
+        """
+        scenario = self.scenario
+        fmu = archive.locate(scenario.plant.fmu, scenario.directory)
+        defaults = start_defaults(fmu)
+        now = {**defaults, **plant_start(scenario, archive.read_header(fmu).parameters)}
+        changed = {name: moved(now[name], change) for name, change in variation.items() if name in defaults}
+        plant = replace(scenario.plant, start={**scenario.plant.start, **changed})
+        return self._replace(scenario=replace(scenario, plant=plant, loop=replace(scenario.loop, seed=seed)))
+
+
+def read_suite(names: Sequence[str]) -> list[Member]:
+    """Return the members that are named: scenarios, test files, and folders of these; without any, the shipped ones.
+
+    Raises BadInputError for what is neither, and for a scenario that does not run in this process in lockstep.
+    """
+    found: dict[str, Member] = {}
+    for name in names or shipped():
+        path = Path(name)
+        for one in _in_folder(path) if path.is_dir() else [name]:
+            member = _member(str(one))
+            found[member.name] = member
+    return list(found.values())
+
+
+@functools.cache
+def _code() -> str:
+    """Return a hash of the Python files of this package: with others, earlier outcomes say nothing."""
+    digest = hashlib.sha256()
+    for path in sorted((ROOT / "hil").rglob("*.py")):
+        digest.update(path.relative_to(ROOT).as_posix().encode() + b"\0" + path.read_bytes())
+    return digest.hexdigest()
+
+
+def _in_folder(folder: Path) -> list[Path]:
+    scenarios = [path for path in folder.glob("*.toml") if not path.name.endswith(_BASELINE)]
+    found = sorted([*scenarios, *folder.glob("test_*.py"), *folder.glob("*_test.py")])
+    if not found:
+        raise BadInputError(f"suite {folder}: it has neither scenarios (*.toml) nor tests (test_*.py)")
+    return found
+
+
+def _member(name: str) -> Member:
+    if name.endswith(".py"):
+        path = Path(name).absolute()
+        if not path.is_file():
+            raise BadInputError(f"suite {name}: there is no such file")
+        return Member(name, load("paper_circle"), path)
+    scenario = load(name, mode="lockstep")
+    if not link_of(scenario).is_within_process:
+        raise BadInputError(
+            f"suite {name}: its robot is behind {scenario.link.url}; mutants are put into a virtual robot, so give a "
+            "scenario with link.url = memory:"
+        )
+    return Member(name.removesuffix(TEST_SUFFIX), scenario)

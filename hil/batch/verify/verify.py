@@ -1,0 +1,229 @@
+"""Verifies a suite: builds the mutants, runs the suite on each, and says which were noticed, and by what."""
+
+import json
+import os
+import tempfile
+import time
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import pyarrow as pa
+from platformdirs import user_cache_path
+
+from firmware_protocol.built import is_checkout, run_script
+from hil.batch.figures import KEY, MACHINE
+from hil.batch.job import PASSED, Outcome
+from hil.batch.plan import run_plan
+from hil.batch.pool import LocalPool
+from hil.batch.store import Store, read_rows
+from hil.batch.verify.catalogue import Entry, check_sources
+from hil.batch.verify.plan import Built, Healthy, Trial, VerifyPlan
+from hil.batch.verify.suggest import Suggestion, suggestion
+from hil.batch.verify.suite import Member
+from hil.core.errors import BadInputError
+from hil.plant import archive
+
+NOTICED, SURVIVED, UNREACHED, EQUIVALENT, NOT_EQUIVALENT, NOT_BUILT = (
+    "noticed", "survived", "unreached", "equivalent", "not equivalent", "not built",
+)  # fmt: skip
+"""The verdicts on a mutant.
+
+Survived: it moved figures or bytes, and all passed. Unreached: it changed nothing, so no member goes there. Equivalent:
+it is listed so, and changed nothing. Not equivalent: it is listed so, and changed something. Not built: its C sources
+are not here.
+"""
+GOOD = (NOTICED, EQUIVALENT, NOT_BUILT)
+_BUILDER = "tools.build.mutant"
+_FIRST_SEED = 1_000_000
+"""Seeds of the healthy runs begin here, far from those with which anybody makes a baseline."""
+_JSON = ("figures", "details")
+_SCHEMA = pa.schema(
+    [(name, pa.string()) for name in (KEY, "outcome", "reason", *_JSON, f"{MACHINE}worker")]
+    + [(f"{MACHINE}wall_s", pa.float64())]
+)
+
+
+class Request(NamedTuple):
+    """What to verify: the suite, the mutants, how many further healthy runs, with what workers, into which folder."""
+
+    members: Sequence[Member]
+    mutants: Sequence[Entry]
+    variations: Mapping[str, Mapping[str, Any]]
+    healthy: int
+    folder: Path
+    seed: int = 0
+    workers: int | None = None
+    limit_s: float = 600.0
+
+
+class Verdict(NamedTuple):
+    """The verdict on a mutant.
+
+    Attributes:
+        entry: the mutant. verdict: one of the constants above. by, reason: the member that noticed it, and its words.
+        moved: the members whose figures or bytes it changed without a notice. suggestion: what would have noticed it.
+        runs: how many members were run on it.
+    """
+
+    entry: Entry
+    verdict: str
+    by: str | None = None
+    reason: str | None = None
+    moved: Sequence[str] = ()
+    suggestion: Suggestion | None = None
+    runs: int = 0
+
+
+class Verification(NamedTuple):
+    """What came of it; ``alarms`` are the healthy runs that did not pass: member, what was varied, reason."""
+
+    verdicts: Sequence[Verdict]
+    healthy: int
+    alarms: Sequence[tuple[str, str, str]]
+    members: Mapping[str, float]
+    wall_s: float
+
+    @property
+    def passed(self) -> bool:
+        """Whether every mutant that is no equivalent was noticed, and no healthy run raised an alarm."""
+        return not self.alarms and all(one.verdict in GOOD for one in self.verdicts)
+
+
+def verify(
+    request: Request, on_progress: Callable[[int, int, str | None, int], None] = lambda *_: None
+) -> Verification:
+    """Verify a suite. What is in the request's folder from an earlier, interrupted one is not run again.
+
+    ``on_progress`` is called with mutants tried, mutants in all, a sentence on the newest survivor or None, and how
+    many have survived. Raises BadInputError for patches that do not match the sources, for a mutant that does not
+    compile, for a member that does not pass without a mutant, and when the folder cannot be used.
+    """
+    began_s = time.monotonic()
+    check_sources(request.mutants)
+    built = build(request.mutants)
+    workers = request.workers or os.cpu_count() or 1
+    plan = VerifyPlan(request.members, list(built.values()), _varied(request), workers, request.limit_s)
+    with Store(request.folder, _SCHEMA) as store:
+        known = {row[KEY]: _outcome(row) for row in read_rows(request.folder).to_pylist()}
+        new: list[Outcome] = []
+        try:
+            for some in run_plan(plan, LocalPool(workers), known=known):
+                new += [outcome for outcome in some if outcome.key not in known]
+                if new and (store.is_rested or not some):
+                    store.append([_row(outcome) for outcome in new])
+                    new = []
+                survivors = [trial for trial in plan.trials if _is_over(trial, plan) and trial.noticed_by is None]
+                on_progress(plan.done, len(plan.trials), _last_words(survivors), len(survivors))
+        finally:
+            store.append([_row(outcome) for outcome in new])
+    judged = {trial.entry.id: _verdict(trial, plan) for trial in plan.trials}
+    verdicts = [judged.get(entry.id) or Verdict(entry, NOT_BUILT) for entry in request.mutants]
+    alarms = [
+        (plan.runs[key].member.name, plan.runs[key].varied, str(outcome.reason))
+        for key, outcome in plan.healthy.items()
+        if outcome.status != PASSED
+    ]
+    times = {member.name: plan.nominal(member.name).wall_s for member in request.members}
+    return Verification(verdicts, len(plan.healthy), alarms, times, time.monotonic() - began_s)
+
+
+def build(mutants: Sequence[Entry], folder: Path | None = None) -> dict[str, Built]:
+    """Build those mutants that need it, into a cache folder of the user's, and return all that can be run, by id.
+
+    Where C sources or build scripts are not there, their mutants are left out. Raises BadInputError for one that does
+    not compile.
+    """
+    folder = folder or user_cache_path("mecanum-hil") / "mutants"
+    plain = {entry.id: Built(entry, entry.mutant) for entry in mutants if not entry.is_built}
+    wanted = {entry.id: entry for entry in mutants if entry.is_built}
+    if not wanted or not is_checkout():
+        return plain
+    with tempfile.TemporaryDirectory(prefix="hil_verify_") as scratch:
+        file = Path(scratch) / "requests.json"
+        file.write_text(json.dumps({name: entry.mutant.patches for name, entry in wanted.items()}), encoding="utf-8")
+        done = run_script(_BUILDER, str(folder), str(file))
+    if done.returncode != 0:
+        raise BadInputError(f"the mutants cannot be built: {done.stderr.strip()}")
+    made = json.loads(done.stdout)
+    if errors := [f"mutant {name}: {one['error']}" for name, one in made.items() if "error" in one]:
+        raise BadInputError("\n".join(errors))
+    for name, one in made.items():
+        entry, path = wanted[name], Path(one["path"])
+        is_fmu = path.suffix == ".fmu"
+        mutant = entry.mutant._replace(patches=(), fmu=str(path) if is_fmu else "", built_sha256=archive.sha256(path))
+        plain[name] = Built(entry, mutant, None if is_fmu else str(path))
+    return {entry.id: plain[entry.id] for entry in mutants if entry.id in plain}
+
+
+def _varied(request: Request) -> list[Healthy]:
+    """Return the further healthy runs: the scenarios in turn, each with a fresh seed and a permitted variation."""
+    members = [member for member in request.members if member.tests is None]
+    variations = {"": {}, **request.variations}
+    names = list(variations)
+    found = []
+    for number in range(request.healthy if members else 0):
+        turn, place = divmod(number, len(members))
+        name, seed = names[(turn + place) % len(names)], _FIRST_SEED + request.seed + number
+        words = f"seed {seed}" + (f", {name}" if name else "")
+        try:
+            found.append(Healthy(members[place].varied(seed, variations[name]), words))
+        except ValueError as error:
+            raise BadInputError(f"variation {name}: {error}") from error
+    return found
+
+
+def _is_over(trial: Trial, plan: VerifyPlan) -> bool:
+    return trial.noticed_by is not None or len(trial.outcomes) == plan.size
+
+
+def _last_words(survivors: Sequence[Trial]) -> str | None:
+    return f"{survivors[-1].entry.id}: nothing noticed that {survivors[-1].entry.wrong}" if survivors else None
+
+
+def _verdict(trial: Trial, plan: VerifyPlan) -> Verdict:
+    entry, by = trial.entry, trial.noticed_by
+    moved = [
+        name for name, outcome in trial.outcomes.items() if outcome.status == PASSED and _differs(outcome, plan, name)
+    ]
+    runs = len(trial.outcomes)
+    if by is not None:
+        verdict = NOTICED if entry.equivalent is None else NOT_EQUIVALENT
+        return Verdict(entry, verdict, by, trial.outcomes[by].reason, moved, runs=runs)
+    if not moved:
+        return Verdict(entry, UNREACHED if entry.equivalent is None else EQUIVALENT, runs=runs)
+    if entry.equivalent is not None:
+        return Verdict(entry, NOT_EQUIVALENT, moved=moved, runs=runs)
+    found = [one for name in moved if (one := _suggestion(trial.outcomes[name], plan, name)) is not None]
+    best = max(found, key=lambda one: min(one.margin, 0.5) / (plan.nominal(one.member).wall_s + 1.0), default=None)
+    return Verdict(entry, SURVIVED, moved=moved, suggestion=best, runs=runs)
+
+
+def _differs(outcome: Outcome, plan: VerifyPlan, member: str) -> bool:
+    """Whether any figure, any byte on the wire, or the extremes of any signal differ from those without a mutant."""
+    healthy = plan.nominal(member)
+    return (outcome.figures, outcome.details) != (healthy.figures, healthy.details)
+
+
+def _suggestion(outcome: Outcome, plan: VerifyPlan, member: str) -> Suggestion | None:
+    if "extremes" not in outcome.details:
+        return None
+    runs = [
+        plan.healthy[key].details["extremes"]
+        for key, run in plan.runs.items()
+        if run.member.name == member and plan.healthy[key].status == PASSED
+    ]
+    duration_s = plan.member(member).scenario.loop.duration_s
+    return suggestion(member, duration_s, runs, outcome.details["extremes"])
+
+
+def _row(outcome: Outcome) -> dict[str, Any]:
+    texts = {name: json.dumps(getattr(outcome, name)) for name in _JSON}
+    machine = {f"{MACHINE}wall_s": outcome.wall_s, f"{MACHINE}worker": outcome.worker}
+    return {KEY: outcome.key, "outcome": outcome.status, "reason": outcome.reason, **texts, **machine}
+
+
+def _outcome(row: Mapping[str, Any]) -> Outcome:
+    figures, details = (json.loads(row[name]) for name in _JSON)
+    wall_s, worker = row[f"{MACHINE}wall_s"], row[f"{MACHINE}worker"]
+    return Outcome(row[KEY], row["outcome"], row["reason"], figures, details, wall_s=wall_s, worker=worker)

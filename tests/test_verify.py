@@ -1,0 +1,334 @@
+"""``hil verify``: the catalogue fits the sources, each way of applying a mutant does what it says, a suite is measured,
+an interrupted verification goes on, and what is suggested for a survivor notices it."""
+
+import json
+import os
+import subprocess
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import jsonschema
+import pytest
+
+from hil.batch.job import PASSED, Outcome
+from hil.batch.plan import run_jobs
+from hil.batch.store import read_rows
+from hil.batch.verify import page as pages
+from hil.batch.verify import verify as engine
+from hil.batch.verify.catalogue import MOST_EQUIVALENT, ROOMS, Entry, check_sources, read_catalogue
+from hil.batch.verify.suite import Member, read_suite
+from hil.core.errors import BadInputError
+from hil.core.mutant import VARIABLE, Patch
+from hil.core.subprocesses import module_command
+from hil.review.reader import read
+from hil.scenario import load
+from tests.processes import environment, hil, wait_for
+
+SHORT = {"loop.duration_s": 1.0, "loop.rate_hz": 200, "expect": []}
+CATALOGUE = read_catalogue()
+ENTRIES = {entry.id: entry for entry in CATALOGUE.mutants}
+
+
+# The catalogue
+
+
+def test_the_catalogue_has_enough_of_each_room_and_fits_the_sources() -> None:
+    assert len(ENTRIES) >= 300
+    for room in ROOMS:
+        assert sum(entry.room == room for entry in CATALOGUE.mutants) >= 30, room
+    assert sum(one.equivalent is not None for one in CATALOGUE.mutants) <= MOST_EQUIVALENT * len(ENTRIES)
+    check_sources(CATALOGUE.mutants)
+    assert CATALOGUE.variations
+
+
+@pytest.mark.slow
+def test_every_mutant_of_the_c_sources_compiles(tmp_path: Path) -> None:
+    assert engine.build(CATALOGUE.mutants, tmp_path).keys() == ENTRIES.keys()
+
+
+def test_a_row_that_is_wrong_is_refused_with_its_place(tmp_path: Path) -> None:
+    file = tmp_path / "mine.toml"
+    file.write_text(
+        'room = "plant"\nmutant = [\n'
+        '  { id = "a", wrong = "w", size = "s", start = { mass_kg = 1.0 }, wrap = { port = "law" } },\n'
+        '  { id = "b", wrong = "w", size = "s", wrap = { port = "law", of = "torqe", scale = -1 } },\n'
+        '  { id = "c", wrong = "w", size = "s", wrap = { port = "law", of = "torque", scale = -1, element = "x" } },\n'
+        '  { id = "d", wrong = "w", size = "s", patch = { file = "hil/cli/run.py", before = "a", after = "b" } },\n'
+        '  { id = "mass_more", wrong = "w", size = "s", start = { mass_kg = 1.0 } },\n]\n',
+        encoding="utf-8",
+    )
+    with pytest.raises(BadInputError) as refused:
+        read_catalogue([file])
+    lines = str(refused.value).splitlines()
+    assert [line.partition(":")[0] for line in lines] == [
+        f"mutants mine.toml, row {number} ({name})" for number, name in enumerate(("a", "b", "c", "d", "mass_more"), 1)
+    ]
+    assert "did you mean 'torque'?" in lines[1]
+    wrong = Entry("plant.x", "plant", "w", "s", "patch", ENTRIES["plant.mass_more"].mutant._replace(
+        patches=[Patch("hil/laws/dsc.py", "no such text", "")]))  # fmt: skip
+    with pytest.raises(BadInputError, match="'no such text' is there 0 times; expected once"):
+        check_sources([wrong])
+
+
+# Each way of applying one
+
+
+def outcomes_of(name: str, *ids: str, **sets: Any) -> list[dict[str, Any]]:
+    """Return the extremes of the signals of a short run, healthy and with each of some mutants."""
+    member = Member(name, load(name, set=SHORT | sets))
+    built = engine.build([ENTRIES[one] for one in ids])
+    jobs = [member.job(), *(member.job(built[one].mutant, built[one].library) for one in ids)]
+    outcomes = run_jobs(jobs, 2)
+    assert [outcome.status for outcome in outcomes] == [PASSED] * len(jobs), [outcome.reason for outcome in outcomes]
+    return [{**outcome.figures, **outcome.details["extremes"]} for outcome in outcomes]
+
+
+def test_each_way_of_applying_a_mutant_changes_what_it_says() -> None:
+    """Start values, a wrapper between firmware and plant, one on the link, and builds of firmware, client and plant."""
+    healthy, heavy, warm, deaf, swapped, doubled, turned, backward = outcomes_of(
+        "circle_speed",
+        "plant.mass_more",
+        "motors.temperature_fahrenheit",
+        "wire.power_lost",
+        "wire.battery_swapped",
+        "wire.speed_commands_twice",
+        "plant.gyro_sign",
+        "host.circle_clockwise",
+    )
+    (by_hand,) = run_jobs([Member("x", load("circle_speed", set=SHORT | {"plant.start.mass_kg": 24.0})).job()], 1)
+    assert heavy["wire_sha256"] == by_hand.figures["wire_sha256"] != healthy["wire_sha256"]
+    fl = "wheel.fl.temperature_degc"
+    assert warm[fl][:2] == pytest.approx([one + 30.0 for one in healthy[fl][:2]], abs=0.02)
+    assert deaf["battery.voltage_v"] == [None] * 4 != healthy["battery.voltage_v"]
+    assert swapped["battery.voltage_v"] == healthy["battery.current_a"]
+    assert healthy["link.rejected"][1] == 0 < doubled["link.rejected"][1]
+    low, high, *_ = healthy["robot.yaw_rate_rad_s"]
+    assert turned["robot.yaw_rate_rad_s"][:2] == [-high, -low]
+    assert backward["reference.y_m"][:2] == [-healthy["reference.y_m"][1], 0.0]
+
+
+def test_wrappers_of_the_parts_of_a_tick_change_what_they_say() -> None:
+    healthy, estimate, later, truth, fewer, law = outcomes_of(
+        "compare_circle",
+        "estimator.x_offset",
+        "host.reference_late",
+        "host.truth_offset",
+        "law.torque_limited",
+        "law.gain_half",
+        **{"controller.law": "dsc", "controller.gains": {}},
+    )
+    assert estimate["pose.x_m"][:2] != healthy["pose.x_m"][:2]
+    assert later["reference.y_m"][1] == pytest.approx(healthy["reference.y_m"][1], rel=0.03)
+    assert later["reference.y_m"][1] < healthy["reference.y_m"][1]
+    assert truth["truth.y_m"] != healthy["truth.y_m"]
+    torques = [f"wheel.{wheel}.torque_command_n_m" for wheel in ("fl", "fr", "rr", "rl")]
+    assert max(healthy[name][1] for name in torques) > 1.0 >= max(fewer[name][1] for name in torques)
+    assert law["gain.k1_x_1_s"][:2] == [7.5, 7.5] != healthy["gain.k1_x_1_s"][:2]
+
+
+def test_a_recording_and_the_results_name_the_mutant(tmp_path: Path) -> None:
+    mutant = ENTRIES["law.torque_half"].mutant
+    command = module_command("hil.cli.main", "run", "circle_speed", "--set", "loop.duration_s=0.2", "--json")
+    done = subprocess.run(
+        [*command, "--set", "expect=[]", "--record", str(tmp_path / "run.rrd")],
+        env={**os.environ, **environment(), VARIABLE: mutant.to_text()}, capture_output=True, text=True, check=True,
+    )  # fmt: skip
+    assert json.loads(done.stdout)["mutant"] == "law.torque_half"
+    properties = read(tmp_path / "run.rrd").properties
+    assert (properties["mutant"], properties["mutant_sha256"]) == ("law.torque_half", mutant.sha256)
+    healthy = json.loads(
+        hil("run", "circle_speed", "--set", "loop.duration_s=0.2", "--record", "none", "--json").stdout
+    )
+    assert "mutant" not in healthy
+
+
+# A suite
+
+
+SCENARIO = """
+extends = "circle_speed"
+
+[loop]
+duration_s = 1.5
+
+[[expect]]
+signal = "{signal}"
+{claim}
+"""
+MUTANTS = """
+room = "plant"
+variation = [{ id = "a little heavier", start = { mass_kg = "*1.01" } }]
+
+[[mutant]]
+id = "heavy"
+wrong = "it is heavier"
+size = "20 %"
+start = { mass_kg = "*1.2" }
+
+[[mutant]]
+id = "elsewhere"
+wrong = "it stands elsewhere"
+size = "0.3 m"
+start = { start_y_m = "+0.3" }
+
+[[mutant]]
+id = "twice"
+wrong = "every command is sent twice"
+size = "each"
+wrap = { port = "link", of = "sent", id = "WheelCommand", repeat = 1 }
+
+[[mutant]]
+id = "pid_sign"
+wrong = "another law has a wrong sign"
+size = "sign"
+patch = { file = "hil/laws/pid.py", before = "vx_d - kp * x - ki * ix", after = "vx_d - kp * x + ki * ix" }
+
+[[mutant]]
+id = "lqi"
+wrong = "another law has its gains swapped"
+size = "order"
+equivalent = "no scenario has this law"
+patch = { file = "hil/laws/lqi.py", before = "ki, kp, kd = self._feedback", after = "ki, kd, kp = self._feedback" }
+
+[[mutant]]
+id = "cap"
+wrong = "the host scales torques"
+size = "factor 2"
+equivalent = "a claim that is wrong"
+wrap = { port = "guard", of = "torque", scale = 0.5 }
+"""
+
+
+@pytest.fixture
+def suite(tmp_path: Path) -> Path:
+    """A folder with two scenarios, and a file of mutants beside it."""
+    folder = tmp_path / "suite"
+    folder.mkdir()
+    near = SCENARIO.format(signal="error.planar_m", claim="below = 0.52")
+    quick = SCENARIO.format(signal="robot.state", claim="above = 2.0")
+    (folder / "near.toml").write_text(near, encoding="utf-8")
+    (folder / "quick.toml").write_text(quick, encoding="utf-8")
+    (tmp_path / "mutants.toml").write_text(MUTANTS, encoding="utf-8")
+    return folder
+
+
+def request(suite: Path, **given: Any) -> engine.Request:
+    # With the shipped catalogue, of which two equivalents are a small part.
+    catalogue = read_catalogue([suite.parent / "mutants.toml"])
+    mine = [entry for entry in catalogue.mutants if entry.id not in ENTRIES]
+    fields: Mapping[str, Any] = {"folder": suite.parent / "out", "healthy": 4, "workers": 2} | given
+    return engine.Request(read_suite([str(suite)]), mine, catalogue.variations, **fields)
+
+
+def test_a_suite_is_measured_and_what_is_suggested_notices(suite: Path) -> None:
+    found = engine.verify(request(suite))
+    verdicts = {one.entry.id.removeprefix("plant."): one for one in found.verdicts}
+    assert {name: one.verdict for name, one in verdicts.items()} == {
+        "heavy": "survived",
+        "elsewhere": "noticed",
+        "twice": "survived",
+        "pid_sign": "unreached",
+        "lqi": "equivalent",
+        "cap": "not equivalent",
+    }
+    assert verdicts["elsewhere"].by == str(suite / "near.toml")
+    assert not found.passed
+    assert not found.alarms
+    assert found.healthy == 2 + 4
+    table = pages.as_json(found)
+    jsonschema.validate(table, json.loads((Path(pages.__file__).parent / "verify.schema.json").read_text()))
+    assert table["noticed_part"] == 0.2
+    page = pages.page(found)
+    for name in ("heavy", "twice"):
+        suggestion = verdicts[name].suggestion
+        assert suggestion is not None
+        assert suggestion.toml in page
+        file = Path(suggestion.member)
+        file.write_text(file.read_text(encoding="utf-8") + "\n" + suggestion.toml, encoding="utf-8")
+    again = engine.verify(request(suite, folder=suite.parent / "again"))
+    assert {one.entry.id: one.verdict for one in again.verdicts if one.verdict == "survived"} == {}
+    assert not again.alarms, "what was suggested holds in healthy runs too"
+
+
+def test_a_verification_that_was_killed_goes_on(suite: Path) -> None:
+    out = suite.parent / "out"
+    ids = [f"--mutant=plant.{name}" for name in ("heavy", "elsewhere", "twice", "pid_sign")]
+    words = ["verify", str(suite), "--mutants", str(suite.parent / "mutants.toml"), *ids, "--out", str(out), "--jobs=1"]
+    killed = subprocess.Popen(
+        module_command("hil.cli.main", *words, "--json"), env={**os.environ, **environment()}, stdout=subprocess.PIPE
+    )
+    wait_for(lambda: (out / "rows").is_dir() and any((out / "rows").glob("*.parquet")), 60.0)
+    killed.kill()
+    killed.communicate()
+    before = {row["key"]: row["details"] for row in read_rows(out).to_pylist()}
+    assert before
+    done = hil(*words, "--json")
+    assert done.returncode == 1, done.stderr
+    rows = read_rows(out).to_pylist()
+    assert {row["key"]: row["details"] for row in rows}.items() >= before.items()
+    assert len(rows) == len({row["key"] for row in rows}), "nothing was done twice"
+    counts = json.loads(done.stdout)["counts"]
+    assert (counts["noticed"], counts["survived"], counts["unreached"]) == (1, 2, 1)
+    assert (out / pages.PAGE).read_text(encoding="utf-8").startswith("# What a green run of this suite is worth")
+
+
+def test_a_file_of_tests_notices_a_mutant(tmp_path: Path) -> None:
+    tests = tmp_path / "test_mine.py"
+    tests.write_text(
+        "def test_effort(hil_run):\n"
+        '    result = hil_run("circle_speed", set={"loop.duration_s": 1.0, "expect": []}, record=False)\n'
+        '    assert result.metrics["effort_n_m_s"] < 5.0\n',
+        encoding="utf-8",
+    )
+    members = read_suite([str(tests)])
+    mutants = [ENTRIES["plant.mass_more"], ENTRIES["law.pid_integral_sign"]]
+    found = engine.verify(engine.Request(members, mutants, {}, 0, tmp_path / "out", workers=2))
+    heavy, other = found.verdicts
+    assert (heavy.verdict, heavy.by) == ("noticed", str(tests))
+    assert str(heavy.reason).startswith("test_effort: ")
+    assert other.verdict == "unreached", "the bytes of its run are the same"
+
+
+def test_healthy_runs_that_fail_are_false_alarms(suite: Path) -> None:
+    (quick,) = read_suite([str(suite / "quick.toml")])
+    varied = quick.varied(7, {"mass_kg": "*1.5", "no_such_value": 1.0}).scenario
+    assert (varied.plant.start["mass_kg"], varied.loop.seed) == (30.0, 7)
+    (usual,) = run_jobs([quick.job()], 1)
+    most = usual.details["extremes"]["error.planar_m"][1]
+    narrow = SCENARIO.format(signal="error.planar_m", claim=f"below = {1.01 * most}")
+    (suite / "quick.toml").write_text(narrow, encoding="utf-8")
+    variations = {"set down elsewhere": {"start_x_m": "-0.2"}}
+    members = read_suite([str(suite / "quick.toml")])
+    found = engine.verify(engine.Request(members, [], variations, 2, suite.parent / "out", workers=1))
+    assert [alarm[:2] for alarm in found.alarms] == [(quick.name, "seed 1000001, set down elsewhere")]
+    assert found.healthy == 1 + 2
+    assert not found.passed
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["--room=motor"], "--room motor: expected one of"),
+        (["--mutant=plant.mas_more"], "did you mean 'plant.mass_more'"),
+        (["no_such_scenario"], "no_such_scenario"),
+        (["--mutants=no_such_file.toml"], "it cannot be read"),
+    ],
+)
+def test_bad_input_is_refused_before_anything_starts(tmp_path: Path, words: list[str], said: str) -> None:
+    done = hil("verify", *words, "--out", tmp_path / "out", cwd=tmp_path)
+    assert done.returncode == 2
+    assert said in done.stderr
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_suite_that_is_red_without_a_mutant_is_refused(suite: Path) -> None:
+    red = SCENARIO.format(signal="truth.y_m", claim="below = -5.0")
+    (suite / "near.toml").write_text(red, encoding="utf-8")
+    with pytest.raises(BadInputError, match=r"near.toml: it does not pass without any mutant"):
+        engine.verify(request(suite))
+
+
+def test_outcomes_come_back_from_the_store_as_they_were() -> None:
+    outcome = Outcome("k", PASSED, None, {"a": 0.1}, {"extremes": {"s": [None, 1.0, 2.0, 0.1]}}, 0.5, None, "w")
+    assert engine._outcome(engine._row(outcome)) == outcome
