@@ -11,7 +11,7 @@ from typing import Any
 import jsonschema
 import pytest
 
-from hil.batch.job import PASSED, Outcome
+from hil.batch.job import FAILED, PASSED, Outcome
 from hil.batch.plan import run_jobs
 from hil.batch.store import read_rows
 from hil.batch.verify import page as pages
@@ -80,7 +80,7 @@ def outcomes_of(name: str, *ids: str, **sets: Any) -> list[dict[str, Any]]:
     built = engine.build([ENTRIES[one] for one in ids])
     jobs = [member.job(), *(member.job(built[one].mutant, built[one].library) for one in ids)]
     outcomes = run_jobs(jobs, 2)
-    assert [outcome.status for outcome in outcomes] == [PASSED] * len(jobs), [outcome.reason for outcome in outcomes]
+    assert {outcome.status for outcome in outcomes} <= {PASSED, FAILED}, [outcome.reason for outcome in outcomes]
     return [{**outcome.figures, **outcome.details["extremes"]} for outcome in outcomes]
 
 
@@ -173,10 +173,10 @@ size = "0.3 m"
 start = { start_y_m = "+0.3" }
 
 [[mutant]]
-id = "twice"
-wrong = "every command is sent twice"
-size = "each"
-wrap = { port = "link", of = "sent", id = "WheelCommand", repeat = 1 }
+id = "gyro"
+wrong = "the gyro has a bias"
+size = "0.05 rad/s"
+start = { gyro_bias_z_rad_s = 0.05 }
 
 [[mutant]]
 id = "pid_sign"
@@ -227,7 +227,7 @@ def test_a_suite_is_measured_and_what_is_suggested_notices(suite: Path) -> None:
     assert {name: one.verdict for name, one in verdicts.items()} == {
         "heavy": "survived",
         "elsewhere": "noticed",
-        "twice": "survived",
+        "gyro": "survived",
         "pid_sign": "unreached",
         "lqi": "equivalent",
         "cap": "not equivalent",
@@ -240,7 +240,7 @@ def test_a_suite_is_measured_and_what_is_suggested_notices(suite: Path) -> None:
     jsonschema.validate(table, json.loads((Path(pages.__file__).parent / "verify.schema.json").read_text()))
     assert table["noticed_part"] == 0.2
     page = pages.page(found)
-    for name in ("heavy", "twice"):
+    for name in ("heavy", "gyro"):
         suggestion = verdicts[name].suggestion
         assert suggestion is not None
         assert suggestion.toml in page
@@ -253,7 +253,7 @@ def test_a_suite_is_measured_and_what_is_suggested_notices(suite: Path) -> None:
 
 def test_a_verification_that_was_killed_goes_on(suite: Path) -> None:
     out = suite.parent / "out"
-    ids = [f"--mutant=plant.{name}" for name in ("heavy", "elsewhere", "twice", "pid_sign")]
+    ids = [f"--mutant=plant.{name}" for name in ("heavy", "elsewhere", "gyro", "pid_sign")]
     words = ["verify", str(suite), "--mutants", str(suite.parent / "mutants.toml"), *ids, "--out", str(out), "--jobs=1"]
     killed = subprocess.Popen(
         module_command("hil.cli.main", *words, "--json"), env={**os.environ, **environment()}, stdout=subprocess.PIPE

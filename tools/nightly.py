@@ -42,6 +42,10 @@ STEPS = {
     "catalogue": Step(
         "every fault, and all pairs of faults", (PYTHON, "-m", "hil", "catalogue", "--pairs", "--realtime")
     ),
+    "verify": Step(
+        "every known defect put into the shipped scenarios, and 3000 healthy runs",
+        (PYTHON, "-m", "hil", "verify", "--healthy", "3000", "--out", "{out}/verify"),
+    ),
     "soak": Step("a service that is driven for two hours", (PYTHON, "-m", "tools.soak", "--minutes", "120")),
     "bench": Step("all benchmarks", (PYTHON, "-m", "tools.bench", "--json", "{out}/bench.json")),
 }

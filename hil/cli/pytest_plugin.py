@@ -49,6 +49,14 @@ def pytest_configure(config: pytest.Config) -> None:
     config.addinivalue_line("markers", "hil: a scenario, or a test with a fixture that drives a virtual robot")
 
 
+def pytest_report_header() -> str | None:
+    """Name the mutant that ``hil verify`` has put into this process."""
+    from hil.core.mutant import in_force
+
+    mutant = in_force()
+    return None if mutant is None else f"hil verify has put in the mutant {mutant.id}"
+
+
 def pytest_collect_file(file_path: Path, parent: pytest.Collector) -> "ScenarioFile | None":
     return ScenarioFile.from_parent(parent, path=file_path) if file_path.name.endswith(TEST_SUFFIX) else None
 
