@@ -114,7 +114,7 @@ def _survivor(one: Verdict) -> str:
     if (found := one.suggestion) is not None:
         text += (
             f"\nAdd to `{found.member}`; on the healthy system there is {found.healthy:.4g}, with the mutant "
-            f"{found.mutated:.4g}, and the margin is {100.0 * found.margin:.0f} % of the signal's size:\n\n"
+            f"{found.mutated:.4g}, and the margin is {100.0 * found.margin:.0f} % of its size:\n\n"
             f"```toml\n{found.toml}```\n"
         )
     else:

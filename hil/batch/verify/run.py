@@ -11,9 +11,10 @@ from typing import Any
 
 import numpy as np
 
-from hil.batch.figures import MACHINE, run_columns
 from hil.batch.job import ENDED, FAILED, PASSED, REFUSED, Job, Outcome
 from hil.batch.run import attempt
+from hil.judge.expectations import figures_by_key
+from hil.judge.figures import number
 from hil.judge.measure import Series
 from hil.judge.results import RunResult
 from hil.judge.words import why_not_passed
@@ -23,19 +24,23 @@ from hil.scenario import Scenario
 
 Extremes = list[float | None]
 """Of a signal: least and greatest value in the whole run, then in its second half; None where one is not finite."""
+_OF_MACHINE = ("deadline_misses", "realtime_factor", "tick_us.p50", "tick_us.p99")
 _NOT_OF_THE_RUN = ("loop.", "link.clock")
 _NO_TESTS = 5
 
 
 def run(job: Job, scenario: Scenario) -> Outcome:
-    """Run a scenario. The figures are those of a batch without the machine's; details have ``extremes`` of signals."""
+    """Run a scenario. The figures are those that can be expected, and the wire's hash; details have ``extremes``."""
 
     def judge(result: RunResult) -> Outcome:
         status = FAILED if result.failure is None else ENDED
         reason = next((words for _, words in why_not_passed(result.metrics)), None)
         if result.passed:
             status, reason = PASSED, None
-        figures = {name: v for name, v in run_columns(result.metrics).items() if not name.startswith(MACHINE)}
+        metrics = result.metrics
+        known = {key: figure for key, figure in figures_by_key().items() if figure.name not in _OF_MACHINE}
+        figures: dict[str, Any] = {key: number(metrics, figure.name) for key, figure in known.items()}
+        figures |= {"wire_sha256": metrics["wire_sha256"], "applied": [row["applied"] for row in metrics["fault"]]}
         details = {"extremes": extremes(result.signals, scenario.loop.duration_s)}
         return Outcome(job.key, status, reason, figures, details)
 

@@ -1,16 +1,18 @@
-"""The expectation that would have noticed a survivor: on a signal whose extremes moved, halfway to where they went."""
+"""The expectation that would have noticed a survivor: on a figure or a signal's extreme, halfway to where it went."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any, NamedTuple
 
-from hil.batch.verify.run import Extremes, late_from_s
+from hil.batch.job import Outcome
+from hil.batch.verify.run import late_from_s
 
-_LEAST_PART, _SPREADS = 0.02, 3.0
-"""What counts as moved: more than this part of the signal's size, and than so many spreads over healthy runs."""
+_LEAST_PART, _SPREADS, _LEAST = 0.02, 3.0, 1e-9
+"""What counts as moved: more than this part of its size, and than so many spreads over healthy runs."""
 _CLEAR = 0.05
 """A margin that is enough: among claims that have it, the one that reads best is taken."""
+_FIGURE, _SIGNAL = "figure", "signal"
 _PREFERRED = ("error.", "estimator.", "pose.", "twist.", "wheel.", "battery.", "guard.", "robot.", "link.")
-"""The order in which signals are preferred: what is wrong with the motion is read first."""
+"""The order in which signals are preferred, after figures: what is wrong with the motion is read first."""
 _DIGITS = 4
 
 
@@ -18,13 +20,14 @@ class Suggestion(NamedTuple):
     """An expectation for a member of the suite.
 
     Attributes:
-        member: its name. signal, from_s, side ("below" or "above"), bound: the claim.
+        member: its name. kind ("figure" or "signal"), name, from_s, side ("below" or "above"), bound: the claim.
         healthy: the worst value of the healthy runs. mutated: that of the mutant.
-        margin: how far the bound is from the healthy value, as a part of the signal's size.
+        margin: how far the bound is from the healthy value, as a part of the size of what is claimed.
     """
 
     member: str
-    signal: str
+    kind: str
+    name: str
     from_s: float
     side: str
     bound: float
@@ -36,48 +39,57 @@ class Suggestion(NamedTuple):
     def toml(self) -> str:
         """The rows to paste into the scenario."""
         since = f"from_s = {self.from_s:g}\n" if self.from_s else ""
-        return f'[[expect]]\nsignal = "{self.signal}"\n{since}{self.side} = {self.bound!r}\n'
+        return f'[[expect]]\n{self.kind} = "{self.name}"\n{since}{self.side} = {self.bound!r}\n'
 
 
-def suggestion(
-    member: str, duration_s: float, healthy: Sequence[Mapping[str, Extremes]], mutated: Mapping[str, Extremes]
-) -> Suggestion | None:
-    """Return the expectation with the greatest margin that holds in all healthy runs and not with the mutant.
+def suggestion(member: str, duration_s: float, healthy: Sequence[Outcome], mutated: Outcome) -> Suggestion | None:
+    """Return the expectation that reads best of those that hold in all healthy runs and not with the mutant.
 
-    None if no signal moved by more than healthy runs differ.
+    None if nothing moved by more than healthy runs differ.
     """
-    found = [
-        one
-        for signal in mutated.keys() & healthy[0].keys()
-        for one in _of_signal(member, signal, duration_s, [run[signal] for run in healthy], mutated[signal])
-    ]
-    return max(
-        found,
-        key=lambda one: (one.margin >= _CLEAR, _preference(one.signal), one.margin, one.signal, one.side),
-        default=None,
-    )
+    extremes, half_s = mutated.details["extremes"], late_from_s(duration_s)
+    found: list[Suggestion] = []
+    for name, value in mutated.figures.items():
+        before = [run.figures[name] for run in healthy]
+        if isinstance(value, int | float) and all(isinstance(one, int | float) for one in before):
+            claim = _Claim(member, _FIGURE, name, 0.0, max(map(abs, before)))
+            found += [*claim.made(before, value, is_most=True), *claim.made(before, value, is_most=False)]
+    for name in extremes.keys() & healthy[0].details["extremes"].keys():
+        runs: list[Any] = [run.details["extremes"][name] for run in healthy]
+        size = max((abs(one) for run in runs for one in run if one is not None), default=0.0)
+        for place, value in enumerate(extremes[name]):
+            before = [run[place] for run in runs]
+            if value is not None and None not in before:
+                claim = _Claim(member, _SIGNAL, name, 0.0 if place < 2 else half_s, size)
+                found += claim.made(before, value, is_most=place % 2 == 1)
+    return max(found, key=_rank, default=None)
 
 
-def _of_signal(
-    member: str, signal: str, duration_s: float, healthy: Sequence[Extremes], mutated: Extremes
-) -> list[Suggestion]:
-    found = []
-    known = [value for run in healthy for value in run if value is not None]
-    size = max(map(abs, known), default=0.0)
-    for place, from_s in enumerate((0.0, 0.0, late_from_s(duration_s), late_from_s(duration_s))):
-        here: list[Any] = [run[place] for run in healthy]
-        now = mutated[place]
-        if now is None or None in here:
-            continue
-        is_most = place % 2 == 1
-        worst, spread = (max(here) if is_most else min(here)), max(here) - min(here)
-        gap = now - worst if is_most else worst - now
-        if gap <= max(_LEAST_PART * size, _SPREADS * spread, 1e-9):
-            continue
-        bound = _short(worst, now)
-        margin = abs(bound - worst) / max(size, abs(now))
-        found.append(Suggestion(member, signal, from_s, "below" if is_most else "above", bound, worst, now, margin))
-    return found
+class _Claim(NamedTuple):
+    """What could be claimed of a figure or a signal; ``size`` is its greatest healthy magnitude."""
+
+    member: str
+    kind: str
+    name: str
+    from_s: float
+    size: float
+
+    def made(self, healthy: Sequence[float], mutated: float, *, is_most: bool) -> Iterator[Suggestion]:
+        """Yield the claim that the value is not greater (``is_most``) or less, if the mutant moved it that way."""
+        worst, spread = (max if is_most else min)(healthy), max(healthy) - min(healthy)
+        gap = mutated - worst if is_most else worst - mutated
+        if gap > max(_LEAST_PART * self.size, _SPREADS * spread, _LEAST):
+            bound = _short(worst, mutated)
+            margin = abs(bound - worst) / max(self.size, abs(mutated))
+            side = "below" if is_most else "above"
+            yield Suggestion(self.member, self.kind, self.name, self.from_s, side, bound, worst, mutated, margin)
+
+
+def _rank(one: Suggestion) -> tuple[object, ...]:
+    """Return the place of a claim: first a clear margin, then what reads best."""
+    places = (place for place, prefix in enumerate(_PREFERRED) if one.name.startswith(prefix))
+    preference = 1 if one.kind == _FIGURE else -next(places, len(_PREFERRED))
+    return one.margin >= _CLEAR, preference, one.margin, one.name, one.side
 
 
 def _short(healthy: float, mutated: float) -> float:
@@ -89,7 +101,3 @@ def _short(healthy: float, mutated: float) -> float:
         if low + 0.25 * (high - low) <= short <= high - 0.25 * (high - low):
             return short
     return middle
-
-
-def _preference(signal: str) -> int:
-    return -next((place for place, prefix in enumerate(_PREFERRED) if signal.startswith(prefix)), len(_PREFERRED))

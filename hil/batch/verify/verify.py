@@ -209,12 +209,12 @@ def _suggestion(outcome: Outcome, plan: VerifyPlan, member: str) -> Suggestion |
     if "extremes" not in outcome.details:
         return None
     runs = [
-        plan.healthy[key].details["extremes"]
+        plan.healthy[key]
         for key, run in plan.runs.items()
         if run.member.name == member and plan.healthy[key].status == PASSED
     ]
     duration_s = plan.member(member).scenario.loop.duration_s
-    return suggestion(member, duration_s, runs, outcome.details["extremes"])
+    return suggestion(member, duration_s, runs, outcome)
 
 
 def _row(outcome: Outcome) -> dict[str, Any]:
