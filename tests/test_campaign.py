@@ -295,7 +295,7 @@ def test_another_campaigns_folder_or_a_damaged_one_is_a_sentence_and_stays_as_it
 
     other = write_plan(tmp_path, "seeds = 2", name="other.toml")
     assert "its name is 'plan', and that of this campaign is 'other'" in refused(other, "--out", out, "--dry-run")
-    assert "it holds no campaign" in refused("report", tmp_path)
+    assert "it holds no results" in refused("report", tmp_path)
     assert "and no campaign; name an empty or a new one" in refused(plan, "--out", tmp_path)
     assert "it is a file; name a folder" in refused(plan, "--out", plan)
     assert "'lots' is not an outcome; did you mean 'lost'?" in refused(plan, "--out", out, "--redo", "lots")
@@ -306,14 +306,14 @@ def test_another_campaigns_folder_or_a_damaged_one_is_a_sentence_and_stays_as_it
     for data in (b"", whole[:500], bytes(spoilt)):
         part.write_bytes(data)
         for arguments in ((plan, "--out", out), (plan, "--out", out, "--dry-run"), ("report", out)):
-            assert f"campaign file {part}: it is damaged" in refused(*arguments)
+            assert f"file {part}: it is damaged" in refused(*arguments)
         assert part.read_bytes() == data
     part.write_bytes(whole)
     for name in ("plan.parquet", "campaign.json"):
         (out / name).write_bytes(b"{}")
-        assert f"campaign file {out / name}: it " in refused("report", out)
+        assert f"file {out / name}: it " in refused("report", out)
         (out / name).unlink()
-        assert f"campaign file {out / name}: " in refused("report", out)
+        assert f"file {out / name}: " in refused("report", out)
         assert len(do(plan, out)) == 2  # which writes it anew
 
 

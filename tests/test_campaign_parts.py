@@ -53,6 +53,22 @@ def test_runs_are_each_with_each_laws_fastest_and_lists_go_in_step(tmp_path: Pat
     assert (scenario.firmware.ramp_s, scenario.loop.seed, scenario.controller.law) == (0.4, 2, "dsc")
 
 
+def test_rows_of_a_campaign_are_added_to_those_of_its_scenario(tmp_path: Path) -> None:
+    scenario = tmp_path / "base.toml"
+    rows = '[[fault]]\nkind = "drop"\ntarget = "command"\nvalue = 0.1\n[[expect]]\nsignal = "truth.x_m"\nbelow = 9.0\n'
+    scenario.write_text(f'extends = "circle_speed"\n{rows}', encoding="utf-8")
+    more = '[[fault]]\nname = "more"\nrows = [{ kind = "reset", target = "robot", start_s = 0.1 }]\n'
+    file = write_plan(tmp_path, tables=more + rows[rows.index("[[expect") :])
+    text = file.read_text(encoding="utf-8").replace('"circle_speed"', '"base.toml"').replace("expect = []\n", "")
+    file.write_text(text, encoding="utf-8")
+    (campaign,) = Campaign(file).runs
+    assert [row["kind"] for row in campaign.point.sets["fault"]] == ["drop", "reset"]
+    assert campaign.point.sets["expect"] == [
+        {"signal": "truth.x_m", "from_s": 0.0, "below": 9.0},
+        {"signal": "truth.x_m", "below": 9.0},
+    ]
+
+
 @given(st.integers(1, 60), st.integers(0, 2**32 - 1))
 def test_a_latin_hypercube_has_one_draw_in_each_part_of_each_axis(
     tmp_path_factory: pytest.TempPathFactory, samples: int, seed: int
@@ -206,7 +222,7 @@ def test_rows_that_a_kill_left_twice_count_once_and_what_was_not_finished_counts
     shutil.copytree(tmp_path / "before", tmp_path / ROWS, dirs_exist_ok=True)  # killed before they were removed
     (tmp_path / ROWS / "0-abc.parquet.unfinished").write_bytes(b"PAR1")
     assert sorted(read_rows(tmp_path).to_pylist(), key=lambda row: row["figure"]) == written
-    with Store(tmp_path, schema) as store, pytest.raises(BadInputError, match="another campaign writes to it"):
+    with Store(tmp_path, schema) as store, pytest.raises(BadInputError, match="another campaign or hunt writes to it"):
         Store(tmp_path, schema)
     assert len(list((tmp_path / ROWS).iterdir())) == len(files)
     assert pq.read_table(tmp_path / ROWS).num_rows == 100  # as any other program reads them

@@ -1,14 +1,16 @@
 """Files that say what a batch runs (TOML): read and checked, so that every error names file and line."""
 
+import math
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
 
-from hil.core.errors import BadInputError
-from hil.core.options import OptionsError, Problem, build
+from hil.core.errors import BadInputError, near
+from hil.core.options import OptionsError, Problem, build, items
 from hil.scenario import Scenario, Sources
 from hil.scenario.toml_text import key_lines, parse
+from hil.scenario.values import is_path
 
 T = TypeVar("T")
 _BY_KEY = ("axes", "range")
@@ -104,14 +106,37 @@ def read_plan_file(file: Path, what: str) -> PlanFile:
         why = error.strerror if isinstance(error, OSError) else "it is not text in UTF-8"
         raise BadInputError(f"{what} {file}: it cannot be read ({why})") from error
     document = parse(text, f"{what} {file}")
-    for name in (*_BY_KEY, "set"):
+    for name in _IS_VALUE:
         if isinstance(document.get(name), Mapping):
-            document[name] = _dotted(document[name], _gives_values if name != "set" else lambda _: False)
+            document[name] = _dotted(document[name], _IS_VALUE[name])
     return PlanFile(what, file, key_lines(text), _frozen(document))
 
 
-def _gives_values(table: Mapping[str, Any]) -> bool:
+def found_from_anywhere(key: str, value: object, folder: Path) -> object:
+    """Return a value of the scenario that is a path as an absolute one; relative ones start from ``folder``."""
+    if not isinstance(value, str):
+        return value
+    is_file = key in ("reference.file", "device.motors.file")
+    if key in ("plant.fmu", "controller.law"):
+        is_file = is_path(value if key == "plant.fmu" else value.rpartition(":")[0])
+    return str(folder / value) if is_file else value
+
+
+def row_of_table(row: Any) -> dict[str, Any]:
+    """Return a row of [[fault]] or [[expect]] without the keys that were not given, so that it can be given again."""
+    return {key: value for key, value in items(row) if value is not None and value != math.inf}
+
+
+def _is_axis(table: Mapping[str, Any]) -> bool:
     return any(kind in table for kind in _VALUES) or not any(isinstance(one, Mapping) for one in table.values())
+
+
+_IS_VALUE: Mapping[str, Callable[[Mapping[str, Any]], bool]] = {
+    "axes": _is_axis,
+    "range": lambda table: any(near(key, _VALUES) for key in table),
+    "set": lambda _: False,
+}
+"""Tables whose keys are keys of the scenario, and whether a table in them is a value or a further part of a key."""
 
 
 def _dotted(table: Mapping[str, Any], is_value: Callable[[Mapping[str, Any]], bool], path: str = "") -> dict[str, Any]:

@@ -1,5 +1,6 @@
 """Does one job in a worker process: runs its scenario, records it on request, and judges it."""
 
+import contextlib
 import functools
 from collections.abc import Callable
 from pathlib import Path
@@ -13,17 +14,19 @@ from hil.core.errors import BadInputError, HilError
 from hil.judge.results import RunResult
 from hil.judge.words import why_not_passed
 from hil.laws.registry import forget_law
-from hil.robot.virtual import KeptRobot
+from hil.robot.virtual import KeptRobot, MakeRobot
 from hil.runtime.assembly import RunOptions, run_scenario
+from hil.runtime.robots import link_of
 from hil.scenario import Scenario
 
 
 def run(job: Job, scenario: Scenario) -> Outcome:
     """Run a scenario and return all figures of ``run_columns``; the usual kind of job.
 
-    Details are ``reasons``, a sentence for each figure that is None, and ``undriven``, a sentence if the robot was not
-    driven in more ticks than ``[allow]`` permits, else None. The signals in ``options["signals"]`` are saved in the
-    job's ``signals_file``.
+    Details are ``reasons``, a sentence for each figure that is None; ``undriven``, a sentence if the robot was not
+    driven in more ticks than ``[allow]`` permits, else None; and ``claims``, margin, first violation and text of each
+    expectation, then of each limit of ``[allow]``. The signals in ``options["signals"]`` are saved in the job's
+    ``signals_file``. With ``options["target"]`` the firmware runs there, as with ``hil device --target``.
 
     A run that is to be recorded if it fails is recorded from the start in real time. In lockstep it repeats to the bit,
     so it is run again with the recorder only if it failed.
@@ -50,11 +53,17 @@ def _run(job: Job, scenario: Scenario, *, record: bool) -> Outcome:
         reason = next((words for _, words in why_not_passed(result.metrics)), None)  # first what ended it
         if result.passed:
             status, reason = PASSED, None
-        details = {"reasons": result.metrics["reasons"], "undriven": undriven}
+        claims = [
+            {name: row.get(name) for name in ("margin", "violation_s", "text")}
+            for rows in ("expect", "allow")
+            for row in result.metrics[rows]
+        ]
+        details = {"reasons": result.metrics["reasons"], "undriven": undriven, "claims": claims}
         return Outcome(job.key, status, reason, run_columns(result.metrics), details)
 
+    make_robot = _emulated(job.options["target"], scenario) if "target" in job.options else _kept().robot
     options = RunOptions(
-        record=path, allow_motion=job.allow_motion, make_robot=_kept().robot, keep_signals=bool(job.signals_file)
+        record=path, allow_motion=job.allow_motion, make_robot=make_robot, keep_signals=bool(job.signals_file)
     )
     outcome = attempt(job, scenario, judge, options)
     is_kept = path is not None and path.exists() and (job.record == ALWAYS or outcome.status not in (PASSED, REFUSED))
@@ -77,7 +86,13 @@ def attempt(job: Job, scenario: Scenario, judge: Callable[[RunResult], Outcome],
         return Outcome(job.key, ENDED, str(error))
 
 
-_UNDRIVEN = ("stale_ticks", "held_ticks")
+def _emulated(target: str, scenario: Scenario) -> MakeRobot:
+    """Return what makes the robot with its firmware in an emulator."""
+    from hil.robot.targets.robot import open_target  # which needs the package unicorn
 
+    return lambda made_of, _make_node: contextlib.closing(open_target(target, made_of, link_of(scenario)))
+
+
+_UNDRIVEN = ("stale_ticks", "held_ticks")
 _kept = functools.cache(KeptRobot)
 """The robot of this process, whose FMU stays open."""

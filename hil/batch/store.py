@@ -66,7 +66,7 @@ class Store:
                 self._lock.acquire(timeout=0)
             except Timeout:
                 raise BadInputError(
-                    f"campaign folder {folder}: another campaign writes to it; wait for its end, or name another "
+                    f"folder {folder}: another campaign or hunt writes to it; wait for its end, or name another "
                     "with --out"
                 ) from None
         try:
@@ -148,7 +148,7 @@ class Store:
             for name in set(there.names) & set(self._schema.names):
                 if there.field(name).type != self._schema.field(name).type:
                     raise BadInputError(
-                        f"campaign folder {self.folder}: the runs there have {name} as {there.field(name).type}, and "
+                        f"folder {self.folder}: the runs there have {name} as {there.field(name).type}, and "
                         f"now it is {self._schema.field(name).type}; name another folder with --out"
                     )
 
@@ -174,20 +174,20 @@ def check_folder(folder: Path, about: Mapping[str, Any]) -> None:
     if not folder.exists():
         return
     if not folder.is_dir():
-        raise BadInputError(f"campaign folder {folder}: it is a file; name a folder with --out")
+        raise BadInputError(f"folder {folder}: it is a file; name a folder with --out")
     if (folder / ABOUT).exists():
         there = read_about(folder)
         for what in ("name", "scenario"):
             if there[what] != about[what]:
                 raise BadInputError(
-                    f"campaign folder {folder}: its {what} is {there[what]!r}, and that of this campaign is "
+                    f"folder {folder}: its {what} is {there[what]!r}, and that of this campaign is "
                     f"{about[what]!r}; name another folder with --out"
                 )
         return
     strange = sorted(path.name for path in folder.iterdir() if path.name.removesuffix(_UNFINISHED) not in _OURS)
     if strange:
         raise BadInputError(
-            f"campaign folder {folder}: it holds {strange[0]}, and no campaign; name an empty or a new one with --out"
+            f"folder {folder}: it holds {strange[0]}, and no campaign; name an empty or a new one with --out"
         )
 
 
@@ -200,7 +200,7 @@ def read_about(folder: Path) -> dict[str, Any]:
             raise ValueError("it has other content")
     except (OSError, ValueError) as error:
         raise BadInputError(
-            f"campaign file {file}: it cannot be read ({_why(error)}); remove it if it is there, and {_ANEW}"
+            f"file {file}: it cannot be read ({_why(error)}); remove it if it is there, and {_ANEW}"
         ) from error
     return about
 
@@ -209,7 +209,7 @@ def read_plan(folder: Path) -> list[dict[str, Any]]:
     """Return the planned jobs of a folder, as rows. Raises BadInputError when they cannot be read."""
     file = folder / PLAN
     if not file.is_file():
-        raise BadInputError(f"campaign file {file}: there is no such file; {_ANEW}")
+        raise BadInputError(f"file {file}: there is no such file; {_ANEW}")
     return list(_read(file, _ANEW).to_pylist())
 
 
@@ -220,7 +220,7 @@ def read_rows(folder: Path) -> pa.Table:
     """
     rows = folder / ROWS
     if not rows.is_dir():
-        raise BadInputError(f"campaign folder {folder}: it holds no campaign; give the folder of hil campaign --out")
+        raise BadInputError(f"folder {folder}: it holds no results; give the folder of hil campaign --out")
     for _ in range(_ATTEMPTS):
         files = _row_files(rows)
         try:
@@ -228,7 +228,7 @@ def read_rows(folder: Path) -> pa.Table:
             return _concatenated([file for file in files if file.name not in merged])
         except FileNotFoundError:
             continue  # a campaign under way has just merged them into another
-    raise BadInputError(f"campaign folder {folder}: its files change while they are read; try again")
+    raise BadInputError(f"folder {folder}: its files change while they are read; try again")
 
 
 def _row_files(rows: Path) -> list[Path]:
@@ -264,7 +264,7 @@ def _sound(file: Path, remedy: str = _REDO) -> Iterator[None]:
     except FileNotFoundError:
         raise
     except (pa.ArrowException, OSError, ValueError) as error:
-        raise BadInputError(f"campaign file {file}: it is damaged ({_why(error)}); {remedy}") from error
+        raise BadInputError(f"file {file}: it is damaged ({_why(error)}); {remedy}") from error
 
 
 def _why(error: Exception) -> str:
@@ -283,7 +283,7 @@ def _writing(folder: Path) -> Iterator[None]:
         yield
     except OSError as error:
         raise BadInputError(
-            f"campaign folder {folder}: it cannot be written to ({error.strerror or error}); what was written is safe: "
+            f"folder {folder}: it cannot be written to ({error.strerror or error}); what was written is safe: "
             "make room, or make it writable, and give the same command again"
         ) from error
 

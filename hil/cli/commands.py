@@ -28,6 +28,7 @@ SHIPPED = {
     "replay": "Open loop: feed a recording's states and references to another law, and show how its commands differ.",
     "decode": "Print a trace of the bus in the terms of the wheel-command protocol.",
     "campaign": "Run a scenario thousands of times, over axes, laws, faults and seeds, and judge it on one page.",
+    "hunt": "Search for a run that breaks an expectation, make it as small as possible and save it; exit 1 when found.",
     "compare": "Run laws under the same conditions and print one table for each; exit 1 when a run failed.",
     "catalogue": "Run the fault catalogue and judge every run for safety; exit 1 when one is not as it should be.",
     "verify": "Put known defects into a suite of tests, one at a time, and say which it notices; exit 1 when one "

@@ -15,20 +15,20 @@ from typing import Any, NamedTuple
 
 import pyarrow as pa
 
-from hil.batch.campaign.load import Plan, load_plan
+from hil.batch.campaign.load import load_plan
 from hil.batch.campaign.points import Point, check_run, needs_bench, points
 from hil.batch.campaign.tables import KeepTable
 from hil.batch.figures import KEY, MACHINE, as_judged, check_figure, row_columns, row_of
 from hil.batch.job import ALWAYS, ENDED, FAILED, IF_FAILED, NEVER, PASSED, Job, Outcome
 from hil.batch.keys import SCENARIO_RUN, key_of
 from hil.batch.plan import FixedPlan, run_plan
+from hil.batch.plan_file import found_from_anywhere
 from hil.batch.pool import LocalPool, Pool, Runner
 from hil.batch.store import ROWS, Row, Store, check_folder, read_rows
 from hil.core.errors import BadInputError
 from hil.core.options import plain
 from hil.runtime.provenance import versions
 from hil.scenario import format_value, set_texts, to_plain
-from hil.scenario.values import is_path
 
 _ARROW = {str: pa.string(), int: pa.int64(), float: pa.float64(), bool: pa.bool_()}
 _TIMED = 3
@@ -257,7 +257,7 @@ class Campaign:
 
     def repeat(self, point: Point) -> list[str]:
         """Return the command that repeats a run from any folder, as words."""
-        sets = {key: _found_from_anywhere(key, value, self.plan) for key, value in point.sets.items()}
+        sets = {key: found_from_anywhere(key, value, self.plan.file.folder) for key, value in point.sets.items()}
         return ["hil", "run", self._scenario, *(word for text in set_texts(sets) for word in ("--set", text))]
 
     @cached_property
@@ -300,13 +300,3 @@ def _type(values: Sequence[Any]) -> pa.DataType:
     if all(isinstance(value, int | float) and not isinstance(value, bool) for value in values):
         return pa.float64()
     return pa.string()
-
-
-def _found_from_anywhere(key: str, value: object, plan: Plan) -> object:
-    """Return a value of the campaign's file that is a path as an absolute one."""
-    if not isinstance(value, str):
-        return value
-    is_file = key in ("reference.file", "device.motors.file")
-    if key in ("plant.fmu", "controller.law"):
-        is_file = is_path(value if key == "plant.fmu" else value.rpartition(":")[0])
-    return str(plan.file.folder / value) if is_file else value

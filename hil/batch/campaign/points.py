@@ -12,8 +12,8 @@ from typing import Any, NamedTuple
 
 from hil.batch.campaign.load import Plan
 from hil.batch.campaign.tables import AxisTable, LawTable
+from hil.batch.plan_file import row_of_table
 from hil.core.errors import BadInputError
-from hil.core.options import items
 from hil.judge.expectations import check_figures
 from hil.laws.shadows import short_name
 from hil.runtime.parts import RunParts
@@ -62,9 +62,9 @@ def points(plan: Plan) -> Iterator[Point]:
             f"campaign {plan.file.place('laws')}: two laws are both called {twice!r}, and a report could not tell them "
             'apart; name one, as in { law = "./my_law.py:Law", name = "mine" }'
         )
-    more = {row.name: [*map(_row, base.fault), *row.rows] if row.rows else None for row in tables.fault}
+    more = {row.name: [*map(row_of_table, base.fault), *row.rows] if row.rows else None for row in tables.fault}
     faults = [(name, {} if rows is None else {"fault": rows}) for name, rows in (more or {NO_FAULT: None}).items()]
-    expect = {"expect": [*map(_row, base.expect), *tables.expect]} if tables.expect else {}
+    expect = {"expect": [*map(row_of_table, base.expect), *tables.expect]} if tables.expect else {}
     seeds = tables.seeds or (base.loop.seed,)
     grids, lists = (_combined(tables.axes, kind) for kind in ("grid", "list"))
     draws = _draws(tables.axes, tables.samples or 1, tables.seed, latin=tables.latin)
@@ -82,11 +82,6 @@ def _law(table: LawTable) -> tuple[str, dict[str, object]]:
     label = table.name or ",".join((short_name(table.law), *options, *command.values()))
     gains = {f"controller.gains.{name}": value for name, value in table.gains.items()}
     return label, {"controller.law": table.law, **command, **gains}
-
-
-def _row(row: Any) -> dict[str, object]:
-    """Return a row of the scenario without the keys that were not given, so that it can be given again."""
-    return {key: value for key, value in items(row) if value is not None and value != math.inf}
 
 
 def _combined(axes: Mapping[str, AxisTable], kind: str) -> list[dict[str, Any]]:

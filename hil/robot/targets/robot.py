@@ -1,5 +1,6 @@
 """The virtual robot with an emulated board in place of the host library: its firmware, its emulator, its server."""
 
+import functools
 import importlib.util
 import os
 import tempfile
@@ -123,6 +124,7 @@ def open_server(robot: VirtualStm32, wire: Wire, truth: TruthSink, *, lockstep: 
     return VirtualServer(robot, wire, truth, lockstep=lockstep)
 
 
+@functools.cache
 def _build(link: str) -> tuple[str, bytes]:
     """Return name and content of the ELF file for an emulated board with this link."""
     firmware = next(f for f in FIRMWARES if f.variant == "hil-emulated" and f.link == link)

@@ -1,0 +1,403 @@
+"""A hunt: its file and scenario, checked; its runs on the batch engine; and what it found."""
+
+import contextlib
+import json
+import time
+from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import pyarrow as pa
+
+from hil.batch.figures import KEY
+from hil.batch.hunt.saved import scenario_text
+from hil.batch.hunt.search import require_optuna, search
+from hil.batch.hunt.shrink import shrink
+from hil.batch.hunt.space import Case, Params, Space
+from hil.batch.hunt.tables import HuntTables
+from hil.batch.job import ENDED, LOST, REFUSED, Job, Outcome
+from hil.batch.keys import make_job
+from hil.batch.plan import run_jobs, run_plan
+from hil.batch.plan_file import PlanFile, read_plan_file, row_of_table
+from hil.batch.pool import LocalPool
+from hil.batch.store import Store, read_rows
+from hil.core.errors import BadInputError
+from hil.core.outputs import existing_files, write_whole
+from hil.runtime.robots import check_plant_start
+from hil.scenario import Scenario, Sources, read
+from hil.scenario.run import values as values_of
+from hil.scenario.trial import span_s
+
+SUFFIX = ".hunt.toml"
+_SCHEMA = pa.schema([(name, pa.string()) for name in (KEY, "outcome", "reason", "data")])
+_ENDS = {ENDED: "the run ends early", LOST: "the run crashes or hangs"}
+
+
+class Request(NamedTuple):
+    """What the user wants: a scenario with its options as in ``hil run``, the hunt's file, and where runs are done.
+
+    ``target`` is that of ``hil device``: where the firmware runs.
+    """
+
+    scenario: str
+    ranges: Path | None = None
+    robot: Path | None = None
+    link: str | None = None
+    seed: int | None = None
+    target: str = "host"
+    workers: int | None = None
+    limit_s: float = 120.0
+
+
+class Verdict(NamedTuple):
+    """What a run means to a hunt.
+
+    Attributes:
+        score: the least margin, each as a share of the scenario's own; None for a run that was refused.
+        broken: what is broken: places of expectations, then of limits of ``[allow]``, or a phrase.
+        worst: the place of the least margin, or the phrase.
+        outcome: that of the run; None where the scenario is not valid.
+    """
+
+    score: float | None
+    broken: frozenset[int | str] = frozenset()
+    worst: int | str = 0
+    outcome: Outcome | None = None
+
+
+class Found(NamedTuple):
+    """A case that breaks something: what, the smallest case, its scenario, and how the run went."""
+
+    what: int | str
+    case: Case
+    scenario: Scenario
+    outcome: Outcome
+    found_after: int
+
+
+class Hunt:
+    """A hunt that was loaded and checked, and a plan of the batch engine.
+
+    Attributes:
+        runs: how many runs the search has done; those of a stopped hunt that is continued count again.
+        shrinking_runs: how many shrinking has done.
+        least: the case of the least score so far, if none is broken.
+        found: what was found, or None.
+
+    Raises BadInputError for a wrong file, key, range or fault.
+    """
+
+    def __init__(self, request: Request) -> None:
+        require_optuna()
+        self._request = request
+        self._sources: Sources = read(request.scenario, robot=request.robot)
+        self.file: PlanFile = read_plan_file(request.ranges or _beside(request.scenario), "hunt")
+        self.tables = self.file.tables(HuntTables)
+        self.base = self._scenario_of({})
+        if self.base.loop.mode != "lockstep":
+            raise BadInputError(
+                f'hunt {self.file.file}: in real time no run comes twice; give loop.mode = "lockstep" in [set]'
+            )
+        if not self.base.expect:
+            raise BadInputError(f"scenario {self.base.name}: it has no [[expect]], so that no run could break one")
+        self.space = Space(self.tables, dict(values_of(self.base)))
+        self._check()
+        self.runs = self.shrinking_runs = 0
+        self.is_shrinking = False
+        self.least: tuple[float, Case, int | str] | None = None
+        self.found: Found | None = None
+        self._nominal: tuple[float, ...] = ()
+        self._known: dict[str, Outcome] = {}
+        self._batch: list[tuple[Case, Job | None]] = []
+        self._to_do: list[Job] = []
+        self._steps = self._hunt()
+        self._batch_of(next(self._steps))
+
+    # The file and its scenario
+
+    def scenario(self, case: Case) -> Scenario:
+        """Return the scenario of a case. Raises BadInputError when it is not valid."""
+        sets: dict[str, Any] = dict(case.values)
+        if case.duration_s is not None:
+            sets["loop.duration_s"] = case.duration_s
+            sets["expect"] = [row_of_table(self.base.expect[place]) for place in self._judged(case)]
+        if case.faults:
+            sets["fault"] = [*map(row_of_table, self.base.fault), *map(self._row, case.faults)]
+        return self._scenario_of(sets)
+
+    def _judged(self, case: Case) -> list[int]:
+        """Return the places of the expectations that a shortened run judges."""
+        until_s = case.duration_s
+        if until_s is None:
+            return list(range(len(self.base.expect)))
+        spans = [span_s(row, self.base.fault) for row in self.base.expect]
+        return [
+            place
+            for place, (row, (from_s, to_s)) in enumerate(zip(self.base.expect, spans, strict=True))
+            if row.figure is None and from_s < until_s and (row.settles_to is None or to_s <= until_s)
+        ]
+
+    def _row(self, chosen: Any) -> dict[str, Any]:
+        row = {"kind": self.space.kinds[chosen.offer], **chosen.given}
+        if (duration_s := row.pop("duration_s", None)) is not None:
+            row["end_s"] = round(row["start_s"] + duration_s, 6)
+        return {name: value for name, value in row.items() if value != ""}
+
+    def _scenario_of(self, sets: Mapping[str, object]) -> Scenario:
+        request = self._request
+        given = {**self.tables.set, **sets}
+        tables = dict.fromkeys(self.tables.set, "set") | dict.fromkeys(self.tables.range, "range")
+        if request.target != "host" and request.link is None:
+            given.setdefault("link.url", "serial:pty")
+        return self.file.scenario(self._sources, given, tables, link=request.link, seed=request.seed)
+
+    def _check(self) -> None:
+        """Raise BadInputError, with file and line, for a range or a fault that the scenario does not take."""
+        for key, dimension in self.space.ranges.items():
+            for value in dimension.options or (dimension.low, dimension.high):
+                with self._about("range", key):
+                    check_plant_start(self.scenario(Case({key: value})))
+        for _, params in self.space.singles():
+            if params.get("fault 0"):
+                case = self.space.case(params)
+                with self._about("fault", str(case.faults[0].offer)):
+                    self.scenario(case)
+
+    @contextlib.contextmanager
+    def _about(self, *path: str) -> Iterator[None]:
+        try:
+            yield
+        except BadInputError as error:
+            words = [line.removeprefix(f"hunt {self.file.file}: ") for line in str(error).splitlines()]
+            where = f"hunt {self.file.place(*path)}: "
+            raise BadInputError("\n".join(one if one.startswith("hunt ") else where + one for one in words)) from None
+
+    # The plan
+
+    def next_jobs(self, outcomes: Sequence[Outcome], room: int) -> Sequence[Job]:
+        """Return the next jobs; those of one step of the search or of shrinking are chosen together."""
+        self._known |= {outcome.key: outcome for outcome in outcomes}
+        while not self._to_do and all(job is None or job.key in self._known for _, job in self._batch):
+            verdicts = [self._verdict(case, job and self._known[job.key]) for case, job in self._batch]
+            try:
+                self._batch_of(self._steps.send(verdicts))
+            except StopIteration:
+                return []
+        jobs, self._to_do = self._to_do[:room], self._to_do[room:]
+        return jobs
+
+    def _batch_of(self, cases: Sequence[Case]) -> None:
+        self._batch = [(case, self._job(case)) for case in cases]
+        jobs = {job.key: job for _, job in self._batch if job is not None and job.key not in self._known}
+        self._to_do = list(jobs.values())
+
+    def _job(self, case: Case) -> Job | None:
+        """Return the job of a case; None where the values contradict each other, so that there is no such run."""
+        options = {} if self._request.target == "host" else {"target": self._request.target}
+        try:
+            return make_job(self.scenario(case), options=options, limit_s=self._request.limit_s, retries_crash=True)
+        except BadInputError:
+            return None
+
+    def _verdict(self, case: Case, outcome: Outcome | None) -> Verdict:
+        if outcome is None or outcome.status == REFUSED:
+            return Verdict(None, outcome=outcome)
+        if outcome.status in _ENDS and not self.tables.ends:
+            return Verdict(None, outcome=outcome)
+        if outcome.status in _ENDS:
+            phrase = _ENDS[outcome.status]
+            return Verdict(-1.0, frozenset([phrase]), phrase, outcome)
+        margins = {place: claim["margin"] for place, claim in self._claims(case, outcome).items()}
+        shares = {place: margin / self._own(place) for place, margin in margins.items()}
+        worst = min(shares, key=lambda place: shares[place])
+        return Verdict(shares[worst], frozenset(p for p, margin in margins.items() if margin < 0.0), worst, outcome)
+
+    def _claims(self, case: Case, outcome: Outcome) -> dict[int, dict[str, Any]]:
+        """Return the expectations that a run judged, then the limits of ``[allow]``, by their places in the base."""
+        claims = outcome.details["claims"]
+        judged = self._judged(case)
+        limits = range(len(self.base.expect), len(self.base.expect) + len(claims) - len(judged))
+        return dict(zip((*judged, *limits), claims, strict=True))
+
+    def _own(self, place: int) -> float:
+        """Return the scenario's own margin, by which others are scaled."""
+        return abs(self._nominal[place]) if self._nominal else 1.0
+
+    def _hunt(self) -> Generator[list[Case], list[Verdict], None]:
+        """Run the scenario as it is, search, and shrink what is found."""
+        verdicts = yield [Case()]
+        self.runs += 1
+        own = verdicts[0]
+        if own.score is None or own.outcome is None:
+            raise BadInputError(f"scenario {self.base.name}: {own.outcome.reason if own.outcome else 'not valid'}")
+        found = (Case(), own) if own.broken else None
+        if found is None:
+            self._nominal = tuple(claim["margin"] for claim in own.outcome.details["claims"])
+            found = yield from self._searched()
+        if found is None:
+            return
+        after, self.is_shrinking = self.runs, True
+        case, verdict = found
+        what = verdict.worst
+        case = yield from self._shrunk(case, what, verdict)
+        job = self._job(case)
+        assert job is not None
+        self.found = Found(what, case, self.scenario(case), self._known[job.key], after)
+
+    def _searched(self) -> Generator[list[Case], list[Verdict], tuple[Case, Verdict] | None]:
+        steps = search(self.space, self.tables.seed)
+        params: list[Params] = next(steps)
+        while self.runs < self.tables.runs:
+            cases = [self.space.case(one) for one in params][: self.tables.runs - self.runs]
+            verdicts = yield cases
+            for case, verdict in zip(cases, verdicts, strict=True):
+                self.runs += 1
+                if verdict.broken:
+                    return case, verdict
+                if verdict.score is not None and (self.least is None or verdict.score < self.least[0]):
+                    self.least = (verdict.score, case, verdict.worst)
+            scores = [verdict.score for verdict in verdicts]
+            params = steps.send(scores + [None] * (len(params) - len(scores)))
+        return None
+
+    def _shrunk(self, case: Case, what: int | str, verdict: Verdict) -> Generator[list[Case], list[Verdict], Case]:
+        broke_s: dict[str, float | None] = {repr(case): self._shorter(case, what, verdict)}
+        steps = shrink(self.space, case, lambda one: broke_s[repr(one)])
+        try:
+            cases = next(steps)
+            while True:
+                verdicts = yield cases
+                self.shrinking_runs += len(cases)
+                for one, found in zip(cases, verdicts, strict=True):
+                    broke_s[repr(one)] = self._shorter(one, what, found)
+                cases = steps.send([what in found.broken for found in verdicts])
+        except StopIteration as end:
+            smallest: Case = end.value
+            return smallest
+
+    def _shorter(self, case: Case, what: int | str, verdict: Verdict) -> float | None:
+        """Return a duration [s] that ends soon after the violation, or None where that is not known."""
+        if not isinstance(what, int) or what not in verdict.broken or what >= len(self.base.expect):
+            return None
+        row, outcome = self.base.expect[what], verdict.outcome
+        at_s: float | None = None if outcome is None else self._claims(case, outcome)[what]["violation_s"]
+        if at_s is None or row.settles_to is not None:
+            return None
+        begins_s = max([at_s, span_s(row, self.base.fault)[0], *(fault.start_s for fault in self.base.fault)])
+        return round(begins_s + max(3.0 / self.base.loop.rate_hz, 0.01), 2)
+
+    # Doing it
+
+    def perform(self, folder: Path, on_runs: Callable[[], None] = lambda: None) -> None:
+        """Do the runs that a folder does not have; it keeps their outcomes, so that a hunt that was stopped goes on.
+
+        Raises BadInputError when the folder cannot be written to or is in use, LinkError as ``run_plan``.
+        """
+        end_s = None if self.tables.minutes is None else time.monotonic() + 60.0 * self.tables.minutes
+
+        def is_stopping() -> bool:
+            return end_s is not None and not self.is_shrinking and time.monotonic() > end_s
+
+        with Store(folder, _SCHEMA) as store:
+            known = {row[KEY]: _outcome_of(row) for row in read_rows(folder).to_pylist()}
+            new: list[Outcome] = []
+            try:
+                for outcomes in run_plan(self, LocalPool(self._request.workers), known=known, is_stopping=is_stopping):
+                    new += [outcome for outcome in outcomes if outcome.key not in known]
+                    if new and (store.is_rested or not outcomes):
+                        store.append([_row_of(outcome) for outcome in new])
+                        new = []
+                    on_runs()
+            finally:
+                store.append([_row_of(outcome) for outcome in new])
+
+    def check_free(self, folder: Path, *, force: bool) -> None:
+        """Raise BadInputError when a folder has a scenario of an earlier hunt, which must stay."""
+        path = self._path(folder)
+        if path.exists() and not force:
+            raise BadInputError(
+                f"scenario {path}: an earlier hunt found it; name another folder with --out, or replace it with --force"
+            )
+
+    def _path(self, folder: Path) -> Path:
+        return folder / f"{self.base.name}_found.toml"
+
+    def save(self, folder: Path, *, force: bool) -> Path:
+        """Write what was found as a scenario, run it once more from there, and return its path.
+
+        Raises BadInputError when it cannot be written, or the run is not the same again.
+        """
+        found = self.found
+        assert found is not None
+        path, job = self._path(folder), self._job(found.case)
+        assert job is not None
+        sha256 = found.outcome.figures.get("wire_sha256")
+        comments = [self.reason(), f"Found by hil hunt after {found.found_after} runs, and made smaller."]
+        if sha256 is not None:
+            on = "" if self._request.target == "host" else f" with --target {self._request.target}"
+            comments.append(f"wire_sha256 in lockstep{on}: {sha256}")
+        text = scenario_text(found.scenario, folder, comments)
+        write_whole(path, text.encode(), "scenario", existing_files(force=force))
+        again = make_job(read(str(path.absolute())).scenario(), options=job.options)
+        (outcome,) = run_jobs([again], 1)
+        if again.key != job.key or outcome.figures.get("wire_sha256") != sha256:
+            raise BadInputError(f"scenario {path}: its run is not the one that was found; please report this")
+        return path
+
+    # In words
+
+    @property
+    def words(self) -> str | None:
+        """A sentence on what the hunt does now, or None while it searches."""
+        return "found one; it is made smaller" if self.is_shrinking else None
+
+    def nearest(self) -> str:
+        """Return in words which case came nearest to breaking something."""
+        assert self.least is not None
+        score, case, what = self.least
+        about = self.base.expect[what].subject if isinstance(what, int) and what < len(self.base.expect) else "[allow]"
+        return f"{self.differs(case)}: {100.0 * score:.3g} % of the margin of {about} is left"
+
+    def plain(self) -> dict[str, Any]:
+        """Return the result for JSON."""
+        found = self.found
+        return {
+            "found": found is not None,
+            "reason": None if found is None else self.reason(),
+            "wire_sha256": None if found is None else found.outcome.figures.get("wire_sha256"),
+            "runs": self.runs,
+            "shrinking_runs": self.shrinking_runs,
+            "least_margin": None if self.least is None else self.least[0],
+            "nearest": None if self.least is None else self.nearest(),
+        }
+
+    def reason(self) -> str:
+        """Return one line: what is broken, and what the run differs in from the scenario."""
+        assert self.found is not None
+        what, case, outcome = self.found.what, self.found.case, self.found.outcome
+        broken = self._claims(case, outcome)[what]["text"] if isinstance(what, int) else f"{what}: {outcome.reason}"
+        return f"{self.differs(case)}: {broken}"
+
+    def differs(self, case: Case) -> str:
+        """Return in words what a case differs in from the scenario."""
+        scenario = self.scenario(case)
+        changes = [
+            f"{key} = {value:g}" if isinstance(value, float) else f"{key} = {value}"
+            for key, value in case.values.items()
+        ]
+        changes += [row.words for row in scenario.fault[len(self.base.fault) :]]
+        return ", ".join(changes) or "the scenario as it is"
+
+
+def _beside(scenario: str) -> Path:
+    """Return the file beside a scenario's; for a shipped one in the current folder."""
+    return Path(scenario.removesuffix(".toml") + SUFFIX)
+
+
+def _row_of(outcome: Outcome) -> dict[str, Any]:
+    data = {"figures": dict(outcome.figures), "details": dict(outcome.details), "wall_s": outcome.wall_s}
+    return {KEY: outcome.key, "outcome": outcome.status, "reason": outcome.reason, "data": json.dumps(data)}
+
+
+def _outcome_of(row: Mapping[str, Any]) -> Outcome:
+    return Outcome(row[KEY], row["outcome"], row["reason"], **json.loads(row["data"]))

@@ -1,0 +1,214 @@
+"""Hunts: a planted defect is found, made smaller and saved so that it fails again; a killed hunt goes on."""
+
+import json
+import random
+import signal
+import subprocess
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import jsonschema
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+import hil as package
+from hil.batch.figures import KEY
+from hil.batch.hunt.hunt import Hunt, Request
+from hil.batch.hunt.search import AT_A_TIME, search
+from hil.batch.hunt.shrink import shrink
+from hil.batch.hunt.space import Case, Chosen, Space
+from hil.batch.hunt.tables import HuntTables, OfferTable, SpanTable
+from hil.batch.store import read_rows
+from hil.core.errors import BadInputError
+from tests.processes import HIL, ROOT, environment, hil
+
+pytest.importorskip("optuna", reason="needs the extra 'hunt': pip install 'mecanum-hil[hunt]'")
+
+PLAN = """
+runs = {runs}
+{more}
+[set]
+loop.duration_s = 0.6
+expect = [{{ signal = "error.planar_m", from_s = 0.5, below = {below} }}]
+
+[range]
+plant.start.mass_kg = [16, 24]
+plant.start.friction_coefficient = {{ log_uniform = [0.01, 0.3] }}
+
+[[fault]]
+kind = "dead_motor"
+target = ["fl", "rr"]
+start_s = [0.0, 0.5]
+duration_s = [0.02, 0.2]
+"""
+"""A heavy robot with much friction lags behind by more than 0.46 m; neither alone does."""
+
+
+def plan(folder: Path, *, below: float = 0.46, runs: int = 40, more: str = "") -> Path:
+    file = folder / "circle_speed.hunt.toml"
+    file.write_text(PLAN.format(below=below, runs=runs, more=more), encoding="utf-8")
+    return file
+
+
+def test_what_is_found_is_made_small_and_fails_again_to_the_byte(tmp_path: Path) -> None:
+    plan(tmp_path)
+    done = hil("hunt", "circle_speed", "--jobs", "1", "--json", cwd=tmp_path)
+    assert done.returncode == 1, done.stderr
+    result = json.loads(done.stdout)
+    jsonschema.validate(result, json.loads((ROOT / "hil/batch/hunt/hunt.schema.json").read_text(encoding="utf-8")))
+    saved = tmp_path / result["scenario"]
+    text = saved.read_text(encoding="utf-8")
+    assert text.startswith(f"# {result['reason']}\n")
+    assert "error.planar_m below 0.46" in result["reason"]
+    again = package.run(saved)
+    assert not again.passed
+    assert again.failure is None
+    assert again.metrics["wire_sha256"] == result["wire_sha256"]
+    assert again.scenario.loop.duration_s < 0.6
+    refused = hil("hunt", "circle_speed", "--jobs", "1", cwd=tmp_path)
+    assert refused.returncode == 2
+    assert "--force" in refused.stderr
+
+
+def test_a_hunt_that_finds_nothing_says_what_came_nearest(tmp_path: Path) -> None:
+    plan(tmp_path, below=10.0, runs=6)
+    done = hil("hunt", "circle_speed", "--jobs", "1", "--json", cwd=tmp_path)
+    result = json.loads(done.stdout)
+    assert (done.returncode, result["found"], result["runs"]) == (0, False, 6)
+    assert 0.9 < result["least_margin"] < 1.0
+    assert "of the margin of error.planar_m is left" in result["nearest"]
+
+
+def test_a_hunt_that_was_killed_goes_on_and_finds_the_same(tmp_path: Path) -> None:
+    file = plan(tmp_path, below=0.43, runs=60)
+    whole = Hunt(Request("circle_speed", file, workers=1))
+    whole.perform(tmp_path / "whole")
+    folder = tmp_path / "killed"
+    command = [*HIL, "hunt", "circle_speed", "--ranges", str(file), "--out", str(folder), "--jobs", "1"]
+    with subprocess.Popen(command, env=environment(), stderr=subprocess.DEVNULL) as process:
+        while process.poll() is None and not list((folder / "rows").glob("*.parquet")):
+            pass
+        process.send_signal(signal.SIGKILL if hasattr(signal, "SIGKILL") else signal.SIGTERM)
+    there = {row[KEY]: row for row in read_rows(folder).to_pylist()}
+    assert there
+    continued = Hunt(Request("circle_speed", file, workers=2))
+    continued.perform(folder)
+    after = {row[KEY]: row for row in read_rows(folder).to_pylist()}
+    assert {key: after[key] for key in there} == there, "what was known was not run again"
+    assert whole.found is not None
+    assert continued.found is not None
+    assert (continued.runs, continued.found.case) == (whole.runs, whole.found.case)
+    assert continued.found.outcome.figures["wire_sha256"] == whole.found.outcome.figures["wire_sha256"]
+
+
+@pytest.mark.parametrize(
+    ("wrong", "right", "words"),
+    [
+        ("runs =", "rums =", "unknown key rums; did you mean 'runs'?"),
+        ("plant.start.mass_kg", "plant.start.mas_kg", "mass_kg"),
+        ("plant.start.mass_kg", "plant.strat.mass_kg", "start"),
+        ('"dead_motor"', '"dead_moter"', "dead_motor"),
+        ("log_uniform", "log_unifrom", "did you mean 'log_uniform'?"),
+        ("[16, 24]", "[24, 16]", "expected [low, high] with low < high"),
+        ("duration_s = [0.02", "durations = [0.02", "did you mean 'duration_s'?"),
+        ('"rr"]', '"rear"]', "rear"),
+    ],
+)
+def test_what_is_wrong_in_the_file_is_refused_with_its_place(
+    wrong: str, right: str, words: str, tmp_path: Path
+) -> None:
+    file = plan(tmp_path)
+    text = file.read_text(encoding="utf-8")
+    assert wrong in text
+    file.write_text(text.replace(wrong, right), encoding="utf-8")
+    with pytest.raises(BadInputError, match=r"hunt .*circle_speed\.hunt\.toml:") as error:
+        Hunt(Request("circle_speed", file))
+    assert words in str(error.value)
+
+
+def space() -> Space:
+    numbers = {"start_s": (0.0, 2.0), "duration_s": (0.1, 1.0), "value": (0.1, 0.9)}
+    offer = OfferTable("drop", ("command",), **{name: SpanTable(uniform=one) for name, one in numbers.items()})
+    ranges = {"a": SpanTable(uniform=(0.0, 10.0)), "b": SpanTable(log_uniform=(0.1, 10.0))}
+    return Space(HuntTables(at_once=2, range=ranges, fault=(offer, offer)), {"a": 5.0, "b": 1.0})
+
+
+def explored(seed: int, runs: int) -> list[Mapping[str, Any]]:
+    """The cases that a search tries when a = 10 with b = 0.1 and a fault is worst."""
+    steps, there = search(space(), seed), space()
+    params, found = next(steps), []
+    while len(found) < runs:
+        found += params
+        cases = [there.case(one) for one in params]
+        params = steps.send([_score(case) for case in cases])
+    return found
+
+
+def _score(case: Case) -> float:
+    values = {"a": 5.0, "b": 1.0} | dict(case.values)
+    return 1.0 - values["a"] / 20.0 + values["b"] / 20.0 - 0.2 * len(case.faults)
+
+
+def test_a_search_depends_on_its_seed_alone_and_nears_what_is_worst() -> None:
+    once, again, other = explored(1, 60), explored(1, 60), explored(2, 60)
+    assert once == again != other
+    chance = random.Random(1)
+    drawn = [space().suggested(lambda _, n: chance.randrange(n) if n else chance.random()) for _ in range(60)]
+    best, best_drawn = (min(_score(space().case(one)) for one in some) for some in (once, drawn))
+    assert best < best_drawn
+    assert len(once) % AT_A_TIME == 0
+
+
+CASES = st.builds(
+    lambda a, b, faults: Case(
+        {"a": round(a, 3), "b": round(b, 4)},
+        tuple(
+            Chosen(offer, {"target": "command", "start_s": 0.5, "duration_s": round(d, 3), "value": round(v, 4)})
+            for offer, (d, v) in enumerate(faults)
+        ),
+    ),
+    st.floats(0.0, 10.0),
+    st.floats(0.1, 10.0),
+    st.lists(st.tuples(st.floats(0.1, 1.0), st.floats(0.1, 0.9)), max_size=2),
+)
+
+
+@given(CASES, st.floats(0.0, 1.0), st.floats(0.0, 1.0))
+def test_a_smaller_case_breaks_the_same_and_nothing_that_is_not_needed_is_left(case, needs_a, needs_value) -> None:
+    def breaks(one: Case) -> bool:
+        far = abs(one.values.get("a", 5.0) - 5.0) >= needs_a * abs(case.values["a"] - 5.0)
+        strongest = max((fault.given["value"] for fault in case.faults), default=0.0)
+        return far and max((fault.given["value"] for fault in one.faults), default=0.0) >= needs_value * strongest
+
+    steps = shrink(space(), case, lambda _: None)
+    runs = 0
+    try:
+        tried: Sequence[Case] = next(steps)
+        while True:
+            runs += len(tried)
+            tried = steps.send([breaks(one) for one in tried])
+    except StopIteration as end:
+        smallest: Case = end.value
+    assert breaks(smallest)
+    assert runs < 600
+    assert "b" not in smallest.values
+    assert len(smallest.faults) <= 1
+    if needs_a == 0.0:
+        assert not smallest.values
+    elif "a" in smallest.values:
+        needed = needs_a * abs(case.values["a"] - 5.0)
+        assert abs(smallest.values["a"] - 5.0) <= 1.12 * needed + 0.02
+
+
+@pytest.mark.slow
+def test_a_hunt_runs_on_the_arm_target(tmp_path: Path) -> None:
+    pytest.importorskip("unicorn")
+    file = plan(tmp_path, runs=30)
+    on_arm, here = (Hunt(Request("circle_speed", file, target=target, workers=1)) for target in ("unicorn", "host"))
+    for one in (on_arm, here):
+        one.perform(tmp_path / str(id(one)))
+        assert one.found is not None
+    assert on_arm.found.case == here.found.case
+    assert on_arm.save(tmp_path, force=False).is_file()
