@@ -1,5 +1,6 @@
 """A hardware-in-the-loop build in real time: the firmware as linked, a host at one line and a plant at the other."""
 
+import dataclasses
 import itertools
 
 import pytest
@@ -7,7 +8,7 @@ import pytest
 from firmware_protocol import codec
 from firmware_protocol.framing import Deframer, Framer
 from firmware_protocol.generated import messages as m
-from firmware_protocol.plant_port import Drive, PlantPort, Sense
+from firmware_protocol.plant_port import Drive, PlantFramer, PlantPort, Sense
 
 pytest.importorskip("unicorn", reason="no Unicorn: pip install unicorn")
 pytest.importorskip("elftools", reason="no pyelftools: pip install pyelftools")
@@ -78,6 +79,25 @@ def test_each_tick_goes_through_the_plant_once(elf):
     driven = list(itertools.dropwhile(lambda drive: drive is None, bench.drives))
     assert [drive.tick for drive in driven] == list(range(len(driven)))
     assert {drive.enabled for drive in driven} == {False}
+
+
+@pytest.mark.proves("R-PORT-3")
+def test_an_answer_for_another_tick_is_ignored(elf):
+    """One comes before each right one; its counts are never told."""
+
+    class Confused(Bench):
+        def _body(self, drive: Drive | None) -> Sense:
+            right = super()._body(drive)
+            tick = 0 if drive is None else drive.tick + 1
+            for wrong in {(tick + 1) % 2**32, (tick - 1) % 2**32}:
+                answer = dataclasses.replace(right, tick=wrong, count=(999,) * 4)
+                self.machine.arrived[PLANT] += PlantFramer().encode(answer)
+            return right
+
+    bench = Confused(elf)
+    bench.run_until(lambda: len(bench.ticks()) >= 4)
+    assert bench.ticks()[:4] == [0, 5, 10, 15]
+    assert {one for one in bench.heard if isinstance(one, m.Encoders)} == {m.Encoders(0, 0, 0, 0)}
 
 
 def test_robot_time_keeps_up_with_the_clock(elf):

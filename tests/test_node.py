@@ -452,7 +452,8 @@ def test_step_is_refused_outside_lockstep_and_by_motors(kind):
     rig.heard()
     rig.send(m.Step(0, 5))
     assert rig.heard() == []
-    assert rig.node.look().tick == 0
+    view = rig.node.look()
+    assert (view.tick, {cause: count for cause, count in view.rejected.items() if count}) == (0, {"state": 1})
 
 
 @pytest.mark.proves("R-HELLO-1", "R-HASH-3")

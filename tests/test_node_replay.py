@@ -247,3 +247,27 @@ def test_each_refused_command_is_counted_once_by_its_cause() -> None:
         after = rig.node.look().rejected
         assert {k for k in after if after[k] != before[k]} == {cause}
         assert after[cause] == before[cause] + 1
+
+
+@pytest.mark.proves("R-GEN-1")
+def test_what_is_obeyed_is_counted_as_nothing() -> None:
+    rig = WheelRig(lockstep=True)
+    rig.activate()
+    ours = (1, rig.nonce & 0xF)
+    for message in (
+        m.TorqueFeedforward(1, 1, 1, 1, *ours),
+        m.WheelCommand(0, 0, 0, 0, *ours),
+        m.HelloRequest(m.PROTOCOL_VERSION),
+        m.TimeSyncRequest(1),
+        m.ParameterRequest(0, m.Operation.READ, 1, 0),
+        m.Step(0, 1),
+        m.HostHeartbeat(0x77, m.SCHEMA_HASH, m.Request.CLEAR, m.Mode.SPEED, 0),
+        m.HostHeartbeat(0x77, m.SCHEMA_HASH, m.Request.IDLE, m.Mode.SPEED, 0),
+        m.Estop(0, 0),
+    ):
+        rig.send(message)
+        assert not any(rig.node.look().rejected.values()), message
+    rig = WheelRig()
+    rig.activate(m.Mode.TORQUE)
+    rig.torque(1.0, 1)
+    assert not any(rig.node.look().rejected.values())

@@ -188,30 +188,6 @@ def test_an_estop_is_obeyed_whatever_it_says_of_source_and_reason(state: State) 
         assert node.state is State.ESTOP
 
 
-@pytest.mark.proves("R-GEN-1")
-def test_what_is_obeyed_is_counted_as_nothing() -> None:
-    rig = WheelRig(lockstep=True)
-    rig.activate()
-    ours = (1, rig.nonce & 0xF)
-    for message in (
-        m.TorqueFeedforward(1, 1, 1, 1, *ours),
-        m.WheelCommand(0, 0, 0, 0, *ours),
-        m.HelloRequest(m.PROTOCOL_VERSION),
-        m.TimeSyncRequest(1),
-        m.ParameterRequest(0, m.Operation.READ, 1, 0),
-        m.Step(0, 1),
-        m.HostHeartbeat(0x77, m.SCHEMA_HASH, m.Request.CLEAR, m.Mode.SPEED, 0),
-        m.HostHeartbeat(0x77, m.SCHEMA_HASH, m.Request.IDLE, m.Mode.SPEED, 0),
-        m.Estop(0, 0),
-    ):
-        rig.send(message)
-        assert not any(rig.node.look().rejected.values()), message
-    rig = WheelRig()
-    rig.activate(m.Mode.TORQUE)
-    rig.torque(1.0, 1)
-    assert not any(rig.node.look().rejected.values())
-
-
 # Feedback
 
 

@@ -1,7 +1,8 @@
-"""Mutation testing of the firmware's safety checks: does a test notice when a check is a little wrong?
+"""Mutation testing of the firmware's checks and of the host's half: does a test notice when one is a little wrong?
 
-``python -m tools.mutate`` changes one place of receive.c, supervise.c, states.c or node.c at a time, builds the host
-library with it, and runs the tests of the node until one fails. It prints the survivors and the score. It fails when a
+``python -m tools.mutate`` changes one place of a file of ``FILES`` at a time, builds the host library with it, and runs
+the tests of that file until one fails. What survives is tried once more with AddressSanitizer, where the compiler has
+it: a read beyond an array may read what is right by chance. It prints the survivors and the score. It fails when a
 survivor is not in ``equivalent_mutants.toml``, which says why a change is none; a sample, as ``--sample 20`` takes at
 random, is printed for somebody to look at, and fails for none.
 """
@@ -24,9 +25,8 @@ from firmware_protocol.built import FIRMWARE_FLAGS, HERE, SOURCES
 from tools.build.compiler import compiler
 
 ROOT = Path(__file__).parent.parent
-FILES = ("states.c", "receive.c", "supervise.c", "node.c")
 # The fastest and the ones that find most first.
-TESTS = (
+_OF_THE_NODE = (
     "tests/test_node_sessions.py",
     "tests/test_node_states.py",
     "tests/test_node_thresholds.py",
@@ -36,10 +36,25 @@ TESTS = (
     "tests/test_node_replay.py",
     "tests/test_parameters.py",
 )
+_OF_THE_CLIENT = (
+    "tests/test_client.py",
+    "tests/test_snapshot.py",
+    "tests/test_line_of_the_library.py",
+    "tests/test_snapshot_twin.py",
+)
+FILES = {
+    **dict.fromkeys(("states.c", "receive.c", "supervise.c", "node.c"), _OF_THE_NODE),
+    **dict.fromkeys(("arming.c", "incoming.c", "session.c", "line.c"), _OF_THE_CLIENT),
+}
+"""The tests of each file whose mutants are tried."""
+_SOURCES = {source.name: source for source in SOURCES}
 EQUIVALENT = Path(__file__).parent / "equivalent_mutants.toml"
 # An index beyond an array ends the tests as well.
 _TRAP = ["-fsanitize=undefined,float-cast-overflow", "-fsanitize-undefined-trap-on-error"]
-_FLAGS = [*(flag for flag in FIRMWARE_FLAGS if not flag.startswith("-W")), "-w", *_TRAP]
+_PLAIN_FLAGS = [flag for flag in FIRMWARE_FLAGS if not flag.startswith("-W")]
+# A warning is noticed by whoever builds; of a function that forgets its value no more than that can be told.
+_FLAGS = [*_PLAIN_FLAGS, "-w", "-Wreturn-type", "-Werror=return-type", *_TRAP]
+_ADDRESS_FLAGS = [*_PLAIN_FLAGS, "-w", "-fsanitize=address", "-fno-omit-frame-pointer"]
 
 _SWAPS = {
     "<": "<=",
@@ -70,19 +85,24 @@ _COMMENT = re.compile(r"/\*.*?\*/", re.DOTALL)
 
 
 class Mutant(NamedTuple):
-    """One change: the line is that of the unchanged source."""
+    """One change: the line is that of the unchanged source, and follows the one in ``follows``."""
 
     file: str
     number: int
     before: str
     after: str
+    follows: str
 
     @property
-    def key(self) -> tuple[str, str, str]:
-        return self.file, self.before.strip(), self.after.strip()
+    def key(self) -> "Key":
+        return self.file, self.follows.strip(), self.before.strip(), self.after.strip()
 
     def __str__(self) -> str:
         return f"{self.file}:{self.number}: {self.before.strip()}  ->  {self.after.strip() or '(removed)'}"
+
+
+Key = tuple[str, str, str, str]
+"""File, line before, line and change of a mutant."""
 
 
 def changes(line: str) -> Iterator[str]:
@@ -108,12 +128,12 @@ def changes(line: str) -> Iterator[str]:
 
 def mutants(file: str) -> list[Mutant]:
     """Return every mutant of a file; comments, includes and blank lines have none."""
-    text = (HERE / "firmware" / file).read_text(encoding="utf-8")
+    text = _SOURCES[file].read_text(encoding="utf-8")
     code = _COMMENT.sub(lambda found: re.sub(r"[^\n]", " ", found[0]), text)
-    lines = zip(text.splitlines(), code.splitlines(), strict=True)
+    lines = zip(["", *text.splitlines()], text.splitlines(), code.splitlines(), strict=False)
     return [
-        Mutant(file, number, line, after)
-        for number, (line, bare) in enumerate(lines, start=1)
+        Mutant(file, number, line, after, follows)
+        for number, (follows, line, bare) in enumerate(lines, start=1)
         if bare.strip() and not bare.startswith("#include")
         for after in changes(bare.rstrip())
         if after.strip() != bare.strip()
@@ -122,26 +142,34 @@ def mutants(file: str) -> list[Mutant]:
 
 def functions(file: str) -> list[str]:
     """Return the names of a file's functions and tables."""
-    found = _FUNCTION.finditer((HERE / "firmware" / file).read_text(encoding="utf-8"))
+    found = _FUNCTION.finditer(_SOURCES[file].read_text(encoding="utf-8"))
     return [one[1] or one[2] for one in found]
 
 
 class Bench:
     """The objects of the unchanged sources, and a place to build and test mutants in."""
 
-    def __init__(self, folder: Path) -> None:
-        """Raise ValueError when the tests fail without any change."""
+    def __init__(self, folder: Path, tests: tuple[str, ...], flags: list[str], preload: Path | None = None) -> None:
+        """Raise ValueError when the tests fail without any change, or the compiler has not what the flags ask for.
+
+        ``preload``: a library that has to be in the process before the mutant.
+        """
         self._folder = folder
+        self._tests = tests
+        self._flags = flags
+        self._preload = preload
         self._timeout_s = 600.0
-        self._objects = {source.name: self._compile(source, folder / f"{source.stem}.o") for source in SOURCES}
+        folder.mkdir()
+        self._objects = {name: self._compile(source, folder / f"{source.stem}.o") for name, source in _SOURCES.items()}
         began = time.monotonic()
         if not self.passes(folder, {}):
-            raise ValueError("the tests fail without any change")
+            raise ValueError(f"{' '.join(tests)} fail without any change")
         # An endless loop is noticed too, by its time.
         self._timeout_s = 5.0 * (time.monotonic() - began) + 10.0
 
     def _compile(self, source: Path, target: Path) -> Path:
-        command = [*compiler(), *_FLAGS, f"-I{HERE / 'firmware'}", "-fPIC", "-c", str(source), "-o", str(target)]
+        include = f"-I{_SOURCES[source.name].parent}"
+        command = [*compiler(), *self._flags, include, "-fPIC", "-c", str(source), "-o", str(target)]
         done = subprocess.run(command, capture_output=True, text=True, check=False)
         if done.returncode != 0:
             raise ValueError(done.stderr)
@@ -149,13 +177,13 @@ class Bench:
 
     def survives(self, mutant: Mutant, place: int) -> bool | None:
         """Tell whether no test notices the mutant; None when it does not compile."""
-        text = (HERE / "firmware" / mutant.file).read_text(encoding="utf-8").splitlines()
+        text = _SOURCES[mutant.file].read_text(encoding="utf-8").splitlines()
         text[mutant.number - 1] = mutant.after
         folder = self._folder / str(place)
         folder.mkdir()
         source = folder / mutant.file
         # The sources include "../generated/...", beside their own folder.
-        body = "\n".join(text).replace('"../generated/', f'"{HERE}/generated/')
+        body = re.sub(r'"\.\./(\w+)/', rf'"{HERE}/\1/', "\n".join(text))
         source.write_text(body + "\n", encoding="utf-8")
         try:
             objects = {mutant.file: self._compile(source, folder / "mutant.o")}
@@ -167,10 +195,14 @@ class Bench:
         """Tell whether every test passes with these objects instead of the unchanged ones."""
         library = folder / "libmutant.so"
         objects = (self._objects | changed).values()
-        subprocess.run([*compiler(), "-shared", "-o", str(library), *map(str, objects)], check=True)
+        sanitizer = [flag for flag in self._flags if flag.startswith("-fsanitize=address")]
+        subprocess.run([*compiler(), *sanitizer, "-shared", "-o", str(library), *map(str, objects)], check=True)
         environment = os.environ | {"WHEEL_HOST_LIBRARY": str(library), "HIL_CI": "1", "HIL_EXAMPLES": "usual"}
+        environment["PYTHONDONTWRITEBYTECODE"] = ""  # or each run compiles the tests again
+        if self._preload is not None:
+            environment |= {"LD_PRELOAD": str(self._preload), "ASAN_OPTIONS": "detect_leaks=0"}
         command = [sys.executable, "-m", "pytest", "-x", "--tb=no", "-p", "no:cacheprovider"]
-        command += ["-p", "tools.first_failure", *TESTS]
+        command += ["-p", "tools.first_failure", *self._tests]
         try:
             done = subprocess.run(
                 command, env=environment, cwd=ROOT, capture_output=True, timeout=self._timeout_s, check=False
@@ -180,10 +212,51 @@ class Bench:
         return done.returncode == 0
 
 
-def equivalent() -> dict[tuple[str, str, str], str]:
-    """Return the listed mutants that change nothing that a robot does, with the reason."""
-    rows = tomllib.loads(EQUIVALENT.read_text(encoding="utf-8"))["mutant"]
-    return {(row["file"], row["before"], row["after"]): row["because"] for row in rows}
+def second_bench(folder: Path, tests: tuple[str, ...]) -> Bench | None:
+    """Return a bench with AddressSanitizer; None where the compiler has none that can be loaded first."""
+    asked = [*compiler(), "-print-file-name=libasan.so"]
+    found = Path(subprocess.run(asked, capture_output=True, text=True, check=False).stdout.strip())
+    return Bench(folder, tests, _ADDRESS_FLAGS, found) if found.is_absolute() else None
+
+
+def equivalent() -> tuple[dict[Key, str], list[str]]:
+    """Return the listed mutants that change nothing, with the reason; and the rows that are no mutant any more.
+
+    A row without ``follows`` means every line that is as its ``before``.
+    """
+    every = [mutant.key for file in FILES for mutant in mutants(file)]
+    found: dict[Key, str] = {}
+    stale = []
+    for row in tomllib.loads(EQUIVALENT.read_text(encoding="utf-8"))["mutant"]:
+        same = [
+            key
+            for key in every
+            if (key[0], *key[2:]) == (row["file"], row["before"], row["after"]) and key[1] == row.get("follows", key[1])
+        ]
+        found |= dict.fromkeys(same, row["because"])
+        stale += [] if same else [f"{row['file']}: {row['before']}  ->  {row['after']}"]
+    return found, stale
+
+
+def try_all(chosen: list[Mutant], folder: Path, jobs: int) -> list[bool | None]:
+    """Return for each mutant whether it survives, and print it then; None when it does not compile."""
+    outcomes: list[bool | None] = []
+    with ThreadPoolExecutor(jobs) as pool:
+        for number, tests in enumerate(dict.fromkeys(FILES[mutant.file] for mutant in chosen)):
+            some = [mutant for mutant in chosen if FILES[mutant.file] == tests]
+            bench = Bench(folder / str(number), tests, _FLAGS)
+            second: Bench | None = None
+            for place, (mutant, first) in enumerate(
+                zip(some, pool.map(bench.survives, some, range(len(some))), strict=True)
+            ):
+                outcome = first
+                if outcome:
+                    second = second or second_bench(folder / f"{number} with addresses", tests)
+                    outcome = second is None or bool(second.survives(mutant, place))
+                if outcome:
+                    print(f"survives: {mutant}", flush=True)
+                outcomes.append(outcome)
+    return outcomes
 
 
 def main() -> int:
@@ -193,27 +266,20 @@ def main() -> int:
     parser.add_argument("--file", choices=FILES, action="append", help="default: all of them")
     parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1, help="default: one a processor")
     arguments = parser.parse_args()
-    known = equivalent()
-    chosen = [mutant for file in arguments.file or FILES for mutant in mutants(file)]
-    stale = set(known) - {mutant.key for file in FILES for mutant in mutants(file)}
-    chosen = [mutant for mutant in chosen if mutant.key not in known]
+    known, stale = equivalent()
+    chosen = [mutant for file in arguments.file or FILES for mutant in mutants(file) if mutant.key not in known]
     if arguments.sample is not None:
         chosen = random.Random(arguments.seed).sample(chosen, min(arguments.sample, len(chosen)))
-    with tempfile.TemporaryDirectory() as name, ThreadPoolExecutor(arguments.jobs) as pool:
+    with tempfile.TemporaryDirectory() as name:
         try:
-            bench = Bench(Path(name))
+            outcomes = try_all(chosen, Path(name), arguments.jobs)
         except ValueError as error:
             print(f"tools.mutate: {error}", file=sys.stderr)
             return 2
-        outcomes = []
-        for mutant, outcome in zip(chosen, pool.map(bench.survives, chosen, range(len(chosen))), strict=True):
-            outcomes.append(outcome)
-            if outcome:
-                print(f"survives: {mutant}", flush=True)
     survivors = outcomes.count(True)
     tested = len(outcomes) - outcomes.count(None)
-    for key in sorted(stale):
-        print(f"listed as equivalent, but no mutant any more: {key}")
+    for row in stale:
+        print(f"listed as equivalent, but no mutant any more: {row}")
     print(
         f"{tested - survivors} of {tested} mutants noticed ({100 * (tested - survivors) / max(tested, 1):.1f} %), "
         f"{outcomes.count(None)} did not compile, {len(known)} are listed as equivalent"
