@@ -222,7 +222,7 @@ def test_rows_that_a_kill_left_twice_count_once_and_what_was_not_finished_counts
     shutil.copytree(tmp_path / "before", tmp_path / ROWS, dirs_exist_ok=True)  # killed before they were removed
     (tmp_path / ROWS / "0-abc.parquet.unfinished").write_bytes(b"PAR1")
     assert sorted(read_rows(tmp_path).to_pylist(), key=lambda row: row["figure"]) == written
-    with Store(tmp_path, schema) as store, pytest.raises(BadInputError, match="another campaign or hunt writes to it"):
+    with Store(tmp_path, schema) as store, pytest.raises(BadInputError, match="another process writes to it"):
         Store(tmp_path, schema)
     assert len(list((tmp_path / ROWS).iterdir())) == len(files)
     assert pq.read_table(tmp_path / ROWS).num_rows == 100  # as any other program reads them

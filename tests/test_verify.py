@@ -22,6 +22,8 @@ from hil.core.errors import BadInputError
 from hil.core.mutant import VARIABLE, Patch
 from hil.core.subprocesses import module_command
 from hil.review.reader import read
+from hil.runtime.mutation import exchange, frames, wrappers
+from hil.runtime.mutation.change import CHANGES, ORDER
 from hil.scenario import load
 from tests.processes import environment, hil, wait_for
 
@@ -40,6 +42,15 @@ def test_the_catalogue_has_enough_of_each_room_and_fits_the_sources() -> None:
     assert sum(one.equivalent is not None for one in CATALOGUE.mutants) <= MOST_EQUIVALENT * len(ENTRIES)
     check_sources(CATALOGUE.mutants)
     assert CATALOGUE.variations
+
+
+def test_the_page_on_mutants_names_every_port_and_change() -> None:
+    page = (Path(pages.__file__).parent / "VERIFY.md").read_text(encoding="utf-8")
+    for name, port in wrappers.PORTS.items():
+        [row] = [line for line in page.splitlines() if line.startswith(f"| `{name}` |")]
+        assert {f"`{of}`" for of in port.of} <= set(row.replace(",", " ").replace(";", " ").split()), name
+    for name in (*CHANGES, ORDER, *frames.FLOWS, *frames.WAYS, *exchange.DRIVE, *exchange.SENSE):
+        assert f"`{name}`" in page
 
 
 @pytest.mark.slow
