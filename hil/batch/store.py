@@ -66,8 +66,7 @@ class Store:
                 self._lock.acquire(timeout=0)
             except Timeout:
                 raise BadInputError(
-                    f"folder {folder}: another process writes to it; wait for its end, or name another "
-                    "with --out"
+                    f"folder {folder}: another process writes to it; wait for its end, or name another with --out"
                 ) from None
         try:
             with _writing(folder):
