@@ -7,6 +7,7 @@ import functools
 import hashlib
 import json
 from collections.abc import Mapping
+from dataclasses import replace
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
@@ -15,6 +16,7 @@ from firmware_protocol.built import WHEEL_HOST
 from firmware_protocol.generated.messages import SCHEMA_HASH
 from hil.batch.job import Job
 from hil.core.errors import BadInputError
+from hil.core.options import plain
 from hil.drivers.registry import driver_module
 from hil.laws.code import code_of_module
 from hil.laws.registry import law_sha256
@@ -74,6 +76,8 @@ def key_of(
     tables["reference"] = _as_floats(tables["reference"])
     for table, name in _OPTIONS:
         tables[table][name] = _as_floats(tables[table][name])
+    if scenario.baseline is not None:
+        canonical["baseline"] = plain(replace(scenario.baseline, file=""))
     if kind != SCENARIO_RUN or options or library_sha256:
         canonical |= {"kind": kind, "options": options, "library": library_sha256}
     text = json.dumps(canonical, sort_keys=True, separators=(",", ":"))

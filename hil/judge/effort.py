@@ -21,7 +21,7 @@ class Overshoot(Measure):
 
     figures = (
         Figure("overshoot_m", "overshoot", "mm", 1e3, "how far past the reference, along the line of the initial error",
-               column="overshoot_m"),
+               column="overshoot_m", resolution=1e-4),
     )  # fmt: skip
     signals = ("loop.t_s", "error.x_m", "error.y_m")
 
@@ -96,9 +96,9 @@ class Effort(Measure):
 
     figures = (
         Figure("effort_n_m_s", "effort", "N·m·s", 1.0, "∫ Σ abs(τ) dt over the four wheels, by the measured currents",
-               column="effort_n_m_s"),
+               column="effort_n_m_s", resolution=0.01),
         Figure("torque_variation_n_m_per_s", "torque variation", "N·m/s a wheel", 1.0,
-               "mean absolute slew of a wheel's torque", column="torque_variation_n_m_per_s"),
+               "mean absolute slew of a wheel's torque", column="torque_variation_n_m_per_s", resolution=0.01),
     )  # fmt: skip
     signals = ("loop.t_s", *_CURRENTS)
 
@@ -158,7 +158,7 @@ class Saturation(Measure):
 
     figures = (
         Figure("saturation_s", "saturated for", "s", 1.0, "how long a wheel's command was at its limit",
-               column="saturation_s"),
+               column="saturation_s", resolution=0.005),
     )  # fmt: skip
     signals = (
         "loop.t_s",

@@ -7,6 +7,7 @@ Claims about figures are judged when the figures are there.
 import math
 import sys
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 from hil.core.errors import BadInputError, UnknownSignalError, nearest
@@ -17,6 +18,7 @@ from hil.core.types import WHEEL_NAMES
 from hil.judge.figures import figures, number
 from hil.judge.measure import Figure, Series
 from hil.scenario import Scenario
+from hil.scenario.baseline import Baseline
 from hil.scenario.trial import AllowTable, ExpectTable, FaultTable, most, span_s
 
 _WHEEL_SPEEDS = tuple(f"wheel.{wheel}.speed_rad_s" for wheel in WHEEL_NAMES)
@@ -322,12 +324,24 @@ def check_figures(scenario: Scenario) -> None:
             raise BadInputError(f'{place}: {key} = "{row.figure}"; expected the name of a figure{hint}')
 
 
-def figure_outcome(expect: ExpectTable, metrics: Mapping[str, Any], cut_s: float | None = None) -> Outcome:
-    """Judge a claim about a figure of a run, from the run's JSON.
+def figure_outcome(
+    expect: ExpectTable, metrics: Mapping[str, Any], cut_s: float | None = None, baseline: Baseline | None = None
+) -> Outcome:
+    """Judge a claim about a figure of a run, from the run's JSON; ``baseline`` is that of its scenario.
 
-    It fails where the run has no such figure, and is not judged where the run ended early.
+    It fails where the run has no such figure, or the baseline that it is relative to has none. It is not judged where
+    the run ended early, or cannot be compared with the baseline.
     """
     figure = figures_by_key()[str(expect.figure)]
+    if expect.baseline is not None:
+        of = f"{figure.key} within {expect.baseline} of the baseline"
+        if baseline is None:
+            return Outcome(False, f"{of}: failed, there is none; `hil baseline` makes it", margin=_WITHOUT_VALUE)
+        if (why := (metrics.get("baseline") or {}).get("why")) is not None:
+            return Outcome(None, f"{of}: not judged against the baseline: {why}")
+        if (band := baseline.figure.get(figure.key)) is None:
+            return Outcome(False, f"{of}: failed, the baseline has no such figure", margin=_WITHOUT_VALUE)
+        expect = replace(expect, baseline=None, equals=band.value, tolerance=size_of(expect.baseline, band.value))
     claim = _claim(expect)
     subject = f"{figure.key} {claim.text}"
     if cut_s is not None:
@@ -347,6 +361,11 @@ def why_none(figure: Figure, metrics: Mapping[str, Any]) -> str | None:
     """Return the reason why a run has no value of a figure, or None where its JSON gives none."""
     reason = metrics.get("reasons", {}).get(figure.name.partition(".")[0])
     return None if reason is None else str(reason)
+
+
+def size_of(share: float | str, value: float) -> float:
+    """Return the size of a share of a value, such as "10%", or the number itself."""
+    return float(share.rstrip("% ")) / 100.0 * abs(value) if isinstance(share, str) else float(share)
 
 
 def outcome_figures(expect: ExpectTable, outcome: Outcome) -> dict[str, Any]:

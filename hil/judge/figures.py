@@ -43,8 +43,8 @@ class TickTime(Measure):
     """How long the work of a tick took."""
 
     figures = (
-        Figure("tick_us.p50", "tick p50", "µs", 1.0, "work of a tick, median", printed=False),
-        Figure("tick_us.p99", "tick p99", "µs", 1.0, "work of a tick, 99th percentile", printed=False),
+        Figure("tick_us.p50", "tick p50", "µs", 1.0, "work of a tick, median", printed=False, of_machine=True),
+        Figure("tick_us.p99", "tick p99", "µs", 1.0, "work of a tick, 99th percentile", printed=False, of_machine=True),
     )  # fmt: skip
     signals = ("loop.tick_us",)
 
@@ -68,9 +68,9 @@ class Latency(Measure):
 
     figures = (
         Figure("latency_ms.p50", "latency p50", "ms", 1.0, "from sampling to the tick that uses the command, median",
-               printed=False),
+               printed=False, resolution=0.1),
         Figure("latency_ms.p99", "latency p99", "ms", 1.0, "the same, 99th percentile", column="latency_p99_ms",
-               printed=False),
+               printed=False, resolution=0.1),
     )  # fmt: skip
     signals = ("loop.t_s", "link.latency_ms")
 
@@ -92,7 +92,9 @@ class Latency(Measure):
 class DeadlineMisses(Measure):
     """How many ticks began too late: the count in the newest row."""
 
-    figures = (Figure("deadline_misses", "deadline misses", "", 1, "ticks that could not begin in time"),)
+    figures = (
+        Figure("deadline_misses", "deadline misses", "", 1, "ticks that could not begin in time", of_machine=True),
+    )
     signals = ("loop.deadline_misses",)
 
     def __init__(self, _setup: RunSetup) -> None:
@@ -121,7 +123,8 @@ SHIPPED: tuple[type[Measure], ...] = (
 )
 _AGE, _ROUND_TRIP = "age of the feedback that a tick used", "from a command to the feedback that it was in force"
 _OF_RUNS = (
-    Figure("realtime_factor", "times real time", "", 1.0, "robot time over wall time", None),
+    Figure("realtime_factor", "times real time", "", 1.0, "robot time over wall time", None,
+           of_machine=True),
     Figure("frames.sent", "frames sent", "", 1, "frames to the robot", None, printed=False),
     Figure("frames.received", "frames received", "", 1, "frames from the robot", None, printed=False),
     Figure("rejected", "frames rejected", "", 1, "frames that were not accepted from t = 0 on, for any cause",
@@ -129,12 +132,14 @@ _OF_RUNS = (
     Figure("unmatched", "feedforwards unmatched", "", 1, "torque feedforwards without their command",
            column="unmatched", printed=False),
     Figure("link_statistics.lost.snapshots", "snapshots lost", "", 1, "feedback that never came", printed=False),
-    Figure("link_statistics.feedback_age_ms.p50", "feedback age p50", "ms", 1.0, f"{_AGE}, median", printed=False),
+    Figure("link_statistics.feedback_age_ms.p50", "feedback age p50", "ms", 1.0, f"{_AGE}, median",
+           printed=False, resolution=0.1),
     Figure("link_statistics.feedback_age_ms.p99", "feedback age p99", "ms", 1.0, f"{_AGE}, 99th percentile",
-           column="feedback_age_p99_ms", printed=False),
-    Figure("link_statistics.round_trip_ms.p50", "round trip p50", "ms", 1.0, f"{_ROUND_TRIP}, median", printed=False),
+           column="feedback_age_p99_ms", printed=False, resolution=0.1),
+    Figure("link_statistics.round_trip_ms.p50", "round trip p50", "ms", 1.0, f"{_ROUND_TRIP}, median",
+           printed=False, resolution=0.1),
     Figure("link_statistics.round_trip_ms.p99", "round trip p99", "ms", 1.0, f"{_ROUND_TRIP}, 99th percentile",
-           column="round_trip_p99_ms", printed=False),
+           column="round_trip_p99_ms", printed=False, resolution=0.1),
     Figure("commands_refused", "commands refused", "", 1, "ticks with a command that was not finite",
            column="refused", printed=False),
     Figure("stale_ticks", "stale ticks", "", 1, "ticks in which no feedback was fresh enough to drive", printed=False),

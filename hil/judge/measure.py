@@ -9,6 +9,7 @@ import numpy.typing as npt
 Series = npt.NDArray[np.float64]
 
 RESOLUTION_M = 0.001
+NO_TRUTH = "the run has no ground truth"
 
 
 class Figure(NamedTuple):
@@ -23,6 +24,8 @@ class Figure(NamedTuple):
         column: its column in tables of many runs (campaigns, comparisons); None if it has none there.
         of_end: whether it describes the run's end; a run that ended early then lacks the figure.
         printed: whether reports print it on a line of its own.
+        resolution: the smallest difference that says something, in the unit in which it is stored.
+        of_machine: whether it depends on how fast this machine is, so that no baseline has it.
     """
 
     name: str
@@ -34,6 +37,8 @@ class Figure(NamedTuple):
     column: str | None = None
     of_end: bool = False
     printed: bool = True
+    resolution: float = 0.0
+    of_machine: bool = False
 
     @property
     def key(self) -> str:
@@ -114,6 +119,6 @@ class TruthGaps:
         if not self._rows:
             raise NoFigureError("the run has no samples")
         if self._missing == self._rows:
-            raise NoFigureError("the run has no ground truth")
+            raise NoFigureError(NO_TRUTH)
         if self._missing:
             raise NoFigureError(f"the ground truth is missing at t = {self._first_s:.6g} s")

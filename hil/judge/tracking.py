@@ -5,7 +5,17 @@ from statistics import median
 
 import numpy as np
 
-from hil.judge.measure import RESOLUTION_M, Figure, Measure, NoFigureError, RunSetup, Series, TruthGaps, since_start
+from hil.judge.measure import (
+    NO_TRUTH,
+    RESOLUTION_M,
+    Figure,
+    Measure,
+    NoFigureError,
+    RunSetup,
+    Series,
+    TruthGaps,
+    since_start,
+)
 
 TRACKED_RATIO = 0.02
 TRACKED_DISTANCE_M = 0.010
@@ -38,13 +48,13 @@ class Tracking(Measure):
     figures = (
         Figure("tracked_s", "tracked after", "s", 1.0,
                "first time from which the planar error stays below 2 % of its initial value", column="tracked_s",
-               of_end=True),
+               of_end=True, resolution=0.005),
         Figure("t10_s", "within 10 mm after", "s", 1.0, "first time from which the planar error stays below 10 mm",
-               column="t10_s", of_end=True),
+               column="t10_s", of_end=True, resolution=0.005),
         Figure("steady_rms_m", "steady error rms", "mm", 1e3, "planar error over the last 5 s, root mean square",
-               column="steady_rms_m", of_end=True),
+               column="steady_rms_m", of_end=True, resolution=2e-6),
         Figure("steady_max_m", "steady error max", "mm", 1e3, "planar error over the last 5 s, largest",
-               column="steady_max_m", of_end=True),
+               column="steady_max_m", of_end=True, resolution=5e-6),
     )  # fmt: skip
     signals = ("loop.t_s", "error.planar_m")
 
@@ -127,12 +137,13 @@ class EstimationError(Measure):
     figures = (
         Figure("estimation_error.rms_m", "estimation error rms", "mm", 1e3,
                "distance of the estimated pose from the true one, root mean square", column="estimation_rms_m",
-               printed=False),
+               printed=False, resolution=2e-6),
         Figure("estimation_error.max_m", "estimation error max", "mm", 1e3,
-               "distance of the estimated pose from the true one, largest", column="estimation_max_m", printed=False),
+               "distance of the estimated pose from the true one, largest", column="estimation_max_m",
+               printed=False, resolution=5e-6),
         Figure("estimation_error.heading_rms_rad", "heading error rms", "mrad", 1e3,
                "difference of the estimated heading from the true one, root mean square",
-               column="estimation_heading_rms_rad", printed=False),
+               column="estimation_heading_rms_rad", printed=False, resolution=2e-6),
     )  # fmt: skip
     signals = (
         "loop.t_s",
@@ -140,7 +151,7 @@ class EstimationError(Measure):
     )
 
     def __init__(self, _setup: RunSetup = RunSetup()) -> None:  # noqa: B008 -- immutable
-        self._ticks = 0
+        self._ticks = self._truths = 0
         self._square_m2 = 0.0
         self._largest_m2 = 0.0
         self._square_rad2 = 0.0
@@ -152,6 +163,7 @@ class EstimationError(Measure):
         )
         heading_rad = np.remainder(heading_rad + np.pi, 2 * np.pi) - np.pi
         square_m2 = x_m**2 + y_m**2
+        self._truths += int(np.isfinite(signals["truth.x_m"]).any())
         there = np.isfinite(square_m2 + heading_rad) & (signals["loop.t_s"] >= 0.0)
         if there.any():
             self._ticks += int(np.count_nonzero(there))
@@ -162,7 +174,7 @@ class EstimationError(Measure):
     def value(self, _name: str) -> dict[str, float]:
         """Return the three figures. Raises NoFigureError where no tick has both poses."""
         if not self._ticks:
-            raise NoFigureError("there is no tick with both an estimated and a true pose")
+            raise NoFigureError("there is no tick with both an estimated and a true pose" if self._truths else NO_TRUTH)
         return {
             "rms_m": float(np.sqrt(self._square_m2 / self._ticks)),
             "max_m": float(np.sqrt(self._largest_m2)),

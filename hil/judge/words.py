@@ -13,7 +13,7 @@ from hil.scenario.trial import AllowTable
 
 Row = tuple[str, str]
 
-LENIENT = "judged by [[expect]] alone: not by [allow], nor by whether every fault was applied"
+LENIENT = "judged by [[expect]] alone: not by [allow], the baseline, or whether every fault was applied"
 
 
 def with_page(metrics: Mapping[str, Any]) -> dict[str, Any]:
@@ -115,6 +115,7 @@ def outcome_rows(metrics: Mapping[str, Any]) -> Iterator[Row]:
     for row in metrics.get("allow") or ():
         if not row["passed"]:
             yield "allow", row["text"]
+    yield from baseline_rows(metrics)
     if metrics.get("lenient"):
         yield "lenient", LENIENT
     for row in metrics.get("shadows") or ():
@@ -138,6 +139,28 @@ def why_not_passed(metrics: Mapping[str, Any]) -> Iterator[Row]:
     yield from (("allow", row["text"]) for row in metrics["allow"] if not row["passed"])
     # A fault that was never applied proves nothing.
     yield from (("fault", applied_words(row)) for row in metrics["fault"] if not row["applied"])
+    baseline = metrics.get("baseline") or {"figures": (), "frames": None}
+    yield from (("baseline", row["text"]) for row in baseline["figures"])
+    if (frames := baseline["frames"]) is not None and frames["passed"] is False:
+        yield "baseline", frames["text"]
+
+
+def baseline_rows(metrics: Mapping[str, Any]) -> Iterator[Row]:
+    """Yield how a run compares with its scenario's baseline, if there is one."""
+    if (baseline := metrics.get("baseline")) is None:
+        return
+    if baseline["why"] is not None:
+        yield "baseline", f"not judged against the baseline: {baseline['why']}"
+        return
+    yield from (("baseline", row["text"]) for row in baseline["figures"])
+    frames = baseline["frames"]
+    if frames is not None and not frames["passed"]:
+        yield "baseline", frames["text"]
+    same = "" if frames is None or not frames["passed"] else ", and the same frames"
+    held = baseline["judged"] - len(baseline["figures"])
+    yield "baseline", f"{held} of {baseline['judged']} figures as accepted{same}"
+    if baseline["figures"] or (frames is not None and frames["passed"] is False):
+        yield "baseline", "find what changed; accept it with `hil baseline --accept`, or explore with --lenient"
 
 
 def judged(metrics: dict[str, Any]) -> dict[str, Any]:

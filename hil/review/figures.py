@@ -36,7 +36,8 @@ _FROM_SUMMARY = ("passed", "realtime_factor", "lateness_us", "frames", "link_sta
 # No reason is given where one of these is None.
 _OUTCOME = (
     *("failure", "stopped", "expect", "fault", "recoveries", "commands_refused"),
-    *("lenient", "stale_ticks", "held_ticks", "rejected", "unmatched", "allow", "realtime", "robot_slipped_ticks"),
+    *("lenient", "baseline", "stale_ticks", "held_ticks", "rejected", "unmatched", "allow", "realtime"),
+    "robot_slipped_ticks",
 )
 _MADE = ("command", "started", "mecanum_hil", "commit", "python", "machine")
 _NAMED = 4

@@ -5,10 +5,11 @@ from collections.abc import Mapping
 from typing import Any
 
 from hil.core.percentiles import Percentiles
+from hil.judge.baselines import against_baseline
 from hil.judge.expectations import Count, allow_figures, figure_outcome, outcome_figures
 from hil.judge.figures import cut_words
 from hil.judge.results import MemorySink
-from hil.judge.words import applied_words, judged, set_lost_rows, with_page
+from hil.judge.words import applied_words, baseline_rows, judged, set_lost_rows, with_page
 from hil.record import RunRecording
 from hil.runtime.bench import Bench
 from hil.runtime.loop import Loop, Report
@@ -86,8 +87,9 @@ def run_figures(
         "recording": None,
         "reasons": reasons | {"recording": "no recording was asked for"},
     }
+    metrics["baseline"] = against_baseline(scenario, metrics, is_cut=cut_s is not None)
     metrics["expect"] = [
-        outcomes[i] if i in outcomes else outcome_figures(row, figure_outcome(row, metrics, cut_s))
+        outcomes[i] if i in outcomes else outcome_figures(row, figure_outcome(row, metrics, cut_s, scenario.baseline))
         for i, row in enumerate(scenario.expect)
     ]
     return judged(metrics)
@@ -130,7 +132,9 @@ def close_recording(
     set_lost_rows(metrics, allow, recording.rows_dropped)
     for row in metrics["expect"]:
         if row["figure"] is not None:
-            recording.event(t_s, "info" if row["passed"] else "error", row["text"])
+            recording.event(t_s, "error" if row["passed"] is False else "info", row["text"])
+    for label, text in baseline_rows(metrics):
+        recording.event(t_s, "info", f"{label}: {text}")
     for row in metrics["fault"]:
         recording.event(t_s, "info" if row["applied"] else "error", f"fault: {applied_words(row)}")
     if (trace := metrics.get("trace")) is not None and trace["trouble"] is not None:

@@ -7,6 +7,7 @@ file (--robot), the options of the command line (--mode, --link, --seed), --set.
 import numbers
 import os
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
@@ -15,6 +16,8 @@ from hil.core.errors import BadInputError, nearest
 from hil.core.options import format_value
 from hil.laws.registry import give_law
 from hil.scenario import layers
+from hil.scenario.baseline import SUFFIX as BASELINE_SUFFIX
+from hil.scenario.baseline import find as find_baseline
 from hil.scenario.check import check, derived
 from hil.scenario.layers import Given, Tree
 from hil.scenario.run import Scenario, values
@@ -50,6 +53,7 @@ def shipped() -> dict[str, str]:
     return {
         path.stem: path.read_text("utf-8").partition("\n")[0].lstrip("# ").rstrip()
         for path in sorted(SHIPPED_DIRECTORY.glob(f"*{_SUFFIX}"))
+        if not path.name.endswith(BASELINE_SUFFIX)
     }
 
 
@@ -67,9 +71,14 @@ def load(
     A path has a slash or ends in ``.toml``. ``set`` is a mapping of dotted keys to values, or texts ``key=value``. The
     value in such a text is read as TOML, or as plain text if it is not TOML. A mapping may also give ``controller.law``
     as a class. A relative path in a file starts from the file's folder; one in ``set`` starts from the current folder.
-    Raises BadInputError, with one line for each problem.
+    The scenario has its baseline, if there is one. Raises BadInputError, with one line for each problem.
     """
-    return read(name_or_path, robot=robot).scenario(set=set, mode=mode, link=link, seed=seed)
+    return with_baseline(read(name_or_path, robot=robot).scenario(set=set, mode=mode, link=link, seed=seed))
+
+
+def with_baseline(scenario: Scenario) -> Scenario:
+    """Return a scenario with its baseline, if there is one. Raises BadInputError for a baseline that is wrong."""
+    return replace(scenario, baseline=find_baseline(scenario.name, scenario.path, scenario.directory))
 
 
 class Sources(NamedTuple):
@@ -87,7 +96,7 @@ class Sources(NamedTuple):
         seed: int | None = None,
         folder: Path | None = None,
     ) -> Scenario:
-        """Return the scenario with these values over those of the files, as ``load``.
+        """Return the scenario with these values over those of the files, as ``load``, but without its baseline.
 
         Relative paths in ``set`` start from ``folder``, by default the current one.
         """

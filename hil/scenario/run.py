@@ -8,8 +8,10 @@ from pathlib import Path, PurePath
 from typing import Annotated, Any
 
 from hil.core.options import build, items, options_of, plain
+from hil.scenario.baseline import Baseline
 from hil.scenario.plant import SHIPPED_FMUS
 from hil.scenario.tables import Tables
+from hil.scenario.values import sha256_of
 
 HASH_FORMAT = 3
 """Version of the hash, so that two versions of this package do not agree by chance."""
@@ -24,6 +26,7 @@ class Scenario(Tables):
     path: Annotated[Path | None, "its file; None for a shipped one"]
     directory: Annotated[Path, "the folder from which relative paths in it start"]
     provenance: Annotated[Mapping[str, str], "where each dotted key was given, or 'default'"]
+    baseline: Annotated[Baseline | None, "what its runs are compared with; None without one"] = None
 
     @property
     def hash(self) -> str:
@@ -55,22 +58,13 @@ class Scenario(Tables):
             return {}
         motors = dict(items(device.settings))
         if isinstance(motors.get("file"), str):
-            motors["file"] = _sha256(Path(motors["file"])) or PurePath(motors["file"]).name
+            motors["file"] = sha256_of(Path(motors["file"])) or PurePath(motors["file"]).name
         return {"driver": device.driver, "motors": motors}
 
     @property
     def fmu_sha256(self) -> str | None:
         """SHA-256, in hex, of an FMU given by its path; None for a shipped one, and where it cannot be read."""
-        return None if self.plant.fmu in SHIPPED_FMUS else _sha256(self.directory / self.plant.fmu)
-
-
-def _sha256(path: Path) -> str | None:
-    """Return the SHA-256, in hex, of a file; None where it cannot be read."""
-    try:
-        with path.open("rb") as file:
-            return hashlib.file_digest(file, "sha256").hexdigest()
-    except OSError:
-        return None
+        return None if self.plant.fmu in SHIPPED_FMUS else sha256_of(self.directory / self.plant.fmu)
 
 
 def resolved(scenario: Scenario) -> list[tuple[str, object, str]]:
@@ -118,6 +112,7 @@ def to_plain(scenario: Scenario) -> dict[str, Any]:
         "path": None if scenario.path is None else str(scenario.path),
         "directory": str(scenario.directory),
         "provenance": dict(scenario.provenance),
+        "baseline": None if scenario.baseline is None else plain(scenario.baseline),
     }
 
 
@@ -125,4 +120,6 @@ def from_plain(given: Mapping[str, Any]) -> Scenario:
     """Return the scenario from the values that ``to_plain`` returned."""
     path = None if given["path"] is None else Path(given["path"])
     tables, directory = build(Tables, given["tables"]), Path(given["directory"])
-    return Scenario(**vars(tables), name=given["name"], path=path, directory=directory, provenance=given["provenance"])
+    baseline = None if given["baseline"] is None else build(Baseline, given["baseline"])
+    own = {"name": given["name"], "provenance": given["provenance"]}
+    return Scenario(**vars(tables), **own, path=path, directory=directory, baseline=baseline)

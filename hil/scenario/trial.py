@@ -78,6 +78,15 @@ class FaultTable:
         return f"{self.kind} {self.target}{value} from {self.start_s:g} s{end}"
 
 
+def _share(value: object) -> float | str | None:
+    """Accept a number of at least 0, or a share as text; None is no value."""
+    if value is None or (isinstance(value, int | float) and not isinstance(value, bool) and 0 <= value < math.inf):
+        return value
+    if isinstance(value, str) and _SHARE.fullmatch(value) is not None:
+        return value
+    raise ValueError('expected a share such as "10%", or a number of at least 0 in the unit of the figure')
+
+
 def _which_fault(value: object) -> int | str | None:
     """Accept the name or kind of a fault, or its place; None is no value."""
     if value is None or (isinstance(value, str) and value):
@@ -88,7 +97,7 @@ def _which_fault(value: object) -> int | str | None:
 
 
 _SUBJECTS = "`signal`, `figure`, or `at_rest = true`"
-_CLAIMS = ("within", "equals", "settles_to")
+_CLAIMS = ("within", "equals", "settles_to", "baseline")
 
 
 @dataclass(frozen=True)
@@ -99,7 +108,8 @@ class ExpectTable:
     ``tolerance``; ``settles_to`` with a ``tolerance``: from some time on it stays within it, until to_s. With ``of``
     the claim is about the signal minus that one.
 
-    A figure of the whole run: the same claims but ``settles_to``.
+    A figure of the whole run: the same claims but ``settles_to``; or ``baseline``, how far it may be from the value in
+    the scenario's baseline.
 
     ``at_rest``: no wheel turns faster than ``below``, and the robot's true pose does not move faster than such wheels
     would move it, where either is known.
@@ -130,6 +140,7 @@ class ExpectTable:
     equals: float | None = None
     settles_to: float | None = None
     tolerance: Annotated[float | None, Range(ge=0), "of equals (by default 0) and settles_to"] = None
+    baseline: Annotated[Any, _share, 'of a figure: how far from the baseline, as "10%" of it or in its unit'] = None
 
     def __post_init__(self) -> None:
         if sum((self.signal is not None, self.figure is not None, bool(self.at_rest))) != 1:
@@ -138,6 +149,8 @@ class ExpectTable:
             raise ValueError(f"of = {self.of!r} is compared with a signal; name it with signal, or remove of")
         if self.figure is not None:
             self._check_figure()
+        elif self.baseline is not None:
+            raise ValueError(f"baseline = {self.baseline!r} is for a figure; name it with figure")
         if (self.after_fault is None) != (self.within_s is None):
             raise ValueError("after_fault and within_s belong together: after which fault, and by when; give both")
         if self.after_fault is not None and self.from_s:
@@ -149,8 +162,8 @@ class ExpectTable:
     def _check_figure(self) -> None:
         if self.from_s or self.to_s != math.inf or self.after_fault is not None or self.settles_to is not None:
             raise ValueError(
-                f"the figure {self.figure!r} is one number of the whole run; it takes below, above, within or "
-                "equals, and no time"
+                f"the figure {self.figure!r} is one number of the whole run; it takes below, above, within, equals or "
+                "baseline, and no time"
             )
 
     def _check_claim(self) -> None:
@@ -165,7 +178,7 @@ class ExpectTable:
                 object.__setattr__(self, "below", REST_RAD_S)
             return
         if bounds + len(claims) != 1:
-            more = "" if self.figure is not None else ", or settles_to"
+            more = ", or baseline" if self.figure is not None else ", or settles_to"
             raise ValueError(f"needs one claim: below or above or both, within, equals{more}")
         if self.below is not None and self.above is not None and self.above >= self.below:
             raise ValueError(f"above = {self.above} is not less than below = {self.below}: no value can pass")

@@ -1,9 +1,10 @@
-"""Types of values that are more than a number: texts, options of unknown type, start values, milliseconds."""
+"""Types of values that are more than a number: texts, options of unknown type, start values, milliseconds, files."""
 
+import hashlib
 import math
 import re
 from collections.abc import Callable, Mapping
-from pathlib import PurePath
+from pathlib import Path, PurePath
 from typing import Annotated, Any
 
 Scalar = float | int | bool | str
@@ -67,3 +68,12 @@ Milliseconds = Annotated[float, _milliseconds]
 AnyOption = Annotated[Any, _option]
 Setting = Annotated[Any, _setting]
 Start = Annotated[StartValue, _start]
+
+
+def sha256_of(path: Path) -> str | None:
+    """Return the SHA-256, in hex, of a file; None where it cannot be read."""
+    try:
+        with path.open("rb") as file:
+            return hashlib.file_digest(file, "sha256").hexdigest()
+    except OSError:
+        return None

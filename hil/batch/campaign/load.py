@@ -8,7 +8,10 @@ from hil.batch.campaign.tables import PlanTables
 from hil.batch.plan_file import PlanFile, read_plan_file
 from hil.core.errors import BadInputError
 from hil.scenario import Scenario, Sources, read
+from hil.scenario.load import with_baseline
 from hil.scenario.values import is_path
+
+_OTHER_SIDE = ("plant.", "firmware.", "device.")
 
 
 class Plan(NamedTuple):
@@ -19,9 +22,14 @@ class Plan(NamedTuple):
     sources: Sources
 
     def scenario(self, sets: Mapping[str, object]) -> Scenario:
-        """Return the scenario with these values. Raises BadInputError, which names the campaign's file and line."""
+        """Return the scenario with these values. Raises BadInputError, which names the campaign's file and line.
+
+        It has its baseline, unless the values are such as no baseline is made for: of the system on the other side of
+        the wire.
+        """
         tables = dict.fromkeys(self.tables.set, "set") | dict.fromkeys(self.tables.axes, "axes")
-        return self.file.scenario(self.sources, sets, tables)
+        scenario = self.file.scenario(self.sources, sets, tables)
+        return scenario if any(key.startswith(_OTHER_SIDE) for key in sets) else with_baseline(scenario)
 
 
 def load_plan(path: Path) -> Plan:

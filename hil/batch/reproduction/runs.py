@@ -5,6 +5,7 @@ import shutil
 import tempfile
 import time
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -174,7 +175,8 @@ def failures(summary: Mapping[str, Any]) -> list[str]:
 
 
 def _job(case: Case, scratch: Path, limit_s: float) -> Job:
-    job = make_job(load(case.scenario, set=case.sets), options={"signals": _SIGNALS}, limit_s=limit_s)
+    scenario = replace(load(case.scenario, set=case.sets), baseline=None)
+    job = make_job(scenario, options={"signals": _SIGNALS}, limit_s=limit_s)
     return job._replace(
         signals_file=str(scratch / f"{job.key}.npz"),
         record=ALWAYS if case.records else NEVER,

@@ -1,0 +1,124 @@
+"""A run against its scenario's baseline, and a baseline from runs. No side effects."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
+
+from hil.judge.expectations import figures_by_key, why_none
+from hil.judge.figures import number
+from hil.judge.measure import NO_TRUTH, Figure
+from hil.scenario import Scenario
+from hil.scenario.baseline import Band, Baseline, asked_sha256, is_asked, this_platform
+
+SPREADS = 3.0
+SHARE = 0.02
+_DIGITS = 9
+_MODES = {"lockstep": "in lockstep", "realtime": "in real time"}
+
+
+def band_of(figure: Figure, values: Sequence[float]) -> Band:
+    """Return the band of a figure from its values in runs with different seeds, first that with the scenario's own.
+
+    It is the largest of three times the spread, 2 % of the value, and the figure's resolution.
+    """
+    value, spread = values[0], max(values) - min(values)
+    band = max(SPREADS * spread, SHARE * abs(value), figure.resolution)
+    return Band(*(float(f"{one:.{_DIGITS}g}") for one in (value, spread, band)))
+
+
+def baseline_figures() -> dict[str, Figure]:
+    """Return the figures that a baseline has, by the names that users give them: those of no machine."""
+    return {key: figure for key, figure in figures_by_key().items() if not figure.of_machine}
+
+
+def baseline_of(scenario: Scenario, runs: Mapping[int, Mapping[str, Any]]) -> Baseline:
+    """Return the baseline of a scenario; ``runs`` has the JSON of a run for each seed, first the scenario's own.
+
+    A figure that one of the runs does not have is left out.
+    """
+    figures = {}
+    for key, figure in baseline_figures().items():
+        values = [number(metrics, figure.name) for metrics in runs.values()]
+        if (known := [value for value in values if value is not None]) == values:
+            figures[key] = band_of(figure, known)
+    wire_sha256 = next(iter(runs.values()))["wire_sha256"] if scenario.loop.mode == "lockstep" else ""
+    asked, mode = asked_sha256(scenario), scenario.loop.mode
+    return Baseline(scenario.name, asked, mode, this_platform(), tuple(runs), wire_sha256, figures)
+
+
+def why_not_judged(scenario: Scenario, baseline: Baseline) -> str | None:
+    """Return why runs of a scenario cannot be compared with a baseline, or None if they can."""
+    if scenario.loop.mode != baseline.mode:
+        return f"it was made {_MODES[baseline.mode]}, and the run is {_MODES[scenario.loop.mode]}"
+    if asked_sha256(scenario) == baseline.scenario_sha256:
+        return None
+    given = [key for key, where in scenario.provenance.items() if where.startswith("--") and is_asked(key)]
+    if given:
+        return f"the run asks for something else, by {', '.join(given)}"
+    return "its scenario was another one; if the change is meant, accept it with `hil baseline --accept`"
+
+
+class Moved(NamedTuple):
+    """A figure of a run that is not where its baseline has it; a value is None where there is none."""
+
+    key: str
+    baseline: float | None
+    value: float | None
+    band: float
+    text: str
+
+
+def moved(baseline: Baseline, metrics: Mapping[str, Any]) -> list[Moved]:
+    """Return the figures of a run, from its JSON, that are outside their bands.
+
+    One that needs the ground truth is left out where the run has none.
+    """
+    found = []
+    known = baseline_figures()
+    for key, band in baseline.figure.items():
+        if (figure := known.get(key)) is None:
+            continue
+        value = number(metrics, figure.name)
+        if value is not None and abs(value - band.value) <= band.band:
+            continue
+        if value is None and (why := why_none(figure, metrics)) == NO_TRUTH:
+            continue
+        text = f"{key}: no value ({why})" if value is None else f"{key}: {value:.6g}"
+        text += f" in place of {band.value:.6g} ± {band.band:.3g}"
+        if value is not None and band.value:
+            text += f", {100.0 * (value / band.value - 1.0):+.3g} %"
+        found.append(Moved(key, band.value, value, band.band, text))
+    return found
+
+
+def against_baseline(scenario: Scenario, metrics: Mapping[str, Any], *, is_cut: bool) -> dict[str, Any] | None:
+    """Return the outcome of a run against its scenario's baseline, as its JSON has it; None without a baseline.
+
+    A figure for which the scenario has an expectation relative to the baseline is judged by that. The frames (their
+    hash) are judged only on the platform of the baseline and with its first seed.
+    """
+    baseline = scenario.baseline
+    if baseline is None:
+        return None
+    why = why_not_judged(scenario, baseline)
+    if why is None and is_cut:
+        why = "the run ended early"
+    found: dict[str, Any] = {"file": baseline.file, "why": why, "judged": 0, "figures": [], "frames": None}
+    if why is not None:
+        return found
+    own = {row.figure for row in scenario.expect if row.baseline is not None}
+    rows = [one._asdict() for one in moved(baseline, metrics) if one.key not in own]
+    found |= {"judged": len(baseline.figure.keys() - own), "figures": rows}
+    if baseline.wire_sha256 and scenario.loop.seed == baseline.seeds[0] and metrics["wire_sha256"] is not None:
+        found["frames"] = _frames(baseline, metrics["wire_sha256"])
+    return found
+
+
+def _frames(baseline: Baseline, wire_sha256: str) -> dict[str, Any]:
+    """Return whether the frames on the wire were the same; on another platform ``passed`` is None if they were not."""
+    here, is_same = this_platform(), wire_sha256 == baseline.wire_sha256
+    if is_same:
+        return {"passed": True, "text": "the frames on the wire are the same"}
+    hashes = f"wire_sha256 is {wire_sha256[:12]}, not {baseline.wire_sha256[:12]}"
+    if here == baseline.platform:
+        return {"passed": False, "text": f"the frames on the wire are others: {hashes}"}
+    return {"passed": None, "text": f"{hashes}; not judged: made on {baseline.platform}, and this is {here}"}

@@ -1,0 +1,167 @@
+"""Baselines: NAME.baseline.toml, the figures that the runs of a scenario had when they were last accepted.
+
+It stands beside a user's scenario; of a shipped one in the current folder or, as we ship it, in the package.
+"""
+
+import functools
+import hashlib
+import json
+import platform
+from collections.abc import Mapping
+from dataclasses import dataclass
+from importlib.metadata import version
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+from hil.core.errors import BadInputError
+from hil.core.options import NOT_NEGATIVE, OptionsError, build, format_value, plain
+from hil.scenario.toml_text import key_lines, parse
+from hil.scenario.values import sha256_of
+
+if TYPE_CHECKING:
+    from hil.scenario.run import Scenario
+
+SUFFIX = ".baseline.toml"
+FORMAT = 1
+"""Version of the hash in a baseline."""
+_NOT_ASKED = (
+    *("plant.", "firmware.", "device.", "realtime.", "service.", "allow.", "expect."),
+    *("link.url", "loop.seed", "loop.mode", "loop.tick_limit_s"),
+)
+_HEAD = """\
+# What runs of {name} had when this was accepted. Made by `hil baseline`; `hil baseline --accept` changes it.
+"""
+
+
+@dataclass(frozen=True)
+class Band:
+    """A figure in a baseline; all in the figure's unit."""
+
+    value: Annotated[float, "in the run with the scenario's own seed"]
+    spread: Annotated[float, NOT_NEGATIVE, "greatest difference between two seeds"]
+    band: Annotated[float, NOT_NEGATIVE, "how far from the value a run may be"]
+
+
+@dataclass(frozen=True)
+class Baseline:
+    """The content of a baseline.
+
+    ``scenario_sha256`` is that of ``asked``. ``seeds`` are those that made it, first the one of ``wire_sha256``, which
+    is that of all frames in lockstep, and empty in real time.
+    """
+
+    scenario: str
+    scenario_sha256: str
+    mode: Literal["lockstep", "realtime"]
+    platform: str
+    seeds: tuple[int, ...]
+    wire_sha256: str
+    figure: Mapping[str, Band]
+    file: Annotated[str, "where it was read"] = ""
+
+
+def place(scenario: "Scenario") -> Path:
+    """Return where the baseline of a scenario belongs: beside it, of a shipped one in the current folder."""
+    folder = Path.cwd() if scenario.path is None else scenario.path.parent
+    return folder / f"{scenario.name}{SUFFIX}"
+
+
+def find(name: str, path: Path | None, directory: Path) -> Baseline | None:
+    """Return the baseline of a scenario, or None without one; ``directory`` is that of its file.
+
+    Raises BadInputError for one that cannot be read or is wrong.
+    """
+    folders = [directory] if path is not None else [Path.cwd(), directory]
+    for file in (folder / f"{name}{SUFFIX}" for folder in folders):
+        try:
+            now = file.stat()
+        except OSError:
+            continue
+        return _read(file, (now.st_mtime_ns, now.st_size))
+    return None
+
+
+@functools.lru_cache
+def _read(file: Path, _version: tuple[int, int]) -> Baseline:
+    remedy = "make it anew with `hil baseline --accept`, or take it from version control"
+    try:
+        text = file.read_text("utf-8")
+    except (OSError, ValueError) as error:
+        raise BadInputError(f"baseline {file}: it cannot be read ({error}); {remedy}") from error
+    lines = key_lines(text)
+    try:
+        return build(Baseline, {**parse(text, f"baseline {file}"), "file": str(file)})
+    except OptionsError as error:
+        sentences = (
+            f"baseline {file}:{lines.get(problem.path, 1)}: {problem.sentence}; {remedy}" for problem in error.problems
+        )
+        raise BadInputError("\n".join(sentences)) from None
+
+
+def text_of(baseline: Baseline) -> str:
+    """Return a baseline as TOML: a line for each figure, so that a change is easy to read."""
+    head = {name: value for name, value in plain(baseline).items() if name not in ("file", "figure")}
+    lines = [f"{name} = {format_value(value)}" for name, value in head.items()]
+    figures = [f"{_key(name)} = {format_value(plain(band))}" for name, band in baseline.figure.items()]
+    return "\n".join([_HEAD.format(name=baseline.scenario) + lines[0], *lines[1:], "", "[figure]", *figures, ""])
+
+
+def _key(name: str) -> str:
+    return json.dumps(name) if "." in name else name
+
+
+def asked(scenario: "Scenario") -> dict[str, Any]:
+    """Return what a scenario asks of the system that it tests, as plain values.
+
+    That is the controller with its model, the reference, the estimator, the faults, the rate and duration, and the
+    latencies of the link. What stands on the other side of the wire is not part of it ([plant], [firmware], [device],
+    the URL of the link), nor the code of the law: a baseline is there to notice when that changes. The seed is not
+    either, nor how the run is judged.
+    """
+    loop, link, controller = scenario.loop, scenario.link, plain(scenario.controller)
+    reference = plain(scenario.reference)
+    if isinstance(file := reference.get("file"), str):
+        reference["file"] = sha256_of(scenario.directory / file) or file
+    controller["law"] = _last_part(controller["law"])
+    controller["shadow"] = [_last_part(law) for law in controller["shadow"]]
+    return {
+        "format": FORMAT,
+        "robot": plain(scenario.robot),
+        "link": {"command_latency_s": link.command_latency_s, "feedback_latency_s": link.feedback_latency_s},
+        "controller": controller,
+        "reference": reference,
+        "estimator": plain(scenario.estimator),
+        "loop": {"rate_hz": loop.rate_hz, "duration_s": loop.duration_s, "rearm": loop.rearm},
+        "fault": [{name: value for name, value in plain(row).items() if name != "name"} for row in scenario.fault],
+    }
+
+
+def is_asked(key: str) -> bool:
+    """Return whether a key of a scenario is part of what it asks."""
+    return not key.startswith(_NOT_ASKED)
+
+
+def asked_sha256(scenario: "Scenario") -> str:
+    """Return the SHA-256, in hex, of what a scenario asks."""
+    text = json.dumps(_as_floats(asked(scenario)), sort_keys=True, separators=(",", ":"))
+    return hashlib.sha256(text.encode("ascii")).hexdigest()
+
+
+def this_platform() -> str:
+    """Return what the last bit of a run depends on besides the sources: system, processor, libraries."""
+    libc = " ".join(platform.libc_ver()).strip() or "libc of the system"
+    python = ".".join(platform.python_version_tuple()[:2])
+    return f"{platform.system()} {platform.machine()}, {libc}, Python {python}, NumPy {version('numpy')}"
+
+
+def _last_part(path: str) -> str:
+    return path.replace("\\", "/").rpartition("/")[2]
+
+
+def _as_floats(value: Any) -> Any:
+    """Return whole numbers as floats, so that 9 and 9.0 give the same hash."""
+    if isinstance(value, Mapping):
+        return {name: _as_floats(one) for name, one in value.items()}
+    if isinstance(value, list | tuple):
+        return [_as_floats(one) for one in value]
+    return float(value) if type(value) is int else value
