@@ -11,8 +11,13 @@ import pytest
 from firmware_protocol import codec
 from firmware_protocol.framing import Deframer, Frame, Framer
 from firmware_protocol.generated import messages as m
+from hil.core.clock import WallClock
+from hil.core.errors import LinkError
+from hil.wire.framed import StreamLink
 from hil.wire.robot_end import SerialWire
+from hil.wire.streams import memory_pair
 from hil.wire.url import parse_link
+from tests.client_rig import new_client
 from tests.heard import the_next
 from tests.processes import device
 from tests.wheel_rig import WheelRig
@@ -131,3 +136,48 @@ def test_a_step_of_1000_ticks_ends_over_a_pseudo_terminal_between_two_processes(
             assert codec.decode(heard[-1]) == m.StepDone(1000)
             assert sum(frame.id == m.Tick.ID for frame in heard) == 1001, "with that of its start"
             assert not any(link.rejected().values())
+
+
+def reads(host, enough: int):
+    """Read without waiting, for 2 s or until there are so many bytes."""
+    deadline_s = time.monotonic() + 2.0
+    while enough > 0 and time.monotonic() < deadline_s:
+        data = host.read(0)
+        enough -= len(data)
+        yield data
+
+
+def test_a_read_that_does_not_wait_gets_what_is_there_and_notices_a_loss():
+    from hil.wire.serial_port import SerialStream
+
+    line = pty.PtyStream()
+    with contextlib.closing(SerialStream(line.port, 921_600)) as host:
+        assert host.read(0) == b""
+        sent = bytes(range(256)) * 12
+        line.write(sent)
+        assert b"".join(reads(host, len(sent))) == sent
+        line.close()
+        with pytest.raises(LinkError, match="was lost"):
+            list(reads(host, 1))
+
+
+def test_a_client_takes_what_a_handshake_left_and_more_than_one_read_holds():
+    here, there = memory_pair()
+    link, client = StreamLink(here), new_client()
+    clock = WallClock()
+    framer = Framer()
+    ticks = [codec.encode(m.Tick(number * 1000, number % 256, 3, 0, 0, 0)) for number in range(400)]
+    there.write(b"".join(framer.encode(frame) for frame in ticks[:120]))
+    assert len(link.receive(0).frames) == 50
+    there.write(b"".join(framer.encode(frame) for frame in ticks[120:]))
+    attended = []
+
+    def attend(packed: bytes, at: int, stamp_ns: int) -> None:
+        attended.append(stamp_ns)
+        while at < len(packed):
+            at = client.take(packed, at, stamp_ns)
+
+    assert link.receive_for(client, clock, attend) is not None
+    assert (client.view.received, link.received_frames) == (350, 400)
+    assert link.receive_for(client, clock, attend) is not None
+    assert len(attended) == 1, "that of the handshake"

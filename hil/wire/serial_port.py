@@ -2,12 +2,11 @@
 
 import array
 import contextlib
-import os
 import re
 import select
 import sys
 import threading
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import serial
 
@@ -15,8 +14,10 @@ from hil.core.errors import LinkError, nearest
 from hil.wire.reopening import OpeningBeside
 from hil.wire.serial_failures import LIST_PORTS, PORT_ERRORS, SHARED, is_gone, is_shared, opening_problem, words_of
 
+if TYPE_CHECKING:
+    from hil.wire.terminal import Terminal
+
 _CHUNK = 65536
-_TERMINAL_CHUNK = 4096  # as many bytes as Linux keeps for a reader of a terminal
 _READ_S = 0.05  # how long one read of a Reader blocks, which is also how long it takes to stop
 _LONGEST = 1 << 20  # bytes kept for a host that does not read; older ones are dropped
 _WRITE_TIMEOUT_S = 1.0  # a line that accepts no byte for that long is lost
@@ -137,8 +138,8 @@ class SerialStream:
     """A serial port as a byte stream, opened exclusively.
 
     Reads wait in ``select`` if the port has a file descriptor, otherwise in a ``Reader``. A terminal device is read and
-    written with one system call; pyserial, which needs two, does what that leaves. The driver's low-latency mode is set
-    if it has one. A write that is not accepted within 1 s means that the line is lost.
+    written by ``Terminal``, and by pyserial where that is not enough. The driver's low-latency mode is set if it has
+    one. A write that is not accepted within 1 s means that the line is lost.
 
     Raises LinkError when the port does not exist, is busy, is forbidden, is no serial port or refuses the baud rate.
     """
@@ -150,7 +151,7 @@ class SerialStream:
         self._baud = baud
         self._port: Any = None
         self._reader: Reader | None = None
-        self._terminal: int | None = None  # its file descriptor
+        self._terminal: Terminal | None = None
         self._low_latency = False
         self._unread_bytes = 0  # of earlier readers
         self._opening: OpeningBeside[Any] | None = None
@@ -199,7 +200,7 @@ class SerialStream:
         self._check_baud()
         has_descriptor = self._has_descriptor()
         self._reader = None if has_descriptor else Reader(self._port)
-        self._terminal = self._port.fileno() if has_descriptor and "://" not in self._name else None
+        self._terminal = _terminal(self._port) if has_descriptor and "://" not in self._name else None
         self._low_latency = self._set_low_latency()
 
     def _check_baud(self) -> None:
@@ -226,10 +227,7 @@ class SerialStream:
 
     def write(self, data: bytes) -> None:
         if self._terminal is not None:
-            try:
-                written = os.write(self._terminal, data)
-            except OSError:
-                written = 0
+            written = self._terminal.write(data)
             if written == len(data):
                 return
             data = data[written:]
@@ -249,13 +247,9 @@ class SerialStream:
                 return self._reader.read(timeout_ns)
             if timeout_ns > 0:
                 select.select([self._port.fileno()], [], [], timeout_ns * 1e-9)
-            if self._terminal is not None:
-                try:
-                    if data := os.read(self._terminal, _TERMINAL_CHUNK):
-                        return data
-                except OSError:
-                    pass
-            return bytes(self._port.read(_CHUNK))  # tells a line without bytes from one that is gone
+            elif self._terminal is not None and (data := self._terminal.read()) is not None:
+                return data
+            return bytes(self._port.read(_CHUNK))
         except _LOSSES as error:
             raise self._lost(error) from error
 
@@ -287,6 +281,12 @@ class SerialStream:
             self._reader.join()
             self._unread_bytes = self.unread_bytes()
             self._reader = None
+
+
+def _terminal(port: Any) -> "Terminal":
+    from hil.wire.terminal import Terminal  # POSIX only
+
+    return Terminal(port.fileno())
 
 
 def _close(port: Any) -> None:

@@ -17,7 +17,7 @@ import statistics
 import subprocess
 import sys
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -122,17 +122,17 @@ def _measured(wanted: Wanted) -> dict[str, Any]:
 
 
 @contextmanager
-def _device(link: str, settings: list[str]) -> Iterator[tuple[str, str]]:
-    """Run the virtual robot; yield its link and its truth."""
-    command = [*_HIL, "device", SCENARIO, "--mode", "realtime", "--link", link, *settings]
-    process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=_environment())
+def device(link: str, settings: Sequence[str], hil: Sequence[str] = _HIL, root: Path = ROOT) -> Iterator[list[str]]:
+    """Run the virtual robot of a checkout; yield the arguments by which its ``hil run`` finds it."""
+    command = [*hil, "device", SCENARIO, "--mode", "realtime", "--link", link, *settings]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=environment(root), cwd=root)
     try:
         assert process.stdout is not None
         line = process.stdout.readline()
         if not line.startswith("ready "):
             raise SystemExit(f"the robot did not start: {line}")
         told = dict(part.split("=", 1) for part in line.split()[1:])
-        yield told["link"], told["truth"]
+        yield ["--mode", "realtime", "--link", told["link"], "--truth", told["truth"], *settings]
     finally:
         process.send_signal(signal.SIGTERM)
         process.communicate(timeout=30)
@@ -144,30 +144,19 @@ def _turn(folder: Path, wanted: Wanted) -> Turn:
     settings = ["--set", "expect=[]", *(word for value in values for word in ("--set", f"loop.{value}"))]
     trace = folder / "bus.log"
     files = ["--record", str(folder / "run.rrd") if wanted.is_recorded else "none", "--trace", str(trace), "--force"]
-    with _device(wanted.link, settings) as (link, truth):
-        done = subprocess.run(
-            [
-                *_HIL,
-                "run",
-                SCENARIO,
-                "--mode",
-                "realtime",
-                "--link",
-                link,
-                "--truth",
-                truth,
-                *settings,
-                "--json",
-                *files,
-            ],
-            capture_output=True,
-            text=True,
-            check=False,
-            env=_environment(),
-        )
+    with device(wanted.link, settings) as where:
+        metrics = run([*where, *files])
+    return Turn(metrics, list(_reactions_us(trace)))
+
+
+def run(arguments: Sequence[str], hil: Sequence[str] = _HIL, root: Path = ROOT) -> dict[str, Any]:
+    """Run the scenario with the ``hil run`` of a checkout, and return its metrics."""
+    command = [*hil, "run", SCENARIO, "--json", *arguments]
+    done = subprocess.run(command, capture_output=True, text=True, check=False, env=environment(root), cwd=root)
     if done.returncode != 0:
         raise SystemExit(f"the run failed: {done.stderr}")
-    return Turn(json.loads(done.stdout), list(_reactions_us(trace)))
+    metrics: dict[str, Any] = json.loads(done.stdout)
+    return metrics
 
 
 def _reactions_us(trace: Path) -> Iterator[float]:
@@ -272,8 +261,9 @@ def _write_row(page: Path, figures: dict[str, Any]) -> None:
     page.write_text("\n".join([f"{head}{BEGIN}", *rows, f"{END}{tail}"]), encoding="utf-8")
 
 
-def _environment() -> dict[str, str]:
-    return os.environ | {"PYTHONPATH": str(ROOT)}
+def environment(root: Path = ROOT) -> dict[str, str]:
+    """Return the environment of a process of a checkout."""
+    return os.environ | {"PYTHONPATH": str(root)}
 
 
 if __name__ == "__main__":
