@@ -4,6 +4,7 @@ an interrupted verification goes on, and what is suggested for a survivor notice
 import json
 import os
 import subprocess
+import sys
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -284,7 +285,22 @@ def test_a_verification_that_was_killed_goes_on(suite: Path) -> None:
     assert (out / pages.PAGE).read_text(encoding="utf-8").startswith("# What a green run of this suite is worth")
 
 
-def test_a_file_of_tests_notices_a_mutant(tmp_path: Path) -> None:
+def test_a_file_of_tests_notices_a_mutant_also_in_the_process_of_a_robot(tmp_path: Path) -> None:
+    elsewhere = tmp_path / "test_robot.py"
+    elsewhere.write_text(
+        "def test_it_runs_on_a_robot_in_a_process_of_its_own(hil_run, virtual_robot):\n"
+        '    robot = virtual_robot("circle_speed", mode="lockstep", set={"loop.duration_s": 0.5})\n'
+        '    result = hil_run("circle_speed", on=robot, set={"loop.duration_s": 0.5, "expect": []}, record=False)\n'
+        '    assert abs(result.signals["truth.y_m"][0]) < 0.1\n',
+        encoding="utf-8",
+    )
+    moved = ENTRIES["plant.mass_more"].mutant._replace(id="plant.y", start={"start_y_m": 0.2}).to_text()
+    command = [sys.executable, "-m", "pytest", "-p", "no:cacheprovider", str(elsewhere)]
+    usual = {**os.environ, **environment()}
+    for settings, code in ((usual, 0), ({**usual, VARIABLE: moved}, 1)):
+        done = subprocess.run(command, env=settings, cwd=tmp_path, capture_output=True, text=True, check=False)
+        assert done.returncode == code, done.stdout
+    assert "hil verify has put in the mutant plant.y" in done.stdout
     tests = tmp_path / "test_mine.py"
     tests.write_text(
         "def test_effort(hil_run):\n"

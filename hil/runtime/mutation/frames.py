@@ -15,7 +15,7 @@ _Flow = Callable[[Frame], Iterator[Frame]]
 
 
 def _lose(every: int) -> _Flow:
-    """Lose every so manieth frame."""
+    """Lose one in so many frames."""
     count = 0
 
     def flow(frame: Frame) -> Iterator[Frame]:
@@ -28,7 +28,7 @@ def _lose(every: int) -> _Flow:
 
 
 def _repeat(every: int) -> _Flow:
-    """Pass every so manieth frame twice."""
+    """Pass one in so many frames twice."""
     count = 0
 
     def flow(frame: Frame) -> Iterator[Frame]:
@@ -54,7 +54,7 @@ def _late(frames: int) -> _Flow:
 
 
 def _swap(every: int) -> _Flow:
-    """Hold every so manieth frame until the next one has passed."""
+    """Hold one in so many frames until the next one has passed."""
     count, held = 0, list[Frame]()
 
     def flow(frame: Frame) -> Iterator[Frame]:
@@ -83,7 +83,7 @@ def _flip(bit: int) -> _Flow:
 
 
 def _stale(every: int) -> _Flow:
-    """Pass the payload of the frame before it in place of every so manieth frame's own."""
+    """Pass one in so many frames with the payload of the frame before it."""
     count, last = 0, b""
 
     def flow(frame: Frame) -> Iterator[Frame]:

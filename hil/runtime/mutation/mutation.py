@@ -49,25 +49,29 @@ class Mutation:
         found = self._mutant
         return {} if found is None else {"mutant": found.id, "mutant_sha256": found.sha256}
 
+    def made_of(self, made_of: VirtualRobot) -> VirtualRobot:
+        """Return a robot's configuration with the mutant's start values and FMU; values that an FMU lacks are left."""
+        found, plant = self._mutant, made_of.plant
+        if found is None:
+            return made_of
+        if found.start:
+            defaults = start_defaults(plant.fmu)
+            known = {name: change for name, change in found.start.items() if name in defaults}
+            now = {name: moved(plant.start.get(name, defaults[name]), change) for name, change in known.items()}
+            plant = plant._replace(start={**plant.start, **now})
+        if found.fmu and archive.is_shipped(plant.fmu):
+            plant = plant._replace(fmu=Path(found.fmu))
+        return made_of._replace(plant=plant)
+
     def robot(self, make_robot: MakeRobot) -> MakeRobot:
-        """Return what makes the mutated robot: other start values, another FMU, a changed exchange with the plant."""
-        found = self._mutant
-        if found is None or not (found.start or found.fmu or self._port == "plant"):
+        """Return what makes the mutated robot: another configuration, or a changed exchange with the plant."""
+        if self._mutant is None:
             return make_robot
 
         def make(made_of: VirtualRobot, make_node: MakeNode) -> AbstractContextManager[VirtualStm32]:
-            plant = made_of.plant
-            if found.start:
-                defaults = start_defaults(plant.fmu)
-                # A start value that this FMU does not have changes nothing.
-                known = {name: change for name, change in found.start.items() if name in defaults}
-                now = {name: moved(plant.start.get(name, defaults[name]), change) for name, change in known.items()}
-                plant = plant._replace(start={**plant.start, **now})
-            if found.fmu and archive.is_shipped(plant.fmu):
-                plant = plant._replace(fmu=Path(found.fmu))
-            if self._port == "plant":
-                make_node = exchange.changed_node(make_node, self._wrap)
-            return make_robot(made_of._replace(plant=plant), make_node)
+            changes = self._port == "plant"
+            node = exchange.changed_node(make_node, self._wrap) if changes else make_node
+            return make_robot(self.made_of(made_of), node)
 
         return make
 
