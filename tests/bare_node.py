@@ -57,7 +57,8 @@ class BareNode:
         self.ffi, self.lib = core()
         self.values = PARAMETERS | dict(changes)
         block = self.ffi.new("wheel_parameters *", self.values)
-        identity = self.ffi.new("wheel_identity *", {"capabilities": capabilities, "version": [1, 2, 3], "build": 7})
+        fields = {"capabilities": capabilities, "version": [1, 2, 3], "build": 7}
+        self.identity = identity = self.ffi.new("wheel_identity *", fields)
         self._maximum = identity.maximum = self.ffi.NULL if maximum is None else maximum
         self.node = self.ffi.new("wheel_node *")
         self.drive = self.ffi.new("wheel_drive *")

@@ -166,6 +166,15 @@ def test_hello_tells_the_identity() -> None:
     assert firmware == m.HelloFirmware(1, 2, 3, 0, 7)
 
 
+@pytest.mark.proves("R-HELLO-11")
+@pytest.mark.parametrize(("watchdog_s", "period_s", "told"), [(0.0204, 0.0014, (20, 1)), (0.0206, 0.0016, (21, 2))])
+def test_hello_rounds_periods_to_whole_milliseconds(watchdog_s: float, period_s: float, told: tuple[int, int]) -> None:
+    node = BareNode(changes={"watchdog_s": watchdog_s, "feedback_period_s": period_s})
+    node.send(m.HelloRequest(m.PROTOCOL_VERSION))
+    (held,) = (x for x in node.heard() if isinstance(x, m.HelloParameters))
+    assert (held.watchdog_ms, held.feedback_period_ms) == told
+
+
 def listen(node: BareNode, ticks: int) -> list[object]:
     """Let time pass on a line that takes everything at once."""
     heard: list[object] = []

@@ -17,6 +17,17 @@ def fault_and_clear(node: BareNode) -> None:
     assert node.state is State.IDLE
 
 
+@pytest.mark.proves("R-RESET-2")
+def test_a_node_begins_the_same_whatever_its_memory_held() -> None:
+    fresh, used = BareNode(), BareNode()
+    used.activate()
+    used.tick(100)
+    used.ffi.buffer(used.node)[:] = b"\xa5" * used.ffi.sizeof("wheel_node")
+    used.lib.wheel_node_init(used.node, used.ffi.addressof(fresh.node, "built_in"), used.ffi.NULL, used.identity)
+    fresh.lib.wheel_node_init(fresh.node, fresh.ffi.addressof(used.node, "built_in"), fresh.ffi.NULL, fresh.identity)
+    assert bytes(used.ffi.buffer(used.node)) == bytes(fresh.ffi.buffer(fresh.node))
+
+
 @pytest.mark.proves("R-SES-2")
 def test_a_staged_feedforward_does_not_wait_for_the_next_session() -> None:
     node = BareNode()

@@ -76,15 +76,6 @@ def test_what_is_frozen_has_the_bytes_that_it_had() -> None:
     assert {number for number in m.LENGTHS if number >= 0x700} <= set(range(0x700, 0x710))
 
 
-@pytest.mark.proves("R-HELLO-11")
-@pytest.mark.parametrize(("watchdog_s", "period_s", "told"), [(0.0204, 0.0014, (20, 1)), (0.0206, 0.0016, (21, 2))])
-def test_hello_rounds_periods_to_whole_milliseconds(watchdog_s: float, period_s: float, told: tuple[int, int]) -> None:
-    node = BareNode(changes={"watchdog_s": watchdog_s, "feedback_period_s": period_s})
-    node.send(m.HelloRequest(m.PROTOCOL_VERSION))
-    (held,) = (x for x in node.heard() if isinstance(x, m.HelloParameters))
-    assert (held.watchdog_ms, held.feedback_period_ms) == told
-
-
 # Parameters
 
 

@@ -1,7 +1,16 @@
-"""A pytest plugin for runs that only ask whether anything fails: hypothesis does not look for a smaller example."""
+"""A pytest plugin for runs that only ask whether anything fails: hypothesis does not look for a smaller example.
+
+A run that takes more than ``TOOLS_PROCESSOR_S`` seconds of the processor is ended, as in an endless loop; where the
+system knows no such limit it goes on.
+"""
+
+import contextlib
+import os
 
 import hypothesis
 import pytest
+
+PROCESSOR_S = "TOOLS_PROCESSOR_S"
 
 
 def pytest_configure(config: pytest.Config) -> None:
@@ -9,3 +18,8 @@ def pytest_configure(config: pytest.Config) -> None:
     phases = (hypothesis.Phase.explicit, hypothesis.Phase.generate)
     hypothesis.settings.register_profile("first failure", deadline=None, derandomize=True, phases=phases)
     hypothesis.settings.load_profile("first failure")
+    if limit_s := os.environ.get(PROCESSOR_S):
+        with contextlib.suppress(ImportError):
+            import resource
+
+            resource.setrlimit(resource.RLIMIT_CPU, (int(limit_s), int(limit_s)))
