@@ -1,15 +1,18 @@
 """Baselines: what a scenario's runs had when they were accepted, and what a run against it says."""
 
+import json
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import jsonschema
 import pytest
 import typer
 from hypothesis import given
 from hypothesis import strategies as st
 
 import hil
+from hil.batch import baselines as batch
 from hil.batch.baselines import make_baselines
 from hil.batch.campaign.load import load_plan
 from hil.batch.job import PASSED
@@ -18,7 +21,18 @@ from hil.batch.run import run as run_job
 from hil.cli.baseline import baseline as command
 from hil.cli.testing.verdict import run_as_test
 from hil.core.errors import BadInputError
-from hil.judge.baselines import SHARE, SPREADS, against_baseline, band_of, baseline_figures, baseline_of, moved
+from hil.core.json_lines import json_safe
+from hil.judge import words
+from hil.judge.baselines import (
+    SHARE,
+    SPREADS,
+    against_baseline,
+    band_of,
+    baseline_figures,
+    baseline_of,
+    baseline_words,
+    moved,
+)
 from hil.judge.expectations import figure_outcome
 from hil.judge.measure import NO_TRUTH, Figure
 from hil.judge.words import outcome_rows, why_not_passed
@@ -169,6 +183,15 @@ def test_what_changes_on_the_other_side_fails_the_run(scenario: str, change: dic
     assert hil.run(scenario, set=change, lenient=True).passed
 
 
+@pytest.mark.parametrize("change", [{}, {"plant.start.mass_kg": 23.0}, {"loop.duration_s": 0.5}], ids=str)
+def test_the_json_of_a_run_is_as_its_schema_says(scenario: str, change: dict[str, Any]) -> None:
+    faults = [{"kind": "drop", "target": "command", "value": 0.2}]
+    rows = [{"figure": "t10_s", "baseline": "5%"}, {"at_rest": True}, {"signal": "error.x_m", "below": 9}]
+    for sets in (change, {**change, "fault": faults, "expect": rows}):
+        table = json.loads(json.dumps(json_safe(hil.run(scenario, set=sets).metrics)))
+        jsonschema.validate(table, json.loads(Path(words.__file__).with_name("run.schema.json").read_text()))
+
+
 def test_a_law_s_code_that_changes_fails_the_run(tmp_path: Path) -> None:
     path, law = tmp_path / "mine.toml", tmp_path / "law.py"
     source = "from hil.laws.dsc import Dsc\n\nclass Law(Dsc):\n    pass\n"
@@ -205,6 +228,8 @@ def test_a_scenario_that_was_changed_says_how_to_accept_it(scenario: str) -> Non
 
 def test_other_seeds_and_links_are_judged_by_the_same_figures(scenario: str) -> None:
     assert hil.run(scenario, link="can:virtual/baseline").metrics["baseline"]["frames"]["passed"]
+    assert baseline_words(load(scenario)).endswith("figures")
+    assert baseline_words(load(scenario, mode="realtime")).startswith("not judged against it: it was made in lockstep")
     other = hil.run(scenario, seed=77)
     assert other.passed
     assert other.metrics["baseline"]["frames"] is None, "another seed has other frames"
@@ -341,9 +366,9 @@ def test_the_command_writes_shows_what_moved_and_writes_again_only_when_told(
 ) -> None:
     path, file = tmp_path / "mine.toml", tmp_path / "mine.baseline.toml"
 
-    def called(*, accept: bool = False) -> tuple[int, str]:
+    def called(**options: bool) -> tuple[int, str]:
         with pytest.raises(typer.Exit) as ended:
-            command([str(path)], accept=accept, seeds=2, jobs=1)
+            command([str(path)], seeds=2, jobs=1, **options)
         return ended.value.exit_code, capsys.readouterr().out
 
     path.write_text(SCENARIO.replace("1.0", "0.4"))
@@ -357,9 +382,14 @@ def test_the_command_writes_shows_what_moved_and_writes_again_only_when_told(
     assert (code, file.read_text()) == (1, first)
     assert " in place of " in text
     assert "stays as it is; if the change is meant, add --accept" in text
-    code, text = called(accept=True)
+    code, text = called(accept=True, as_json=True)
     assert code == 0
-    assert text.index(" in place of ") < text.index("figures of 2 seeds")
+    table = json.loads(text)
+    jsonschema.validate(table, json.loads(Path(batch.__file__).with_suffix(".schema.json").read_text()))
+    (told,) = table["baselines"]
+    assert told["written"]
+    assert all(" in place of " in row["text"] for row in told["moved"])
+    assert told["moved"]
     assert file.read_text() != first
     assert hil.run(str(path)).passed
 

@@ -19,6 +19,8 @@ from hil.scenario import Scenario
 from hil.scenario.baseline import Baseline, place, text_of
 
 KIND = "hil.batch.baselines:run"
+SCHEMA = "hil.baseline/1"
+"""Name and version of the command's JSON; ``baselines.schema.json`` beside this file describes it."""
 _SEEDS = 2**32
 
 

@@ -30,7 +30,7 @@ def baseline(
     Where there is a baseline already, print what has moved and by how much; exit 1 if something has, and write it with
     --accept alone.
     """
-    from hil.batch.baselines import make_baselines
+    from hil.batch.baselines import SCHEMA, make_baselines
     from hil.scenario import load
 
     loaded = [load(name, mode=mode, link=link, robot=robot) for name in scenarios]
@@ -43,7 +43,7 @@ def baseline(
         if is_written:
             one.write()
     results = list(zip(found, written, strict=True))
-    plain = {"baselines": [{**one.plain(), "written": is_written} for one, is_written in results]}
+    plain = {"schema": SCHEMA, "baselines": [{**one.plain(), "written": is_written} for one, is_written in results]}
     print_result(as_json, plain, (line for one, is_written in results for line in _lines(one, is_written=is_written)))
     is_bad = any(one.failed or (one.has_moved and not is_written) for one, is_written in results)
     raise typer.Exit(1 if is_bad else 0)

@@ -22,13 +22,16 @@ def check(
     as_json: Json = False,
 ) -> None:
     """Check a scenario without running it: its values, its law, and whether the robot can follow its reference."""
+    from hil.judge.baselines import baseline_words
     from hil.runtime.assembly import check_scenario
     from hil.scenario import load
 
     resolved = load(scenario, set=sets or [], robot=robot, mode=mode, link=link, seed=seed)
     feasibility = check_scenario(resolved)
-    found = {"scenario": resolved.name, "reference": {"kind": resolved.reference.kind, **feasibility.figures()}}
-    print_result(as_json, found, rows(_rows(feasibility)))
+    baseline = baseline_words(resolved)
+    reference = {"kind": resolved.reference.kind, **feasibility.figures()}
+    found = {"scenario": resolved.name, "reference": reference, "baseline": baseline}
+    print_result(as_json, found, rows([*_rows(feasibility), ("baseline", baseline)]))
     raise typer.Exit(1 if feasibility.sentences else 0)
 
 

@@ -103,7 +103,7 @@ def run(
         raise RunInterruptedError(f"interrupted; the robot was told to stop{kept}") from None
     except (LinkError, DeviceError) as error:
         if as_json:
-            print_json({"passed": False, "failure": str(error)})
+            _print_failure(str(error))
         raise
     print_result(as_json, result.metrics, _lines(result))
     if result.failure is not None:
@@ -111,9 +111,16 @@ def run(
     raise typer.Exit(result.exit_code)
 
 
+def _print_failure(sentence: str) -> None:
+    """Print the JSON of a run that could not begin."""
+    from hil.judge.words import SCHEMA
+
+    print_json({"schema": SCHEMA, "passed": False, "failure": sentence})
+
+
 def _print_stuck(sentence: str) -> None:
     """Print the JSON of a run before its stuck law ends this process."""
-    print_json({"passed": False, "failure": sentence})
+    _print_failure(sentence)
     flush_output()
 
 

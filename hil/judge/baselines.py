@@ -57,6 +57,14 @@ def why_not_judged(scenario: Scenario, baseline: Baseline) -> str | None:
     return "its scenario was another one; if the change is meant, accept it with `hil baseline --accept`"
 
 
+def baseline_words(scenario: Scenario) -> str:
+    """Return whether the runs of a scenario are judged against a baseline, in a few words."""
+    if (baseline := scenario.baseline) is None:
+        return "none; `hil baseline` makes it"
+    why = why_not_judged(scenario, baseline)
+    return f"{baseline.file}, {len(baseline.figure)} figures" if why is None else f"not judged against it: {why}"
+
+
 class Moved(NamedTuple):
     """A figure of a run that is not where its baseline has it; a value is None where there is none."""
 
@@ -115,9 +123,9 @@ def against_baseline(scenario: Scenario, metrics: Mapping[str, Any], *, is_cut: 
 
 def _frames(baseline: Baseline, wire_sha256: str) -> dict[str, Any]:
     """Return whether the frames on the wire were the same; on another platform ``passed`` is None if they were not."""
-    here, is_same = this_platform(), wire_sha256 == baseline.wire_sha256
-    if is_same:
+    if wire_sha256 == baseline.wire_sha256:
         return {"passed": True, "text": "the frames on the wire are the same"}
+    here = this_platform()
     hashes = f"wire_sha256 is {wire_sha256[:12]}, not {baseline.wire_sha256[:12]}"
     if here == baseline.platform:
         return {"passed": False, "text": f"the frames on the wire are others: {hashes}"}

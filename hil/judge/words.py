@@ -13,6 +13,8 @@ from hil.scenario.trial import AllowTable
 
 Row = tuple[str, str]
 
+SCHEMA = "hil.run/1"
+"""Name and version of a run's JSON; ``run.schema.json`` beside this file describes it."""
 LENIENT = "judged by [[expect]] alone: not by [allow], the baseline, or whether every fault was applied"
 
 

@@ -9,7 +9,7 @@ from hil.judge.baselines import against_baseline
 from hil.judge.expectations import Count, allow_figures, figure_outcome, outcome_figures
 from hil.judge.figures import cut_words
 from hil.judge.results import MemorySink
-from hil.judge.words import applied_words, baseline_rows, judged, set_lost_rows, with_page
+from hil.judge.words import SCHEMA, applied_words, baseline_rows, judged, set_lost_rows, with_page
 from hil.record import RunRecording
 from hil.runtime.bench import Bench
 from hil.runtime.loop import Loop, Report
@@ -60,6 +60,7 @@ def run_figures(
         reasons["pose_fixes"] = f"{scenario.estimator.source!r} takes none"
     device = bench.device
     metrics: dict[str, Any] = {
+        "schema": SCHEMA,
         "passed": None,
         "lenient": lenient,
         "scenario": scenario.name,
