@@ -106,6 +106,7 @@ _LISTS = {
     "laws": (("law", "package", "meaning"), "hil.laws.registry:laws"),
     "references": (("reference", "package", "meaning"), "hil.references:references"),
     "scenarios": (("scenario", "meaning"), "hil.scenario:shipped"),
+    "suite": (("scenario", "meaning"), "hil.scenario:suite"),
     "links": (("link", "meaning"), "hil.wire.url:link_forms"),
     "faults": (("kind", "acts on", "target", "value", "meaning"), "hil.cli.list:fault_rows"),
     "drivers": (DRIVER_COLUMNS, "hil.cli.list:driver_rows"),
@@ -114,7 +115,7 @@ _LISTS = {
 
 
 def list_(what: Annotated[str, Argument(metavar="|".join(_LISTS))], as_json: Json = False) -> None:
-    """Print the signals, figures, laws, references, scenarios, forms of links, kinds of faults or drivers."""
+    """Print the signals, figures, laws, references, scenarios, their suite, forms of links, kinds of faults or drivers."""
     header, rows = listing(what)
     print_result(as_json, [dict(zip(header, row, strict=True)) for row in rows], table([header, *rows]))
 

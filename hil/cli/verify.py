@@ -21,7 +21,9 @@ def verify(
     ] = None,
     room: Annotated[list[str] | None, Option(metavar="ROOM", help="only mutants of this room; repeatable")] = None,
     mutant: Annotated[list[str] | None, Option(metavar="ID", help="only this mutant; repeatable")] = None,
-    sample: Annotated[int | None, Option(metavar="N", help="only N mutants, chosen by --seed", min=1)] = None,
+    sample: Annotated[
+        int | None, Option(metavar="N", help="only N mutants, chosen by --seed; 0 runs the suite alone", min=0)
+    ] = None,
     seed: Annotated[int, Option(metavar="N", help="chooses the sample and the fresh seeds", min=0)] = 0,
     healthy: Annotated[
         int | None,

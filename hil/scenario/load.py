@@ -25,6 +25,8 @@ from hil.scenario.toml_text import key_lines, parse, parse_value
 from hil.scenario.values import is_path
 
 SHIPPED_DIRECTORY = Path(__file__).parent / "shipped"
+SUITE_DIRECTORY = SHIPPED_DIRECTORY / "suite"
+"""Short scenarios that go where defects are: what ``hil verify`` runs."""
 ROBOT_TABLES = ("robot", "firmware", "device", "link", "realtime")
 """Tables that a robot's own file may hold, so that any scenario runs on it."""
 
@@ -49,10 +51,19 @@ class _File(NamedTuple):
 
 
 def shipped() -> dict[str, str]:
-    """Return the shipped scenarios by name, each with the first comment line of its file."""
+    """Return the shipped scenarios by name, each with the first comment line of its file; without the suite's."""
+    return _titles(SHIPPED_DIRECTORY)
+
+
+def suite() -> dict[str, str]:
+    """Return the scenarios of the shipped suite, as ``shipped``."""
+    return _titles(SUITE_DIRECTORY)
+
+
+def _titles(folder: Path) -> dict[str, str]:
     return {
         path.stem: path.read_text("utf-8").partition("\n")[0].lstrip("# ").rstrip()
-        for path in sorted(SHIPPED_DIRECTORY.glob(f"*{_SUFFIX}"))
+        for path in sorted(folder.glob(f"*{_SUFFIX}"))
         if not path.name.endswith(BASELINE_SUFFIX)
     }
 
@@ -113,7 +124,7 @@ class Sources(NamedTuple):
         return Scenario(
             **vars(tables),
             name=self.file.path.name.removesuffix(TEST_SUFFIX).removesuffix(_SUFFIX),
-            path=None if directory == SHIPPED_DIRECTORY else self.file.path,
+            path=None if directory in (SHIPPED_DIRECTORY, SUITE_DIRECTORY) else self.file.path,
             directory=directory,
             provenance={key: where.get(key, "default") for key, _ in values(tables)},
         )
@@ -142,11 +153,13 @@ def _open_scenario(name: str | Path, extended_by: _File | None) -> _File:
     text = str(name)
     prefix = f"scenario {text}" if extended_by is None else _extends(extended_by, text)
     if isinstance(name, str) and not is_path(name):
-        if name not in shipped():
+        known = shipped() | suite()
+        if name not in known:
             beside = f"; for the file write {name}{_SUFFIX}" if Path(f"{name}{_SUFFIX}").is_file() else ""
-            hint = beside or f"{nearest(name, shipped())}; the path of a file ends in {_SUFFIX}"
+            hint = beside or f"{nearest(name, known)}; the path of a file ends in {_SUFFIX}"
             raise BadInputError(f"{prefix}: no shipped scenario has this name{hint}")
-        return _read(SHIPPED_DIRECTORY / f"{name}{_SUFFIX}", f"{name}{_SUFFIX}", prefix)
+        folder = SHIPPED_DIRECTORY if name in shipped() else SUITE_DIRECTORY
+        return _read(folder / f"{name}{_SUFFIX}", f"{name}{_SUFFIX}", prefix)
     if extended_by is None:
         return _read(Path.cwd() / text, text, prefix)
     return _read(extended_by.path.parent / text, str(Path(extended_by.display).parent / text), prefix)

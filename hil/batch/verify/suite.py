@@ -17,7 +17,7 @@ from hil.plant import archive
 from hil.plant.description import start_defaults
 from hil.runtime.mutation import moved
 from hil.runtime.robots import link_of, plant_start
-from hil.scenario import Scenario, load, shipped
+from hil.scenario import Scenario, load, shipped, suite
 
 RUN, TESTS = "hil.batch.verify.run:run", "hil.batch.verify.run:run_tests"
 """The kinds of job."""
@@ -59,7 +59,7 @@ def read_suite(names: Sequence[str]) -> list[Member]:
     Raises BadInputError for what is neither, and for a scenario that does not run in this process in lockstep.
     """
     found: dict[str, Member] = {}
-    for name in names or shipped():
+    for name in names or [*shipped(), *suite()]:
         path = Path(name)
         for one in _in_folder(path) if path.is_dir() else [name]:
             member = _member(str(one))

@@ -1,0 +1,30 @@
+"""The shipped suite is green: each of its scenarios passes, and is found by its name."""
+
+import pytest
+
+from hil.runtime.assembly import RunOptions, run_scenario
+from hil.scenario import load, shipped, suite
+from hil.scenario.load import SUITE_DIRECTORY
+
+
+@pytest.mark.parametrize("name", suite())
+def test_a_scenario_of_the_suite_passes(name: str) -> None:
+    scenario = load(name)
+    result = run_scenario(scenario, RunOptions(record=None, keep_signals=False))
+    assert result.passed, result
+    assert scenario.path is None
+    assert scenario.directory == SUITE_DIRECTORY
+
+
+def test_no_name_stands_for_two_scenarios_and_each_has_a_title() -> None:
+    assert not set(suite()) & set(shipped())
+    assert all(title and not title.endswith(".") for title in suite().values())
+
+
+def test_the_suite_has_each_law_and_each_driver() -> None:
+    from hil.drivers.registry import SHIPPED as DRIVERS
+    from hil.laws.registry import SHIPPED as LAWS
+
+    scenarios = [load(name) for name in suite()]
+    assert {one.controller.law for one in scenarios} >= set(LAWS)
+    assert {one.device.driver for one in scenarios} >= set(DRIVERS) - {"dbc"}
