@@ -19,7 +19,7 @@ SHIPPED = {
     "check": "Check a scenario without running it: its values, its law, and whether the robot can follow its "
     "reference.",
     "show": "Print every value of a scenario and where it came from.",
-    "list": "Print the signals, figures, laws, references, scenarios, forms of links, kinds of faults or drivers.",
+    "list": "Print signals, figures, laws, references, scenarios, those of the suite, links, faults or drivers.",
     "baseline": "Write the figures of a scenario's runs beside it, for later runs to be compared with.",
     "review": "Report from its recording alone how a run went and why; with two runs, which figures became better "
     "or worse.",

@@ -115,7 +115,7 @@ _LISTS = {
 
 
 def list_(what: Annotated[str, Argument(metavar="|".join(_LISTS))], as_json: Json = False) -> None:
-    """Print the signals, figures, laws, references, scenarios, their suite, forms of links, kinds of faults or drivers."""
+    """Print signals, figures, laws, references, scenarios, those of the suite, links, faults or drivers."""
     header, rows = listing(what)
     print_result(as_json, [dict(zip(header, row, strict=True)) for row in rows], table([header, *rows]))
 

@@ -156,7 +156,7 @@ def _open_scenario(name: str | Path, extended_by: _File | None) -> _File:
         known = shipped() | suite()
         if name not in known:
             beside = f"; for the file write {name}{_SUFFIX}" if Path(f"{name}{_SUFFIX}").is_file() else ""
-            hint = beside or f"{nearest(name, known)}; the path of a file ends in {_SUFFIX}"
+            hint = beside or f"{nearest(name, known, nearest(name, shipped()))}; the path of a file ends in {_SUFFIX}"
             raise BadInputError(f"{prefix}: no shipped scenario has this name{hint}")
         folder = SHIPPED_DIRECTORY if name in shipped() else SUITE_DIRECTORY
         return _read(folder / f"{name}{_SUFFIX}", f"{name}{_SUFFIX}", prefix)
