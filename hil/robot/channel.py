@@ -2,6 +2,7 @@
 
 import time
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 from firmware_protocol.client import MOST_TICKS, Client
@@ -28,6 +29,11 @@ class Channel:
     """Exchanges frames between ``client`` and the robot at the other end of ``link``.
 
     ``on_message`` gets every message that is not part of a snapshot, with its time of arrival.
+
+    Attributes:
+        receive: real time: takes what has arrived, and sends what is then due. Returns the time at which nothing was
+            left to be read. None if there may be more: it is read in the next tick, because a host that is slower than
+            its robot would never finish.
     """
 
     def __init__(self, link: ConditionedLink, client: Client, on_message: Callable[[Message, int], None]) -> None:
@@ -40,7 +46,10 @@ class Channel:
             self._direct.serve(client)
         self._is_plain = link.is_plain
         # A line without conditions passes bytes between stream and client, in the library.
-        self._line = link.transport if self._is_plain and isinstance(link.transport, StreamLink) else None
+        self._line = line = link.transport if self._is_plain and isinstance(link.transport, StreamLink) else None
+        self.receive: Callable[[], int | None] = self._receive
+        if line is not None:
+            self.receive = partial(line.receive_for, client, link.clock, self._attend_from)
         self._round_trips_seen = 0
         self._round_trip = RoundTrip()
 
@@ -123,14 +132,7 @@ class Channel:
             at = self._client.take(packed, at, stamp_ns)
             self._attend(packed, stamp_ns)
 
-    def receive(self) -> int | None:
-        """Real time: take what has arrived, and send what is then due.
-
-        Return the time at which nothing was left to be read. None if there may be more: it is read in the next tick,
-        because a host that is slower than its robot would never finish.
-        """
-        if self._line is not None:
-            return self._line.receive_for(self._client, self._link.clock, self._attend_from)
+    def _receive(self) -> int | None:
         taken = 0
         while taken < _MOST_FRAMES and (received := self._link.receive(0)) is not None:
             self.take(received)

@@ -78,10 +78,13 @@ class CommandLatency:
         if not 0 <= latency_ns <= self._longest_ns:
             return
         recent, in_order = self._recent_ns, self._sorted_ns
-        if len(recent) == _COMMANDS:
-            del in_order[bisect_left(in_order, recent.popleft())]
         recent.append(latency_ns)
+        oldest_ns = recent.popleft() if len(recent) > _COMMANDS else None
+        if oldest_ns == latency_ns:
+            return
         insort(in_order, latency_ns)
+        if oldest_ns is not None:
+            del in_order[bisect_left(in_order, oldest_ns)]
         if len(recent) >= _FEWEST_COMMANDS:
             self.s = in_order[(len(in_order) - 1) // 2] * 1e-9
 

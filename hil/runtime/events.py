@@ -31,7 +31,7 @@ class RunEvents:
         output: ChildOutput | None = None,
     ) -> None:
         self._note = note
-        self._output = ChildOutput() if output is None else output
+        self._output = output
         self._t_at = 8 * names.index("loop.t_s")
         self._expect = scenario.expect
         self._places = {name: 8 * place for place, name in enumerate(names)}
@@ -59,7 +59,7 @@ class RunEvents:
         (t_s,) = _value_at(row, self._t_at)
         if t_s >= self._next_s:
             self._cross(t_s)
-        if self._output:
+        if self._output is not None and self._output:
             log_lines(self._output.new_lines(), t_s, self._note)
         for places, watch in self._open:
             if watch.add(t_s, [_value_at(row, at)[0] for at in places]):
@@ -70,7 +70,8 @@ class RunEvents:
 
         They are by their place in the scenario. ``is_cut``: the run ended before its planned duration.
         """
-        log_lines(self._output.end(), t_s, self._note)
+        if self._output is not None:
+            log_lines(self._output.end(), t_s, self._note)
         for words in self._in_force:
             self._note(t_s, "info", f"fault ends with the run: {words}")
         cut_s = t_s if is_cut else None
