@@ -13,6 +13,8 @@ from firmware_protocol.framing import Deframer, Frame, Framer
 from firmware_protocol.generated import messages as m
 from hil.core.clock import WallClock
 from hil.core.errors import LinkError
+from hil.robot.channel import Channel
+from hil.wire.conditions import ConditionedLink
 from hil.wire.framed import StreamLink
 from hil.wire.robot_end import SerialWire
 from hil.wire.streams import memory_pair
@@ -163,21 +165,18 @@ def test_a_read_that_does_not_wait_gets_what_is_there_and_notices_a_loss():
 
 def test_a_client_takes_what_a_handshake_left_and_more_than_one_read_holds():
     here, there = memory_pair()
-    link, client = StreamLink(here), new_client()
-    clock = WallClock()
-    framer = Framer()
+    line, clock, client, framer = StreamLink(here), WallClock(), new_client(), Framer()
+    link = ConditionedLink(line, clock)
+    heard: list[int] = []
+    channel = Channel(link, client, lambda message, _: heard.append(message.sequence))
     ticks = [codec.encode(m.Tick(number * 1000, number % 256, 3, 0, 0, 0)) for number in range(400)]
-    there.write(b"".join(framer.encode(frame) for frame in ticks[:120]))
-    assert len(link.receive(0).frames) == 50
-    there.write(b"".join(framer.encode(frame) for frame in ticks[120:]))
-    attended = []
-
-    def attend(packed: bytes, at: int, stamp_ns: int) -> None:
-        attended.append(stamp_ns)
-        while at < len(packed):
-            at = client.take(packed, at, stamp_ns)
-
-    assert link.receive_for(client, clock, attend) is not None
-    assert (client.view.received, link.received_frames) == (350, 400)
-    assert link.receive_for(client, clock, attend) is not None
-    assert len(attended) == 1, "that of the handshake"
+    frames = [*ticks[:50], *(codec.encode(m.TimeSyncResponse(0, 0, number)) for number in range(60)), *ticks[50:]]
+    there.write(b"".join(framer.encode(frame) for frame in frames[:105]))
+    for _ in range(2):
+        channel.take(link.receive(0))
+    assert heard == list(range(50))
+    there.write(b"".join(framer.encode(frame) for frame in frames[105:]))
+    assert channel.receive() is not None
+    assert heard == list(range(60))
+    assert (client.view.received, line.received_frames) == (460, 460)
+    assert channel.receive() is not None

@@ -143,8 +143,9 @@ class Channel:
         return now_ns if taken < _MOST_FRAMES else None
 
     def _attend_from(self, packed: bytes, at: int, stamp_ns: int) -> None:
-        """Go on where the client has stopped in packed frames."""
-        self._attend(packed, stamp_ns)
+        """Go on where the client has stopped in packed frames; at 0 it has not begun."""
+        if at:
+            self._attend(packed, stamp_ns)
         self._take_from(packed, at, stamp_ns)
         self._client.poll(stamp_ns)
         self.flush()
