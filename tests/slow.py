@@ -25,6 +25,7 @@ SLOW = (
     "test_install.py",
     "test_mujoco_fmu.py",
     "test_reset_cause.py",
+    "test_verify.py::test_every_mutant_of_the_c_sources_compiles",
     # Emulators, browsers, other kernels.
     "test_qemu.py",
     "test_socketcan_inside.py",
@@ -51,7 +52,9 @@ SLOW = (
     "test_tick_watch.py",
     "test_trace.py::test_a_trace_of_a_run_that_was_killed_is_readable_up_to_the_cut",
     "test_trace.py::test_a_device_traces_its_own_end",
+    "test_verify.py::test_a_verification_that_was_killed_goes_on",
     # Many runs, or long ones.
+    "test_verify.py::test_a_file_of_tests_notices_a_mutant_also_in_the_process_of_a_robot",
     "test_comparison.py::test_the_command_gives_and_writes_the_figures_of_the_runs_the_same_every_time",
     "test_fmu_calls.py::test_two_thousand_instances_leave_nothing_behind",
     "test_law_code.py::test_a_pair_review_says_that_the_laws_file_changed",

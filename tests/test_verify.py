@@ -54,7 +54,6 @@ def test_the_page_on_mutants_names_every_port_and_change() -> None:
         assert f"`{name}`" in page
 
 
-@pytest.mark.slow
 def test_every_mutant_of_the_c_sources_compiles(tmp_path: Path) -> None:
     assert engine.build(CATALOGUE.mutants, tmp_path).keys() == ENTRIES.keys()
 

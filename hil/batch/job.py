@@ -26,7 +26,8 @@ class Job(NamedTuple):
             Outcome.
         scenario: the resolved scenario, as ``hil.scenario.to_plain`` gives it.
         options: further inputs of the kind; part of the key. ``mutant`` among them is the mutant of the process that
-            does the job (``hil.core.mutant``); only ``hil verify`` sets it.
+            does the job (``hil.core.mutant``); only ``hil verify`` sets it. ``process`` names a process that does only
+            jobs with the same name.
         library: path of a firmware library to run in place of the built one; None for the built one.
         library_sha256: its hash, which is part of the key.
         limit_s: wall-clock time [s] after which it is ended as hung.

@@ -170,11 +170,11 @@ class Runner:
 
 
 def _made_for(job: Job) -> tuple[object, ...]:
-    return job.kind, job.library, job.options.get("mutant")
+    return job.kind, job.library, job.options.get("mutant"), job.options.get("process")
 
 
 class _Process:
-    """One worker process; ``made_for`` is the kind, the library and the mutant of the jobs that it can do."""
+    """One worker process; ``made_for`` is what the jobs that it can do have in common."""
 
     def __init__(self, job: Job) -> None:
         self.made_for = _made_for(job)

@@ -8,7 +8,7 @@ from hil.batch.job import PASSED, REFUSED, Job, Outcome
 from hil.batch.verify.catalogue import Entry
 from hil.batch.verify.suite import Member
 from hil.core.errors import BadInputError
-from hil.core.mutant import Mutant
+from hil.core.mutant import Mutant, module_of
 
 _FACTOR, _LEAST_S = 10.0, 20.0
 """A run with a mutant is ended after so many times the time of the healthy one, and at least so long [s]."""
@@ -24,12 +24,21 @@ class Built(NamedTuple):
 
 
 class Trial:
-    """A mutant under trial: what the members of the suite made of it so far, in order."""
+    """A mutant under trial: what the members of the suite made of it so far, in order.
+
+    ``members`` are those that can come to where it is; None before the trial begins.
+    """
 
     def __init__(self, built: Built) -> None:
         self.entry = built.entry
         self.built = built
         self.outcomes: dict[str, Outcome] = {}
+        self.members: Sequence[str] | None = None
+
+    @property
+    def is_over(self) -> bool:
+        """Whether a member has noticed it, or all have been run."""
+        return self.noticed_by is not None or (self.members is not None and len(self.outcomes) == len(self.members))
 
     @property
     def noticed_by(self) -> str | None:
@@ -90,11 +99,6 @@ class VerifyPlan:
         """How many mutants have been tried."""
         return len(self.trials) - len(self._waiting) - len(self._active)
 
-    @property
-    def size(self) -> int:
-        """How many members the suite has."""
-        return len(self._members)
-
     def member(self, name: str) -> Member:
         """Return a member by its name."""
         return self._members[name]
@@ -116,7 +120,7 @@ class VerifyPlan:
             self._noticed[trial.entry.target, member] += 1
             self._noticed[trial.entry.room, member] += 1
             self._noticed["", member] += 1
-        if outcome.status != PASSED or len(trial.outcomes) == len(self._members):
+        if trial.is_over:
             self._active.remove(trial)
 
     def _next(self) -> Job | None:
@@ -127,20 +131,35 @@ class VerifyPlan:
             return None
         busy = {id(trial) for trial, _ in self._running.values()}
         trial = next((one for one in self._active if id(one) not in busy), None)
-        if trial is None and self._waiting:
-            self._active.append(trial := self._waiting.popleft())
+        while trial is None and self._waiting:
+            trial = self._begun(self._waiting.popleft())
         if trial is not None:
             return self._start(trial, Healthy(self._next_member(trial)))
         return self._start(None, self._varied.popleft()) if self._varied else None
 
+    def _begun(self, trial: Trial) -> Trial | None:
+        """Begin a trial and return it; None if it is over at once, because no member imports what is changed.
+
+        A member that did not import a module of Python without the mutant does not import it with it.
+        """
+        changed = {module_of(patch.file) for patch in trial.built.mutant.patches}
+        imported = {name: outcome.details.get("modules") for name, outcome in self._nominal.items()}
+        trial.members = [
+            name for name, modules in imported.items() if not changed or modules is None or changed & {*modules}
+        ]
+        if not trial.members:
+            return None
+        self._active.append(trial)
+        return trial
+
     def _start(self, trial: Trial | None, run: Healthy) -> Job:
         member = run.member
         if trial is None:
-            job = member.job(limit_s=self._limit_s)
+            job = member.job(alone=not run.varied, limit_s=self._limit_s)
             self.runs[job.key] = run
         else:
             limit_s = max(_LEAST_S, _FACTOR * self._nominal[member.name].wall_s)
-            job = member.job(trial.built.mutant, trial.built.library, min(limit_s, self._limit_s))
+            job = member.job(trial.built.mutant, trial.built.library, limit_s=min(limit_s, self._limit_s))
         self._running[job.key] = trial, member.name
         return job
 
@@ -153,7 +172,8 @@ class VerifyPlan:
             score = _SAME_TARGET * noticed[entry.target, name] + _SAME_ROOM * noticed[entry.room, name]
             return (score + noticed["", name] + 1.0) / (self._nominal[name].wall_s + 0.2)
 
-        return max((one for name, one in self._members.items() if name not in trial.outcomes), key=worth)
+        left = [self._members[name] for name in trial.members or () if name not in trial.outcomes]
+        return max(left, key=worth)
 
     def _take_nominal(self, member: Member, outcome: Outcome) -> None:
         if outcome.status != PASSED:

@@ -26,11 +26,15 @@ Extremes = list[float | None]
 """Of a signal: least and greatest value in the whole run, then in its second half; None where one is not finite."""
 _OF_MACHINE = ("deadline_misses", "realtime_factor", "tick_us.p50", "tick_us.p99")
 _NOT_OF_THE_RUN = ("loop.", "link.clock")
+_PACKAGES = ("hil.", "firmware_protocol.", "plant_fmu.")
 _NO_TESTS = 5
 
 
 def run(job: Job, scenario: Scenario) -> Outcome:
-    """Run a scenario. The figures are those that can be expected, and the wire's hash; details have ``extremes``."""
+    """Run a scenario. The figures are those that can be expected, and the wire's hash; details have ``extremes``.
+
+    In a process of its own they have the ``modules`` of this package that it has imported.
+    """
 
     def judge(result: RunResult) -> Outcome:
         status = FAILED if result.failure is None else ENDED
@@ -41,7 +45,9 @@ def run(job: Job, scenario: Scenario) -> Outcome:
         known = {key: figure for key, figure in figures_by_key().items() if figure.name not in _OF_MACHINE}
         figures: dict[str, Any] = {key: number(metrics, figure.name) for key, figure in known.items()}
         figures |= {"wire_sha256": metrics["wire_sha256"], "applied": [row["applied"] for row in metrics["fault"]]}
-        details = {"extremes": extremes(result.signals, scenario.loop.duration_s)}
+        details: dict[str, Any] = {"extremes": extremes(result.signals, scenario.loop.duration_s)}
+        if "process" in job.options:
+            details["modules"] = sorted(name for name in sys.modules if name.startswith(_PACKAGES))
         return Outcome(job.key, status, reason, figures, details)
 
     return attempt(job, scenario, judge, RunOptions(make_robot=_kept().robot))

@@ -31,9 +31,16 @@ class Member(NamedTuple):
     scenario: Scenario
     tests: Path | None = None
 
-    def job(self, mutant: Mutant | None = None, library: str | None = None, limit_s: float = 120.0) -> Job:
-        """Return the job of the member, with a mutant and its firmware library if it has one."""
-        options: dict[str, Any] = {"code": _code()} | ({} if mutant is None else {"mutant": mutant.to_text()})
+    def job(
+        self, mutant: Mutant | None = None, library: str | None = None, *, alone: bool = False, limit_s: float = 120.0
+    ) -> Job:
+        """Return the job of the member, with a mutant and its firmware library if it has one.
+
+        ``alone``: in a process of its own, which tells the modules that it has imported.
+        """
+        options: dict[str, Any] = {"code": _code()} | ({"process": self.name} if alone else {})
+        if mutant is not None:
+            options["mutant"] = mutant.to_text()
         if self.tests is not None:
             options |= {"tests": str(self.tests), "sha256": hashlib.sha256(self.tests.read_bytes()).hexdigest()}
         kind = RUN if self.tests is None else TESTS

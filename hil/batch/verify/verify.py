@@ -113,7 +113,7 @@ def verify(
                 if new and (store.is_rested or not some):
                     store.append([_row(outcome) for outcome in new])
                     new = []
-                survivors = [trial for trial in plan.trials if _is_over(trial, plan) and trial.noticed_by is None]
+                survivors = [trial for trial in plan.trials if trial.is_over and trial.noticed_by is None]
                 on_progress(plan.done, len(plan.trials), _last_words(survivors), len(survivors))
         finally:
             store.append([_row(outcome) for outcome in new])
@@ -173,10 +173,6 @@ def _varied(request: Request) -> list[Healthy]:
     return found
 
 
-def _is_over(trial: Trial, plan: VerifyPlan) -> bool:
-    return trial.noticed_by is not None or len(trial.outcomes) == plan.size
-
-
 def _last_words(survivors: Sequence[Trial]) -> str | None:
     return f"{survivors[-1].entry.id}: nothing noticed that {survivors[-1].entry.wrong}" if survivors else None
 
@@ -202,7 +198,7 @@ def _verdict(trial: Trial, plan: VerifyPlan) -> Verdict:
 def _differs(outcome: Outcome, plan: VerifyPlan, member: str) -> bool:
     """Whether any figure, any byte on the wire, or the extremes of any signal differ from those without a mutant."""
     healthy = plan.nominal(member)
-    return (outcome.figures, outcome.details) != (healthy.figures, healthy.details)
+    return (outcome.figures, outcome.details.get("extremes")) != (healthy.figures, healthy.details.get("extremes"))
 
 
 def _suggestion(outcome: Outcome, plan: VerifyPlan, member: str) -> Suggestion | None:
