@@ -87,6 +87,13 @@ def test_a_band_is_the_largest_of_three_spreads_a_share_and_the_resolution(
     assert all(abs(one - band.value) <= band.band for one in every), "what made it is inside it"
 
 
+def test_a_time_may_differ_by_a_tick_where_chance_matters() -> None:
+    trip = baseline_figures()["round_trip_p99_ms"]
+    assert band_of(trip, [10.0, 10.0]).band == pytest.approx(0.2)
+    assert band_of(trip, [10.0, 10.0], tick_s=0.005).band == pytest.approx(5.0)
+    assert band_of(baseline_figures()["t10_s"], [1.0], tick_s=0.1).band == pytest.approx(0.1)
+
+
 @given(VALUES, st.floats(0, 10), st.floats(-30, 30))
 def test_a_figure_has_moved_where_it_is_outside_its_band(value: float, band: float, away: float) -> None:
     baseline = Baseline("x", "", "lockstep", "", (1,), "", {"t10_s": Band(value, 0.0, band)})

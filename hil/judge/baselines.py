@@ -15,13 +15,15 @@ _DIGITS = 9
 _MODES = {"lockstep": "in lockstep", "realtime": "in real time"}
 
 
-def band_of(figure: Figure, values: Sequence[float]) -> Band:
+def band_of(figure: Figure, values: Sequence[float], tick_s: float = 0.0) -> Band:
     """Return the band of a figure from its values in runs with different seeds, first that with the scenario's own.
 
-    It is the largest of three times the spread, 2 % of the value, and the figure's resolution.
+    It is the largest of three times the spread, 2 % of the value, and the figure's resolution. ``tick_s`` is the period
+    of the loop where chance matters, else 0.
     """
     value, spread = values[0], max(values) - min(values)
-    band = max(SPREADS * spread, SHARE * abs(value), figure.resolution)
+    tick = tick_s * (1e3 if figure.unit == "ms" and figure.scale == 1.0 else 1.0)
+    band = max(SPREADS * spread, SHARE * abs(value), figure.resolution, figure.resolution_ticks * tick)
     return Band(*(float(f"{one:.{_DIGITS}g}") for one in (value, spread, band)))
 
 
@@ -35,11 +37,12 @@ def baseline_of(scenario: Scenario, runs: Mapping[int, Mapping[str, Any]]) -> Ba
 
     A figure that one of the runs does not have is left out.
     """
-    figures = {}
-    for key, figure in baseline_figures().items():
-        values = [number(metrics, figure.name) for metrics in runs.values()]
-        if (known := [value for value in values if value is not None]) == values:
-            figures[key] = band_of(figure, known)
+    known = baseline_figures()
+    values = {key: [number(metrics, figure.name) for metrics in runs.values()] for key, figure in known.items()}
+    whole = {key: [one for one in row if one is not None] for key, row in values.items() if None not in row}
+    is_random = any(max(row) != min(row) for row in whole.values())
+    tick_s = 1.0 / scenario.loop.rate_hz if is_random else 0.0
+    figures = {key: band_of(known[key], row, tick_s) for key, row in whole.items()}
     wire_sha256 = next(iter(runs.values()))["wire_sha256"] if scenario.loop.mode == "lockstep" else ""
     asked, mode = asked_sha256(scenario), scenario.loop.mode
     return Baseline(scenario.name, asked, mode, this_platform(), tuple(runs), wire_sha256, figures)

@@ -158,7 +158,7 @@ class Saturation(Measure):
 
     figures = (
         Figure("saturation_s", "saturated for", "s", 1.0, "how long a wheel's command was at its limit",
-               column="saturation_s", resolution=0.005),
+               column="saturation_s", resolution=0.005, resolution_ticks=1),
     )  # fmt: skip
     signals = (
         "loop.t_s",

@@ -25,6 +25,7 @@ class Figure(NamedTuple):
         of_end: whether it describes the run's end; a run that ended early then lacks the figure.
         printed: whether reports print it on a line of its own.
         resolution: the smallest difference that says something, in the unit in which it is stored.
+        resolution_ticks: the same where chance matters, in periods of the loop, for a time that is found tick by tick.
         of_machine: whether it depends on how fast this machine is, so that no baseline has it.
     """
 
@@ -38,6 +39,7 @@ class Figure(NamedTuple):
     of_end: bool = False
     printed: bool = True
     resolution: float = 0.0
+    resolution_ticks: float = 0.0
     of_machine: bool = False
 
     @property

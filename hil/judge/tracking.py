@@ -48,9 +48,9 @@ class Tracking(Measure):
     figures = (
         Figure("tracked_s", "tracked after", "s", 1.0,
                "first time from which the planar error stays below 2 % of its initial value", column="tracked_s",
-               of_end=True, resolution=0.005),
+               of_end=True, resolution=0.005, resolution_ticks=1),
         Figure("t10_s", "within 10 mm after", "s", 1.0, "first time from which the planar error stays below 10 mm",
-               column="t10_s", of_end=True, resolution=0.005),
+               column="t10_s", of_end=True, resolution=0.005, resolution_ticks=1),
         Figure("steady_rms_m", "steady error rms", "mm", 1e3, "planar error over the last 5 s, root mean square",
                column="steady_rms_m", of_end=True, resolution=2e-6),
         Figure("steady_max_m", "steady error max", "mm", 1e3, "planar error over the last 5 s, largest",
