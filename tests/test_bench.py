@@ -4,12 +4,14 @@ import json
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from tests.plant_testbed import FMU
 from tools import socketcan
 from tools.bench.__main__ import AT_LEAST, BENCHES, Row, judge
+from tools.bench.realtime_tick import figures_of
 
 ROOT = Path(__file__).parents[1]
 
@@ -35,6 +37,30 @@ def test_the_cost_of_foreign_can_traffic_is_printed_as_a_ratio() -> None:
     assert done.returncode == 0, done.stderr
     for words in ("python-can, recv loop", "CanLink.receive", "27 of 2048 identifiers"):
         assert words in done.stdout
+
+
+@pytest.mark.alone
+@pytest.mark.parametrize("place", [[], ["--one-process"]])
+def test_a_tick_in_real_time_is_measured_in_turns_with_a_sleeper(place: list[str], tmp_path: Path) -> None:
+    file = tmp_path / "figures.json"
+    command = [sys.executable, "-m", "tools.bench.realtime_tick", "--seconds", "0.4", "--turns", "1", *place]
+    done = subprocess.run([*command, "--json", str(file)], cwd=ROOT, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    assert "only sleeps" in done.stdout
+    figures = json.loads(file.read_text())
+    assert 0.0 < figures["ours"]["tick_us"]["p50"] < figures["ours"]["tick_us"]["p99"]
+    assert 0.0 <= figures["asleep"]["skipped_percent"] <= 100.0
+
+
+def test_the_figures_of_a_tick_in_real_time_are_ratios_of_the_turns() -> None:
+    def turn(p50_us: float, skipped: int) -> dict[str, Any]:
+        return {"tick_us": {"p50": p50_us, "p99": 2 * p50_us}, "ticks": 1000 - skipped, "deadline_misses": skipped}
+
+    turns = {"ours": [turn(30, 5), turn(90, 15), turn(40, 10)], "peer": [turn(60, 0), turn(100, 0), turn(50, 0)]}
+    figures = figures_of(turns, [0, 3, 6], 1.0)
+    assert figures["ours"] == {"tick_us": {"p50": 40, "p99": 80}, "skipped_percent": pytest.approx(1.0)}
+    assert figures["skipped"]["beyond_asleep_percent"] == pytest.approx(0.7)
+    assert figures["of_peer"] == {"median": pytest.approx(0.8), "turns": pytest.approx([0.5, 0.8, 0.9])}
 
 
 @pytest.mark.alone

@@ -95,6 +95,11 @@ BENCHES = (
     ),
     Bench("lateness", None, ()),
     Bench(
+        "realtime_tick",
+        None,
+        (Row("ticks skipped beyond a sleeper's [%]", ("skipped", "beyond_asleep_percent"), AT_MOST, 1.0, 1.0),),
+    ),
+    Bench(
         "campaign",
         ("--runs", "0", "--seconds", "1", "--turns", "1", "--turn-runs", "10", "--short-runs", "100"),
         (

@@ -121,9 +121,21 @@ def _measured(wanted: Wanted) -> dict[str, Any]:
     return _figures(wanted, turns, ours, sleeper)
 
 
+class Robot(NamedTuple):
+    """Where a virtual robot is: URLs of its link and of its truth; no truth for one in the run's own process."""
+
+    link: str
+    truth: str | None
+
+    def arguments(self) -> list[str]:
+        """Return those of ``hil run`` in real time."""
+        truth = [] if self.truth is None else ["--truth", self.truth]
+        return ["--mode", "realtime", "--link", self.link, *truth]
+
+
 @contextmanager
-def device(link: str, settings: Sequence[str], hil: Sequence[str] = _HIL, root: Path = ROOT) -> Iterator[list[str]]:
-    """Run the virtual robot of a checkout; yield the arguments by which its ``hil run`` finds it."""
+def device(link: str, settings: Sequence[str], hil: Sequence[str] = _HIL, root: Path = ROOT) -> Iterator[Robot]:
+    """Run the virtual robot of a checkout."""
     command = [*hil, "device", SCENARIO, "--mode", "realtime", "--link", link, *settings]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=environment(root), cwd=root)
     try:
@@ -132,7 +144,7 @@ def device(link: str, settings: Sequence[str], hil: Sequence[str] = _HIL, root: 
         if not line.startswith("ready "):
             raise SystemExit(f"the robot did not start: {line}")
         told = dict(part.split("=", 1) for part in line.split()[1:])
-        yield ["--mode", "realtime", "--link", told["link"], "--truth", told["truth"], *settings]
+        yield Robot(told["link"], told["truth"])
     finally:
         process.send_signal(signal.SIGTERM)
         process.communicate(timeout=30)
@@ -144,8 +156,8 @@ def _turn(folder: Path, wanted: Wanted) -> Turn:
     settings = ["--set", "expect=[]", *(word for value in values for word in ("--set", f"loop.{value}"))]
     trace = folder / "bus.log"
     files = ["--record", str(folder / "run.rrd") if wanted.is_recorded else "none", "--trace", str(trace), "--force"]
-    with device(wanted.link, settings) as where:
-        metrics = run([*where, *files])
+    with device(wanted.link, settings) as robot:
+        metrics = run([*robot.arguments(), *settings, *files])
     return Turn(metrics, list(_reactions_us(trace)))
 
 
@@ -154,7 +166,7 @@ def run(arguments: Sequence[str], hil: Sequence[str] = _HIL, root: Path = ROOT) 
     command = [*hil, "run", SCENARIO, "--json", *arguments]
     done = subprocess.run(command, capture_output=True, text=True, check=False, env=environment(root), cwd=root)
     if done.returncode != 0:
-        raise SystemExit(f"the run failed: {done.stderr}")
+        raise SystemExit(f"the run failed: {done.stderr or done.stdout}")
     metrics: dict[str, Any] = json.loads(done.stdout)
     return metrics
 

@@ -1,12 +1,15 @@
 """Where the time of a tick goes, part by part: ``python -m tools.bench.parts``.
 
-The paper's circle in lockstep over ``memory:``, as in ``tools.bench.tick``. Each part is timed in a run of its own, so
-that the timers of others do not add to it; figures are medians. A part that is indented is contained in the one above.
+The paper's circle in lockstep over ``memory:``, as in ``tools.bench.tick``; with ``--realtime`` over a pseudo-terminal
+to a robot in a process of its own. Each part is timed in a run of its own, so that the timers of others do not add to
+it; figures are medians. A part that is indented is contained in the one above. The share is that of the tick in the
+same run: it can be compared between parts where a busy machine changes the times.
 """
 
 import argparse
+import json
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -16,7 +19,7 @@ from rich.table import Table
 from firmware_protocol.client import Client
 from hil.core.guard import Guard
 from hil.estimation.truth import TruthEstimator
-from hil.judge.results import MemorySink
+from hil.judge.results import MemorySink, RunResult
 from hil.laws.surface import SurfaceLaw
 from hil.plant.fmu import FmuPlant
 from hil.references.circle import Circle
@@ -24,11 +27,16 @@ from hil.robot.direct import DirectLink
 from hil.robot.stm32 import Stm32
 from hil.runtime.assembly import RunOptions, run_scenario
 from hil.runtime.freshness import Freshness
+from hil.runtime.lateness import Lateness
 from hil.runtime.loop import Loop
 from hil.runtime.row import RowWriter
 from hil.runtime.sampling import Sampling
 from hil.runtime.tick import Tick
 from hil.scenario import load
+from hil.wire.framed import StreamLink
+from hil.wire.serial_port import SerialStream
+from hil.wire.statistics import LinkStatistics
+from tools.bench.lateness import Robot, device
 
 SCENARIO = "paper_circle"
 FIRST = 600  # calls that do not count
@@ -61,19 +69,51 @@ PARTS = (
 )
 
 
+REALTIME_PARTS = (
+    Part("the tick", Loop, "_tick"),
+    Part("feedback: fresh? the robot ACTIVE?", Freshness, "poll", 1),
+    Part("poll", Stm32, "poll", 2),
+    Part("bytes from the line to the client", StreamLink, "receive_for", 3),
+    Part("the read: two system calls", SerialStream, "read", 4),
+    Part("feedback from the snapshot", Client, "feedback", 3),
+    Part("estimate", TruthEstimator, "update", 1),
+    Part("reference", Circle, "at", 1),
+    Part("law, guard, command, row", Tick, "drive", 1),
+    Part("law (AFDSC)", SurfaceLaw, "update", 2),
+    Part("guard", Guard, "apply", 2),
+    Part("command", Stm32, "send", 2),
+    Part("bytes from the client to the line", StreamLink, "send_from", 3),
+    Part("the write: one system call", SerialStream, "write", 4),
+    Part("latency for the law", Tick, "_measure_latency", 2),
+    Part("row", RowWriter, "write", 2),
+    Part("bytes and load of the line", LinkStatistics, "traffic", 3),
+    Part("figures of the run", MemorySink, "put", 3),
+    Part("lateness", Lateness, "add", 1),
+)
+
+
+class Took(NamedTuple):
+    """The median time of a part's calls, and its share of a tick."""
+
+    part_us: float
+    of_tick: float
+
+
 def main() -> None:
     """Measure and print."""
     parser = argparse.ArgumentParser(prog="tools.bench.parts", description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("--seconds", type=float, default=3.0, help="of robot time a part")
-    seconds = parser.parse_args().seconds
-    table = Table("part", "µs p50", title="where a tick goes")
-    for part in PARTS:
-        table.add_row("  " * part.depth + part.what, f"{took_us(part, seconds):.2f}")
+    parser.add_argument("--realtime", action="store_true", help="over a pseudo-terminal, at 1 kHz")
+    options = parser.parse_args()
+    table = Table("part", "µs p50", "of the tick", title="where a tick goes")
+    for part in REALTIME_PARTS if options.realtime else PARTS:
+        took = took_of(part, options.seconds, is_realtime=options.realtime)
+        table.add_row("  " * part.depth + part.what, f"{took.part_us:.2f}", f"{took.of_tick:.2f}")
     Console().print(table)
 
 
-def took_us(part: Part, seconds: float) -> float:
-    """Return the median time of a part's calls in one run [µs], without what the timer takes."""
+def took_of(part: Part, seconds: float, *, is_realtime: bool) -> Took:
+    """Return what a part took in one run, without what the timer takes."""
     plain: Callable[..., Any] = getattr(part.kind, part.method)
     taken_ns: list[int] = []
     now_ns = time.perf_counter_ns
@@ -85,12 +125,23 @@ def took_us(part: Part, seconds: float) -> float:
         return result
 
     setattr(part.kind, part.method, timed)
+    settings = {"loop.duration_s": seconds, "expect": [], "loop.rearm": True}
     try:
-        scenario = load(SCENARIO, mode="lockstep", link="memory:", set={"loop.duration_s": seconds, "expect": []})
-        run_scenario(scenario, RunOptions(record=None, keep_signals=False))
+        if is_realtime:
+            words = [word for name, value in settings.items() for word in ("--set", f"{name}={json.dumps(value)}")]
+            with device("serial:pty", words) as robot:
+                result = _run("realtime", settings, robot)
+        else:
+            result = _run("lockstep", settings, Robot("memory:", None))
     finally:
         setattr(part.kind, part.method, plain)
-    return (float(np.median(taken_ns[FIRST:])) - _timer_ns()) * 1e-3
+    part_us = (float(np.median(taken_ns[FIRST:])) - _timer_ns()) * 1e-3
+    return Took(part_us, part_us / result.metrics["tick_us"]["p50"])
+
+
+def _run(mode: str, settings: Mapping[str, object], robot: Robot) -> RunResult:
+    scenario = load(SCENARIO, mode=mode, link=robot.link, set=settings)
+    return run_scenario(scenario, RunOptions(truth=robot.truth, record=None, keep_signals=False))
 
 
 def _timer_ns() -> float:

@@ -3,7 +3,7 @@
 The paper's circle at 1 kHz, not recorded, the robot in a process of its own or, with ``--one-process``, in that of the
 controller. In turns with it runs a process that only sleeps: from tick to tick, with the same clock and rights. With
 ``--peer`` the ``hil`` of another checkout takes part in the turns. A busy machine makes all of them slower, so what
-counts is the median of the ratios of the turns.
+counts is the median of the ratios of the turns. ``tools.bench.parts --realtime`` shows where the time goes.
 """
 
 import argparse
@@ -21,7 +21,7 @@ from rich.table import Table
 from hil.core.clock import WallClock
 from hil.runtime.realtime import real_time
 from hil.scenario.tables import RealtimeTable
-from tools.bench.lateness import ROOT, device, environment, run
+from tools.bench.lateness import ROOT, Robot, device, environment, run
 
 PERIOD_NS = 1_000_000
 THIS = "tools.bench.realtime_tick"
@@ -67,7 +67,8 @@ def figures_of(turns: dict[str, list[dict[str, Any]]], asleep: Sequence[int], se
         figures[name] = {"tick_us": work, "skipped_percent": 100.0 * skipped / (ticks + skipped)}
     wakes = len(asleep) * seconds * 1e9 / PERIOD_NS
     figures["asleep"] = {"skipped_percent": 100.0 * sum(asleep) / wakes}
-    figures["skipped_beyond_asleep_percent"] = figures["ours"]["skipped_percent"] - figures["asleep"]["skipped_percent"]
+    beyond = figures["ours"]["skipped_percent"] - figures["asleep"]["skipped_percent"]
+    figures["skipped"] = {"beyond_asleep_percent": beyond}
     if "peer" in turns:
         ratios = [
             ours["tick_us"]["p50"] / peer["tick_us"]["p50"]
@@ -83,9 +84,9 @@ def _turn(hil: Sequence[str], root: Path, seconds: float, *, is_one_process: boo
     settings = [word for value in values for word in ("--set", value)]
     unrecorded = ["--record", "none"]
     if is_one_process:
-        return run(["--mode", "realtime", "--link", _LINK, *settings, *unrecorded], hil, root)
-    with device(_LINK, settings, hil, root) as where:
-        return run([*where, *unrecorded], hil, root)
+        return run([*Robot(_LINK, None).arguments(), *settings, *unrecorded], hil, root)
+    with device(_LINK, settings, hil, root) as robot:
+        return run([*robot.arguments(), *settings, *unrecorded], hil, root)
 
 
 def _sleep(seconds: float) -> int:
