@@ -82,7 +82,7 @@ check: setup .venv/tools
 ## show what the tests of the firmware are worth
 proof: setup .venv/tools
 	$(BIN)/python -m tools.coverage_firmware
-	$(BIN)/python -m tools.mutate --sample 12
+	$(BIN)/python -m tools.mutate --sample 12 $(foreach file,states receive supervise node,--file $(file).c)
 
 # ARGS goes to tools.bench, as in make bench ARGS=--short.
 ## measure what a run costs, against named peers

@@ -7,6 +7,7 @@ import pytest
 from firmware_protocol.capabilities import Capability
 from firmware_protocol.generated import messages as m
 from firmware_protocol.generated.messages import State
+from firmware_protocol.host import parameters
 from tests.bare_node import ALL, BareNode, core
 from tests.wheel_rig import WheelRig
 
@@ -249,9 +250,11 @@ def test_the_reason_of_a_stop_is_kept_until_the_next_session(state: State, event
 def test_a_robot_of_a_wrong_build_boots_into_a_fault_that_nothing_clears(name: str, value: float) -> None:
     good = BareNode(changes={"torque_limit_n_m": 1.0})
     stored = good.ffi.new("uint8_t[]", 96)
+    (minimum,) = (pytest.approx(row.minimum) for row in parameters() if row.name == name)
     good.lib.wheel_parameters_store(good.ffi.addressof(good.node, "parameters"), 0, stored)
     for node in (BareNode(changes={name: value}), BareNode(changes={name: value}, stored=bytes(stored))):
         assert (node.state, node.node.fault) == (State.FAULT, m.Fault.PARAMETERS)
+        assert getattr(node.node.built_in, name) == minimum, "a number that all may compute with"
         for nonce in range(1, 5):
             node.heartbeat(m.Request.CLEAR, nonce)
             node.send(m.ParameterRequest(0, m.Operation.RESTORE, 0, 0))

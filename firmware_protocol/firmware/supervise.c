@@ -35,7 +35,7 @@
 #define MIRRORED_PART 0.3f
 /* The others contradict a wheel when their speed differs from its own by more than this part. */
 #define CONTRADICTED_PART 0.3f
-/* A torque of at least this part of the limit moves a wheel. */
+/* A torque of more than this part of the limit moves a wheel. */
 #define MOVING_TORQUE 0.2f
 
 static bool is_plausible(float x) {
