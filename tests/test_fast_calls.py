@@ -9,9 +9,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from firmware_protocol.client import Client
+from firmware_protocol.codec import encode
 from firmware_protocol.fast_calls import RowLayout, Scaled, fast_calls
-from firmware_protocol.framing import Frame, pack
+from firmware_protocol.framing import Frame, Framer, pack
 from firmware_protocol.generated import messages as m
+from firmware_protocol.host_line import HostLine
 from hil.core.types import Axes, Wheels
 from hil.robot.snapshot import Feedback
 from tests.client_rig import feed, feedback, new_client, sent
@@ -142,6 +144,7 @@ def test_what_is_no_bytes_raises(wrong: object) -> None:
         lambda: calls.take(client.address, wrong, 0, 0),
         lambda: calls.exchange(0, 0, client.address, wrong),
         lambda: calls.split(wrong, 0x300),
+        lambda: HostLine().receive_for(client.address, wrong, 0),  # type: ignore[arg-type]
     ):
         with pytest.raises(TypeError):
             call()
@@ -158,6 +161,74 @@ def test_a_number_that_is_no_int_raises() -> None:
         with pytest.raises(TypeError):
             call()
     assert not client.view.out_bytes
+
+
+some_frames = st.lists(
+    st.sampled_from(
+        [m.Tick(1000, 3, 7, m.State.ACTIVE, 1, 1), m.Encoders(1, 2, 3, 4), m.TimeSyncResponse(1, 2, 3), m.StepDone(7)]
+    ).map(encode),
+    max_size=12,
+)
+
+
+@given(frames=some_frames, noise=st.binary(max_size=20), cut=st.integers(0, 200))
+def test_received_bytes_leave_a_client_as_their_frames_do(frames: list[Frame], noise: bytes, cut: int) -> None:
+    here, packed_way = HostLine(), HostLine()
+    at_once, one_by_one = new_client(), new_client()
+    framer = Framer()
+    data = noise + b"\0" + b"".join(framer.encode(frame) for frame in frames)
+    for piece in (data[:cut], data[cut:]):
+        taken = here.receive_for(at_once.address, piece, 5)
+        packed = packed_way.feed(piece).packed
+        if not isinstance(taken, int):
+            rest, at = taken
+            assert rest == packed
+            while at < len(rest):
+                at = at_once.take(rest, at, 5)
+        at = 0
+        while at < len(packed):
+            at = one_by_one.take(packed, at, 5)
+    assert (at_once.view.received, at_once.view.step_done_tick) == (
+        one_by_one.view.received,
+        one_by_one.view.step_done_tick,
+    )
+    assert at_once.hexdigest() == one_by_one.hexdigest()
+    assert here.rejected == packed_way.rejected
+
+
+def test_what_waits_is_encoded_as_a_line_does() -> None:
+    here, packed_way, client = HostLine(), HostLine(), new_client()
+    assert here.encode_for(client.address) == b""
+    for _ in range(2):
+        client.command(FOUR, FOUR, 0)
+        client.estop()
+        packed = client.out().packed
+        assert here.encode_for(client.address) == packed_way.encode_packed(packed)
+        assert client.sent() == 3
+        assert here.encode_for(client.address) == b""
+
+
+def test_what_is_due_is_added_when_all_was_taken() -> None:
+    line, client = HostLine(), new_client()
+    client.request(m.Request.IDLE, 0)
+    client.sent()
+    assert line.receive_for(client.address, b"", 99_999_999) == 0
+    assert line.receive_for(client.address, b"", 100_000_000) == (b"", 0)
+    assert [message.request for message in sent(client)] == [m.Request.IDLE]
+
+
+def test_a_thousand_receptions_leave_no_object_behind() -> None:
+    line, client, framer = HostLine(), new_client(), Framer()
+    data = framer.encode(encode(m.TimeSyncResponse(1, 2, 3)))
+    before = sys.getrefcount(data)
+    tracemalloc.start()
+    for _ in range(1000):
+        assert not isinstance(line.receive_for(client.address, data, 0), int)
+        client.hash_log()
+    kept_bytes, _ = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert sys.getrefcount(data) == before
+    assert kept_bytes < 10_000
 
 
 def test_a_thousand_splits_leave_no_object_behind() -> None:
