@@ -49,11 +49,7 @@ def _changed_measurement(measured: Any, of: str, change: Change) -> Any:
 
 
 class _Law(Part):
-    """A law whose inputs or outputs are changed."""
-
-    def reset(self, state: State, reference: Reference) -> None:
-        if self._of != "no_reset":
-            self._part.reset(*self._inputs(state, reference, fresh=False))
+    """A law whose inputs or outputs are changed; a reset has what its caller gives."""
 
     def update(self, reference: Reference, state: State, applied: Applied, dt_s: float) -> WheelCommand:
         of, change = self._of, self._change
@@ -65,11 +61,9 @@ class _Law(Part):
         command: WheelCommand = self._part.update(reference, state, applied, dt_s)
         return _changed_command(command, of, change) if of in _COMMAND else command
 
-    def _inputs(self, state: State, reference: Reference, fresh: bool = True) -> tuple[State, Reference]:
-        """Return the inputs as the law sees them. A reset comes just before an update with the same inputs."""
+    def _inputs(self, state: State, reference: Reference) -> tuple[State, Reference]:
+        """Return the inputs as the law sees them."""
         of, change = self._of, self._change
-        if not fresh:
-            return state, reference
         match of:
             case "pose":
                 return state._replace(pose=Pose(*change(state.pose))), reference
