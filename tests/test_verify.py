@@ -26,6 +26,7 @@ from hil.review.reader import read
 from hil.runtime.mutation import exchange, frames, wrappers
 from hil.runtime.mutation.change import CHANGES, ORDER
 from hil.scenario import load
+from hil.scenario.baseline import this_platform
 from tests.processes import environment, hil, wait_for
 
 SHORT = {"loop.duration_s": 1.0, "loop.rate_hz": 200, "expect": []}
@@ -314,6 +315,25 @@ def test_a_file_of_tests_notices_a_mutant_also_in_the_process_of_a_robot(tmp_pat
     assert (heavy.verdict, heavy.by) == ("noticed", str(tests))
     assert str(heavy.reason).startswith("test_effort: ")
     assert other.verdict == "unreached", "the bytes of its run are the same"
+
+
+def test_a_baseline_notices_and_its_bytes_are_told_apart(tmp_path: Path) -> None:
+    mutants = [ENTRIES["plant.gyro_noise"], ENTRIES["plant.mass_more"]]
+    (judged,) = read_suite(["circle_speed"])
+    (bare,) = read_suite(["circle_speed"], baselines=False)
+    assert judged.scenario.baseline is not None
+    assert bare.scenario.baseline is None
+    assert judged.varied(7, {}).scenario.baseline is judged.scenario.baseline
+    assert judged.varied(7, {"mass_kg": "*1.01"}).scenario.baseline is None
+    assert judged.job().key != bare.job().key
+    with_it = engine.verify(engine.Request([judged], mutants, {}, 0, tmp_path / "with", workers=1))
+    is_here = judged.scenario.baseline.platform == this_platform()
+    assert [(one.verdict, one.by_bytes) for one in with_it.verdicts] == [
+        ("noticed", True) if is_here else ("survived", False),
+        ("noticed", False),
+    ]
+    without = engine.verify(engine.Request([bare], mutants[:1], {}, 0, tmp_path / "without", workers=1))
+    assert [one.verdict for one in without.verdicts] == ["survived"]
 
 
 def test_healthy_runs_that_fail_are_false_alarms(suite: Path) -> None:

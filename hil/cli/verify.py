@@ -29,6 +29,7 @@ def verify(
         int | None,
         Option(metavar="N", help="healthy runs with fresh seeds and variations; default: 6 a scenario", min=0),
     ] = None,
+    no_baseline: Annotated[bool, Option("--no-baseline", help="judge by expectations and [allow] alone")] = False,
     out: Annotated[Path, Option(metavar="DIR", help="the page, and what is done so far")] = Path("runs/verify"),
     jobs: Jobs = None,
     limit_s: Limit = 600.0,
@@ -47,7 +48,7 @@ def verify(
 
     catalogue = read_catalogue(mutants or [])
     wanted = chosen(catalogue.mutants, room or [], mutant or [], sample, seed)
-    members = read_suite(suite or [])
+    members = read_suite(suite or [], baselines=not no_baseline)
     further = 6 * sum(member.tests is None for member in members) if healthy is None else healthy
     request = engine.Request(members, wanted, catalogue.variations, further, out, seed, jobs, limit_s)
     with batch(as_json=as_json) as progress:

@@ -37,6 +37,7 @@ def as_json(found: Verification) -> dict[str, Any]:
         "schema": SCHEMA,
         "passed": found.passed,
         "noticed_part": noticed_part(found.verdicts),
+        "by_bytes": _by_bytes(found),
         "counts": _counts(found.verdicts),
         "rooms": {room: _counts(of_room) for room, of_room in _by_room(found)},
         "healthy": {
@@ -62,6 +63,8 @@ def lines(found: Verification, page: Path | None = None) -> Iterator[str]:
     part = noticed_part(found.verdicts)
     share = "" if part is None else f" ({100.0 * part:.1f} %)"
     yield f"  {'all':<10} {_summary(found.verdicts)}{share}"
+    if count := _by_bytes(found):
+        yield f"  {count} of them by other bytes than the baseline's alone, which another platform does not judge"
     yield f"  {len(found.alarms)} false alarms in {found.healthy} healthy runs; {found.wall_s:.0f} s"
     if page is not None:
         yield f"  all of it: {page}"
@@ -79,6 +82,7 @@ def page(found: Verification) -> str:
         "# What a green run of this suite is worth\n",
         "Known defects were put in, one at a time, and the suite was run on each until a member of it noticed. "
         + ("" if part is None else f"**It noticed {100.0 * part:.1f} %** of those that change something.")
+        + _BY_BYTES.format(_by_bytes(found)) * bool(_by_bytes(found))
         + f" {found.healthy} healthy runs, with fresh seeds and permitted variations, raised {len(found.alarms)} false "
         "alarms.\n",
         markdown_table([head, *rows]),
@@ -101,6 +105,10 @@ def page(found: Verification) -> str:
     return "\n".join(text for text in texts if text)
 
 
+_BY_BYTES = (
+    " Of these, {} by nothing but other bytes on the wire than those of a baseline, which are judged on its own "
+    "platform alone; `--no-baseline` shows what the expectations notice."
+)
 _SURVIVORS = """## Not noticed
 
 Survived: figures or bytes moved, and all passed. Unreached: nothing changed in any run, so no member of the suite goes
@@ -147,10 +155,15 @@ def _mutant(one: Verdict) -> dict[str, Any]:
         "verdict": one.verdict,
         "by": one.by,
         "reason": one.reason,
+        "by_bytes": one.by_bytes,
         "moved": list(one.moved),
         "runs": one.runs,
         "suggestion": None if found is None else {**found._asdict(), "toml": found.toml},
     }
+
+
+def _by_bytes(found: Verification) -> int:
+    return sum(one.by_bytes for one in found.verdicts if one.verdict == NOTICED)
 
 
 def _bad(found: Verification) -> list[Verdict]:

@@ -31,14 +31,16 @@ _NO_TESTS = 5
 
 
 def run(job: Job, scenario: Scenario) -> Outcome:
-    """Run a scenario. The figures are those that can be expected, and the wire's hash; details have ``extremes``.
+    """Run a scenario. The figures are those that can be expected, and the wire's hash; details have ``extremes``, and
+    ``by_bytes``: whether nothing but other bytes on the wire than those of its baseline failed it.
 
     In a process of its own they have the ``modules`` of this package that it has imported.
     """
 
     def judge(result: RunResult) -> Outcome:
         status = FAILED if result.failure is None else ENDED
-        reason = next((words for _, words in why_not_passed(result.metrics)), None)
+        reasons = list(why_not_passed(result.metrics))
+        reason = next((words for _, words in reasons), None)
         if result.passed:
             status, reason = PASSED, None
         metrics = result.metrics
@@ -46,6 +48,8 @@ def run(job: Job, scenario: Scenario) -> Outcome:
         figures: dict[str, Any] = {key: number(metrics, figure.name) for key, figure in known.items()}
         figures |= {"wire_sha256": metrics["wire_sha256"], "applied": [row["applied"] for row in metrics["fault"]]}
         details: dict[str, Any] = {"extremes": extremes(result.signals, scenario.loop.duration_s)}
+        baseline = metrics["baseline"] or {}
+        details["by_bytes"] = {kind for kind, _ in reasons} == {"baseline"} and not baseline["figures"]
         if "process" in job.options:
             details["modules"] = sorted(name for name in sys.modules if name.startswith(_PACKAGES))
         return Outcome(job.key, status, reason, figures, details)

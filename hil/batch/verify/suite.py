@@ -2,6 +2,7 @@
 
 import functools
 import hashlib
+import json
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -13,6 +14,7 @@ from hil.batch.keys import make_job
 from hil.core import TEST_SUFFIX
 from hil.core.errors import BadInputError
 from hil.core.mutant import Mutant
+from hil.core.options import plain
 from hil.plant import archive
 from hil.plant.description import start_defaults
 from hil.runtime.mutation import moved
@@ -38,18 +40,22 @@ class Member(NamedTuple):
 
         ``alone``: in a process of its own, which tells the modules that it has imported.
         """
-        options: dict[str, Any] = {"code": _code()} | ({"process": self.name} if alone else {})
+        baseline = None if self.scenario.baseline is None else plain(self.scenario.baseline)
+        options: dict[str, Any] = {"code": _code(), "baseline": _sha256(json.dumps(baseline, sort_keys=True).encode())}
+        if alone:
+            options["process"] = self.name
         if mutant is not None:
             options["mutant"] = mutant.to_text()
         if self.tests is not None:
-            options |= {"tests": str(self.tests), "sha256": hashlib.sha256(self.tests.read_bytes()).hexdigest()}
+            options |= {"tests": str(self.tests), "sha256": _sha256(self.tests.read_bytes())}
         kind = RUN if self.tests is None else TESTS
         return make_job(self.scenario, kind, options, None if library is None else Path(library), limit_s=limit_s)
 
     def varied(self, seed: int, variation: Mapping[str, Any]) -> "Member":
         """Return the scenario with another seed and with start values that a healthy robot may have.
 
-        Start values that its FMU does not have are left out. Raises ValueError as ``moved``.
+        Start values that its FMU does not have are left out. A varied plant is judged without the baseline, which is
+        that of one plant and there to notice another. Raises ValueError as ``moved``.
         """
         scenario = self.scenario
         fmu = archive.locate(scenario.plant.fmu, scenario.directory)
@@ -57,11 +63,14 @@ class Member(NamedTuple):
         now = {**defaults, **plant_start(scenario, archive.read_header(fmu).parameters)}
         changed = {name: moved(now[name], change) for name, change in variation.items() if name in defaults}
         plant = replace(scenario.plant, start={**scenario.plant.start, **changed})
-        return self._replace(scenario=replace(scenario, plant=plant, loop=replace(scenario.loop, seed=seed)))
+        loop, baseline = replace(scenario.loop, seed=seed), None if changed else scenario.baseline
+        return self._replace(scenario=replace(scenario, plant=plant, loop=loop, baseline=baseline))
 
 
-def read_suite(names: Sequence[str]) -> list[Member]:
+def read_suite(names: Sequence[str], *, baselines: bool = True) -> list[Member]:
     """Return the members that are named: scenarios, test files, and folders of these; without any, the shipped ones.
+
+    Without ``baselines`` they are judged by their expectations and [allow] alone.
 
     Raises BadInputError for what is neither, and for a scenario that does not run in this process in lockstep.
     """
@@ -70,7 +79,8 @@ def read_suite(names: Sequence[str]) -> list[Member]:
         path = Path(name)
         for one in _in_folder(path) if path.is_dir() else [name]:
             member = _member(str(one))
-            found[member.name] = member
+            kept = member.scenario.baseline if baselines else None
+            found[member.name] = member._replace(scenario=replace(member.scenario, baseline=kept))
     return list(found.values())
 
 
@@ -81,6 +91,10 @@ def _code() -> str:
     for path in sorted((ROOT / "hil").rglob("*.py")):
         digest.update(path.relative_to(ROOT).as_posix().encode() + b"\0" + path.read_bytes())
     return digest.hexdigest()
+
+
+def _sha256(content: bytes) -> str:
+    return hashlib.sha256(content).hexdigest()
 
 
 def _in_folder(folder: Path) -> list[Path]:

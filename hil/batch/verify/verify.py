@@ -62,6 +62,8 @@ class Verdict(NamedTuple):
 
     Attributes:
         entry: the mutant. verdict: one of the constants above. by, reason: the member that noticed it, and its words.
+        by_bytes: whether that member found nothing but other bytes on the wire, which its baseline judges on its own
+            platform alone.
         moved: the members whose figures or bytes it changed without a notice. suggestion: what would have noticed it.
         runs: how many members were run on it.
     """
@@ -70,6 +72,7 @@ class Verdict(NamedTuple):
     verdict: str
     by: str | None = None
     reason: str | None = None
+    by_bytes: bool = False
     moved: Sequence[str] = ()
     suggestion: Suggestion | None = None
     runs: int = 0
@@ -185,7 +188,9 @@ def _verdict(trial: Trial, plan: VerifyPlan) -> Verdict:
     runs = len(trial.outcomes)
     if by is not None:
         verdict = NOTICED if entry.equivalent is None else NOT_EQUIVALENT
-        return Verdict(entry, verdict, by, trial.outcomes[by].reason, moved, runs=runs)
+        outcome = trial.outcomes[by]
+        by_bytes = bool(outcome.details.get("by_bytes"))
+        return Verdict(entry, verdict, by, outcome.reason, by_bytes, moved, runs=runs)
     if not moved:
         return Verdict(entry, UNREACHED if entry.equivalent is None else EQUIVALENT, runs=runs)
     if entry.equivalent is not None:
