@@ -5,13 +5,14 @@ import json
 import time
 from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import pyarrow as pa
 
 from hil.batch.figures import KEY
 from hil.batch.hunt.saved import scenario_text
-from hil.batch.hunt.search import require_optuna, search
+from hil.batch.hunt.search import Shares, require_optuna, search
 from hil.batch.hunt.shrink import shrink
 from hil.batch.hunt.space import Case, Params, Space
 from hil.batch.hunt.tables import HuntTables
@@ -57,12 +58,14 @@ class Verdict(NamedTuple):
         broken: what is broken: places of expectations, then of limits of ``[allow]``, or a phrase.
         worst: the place of the least margin, or the phrase.
         outcome: that of the run; None where the scenario is not valid.
+        shares: what each claim has left of the scenario's own margin.
     """
 
     score: float | None
     broken: frozenset[int | str] = frozenset()
     worst: int | str = 0
     outcome: Outcome | None = None
+    shares: Shares = MappingProxyType({})
 
 
 class Found(NamedTuple):
@@ -82,7 +85,7 @@ class Hunt:
         runs: how many runs the search has done; those of a stopped hunt that is continued count again.
         shrinking_runs: how many shrinking has done.
         least: the case of the least score so far, if none is broken.
-        found: what was found, or None.
+        found_case: what the search found, or None. found: the same made smaller, once that is done.
 
     Raises BadInputError for a wrong file, key, range or fault.
     """
@@ -104,6 +107,7 @@ class Hunt:
         self._check()
         self.runs = self.shrinking_runs = 0
         self.is_shrinking = False
+        self.found_case: Case | None = None
         self.least: tuple[float, Case, int | str] | None = None
         self.found: Found | None = None
         self._nominal: tuple[float, ...] = ()
@@ -178,7 +182,7 @@ class Hunt:
         """Return the next jobs; those of one step of the search or of shrinking are chosen together."""
         self._known |= {outcome.key: outcome for outcome in outcomes}
         while not self._to_do and all(job is None or job.key in self._known for _, job in self._batch):
-            verdicts = [self._verdict(case, job and self._known[job.key]) for case, job in self._batch]
+            verdicts = [self.verdict(case, job and self._known[job.key]) for case, job in self._batch]
             try:
                 self._batch_of(self._steps.send(verdicts))
             except StopIteration:
@@ -187,11 +191,11 @@ class Hunt:
         return jobs
 
     def _batch_of(self, cases: Sequence[Case]) -> None:
-        self._batch = [(case, self._job(case)) for case in cases]
+        self._batch = [(case, self.job(case)) for case in cases]
         jobs = {job.key: job for _, job in self._batch if job is not None and job.key not in self._known}
         self._to_do = list(jobs.values())
 
-    def _job(self, case: Case) -> Job | None:
+    def job(self, case: Case) -> Job | None:
         """Return the job of a case; None where the values contradict each other, so that there is no such run."""
         options = {} if self._request.target == "host" else {"target": self._request.target}
         try:
@@ -199,7 +203,8 @@ class Hunt:
         except BadInputError:
             return None
 
-    def _verdict(self, case: Case, outcome: Outcome | None) -> Verdict:
+    def verdict(self, case: Case, outcome: Outcome | None) -> Verdict:
+        """Return what the outcome of a case means; None stands for a case that is not valid."""
         if outcome is None or outcome.status == REFUSED:
             return Verdict(None, outcome=outcome)
         if outcome.status in _ENDS and not self.tables.ends:
@@ -210,7 +215,8 @@ class Hunt:
         margins = {place: claim["margin"] for place, claim in self._claims(case, outcome).items()}
         shares = {place: margin / self._own(place) for place, margin in margins.items()}
         worst = min(shares, key=lambda place: shares[place])
-        return Verdict(shares[worst], frozenset(p for p, margin in margins.items() if margin < 0.0), worst, outcome)
+        broken = frozenset(place for place, margin in margins.items() if margin < 0.0)
+        return Verdict(shares[worst], broken, worst, outcome, shares)
 
     def _claims(self, case: Case, outcome: Outcome) -> dict[int, dict[str, Any]]:
         """Return the expectations that a run judged, then the limits of ``[allow]``, by their places in the base."""
@@ -238,9 +244,10 @@ class Hunt:
             return
         after, self.is_shrinking = self.runs, True
         case, verdict = found
+        self.found_case = case
         what = verdict.worst
         case = yield from self._shrunk(case, what, verdict)
-        job = self._job(case)
+        job = self.job(case)
         assert job is not None
         self.found = Found(what, case, self.scenario(case), self._known[job.key], after)
 
@@ -256,8 +263,8 @@ class Hunt:
                     return case, verdict
                 if verdict.score is not None and (self.least is None or verdict.score < self.least[0]):
                     self.least = (verdict.score, case, verdict.worst)
-            scores = [verdict.score for verdict in verdicts]
-            params = steps.send(scores + [None] * (len(params) - len(scores)))
+            shares = [None if verdict.score is None else verdict.shares for verdict in verdicts]
+            params = steps.send(shares + [None] * (len(params) - len(shares)))
         return None
 
     def _shrunk(self, case: Case, what: int | str, verdict: Verdict) -> Generator[list[Case], list[Verdict], Case]:
@@ -329,7 +336,7 @@ class Hunt:
         """
         found = self.found
         assert found is not None
-        path, job = self._path(folder), self._job(found.case)
+        path, job = self._path(folder), self.job(found.case)
         assert job is not None
         sha256 = found.outcome.figures.get("wire_sha256")
         comments = [self.reason(), f"Found by hil hunt after {found.found_after} runs, and made smaller."]

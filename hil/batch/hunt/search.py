@@ -5,10 +5,11 @@ numbers, choices, and faults that have numbers of their own. It begins anew afte
 """
 
 import importlib.util
+import itertools
 import warnings
-from collections.abc import Generator, Sequence
+from collections.abc import Generator, Mapping, Sequence
 from functools import partial
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 from hil.batch.hunt.space import Params, Space
 from hil.core.errors import BadInputError
@@ -18,20 +19,14 @@ if TYPE_CHECKING:
 
 AT_A_TIME = 4
 """Runs that are chosen together, however many workers there are: so the search does not depend on their number."""
-_RUNS_A_STUDY = 160
+_RUNS_A_ROUND = 240
 _STARTUP = 10
-_TOLD = 3
+_ALIKE = 1e-9
 
-
-class Tried(NamedTuple):
-    """A case, and its score: the least margin as a share of the scenario's own; None for a run that was refused."""
-
-    params: Params
-    score: float | None
-
-
-Search = Generator[list[Params], Sequence[float | None], None]
-"""Yields cases to run and is sent their scores in the same order."""
+Shares = Mapping[int, float]
+"""What a run left of the scenario's own margins, by the places of the claims."""
+Search = Generator[list[Params], Sequence[Shares | None], None]
+"""Yields cases to run and is sent their shares in the same order, None for a run that was refused."""
 
 
 def require_optuna() -> None:
@@ -43,55 +38,99 @@ def require_optuna() -> None:
 
 
 def search(space: Space, seed: int) -> Search:
-    """Search for ever for cases of a low score; ``seed`` decides the cases as far as scores do not."""
-    import optuna
+    """Search for ever for cases that break a claim; ``seed`` decides the cases as far as shares do not.
 
-    optuna.logging.set_verbosity(optuna.logging.ERROR)
-    best = yield from _screened(space)
-    for number in range(2**31):
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", optuna.exceptions.ExperimentalWarning)
-            sampler = optuna.samplers.TPESampler(
-                seed=seed + number, multivariate=True, group=True, constant_liar=True, n_startup_trials=_STARTUP
-            )
-        study = optuna.create_study(sampler=sampler)
-        for tried in best if number == 0 else ():
-            study.add_trial(
-                optuna.trial.create_trial(
-                    params=dict(tried.params),
-                    distributions={name: _distribution(space.options(name)) for name in tried.params},
-                    value=tried.score,
-                )
-            )
-        for _ in range(0, _RUNS_A_STUDY, AT_A_TIME):
-            trials = [study.ask() for _ in range(AT_A_TIME)]
+    Each claim that varies has a study of its own, so that one that is always close hides no other. All studies are told
+    of all runs. Of four runs one is for the claim that is closest, the others for all claims in turn.
+    """
+    tried = yield from _screened(space)
+    turns = itertools.count()
+    for number in itertools.count():
+        studies: dict[int, optuna.Study] = {}
+        for _ in range(0, _RUNS_A_ROUND, AT_A_TIME):
+            least = _least(tried)
+            for claim in least:
+                if claim not in studies:
+                    studies[claim] = _study(seed + 1000 * number + claim)
+                    for params, shares in tried if number == 0 else ():
+                        _tell(studies[claim], space, params, shares.get(claim))
+            claims = list(least)
+            chosen = [claims[0], *(claims[next(turns) % len(claims)] for _ in range(AT_A_TIME - 1))]
+            trials = [studies[claim].ask() for claim in chosen]
             asked = [space.suggested(partial(_suggested, trial)) for trial in trials]
-            scores = yield asked
-            for trial, score in zip(trials, scores, strict=True):
-                failed = optuna.trial.TrialState.FAIL if score is None else None
-                study.tell(trial, score, state=failed)
+            found = yield asked
+            for claim, trial, run, left in zip(chosen, trials, asked, found, strict=True):
+                value = None if left is None else left.get(claim)
+                studies[claim].tell(trial, value, state=_failed() if value is None else None)
+                if left is not None:
+                    tried.append((run, left))
+                    for other in studies.keys() - {claim}:
+                        _tell(studies[other], space, run, left.get(other))
 
 
-def _screened(space: Space) -> Generator[list[Params], Sequence[float | None], list[Tried]]:
-    """Try each change alone, then the worst of each together; return the worst of all."""
-    tried: list[tuple[str, Tried]] = []
+Tried = list[tuple[Params, Shares]]
+
+
+def _least(tried: Tried) -> dict[int, float]:
+    """Return the least share of each claim that varies, the closest first; of all claims if none does."""
+    least: dict[int, float] = {}
+    greatest: dict[int, float] = {}
+    for _, shares in tried:
+        for claim, share in shares.items():
+            least[claim] = min(share, least.get(claim, share))
+            greatest[claim] = max(share, greatest.get(claim, share))
+    varying = {claim: share for claim, share in least.items() if greatest[claim] - share > _ALIKE}
+    return dict(sorted((varying or least or {0: 1.0}).items(), key=lambda pair: pair[1]))
+
+
+def _screened(space: Space) -> Generator[list[Params], Sequence[Shares | None], Tried]:
+    """Try each change alone, then for each claim all changes together that brought it nearer; return what was tried."""
+    alone: list[tuple[str, Params, Shares]] = []
     singles = space.singles()
     for begin in range(0, len(singles), AT_A_TIME):
         some = singles[begin : begin + AT_A_TIME]
-        scores = yield [params for _, params in some]
-        tried += [(what, Tried(params, score)) for (what, params), score in zip(some, scores, strict=True)]
-    worst: dict[str, Tried] = {}
-    for what, one in sorted((pair for pair in tried if pair[1].score is not None), key=_score):
-        if one.score is not None and one.score < 1.0:
-            worst.setdefault(what, one)
-    together = [space.combined([(what, one.params) for what, one in list(worst.items())[:many]]) for many in (2, None)]
-    scores = yield together
-    tried += [("together", Tried(params, score)) for params, score in zip(together, scores, strict=True)]
-    return [one for _, one in sorted((pair for pair in tried if pair[1].score is not None), key=_score)[:_TOLD]]
+        found = yield [params for _, params in some]
+        alone += [(what, params, one) for (what, params), one in zip(some, found, strict=True) if one is not None]
+    tried = [(params, shares) for _, params, shares in alone]
+    together = []
+    for claim in _least(tried):
+        worst: dict[str, Params] = {}
+        for what, params, left in sorted(alone, key=lambda one: one[2].get(claim, 1.0)):
+            if left.get(claim, 1.0) < 1.0 - _ALIKE:
+                worst.setdefault(what, params)
+        together.append(space.combined(list(worst.items())))
+    if together:
+        found = yield together
+        tried += [(params, one) for params, one in zip(together, found, strict=True) if one is not None]
+    return tried
 
 
-def _score(pair: tuple[str, Tried]) -> float:
-    return pair[1].score or 0.0
+def _study(seed: int) -> "optuna.Study":
+    import optuna
+
+    optuna.logging.set_verbosity(optuna.logging.ERROR)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", optuna.exceptions.ExperimentalWarning)
+        sampler = optuna.samplers.TPESampler(
+            seed=seed, multivariate=True, group=True, constant_liar=True, n_startup_trials=_STARTUP
+        )
+    return optuna.create_study(sampler=sampler)
+
+
+def _tell(study: "optuna.Study", space: Space, params: Params, value: float | None) -> None:
+    """Tell a study of a run that it did not ask for."""
+    import optuna
+
+    if value is not None:
+        distributions = {name: _distribution(space.options(name)) for name in params}
+        trial = optuna.trial.create_trial(params=dict(params), distributions=distributions, value=value)
+        study.add_trial(trial)
+
+
+def _failed() -> "optuna.trial.TrialState":
+    import optuna
+
+    return optuna.trial.TrialState.FAIL
 
 
 def _suggested(trial: "optuna.Trial", name: str, options: int) -> float | int:
