@@ -12,7 +12,7 @@ from hil.core.mutant import Mutant, module_of
 
 _FACTOR, _LEAST_S = 10.0, 20.0
 """A run with a mutant is ended after so many times the time of the healthy one, and at least so long [s]."""
-_SAME_TARGET, _SAME_ROOM = 8.0, 3.0
+_SAME_TARGET, _SAME_ROOM, _OVERHEAD_S = 8.0, 3.0, 0.2
 
 
 class Built(NamedTuple):
@@ -83,7 +83,8 @@ class VerifyPlan:
         self._first = deque(Healthy(member) for member in members)
         self._varied = deque(varied)
         self._nominal: dict[str, Outcome] = {}
-        self._noticed: Counter[tuple[str, str]] = Counter()
+        self._noticed: Counter[tuple[str, str]] = Counter()  # by what was mutated (target, room or ""), and the member
+        self._untouched: Counter[tuple[str, str]] = Counter()
 
     def next_jobs(self, outcomes: Sequence[Outcome], room: int) -> Sequence[Job]:
         """Return the next jobs, as a ``Plan``."""
@@ -116,6 +117,8 @@ class VerifyPlan:
                 self._take_nominal(run.member, outcome)
             return
         trial.outcomes[member] = outcome
+        if outcome.figures == self._nominal[member].figures:
+            self._untouched[trial.entry.target, member] += 1
         if outcome.status != PASSED:
             self._noticed[trial.entry.target, member] += 1
             self._noticed[trial.entry.room, member] += 1
@@ -170,7 +173,8 @@ class VerifyPlan:
         def worth(member: Member) -> float:
             name = member.name
             score = _SAME_TARGET * noticed[entry.target, name] + _SAME_ROOM * noticed[entry.room, name]
-            return (score + noticed["", name] + 1.0) / (self._nominal[name].wall_s + 0.2)
+            expected = (score + noticed["", name] + 1.0) / (1.0 + self._untouched[entry.target, name])
+            return expected / (self._nominal[name].wall_s + _OVERHEAD_S)
 
         left = [self._members[name] for name in trial.members or () if name not in trial.outcomes]
         return max(left, key=worth)
