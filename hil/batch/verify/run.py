@@ -13,7 +13,7 @@ import numpy as np
 
 from hil.batch.job import ENDED, FAILED, PASSED, REFUSED, Job, Outcome
 from hil.batch.run import attempt
-from hil.judge.expectations import figures_by_key
+from hil.judge.baselines import baseline_figures
 from hil.judge.figures import number
 from hil.judge.measure import Series
 from hil.judge.results import RunResult
@@ -24,7 +24,6 @@ from hil.scenario import Scenario
 
 Extremes = list[float | None]
 """Of a signal: least and greatest value in the whole run, then in its second half; None where one is not finite."""
-_OF_MACHINE = ("deadline_misses", "realtime_factor", "tick_us.p50", "tick_us.p99")
 _NOT_OF_THE_RUN = ("loop.", "link.clock")
 _PACKAGES = ("hil.", "firmware_protocol.", "plant_fmu.")
 _NO_TESTS = 5
@@ -44,8 +43,7 @@ def run(job: Job, scenario: Scenario) -> Outcome:
         if result.passed:
             status, reason = PASSED, None
         metrics = result.metrics
-        known = {key: figure for key, figure in figures_by_key().items() if figure.name not in _OF_MACHINE}
-        figures: dict[str, Any] = {key: number(metrics, figure.name) for key, figure in known.items()}
+        figures: dict[str, Any] = {key: number(metrics, one.name) for key, one in baseline_figures().items()}
         figures |= {"wire_sha256": metrics["wire_sha256"], "applied": [row["applied"] for row in metrics["fault"]]}
         details: dict[str, Any] = {"extremes": extremes(result.signals, scenario.loop.duration_s)}
         baseline = metrics["baseline"] or {}
