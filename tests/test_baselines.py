@@ -37,7 +37,7 @@ from hil.judge.expectations import figure_outcome
 from hil.judge.measure import NO_TRUTH, Figure
 from hil.judge.words import outcome_rows, why_not_passed
 from hil.review.figures import figures, read_for_figures
-from hil.scenario import from_plain, load, shipped, to_plain
+from hil.scenario import from_plain, load, shipped, suite, to_plain
 from hil.scenario.baseline import Band, Baseline, asked_sha256, find, text_of
 from hil.scenario.load import SHIPPED_DIRECTORY
 from hil.scenario.trial import ExpectTable
@@ -300,7 +300,7 @@ def test_without_a_baseline_what_is_relative_to_it_fails_and_one_of_something_el
 # Where they are
 
 
-@pytest.mark.parametrize("name", sorted(shipped()))
+@pytest.mark.parametrize("name", sorted(shipped() | suite()))
 def test_every_shipped_scenario_has_the_baseline_of_what_it_asks(name: str) -> None:
     scenario = load(name)
     assert scenario.baseline is not None
