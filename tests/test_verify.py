@@ -67,16 +67,19 @@ def test_a_row_that_is_wrong_is_refused_with_its_place(tmp_path: Path) -> None:
         '  { id = "b", wrong = "w", size = "s", wrap = { port = "law", of = "torqe", scale = -1 } },\n'
         '  { id = "c", wrong = "w", size = "s", wrap = { port = "law", of = "torque", scale = -1, element = "x" } },\n'
         '  { id = "d", wrong = "w", size = "s", patch = { file = "hil/cli/run.py", before = "a", after = "b" } },\n'
-        '  { id = "mass_more", wrong = "w", size = "s", start = { mass_kg = 1.0 } },\n]\n',
+        '  { id = "mass_more", wrong = "w", size = "s", start = { mass_kg = 1.0 } },\n'
+        '  { id = "e", wrong = "w", size = "s", start = { mass_kg = "*1.2" } },\n]\n',
         encoding="utf-8",
     )
     with pytest.raises(BadInputError) as refused:
         read_catalogue([file])
     lines = str(refused.value).splitlines()
     assert [line.partition(":")[0] for line in lines] == [
-        f"mutants mine.toml, row {number} ({name})" for number, name in enumerate(("a", "b", "c", "d", "mass_more"), 1)
+        f"mutants mine.toml, row {number} ({name})"
+        for number, name in enumerate(("a", "b", "c", "d", "mass_more", "e"), 1)
     ]
     assert "did you mean 'torque'?" in lines[1]
+    assert lines[-1].endswith("it changes what plant.mass_more changes")
     wrong = Entry("plant.x", "plant", "w", "s", "patch", ENTRIES["plant.mass_more"].mutant._replace(
         patches=[Patch("hil/laws/dsc.py", "no such text", "")]))  # fmt: skip
     with pytest.raises(BadInputError, match="'no such text' is there 0 times; expected once"):
