@@ -152,6 +152,7 @@ def test_a_recording_and_the_results_name_the_mutant(tmp_path: Path) -> None:
     assert json.loads(done.stdout)["mutant"] == "law.torque_half"
     properties = read(tmp_path / "run.rrd").properties
     assert (properties["mutant"], properties["mutant_sha256"]) == ("law.torque_half", mutant.sha256)
+    assert "law.torque_half, a known defect" in hil("review", tmp_path / "run.rrd").stdout
     healthy = json.loads(
         hil("run", "circle_speed", "--set", "loop.duration_s=0.2", "--record", "none", "--json").stdout
     )

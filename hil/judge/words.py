@@ -107,7 +107,12 @@ def belief_rows(metrics: Mapping[str, Any]) -> Iterator[Row]:
 
 
 def outcome_rows(metrics: Mapping[str, Any]) -> Iterator[Row]:
-    """Yield faults, recoveries, expectations (see ``in_order``), broken allowances, and what the recording lacks."""
+    """Yield faults, recoveries, expectations (see ``in_order``), broken allowances, and what the recording lacks.
+
+    First the mutant, if ``hil verify`` has put one in.
+    """
+    if (mutant := metrics.get("mutant")) is not None:
+        yield "mutant", f"{mutant}, a known defect that hil verify has put in"
     for row in metrics.get("fault") or ():
         yield "fault", applied_words(row)
     for row in metrics.get("recoveries") or ():
