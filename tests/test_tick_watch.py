@@ -83,7 +83,7 @@ def test_a_law_that_no_exception_gets_to_ends_the_process_and_its_recording_is_k
     sentence = ran.stderr.splitlines()[-1].removeprefix("hil: ")
     assert "in update: a law that does not return? loop.tick_limit_s is the limit" in sentence
     assert "time.sleep(60.0)" in ran.stderr
-    assert json.loads(ran.stdout) == {"passed": False, "failure": sentence}
+    assert json.loads(ran.stdout) == {"schema": "hil.run/1", "passed": False, "failure": sentence}
     run = read(tmp_path / "run.mcap")
     assert len(run.signals["loop.tick"]) == 19
     found = figures(run)
