@@ -14,15 +14,17 @@ import hil
 from hil.cli.list import listing
 from hil.core.errors import BadInputError
 from hil.core.options import build
-from hil.core.signals import SIGNAL_NAMES
+from hil.core.signals import SIGNAL_NAMES, pack_row
 from hil.core.types import WHEEL_NAMES
-from hil.faults.kind import REST_RAD_S
+from hil.faults.kind import REST_RAD_S, FaultRow
 from hil.judge.expectations import Count, allow_figures, check_expectation, figure_outcome, figures_by_key
 from hil.judge.words import LENIENT, outcome_rows, why_not_passed
 from hil.record.lanes import limit_values, limits
 from hil.record.layout import layout
 from hil.review.figures import figures, read_for_figures
 from hil.runtime.parts import RunParts
+from hil.runtime.sampling import Timing
+from hil.runtime.undriven import Rejections
 from hil.scenario import load
 from hil.scenario.trial import AllowTable, ExpectTable, FaultTable, span_s
 from tests.outside import outside_package
@@ -254,16 +256,22 @@ def test_without_truth_only_expectations_on_truth_fail(tmp_path: Path) -> None:
 # Strict by default
 
 
-def garbled(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, explains: bool, **allow: object) -> hil.RunResult:
-    """A run in which another package's kind of fault loses speed commands, but not their feedforwards."""
+LOSES_COMMANDS = "[frame for frame in frames if frame.id != WheelCommand.ID]"
+DOUBLES = "[frame for frame in frames for _ in range(2)]"
+
+
+def garbled(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, effect: str, explains: bool, **allow: object
+) -> hil.RunResult:
+    """A run with another package's kind of fault in 0.5 s <= t < 0.53 s, which may explain what it does or not."""
     source = f"""
         from hil.faults.kind import Kind
         from firmware_protocol.generated.messages import WheelCommand
 
         def effect(direction, frames):
-            return [frame for frame in frames if frame.id != WheelCommand.ID]
+            return {effect}
 
-        garble = Kind("garble", "link", ("command",), "`command`", "Commands are lost.", "frames", {{}},
+        garble = Kind("garble", "link", ("command",), "`command`", "Frames are changed.", "frames", {{}},
                       explains={explains}, on_frames=lambda row, chance: effect)
     """
     outside_package(tmp_path, monkeypatch, source, {"hil.faults": {"garble": "outside_package:garble"}})
@@ -271,23 +279,63 @@ def garbled(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, explains: bool, **a
     return run(fault=[{"kind": "garble", "target": "command", "start_s": 0.5, "end_s": 0.53}], **sets)
 
 
-def test_feedforwards_without_their_command_fail_a_run_that_no_fault_explains(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize(
+    ("effect", "key", "words"),
+    [
+        (LOSES_COMMANDS, "unmatched", "torque feedforwards that the robot dropped"),
+        (DOUBLES, "rejected", "frames that the host or the robot did not accept"),
+    ],
+    ids=["unmatched", "rejected"],
+)
+def test_what_the_robot_dropped_fails_a_run_unless_a_fault_explains_it_or_it_is_allowed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, effect: str, key: str, words: str
 ) -> None:
-    result = garbled(tmp_path, monkeypatch, explains=False)
-    assert result.metrics["unmatched"] > 3
+    result = garbled(tmp_path / "no", monkeypatch, effect, False)
+    assert result.metrics[key] > 3
     assert not result.passed
-    told = dict(why_not_passed(result.metrics))["allow"]
-    assert told.startswith(f"unmatched: {result.metrics['unmatched']} torque feedforwards that the robot dropped")
-    assert garbled(tmp_path / "more", monkeypatch, explains=False, unmatched="50%").passed
+    told = [text for kind, text in why_not_passed(result.metrics) if kind == "allow"]
+    assert any(text.startswith(f"{key}: {result.metrics[key]} {words}") for text in told)
+    assert garbled(tmp_path / "allowed", monkeypatch, effect, False, unmatched="50%", rejected="50%").passed
+    explained = garbled(tmp_path / "yes", monkeypatch, effect, True)
+    assert explained.metrics[key] > 3
+    assert explained.passed, explained
 
 
-def test_a_fault_of_the_scenario_explains_feedforwards_without_their_command(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+class Counting:
+    """A device that has rejected so many frames."""
+
+    def __init__(self) -> None:
+        self.crc = 0
+
+    def rejected(self) -> dict[str, int]:
+        return {"crc": self.crc}
+
+
+@pytest.mark.parametrize(
+    ("at_ms", "held_ms", "unexplained"),
+    [
+        (500, range(0), 1),  # long before
+        (1000, range(0), 0),  # in the first tick of the fault
+        (1150, range(0), 0),  # while it lasts
+        (1380, range(0), 0),  # reported late
+        (1600, range(0), 1),  # long after
+        (1600, range(1200, 1590, 5), 0),  # the robot was away until just before
+        (1990, range(1200, 1590, 5), 1),
+    ],
+)
+def test_a_fault_explains_what_is_counted_from_its_beginning_until_the_robot_is_driven_and_has_reported(
+    at_ms: int, held_ms: range, unexplained: int
 ) -> None:
-    result = garbled(tmp_path, monkeypatch, explains=True)
-    assert result.metrics["unmatched"] > 3
-    assert result.passed, result
+    ms, device = 1_000_000, Counting()
+    rows = [FaultRow("drop", "link", "feedback", start * ms, (start + 200) * ms, 1.0) for start in (1000, 1100)]
+    names = ("loop.t_s", "guard.held")
+    rejections = Rejections(device, rows, Timing(5 * ms, 3 * ms, 2 * ms, 25 * ms), names)  # type: ignore[arg-type]
+    device.crc = 7  # before t = 0
+    rejections.begin()
+    for t_ms in range(0, 2500, 5):
+        device.crc += t_ms == at_ms
+        rejections.put(pack_row([t_ms / 1000, float(t_ms in held_ms)]))
+    assert rejections.counts()["rejected"] == Count(1, unexplained)
 
 
 def test_a_lenient_run_is_judged_by_its_expectations_alone_and_says_so(tmp_path: Path) -> None:
