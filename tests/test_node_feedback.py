@@ -263,7 +263,7 @@ def limited(rig: WheelRig) -> int:
         ({"current_limit_a": 2.0}, 25.0, 2.5),
         ({"current_limit_a": 2.0}, 105.0, 2.5),
         ({"current_limit_a": 2.0}, 112.5, 1.25),
-        ({"current_limit_a": 2.0}, 119.5, 2.5 / 30),
+        ({"current_limit_a": 2.0}, 119.875, 2.5 / 120),
         ({"torque_limit_n_m": 0.0}, 25.0, 0.0),
     ],
     ids=["none", "torque", "current", "still cool", "half hot", "nearly too hot", "nothing allowed"],
@@ -282,7 +282,7 @@ def test_all_four_are_scaled_by_one_factor_at_each_limit(
 
 
 @pytest.mark.proves("R-LIM-6")
-@pytest.mark.parametrize("temperature_degc", [120.0, 150.0, 1e6])
+@pytest.mark.parametrize("temperature_degc", [120.0, 120.125, 150.0, 1e6])
 def test_nothing_is_allowed_beyond_the_temperature_limit(temperature_degc: float) -> None:
     node = BareNode()
     assert node.lib.wheel_node_torque_limit(node.node) == 5.0

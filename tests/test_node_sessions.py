@@ -32,9 +32,13 @@ def test_a_node_begins_the_same_whatever_its_memory_held() -> None:
 def test_a_staged_feedforward_does_not_wait_for_the_next_session() -> None:
     node = BareNode()
     node.activate(nonce=0x1231)
-    node.send(m.TorqueFeedforward(1.0, 1.0, 1.0, 1.0, 0, 1))
+    node.send(m.TorqueFeedforward(1.0, 1.0, 1.0, 1.0, 5, 1))
+    assert node.node.staged.present
     fault_and_clear(node)
-    node.activate(nonce=0x1232)  # its first command has the sequence 0
+    node.heartbeat(m.Request.IDLE, 0x1232)
+    node.heartbeat(m.Request.ARM, 0x1232)
+    node.send(m.WheelCommand(0, 0, 0, 0, 5, 2))
+    assert node.state is State.ACTIVE
     node.tick()
     assert list(node.drive.torque_n_m) == [0.0] * 4
     assert node.node.rejections.feedforward_unmatched == 0
@@ -65,6 +69,14 @@ def test_what_was_seen_of_an_encoder_does_not_count_in_the_next_session() -> Non
     assert [(w.still_ticks, w.backward_ticks) for w in node.node.encoder] == [(0, 0)] * 4
 
 
+@pytest.mark.proves("R-SES-2", "R-STATE-13")
+def test_a_wheel_that_rolls_when_it_is_armed_has_not_gained_that_speed() -> None:
+    node = BareNode()
+    node.node.speed_rad_s = [1.0, -2.0, 3.0, -4.0]
+    node.activate()
+    assert [watch.slowest_rad_s for watch in node.node.encoder] == [1.0, 2.0, 3.0, 4.0]
+
+
 @pytest.mark.proves("R-SES-2", "R-SNAP-11")
 def test_a_session_begins_without_a_command() -> None:
     rig = WheelRig(feedback_period_s=0.001)
@@ -91,7 +103,16 @@ def test_a_stop_begins_with_an_empty_integral() -> None:
 @pytest.mark.proves("R-RAMP-1")
 @pytest.mark.parametrize(
     ("set_point", "speed", "begins_at"),
-    [(8.0, 3.0, 3.0), (3.0, 8.0, 3.0), (-8.0, -3.0, -3.0), (-3.0, -8.0, -3.0), (8.0, -3.0, 0.0), (-3.0, 8.0, 0.0)],
+    [
+        (8.0, 3.0, 3.0),
+        (3.0, 8.0, 3.0),
+        (-8.0, -3.0, -3.0),
+        (-3.0, -8.0, -3.0),
+        (8.0, -3.0, 0.0),
+        (-3.0, 8.0, 0.0),
+        (0.375, -0.5, 0.0),
+        (0.375, 0.5, 0.375),
+    ],
 )
 def test_a_stop_begins_at_whichever_is_nearer_to_zero(set_point: float, speed: float, begins_at: float) -> None:
     node = BareNode()
