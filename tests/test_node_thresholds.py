@@ -141,6 +141,27 @@ def direction(wheel: int, sign: float, target: float, torque: float, speeds: lis
     }
 
 
+@WHEELS
+@SIGNS
+@pytest.mark.proves("R-FAULT-7", "R-FAULT-8")
+@pytest.mark.parametrize(
+    ("by_others", "own", "torque", "found"),
+    [
+        (2.125, 0.0, 0.11, m.Fault.ENCODER_STUCK),
+        (-2.125, 0.0, 0.11, m.Fault.NONE),
+        (2.125, -2.0, 0.11, m.Fault.WRONG_DIRECTION),
+        (2.125, -2.0, -0.11, m.Fault.NONE),
+    ],
+)
+def test_of_a_weak_motor_the_sign_of_its_torque_counts_too(
+    wheel: int, sign: float, by_others: float, own: float, torque: float, found: m.Fault
+) -> None:
+    node = BareNode(changes={"torque_limit_n_m": 0.5})
+    node.activate()
+    values = direction(wheel, sign, 3.0, torque, still(wheel, by_others, own))
+    assert supervise(node, FAULT_TICKS, **values)[0] == found
+
+
 @pytest.mark.proves("R-FAULT-8", "R-FAULT-9")
 @WHEELS
 @SIGNS
