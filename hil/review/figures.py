@@ -40,6 +40,7 @@ _OUTCOME = (
     "robot_slipped_ticks",
 )
 _MADE = ("command", "started", "mecanum_hil", "commit", "python", "machine")
+_MUTANT = ("mutant", "mutant_sha256")
 _NAMED = 4
 _LATE_S = 1.0  # a run in real time may have missed its first ticks
 
@@ -93,6 +94,7 @@ def figures(run: RecordedRun) -> dict[str, Any]:
         **identity,
         **outcome,
         **found,
+        **{name: run.properties[name] for name in _MUTANT if name in run.properties},
         "recording": str(run.path),
         "notes": [*run.notes, *_other_version(run), *_judged_before(run), *_late_begin(run)],
         "made": {name: text for name, text in run.properties.items() if name in _MADE},
