@@ -70,7 +70,7 @@ class Channel:
         except BaseException:
             client.unsent()
             raise
-        if client.view.log_is_due:
+        if client.view.log_is_due and not client.view.out_bytes:  # what waits may still be unsent
             self._empty_log()
 
     def _may_wait(self, everything: bool) -> bool:
