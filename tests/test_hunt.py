@@ -1,5 +1,6 @@
 """Hunts: a planted defect is found, made smaller and saved so that it fails again; a killed hunt goes on."""
 
+import contextlib
 import json
 import random
 import signal
@@ -20,9 +21,11 @@ from hil.batch.hunt.search import search
 from hil.batch.hunt.shrink import shrink
 from hil.batch.hunt.space import Case, Chosen, Space
 from hil.batch.hunt.tables import HuntTables, OfferTable, SpanTable
+from hil.batch.job import PASSED
 from hil.batch.store import read_rows
 from hil.core.errors import BadInputError
 from tests.processes import HIL, ROOT, environment, hil
+from tools.bench import hunt as bench
 
 pytest.importorskip("optuna", reason="needs the extra 'hunt': pip install 'mecanum-hil[hunt]'")
 
@@ -89,7 +92,8 @@ def test_a_hunt_that_was_killed_goes_on_and_finds_the_same(tmp_path: Path) -> No
     command = [*HIL, "hunt", "circle_speed", "--ranges", str(file), "--out", str(folder), "--jobs", "1"]
     with subprocess.Popen(command, env=environment(), stderr=subprocess.DEVNULL) as process:
         while process.poll() is None and not list((folder / "rows").glob("*.parquet")):
-            pass
+            with contextlib.suppress(subprocess.TimeoutExpired):
+                process.wait(0.02)
         process.send_signal(signal.SIGKILL if hasattr(signal, "SIGKILL") else signal.SIGTERM)
     there = {row[KEY]: row for row in read_rows(folder).to_pylist()}
     assert there
@@ -199,6 +203,16 @@ def test_a_smaller_case_breaks_the_same_and_nothing_that_is_not_needed_is_left(c
     elif "a" in smallest.values:
         needed = needs_a * abs(case.values["a"] - 5.0)
         assert abs(smallest.values["a"] - 5.0) <= 1.12 * needed + 0.02
+
+
+def test_a_defect_of_the_bench_is_found_and_is_the_one_that_was_planted(tmp_path: Path) -> None:
+    defect = next(one for one in bench.DEFECTS if one.name == "x_sign")
+    after, case = bench.runs_of_hunt(defect, tmp_path, 20, seed=1)
+    assert after is not None
+    assert case is not None
+    healthy = bench.hunt_of(bench.HEALTHY, tmp_path, 1, seed=1)
+    assert bench.done(healthy.job(case)).status == PASSED
+    assert bench.breaks_at_random(defect, tmp_path, 5, seed=1) == 0
 
 
 @pytest.mark.slow

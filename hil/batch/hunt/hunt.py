@@ -1,6 +1,7 @@
 """A hunt: its file and scenario, checked; its runs on the batch engine; and what it found."""
 
 import contextlib
+import itertools
 import json
 import time
 from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
@@ -161,7 +162,7 @@ class Hunt:
             for value in dimension.options or (dimension.low, dimension.high):
                 with self._about("range", key):
                     check_plant_start(self.scenario(Case({key: value})))
-        for _, params in self.space.singles():
+        for params in itertools.chain.from_iterable(self.space.singles()):
             if params.get("fault 0"):
                 case = self.space.case(params)
                 with self._about("fault", str(case.faults[0].offer)):

@@ -84,25 +84,48 @@ def _least(tried: Tried) -> dict[int, float]:
 
 
 def _screened(space: Space) -> Generator[list[Params], Sequence[Shares | None], Tried]:
-    """Try each change alone, then for each claim all changes together that brought it nearer; return what was tried."""
-    alone: list[tuple[str, Params, Shares]] = []
-    singles = space.singles()
-    for begin in range(0, len(singles), AT_A_TIME):
-        some = singles[begin : begin + AT_A_TIME]
-        found = yield [params for _, params in some]
-        alone += [(what, params, one) for (what, params), one in zip(some, found, strict=True) if one is not None]
-    tried = [(params, shares) for _, params, shares in alone]
-    together = []
-    for claim in _least(tried):
-        worst: dict[str, Params] = {}
-        for what, params, left in sorted(alone, key=lambda one: one[2].get(claim, 1.0)):
-            if left.get(claim, 1.0) < 1.0 - _ALIKE:
-                worst.setdefault(what, params)
-        together.append(space.combined(list(worst.items())))
-    if together:
-        found = yield together
-        tried += [(params, one) for params, one in zip(together, found, strict=True) if one is not None]
+    """Try changes alone, and for each claim those together that bring it nearer; return what was tried.
+
+    In the first round one end of each key is tried: where that is better than the scenario, the other end is taken to
+    be worse. Further rounds try the other ends.
+    """
+    tried: Tried = []
+    groups = [group for group in space.singles() if group]
+    for number in range(max(map(len, groups), default=0)):
+        alone = [group[number] for group in groups if number < len(group)]
+        yield from _tried(alone, tried)
+        known = {_key(params): shares for params, shares in tried}
+        together = []
+        for claim in _least(tried):
+            worst = [_worst(group, [known.get(_key(one), {}).get(claim) for one in group]) for group in groups]
+            chosen = sorted((one for one in worst if one is not None), key=lambda one: one[0])
+            together.append(space.combined([params for _, params in chosen]))
+        yield from _tried([one for one in together if _key(one) not in known], tried)
     return tried
+
+
+def _tried(cases: Sequence[Params], tried: Tried) -> Generator[list[Params], Sequence[Shares | None], None]:
+    """Run cases, some at a time, and add them to what was tried."""
+    for begin in range(0, len(cases), AT_A_TIME):
+        some = list(cases[begin : begin + AT_A_TIME])
+        found = yield some
+        tried += [(params, one) for params, one in zip(some, found, strict=True) if one is not None]
+
+
+def _worst(group: Sequence[Params], shares: Sequence[float | None]) -> tuple[float, Params] | None:
+    """Return the worst case of a group with its share, measured or guessed; None where none is worse than nominal."""
+    known = [(share, params) for share, params in zip(shares, group, strict=True) if share is not None]
+    if not known:
+        return None
+    share, params = min(known, key=lambda one: one[0])
+    if share < 1.0 - _ALIKE:
+        return share, params
+    is_better = share > 1.0 + _ALIKE
+    return (2.0 - share, group[1]) if is_better and len(group) == 2 and shares[1] is None else None
+
+
+def _key(params: Params) -> tuple[tuple[str, float | int], ...]:
+    return tuple(sorted(params.items()))
 
 
 def _study(seed: int) -> "optuna.Study":

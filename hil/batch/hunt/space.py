@@ -137,32 +137,29 @@ class Space:
                 params[key] = dimension.share(float(value)) if is_number else 0.5  # type: ignore[arg-type]
         return params
 
-    def singles(self) -> list[tuple[str, Params]]:
-        """Return cases in which one thing alone differs, each with what that is: each key at its ends, each fault.
+    def singles(self) -> list[list[Params]]:
+        """Return cases in which one thing alone differs: for each key those at its ends, for each fault some.
 
         A fault is tried at its strongest and longest, early and late.
         """
-        found: list[tuple[str, Params]] = []
+        found: list[list[Params]] = []
         for key, dimension in self.ranges.items():
             ends: Sequence[float | int] = range(len(dimension.options)) or (0.0, 1.0)
-            found += [(key, {**self.nominal_params, key: end}) for end in ends if end != self.nominal_params[key]]
-        if not self._slots:
-            return found
-        for offer, dimensions in enumerate(self.offers):
+            found.append([{**self.nominal_params, key: end} for end in ends if end != self.nominal_params[key]])
+        for offer, dimensions in enumerate(self.offers if self._slots else ()):
             starts = (0.2, 0.7) if not dimensions["start_s"].options else (0,)
             for target in range(len(dimensions["target"].options)):
-                for start in starts:
-                    numbers = {name: 0 if one.options else 1.0 for name, one in dimensions.items()}
-                    numbers |= {"target": target, "start_s": start}
-                    params = {f"fault 0 {offer} {name}": value for name, value in numbers.items()}
-                    found.append((f"fault {offer}", {**self.nominal_params, "fault 0": 1 + offer, **params}))
+                numbers = {name: 0 if one.options else 1.0 for name, one in dimensions.items()}
+                given = [{**numbers, "target": target, "start_s": start} for start in starts]
+                named = [{f"fault 0 {offer} {name}": value for name, value in one.items()} for one in given]
+                found.append([{**self.nominal_params, "fault 0": 1 + offer, **one} for one in named])
         return found
 
-    def combined(self, params: Sequence[tuple[str, Params]]) -> Params:
+    def combined(self, params: Sequence[Params]) -> Params:
         """Return the case that has what differs in all of these, the first first; there may be too many faults."""
         result = dict(self.nominal_params)
         slot = 0
-        for _, one in params:
+        for one in params:
             if not one.get("fault 0"):
                 result |= {key: value for key, value in one.items() if value != self.nominal_params[key]}
             elif slot < self._slots:
