@@ -38,7 +38,7 @@ from hil.judge.measure import NO_TRUTH, Figure
 from hil.judge.words import outcome_rows, why_not_passed
 from hil.review.figures import figures, read_for_figures
 from hil.scenario import from_plain, load, shipped, suite, to_plain
-from hil.scenario.baseline import Band, Baseline, asked_sha256, find, text_of
+from hil.scenario.baseline import Band, Baseline, asked_sha256, find, place, text_of
 from hil.scenario.load import SHIPPED_DIRECTORY
 from hil.scenario.trial import ExpectTable
 
@@ -257,6 +257,12 @@ def test_a_run_that_ended_early_is_not_judged_against_the_baseline(scenario: str
     found = against_baseline(judged, {"wire_sha256": None}, is_cut=True)
     assert found is not None
     assert found["why"] == "the run ended early"
+    row = ExpectTable(figure="t10_s", baseline="5%")
+    outcome = figure_outcome(row, {"baseline": found}, 0.4, judged.baseline)
+    assert (outcome.passed, outcome.text) == (
+        None,
+        "t10_s within 5% of the baseline: not judged, the run ended at t = 0.4 s",
+    )
 
 
 # An expectation relative to the baseline
@@ -303,7 +309,9 @@ def test_without_a_baseline_what_is_relative_to_it_fails_and_one_of_something_el
 @pytest.mark.parametrize("name", sorted(shipped() | suite()))
 def test_every_shipped_scenario_has_the_baseline_of_what_it_asks(name: str) -> None:
     scenario = load(name)
-    assert scenario.baseline is not None
+    if scenario.baseline is None:
+        assert name not in shipped()
+        pytest.skip("a new member of the suite: cd hil/scenario/shipped/suite && hil baseline NAME")
     assert scenario.baseline.scenario_sha256 == asked_sha256(scenario)
     assert len(scenario.baseline.seeds) >= 10
     assert from_plain(to_plain(scenario)) == scenario
@@ -324,6 +332,7 @@ def test_a_baseline_in_the_current_folder_comes_before_the_one_in_the_package(
     assert Path(ours.file).parent == SHIPPED_DIRECTORY
     (tmp_path / "circle_speed.baseline.toml").write_text(text_of(replace(ours, wire_sha256="00")), encoding="utf-8")
     monkeypatch.chdir(tmp_path)
+    assert place(load("circle_speed")) == tmp_path / "circle_speed.baseline.toml"
     found = load("circle_speed").baseline
     assert found is not None
     assert found.wire_sha256 == "00"

@@ -335,6 +335,8 @@ def figure_outcome(
     figure = figures_by_key()[str(expect.figure)]
     if expect.baseline is not None:
         of = f"{figure.key} within {expect.baseline} of the baseline"
+        if cut_s is not None:
+            return Outcome(None, f"{of}: not judged, the run ended at t = {cut_s:.6g} s")
         if baseline is None:
             return Outcome(False, f"{of}: failed, there is none; `hil baseline` makes it", margin=_WITHOUT_VALUE)
         if (why := (metrics.get("baseline") or {}).get("why")) is not None:
