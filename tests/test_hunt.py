@@ -212,7 +212,7 @@ def test_a_defect_of_the_bench_is_found_and_is_the_one_that_was_planted(tmp_path
     assert case is not None
     healthy = bench.hunt_of(bench.HEALTHY, tmp_path, 1, seed=1)
     assert bench.done(healthy.job(case)).status == PASSED
-    assert bench.breaks_at_random(defect, tmp_path, 5, seed=1) == 0
+    assert bench.breaks_at_random(bench.HEALTHY, tmp_path, 5, seed=1) == 0
 
 
 @pytest.mark.slow
