@@ -12,6 +12,7 @@ from hil.scenario.baseline import Band, Baseline, asked_sha256, is_asked, this_p
 SPREADS = 3.0
 SHARE = 0.02
 _DIGITS = 9
+_NAMED = 4
 _MODES = {"lockstep": "in lockstep", "realtime": "in real time"}
 
 
@@ -55,8 +56,10 @@ def why_not_judged(scenario: Scenario, baseline: Baseline) -> str | None:
     if asked_sha256(scenario) == baseline.scenario_sha256:
         return None
     given = [key for key, where in scenario.provenance.items() if where.startswith("--") and is_asked(key)]
-    if given:
-        return f"the run asks for something else, by {', '.join(given)}"
+    keys = list(dict.fromkeys(key.split(".")[0] if key.startswith("fault.") else key for key in given))
+    if keys:
+        more = f" and {len(keys) - _NAMED} more" if len(keys) > _NAMED else ""
+        return f"the run asks for something else, by {', '.join(keys[:_NAMED])}{more}"
     return "its scenario was another one; if the change is meant, accept it with `hil baseline --accept`"
 
 

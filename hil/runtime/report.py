@@ -9,7 +9,7 @@ from hil.judge.baselines import against_baseline
 from hil.judge.expectations import Count, allow_figures, figure_outcome, outcome_figures
 from hil.judge.figures import cut_words
 from hil.judge.results import MemorySink
-from hil.judge.words import SCHEMA, applied_words, baseline_rows, judged, set_lost_rows, with_page
+from hil.judge.words import SCHEMA, applied_words, judged, set_lost_rows, why_not_passed, with_page
 from hil.record import RunRecording
 from hil.runtime.bench import Bench
 from hil.runtime.loop import Loop, Report
@@ -134,8 +134,9 @@ def close_recording(
     for row in metrics["expect"]:
         if row["figure"] is not None:
             recording.event(t_s, "error" if row["passed"] is False else "info", row["text"])
-    for label, text in baseline_rows(metrics):
-        recording.event(t_s, "info", f"{label}: {text}")
+    for kind, text in why_not_passed(metrics):
+        if kind == "baseline":
+            recording.event(t_s, "error", f"baseline: {text}")
     for row in metrics["fault"]:
         recording.event(t_s, "info" if row["applied"] else "error", f"fault: {applied_words(row)}")
     if (trace := metrics.get("trace")) is not None and trace["trouble"] is not None:
