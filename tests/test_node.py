@@ -203,7 +203,9 @@ def test_a_session_number_is_not_used_twice_in_a_row():
 def test_armed_without_a_command_falls_back():
     rig = WheelRig()
     rig.arm()
-    rig.run(1001)
+    rig.run(999)
+    assert rig.state is m.State.ARMED
+    rig.run(1)
     assert (rig.state, rig.node.look().stop_reason) == (m.State.IDLE, m.StopReason.ARM_TIMEOUT)
 
 
