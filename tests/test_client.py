@@ -174,6 +174,20 @@ def test_every_row_of_the_table_of_arming_is_the_twins() -> None:
     assert found == {"DONE", "WAIT", "HOLD", "ASKED", "NEW_NONCE", "STRANGER", "REFUSED", "LATCHED"}
 
 
+@pytest.mark.proves("R-ARM-6")
+def test_a_refusal_is_answered_by_one_new_nonce() -> None:
+    """It is of the nonce before: what the robot says of the new one is waited for."""
+    client, lib = new_client(), library()[1]
+    idle = (m.Tick(0, 0, 0, m.State.IDLE, 1, 0), m.Encoders(0, 0, 0, 0))
+    take(client, map(codec.encode, (*pages, *idle)))
+    client.request(m.Request.ARM, 0)
+    take(client, [codec.encode(m.Status(m.State.IDLE, 0, 0, 0, 0, 0, 7, m.ArmRefusal.SESSION_USED, 0))])
+    assert client.arm(0) == lib.WHEEL_ARMING_NEW_NONCE
+    client.renew(2)
+    assert client.arm(0) == lib.WHEEL_ARMING_ASKED
+    assert client.arm(0) == lib.WHEEL_ARMING_WAIT
+
+
 @pytest.mark.proves("R-STOP-2")
 def test_an_estop_is_sent_whatever_waits() -> None:
     client = full()
