@@ -9,7 +9,7 @@ from firmware_protocol.framing import Frame, PackedFrames, pack
 from firmware_protocol.host_line import HostLine
 from hil.core.link_protocol import WHEEL_DBC, LinkProtocol
 from hil.core.ports import Clock, Framing, Received
-from hil.wire.streams import HostStream
+from hil.wire.streams import AT_ONCE, HostStream
 
 _MOST_AT_ONCE = 50
 """The most frames that one call returns: those of a few ticks. The caller decides how often it calls."""
@@ -79,7 +79,7 @@ class StreamLink:
             self.received_frames += len(frames)
             attend(pack(frames), 0, stamp_ns)
         for _ in range(_MOST_READS):
-            data = self._stream.read(0)
+            data = self._stream.read(AT_ONCE)
             now_ns = clock.now_ns()
             taken = framing.receive_for(client.address, data, now_ns)
             self.received_bytes += len(data)

@@ -29,10 +29,15 @@ class ByteStream(Protocol):
         """Release the line. Closing twice is allowed."""
 
 
+AT_ONCE = -1
+"""As a timeout of ``HostStream.read``: take only what lies there, and not what the system is still passing on."""
+
+
 class HostStream(Protocol):
     """The host's end of a line, which can be reopened after it was lost.
 
-    ``read`` returns all that has arrived, or at least 2 KiB of it.
+    ``read`` returns all that has arrived, or at least 2 KiB of it. With 0 that is all that was written before: lockstep
+    counts on it. ``AT_ONCE`` does not wait for the system either: real time takes the rest in the next tick.
     """
 
     def write(self, data: bytes) -> None: ...
