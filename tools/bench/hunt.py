@@ -124,14 +124,14 @@ def law(name: str, level: float) -> Defect:
 
 HEALTHY = Defect("healthy", {})
 DEFECTS = (
-    law("heading_sign", 0.1985), law("y_sign", 0.18), law("x_sign", 0.0992), law("heading_wrap", 0.1985),
-    law("left_behind", 0.0995), law("needle", 0.01), law("slow_reference", 0.69), law("far", 0.19),
+    law("heading_sign", 0.1993), law("y_sign", 0.19), law("x_sign", 0.0992), law("heading_wrap", 0.1993),
+    law("left_behind", 0.0997), law("needle", 0.01), law("slow_reference", 0.69), law("far", 0.19),
     law("corner", 0.088), law("far_and_turned", 0.17), law("fast", 1.11), law("backwards", 0.95),
-    law("sideways", 1.02), law("turning", 1.25), law("turning_back", 1.22), law("spinning", 1.28),
-    law("quadrant", 0.981), law("windup", 12.0), law("slow_rate", 36.0), law("clipped", 7.2),
+    law("sideways", 1.02), law("turning", 1.25), law("turning_back", 1.22), law("spinning", 1.33),
+    law("quadrant", 0.9835), law("windup", 12.0), law("slow_rate", 34.0), law("clipped", 8.0),
     law("reversed_wheel", 14.0),
-    Defect("weak motors", {"firmware.torque_limit_n_m": 0.95}),
-    Defect("slow tracking filter", {"firmware.tracking_bandwidth_rad_s": 19.0}),
+    Defect("weak motors", {"firmware.torque_limit_n_m": 1.05}),
+    Defect("slow tracking filter", {"firmware.tracking_bandwidth_rad_s": 22.0}),
     Defect("large wheels believed", {"robot.wheel_radius_m": 0.1}),
 )  # fmt: skip
 
