@@ -331,3 +331,12 @@ def test_a_current_loop_begins_anew_with_each_session() -> None:
     node.send(m.Estop(0, 0))
     node.tick(1500)
     assert list(node.node.current_loop.integral_v) == [0.0] * 4
+
+
+@pytest.mark.proves("R-LIM-7")
+def test_nothing_is_limited_while_the_drives_are_off() -> None:
+    rig = WheelRig()
+    rig.run(100)
+    rig.send(m.Estop(0, 0))
+    rig.run(100)
+    assert {x.limited for x in rig.heard() if isinstance(x, m.Status)} == {0}
