@@ -340,3 +340,13 @@ def test_nothing_is_limited_while_the_drives_are_off() -> None:
     rig.send(m.Estop(0, 0))
     rig.run(100)
     assert {x.limited for x in rig.heard() if isinstance(x, m.Status)} == {0}
+
+
+@pytest.mark.proves("R-STEP-5")
+def test_a_step_that_was_answered_is_not_pending_any_more() -> None:
+    node = BareNode(capabilities=ALL | Capability.LOCKSTEP)
+    ticks = node.ffi.new("uint32_t *")
+    node.send(m.Step(0, 5))
+    assert (node.lib.wheel_node_step_pending(node.node, ticks), ticks[0]) == (True, 5)
+    node.lib.wheel_node_step_done(node.node)
+    assert not node.lib.wheel_node_step_pending(node.node, ticks)
