@@ -20,8 +20,6 @@ from hil.record.ring import MOST_FILES, RingReader, Rows
 from hil.record.ring_child import Record, RefusedError
 
 BATCH_ROWS = 1000
-_MOST_ROWS = 4000
-"""Rows of a backlog that are written at once, which takes two thirds of the time of 1000 at once."""
 _FIRST_BACK_OFF_S = 0.5
 _LONGEST_BACK_OFF_S = 8.0
 _ROOM_BYTES = 16 << 20
@@ -93,7 +91,7 @@ class RunFiles:
     def write_until(self, stop: int) -> None:
         """Write the rows of the ring before ``stop``, and release those that are safe."""
         while (start := self._ring.tail) < stop:
-            rows = self._of_one_file(self._ring.rows(start, min(stop, start + _MOST_ROWS)))
+            rows = self._of_one_file(self._ring.rows(start, min(stop, start + BATCH_ROWS)))
             end = start + len(rows)
             if self._write(lambda file, rows=rows: file.rows(rows)):  # type: ignore[misc]
                 self._ring.release(end)
