@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from tests import examples, once, socketcan_runner
+from tests import examples, once, processes, socketcan_runner
 from tests.plugin_suites import suite
 from tests.slow import is_slow
 
@@ -40,6 +40,11 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 def pytest_configure(config: pytest.Config) -> None:
     config.pluginmanager.register(socketcan_runner.plugin(config))
+
+
+@pytest.hookimpl(trylast=True)
+def pytest_runtest_teardown() -> None:
+    processes.release_terminals()
 
 
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:

@@ -128,10 +128,26 @@ def device(*arguments: str) -> Iterator[Device]:
         line = process.stdout.readline() if ready else ""
         assert line.startswith("ready "), line or (process.stderr and process.stderr.read())
         told = dict(part.split("=", 1) for part in line.split()[1:])
+        kind, _, port = told["link"].partition(":")
+        if kind == "serial":
+            _terminals.append(os.open(port.partition("?")[0], os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK))
         yield Device(process, told["link"], told["truth"])
     finally:
         process.terminate()
         process.communicate(timeout=30)
+
+
+_terminals: list[int] = []
+
+
+def release_terminals() -> None:
+    """Close the terminals of the robots of a test that has ended.
+
+    Until then the number of a robot that was killed is not given to the robot of a test beside this one: the first
+    one's host waits for it to come back, and holds the lock on that number.
+    """
+    while _terminals:
+        os.close(_terminals.pop())
 
 
 def is_running(pid: int) -> bool:
