@@ -231,7 +231,7 @@ def test_a_bus_that_delays_and_doubles_commands_is_driven_over(robot: Device):
 
     def case() -> None:
         with netem("delay", "5ms", "duplicate", "100%"):
-            figures = two_seconds(robot, "", "--set", "allow.rejected=100%")
+            figures = two_seconds(robot, "", "--set", "allow.rejected=1000")
         assert figures["frames"]["rejected"]["robot_stale"] > 100
 
     repeated(case)
