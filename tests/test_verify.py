@@ -27,7 +27,7 @@ from hil.runtime.mutation import exchange, frames, wrappers
 from hil.runtime.mutation.change import CHANGES, ORDER
 from hil.scenario import load
 from hil.scenario.baseline import this_platform
-from tests.processes import environment, hil, wait_for
+from tests.processes import HIL, environment, hil, wait_for
 
 SHORT = {"loop.duration_s": 1.0, "loop.rate_hz": 200, "expect": []}
 CATALOGUE = read_catalogue()
@@ -159,6 +159,14 @@ def test_a_recording_and_the_results_name_the_mutant(tmp_path: Path) -> None:
 
 
 # A suite
+
+
+def test_a_mutant_is_refused_where_real_motors_may_move() -> None:
+    command = [*HIL, "run", "paper_circle", "--mode", "realtime", "--link", "serial:/dev/robot", "--allow-motion"]
+    variables = environment() | {VARIABLE: ENTRIES["law.gain_half"].mutant.to_text()}
+    done = subprocess.run(command, env=variables, capture_output=True, text=True, check=False)
+    assert done.returncode == 2
+    assert "mutant 'law.gain_half' into this process: real motors get no known defect" in done.stderr
 
 
 SCENARIO = """

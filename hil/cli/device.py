@@ -111,7 +111,7 @@ def _robot(scenario: "Scenario", target: str) -> "VirtualStm32":
     """Make the scenario's robot. Raises BadInputError when it cannot run in its own process."""
     from hil.robot.targets.robot import open_target
     from hil.robot.virtual import VirtualStm32
-    from hil.runtime.mutation import mutation
+    from hil.runtime.mutation.mutation import mutation
     from hil.runtime.robots import link_of, no_lockstep, node_maker, virtual_robot
 
     made_of, driver = mutation().made_of(virtual_robot(scenario)), scenario.device.driver

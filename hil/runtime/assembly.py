@@ -23,7 +23,7 @@ from hil.robot.virtual import MakeNode, MakeRobot, new_robot
 from hil.runtime.bench import NS, Bench
 from hil.runtime.events import RunEvents
 from hil.runtime.loop import Loop, Report
-from hil.runtime.mutation import mutation
+from hil.runtime.mutation.mutation import mutation
 from hil.runtime.parts import RunParts
 from hil.runtime.provenance import ingredients, properties
 from hil.runtime.realtime import RealTime, real_time

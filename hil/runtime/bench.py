@@ -26,7 +26,7 @@ from hil.robot.truth import TruthClient
 from hil.robot.virtual import MakeNode, MakeRobot, new_robot
 from hil.runtime.fault_injection import RunFaults
 from hil.runtime.local_robot import LocalRobot
-from hil.runtime.mutation import mutation
+from hil.runtime.mutation.mutation import mutation
 from hil.runtime.robots import (
     firmware_values,
     link_of,
@@ -92,6 +92,8 @@ class Bench:
                 self.local = local = LocalRobot(scenario, self.faults, make_node, make_robot, resources)
                 self.truth, link = local.truth, local.link
             else:
+                if allow_motion:
+                    mutation().refuse_motion()
                 self._open_truth(truth, resources)
                 resources.enter_context(guarding)  # released only after the link was closed
                 link = link_of(scenario).open_host(self.faults.line, self._protocol)

@@ -11,7 +11,7 @@ from hil.core.errors import BadInputError, nearest
 from hil.core.mutant import Mutant, Patch
 from hil.plant import archive
 from hil.plant.description import start_defaults
-from hil.runtime.mutation import check_wrap
+from hil.runtime.mutation.applied import check_wrap
 
 ROOMS = ("plant", "firmware", "law", "wire", "host", "estimator", "motors")
 FOLDER = Path(__file__).parent / "mutants"

@@ -17,7 +17,7 @@ from hil.core.mutant import Mutant
 from hil.core.options import plain
 from hil.plant import archive
 from hil.plant.description import start_defaults
-from hil.runtime.mutation import moved
+from hil.runtime.mutation.applied import moved
 from hil.runtime.robots import link_of, plant_start
 from hil.scenario import Scenario, load, shipped, suite
 
