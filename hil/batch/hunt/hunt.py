@@ -19,7 +19,7 @@ from hil.batch.hunt.space import Case, Params, Space
 from hil.batch.hunt.tables import HuntTables
 from hil.batch.job import ENDED, LOST, REFUSED, Job, Outcome
 from hil.batch.keys import make_job
-from hil.batch.plan import run_jobs, run_plan
+from hil.batch.plan import run_jobs, run_stored
 from hil.batch.plan_file import PlanFile, read_plan_file, row_of_table
 from hil.batch.pool import LocalPool
 from hil.batch.store import Store, read_rows
@@ -52,14 +52,16 @@ class Request(NamedTuple):
 
 
 class Verdict(NamedTuple):
-    """What a run means to a hunt.
+    """How a hunt judges one run.
+
+    A claim is an expectation or a limit of ``[allow]``; its number counts the expectations first.
 
     Attributes:
-        score: the least margin, each as a share of the scenario's own; None for a run that was refused.
-        broken: what is broken: places of expectations, then of limits of ``[allow]``, or a phrase.
-        worst: the place of the least margin, or the phrase.
-        outcome: that of the run; None where the scenario is not valid.
-        shares: what each claim has left of the scenario's own margin.
+        score: the smallest of ``shares``, below 0 if a claim is broken; None for a run that could not be judged.
+        broken: the numbers of the broken claims, or words for a run that ended early or crashed; empty if all hold.
+        worst: the number of the claim with the smallest share, or these words.
+        outcome: the outcome of the run; None where the values contradict each other, so that nothing ran.
+        shares: for each claim its margin, divided by its margin in the scenario as it is.
     """
 
     score: float | None
@@ -299,7 +301,7 @@ class Hunt:
     def perform(self, folder: Path, on_runs: Callable[[], None] = lambda: None) -> None:
         """Do the runs that a folder does not have; it keeps their outcomes, so that a hunt that was stopped goes on.
 
-        Raises BadInputError when the folder cannot be written to or is in use, LinkError as ``run_plan``.
+        Raises BadInputError when the folder cannot be written to or is in use, LinkError as ``run_stored``.
         """
         end_s = None if self.tables.minutes is None else time.monotonic() + 60.0 * self.tables.minutes
 
@@ -308,16 +310,10 @@ class Hunt:
 
         with Store(folder, _SCHEMA) as store:
             known = {row[KEY]: _outcome_of(row) for row in read_rows(folder).to_pylist()}
-            new: list[Outcome] = []
-            try:
-                for outcomes in run_plan(self, LocalPool(self._request.workers), known=known, is_stopping=is_stopping):
-                    new += [outcome for outcome in outcomes if outcome.key not in known]
-                    if new and (store.is_rested or not outcomes):
-                        store.append([_row_of(outcome) for outcome in new])
-                        new = []
+            pool = LocalPool(self._request.workers)
+            with contextlib.closing(run_stored(self, pool, store, known, _row_of, is_stopping=is_stopping)) as runs:
+                for _ in runs:
                     on_runs()
-            finally:
-                store.append([_row_of(outcome) for outcome in new])
 
     def check_free(self, folder: Path, *, force: bool) -> None:
         """Raise BadInputError when a folder has a scenario of an earlier hunt, which must stay."""

@@ -1,5 +1,6 @@
 """Verifies a suite: builds the mutants, runs the suite on each, and says which were noticed, and by what."""
 
+import contextlib
 import json
 import os
 import tempfile
@@ -14,7 +15,7 @@ from platformdirs import user_cache_path
 from firmware_protocol.built import is_checkout, run_script
 from hil.batch.figures import KEY, MACHINE
 from hil.batch.job import PASSED, Outcome
-from hil.batch.plan import run_plan
+from hil.batch.plan import run_stored
 from hil.batch.pool import LocalPool
 from hil.batch.store import Store, read_rows
 from hil.batch.verify.catalogue import Entry, check_sources
@@ -109,17 +110,10 @@ def verify(
     plan = VerifyPlan(request.members, list(built.values()), _varied(request), workers, request.limit_s)
     with Store(request.folder, _SCHEMA) as store:
         known = {row[KEY]: _outcome(row) for row in read_rows(request.folder).to_pylist()}
-        new: list[Outcome] = []
-        try:
-            for some in run_plan(plan, LocalPool(workers), known=known):
-                new += [outcome for outcome in some if outcome.key not in known]
-                if new and (store.is_rested or not some):
-                    store.append([_row(outcome) for outcome in new])
-                    new = []
+        with contextlib.closing(run_stored(plan, LocalPool(workers), store, known, _row)) as runs:
+            for _ in runs:
                 survivors = [trial for trial in plan.trials if trial.is_over and trial.noticed_by is None]
                 on_progress(plan.done, len(plan.trials), _last_words(survivors), len(survivors))
-        finally:
-            store.append([_row(outcome) for outcome in new])
     judged = {trial.entry.id: _verdict(trial, plan) for trial in plan.trials}
     verdicts = [judged.get(entry.id) or Verdict(entry, NOT_BUILT) for entry in request.mutants]
     alarms = [
