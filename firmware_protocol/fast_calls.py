@@ -79,12 +79,12 @@ _SKIP, _TUPLE = -1, -2
 
 
 class RowLayout:
-    """Makes rows of numbers from nested tuples.
+    """Makes rows of numbers from nested tuples, in the host library.
 
-    ``names`` are those of a row, in order. ``objects`` describes what ``row`` is called with. ``difference`` names the
-    first of the three numbers (x, y, heading) of two poses, and of what becomes their difference: x, y, heading in
-    [-π, π], and distance. A number that is in no object stays NaN. Raises BuildError when the host library cannot be
-    loaded.
+    ``names`` are the columns of a row, in order. ``objects`` has the form of the arguments of ``row``: nested tuples
+    with a column's name at the place of each number, or None for what is left out. ``difference`` names three columns,
+    each the first of a group: two poses A and B (x, y, heading), and A minus B, computed here (x, y, heading in
+    [-π, π], distance). A column that no argument has is NaN. Raises BuildError when the library cannot be loaded.
 
     Attributes:
         row: the function that makes a row: doubles, as bytes.

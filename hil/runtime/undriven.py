@@ -64,11 +64,12 @@ class Undriven:
 
 
 class Rejections:
-    """Counts rejected frames and unmatched feedforwards, and those of them that no fault of the scenario explains.
+    """Counts rejected frames and torque feedforwards without their command, and which of them no fault explains.
 
-    A fault that can interrupt feedback, state or robot explains what is counted from its beginning until the end of its
-    window (see ``Undriven``), until the robot is driven again, and until the robot has reported its counts after that.
-    What was rejected before t = 0 does not count. A run with ``windows`` gives it each row, as a sink.
+    Host and robot reject frames. A ``[[fault]]`` that can cut off feedback, state or robot explains all that is counted
+    from its beginning until three things have happened in turn: its window has ended (``Undriven`` defines it), the
+    robot is driven again, and the robot has reported its counters. Nothing before t = 0 is counted; ``counts`` returns
+    the result. It is a sink: where ``windows`` is not empty, it needs the row of each tick.
     """
 
     def __init__(self, device: Device, faults: Sequence[FaultRow], timing: Timing, names: Sequence[str]) -> None:
