@@ -56,6 +56,6 @@ def test_a_rule_without_a_test_and_a_marker_without_a_rule_are_named() -> None:
     ]
 
 
-def test_mutants_of_a_catalogue_are_found_at_any_depth() -> None:
-    table = {"mutant": [{"id": "a", "rules": ["R-A-1"]}, {"id": "b"}], "group": {"x": {"name": "c", "rules": []}}}
-    assert list(rules._named(table, "file")) == [("file: a", ["R-A-1"]), ("file: c", [])]
+def test_mutants_of_functions_and_of_the_catalogue_are_listed_by_rule() -> None:
+    found = rules.of_mutants()["R-CMD-4"]
+    assert {"receive.c: command_is_fresh", "firmware: session_unchecked"} <= set(found)

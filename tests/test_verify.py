@@ -69,16 +69,20 @@ def test_a_row_that_is_wrong_is_refused_with_its_place(tmp_path: Path) -> None:
         '  { id = "b", wrong = "w", size = "s", wrap = { port = "law", of = "torqe", scale = -1 } },\n'
         '  { id = "c", wrong = "w", size = "s", wrap = { port = "law", of = "torque", scale = -1, element = "x" } },\n'
         '  { id = "d", wrong = "w", size = "s", patch = { file = "hil/cli/run.py", before = "a", after = "b" } },\n'
-        '  { id = "mass_more", wrong = "w", size = "s", start = { mass_kg = 1.0 } },\n]\n',
+        '  { id = "mass_more", wrong = "w", size = "s", start = { mass_kg = 1.0 } },\n'
+        '  { id = "e", wrong = "w", size = "s", rules = ["CMD-4"], start = { mass_kg = 1.0 } },\n'
+        '  { id = "f", wrong = "w", size = "s", rules = ["R-CMD-4"], equivalent = "e", start = { mass_kg = 1 } },\n]\n',
         encoding="utf-8",
     )
     with pytest.raises(BadInputError) as refused:
         read_catalogue([file])
     lines = str(refused.value).splitlines()
     assert [line.partition(":")[0] for line in lines] == [
-        f"mutants mine.toml, row {number} ({name})" for number, name in enumerate(("a", "b", "c", "d", "mass_more"), 1)
+        f"mutants mine.toml, row {number} ({name})"
+        for number, name in enumerate(("a", "b", "c", "d", "mass_more", "e", "f"), 1)
     ]
     assert "did you mean 'torque'?" in lines[1]
+    assert "['CMD-4']: expected ids of rules" in lines[5]
     wrong = Entry("plant.x", "plant", "w", "s", "patch", ENTRIES["plant.mass_more"].mutant._replace(
         patches=[Patch("hil/laws/dsc.py", "no such text", "")]))  # fmt: skip
     with pytest.raises(BadInputError, match="'no such text' is there 0 times; expected once"):

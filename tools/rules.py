@@ -1,19 +1,20 @@
 """Lists for each rule of PROTOCOL.md the tests, faults and mutants that prove it: ``python -m tools.rules``.
 
 A rule is a sentence or a row of a table that begins with an id in brackets. A test names rules with the marker
-``proves``, a case of the fault catalogue in ``rules``, and a function of the firmware whose mutants are tried in
-``mutated_rules.toml``. The list goes to ``firmware_protocol/RULES.md``. With ``--check`` nothing is written: it fails
-when the list is out of date, a rule has no test, or anything names a rule that does not exist.
+``proves``, a case of the fault catalogue and a mutant of ``hil verify`` in ``rules``, and a function of the firmware
+whose mutants are tried in ``mutated_rules.toml``. The list goes to ``firmware_protocol/RULES.md``. With ``--check``
+nothing is written: it fails when the list is out of date, a rule has no test, or anything names a rule that does not
+exist.
 """
 
 import ast
 import re
 import sys
 import tomllib
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any
 
+from hil.batch.verify.catalogue import read_catalogue
 from hil.faults.cases import CASES
 from tools.mutate import FILES, functions
 
@@ -21,7 +22,6 @@ ROOT = Path(__file__).parents[1]
 PROTOCOL = ROOT / "firmware_protocol" / "PROTOCOL.md"
 PAGE = ROOT / "firmware_protocol" / "RULES.md"
 MUTATED = ROOT / "tools" / "mutated_rules.toml"
-VERIFY = ROOT / "hil" / "batch" / "verify"
 
 _NO_PROSE = re.compile(r"<!-- generated -->.*?<!-- /generated -->|^```.*?^```", re.DOTALL | re.MULTILINE)
 _BLOCK = re.compile(r"\n\s*\n|\n(?=\s*(?:-|\d+\.|\|) )")
@@ -80,22 +80,11 @@ def of_mutants() -> Proofs:
     """Return the functions whose mutants are tried, and the mutants of ``hil verify``, that name each rule."""
     tables = tomllib.loads(MUTATED.read_text(encoding="utf-8"))
     rows = [(f"{file}: {name}", rules) for file, table in tables.items() for name, rules in table.items()]
-    for path in sorted(VERIFY.rglob("*.toml")):
-        rows += _named(tomllib.loads(path.read_text(encoding="utf-8")), path.stem)
+    rows += [(entry.id.replace(".", ": ", 1), entry.rules) for entry in read_catalogue().mutants]
     return _inverse(rows)
 
 
-def _named(value: Any, within: str) -> Iterator[tuple[str, list[str]]]:
-    """Yield (name, rules) of each table, at any depth, that has ``rules``."""
-    if isinstance(value, dict):
-        if "rules" in value:
-            yield f"{within}: {value.get('id') or value.get('name')}", value["rules"]
-        value = list(value.values())
-    for item in value if isinstance(value, list) else ():
-        yield from _named(item, within)
-
-
-def _inverse(rows: Any) -> Proofs:
+def _inverse(rows: Iterable[tuple[str, Sequence[str]]]) -> Proofs:
     found: Proofs = {}
     for name, rules in rows:
         for rule in rules:
@@ -120,8 +109,9 @@ def page(rules: Mapping[str, str], tests: Proofs, faults: Proofs, mutants: Proof
         "",
         "Made by `python -m tools.rules` from the markers; do not edit. A rule is a sentence of",
         "[PROTOCOL.md](PROTOCOL.md). A test proves it when it names it (`@pytest.mark.proves`), a case of the fault",
-        "catalogue and a mutant of `hil verify` by their `rules`. A function stands for all of its mutants, which",
-        "`python -m tools.mutate` tries; `tools/mutated_rules.toml` says which rules each function carries out.",
+        "catalogue and a mutant of `hil verify` by their `rules`. A mutant is listed behind its room, such as `wire`.",
+        "A function, listed behind its file, stands for all of its mutants, which `python -m tools.mutate` tries;",
+        "`tools/mutated_rules.toml` says which rules each function carries out.",
         "",
         f"{len(rules)} rules, {len({test for some in tests.values() for test in some})} tests.",
         "",

@@ -1,6 +1,7 @@
 """The catalogue of mutants: realistic defects of realistic size, as data, and the permitted variations beside them."""
 
 import random
+import re
 import tomllib
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -19,7 +20,8 @@ MOST_EQUIVALENT = 0.05
 """The largest part of a catalogue that may be listed as equivalent."""
 _PACKAGES = ("hil/", "firmware_protocol/", "plant_fmu/")
 _NOT_PATCHED = ("hil/batch/", "hil/cli/", "hil/core/mutant.py", "hil/runtime/mutation/", "hil/__init__.py")
-_KEYS = {"id", "wrong", "size", "start", "wrap", "patch", "equivalent"}
+_KEYS = {"id", "wrong", "size", "start", "wrap", "patch", "rules", "equivalent"}
+_RULE = re.compile(r"R-[A-Z]+-[1-9]\d*")
 _WAYS = ("start", "wrap", "patch")
 
 
@@ -32,6 +34,7 @@ class Entry(NamedTuple):
         way: how it is applied: ``start`` (start values of the FMU), ``wrap`` (a wrapper of a port), or ``patch`` (of a
             source file). mutant: what that changes.
         equivalent: why it changes nothing that a run could show; None for a mutant that a suite has to notice.
+        rules: the ids of the rules of PROTOCOL.md that it breaks.
     """
 
     id: str
@@ -41,6 +44,7 @@ class Entry(NamedTuple):
     way: str
     mutant: Mutant
     equivalent: str | None = None
+    rules: Sequence[str] = ()
 
     @property
     def target(self) -> str:
@@ -173,7 +177,17 @@ def _entry(row: Mapping[str, Any], room: object) -> Entry:
         mutant = Mutant(name, wrap=row["wrap"])
     else:
         mutant = Mutant(name, patches=_patches(row["patch"]))
-    return Entry(name, str(room), row["wrong"], row["size"], way, mutant, row.get("equivalent"))
+    equivalent = row.get("equivalent")
+    return Entry(name, str(room), row["wrong"], row["size"], way, mutant, equivalent, _rules(row, equivalent))
+
+
+def _rules(row: Mapping[str, Any], equivalent: str | None) -> list[str]:
+    rules = row.get("rules", [])
+    if not isinstance(rules, list) or not all(isinstance(rule, str) and _RULE.fullmatch(rule) for rule in rules):
+        raise ValueError(f'rules = {rules!r}: expected ids of rules of PROTOCOL.md, such as ["R-CMD-4"]')
+    if rules and equivalent is not None:
+        raise ValueError(f"rules = {rules!r}: a mutant that changes nothing breaks no rule")
+    return rules
 
 
 def _patches(rows: Any) -> list[Patch]:
