@@ -24,6 +24,16 @@ def test_the_cost_of_a_step_is_printed_for_all_ways() -> None:
         assert words in done.stdout
 
 
+def test_the_cost_of_windows_is_printed_beside_the_fmu_alone(tmp_path: Path) -> None:
+    file = tmp_path / "figures.json"
+    command = [sys.executable, "-m", "tools.bench.window_stepper", "--repeats", "1", "--json", str(file)]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    figures = json.loads(file.read_text(encoding="utf-8"))
+    assert {"rigid, steps of 10 ms", "slip, friction, steps of 10 ms"} <= figures.keys()
+    assert all(figure["times"] > 0.5 for figure in figures.values()), "no way does less than the FMU itself"
+
+
 def test_a_missing_fmu_is_one_sentence() -> None:
     command = [sys.executable, "-m", "tools.bench.fmu_step", "none.fmu"]
     done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)

@@ -9,8 +9,8 @@ from plant_fmu.sources import INPUTS, sources_of
 
 HERE = Path(__file__).parent
 PLANT_PORT = ROOT / "firmware_protocol" / "firmware" / "plant_port.h"
-HEADERS = (PLANT_PORT, *(HERE / f"{name}.h" for name in ("cosim", "derive", "remote", "robot_faults")))
-SOURCES = tuple(HERE / f"{name}.c" for name in ("cosim", "callbacks", "derive", "remote", "robot_faults"))
+HEADERS = (PLANT_PORT, *(HERE / f"{name}.h" for name in ("cosim", "derive", "remote", "robot_faults", "windows")))
+SOURCES = tuple(HERE / f"{name}.c" for name in ("cosim", "callbacks", "derive", "remote", "robot_faults", "windows"))
 INCLUDE = (HERE, PLANT_PORT.parent)
 COSIM = Built(HERE / f"libcosim{SUFFIX}", "tools.build.cosim", (*SOURCES, *HEADERS), digest_in_library)
 MUJOCO = plant_fmu.mujoco.path()

@@ -264,6 +264,16 @@ int cosim_exchange(void *context, const wheel_drive *drive, wheel_sense *sense) 
     return 0;
 }
 
+int cosim_put(cosim *c, const cosim_variable *v, double value) {
+    float single = (float)value;
+    cosim_group one = {.call = v->call,
+                       .reference = &v->reference,
+                       .references = 1,
+                       .value = v->type == COSIM_FLOAT64 ? (void *)&value : (void *)&single,
+                       .values = 1};
+    return v->type == COSIM_FLOAT64 ? CALL(c, &one, const double) : CALL(c, &one, const float);
+}
+
 int cosim_set(void *context, size_t place, double value) {
     cosim *const c = context;
     if (c->failed) {
@@ -272,14 +282,7 @@ int cosim_set(void *context, size_t place, double value) {
     if (place >= c->settables) {
         return fail(c, "there is no settable variable %zu", place);
     }
-    const cosim_variable *const v = &c->settable[place];
-    float single = (float)value;
-    cosim_group one = {.call = v->call,
-                       .reference = &v->reference,
-                       .references = 1,
-                       .value = v->type == COSIM_FLOAT64 ? (void *)&value : (void *)&single,
-                       .values = 1};
-    const int status = v->type == COSIM_FLOAT64 ? CALL(c, &one, const double) : CALL(c, &one, const float);
+    const int status = cosim_put(c, &c->settable[place], value);
     return status > COSIM_WARNING ? refused(c, status, "refused a new value of a variable") : 0;
 }
 

@@ -150,6 +150,9 @@ void cosim_free(void *memory);
 /* fmi2Status and fmi3Status agree on these. A run ends with a status that is worse than a warning. */
 enum { COSIM_WARNING = 1, COSIM_DISCARD = 2, COSIM_FATAL = 4 };
 
+/* Sets a variable of the FMU at once; returns its status. */
+int cosim_put(cosim *c, const cosim_variable *v, double value);
+
 /* The name of an fmi2Status or fmi3Status. */
 const char *cosim_status_name(int status);
 

@@ -45,9 +45,9 @@ class Instance:
         self.variables = variables_of(self.description)
         """FMPy's variables by name, and by alias."""
         if not self.is_model_exchange:
-            context.do_step = self._function(f"fmi{self.version}DoStep")
+            context.do_step = self.function(f"fmi{self.version}DoStep")
             if self.version == 2:
-                context.get_boolean_status = self._function("fmi2GetBooleanStatus")
+                context.get_boolean_status = self.function("fmi2GetBooleanStatus")
 
     @property
     def message(self) -> str:
@@ -56,7 +56,12 @@ class Instance:
 
     def access(self, call: str, kind: str) -> Any:
         """Return a getter or setter as a ``cosim_function``: of ("Get", "Real") for example."""
-        return self._function(f"fmi{self.version}{call}{kind}")
+        return self.function(f"fmi{self.version}{call}{kind}")
+
+    def function(self, name: str) -> Any:
+        """Return any function of the FMU as a ``cosim_function``."""
+        address = ctypes.cast(getattr(self.fmu.dll, name), ctypes.c_void_p).value
+        return load()[0].cast("cosim_function", address)
 
     def value_of(self, variable: Any) -> float:
         """Return the value of a floating-point variable. Raises DeviceError when the FMU refuses to give it."""
@@ -187,10 +192,6 @@ class Instance:
     def _forget(self) -> None:
         self._context.failed = self._context.text_status = 0
         self._context.text = b""
-
-    def _function(self, name: str) -> Any:
-        address = ctypes.cast(getattr(self.fmu.dll, name), ctypes.c_void_p).value
-        return load()[0].cast("cosim_function", address)
 
     def _load(self, library: Library) -> Any:
         from fmpy import freeLibrary

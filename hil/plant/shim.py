@@ -109,6 +109,12 @@ def setter(access: Callable[[str, str], Any], kind: str) -> tuple[int, Any]:
     return getattr(load()[1], f"COSIM_{_FMI2_TYPES.get(kind, kind).upper()}"), access("Set", kind)
 
 
+def c_type(kind: str) -> str:
+    """Return the C type of a number's FMI type."""
+    name = _FMI2_TYPES.get(kind, kind)
+    return _C_TYPES.get(name, f"{name.lower()}_t")
+
+
 def _fill(group: Any, kind: str, connections: list[Connection]) -> list[object]:
     """Lay out the variables of one type: each once, an array's elements one after the other."""
     ffi, library = load()
@@ -125,7 +131,7 @@ def _fill(group: Any, kind: str, connections: list[Connection]) -> list[object]:
     for variable in variables:
         given = elements_at_start(variable) or [0]
         starts += given if len(given) == count(variable) else given[:1] * count(variable)
-    value = ffi.new(f"{_C_TYPES.get(name, f'{name.lower()}_t')}[]", starts)
+    value = ffi.new(f"{c_type(kind)}[]", starts)
     row = ffi.new("cosim_row[]", rows)
     group.type = getattr(library, f"COSIM_{name.upper()}")
     group.reference, group.references = reference, len(variables)

@@ -76,6 +76,14 @@ BENCHES = (
         ),
     ),
     Bench(
+        "window_stepper",
+        ("--repeats", "3"),
+        tuple(
+            Row(f"windows, {case}: ours, in a C loop over the FMU", (case, "times"), AT_MOST, 2, 3)
+            for case in ("rigid, steps of 10 ms", "slip, friction, steps of 10 ms")
+        ),
+    ),
+    Bench(
         "can_foreign",
         ("--frames", "1000", "--repeats", "5"),
         (Row("foreign CAN frame: ours, in python-can's recv", ("CanLink.receive", "of_recv_loop"), AT_MOST, 3, 4),),

@@ -68,10 +68,12 @@ class RawLoop:
         self._ffi.cdef(header.partition("/* cffi: begin */")[2].partition("/* cffi: end */")[0])
         self._library: Any = self._ffi.dlopen(str(library))
 
-    def way(self, name: str, plant: FmuPlant, inputs: Mapping[str, float], outputs: Sequence[str]) -> Way:
+    def way(
+        self, name: str, plant: FmuPlant, inputs: Mapping[str, float], outputs: Sequence[str], step_ms: int = 1
+    ) -> Way:
         """Return the loop over an instance that sets these inputs and reads these outputs."""
         instance = plant.instance
-        loop: Any = self._ffi.new("raw_loop *", {"fmi_version": instance.version})
+        loop: Any = self._ffi.new("raw_loop *", {"fmi_version": instance.version, "step_ms": step_ms})
         loop.component = self._ffi.cast("void *", instance.fmu.component)
         real, integer = ("Real", "Integer") if instance.version == 2 else ("Float64", "Int32")
         loop.set_real = self._function(instance.access("Set", real))

@@ -13,10 +13,11 @@ static int run2(const raw_loop *l, unsigned long steps) {
     int (*const do_step)(void *, double, double, int) = (int (*)(void *, double, double, int))l->do_step;
     double real[32];
     int integer[32];
+    const double step_s = (double)l->step_ms / 1e3;
     int worst = 0;
     for (unsigned long n = 0; n < steps; n++) {
         worst |= set_real(l->component, l->input, l->inputs, l->value);
-        worst |= do_step(l->component, (double)n * 1e6 / 1e9, 1e-3, 1);
+        worst |= do_step(l->component, (double)(n * l->step_ms) * 1e6 / 1e9, step_s, 1);
         worst |= get_real(l->component, l->real, l->reals, real);
         worst |= get_integer(l->component, l->integer, l->integers, integer);
     }
@@ -35,11 +36,12 @@ static int run3(const raw_loop *l, unsigned long steps) {
     double real[32], reached_s;
     int32_t integer[32];
     bool event, terminate, early;
+    const double step_s = (double)l->step_ms / 1e3;
     int worst = 0;
     for (unsigned long n = 0; n < steps; n++) {
         worst |= set_real(l->component, l->input, l->inputs, l->value, l->inputs);
-        worst |=
-            do_step(l->component, (double)n * 1e6 / 1e9, 1e-3, true, &event, &terminate, &early, &reached_s);
+        worst |= do_step(l->component, (double)(n * l->step_ms) * 1e6 / 1e9, step_s, true, &event, &terminate,
+                         &early, &reached_s);
         worst |= get_real(l->component, l->real, l->reals, real, l->reals);
         worst |= get_integer(l->component, l->integer, l->integers, integer, l->integers);
     }

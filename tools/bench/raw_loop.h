@@ -19,9 +19,10 @@ typedef struct {
     size_t reals;
     unsigned integer[32];
     size_t integers;
+    unsigned long step_ms;
 } raw_loop;
 
-/* Takes so many steps of 1 ms from time 0. Returns the worst status, 0 when all went well. */
+/* Takes so many steps from time 0. Returns the worst status, 0 when all went well. */
 int raw_run(const raw_loop *loop, unsigned long steps);
 /* cffi: end */
 
