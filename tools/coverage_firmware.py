@@ -42,6 +42,7 @@ TESTS = (
     "tests/test_node_thresholds.py",
     "tests/test_current_loop.py",
     "tests/test_client.py",
+    "tests/test_client_frames.py",
     "tests/test_direct.py",
     "tests/test_line_of_the_library.py",
     "tests/test_parameters.py",

@@ -36,15 +36,12 @@ _OF_THE_NODE = (
     "tests/test_node_replay.py",
     "tests/test_parameters.py",
 )
-_OF_THE_CLIENT = (
-    "tests/test_client.py",
-    "tests/test_snapshot.py",
-    "tests/test_line_of_the_library.py",
-    "tests/test_snapshot_twin.py",
-)
+_OF_THE_CLIENT = ("tests/test_client_frames.py", "tests/test_client.py")
 FILES = {
     **dict.fromkeys(("states.c", "receive.c", "supervise.c", "node.c"), _OF_THE_NODE),
-    **dict.fromkeys(("arming.c", "incoming.c", "session.c", "line.c"), _OF_THE_CLIENT),
+    **dict.fromkeys(("arming.c", "session.c"), (*_OF_THE_CLIENT, "tests/test_snapshot.py")),
+    "incoming.c": ("tests/test_snapshot.py", *_OF_THE_CLIENT, "tests/test_snapshot_twin.py"),
+    "line.c": ("tests/test_line_of_the_library.py",),
 }
 """The tests of each file whose mutants are tried."""
 _SOURCES = {source.name: source for source in SOURCES}
@@ -74,6 +71,7 @@ _SWAPS = {
 }
 _OPERATOR = re.compile(r"(?<= )(?:<=|>=|==|!=|&&|\|\||\+=|<|>|\+|-)(?= )|\+\+|\b(?:true|false)\b")
 _WHOLE = re.compile(r"(?<![\w.])(\d+)(u?)(?![\w.])")
+_DECLARED = re.compile(r"\b(?!return\b|sizeof\b)\w+ \w+\[$")
 _REAL = re.compile(r"(?<![\w.])\d+\.\d+f")
 _CONDITION = re.compile(r"\bif \((.*)\) \{$")
 _STATEMENT = re.compile(
@@ -110,8 +108,12 @@ def changes(line: str) -> Iterator[str]:
     for found in _OPERATOR.finditer(line):
         yield line[: found.start()] + _SWAPS[found[0]] + line[found.end() :]
     for found in _WHOLE.finditer(line):
-        for whole in sorted({int(found[1]) + 1, max(int(found[1]) - 1, 0)} - {int(found[1])}):
-            yield line[: found.start()] + f"{whole}{found[2]}" + line[found.end() :]
+        before, behind = line[: found.start()], line[found.end() :]
+        others = {int(found[1]) + 1, max(int(found[1]) - 1, 0)} - {int(found[1])}
+        if _DECLARED.search(before) or behind.startswith("]){"):
+            # An array may be larger; of a parameter the size means nothing in C.
+            others = set() if behind[1:2] in (",", ")") and not behind.startswith("]){") else {min(others)}
+        yield from (f"{before}{whole}{found[2]}{behind}" for whole in sorted(others))
     for found in _REAL.finditer(line):
         for factor in (0.75, 1.25):
             real = float(found[0][:-1])

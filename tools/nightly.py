@@ -11,7 +11,7 @@ import platform
 import subprocess
 import sys
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import NamedTuple
 
@@ -23,7 +23,7 @@ class Step(NamedTuple):
     """A command, the words for it, and what it has in its environment."""
 
     words: str
-    command: Sequence[str]
+    command: tuple[str, ...]
     environment: Mapping[str, str] = {}
 
 
@@ -34,7 +34,7 @@ STEPS = {
         {"HIL_EXAMPLES": "thorough"},
     ),
     "alone": Step("the tests of real time", (PYTHON, "-m", "pytest", "-m", "alone")),
-    "mutation": Step("every mutant of the firmware's safety checks", (PYTHON, "-m", "tools.mutate")),
+    "mutation": Step("every mutant of the firmware's checks and of the host's half", (PYTHON, "-m", "tools.mutate")),
     "fuzz": Step(
         "fuzzing of the firmware, of the decoder and of the host's line",
         (PYTHON, "-m", "tools.fuzz", "--runs", "10000000"),
