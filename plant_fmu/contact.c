@@ -59,6 +59,9 @@ static void balance_load(const mecanum_model *model, const mecanum_modes *modes,
     const double roll = model->gravity_upright_n * p->com_y_m - p->com_height_m * force_y -
                         state->x[MECANUM_YAW_RATE_RAD_S] * spin;
     mecanum_share_load(model, pitch, roll, load_n);
+    for (int i = 0; i < MECANUM_WHEELS; i++) {
+        load_n[i] = model->lifted[i] ? 0.0 : load_n[i]; /* the block in its place carries it */
+    }
 }
 
 void mecanum_ground(const mecanum_model *model, const mecanum_modes *modes, const mecanum_state *state,
@@ -85,7 +88,7 @@ void mecanum_ground(const mecanum_model *model, const mecanum_modes *modes, cons
         const double along_n = -p->roller_stiffness_n_m * bent_m - p->roller_damping_n_s_m * bending_m_s;
         const double across_n = -p->roller_friction_coefficient * contact->load_n[i] *
                                 tanh(across_m_s / MECANUM_RESISTANCE_SPEED_M_S);
-        contact->slip_m_s[i] = along_m_s;
+        contact->slip_m_s[i] = model->lifted[i] ? 0.0 : along_m_s;
         contact->deflection_rate_m_s[i] = rate_m_s;
         contact->force_x_n[i] = ROOT_HALF * (along_n - s * across_n);
         contact->force_y_n[i] = ROOT_HALF * (s * along_n + across_n);

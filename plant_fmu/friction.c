@@ -20,7 +20,7 @@ static void hold(const mecanum_model *model, mecanum_modes *modes) {
     double push[3][3]; /* inverse mass x row */
     int rank = 0;
     for (int i = 0; i < MECANUM_WHEELS; i++) {
-        if (!modes->at_rest[i] || rank == 3) {
+        if (!modes->at_rest[i] || model->lifted[i] || rank == 3) {
             continue;
         }
         double rest[3] = {model->rolling[i][0], model->rolling[i][1], model->rolling[i][2]};
@@ -99,7 +99,7 @@ static void release_rigid(const mecanum_model *model, const mecanum_inputs *u, c
     for (int sweep = 0; sweep < MOST_SWEEPS; sweep++) {
         largest = 0.0;
         for (int i = 0; i < MECANUM_WHEELS; i++) {
-            if (!modes->at_rest[i]) {
+            if (!modes->at_rest[i] || model->lifted[i]) {
                 continue;
             }
             const double *const row = model->rolling[i];
@@ -120,7 +120,7 @@ static void release_rigid(const mecanum_model *model, const mecanum_inputs *u, c
     }
     for (int i = 0; i < MECANUM_WHEELS; i++) {
         const double limit = model->friction_n_m[i];
-        if (modes->at_rest[i] && fabs(friction_n_m[i]) >= limit) {
+        if (modes->at_rest[i] && !model->lifted[i] && fabs(friction_n_m[i]) >= limit) {
             const double *const row = model->rolling[i];
             const double wheel =
                 row[0] * acceleration[0] + row[1] * acceleration[1] + row[2] * acceleration[2];
@@ -129,6 +129,17 @@ static void release_rigid(const mecanum_model *model, const mecanum_inputs *u, c
                 modes->at_rest[i] = false;
                 modes->sign[i] = copysign(1.0, wheel);
             }
+        }
+    }
+}
+
+/* A lifted wheel goes when its drive exceeds its friction. */
+static void release_lifted(const mecanum_model *model, const double torque_n_m[MECANUM_WHEELS],
+                           mecanum_modes *modes) {
+    for (int i = 0; i < MECANUM_WHEELS; i++) {
+        if (model->lifted[i] && modes->at_rest[i] && fabs(torque_n_m[i]) > model->friction_n_m[i]) {
+            modes->at_rest[i] = false;
+            modes->sign[i] = copysign(1.0, torque_n_m[i]);
         }
     }
 }
@@ -152,6 +163,9 @@ void mecanum_settle(const mecanum_model *model, const mecanum_inputs *u, mecanum
     double speed_rad_s[MECANUM_WHEELS];
     double torque_n_m[MECANUM_WHEELS];
     modes->any_at_rest = false;
+    for (int j = 0; j < 3 && model->is_held; j++) {
+        state->x[MECANUM_FORWARD_M_S + j] = 0.0;
+    }
     if (!model->has_friction) {
         for (int i = 0; i < MECANUM_WHEELS; i++) {
             modes->sign[i] = 0.0;
@@ -172,6 +186,7 @@ void mecanum_settle(const mecanum_model *model, const mecanum_inputs *u, mecanum
     if (model->p->contact == MECANUM_CONTACT_SLIP) {
         release_slip(model, state, torque_n_m, modes);
     } else {
+        release_lifted(model, torque_n_m, modes);
         release_rigid(model, u, state, torque_n_m, modes);
     }
     modes->any_at_rest = false;

@@ -18,9 +18,26 @@ static const double DAMPING_STEP = 0.1;
 static const double LEAP = 0.1;
 static const int MOST_HALVINGS = 6;
 
+/* Gives the wheels on the ground, in the state, the speeds with which they roll: what a wheel has when it is
+ * lifted. */
+static void roll_on(const mecanum_model *model, mecanum_state *state) {
+    double *const x = state->x;
+    for (int i = 0; i < MECANUM_WHEELS; i++) {
+        const double *const row = model->rolling[i];
+        if (!model->lifted[i]) {
+            x[MECANUM_WHEEL_SPEED_RAD_S + i] = row[0] * x[MECANUM_FORWARD_M_S] +
+                                               row[1] * x[MECANUM_LEFT_M_S] +
+                                               row[2] * x[MECANUM_YAW_RATE_RAD_S];
+        }
+    }
+}
+
 void mecanum_start(const mecanum_parameters *p, mecanum_state *state) {
+    /* A wheel that is lifted from the start rolled until then, as one that is lifted a moment later. */
+    mecanum_parameters on_ground = *p;
     mecanum_model model;
-    mecanum_prepare(&model, p);
+    memset(on_ground.wheel_lifted, 0, sizeof on_ground.wheel_lifted);
+    mecanum_prepare(&model, &on_ground);
     const double cos_heading = cos(p->start_heading_rad);
     const double sin_heading = sin(p->start_heading_rad);
     double *const x = state->x;
@@ -34,14 +51,7 @@ void mecanum_start(const mecanum_parameters *p, mecanum_state *state) {
     for (int i = 0; i < MECANUM_WHEELS; i++) {
         x[MECANUM_TEMPERATURE_DEGC + i] = p->air_degc;
     }
-    if (p->contact == MECANUM_CONTACT_SLIP) {
-        for (int i = 0; i < MECANUM_WHEELS; i++) {
-            const double *const row = model.rolling[i];
-            x[MECANUM_WHEEL_SPEED_RAD_S + i] = row[0] * x[MECANUM_FORWARD_M_S] +
-                                               row[1] * x[MECANUM_LEFT_M_S] +
-                                               row[2] * x[MECANUM_YAW_RATE_RAD_S];
-        }
-    }
+    roll_on(&model, state);
 }
 
 /* The largest acceleration of wheels for one newton metre each. Rigid: the largest eigenvalue of J M^-1 J^T,
@@ -50,12 +60,19 @@ static double wheel_ease(const mecanum_model *model) {
     if (model->p->contact == MECANUM_CONTACT_SLIP) {
         return 1.0 / model->wheel_inertia_kg_m2;
     }
-    const double *const row = model->rolling[0];
-    double largest = 0.0;
+    double most[3]; /* of the wheels, which differ where some are lifted */
+    double largest =
+        model->any_lifted && model->wheel_inertia_kg_m2 > 0.0 ? 1.0 / model->wheel_inertia_kg_m2 : 0.0;
+    memcpy(most, model->rolling[0], sizeof most);
+    for (int i = 0; i < MECANUM_WHEELS && model->any_lifted; i++) {
+        for (int j = 0; j < 3; j++) {
+            most[j] = fmax(fabs(most[j]), fabs(model->rolling[i][j]));
+        }
+    }
     for (int i = 0; i < 3; i++) {
         double sum = 0.0;
         for (int j = 0; j < 3; j++) {
-            sum += 4.0 * fabs(row[i] * model->inverse_mass.at[i][j] * row[j]);
+            sum += 4.0 * fabs(most[i] * model->inverse_mass.at[i][j] * most[j]);
         }
         largest = fmax(largest, sum);
     }
@@ -124,7 +141,8 @@ void mecanum_derivative(const mecanum_model *model, const mecanum_inputs *u, con
         const double heat_w = p->motor_resistance_ohm * drive.current_a[i] * drive.current_a[i];
         const double cooling_w = (x[MECANUM_TEMPERATURE_DEGC + i] - p->air_degc) / p->winding_to_air_k_w;
         rate[MECANUM_TEMPERATURE_DEGC + i] = (heat_w - cooling_w) / p->winding_heat_capacity_j_k;
-        rate[MECANUM_WHEEL_SPEED_RAD_S + i] = 0.0;
+        rate[MECANUM_WHEEL_SPEED_RAD_S + i] =
+            model->lifted[i] && !modes->at_rest[i] ? torque_n_m[i] / model->wheel_inertia_kg_m2 : 0.0;
         rate[MECANUM_DEFLECTION_M + i] = 0.0;
     }
     if (p->contact == MECANUM_CONTACT_SLIP) {
@@ -221,6 +239,9 @@ void mecanum_advance(const mecanum_parameters *p, const mecanum_inputs *u, doubl
     for (long i = 0; i < (long)steps; i++) {
         mecanum_step(&model, u, step_s / steps, state);
     }
+    if (p->contact != MECANUM_CONTACT_SLIP) {
+        roll_on(&model, state);
+    }
 }
 
 /* Energy of motion, height, bent rollers and windings. */
@@ -271,7 +292,7 @@ void mecanum_output(const mecanum_parameters *p, const mecanum_inputs *u, const 
     out->pose_heading_rad = x[MECANUM_HEADING_RAD];
     out->twist_vx_m_s = derivative.x[MECANUM_X_M];
     out->twist_vy_m_s = derivative.x[MECANUM_Y_M];
-    out->twist_yaw_rate_rad_s = x[MECANUM_YAW_RATE_RAD_S];
+    out->twist_yaw_rate_rad_s = x[MECANUM_YAW_RATE_RAD_S] * (model.is_held ? 0.0 : 1.0);
     mecanum_wheel_speeds(&model, &settled, out->wheel_speed_rad_s);
     mecanum_drives(&model, u, &settled, out->wheel_speed_rad_s, &drive);
     out->battery_voltage_v = drive.battery_v;
@@ -281,7 +302,7 @@ void mecanum_output(const mecanum_parameters *p, const mecanum_inputs *u, const 
         out->wheel_current_a[i] = drive.current_a[i];
         out->wheel_temperature_degc[i] = x[MECANUM_TEMPERATURE_DEGC + i];
         out->wheel_axle_torque_n_m[i] = drive.torque_n_m[i];
-        out->wheel_load_n[i] = model.load_n[i];
+        out->wheel_load_n[i] = model.lifted[i] ? 0.0 : model.load_n[i];
         out->wheel_slip_m_s[i] = 0.0;
         torque_n_m[i] = drive.torque_n_m[i] - p->viscous_n_m_s_rad * out->wheel_speed_rad_s[i] -
                         model.friction_n_m[i] * modes.sign[i];

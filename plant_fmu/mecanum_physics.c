@@ -4,6 +4,12 @@
 
 /* Says what is wrong with parameters that are each within their range, or NULL. */
 static const char *problem_of(const mecanum_parameters *p) {
+    for (int i = 0; i < MECANUM_WHEELS; i++) {
+        if (p->wheel_lifted[i] >= 0.5 && p->wheel_inertia_kg_m2 + p->rotor_inertia_kg_m2 <= 0.0) {
+            return "wheel_inertia_kg_m2 = 0 with a lifted wheel; expected a positive number, a wheel without "
+                   "inertia would turn at once";
+        }
+    }
     if (p->contact == MECANUM_CONTACT_SLIP && p->wheel_inertia_kg_m2 + p->rotor_inertia_kg_m2 <= 0.0) {
         return "wheel_inertia_kg_m2 = 0 with slip contact; expected a positive number, wheels without "
                "inertia would turn at once";
@@ -38,6 +44,10 @@ static bool is_finite(const mecanum_state *state) {
 }
 
 bool physics_advance(plant_instance *plant, double step_s) {
+    const char *const problem = problem_of(&plant->now.parameters); /* tunable ones may have changed */
+    if (problem != NULL) {
+        return plant_discard(plant, "doStep: %s", problem);
+    }
     mecanum_state state = plant->now.state;
     mecanum_advance(&plant->now.parameters, &plant->now.inputs, step_s, &state);
     if (!is_finite(&state)) {

@@ -52,6 +52,19 @@ static void limit_friction(mecanum_model *model, const mecanum_parameters *p) {
     }
 }
 
+static void lift_wheels(mecanum_model *model, const mecanum_parameters *p) {
+    model->any_lifted = false;
+    model->is_held = true;
+    for (int i = 0; i < MECANUM_WHEELS; i++) {
+        model->lifted[i] = p->wheel_lifted[i] >= 0.5;
+        model->any_lifted = model->any_lifted || model->lifted[i];
+        model->is_held = model->is_held && model->lifted[i];
+        for (int j = 0; j < 3 && model->lifted[i]; j++) {
+            model->rolling[i][j] = 0.0;
+        }
+    }
+}
+
 /* Mass matrix in the body frame: ((a, 0, -b), (0, a, c), (-b, c, d)), with b and c from the centre of mass.
  */
 static void weigh(mecanum_model *model, const mecanum_parameters *p) {
@@ -75,6 +88,38 @@ static void weigh(mecanum_model *model, const mecanum_parameters *p) {
     }};
 }
 
+/* The same where wheels are lifted: those on the ground alone turn with the body. On blocks nothing moves it.
+ */
+static void weigh_lifted(mecanum_model *model, const mecanum_parameters *p) {
+    const double y_kg_m = p->mass_kg * p->com_y_m;
+    const double x_kg_m = p->mass_kg * p->com_x_m;
+    const double about_com = p->com_x_m * p->com_x_m + p->com_y_m * p->com_y_m;
+    double m[3][3] = {{p->mass_kg, 0.0, -y_kg_m},
+                      {0.0, p->mass_kg, x_kg_m},
+                      {-y_kg_m, x_kg_m, p->inertia_kg_m2 + p->mass_kg * about_com}};
+    for (int i = 0; i < MECANUM_WHEELS && model->carried_kg > 0.0; i++) {
+        for (int j = 0; j < 3; j++) {
+            for (int k = 0; k < 3; k++) {
+                m[j][k] += model->wheel_inertia_kg_m2 * model->rolling[i][j] * model->rolling[i][k];
+            }
+        }
+    }
+    /* The adjugate over the determinant. */
+    double adjugate[3][3];
+    for (int j = 0; j < 3; j++) {
+        for (int k = 0; k < 3; k++) {
+            const int j1 = (j + 1) % 3, j2 = (j + 2) % 3, k1 = (k + 1) % 3, k2 = (k + 2) % 3;
+            adjugate[k][j] = m[j1][k1] * m[j2][k2] - m[j1][k2] * m[j2][k1];
+        }
+    }
+    const double determinant = m[0][0] * adjugate[0][0] + m[0][1] * adjugate[1][0] + m[0][2] * adjugate[2][0];
+    for (int j = 0; j < 3; j++) {
+        for (int k = 0; k < 3; k++) {
+            model->inverse_mass.at[j][k] = model->is_held ? 0.0 : adjugate[j][k] / determinant;
+        }
+    }
+}
+
 void mecanum_prepare(mecanum_model *model, const mecanum_parameters *p) {
     const double weight_n = p->mass_kg * GRAVITY_M_S2;
     model->p = p;
@@ -83,6 +128,10 @@ void mecanum_prepare(mecanum_model *model, const mecanum_parameters *p) {
     place_wheels(model, p);
     limit_friction(model, p);
     weigh(model, p);
+    lift_wheels(model, p);
+    if (model->any_lifted) {
+        weigh_lifted(model, p);
+    }
 }
 
 void mecanum_wheel_speeds(const mecanum_model *model, const mecanum_state *state,
@@ -93,6 +142,11 @@ void mecanum_wheel_speeds(const mecanum_model *model, const mecanum_state *state
         speed_rad_s[i] = model->p->contact == MECANUM_CONTACT_SLIP
                              ? state->x[MECANUM_WHEEL_SPEED_RAD_S + i]
                              : row[0] * twist[0] + row[1] * twist[1] + row[2] * twist[2];
+    }
+    for (int i = 0; i < MECANUM_WHEELS && model->any_lifted; i++) {
+        if (model->lifted[i]) {
+            speed_rad_s[i] = state->x[MECANUM_WHEEL_SPEED_RAD_S + i];
+        }
     }
 }
 

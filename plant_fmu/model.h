@@ -29,8 +29,12 @@ typedef struct {
     double wheel_x_m[MECANUM_WHEELS]; /* where the wheels stand, body frame */
     double wheel_y_m[MECANUM_WHEELS];
     double roller_sign[MECANUM_WHEELS]; /* s: the lower roller's axis is (1, s) / sqrt 2 */
-    double rolling[MECANUM_WHEELS][3]; /* wheel speed of a wheel that does not slip = this row x body twist */
-    double wheel_inertia_kg_m2;        /* of a wheel with its rotor */
+    double rolling[MECANUM_WHEELS][3];  /* wheel speed of a wheel that does not slip = this row x body twist;
+                                           0 for a lifted one */
+    bool lifted[MECANUM_WHEELS];        /* off the ground, a block in its place */
+    bool any_lifted;
+    bool is_held;               /* all are lifted: the body stands on blocks */
+    double wheel_inertia_kg_m2; /* of a wheel with its rotor */
     double carried_kg;    /* what the turning wheels add to the mass, k = 4 J / r^2; 0 with slip contact */
     double turning_kg_m2; /* yaw inertia about the robot's centre, with what the turning wheels add */
     mecanum_matrix inverse_mass;

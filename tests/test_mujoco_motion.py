@@ -184,3 +184,40 @@ def test_the_heading_is_not_wrapped() -> None:
         plant.torque(1.0 * TURN)
         plant.step(20, step_s=0.05)
         assert plant.pose[2] > 2 * math.pi
+
+
+LIFTED = ("wheel.fl.lifted", "wheel.fr.lifted", "wheel.rr.lifted", "wheel.rl.lifted")
+
+
+def test_on_blocks_each_wheel_turns_by_its_own_torque_and_the_body_stands() -> None:
+    torque, seconds, inertia = np.array([0.1, -0.05, 0.02, 0.0]), 0.2, 0.005
+    with robot() as plant:
+        plant.torque(0.5 * FORWARD)
+        plant.step(100)
+        assert plant.twist[0] > 0.05
+        plant.set(**dict.fromkeys(LIFTED, 1.0))
+        before, place = plant.wheels("speed_rad_s"), plant.pose
+        plant.torque(torque)
+        plant.step(round(seconds * 1000))
+        turned = plant.wheels("speed_rad_s") - before
+        assert turned == pytest.approx(torque / inertia * seconds, rel=0.01, abs=0.02)  # rollers spin on
+        assert plant.pose == pytest.approx(place, abs=1e-6)
+        assert not plant.twist.any()
+        assert not plant.wheels("load_n").any()
+        assert plant.get("accelerometer.z_m_s2")[0] == pytest.approx(9.81, abs=0.01)
+        plant.set(**dict.fromkeys(LIFTED, 0.0))
+        plant.torque(np.zeros(4))
+        plant.step(300)
+        assert plant.wheels("load_n").sum() == pytest.approx(WEIGHT_N, rel=0.02)
+
+
+def test_one_lifted_wheel_has_no_ground_force_and_the_others_drive_on() -> None:
+    with robot(**{LIFTED[1]: 1.0}) as plant, robot(RIGID, **{LIFTED[1]: 1.0}) as rigid:
+        for one in (plant, rigid):
+            one.torque(np.array([0.8, 0.1, 0.8, 0.8]))
+            one.step(200)
+        loads = plant.wheels("load_n")
+        assert loads[1] == 0.0
+        assert np.delete(loads, 1).min() > 20.0
+        assert plant.wheels("speed_rad_s")[1] == pytest.approx(0.1 / 0.005 * 0.2, rel=0.02)
+        assert plant.twist == pytest.approx(rigid.twist, abs=0.06 * np.abs(rigid.twist).max())

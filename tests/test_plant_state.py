@@ -123,7 +123,7 @@ def test_steps_of_any_length_lead_to_the_same_place(parameters: dict[str, float]
 def test_a_parameter_that_is_tuned_before_the_first_step_is_a_start_value(name: str) -> None:
     """And each of them matters, for motors on rollers that slip."""
     base = LIVELY | {"contact": SLIP, "drive": VOLTAGE}
-    value = base.get(name, DEFAULTS[name]) * 0.7 + 0.01
+    value = 1.0 if name.endswith(".lifted") else base.get(name, DEFAULTS[name]) * 0.7 + 0.01
     with robot(base) as tuned, robot(base | {name: value}) as started, robot(base) as untouched:
         tuned.set({name: value})
         assert tuned[name] == value

@@ -6,9 +6,9 @@
 #include <stdint.h>
 
 #define MECANUM_MODEL_NAME "mecanum"
-#define MECANUM_GUID "{4d0bd311-5f89-fefc-ab08-f49d1647f6a1}"
+#define MECANUM_GUID "{0645483b-2ee2-31dc-4425-96720d9d9532}"
 #define MECANUM_WHEELS 4
-#define MECANUM_VARIABLE_COUNT 120
+#define MECANUM_VARIABLE_COUNT 124
 
 enum {
     MECANUM_CORIOLIS_RIGID = 1,
@@ -80,6 +80,7 @@ typedef struct {
     int32_t drive;
     double grip_coefficient;
     double wheel_grip_factor[MECANUM_WHEELS];
+    double wheel_lifted[MECANUM_WHEELS];
     double roller_friction_coefficient;
     double roller_stiffness_n_m;
     double roller_damping_n_s_m;
@@ -204,39 +205,43 @@ typedef struct {
     X(84, REAL, TUNABLE, parameters.wheel_grip_factor[1], 1.0, 0.0, 10.0, "wheel.fr.grip_factor") \
     X(85, REAL, TUNABLE, parameters.wheel_grip_factor[2], 1.0, 0.0, 10.0, "wheel.rr.grip_factor") \
     X(86, REAL, TUNABLE, parameters.wheel_grip_factor[3], 1.0, 0.0, 10.0, "wheel.rl.grip_factor") \
-    X(87, REAL, TUNABLE, parameters.roller_friction_coefficient, 0.01, 0.0, 5.0, "roller_friction_coefficient") \
-    X(88, REAL, PARAMETER, parameters.roller_stiffness_n_m, 200000.0, 1000.0, 10000000.0, "roller_stiffness_n_m") \
-    X(89, REAL, PARAMETER, parameters.roller_damping_n_s_m, 500.0, 0.0, 100000.0, "roller_damping_n_s_m") \
-    X(90, REAL, PARAMETER, parameters.gear_ratio, 1.0, 0.01, 10000.0, "gear_ratio") \
-    X(91, REAL, PARAMETER, parameters.rotor_inertia_kg_m2, 0.0, 0.0, 1.0, "rotor_inertia_kg_m2") \
-    X(92, REAL, PARAMETER, parameters.motor_constant_n_m_a, 1.25, 1e-06, 10000.0, "motor_constant_n_m_a") \
-    X(93, REAL, PARAMETER, parameters.motor_resistance_ohm, 0.6, 0.0001, 10000.0, "motor_resistance_ohm") \
-    X(94, REAL, PARAMETER, parameters.motor_inductance_h, 0.0005, 1e-06, 10.0, "motor_inductance_h") \
-    X(95, REAL, PARAMETER, parameters.winding_heat_capacity_j_k, 100.0, 0.01, 1000000.0, "winding_heat_capacity_j_k") \
-    X(96, REAL, PARAMETER, parameters.winding_to_air_k_w, 3.0, 0.001, 10000.0, "winding_to_air_k_w") \
-    X(97, REAL, TUNABLE, parameters.air_degc, 25.0, -100.0, 200.0, "air_degc") \
-    X(98, REAL, TUNABLE, parameters.current_limit_a, 4.0, 0.001, 100000.0, "current_limit_a") \
-    X(99, REAL, TUNABLE, parameters.battery_voltage_v, 24.0, 0.0, 10000.0, "battery_voltage_v") \
-    X(100, REAL, TUNABLE, parameters.battery_resistance_ohm, 0.05, 0.0, 1000.0, "battery_resistance_ohm") \
-    X(101, INTEGER, PARAMETER, parameters.counts_per_revolution, 4096.0, 1.0, 16777216.0, "counts_per_revolution") \
-    X(102, REAL, PARAMETER, parameters.imu_rate_hz, 1000.0, 1.0, 100000.0, "imu_rate_hz") \
-    X(103, REAL, TUNABLE, parameters.gyro_noise_rad_s, 0.0, 0.0, 100.0, "gyro_noise_rad_s") \
-    X(104, REAL, TUNABLE, parameters.gyro_bias_x_rad_s, 0.0, -INFINITY, INFINITY, "gyro_bias_x_rad_s") \
-    X(105, REAL, TUNABLE, parameters.gyro_bias_y_rad_s, 0.0, -INFINITY, INFINITY, "gyro_bias_y_rad_s") \
-    X(106, REAL, TUNABLE, parameters.gyro_bias_z_rad_s, 0.0, -INFINITY, INFINITY, "gyro_bias_z_rad_s") \
-    X(107, REAL, TUNABLE, parameters.accelerometer_noise_m_s2, 0.0, 0.0, 1000.0, "accelerometer_noise_m_s2") \
-    X(108, REAL, TUNABLE, parameters.accelerometer_bias_x_m_s2, 0.0, -INFINITY, INFINITY, "accelerometer_bias_x_m_s2") \
-    X(109, REAL, TUNABLE, parameters.accelerometer_bias_y_m_s2, 0.0, -INFINITY, INFINITY, "accelerometer_bias_y_m_s2") \
-    X(110, REAL, TUNABLE, parameters.accelerometer_bias_z_m_s2, 0.0, -INFINITY, INFINITY, "accelerometer_bias_z_m_s2") \
-    X(111, INTEGER, PARAMETER, parameters.seed, 1.0, -2147483648.0, 2147483647.0, "seed") \
-    X(112, REAL, PARAMETER, parameters.start_x_m, 0.0, -INFINITY, INFINITY, "start_x_m") \
-    X(113, REAL, PARAMETER, parameters.start_y_m, 0.0, -INFINITY, INFINITY, "start_y_m") \
-    X(114, REAL, PARAMETER, parameters.start_heading_rad, 0.0, -INFINITY, INFINITY, "start_heading_rad") \
-    X(115, REAL, PARAMETER, parameters.start_vx_m_s, 0.0, -INFINITY, INFINITY, "start_vx_m_s") \
-    X(116, REAL, PARAMETER, parameters.start_vy_m_s, 0.0, -INFINITY, INFINITY, "start_vy_m_s") \
-    X(117, REAL, PARAMETER, parameters.start_yaw_rate_rad_s, 0.0, -INFINITY, INFINITY, "start_yaw_rate_rad_s") \
-    X(118, REAL, PARAMETER, parameters.longest_step_s, 0.001, 1e-06, 0.01, "longest_step_s") \
-    X(119, REAL, INDEPENDENT, time_s, 0.0, -INFINITY, INFINITY, "time")
+    X(87, REAL, TUNABLE, parameters.wheel_lifted[0], 0.0, 0.0, 1.0, "wheel.fl.lifted") \
+    X(88, REAL, TUNABLE, parameters.wheel_lifted[1], 0.0, 0.0, 1.0, "wheel.fr.lifted") \
+    X(89, REAL, TUNABLE, parameters.wheel_lifted[2], 0.0, 0.0, 1.0, "wheel.rr.lifted") \
+    X(90, REAL, TUNABLE, parameters.wheel_lifted[3], 0.0, 0.0, 1.0, "wheel.rl.lifted") \
+    X(91, REAL, TUNABLE, parameters.roller_friction_coefficient, 0.01, 0.0, 5.0, "roller_friction_coefficient") \
+    X(92, REAL, PARAMETER, parameters.roller_stiffness_n_m, 200000.0, 1000.0, 10000000.0, "roller_stiffness_n_m") \
+    X(93, REAL, PARAMETER, parameters.roller_damping_n_s_m, 500.0, 0.0, 100000.0, "roller_damping_n_s_m") \
+    X(94, REAL, PARAMETER, parameters.gear_ratio, 1.0, 0.01, 10000.0, "gear_ratio") \
+    X(95, REAL, PARAMETER, parameters.rotor_inertia_kg_m2, 0.0, 0.0, 1.0, "rotor_inertia_kg_m2") \
+    X(96, REAL, PARAMETER, parameters.motor_constant_n_m_a, 1.25, 1e-06, 10000.0, "motor_constant_n_m_a") \
+    X(97, REAL, PARAMETER, parameters.motor_resistance_ohm, 0.6, 0.0001, 10000.0, "motor_resistance_ohm") \
+    X(98, REAL, PARAMETER, parameters.motor_inductance_h, 0.0005, 1e-06, 10.0, "motor_inductance_h") \
+    X(99, REAL, PARAMETER, parameters.winding_heat_capacity_j_k, 100.0, 0.01, 1000000.0, "winding_heat_capacity_j_k") \
+    X(100, REAL, PARAMETER, parameters.winding_to_air_k_w, 3.0, 0.001, 10000.0, "winding_to_air_k_w") \
+    X(101, REAL, TUNABLE, parameters.air_degc, 25.0, -100.0, 200.0, "air_degc") \
+    X(102, REAL, TUNABLE, parameters.current_limit_a, 4.0, 0.001, 100000.0, "current_limit_a") \
+    X(103, REAL, TUNABLE, parameters.battery_voltage_v, 24.0, 0.0, 10000.0, "battery_voltage_v") \
+    X(104, REAL, TUNABLE, parameters.battery_resistance_ohm, 0.05, 0.0, 1000.0, "battery_resistance_ohm") \
+    X(105, INTEGER, PARAMETER, parameters.counts_per_revolution, 4096.0, 1.0, 16777216.0, "counts_per_revolution") \
+    X(106, REAL, PARAMETER, parameters.imu_rate_hz, 1000.0, 1.0, 100000.0, "imu_rate_hz") \
+    X(107, REAL, TUNABLE, parameters.gyro_noise_rad_s, 0.0, 0.0, 100.0, "gyro_noise_rad_s") \
+    X(108, REAL, TUNABLE, parameters.gyro_bias_x_rad_s, 0.0, -INFINITY, INFINITY, "gyro_bias_x_rad_s") \
+    X(109, REAL, TUNABLE, parameters.gyro_bias_y_rad_s, 0.0, -INFINITY, INFINITY, "gyro_bias_y_rad_s") \
+    X(110, REAL, TUNABLE, parameters.gyro_bias_z_rad_s, 0.0, -INFINITY, INFINITY, "gyro_bias_z_rad_s") \
+    X(111, REAL, TUNABLE, parameters.accelerometer_noise_m_s2, 0.0, 0.0, 1000.0, "accelerometer_noise_m_s2") \
+    X(112, REAL, TUNABLE, parameters.accelerometer_bias_x_m_s2, 0.0, -INFINITY, INFINITY, "accelerometer_bias_x_m_s2") \
+    X(113, REAL, TUNABLE, parameters.accelerometer_bias_y_m_s2, 0.0, -INFINITY, INFINITY, "accelerometer_bias_y_m_s2") \
+    X(114, REAL, TUNABLE, parameters.accelerometer_bias_z_m_s2, 0.0, -INFINITY, INFINITY, "accelerometer_bias_z_m_s2") \
+    X(115, INTEGER, PARAMETER, parameters.seed, 1.0, -2147483648.0, 2147483647.0, "seed") \
+    X(116, REAL, PARAMETER, parameters.start_x_m, 0.0, -INFINITY, INFINITY, "start_x_m") \
+    X(117, REAL, PARAMETER, parameters.start_y_m, 0.0, -INFINITY, INFINITY, "start_y_m") \
+    X(118, REAL, PARAMETER, parameters.start_heading_rad, 0.0, -INFINITY, INFINITY, "start_heading_rad") \
+    X(119, REAL, PARAMETER, parameters.start_vx_m_s, 0.0, -INFINITY, INFINITY, "start_vx_m_s") \
+    X(120, REAL, PARAMETER, parameters.start_vy_m_s, 0.0, -INFINITY, INFINITY, "start_vy_m_s") \
+    X(121, REAL, PARAMETER, parameters.start_yaw_rate_rad_s, 0.0, -INFINITY, INFINITY, "start_yaw_rate_rad_s") \
+    X(122, REAL, PARAMETER, parameters.longest_step_s, 0.001, 1e-06, 0.01, "longest_step_s") \
+    X(123, REAL, INDEPENDENT, time_s, 0.0, -INFINITY, INFINITY, "time")
 /* clang-format on */
 
 #endif

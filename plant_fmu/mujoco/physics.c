@@ -92,6 +92,9 @@ static bool stepped(plant_instance *plant, const workshop *w) {
         }
     }
     mj_implicit(w->model, w->data);
+    if (is_held(&w->parameters)) {
+        mju_zero(w->data->qvel, wheel_velocity(0));
+    }
     return true;
 }
 
@@ -113,7 +116,9 @@ static void sense(const mjModel *model, const mjData *data, mecanum_state *state
         mjtNum force[6];
         const int body = model->geom_bodyid[data->contact[i].geom[1]];
         mj_contactForce(model, data, i, force);
-        state->load_n[wheel_of_body(body)] += force[0];
+        if (body != CHASSIS_BODY) { /* the block of a lifted wheel is the chassis's */
+            state->load_n[wheel_of_body(body)] += force[0];
+        }
     }
 }
 
@@ -158,6 +163,9 @@ bool physics_start(plant_instance *plant) {
         return false;
     }
     robot_rolling(p, w->data->qvel);
+    if (is_held(p)) {
+        mju_zero(w->data->qvel, wheel_velocity(0));
+    }
     mju_zero(w->data->qacc_warmstart, VELOCITIES);
     memset(state, 0, sizeof *state);
     mj_getState(w->model, w->data, state->x, STATE);
@@ -182,6 +190,9 @@ bool physics_advance(plant_instance *plant, double step_s) {
     mecanum_state state = plant->now.state;
     w->model->opt.timestep = step_s / steps;
     mj_setState(w->model, w->data, state.x, STATE);
+    if (is_held(&plant->now.parameters)) {
+        mju_zero(w->data->qvel, wheel_velocity(0));
+    }
     apply(&plant->now.inputs, w->data);
     for (long i = 0; i < (long)steps; i++) {
         if (!stepped(plant, w)) {

@@ -12,6 +12,9 @@ static const char *const NAMES[MECANUM_WHEELS] = {"fl", "fr", "rr", "rl"};
 static const double AHEAD[MECANUM_WHEELS] = {1.0, 1.0, -1.0, -1.0};
 static const double LEFT[MECANUM_WHEELS] = {1.0, -1.0, -1.0, 1.0};
 
+/* Added to the body's six inertias where it stands on blocks [kg, kg m2]: nothing moves it then. */
+static const double HELD_BY = 1e9;
+
 static const mjtSize ARENA_BYTES = 1 << 20; /* what MuJoCo works in */
 
 /* Where the wheel's inertia sits: in part in its rollers, which have to have some. Hub and rollers together
@@ -164,7 +167,8 @@ static void set_inertia(mjsBody *body, double mass_kg, double across_kg_m2, doub
 static mjsBody *add_chassis(mjSpec *spec, const mecanum_parameters *p, const masses *m) {
     mjsBody *const chassis = mjs_addBody(mjs_findBody(spec, "world"), NULL);
     mjs_setName(chassis->element, "chassis");
-    mjs_addFreeJoint(chassis);
+    mjsJoint *const joint = mjs_addFreeJoint(chassis);
+    joint->armature = is_held(p) ? HELD_BY : 0.0;
     chassis->pos[2] = p->wheel_radius_m;
     /* Pitch and roll are no parameters: those of a flat box, a little more than half its yaw inertia. */
     set_inertia(chassis, m->chassis_mass_kg, 0.6 * m->chassis_yaw_kg_m2, m->chassis_yaw_kg_m2, UPRIGHT);
@@ -201,11 +205,23 @@ static void add_roller(mjsBody *wheel, const mecanum_parameters *p, const roller
     geom->size[2] = r->half_m;
     mju_copy4(geom->quat, along);
     geom->contype = 0;
-    geom->conaffinity = 1;
+    geom->conaffinity = is_lifted(p, place) ? 0 : 1;
     geom->condim = 3;
     geom->priority = 1; /* the roller's friction counts, not the larger of its and the ground's */
     geom->friction[0] = p->grip_coefficient * p->wheel_grip_factor[place];
     geom->solref[0] = 0.005; /* time constant of a contact [s]: the stiffness */
+}
+
+/* The block in the place of a lifted wheel: it carries the corner, and slides along the ground without
+ * friction. */
+static void add_block(mjsBody *chassis, const mecanum_parameters *p, int place) {
+    mjsGeom *const geom = add_picture(chassis, mjGEOM_SPHERE, p->wheel_radius_m, 0.0, 0.0);
+    geom->pos[0] = AHEAD[place] * p->half_length_m;
+    geom->pos[1] = LEFT[place] * p->half_width_m;
+    geom->conaffinity = 1;
+    geom->condim = 1;
+    geom->priority = 1;
+    geom->solref[0] = 0.005;
 }
 
 static void add_wheel(mjSpec *spec, mjsBody *chassis, const mecanum_parameters *p, const masses *m,
@@ -255,6 +271,9 @@ mjSpec *robot_specification(const mecanum_parameters *p, char *problem, size_t s
     mjsBody *const chassis = add_chassis(spec, p, &m);
     for (int place = 0; place < MECANUM_WHEELS; place++) {
         add_wheel(spec, chassis, p, &m, place);
+        if (is_lifted(p, place)) {
+            add_block(chassis, p, place);
+        }
     }
     mjsSensor *const accelerometer = mjs_addSensor(spec);
     accelerometer->type = mjSENS_ACCELEROMETER;

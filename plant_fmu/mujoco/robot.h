@@ -28,6 +28,16 @@ static inline int wheel_velocity(int wheel) {
     return 6 + wheel * WHEEL_BODIES;
 }
 
+/* Whether a wheel is off the ground, a block in its place. */
+static inline bool is_lifted(const mecanum_parameters *p, int wheel) {
+    return p->wheel_lifted[wheel] >= 0.5;
+}
+
+/* Whether all are: the body stands on blocks. */
+static inline bool is_held(const mecanum_parameters *p) {
+    return is_lifted(p, 0) && is_lifted(p, 1) && is_lifted(p, 2) && is_lifted(p, 3);
+}
+
 /* Returns the model's specification, which the caller frees. NULL when the parameters describe no robot: then
  * `problem` says why. */
 mjSpec *robot_specification(const mecanum_parameters *p, char *problem, size_t size);
