@@ -8,6 +8,7 @@ import pytest
 
 import hil
 from firmware_protocol.built import WHEEL_HOST
+from hil.batch import resumable
 from hil.batch.figures import KEY, MACHINE, outcome_of, row_of
 from hil.batch.job import LOST, PASSED, REFUSED, Job, Outcome
 from hil.batch.keys import key_of, make_job
@@ -166,3 +167,8 @@ def test_a_kind_and_its_options_are_part_of_a_key() -> None:
     scenario = of_mass(20.0)
     keys = {key_of(scenario), key_of(scenario, "module:function"), key_of(scenario, options={"signals": ["a"]})}
     assert len(keys) == 3
+
+
+def test_outcomes_come_back_a_folder_as_they_were() -> None:
+    outcome = Outcome("k", PASSED, None, {"a": 0.1}, {"extremes": {"s": [None, 1.0, 2.0, 0.1]}}, 0.5, None, "w")
+    assert resumable._outcome(resumable._row(outcome)) == outcome

@@ -11,7 +11,6 @@ from typing import Any
 import jsonschema
 import pytest
 
-from hil.batch.job import PASSED, Outcome
 from hil.batch.plan import run_jobs
 from hil.batch.store import read_rows
 from hil.batch.verify import page as pages
@@ -242,8 +241,3 @@ def test_a_suite_that_is_red_without_a_mutant_is_refused(suite: Path) -> None:
     (suite / "near.toml").write_text(red, encoding="utf-8")
     with pytest.raises(BadInputError, match=r"near.toml: it does not pass without any mutant"):
         engine.verify(request(suite))
-
-
-def test_outcomes_come_back_from_the_store_as_they_were() -> None:
-    outcome = Outcome("k", PASSED, None, {"a": 0.1}, {"extremes": {"s": [None, 1.0, 2.0, 0.1]}}, 0.5, None, "w")
-    assert engine._outcome(engine._row(outcome)) == outcome

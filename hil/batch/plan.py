@@ -3,14 +3,11 @@
 import contextlib
 import itertools
 from collections.abc import Callable, Generator, Iterable, Mapping, Sequence
-from typing import TYPE_CHECKING, Protocol
+from typing import Protocol
 
 from hil.batch.job import FOREIGN, Job, Outcome
 from hil.batch.pool import LocalPool, Pool
 from hil.core.errors import LinkError
-
-if TYPE_CHECKING:
-    from hil.batch.store import Row, Store
 
 OnProgress = Callable[[int, int, str | None], None]
 """A progress callback: it is called with (done, total, trouble) after each outcome; ``trouble`` is a sentence on the
@@ -73,34 +70,6 @@ def run_plan(
             on_trouble(pool.trouble())
             yield new
         yield _collected(pool)
-
-
-def run_stored(
-    plan: Plan,
-    pool: Pool,
-    store: "Store",
-    known: Mapping[str, Outcome],
-    row_of: Callable[[Outcome], "Row"],
-    *,
-    is_stopping: Callable[[], bool] = lambda: False,
-) -> Generator[list[Outcome], None, None]:
-    """Do a plan's jobs as ``run_plan``, and add to a store the rows of the outcomes that are not known.
-
-    Rows are added many at a time, the last at the end; close this where it may be left early. Raises also as
-    ``Store.append``.
-    """
-    new: list[Row] = []
-    done = run_plan(plan, pool, known=known, is_stopping=is_stopping)
-    with contextlib.closing(done):
-        try:
-            for outcomes in done:
-                new += [row_of(outcome) for outcome in outcomes if outcome.key not in known]
-                if new and (store.is_rested or not outcomes):
-                    rows, new = new, []
-                    store.append(rows)
-                yield outcomes
-        finally:
-            store.append(new)
 
 
 def _collected(pool: Pool) -> list[Outcome]:

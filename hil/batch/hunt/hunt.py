@@ -2,16 +2,12 @@
 
 import contextlib
 import itertools
-import json
 import time
 from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
-import pyarrow as pa
-
-from hil.batch.figures import KEY
 from hil.batch.hunt.saved import scenario_text
 from hil.batch.hunt.search import Shares, require_optuna, search
 from hil.batch.hunt.shrink import shrink
@@ -19,10 +15,9 @@ from hil.batch.hunt.space import Case, Params, Space
 from hil.batch.hunt.tables import HuntTables
 from hil.batch.job import ENDED, LOST, REFUSED, Job, Outcome
 from hil.batch.keys import make_job
-from hil.batch.plan import run_jobs, run_stored
+from hil.batch.plan import run_jobs
 from hil.batch.plan_file import PlanFile, read_plan_file, row_of_table
-from hil.batch.pool import LocalPool
-from hil.batch.store import Store, read_rows
+from hil.batch.resumable import run_resumable
 from hil.core.errors import BadInputError
 from hil.core.outputs import existing_files, write_whole
 from hil.runtime.robots import check_plant_start
@@ -31,7 +26,6 @@ from hil.scenario.run import values as values_of
 from hil.scenario.trial import span_s
 
 SUFFIX = ".hunt.toml"
-_SCHEMA = pa.schema([(name, pa.string()) for name in (KEY, "outcome", "reason", "data")])
 _ENDS = {ENDED: "the run ends early", LOST: "the run crashes or hangs"}
 
 
@@ -301,19 +295,14 @@ class Hunt:
     def perform(self, folder: Path, on_runs: Callable[[], None] = lambda: None) -> None:
         """Do the runs that a folder does not have; it keeps their outcomes, so that a hunt that was stopped goes on.
 
-        Raises BadInputError when the folder cannot be written to or is in use, LinkError as ``run_stored``.
+        Raises BadInputError when the folder cannot be written to or is in use, LinkError as ``run_plan``.
         """
         end_s = None if self.tables.minutes is None else time.monotonic() + 60.0 * self.tables.minutes
 
         def is_stopping() -> bool:
             return end_s is not None and not self.is_shrinking and time.monotonic() > end_s
 
-        with Store(folder, _SCHEMA) as store:
-            known = {row[KEY]: _outcome_of(row) for row in read_rows(folder).to_pylist()}
-            pool = LocalPool(self._request.workers)
-            with contextlib.closing(run_stored(self, pool, store, known, _row_of, is_stopping=is_stopping)) as runs:
-                for _ in runs:
-                    on_runs()
+        run_resumable(self, folder, self._request.workers, on_outcomes=on_runs, is_stopping=is_stopping)
 
     def check_free(self, folder: Path, *, force: bool) -> None:
         """Raise BadInputError when a folder has a scenario of an earlier hunt, which must stay."""
@@ -396,12 +385,3 @@ class Hunt:
 def _beside(scenario: str) -> Path:
     """Return the file beside a scenario's; for a shipped one in the current folder."""
     return Path(scenario.removesuffix(".toml") + SUFFIX)
-
-
-def _row_of(outcome: Outcome) -> dict[str, Any]:
-    data = {"figures": dict(outcome.figures), "details": dict(outcome.details), "wall_s": outcome.wall_s}
-    return {KEY: outcome.key, "outcome": outcome.status, "reason": outcome.reason, "data": json.dumps(data)}
-
-
-def _outcome_of(row: Mapping[str, Any]) -> Outcome:
-    return Outcome(row[KEY], row["outcome"], row["reason"], **json.loads(row["data"]))

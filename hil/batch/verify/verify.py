@@ -1,6 +1,5 @@
 """Verifies a suite: builds the mutants, runs the suite on each, and says which were noticed, and by what."""
 
-import contextlib
 import json
 import os
 import tempfile
@@ -9,15 +8,11 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import pyarrow as pa
 from platformdirs import user_cache_path
 
 from firmware_protocol.built import is_checkout, run_script
-from hil.batch.figures import KEY, MACHINE
 from hil.batch.job import PASSED, Outcome
-from hil.batch.plan import run_stored
-from hil.batch.pool import LocalPool
-from hil.batch.store import Store, read_rows
+from hil.batch.resumable import run_resumable
 from hil.batch.verify.catalogue import Entry, check_sources
 from hil.batch.verify.plan import Built, Healthy, Trial, VerifyPlan
 from hil.batch.verify.suggest import Suggestion, suggestion
@@ -38,11 +33,6 @@ GOOD = (NOTICED, EQUIVALENT, NOT_BUILT)
 _BUILDER = "tools.build.mutant"
 _FIRST_SEED = 1_000_000
 """Seeds of the healthy runs begin here, far from those with which anybody makes a baseline."""
-_JSON = ("figures", "details")
-_SCHEMA = pa.schema(
-    [(name, pa.string()) for name in (KEY, "outcome", "reason", *_JSON, f"{MACHINE}worker")]
-    + [(f"{MACHINE}wall_s", pa.float64())]
-)
 
 
 class Request(NamedTuple):
@@ -108,12 +98,12 @@ def verify(
     built = build(request.mutants)
     workers = request.workers or os.cpu_count() or 1
     plan = VerifyPlan(request.members, list(built.values()), _varied(request), workers, request.limit_s)
-    with Store(request.folder, _SCHEMA) as store:
-        known = {row[KEY]: _outcome(row) for row in read_rows(request.folder).to_pylist()}
-        with contextlib.closing(run_stored(plan, LocalPool(workers), store, known, _row)) as runs:
-            for _ in runs:
-                survivors = [trial for trial in plan.trials if trial.is_over and trial.noticed_by is None]
-                on_progress(plan.done, len(plan.trials), _last_words(survivors), len(survivors))
+
+    def show() -> None:
+        survivors = [trial for trial in plan.trials if trial.is_over and trial.noticed_by is None]
+        on_progress(plan.done, len(plan.trials), _last_words(survivors), len(survivors))
+
+    run_resumable(plan, request.folder, workers, on_outcomes=show)
     judged = {trial.entry.id: _verdict(trial, plan) for trial in plan.trials}
     verdicts = [judged.get(entry.id) or Verdict(entry, NOT_BUILT) for entry in request.mutants]
     alarms = [
@@ -210,15 +200,3 @@ def _suggestion(outcome: Outcome, plan: VerifyPlan, member: str) -> Suggestion |
     ]
     duration_s = plan.member(member).scenario.loop.duration_s
     return suggestion(member, duration_s, runs, outcome)
-
-
-def _row(outcome: Outcome) -> dict[str, Any]:
-    texts = {name: json.dumps(getattr(outcome, name)) for name in _JSON}
-    machine = {f"{MACHINE}wall_s": outcome.wall_s, f"{MACHINE}worker": outcome.worker}
-    return {KEY: outcome.key, "outcome": outcome.status, "reason": outcome.reason, **texts, **machine}
-
-
-def _outcome(row: Mapping[str, Any]) -> Outcome:
-    figures, details = (json.loads(row[name]) for name in _JSON)
-    wall_s, worker = row[f"{MACHINE}wall_s"], row[f"{MACHINE}worker"]
-    return Outcome(row[KEY], row["outcome"], row["reason"], figures, details, wall_s=wall_s, worker=worker)
