@@ -151,6 +151,9 @@ def test_when_fixes_stop_the_robot_is_degraded_then_lost_and_comes_back():
     drive.fix(drive.now_ns, believed)
     assert drive.status.health == GOOD
     assert drive.status.fix_age_ms == 0.0
+    assert drive.status[-4:] == (drive.now_ns / 1e9, *believed), "the fix is recorded as it came"
+    drive.go(1)
+    assert all(map(math.isnan, drive.status[-4:])), "and only in the tick in which it came"
 
 
 def test_a_start_that_is_not_known_waits_for_a_fix():

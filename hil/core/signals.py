@@ -63,6 +63,10 @@ class EstimatorSignals(NamedTuple):
     fix_age_ms: float
     slip: float
     health: float
+    fix_time_s: float
+    fix_x_m: float
+    fix_y_m: float
+    fix_heading_rad: float
 
 
 class GuardSignals(NamedTuple):
@@ -149,6 +153,10 @@ _MEANING = {
     "estimator.fix_age_ms": "age of the newest accepted pose fix; only fused",
     "estimator.slip": "1 when wheels, gyro and accelerometer disagree; no value with true poses",
     "estimator.health": "0 good, 1 degraded: no fix for too long, 2 lost: the robot is held at rest; only fused",
+    "estimator.fix_time_s": "stamp on the robot's clock of the pose fix that came in this tick; only fused",
+    "estimator.fix_x_m": "the fix as it came, world frame; no value in ticks without one",
+    "estimator.fix_y_m": "the fix as it came, world frame; no value in ticks without one",
+    "estimator.fix_heading_rad": "the fix as it came, world frame; no value in ticks without one",
     "guard.saturated": "1 when the guard scaled the four wheels at a limit",
     "guard.held": "1 when the law was not called: no usable state, the robot held at rest, or the robot not there",
     "link.sent": "frames sent so far, without HELLO",

@@ -10,7 +10,7 @@ from hil.core.kinematics import to_world
 from hil.core.model import RobotModel
 from hil.core.options import Range
 from hil.core.signals import EstimatorSignals
-from hil.core.types import Axes, MeasuredPose, Pose, PoseFix, State
+from hil.core.types import NAN, Axes, MeasuredPose, Pose, PoseFix, State
 from hil.estimation.belief import Acceptance, Belief, Step, corrected, gate_of, position_sigma_m, start, start_unknown
 from hil.estimation.history import History
 from hil.estimation.measurement import DEGRADED, GOOD, LOST, NO_STATUS, Estimator, Measurement, measured_twist
@@ -18,6 +18,7 @@ from hil.estimation.motion import Motion, MotionReader
 from hil.estimation.slip import SlipDetector
 
 _NONE = (0.0, 0.0, 0.0)
+_NO_FIX = (NAN, NAN, NAN, NAN)
 _MOST_M = 0.01
 _MOST_RAD = 0.01
 
@@ -157,7 +158,7 @@ class FusedEstimator(Estimator):
             self._sort(self._history, last.robot_time_ns, fixes)
             self._release.correct(before, self._history.newest)
         belief = self._history.newest
-        self._status = self._signals(belief)
+        self._status = self._signals(belief, fixes[-1] if fixes else None)
         if not belief.is_known:
             return None
         pose = self._release.pose(belief)
@@ -214,7 +215,7 @@ class FusedEstimator(Estimator):
         if due:
             self._refused["double"] += history.insert(due)
 
-    def _signals(self, belief: Belief) -> EstimatorSignals:
+    def _signals(self, belief: Belief, fix: MeasuredPose | None) -> EstimatorSignals:
         sigma_m = position_sigma_m(belief.covariance)
         age_ns = belief.time_ns - belief.fixed_ns
         health = DEGRADED if age_ns > self._options.fix_timeout_s * _NS else GOOD
@@ -229,6 +230,7 @@ class FusedEstimator(Estimator):
             age_ns * 1e-6,
             float(self._slip.is_slipping),
             health,
+            *(_NO_FIX if fix is None else (fix.time_ns / _NS, *fix.pose)),
         )
 
 

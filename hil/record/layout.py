@@ -113,6 +113,10 @@ _ENTITIES = (
         "/ctrl/estimator/fixes", ("estimator.fixes_accepted", "accepted", ESTIMATE_COLOUR),
         ("estimator.fixes_rejected", "rejected", ALARM_COLOUR),
     ),
+    _entity(
+        "/ctrl/estimator/fix", ("estimator.fix_x_m", "x", X_COLOUR), ("estimator.fix_y_m", "y", Y_COLOUR),
+        ("estimator.fix_heading_rad", "heading", HEADING_COLOUR), ("estimator.fix_time_s", "stamp", PLAIN_COLOUR),
+    ),
     _entity("/ctrl/estimator/fix_age", ("estimator.fix_age_ms", "fix age", PLAIN_COLOUR)),
     _entity(
         "/ctrl/estimator/state", ("estimator.slip", "slip", REFERENCE_COLOUR),
