@@ -15,10 +15,11 @@ from hil.plant.fmu import FmuPlant
 from hil.plant.remote import RemotePlant
 from hil.plant.shim import load
 from hil.robot.faults import Body, RobotFaults
+from hil.robot.wheel_map import WheelMap, Wiring
 from tests.examples import share_of_examples
 
 MS = 1_000_000
-BODY = Body((0, 1, 2, 3), 0.3, 0.3, has_rigid_contact=False)
+BODY = Body(Wiring.of(WheelMap()), 0.3, 0.3, has_rigid_contact=False)
 SLIP = {"contact": "slip"}
 
 
@@ -88,7 +89,7 @@ def test_a_stuck_encoder_loses_its_counts_for_good() -> None:
 
 
 def test_a_dead_motor_is_the_wheel_that_the_scenario_names() -> None:
-    wired = Body((2, 3, 0, 1), 0.3, 0.3, has_rigid_contact=False)
+    wired = Body(Wiring.of(WheelMap(("rr", "rl", "fl", "fr"))), 0.3, 0.3, has_rigid_contact=False)
     bridge = Bridge(row("dead_motor", "fl", start=0, end=None), body=wired)
     bridge.plant.wire((2, 3, 0, 1), (1, 1, 1, 1))
     speeds = bridge.run(10)[-1]["speeds"]

@@ -9,7 +9,7 @@ option, ``Expected`` words for messages, and functions that return the checked v
 
 ``__post_init__`` may raise ValueError for options that contradict each other. ``build`` makes the dataclass from the
 values of a TOML table. It checks float (an int is converted), int, bool, str, Literal, tuples, mappings, ``X | None``
-and dataclasses; fields of other types are not checked.
+and dataclasses; fields of other types are not checked. A function does not see None.
 """
 
 import functools
@@ -227,7 +227,7 @@ def _read(option: Option, value: Any, path: Path, problems: list[Problem]) -> An
     before = len(problems)
     try:
         value = _typed(option, value, path, problems)
-        if len(problems) == before:
+        if len(problems) == before and value is not None:
             for check in option.checks:
                 value = check(value)
     except OptionsError as error:

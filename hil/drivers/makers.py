@@ -21,7 +21,7 @@ from hil.drivers.port import Driver, DriverError
 from hil.robot.handshake import SILENCE_NS
 from hil.robot.port import LinkedDevice
 from hil.robot.snapshot import Feedback
-from hil.robot.wheel_map import WheelMap
+from hil.robot.wheel_map import ImuMount, WheelMap
 from hil.wire.conditions import ConditionedLink
 
 _AT_REST = (State.IDLE, State.FAULT, State.ESTOP)
@@ -41,11 +41,17 @@ class MakersRobot(LinkedDevice):
     _line: MotorLine
 
     def __init__(
-        self, link: ConditionedLink, clock: Clock, driver: Driver, wheel_map: WheelMap, terms: Terms, watch: HostWatch
+        self,
+        link: ConditionedLink,
+        clock: Clock,
+        driver: Driver,
+        wiring: tuple[WheelMap, ImuMount],
+        terms: Terms,
+        watch: HostWatch,
     ) -> None:
         super().__init__(link, is_lockstep=terms.advance is not None)
         self._line = MotorLine(link, driver, self._poll_age, is_lockstep=self.is_lockstep)
-        self._clock, self._driver, self._map = clock, driver, wheel_map
+        self._clock, self._driver, (self._map, imu) = clock, driver, wiring
         self._terms, self._watch = terms, watch
         self._state = State.IDLE
         self._commanded: FourWheels = REST
@@ -53,7 +59,7 @@ class MakersRobot(LinkedDevice):
         self._has_armed = self._has_lingered = False  # ever armed
         self._settled_ns = 0
         self._awaits_watch = False  # before it may be armed
-        self.report = MakersReport(driver, wheel_map, terms.counts_per_revolution, terms.stale_s)
+        self.report = MakersReport(driver, self._map, imu, terms.counts_per_revolution, terms.stale_s)
         self.tick = 0
 
     # Connecting

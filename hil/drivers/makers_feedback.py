@@ -8,7 +8,7 @@ from hil.core.types import FourWheels, Wheels
 from hil.drivers.port import Driver, Sample, four
 from hil.robot.robot_report import Health
 from hil.robot.snapshot import Feedback
-from hil.robot.wheel_map import WheelMap
+from hil.robot.wheel_map import ImuMount, WheelMap
 
 # A longer gap is a lost link or a stall of this process: the mean of two speeds is not the speed between them.
 _LONGEST_S = 0.25
@@ -74,9 +74,11 @@ class MakersReport:
         trouble: a warning that the user must see at once; None without one.
     """
 
-    def __init__(self, driver: Driver, wheel_map: WheelMap, counts_per_revolution: int, stale_s: float) -> None:
+    def __init__(
+        self, driver: Driver, wheel_map: WheelMap, imu: ImuMount, counts_per_revolution: int, stale_s: float
+    ) -> None:
         self._driver = driver
-        self._map = wheel_map
+        self._map, self._imu = wheel_map, imu
         self._angles = Angles(counts_per_revolution)
         self._stale_s = stale_s
         self._moving_since_ns: int | None = None
@@ -112,8 +114,8 @@ class MakersReport:
             self._map.counts_from_wire(self._angles.add(sample)),
             self._map.from_wire(sample.speed_rad_s),
             self._map.from_wire(sample.current_a),
-            sample.acceleration_m_s2,
-            sample.yaw_rate_rad_s,
+            self._imu.to_body(sample.acceleration_m_s2),
+            self._imu.yaw_rate(sample.yaw_rate_rad_s),
         )
 
     # Reasons

@@ -85,6 +85,19 @@ static int go_on(robot_faults *f, const wheel_drive *drive, wheel_sense *sense) 
     return 0;
 }
 
+/* What the robot's electronics see of it, as it is wired. */
+static void wire(const robot_wiring *wiring, wheel_sense *sense) {
+    const wheel_sense plant = *sense;
+    for (int i = 0; i < 4; i++) {
+        sense->count[i] = (uint16_t)(wiring->encoder_sign[i] * plant.count[wiring->encoder_channel[i]]);
+    }
+    for (int i = 0; i < 3; i++) {
+        const float sign = (float)wiring->imu_sign[i];
+        sense->gyro_rad_s[i] = sign * plant.gyro_rad_s[wiring->imu_axis[i]];
+        sense->acceleration_m_s2[i] = sign * plant.acceleration_m_s2[wiring->imu_axis[i]];
+    }
+}
+
 static void spoil(robot_faults *f, wheel_sense *sense) {
     bool stuck[4] = {false, false, false, false};
     for (const robot_fault *row = f->row; row < f->row + f->rows; row++) {
@@ -131,6 +144,9 @@ int robot_faults_exchange(void *context, const wheel_drive *drive, wheel_sense *
     }
     if (drive == NULL) {
         sense->tick = (uint32_t)f->boot_ticks; /* the plant may have gone on through a reset */
+    }
+    if (f->wiring.differs) {
+        wire(&f->wiring, sense);
     }
     spoil(f, sense);
     f->ticks += drive != NULL;

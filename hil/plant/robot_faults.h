@@ -1,5 +1,5 @@
 /* Faults of the robot itself and of its plant, between the firmware and the plant: exact to the tick, without
- * Python.
+ * Python. The wiring of encoders and IMU is here too; that of the motors is the plant's.
  *
  * A robot_faults is the context of a wheel_plant_exchange in front of another one. Without rows it only
  * passes on.
@@ -42,6 +42,14 @@ typedef struct {
 } robot_fault_account;
 
 typedef struct {
+    int32_t differs;            /* else nothing of this is looked at */
+    int32_t encoder_channel[4]; /* the channel of the plant that each encoder input counts */
+    int32_t encoder_sign[4];    /* 1 or -1 */
+    int32_t imu_axis[3];        /* the robot's axis along each axis of the IMU */
+    int32_t imu_sign[3];        /* 1 or -1 */
+} robot_wiring;
+
+typedef struct {
     wheel_plant_exchange exchange; /* the plant */
     void *context;
     int (*set)(void *context, size_t place, double value); /* returns 0, or 1 when the plant failed */
@@ -56,6 +64,7 @@ typedef struct {
     int32_t is_off;       /* the firmware waits for `robot_faults_power_on` */
     uint64_t extra_ticks; /* that the plant went on and the firmware did not count */
     double owed_ticks;
+    robot_wiring wiring;
     uint16_t lost[4];  /* counts that a stuck encoder missed */
     uint16_t count[4]; /* the plant's newest */
 } robot_faults;

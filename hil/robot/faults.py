@@ -1,4 +1,7 @@
-"""Faults of a virtual robot and its plant. They become rows of a C shim that sits between firmware and plant."""
+"""Faults of a virtual robot and its plant. They become rows of a C shim that sits between firmware and plant.
+
+The shim also wires encoders and IMU.
+"""
 
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
@@ -12,12 +15,13 @@ from hil.plant import shim
 from hil.plant.fmu import FmuPlant
 from hil.plant.remote import RemotePlant
 from hil.plant.start import Settable
+from hil.robot.wheel_map import Wiring
 
 
 class Body(NamedTuple):
-    """What faults need to know of the robot: the wheel of each channel, the geometry, whether contact is rigid."""
+    """What faults need to know of the robot: its wiring, the geometry, whether contact is rigid."""
 
-    wheel_of_channel: Sequence[int]
+    wiring: Wiring
     half_length_m: float
     half_width_m: float
     has_rigid_contact: bool
@@ -67,6 +71,15 @@ class RobotFaults:
         self._faults.context = cast("void *", plant.context_address)
         self._faults.set = cast("int (*)(void *, size_t, double)", plant.set_address)
         self._faults.pose = cast("const double *", plant.pose_address)
+        self._wire(self._body.wiring)
+
+    def _wire(self, wiring: Wiring) -> None:
+        """Set what each encoder input counts, and how the IMU is mounted."""
+        there, imu = self._faults.wiring, wiring.imu
+        there.encoder_channel, there.encoder_sign = wiring.encoder_channels, wiring.encoder_signs
+        there.imu_axis, there.imu_sign = imu.axis, imu.sign
+        is_plain = wiring.encoder_channels == (0, 1, 2, 3) and not wiring.reversed_encoders and imu.is_identity
+        there.differs = not is_plain
 
     def arm(self, rows: Sequence[FaultRow]) -> None:
         """Set the faults of robot and plant. To be called when the robot is at its start.
@@ -123,7 +136,11 @@ class RobotFaults:
                 yield {"kind": lib.ROBOT_FAULT_SLOW_CLOCK, "value": row.value}
             case "stuck_encoder" | "dead_motor":
                 kind = lib.ROBOT_FAULT_STUCK_ENCODER if row.kind == "stuck_encoder" else lib.ROBOT_FAULT_DEAD_MOTOR
-                channel = list(self._body.wheel_of_channel).index(WHEEL_NAMES.index(row.target))
+                is_motor, wiring = row.kind == "dead_motor", self._body.wiring
+                motors = wiring.motors.wheel_of_channel
+                channel = (
+                    motors.index(WHEEL_NAMES.index(row.target)) if is_motor else wiring.encoder_wheels.index(row.target)
+                )
                 yield {"kind": kind, "place": channel}
             case "low_battery":
                 yield self._setting(BATTERY_VARIABLE, row.value)

@@ -4,6 +4,7 @@ from typing import NamedTuple
 
 from firmware_protocol.generated.messages import State
 from hil.core.types import Wheels
+from hil.robot.wheel_map import ImuMount
 
 
 class Feedback(NamedTuple):
@@ -23,3 +24,10 @@ class Feedback(NamedTuple):
     current_a: Wheels
     acceleration_m_s2: tuple[float, float, float]
     yaw_rate_rad_s: float
+
+
+def mounted(feedback: Feedback, imu: ImuMount) -> Feedback:
+    """Return feedback of an IMU that is mounted so, along the robot's axes; its yaw rate is NaN where none is known."""
+    return feedback._replace(
+        acceleration_m_s2=imu.to_body(feedback.acceleration_m_s2), yaw_rate_rad_s=imu.yaw_rate(feedback.yaw_rate_rad_s)
+    )

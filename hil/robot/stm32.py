@@ -23,8 +23,8 @@ from hil.robot.handshake import Expected, Greeting, RobotInfo
 from hil.robot.link_times import SYNC_PERIOD_NS, RoundTrip
 from hil.robot.port import LinkedDevice
 from hil.robot.robot_report import RobotReport
-from hil.robot.snapshot import Feedback
-from hil.robot.wheel_map import WheelMap
+from hil.robot.snapshot import Feedback, mounted
+from hil.robot.wheel_map import ImuMount, WheelMap
 from hil.wire.conditions import ConditionedLink
 
 _AT_REST = (m.State.IDLE, m.State.FAULT, m.State.ESTOP)
@@ -45,11 +45,13 @@ class Stm32(LinkedDevice):
         expected: Expected,
         nonces: Iterator[int],
         wheel_map: WheelMap,
+        imu: ImuMount | None = None,
     ) -> None:
         super().__init__(link, is_lockstep=expected.lockstep)
         self._mode = mode
         self._expected = expected
         self._map = wheel_map
+        self._imu = imu or ImuMount()
         self._nonces = nonces
         try:
             self._client = Client(m.Mode(mode), expected.parameter_hash & 0xFF, next(nonces))
@@ -213,11 +215,12 @@ class Stm32(LinkedDevice):
                 self._synchronise(now_ns)
             if not self._is_lockstep:
                 self._poll_age.record_poll(now_ns, everything=emptied_ns is not None)
-        return channel.feedback
+        return self.feedback
 
     @property
     def feedback(self) -> Feedback | None:
-        return self._channel.feedback
+        feedback = self._channel.feedback
+        return feedback if self._imu.is_identity or feedback is None else mounted(feedback, self._imu)
 
     def send(self, command: WheelCommand) -> int:
         _, speed_rad_s, torque_n_m = command

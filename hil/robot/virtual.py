@@ -18,7 +18,6 @@ from hil.plant.fmu import FmuPlant
 from hil.plant.mapping import SignalMap
 from hil.plant.remote import RemotePlant
 from hil.robot.faults import Body, RobotFaults
-from hil.robot.wheel_map import WheelMap
 from hil.wire.robot_end import Node
 
 _SENSORS = {
@@ -57,7 +56,6 @@ class VirtualRobot(NamedTuple):
     plant: VirtualPlant
     firmware: Mapping[str, float]
     lockstep: bool
-    wheel_map: WheelMap
     body: Body
 
 
@@ -88,11 +86,15 @@ class VirtualStm32:
         with contextlib.ExitStack() as resources:
             self.plant = _open(made_of.plant)
             resources.callback(self.plant.close)
-            self.plant.wire(made_of.wheel_map.wheel_of_channel, made_of.wheel_map.sign_of_channel)
+            self._wire(made_of)
             self._stored: bytes | None = None
             self.faults = RobotFaults(self.plant, made_of.body)
             self.node = self._power_on()
             resources.pop_all()
+
+    def _wire(self, made_of: VirtualRobot) -> None:
+        motors = made_of.body.wiring.motors
+        self.plant.wire(motors.wheel_of_channel, motors.sign_of_channel)
 
     def _power_on(self) -> RobotNode:
         plant, made_of = self.plant, self._made_of
@@ -124,7 +126,7 @@ class VirtualStm32:
             self.plant.restart(made_of.plant.start)
         else:
             self.plant.reset()
-        self.plant.wire(made_of.wheel_map.wheel_of_channel, made_of.wheel_map.sign_of_channel)
+        self._wire(made_of)
         self._made_of, self._make_node, self._stored = made_of, make_node, None
         self.faults = RobotFaults(self.plant, made_of.body)
         self.node = self._power_on()

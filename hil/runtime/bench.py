@@ -24,6 +24,7 @@ from hil.robot.port import Device, Identity
 from hil.robot.stm32 import Stm32
 from hil.robot.truth import TruthClient
 from hil.robot.virtual import MakeNode, MakeRobot, new_robot
+from hil.robot.wheel_map import ImuMount
 from hil.runtime.fault_injection import RunFaults
 from hil.runtime.local_robot import LocalRobot
 from hil.runtime.mutation.mutation import mutation
@@ -38,6 +39,7 @@ from hil.runtime.robots import (
 )
 from hil.scenario import Scenario
 from hil.scenario.motors import make_driver
+from hil.scenario.plant import WiringTable
 from hil.wire.conditions import ConditionedLink
 from hil.wire.statistics import observe
 from hil.wire.trace import Trace
@@ -75,6 +77,7 @@ class Bench:
     ) -> None:
         self._scenario = scenario
         self._is_lockstep = scenario.loop.mode == "lockstep"
+        self._has_hidden_wiring = scenario.plant.wiring != WiringTable()
         self._protocol = protocol_of(scenario.device)
         self.local: LocalRobot | None = None
         self.truth: PoseSource | None = None
@@ -173,7 +176,9 @@ class Bench:
             scenario.loop.rearm,
             local.advance if local is not None else None,
         )
-        return MakersRobot(link, self.clock, driver, wheel_map(scenario.device), terms, watch)
+        return MakersRobot(
+            link, self.clock, driver, (wheel_map(scenario.device), ImuMount(scenario.device.imu)), terms, watch
+        )
 
     def _stm32(self, link: ConditionedLink, *, allow_motion: bool) -> Stm32:
         """Return the session with this project's firmware."""
@@ -185,7 +190,9 @@ class Bench:
             scenario.robot.speed_limit_rad_s,
         )
         nonces = _nonces(scenario.loop.seed if self._is_lockstep else None)
-        return Stm32(link, scenario.controller.mode, expected, nonces, wheel_map(scenario.device))
+        return Stm32(
+            link, scenario.controller.mode, expected, nonces, wheel_map(scenario.device), ImuMount(scenario.device.imu)
+        )
 
     def begin(self, origin_ns: int) -> None:
         """Set the start of the scenario's time: ``origin_ns`` on the clock, the first ACTIVE tick."""
@@ -201,8 +208,17 @@ class Bench:
         self.wire.begin()
 
     def connect(self) -> Identity:
-        """Shake hands with the robot."""
-        return self.device.connect()
+        """Shake hands with the robot.
+
+        Raises BadInputError for [plant.wiring] where the robot is real: its wiring is what it is.
+        """
+        identity = self.device.connect()
+        if self.local is None and self.truth is None and identity.has_power_stage and self._has_hidden_wiring:
+            raise BadInputError(
+                "[plant.wiring] wires a virtual robot, and this one is real; remove the table, and say in [device] how "
+                "the robot is wired"
+            )
+        return identity
 
     def start_pose(self) -> Pose:
         """Return the pose at which odometry starts; call it before the robot moves.

@@ -18,7 +18,7 @@ from hil.plant.description import check_start
 from hil.plant.mapping import Row, SignalMap
 from hil.robot.faults import Body
 from hil.robot.virtual import MakeNode, VirtualPlant, VirtualRobot
-from hil.robot.wheel_map import WheelMap
+from hil.robot.wheel_map import ImuMount, WheelMap, Wiring
 from hil.scenario import SHIPPED_FMUS, DeviceTable, Scenario, StartValue
 from hil.wire.link import LinkUrl
 from hil.wire.trace import Trace
@@ -104,7 +104,6 @@ def virtual_robot(scenario: Scenario) -> VirtualRobot:
         VirtualPlant(fmu, start, signal_map(scenario), scenario.plant.timeout_s, scenario.plant.memory_limit_mb),
         firmware_values(scenario),
         scenario.loop.mode == "lockstep",
-        wheel_map(scenario.device),
         _body(scenario, start, known),
     )
 
@@ -115,12 +114,20 @@ def _body(scenario: Scenario, start: Mapping[str, StartValue], known: Collection
     given = (start.get("half_length_m", robot.half_length_m), start.get("half_width_m", robot.half_width_m))
     half_length_m, half_width_m = (float(length) for length in given)
     is_rigid = "contact" in known and start.get("contact", "rigid") in ("rigid", 1.0)
-    return Body(wheel_map(scenario.device).wheel_of_channel, half_length_m, half_width_m, is_rigid)
+    return Body(wiring(scenario), half_length_m, half_width_m, is_rigid)
 
 
 def wheel_map(device: DeviceTable) -> WheelMap:
     """Return which wheel is on which channel, and which are reversed."""
     return WheelMap(device.wheels, device.reversed)
+
+
+def wiring(scenario: Scenario) -> Wiring:
+    """Return how the virtual robot is wired: as [device] says, but for what [plant.wiring] has."""
+    device, true = scenario.device, scenario.plant.wiring
+    wheels = true.wheels or device.wheels
+    motors = WheelMap(wheels, device.reversed if true.reversed is None else true.reversed)
+    return Wiring(motors, true.encoders or wheels, true.encoders_reversed, ImuMount(true.imu or device.imu))
 
 
 def protocol_of(device: DeviceTable) -> LinkProtocol:

@@ -36,8 +36,8 @@ _NO_LINES: Mapping[Path, int] = MappingProxyType({})
 _CHOICES = (
     ("controller", "law", ("command", "shadow", "shadow_gains")),
     ("reference", "kind", ()),
-    ("plant", "fmu", ("timeout_s", "memory_limit_mb")),
-    ("device", "driver", ("wheels", "reversed")),
+    ("plant", "fmu", ("timeout_s", "memory_limit_mb", "wiring")),
+    ("device", "driver", ("wheels", "reversed", "imu")),
 )
 _DEFAULTS = {"fmu": Given(PlantTable().fmu, "default"), "driver": Given(OUR_DRIVER, "default")}
 

@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 from hil.core.errors import nearest
 from hil.core.options import Range
 from hil.plant.signals import INPUTS, OUTPUTS
-from hil.scenario.values import Start, Text, is_path
+from hil.scenario.values import Axes3, Start, Text, Wheel, at_most_once, each_once, is_path, right_handed
 from plant_fmu import SHIPPED
 
 SHIPPED_FMUS = tuple(SHIPPED)
@@ -40,6 +40,22 @@ class MapRow:
 
 
 @dataclass(frozen=True)
+class WiringTable:
+    """``[plant.wiring]``: how the virtual robot is wired where that differs from [device]; the bridge is not told.
+
+    Counts and rollers that differ are ``counts_per_revolution`` and ``rollers`` of [plant.start].
+    """
+
+    wheels: Annotated[tuple[Wheel, ...] | None, each_once, "the wheel that each motor output turns"] = None
+    reversed: Annotated[tuple[Wheel, ...] | None, at_most_once, "wheels whose motor turns the other way"] = None
+    encoders: Annotated[
+        tuple[Wheel, ...] | None, each_once, "the wheel that each encoder input counts; by default its motor's"
+    ] = None
+    encoders_reversed: Annotated[tuple[Wheel, ...], at_most_once, "wheels whose encoder counts against its motor"] = ()
+    imu: Annotated[Axes3 | None, right_handed, "the robot's axis along each axis of the IMU"] = None
+
+
+@dataclass(frozen=True)
 class PlantTable:
     """``[plant]``: the simulation that takes the place of a real robot."""
 
@@ -50,6 +66,7 @@ class PlantTable:
         Mapping[Annotated[str, _signal_of_plant], MapRow],
         "the FMU's variables for signals whose names it does not have",
     ] = field(default_factory=dict)
+    wiring: Annotated[WiringTable, "the virtual robot's wiring where it differs from [device]"] = WiringTable()
     start: Annotated[
         Mapping[Text, Start], "start values of FMU variables that differ from [robot], or that only the plant has"
     ] = field(default_factory=dict)

@@ -16,9 +16,21 @@ from hil.core.types import WHEEL_NAMES, CommandMode
 from hil.drivers.registry import OUR_DRIVER, driver_names, make_settings
 from hil.estimation.choice import EstimatorOptions
 from hil.laws.shadows import short_name
+from hil.robot.wheel_map import IMU_AXES
 from hil.scenario.plant import PlantTable
 from hil.scenario.trial import AllowTable, ExpectTable, FaultTable
-from hil.scenario.values import AnyOption, Milliseconds, Setting, Text, check
+from hil.scenario.values import (
+    AnyOption,
+    Axes3,
+    Milliseconds,
+    Setting,
+    Text,
+    Wheel,
+    at_most_once,
+    check,
+    each_once,
+    right_handed,
+)
 from hil.wire.url import parse_link
 
 TICKS_PER_SECOND = 1000  # the firmware loop
@@ -27,8 +39,6 @@ RATES_HZ = tuple(rate for rate in range(LOWEST_RATE_HZ, 1001) if TICKS_PER_SECON
 LEAST_TICK_LIMIT_S = 0.05  # the thread that watches it looks several times within it
 PRIORITY = 40
 """Default priority of SCHED_FIFO: below the 50 of a real-time kernel's interrupt threads, such as the serial port's."""
-
-Wheel = Literal["fl", "fr", "rr", "rl"]
 
 
 def _driver(driver: str) -> str:
@@ -45,8 +55,6 @@ def _link(url: str) -> str:
     return url
 
 
-_each_once = check(lambda wheels: sorted(wheels) == sorted(WHEEL_NAMES), 'each of "fl", "fr", "rr" and "rl" once')
-_at_most_once = check(lambda wheels: len(set(wheels)) == len(wheels), "each wheel at most once")
 _rate = check(RATES_HZ.__contains__, f"one of {', '.join(map(str, RATES_HZ))}, a whole number of ms a period")
 _tick_limit = check(
     lambda s: s == 0.0 or s >= LEAST_TICK_LIMIT_S, f"at least {LEAST_TICK_LIMIT_S:g} s, or 0 for no limit"
@@ -91,8 +99,13 @@ class DeviceTable:
     """``[device]``: how the robot is reached and wired. ``settings`` is ``motors`` as the driver read it."""
 
     driver: Annotated[Text, _driver, "the driver that talks to the motor controllers"] = OUR_DRIVER
-    wheels: Annotated[tuple[Wheel, ...], _each_once, "the wheel at each motor output, in order"] = WHEEL_NAMES
-    reversed: Annotated[tuple[Wheel, ...], _at_most_once, "wheels whose motor turns the other way"] = ()
+    wheels: Annotated[tuple[Wheel, ...], each_once, "the wheel at each motor output, in order"] = WHEEL_NAMES
+    reversed: Annotated[tuple[Wheel, ...], at_most_once, "wheels whose motor turns the other way"] = ()
+    imu: Annotated[
+        Axes3,
+        right_handed,
+        "the robot's axis along each axis of the IMU: x forward, y left, z up, and -x, -y, -z their opposites",
+    ] = IMU_AXES
     guardian_s: Annotated[
         float, Range(ge=0.1, le=2), "silence of the host after which a guardian process stops the motors (GUARDIAN.md)"
     ] = 0.3

@@ -5,7 +5,10 @@ import math
 import re
 from collections.abc import Callable, Mapping
 from pathlib import Path, PurePath
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
+
+from hil.core.types import WHEEL_NAMES
+from hil.robot.wheel_map import ImuMount
 
 Scalar = float | int | bool | str
 OptionValue = Scalar | tuple[Scalar, ...]
@@ -63,6 +66,19 @@ def _setting(value: object) -> object:
     return _option(value)
 
 
+Wheel = Literal["fl", "fr", "rr", "rl"]
+each_once = check(lambda wheels: sorted(wheels) == sorted(WHEEL_NAMES), 'each of "fl", "fr", "rr" and "rl" once')
+at_most_once = check(lambda wheels: len(set(wheels)) == len(wheels), "each wheel at most once")
+
+
+def right_handed(axes: tuple[str, ...]) -> tuple[str, ...]:
+    """Check the axes of an IMU; see ``ImuMount``."""
+    ImuMount(axes)
+    return axes
+
+
+Axis = Literal["x", "-x", "y", "-y", "z", "-z"]
+Axes3 = tuple[Axis, Axis, Axis]
 Text = Annotated[str, _text]
 Milliseconds = Annotated[float, _milliseconds]
 AnyOption = Annotated[Any, _option]
