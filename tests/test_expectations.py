@@ -10,7 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hil.core.errors import BadInputError
-from hil.judge.expectations import check_expectation, outcome_figures
+from hil.judge.claims import check_expectation
+from hil.judge.expectations import outcome_figures
 from hil.judge.words import in_order
 from hil.scenario import load
 from hil.scenario.trial import ExpectTable

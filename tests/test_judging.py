@@ -17,7 +17,8 @@ from hil.core.options import build
 from hil.core.signals import SIGNAL_NAMES, pack_row
 from hil.core.types import WHEEL_NAMES
 from hil.faults.kind import REST_RAD_S, FaultRow
-from hil.judge.expectations import Count, allow_figures, check_expectation, figure_outcome, figures_by_key
+from hil.judge.claims import check_expectation
+from hil.judge.expectations import Count, allow_figures, figure_outcome, figures_by_key
 from hil.judge.words import LENIENT, outcome_rows, why_not_passed
 from hil.record.lanes import limit_values, limits
 from hil.record.layout import layout

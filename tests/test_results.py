@@ -11,7 +11,7 @@ import hil
 from hil.core.errors import BadInputError
 from hil.core.signals import SIGNAL_NAMES, pack_row
 from hil.core.types import ZERO_WHEELS, Applied, CommandMode, Reference, State, WheelCommand
-from hil.judge.expectations import check_expectation
+from hil.judge.claims import check_expectation
 from hil.judge.figures import RunFigures, signal_figures
 from hil.judge.measure import CommandLimits, RunSetup
 from hil.judge.results import MemorySink

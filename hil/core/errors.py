@@ -43,6 +43,10 @@ class RobotStoppedError(DeviceError):
     """The robot left ACTIVE, was reset or is silent, but is not in FAULT or ESTOP. Arming it again may help."""
 
 
+class RobotLatchedError(DeviceError):
+    """The robot left ACTIVE and is in FAULT or ESTOP, which only CLEAR ends."""
+
+
 class OverdueError(HilError):
     """A tick took longer than ``loop.tick_limit_s``, for example because the law does not return (exit code 3)."""
 

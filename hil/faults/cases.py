@@ -93,6 +93,8 @@ CASES: tuple[Case, ...] = (
     _case("freeze", "feedback", _REARMS, cause=NO_FEEDBACK, window=_LATER, in_pairs=False),
     _case("babble", "command", _GOES_ON, window=_LONG, value=200.0, rules=("R-GEN-1", "R-CNT-6"), realtime=True),
     _case("babble", "feedback", _GOES_ON, window=_LONG, value=200.0, rules=("R-GEN-1",), in_pairs=False),
+    _case("estop", "command", _ENDS, cause="it is ESTOP", window={"start_s": 0.25}, rules=("R-STATE-8", "R-STOP-1"),
+          in_pairs=False),
     _case("reset", "robot", _REARMS, cause="it was reset", window={"start_s": 0.25}, realtime=True,
           rules=("R-RESET-2", "R-ARM-4")),
     _case("stuck_encoder", "fl", _ENDS, cause="ENCODER_STUCK", window=_LATER, rules=("R-FAULT-7", "R-STATE-10")),
@@ -130,7 +132,7 @@ class MotorsCase(NamedTuple):
 
 _LOST = ("no feedback", "left closed loop", "reported", "the fault disconnect", "bus-off")
 _ALL = 1.0
-_OF_OUR_MESSAGES = ("mute",)
+_OF_OUR_MESSAGES = ("mute", "estop")
 # Third-party controllers do not recognise an old command by a sequence number, or latch faults from which our firmware
 # recovers.
 _OTHERWISE = {

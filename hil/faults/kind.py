@@ -43,13 +43,16 @@ def claimed_span_s(claim: Mapping[str, Any], faults: Sequence[Mapping[str, Any]]
 
     ``after_fault`` names a fault by its name, by its kind if only one row has that, or by its place. A robot that is at
     rest while a fault lasts may drive again after it, so ``at_rest`` ends with a fault that still lasts when the claim
-    begins. Raises ValueError, with part of a message, when there is no such fault or more than one.
+    begins. A claim that the robot ``stops`` is from the fault's begin on, for ``within_s``. Raises ValueError, with part of a message, when there is no such fault or more than one.
     """
     which, to_s = claim.get("after_fault"), float(claim.get("to_s", math.inf))
     if which is None:
         return float(claim.get("from_s", 0.0)), to_s
     fault = _named(which, faults)
-    from_s = float(fault.get("start_s", 0.0)) + float(claim.get("within_s") or 0.0)
+    start_s = float(fault.get("start_s", 0.0))
+    from_s = start_s + float(claim.get("within_s") or 0.0)
+    if claim.get("stops"):
+        return start_s, min(to_s, from_s)
     end_s = float(fault.get("end_s", math.inf))
     return from_s, min(to_s, end_s) if claim.get("at_rest") and end_s > from_s else to_s
 

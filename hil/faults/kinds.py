@@ -7,7 +7,9 @@ Scenarios, the page and ``hil list`` use this table. Other packages add kinds th
 import random
 from collections.abc import Callable
 
+from firmware_protocol.codec import encode
 from firmware_protocol.framing import Frame
+from firmware_protocol.generated import messages as m
 from hil.core.errors import BadInputError, nearest
 from hil.core.extensions import Extensions
 from hil.core.link_protocol import WHEEL_DBC
@@ -53,6 +55,16 @@ def _bursts(row: FaultRow, chance: random.Random) -> FrameEffect:
             return []
         bad.discard(direction)
         return frames
+
+    return effect
+
+
+def _estop(_row: FaultRow, _chance: random.Random) -> FrameEffect:
+    """Put one ESTOP before the next frame to the robot."""
+    pressed = [encode(m.Estop(source=0, reason=0))]
+
+    def effect(_direction: str, frames: list[Frame]) -> list[Frame]:
+        return [pressed.pop(), *frames] if pressed else frames
 
     return effect
 
@@ -107,6 +119,9 @@ KINDS: tuple[Kind, ...] = (
     Kind("freeze", "link", _FRAMES, _FRAMES_WORDS,
          "Frames carry old content: of the newest frame of their message before the window.", "frames with old content",
          {"target": "feedback", "start_s": 3.0, "end_s": 3.05}, explains=True),
+    Kind("estop", "link", ("command",), "`command`, the default",
+         "Somebody presses the emergency stop: another program or board on the wire sends ESTOP to the robot, once.",
+         "ESTOP messages", {"start_s": 2.0}, is_instant=True, explains=True, on_frames=_estop),
     Kind("babble", "link", DIRECTIONS, "`command` (towards the robot) or `feedback`; on CAN both ends hear either",
          "Another sender is on the wire. Serial and memory: alternately garbage bytes, which spoil the next frame, and "
          "whole frames with foreign ids. CAN: frames with foreign ids from another node on the bus.",

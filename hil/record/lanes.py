@@ -134,7 +134,7 @@ def limits(values: Mapping[str, Any], entities: Sequence[Entity]) -> dict[str, t
     of_signal: dict[str, list[Limit]] = {}
     faults = table_rows(values, "fault")
     for row in table_rows(values, "expect"):
-        if "figure" in row:  # a number of the whole run
+        if "figure" in row or "stops" in row:  # not about a signal
             continue
         span, of = (float(row.get("from_s", 0.0)), float(row.get("to_s", math.inf))), row.get("of")
         if "after_fault" in row:

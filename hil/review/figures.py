@@ -10,13 +10,12 @@ from hil.core.errors import BadInputError
 from hil.core.model import RobotModel
 from hil.core.options import OptionsError, build, options_of
 from hil.core.signals import SIGNAL_NAMES
+from hil.judge.claims import check_expectation, signals_of
 from hil.judge.expectations import (
-    check_expectation,
     figure_outcome,
     figures_by_key,
     outcome_figures,
     rejected_and_unmatched,
-    signals_of,
 )
 from hil.judge.figures import cut_words, figure_signals, signal_figures
 from hil.judge.measure import CommandLimits, RunSetup
@@ -117,7 +116,7 @@ def _outcomes(run: RecordedRun, found: Mapping[str, Any], cut_s: float | None) -
     known, robot = figures_by_key(), models[0] if models else None
     outcomes = []
     for row in expected(run):
-        if row.figure is None and all(name in run.signals for name in signals_of(row)):
+        if row.is_of_signals and all(name in run.signals for name in signals_of(row)):
             with contextlib.suppress(ValueError):  # after a fault that this version does not understand
                 outcomes.append((row, check_expectation(row, run.signals, cut_s, faults, robot)))
         elif row.figure in known and row.baseline is None:  # a recording does not hold the baseline

@@ -11,7 +11,7 @@ from hil.core.errors import DeviceError, HilError, LinkError
 from hil.core.outputs import Existing, existing_files
 from hil.core.ports import Sink
 from hil.core.signals import SIGNAL_NAMES
-from hil.judge.expectations import signals_of
+from hil.judge.claims import signals_of
 from hil.judge.figures import RunFigures, figure_signals
 from hil.judge.measure import CommandLimits, RunSetup
 from hil.judge.results import MemorySink, RunResult, Signals
@@ -246,6 +246,7 @@ class _Run:
             self._parts.timing,
             faults=faults,
             rearm=scenario.loop.rearm,
+            watches=any(row.stops is not None for row in scenario.expect),
             warn=self._options.warn,
             tick_limit_s=scenario.loop.tick_limit_s,
             last_words=self._end_stuck,

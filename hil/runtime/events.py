@@ -8,7 +8,8 @@ from typing import Any
 
 from hil.core.ports import Note
 from hil.faults.kinds import find
-from hil.judge.expectations import Watch, outcome_figures
+from hil.judge.claims import Watch
+from hil.judge.expectations import outcome_figures
 from hil.plant.child_output import ChildOutput, log_lines
 from hil.scenario import Scenario
 
@@ -36,7 +37,7 @@ class RunEvents:
         self._expect = scenario.expect
         self._places = {name: 8 * place for place, name in enumerate(names)}
         self._watches = {
-            i: Watch(row, scenario.fault, scenario.robot) for i, row in enumerate(self._expect) if row.figure is None
+            i: Watch(row, scenario.fault, scenario.robot) for i, row in enumerate(self._expect) if row.is_of_signals
         }
         self._open: tuple[tuple[tuple[int, ...], Watch], ...] = ()
         self._undecided = list(self._watches.values())

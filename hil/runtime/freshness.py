@@ -3,7 +3,7 @@
 from math import isfinite
 
 from firmware_protocol.generated.messages import State as RobotState
-from hil.core.errors import DeviceError, LinkError, RobotStoppedError
+from hil.core.errors import LinkError, RobotLatchedError, RobotStoppedError
 from hil.core.ports import Clock
 from hil.core.types import PoseFix
 from hil.robot.port import Device
@@ -51,7 +51,7 @@ class Freshness:
     def poll(self, t_s: float, truth: PoseFix | None = None, active: bool = True) -> Feedback:
         """Return the newest feedback. ``t_s`` is the tick's time, for messages.
 
-        ``truth`` is the true pose, if the state estimate uses it. Raises RobotStoppedError or DeviceError if the robot
+        ``truth`` is the true pose, if the state estimate uses it. Raises RobotStoppedError or RobotLatchedError if the robot
         is not ACTIVE, LinkError if it was silent for long or this process stalled. With ``active=False`` the robot may
         be in any state; RobotStoppedError then means that it was reset or sends no feedback.
         """
@@ -156,8 +156,8 @@ class Freshness:
         apart_ns = _CLOCK_PERIODS * self._timing.period_ns + passed_ns // _CLOCK_SHARE
         return robot_passed_ns < 0 or abs(robot_passed_ns - passed_ns) > apart_ns
 
-    def _stop(self, state: RobotState, t_s: float) -> DeviceError | RobotStoppedError:
-        """Return the error for a robot that is not ACTIVE: DeviceError in the latched states FAULT and ESTOP."""
+    def _stop(self, state: RobotState, t_s: float) -> RobotLatchedError | RobotStoppedError:
+        """Return the error for a robot that is not ACTIVE."""
         report = self._device.report
         # A robot that stopped by itself passes through STOPPING and reports the reason; one that was reset knows none.
         was_reset = state in (RobotState.BOOT, RobotState.IDLE) and report.knows_no_reason
@@ -165,4 +165,4 @@ class Freshness:
         why = reset if was_reset else f"it is {state.name} because of {report.stop_reason()}"
         sentence = f"the robot left ACTIVE at t = {t_s:.3f} s: {why}"
         latched = state in (RobotState.FAULT, RobotState.ESTOP)
-        return DeviceError(sentence) if latched else RobotStoppedError(sentence)
+        return RobotLatchedError(sentence) if latched else RobotStoppedError(sentence)

@@ -5,12 +5,12 @@ from collections.abc import Callable, Sequence
 from time import perf_counter
 from typing import Any, NamedTuple
 
-from hil.core.errors import DeviceError, HilError, LinkError, OverdueError, RobotStoppedError
+from hil.core.errors import DeviceError, HilError, LinkError, OverdueError, RobotLatchedError, RobotStoppedError
 from hil.core.signals import LoopSignals
 from hil.core.tick_watch import TickOverdue, TickWatch
 from hil.core.types import NAN, CommandMode
 from hil.faults.kind import FaultRow
-from hil.judge.expectations import Count
+from hil.judge.expectations import Count, Stop
 from hil.runtime.lateness import Lateness
 from hil.runtime.recovery import Recovered, Recovery, Warned
 from hil.runtime.sampling import Sampling, Timing
@@ -29,6 +29,7 @@ class Report(NamedTuple):
         stopped: whether the robot came to rest at the end.
         failure: what ended the loop early, or None.
         recoveries: the losses that it recovered from.
+        stops: each time that the robot left ACTIVE by itself.
     """
 
     ticks: int
@@ -39,6 +40,7 @@ class Report(NamedTuple):
     stopped: bool
     failure: HilError | None
     recoveries: tuple[Recovered, ...]
+    stops: tuple[Stop, ...]
 
 
 class Loop:
@@ -49,7 +51,8 @@ class Loop:
     counted as a deadline miss; missed ticks are not caught up.
 
     With ``rearm`` a lost link or a stopped robot does not end the run. The robot is brought back while the ticks go on
-    without commands; then the law is reset at the reference of the present ``t``. ``warn`` is called with each new
+    without commands; then the law is reset at the reference of the present ``t``. With ``watches`` a robot that stops by
+    itself, and is not brought back, does not end the run either: the ticks go on without commands. ``warn`` is called with each new
     warning of the device. ``faults`` are the scenario's faults, which may explain undriven ticks. A tick that takes
     longer than ``tick_limit_s`` of wall-clock time ends the run (``TickWatch``; 0 for no limit).
     """
@@ -62,6 +65,7 @@ class Loop:
         *,
         faults: Sequence[FaultRow] = (),
         rearm: bool = False,
+        watches: bool = False,
         warn: Callable[[str], None] | None = None,
         tick_limit_s: float = 0.0,
         last_words: Callable[[str], None] = lambda _: None,
@@ -79,6 +83,9 @@ class Loop:
         self._undriven = Undriven(faults, timing)
         self._recovery: Recovery | None = None
         self._recoveries: list[Recovered] = []
+        self._watches = watches
+        self._stops: list[Stop] = []
+        self._is_watching = False
         self._misses = 0
         self._tick_us = NAN
         self.lateness = Lateness()
@@ -124,7 +131,8 @@ class Loop:
         robot_s = self.t_s + self._timing.period_ns * 1e-9 if ticks else 0.0
         recoveries = tuple(self._recoveries)
         undriven = self._undriven.counts(ticks)
-        return Report(ticks, self._misses, undriven, robot_s, wall_s, stopped, failure, recoveries)
+        stops = tuple(self._stops)
+        return Report(ticks, self._misses, undriven, robot_s, wall_s, stopped, failure, recoveries, stops)
 
     @property
     def commands_refused(self) -> int:
@@ -215,24 +223,43 @@ class Loop:
         if faults is not None:
             faults.at(t_ns)
             fix = faults.truth(fix)
-        if self._recovery is None:
+        if self._is_watching:
+            ticker.raise_robot_failure()
+            ticker.skip_fixes()
+            self._parts.device.poll()
+            ticker.record_away(now, fix, self._reference_at(t_s))
+        elif self._recovery is None:
             count = ticker.count
             try:
                 ticker.drive(now, fix, ticker.sense(t_s, fix), self._reference_at(t_s))
-            except (LinkError, RobotStoppedError) as error:
-                self._lose(error)
+            except (LinkError, RobotStoppedError, RobotLatchedError) as error:
+                self._leave(error)
                 if ticker.count == count:
                     ticker.record_away(now, fix, self._reference_at(t_s))
         else:
             ticker.skip_fixes()
             self._come_back(self._recovery)
             ticker.record_away(now, fix, self._reference_at(t_s))
-        if ticker.is_held:
+        if ticker.is_held and not self._is_watching:
             self._undriven.hold(t_ns, is_stale=ticker.is_stale)
         else:
             self._undriven.drive()
         self._watch.turn += 1
         self._tick_us = (perf_counter() - begin_s) * 1e6
+
+    def _leave(self, error: LinkError | RobotStoppedError | RobotLatchedError) -> None:
+        """After the robot was lost or left ACTIVE, begin its recovery, go on to watch it, or raise the error."""
+        is_latched = isinstance(error, RobotLatchedError)
+        if not isinstance(error, LinkError):
+            self._stops.append(Stop(self.t_s, str(error)))
+            if self._watches and (is_latched or not self._rearm):
+                self._is_watching = True
+                self._parts.device.disarm()
+                self._parts.note(self.t_s, "warning", f"{error}; it is watched to the end, without commands")
+                return
+        if is_latched:
+            raise error
+        self._lose(error)
 
     def _lose(self, error: HilError) -> Recovery:
         """Begin the recovery of the robot, or restart it; without ``rearm`` raise the error, which ends the run."""

@@ -6,7 +6,7 @@ from typing import Any
 
 from hil.core.percentiles import Percentiles
 from hil.judge.baselines import against_baseline
-from hil.judge.expectations import Count, allow_figures, figure_outcome, outcome_figures
+from hil.judge.expectations import Count, Outcome, allow_figures, figure_outcome, outcome_figures, stop_outcome
 from hil.judge.figures import cut_words
 from hil.judge.results import MemorySink
 from hil.judge.words import SCHEMA, applied_words, judged, set_lost_rows, why_not_passed, with_page
@@ -14,7 +14,7 @@ from hil.record import RunRecording
 from hil.runtime.bench import Bench
 from hil.runtime.loop import Loop, Report
 from hil.scenario import Scenario
-from hil.scenario.trial import AllowTable
+from hil.scenario.trial import AllowTable, ExpectTable
 
 _NO_VALUE = {
     "load": "a link in memory has no bit rate",
@@ -89,9 +89,14 @@ def run_figures(
         "reasons": reasons | {"recording": "no recording was asked for"},
     }
     metrics["baseline"] = against_baseline(scenario, metrics, is_cut=cut_s is not None)
+
+    def outcome(row: ExpectTable) -> Outcome:
+        if row.stops is not None:
+            return stop_outcome(row, report.stops, cut_s, scenario.fault)
+        return figure_outcome(row, metrics, cut_s, scenario.baseline)
+
     metrics["expect"] = [
-        outcomes[i] if i in outcomes else outcome_figures(row, figure_outcome(row, metrics, cut_s, scenario.baseline))
-        for i, row in enumerate(scenario.expect)
+        outcomes[i] if i in outcomes else outcome_figures(row, outcome(row)) for i, row in enumerate(scenario.expect)
     ]
     return judged(metrics)
 
@@ -132,7 +137,7 @@ def close_recording(
     """
     set_lost_rows(metrics, allow, recording.rows_dropped)
     for row in metrics["expect"]:
-        if row["figure"] is not None:
+        if row["figure"] is not None or row["stops"] is not None:
             recording.event(t_s, "error" if row["passed"] is False else "info", row["text"])
     for kind, text in why_not_passed(metrics):
         if kind == "baseline":

@@ -76,6 +76,8 @@ def contradictions(tables: Tables) -> Iterator[tuple[str, str]]:
         if fault.row.acts_on == "link" and fault.target in MESSAGES:
             words = f'this message is of our firmware, not of {title}; take "command" or "feedback"'
             yield f"fault.{i}.target", words
+        if fault.kind == "estop":
+            yield f"fault.{i}.kind", f"ESTOP is a message of our firmware; {title} has none; take disconnect, or drop"
         if fault.kind == "gyro_bias" and "gyro" not in can.sensors:
             yield f"fault.{i}.kind", f"{title} as it is set up has no gyro to act on; remove the row"
     for i, row in enumerate(tables.expect):

@@ -96,13 +96,13 @@ def _which_fault(value: object) -> int | str | None:
     raise ValueError("expected the name of a fault, its kind, or its place in the scenario, from 0")
 
 
-_SUBJECTS = "`signal`, `figure`, or `at_rest = true`"
+_SUBJECTS = "`signal`, `figure`, `at_rest = true`, or `stops`"
 _CLAIMS = ("within", "equals", "settles_to", "baseline")
 
 
 @dataclass(frozen=True)
 class ExpectTable:
-    """``[[expect]]``: a claim about a signal in from_s <= t <= to_s of the run, about a figure of it, or about rest.
+    """``[[expect]]``: a claim about a signal in from_s <= t <= to_s of the run, a figure of it, rest, or a stop.
 
     A signal: one of ``below`` or ``above`` or both; ``within`` = [low, high], both included; ``equals`` with a
     ``tolerance``; ``settles_to`` with a ``tolerance``: from some time on it stays within it, until to_s. With ``of``
@@ -114,8 +114,10 @@ class ExpectTable:
     ``at_rest``: no wheel turns faster than ``below``, and the robot's true pose does not move faster than such wheels
     would move it, where either is known.
 
+    ``stops``: the robot stops by itself, for the reason that is named. The run then goes on without commands to its end.
+
     ``after_fault`` with ``within_s`` is in place of ``from_s``: the claim begins so long after that fault has begun.
-    ``at_rest`` ends with the fault, if that still lasts then.
+    ``at_rest`` ends with the fault, if that still lasts then. ``stops`` is within this time of the fault's begin.
     """
 
     signal: Annotated[
@@ -128,6 +130,7 @@ class ExpectTable:
     )
     figure: Annotated[str | None, "name of a figure of the run; `hil list figures` prints them all"] = None
     at_rest: Annotated[bool | None, "true: the claim is that the robot is at rest"] = None
+    stops: Annotated[str | None, "part of the reason that the robot gives, such as OVERSPEED or COMMAND_TIMEOUT"] = None
     after_fault: Annotated[Any, _which_fault, "name, kind or place (from 0) of the fault after which it is judged"] = (
         None
     )
@@ -143,7 +146,8 @@ class ExpectTable:
     baseline: Annotated[Any, _share, 'of a figure: how far from the baseline, as "10%" of it or in its unit'] = None
 
     def __post_init__(self) -> None:
-        if sum((self.signal is not None, self.figure is not None, bool(self.at_rest))) != 1:
+        subjects = (self.signal is not None, self.figure is not None, bool(self.at_rest), self.stops is not None)
+        if sum(subjects) != 1:
             raise ValueError(f"needs one of {_SUBJECTS}")
         if self.signal is None and self.of is not None:
             raise ValueError(f"of = {self.of!r} is compared with a signal; name it with signal, or remove of")
@@ -169,6 +173,12 @@ class ExpectTable:
     def _check_claim(self) -> None:
         bounds = self.below is not None or self.above is not None
         claims = [name for name in _CLAIMS if getattr(self, name) is not None]
+        if self.stops is not None:
+            if bounds or claims or self.tolerance is not None:
+                raise ValueError(f"stops = {self.stops!r} is a claim of its own; it takes a time and no further claim")
+            if not self.stops.strip():
+                raise ValueError("stops is empty; expected part of the reason, such as OVERSPEED")
+            return
         if self.at_rest:
             if self.above is not None or claims or self.tolerance is not None:
                 raise ValueError(
@@ -188,6 +198,11 @@ class ExpectTable:
             raise ValueError("tolerance belongs to equals and settles_to; remove it")
         if self.settles_to is not None and not self.tolerance:
             raise ValueError("settles_to needs a tolerance of more than 0: how near is settled")
+
+    @property
+    def is_of_signals(self) -> bool:
+        """Whether it is judged sample by sample: a claim about a signal, or about rest."""
+        return self.signal is not None or bool(self.at_rest)
 
     @property
     def subject(self) -> str:
