@@ -29,6 +29,7 @@ ROWS = {
     "mute": {"target": "GYRO"},
     "freeze": {"target": "feedback"},
     "babble": {"target": "command", "value": 100.0},
+    "estop": {"target": "command"},
     "reset": {"target": "robot"},
     "stuck_encoder": {"target": "fl"},
     "dead_motor": {"target": "rr"},
@@ -42,11 +43,11 @@ ROWS = {
     "override": {"target": "wheel.fl.speed_command_rad_s", "value": 0.0},
 }
 CHANGES = ("expect=[]", "firmware.watchdog_s=0.1", "plant.start.contact=slip", "plant.start.drive=current")
-ENDS_THE_RUN = {"disconnect", "reset"}
+ENDS_THE_RUN = {"disconnect", "estop", "reset"}
 
 
 def fault(kind: str) -> dict[str, str | float]:
-    window = {"start_s": WINDOW["start_s"]} if kind == "reset" else WINDOW
+    window = {"start_s": WINDOW["start_s"]} if kind in ("reset", "estop") else WINDOW
     return {"kind": kind, **ROWS[kind], **window}
 
 

@@ -34,7 +34,9 @@ def stops(reason: str, fault: dict[str, Any], within_s: float = 0.3) -> dict[str
 
 
 @given(st.lists(TIME, max_size=3), TIME, TIME)
-def test_a_claim_of_a_stop_holds_if_one_in_its_time_has_the_reason(times: list[float], begin: float, end: float) -> None:
+def test_a_claim_of_a_stop_holds_if_one_in_its_time_has_the_reason(
+    times: list[float], begin: float, end: float
+) -> None:
     from_s, to_s = sorted((begin, end))
     if to_s == 0.0:
         return

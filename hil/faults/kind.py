@@ -42,8 +42,9 @@ def claimed_span_s(claim: Mapping[str, Any], faults: Sequence[Mapping[str, Any]]
     """Return from when to when a row of ``[[expect]]`` is judged; both tables as plain values, None or left out alike.
 
     ``after_fault`` names a fault by its name, by its kind if only one row has that, or by its place. A robot that is at
-    rest while a fault lasts may drive again after it, so ``at_rest`` ends with a fault that still lasts when the claim
-    begins. A claim that the robot ``stops`` is from the fault's begin on, for ``within_s``. Raises ValueError, with part of a message, when there is no such fault or more than one.
+    rest while a fault lasts may drive again after it, so ``at_rest`` ends with a fault that still lasts when the
+    claim begins. A claim that the robot ``stops`` is from the fault's begin on, for ``within_s``. Raises
+    ValueError, with part of a message, when there is no such fault or more than one.
     """
     which, to_s = claim.get("after_fault"), float(claim.get("to_s", math.inf))
     if which is None:

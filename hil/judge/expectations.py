@@ -90,7 +90,9 @@ def stop_outcome(
     if cut_s is not None and cut_s < to_s:
         return Outcome(None, f"{claim}: not judged, the run ended at t = {cut_s:.6g} s")
     found = "; ".join(one.why for one in stops) or "it did not stop"
-    return Outcome(False, f"{claim}: failed, {found}", violation_s=stops[0].t_s if stops else None, margin=WITHOUT_VALUE)
+    return Outcome(
+        False, f"{claim}: failed, {found}", violation_s=stops[0].t_s if stops else None, margin=WITHOUT_VALUE
+    )
 
 
 def why_none(figure: Figure, metrics: Mapping[str, Any]) -> str | None:

@@ -51,9 +51,9 @@ class Freshness:
     def poll(self, t_s: float, truth: PoseFix | None = None, active: bool = True) -> Feedback:
         """Return the newest feedback. ``t_s`` is the tick's time, for messages.
 
-        ``truth`` is the true pose, if the state estimate uses it. Raises RobotStoppedError or RobotLatchedError if the robot
-        is not ACTIVE, LinkError if it was silent for long or this process stalled. With ``active=False`` the robot may
-        be in any state; RobotStoppedError then means that it was reset or sends no feedback.
+        ``truth`` is the true pose, if the state estimate uses it. Raises RobotStoppedError or RobotLatchedError if the
+        robot is not ACTIVE, LinkError if it was silent for long or this process stalled. With ``active=False`` the
+        robot may be in any state; RobotStoppedError then means that it was reset or sends no feedback.
         """
         feedback = self._device.poll()
         age_ns = 0 if self._is_lockstep else self._device.poll_age_ns

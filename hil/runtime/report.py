@@ -6,7 +6,8 @@ from typing import Any
 
 from hil.core.percentiles import Percentiles
 from hil.judge.baselines import against_baseline
-from hil.judge.expectations import Count, Outcome, allow_figures, figure_outcome, outcome_figures, stop_outcome
+from hil.judge.claims import Outcome
+from hil.judge.expectations import Count, allow_figures, figure_outcome, outcome_figures, stop_outcome
 from hil.judge.figures import cut_words
 from hil.judge.results import MemorySink
 from hil.judge.words import SCHEMA, applied_words, judged, set_lost_rows, why_not_passed, with_page

@@ -114,7 +114,7 @@ class ExpectTable:
     ``at_rest``: no wheel turns faster than ``below``, and the robot's true pose does not move faster than such wheels
     would move it, where either is known.
 
-    ``stops``: the robot stops by itself, for the reason that is named. The run then goes on without commands to its end.
+    ``stops``: the robot stops by itself, for the reason that is named. The run goes on without commands.
 
     ``after_fault`` with ``within_s`` is in place of ``from_s``: the claim begins so long after that fault has begun.
     ``at_rest`` ends with the fault, if that still lasts then. ``stops`` is within this time of the fault's begin.
