@@ -34,6 +34,7 @@ def core() -> tuple[Any, Any]:
     ffi = read_headers(HEADERS, TABLE)
     generated = ("wheel_messages.h", "wheel_parameters.h")
     files = [*(HERE / "generated" / name for name in generated), *(HERE / "firmware" / name for name in _HEADERS)]
+    files.append(HERE / "client" / "wheel_client.h")
     text = "".join(file.read_text(encoding="utf-8") for file in files)
     constants = dict(_DEFINE.findall(text)) | {"WHEEL_FRAME_MAX": "15"}
     text = _DIRECTIVE.sub("", _DECLARED.sub("", _FOR_CPP.sub("", text)))

@@ -1,5 +1,6 @@
 """The host's half of the protocol as tests use it: frames in one by one, feedback out."""
 
+import hashlib
 from collections.abc import Iterable
 
 from firmware_protocol import codec
@@ -42,6 +43,11 @@ def take(client: Client, frames: Iterable[Frame], now_ns: int = 0) -> list[int]:
     while at < len(packed):
         before, at = at, client.take(packed, at, now_ns)
         if client.view.message_id:
+            begin = client.view.message_at
+            assert (packed[begin] | packed[begin + 1] << 8, begin + 3 + packed[begin + 2]) == (
+                client.view.message_id,
+                at,
+            )
             ids.append(client.view.message_id)
         if client.view.log_is_due:
             client.hash_log()
@@ -69,3 +75,9 @@ def sent(client: Client) -> list[Message]:
     client.sent()
     assert None not in messages
     return [message for message in messages if message is not None]
+
+
+def digest(to_robot: Iterable[Message], to_host: Iterable[Message]) -> str:
+    """Return what ``Client.hexdigest`` is when these messages were sent and received."""
+    each = [hashlib.sha256(pack(map(codec.encode, way))).digest() for way in (to_robot, to_host)]
+    return hashlib.sha256(b"".join(each)).hexdigest()

@@ -1,6 +1,8 @@
 """The host's session in C, held against a twin of it in Python."""
 
 import itertools
+import math
+from typing import Any
 
 import pytest
 from hypothesis import given
@@ -8,9 +10,11 @@ from hypothesis import strategies as st
 
 from firmware_protocol import codec
 from firmware_protocol.client import Client
+from firmware_protocol.framing import pack
 from firmware_protocol.generated import messages as m
 from firmware_protocol.host import library
-from tests.client_rig import new_client, sent, take
+from tests.bare_node import core
+from tests.client_rig import digest, new_client, sent, take
 from tests.examples import share_of_examples
 from tests.session_twin import SessionTwin, hello_pages
 
@@ -161,15 +165,71 @@ def test_a_request_without_a_time_is_sent_once() -> None:
     assert not client.poll(10**12)
 
 
-def test_a_robot_is_asked_for_hello_every_fifth_of_a_second_until_it_has_answered() -> None:
+@pytest.mark.proves("R-BEAT-1")
+def test_hello_and_heartbeats_are_due_to_the_nanosecond() -> None:
     client, hello = new_client(), m.HelloRequest(m.PROTOCOL_VERSION)
-    assert not client.poll(0)
-    client.begin(2)
-    for now_ms, expected in ((0, [hello]), (199, []), (200, [hello]), (401, [hello])):
-        client.poll(now_ms * MS)
-        assert sent(client) == expected, now_ms
+    assert not client.poll(0), "nobody was asked for"
+    for _ in range(2):
+        client.begin(2)
+        for now_ns, expected in ((0, [hello]), (200 * MS - 1, []), (200 * MS, [hello]), (401 * MS, [hello])):
+            assert client.poll(now_ns) == bool(expected)
+            assert sent(client) == expected, now_ns
     take(client, map(codec.encode, pages))
     assert not client.poll(1000 * MS)
+    beat = m.HostHeartbeat(2, m.SCHEMA_HASH, m.Request.IDLE, m.Mode.SPEED, 0x5A)
+    client.request(m.Request.IDLE, 0)
+    sent(client)
+    for now_ns, expected in ((100 * MS - 1, []), (100 * MS, [beat]), (250 * MS, [beat]), (350 * MS - 1, [])):
+        assert client.poll(now_ns) == bool(expected)
+        assert sent(client) == expected, now_ns
+
+
+@pytest.mark.parametrize("absent", pages, ids=lambda page: type(page).__name__)
+def test_a_robot_is_greeted_with_all_pages_and_again_after_it_was_left(absent: m.Message) -> None:
+    client = new_client()
+    for _ in range(2):
+        take(client, [codec.encode(page) for page in pages if page is not absent])
+        assert not client.view.is_greeted
+        take(client, [codec.encode(absent)])
+        assert client.view.is_greeted
+        client.leave()
+        assert not client.view.is_greeted
+
+
+def fields(block: Any, message: m.Message) -> tuple[Any, ...]:
+    return tuple(getattr(block, name) for name in message._fields)
+
+
+def test_hello_and_status_are_kept_as_they_came() -> None:
+    ffi, lib = core()
+    client = ffi.new("wheel_client *")
+    lib.wheel_client_init(client, m.Mode.SPEED, 0x5A, 1)
+    status = m.Status(m.State.FAULT, 1, m.Fault.ENCODER_STUCK, 2, 5, 3, 4, 1, 6)
+    kept = ("identity", "firmware", "parameters", "geometry", "limits")
+    for order in (1, -1):
+        packed, at = pack(map(codec.encode, [*pages, status][::order])), 0
+        while at < len(packed):
+            at = lib.wheel_client_take(client, packed, at, len(packed), 0)
+        for name, page in zip(kept, pages, strict=False):
+            assert fields(getattr(client.robot, name), page) == codec.decode(codec.encode(page))
+        assert fields(client.status, status) == status
+
+
+def test_a_client_begins_the_same_whatever_its_memory_held() -> None:
+    ffi, lib = library()
+    size = lib.wheel_client_size()
+    expected = ffi.new("wheel_view *", {"yaw_rate_rad_s": math.nan, "nonce": 7})
+    expected.speed_rad_s = expected.current_a = [math.nan] * 4
+    expected.acceleration_m_s2 = [math.nan] * 3
+    found = set()
+    for held in (b"\0", b"\xa5"):
+        memory = ffi.new("uint64_t[]", size // 8)
+        ffi.memmove(memory, held * size, size)
+        client = ffi.cast("wheel_client *", memory)
+        lib.wheel_client_init(client, m.Mode.TORQUE, 0x5A, 7)
+        assert bytes(ffi.buffer(lib.wheel_client_view(client))) == bytes(ffi.buffer(expected))
+        found.add(bytes(ffi.buffer(memory)))
+    assert len(found) == 1
 
 
 def full() -> Client:
@@ -215,3 +275,55 @@ def test_a_robot_with_another_protocol_is_never_greeted(version: int, schema: in
     assert not client.view.is_greeted
     take(client, map(codec.encode, hello_pages()))
     assert client.view.is_greeted
+
+
+# Lockstep
+
+NONE, AWAITED, DONE, ELSEWHERE = range(4)
+
+
+def test_a_step_is_done_by_its_answer_alone_and_a_second_answer_is_not_logged() -> None:
+    client = new_client()
+    assert client.view.step == NONE
+    client.step(0)
+    take(client, [codec.encode(m.StepDone(40))])
+    assert (client.view.step, client.view.tick) == (DONE, 40)
+    client.step(5)
+    client.step_again()
+    assert sent(client) == [m.Step(0, 0), m.Step(40, 5), m.Step(40, 5)]
+    take(client, [codec.encode(m.StepDone(40))])  # the step before, which was sent twice
+    assert client.view.step == AWAITED
+    take(client, [codec.encode(m.StepDone(45))] * 2)
+    assert (client.view.step, client.view.tick) == (DONE, 45)
+    assert (client.view.sent, client.view.received) == (2, 4)
+    assert client.hexdigest() == digest([m.Step(0, 0), m.Step(40, 5)], [m.StepDone(40), m.StepDone(45)])
+
+
+def test_an_answer_ends_a_step_or_is_that_of_the_step_before_or_tells_of_another_tick() -> None:
+    for begin, ticks, answer in itertools.product((0, 40), range(4), range(46)):
+        client = new_client()
+        if begin:
+            client.step(begin)
+            take(client, [codec.encode(m.StepDone(begin))])
+        client.step(ticks)
+        expected = DONE if ticks == 0 or answer == begin + ticks else AWAITED if answer == begin else ELSEWHERE
+        first, *others = (codec.encode(one) for one in (m.StepDone(answer), m.StepDone(answer), m.Encoders(1, 2, 3, 4)))
+        packed = pack([first, *others])
+        at = client.take(packed, 0, 0)
+        assert at == (len(pack([first])) if expected == ELSEWHERE else len(packed)), "it stops behind each"
+        view = client.view
+        assert (view.step, view.step_done_tick, view.step_target) == (expected, answer, begin + ticks)
+        assert view.tick == (answer if expected == DONE else begin)
+        steps = [m.Step(0, begin), m.Step(begin, ticks)][not begin :]
+        done = [m.StepDone(begin)] * bool(begin) + [m.StepDone(answer)] * (expected == DONE)
+        assert client.hexdigest() == digest(steps, [*done, m.Encoders(1, 2, 3, 4)][: -1 if at < len(packed) else None])
+
+
+def test_the_tick_of_a_robot_that_may_be_another_is_asked_for_as_the_first_time() -> None:
+    client = new_client()
+    client.step(5)
+    take(client, [codec.encode(m.StepDone(5))])
+    assert (client.view.tick, sent(client)) == (5, [m.Step(0, 5)])
+    client.begin(2)
+    client.step(0)
+    assert sent(client) == [m.Step(0, 0)]

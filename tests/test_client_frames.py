@@ -1,18 +1,22 @@
 """What the client of the protocol sends, takes and logs, held against the codec in Python."""
 
 import hashlib
-from collections.abc import Sequence
+import itertools
+from collections.abc import Callable
+from typing import Any
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from firmware_protocol import codec
+from firmware_protocol.client import Client
 from firmware_protocol.framing import Frame, pack
 from firmware_protocol.generated import messages as m
 from firmware_protocol.host import library
+from firmware_protocol.host_line import HostLine
 from hil.core.types import FourWheels
-from tests.client_rig import feed, new_client, sent, take
+from tests.client_rig import digest, feed, new_client, sent, take
 from tests.examples import share_of_examples
 from tests.protocol_cases import frames as any_frames
 
@@ -62,6 +66,51 @@ def test_a_command_that_has_no_room_is_refused_and_the_next_one_is_numbered_on()
     assert client.command(REST, REST, 0) == 201
 
 
+def filled(left: int) -> Client:
+    """Return a client in which so many bytes more have room."""
+    client, used = new_client(), library()[1].WHEEL_CLIENT_OUT - left
+    for _ in range(used % 4):
+        client.add(m.Estop.ID, b"\1\0")  # 5 bytes
+    for _ in range(used // 4 - used % 4):
+        client.add(m.HelloRequest.ID, bytes([m.PROTOCOL_VERSION]))
+    assert client.view.out_bytes == used
+    return client
+
+
+@pytest.mark.parametrize(
+    ("name", "arguments", "needed", "is_logged"),
+    [
+        ("command", (REST, REST, 0), 22, True),  # also without torques ahead, so that none is sent alone
+        ("request", (m.Request.ARM, 0), 11, True),
+        ("step", (5,), 9, True),
+        ("step_again", (), 9, False),
+        ("add", (m.TimeSyncRequest.ID, b"1", 1), 4, True),
+        ("add", (m.HelloRequest.ID, b"1", 1), 4, False),
+    ],
+)
+def test_what_has_no_room_is_refused_and_changes_nothing(
+    name: str, arguments: tuple[Any, ...], needed: int, is_logged: bool
+) -> None:
+    ffi, lib = library()
+    call = getattr(lib, f"wheel_client_{name}")
+    for left in (needed - 1, needed):
+        client = filled(left)
+        before = bytes(ffi.buffer(client.view))
+        assert (call(client.handle, *arguments) > 0) == (left == needed)
+        assert (bytes(ffi.buffer(client.view)) == before) == (left != needed)
+        logging, logs = new_client(), [ffi.new("uint8_t[]", left) for _ in range(2)]
+        lib.wheel_client_log(logging.handle, *logs, left)
+        assert (call(logging.handle, *arguments) > 0) == (left == needed or not is_logged)
+
+
+@pytest.mark.parametrize(("left", "frames"), [(4, 1), (5, 255)])
+def test_an_estop_follows_what_waits_or_takes_its_place(left: int, frames: int) -> None:
+    client = filled(left)
+    client.estop()
+    assert client.view.out_frames == frames
+    assert sent(client)[-1] == m.Estop(1, 0)
+
+
 @pytest.mark.parametrize(("number", "payload"), [(0x123, b""), (m.TimeSyncRequest.ID, b"12"), (m.Step.ID, bytes(9))])
 def test_only_a_message_of_the_protocol_is_added(number: int, payload: bytes) -> None:
     client = new_client()
@@ -90,13 +139,20 @@ def test_wiring_gives_each_channel_its_wheel(wheels: list[int], signs: tuple[int
     assert found.encoder_count == tuple(value & 0xFFFF for value in values)
 
 
-@pytest.mark.parametrize(
-    ("wheels", "signs"),
-    [((0, 1, 2, 2), (1,) * 4), ((0, 1, 2, 4), (1,) * 4), (range(4), (1, 1, 1, 0)), (range(4), (0, 1, 1, 1))],
-)
-def test_a_wiring_that_is_none_is_refused(wheels: Sequence[int], signs: Sequence[int]) -> None:
+def test_a_wiring_has_each_wheel_once_and_signs_or_changes_nothing() -> None:
+    straight = ((0, 1, 2, 3), (1, 1, 1, 1))
+    wheels = [(some, straight[1]) for some in itertools.product((0, 1, 2, 3, 4, 255), repeat=4)]
+    signs = [(straight[0], some) for some in itertools.product((-128, -2, -1, 0, 1, 2), repeat=4)]
+    client, wired = new_client(), library()[1].wheel_client_wire
+    for wheel_of, sign_of in wheels + signs:
+        is_one = sorted(wheel_of) == [0, 1, 2, 3] and set(sign_of) <= {-1, 1}
+        assert wired(client.handle, wheel_of, sign_of) == is_one
+        assert not is_one or wired(client.handle, *straight)
+        client.command((1.0, 2.0, 3.0, 4.0), REST, 0)
+        (command,) = sent(client)
+        assert command[:4] == (1.0, 2.0, 3.0, 4.0)
     with pytest.raises(ValueError, match="on the channels"):
-        new_client().wire(wheels, signs)
+        client.wire((0, 1, 2, 2), (1,) * 4)
 
 
 # What arrives
@@ -117,74 +173,64 @@ def test_a_message_of_a_wrong_length_is_counted_as_out_of_range(number: int) -> 
     assert (client.view.out_of_range, client.view.received) == (8, 0)
 
 
-# Lockstep
-
-NONE, AWAITED, DONE, ELSEWHERE = range(4)
-
-
-def test_a_step_is_done_by_its_answer_alone_and_a_second_answer_is_not_logged() -> None:
-    client = new_client()
-    assert client.view.step == NONE
-    client.step(0)
-    take(client, [codec.encode(m.StepDone(40))])
-    assert (client.view.step, client.view.tick) == (DONE, 40)
-    client.step(5)
-    client.step_again()
-    assert sent(client) == [m.Step(0, 0), m.Step(40, 5), m.Step(40, 5)]
-    take(client, [codec.encode(m.StepDone(40))])  # the step before, which was sent twice
-    assert client.view.step == AWAITED
-    take(client, [codec.encode(m.StepDone(45))] * 2)
-    assert (client.view.step, client.view.tick) == (DONE, 45)
-    assert (client.view.sent, client.view.received) == (2, 4)
-    assert client.hexdigest() == digest([m.Step(0, 0), m.Step(40, 5)], [m.StepDone(40), m.StepDone(45)])
-
-
-def test_an_answer_with_another_tick_is_told_with_both() -> None:
-    client = new_client()
-    client.step(5)
-    take(client, [codec.encode(m.StepDone(7))])
-    assert (client.view.step, client.view.step_done_tick, client.view.step_target) == (ELSEWHERE, 7, 5)
-    assert client.view.tick == 0
-
-
-def test_the_tick_of_a_robot_that_may_be_another_is_asked_for_as_the_first_time() -> None:
-    client = new_client()
-    client.step(5)
-    take(client, [codec.encode(m.StepDone(5))])
-    assert (client.view.tick, sent(client)) == (5, [m.Step(0, 5)])
-    client.begin(2)
-    client.step(0)
-    assert sent(client) == [m.Step(0, 0)]
-
-
 # The log
 
 
-def digest(to_robot: list[m.Message], to_host: list[m.Message]) -> str:
-    each = [hashlib.sha256(pack(map(codec.encode, way))).digest() for way in (to_robot, to_host)]
-    return hashlib.sha256(b"".join(each)).hexdigest()
+AHEAD = (0.0, 0.0, 0.0, 0.5)
+SENDS: dict[str, Callable[[Client], object]] = {
+    "command": lambda client: client.command(REST, REST, 0),
+    "command with torques ahead": lambda client: client.command(REST, AHEAD, 0),
+    "request": lambda client: client.request(m.Request.IDLE, 0),
+    "estop": Client.estop,
+    "step": lambda client: client.step(3),
+    "step again": Client.step_again,
+    "hello": lambda client: client.add(m.HelloRequest.ID, bytes([m.PROTOCOL_VERSION])),
+}
+NOT_LOGGED = {"step again", "hello"}
+turns_of_a_run = st.lists(
+    st.tuples(st.lists(any_frames, max_size=8), st.lists(st.sampled_from(list(SENDS)), max_size=8), st.booleans()),
+    max_size=12,
+)
 
 
-@given(turns=st.lists(st.tuples(st.lists(any_frames, max_size=8), st.integers(0, 8), st.booleans()), max_size=12))
-def test_the_log_has_every_message_in_order_but_for_hello_and_what_was_not_sent(turns: list) -> None:
+@given(turns=turns_of_a_run)
+def test_the_log_has_every_message_in_order_but_for_hello_repeated_steps_and_what_was_not_sent(turns: list) -> None:
     client = new_client()
     to_robot: list[Frame] = []
     to_host: list[Frame] = []
-    for received, commands, arrives in turns:
+    for received, sends, arrives in turns:
         take(client, received)
         valid = [frame for frame in received if codec.decode(frame) is not None]
         to_host += [frame for frame in valid if frame.id < m.HelloRequest.ID and frame.id != m.StepDone.ID]
-        for _ in range(commands):
-            client.command(REST, REST, 0)
-        client.add(m.HelloRequest.ID, bytes([m.PROTOCOL_VERSION]))
+        logged: list[Frame] = []
+        for send in sends:
+            before = client.view.out_frames
+            SENDS[send](client)
+            logged += [] if send in NOT_LOGGED else list(client.out())[before:]
+        view, waiting = client.view, client.out()
+        assert (view.out_frames, view.out_bytes) == (len(list(waiting)), len(waiting.packed))
+        assert view.out_serial_bytes == len(HostLine().encode_packed(waiting.packed))
         if arrives:
-            to_robot += [frame for frame in client.out() if frame.id < m.HelloRequest.ID]
+            to_robot += logged
             client.sent()
         else:
             client.unsent()
     ours = [hashlib.sha256(pack(way)).digest() for way in (to_robot, to_host)]
     assert client.hexdigest() == hashlib.sha256(b"".join(ours)).hexdigest()
     assert client.view.sent == len(to_robot)
+
+
+@pytest.mark.parametrize(("capacity", "most"), [(131, 3), (132, 3), (133, 4)])
+def test_a_log_is_due_from_a_quarter_of_its_room_on(capacity: int, most: int) -> None:
+    ffi, lib = library()
+    client, logs = new_client(), [ffi.new("uint8_t[]", capacity) for _ in range(2)]
+    packed = pack([codec.encode(m.Encoders(1, 2, 3, 4))])  # 11 bytes, as a heartbeat
+    for send in (lambda: client.take(packed, 0, 0), lambda: client.request(m.Request.IDLE, 0)):
+        lib.wheel_client_log(client.handle, *logs, capacity)
+        for count in range(1, most + 1):
+            assert not client.view.log_is_due
+            send()
+            assert client.view.log_is_due == (count == most)
 
 
 def test_a_log_that_is_never_taken_stops_the_client_before_it_overflows() -> None:

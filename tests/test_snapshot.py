@@ -7,6 +7,7 @@ from hypothesis import strategies as st
 from firmware_protocol import codec
 from firmware_protocol.framing import Frame, pack
 from firmware_protocol.generated import messages as m
+from firmware_protocol.host import library
 from hil.core.types import WHEEL_NAMES, Wheels
 from hil.robot.wheel_map import WheelMap
 from tests.client_rig import feed, feedback, new_client, take
@@ -58,8 +59,10 @@ def test_a_part_of_another_instant_is_not_mixed_in():
     client = new_client()
     assert feed(client, [*snapshot(1)[:4], *snapshot(2)[4:]]) == []
     assert feed(client, [*snapshot(3)[:2], *snapshot(4)[1:]]) == []
-    assert [f.encoder_count[0] for f in feed(client, snapshot(5))] == [5]
-    assert client.view.incomplete == 2
+    for place in (4, 5):
+        assert feed(client, [*snapshot(5)[:place], snapshot(4)[place], *snapshot(5)[place + 1 :]]) == []
+    assert [f.encoder_count[0] for f in feed(client, snapshot(6))] == [6]
+    assert client.view.incomplete == 4
 
 
 def test_slow_parts_hold_their_value():
@@ -161,3 +164,59 @@ def test_each_command_has_one_round_trip_also_when_many_ticks_come_at_once():
     newest = [client.view.round_trips_ns[number % 256] for number in range(500 - 256, 500)]
     assert newest == [1000 - number for number in range(500 - 256, 500)]
     assert client.view.round_trip_ns == newest[-1]
+
+
+def reports(*sequences):
+    """Return TICKs without parts that report these commands in force."""
+    return pack([codec.encode(m.Tick(0, sequence & 0xFF, 0, m.State.ACTIVE, 0, 0)) for sequence in sequences])
+
+
+def test_a_round_trip_ends_with_the_first_report_of_a_command_that_was_sent():
+    client, every = new_client(), reports(*range(256))
+    client.take(every, 0, 5)
+    assert client.view.round_trips == 0, "none was sent"
+    for _ in range(256):
+        client.command((0.0,) * 4, (0.0,) * 4, 1)
+        client.sent()
+    client.take(reports(0), 0, 7)
+    assert (client.view.round_trips, client.view.round_trip_ns) == (1, 6)
+    for _ in range(256):
+        client.command((0.0,) * 4, (0.0,) * 4, 8)
+        client.sent()
+    client.take(reports(0, 0), 0, 9)
+    assert client.view.round_trips == 1, "the robot still reports the one of before"
+    client.begin(2)
+    client.take(every, 0, 10)
+    assert client.view.round_trips == 1, "what was sent to another robot is forgotten"
+
+
+@pytest.mark.parametrize("forget", [lambda client: client.hash_log(), lambda client: log_anew(client)])
+def test_round_trips_are_due_to_be_read_when_half_of_their_room_is_taken(forget):
+    client, sequence = new_client(), 0
+    for turn in range(3):
+        for count in range(1, 129):
+            assert not client.view.log_is_due, (turn, count)
+            sequence = client.command((0.0,) * 4, (0.0,) * 4, 0)
+            client.sent()
+            client.take(reports(sequence), 0, 1)
+        assert client.view.log_is_due
+        forget(client)
+
+
+def log_anew(client):
+    logs = [library()[0].new("uint8_t[]", 1 << 15) for _ in range(2)]
+    library()[1].wheel_client_log(client.handle, *logs, 1 << 15)
+    client.logs = logs
+
+
+def test_without_a_log_nothing_is_due_to_be_read():
+    ffi, lib = library()
+    memory = ffi.new("uint64_t[]", lib.wheel_client_size() // 8)
+    client = ffi.cast("wheel_client *", memory)
+    lib.wheel_client_init(client, m.Mode.SPEED, 0x5A, 1)
+    for _ in range(300):
+        packed = reports(lib.wheel_client_command(client, (0.0,) * 4, (0.0,) * 4, 0))
+        lib.wheel_client_sent(client)
+        lib.wheel_client_take(client, packed, 0, len(packed), 1)
+    view = lib.wheel_client_view(client)
+    assert (view.round_trips, view.log_is_due) == (300, False)

@@ -117,8 +117,8 @@ static bool take_snapshot(wheel_client *client, const wheel_packed *frame, int64
     const uint16_t open_ms = (uint16_t)(client->open.time_us / 1000u);
     uint16_t sampled_ms = open_ms; /* only the inertial sensors' parts carry their sampling instant */
     wp_tick tick;
-    uint8_t part = 0;
-    bool is_valid = false;
+    uint8_t part;
+    bool is_valid;
     switch (frame->id) {
     case WP_TICK_ID:
         if (wp_tick_decode(payload, length, &tick)) {
@@ -175,50 +175,6 @@ static bool ends_step(wheel_client *client, uint32_t tick) {
     return true;
 }
 
-static bool take_page(wheel_client *client, const wheel_packed *frame) {
-    const uint8_t *payload = frame->payload;
-    const size_t length = frame->length;
-    wheel_robot *robot = &client->robot;
-    wp_hello_fault_status status;
-    wp_hello_fault_place place;
-    wp_hello_fault_address address;
-    bool is_valid = false;
-    switch (frame->id) {
-    case WP_HELLO_IDENTITY_ID:
-        is_valid = wp_hello_identity_decode(payload, length, &robot->identity);
-        break;
-    case WP_HELLO_FIRMWARE_ID:
-        is_valid = wp_hello_firmware_decode(payload, length, &robot->firmware);
-        break;
-    case WP_HELLO_PARAMETERS_ID:
-        is_valid = wp_hello_parameters_decode(payload, length, &robot->parameters);
-        break;
-    case WP_HELLO_GEOMETRY_ID:
-        is_valid = wp_hello_geometry_decode(payload, length, &robot->geometry);
-        break;
-    case WP_HELLO_LIMITS_ID:
-        is_valid = wp_hello_limits_decode(payload, length, &robot->limits);
-        break;
-    case WP_HELLO_FAULT_STATUS_ID:
-        is_valid = wp_hello_fault_status_decode(payload, length, &status);
-        break;
-    case WP_HELLO_FAULT_PLACE_ID:
-        is_valid = wp_hello_fault_place_decode(payload, length, &place);
-        break;
-    default:
-        is_valid = wp_hello_fault_address_decode(payload, length, &address);
-    }
-    if (!is_valid) {
-        return false;
-    }
-    client->pages = (uint8_t)(client->pages | (1u << (frame->id - WP_HELLO_IDENTITY_ID)));
-    client->view.is_greeted =
-        client->view.is_greeted || (client->pages == (1u << HELLO_PAGES) - 1u &&
-                                    robot->identity.protocol_version == WP_PROTOCOL_VERSION &&
-                                    robot->identity.schema_hash == WP_SCHEMA_HASH);
-    return true;
-}
-
 /* X(NAME, name): decodes a message only to see whether it is valid. */
 #define CHECK(NAME, name)                                                                                    \
     case WP_##NAME##_ID: {                                                                                   \
@@ -232,6 +188,39 @@ static bool is_valid(const wheel_packed *frame) {
     default:
         return false;
     }
+}
+
+/* Keeps a page of HELLO; false if it is not valid. Those of a processor's fault are for the caller. */
+static bool keep_page(wheel_robot *robot, const wheel_packed *frame) {
+    const uint8_t *payload = frame->payload;
+    const size_t length = frame->length;
+    switch (frame->id) {
+    case WP_HELLO_IDENTITY_ID:
+        return wp_hello_identity_decode(payload, length, &robot->identity);
+    case WP_HELLO_FIRMWARE_ID:
+        return wp_hello_firmware_decode(payload, length, &robot->firmware);
+    case WP_HELLO_PARAMETERS_ID:
+        return wp_hello_parameters_decode(payload, length, &robot->parameters);
+    case WP_HELLO_GEOMETRY_ID:
+        return wp_hello_geometry_decode(payload, length, &robot->geometry);
+    case WP_HELLO_LIMITS_ID:
+        return wp_hello_limits_decode(payload, length, &robot->limits);
+    default:
+        return is_valid(frame);
+    }
+}
+
+static bool take_page(wheel_client *client, const wheel_packed *frame) {
+    const wheel_robot *robot = &client->robot;
+    if (!keep_page(&client->robot, frame)) {
+        return false;
+    }
+    client->pages = (uint8_t)(client->pages | (1u << (frame->id - WP_HELLO_IDENTITY_ID)));
+    client->view.is_greeted =
+        client->view.is_greeted || (client->pages == (1u << HELLO_PAGES) - 1u &&
+                                    robot->identity.protocol_version == WP_PROTOCOL_VERSION &&
+                                    robot->identity.schema_hash == WP_SCHEMA_HASH);
+    return true;
 }
 
 static bool take_other(wheel_client *client, const wheel_packed *frame) {
