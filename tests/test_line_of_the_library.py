@@ -117,6 +117,21 @@ def test_the_hosts_line_refuses_what_the_python_twin_does(frame: Frame) -> None:
     assert line.encode(right) == twin.encode(right), "what was refused is not counted"
 
 
+def test_a_line_begins_the_same_whatever_its_memory_held() -> None:
+    ffi, lib = library()
+    frame, size = Frame(m.StepDone.ID, bytes(4)), lib.wheel_line_size()
+    memory = ffi.new("uint64_t[]", size // 8 + 1)
+    ffi.memmove(memory, b"\xa5" * size, size)
+    line = ffi.cast("wheel_line *", memory)
+    lib.wheel_line_init(line)
+    out, used, counts = ffi.new("uint8_t[]", 64), ffi.new("size_t *"), ffi.new("wheel_line_counts *")
+    written = lib.wheel_line_encode(line, pack([frame]), len(pack([frame])), out)
+    assert (serial := bytes(out)[:written]) == Framer().encode(frame)
+    assert lib.wheel_line_feed(line, serial, len(serial), out, used) == 1
+    lib.wheel_line_count(line, counts)
+    assert bytes(ffi.buffer(counts)) == bytes(ffi.buffer(ffi.new("wheel_line_counts *", {"frames": 1})))
+
+
 def test_much_at_once_is_taken_whole() -> None:
     framer, line = Framer(), HostLine()
     sent = [Frame(m.StepDone.ID, number.to_bytes(4, "little")) for number in range(10_000)]
@@ -138,6 +153,18 @@ def test_packed_frames_are_the_frames(some: list[Frame], wide: bytes) -> None:
 def test_packed_frames_are_encoded_as_one_by_one(some: list[Frame]) -> None:
     one_by_one, at_once = HostLine(), HostLine()
     assert at_once.encode_packed(pack(some)) == b"".join(map(one_by_one.encode, some))
+
+
+DONE = Frame(m.StepDone.ID, bytes(4))
+
+
+@pytest.mark.parametrize(
+    "wrong", [pack([Frame(m.Tick.ID, b"1234567")]), pack([Frame(0x123, b"")]), pack([DONE])[:-1], pack([DONE])[:2]]
+)
+def test_nothing_is_sent_or_numbered_of_packed_frames_of_which_one_is_none(wrong: bytes) -> None:
+    line = HostLine()
+    assert line.encode_packed(pack([DONE]) + wrong) == b""
+    assert line.encode_packed(pack([DONE])) == Framer().encode(DONE)
 
 
 def test_more_frames_than_a_client_holds_are_refused() -> None:

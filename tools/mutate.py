@@ -129,14 +129,14 @@ def changes(line: str) -> Iterator[str]:
 
 
 def mutants(file: str) -> list[Mutant]:
-    """Return every mutant of a file; comments, includes and blank lines have none."""
+    """Return every mutant of a file; what runs no code has none: comments, includes, static assertions."""
     text = _SOURCES[file].read_text(encoding="utf-8")
     code = _COMMENT.sub(lambda found: re.sub(r"[^\n]", " ", found[0]), text)
     lines = zip(["", *text.splitlines()], text.splitlines(), code.splitlines(), strict=False)
     return [
         Mutant(file, number, line, after, follows)
         for number, (follows, line, bare) in enumerate(lines, start=1)
-        if bare.strip() and not bare.startswith("#include")
+        if bare.strip() and not bare.startswith(("#include", "_Static_assert"))
         for after in changes(bare.rstrip())
         if after.strip() != bare.strip()
     ]

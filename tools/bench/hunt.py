@@ -198,7 +198,7 @@ def measured(defect: Defect, folder: Path, options: argparse.Namespace) -> dict[
 def main() -> int:
     """Measure, print, and return 1 where a hunt needs more than a fifth of the runs of random search."""
     parser = argparse.ArgumentParser(prog="tools.bench.hunt", description=(__doc__ or "").partition("\n")[0])
-    parser.add_argument("--defect", action="append", help="only these")
+    parser.add_argument("--defect", choices=[one.name for one in DEFECTS], action="append", help="only these")
     parser.add_argument("--random", type=int, default=2000, help="random runs a defect")
     parser.add_argument("--hunts", type=int, default=5, help="hunts a defect, each with another seed")
     parser.add_argument("--cap", type=int, default=CAP, help="runs of a hunt at most")
