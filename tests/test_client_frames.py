@@ -2,6 +2,7 @@
 
 import hashlib
 import itertools
+import math
 from collections.abc import Callable
 from typing import Any
 
@@ -24,10 +25,14 @@ REST = (0.0,) * 4
 
 # Commands
 
+LIMITS = (63.984375, 15.99609375)  # of WHEEL_COMMAND [rad/s], and of torques [N·m]
 numbers = (
     st.floats(allow_nan=True, allow_infinity=True, width=64)
     | st.floats(-70.0, 70.0)
     | st.integers(-9000, 9000).map(lambda n: n / 256)
+    | st.sampled_from(
+        [sign * one for limit in LIMITS for one in (limit, math.nextafter(limit, 99)) for sign in (1, -1)]
+    )
 )
 wheels = st.tuples(*[numbers] * 4) | st.just(REST)
 

@@ -172,7 +172,11 @@ def test_more_frames_than_a_client_holds_are_refused() -> None:
         HostLine().encode_packed(bytes(1025))
 
 
-@given(some=st.lists(frames, max_size=8), limit=st.integers(0, 0x7FF), cut=st.integers(0, 9))
+@given(
+    some=st.lists(frames, max_size=8),
+    limit=st.integers(0, 0x7FF) | st.sampled_from(sorted(m.LENGTHS)),
+    cut=st.integers(0, 9),
+)
 def test_a_split_keeps_the_order_of_both_groups_and_drops_what_is_cut(some: list[Frame], limit: int, cut: int) -> None:
     below, others = split(PackedFrames(pack(some)), limit)
     assert list(below) == [one for one in some if one.id < limit]
