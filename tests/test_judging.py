@@ -329,7 +329,7 @@ def test_a_fault_explains_what_is_counted_from_its_beginning_until_the_robot_is_
 ) -> None:
     ms, device = 1_000_000, Counting()
     rows = [FaultRow("drop", "link", "feedback", start * ms, (start + 200) * ms, 1.0) for start in (1000, 1100)]
-    names = ("loop.t_s", "guard.held")
+    names = ("loop.t_s", "guard.held", "robot.state")
     rejections = Rejections(device, rows, Timing(5 * ms, 3 * ms, 2 * ms, 25 * ms), names)  # type: ignore[arg-type]
     device.crc = 7  # before t = 0
     rejections.begin()

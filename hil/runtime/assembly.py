@@ -235,8 +235,9 @@ class _Run:
         note = self._recording.event if self._recording is not None else _ignore
         self._events = RunEvents(scenario, names, note, self._bench.plant_output)
         faults = [table.row for table in scenario.fault]
-        self._rejections = Rejections(self._bench.device, faults, self._parts.timing, names)
-        counting = self._rejections if self._rejections.windows else None
+        watches = any(row.stops is not None for row in scenario.expect)
+        self._rejections = Rejections(self._bench.device, faults, self._parts.timing, names, watches=watches)
+        counting = self._rejections if self._rejections.needs_rows else None
         sinks: list[Sink | None] = [self._memory, self._recording, self._stream, self._events, counting]
         parts = self._parts.make(self._bench, [sink for sink in sinks if sink is not None], note)
         parts = mutation().parts(scenario, parts)
@@ -246,7 +247,7 @@ class _Run:
             self._parts.timing,
             faults=faults,
             rearm=scenario.loop.rearm,
-            watches=any(row.stops is not None for row in scenario.expect),
+            watches=watches,
             warn=self._options.warn,
             tick_limit_s=scenario.loop.tick_limit_s,
             last_words=self._end_stuck,

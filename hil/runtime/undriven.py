@@ -4,6 +4,7 @@ import math
 import struct
 from collections.abc import Sequence
 
+from firmware_protocol.generated.messages import State
 from hil.faults.kind import FaultRow
 from hil.faults.kinds import find
 from hil.judge.expectations import Count, rejected_and_unmatched
@@ -69,17 +70,23 @@ class Rejections:
     Host and robot reject frames. A ``[[fault]]`` that can cut off feedback, state or robot explains all that is counted
     from its beginning until three things have happened in turn: its window has ended (``Undriven`` defines it), the
     robot is driven again, and the robot has reported its counters. Nothing before t = 0 is counted; ``counts`` returns
-    the result. It is a sink: where ``windows`` is not empty, it needs the row of each tick.
+    the result. With ``watches`` the end of ACTIVE begins such a window too: commands on the way to a robot that has
+    stopped are rejected. It is a sink: where ``needs_rows`` is set, it needs the row of each tick.
     """
 
-    def __init__(self, device: Device, faults: Sequence[FaultRow], timing: Timing, names: Sequence[str]) -> None:
+    def __init__(
+        self, device: Device, faults: Sequence[FaultRow], timing: Timing, names: Sequence[str], *, watches: bool = False
+    ) -> None:
         self._device = device
-        self._t_at, self._held_at = (8 * names.index(name) for name in ("loop.t_s", "guard.held"))
+        signals = ("loop.t_s", "guard.held", "robot.state")
+        self._t_at, self._held_at, self._state_at = (8 * names.index(name) for name in signals)
+        self._watches = watches
         windows = sorted(_window(row, timing) for row in faults if can_hold(row))
         # From the row before: what is counted in the first tick of a window is already in its row.
         before_ns = 2 * timing.period_ns
         self.windows = [((start - before_ns) * 1e-9, end * 1e-9 + _REPORTED_S) for start, end in windows]
         self._next_s = self.windows[0][0] if windows else math.inf
+        self.needs_rows = watches or bool(windows)
         self._at_begin = (0, 0)
         self._at_start: tuple[int, int] | None = None  # of the window that is open
         self._explained = [0, 0]
@@ -93,6 +100,10 @@ class Rejections:
     def put(self, row: bytes) -> None:
         """Take the row of a tick."""
         (t_s,) = _value_at(row, self._t_at)
+        if self._watches and _value_at(row, self._state_at)[0] != State.ACTIVE:
+            self._watches = False
+            self.windows.insert(0, (t_s, t_s + _REPORTED_S))
+            self._next_s = min(self._next_s, t_s)
         if t_s < self._next_s:
             return
         if self._at_start is not None:

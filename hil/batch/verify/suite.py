@@ -20,10 +20,12 @@ from hil.plant.description import start_defaults
 from hil.runtime.mutation.applied import moved
 from hil.runtime.robots import link_of, plant_start
 from hil.scenario import Scenario, load, shipped, suite
+from hil.scenario.load import SUITE_DIRECTORY
 
 RUN, TESTS = "hil.batch.verify.run:run", "hil.batch.verify.run:run_tests"
 """The kinds of job."""
 _BASELINE = ".baseline.toml"
+_TESTS = "test_*.py"
 
 
 class Member(NamedTuple):
@@ -68,14 +70,14 @@ class Member(NamedTuple):
 
 
 def read_suite(names: Sequence[str], *, baselines: bool = True) -> list[Member]:
-    """Return the members that are named: scenarios, test files, and folders of these; without any, the shipped ones.
+    """Return the members that are named: scenarios, test files, and folders of these; without any, all shipped ones.
 
     Without ``baselines`` they are judged by their expectations and [allow] alone.
 
     Raises BadInputError for what is neither, and for a scenario that does not run in this process in lockstep.
     """
     found: dict[str, Member] = {}
-    for name in names or [*shipped(), *suite()]:
+    for name in names or [*shipped(), *suite(), *map(str, SUITE_DIRECTORY.glob(_TESTS))]:
         path = Path(name)
         for one in _in_folder(path) if path.is_dir() else [name]:
             member = _member(str(one))
@@ -99,7 +101,7 @@ def _sha256(content: bytes) -> str:
 
 def _in_folder(folder: Path) -> list[Path]:
     scenarios = [path for path in folder.glob("*.toml") if not path.name.endswith(_BASELINE)]
-    found = sorted([*scenarios, *folder.glob("test_*.py"), *folder.glob("*_test.py")])
+    found = sorted([*scenarios, *folder.glob(_TESTS), *folder.glob("*_test.py")])
     if not found:
         raise BadInputError(f"suite {folder}: it has neither scenarios (*.toml) nor tests (test_*.py)")
     return found
