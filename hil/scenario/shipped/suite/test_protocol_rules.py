@@ -46,7 +46,7 @@ class Robot:
         return 0
 
     @property
-    def state(self) -> m.State:
+    def state(self) -> int:
         return self.node.look().state
 
     def send(self, message: Message) -> None:
@@ -56,7 +56,8 @@ class Robot:
         self.send(m.HostHeartbeat(nonce, m.SCHEMA_HASH, request, m.Mode.SPEED, CHECK))
 
     def command(self, speed_rad_s: float, sequence: int, nonce: int) -> None:
-        self.send(m.WheelCommand(*[speed_rad_s] * 4, sequence, nonce & 0xF))
+        speed = speed_rad_s
+        self.send(m.WheelCommand(speed, speed, speed, speed, sequence, nonce & 0xF))
 
     def arm(self, nonce: int) -> None:
         self.wish(m.Request.IDLE, nonce)
@@ -65,7 +66,7 @@ class Robot:
     def activate(self, nonce: int) -> None:
         self.arm(nonce)
         self.command(0.0, 0, nonce)
-        assert self.state is m.State.ACTIVE
+        assert self.state == m.State.ACTIVE
 
     def fail(self, nonce: int) -> None:
         """Drive with a flat battery until the robot is in FAULT."""
@@ -74,7 +75,11 @@ class Robot:
         self.node.run(30)
         self.battery_v = 24.0
         self.node.run(1)
-        assert self.state is m.State.FAULT
+        assert self.state == m.State.FAULT
+
+    def spin(self, speed_rad_s: float) -> None:
+        """Turn the wheels by hand."""
+        self._speed_rad_s = [speed_rad_s] * 4
 
     def heard(self) -> list[Message]:
         return [message for frame in self.node.take_frames() if (message := codec.decode(frame)) is not None]
@@ -96,17 +101,17 @@ def test_a_command_of_another_session_is_not_obeyed(robot: Robot) -> None:
 def test_the_first_command_of_a_session_must_be_zero(robot: Robot) -> None:
     robot.arm(A)
     robot.command(5.0, 0, A)
-    assert robot.state is m.State.ARMED
+    assert robot.state == m.State.ARMED
 
 
 def test_a_wish_to_arm_that_is_repeated_arms_no_second_time(robot: Robot) -> None:
     robot.activate(A)
     robot.node.run(2000)  # the watchdog, the ramp, rest
-    assert robot.state is m.State.IDLE
+    assert robot.state == m.State.IDLE
     robot.wish(m.Request.ARM, A)
-    assert robot.state is m.State.IDLE
+    assert robot.state == m.State.IDLE
     robot.wish(m.Request.ARM, B)  # never announced
-    assert robot.state is m.State.IDLE
+    assert robot.state == m.State.IDLE
 
 
 def test_a_used_nonce_arms_no_second_time(robot: Robot) -> None:
@@ -114,22 +119,22 @@ def test_a_used_nonce_arms_no_second_time(robot: Robot) -> None:
     robot.node.run(2000)
     robot.heard()
     robot.arm(A)
-    assert robot.state is m.State.IDLE
+    assert robot.state == m.State.IDLE
     robot.node.run(110)
     assert [one for one in robot.heard() if isinstance(one, m.Status)][-1].arm_refusal == m.ArmRefusal.NONCE_USED
     robot.arm(B)
-    assert robot.state is m.State.ARMED
+    assert robot.state == m.State.ARMED
 
 
 def test_a_wish_to_clear_clears_one_fault_only(robot: Robot) -> None:
     robot.fail(A)
     robot.wish(m.Request.CLEAR, 0x77)
-    assert robot.state is m.State.IDLE
+    assert robot.state == m.State.IDLE
     robot.fail(B)
     robot.wish(m.Request.CLEAR, 0x77)
-    assert robot.state is m.State.FAULT
+    assert robot.state == m.State.FAULT
     robot.wish(m.Request.CLEAR, 0x78)
-    assert robot.state is m.State.IDLE
+    assert robot.state == m.State.IDLE
 
 
 def test_a_set_point_is_limited_to_the_robots_own_speed(robot: Robot) -> None:
@@ -156,9 +161,19 @@ def test_no_parameter_changes_while_the_robot_drives(robot: Robot) -> None:
 def test_an_emergency_stop_is_heard_in_every_state_but_boot(robot: Robot) -> None:
     robot.fail(A)
     robot.send(m.Estop(0, 0))
-    assert robot.state is m.State.ESTOP
+    assert robot.state == m.State.ESTOP
     robot.wish(m.Request.ARM, B)
-    assert robot.state is m.State.ESTOP
+    assert robot.state == m.State.ESTOP
+
+
+def test_the_first_cause_of_a_fault_stays(robot: Robot) -> None:
+    robot.fail(A)
+    robot.spin(2.0 * VALUES["overspeed_rad_s"])
+    robot.node.run(100)
+    assert robot.node.look().fault is m.Fault.UNDERVOLTAGE
+    robot.wish(m.Request.CLEAR, 0x77)
+    robot.node.run(1)
+    assert robot.node.look().fault is m.Fault.OVERSPEED, "which still lasts"
 
 
 def framed(body: bytes) -> bytes:
@@ -169,13 +184,13 @@ def test_a_frame_of_another_length_than_its_messages_is_not_obeyed(robot: Robot)
     frame = codec.encode(m.Estop(0, 0))
     for payload in (frame.payload + b"\0", frame.payload[:-1]):
         robot.node.feed(framed(frame.id.to_bytes(2, "little") + b"\0" + payload))
-        assert robot.state is m.State.IDLE
+        assert robot.state == m.State.IDLE
     assert robot.node.look().rejected["length"] == 2
 
 
 def test_after_too_long_a_frame_the_next_one_is_heard(robot: Robot) -> None:
     robot.node.feed(b"\x01" * 300 + b"\0" + Framer().encode(codec.encode(m.Estop(0, 0))))
-    assert robot.state is m.State.ESTOP
+    assert robot.state == m.State.ESTOP
 
 
 # The host
@@ -212,7 +227,9 @@ def test_a_host_says_that_a_robot_is_latched(robot: Robot) -> None:
 
 def test_a_host_greets_no_robot_of_another_schema(robot: Robot) -> None:
     heard = greeting(robot)
-    other = [one._replace(schema_hash=one.schema_hash ^ 1) if isinstance(one, m.HelloIdentity) else one for one in heard]
+    other = [
+        one._replace(schema_hash=one.schema_hash ^ 1) if isinstance(one, m.HelloIdentity) else one for one in heard
+    ]
     assert linked(A, heard).view.is_greeted
     assert not linked(A, other).view.is_greeted
 
