@@ -283,3 +283,6 @@ def test_without_a_log_all_else_is_the_same() -> None:
         lib.wheel_client_take(one, packed, 0, len(packed), 7)
         lib.wheel_client_estop(one)
     assert bytes(ffi.buffer(lib.wheel_client_view(bare))) == bytes(ffi.buffer(client.view))
+    lib.wheel_client_unsent(bare)
+    lib.wheel_client_log_take(bare, used := ffi.new("size_t[2]"))
+    assert list(used) == [0, 0]

@@ -158,6 +158,16 @@ def test_packed_frames_are_encoded_as_one_by_one(some: list[Frame]) -> None:
 DONE = Frame(m.StepDone.ID, bytes(4))
 
 
+@pytest.mark.proves("R-SER-3")
+def test_up_to_127_missing_frames_are_lost_and_more_are_a_sender_that_began_anew() -> None:
+    framer = Framer()
+    serial = [framer.encode(DONE) for _ in range(257)]
+    for missing in range(256):
+        line = HostLine()
+        line.feed(serial[0] + serial[missing + 1])
+        assert line.rejected["lost"] == (missing if missing <= 127 else 0)
+
+
 @pytest.mark.parametrize(
     "wrong", [pack([Frame(m.Tick.ID, b"1234567")]), pack([Frame(0x123, b"")]), pack([DONE])[:-1], pack([DONE])[:2]]
 )
