@@ -36,10 +36,12 @@ test-rest: setup .venv/tools
 	$(PYTEST) $(BESIDE) -m 'slow and not alone' $(ARGS)
 	$(REAL_TIME)
 
-## run all tests, each once
+# Other mutants for each commit. A sample of 24 of which the suite notices 95 % has fewer than 80 % once in 250 times.
+## run all tests, each once, and a sample of the known defects that hil verify puts in
 test-all: setup .venv/tools
 	$(PYTEST) $(BESIDE) -m 'not alone' $(ARGS)
 	$(REAL_TIME)
+	$(BIN)/hil verify --sample 24 --seed $$(git rev-list --count HEAD 2>/dev/null || echo 0) --healthy 24 --least 80 --out build/verify
 
 # Real time comes after all else, and SocketCAN, whose kernel is a process that needs a processor, by itself.
 define REAL_TIME

@@ -116,6 +116,9 @@ def test_a_suite_is_measured_and_what_is_suggested_notices(suite: Path) -> None:
     assert not found.passed
     assert not found.alarms
     assert found.healthy == 2 + 4
+    only = [one for one in found.verdicts if one.verdict != "not equivalent"]
+    for least, passed in ((0.25, True), (0.26, False)):
+        assert found._replace(verdicts=only, least=least).passed is passed, "one of four was noticed"
     table = pages.as_json(found)
     jsonschema.validate(table, json.loads((Path(pages.__file__).parent / "verify.schema.json").read_text()))
     assert table["noticed_part"] == 0.2

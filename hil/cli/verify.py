@@ -29,6 +29,9 @@ def verify(
         int | None,
         Option(metavar="N", help="healthy runs with fresh seeds and variations; default: 6 a scenario", min=0),
     ] = None,
+    least: Annotated[
+        float, Option(metavar="PERCENT", help="of the mutants that have to be noticed for exit code 0", min=0, max=100)
+    ] = 100.0,
     no_baseline: Annotated[bool, Option("--no-baseline", help="judge by expectations and [allow] alone")] = False,
     out: Annotated[Path, Option(metavar="DIR", help="the page, and what is done so far")] = Path("runs/verify"),
     jobs: Jobs = None,
@@ -50,7 +53,7 @@ def verify(
     wanted = chosen(catalogue.mutants, room or [], mutant or [], sample, seed)
     members = read_suite(suite or [], baselines=not no_baseline)
     further = 6 * sum(member.tests is None for member in members) if healthy is None else healthy
-    request = engine.Request(members, wanted, catalogue.variations, further, out, seed, jobs, limit_s)
+    request = engine.Request(members, wanted, catalogue.variations, further, out, seed, jobs, limit_s, least / 100.0)
     with batch(as_json=as_json) as progress:
         found = engine.verify(request, progress or (lambda *_: None))
     file = out / pages.PAGE

@@ -17,18 +17,13 @@ from hil.batch.verify.verify import (
     UNREACHED,
     Verdict,
     Verification,
+    noticed_part,
 )
 
 PAGE = "verify.md"
 SCHEMA = "hil.verify/1"
 """Name and version of the JSON; ``verify.schema.json`` beside this file describes it."""
 _SHOWN = (NOTICED, SURVIVED, UNREACHED, NOT_EQUIVALENT, EQUIVALENT, NOT_BUILT)
-
-
-def noticed_part(verdicts: Sequence[Verdict]) -> float | None:
-    """Return which part of the mutants that were tried and are no equivalents was noticed; None if there are none."""
-    tried = [one for one in verdicts if one.verdict not in (EQUIVALENT, NOT_BUILT)]
-    return sum(one.verdict == NOTICED for one in tried) / len(tried) if tried else None
 
 
 def as_json(found: Verification) -> dict[str, Any]:

@@ -36,7 +36,10 @@ _FIRST_SEED = 1_000_000
 
 
 class Request(NamedTuple):
-    """What to verify: the suite, the mutants, how many further healthy runs, with what workers, into which folder."""
+    """What to verify: the suite, the mutants, how many further healthy runs, with what workers, into which folder.
+
+    ``least``: the part of the mutants that has to be noticed.
+    """
 
     members: Sequence[Member]
     mutants: Sequence[Entry]
@@ -46,6 +49,7 @@ class Request(NamedTuple):
     seed: int = 0
     workers: int | None = None
     limit_s: float = 600.0
+    least: float = 1.0
 
 
 class Verdict(NamedTuple):
@@ -77,11 +81,20 @@ class Verification(NamedTuple):
     alarms: Sequence[tuple[str, str, str]]
     members: Mapping[str, float]
     wall_s: float
+    least: float = 1.0
 
     @property
     def passed(self) -> bool:
-        """Whether every mutant that is no equivalent was noticed, and no healthy run raised an alarm."""
-        return not self.alarms and all(one.verdict in GOOD for one in self.verdicts)
+        """Whether enough mutants were noticed, no equivalent changed anything, and no healthy run raised an alarm."""
+        part = noticed_part(self.verdicts)
+        is_enough = part is None or part >= self.least
+        return is_enough and not self.alarms and all(one.verdict != NOT_EQUIVALENT for one in self.verdicts)
+
+
+def noticed_part(verdicts: Sequence[Verdict]) -> float | None:
+    """Return which part of the mutants that were tried and are no equivalents was noticed; None if there are none."""
+    tried = [one for one in verdicts if one.verdict not in (EQUIVALENT, NOT_BUILT)]
+    return sum(one.verdict == NOTICED for one in tried) / len(tried) if tried else None
 
 
 def verify(
@@ -112,7 +125,8 @@ def verify(
         if outcome.status != PASSED
     ]
     times = {member.name: plan.nominal(member.name).wall_s for member in request.members}
-    return Verification(verdicts, len(plan.healthy), alarms, times, time.monotonic() - began_s)
+    wall_s = time.monotonic() - began_s
+    return Verification(verdicts, len(plan.healthy), alarms, times, wall_s, request.least)
 
 
 def build(mutants: Sequence[Entry], folder: Path | None = None) -> dict[str, Built]:
