@@ -260,16 +260,19 @@ def test_what_waits_when_the_robot_is_left_counts_for_nothing() -> None:
     assert client.hexdigest() == digest([], [])
 
 
-def test_a_log_begun_anew_has_nothing_to_take_back() -> None:
+def test_a_log_that_was_taken_or_begun_anew_has_nothing_to_take_back() -> None:
     client, (ffi, lib) = new_client(), library()
-    logs = [ffi.new("uint8_t[]", 4096) for _ in range(4)]
+    logs, used = [ffi.new("uint8_t[]", 4096) for _ in range(4)], ffi.new("size_t[2]")
     lib.wheel_client_log(client.handle, logs[0], logs[1], 4096)
-    client.command(REST, REST, 0)
-    lib.wheel_client_log(client.handle, logs[2], logs[3], 4096)
-    client.unsent()
-    used = ffi.new("size_t[2]")
-    lib.wheel_client_log_take(client.handle, used)
-    assert list(used) == [0, 0]
+    for forget in (
+        lambda: lib.wheel_client_log(client.handle, logs[2], logs[3], 4096),
+        lambda: lib.wheel_client_log_take(client.handle, used),
+    ):
+        client.command(REST, REST, 0)
+        forget()
+        client.unsent()
+        lib.wheel_client_log_take(client.handle, used)
+        assert list(used) == [0, 0]
 
 
 def test_without_a_log_all_else_is_the_same() -> None:
