@@ -75,6 +75,18 @@ def test_a_torque_leaves_nothing_of_the_position_loop() -> None:
     assert said[0x27] == pytest.approx(rig.facts.watchdog_s)
 
 
+@pytest.mark.parametrize(("mode", "is_braked"), [(12, False), (15, True)])
+def test_after_torques_only_a_short_circuit_brakes_and_the_driver_warns(mode: int, is_braked: bool) -> None:
+    rig = ready(mode=CommandMode.TORQUE)
+    assert "servo.timeout_mode is 15" in " ".join(rig.driver.warnings)
+    assert not Rig("moteus").driver.warnings
+    for servo in rig.node.servos:
+        servo.config["servo.timeout_mode"] = mode
+    rig.drive(0.5, lambda _t_s: (STILL, (1.0,) * 4))
+    rig.step(ticks=1500)
+    assert rig.is_still() == is_braked
+
+
 READ = (0x00, 0x01, 0x02, 0x04, 0x0D, 0x0E, 0x27)
 
 

@@ -89,6 +89,11 @@ class Moteus(FourMotors[Settings, _Channel]):
         to_rad = 1.0 / self._per_rad
         super().__init__(settings, robot, capabilities, "moteus", settings.ids, channels, to_rad, to_rad)
         self._max_torque_n_m = robot.torque_limit_n_m / settings.gear_ratio
+        if robot.mode is CommandMode.TORQUE:
+            self._warnings = (
+                "with torque commands a moteus lets its wheel coast when commands end, unless its servo.timeout_mode "
+                "is 15: its brake in mode 12 uses the gains of the last command, which are 0",
+            )
         self._has_armed = False  # armed from here: a controller in mode 11 may be there because our commands ended
         self._is_ending = False  # a stop was sent, and not all controllers have confirmed it yet
         self._was_lost = False  # the link was lost while armed, so mode 11 is no error
