@@ -41,6 +41,7 @@ FILES = {
     **dict.fromkeys(("states.c", "receive.c", "supervise.c", "node.c"), _OF_THE_NODE),
     **dict.fromkeys(("arming.c", "session.c"), (*_OF_THE_CLIENT, "tests/test_snapshot.py")),
     "incoming.c": ("tests/test_snapshot.py", *_OF_THE_CLIENT, "tests/test_snapshot_twin.py"),
+    "service.c": ("tests/test_parameters.py", "tests/test_node_feedback.py", "tests/test_protocol_rules.py"),
     **dict.fromkeys(("line.c", "framing.c", "cobs.c", "crc.c"), ("tests/test_line_of_the_library.py",)),
 }
 """The tests of each file whose mutants are tried."""
