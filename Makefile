@@ -36,7 +36,7 @@ test-rest: setup .venv/tools
 	$(PYTEST) $(BESIDE) -m 'slow and not alone' $(ARGS)
 	$(REAL_TIME)
 
-# Other mutants for each commit. A sample of 24 of which the suite notices 95 % has fewer than 80 % once in 250 times.
+# Other mutants for each commit. A sample of 24 of which the suite notices 95 % has fewer than 80 % once in 160 times.
 ## run all tests, each once, and a sample of the known defects that hil verify puts in
 test-all: setup .venv/tools
 	$(PYTEST) $(BESIDE) -m 'not alone' $(ARGS)
