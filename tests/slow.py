@@ -22,6 +22,7 @@ SLOW = (
     "test_fmu_platforms.py",
     "test_foreign_fmu.py::test_the_shim_passes_the_sanitizers_over_a_foreign_fmu",
     "test_fuzz.py",
+    "test_identify.py",
     "test_install.py",
     "test_mujoco_fmu.py",
     "test_reset_cause.py",

@@ -12,12 +12,15 @@ from scipy.integrate import quad
 
 from hil.cli.list import listing
 from hil.core.errors import BadInputError
+from hil.core.types import Pose
 from hil.references import SHIPPED, make_reference
 from hil.references.circle import Circle
 from hil.references.curves import Bend
 from hil.references.double_s import Limits
 from hil.references.figure_eight import FigureEight
 from hil.references.hold import Hold
+from hil.references.motion import at_rest
+from hil.references.multisine import Multisine
 from hil.references.rounded_square import RoundedSquare
 from hil.references.route import Waypoint, plan
 from hil.references.smoothing import SmoothingSpline
@@ -79,7 +82,13 @@ playings = st.builds(
     lambda seed, ramp_s: Played(wandering(seed), 6.0, ramp_s), st.integers(0, 99), st.sampled_from([0.0, 0.5, 2.5])
 )
 closed = st.one_of(circles, eights, squares)
-sources = st.one_of(closed, spins, st.builds(Hold, places, places, angles), routes, playings)
+multisines = st.builds(
+    lambda seed, ramp_s, room_m: Multisine(seed=seed, rest_s=0.0, ramp_s=ramp_s, room_m=room_m),
+    st.integers(0, 99),
+    st.sampled_from([0.7, 2.0]),
+    st.floats(0.6, 6.0),
+)
+sources = st.one_of(closed, spins, multisines, st.builds(Hold, places, places, angles), routes, playings)
 
 
 def wandering(seed: int) -> SmoothingSpline:
@@ -218,6 +227,30 @@ def test_a_bend_is_the_integral_of_its_direction_and_ends_on_the_other_leg(turn,
     assert abs(sharpness).max() == pytest.approx(bend.peak_sharpness)
 
 
+@share_of_examples(0.2)
+@given(multisines)
+def test_a_multisine_stays_in_its_room_and_within_its_limits_on_all_axes(source):
+    poses, twists, accelerations = (
+        np.array(part) for part in zip(*map(source.at, np.arange(0, 100, 0.05)), strict=True)
+    )
+    assert np.abs(poses[:, :2]).max() <= source.room_m / 2
+    assert np.hypot(*twists[:, :2].T).max() <= source.speed_m_s
+    assert np.abs(twists[:, 2]).max() <= source.yaw_rate_rad_s
+    moving = np.arange(0, 100, 0.05) > source.ramp_s
+    assert np.hypot(*accelerations[moving, :2].T).max() <= source.acceleration_m_s2
+    assert np.abs(accelerations[moving, 2]).max() <= source.yaw_acceleration_rad_s2
+    assert (accelerations.std(axis=0) > 0.05).all(), "each axis is driven"
+    assert np.abs(np.corrcoef(accelerations.T) - np.eye(3)).max() < 0.3, "and by itself"
+
+
+def test_a_multisine_rests_before_it_begins():
+    source = Multisine(x_m=1.0, y_m=2.0, heading_rad=0.5, rest_s=3.0)
+    assert source.at(2.9) == at_rest(Pose(1.0, 2.0, 0.5))
+    assert source.at(3.5).pose != source.at(3.0).pose
+    with pytest.raises(BadInputError, match=r"highest_hz = 0\.05: expected more than lowest_hz = 0\.06"):
+        Multisine(highest_hz=0.05)
+
+
 def test_a_spin_turns_at_its_rate_while_the_path_goes_on():
     spin = make_reference("spin", {"path": "circle", "speed_m_s": 0.5, "radius_m": 2, "yaw_rate_rad_s": -1.5})
     pose, twist, acceleration = spin.at(4.0)
@@ -245,7 +278,7 @@ def test_the_page_and_the_list_name_every_kind_and_option(name, kind):
             "zigzag!",
             {},
             "reference.kind = 'zigzag!': unknown; "
-            "known: circle, figure_eight, hold, rounded_square, spin, trajectory, waypoints",
+            "known: circle, figure_eight, hold, multisine, rounded_square, spin, trajectory, waypoints",
         ),
         ("circle", {"radus_m": 1.0}, "unknown key reference.radus_m; did you mean 'radius_m'?"),
         ("circle", {"radius_m": "1"}, 'reference.radius_m = "1"; expected a number'),

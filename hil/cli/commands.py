@@ -41,6 +41,7 @@ SHIPPED = {
     "jog": "Turn one wheel slowly, with its name typed first, to check order and direction of the motors.",
     "params": "Show and change the parameters of a robot's firmware; it must be in IDLE to change. All are checked "
     "first.",
+    "identify": "Drive your robot so that it shows what it is made of, and fit a plant to the recordings.",
     "device": "Run the scenario's virtual robot in a process of its own; print one line when ready.",
     "serve": "Serve a robot: armed, driven and recorded by `hil ctl` or over HTTP, until SIGTERM.",
     "ctl": "Drive the robot that hil serve runs; an order returns when accepted.",
@@ -51,7 +52,7 @@ SHIPPED = {
 """The first paragraph of the help of each shipped command, by name."""
 _PLACES = {
     "show": "check:show", "list": "list:list_", "live": "view:live",
-    "campaign": "campaign:app", "ctl": "ctl:app", "fmu": "fmu:app",
+    "campaign": "campaign:app", "ctl": "ctl:app", "fmu": "fmu:app", "identify": "identify:app",
 }  # fmt: skip
 """Module and name of each command that is not simply ``hil.cli.NAME:NAME``."""
 

@@ -13,6 +13,7 @@ from hil.references.circle import Circle
 from hil.references.figure_eight import FigureEight
 from hil.references.hold import Hold
 from hil.references.motion import ReferenceSource
+from hil.references.multisine import Multisine
 from hil.references.rounded_square import RoundedSquare
 from hil.references.spin import Spin
 from hil.references.trajectory import Trajectory
@@ -26,6 +27,7 @@ SHIPPED: dict[str, type[Any]] = {
     "spin": Spin,
     "waypoints": Waypoints,
     "trajectory": Trajectory,
+    "multisine": Multisine,
 }
 """By name in a scenario: the dataclass of its options. It is the motion itself, or reads the motion from a file."""
 

@@ -1,0 +1,201 @@
+"""``hil identify``: drives that show what a robot is made of, and the fit to their recordings."""
+
+import sys
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+from typer import Argument, Option
+
+from hil.cli import options as o
+from hil.cli.commands import Group
+from hil.cli.output import end_in_order, print_result, rows, say, table, warn
+from hil.core.errors import BadInputError, RunInterruptedError
+from hil.core.outputs import existing_files
+
+if TYPE_CHECKING:
+    from hil.identify.estimates import Estimate
+    from hil.identify.fit import Result
+
+SCHEMA, DRIVE_SCHEMA = "hil.identify/1", "hil.identify.drive/1"
+"""Name and version of the JSON of both commands; ``identify.schema.json`` in hil/identify describes it."""
+
+app = typer.Typer(
+    cls=Group,
+    no_args_is_help=True,
+    help="Drive your robot so that it shows what it is made of, and fit a plant to the recordings.",
+)
+
+_Recording = Path | None
+
+
+@app.command("drive")
+def drive(
+    scenario: o.ScenarioName,
+    out: Annotated[Path, Option(metavar="DIR", help="where the recordings go")] = Path("runs/identify"),
+    step: Annotated[
+        list[str] | None,
+        Option(metavar="STEP", help="only this one: blocks, floor, squeeze or held_out; may be repeated"),
+    ] = None,
+    room: Annotated[float, Option(metavar="METRE", help="side of the free square on the floor")] = 3.0,
+    grip: Annotated[float, Option(metavar="NUMBER", help="what the floor surely has; rubber 0.5 and more")] = 0.5,
+    robot: o.RobotFile = None,
+    link: o.LinkUrl = None,
+    mode: o.Mode = None,
+    truth: o.TruthUrl = None,
+    seed: Annotated[int, Option(metavar="N", help="of the drives' random phases", min=0)] = 1,
+    yes: Annotated[bool, Option("--yes", help="do not wait for Enter before each drive")] = False,
+    allow_motion: o.AllowMotion = False,
+    force: o.Force = False,
+    as_json: o.Json = False,
+) -> None:
+    """Drive on blocks, on the floor, squeeze the wheels, and drive once more for the fit to be judged by.
+
+    Each drive is announced, and begins when Enter is pressed. The robot stays within the square of --room. It is a run
+    of the scenario with another reference, so its limits hold, and Ctrl-C stops the robot.
+    """
+    from hil.core.outputs import check_free
+    from hil.identify.drive import STEPS, Plan, perform, plan_step
+    from hil.runtime.assembly import RunOptions
+
+    end_in_order()
+    existing = existing_files(force=force)
+    plan = Plan(room_m=room, grip=grip, seed=seed)
+    where = {"robot": robot, "link": link, "mode": mode}
+    steps = [plan_step(name, scenario, plan, **where) for name in step or STEPS]
+    files = {one.name: out / f"{one.name}.rrd" for one in steps}
+    for file in files.values():
+        check_free("recording", file, existing)
+    if not yes and not sys.stdin.isatty():
+        raise BadInputError("stdin is not a terminal; --yes begins each drive without waiting for Enter")
+    out.mkdir(parents=True, exist_ok=True)
+    done: dict[str, Any] = {}
+    options = RunOptions(truth=truth, existing=existing, allow_motion=allow_motion, warn=warn, keep_signals=False)
+    try:
+        for one in steps:
+            print(f"{one.name}, {one.scenario.loop.duration_s:g} s: {one.asks}", file=sys.stderr, flush=True)
+            if not yes:
+                print("Press Enter to begin, Ctrl-C to end: ", end="", file=sys.stderr, flush=True)
+                if not sys.stdin.readline():
+                    raise BadInputError("the input ended; this drive and those after it were not driven")
+            result = perform(one, files[one.name], options)
+            done[one.name] = str(files[one.name])
+            if result.failure is not None:
+                raise result.failure
+            if not as_json:
+                say(f"  recorded {files[one.name]}")
+    except KeyboardInterrupt:
+        raise RunInterruptedError("interrupted; the robot was told to stop") from None
+    named = " ".join(
+        f"--{name.replace('_', '-')} {files[name]}" for name in ("blocks", "squeeze", "held_out") if name in files
+    )
+    print_result(
+        as_json,
+        {"schema": DRIVE_SCHEMA, "recordings": done},
+        [f"Next: hil identify fit {files.get('floor', 'RECORDING')} {named} --mass KG".replace("  ", " ")],
+    )
+
+
+@app.command("fit")
+def fit(
+    recordings: Annotated[list[Path], Argument(metavar="RECORDING...", help="drives on the floor")],
+    blocks: Annotated[_Recording, Option(metavar="RECORDING", help="a drive on blocks")] = None,
+    squeeze: Annotated[_Recording, Option(metavar="RECORDING", help="wheels turned against one another")] = None,
+    held_out: Annotated[
+        _Recording, Option(metavar="RECORDING", help="the drive to judge by; by default the last third of the first")
+    ] = None,
+    mass: Annotated[float | None, Option(metavar="KG", help="the robot's weight on a scale", min=0.01)] = None,
+    tape: Annotated[
+        float | None, Option(metavar="METRE", help="distance from the first recording's start to its end", min=0.1)
+    ] = None,
+    contact: Annotated[
+        str, Option(metavar="rigid|slip|both", help="the models to fit; the better one is taken")
+    ] = "both",
+    out: Annotated[Path, Option(metavar="DIR", help="robot.toml, plant.toml, fit.json and a picture")] = Path(
+        "identified"
+    ),
+    force: o.Force = False,
+    as_json: o.Json = False,
+) -> None:
+    """Fit a robot and its plant to recordings, with intervals, and judge them by a drive that the fit has not seen.
+
+    First it says what these recordings can and cannot tell, and which measurement would settle the rest. The exit code
+    is 1, and nothing is written, when the fitted plant predicts the held-out drive no better than what was believed.
+    """
+    from hil.identify.estimates import estimates
+    from hil.identify.files import check_files, write_figures, write_files
+    from hil.identify.fit import fit as fit_drives
+    from hil.identify.page import PICTURE_FILE, draw
+    from hil.identify.recorded import read_drive, split
+
+    if contact not in ("rigid", "slip", "both"):
+        raise BadInputError(f"--contact {contact}: expected rigid, slip or both")
+    existing = existing_files(force=force)
+    check_files(out, existing)
+    floor = [read_drive(path) for path in recordings]
+    if held_out is None:
+        floor[0], judged_by = split(floor[0])
+    else:
+        judged_by = read_drive(held_out)
+    others = {name: read_drive(path) for name, path in (("blocks", blocks), ("squeeze", squeeze)) if path is not None}
+    contacts = {"both": ("rigid", "slip"), "rigid": ("rigid",), "slip": ("slip",)}[contact]
+    result = fit_drives(floor, judged_by, tape_m=tape, contacts=contacts, **others)
+    found = estimates(result, mass)
+    figures = {"schema": SCHEMA, **_figures(result, found)}
+    better = result.chosen.held_out.rms_m < result.before.rms_m
+    made_from = [*floor, *others.values(), judged_by]
+    if better:
+        figures["files"] = [str(path) for path in write_files(out, result, found, made_from, existing)]
+        draw(result, out / PICTURE_FILE, existing)
+        write_figures(out, figures, existing)
+    print_result(as_json, figures, _lines(result, found, out if better else None))
+    raise typer.Exit(0 if better else 1)
+
+
+def _figures(result: "Result", found: "Sequence[Estimate]") -> dict[str, Any]:
+    kinematics = result.kinematics
+    return {
+        "passed": result.chosen.held_out.rms_m < result.before.rms_m,
+        "unknown": [one.sentence for one in result.outlook.unknown],
+        "notes": list(result.notes),
+        "contact": result.chosen.contact,
+        "estimates": [one._asdict() for one in found],
+        "sideways": {"scale": kinematics.sideways, "sigma": kinematics.sideways_sigma},
+        "gyro_bias_rad_s": kinematics.gyro_bias_rad_s,
+        "fix_delay_s": kinematics.delay_s,
+        "held_out": {
+            "against": result.before.against,
+            "before_rms_m": result.before.rms_m,
+            **{f"{model.contact}_rms_m": model.held_out.rms_m for model in result.models},
+        },
+    }
+
+
+def _lines(result: "Result", found: "Sequence[Estimate]", written: Path | None) -> Iterator[str]:
+    """Yield what could be told, the values, the verdict and where it is written."""
+    if result.outlook.unknown:
+        yield "What these recordings cannot tell well:"
+        yield from (f"  {one.sentence}" for one in result.outlook.unknown)
+    yield from result.notes
+    yield ""
+    head = ("value", "", "95 % from", "to", "", "")
+    shown = [(one.name, f"{one.value:.5g}", *_interval(one), one.status, one.why) for one in found]
+    yield from table([head, *shown])
+    kinematics, before = result.kinematics, result.before
+    errors = [("before the fit", f"{1e3 * before.rms_m:.3g} mm")]
+    errors += [(f"fitted, {model.contact}", f"{1e3 * model.held_out.rms_m:.3g} mm") for model in result.models]
+    yield ""
+    if kinematics.sideways_sigma == kinematics.sideways_sigma:
+        sideways, half = kinematics.sideways, 1.96 * kinematics.sideways_sigma
+        yield f"Scale of sideways motion, for odometry: {sideways:.4f} ± {half:.4f}"
+    yield f"Held-out drive, error of the position after a second against {before.against} (rms):"
+    yield from rows(errors)
+    if written is None:
+        yield "The fit predicts no better than what was believed; nothing was written"
+    else:
+        yield f"Taken: {result.chosen.contact}. Wrote {written}: robot.toml for --robot, plant.toml to extend"
+
+
+def _interval(one: "Estimate") -> tuple[str, str]:
+    return ("", "") if one.low == one.high else (f"{one.low:.5g}", f"{one.high:.5g}")

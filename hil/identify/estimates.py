@@ -1,0 +1,93 @@
+"""Values with intervals, and what each is worth: identified, effective, measured by hand, or only believed."""
+
+from typing import Literal, NamedTuple
+
+import numpy as np
+
+from hil.identify.fit import INFLATION, Result, values_of
+from hil.identify.floor import GYRO_BIAS
+
+SCALED = ("mass_kg", "inertia_kg_m2", "wheel_inertia_kg_m2", "viscous_n_m_s_rad")
+"""What drives tell only over the torque constant: all of them in proportion to it."""
+TORQUE_CONSTANT = "torque_constant_n_m_a"
+Status = Literal["identified", "effective", "weighed", "believed"]
+_95 = 1.96
+_WIDE = 0.1
+_WIDE_M = 0.01
+
+
+class Estimate(NamedTuple):
+    """One value, in the unit that its name ends in.
+
+    Attributes:
+        name: as in [robot] or [plant.start], or ``torque_constant_n_m_a`` or ``lever_m``.
+        value: the estimate. low, high: its interval of 95 %; equal to it where nothing was measured.
+        status: "identified"; "effective": right for predictions with the other values, and not by itself; "weighed": by
+            hand; "believed": the drives do not tell it.
+        why: what the status rests on, or what would change it.
+    """
+
+    name: str
+    value: float
+    low: float
+    high: float
+    status: Status
+    why: str
+
+
+def estimates(result: Result, weighed_kg: float | None = None) -> tuple[Estimate, ...]:
+    """Return the values of the chosen model. ``weighed_kg`` is the mass on a scale: it gives the torque constant.
+
+    Intervals are sandwiches over windows, widened by ``INFLATION``, which was measured on random robots.
+    """
+    model, constant = result.chosen, result.torque_constant_n_m_a
+    names = [one.name for one in model.parameters]
+    values = values_of(model)
+    mass, covariance = names.index("mass_kg"), model.solution.covariance
+    factor = 1.0 if weighed_kg is None else weighed_kg / values["mass_kg"]
+    widened = _95 * INFLATION[result.blocks is not None]
+    found = []
+    for place, parameter in enumerate(model.parameters):
+        if parameter is GYRO_BIAS:
+            continue
+        name, variance, value = parameter.name, covariance[place, place], values[parameter.name]
+        if weighed_kg is not None and name in SCALED:
+            value *= factor
+            variance += covariance[mass, mass] - 2.0 * covariance[place, mass]
+        half = widened * float(np.sqrt(max(variance, 0.0)))
+        if parameter.unit is None:
+            low, high, wide = value * np.exp(-half), value * np.exp(half), half > _WIDE
+        else:
+            half *= parameter.unit
+            low, high, wide = value - half, value + half, half > _WIDE_M
+        status, why = _judged(name, result, weighed=weighed_kg is not None, wide=bool(wide))
+        if status in ("weighed", "believed"):
+            low = high = value
+        found.append(Estimate(name, float(value), float(low), float(high), status, why))
+    half = widened * float(np.sqrt(covariance[mass, mass]))
+    if weighed_kg is None:
+        words = "weigh the robot (--mass): it settles the scale of mass, inertias and friction"
+        found.append(Estimate(TORQUE_CONSTANT, constant, constant, constant, "believed", words))
+    else:
+        kappa = constant * factor
+        low, high = kappa * float(np.exp(-half)), kappa * float(np.exp(half))
+        status, why = _judged(TORQUE_CONSTANT, result, weighed=True, wide=half > _WIDE)
+        found.append(Estimate(TORQUE_CONSTANT, kappa, low, high, status, why))
+    return tuple(found)
+
+
+def _judged(name: str, result: Result, *, weighed: bool, wide: bool) -> tuple[Status, str]:
+    """Return the status of a value and its reason."""
+    if name == "mass_kg" and weighed:
+        return "weighed", "by a scale"
+    if name == "wheel_radius_m" and not result.kinematics.scale_known:
+        return "believed", "the scale of length needs pose fixes or a tape (--tape)"
+    if name == "grip_coefficient" and result.grip is None:
+        return "effective", "squeeze the wheels (--squeeze)"
+    if name in SCALED and not weighed:
+        return "effective", "over the torque constant; weigh the robot (--mass)"
+    if name in ("mass_kg", "inertia_kg_m2", "wheel_inertia_kg_m2", TORQUE_CONSTANT) and result.blocks is None:
+        return "effective", "mass and wheels are hardly told apart; spin the wheels on blocks (--blocks)"
+    if wide:
+        return "effective", "its interval is wide"
+    return "identified", ""

@@ -1,0 +1,120 @@
+"""The result of a fit as files: [robot] and [firmware] for --robot, and a plant that a scenario extends."""
+
+import hashlib
+import json
+from collections.abc import Iterator, Mapping, Sequence
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+from hil.core.options import format_value
+from hil.core.outputs import Existing, check_free, write_whole
+from hil.identify.estimates import TORQUE_CONSTANT, Estimate
+from hil.identify.fit import Result
+from hil.identify.recorded import Drive
+
+ROBOT_FILE = "robot.toml"
+PLANT_FILE = "plant.toml"
+FIGURES_FILE = "fit.json"
+_ROBOT = ("mass_kg", "inertia_kg_m2", "wheel_radius_m", "half_length_m", "half_width_m", "wheel_inertia_kg_m2",
+          "friction_coefficient", "torque_limit_n_m", "speed_limit_rad_s")  # fmt: skip
+_PLANT_ONLY = ("com_x_m", "com_y_m", "viscous_n_m_s_rad", "grip_coefficient", "roller_friction_coefficient")
+_COMMENT_COLUMN = 46
+
+
+def check_files(folder: Path, existing: Existing) -> None:
+    """Raise BadInputError when a file of a result is there already and must not be replaced."""
+    for name in (ROBOT_FILE, PLANT_FILE, FIGURES_FILE):
+        check_free("file", folder / name, existing)
+
+
+def robot_text(result: Result, found: Sequence[Estimate], made_from: Sequence[Drive]) -> str:
+    """Return a robot's file: the tables that a robot of the first recording had, with what was found in them."""
+    values, by_name = made_from[0].values, {one.name: one for one in found}
+    share = result.robot.lever_m / result.believed.lever_m
+    lines = ["# A robot as it was identified. Runs any scenario on it: hil run SCENARIO --robot FILE"]
+    lines += [f"# {line}" for line in provenance(result, made_from)]
+    lines += ["", "[robot]"]
+    for name in _ROBOT:
+        if name in ("half_length_m", "half_width_m"):
+            lever = by_name["lever_m"]
+            length = getattr(result.believed, name) * share
+            lines.append(_line(name, length, f"their sum {_interval(lever)}"))
+        elif name in by_name:
+            lines.append(_line(name, by_name[name].value, _words(by_name[name])))
+        else:
+            lines.append(_line(name, float(values[f"robot.{name}"]), "as it was"))
+    for table in ("firmware", "device"):
+        lines += ["", f"[{table}]", *_table(table, values, by_name.get(TORQUE_CONSTANT))]
+    return "\n".join([*lines, ""])
+
+
+def plant_text(result: Result, found: Sequence[Estimate], made_from: Sequence[Drive]) -> str:
+    """Return a plant's file, which extends the robot's: what is true where the controller has no such number."""
+    lines = [f"# The plant of {ROBOT_FILE}. A scenario begins with: extends = {format_value(PLANT_FILE)}"]
+    lines += [f"# {line}" for line in provenance(result, made_from)]
+    lines += ["", f"extends = {format_value(ROBOT_FILE)}", "", "[plant]", 'fmu = "mecanum"', "", "[plant.start]"]
+    lines.append(_line("contact", result.chosen.contact, "predicts the held-out drive best"))
+    lines.append(_line("drive", "current", "currents as they were measured"))
+    lines += [_line(one.name, one.value, _words(one)) for one in found if one.name in _PLANT_ONLY]
+    return "\n".join([*lines, ""])
+
+
+def write_files(
+    folder: Path, result: Result, found: Sequence[Estimate], made_from: Sequence[Drive], existing: Existing
+) -> tuple[Path, Path]:
+    """Write both files and return their paths. Raises BadInputError as ``check_files``, and when one cannot be written.
+
+    ``made_from`` are all drives of the fit, that of the first scenario first.
+    """
+    check_files(folder, existing)
+    folder.mkdir(parents=True, exist_ok=True)
+    robot, plant = folder / ROBOT_FILE, folder / PLANT_FILE
+    write_whole(robot, robot_text(result, found, made_from).encode(), "file", existing)
+    write_whole(plant, plant_text(result, found, made_from).encode(), "file", existing)
+    return robot, plant
+
+
+def write_figures(folder: Path, figures: Mapping[str, Any], existing: Existing) -> Path:
+    """Write the figures of a fit as JSON beside its files, and return the path."""
+    path = folder / FIGURES_FILE
+    write_whole(path, (json.dumps(figures, indent=2) + "\n").encode(), "file", existing)
+    return path
+
+
+def provenance(result: Result, made_from: Sequence[Drive]) -> Iterator[str]:
+    """Yield when, by which model and from which recordings a result was made."""
+    yield f"Made by hil identify fit, {datetime.now(UTC).isoformat(timespec='seconds')}."
+    rms, before = 1e3 * result.chosen.held_out.rms_m, 1e3 * result.before.rms_m
+    yield (
+        f"Held-out drive: {rms:.2g} mm after a second, {before:.2g} mm before the fit, "
+        f"against {result.chosen.held_out.against}."
+    )
+    for drive in made_from:
+        digest = hashlib.sha256(drive.path.read_bytes()).hexdigest()[:12] if drive.path.is_file() else "not there"
+        yield f"From {drive.path.name}, SHA-256 {digest}."
+
+
+def _table(table: str, values: Mapping[str, Any], torque_constant: Estimate | None) -> Iterator[str]:
+    for key, value in values.items():
+        name = key.removeprefix(f"{table}.")
+        if name == key or value is None:
+            continue
+        if name == TORQUE_CONSTANT and torque_constant is not None:
+            yield _line(name, torque_constant.value, _words(torque_constant))
+        else:
+            yield f"{name} = {format_value(value)}"
+
+
+def _line(name: str, value: float | str, words: str) -> str:
+    text = f"{name} = {format_value(float(f'{value:.6g}') if isinstance(value, float) else value)}"
+    return f"{text:<{_COMMENT_COLUMN}} # {words}"
+
+
+def _interval(one: Estimate) -> str:
+    return f"{one.status}, 95 %: {one.low:.5g} to {one.high:.5g}"
+
+
+def _words(one: Estimate) -> str:
+    words = _interval(one) if one.low != one.high else one.status
+    return f"{words}; {one.why}" if one.why else words

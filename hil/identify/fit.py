@@ -1,0 +1,262 @@
+"""Fits a plant to drives: kinematics first, then dynamics, without slip and with it; a held-out drive chooses."""
+
+import contextlib
+import functools
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+
+import plant_fmu
+from hil.core.errors import BadInputError
+from hil.core.model import RobotModel
+from hil.identify.blocks import BlocksFit, fit_blocks
+from hil.identify.floor import GYRO_BIAS, Floor, Parameter, variable
+from hil.identify.gauss_newton import Knowledge, Solution, inverted, solve
+from hil.identify.held_out import Prediction, predict
+from hil.identify.identifiability import Outlook, check_excitation, outlook
+from hil.identify.kinematics import Kinematics, fit_kinematics, with_geometry
+from hil.identify.recorded import Array, Drive
+from hil.identify.squeeze import grip_of
+from hil.identify.windows import Windows, cut
+from hil.plant.start import Value
+
+RIGID = (
+    variable("mass_kg"),
+    variable("inertia_kg_m2"),
+    variable("wheel_inertia_kg_m2"),
+    variable("com_x_m", 0.01),
+    variable("com_y_m", 0.01),
+    variable("friction_coefficient"),
+    variable("viscous_n_m_s_rad"),
+)
+SLIP = (*RIGID, variable("grip_coefficient"), variable("roller_friction_coefficient"))
+LENGTHS = ("wheel_radius_m", "lever_m")
+_FIRST = {"friction_coefficient": 0.02, "viscous_n_m_s_rad": 0.02, "grip_coefficient": 0.7,
+          "roller_friction_coefficient": 0.01, "com_x_m": 0.0, "com_y_m": 0.0}  # fmt: skip
+_WIDEST = 6.0
+_GRIP_SIGMA = 0.3  # of its logarithm, without a squeeze: rubber on floors
+_ROLLER_SIGMA = 1.0
+_MOST_SLIP_WINDOWS = 60
+INFLATION = {True: 1.5, False: 2.8}
+"""By which intervals are widened, with and without wheels on blocks: measured on random robots (METHOD.md)."""
+
+
+class Fitted(NamedTuple):
+    """One model, fitted.
+
+    Attributes:
+        contact: "rigid" or "slip".
+        parameters: what was fitted, and last radius, lever and gyro's bias.
+        solution: for the torque constant that is believed.
+        held_out: how well it predicts the held-out drive.
+        start: start values of the FMU with which it does so.
+    """
+
+    contact: str
+    parameters: tuple[Parameter, ...]
+    solution: Solution
+    held_out: Prediction
+    start: Mapping[str, Value]
+
+
+class Result(NamedTuple):
+    """What a fit found.
+
+    Attributes:
+        believed: [robot] as it was before.
+        robot: the same with the lengths that were found.
+        torque_constant_n_m_a: the believed one, for which all values are.
+        outlook: what the drives could tell.
+        kinematics, blocks: what was found before the dynamics.
+        models: each model that was fitted; chosen: the one that predicts the held-out drive best.
+        before: how well that drive is predicted by what was believed.
+        grip: from a squeeze, and its standard deviation; None without one, or where the wheels did not slide.
+        notes: sentences on what a drive did not tell.
+    """
+
+    believed: RobotModel
+    robot: RobotModel
+    torque_constant_n_m_a: float
+    outlook: Outlook
+    kinematics: Kinematics
+    blocks: BlocksFit | None
+    models: tuple[Fitted, ...]
+    chosen: Fitted
+    before: Prediction
+    grip: tuple[float, float] | None
+    notes: tuple[str, ...]
+
+
+def fit(
+    floor: Sequence[Drive],
+    held_out: Drive,
+    *,
+    blocks: Drive | None = None,
+    tape_m: float | None = None,
+    contacts: Sequence[str] = ("rigid", "slip"),
+    squeeze: Drive | None = None,
+) -> Result:
+    """Fit our plant to drives on the floor, and on blocks if there are any.
+
+    The values are for the torque constant of the first drive's scenario; ``estimates`` scales them when the mass is
+    weighed. ``squeeze`` is a drive in which the wheels slid against one another.
+
+    Raises BadInputError for drives that tell too little.
+    """
+    for drive in floor:
+        check_excitation(drive)
+    for drive in (*floor, held_out):
+        if not drive.has_currents:
+            raise BadInputError(f"{drive.path}: the robot measured no currents; only its kinematics can be found")
+    first = floor[0]
+    torque_constant = float(first.values["firmware.torque_constant_n_m_a"])
+    kinematics = _joined([fit_kinematics(drive, tape_m if drive is first else None) for drive in floor])
+    robot = replace(first.robot, **with_geometry(first.robot, kinematics))
+    on_blocks = None if blocks is None else fit_blocks(blocks, torque_constant)
+    windows = [cut(drive, robot) for drive in floor]
+    known = _Before(robot, torque_constant, kinematics, on_blocks, None)
+    seen = _prospect(known, windows)
+    models: list[Fitted] = []
+    notes: list[str] = []
+    for contact in contacts:
+        if models and squeeze is not None:
+            squeezed = grip_of(squeeze, robot, values_of(models[0]), torque_constant)
+            notes.append(squeezed.sentence)
+            known = known._replace(grip=squeezed.grip)
+        models.append(_fit_model(contact, windows, known, models[0] if models else None, held_out))
+    believed = _shared("rigid") | _geometry(first.robot)
+    believed |= {name: getattr(first.robot, name) for name in ("mass_kg", "inertia_kg_m2", "wheel_inertia_kg_m2")}
+    believed["friction_coefficient"] = first.robot.friction_coefficient
+    fmu = plant_fmu.path(2)
+    bias = kinematics.gyro_bias_rad_s
+    prediction = predict(held_out, robot, bias, fmu, believed, torque_constant)
+    chosen = min(models, key=lambda model: model.held_out.rms_m)
+    return Result(
+        first.robot,
+        robot,
+        torque_constant,
+        seen,
+        kinematics,
+        on_blocks,
+        tuple(models),
+        chosen,
+        prediction,
+        known.grip,
+        tuple(notes),
+    )
+
+
+def _joined(found: Sequence[Kinematics]) -> Kinematics:
+    """Return the mean of what several drives say, weighted by its information."""
+    best = [one for one in found if one.scale_known] or list(found)
+    if len(best) == 1:
+        return best[0]
+    information = [inverted(one.covariance) for one in best]
+    total = inverted(functools.reduce(np.add, information))
+    logs = [np.log([one.radius_m, one.lever_m]) for one in best]
+    radius, lever = np.exp(total @ sum(i @ log for i, log in zip(information, logs, strict=True)))
+    return best[0]._replace(radius_m=float(radius), lever_m=float(lever), covariance=total)
+
+
+def _geometry(robot: RobotModel) -> dict[str, Value]:
+    return {name: getattr(robot, name) for name in ("wheel_radius_m", "half_length_m", "half_width_m")}
+
+
+def _shared(contact: str) -> dict[str, Value]:
+    return {"drive": "torque", "contact": contact, "longest_step_s": 0.01}
+
+
+class _Before(NamedTuple):
+    """What is known before the dynamics are fitted."""
+
+    robot: RobotModel
+    torque_constant_n_m_a: float
+    kinematics: Kinematics
+    blocks: BlocksFit | None
+    grip: tuple[float, float] | None
+
+    def parameters(self, contact: str) -> tuple[Parameter, ...]:
+        """Return what is fitted, then radius, lever and the gyro's bias."""
+        shares = {name: getattr(self.robot, name) / self.robot.lever_m for name in ("half_length_m", "half_width_m")}
+        lengths = (variable("wheel_radius_m"), Parameter("lever_m", shares))
+        return (*(RIGID if contact == "rigid" else SLIP), *lengths, GYRO_BIAS)
+
+    def point(self, parameters: Sequence[Parameter], fitted: Mapping[str, float]) -> Array:
+        """Return the numbers with which a fit begins; ``fitted`` are values of a simpler model."""
+        robot = self.robot
+        first = {name: getattr(robot, name) for name in ("mass_kg", "inertia_kg_m2", "wheel_inertia_kg_m2", *LENGTHS)}
+        first |= {**_FIRST, GYRO_BIAS.name: self.kinematics.gyro_bias_rad_s, **fitted}
+        if self.blocks is not None:
+            first |= {
+                "wheel_inertia_kg_m2": self.blocks.inertia_kg_m2,
+                "viscous_n_m_s_rad": self.blocks.viscous_n_m_s_rad,
+            }
+        if self.grip is not None:
+            first["grip_coefficient"] = self.grip[0]
+        return np.array([one.internal(first[one.name]) for one in parameters])
+
+
+def _prospect(before: _Before, windows: Sequence[Windows]) -> Outlook:
+    """Return what the drives can tell. Raises BadInputError when that is not enough."""
+    parameters = before.parameters("rigid")
+    point = before.point(parameters, {})
+    with contextlib.ExitStack() as opened:
+        floors = _opened(before, "rigid", parameters, windows, opened)
+        return outlook(floors, parameters, point, _known(parameters, point, before))
+
+
+def _opened(
+    before: _Before,
+    contact: str,
+    parameters: Sequence[Parameter],
+    windows: Sequence[Windows],
+    opened: contextlib.ExitStack,
+) -> list[Floor]:
+    constant, shared = before.torque_constant_n_m_a, _shared(contact)
+    return [opened.enter_context(Floor(plant_fmu.path(2), shared, parameters, one, constant)) for one in windows]
+
+
+def _fit_model(
+    contact: str, windows: Sequence[Windows], before: _Before, simpler: Fitted | None, held_out: Drive
+) -> Fitted:
+    parameters = before.parameters(contact)
+    point = before.point(parameters, {} if simpler is None else values_of(simpler))
+    known = _known(parameters, point, before)
+    if contact == "slip":  # each step takes twenty times as long
+        windows = [one.thinned(_MOST_SLIP_WINDOWS // len(windows)) for one in windows]
+    with contextlib.ExitStack() as opened:
+        floors = _opened(before, contact, parameters, windows, opened)
+        solution = solve(floors, point, bounds=(point - _WIDEST, point + _WIDEST), known=known)
+    start = _shared(contact)
+    for one, number in zip(parameters, solution.parameters, strict=True):
+        start |= {name: float(factor * one.value(number)) for name, factor in one.variables.items()}
+    bias = float(GYRO_BIAS.value(solution.parameters[-1]))
+    constant = before.torque_constant_n_m_a
+    prediction = predict(held_out, before.robot, bias, plant_fmu.path(2), start, constant)
+    return Fitted(contact, parameters, solution, prediction, start)
+
+
+def values_of(model: Fitted) -> dict[str, float]:
+    """Return the fitted values by the parameters' names."""
+    both = zip(model.parameters, model.solution.parameters, strict=True)
+    return {one.name: float(one.value(number)) for one, number in both}
+
+
+def _known(parameters: Sequence[Parameter], point: Array, before: _Before) -> Knowledge:
+    """Return what kinematics, blocks and squeeze found: the lengths are held, the rest counts as measurements."""
+    names, blocks, grip = [one.name for one in parameters], before.blocks, before.grip
+    known = Knowledge.none(len(names))._replace(mean=point.copy())
+    held = [names.index(name) for name in LENGTHS]
+    known.held[held] = True
+    known.held_covariance[np.ix_(held, held)] = before.kinematics.covariance
+    if blocks is not None:
+        places = [names.index(name) for name in ("wheel_inertia_kg_m2", "viscous_n_m_s_rad")]
+        known.mean[places], covariance = blocks.of_logarithms()
+        known.information[np.ix_(places, places)] = inverted(covariance)
+    if "grip_coefficient" in names:
+        sigma = _GRIP_SIGMA if grip is None else grip[1] / grip[0]
+        known.information[(names.index("grip_coefficient"),) * 2] = sigma**-2
+        known.information[(names.index("roller_friction_coefficient"),) * 2] = _ROLLER_SIGMA**-2
+    return known

@@ -1,0 +1,254 @@
+"""Robust nonlinear least squares over windows: parameters common to all, and the free start of each window.
+
+Per window, the part of the residuals that a change of its start explains is projected away (variable projection),
+so that hundreds of starts cost no more than the few parameters. Derivatives are finite differences: all sets of a step
+are predicted in one call.
+"""
+
+from collections.abc import Sequence
+from typing import NamedTuple, Protocol, Self
+
+import numpy as np
+import numpy.typing as npt
+
+from hil.identify.recorded import Array
+
+HUBER = 1.5
+"""Residuals beyond so many standard deviations count linearly."""
+_STEP = 2e-3
+_MOST_STEPS = 12
+_DONE = 5e-4
+_NEW_SIGMAS = 3
+_NOTHING = 1e-14
+_LONGEST = 0.7
+_HALVINGS = 4
+
+
+class Experiment(Protocol):
+    """Windows of one kind of drive, and a model that predicts them.
+
+    Attributes:
+        measured: (W, M) what was measured in each window.
+        starts: (W, S) a first guess of each window's start.
+        start_steps: (S,) steps of the finite differences of a start.
+        least_sigmas: (M,) standard deviations of the sensors themselves, if the model were true.
+    """
+
+    measured: Array
+    starts: Array
+    start_steps: Array
+    least_sigmas: Array
+
+    def predict(self, parameters: Array, starts: Array) -> Array:
+        """Return the predictions (K, W, M) for K sets of parameters (K, P), each with starts (K, W, S)."""
+
+    def sigmas(self, residual: Array) -> Array:
+        """Return the standard deviations (M,) of the measurements, from residuals (W, M)."""
+
+
+class Solution(NamedTuple):
+    """The result of a fit.
+
+    Attributes:
+        parameters: (P,) as the model takes them.
+        covariance: (P, P) a sandwich, clustered by window; huge along null directions.
+        information: (P, P) the weighted normal matrix of the windows alone, from which null directions are read.
+        starts: for each experiment (W, S).
+        cost: mean Huber loss of a residual.
+        steps: how many steps were taken.
+    """
+
+    parameters: Array
+    covariance: Array
+    information: Array
+    starts: tuple[Array, ...]
+    cost: float
+    steps: int
+
+
+class _Local(NamedTuple):
+    """One experiment at one point: whitened residuals and their derivatives, without what the starts explain."""
+
+    residual: Array  # (W, M) whitened, before the projection
+    reduced: Array  # (W, M) after it
+    jacobian: Array  # (W, M, P) after it
+    raw_jacobian: Array  # (W, M, P) before it
+    start_jacobian: Array  # (W, M, S)
+
+
+class Knowledge(NamedTuple):
+    """What is known of the parameters besides the windows.
+
+    Attributes:
+        information: (P, P) inverse covariance of what another measurement found; zero where it found nothing.
+        mean: (P,) what it found.
+        held: (P,) which parameters are not fitted.
+        held_covariance: (P, P) how well these are known; it is carried over to those that are fitted.
+    """
+
+    information: Array
+    mean: Array
+    held: npt.NDArray[np.bool_]
+    held_covariance: Array
+
+    @classmethod
+    def none(cls, count: int) -> Self:
+        """Return that nothing is known."""
+        return cls(np.zeros((count, count)), np.zeros(count), np.zeros(count, dtype=bool), np.zeros((count, count)))
+
+
+def solve(
+    experiments: Sequence[Experiment],
+    parameters: Array,
+    *,
+    bounds: tuple[Array, Array],
+    known: Knowledge | None = None,
+) -> Solution:
+    """Return the parameters that fit all experiments, by damped Gauss-Newton with Huber's loss.
+
+    ``bounds`` are the least and the largest parameters, each (P,). What is ``known`` counts with the windows.
+    """
+    known = Knowledge.none(len(parameters)) if known is None else known
+    point, free = parameters.copy(), ~known.held
+    starts = [experiment.starts.copy() for experiment in experiments]
+    sigmas = [_sigmas(one, point, start) for one, start in zip(experiments, starts, strict=True)]
+    damping, steps = 1e-4, 0
+    for steps in range(1, _MOST_STEPS + 1):
+        locals_ = [_at(*args, point) for args in zip(experiments, starts, sigmas, strict=True)]
+        gradient, information, _ = _normal(locals_, len(point))
+        gradient = gradient + known.information @ (known.mean - point)
+        information = information + known.information
+        cost = _cost([local.residual for local in locals_], known, point)
+        found = None
+        for _ in range(_HALVINGS + 1):
+            matrix = (information + np.diag(damping * np.diag(information) + 1e-12))[np.ix_(free, free)]
+            step = np.zeros(len(point))
+            step[free] = np.linalg.solve(matrix, gradient[free])
+            step *= min(1.0, _LONGEST / max(float(np.abs(step).max()), 1e-12))
+            tried = np.clip(point + step, *bounds)
+            moved = [start + _start_step(local, tried - point) for local, start in zip(locals_, starts, strict=True)]
+            now = _value(experiments, tried, moved, sigmas, known)
+            if now <= cost:
+                found = tried, moved, now
+                break
+            damping = max(damping * 10.0, 1e-3)
+        if found is None:
+            break
+        change = float(np.abs(found[0] - point).max())
+        point, starts, now = found
+        damping = max(damping / 10.0, 1e-6)
+        if steps <= _NEW_SIGMAS:  # the first were those of a poor model
+            sigmas = [_sigmas(one, point, start) for one, start in zip(experiments, starts, strict=True)]
+        elif change < _DONE or cost - now < 1e-4 * cost:
+            break
+    sigmas = [_sigmas(one, point, start) for one, start in zip(experiments, starts, strict=True)]
+    locals_ = [_at(*args, point) for args in zip(experiments, starts, sigmas, strict=True)]
+    _, information, scatter = _normal(locals_, len(point))
+    count = sum(local.residual.size for local in locals_)
+    cost = _cost([local.residual for local in locals_], known, point) / count
+    return Solution(point, _covariance(information, scatter, known), information, tuple(starts), cost, steps)
+
+
+def information_of(experiments: Sequence[Experiment], parameters: Array) -> Array:
+    """Return the information (P, P) that experiments hold near these parameters, by the noise of their sensors."""
+    locals_ = [_at(one, one.starts, one.least_sigmas, parameters) for one in experiments]
+    return sum((np.einsum("wmp,wmq->pq", one.jacobian, one.jacobian, optimize=True) for one in locals_), np.zeros(()))
+
+
+def _covariance(information: Array, scatter: Array, known: Knowledge) -> Array:
+    """Return the sandwich of the fitted parameters, with the share that those held have in it."""
+    free = np.flatnonzero(~known.held)
+    held = np.flatnonzero(known.held)
+    inner = np.ix_(free, free)
+    inverse = inverted((information + known.information)[inner])
+    covariance = known.held_covariance.copy()
+    covariance[inner] = inverse @ (scatter + known.information)[inner] @ inverse
+    if len(held):
+        carried = -inverse @ information[np.ix_(free, held)]
+        of_held = known.held_covariance[np.ix_(held, held)]
+        covariance[inner] += carried @ of_held @ carried.T
+        covariance[np.ix_(free, held)] = carried @ of_held
+        covariance[np.ix_(held, free)] = covariance[np.ix_(free, held)].T
+    return covariance
+
+
+def inverted(information: Array) -> Array:
+    """Return the inverse of an information matrix, with a huge variance in place of an infinite one."""
+    scale = np.sqrt(np.maximum(np.diag(information), _NOTHING))
+    values, vectors = np.linalg.eigh(information / np.outer(scale, scale))
+    inverse: Array = (vectors / np.maximum(values, _NOTHING)) @ vectors.T / np.outer(scale, scale)
+    return inverse
+
+
+def _sigmas(experiment: Experiment, parameters: Array, starts: Array) -> Array:
+    predicted = experiment.predict(parameters[None], starts[None])[0]
+    return experiment.sigmas(experiment.measured - predicted)
+
+
+def _value(
+    experiments: Sequence[Experiment],
+    point: Array,
+    starts: Sequence[Array],
+    sigmas: Sequence[Array],
+    known: Knowledge,
+) -> float:
+    residuals = [
+        (one.measured - one.predict(point[None], start[None])[0]) / sigma
+        for one, start, sigma in zip(experiments, starts, sigmas, strict=True)
+    ]
+    return _cost(residuals, known, point)
+
+
+def _at(experiment: Experiment, starts: Array, sigma: Array, point: Array) -> _Local:
+    count, own = len(point), starts.shape[1]
+    sets = np.repeat(point[None], 1 + count + own, axis=0)
+    sets[1 + np.arange(count), np.arange(count)] += _STEP
+    moved = np.repeat(starts[None], len(sets), axis=0)
+    for place, step in enumerate(experiment.start_steps):
+        moved[1 + count + place, :, place] += step
+    predicted = experiment.predict(sets, moved)
+    residual = (experiment.measured - predicted[0]) / sigma
+    changes = np.moveaxis((predicted[1:] - predicted[0]) / sigma, 0, -1)
+    jacobian, by_start = changes[..., :count] / _STEP, changes[..., count:] / experiment.start_steps
+    if own == 0:
+        return _Local(residual, residual, jacobian, jacobian, by_start)
+    basis, _ = np.linalg.qr(by_start)
+    reduced = residual - np.einsum("wms,ws->wm", basis, np.einsum("wms,wm->ws", basis, residual))
+    projected = jacobian - basis @ (np.swapaxes(basis, 1, 2) @ jacobian)
+    return _Local(residual, reduced, projected, jacobian, by_start)
+
+
+def _weights(residual: Array) -> Array:
+    size = np.abs(residual)
+    return np.where(size <= HUBER, 1.0, HUBER / np.maximum(size, HUBER))
+
+
+def _loss(residual: Array) -> Array:
+    size = np.abs(residual)
+    return np.where(size <= HUBER, 0.5 * size**2, HUBER * size - 0.5 * HUBER**2)
+
+
+def _normal(locals_: Sequence[_Local], count: int) -> tuple[Array, Array, Array]:
+    """Return gradient, normal matrix, and the scatter of the windows' gradients."""
+    gradient, information, scatter = np.zeros(count), np.zeros((count, count)), np.zeros((count, count))
+    for local in locals_:
+        weights = _weights(local.reduced)
+        each = np.einsum("wmp,wm->wp", local.jacobian, weights * local.reduced)
+        gradient += each.sum(axis=0)
+        scatter += each.T @ each
+        information += np.einsum("wmp,wm,wmq->pq", local.jacobian, weights, local.jacobian, optimize=True)
+    return gradient, information, scatter
+
+
+def _cost(residuals: Sequence[Array], known: Knowledge, point: Array) -> float:
+    away = point - known.mean
+    return sum(float(_loss(residual).sum()) for residual in residuals) + 0.5 * float(away @ known.information @ away)
+
+
+def _start_step(local: _Local, step: Array) -> Array:
+    """Return the change of each start that fits best after a step of the parameters."""
+    left = local.residual - local.raw_jacobian @ step
+    if local.start_jacobian.shape[2] == 0:
+        return np.zeros((len(left), 0))
+    found: Array = np.einsum("wsm,wm->ws", np.linalg.pinv(local.start_jacobian), left)
+    return found

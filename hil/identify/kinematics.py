@@ -1,0 +1,200 @@
+"""Radius of the wheels, lever and scale of sideways motion, from wheel angles against gyro and pose fixes.
+
+The heading between two fixes is the gyro's; the wheels give the way. Fixes are compared in windows of 12 s, each with
+a start pose of its own, so that drift and a poor start do no harm.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from hil.core.errors import BadInputError
+from hil.core.model import RobotModel
+from hil.identify.gauss_newton import Knowledge, Solution, inverted, solve
+from hil.identify.recorded import Array, Drive
+
+WINDOW_S = 12.0
+_PAIR_S = 1.0
+_LEAST_FIXES = 40
+_LEAST_TURN_RAD = 1.0
+_BIAS = 0.01  # rad/s, and s for the delay: the units in which the fit has them
+_LEAST_SIGMA = np.array([1e-3, 1e-3, 1e-3])
+_SIDEWAYS_SIGMA = 0.01  # what is to be expected: 0.989 with free rollers that slip, 1 without slip
+RADIUS, SIDEWAYS, DELAY, BIAS = range(4)
+
+
+class Kinematics(NamedTuple):
+    """What was found; ``covariance`` (2, 2) is of the logarithms of radius and lever.
+
+    ``scale_known`` is False where neither fixes nor a tape gave the scale of length: the radius is then the believed
+    one. ``sideways`` is the scale of sideways motion over that of forward motion, which no parameter of the plant has,
+    and ``sideways_sigma`` its standard deviation. ``delay_s`` is by how much the stamps of fixes are late.
+    """
+
+    radius_m: float
+    lever_m: float
+    gyro_bias_rad_s: float
+    sideways: float
+    sideways_sigma: float
+    delay_s: float
+    covariance: Array
+    scale_known: bool
+
+
+def fit_kinematics(drive: Drive, tape_m: float | None = None) -> Kinematics:
+    """Fit a drive on the floor. ``tape_m`` is the measured distance between where it began and where it ended.
+
+    Raises BadInputError for a robot without a gyro, or one that hardly turned.
+    """
+    robot = drive.robot
+    if not drive.has_gyro:
+        raise BadInputError(f"{drive.path}: the robot has no gyro; the lever cannot be found without one")
+    ratio, bias, covariance = _radius_over_lever(drive)
+    variance = np.zeros((2, 2))
+    variance[1, 1] = covariance[0, 0] / ratio**2
+    if len(drive.fixes) >= _LEAST_FIXES:
+        found = _fit_fixes(drive, bias, float(np.sqrt(covariance[1, 1])))
+        radius, of_radius = robot.wheel_radius_m * float(np.exp(found.parameters[RADIUS])), found.covariance[0, 0]
+        sideways, sideways_sigma = (
+            float(np.exp(found.parameters[SIDEWAYS])),
+            float(np.sqrt(found.covariance[SIDEWAYS, SIDEWAYS])),
+        )
+        delay_s = _BIAS * float(found.parameters[DELAY])
+    else:
+        sideways, sideways_sigma, delay_s, of_radius = 1.0, float("nan"), float("nan"), 0.0
+        radius = robot.wheel_radius_m
+        if tape_m is not None:
+            rolled = np.hypot(*_ways(drive, bias)[-1, :2])
+            if rolled < 0.5:
+                raise BadInputError(
+                    f"{drive.path}: by its wheels the robot ended {rolled:.2f} m from where it began; expected at "
+                    "least 0.5 m to compare with the tape"
+                )
+            radius, of_radius = radius * tape_m / float(rolled), (0.003 / tape_m) ** 2
+    variance += of_radius  # the lever follows from the radius
+    known = len(drive.fixes) >= _LEAST_FIXES or tape_m is not None
+    return Kinematics(radius, radius / ratio, bias, sideways, sideways_sigma, delay_s, variance, known)
+
+
+def with_geometry(robot: RobotModel, found: Kinematics) -> dict[str, float]:
+    """Return the lengths of [robot]; the share of the lever that is length stays the believed one."""
+    share = found.lever_m / robot.lever_m
+    return {
+        "wheel_radius_m": found.radius_m,
+        "half_length_m": robot.half_length_m * share,
+        "half_width_m": robot.half_width_m * share,
+    }
+
+
+def _radius_over_lever(drive: Drive) -> tuple[float, float, Array]:
+    """Return r / L [1], the gyro's bias [rad/s] and their covariance, from turns by the wheels against the gyro's."""
+    rows = max(1, round(_PAIR_S / drive.period_s))
+    ends = np.arange(1, len(drive.time_s) - 1, rows)
+    heading = _integral(drive.yaw_rate_rad_s, drive.period_s)
+    by_wheels = drive.angle_rad @ np.array([-1.0, 1.0, 1.0, -1.0]) / 4.0
+    turned, expected = np.diff(heading[ends]), np.diff(by_wheels[ends])
+    if np.abs(expected).sum() * drive.robot.wheel_radius_m / drive.robot.lever_m < _LEAST_TURN_RAD:
+        raise BadInputError(
+            f"{drive.path}: the robot hardly turned; expected turns of {_LEAST_TURN_RAD:g} rad in all, for the lever"
+        )
+    design = np.stack([expected, np.full(len(turned), rows * drive.period_s)], axis=1)
+    weights = np.ones(len(turned))
+    for _ in range(8):
+        root = np.sqrt(weights)
+        found = np.linalg.lstsq(design * root[:, None], turned * root, rcond=None)[0]
+        residual = turned - design @ found
+        size = np.abs(residual) / max(1.4826 * float(np.median(np.abs(residual))), 1e-9)
+        weights = np.where(size <= 1.5, 1.0, 1.5 / np.maximum(size, 1.5))
+    inverse = inverted(design.T @ (weights[:, None] * design))
+    scores = design * (weights * residual)[:, None]
+    if found[0] <= 0.0:
+        raise BadInputError(
+            f"{drive.path}: gyro and wheels turn in opposite directions; hil commission finds the signs"
+        )
+    return float(found[0]), float(found[1]), inverse @ (scores.T @ scores) @ inverse
+
+
+def _integral(rate: Array, period_s: float) -> Array:
+    return np.concatenate([[0.0], np.cumsum(0.5 * (rate[1:] + rate[:-1]) * period_s)])
+
+
+def _ways(drive: Drive, bias_rad_s: float) -> Array:
+    """Return x, y [m] and heading [rad] by wheels and gyro since the first feedback, of shape (n, 3)."""
+    heading = _integral(drive.yaw_rate_rad_s - bias_rad_s, drive.period_s)
+    (forward, left) = _legs(drive, heading)
+    return np.concatenate([(forward + left) * drive.robot.wheel_radius_m, heading[:, None]], axis=1)
+
+
+def _legs(drive: Drive, heading: Array) -> tuple[Array, Array]:
+    """Return the ways in the frame of the first feedback, rolled forward and sideways, each (n, 2), for r = 1."""
+    steps = np.diff(drive.angle_rad, axis=0)
+    forward, left = steps @ np.full(4, 0.25), steps @ (np.array([-1.0, 1.0, -1.0, 1.0]) / 4.0)
+    middle = 0.5 * (heading[1:] + heading[:-1])
+    along = np.stack([np.cos(middle), np.sin(middle)], axis=1)
+    aside = np.stack([-np.sin(middle), np.cos(middle)], axis=1)
+    zero = np.zeros((1, 2))
+    return (
+        np.concatenate([zero, np.cumsum(along * forward[:, None], axis=0)]),
+        np.concatenate([zero, np.cumsum(aside * left[:, None], axis=0)]),
+    )
+
+
+class _Fixes:
+    """An ``Experiment``: windows of pose fixes, predicted by wheels and gyro from a free pose."""
+
+    def __init__(self, drive: Drive, bias_rad_s: float) -> None:
+        inside = (drive.fixes[:, 0] > drive.time_s[0] + 0.2) & (drive.fixes[:, 0] < drive.time_s[-1] - 0.2)
+        fixes = drive.fixes[inside]
+        span_s = float(fixes[-1, 0] - fixes[0, 0])
+        count = max(1, round(span_s / WINDOW_S))
+        each = len(fixes) // count
+        fixes = fixes[: count * each].reshape(count, each, 4)
+        self._drive, self._radius_m = drive, drive.robot.wheel_radius_m
+        self._stamps = fixes[..., 0]
+        self._bias = bias_rad_s
+        fixed = fixes[..., 1:].copy()
+        fixed[..., 2] = np.unwrap(fixed[..., 2], axis=1)
+        self.measured = fixed.reshape(count, -1)
+        self.start_steps = np.array([1e-3, 1e-3, 1e-3])
+        self.starts = fixed[:, 0]
+        self.least_sigmas = np.tile(_LEAST_SIGMA, each)
+
+    def predict(self, parameters: Array, starts: Array) -> Array:
+        """See ``Experiment``. A start is the pose at the window's first stamp."""
+        found = np.empty((len(parameters), *self.measured.shape))
+        drive = self._drive
+        for place, (radius, sideways, delay, bias) in enumerate(parameters):
+            heading = _integral(drive.yaw_rate_rad_s - self._bias - _BIAS * bias, drive.period_s)
+            forward, left = _legs(drive, heading)
+            way = self._radius_m * np.exp(radius) * (forward + np.exp(sideways) * left)
+            times = self._stamps + _BIAS * delay
+            at = [np.interp(times, drive.time_s, series) for series in (way[:, 0], way[:, 1], heading)]
+            x, y, turned = (series - series[:, :1] for series in at)
+            # The legs are in the frame of the first feedback; turn them into that of the window's start.
+            turn = starts[place, :, 2:] - at[2][:, :1]
+            c, s = np.cos(turn), np.sin(turn)
+            poses = np.stack(
+                [
+                    starts[place, :, :1] + c * x - s * y,
+                    starts[place, :, 1:2] + s * x + c * y,
+                    starts[place, :, 2:] + turned,
+                ],
+                axis=2,
+            )
+            found[place] = poses.reshape(len(poses), -1)
+        return found
+
+    def sigmas(self, residual: Array) -> Array:
+        """Return robust standard deviations of position and heading."""
+        size = np.abs(residual.reshape(-1, 3))
+        position = 1.4826 * float(np.median(size[:, :2]))
+        each = np.maximum([position, position, 1.4826 * float(np.median(size[:, 2]))], _LEAST_SIGMA)
+        return np.tile(each, residual.shape[1] // 3)
+
+
+def _fit_fixes(drive: Drive, bias_rad_s: float, bias_sigma: float) -> Solution:
+    known = Knowledge.none(4)
+    known.information[SIDEWAYS, SIDEWAYS] = _SIDEWAYS_SIGMA**-2
+    known.information[BIAS, BIAS] = (_BIAS / max(bias_sigma, 1e-5)) ** 2
+    limits = np.array([0.5, 0.5, 20.0, 5.0])
+    return solve([_Fixes(drive, bias_rad_s)], np.zeros(4), bounds=(-limits, limits), known=known)

@@ -1,0 +1,192 @@
+"""What a recording tells about the robot's motion, as a fit needs it: wheel angles, currents, yaw rate, pose fixes.
+
+The firmware's speeds come out of a tracking filter, critically damped with the bandwidth b: ω_m = b² / (s + b)² ω. Its
+inverse gives the angle of a wheel without the filter's delay:
+
+    θ = ∫ω_m + (2 / b - T / 2) ω_m + (1 / b² - 2 T / b) dω_m/dt
+
+T is the firmware's tick of 1 ms, for which the filter looks ahead (``wheel_tracker_update`` in control.c).
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, fields, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from hil.core.errors import BadInputError
+from hil.core.model import RobotModel
+from hil.core.types import WHEEL_NAMES
+from hil.record.properties import scenario_values
+from hil.review.reader import read
+
+Array = npt.NDArray[np.float64]
+
+_TICK_S = 1e-3
+_POSE = ("x_m", "y_m", "heading_rad")
+_SPEEDS = tuple(f"wheel.{wheel}.speed_rad_s" for wheel in WHEEL_NAMES)
+_CURRENTS = tuple(f"wheel.{wheel}.current_a" for wheel in WHEEL_NAMES)
+_FIX = ("estimator.fix_time_s", *(f"estimator.fix_{name}" for name in _POSE))
+_TRUTH = tuple(f"truth.{name}" for name in _POSE)
+_CLOCK = ("robot.time_s", "robot.yaw_rate_rad_s")
+SIGNALS = ("loop.t_s", "loop.tick", *_CLOCK, *_SPEEDS, *_CURRENTS, *_FIX, *_TRUTH)
+"""The signals that a fit reads."""
+_LEAST_S = 2.0
+_LEAST_SPLIT_S = 6.0
+_OVER_TIME = ("time_s", "angle_rad", "current_a", "yaw_rate_rad_s", "truth")
+
+
+@dataclass(frozen=True)
+class Drive:
+    """One recording as arrays over n feedbacks with one period between them, all by the robot's own clock.
+
+    Attributes:
+        path: the recording.
+        robot: the controller's model of the robot when it was made.
+        values: all values of its scenario by dotted key.
+        period_s: time between two feedbacks.
+        time_s: (n,) sampling instants.
+        angle_rad: (n, 4) wheel angles since the first, FL, FR, RR, RL.
+        current_a: (n, 4) motor currents; a row is the mean since the row before.
+        yaw_rate_rad_s: (n,) gyro; NaN where the robot has none.
+        fixes: (k, 4) pose fixes in the order of their stamps: stamp [s], x, y [m], heading [rad].
+        truth: (n, 3) true poses; NaN without a source of them.
+    """
+
+    path: Path
+    robot: RobotModel
+    values: Mapping[str, Any]
+    period_s: float
+    time_s: Array
+    angle_rad: Array
+    current_a: Array
+    yaw_rate_rad_s: Array
+    fixes: Array
+    truth: Array
+
+    @property
+    def speed_rad_s(self) -> Array:
+        """Wheel speeds without the delay of the firmware's filter, of shape (n, 4)."""
+        speed: Array = np.gradient(self.angle_rad, self.period_s, axis=0)
+        return speed
+
+    @property
+    def has_currents(self) -> bool:
+        """Whether the robot measured its motors' currents, and not only zeros."""
+        return bool(np.isfinite(self.current_a).all() and np.abs(self.current_a).max() > 0.0)
+
+    @property
+    def has_truth(self) -> bool:
+        """Whether the true pose was recorded: the robot was a virtual one, or a motion capture watched it."""
+        return bool(np.isfinite(self.truth).all())
+
+    @property
+    def has_gyro(self) -> bool:
+        """Whether the robot has a gyro."""
+        return bool(np.isfinite(self.yaw_rate_rad_s).all())
+
+
+def read_drive(path: Path) -> Drive:
+    """Read a recording of ``hil run`` as a fit needs it: its longest stretch without a gap in the feedback.
+
+    Raises BadInputError when it cannot be read, lacks a signal, or is too short.
+    """
+    run = read(path, SIGNALS)
+    missing = [name for name in (*_CLOCK, *_SPEEDS) if name not in run.signals]
+    if missing:
+        raise BadInputError(f"{path}: it lacks the signal {missing[0]}; expected a recording of hil run")
+    return drive_of(path, scenario_values(run.properties), run.signals)
+
+
+def drive_of(path: Path, values: Mapping[str, Any], signals: Mapping[str, Array]) -> Drive:
+    """Return a drive from a run's signals, by name, and its scenario's ``values``. Raises as ``read_drive``."""
+    nothing = np.full(len(signals["robot.time_s"]), np.nan)
+
+    def table(names: tuple[str, ...]) -> Array:
+        return np.stack([signals.get(name, nothing) for name in names], axis=1)
+
+    time_s = signals["robot.time_s"]
+    rows = _whole_rows(path, time_s, np.asarray(np.isfinite(table(_SPEEDS)).all(axis=1), dtype=np.bool_))
+    period_s = float(np.median(np.diff(time_s[rows])))
+    if len(rows) * period_s < _LEAST_S:
+        raise BadInputError(
+            f"{path}: its longest stretch without a gap in the feedback is {len(rows) * period_s:.2g} s; expected at "
+            f"least {_LEAST_S:g} s"
+        )
+    fixes = table(_FIX)
+    fixes = fixes[np.isfinite(fixes).all(axis=1)]
+    bandwidth = _bandwidth_rad_s(values)
+    return Drive(
+        path,
+        _robot(path, values),
+        values,
+        period_s,
+        time_s[rows],
+        _angles(table(_SPEEDS)[rows], period_s, bandwidth),
+        table(_CURRENTS)[rows],
+        signals.get("robot.yaw_rate_rad_s", nothing)[rows],
+        fixes[np.argsort(fixes[:, 0], kind="stable")],
+        table(_TRUTH)[rows],
+    )
+
+
+def split(drive: Drive, share: float = 2 / 3) -> tuple[Drive, Drive]:
+    """Return the first ``share`` of a drive, and the rest: to fit, and to judge by. Raises BadInputError when short."""
+    place = round(share * len(drive.time_s))
+    if min(place, len(drive.time_s) - place) * drive.period_s < _LEAST_SPLIT_S:
+        raise BadInputError(
+            f"{drive.path}: {len(drive.time_s) * drive.period_s:.3g} s are too short to hold a part of them out; "
+            "record another drive for --held-out"
+        )
+    when = drive.time_s[place]
+    early = drive.fixes[:, 0] < when
+    parts = []
+    for rows, fixes in ((slice(None, place), early), (slice(place, None), ~early)):
+        arrays = {name: getattr(drive, name)[rows] for name in _OVER_TIME}
+        parts.append(replace(drive, fixes=drive.fixes[fixes], **arrays))
+    return parts[0], parts[1]
+
+
+def _whole_rows(path: Path, time_s: Array, is_known: npt.NDArray[np.bool_]) -> npt.NDArray[np.intp]:
+    """Return the places of the longest run of rows that each came one period after the one before."""
+    places = np.flatnonzero(is_known & np.isfinite(time_s))
+    # A tick without new feedback repeats the feedback before it.
+    places = places[np.concatenate([[True], np.diff(time_s[places]) > 0.0])] if len(places) else places
+    if len(places) < 2:
+        raise BadInputError(f"{path}: it has no feedback of the robot")
+    steps_s = np.diff(time_s[places])
+    period_s = np.median(steps_s)
+    ends = np.flatnonzero(np.abs(steps_s - period_s) > 0.1 * period_s) + 1
+    stretches = np.split(places, ends)
+    return max(stretches, key=len)
+
+
+def _angles(speed_rad_s: Array, period_s: float, bandwidth_rad_s: float | None) -> Array:
+    """Return the angles of the wheels from their filtered speeds."""
+    steps = 0.5 * (speed_rad_s[1:] + speed_rad_s[:-1]) * period_s
+    angle: Array = np.concatenate([np.zeros((1, 4)), np.cumsum(steps, axis=0)])
+    if bandwidth_rad_s is None:
+        return angle
+    rate = np.gradient(speed_rad_s, period_s, axis=0)
+    delay_s = 2.0 / bandwidth_rad_s - 0.5 * _TICK_S
+    return angle + delay_s * speed_rad_s + (1.0 / bandwidth_rad_s - 2.0 * _TICK_S) / bandwidth_rad_s * rate
+
+
+def _bandwidth_rad_s(values: Mapping[str, Any]) -> float | None:
+    """Return the bandwidth of our firmware's filter; None with motor controllers of other makers."""
+    if values.get("device.driver", "stm32") != "stm32":
+        return None
+    bandwidth = values.get("firmware.tracking_bandwidth_rad_s")
+    return None if bandwidth is None else float(bandwidth)
+
+
+def _robot(path: Path, values: Mapping[str, Any]) -> RobotModel:
+    names = [field.name for field in fields(RobotModel) if field.init]
+    try:
+        return RobotModel(**{name: float(values[f"robot.{name}"]) for name in names})
+    except KeyError as error:
+        raise BadInputError(
+            f"{path}: it does not say the robot's {error.args[0]}; it is no recording of a run"
+        ) from error

@@ -1,0 +1,85 @@
+"""A drive in windows of half a second: what was measured in each, in short bins, and how it began.
+
+A window is short so that errors of the model do not add up, and its start is free: it is a guess from the wheels here,
+and is fitted with everything else (``gauss_newton``).
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from hil.core.kinematics import body_twist
+from hil.core.model import RobotModel
+from hil.core.types import Wheels
+from hil.identify.recorded import Array, Drive
+
+WINDOW_S = 0.5
+BIN_S = 0.05
+MEASURED = 5
+"""What a bin has: the mean speeds of the four wheels [rad/s], and the mean yaw rate [rad/s]."""
+
+
+class Windows(NamedTuple):
+    """W windows of R rows and B bins.
+
+    Attributes:
+        current_a: (W, R, 4), the mean over each row.
+        measured: (W, B, 5), see ``MEASURED``; the yaw rate is NaN without a gyro.
+        twist: (W, 3), a guess of the twist at the start, in the body's frame: m/s, m/s, rad/s.
+        first: (W,) the feedback of the drive at which each begins.
+        rows_a_bin: rows of a bin.
+        period_s: duration of a row.
+    """
+
+    current_a: Array
+    measured: Array
+    twist: Array
+    first: npt.NDArray[np.intp]
+    rows_a_bin: int
+    period_s: float
+
+    def thinned(self, count: int) -> "Windows":
+        """Return at most so many windows, evenly spread."""
+        if len(self.first) <= count:
+            return self
+        kept = np.linspace(0, len(self.first) - 1, count).round().astype(np.intp)
+        four = (self.current_a[kept], self.measured[kept], self.twist[kept], self.first[kept])
+        return Windows(*four, self.rows_a_bin, self.period_s)
+
+
+def cut(drive: Drive, robot: RobotModel, window_s: float = WINDOW_S, bin_s: float = BIN_S) -> Windows:
+    """Cut a drive into windows, one after the other; ``robot`` gives radius and lever for the first guess."""
+    rows_a_bin = max(1, round(bin_s / drive.period_s))
+    rows = rows_a_bin * max(1, round(window_s / drive.period_s / rows_a_bin))
+    # One row at either end has no speed on both of its sides.
+    first = np.arange(1, len(drive.time_s) - rows - 1, rows)
+    places = first[:, None] + np.arange(rows + 1)
+    ends = places[:, ::rows_a_bin]
+    speeds = np.diff(drive.angle_rad[ends], axis=1) / (rows_a_bin * drive.period_s)
+    yaw_rate = mean_of_samples(drive.yaw_rate_rad_s[places][..., None], rows_a_bin)
+    return Windows(
+        drive.current_a[places[:, 1:]],
+        np.concatenate([speeds, yaw_rate], axis=2),
+        twists(drive.speed_rad_s[first], robot),
+        first,
+        rows_a_bin,
+        drive.period_s,
+    )
+
+
+def mean_of_samples(samples: Array, rows_a_bin: int) -> Array:
+    """Return the means over bins, of shape (W, B, n), of samples at the ends of rows, of shape (W, R + 1, n).
+
+    The trapezoidal rule: a sample between two bins counts half in each.
+    """
+    middle = 0.5 * (samples[:, 1:] + samples[:, :-1])
+    windows, rows, count = middle.shape
+    mean: Array = middle.reshape(windows, rows // rows_a_bin, rows_a_bin, count).mean(axis=2)
+    return mean
+
+
+def twists(speed_rad_s: Array, robot: RobotModel) -> Array:
+    """Return the body twists that fit wheel speeds of shape (n, 4) best, of shape (n, 3)."""
+    found = body_twist(Wheels(*speed_rad_s.T), robot.wheel_radius_m, robot.lever_m)
+    return np.stack(found, axis=1)

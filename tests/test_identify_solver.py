@@ -1,0 +1,114 @@
+"""The solver of hil identify against plain linear algebra, and what it says of directions that data leave open."""
+
+import numpy as np
+import pytest
+
+from hil.core.errors import BadInputError
+from hil.identify.floor import Parameter
+from hil.identify.gauss_newton import Knowledge, information_of, inverted, solve
+from hil.identify.identifiability import outlook
+
+WINDOWS, MEASURED, PARAMETERS = 60, 12, 3
+SIGMA = 0.05
+WIDE = (np.full(PARAMETERS, -50.0), np.full(PARAMETERS, 50.0))
+
+
+class Linear:
+    """Windows that are linear in the parameters and in a start of their own."""
+
+    def __init__(self, seed: int, *, blind: bool = False) -> None:
+        random = np.random.default_rng(seed)
+        self.by_parameters = random.normal(size=(WINDOWS, MEASURED, PARAMETERS))
+        if blind:  # the second parameter acts just as the first
+            self.by_parameters[..., 1] = self.by_parameters[..., 0]
+        self.by_start = random.normal(size=(WINDOWS, MEASURED, 2))
+        self.true = np.array([0.4, -0.8, 1.5])
+        self.own = random.normal(size=(WINDOWS, 2))
+        noise = random.normal(0.0, SIGMA, (WINDOWS, MEASURED))
+        self.measured = self.by_parameters @ self.true + np.einsum("wms,ws->wm", self.by_start, self.own) + noise
+        self.starts, self.start_steps = np.zeros((WINDOWS, 2)), np.array([1e-3, 1e-3])
+        self.least_sigmas = np.full(MEASURED, SIGMA)
+
+    def predict(self, parameters: np.ndarray, starts: np.ndarray) -> np.ndarray:
+        by_start = np.einsum("wms,kws->kwm", self.by_start, starts)
+        return np.einsum("wmp,kp->kwm", self.by_parameters, parameters) + by_start
+
+    def sigmas(self, residual: np.ndarray) -> np.ndarray:
+        return np.full(MEASURED, SIGMA)
+
+    def joint(self) -> np.ndarray:
+        """Return the parameters by one regression over all windows and starts at once."""
+        design = np.zeros((WINDOWS * MEASURED, PARAMETERS + 2 * WINDOWS))
+        design[:, :PARAMETERS] = self.by_parameters.reshape(-1, PARAMETERS)
+        for window in range(WINDOWS):
+            rows = slice(window * MEASURED, (window + 1) * MEASURED)
+            design[rows, PARAMETERS + 2 * window : PARAMETERS + 2 * window + 2] = self.by_start[window]
+        return np.linalg.lstsq(design, self.measured.ravel(), rcond=None)[0][:PARAMETERS]
+
+
+def test_projecting_the_starts_away_equals_one_joint_regression() -> None:
+    one = Linear(1)
+    found = solve([one], np.zeros(PARAMETERS), bounds=WIDE)
+    # Huber's loss differs from squares by what lies beyond 1.5 standard deviations.
+    assert found.parameters == pytest.approx(one.joint(), abs=5e-3)
+    assert found.starts[0] == pytest.approx(one.own, abs=6 * SIGMA)
+
+
+def test_intervals_hold_the_truth_as_often_as_they_say() -> None:
+    held = []
+    for seed in range(60):
+        one = Linear(seed)
+        found = solve([one], one.true, bounds=WIDE)
+        held.append(np.abs(found.parameters - one.true) < 1.96 * np.sqrt(np.diag(found.covariance)))
+    assert 0.89 < np.mean(held) < 0.99
+
+
+def test_windows_that_went_wrong_do_no_harm() -> None:
+    one = Linear(2)
+    clean = solve([one], np.zeros(PARAMETERS), bounds=WIDE).parameters
+    one.measured[:3] += 100.0
+    assert solve([one], np.zeros(PARAMETERS), bounds=WIDE).parameters == pytest.approx(clean, abs=0.03)
+
+
+def test_another_measurement_settles_what_the_windows_leave_open() -> None:
+    one = Linear(3, blind=True)
+    open_ = solve([one], np.zeros(PARAMETERS), bounds=WIDE)
+    assert open_.covariance[0, 0] > 1e6, "the sum is known, the parts are not"
+    known = Knowledge.none(PARAMETERS)
+    known.information[1, 1], known.mean[1] = 0.01**-2, one.true[1]
+    settled = solve([one], np.zeros(PARAMETERS), bounds=WIDE, known=known)
+    assert settled.parameters == pytest.approx(one.true, abs=0.05)
+    assert np.sqrt(settled.covariance[0, 0]) == pytest.approx(0.01, rel=0.5)
+
+
+def test_a_parameter_that_is_held_gives_the_others_its_doubt() -> None:
+    one = Linear(4, blind=True)
+    known = Knowledge.none(PARAMETERS)
+    known.held[1], known.held_covariance[1, 1] = True, 0.3**2
+    first = np.array([0.0, one.true[1], 0.0])
+    found = solve([one], first, bounds=WIDE, known=known)
+    assert found.parameters[1] == one.true[1]
+    assert np.sqrt(found.covariance[0, 0]) == pytest.approx(0.3, rel=0.05)
+    assert found.covariance[0, 1] == pytest.approx(-(0.3**2), rel=0.05)
+
+
+def test_what_cannot_be_told_is_said_with_the_measurement_that_settles_it() -> None:
+    names = ("mass_kg", "wheel_inertia_kg_m2", "com_x_m")
+    parameters = [Parameter(name, {name: 1.0}) for name in names]
+    point, nothing = np.zeros(PARAMETERS), Knowledge.none(PARAMETERS)
+    seen = outlook([Linear(5)], parameters, point, nothing)
+    assert seen.unknown == ()
+    with pytest.raises(BadInputError, match=r"cannot tell mass_kg: .*told apart.*spin the wheels on blocks"):
+        outlook([Linear(5, blind=True)], parameters, point, nothing)
+    nothing.information[1, 1] = 0.2**-2
+    (left,) = outlook([Linear(5, blind=True)], parameters, point, nothing).unknown
+    assert set(left.names) == {"mass_kg", "wheel_inertia_kg_m2"}
+    assert "--blocks" in left.sentence
+
+
+def test_an_inverse_of_what_is_not_there_is_huge_and_finite() -> None:
+    information = information_of([Linear(6, blind=True)], np.zeros(PARAMETERS))
+    inverse = inverted(information)
+    assert np.isfinite(inverse).all()
+    assert inverse[0, 0] > 1e6
+    assert inverse[2, 2] < 1e-3

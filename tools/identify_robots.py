@@ -1,0 +1,182 @@
+"""How well hil identify finds robots that nobody knows: ``python -m tools.identify_robots --robots 20``.
+
+Each robot is random and never a default one. It is driven over the wire as ``hil identify drive`` does, with noise of
+the gyro, encoders of 4096 counts and late, noisy pose fixes; 30 mA of noise are added to each recorded current, which
+the plant does not have. It is weighed, and fitted as ``hil identify fit`` does. Prints errors, how many true values
+are within their intervals, the prediction of a held-out drive, and the time of the fit. A file of outcomes is
+continued where it ended. ``--page`` writes the table into hil/identify/METHOD.md.
+"""
+
+import argparse
+import json
+import tempfile
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from rich.console import Console
+from rich.progress import track
+
+from hil.core.errors import HilError
+from hil.core.outputs import write_whole
+from hil.identify.drive import STEPS, Plan, plan_step
+from hil.identify.estimates import Estimate, estimates
+from hil.identify.fit import fit
+from hil.identify.recorded import Drive, drive_of
+from hil.runtime.assembly import RunOptions, run_scenario
+from hil.scenario import resolved
+from tests.hidden_robots import Hidden, hidden_robot, write_scenario
+
+PAGE = Path(__file__).parents[1] / "hil" / "identify" / "METHOD.md"
+BEGIN, END = "<!-- robots: begin -->", "<!-- robots: end -->"
+CURRENT_NOISE_A = 0.03
+PLANTS: dict[str, dict[str, object]] = {"rigid": {"contact": "rigid"}, "slip": {"contact": "slip"}, "mujoco": {}}
+NAMES = {
+    "torque_constant_n_m_a": ("torque constant", "%", 100.0),
+    "inertia_kg_m2": ("inertia", "%", 100.0),
+    "wheel_inertia_kg_m2": ("wheel inertia", "%", 100.0),
+    "com_x_m": ("centre of mass, x", "mm", 1000.0),
+    "com_y_m": ("centre of mass, y", "mm", 1000.0),
+    "friction_coefficient": ("Coulomb friction", "%", 100.0),
+    "viscous_n_m_s_rad": ("viscous friction", "%", 100.0),
+    "wheel_radius_m": ("wheel radius", "%", 100.0),
+    "lever_m": ("lever", "%", 100.0),
+    "grip_coefficient": ("grip", "%", 100.0),
+}
+"""What is measured by name: its words, the unit of its error, and how many of it are one relative error, or a metre."""
+_LENGTHS = ("com_x_m", "com_y_m")
+
+
+def outcome(seed: int, plant: str) -> dict[str, Any]:
+    """Drive and fit one robot; return its errors, which intervals hold, predictions [m] and times [s]."""
+    robot = hidden_robot(seed)
+    with tempfile.TemporaryDirectory() as folder:
+        drives = dict(_drives(Path(folder), robot, seed, plant))
+    begin = time.process_time()
+    squeeze = None if plant == "rigid" else drives["squeeze"]
+    result = fit([drives["floor"]], drives["held_out"], blocks=drives["blocks"], squeeze=squeeze)
+    fit_s = time.process_time() - begin
+    true = robot.true | {
+        "lever_m": robot.true["half_length_m"] + robot.true["half_width_m"],
+        "torque_constant_n_m_a": robot.true["motor_constant_n_m_a"],
+    }
+    found = {one.name: one for one in estimates(result, robot.true["mass_kg"])}
+    return {
+        "seed": seed,
+        "plant": plant,
+        "chosen": result.chosen.contact,
+        "error": {name: _error(one, true[name]) for name, one in found.items() if name in NAMES},
+        "held": {name: one.low <= true[name] <= one.high for name, one in found.items() if name in NAMES},
+        "before_m": result.before.rms_m,
+        **{f"{model.contact}_m": model.held_out.rms_m for model in result.models},
+        "fit_s": fit_s,
+    }
+
+
+def _error(one: Estimate, true: float) -> float:
+    return one.value - true if one.name in _LENGTHS else one.value / true - 1.0
+
+
+def _drives(folder: Path, robot: Hidden, seed: int, plant: str) -> Iterator[tuple[str, Drive]]:
+    scenario = write_scenario(folder, robot, PLANTS[plant], seed)
+    if plant == "mujoco":
+        scenario.write_text(mujoco_text(scenario.read_text("utf-8")), encoding="utf-8")
+    noise = np.random.default_rng(seed)
+    for name in STEPS:
+        step = plan_step(name, scenario, Plan(seed=seed))
+        result = run_scenario(step.scenario, RunOptions(lenient=True))
+        if result.failure is not None:
+            raise result.failure
+        values = {key: value for key, value, _ in resolved(step.scenario)}
+        drive = drive_of(Path(f"{name} of robot {seed}"), values, dict(result.signals))
+        yield (
+            name,
+            replace(drive, current_a=drive.current_a + noise.normal(0.0, CURRENT_NOISE_A, drive.current_a.shape)),
+        )
+
+
+def mujoco_text(text: str) -> str:
+    """Return a scenario with MuJoCo's robot in place of ours, without the variables that it does not have."""
+    from plant_fmu.shipped import variable_names
+
+    known = variable_names("mecanum_mujoco")
+    lines, table = [], ""
+    for line in text.splitlines():
+        table = line if line.startswith("[") else table
+        name = line.partition(" = ")[0]
+        if table != "[plant.start]" or line.startswith("[") or not line or name in known:
+            lines.append(line)
+    return "\n".join([*lines, "", "[plant]", 'fmu = "mecanum_mujoco"', ""])
+
+
+def figures(rows: Sequence[Mapping[str, Any]], name: str) -> tuple[float, float, float, int]:
+    """Return median and 95th percentile of the error's size, the share of intervals that hold, and how many robots."""
+    errors = [abs(row["error"][name]) for row in rows if name in row["error"]]
+    if not errors:
+        return np.nan, np.nan, np.nan, 0
+    held = [row["held"][name] for row in rows if name in row["held"]]
+    scale = NAMES[name][2]
+    return (
+        scale * float(np.median(errors)),
+        scale * float(np.percentile(errors, 95)),
+        float(np.mean(held)),
+        len(errors),
+    )
+
+
+def table(rows: Sequence[Mapping[str, Any]]) -> Iterator[str]:
+    """Yield the table of the page as Markdown."""
+    kinds = [plant for plant in PLANTS if any(row["plant"] == plant for row in rows)]
+    by_plant = {plant: [row for row in rows if row["plant"] == plant] for plant in kinds}
+    yield f"| | {' | '.join(f'{plant}, {len(by_plant[plant])} robots' for plant in kinds)} |"
+    yield "|---|" + "---|" * len(kinds)
+    for name, (words, unit, _) in NAMES.items():
+        cells = []
+        for plant in kinds:
+            median, worst, held, count = figures(by_plant[plant], name)
+            cells.append(f"{median:.2g} \\| {worst:.2g}, {held:.0%}" if count else "")
+        yield f"| {words}, {unit} | {' | '.join(cells)} |"
+    for key, words in (("before_m", "before the fit"), ("rigid_m", "fitted, rigid"), ("slip_m", "fitted, slip")):
+        cells = [_spread([1e3 * row[key] for row in by_plant[plant]]) for plant in kinds]
+        yield f"| held-out drive, {words}, mm | {' | '.join(cells)} |"
+    yield f"| time of both fits, s | {' | '.join(_spread([row['fit_s'] for row in by_plant[p]]) for p in kinds)} |"
+
+
+def _spread(values: Sequence[float]) -> str:
+    return f"{np.median(values):.2g} \\| {np.percentile(values, 95):.2g}"
+
+
+def main() -> None:
+    """Fit the robots, print the table, and write what was asked for."""
+    parser = argparse.ArgumentParser(prog="tools.identify_robots", description=(__doc__ or "").partition("\n")[0])
+    parser.add_argument("--robots", type=int, default=10, help="of each plant")
+    parser.add_argument("--plants", nargs="+", choices=list(PLANTS), default=["rigid", "slip"])
+    parser.add_argument("--seed", type=int, default=1001, help="of the first robot")
+    parser.add_argument("--outcomes", type=Path, default=Path("build/identify_robots.jsonl"), help="continued if begun")
+    parser.add_argument("--page", action="store_true", help="write the table into hil/identify/METHOD.md")
+    options = parser.parse_args()
+    options.outcomes.parent.mkdir(parents=True, exist_ok=True)
+    rows = [json.loads(line) for line in options.outcomes.read_text().splitlines()] if options.outcomes.exists() else []
+    done = {(row["seed"], row["plant"]) for row in rows}
+    wanted = [(options.seed + place, plant) for place in range(options.robots) for plant in options.plants]
+    for seed, plant in track([one for one in wanted if one not in done], console=Console(stderr=True)):
+        try:
+            row = outcome(seed, plant)
+        except HilError as error:
+            raise SystemExit(f"tools.identify_robots: robot {seed}, {plant}: {error}") from error
+        rows.append(row)
+        with options.outcomes.open("a", encoding="utf-8") as file:
+            file.write(json.dumps(row) + "\n")
+    text = "\n".join(table(rows))
+    print(text)
+    if options.page:
+        before, _, rest = PAGE.read_text("utf-8").partition(BEGIN)
+        after = rest.partition(END)[2]
+        write_whole(PAGE, f"{before}{BEGIN}\n{text}\n{END}{after}".encode(), "page", "replace")
+
+
+if __name__ == "__main__":
+    main()
