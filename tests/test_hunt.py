@@ -16,8 +16,9 @@ from hypothesis import strategies as st
 
 import hil as package
 from hil.batch.figures import KEY
-from hil.batch.hunt.hunt import Hunt, Request
-from hil.batch.hunt.search import search
+from hil.batch.hunt.cases import Request
+from hil.batch.hunt.hunt import Hunt
+from hil.batch.hunt.search import AT_A_TIME, search
 from hil.batch.hunt.shrink import shrink
 from hil.batch.hunt.space import Case, Chosen, Space
 from hil.batch.hunt.tables import HuntTables, OfferTable, SpanTable
@@ -26,6 +27,7 @@ from hil.batch.store import read_rows
 from hil.core.errors import BadInputError
 from tests.processes import HIL, ROOT, environment, hil
 from tools.bench import hunt as bench
+from tools.bench import planted
 
 pytest.importorskip("optuna", reason="needs the extra 'hunt': pip install 'mecanum-hil[hunt]'")
 
@@ -205,14 +207,38 @@ def test_a_smaller_case_breaks_the_same_and_nothing_that_is_not_needed_is_left(c
         assert abs(smallest.values["a"] - 5.0) <= 1.12 * needed + 0.02
 
 
-def test_a_defect_of_the_bench_is_found_and_is_the_one_that_was_planted(tmp_path: Path) -> None:
-    defect = next(one for one in bench.DEFECTS if one.name == "x_sign")
-    after, case = bench.runs_of_hunt(defect, tmp_path, 20, seed=1)
-    assert after is not None
-    assert case is not None
-    healthy = bench.hunt_of(bench.HEALTHY, tmp_path, 1, seed=1)
-    assert bench.done(healthy.job(case)).status == PASSED
-    assert bench.breaks_at_random(bench.HEALTHY, tmp_path, 5, seed=1) == 0
+def test_the_page_has_the_planted_defects_and_random_search_seldom_meets_them() -> None:
+    rates = json.loads(bench.RATES.read_text(encoding="utf-8"))
+    assert list(rates) == [one.name for one in planted.DEFECTS]
+    rare = [name for name, rate in rates.items() if 0 < rate["broken"] <= bench.RARE * rate["runs"]]
+    assert len(rare) >= 20
+    rows = (ROOT / "hil/batch/hunt/HUNT.md").read_text(encoding="utf-8").split("\n| ")
+    assert {row.partition(" |")[0] for row in rows} >= set(rare)
+
+
+def test_a_planted_defect_acts_where_its_condition_is_met_and_nowhere_else(tmp_path: Path) -> None:
+    hunt = planted.hunt_of(planted.HEALTHY, tmp_path, 1, seed=1)
+    defect = next(one for one in planted.DEFECTS if one.name == "turned far")
+    for heading_rad, is_met in ((0.585, True), (0.685, False)):
+        job = hunt.cases.job(Case({"plant.start.start_heading_rad": heading_rad}))
+        assert job is not None
+        healthy, met = bench.watched(job, tmp_path)
+        outcome = bench.done(bench.planted(job, defect))
+        assert (defect.is_met(job.scenario, met), bench.breaks(hunt, outcome)) == (is_met, is_met)
+        assert healthy.status == PASSED
+        assert (outcome.figures["wire_sha256"] == healthy.figures["wire_sha256"]) is not is_met
+
+
+def test_defects_of_the_bench_are_found_together_as_they_are_alone(tmp_path: Path) -> None:
+    defects = [one for one in planted.DEFECTS if one.name in ("turned far", "needle")]
+    together = bench.hunted_together(defects, tmp_path, 30, seed=1)
+    alone = {one.name: bench.hunted(one, tmp_path, 30, seed=1) for one in defects}
+    assert together["turned far"] is not None
+    assert alone["turned far"] is not None
+    assert together["needle"] == alone["needle"]
+    assert 0 <= alone["turned far"] - together["turned far"] < AT_A_TIME, (
+        "alone, runs that were done before count again"
+    )
 
 
 @pytest.mark.slow

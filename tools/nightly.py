@@ -48,7 +48,7 @@ STEPS = {
     ),
     "hunt": Step(
         "runs until a planted defect is found, by a hunt and at random",
-        (PYTHON, "-m", "tools.bench.hunt", "--hunts", "3", "--cap", "2000", "--json", "{out}/hunt.json"),
+        (PYTHON, "-m", "tools.bench.hunt", "--hunts", "3", "--cap", "1000", "--json", "{out}/hunt.json"),
     ),
     "soak": Step("a service that is driven for two hours", (PYTHON, "-m", "tools.soak", "--minutes", "120")),
     "bench": Step("all benchmarks", (PYTHON, "-m", "tools.bench", "--json", "{out}/bench.json")),

@@ -33,7 +33,8 @@ def hunt(
     as_json: o.Json = False,
 ) -> None:
     """Search for a run that breaks an expectation, make it as small as possible and save it; exit 1 when found."""
-    from hil.batch.hunt.hunt import Hunt, Request
+    from hil.batch.hunt.cases import Request
+    from hil.batch.hunt.hunt import Hunt
 
     found = Hunt(Request(scenario, ranges, robot, link, seed, target, jobs, limit_s))
     folder = out if out is not None else Path("runs") / "hunt" / found.base.name

@@ -1,10 +1,17 @@
 """Runs that ``hil hunt`` needs to find a planted defect, against random search: ``python -m tools.bench.hunt``.
 
-Each defect is a law of ``planted_law.py`` or a value of the scenario. All are looked for in the same space of start
-states, parameters, link conditions and faults, by the same expectations, which hold there without a defect: what is
-found is run once more without the defect, and has to pass. Random search draws from the same space. Its median follows
-from the share of its runs that break something; where none does, from one in as many as it did. Either counts at most
-20,000 runs. Defects that random search meets in more than 1 % of its runs are not counted.
+The defects are those of ``planted.py``. Random search draws from the same space as a hunt. Its share of runs that break
+an expectation was measured with ``--random``, and is kept in ``planted_rates.json``. On average it finds a defect after
+1 / share runs; with that the mean of some hunts is compared, each with another seed. Either counts at most 20,000 runs;
+a hunt that finds nothing within ``--cap`` runs counts 20,000. A defect that random search meets in more than 1 % of its
+runs is not counted.
+
+Until the condition of a defect is met, all runs are those without a defect. So one hunt without defects, and one set of
+random runs, serve all defects with a condition: where one is met the run is done again with that defect, and counts if
+it then breaks something. If it does not, the defect is hunted for by itself. Of conditions that are known before a run,
+random search does only the runs that meet them.
+
+By default this is one short hunt; HUNT.md has ``--random 4000 --hunts 3 --cap 700 --page hil/batch/hunt/HUNT.md``.
 """
 
 import argparse
@@ -14,215 +21,248 @@ import random
 import statistics
 import sys
 import tempfile
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
-from hil.batch.hunt.hunt import Hunt, Request
+import numpy as np
+
+from hil.batch.hunt.hunt import Hunt
 from hil.batch.hunt.space import Case
 from hil.batch.job import PASSED, Job, Outcome
+from hil.batch.keys import make_job
+from hil.batch.output import markdown_table
+from hil.batch.plan import run_jobs
 from hil.batch.run import run
-from hil.scenario import from_plain
+from hil.scenario import Scenario, from_plain, load
+from tools.bench.planted import DEFECTS, HEALTHY, Defect, Drawn, hunt_of
+from tools.bench.planted_law import MET
 
-LAW = Path(__file__).with_name("planted_law.py")
+RATES = Path(__file__).with_name("planted_rates.json")
 CAP = 20_000
 RARE, MOST = 0.01, 0.2
-SCENARIO = """
-extends = "circle_speed"
-
-[controller]
-law = {law}
-command = "speed"
-
-[controller.gains]
-k1_1_s = 8.0
-
-[loop]
-duration_s = 0.8
-
-[plant.start]
-start_x_m = 1.0
-start_y_m = 0.0
-start_heading_rad = 0.785
-mass_kg = 20.0
-
-[[expect]]
-signal = "error.planar_m"
-below = 0.38
-
-[[expect]]
-signal = "error.heading_rad"
-within = [-0.45, 0.45]
-
-[[expect]]
-signal = "error.planar_m"
-from_s = 0.6
-below = 0.3
-
-[[expect]]
-signal = "error.heading_rad"
-from_s = 0.6
-within = [-0.25, 0.25]
-"""
-HUNT = """
-runs = {runs}
-seed = {seed}
-at_once = 1
-
-[set]
-{sets}
-
-[range]
-plant.start.mass_kg = [17, 23]
-plant.start.friction_coefficient = {{ log_uniform = [0.02, 0.1] }}
-plant.start.start_x_m = [0.9, 1.1]
-plant.start.start_y_m = [-0.1, 0.1]
-plant.start.start_heading_rad = [0.585, 0.985]
-reference.period_s = [9, 20]
-link.command_latency_s = {{ uniform = [0.0, 0.01], step = 0.001 }}
-
-[[fault]]
-kind = "drop"
-target = "command"
-start_s = [0.0, 0.7]
-duration_s = [0.02, 0.08]
-value = [0.1, 0.9]
-
-[[fault]]
-kind = "push"
-target = ["force_x_n", "force_y_n"]
-start_s = [0.0, 0.7]
-duration_s = [0.05, 0.2]
-value = [-30, 30]
-
-[[fault]]
-kind = "push"
-target = "moment_n_m"
-start_s = [0.0, 0.7]
-duration_s = [0.05, 0.2]
-value = [-4, 4]
-
-[[fault]]
-kind = "dead_motor"
-target = ["fl", "rr"]
-start_s = [0.0, 0.7]
-duration_s = [0.02, 0.06]
-"""
+AT_A_TIME = 500
+MORE, FEWER = 8, 4
+"""How many times more runs are drawn for conditions known before a run, and fewer for defects that need their own."""
+FIRST_SEED = 1000
+MARKS = "<!-- by python -m tools.bench.hunt -->\n", "<!-- end -->\n"
 
 
-class Defect(NamedTuple):
-    """A planted defect: its name, and the keys of the scenario that plant it."""
-
-    name: str
-    sets: Mapping[str, Any]
-
-
-def law(name: str, level: float) -> Defect:
-    """Return a defect of the law."""
-    return Defect(name, {"controller.gains.defect": name, "controller.gains.level": level})
-
-
-HEALTHY = Defect("healthy", {})
-DEFECTS = (
-    law("heading_sign", 0.1993), law("y_sign", 0.19), law("x_sign", 0.0992), law("heading_wrap", 0.1993),
-    law("left_behind", 0.0997), law("needle", 0.01), law("slow_reference", 0.69), law("far", 0.19),
-    law("corner", 0.088), law("far_and_turned", 0.17), law("fast", 1.11), law("backwards", 0.95),
-    law("sideways", 1.02), law("turning", 1.25), law("turning_back", 1.22), law("spinning", 1.33),
-    law("quadrant", 0.9835), law("windup", 12.0), law("slow_rate", 34.0), law("clipped", 8.0),
-    law("reversed_wheel", 14.0),
-    Defect("weak motors", {"firmware.torque_limit_n_m": 1.05}),
-    Defect("slow tracking filter", {"firmware.tracking_bandwidth_rad_s": 22.0}),
-    Defect("large wheels believed", {"robot.wheel_radius_m": 0.1}),
-)  # fmt: skip
-
-
-def hunt_of(defect: Defect, folder: Path, runs: int, seed: int) -> Hunt:
-    """Return a hunt for a defect."""
-    (folder / "planted.toml").write_text(SCENARIO.format(law=json.dumps(f"{LAW}:Planted")), encoding="utf-8")
-    sets = "\n".join(f"{key} = {json.dumps(value)}" for key, value in defect.sets.items())
-    (folder / "planted.hunt.toml").write_text(HUNT.format(runs=runs, seed=seed, sets=sets), encoding="utf-8")
-    return Hunt(Request(str(folder / "planted.toml")))
-
-
-def done(job: Job | None) -> Outcome:
+def done(job: Job) -> Outcome:
     """Do a run in this process."""
-    assert job is not None, "all cases of this space are valid"
     return run(job, from_plain(job.scenario))
 
 
-def runs_of_hunt(defect: Defect, folder: Path, runs: int, seed: int) -> tuple[int | None, Case | None]:
-    """Return after how many runs a hunt found something, and what; None where it found nothing."""
-    hunt = hunt_of(defect, folder, runs, seed)
+def watched(job: Job, folder: Path) -> tuple[Outcome, int]:
+    """Do a run without a defect, and return also which conditions it met."""
+    file = folder / "signals.npz"
+    outcome = done(job._replace(options={**job.options, "signals": [MET]}, signals_file=str(file)))
+    with np.load(file) as signals:
+        return outcome, int(signals[MET][-1])
+
+
+def planted(job: Job, defect: Defect) -> Job:
+    """Return a run without a defect as it is with it."""
+    if not defect.has_condition or (defect.when is not None and not defect.when(Drawn(job.scenario))):
+        return job
+    tables = job.scenario["tables"]
+    gains = tables["controller"]["gains"] | {key.rpartition(".")[2]: value for key, value in defect.sets.items()}
+    controller = {**tables["controller"], "gains": gains}
+    return job._replace(scenario={**job.scenario, "tables": {**tables, "controller": controller}})
+
+
+def breaks(hunt: Hunt, outcome: Outcome) -> bool:
+    """Return whether a run of a hunt breaks something."""
+    return bool(hunt.verdict(Case(), outcome).broken)
+
+
+def hunted_together(defects: Sequence[Defect], folder: Path, runs: int, seed: int) -> dict[str, int | None]:
+    """Return for defects with a condition after how many runs a hunt found them; None where it did not."""
+    hunt, left, apart = hunt_of(HEALTHY, folder, runs, seed), list(defects), []
+    found: dict[str, int | None] = dict.fromkeys((defect.name for defect in defects), None)
     outcomes: list[Outcome] = []
-    while (jobs := hunt.next_jobs(outcomes, runs)) and hunt.found_case is None:
-        outcomes = [done(job) for job in jobs]
-    return (None, None) if hunt.found_case is None else (hunt.runs, hunt.found_case)
+    while left and (jobs := hunt.next_jobs(outcomes, runs)):
+        outcomes = []
+        for place, job in enumerate(jobs, 1):
+            outcome, met = watched(job, folder)
+            assert not breaks(hunt, outcome), f"it fails without a defect: {outcome.reason}"
+            outcomes.append(outcome)
+            for defect in [one for one in left if one.is_met(job.scenario, met)]:
+                left.remove(defect)
+                if breaks(hunt, done(planted(job, defect))):
+                    found[defect.name] = hunt.runs + place
+                else:
+                    apart.append(defect)
+    return found | {defect.name: hunted(defect, folder, runs, seed) for defect in apart}
 
 
-def breaks_at_random(defect: Defect, folder: Path, runs: int, seed: int) -> int:
-    """Return how many of so many random runs break something."""
-    hunt, chance = hunt_of(defect, folder, runs, seed), random.Random(seed)
-    broken = 0
+def hunted(defect: Defect, folder: Path, runs: int, seed: int) -> int | None:
+    """Return after how many runs a hunt found a defect; None where it did not."""
+    hunt = hunt_of({**HEALTHY, **defect.keys}, folder, runs, seed)
+    outcomes: list[Outcome] = []
+    while hunt.found_case is None and (jobs := hunt.next_jobs(outcomes, runs)):
+        outcomes = [done(planted(job, defect)) for job in jobs]
+    if (case := hunt.found_case) is None:
+        return None
+    healthy = hunt_of(HEALTHY, folder, 1, seed)
+    job = healthy.cases.job(case)
+    assert job is not None
+    assert not breaks(healthy, done(job)), f"it fails without a defect: {hunt.cases.differs(case)}"
+    return hunt.runs
+
+
+def broken_at_random(defects: Sequence[Defect], folder: Path, runs: int, seed: int) -> dict[str, int]:
+    """Return how many of so many random runs break something with each defect; all are in one of ``groups``."""
+    hunt, chance = hunt_of({**HEALTHY, **defects[0].keys}, folder, 1, seed), random.Random(seed)
+    broken = dict.fromkeys((defect.name for defect in defects), 0)
     for _ in range(runs):
-        case = hunt.space.case(hunt.space.suggested(lambda _, n: chance.randrange(n) if n else chance.random()))
-        broken += bool(hunt.verdict(case, done(hunt.job(case))).broken)
+        params = hunt.cases.space.suggested(lambda _, n: chance.randrange(n) if n else chance.random())
+        job = hunt.cases.job(hunt.cases.space.case(params))
+        assert job is not None, "all cases of this space are valid"
+        met = watched(job, folder)[1] if defects[0].is_seen else 0
+        for defect in defects:
+            if defect.keys or defect.is_met(job.scenario, met):
+                broken[defect.name] += breaks(hunt, done(planted(job, defect)))
     return broken
 
 
-def measured(defect: Defect, folder: Path, options: argparse.Namespace) -> dict[str, Any]:
-    """Return the figures of a defect: runs until found by hunts and at random, and whether it counts."""
-    broken = breaks_at_random(defect, folder, options.random, options.seed)
-    share = max(broken, 1) / options.random
-    hunts, real = [], True
-    for seed in range(1, 1 + options.hunts):
-        after, case = runs_of_hunt(defect, folder, options.cap, seed)
-        hunts.append(after)
-        if case is not None:
-            healthy = hunt_of(HEALTHY, folder, 1, seed)
-            real = real and done(healthy.job(case)).status == PASSED
-    median = statistics.median(CAP if after is None else after for after in hunts)
-    at_random = min(CAP, math.log(2.0) / share)
+def groups(defects: Sequence[Defect]) -> list[list[Defect]]:
+    """Return the defects that one set of random runs serves: conditions on what the law sees, on the run, and keys."""
+    seen = [one for one in defects if one.is_seen]
+    drawn = [one for one in defects if one.when is not None]
+    return [some for some in (seen, drawn, *([one] for one in defects if one.keys)) if some]
+
+
+def work(job: Job, _scenario: Scenario) -> Outcome:
+    """Do some random runs or a hunt; a kind of job of the batch engine."""
+    defects = [one for one in DEFECTS if one.name in job.options["defects"]]
+    runs, seed = job.options["runs"], job.options["seed"]
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        if job.options["at_random"]:
+            return Outcome(job.key, PASSED, figures=broken_at_random(defects, folder, runs, seed))
+        if defects[0].has_condition:
+            return Outcome(job.key, PASSED, figures=hunted_together(defects, folder, runs, seed))
+        return Outcome(job.key, PASSED, figures={defects[0].name: hunted(defects[0], folder, runs, seed)})
+
+
+def job_of(defects: Sequence[Defect], seed: int, runs: int, *, at_random: bool) -> Job:
+    """Return a job of ``work``."""
+    options = {"defects": [one.name for one in defects], "seed": seed, "runs": runs, "at_random": at_random}
+    return make_job(load("circle_speed"), "tools.bench.hunt:work", options, limit_s=7200.0)
+
+
+def random_jobs(defects: Sequence[Defect], runs: int) -> list[Job]:
+    """Return the jobs of random search. A run whose condition is known beforehand is only done where it is met."""
+    seeds = range(FIRST_SEED, FIRST_SEED + runs // AT_A_TIME)
+    return [
+        job_of(some, seed, runs_of(some[0], 1), at_random=True)
+        for some in groups(defects)
+        for seed in (seeds[::FEWER] if some[0].keys else seeds)
+    ]
+
+
+def runs_of(defect: Defect, jobs: int) -> int:
+    """Return how many random runs these jobs did for a defect."""
+    return jobs * AT_A_TIME * (MORE if defect.when is not None else 1)
+
+
+def hunt_jobs(defects: Sequence[Defect], hunts: int, cap: int) -> list[Job]:
+    """Return the jobs of hunts: of each seed one for all defects with a condition, and one for each of the others."""
+    together = [one for one in defects if one.has_condition]
+    some = [*([together] if together else []), *([one] for one in defects if not one.has_condition)]
+    return [job_of(one, seed, cap, at_random=False) for seed in range(1, 1 + hunts) for one in some]
+
+
+def results(jobs: Sequence[Job], workers: int | None) -> dict[str, list[Any]]:
+    """Do jobs, and return all figures by name."""
+    figures: dict[str, list[Any]] = {}
+    for outcome in run_jobs(jobs, workers, lambda done, total, _: print(f"{done} of {total}", file=sys.stderr)):
+        if outcome.status != PASSED:
+            raise SystemExit(f"{outcome.status}: {outcome.reason}")
+        for name, value in outcome.figures.items():
+            figures.setdefault(name, []).append(value)
+    return figures
+
+
+def row_of(defect: Defect, rate: Mapping[str, int], hunts: Sequence[int | None]) -> dict[str, Any]:
+    """Return the figures of a defect."""
+    share = rate["broken"] / rate["runs"]
+    at_random = min(CAP, rate["runs"] / max(rate["broken"], 1))
+    runs = [CAP if after is None else after for after in hunts]
     return {
         "defect": defect.name,
-        "random_runs": options.random,
-        "random_broken": broken,
-        "random_median": at_random,
-        "hunts": hunts,
-        "hunt_median": median,
-        "ratio": median / at_random,
-        "passes_without": real,
-        "counts": broken / options.random <= RARE and real,
+        "where": defect.where,
+        "wrong": defect.words,
+        "share": share,
+        "random_mean": at_random,
+        "hunts": list(hunts),
+        "hunt_mean": statistics.mean(runs),
+        "ratio": statistics.mean(runs) / at_random,
+        "ratio_of_medians": statistics.median(runs) / (math.log(2.0) * at_random),
+        "counts": 0.0 < share <= RARE,
     }
+
+
+def page(rows: Sequence[Mapping[str, Any]], ratio: float) -> str:
+    """Return the table for HUNT.md."""
+    head = ["defect", "where", "what is wrong", "met at random in", "runs, random", "runs, hunts", "ratio"]
+    lines = [
+        [
+            row["defect"],
+            row["where"],
+            row["wrong"],
+            f"{100.0 * row['share']:.2f} %",
+            f"{row['random_mean']:.0f}",
+            ", ".join("not found" if after is None else str(after) for after in row["hunts"]),
+            f"{row['ratio']:.2f}",
+        ]
+        for row in sorted(rows, key=lambda row: row["ratio"])
+    ]
+    slower = sum(row["ratio"] >= 1.0 for row in rows)
+    of_medians = statistics.median(row["ratio_of_medians"] for row in rows)
+    words = f"""
+Runs at random are one in as many as meet the defect (`tools/bench/planted_rates.json` has the counts). The runs of each
+hunt, with another seed, stand beside them. The ratio is that of the means; a hunt that found nothing counts {CAP} runs.
+Of {len(rows)} defects the median ratio is {ratio:.2f}; of medians in place of means it is {of_medians:.2f}.
+For {slower} defects a hunt is slower than random search.
+"""
+    return MARKS[0] + "\n" + markdown_table([head, *lines]).rstrip() + "\n" + words + "\n" + MARKS[1]
 
 
 def main() -> int:
     """Measure, print, and return 1 where a hunt needs more than a fifth of the runs of random search."""
     parser = argparse.ArgumentParser(prog="tools.bench.hunt", description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("--defect", choices=[one.name for one in DEFECTS], action="append", help="only these")
-    parser.add_argument("--random", type=int, default=2000, help="random runs a defect")
-    parser.add_argument("--hunts", type=int, default=5, help="hunts a defect, each with another seed")
-    parser.add_argument("--cap", type=int, default=CAP, help="runs of a hunt at most")
-    parser.add_argument("--seed", type=int, default=7, help="of the random runs")
+    parser.add_argument("--hunts", type=int, default=1, help="hunts a defect, each with another seed")
+    parser.add_argument("--cap", type=int, default=400, help="runs of a hunt at most")
+    parser.add_argument("--random", type=int, default=0, metavar="RUNS", help="measure the rates anew")
+    parser.add_argument("--jobs", type=int, help="workers; by default one a processor")
     parser.add_argument("--json", type=Path, metavar="FILE", help="write the figures")
+    parser.add_argument("--page", type=Path, metavar="FILE", help="write the table between its marks in a page")
     options = parser.parse_args()
-    rows = []
-    with tempfile.TemporaryDirectory() as folder:
-        for defect in DEFECTS:
-            if options.defect is None or defect.name in options.defect:
-                rows.append(measured(defect, Path(folder), options))
-                print(json.dumps(rows[-1]), flush=True)
-    counted = [row for row in rows if row["counts"]]
-    result: dict[str, Any] = {"rows": rows, "counted": len(counted)}
-    if counted:
-        result |= {
-            "ratio_median": statistics.median(row["ratio"] for row in counted),
-            "hunt_median": statistics.median(row["hunt_median"] for row in counted),
-            "random_median": statistics.median(row["random_median"] for row in counted),
+    defects = [one for one in DEFECTS if options.defect is None or one.name in options.defect]
+    rates = json.loads(RATES.read_text(encoding="utf-8")) if RATES.exists() else {}
+    if options.random:
+        found = results(random_jobs(defects, options.random), options.jobs)
+        rates |= {
+            one.name: {"runs": runs_of(one, len(found[one.name])), "broken": sum(found[one.name])} for one in defects
         }
-        print({name: value for name, value in result.items() if name != "rows"})
+        RATES.write_text(json.dumps(rates, indent=1) + "\n", encoding="utf-8")
+    hunts = results(hunt_jobs(defects, options.hunts, options.cap), options.jobs)
+    rows = [row_of(one, rates[one.name], hunts[one.name]) for one in defects]
+    counted = [row for row in rows if row["counts"]]
+    ratio = statistics.median(row["ratio"] for row in counted)
+    for row in rows:
+        print(json.dumps(row))
+    print(f"median ratio of {len(counted)} defects: {ratio:.3f}")
     if options.json is not None:
-        options.json.write_text(json.dumps(result, indent=1), encoding="utf-8")
-    return 0 if counted and result["ratio_median"] <= MOST else 1
+        options.json.write_text(json.dumps({"rows": rows, "ratio_median": ratio}, indent=1), encoding="utf-8")
+    if options.page is not None:
+        text = options.page.read_text(encoding="utf-8")
+        before, after = text.partition(MARKS[0])[0], text.partition(MARKS[1])[2]
+        options.page.write_text(before + page(counted, ratio) + after, encoding="utf-8")
+    return 0 if ratio <= MOST else 1
 
 
 if __name__ == "__main__":

@@ -1,101 +1,160 @@
-"""DSC with a planted defect, for ``tools.bench.hunt``: each acts only where its ``level`` is passed.
+"""DSC with a planted defect, for ``tools.bench.hunt``.
 
-A defect changes what the law sees or what it commands. What each does is written beside it.
+A defect shows itself once its condition was met, and from then on. Until then the law is DSC to the bit, so that one
+run without a defect says of all defects at once which of them it would have met.
 """
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from typing import NamedTuple
 
 from hil.core.model import RobotModel
-from hil.core.types import Applied, CommandMode, Pose, Reference, State, Twist, WheelCommand, Wheels
+from hil.core.types import ZERO_WHEELS, Applied, CommandMode, Pose, Reference, State, Twist, WheelCommand, Wheels
 from hil.laws.dsc import Dsc
 
-Errors = tuple[float, float, float]
-SEES: dict[str, Callable[[float, Errors, Reference], Errors]] = {
-    # The error that the law sees: level, error (x, y, heading), reference -> error.
-    "heading_sign": lambda level, e, _: (e[0], e[1], -e[2]) if abs(e[2]) > level else e,
-    "y_sign": lambda level, e, _: (e[0], -e[1], e[2]) if e[1] < -level else e,
-    "x_sign": lambda level, e, _: (-e[0], e[1], e[2]) if e[0] < -level else e,
-    "heading_wrap": lambda level, e, _: (e[0], e[1], math.remainder(e[2], 2.0 * level)),
-    "left_behind": lambda level, e, _: (-3 * e[0], -3 * e[1], e[2]) if e[1] < -level and abs(e[2]) > 0.15 else e,
-    "needle": lambda level, e, _: (-9 * e[0], -9 * e[1], e[2]) if math.dist(e[:2], (0.06, -0.03)) < level else e,
-    "slow_reference": lambda level, e, r: (-e[0], -e[1], e[2]) if abs(r.twist.vy_m_s) > level else e,
-}
-TRIPS: dict[str, Callable[[float, Errors, State], bool]] = {
-    # What once trips the law, which from then on drives away from the reference: level, error, state.
-    "far": lambda level, e, _: math.hypot(e[0], e[1]) > level,
-    "corner": lambda level, e, _: e[0] < -level and e[1] > level,
-    "far_and_turned": lambda level, e, _: math.hypot(e[0], e[1]) > level and e[2] > level,
-    "fast": lambda level, _, s: math.hypot(s.twist.vx_m_s, s.twist.vy_m_s) > level,
-    "backwards": lambda level, _, s: s.twist.vx_m_s < -level,
-    "sideways": lambda level, _, s: s.twist.vy_m_s > level,
-    "turning": lambda level, _, s: s.twist.yaw_rate_rad_s > level,
-    "turning_back": lambda level, _, s: s.twist.yaw_rate_rad_s < -level,
-    "spinning": lambda level, _, s: abs(s.twist.yaw_rate_rad_s) > level,
-    "quadrant": lambda level, _, s: s.pose.heading_rad > level,
+WATCH = "watch"
+"""In place of a defect: no defect acts, and the law's signal ``MET`` says whose conditions were met."""
+MET = "planted.met"
+"""The sum of 2 to the power of the place in ``CONDITIONS``, of all defects whose condition was met."""
+
+SPIN = Wheels(-20.0, 20.0, 20.0, -20.0)
+
+
+class Seen(NamedTuple):
+    """What a law sees in a tick: errors along x, y and heading, twist, reference, and the command it would give.
+
+    ``wound_rad_s`` is the integral of the heading's error, ``silent`` in how many ticks the state did not change, and
+    ``jump_rad_s`` and ``drop_rad_s`` how much the yaw rate changed and the set point of the wheel FR fell since the
+    last tick.
+    """
+
+    x_m: float
+    y_m: float
+    turned_rad: float
+    twist: Twist
+    reference: Reference
+    speeds: Wheels
+    wound_rad_s: float
+    silent: int
+    jump_rad_s: float
+    drop_rad_s: float
+
+    @property
+    def speed_m_s(self) -> float:
+        """The speed of the robot's centre."""
+        return math.hypot(self.twist.vx_m_s, self.twist.vy_m_s)
+
+    @property
+    def off_m(self) -> float:
+        """The distance from the reference."""
+        return math.hypot(self.x_m, self.y_m)
+
+
+CONDITIONS: Mapping[str, Callable[[Seen], bool]] = {
+    "turned far": lambda s: abs(s.turned_rad) > 0.1997,
+    "left behind": lambda s: s.y_m < -0.21,
+    "off and turned": lambda s: s.off_m > 0.18 and s.turned_rad > 0.12,
+    "corner": lambda s: s.x_m < -0.07 and s.y_m > 0.075 and s.turned_rad < -0.15,
+    "slow and spinning": lambda s: s.reference.twist.vy_m_s < 0.34 and s.twist.yaw_rate_rad_s < -1.2,
+    "windup": lambda s: abs(s.wound_rad_s) > 0.06,
+    "needle": lambda s: math.dist((s.x_m, s.y_m), (0.05, 0.03)) < 0.004 and abs(s.turned_rad) < 0.02,
+    "cell": lambda s: abs(s.turned_rad - 0.08) < 0.003 and abs(s.speed_m_s - 0.6) < 0.003,
+    "silent at speed": lambda s: s.silent >= 14 and s.speed_m_s > 0.8,
+    "gyro jump": lambda s: s.jump_rad_s > 0.55,
+    "spin at speed": lambda s: abs(s.twist.yaw_rate_rad_s) > 0.5 and s.speed_m_s > 0.7,
+    "overspeed": lambda s: s.speed_m_s > 1.15,
+    "crossed wheels": lambda s: s.speeds.fl > 12.0 and s.speeds.rr < -11.0,
+    "set point drop": lambda s: s.drop_rad_s > 8.0,
+    "from the start": lambda _: True,
 }
 
 
 class Planted:
     """DSC in speed mode with the defect of that name."""
 
+    signals = (MET,)
+
     @dataclass(frozen=True)
     class Options:
-        """The defect's name and level, and the gain K1 [1/s] of DSC."""
+        """The defect's name and what it does then, and the gain K1 [1/s] of DSC.
 
-        defect: str = "none"
-        level: float = 0.0
+        ``limit`` and ``rate`` are those of a wheel's set point by itself [rad/s, rad/s²], without which DSC knows
+        nothing of them.
+        """
+
+        defect: str = WATCH
+        then: str = "away"
         k1_1_s: float = 8.0
+        limit: float = math.inf
+        rate: float = math.inf
 
     def __init__(self, model: RobotModel, mode: CommandMode, options: Options) -> None:
         self._law = Dsc(model, mode, Dsc.Options(k1_1_s=options.k1_1_s))
-        self._defect, self._level = options.defect, options.level
-        self._sum = [0.0, 0.0, 0.0]
-        self._has_tripped = False
-        self._last: WheelCommand | None = None
+        self._options = options
+        self._forget()
+
+    def _forget(self) -> None:
+        self._last: tuple[State, WheelCommand] | None = None
+        self._held: WheelCommand | None = None
+        self._wound_rad_s, self._silent, self._met = 0.0, 0, 0
+
+    @property
+    def telemetry(self) -> tuple[float]:
+        """The values of ``signals``."""
+        return (float(self._met),)
 
     def reset(self, state: State, reference: Reference) -> None:
         """Forget what was before."""
         self._law.reset(state, reference)
-        self._sum, self._last, self._has_tripped = [0.0, 0.0, 0.0], None, False
+        self._forget()
 
     def update(self, reference: Reference, state: State, applied: Applied, dt_s: float) -> WheelCommand:
         """Return the command of this tick, spoilt where the defect acts."""
-        before = self._last
-        command = self._law.update(reference, self._seen_state(reference, state, dt_s), applied, dt_s)
-        self._last = command = self._spoilt(command, before, dt_s)
+        is_away = self._held is not None and self._options.then == "away"
+        seen_state = _mirrored(state, reference) if is_away else state
+        command = self._limited(self._law.update(reference, seen_state, applied, dt_s), dt_s)
+        seen = self._seen(reference, state, command, dt_s)
+        self._last = state, command
+        if self._options.defect == WATCH:
+            self._met |= sum(1 << place for place, holds in enumerate(CONDITIONS.values()) if holds(seen))
+        elif self._held is None and CONDITIONS[self._options.defect](seen):
+            self._held = command
+        return command if self._held is None else self._spoilt(command, self._held)
+
+    def _seen(self, reference: Reference, state: State, command: WheelCommand, dt_s: float) -> Seen:
+        x_m, y_m, turned_rad = (is_ - should for is_, should in zip(state.pose, reference.pose, strict=True))
+        self._wound_rad_s += turned_rad * dt_s
+        before, command_before = self._last or (state, command)
+        self._silent = self._silent + 1 if self._last is not None and state == before else 0
+        jump_rad_s = abs(state.twist.yaw_rate_rad_s - before.twist.yaw_rate_rad_s)
+        drop_rad_s = command_before.speed_rad_s.fr - command.speed_rad_s.fr
+        speeds, kept = command.speed_rad_s, (self._wound_rad_s, self._silent, jump_rad_s, drop_rad_s)
+        return Seen(x_m, y_m, turned_rad, Twist(*state.twist), reference, speeds, *kept)
+
+    def _limited(self, command: WheelCommand, dt_s: float) -> WheelCommand:
+        """Return the command with each wheel limited by itself."""
+        limit, step = self._options.limit, self._options.rate * dt_s
+        if math.isinf(limit) and math.isinf(step):
+            return command
+        old = command if self._last is None else self._last[1]
+        pairs = zip(command.speed_rad_s, old.speed_rad_s, strict=True)
+        speeds = (min(max(one, was - step), was + step) for one, was in pairs)
+        return command._replace(speed_rad_s=Wheels(*(min(max(one, -limit), limit) for one in speeds)))
+
+    def _spoilt(self, command: WheelCommand, held: WheelCommand) -> WheelCommand:
+        match self._options.then:
+            case "hold":  # the set points of that tick
+                return held
+            case "rest":
+                return command._replace(speed_rad_s=ZERO_WHEELS)
+            case "spin":
+                return command._replace(speed_rad_s=SPIN)
+            case "reversed":  # one wheel
+                return command._replace(speed_rad_s=command.speed_rad_s._replace(fr=-command.speed_rad_s.fr))
         return command
 
-    def _seen_state(self, reference: Reference, state: State, dt_s: float) -> State:
-        level = self._level
-        errors: Errors = tuple(is_ - should for is_, should in zip(state.pose, reference.pose, strict=True))  # type: ignore[assignment]
-        match self._defect:
-            case "windup":  # an integral without a limit
-                self._sum = [total + one * dt_s for total, one in zip(self._sum, errors, strict=True)]
-                errors = tuple(one + level * total for one, total in zip(errors, self._sum, strict=True))  # type: ignore[assignment]
-            case name if name in SEES:
-                errors = SEES[name](level, errors, reference)
-            case name if name in TRIPS:
-                self._has_tripped = self._has_tripped or TRIPS[name](level, errors, state)
-                if self._has_tripped:
-                    errors = -errors[0], -errors[1], -errors[2]
-            case _:
-                return state
-        pose = Pose(*(should + one for should, one in zip(reference.pose, errors, strict=True)))
-        return State(pose, Twist(*state.twist))
 
-    def _spoilt(self, command: WheelCommand, before: WheelCommand | None, dt_s: float) -> WheelCommand:
-        level, speeds = self._level, command.speed_rad_s
-        match self._defect:
-            case "clipped":  # each wheel by itself
-                speeds = Wheels(*(min(max(one, -level), level) for one in speeds))
-            case "slow_rate":  # of change [rad/s²], each wheel by itself
-                if before is not None:
-                    step = level * dt_s
-                    pairs = zip(speeds, before.speed_rad_s, strict=True)
-                    speeds = Wheels(*(min(max(one, old - step), old + step) for one, old in pairs))
-            case "reversed_wheel":  # once it was commanded to turn back fast
-                self._has_tripped = self._has_tripped or speeds.fr < -level
-                speeds = speeds._replace(fr=-speeds.fr) if self._has_tripped else speeds
-        return command._replace(speed_rad_s=speeds)
+def _mirrored(state: State, reference: Reference) -> State:
+    """Return a state whose error is the negative one, so that the law drives away from the reference."""
+    return State(Pose(*(2.0 * r - s for s, r in zip(state.pose, reference.pose, strict=True))), Twist(*state.twist))

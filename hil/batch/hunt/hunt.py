@@ -1,48 +1,26 @@
-"""A hunt: its file and scenario, checked; its runs on the batch engine; and what it found."""
+"""A hunt: its runs on the batch engine, how each is judged, and what it found."""
 
-import contextlib
-import itertools
 import time
-from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
+from collections.abc import Callable, Generator, Sequence
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
+from hil.batch.hunt.cases import Cases, Request
 from hil.batch.hunt.saved import scenario_text
 from hil.batch.hunt.search import Shares, require_optuna, search
 from hil.batch.hunt.shrink import shrink
-from hil.batch.hunt.space import Case, Params, Space
-from hil.batch.hunt.tables import HuntTables
+from hil.batch.hunt.space import Case, Params
 from hil.batch.job import ENDED, LOST, REFUSED, Job, Outcome
 from hil.batch.keys import make_job
 from hil.batch.plan import run_jobs
-from hil.batch.plan_file import PlanFile, read_plan_file, row_of_table
 from hil.batch.resumable import run_resumable
 from hil.core.errors import BadInputError
 from hil.core.outputs import existing_files, write_whole
-from hil.runtime.robots import check_plant_start
-from hil.scenario import Scenario, Sources, read
-from hil.scenario.run import values as values_of
+from hil.scenario import Scenario, read
 from hil.scenario.trial import span_s
 
-SUFFIX = ".hunt.toml"
 _ENDS = {ENDED: "the run ends early", LOST: "the run crashes or hangs"}
-
-
-class Request(NamedTuple):
-    """What the user wants: a scenario with its options as in ``hil run``, the hunt's file, and where runs are done.
-
-    ``target`` is that of ``hil device``: where the firmware runs.
-    """
-
-    scenario: str
-    ranges: Path | None = None
-    robot: Path | None = None
-    link: str | None = None
-    seed: int | None = None
-    target: str = "host"
-    workers: int | None = None
-    limit_s: float = 120.0
 
 
 class Verdict(NamedTuple):
@@ -90,18 +68,8 @@ class Hunt:
     def __init__(self, request: Request) -> None:
         require_optuna()
         self._request = request
-        self._sources: Sources = read(request.scenario, robot=request.robot)
-        self.file: PlanFile = read_plan_file(request.ranges or _beside(request.scenario), "hunt")
-        self.tables = self.file.tables(HuntTables)
-        self.base = self._scenario_of({})
-        if self.base.loop.mode != "lockstep":
-            raise BadInputError(
-                f'hunt {self.file.file}: in real time no run comes twice; give loop.mode = "lockstep" in [set]'
-            )
-        if not self.base.expect:
-            raise BadInputError(f"scenario {self.base.name}: it has no [[expect]], so that no run could break one")
-        self.space = Space(self.tables, dict(values_of(self.base)))
-        self._check()
+        self.cases = Cases(request)
+        self.base, self.tables = self.cases.base, self.cases.tables
         self.runs = self.shrinking_runs = 0
         self.is_shrinking = False
         self.found_case: Case | None = None
@@ -113,65 +81,6 @@ class Hunt:
         self._to_do: list[Job] = []
         self._steps = self._hunt()
         self._batch_of(next(self._steps))
-
-    # The file and its scenario
-
-    def scenario(self, case: Case) -> Scenario:
-        """Return the scenario of a case. Raises BadInputError when it is not valid."""
-        sets: dict[str, Any] = dict(case.values)
-        if case.duration_s is not None:
-            sets["loop.duration_s"] = case.duration_s
-            sets["expect"] = [row_of_table(self.base.expect[place]) for place in self._judged(case)]
-        if case.faults:
-            sets["fault"] = [*map(row_of_table, self.base.fault), *map(self._row, case.faults)]
-        return self._scenario_of(sets)
-
-    def _judged(self, case: Case) -> list[int]:
-        """Return the places of the expectations that a shortened run judges."""
-        until_s = case.duration_s
-        if until_s is None:
-            return list(range(len(self.base.expect)))
-        spans = [span_s(row, self.base.fault) for row in self.base.expect]
-        return [
-            place
-            for place, (row, (from_s, to_s)) in enumerate(zip(self.base.expect, spans, strict=True))
-            if row.figure is None and from_s < until_s and (row.settles_to is None or to_s <= until_s)
-        ]
-
-    def _row(self, chosen: Any) -> dict[str, Any]:
-        row = {"kind": self.space.kinds[chosen.offer], **chosen.given}
-        if (duration_s := row.pop("duration_s", None)) is not None:
-            row["end_s"] = round(row["start_s"] + duration_s, 6)
-        return {name: value for name, value in row.items() if value != ""}
-
-    def _scenario_of(self, sets: Mapping[str, object]) -> Scenario:
-        request = self._request
-        given = {**self.tables.set, **sets}
-        tables = dict.fromkeys(self.tables.set, "set") | dict.fromkeys(self.tables.range, "range")
-        if request.target != "host" and request.link is None:
-            given.setdefault("link.url", "serial:pty")
-        return self.file.scenario(self._sources, given, tables, link=request.link, seed=request.seed)
-
-    def _check(self) -> None:
-        """Raise BadInputError, with file and line, for a range or a fault that the scenario does not take."""
-        for key, dimension in self.space.ranges.items():
-            for value in dimension.options or (dimension.low, dimension.high):
-                with self._about("range", key):
-                    check_plant_start(self.scenario(Case({key: value})))
-        for params in itertools.chain.from_iterable(self.space.singles()):
-            if params.get("fault 0"):
-                case = self.space.case(params)
-                with self._about("fault", str(case.faults[0].offer)):
-                    self.scenario(case)
-
-    @contextlib.contextmanager
-    def _about(self, *path: str) -> Iterator[None]:
-        try:
-            yield
-        except BadInputError as error:
-            words = [line.removeprefix(f"hunt {self.file.file}: ") for line in str(error).splitlines()]
-            where = f"hunt {self.file.place(*path)}: "
-            raise BadInputError("\n".join(one if one.startswith("hunt ") else where + one for one in words)) from None
 
     # The plan
 
@@ -188,17 +97,9 @@ class Hunt:
         return jobs
 
     def _batch_of(self, cases: Sequence[Case]) -> None:
-        self._batch = [(case, self.job(case)) for case in cases]
+        self._batch = [(case, self.cases.job(case)) for case in cases]
         jobs = {job.key: job for _, job in self._batch if job is not None and job.key not in self._known}
         self._to_do = list(jobs.values())
-
-    def job(self, case: Case) -> Job | None:
-        """Return the job of a case; None where the values contradict each other, so that there is no such run."""
-        options = {} if self._request.target == "host" else {"target": self._request.target}
-        try:
-            return make_job(self.scenario(case), options=options, limit_s=self._request.limit_s, retries_crash=True)
-        except BadInputError:
-            return None
 
     def verdict(self, case: Case, outcome: Outcome | None) -> Verdict:
         """Return what the outcome of a case means; None stands for a case that is not valid."""
@@ -218,7 +119,7 @@ class Hunt:
     def _claims(self, case: Case, outcome: Outcome) -> dict[int, dict[str, Any]]:
         """Return the expectations that a run judged, then the limits of ``[allow]``, by their places in the base."""
         claims = outcome.details["claims"]
-        judged = self._judged(case)
+        judged = self.cases.judged(case)
         limits = range(len(self.base.expect), len(self.base.expect) + len(claims) - len(judged))
         return dict(zip((*judged, *limits), claims, strict=True))
 
@@ -244,15 +145,15 @@ class Hunt:
         self.found_case = case
         what = verdict.worst
         case = yield from self._shrunk(case, what, verdict)
-        job = self.job(case)
+        job = self.cases.job(case)
         assert job is not None
-        self.found = Found(what, case, self.scenario(case), self._known[job.key], after)
+        self.found = Found(what, case, self.cases.scenario(case), self._known[job.key], after)
 
     def _searched(self) -> Generator[list[Case], list[Verdict], tuple[Case, Verdict] | None]:
-        steps = search(self.space, self.tables.seed)
+        steps = search(self.cases.space, self.tables.seed)
         params: list[Params] = next(steps)
         while self.runs < self.tables.runs:
-            cases = [self.space.case(one) for one in params][: self.tables.runs - self.runs]
+            cases = [self.cases.space.case(one) for one in params][: self.tables.runs - self.runs]
             verdicts = yield cases
             for case, verdict in zip(cases, verdicts, strict=True):
                 self.runs += 1
@@ -266,7 +167,7 @@ class Hunt:
 
     def _shrunk(self, case: Case, what: int | str, verdict: Verdict) -> Generator[list[Case], list[Verdict], Case]:
         broke_s: dict[str, float | None] = {repr(case): self._shorter(case, what, verdict)}
-        steps = shrink(self.space, case, lambda one: broke_s[repr(one)])
+        steps = shrink(self.cases.space, case, lambda one: broke_s[repr(one)])
         try:
             cases = next(steps)
             while True:
@@ -322,7 +223,7 @@ class Hunt:
         """
         found = self.found
         assert found is not None
-        path, job = self._path(folder), self.job(found.case)
+        path, job = self._path(folder), self.cases.job(found.case)
         assert job is not None
         sha256 = found.outcome.figures.get("wire_sha256")
         comments = [self.reason(), f"Found by hil hunt after {found.found_after} runs, and made smaller."]
@@ -349,7 +250,7 @@ class Hunt:
         assert self.least is not None
         score, case, what = self.least
         about = self.base.expect[what].subject if isinstance(what, int) and what < len(self.base.expect) else "[allow]"
-        return f"{self.differs(case)}: {100.0 * score:.3g} % of the margin of {about} is left"
+        return f"{self.cases.differs(case)}: {100.0 * score:.3g} % of the margin of {about} is left"
 
     def plain(self) -> dict[str, Any]:
         """Return the result for JSON."""
@@ -369,19 +270,4 @@ class Hunt:
         assert self.found is not None
         what, case, outcome = self.found.what, self.found.case, self.found.outcome
         broken = self._claims(case, outcome)[what]["text"] if isinstance(what, int) else f"{what}: {outcome.reason}"
-        return f"{self.differs(case)}: {broken}"
-
-    def differs(self, case: Case) -> str:
-        """Return in words what a case differs in from the scenario."""
-        scenario = self.scenario(case)
-        changes = [
-            f"{key} = {value:g}" if isinstance(value, float) else f"{key} = {value}"
-            for key, value in case.values.items()
-        ]
-        changes += [row.words for row in scenario.fault[len(self.base.fault) :]]
-        return ", ".join(changes) or "the scenario as it is"
-
-
-def _beside(scenario: str) -> Path:
-    """Return the file beside a scenario's; for a shipped one in the current folder."""
-    return Path(scenario.removesuffix(".toml") + SUFFIX)
+        return f"{self.cases.differs(case)}: {broken}"

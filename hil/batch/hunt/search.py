@@ -1,14 +1,17 @@
-"""Chooses the runs of a hunt: first one change alone each, then a search guided by the margins so far.
+"""Chooses the runs of a hunt: one change alone each, then half of the runs by the margins so far, half at the ends.
 
-The search is that of Optuna, a tree-structured Parzen estimator (Bergstra et al. 2011). It needs few runs, and takes
-numbers, choices, and faults that have numbers of their own. It begins anew after some runs, since it may be stuck.
+By the margins: the tree-structured Parzen estimator of Optuna (Bergstra et al. 2011) for the claim that is closest, and
+for each claim in turn changes of the run that came closest to breaking it, as in many-objective search of tests
+(Panichella et al. 2018). At the ends: numbers at either end of their ranges by chance, faults that begin together, for
+defects of which no margin says anything (boundary values, Kuhn et al. 2004: most defects need few conditions).
 """
 
 import importlib.util
 import itertools
+import math
+import random
 import warnings
 from collections.abc import Generator, Mapping, Sequence
-from functools import partial
 from typing import TYPE_CHECKING
 
 from hil.batch.hunt.space import Params, Space
@@ -19,9 +22,12 @@ if TYPE_CHECKING:
 
 AT_A_TIME = 4
 """Runs that are chosen together, however many workers there are: so the search does not depend on their number."""
-_RUNS_A_ROUND = 240
 _STARTUP = 10
 _ALIKE = 1e-9
+_ANEW, _CHANGED, _CHANGE = 0.1, 0.4, 0.15
+"""How likely a value is drawn anew, or changed, and the standard deviation of a change, as a share of the range."""
+_END = 0.4
+"""How likely a number is at one end of its range, and at the other."""
 
 Shares = Mapping[int, float]
 """What a run left of the scenario's own margins, by the places of the claims."""
@@ -38,34 +44,87 @@ def require_optuna() -> None:
 
 
 def search(space: Space, seed: int) -> Search:
-    """Search for ever for cases that break a claim; ``seed`` decides the cases as far as shares do not.
-
-    Each claim that varies has a study of its own, so that one that is always close hides no other. All studies are told
-    of all runs. Of four runs one is for the claim that is closest, the others for all claims in turn.
-    """
+    """Search for ever for cases that break a claim; ``seed`` decides the cases as far as shares do not."""
     tried = yield from _screened(space)
-    turns = itertools.count()
-    for number in itertools.count():
-        studies: dict[int, optuna.Study] = {}
-        for _ in range(0, _RUNS_A_ROUND, AT_A_TIME):
-            least = _least(tried)
-            for claim in least:
-                if claim not in studies:
-                    studies[claim] = _study(seed + 1000 * number + claim)
-                    for params, shares in tried if number == 0 else ():
-                        _tell(studies[claim], space, params, shares.get(claim))
-            claims = list(least)
-            chosen = [claims[0], *(claims[next(turns) % len(claims)] for _ in range(AT_A_TIME - 1))]
-            trials = [studies[claim].ask() for claim in chosen]
-            asked = [space.suggested(partial(_suggested, trial)) for trial in trials]
-            found = yield asked
-            for claim, trial, run, left in zip(chosen, trials, asked, found, strict=True):
-                value = None if left is None else left.get(claim)
-                studies[claim].tell(trial, value, state=_failed() if value is None else None)
-                if left is not None:
-                    tried.append((run, left))
-                    for other in studies.keys() - {claim}:
-                        _tell(studies[other], space, run, left.get(other))
+    chance = random.Random(seed)
+    studies: dict[int, _Study] = {}
+    for turn in itertools.count():
+        claims = list(_least(tried))
+        closest, in_turn = claims[0], claims[turn % len(claims)]
+        study = studies.setdefault(closest, _Study(space, seed + closest))
+        asked = [
+            study.asked(tried, closest),
+            _near_best(space, chance, [_best(space, tried, one) for one in (in_turn, chance.choice(claims))]),
+            *(_at_ends(space, chance) for _ in range(AT_A_TIME - 2)),
+        ]
+        yield from _tried(asked, tried)
+
+
+def _best(space: Space, tried: "Tried", claim: int) -> Params:
+    """Return the run that came closest to breaking a claim; the scenario as it is if none could be judged."""
+    return min(tried, key=lambda one: one[1].get(claim, math.inf), default=(space.nominal_params, {}))[0]
+
+
+def _near_best(space: Space, chance: random.Random, parents: Sequence[Params]) -> Params:
+    """Return a case between two, the first of which counts more, with some changes."""
+    first, second = parents
+
+    def suggest(name: str, options: int) -> float | int:
+        value = (second if chance.random() < _ANEW else first)[name]
+        luck = chance.random()
+        if luck < _ANEW:
+            return chance.randrange(options) if options else chance.random()
+        if luck < _CHANGED and not options:
+            return min(max(value + chance.gauss(0.0, _CHANGE), 0.0), 1.0)
+        return value
+
+    return space.suggested(suggest)
+
+
+def _at_ends(space: Space, chance: random.Random) -> Params:
+    """Return a case by chance, with many numbers at the ends of their ranges, and often with faults that coincide."""
+
+    def suggest(name: str, options: int) -> float | int:
+        luck = chance.random()
+        if options:
+            return chance.randrange(options)
+        if name.endswith(" start_s") or luck >= 2.0 * _END:
+            return chance.random()
+        return 0.0 if luck < _END else 1.0
+
+    params = space.suggested(suggest)
+    return space.coincident(params, at_end=chance.random() < 0.5) if chance.random() < 0.5 else params
+
+
+class _Study:
+    """A study of Optuna that has other runs told before it is asked."""
+
+    def __init__(self, space: Space, seed: int) -> None:
+        import optuna
+
+        optuna.logging.set_verbosity(optuna.logging.ERROR)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", optuna.exceptions.ExperimentalWarning)
+            sampler = optuna.samplers.TPESampler(seed=seed, multivariate=True, n_startup_trials=_STARTUP)
+        self._study = optuna.create_study(sampler=sampler)
+        self._distributions = {name: _distribution(space.options(name)) for name in space.nominal_params}
+        self._told = 0
+
+    def asked(self, tried: "Tried", claim: int) -> Params:
+        """Return the case that the estimator takes for the best to try, by all that was tried."""
+        import optuna
+
+        for done, shares in tried[self._told :]:
+            if claim in shares:
+                trial = optuna.trial.create_trial(
+                    params=dict(done), distributions=self._distributions, value=shares[claim]
+                )
+                self._study.add_trial(trial)
+        self._told = len(tried)
+        asked = self._study.ask(self._distributions)
+        self._study.tell(asked, state=optuna.trial.TrialState.FAIL)  # its share comes with those of the others
+        params: Params = asked.params
+        return params
 
 
 Tried = list[tuple[Params, Shares]]
@@ -126,40 +185,6 @@ def _worst(group: Sequence[Params], shares: Sequence[float | None]) -> tuple[flo
 
 def _key(params: Params) -> tuple[tuple[str, float | int], ...]:
     return tuple(sorted(params.items()))
-
-
-def _study(seed: int) -> "optuna.Study":
-    import optuna
-
-    optuna.logging.set_verbosity(optuna.logging.ERROR)
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", optuna.exceptions.ExperimentalWarning)
-        sampler = optuna.samplers.TPESampler(
-            seed=seed, multivariate=True, group=True, constant_liar=True, n_startup_trials=_STARTUP
-        )
-    return optuna.create_study(sampler=sampler)
-
-
-def _tell(study: "optuna.Study", space: Space, params: Params, value: float | None) -> None:
-    """Tell a study of a run that it did not ask for."""
-    import optuna
-
-    if value is not None:
-        distributions = {name: _distribution(space.options(name)) for name in params}
-        trial = optuna.trial.create_trial(params=dict(params), distributions=distributions, value=value)
-        study.add_trial(trial)
-
-
-def _failed() -> "optuna.trial.TrialState":
-    import optuna
-
-    return optuna.trial.TrialState.FAIL
-
-
-def _suggested(trial: "optuna.Trial", name: str, options: int) -> float | int:
-    if options:
-        return int(trial.suggest_categorical(name, range(options)))
-    return float(trial.suggest_float(name, 0.0, 1.0))
 
 
 def _distribution(options: int) -> "optuna.distributions.BaseDistribution":

@@ -59,7 +59,7 @@ def _steps(space: Space, case: Case, duration_s: float | None) -> Iterator[Case]
 def _smaller(offer: Mapping[str, Dimension], given: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
     """Yield a number of a fault and a smaller value of it: weaker, or shorter; its begin only gets fewer digits."""
     for name, dimension in offer.items():
-        if name != "target" and not dimension.options:
+        if not dimension.options:
             least = min((dimension.low, dimension.high), key=abs)
             parts = _PARTS if name in ("duration_s", "value") else ()
             yield from ((name, nearer) for nearer in _nearer(dimension, given[name], least, parts))

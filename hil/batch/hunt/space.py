@@ -1,5 +1,6 @@
 """The cases of a hunt: which values the keys of the scenario and the numbers of the faults may have."""
 
+import itertools
 import math
 from collections.abc import Callable, Mapping, Sequence
 from functools import cached_property
@@ -31,8 +32,10 @@ class Dimension(NamedTuple):
         step = span.step or step or 10.0 ** (math.floor(math.log10(high - low)) - _STEPS)
         return cls(low, high, span.log_uniform is not None, step)
 
-    def at(self, share: float) -> float:
-        """Return the number at a share of the range, from 0 to 1."""
+    def at(self, share: float) -> Any:
+        """Return the value at a share of the range, from 0 to 1."""
+        if self.options:
+            return self.options[min(int(share * len(self.options)), len(self.options) - 1)]
         if self.is_log:
             return self.rounded(math.exp(math.log(self.low) + share * math.log(self.high / self.low)))
         return self.rounded(self.low + share * (self.high - self.low))
@@ -69,65 +72,72 @@ class Case(NamedTuple):
 
 
 Params = Mapping[str, float | int]
-"""A case as the optimiser sees it: by name a share from 0 to 1, or the number of an option."""
+"""A case as the optimiser sees it: by name a share from 0 to 1, or the number of an option; all have the same names."""
 Suggest = Callable[[str, int], float | int]
 """Chooses one of n options by its number, or, if n is 0, a share from 0 to 1."""
 
 
 class Space:
-    """All cases of a hunt. ``nominal`` are the scenario's own values of the keys with a range, where it has them."""
+    """All cases of a hunt. ``nominal`` are the scenario's own values of the keys with a range, where it has them.
+
+    A case has places for as many faults as it may have; each has a choice, 0 for no fault, and the numbers of a fault.
+    """
 
     def __init__(self, tables: HuntTables, nominal: Mapping[str, Any]) -> None:
         self.ranges = {key: Dimension.of(span) for key, span in tables.range.items()}
         self.nominal = {key: nominal[key] for key in self.ranges if key in nominal}
         self.kinds = [offer.kind for offer in tables.fault]
         self.offers = [
-            {"target": Dimension(options=offer.target)}
-            | {name: Dimension.of(span, _MS if name.endswith("_s") else None) for name, span in offer.spans.items()}
+            {name: Dimension.of(span, _MS if name.endswith("_s") else None) for name, span in offer.spans.items()}
             for offer in tables.fault
         ]
-        self._slots = tables.at_once if tables.fault else 0
+        self._choices = [(offer, target) for offer, one in enumerate(tables.fault) for target in one.target]
+        self._slots = [f"fault {slot}" for slot in range(tables.at_once if tables.fault else 0)]
+        self._numbers = list(dict.fromkeys(itertools.chain.from_iterable(self.offers)))
 
     def suggested(self, suggest: Suggest) -> Params:
-        """Return a case that ``suggest`` chooses name by name; which names there are depends on the faults chosen."""
+        """Return a case that ``suggest`` chooses name by name."""
         params: dict[str, float | int] = {key: suggest(key, len(one.options)) for key, one in self.ranges.items()}
-        for slot in range(self._slots):
-            which = f"fault {slot}"
-            params[which] = suggest(which, 1 + len(self.offers))
-            if (offer := int(params[which]) + NO_FAULT) != NO_FAULT:
-                for name, dimension in self.offers[offer].items():
-                    if len(dimension.options) != 1:
-                        params[f"{which} {offer} {name}"] = suggest(f"{which} {offer} {name}", len(dimension.options))
+        for slot in self._slots:
+            params[slot] = suggest(slot, 1 + len(self._choices))
+            params |= {f"{slot} {name}": suggest(f"{slot} {name}", 0) for name in self._numbers}
         return params
 
     def options(self, name: str) -> int:
         """Return how many options a name of ``Params`` has; 0 for a share."""
         if name in self.ranges:
             return len(self.ranges[name].options)
-        _, _, *rest = name.split(" ")
-        return len(self.offers[int(rest[0])][rest[1]].options) if rest else 1 + len(self.offers)
+        return 1 + len(self._choices) if name in self._slots else 0
 
     def case(self, params: Params) -> Case:
         """Return the case of these parameters. Two slots with the same fault at the same time are one fault."""
-        values = {key: _value(dimension, params[key]) for key, dimension in self.ranges.items()}
-        faults: list[Chosen] = []
-        for slot in range(self._slots):
-            if (offer := int(params[f"fault {slot}"]) + NO_FAULT) != NO_FAULT:
-                given = {
-                    name: _value(dimension, params.get(f"fault {slot} {offer} {name}", 0))
-                    for name, dimension in self.offers[offer].items()
-                }
-                if (one := Chosen(offer, given)) not in faults:
-                    faults.append(one)
-        return Case(self._changed(values), tuple(sorted(faults, key=lambda one: (one.offer, repr(one.given)))))
+        values = {
+            key: dimension.options[int(params[key])] if dimension.options else dimension.at(params[key])
+            for key, dimension in self.ranges.items()
+        }
+        changed = {key: value for key, value in values.items() if key not in self.nominal or value != self.nominal[key]}
+        faults = {repr(one): one for slot in self._slots if (one := self._chosen(params, slot)) is not None}
+        return Case(changed, tuple(faults[text] for text in sorted(faults)))
 
-    def _changed(self, values: Mapping[str, Any]) -> dict[str, Any]:
-        return {key: value for key, value in values.items() if key not in self.nominal or value != self.nominal[key]}
+    def _chosen(self, params: Params, slot: str) -> Chosen | None:
+        if not params[slot]:
+            return None
+        offer, target = self._choices[int(params[slot]) - 1]
+        numbers = {name: one.at(params[f"{slot} {name}"]) for name, one in self.offers[offer].items()}
+        return Chosen(offer, {"target": target, **numbers})
+
+    def coincident(self, params: Params, *, at_end: bool) -> Params:
+        """Return a case whose second fault begins just as the first one begins, or, with ``at_end``, as it ends."""
+        first, second = [*(self._chosen(params, slot) for slot in self._slots[:2]), None, None][:2]
+        if first is None or second is None or (start := self.offers[second.offer]["start_s"]).options:
+            return params
+        at_s = first.given["start_s"] + (first.given.get("duration_s", 0.0) if at_end else 0.0)
+        return {**params, f"{self._slots[1]} start_s": start.share(at_s)}
 
     @cached_property
     def nominal_params(self) -> Params:
         """The parameters nearest to the scenario as it is, without faults."""
-        params: dict[str, float | int] = dict.fromkeys((f"fault {slot}" for slot in range(self._slots)), 0)
+        params: dict[str, float | int] = {}
         for key, dimension in self.ranges.items():
             value = self.nominal.get(key)
             if dimension.options:
@@ -135,6 +145,8 @@ class Space:
             else:
                 is_number = isinstance(value, int | float) and not isinstance(value, bool)
                 params[key] = dimension.share(float(value)) if is_number else 0.5  # type: ignore[arg-type]
+        for slot in self._slots:
+            params |= {slot: 0, **{f"{slot} {name}": 0.5 for name in self._numbers}}
         return params
 
     def singles(self) -> list[list[Params]]:
@@ -146,28 +158,21 @@ class Space:
         for key, dimension in self.ranges.items():
             ends: Sequence[float | int] = range(len(dimension.options)) or (0.0, 1.0)
             found.append([{**self.nominal_params, key: end} for end in ends if end != self.nominal_params[key]])
-        for offer, dimensions in enumerate(self.offers if self._slots else ()):
-            starts = (0.2, 0.7) if not dimensions["start_s"].options else (0,)
-            for target in range(len(dimensions["target"].options)):
-                numbers = {name: 0 if one.options else 1.0 for name, one in dimensions.items()}
-                given = [{**numbers, "target": target, "start_s": start} for start in starts]
-                named = [{f"fault 0 {offer} {name}": value for name, value in one.items()} for one in given]
-                found.append([{**self.nominal_params, "fault 0": 1 + offer, **one} for one in named])
+        for choice, (offer, _) in enumerate(self._choices if self._slots else (), 1):
+            slot = self._slots[0]
+            strongest = {f"{slot} {name}": 1.0 for name in self.offers[offer]}
+            starts = (0.0,) if self.offers[offer]["start_s"].options else (0.2, 0.7)
+            found.append([{**self.nominal_params, slot: choice, **strongest, f"{slot} start_s": at} for at in starts])
         return found
 
     def combined(self, params: Sequence[Params]) -> Params:
         """Return the case that has what differs in all of these, the first first; there may be too many faults."""
         result = dict(self.nominal_params)
-        slot = 0
+        slots = iter(self._slots)
         for one in params:
-            if not one.get("fault 0"):
-                result |= {key: value for key, value in one.items() if value != self.nominal_params[key]}
-            elif slot < self._slots:
-                here = {name: value for name, value in one.items() if name.startswith("fault 0")}
-                result |= {f"fault {slot}{name.removeprefix('fault 0')}": value for name, value in here.items()}
-                slot += 1
+            changed = {name: value for name, value in one.items() if value != self.nominal_params[name]}
+            if not self._slots or not one[self._slots[0]]:
+                result |= changed
+            elif (slot := next(slots, None)) is not None:
+                result |= {f"{slot}{name.removeprefix(self._slots[0])}": value for name, value in changed.items()}
         return result
-
-
-def _value(dimension: Dimension, param: float | int) -> Any:
-    return dimension.options[int(param)] if dimension.options else dimension.at(float(param))
