@@ -231,8 +231,8 @@ def test_a_planted_defect_acts_where_its_condition_is_met_and_nowhere_else(tmp_p
 
 def test_defects_of_the_bench_are_found_together_as_they_are_alone(tmp_path: Path) -> None:
     defects = [one for one in planted.DEFECTS if one.name in ("turned far", "needle")]
-    together = bench.hunted_together(defects, tmp_path, 30, seed=1)
-    alone = {one.name: bench.hunted(one, tmp_path, 30, seed=1) for one in defects}
+    together = bench.hunted_together(defects, tmp_path, 12, seed=1)
+    alone = {one.name: bench.hunted(one, tmp_path, 12, seed=1) for one in defects}
     assert together["turned far"] is not None
     assert alone["turned far"] is not None
     assert together["needle"] == alone["needle"]
