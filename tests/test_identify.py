@@ -9,16 +9,22 @@ import numpy as np
 import pytest
 
 import hil as package
+import plant_fmu
 from hil.core.errors import BadInputError
+from hil.core.types import WHEEL_NAMES, Wheels
 from hil.identify import recorded
 from hil.identify.blocks import fit_blocks
 from hil.identify.drive import STEPS, Plan, perform, plan_step
 from hil.identify.identifiability import check_excitation
 from hil.identify.kinematics import fit_kinematics
+from hil.identify.mapped import fit_mapped
 from hil.identify.recorded import Drive, split
 from hil.identify.squeeze import grip_of
+from hil.plant.fmu import FmuPlant
+from hil.plant.signals import OUTPUTS
 from hil.runtime.assembly import RunOptions
 from hil.scenario import load
+from tests.foreign_fmu import foreign_fmu, foreign_map
 from tests.hidden_robots import hidden_robot, scenario_text, write_scenario
 from tests.processes import hil
 
@@ -214,3 +220,67 @@ def test_a_drive_that_cannot_be_planned_is_refused(tmp_path: Path, words: list[s
     done = hil("identify", "drive", scenario, "--yes", *words)
     assert done.returncode == 2
     assert sentence in done.stderr
+
+
+def test_named_parameters_of_a_mapped_fmu_are_fitted(drives: Path, tmp_path: Path) -> None:
+    """Our plant for FMI 3.0 by its path, as any FMU: mass and friction from the scenario's belief to the truth."""
+    scenario = tmp_path / "mine.toml"
+    text = scenario_text(ROBOT, {"contact": "slip"}, SEED)
+    fmu = json.dumps(str(plant_fmu.path(3)))
+    text = text.replace("[plant.start]", f"[plant]\nfmu = {fmu}\n\n[plant.start]")
+    for name in ("inertia_kg_m2", "friction_coefficient"):
+        text = text.replace(f"{name} = {ROBOT.true[name]}", f"{name} = {1.3 * ROBOT.true[name]}")
+    true_constant = ROBOT.true["motor_constant_n_m_a"]
+    text = text.replace(
+        f"_constant_n_m_a = {ROBOT.believed['motor_constant_n_m_a']}", f"_constant_n_m_a = {true_constant}"
+    )
+    scenario.write_text(text, encoding="utf-8")
+    names = ("--parameter", "inertia_kg_m2", "--parameter", "friction_coefficient")
+    out = tmp_path / "fitted.toml"
+    done = hil("identify", "fmu", scenario, drives / "floor.rrd", *names, "--out", out, "--json")
+    assert done.returncode == 0, done.stderr
+    found = json.loads(done.stdout)
+    jsonschema.validate(found, json.loads(Path(recorded.__file__).with_name("identify.schema.json").read_text()))
+    for one in found["estimates"]:
+        assert one["value"] == pytest.approx(ROBOT.true[one["name"]], rel=0.06)
+    assert load(out).plant.start["inertia_kg_m2"] == pytest.approx(found["estimates"][0]["value"], rel=1e-5)
+    done = hil(
+        "identify",
+        "fmu",
+        scenario,
+        drives / "floor.rrd",
+        "--parameter",
+        "inertai_kg_m2",
+        "--out",
+        tmp_path / "x.toml",
+    )
+    assert (done.returncode, "inertia_kg_m2" in done.stderr) == (2, True)
+
+
+def test_an_fmu_without_a_twist_at_its_start_is_stepped_from_rest(tmp_path: Path) -> None:
+    """The foreign robot of the tests: four wheels with an inertia, in its own units."""
+    mapping, constant, true = foreign_map(2), 0.5, 0.05
+    rows, period_ms = 800, 5
+    torque = 0.4 * np.sin(np.outer(np.arange(rows) * 0.005, [7.0, 9.0, 11.0, 13.0]))
+    torque[:10] = 0.0
+    angles, places = [np.zeros(4)], [OUTPUTS.index(f"wheel.{wheel}.angle_rad") for wheel in WHEEL_NAMES]
+    with FmuPlant(foreign_fmu(tmp_path, 2), {"J": true}, mapping) as plant:
+        for row in torque:
+            plant.step(Wheels(*map(float, row)), period_ms)
+            angles.append(np.array([plant.context.signal[place] for place in places]))
+    scenario = load("circle_speed")
+    time_s = 0.005 * np.arange(rows + 1)
+    drive = Drive(
+        Path("foreign"), scenario.robot, {}, 0.005, time_s, np.array(angles),
+        np.concatenate([np.zeros((1, 4)), torque]) / constant, np.zeros(rows + 1), np.zeros((0, 4)),
+        np.full((rows + 1, 3), np.nan),
+    )  # fmt: skip
+    rows_of_map = {
+        signal: {"name": row.name, "scale": row.scale, "sign": row.sign} for signal, row in mapping.rows.items()
+    }
+    given: dict[str, object] = {"plant.fmu": str(tmp_path / "wheels2.fmu"), "plant.start.J": 0.02}
+    given |= {f"plant.map.{signal}.{key}": value for signal, row in rows_of_map.items() for key, value in row.items()}
+    given |= {"firmware.torque_constant_n_m_a": constant, "firmware.counts_per_revolution": 1000}
+    found = fit_mapped([drive], drive, load("circle_speed", set=given), ["J"])
+    assert found.estimates[0].value == pytest.approx(true, rel=5e-3)
+    assert found.after_rad_s < 0.05 * found.before_rad_s

@@ -18,8 +18,8 @@ if TYPE_CHECKING:
     from hil.identify.estimates import Estimate
     from hil.identify.fit import Result
 
-SCHEMA, DRIVE_SCHEMA = "hil.identify/1", "hil.identify.drive/1"
-"""Name and version of the JSON of both commands; ``identify.schema.json`` in hil/identify describes it."""
+SCHEMA, DRIVE_SCHEMA, FMU_SCHEMA = "hil.identify/1", "hil.identify.drive/1", "hil.identify.fmu/1"
+"""Name and version of the JSON of each command; ``identify.schema.json`` in hil/identify describes it."""
 
 app = typer.Typer(
     cls=Group,
@@ -153,6 +153,69 @@ def fit(
     raise typer.Exit(0 if better else 1)
 
 
+@app.command("fmu")
+def fit_fmu(
+    scenario: o.ScenarioName,
+    recordings: Annotated[list[Path], Argument(metavar="RECORDING...", help="drives of the robot")],
+    parameter: Annotated[list[str], Option(metavar="NAME", help="of the FMU, to be fitted; may be repeated")],
+    held_out: Annotated[
+        _Recording, Option(metavar="RECORDING", help="the drive to judge by; by default the last third of the first")
+    ] = None,
+    robot: o.RobotFile = None,
+    sets: o.Sets = None,
+    out: Annotated[Path, Option(metavar="FILE.toml", help="a scenario with the values, which extends this one")] = Path(
+        "plant.toml"
+    ),
+    force: o.Force = False,
+    as_json: o.Json = False,
+) -> None:
+    """Fit parameters of a scenario's FMU, whatever it is, by their names; the scenario maps it to the bridge's signals.
+
+    The exit code is 1, and nothing is written, when it predicts the wheel speeds of the held-out drive no better.
+    """
+    from hil.core.outputs import check_free
+    from hil.identify.files import write_mapped
+    from hil.identify.mapped import fit_mapped
+    from hil.identify.recorded import read_drive, split
+    from hil.scenario import load
+
+    existing = existing_files(force=force)
+    check_free("file", out, existing)
+    base = load(scenario, set=sets or [], robot=robot)
+    drives = [read_drive(path) for path in recordings]
+    if held_out is None:
+        drives[0], judged_by = split(drives[0])
+    else:
+        judged_by = read_drive(held_out)
+    found = fit_mapped(drives, judged_by, base, parameter)
+    better = found.after_rad_s < found.before_rad_s
+    if better:
+        write_mapped(out, found, base, [*drives, judged_by], existing)
+    figures = {
+        "schema": FMU_SCHEMA,
+        "passed": better,
+        "estimates": [one._asdict() for one in found.estimates],
+        "held_out": {"before_rms_rad_s": found.before_rad_s, "after_rms_rad_s": found.after_rad_s},
+        "file": str(out) if better else None,
+    }
+    lines = [
+        *table([_HEAD, *map(_row, found.estimates)]),
+        "Held-out drive, error of the wheel speeds (rms):",
+        *rows([("before", f"{found.before_rad_s:.3g} rad/s"), ("fitted", f"{found.after_rad_s:.3g} rad/s")]),
+        f"Wrote {out}" if better else "The fit predicts no better than the scenario's values; nothing was written",
+    ]
+    print_result(as_json, figures, lines)
+    raise typer.Exit(0 if better else 1)
+
+
+_HEAD = ("value", "", "95 % from", "to", "", "")
+
+
+def _row(one: "Estimate") -> tuple[str, ...]:
+    interval = ("", "") if one.low == one.high else (f"{one.low:.5g}", f"{one.high:.5g}")
+    return one.name, f"{one.value:.5g}", *interval, one.status, one.why
+
+
 def _figures(result: "Result", found: "Sequence[Estimate]") -> dict[str, Any]:
     kinematics = result.kinematics
     return {
@@ -179,9 +242,7 @@ def _lines(result: "Result", found: "Sequence[Estimate]", written: Path | None) 
         yield from (f"  {one.sentence}" for one in result.outlook.unknown)
     yield from result.notes
     yield ""
-    head = ("value", "", "95 % from", "to", "", "")
-    shown = [(one.name, f"{one.value:.5g}", *_interval(one), one.status, one.why) for one in found]
-    yield from table([head, *shown])
+    yield from table([_HEAD, *map(_row, found)])
     kinematics, before = result.kinematics, result.before
     errors = [("before the fit", f"{1e3 * before.rms_m:.3g} mm")]
     errors += [(f"fitted, {model.contact}", f"{1e3 * model.held_out.rms_m:.3g} mm") for model in result.models]
@@ -195,7 +256,3 @@ def _lines(result: "Result", found: "Sequence[Estimate]", written: Path | None) 
         yield "The fit predicts no better than what was believed; nothing was written"
     else:
         yield f"Taken: {result.chosen.contact}. Wrote {written}: robot.toml for --robot, plant.toml to extend"
-
-
-def _interval(one: "Estimate") -> tuple[str, str]:
-    return ("", "") if one.low == one.high else (f"{one.low:.5g}", f"{one.high:.5g}")

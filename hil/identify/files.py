@@ -2,6 +2,7 @@
 
 import hashlib
 import json
+import os
 from collections.abc import Iterator, Mapping, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
@@ -11,7 +12,9 @@ from hil.core.options import format_value
 from hil.core.outputs import Existing, check_free, write_whole
 from hil.identify.estimates import TORQUE_CONSTANT, Estimate
 from hil.identify.fit import Result
+from hil.identify.mapped import MappedFit
 from hil.identify.recorded import Drive
+from hil.scenario import Scenario
 
 ROBOT_FILE = "robot.toml"
 PLANT_FILE = "plant.toml"
@@ -82,6 +85,21 @@ def write_figures(folder: Path, figures: Mapping[str, Any], existing: Existing) 
     return path
 
 
+def write_mapped(
+    path: Path, found: MappedFit, scenario: Scenario, made_from: Sequence[Drive], existing: Existing
+) -> None:
+    """Write a scenario that extends one and has the fitted start values of its FMU. Raises BadInputError as above."""
+    base = scenario.name if scenario.path is None else os.path.relpath(scenario.path, path.resolve().parent)
+    lines = [f"# Parameters of {scenario.plant.fmu}, as they were identified"]
+    lines += [f"# Made by hil identify fmu, {datetime.now(UTC).isoformat(timespec='seconds')}."]
+    before, after = found.before_rad_s, found.after_rad_s
+    lines.append(f"# Held-out drive: wheel speeds {after:.3g} rad/s off, {before:.3g} before the fit (rms).")
+    lines += [f"# {line}" for line in _recordings(made_from)]
+    lines += ["", f"extends = {format_value(Path(base).as_posix())}", "", "[plant.start]"]
+    lines += [_line(json.dumps(one.name), one.value, _words(one)) for one in found.estimates]
+    write_whole(path, "\n".join([*lines, ""]).encode(), "file", existing)
+
+
 def provenance(result: Result, made_from: Sequence[Drive]) -> Iterator[str]:
     """Yield when, by which model and from which recordings a result was made."""
     yield f"Made by hil identify fit, {datetime.now(UTC).isoformat(timespec='seconds')}."
@@ -90,6 +108,10 @@ def provenance(result: Result, made_from: Sequence[Drive]) -> Iterator[str]:
         f"Held-out drive: {rms:.2g} mm after a second, {before:.2g} mm before the fit, "
         f"against {result.chosen.held_out.against}."
     )
+    yield from _recordings(made_from)
+
+
+def _recordings(made_from: Sequence[Drive]) -> Iterator[str]:
     for drive in made_from:
         digest = hashlib.sha256(drive.path.read_bytes()).hexdigest()[:12] if drive.path.is_file() else "not there"
         yield f"From {drive.path.name}, SHA-256 {digest}."

@@ -56,7 +56,7 @@ class Floor:
 
     ``parameters`` are the fit's, in its order. ``start`` is shared by all windows. ``torque_constant_n_m_a`` turns
     currents into torques at the wheels. ``by_twist`` is False for an FMU whose twist at the start cannot be set: each
-    window then begins at rest. A context manager.
+    window then begins at rest. ``step_ns`` is the FMU's communication step, by default a whole row. A context manager.
 
     Raises BadInputError as ``WindowStepper``.
     """
@@ -71,6 +71,7 @@ class Floor:
         mapping: SignalMap | None = None,
         *,
         by_twist: bool = True,
+        step_ns: int | None = None,
     ) -> None:
         self._parameters, self._windows = parameters, windows
         self._bias = parameters.index(GYRO_BIAS) if GYRO_BIAS in parameters else None
@@ -80,13 +81,15 @@ class Floor:
         self.starts, self.start_steps = windows.twist[:, :count], _TWIST_STEPS[:count]
         self.least_sigmas = np.tile(_SENSORS, self.measured.shape[1] // MEASURED)
         names = [name for one in parameters for name in one.variables]
+        row_ns = round(windows.period_s * 1e9)
         self._stepper = WindowStepper(
             fmu,
             {name: value for name, value in start.items() if name not in names},
             mapping,
             varied=[*names, *TWIST[:count]],
             outputs=_SEEN,
-            step_ns=round(windows.period_s * 1e9),
+            step_ns=row_ns if step_ns is None else step_ns,
+            steps_a_row=1 if step_ns is None else round(row_ns / step_ns),
         )
 
     def predict(self, parameters: Array, starts: Array) -> Array:
