@@ -250,4 +250,7 @@ def test_a_hunt_runs_on_the_arm_target(tmp_path: Path) -> None:
         one.perform(tmp_path / str(id(one)))
         assert one.found is not None
     assert on_arm.found.case == here.found.case
-    assert on_arm.save(tmp_path, force=False).is_file()
+    saved = on_arm.save(tmp_path, force=False)
+    on_host = package.run(saved)
+    assert not on_host.passed
+    assert on_host.metrics["wire_sha256"] == on_arm.found.outcome.figures["wire_sha256"]

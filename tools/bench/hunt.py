@@ -11,7 +11,8 @@ random runs, serve all defects with a condition: where one is met the run is don
 it then breaks something. If it does not, the defect is hunted for by itself. Of conditions that are known before a run,
 random search does only the runs that meet them.
 
-By default this is one short hunt; HUNT.md has ``--random 4000 --hunts 3 --cap 700 --page hil/batch/hunt/HUNT.md``.
+By default this is one short hunt, a minute of processor time. HUNT.md has ``--random 4000 --hunts 3 --cap 700 --page
+hil/batch/hunt/HUNT.md``, which takes ten.
 """
 
 import argparse
