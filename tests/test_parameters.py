@@ -1,32 +1,19 @@
-"""Parameters by index: every one read and written, refused out of range or out of IDLE, and kept across a reset."""
+"""Parameters by index: every one read and written, refused out of range or out of IDLE."""
 
 import math
 import struct
-import zlib
 
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
-from firmware_protocol.capabilities import Capability
 from firmware_protocol.framing import Frame
 from firmware_protocol.generated import messages as m
 from firmware_protocol.generated.messages import Operation, Result, State, Type
-from firmware_protocol.host import Parameter, parameter_hash, parameters, stored_parameters
-from tests.bare_node import ALL, BareNode
+from firmware_protocol.host import parameter_hash, stored_parameters
+from tests.bare_node import BareNode
+from tests.parameter_rig import ROWS, ask, bits, single
 from tests.wheel_rig import PARAMETERS, WheelRig
 
-ROWS = parameters()
 each = pytest.mark.parametrize("index", range(len(ROWS)), ids=[p.name for p in ROWS])
-
-
-def bits(row: Parameter, value: float) -> int:
-    """The value as it crosses the wire."""
-    return int(value) if row.type is Type.UINT32 else int(struct.unpack("<I", struct.pack("<f", value))[0])
-
-
-def single(value: float) -> float:
-    return float(struct.unpack("<f", struct.pack("<f", value))[0])
 
 
 def next_single(value: float, towards: float) -> float:
@@ -36,17 +23,6 @@ def next_single(value: float, towards: float) -> float:
     (raw,) = struct.unpack("<i", struct.pack("<f", value))
     raw += 1 if (towards > value) == (value > 0.0) else -1
     return float(struct.unpack("<f", struct.pack("<i", raw))[0])
-
-
-def ask(
-    node: WheelRig | BareNode, operation: Operation, index: int = 0, value: int = 0, transaction: int = 7
-) -> m.ParameterResponse:
-    node.heard()
-    node.send(m.ParameterRequest(index, operation, transaction, value))
-    (answer,) = [x for x in node.heard() if isinstance(x, m.ParameterResponse)]
-    assert answer.transaction == transaction
-    assert (answer.operation, answer.parameter) == (operation, index)
-    return answer
 
 
 @pytest.mark.proves("R-PAR-1", "R-PAR-2")
@@ -184,93 +160,6 @@ def test_a_change_takes_effect() -> None:
     assert rig.state is State.STOPPING
 
 
-def stored_after(changes: dict[str, float]) -> bytes:
-    rig = WheelRig()
-    for index, row in enumerate(ROWS):
-        if row.name in changes:
-            assert ask(rig, Operation.WRITE, index, bits(row, changes[row.name])).result == Result.OK
-    answer = ask(rig, Operation.STORE)
-    assert (answer.result, answer.value) == (Result.OK, parameter_hash(PARAMETERS | changes))
-    kept = rig.node.stored()
-    assert kept is not None
-    return kept
-
-
-@pytest.mark.proves("R-PAR-5")
-@given(
-    st.fixed_dictionaries(
-        {}, optional={p.name: st.floats(single(p.minimum), single(p.maximum), width=32) for p in ROWS[1:]}
-    )
-)
-def test_what_is_stored_is_in_force_after_a_reset(changes: dict[str, float]) -> None:
-    kept = stored_after(changes)
-    again = WheelRig(stored=kept)
-    read = [ask(again, Operation.READ, i).value for i in range(len(ROWS))]
-    assert read == [bits(p, (PARAMETERS | changes)[p.name]) for p in ROWS]
-
-
-@pytest.mark.proves("R-PAR-5")
-def test_without_a_store_a_reset_forgets() -> None:
-    rig = WheelRig()
-    ask(rig, Operation.WRITE, 18, bits(ROWS[18], 0.5))
-    assert rig.node.stored() is None
-
-
-@pytest.mark.proves("R-PAR-6", "R-PAR-9")
-def test_restore_goes_back_to_the_build_also_after_a_reset() -> None:
-    rig = WheelRig(stored=stored_after({"ramp_s": 0.5, "watchdog_s": 0.1}))
-    answer = ask(rig, Operation.RESTORE)
-    assert (answer.result, answer.value) == (Result.OK, parameter_hash(PARAMETERS))
-    assert [ask(rig, Operation.READ, i).value for i in range(len(ROWS))] == [bits(p, PARAMETERS[p.name]) for p in ROWS]
-
-
-KEPT = stored_after({"ramp_s": 0.5})
-
-
-def ramp_with(stored: bytes) -> float:
-    rig = WheelRig(stored=stored)
-    assert rig.state is State.IDLE
-    (raw,) = [ask(rig, Operation.READ, i).value for i, p in enumerate(ROWS) if p.name == "ramp_s"]
-    return float(struct.unpack("<f", struct.pack("<I", raw))[0])
-
-
-def sealed(body: bytes) -> bytes:
-    return body + struct.pack("<I", zlib.crc32(body))
-
-
-@pytest.mark.proves("R-PAR-13")
-def test_any_one_wrong_bit_of_what_was_stored_is_noticed() -> None:
-    assert ramp_with(KEPT) == 0.5
-    assert sealed(KEPT[:-4]) == KEPT, "the checksum is the usual CRC-32"
-    whole = int.from_bytes(KEPT, "little")
-    for bit in range(8 * len(KEPT)):
-        damaged = (whole ^ 1 << bit).to_bytes(len(KEPT), "little")
-        assert ramp_with(damaged) == single(PARAMETERS["ramp_s"]), bit
-
-
-@pytest.mark.proves("R-PAR-13")
-@given(cut=st.integers(0, len(KEPT) - 1), fill=st.sampled_from([b"\0", b"\xff"]))
-def test_a_power_cut_while_storing_leaves_the_build_in_force(cut: int, fill: bytes) -> None:
-    """The port wrote the first bytes, and the rest is as the flash was erased."""
-    assert ramp_with(KEPT[:cut] + fill * (len(KEPT) - cut)) == single(PARAMETERS["ramp_s"])
-
-
-@pytest.mark.proves("R-PAR-13")
-@pytest.mark.parametrize(
-    "foreign",
-    [
-        sealed(b"WHP1" + KEPT[4:-4]),
-        sealed(KEPT[:4] + struct.pack("<I", 19) + KEPT[8:-4]),
-        stored_parameters(PARAMETERS | {"ramp_s": 0.5}, 3),
-        sealed(KEPT[:-8] + struct.pack("<f", 5.0)),
-        sealed(KEPT[:12] + struct.pack("<f", math.nan) + KEPT[16:-4]),
-    ],
-    ids=["another layout", "another table", "another board", "out of range", "no number"],
-)
-def test_what_another_firmware_stored_is_ignored_as_a_whole(foreign: bytes) -> None:
-    assert ramp_with(foreign) == single(PARAMETERS["ramp_s"])
-
-
 @pytest.mark.proves("R-PAR-7")
 def test_a_board_ends_a_range_where_its_hardware_does() -> None:
     ffi = BareNode().ffi
@@ -286,51 +175,3 @@ def test_a_board_ends_a_range_where_its_hardware_does() -> None:
     assert single(kept.node.parameters.ramp_s) == single(PARAMETERS["ramp_s"])
     wrong = BareNode(changes={"ramp_s": 0.5}, maximum=maximum)
     assert (wrong.state, wrong.node.fault) == (State.FAULT, m.Fault.PARAMETERS)
-
-
-@pytest.mark.proves("R-PAR-12")
-def test_a_robot_without_storage_says_so() -> None:
-    node = BareNode(capabilities=ALL & ~Capability.STORAGE)
-    refused = ask(node, Operation.STORE)
-    assert (refused.result, refused.value) == (Result.STORAGE, parameter_hash(PARAMETERS))
-    assert ask(node, Operation.RESTORE).result == Result.OK
-
-
-@pytest.mark.proves("R-PAR-3", "R-PAR-11")
-@pytest.mark.parametrize("kept", [True, False])
-def test_a_store_is_answered_when_the_port_is_done_and_bars_changes_until_then(kept: bool) -> None:
-    node = BareNode()
-    block = node.ffi.new("uint8_t[]", len(KEPT))
-    assert not node.lib.wheel_node_store_pending(node.node, block)
-    node.lib.wheel_node_stored(node.node, True)  # nobody asked
-    node.heard()
-    node.send(m.ParameterRequest(0, Operation.STORE, 9, 0))
-    assert node.heard() == []
-    assert node.lib.wheel_node_store_pending(node.node, block)
-    assert bytes(block) == sealed(bytes(block)[:-4])
-    for operation in (Operation.WRITE, Operation.STORE, Operation.RESTORE):
-        assert ask(node, operation, 0, 4096).result == Result.STATE
-    assert ask(node, Operation.READ, 0).result == Result.OK
-    node.lib.wheel_node_stored(node.node, kept)
-    (answer,) = node.heard()
-    assert isinstance(answer, m.ParameterResponse)
-    assert (answer.operation, answer.transaction) == (Operation.STORE, 9)
-    assert (answer.result, answer.value) == (Result.OK if kept else Result.STORAGE, parameter_hash(PARAMETERS))
-    assert not node.lib.wheel_node_store_pending(node.node, block)
-    assert ask(node, Operation.WRITE, 0, 2048).result == Result.OK
-
-
-@pytest.mark.proves("R-REF-2")
-def test_a_robot_does_not_arm_while_its_parameters_are_being_kept() -> None:
-    """Writing flash may stop a processor for longer than a watchdog: the drives would hold what they had."""
-    node = BareNode()
-    node.send(m.ParameterRequest(0, Operation.STORE, 9, 0))
-    node.heartbeat(m.Request.IDLE, 0x51)
-    node.heartbeat(m.Request.ARM, 0x51)
-    assert (node.state, node.node.arm_refusal) == (m.State.IDLE, m.ArmRefusal.NOT_IDLE)
-    node.lib.wheel_node_stored(node.node, True)
-    node.heartbeat(m.Request.ARM, 0x51)
-    assert node.state is m.State.IDLE, "a refusal uses up the announcement"
-    node.heartbeat(m.Request.IDLE, 0x52)
-    node.heartbeat(m.Request.ARM, 0x52)
-    assert node.state is m.State.ARMED

@@ -46,6 +46,7 @@ TESTS = (
     "tests/test_direct.py",
     "tests/test_line_of_the_library.py",
     "tests/test_parameters.py",
+    "tests/test_stored_parameters.py",
     "tests/test_protocol_rules.py",
     "tests/test_snapshot.py",
     "tests/test_snapshot_twin.py",

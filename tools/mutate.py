@@ -35,13 +35,16 @@ _OF_THE_NODE = (
     "tests/test_node_feedback.py",
     "tests/test_node_replay.py",
     "tests/test_parameters.py",
+    "tests/test_stored_parameters.py",
 )
+_OF_PARAMETERS = ("tests/test_parameters.py", "tests/test_stored_parameters.py")
 _OF_THE_CLIENT = ("tests/test_client_frames.py", "tests/test_client.py")
 FILES = {
     **dict.fromkeys(("states.c", "receive.c", "supervise.c", "node.c"), _OF_THE_NODE),
     **dict.fromkeys(("arming.c", "session.c"), (*_OF_THE_CLIENT, "tests/test_snapshot.py")),
     "incoming.c": ("tests/test_snapshot.py", *_OF_THE_CLIENT, "tests/test_snapshot_twin.py"),
-    "service.c": ("tests/test_parameters.py", "tests/test_node_feedback.py", "tests/test_protocol_rules.py"),
+    "service.c": (*_OF_PARAMETERS, "tests/test_node_feedback.py", "tests/test_protocol_rules.py"),
+    "parameters.c": (*_OF_PARAMETERS, "tests/test_node.py"),
     **dict.fromkeys(("line.c", "framing.c", "cobs.c", "crc.c"), ("tests/test_line_of_the_library.py",)),
 }
 """The tests of each file whose mutants are tried."""
