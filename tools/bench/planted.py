@@ -248,7 +248,10 @@ DEFECTS = (
     Defect("slow wheels", "law", "a limit of each wheel's acceleration by itself",
            keys={"controller.gains.rate": 38.0}),
 )  # fmt: skip
-"""They were chosen, and their levels set by the rate of random search, before a hunt looked for them."""
+"""They were chosen before a hunt looked for them, and their levels set by the share of random runs that meet them.
+
+Those of weak motors, large wheels and slow wheels were set anew, by that share, after a first hunt.
+"""
 
 
 def hunt_of(sets: Mapping[str, Any], folder: Path, runs: int, seed: int) -> Hunt:
