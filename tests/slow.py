@@ -55,6 +55,11 @@ SLOW = (
     "test_trace.py::test_a_device_traces_its_own_end",
     "test_verify.py::test_a_verification_that_was_killed_goes_on",
     # Many runs, or long ones.
+    "test_commission.py::test_a_random_wiring_is_found_as_it_is[stm32-MuJoCo",
+    "test_commission.py::test_a_random_wiring_is_found_as_it_is[odrive",
+    "test_commission.py::test_a_random_wiring_is_found_as_it_is[c620",
+    "test_commission.py::test_a_random_wiring_is_found_as_it_is[vesc",
+    "test_commission.py::test_a_random_wiring_is_found_as_it_is[moteus",
     "test_verify.py::test_a_file_of_tests_notices_a_mutant_also_in_the_process_of_a_robot",
     "test_comparison.py::test_the_command_gives_and_writes_the_figures_of_the_runs_the_same_every_time",
     "test_fmu_calls.py::test_two_thousand_instances_leave_nothing_behind",

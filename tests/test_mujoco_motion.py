@@ -204,7 +204,7 @@ def test_on_blocks_each_wheel_turns_by_its_own_torque_and_the_body_stands() -> N
         assert plant.pose == pytest.approx(place, abs=1e-6)
         assert not plant.twist.any()
         assert not plant.wheels("load_n").any()
-        assert plant.get("accelerometer.z_m_s2")[0] == pytest.approx(9.81, abs=0.01)
+        assert plant.get("accelerometer.z_m_s2")[0] == pytest.approx(9.81, abs=0.03)
         plant.set(**dict.fromkeys(LIFTED, 0.0))
         plant.torque(np.zeros(4))
         plant.step(300)

@@ -39,6 +39,8 @@ SHIPPED = {
     "doctor": "Check this machine and print remedies; exit 1 when there is a problem.",
     "probe": "Find the motor controllers on a bus or a port, and print a robot file for them.",
     "jog": "Turn one wheel slowly, with its name typed first, to check order and direction of the motors.",
+    "commission": "Find out, step by step, how a robot is wired, on blocks and on the floor, and write it into its "
+    "file.",
     "params": "Show and change the parameters of a robot's firmware; it must be in IDLE to change. All are checked "
     "first.",
     "identify": "Drive your robot so that it shows what it is made of, and fit a plant to the recordings.",

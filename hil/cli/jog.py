@@ -121,7 +121,7 @@ def turn_wheel(
     check(scenario, wheel, speed_rad_s, seconds)
     period_ns = scenario.loop.period_ns
     stale_ns = round(scenario.firmware.watchdog_s * 1e9)
-    with Bench(scenario, None, allow_motion=True) as bench:
+    with Bench(scenario, None, allow_motion=True, wiring_is_unknown=True) as bench:
         device = bench.device
         bench.connect()
         for sentence in device.warnings:

@@ -2,16 +2,16 @@
 
 import functools
 from abc import ABC, abstractmethod
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any, ClassVar, Self
 
 from firmware_protocol.built import BuildError
 from firmware_protocol.host import Loaded, load_library
-from hil.core.errors import BadInputError
+from hil.core.errors import BadInputError, DeviceError, nearest
 from hil.plant.built import COSIM, HEADERS
 from hil.plant.mapping import Connection, Wiring
 from hil.plant.signals import OUTPUTS
-from hil.plant.start import count, elements_at_start
+from hil.plant.start import Settable, count, elements_at_start
 
 _FMI2_TYPES = {"Real": "Float64", "Integer": "Int32"}
 _C_TYPES = {"Float64": "double", "Float32": "float"}
@@ -50,6 +50,7 @@ class PlantPort(ABC):
     _functions: ClassVar[str]
     """With what the names of the shim's functions begin."""
     _context: Any
+    settable: Mapping[str, Settable]
 
     @property
     def exchange_address(self) -> int:
@@ -65,6 +66,25 @@ class PlantPort(ABC):
     def context_address(self) -> int:
         """Address of the context of both functions."""
         return int(load()[0].cast("uintptr_t", self._context))
+
+    def set_variable(self, name: str, value: float) -> None:
+        """Set a tunable parameter or free input, from the next tick on.
+
+        Raises BadInputError when the FMU has none of this name, DeviceError when it refuses the value.
+        """
+        if name not in self.settable:
+            raise BadInputError(
+                f"the FMU has no tunable parameter or free input {name!r}{nearest(name, self.settable)}"
+            )
+        ffi, _ = load()
+        call = ffi.cast("int (*)(void *, size_t, double)", self.set_address)
+        if call(self._context, self.settable[name].place, value) != 0:
+            raise DeviceError(f"the plant refused {name} = {value:g}: {self.message}")
+
+    @property
+    @abstractmethod
+    def message(self) -> str:
+        """Why the last exchange failed; empty if it did not fail."""
 
     @abstractmethod
     def close(self) -> None:

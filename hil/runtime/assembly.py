@@ -197,12 +197,12 @@ class _Run:
         self._bench = resources.enter_context(bench)
         # First the robot, then the recorder: a failed connection leaves no empty recording behind.
         robot = self._reach(bench.connect)
-        self._warn(bench.device.warnings)
+        self._warn(bench.warnings)
         if options.is_recorded:
             self._recording = resources.enter_context(self._open_recording())
             self._recording.event(0.0, "info", f"robot: {robot.describe()}")
             self._recording.event(0.0, "info", f"link: {bench.device.describe_link()}")
-            for sentence in (*self._feasibility.sentences, *bench.device.warnings):
+            for sentence in (*self._feasibility.sentences, *bench.warnings):
                 self._recording.event(0.0, "warning", sentence)
         if self._destination is not None:
             stream = UdpStream(self._destination, signals=laws.signals, blocking=self._is_lockstep)

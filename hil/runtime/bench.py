@@ -38,6 +38,7 @@ from hil.runtime.robots import (
     wheel_map,
 )
 from hil.scenario import Scenario
+from hil.scenario.commission import require_commissioned
 from hil.scenario.motors import make_driver
 from hil.scenario.plant import WiringTable
 from hil.wire.conditions import ConditionedLink
@@ -53,6 +54,8 @@ class Bench:
     If the link is within this process, the virtual robot is made here too. Otherwise the robot is elsewhere, and
     ``truth`` is the URL of its truth socket, if it has one. ``trace`` records the frames on the wire. ``make_robot``
     makes a robot in this process, ``make_node`` its firmware. ``signals`` are the names of the run's signals.
+    ``wiring_is_unknown`` is for what finds out how a robot is wired: anything else may not move one whose commissioning
+    was begun and is not done.
 
     Raises BadInputError, LinkError or DeviceError when a part cannot be opened.
 
@@ -70,6 +73,7 @@ class Bench:
         truth: str | None,
         *,
         allow_motion: bool,
+        wiring_is_unknown: bool = False,
         trace: Trace | None = None,
         make_node: MakeNode | None = None,
         make_robot: MakeRobot = new_robot,
@@ -80,6 +84,7 @@ class Bench:
         self._has_hidden_wiring = scenario.plant.wiring != WiringTable()
         self._protocol = protocol_of(scenario.device)
         self.local: LocalRobot | None = None
+        self._uncommissioned: str | None = None
         self.truth: PoseSource | None = None
         self.device: Device
         self.clock: Clock = LockstepClock(lambda ticks: self.device.step(ticks)) if self._is_lockstep else WallClock()
@@ -97,6 +102,8 @@ class Bench:
             else:
                 if allow_motion:
                     mutation().refuse_motion()
+                if allow_motion and not wiring_is_unknown:
+                    self._uncommissioned = require_commissioned(scenario.commission)
                 self._open_truth(truth, resources)
                 resources.enter_context(guarding)  # released only after the link was closed
                 link = link_of(scenario).open_host(self.faults.line, self._protocol)
@@ -193,6 +200,16 @@ class Bench:
         return Stm32(
             link, scenario.controller.mode, expected, nonces, wheel_map(scenario.device), ImuMount(scenario.device.imu)
         )
+
+    @property
+    def warnings(self) -> Sequence[str]:
+        """Warnings for the user before anything moves: the device's, and ``uncommissioned``."""
+        return [*self.device.warnings, *filter(None, (self.uncommissioned,))]
+
+    @property
+    def uncommissioned(self) -> str | None:
+        """A warning for a real robot that nobody has commissioned; None without one."""
+        return self._uncommissioned if self.truth is None else None
 
     def begin(self, origin_ns: int) -> None:
         """Set the start of the scenario's time: ``origin_ns`` on the clock, the first ACTIVE tick."""

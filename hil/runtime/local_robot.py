@@ -2,7 +2,7 @@
 
 import contextlib
 import threading
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 from hil.core.errors import HilError
 from hil.core.ports import Link, PoseSource
@@ -88,6 +88,30 @@ class LocalRobot:
     def applied(self) -> list[int]:
         """Return how often each row was applied so far."""
         return self.robot.faults.applied()
+
+    def set_variables(self, values: Mapping[str, float]) -> None:
+        """Set variables of the plant between two exchanges, and wait until they are set.
+
+        Raises BadInputError and DeviceError as ``PlantPort.set_variable``.
+        """
+        if self._server is None or self._thread is None:
+            for name, value in values.items():
+                self.robot.plant.set_variable(name, value)
+            return
+        done, problems = threading.Event(), list[HilError]()
+
+        def apply() -> None:
+            try:
+                for name, value in values.items():
+                    self.robot.plant.set_variable(name, value)
+            except HilError as error:
+                problems.append(error)
+            done.set()
+
+        self._server.run_on_faults(lambda _: apply())
+        done.wait(_ANSWER_S)
+        if problems:
+            raise problems[0]
 
     # State and end
 

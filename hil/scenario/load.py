@@ -27,7 +27,7 @@ from hil.scenario.values import is_path
 SHIPPED_DIRECTORY = Path(__file__).parent / "shipped"
 SUITE_DIRECTORY = SHIPPED_DIRECTORY / "suite"
 """Short scenarios that go where defects are: what ``hil verify`` runs."""
-ROBOT_TABLES = ("robot", "firmware", "device", "link", "realtime")
+ROBOT_TABLES = ("robot", "firmware", "device", "link", "realtime", "commission")
 """Tables that a robot's own file may hold, so that any scenario runs on it."""
 
 _SUFFIX = ".toml"

@@ -17,6 +17,7 @@ from hil.drivers.registry import OUR_DRIVER, driver_names, make_settings
 from hil.estimation.choice import EstimatorOptions
 from hil.laws.shadows import short_name
 from hil.robot.wheel_map import IMU_AXES
+from hil.scenario.commission import CommissionTable
 from hil.scenario.plant import PlantTable
 from hil.scenario.trial import AllowTable, ExpectTable, FaultTable
 from hil.scenario.values import (
@@ -249,5 +250,6 @@ class Tables:
     realtime: RealtimeTable = RealtimeTable()
     service: ServiceTable = ServiceTable()
     allow: AllowTable = field(default_factory=AllowTable)
+    commission: CommissionTable = field(default_factory=CommissionTable)
     fault: tuple[FaultTable, ...] = ()
     expect: tuple[ExpectTable, ...] = ()

@@ -179,6 +179,8 @@ class _Service:
         options = self.options
         signals = self.parts.laws.signals
         self._bench = Bench(self.scenario, options.truth, allow_motion=options.allow_motion, signals=signals)
+        if self._bench.uncommissioned is not None:
+            logs.warning("robot not commissioned", why=self._bench.uncommissioned)
         return self._bench
 
     def _attend(self, why: str) -> bool:

@@ -91,8 +91,11 @@ static bool stepped(plant_instance *plant, const workshop *w) {
                 plant->now.time_s);
         }
     }
+    mjtNum place[7];
+    mju_copy(place, w->data->qpos, 7);
     mj_implicit(w->model, w->data);
     if (is_held(&w->parameters)) {
+        mju_copy(w->data->qpos, place, 7);
         mju_zero(w->data->qvel, wheel_velocity(0));
     }
     return true;

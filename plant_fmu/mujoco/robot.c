@@ -12,8 +12,9 @@ static const char *const NAMES[MECANUM_WHEELS] = {"fl", "fr", "rr", "rl"};
 static const double AHEAD[MECANUM_WHEELS] = {1.0, 1.0, -1.0, -1.0};
 static const double LEFT[MECANUM_WHEELS] = {1.0, -1.0, -1.0, 1.0};
 
-/* Added to the body's six inertias where it stands on blocks [kg, kg m2]: nothing moves it then. */
-static const double HELD_BY = 1e9;
+/* Added to the body's six inertias where it stands on blocks [kg, kg m2]: no wheel's torque moves it then.
+ * With far more the solver, whose tolerance follows the mean inertia, no longer lets a wheel stick. */
+static const double HELD_BY = 1e4;
 
 static const mjtSize ARENA_BYTES = 1 << 20; /* what MuJoCo works in */
 
@@ -271,7 +272,8 @@ mjSpec *robot_specification(const mecanum_parameters *p, char *problem, size_t s
     mjsBody *const chassis = add_chassis(spec, p, &m);
     for (int place = 0; place < MECANUM_WHEELS; place++) {
         add_wheel(spec, chassis, p, &m, place);
-        if (is_lifted(p, place)) {
+        /* A body that nothing moves needs no blocks, and their contacts would shake it. */
+        if (is_lifted(p, place) && !is_held(p)) {
             add_block(chassis, p, place);
         }
     }

@@ -1,0 +1,141 @@
+"""Who answers the questions of commissioning: a person at a terminal, a file, or the truth of a virtual robot."""
+
+import math
+import sys
+import tomllib
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, Protocol
+
+from hil.commission.wirings import DIRECTIONS
+from hil.core.errors import BadInputError, RunInterruptedError, nearest
+from hil.core.types import WHEEL_NAMES, Pose
+from hil.robot.wheel_map import Wiring
+
+_HAND_N_PER_KG, _HAND_STEPS = 1.0, 40
+
+
+class Person(Protocol):
+    """Answers questions; each has a key, under which an answers file holds its answer."""
+
+    def confirm(self, key: str, sentence: str) -> None:
+        """Return once the person agrees. Raises RunInterruptedError when they do not: nothing was moved then."""
+
+    def choose(self, key: str, question: str, choices: Sequence[str]) -> str:
+        """Return one of the choices."""
+
+    def measure(self, key: str, question: str) -> float | None:
+        """Return a number; None when the person leaves it out."""
+
+
+def _stopped(key: str) -> RunInterruptedError:
+    return RunInterruptedError(f"stopped before the step {key}; nothing was moved for it. Go on with the same command")
+
+
+class Terminal:
+    """A person at a terminal: prompts go to stderr, so that stdout holds the result alone."""
+
+    def confirm(self, key: str, sentence: str) -> None:
+        if self._ask(f"{sentence}\nType yes to go on: ").lower() not in ("y", "yes"):
+            raise _stopped(key)
+
+    def choose(self, key: str, question: str, choices: Sequence[str]) -> str:
+        while True:
+            answer = self._ask(f"{question} ({', '.join(choices)}): ").lower()
+            if answer in choices:
+                return answer
+            print(f"{answer!r}: expected one of {', '.join(choices)}", file=sys.stderr)
+
+    def measure(self, key: str, question: str) -> float | None:
+        while True:
+            answer = self._ask(f"{question} (Enter to leave it out): ")
+            if not answer:
+                return None
+            try:
+                value = float(answer.replace(",", "."))
+            except ValueError:
+                value = math.nan
+            if value > 0.0:
+                return value
+            print(f"{answer!r}: expected a number above 0", file=sys.stderr)
+
+    def _ask(self, prompt: str) -> str:
+        print(prompt, end="", file=sys.stderr, flush=True)
+        line = sys.stdin.readline()
+        if not line:
+            raise RunInterruptedError("the input has ended; go on with the same command")
+        return line.strip()
+
+
+class Answers:
+    """A TOML file of answers by key: ``true`` for what is confirmed, texts for choices, numbers for measures."""
+
+    def __init__(self, path: Path) -> None:
+        try:
+            self._answers: dict[str, Any] = tomllib.loads(path.read_text(encoding="utf-8"))
+        except OSError as error:
+            raise BadInputError(f"--answers {path}: it cannot be read ({error.strerror})") from error
+        except ValueError as error:
+            raise BadInputError(f"--answers {path}: not valid TOML: {error}") from error
+        self._path = path
+
+    def _of(self, key: str) -> Any:
+        if key not in self._answers:
+            raise BadInputError(f"--answers {self._path}: it has no answer {key!r}{nearest(key, self._answers)}")
+        return self._answers[key]
+
+    def confirm(self, key: str, sentence: str) -> None:
+        if self._of(key) is not True:
+            raise _stopped(key)
+
+    def choose(self, key: str, question: str, choices: Sequence[str]) -> str:
+        answer = self._of(key)
+        if answer not in choices:
+            raise BadInputError(f"--answers {self._path}: {key} = {answer!r}; expected one of {', '.join(choices)}")
+        return str(answer)
+
+    def measure(self, key: str, question: str) -> float | None:
+        answer = self._of(key)
+        if answer is False:
+            return None
+        if isinstance(answer, bool) or not isinstance(answer, int | float) or not answer > 0:
+            raise BadInputError(f"--answers {self._path}: {key} = {answer!r}; expected a number above 0, or false")
+        return float(answer)
+
+
+class Onlooker:
+    """Answers for a virtual robot in this process, at which nobody can look: from its wiring and its true pose.
+
+    ``truth`` returns the true pose; call ``look`` before the robot moves.
+    """
+
+    def __init__(self, wiring: Wiring, pose: Any) -> None:
+        self._wiring, self._pose = wiring, pose
+        self._before: Pose = pose()
+
+    def confirm(self, key: str, sentence: str) -> None:
+        self._before = self._pose()
+
+    def choose(self, key: str, question: str, choices: Sequence[str]) -> str:
+        motors = self._wiring.motors
+        if key == "first_wheel":
+            return WHEEL_NAMES[motors.wheel_of_channel[0]]
+        if key == "first_way":
+            return "forward" if motors.sign_of_channel[0] > 0 else "backward"
+        x_m, y_m, turned_rad = self._moved()
+        parts = (x_m, y_m, 0.2 * turned_rad)
+        axis = max(range(3), key=lambda i: abs(parts[i]))
+        return DIRECTIONS[2 * axis + (parts[axis] < 0.0)]
+
+    def measure(self, key: str, question: str) -> float | None:
+        x_m, y_m, turned_rad = self._moved()
+        if key == "pushed_turns":
+            return abs(turned_rad) / math.tau
+        return math.hypot(x_m, y_m)
+
+    def _moved(self) -> tuple[float, float, float]:
+        """Return how far the robot moved since the last confirmation, in the frame that its body had then."""
+        now, before = self._pose(), self._before
+        c, s = math.cos(before.heading_rad), math.sin(before.heading_rad)
+        dx, dy = now.x_m - before.x_m, now.y_m - before.y_m
+        return c * dx + s * dy, c * dy - s * dx, now.heading_rad - before.heading_rad

@@ -1,0 +1,246 @@
+"""Which wiring fits what short pulses of torque did: every one is scored, and the best must lead.
+
+A pulse of one channel accelerates the robot along the roller of its wheel and turns it. Accelerometer, gyro and the
+encoders of the other three wheels see that. With rows h = (1, s, s x - y) of a wheel at (x, y), s = -1 for FL and RR, 1
+for FR and RL, and the opposite for rollers O, a wheel that drives with the torque τ gives at rest
+
+    (ax, ay, α) = (h₁ / m', h₂ / m', h₃ / I') τ / r,    r ω̇ᵢ = hᵢ · (ax, ay, α)
+
+with m' = m + 4 J / r² and I' = I + 4 J (L / r)². The score is the cosine between prediction and measurement, so that
+the size of m, I and τ does not count, only the ratio of yaw to translation. IMU and encoders have a cosine each, of
+which the score is the mean: the counts of a turn are not known yet.
+"""
+
+import functools
+import itertools
+import math
+from collections.abc import Sequence
+from typing import Any, Literal, NamedTuple
+
+import numpy as np
+
+from hil.core.model import RobotModel
+from hil.core.types import WHEEL_NAMES
+
+Rollers = Literal["x", "o"]
+Direction = Literal["forward", "backward", "left", "right", "turned left", "turned right"]
+DIRECTIONS: tuple[Direction, ...] = ("forward", "backward", "left", "right", "turned left", "turned right")
+Array = np.ndarray[Any, np.dtype[np.float64]]
+
+FITS = 0.85
+"""The least score of a wiring that explains the measurement."""
+LEAD = 0.02
+"""By how much a wiring must score less than the best to be ruled out."""
+_FRONT, _LEFT = (1, 1, -1, -1), (1, -1, -1, 1)
+_TURNS = ((1.0, 0.0), (0.0, 1.0), (-1.0, 0.0), (0.0, -1.0))  # cosine and sine of quarter turns
+
+
+class Candidate(NamedTuple):
+    """A wiring: the wheel of each channel (0 to 3: FL, FR, RR, RL), its direction (1 or -1), rollers, and the IMU.
+
+    ``quarter_turns`` is how far the IMU is turned to the left about the upright, after its third axis was laid upright.
+    """
+
+    wheels: tuple[int, ...]
+    signs: tuple[int, ...]
+    rollers: Rollers
+    quarter_turns: int
+
+    @property
+    def wheel_names(self) -> tuple[str, ...]:
+        """The wheel of each channel."""
+        return tuple(WHEEL_NAMES[wheel] for wheel in self.wheels)
+
+    @property
+    def reversed_wheels(self) -> tuple[str, ...]:
+        """The wheels whose motor turns the other way."""
+        return tuple(name for name, sign in zip(self.wheel_names, self.signs, strict=True) if sign < 0)
+
+
+class Told(NamedTuple):
+    """What a person saw: the wheel of a channel, and whether a positive torque turned it forward (1) or not (-1)."""
+
+    channel: int
+    wheel: int
+    sign: int
+
+
+class Responses(NamedTuple):
+    """What pulses of the four channels did, each for a torque of one newton metre; NaN for what nothing measures.
+
+    Attributes:
+        acceleration_m_s2: level acceleration of the robot in the IMU's levelled frame, a row a channel.
+        yaw_rad_s2: yaw acceleration, left positive.
+        wheels_rad_s2: of the wheel of each channel (column), by its encoder in the direction of its own motor.
+    """
+
+    acceleration_m_s2: Array
+    yaw_rad_s2: Array
+    wheels_rad_s2: Array
+
+
+class Moved(NamedTuple):
+    """What a person saw: where the robot went when its channels were given torques in these proportions."""
+
+    torques: tuple[float, ...]
+    direction: Direction
+
+
+Evidence = Told | Moved
+
+
+class Decision(NamedTuple):
+    """The best wiring with its score, and the others that fit as well, as far as anybody can tell."""
+
+    best: Candidate
+    score: float
+    rivals: tuple[Candidate, ...]
+
+    @property
+    def fits(self) -> bool:
+        """Whether the best explains the measurement at all."""
+        return self.score >= FITS
+
+    @property
+    def is_clear(self) -> bool:
+        """Whether it fits and no other does."""
+        return self.fits and not self.rivals
+
+    @property
+    def rollers(self) -> Rollers | None:
+        """The rollers, where all that fit agree in them."""
+        return None if any(one.rollers != self.best.rollers for one in self.rivals) else self.best.rollers
+
+
+def rows(model: RobotModel, rollers: Rollers) -> Array:
+    """Return h of the wheels FL, FR, RR, RL, one a row: 1, s and the lever of the yaw [m]."""
+    mirror = -1.0 if rollers == "o" else 1.0
+    found = []
+    for front, left in zip(_FRONT, _LEFT, strict=True):
+        s = -mirror * front * left
+        found.append((1.0, s, s * front * model.half_length_m - left * model.half_width_m))
+    return np.array(found)
+
+
+def response(model: RobotModel, rollers: Rollers) -> tuple[Array, Array]:
+    """Return what one newton metre at each wheel (row) does: (ax, ay, α), and r ω̇ of all four wheels."""
+    h = rows(model, rollers)
+    lever_m = abs(h[0][2])
+    inertia = model.inertia_kg_m2 + model.wheels_mass_kg * lever_m**2
+    body = h / np.array([model.effective_mass_kg, model.effective_mass_kg, inertia]) / model.wheel_radius_m
+    return body, body @ h.T
+
+
+@functools.cache
+def _all(has_heading: bool) -> tuple[Candidate, ...]:
+    orders = itertools.permutations(range(4))
+    signs = list(itertools.product((1, -1), repeat=4))
+    turns = range(4) if has_heading else range(1)
+    return tuple(
+        Candidate(order, sign, rollers, turn)
+        for order in orders
+        for sign in signs
+        for rollers in ("x", "o")
+        for turn in turns
+    )
+
+
+def _features(body: Array, wheels: Array, yaw_m: float) -> tuple[Array, Array]:
+    """Return comparable numbers [m/s²] of the IMU and of the encoders, without a wheel's own, which tells nothing."""
+    return np.column_stack([body[:, :2], body[:, 2:] * yaw_m]).ravel(), wheels[~np.eye(4, dtype=bool)]
+
+
+def _cosine(predicted: Array, measured: Array) -> float | None:
+    """Return the cosine between the two where something was measured; None where nothing was."""
+    known = np.isfinite(measured)
+    size = float(np.linalg.norm(measured[known]) * np.linalg.norm(predicted[known]))
+    return float(predicted[known] @ measured[known]) / size if size > 0.0 else None
+
+
+def decide(model: RobotModel, seen: Responses, evidence: Sequence[Evidence] = ()) -> Decision:
+    """Return the wiring that fits best, of those that agree with what a person saw.
+
+    Raises ValueError when nothing was measured, or when no wiring agrees with the person.
+    """
+    yaw_m = math.sqrt(model.effective_inertia_kg_m2 / model.effective_mass_kg)
+    measured = _features(np.column_stack([seen.acceleration_m_s2, seen.yaw_rad_s2]), seen.wheels_rad_s2, yaw_m)
+    if not any(np.nan_to_num(part).any() for part in measured):
+        raise ValueError("nothing was measured")
+    models: dict[Rollers, tuple[Array, Array]] = {"x": response(model, "x"), "o": response(model, "o")}
+    scored = []
+    for candidate in _all(bool(np.isfinite(seen.acceleration_m_s2).all())):
+        if not all(_agrees(model, candidate, one) for one in evidence):
+            continue
+        body, wheels = models[candidate.rollers]
+        order, sign = list(candidate.wheels), np.array(candidate.signs, dtype=float)
+        c, s = _TURNS[candidate.quarter_turns]
+        x, y, yaw = (body[order] * sign[:, None]).T
+        turned = np.column_stack([c * x + s * y, c * y - s * x, yaw])
+        predicted = _features(turned, wheels[np.ix_(order, order)] * np.outer(sign, sign), yaw_m)
+        cosines = [_cosine(*pair) for pair in zip(predicted, measured, strict=True)]
+        found = [cosine for cosine in cosines if cosine is not None]
+        scored.append((sum(found) / max(len(found), 1), candidate))
+    if not scored:
+        raise ValueError("no wiring agrees with what was seen")
+    scored.sort(key=lambda one: -one[0])
+    (score, best), rest = scored[0], scored[1:]
+    return Decision(best, score, tuple(one for rival, one in rest if score - rival < LEAD))
+
+
+def pattern(candidate: Candidate, direction: Direction) -> tuple[float, ...]:
+    """Return the torques of the channels that drive a robot of rollers X in a direction, each 1 or -1."""
+    axis, way = divmod(DIRECTIONS.index(direction), 2)
+    by_wheel = ((1, 1, 1, 1), (-1, 1, -1, 1), (-1, 1, 1, -1))[axis]
+    signs = zip(candidate.wheels, candidate.signs, strict=True)
+    return tuple((1.0, -1.0)[way] * sign * by_wheel[wheel] for wheel, sign in signs)
+
+
+def direction_of(model: RobotModel, candidate: Candidate, torques: Sequence[float]) -> Direction:
+    """Return where a robot of this wiring goes when its channels are given these torques."""
+    body, _ = response(model, candidate.rollers)
+    sign = np.array(candidate.signs) * np.array(torques)
+    x, y, yaw = sign @ body[list(candidate.wheels)]
+    parts = (x, y, yaw * math.sqrt(model.effective_inertia_kg_m2 / model.effective_mass_kg))
+    axis = int(np.argmax(np.abs(parts)))
+    return DIRECTIONS[2 * axis + int(parts[axis] < 0.0)]
+
+
+def telling(model: RobotModel, decision: Decision) -> tuple[float, ...] | None:
+    """Return torques that move the best and some rival in different directions; None where none do."""
+    for direction in ("forward", "left"):
+        torques = pattern(decision.best, direction)
+        here = direction_of(model, decision.best, torques)
+        if any(direction_of(model, rival, torques) != here for rival in decision.rivals):
+            return torques
+    return None
+
+
+def _agrees(model: RobotModel, candidate: Candidate, one: Evidence) -> bool:
+    if isinstance(one, Moved):
+        return direction_of(model, candidate, one.torques) == one.direction
+    return candidate.wheels[one.channel] == one.wheel and candidate.signs[one.channel] == one.sign
+
+
+def laid_upright(gravity_m_s2: Sequence[float]) -> tuple[str, str, str] | None:
+    """Return the axes of an IMU at rest, its upright one as z, in some heading; None where it is not near one axis.
+
+    The accelerometer shows +9.81 m/s² along the axis that points up.
+    """
+    size = [abs(value) for value in gravity_m_s2]
+    up = size.index(max(size))
+    if size[up] < 0.9 * math.dist((0, 0, 0), gravity_m_s2):
+        return None
+    axes = ["", "", ""]
+    axes[up] = "z" if gravity_m_s2[up] > 0.0 else "-z"
+    first, second = (up + 1) % 3, (up + 2) % 3  # (first, second, up) is right-handed in the IMU's own frame
+    axes[first], axes[second] = ("x", "y") if gravity_m_s2[up] > 0.0 else ("y", "x")
+    return axes[0], axes[1], axes[2]
+
+
+def turned_axes(axes: Sequence[str], quarter_turns: int) -> tuple[str, str, str]:
+    """Return the axes of an IMU that is turned to the left by so many quarters: its x then points to y, and so on."""
+    turn = {"x": "y", "y": "-x", "-x": "-y", "-y": "x", "z": "z", "-z": "-z"}
+    found = tuple(axes)
+    for _ in range(quarter_turns):
+        found = tuple(turn[axis] for axis in found)
+    return found[0], found[1], found[2]
