@@ -2,6 +2,7 @@
 
 import functools
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import jsonschema
@@ -15,6 +16,7 @@ from hil.core.types import WHEEL_NAMES, Wheels
 from hil.identify import recorded
 from hil.identify.blocks import fit_blocks
 from hil.identify.drive import STEPS, Plan, perform, plan_step
+from hil.identify.held_out import predict
 from hil.identify.identifiability import check_excitation
 from hil.identify.kinematics import fit_kinematics
 from hil.identify.mapped import fit_mapped
@@ -284,3 +286,39 @@ def test_an_fmu_without_a_twist_at_its_start_is_stepped_from_rest(tmp_path: Path
     found = fit_mapped([drive], drive, load("circle_speed", set=given), ["J"])
     assert found.estimates[0].value == pytest.approx(true, rel=5e-3)
     assert found.after_rad_s < 0.05 * found.before_rad_s
+
+
+def test_a_tape_measure_gives_the_scale_of_length_in_place_of_fixes(drives: Path) -> None:
+    whole = replace(read_drive(drives / "floor.rrd"), fixes=np.zeros((0, 4)))
+    far = np.hypot(*(whole.truth - whole.truth[0])[:, :2].T)
+    end = int(np.argmax(far)) + 1
+    names = ("time_s", "angle_rad", "current_a", "yaw_rate_rad_s", "truth")
+    drive = replace(whole, **{name: getattr(whole, name)[:end] for name in names})
+    unscaled = fit_kinematics(drive)
+    assert not unscaled.scale_known
+    assert unscaled.radius_m == ROBOT.believed["wheel_radius_m"]
+    by_tape = replace(drive, robot=replace(drive.robot, wheel_radius_m=1.2 * ROBOT.true["wheel_radius_m"]))
+    assert far.max() > 0.5
+    assert fit_kinematics(by_tape, tape_m=float(far.max())).radius_m == pytest.approx(
+        ROBOT.true["wheel_radius_m"], rel=0.02
+    )
+    back = 2000 + int(np.argmin(far[2000:])) + 1
+    near = replace(whole, **{name: getattr(whole, name)[:back] for name in names})
+    with pytest.raises(BadInputError, match=r"expected at least 0\.5 m to compare with the tape"):
+        fit_kinematics(near, tape_m=0.2)
+
+
+def test_without_the_truth_a_prediction_is_measured_against_wheels_and_gyro(drives: Path) -> None:
+    drive = read_drive(drives / "held_out.rrd")
+    real = replace(drive, truth=np.full_like(drive.truth, np.nan))
+    lengths = {name: ROBOT.true[name] for name in ("wheel_radius_m", "half_length_m", "half_width_m")}
+    robot = replace(drive.robot, **lengths)
+    start = {name: value for name, value in ROBOT.true.items() if name != "motor_constant_n_m_a"}
+    start |= {"contact": "slip", "longest_step_s": 0.01}
+    given = (robot, ROBOT.gyro_bias_rad_s, plant_fmu.path(2), start, ROBOT.true["motor_constant_n_m_a"])
+    by_truth, by_wheels = predict(drive, *given), predict(real, *given)
+    assert (by_truth.against, by_wheels.against) == ("truth", "wheels and gyro")
+    assert by_truth.rms_m < 0.002, "the true values, without noise of the currents"
+    assert by_wheels.rms_m < 0.02, "wheels that slip a little are no better measure than this"
+    wrong = predict(real, robot, 0.0, plant_fmu.path(2), start | {"mass_kg": 2.0 * ROBOT.true["mass_kg"]}, given[-1])
+    assert wrong.rms_m > 3.0 * by_wheels.rms_m

@@ -1,12 +1,20 @@
 """The solver of hil identify against plain linear algebra, and what it says of directions that data leave open."""
 
+from pathlib import Path
+from typing import Any
+
 import numpy as np
 import pytest
 
+import plant_fmu
 from hil.core.errors import BadInputError
 from hil.identify.floor import Parameter
 from hil.identify.gauss_newton import Knowledge, information_of, inverted, solve
 from hil.identify.identifiability import outlook
+from hil.plant.description import start_defaults
+from hil.scenario import load
+from tests.hidden_robots import hidden_robot, write_scenario
+from tools.identify_robots import mujoco_text, table
 
 WINDOWS, MEASURED, PARAMETERS = 60, 12, 3
 SIGMA = 0.05
@@ -112,3 +120,30 @@ def test_an_inverse_of_what_is_not_there_is_huge_and_finite() -> None:
     assert np.isfinite(inverse).all()
     assert inverse[0, 0] > 1e6
     assert inverse[2, 2] < 1e-3
+
+
+def test_the_tool_s_table_has_errors_intervals_and_predictions_by_plant() -> None:
+    def row(seed: int, plant: str, error: float) -> dict[str, Any]:
+        errors = {"inertia_kg_m2": error, "com_x_m": error / 10}
+        held = {"inertia_kg_m2": abs(error) < 0.02, "com_x_m": True}
+        more = {"before_m": 0.1, "rigid_m": 0.002, "slip_m": 0.001, "fit_s": 7.0}
+        return {"seed": seed, "plant": plant, "chosen": "slip", "error": errors, "held": held, **more}
+
+    rows = [row(1, "rigid", 0.01), row(2, "rigid", -0.03), row(1, "slip", 0.01)]
+    lines = list(table(rows))
+    assert lines[0] == "| | rigid, 2 robots | slip, 1 robots |"
+    assert "| inertia, % | 2 \\| 2.9, 50% | 1 \\| 1, 100% |" in lines
+    assert "| centre of mass, x, mm | 2 \\| 2.9, 100% | 1 \\| 1, 100% |" in lines
+    assert "| grip, % |  |  |" in lines
+    assert "| held-out drive, before the fit, mm | 1e+02 \\| 1e+02 | 1e+02 \\| 1e+02 |" in lines
+
+
+def test_hidden_robots_are_never_default_and_mujoco_s_scenario_loads(tmp_path: Path) -> None:
+    defaults = start_defaults(plant_fmu.path(2))
+    robot = hidden_robot(1)
+    assert all(abs(value / (float(defaults[name]) or 1.0) - 1.0) > 1e-3 for name, value in robot.true.items())
+    path = write_scenario(tmp_path, robot, {}, 1)
+    path.write_text(mujoco_text(path.read_text("utf-8")), encoding="utf-8")
+    scenario = load(path)
+    assert scenario.plant.fmu == "mecanum_mujoco"
+    assert scenario.plant.start["mass_kg"] == pytest.approx(robot.true["mass_kg"])

@@ -50,6 +50,22 @@ STEPS = {
         "runs until a planted defect is found, by a hunt and at random",
         (PYTHON, "-m", "tools.bench.hunt", "--hunts", "3", "--cap", "1000", "--json", "{out}/hunt.json"),
     ),
+    "identify": Step(
+        "how well hil identify finds 300 random robots of each plant",
+        (
+            PYTHON,
+            "-m",
+            "tools.identify_robots",
+            "--robots",
+            "300",
+            "--plants",
+            "rigid",
+            "slip",
+            "mujoco",
+            "--outcomes",
+            "{out}/identify.jsonl",
+        ),
+    ),
     "soak": Step("a service that is driven for two hours", (PYTHON, "-m", "tools.soak", "--minutes", "120")),
     "bench": Step("all benchmarks", (PYTHON, "-m", "tools.bench", "--json", "{out}/bench.json")),
 }

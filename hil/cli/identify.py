@@ -110,7 +110,7 @@ def fit(
         float | None, Option(metavar="METRE", help="distance from the first recording's start to its end", min=0.1)
     ] = None,
     contact: Annotated[
-        str, Option(metavar="rigid|slip|both", help="the models to fit; the better one is taken")
+        str, Option(metavar="rigid|both", help="rigid: no model with slip; both: the better one is taken")
     ] = "both",
     out: Annotated[Path, Option(metavar="DIR", help="robot.toml, plant.toml, fit.json and a picture")] = Path(
         "identified"
@@ -124,13 +124,15 @@ def fit(
     is 1, and nothing is written, when the fitted plant predicts the held-out drive no better than what was believed.
     """
     from hil.identify.estimates import estimates
-    from hil.identify.files import check_files, write_figures, write_files
+    from hil.identify.files import PICTURE_FILE, check_files, write_figures, write_files
     from hil.identify.fit import fit as fit_drives
-    from hil.identify.page import PICTURE_FILE, draw
+    from hil.identify.page import draw
     from hil.identify.recorded import read_drive, split
 
-    if contact not in ("rigid", "slip", "both"):
-        raise BadInputError(f"--contact {contact}: expected rigid, slip or both")
+    if contact not in ("rigid", "both"):
+        raise BadInputError(f"--contact {contact}: expected rigid or both")
+    if contact == "rigid" and squeeze is not None:
+        raise BadInputError("--squeeze: a model without slip has no grip; leave out --contact rigid, or the squeeze")
     existing = existing_files(force=force)
     check_files(out, existing)
     floor = [read_drive(path) for path in recordings]
@@ -139,7 +141,7 @@ def fit(
     else:
         judged_by = read_drive(held_out)
     others = {name: read_drive(path) for name, path in (("blocks", blocks), ("squeeze", squeeze)) if path is not None}
-    contacts = {"both": ("rigid", "slip"), "rigid": ("rigid",), "slip": ("slip",)}[contact]
+    contacts = ("rigid",) if contact == "rigid" else ("rigid", "slip")
     result = fit_drives(floor, judged_by, tape_m=tape, contacts=contacts, **others)
     found = estimates(result, mass)
     figures = {"schema": SCHEMA, **_figures(result, found)}

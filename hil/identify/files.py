@@ -19,6 +19,7 @@ from hil.scenario import Scenario
 ROBOT_FILE = "robot.toml"
 PLANT_FILE = "plant.toml"
 FIGURES_FILE = "fit.json"
+PICTURE_FILE = "held_out.png"
 _ROBOT = ("mass_kg", "inertia_kg_m2", "wheel_radius_m", "half_length_m", "half_width_m", "wheel_inertia_kg_m2",
           "friction_coefficient", "torque_limit_n_m", "speed_limit_rad_s")  # fmt: skip
 _PLANT_ONLY = ("com_x_m", "com_y_m", "viscous_n_m_s_rad", "grip_coefficient", "roller_friction_coefficient")
@@ -27,7 +28,7 @@ _COMMENT_COLUMN = 46
 
 def check_files(folder: Path, existing: Existing) -> None:
     """Raise BadInputError when a file of a result is there already and must not be replaced."""
-    for name in (ROBOT_FILE, PLANT_FILE, FIGURES_FILE):
+    for name in (ROBOT_FILE, PLANT_FILE, FIGURES_FILE, PICTURE_FILE):
         check_free("file", folder / name, existing)
 
 
@@ -105,7 +106,7 @@ def provenance(result: Result, made_from: Sequence[Drive]) -> Iterator[str]:
     yield f"Made by hil identify fit, {datetime.now(UTC).isoformat(timespec='seconds')}."
     rms, before = 1e3 * result.chosen.held_out.rms_m, 1e3 * result.before.rms_m
     yield (
-        f"Held-out drive: {rms:.2g} mm after a second, {before:.2g} mm before the fit, "
+        f"Held-out drive: {rms:.3g} mm after a second, {before:.3g} mm before the fit, "
         f"against {result.chosen.held_out.against}."
     )
     yield from _recordings(made_from)

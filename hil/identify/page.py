@@ -12,7 +12,6 @@ from hil.review.plots import Curve, draw_curves, drawing
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-PICTURE_FILE = "held_out.png"
 _LEAST_MM = 0.01
 
 
@@ -27,7 +26,7 @@ def draw(result: Result, path: Path, existing: Existing) -> None:
         curves, shares = [], []
         for label, one in predictions:
             error_mm = np.maximum(1e3 * one.error_m, _LEAST_MM)
-            named = f"{label}: rms {1e3 * one.rms_m:.2g} mm"
+            named = f"{label}: rms {1e3 * one.rms_m:.3g} mm"
             curves.append(Curve(named, one.time_s - one.time_s[0], error_mm))
             shares.append(Curve(label, np.sort(error_mm), 100.0 * np.arange(1, len(error_mm) + 1) / len(error_mm)))
         _over_time(left, curves, result.before.against)
