@@ -270,9 +270,34 @@ def test_nothing_of_the_firmware_closes_a_loop_meanwhile(tmp_path: Path, monkeyp
         commission(robot_file(tmp_path / "other"), sets=["firmware.speed_kp_n_m_s_rad=1"])
 
 
-def test_a_board_that_closes_its_loops_itself_is_refused_with_what_to_do(tmp_path: Path) -> None:
-    with pytest.raises(BadInputError, match=r"takes velocities of the body.*hil teleop"):
-        commission(robot_file(tmp_path), sets=["device.driver=rosmaster"])
+BOARD = ["device.driver=rosmaster", "plant.start.battery_voltage_v=12"]
+
+
+def test_a_board_that_closes_its_loops_itself_is_driven_slowly_and_its_wiring_is_its_own(tmp_path: Path) -> None:
+    file = robot_file(tmp_path)
+    done = commission(file, sets=BOARD)
+    assert done.table.state == "done"
+    assert done.fastest_rad_s < 5.0
+    assert any("not identifiable" in sentence for sentence in done.report)
+    assert "device.wheels" not in done.values
+
+
+@pytest.mark.parametrize(
+    ("wiring", "words"),
+    [
+        (
+            'plant.wiring.wheels=["fr","fl","rl","rr"]',
+            "told to go left, the robot went right: a motor is on another output",
+        ),
+        ('plant.wiring.reversed=["fl"]', "a wheel turned backward"),
+        ('plant.wiring.encoders_reversed=["fl"]', "a wheel ran away"),
+    ],
+)
+def test_a_board_that_is_wired_wrongly_is_found_out(tmp_path: Path, wiring: str, words: str) -> None:
+    file = robot_file(tmp_path)
+    with pytest.raises(StepError, match=words):
+        commission(file, sets=[*BOARD, wiring])
+    assert the_table(file)["state"] == "begun"
 
 
 # The command

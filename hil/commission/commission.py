@@ -93,12 +93,7 @@ def commission(
 def _scenarios(file: Path, sets: Sequence[str], link: str | None) -> tuple[Scenario, Scenario]:
     """Return the scenario as the robot's file tells it, and the one in which every output is just a number."""
     told = load(_BASE, robot=file, set=[*sets, "expect=[]", "fault=[]"], link=link)
-    if told.device.is_makers and make_driver(told).capabilities.is_twist:
-        raise BadInputError(
-            f"device.driver = {told.device.driver!r}: this board takes velocities of the body, and closes the loops "
-            "of its wheels itself; its wiring is in its own firmware and is not commissioned here. Put the wheels off "
-            "the ground and drive it slowly with hil serve and hil teleop"
-        )
+    is_base = told.device.is_makers and make_driver(told).capabilities.is_twist
     if any(text.partition("=")[0].removeprefix("firmware.") in _MEANWHILE for text in sets):
         raise BadInputError(
             "--set of the speed loop's gains or of encoder_fault_s: commissioning sets them; leave it out"
@@ -106,11 +101,12 @@ def _scenarios(file: Path, sets: Sequence[str], link: str | None) -> tuple[Scena
     mode = "lockstep" if link_of(told).is_within_process else "realtime"
     true = wiring(told)
     plain: dict[str, object] = {
-        "controller.command": "torque",
+        "controller.command": "speed" if is_base else "torque",
         "controller.law": "pid",
         "controller.gains": {},
         "estimator.source": "odometry",
-        **{f"firmware.{name}": value for name, value in _MEANWHILE.items()},
+        # The loops of a base are its own; an emulated one has its gains from here.
+        **({} if is_base else {f"firmware.{name}": value for name, value in _MEANWHILE.items()}),
         "device.wheels": WHEEL_NAMES,
         "device.reversed": (),
         "device.imu": IMU_AXES,

@@ -118,6 +118,8 @@ class Onlooker:
 
     def choose(self, key: str, question: str, choices: Sequence[str]) -> str:
         motors = self._wiring.motors
+        if key == "all_forward":
+            return "yes" if all(sign > 0 for sign in motors.sign_of_channel) else "no"
         if key == "first_wheel":
             return WHEEL_NAMES[motors.wheel_of_channel[0]]
         if key == "first_way":

@@ -2,9 +2,11 @@
 
 import math
 from collections.abc import Callable, Sequence
+from functools import partial
 
 import numpy as np
 
+from hil.commission import bases
 from hil.commission.findings import STEPS, Findings, plausible_counts
 from hil.commission.person import Person
 from hil.commission.pulses import StepError, Turned, expected_rad_s2, is_dead, move, shake, turn_channel
@@ -26,7 +28,7 @@ from hil.commission.wirings import (
     turned_axes,
 )
 from hil.core.kinematics import body_twist
-from hil.core.types import WHEEL_NAMES
+from hil.core.types import WHEEL_NAMES, CommandMode
 from hil.robot.wheel_map import ImuMount
 from hil.scenario.values import Wheel
 
@@ -65,7 +67,7 @@ class Procedure:
     def run(self) -> None:
         """Do the steps that are left."""
         self._look_at_rest()
-        steps = dict(zip(STEPS, (self._blocks, self._floor, self._check, self._push), strict=True))
+        steps = dict(zip(STEPS, self._steps(), strict=True))
         for name, step in steps.items():
             if self._findings.is_done(name):
                 self._say(f"{name}: done before")
@@ -74,6 +76,12 @@ class Procedure:
                 return
             step()
             self._save(name)
+
+    def _steps(self) -> tuple[Callable[[], None], ...]:
+        if self._session.scenario.controller.mode is CommandMode.TORQUE:
+            return self._blocks, self._floor, self._check, self._push
+        told = self._session, self._person, self._findings, self._say
+        return partial(bases.blocks, *told), partial(bases.floor, *told), partial(bases.check, self._say), self._push
 
     # At rest
 

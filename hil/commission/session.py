@@ -250,16 +250,17 @@ class Session:
         robot = self.scenario.robot
         share = robot.wheel_inertia_kg_m2 + (0.0 if self.is_on_blocks else robot.mass_kg * robot.wheel_radius_m**2 / 4)
         gain, limit = share / _BRAKE_S, 0.3 * robot.torque_limit_n_m
-        still = 0
+        still, is_ours = 0, self._mode is CommandMode.TORQUE
         for _ in range(round(_SETTLE_S * NS) // self._period_ns):
             feedback = self._tick()
-            rests = max(map(abs, feedback.speed_rad_s)) < _STILL_RAD_S
+            # The loops of a base may hunt where a wheel hangs free; that it was told to stop is enough.
+            rests = not is_ours or max(map(abs, feedback.speed_rad_s)) < _STILL_RAD_S
             still = still + 1 if rests else 0
             if still * self._period_ns > _STILL_S * NS:
                 return
             speeds = self.encoders.of_motors(feedback.speed_rad_s)
             brake = [min(max(-gain * speed, -limit), limit) for speed in speeds]
-            self._send(brake if self._mode is CommandMode.TORQUE else (0.0,) * 4)
+            self._send(brake if is_ours else (0.0,) * 4)
         raise DeviceError(
             "the wheels do not come to rest although nothing drives them; if the robot stands on the floor, it slopes: "
             "choose a level one"
