@@ -11,7 +11,8 @@ import numpy as np
 from hil.commission.findings import Findings
 from hil.commission.person import Person
 from hil.commission.pulses import CUT_RAD_S, StepError
-from hil.commission.session import Encoders, Record, Session
+from hil.commission.record import Encoders, Record
+from hil.commission.session import Session
 from hil.commission.wirings import DIRECTIONS, Candidate, Direction, pattern
 from hil.core.types import WHEEL_NAMES
 

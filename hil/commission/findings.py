@@ -5,7 +5,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
 
-from hil.commission.session import Encoders
+from hil.commission.record import Encoders
 from hil.commission.wirings import Candidate, Told
 from hil.core.types import WHEEL_NAMES
 from hil.scenario.commission import CommissionTable, State, Way

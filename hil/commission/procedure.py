@@ -7,10 +7,12 @@ from functools import partial
 import numpy as np
 
 from hil.commission import bases
-from hil.commission.findings import STEPS, Findings, plausible_counts
+from hil.commission.findings import STEPS, Findings
 from hil.commission.person import Person
 from hil.commission.pulses import StepError, Turned, expected_rad_s2, is_dead, move, shake, turn_channel
-from hil.commission.session import Encoders, Session
+from hil.commission.push import push
+from hil.commission.record import Encoders
+from hil.commission.session import Session
 from hil.commission.wirings import (
     DIRECTIONS,
     Array,
@@ -27,7 +29,6 @@ from hil.commission.wirings import (
     telling,
     turned_axes,
 )
-from hil.core.kinematics import body_twist
 from hil.core.types import WHEEL_NAMES, CommandMode
 from hil.robot.wheel_map import ImuMount
 from hil.scenario.values import Wheel
@@ -37,7 +38,6 @@ _ROLLS_RAD = 0.05
 _SLOPE_M_S2 = 0.35
 _G_M_S2 = 9.81
 _MOST_QUESTIONS = 3
-_MOST_SCALE = 0.15
 _PLAIN = Candidate((0, 1, 2, 3), (1, 1, 1, 1), "x", 0)
 _CHECKED: tuple[Direction, ...] = ("forward", "left", "turned left")
 
@@ -78,10 +78,11 @@ class Procedure:
             self._save(name)
 
     def _steps(self) -> tuple[Callable[[], None], ...]:
-        if self._session.scenario.controller.mode is CommandMode.TORQUE:
-            return self._blocks, self._floor, self._check, self._push
         told = self._session, self._person, self._findings, self._say
-        return partial(bases.blocks, *told), partial(bases.floor, *told), partial(bases.check, self._say), self._push
+        by_hand = partial(push, *told)
+        if self._session.scenario.controller.mode is CommandMode.TORQUE:
+            return self._blocks, self._floor, self._check, by_hand
+        return partial(bases.blocks, *told), partial(bases.floor, *told), partial(bases.check, self._say), by_hand
 
     # At rest
 
@@ -277,77 +278,3 @@ class Procedure:
             return None
         axis = int(np.argmax(np.abs(parts)))
         return DIRECTIONS[2 * axis + (parts[axis] < 0.0)]
-
-    # By hand
-
-    def _push(self) -> None:
-        session, robot = self._session, self._model
-        firmware = session.scenario.firmware
-        forward = self._pushed("forward", 0)
-        if forward is None:
-            self._say("left out: the wheel radius and the counts stay as they were believed")
-            return
-        way_m, true_m = forward
-        counts = plausible_counts(firmware.counts_per_revolution, way_m / true_m)
-        if counts is None:
-            raise StepError(
-                f"by the wheels the robot went {way_m:.3f} m, by the tape {true_m:.3f} m: no usual encoder or gear "
-                f"explains a factor of {way_m / true_m:.2f}; look at robot.wheel_radius_m, counts_per_revolution and "
-                "the gear ratio"
-            )
-        factor = counts / firmware.counts_per_revolution
-        scale = true_m * factor / way_m
-        values: dict[str, object] = {"robot.wheel_radius_m": _rounded(robot.wheel_radius_m * scale)}
-        if factor != 1.0:
-            values["firmware.counts_per_revolution"] = counts
-        self._say(f"wheel radius {values['robot.wheel_radius_m']} m, {counts} counts a turn of a wheel")
-        if (left := self._pushed("left", 1)) is not None:
-            lateral = left[1] * factor / left[0] / scale
-            self._findings.lateral(_rounded(lateral))
-            self._say(f"to the left the robot goes {lateral:.3f} times as far as its wheels say")
-        if (turn := self._pushed("turns", 2)) is not None:
-            lever = turn[0] * scale / factor / (turn[1] * math.tau)
-            if abs(lever - 1.0) > _MOST_SCALE:
-                raise StepError(
-                    f"the robot turned {turn[1]:.3f} times and its wheels say "
-                    f"{turn[0] * scale / factor / math.tau:.3f}: look at robot.half_length_m and robot.half_width_m"
-                )
-            values |= {
-                "robot.half_length_m": _rounded(robot.half_length_m * lever),
-                "robot.half_width_m": _rounded(robot.half_width_m * lever),
-            }
-            self._say(f"half length and half width together {robot.lever_m * lever:.4f} m")
-        self._findings.values |= values
-
-    def _pushed(self, what: str, axis: int) -> tuple[float, float] | None:
-        """Let the person push the robot; return the way by the wheels and by the tape, or None where it is left out."""
-        candidate = self._findings.candidate
-        assert candidate is not None
-        ways = {
-            "forward": "push the robot 0.5 to 1 m straight forward along the tape",
-            "left": "push it 0.5 to 1 m to its left, without turning it",
-            "turns": "turn it to the left by hand, one whole turn or a few",
-        }
-        before = self._session.angles()
-        sentence = f"push: the motors are off. First mark where the robot stands; then {ways[what]}."
-        self._session.listen_while(lambda: self._person.confirm(f"push_{what}", sentence))
-        self._session.push_by_hand(axis)
-        by_input = [now - then for now, then in zip(self._session.angles(), before, strict=True)]
-        by_motor = self._session.encoders.of_motors(by_input)
-        wheels = [0.0] * 4
-        for turned, wheel, sign in zip(by_motor, candidate.wheels, candidate.signs, strict=True):
-            wheels[wheel] = sign * turned
-        robot = self._model
-        fl, fr, rr, rl = wheels
-        way = abs(body_twist((fl, fr, rr, rl), robot.wheel_radius_m, robot.lever_m)[axis])
-        unit = "How many turns?" if what == "turns" else "How far by the tape, in m?"
-        true = self._person.measure(f"pushed_{what}" if what == "turns" else f"pushed_{what}_m", unit)
-        if true is None:
-            return None
-        if way < 0.05:
-            raise StepError("the encoders hardly saw the robot move; were the wheels on the floor?")
-        return way, true
-
-
-def _rounded(value: float) -> float:
-    return float(f"{value:.5g}")

@@ -10,7 +10,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from hil.commission.session import Record, Session
+from hil.commission.record import Record
+from hil.commission.session import Session
 from hil.commission.wirings import response
 from hil.core.errors import HilError
 from hil.robot.snapshot import Feedback

@@ -9,11 +9,12 @@ import contextlib
 import math
 import threading
 from collections.abc import Callable, Iterator, Sequence
-from typing import Any, NamedTuple, Self
+from typing import Any, Self
 
 import numpy as np
 
 from firmware_protocol.generated.messages import State
+from hil.commission.record import Encoders, Record
 from hil.core.errors import DeviceError, HilError
 from hil.core.types import ZERO_WHEELS, CommandMode, WheelCommand, Wheels
 from hil.robot.snapshot import Feedback
@@ -33,57 +34,6 @@ _BRAKE_S = 0.15
 """Time constant with which a free wheel, or the whole robot, is braked once its encoders are known."""
 _STOP_NS = 5 * NS
 _HALF = 1 << 15
-_G_M_S2 = 9.81
-_PUSHES = ("push.force_x_n", "push.force_y_n", "push.moment_n_m")
-_HAND_M, _HAND_RAD, _HAND_SPEED, _HAND_STEPS = 0.6, math.tau, 0.4, 1200
-
-
-class Record(NamedTuple):
-    """What one drive saw: a row a period, a column a channel; NaN for what is not measured.
-
-    Attributes:
-        t_s: since its beginning.
-        torque_n_m: commanded for the period that begins then (in mode SPEED: the speeds).
-        turned_rad: angle since the beginning, by the encoders' inputs and the believed counts.
-        speed_rad_s: as the robot reports it.
-        current_a: likewise.
-        acceleration_m_s2: of the IMU's three axes.
-        yaw_rate_rad_s: about the IMU's third axis.
-        was_cut: whether a limit ended it early.
-    """
-
-    t_s: Array
-    torque_n_m: Array
-    turned_rad: Array
-    speed_rad_s: Array
-    current_a: Array
-    acceleration_m_s2: Array
-    yaw_rate_rad_s: Array
-    was_cut: bool
-
-    @property
-    def fastest_rad_s(self) -> float:
-        """The largest speed of any wheel."""
-        return float(np.abs(self.speed_rad_s).max(initial=0.0))
-
-
-class Encoders:
-    """What is known of the encoders: for each channel its input, and its sign against the channel's motor."""
-
-    def __init__(self, inputs: Sequence[int | None] = (None,) * 4, signs: Sequence[int] = (1,) * 4) -> None:
-        self.inputs = list(inputs)
-        self.signs = list(signs)
-
-    def of_motors(self, by_input: Sequence[float]) -> list[float]:
-        """Return values of the encoders' inputs, as the channels' motors count them; 0 for one that is not known."""
-        pairs = zip(self.inputs, self.signs, strict=True)
-        return [0.0 if place is None else sign * by_input[place] for place, sign in pairs]
-
-    def input_of(self, channel: int) -> int:
-        """Return the input of a channel's encoder, which must be known."""
-        place = self.inputs[channel]
-        assert place is not None
-        return place
 
 
 class Session:
@@ -319,40 +269,6 @@ class Session:
         self.is_on_blocks = lifted
         if self.bench.local is not None:
             self.bench.local.set_variables({f"wheel.{wheel}.lifted": float(lifted) for wheel in Wheels._fields})
-
-    def push_by_hand(self, axis: int) -> None:
-        """Push a virtual robot in this process forward, to the left or round (axis 0 to 2), as a hand would.
-
-        A real robot is pushed by the person. Raises BadInputError for a plant that cannot be pushed.
-        """
-        local, truth = self.bench.local, self.bench.truth
-        if local is None or truth is None:
-            return
-        robot = self.scenario.robot
-        start = truth.poll()
-        assert start is not None
-        begin, wanted, force = start.pose, _HAND_M if axis < 2 else _HAND_RAD, 0.0
-        c, s = math.cos(begin.heading_rad), math.sin(begin.heading_rad)
-        along = ((c, s, 0.0), (-s, c, 0.0), (0.0, 0.0, 1.0))[axis]
-        heavy = (robot.effective_mass_kg, robot.effective_mass_kg, robot.effective_inertia_kg_m2)[axis]
-        arm_m = 1.0 if axis < 2 else robot.lever_m
-        for _ in range(_HAND_STEPS):
-            fix = truth.poll()
-            assert fix is not None
-            way = sum(part * (now - then) for part, now, then in zip(along, fix.pose, begin, strict=True))
-            speed = sum(part * now for part, now in zip(along, fix.twist, strict=True))
-            if way >= wanted and abs(speed) < 0.02:
-                break
-            target = _HAND_SPEED if way < wanted else 0.0
-            # A hand pushes harder until it moves: the friction is not known.
-            force += heavy * (target - speed) * (1.0 if target > speed else 0.0)
-            push = heavy * (target - speed) * 4.0 + (force if target else 0.0)
-            limit = robot.mass_kg * _G_M_S2 * arm_m * 0.3
-            push = min(max(push, -limit), limit)
-            local.set_variables(dict(zip(_PUSHES, (push * part for part in along), strict=True)))
-            self.listen(0.05)
-        local.set_variables(dict.fromkeys(_PUSHES, 0.0))
-        self.listen(1.0)
 
     @property
     def imu_known(self) -> tuple[str, str, str]:
