@@ -197,4 +197,8 @@ def _fit_fixes(drive: Drive, bias_rad_s: float, bias_sigma: float) -> Solution:
     known.information[SIDEWAYS, SIDEWAYS] = _SIDEWAYS_SIGMA**-2
     known.information[BIAS, BIAS] = (_BIAS / max(bias_sigma, 1e-5)) ** 2
     limits = np.array([0.5, 0.5, 20.0, 5.0])
-    return solve([_Fixes(drive, bias_rad_s)], np.zeros(4), bounds=(-limits, limits), known=known)
+    found = solve([_Fixes(drive, bias_rad_s)], np.zeros(4), bounds=(-limits, limits), known=known)
+    # A sandwich over a handful of windows may be far too small; the noise of the fixes is white, and sets the least.
+    least = np.diag(inverted(found.information + known.information))
+    factor = np.sqrt(np.maximum(1.0, least / np.diag(found.covariance)))
+    return found._replace(covariance=found.covariance * np.outer(factor, factor))
