@@ -1,6 +1,6 @@
 """Commissions robots of random hidden wirings, and prints how many came out right: the table of COMMISSIONING.md.
 
-``python -m tools.commission_wirings`` takes half an hour on two processors; ``--wirings 5`` is a first look. A robot
+``python -m tools.commission_wirings`` takes hours on two busy processors; ``--wirings 5`` is a first look. A robot
 has its motors on random outputs in random directions, its encoders on random inputs and against their motors at times,
 rollers X or O, and an IMU that lies level in one of eight ways. The bridge is told nothing of that. The exit code is 1
 when a wiring came out wrong.
