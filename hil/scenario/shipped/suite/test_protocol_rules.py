@@ -16,6 +16,8 @@ from firmware_protocol.codec import Message
 from firmware_protocol.framing import Framer, crc16, pack
 from firmware_protocol.generated import messages as m
 from firmware_protocol.host import HostNode, library, parameter_hash, parameters
+from hil.robot.robot_report import RobotReport
+from hil.robot.wheel_map import WheelMap
 from hil.runtime.robots import firmware_values
 from hil.scenario import load
 
@@ -28,7 +30,7 @@ class Robot:
     """A robot on blocks: the firmware, and four wheels that follow their torque."""
 
     def __init__(self) -> None:
-        self.battery_v = 24.0
+        self.battery_v, self.current_a = 24.0, 0.0
         self._speed_rad_s, self._angle_rad = [0.0] * 4, [0.0] * 4
         ffi, _ = library()
         self._exchange = ffi.callback("wheel_plant_exchange", self._tick)
@@ -42,6 +44,7 @@ class Robot:
             self._angle_rad[wheel] += self._speed_rad_s[wheel] * 1e-3
             sense.count[wheel] = math.floor(self._angle_rad[wheel] / math.tau * 4096) & 0xFFFF
             sense.temperature_degc[wheel] = 25.0
+            sense.current_a[wheel] = self.current_a
         sense.battery_v = self.battery_v
         return 0
 
@@ -176,6 +179,34 @@ def test_the_first_cause_of_a_fault_stays(robot: Robot) -> None:
     assert robot.node.look().fault is m.Fault.OVERSPEED, "which still lasts"
 
 
+def test_an_emergency_stop_is_heard_while_the_robot_stops(robot: Robot) -> None:
+    robot.activate(A)
+    robot.command(5.0, 1, A)
+    robot.node.run(20)
+    robot.wish(m.Request.IDLE, B)
+    assert robot.state == m.State.STOPPING
+    robot.send(m.Estop(0, 0))
+    assert robot.state == m.State.ESTOP
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_an_overcurrent_of_either_sign_is_a_fault(robot: Robot, sign: float) -> None:
+    robot.activate(A)
+    robot.current_a = 1.6 * sign * VALUES["current_limit_a"]
+    robot.node.run(10)
+    assert robot.node.look().fault is m.Fault.OVERCURRENT
+
+
+def test_short_dips_of_the_battery_are_no_fault(robot: Robot) -> None:
+    robot.activate(A)
+    for sequence in range(1, 8):
+        robot.command(0.0, sequence, A)
+        for volts in (10.0, 24.0):
+            robot.battery_v = volts
+            robot.node.run(10)
+    assert robot.state == m.State.ACTIVE
+
+
 def framed(body: bytes) -> bytes:
     return bytes(cobs.encode(body + crc16(body).to_bytes(2, "little"))) + b"\0"
 
@@ -243,3 +274,20 @@ def test_a_host_that_begins_anew_uses_its_new_nonce() -> None:
         assert wishes[-1].nonce == B
         client.sent()
         renew(A)
+
+
+def test_a_host_takes_parts_of_a_snapshot_in_their_order_only(robot: Robot) -> None:
+    robot.heard()
+    robot.node.run(30)
+    heard = robot.heard()
+    whole = linked(A, heard).view.snapshots
+    place = next(i for i, one in enumerate(heard) if isinstance(one, m.Encoders))
+    heard[place], heard[place + 1] = heard[place + 1], heard[place]
+    assert linked(A, heard).view.snapshots == whole - 1
+
+
+def test_a_host_counts_on_where_a_counter_of_the_robot_wraps() -> None:
+    report = RobotReport(WheelMap())
+    for crc in (250, 3):
+        report.feed(m.LinkCounters(*(crc if name == "crc" else 0 for name in m.LinkCounters._fields)))
+    assert report.rejected["crc"] == 9
