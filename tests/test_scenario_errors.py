@@ -107,7 +107,7 @@ def test_a_key_that_is_unknown(text: str, sentence: str) -> None:
         ("[expect]\nsignal = 'a'", "my.toml:3: expect: expected an array of tables: write [[...]]"),
         ("[[expect]]\nsignal = 'error.planar'\nbelow = 1", "did you mean 'error.planar_m'?"),
         ("[[expect]]\nsignal = 'zzz'\nbelow = 1", "`hil list signals` prints them all"),
-        ("[[expect]]\nbelow = 1", "my.toml:3: expect.0: needs one of `signal`, `figure`, or `at_rest = true`"),
+        ("[[expect]]\nbelow = 1", "my.toml:3: expect.0: needs one of `signal`, `figure`, `at_rest = true`, or `stops`"),
         (
             "[[fault]]\nstart_s = 1",
             "my.toml:3: fault.0.kind is missing; expected a kind of fault, one of drop, burst_loss",
