@@ -91,12 +91,14 @@ SLOW = (
     "test_pytest_plugin_scenarios.py",
     "test_remote_plant.py",
     "test_review_pages.py",
+    "test_mutants.py::test_each_way_of_applying_a_mutant_changes_what_it_says",
     "test_serial_ports.py::test_a_handshake_over_noise_says_that_the_baud_rate_is_wrong",
     "test_serial_ports.py::test_a_handshake_in_silence_names_the_link",
     "test_serial_ports.py::test_nobody_waits_for_a_serial_server_that_does_not_answer",
     "test_telemetry_recording.py::test_the_recorder_finishes_the_file_of_a_run_that_was_killed",
     "test_telemetry_recording.py::test_a_recorder_that_is_killed_is_restarted_and_nothing_is_lost",
     "test_unicorn.py",
+    "test_verify.py::test_a_suite_is_measured_and_what_is_suggested_notices",
 )
 
 
