@@ -17,6 +17,7 @@ from hil.core.outputs import existing_files
 if TYPE_CHECKING:
     from hil.identify.estimates import Estimate
     from hil.identify.fit import Result
+    from hil.identify.recorded import Drive
 
 SCHEMA, DRIVE_SCHEMA, FMU_SCHEMA = "hil.identify/1", "hil.identify.drive/1", "hil.identify.fmu/1"
 """Name and version of the JSON of each command; ``identify.schema.json`` in hil/identify describes it."""
@@ -127,7 +128,7 @@ def fit(
     from hil.identify.files import PICTURE_FILE, check_files, write_figures, write_files
     from hil.identify.fit import fit as fit_drives
     from hil.identify.page import draw
-    from hil.identify.recorded import read_drive, split
+    from hil.identify.recorded import read_drive
 
     if contact not in ("rigid", "both"):
         raise BadInputError(f"--contact {contact}: expected rigid or both")
@@ -135,17 +136,13 @@ def fit(
         raise BadInputError("--squeeze: a model without slip has no grip; leave out --contact rigid, or the squeeze")
     existing = existing_files(force=force)
     check_files(out, existing)
-    floor = [read_drive(path) for path in recordings]
-    if held_out is None:
-        floor[0], judged_by = split(floor[0])
-    else:
-        judged_by = read_drive(held_out)
+    floor, judged_by = _read(recordings, held_out)
     others = {name: read_drive(path) for name, path in (("blocks", blocks), ("squeeze", squeeze)) if path is not None}
     contacts = ("rigid",) if contact == "rigid" else ("rigid", "slip")
     result = fit_drives(floor, judged_by, tape_m=tape, contacts=contacts, **others)
     found = estimates(result, mass)
     figures = {"schema": SCHEMA, **_figures(result, found)}
-    better = result.chosen.held_out.rms_m < result.before.rms_m
+    better = figures["passed"]
     made_from = [*floor, *others.values(), judged_by]
     if better:
         figures["files"] = [str(path) for path in write_files(out, result, found, made_from, existing)]
@@ -178,17 +175,12 @@ def fit_fmu(
     from hil.core.outputs import check_free
     from hil.identify.files import write_mapped
     from hil.identify.mapped import fit_mapped
-    from hil.identify.recorded import read_drive, split
     from hil.scenario import load
 
     existing = existing_files(force=force)
     check_free("file", out, existing)
     base = load(scenario, set=sets or [], robot=robot)
-    drives = [read_drive(path) for path in recordings]
-    if held_out is None:
-        drives[0], judged_by = split(drives[0])
-    else:
-        judged_by = read_drive(held_out)
+    drives, judged_by = _read(recordings, held_out)
     found = fit_mapped(drives, judged_by, base, parameter)
     better = found.after_rad_s < found.before_rad_s
     if better:
@@ -208,6 +200,17 @@ def fit_fmu(
     ]
     print_result(as_json, figures, lines)
     raise typer.Exit(0 if better else 1)
+
+
+def _read(recordings: "Sequence[Path]", held_out: Path | None) -> "tuple[list[Drive], Drive]":
+    """Return the drives to fit, and the one to judge by: the last third of the first where none is given."""
+    from hil.identify.recorded import read_drive, split
+
+    drives = [read_drive(path) for path in recordings]
+    if held_out is not None:
+        return drives, read_drive(held_out)
+    first, judged_by = split(drives[0])
+    return [first, *drives[1:]], judged_by
 
 
 _HEAD = ("value", "", "95 % from", "to", "", "")
@@ -239,6 +242,8 @@ def _figures(result: "Result", found: "Sequence[Estimate]") -> dict[str, Any]:
 
 def _lines(result: "Result", found: "Sequence[Estimate]", written: Path | None) -> Iterator[str]:
     """Yield what could be told, the values, the verdict and where it is written."""
+    from hil.identify.robust import Z_95
+
     if result.outlook.unknown:
         yield "What these recordings cannot tell well:"
         yield from (f"  {one.sentence}" for one in result.outlook.unknown)
@@ -250,7 +255,7 @@ def _lines(result: "Result", found: "Sequence[Estimate]", written: Path | None) 
     errors += [(f"fitted, {model.contact}", f"{1e3 * model.held_out.rms_m:.3g} mm") for model in result.models]
     yield ""
     if kinematics.sideways_sigma == kinematics.sideways_sigma:
-        sideways, half = kinematics.sideways, 1.96 * kinematics.sideways_sigma
+        sideways, half = kinematics.sideways, Z_95 * kinematics.sideways_sigma
         yield f"Scale of sideways motion, for odometry: {sideways:.4f} ± {half:.4f}"
     yield f"Held-out drive, error of the position after a second against {before.against} (rms):"
     yield from rows(errors)

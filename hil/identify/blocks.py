@@ -10,18 +10,16 @@ from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from hil.core.errors import BadInputError
 from hil.core.types import WHEEL_NAMES
 from hil.identify.recorded import Array, Drive
+from hil.identify.robust import regression
 
 _BIN_S = 0.1
 _SLOWEST_RAD_S = 0.3
 _CLUSTER_BINS = 10
 _LEAST_BINS = 40
-_ROUNDS = 8
-_HUBER = 1.5
 
 
 class BlocksFit(NamedTuple):
@@ -69,7 +67,7 @@ def fit_blocks(drive: Drive, torque_constant_n_m_a: float) -> BlocksFit:
     # Speeds of other samples have the same motion and other noise: without them noise would make J smaller.
     instrument = design.copy()
     instrument[:, 0] = np.diff(_wider(drive)[ends], axis=0)[used]
-    found, covariance = _robust(design, instrument, impulse[used], bins // _CLUSTER_BINS)
+    found, covariance = regression(design, impulse[used], instrument, bins // _CLUSTER_BINS)
     if found[0] <= 0.0 or found[1] <= 0.0:
         raise BadInputError(
             f"{drive.path}: on blocks the wheels' inertia came out as {found[0]:.3g} kg m2 and their viscous friction "
@@ -83,20 +81,3 @@ def _wider(drive: Drive) -> Array:
     angle = np.pad(drive.angle_rad, ((2, 2), (0, 0)), mode="edge")
     speed: Array = (angle[4:] - angle[:-4]) / (4.0 * drive.period_s)
     return speed
-
-
-def _robust(design: Array, instrument: Array, values: Array, clusters: npt.NDArray[np.intp]) -> tuple[Array, Array]:
-    """Return a Huber regression with instrumental variables and its sandwich covariance, clustered."""
-    weights: Array = np.ones(len(values))
-    found: Array = np.zeros(design.shape[1])
-    for _ in range(_ROUNDS):
-        weighted = instrument * weights[:, None]
-        found = np.asarray(np.linalg.solve(weighted.T @ design, weighted.T @ values), dtype=np.float64)
-        residual = values - design @ found
-        size = np.abs(residual) / max(1.4826 * float(np.median(np.abs(residual))), 1e-12)
-        weights = np.where(size <= _HUBER, 1.0, _HUBER / np.maximum(size, _HUBER))
-    inverse = np.linalg.inv(instrument.T @ (weights[:, None] * design))
-    scores = instrument * (weights * residual)[:, None]
-    each = np.stack([scores[clusters == one].sum(axis=0) for one in np.unique(clusters)])
-    covariance: Array = inverse @ (each.T @ each) @ inverse.T
-    return found, covariance

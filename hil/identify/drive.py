@@ -35,6 +35,8 @@ _REACHED_S = 2.0  # until the speed loop has wound up to the torque limit
 _FLOOR_HZ = (0.06, 2.6)
 _HELD_OUT_HZ = (0.08, 1.8)
 _WHEELS_RAD_S = 12.0  # on blocks
+_OURS = ("mecanum", "mecanum_mujoco")
+"""The shipped plants, whose start pose and lifted wheels have these names."""
 
 
 @dataclass(frozen=True)
@@ -102,7 +104,7 @@ def _common(scenario: Scenario) -> dict[str, object]:
         "controller.command": "torque",
         "estimator.source": "fused" if scenario.estimator.source == "truth" else scenario.estimator.source,
         "expect": [],
-        **(start if scenario.plant.fmu in ("mecanum", "mecanum_mujoco") else {}),
+        **(start if scenario.plant.fmu in _OURS else {}),
     }
 
 
@@ -128,7 +130,7 @@ def _blocks(scenario: Scenario, plan: Plan) -> dict[str, object]:
             highest_hz=2.0, seed=plan.seed, rest_s=1.0,
         ),
         **_loop(robot.wheel_inertia_kg_m2, 2.0),
-        **(lifted if scenario.plant.fmu in ("mecanum", "mecanum_mujoco") else {}),
+        **(lifted if scenario.plant.fmu in _OURS else {}),
         "estimator.source": "odometry",
         "fault": [{"kind": "override", "target": "robot.yaw_rate_rad_s", "value": 0.0}],
         "loop.duration_s": plan.blocks_s,

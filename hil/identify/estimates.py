@@ -6,13 +6,14 @@ import numpy as np
 
 from hil.identify.fit import INFLATION, Result, values_of
 from hil.identify.floor import GYRO_BIAS
+from hil.identify.robust import Z_95
 
 SCALED = ("mass_kg", "inertia_kg_m2", "wheel_inertia_kg_m2", "viscous_n_m_s_rad")
 """What drives tell only over the torque constant: all of them in proportion to it."""
 TORQUE_CONSTANT = "torque_constant_n_m_a"
 Status = Literal["identified", "effective", "weighed", "believed"]
-_95 = 1.96
-_WIDE = 0.1
+WIDE = 0.1
+"""Half a 95 % interval of a logarithm beyond which a value is only effective."""
 _WIDE_M = 0.01
 
 
@@ -45,7 +46,7 @@ def estimates(result: Result, weighed_kg: float | None = None) -> tuple[Estimate
     values = values_of(model)
     mass, covariance = names.index("mass_kg"), model.solution.covariance
     factor = 1.0 if weighed_kg is None else weighed_kg / values["mass_kg"]
-    widened = _95 * INFLATION[result.blocks is not None]
+    widened = Z_95 * INFLATION[result.blocks is not None]
     found = []
     for place, parameter in enumerate(model.parameters):
         if parameter is GYRO_BIAS:
@@ -56,7 +57,7 @@ def estimates(result: Result, weighed_kg: float | None = None) -> tuple[Estimate
             variance += covariance[mass, mass] - 2.0 * covariance[place, mass]
         half = widened * float(np.sqrt(max(variance, 0.0)))
         if parameter.unit is None:
-            low, high, wide = value * np.exp(-half), value * np.exp(half), half > _WIDE
+            low, high, wide = value * np.exp(-half), value * np.exp(half), half > WIDE
         else:
             half *= parameter.unit
             low, high, wide = value - half, value + half, half > _WIDE_M
@@ -71,7 +72,7 @@ def estimates(result: Result, weighed_kg: float | None = None) -> tuple[Estimate
     else:
         kappa = constant * factor
         low, high = kappa * float(np.exp(-half)), kappa * float(np.exp(half))
-        status, why = _judged(TORQUE_CONSTANT, result, weighed=True, wide=half > _WIDE)
+        status, why = _judged(TORQUE_CONSTANT, result, weighed=True, wide=half > WIDE)
         found.append(Estimate(TORQUE_CONSTANT, kappa, low, high, status, why))
     return tuple(found)
 

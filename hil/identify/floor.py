@@ -8,6 +8,7 @@ from typing import NamedTuple, Self
 import numpy as np
 
 from hil.core.types import WHEEL_NAMES
+from hil.identify import robust
 from hil.identify.recorded import Array
 from hil.identify.windows import MEASURED, Windows, mean_of_samples
 from hil.plant.mapping import SignalMap
@@ -110,9 +111,8 @@ class Floor:
 
     def sigmas(self, residual: Array) -> Array:
         """Return robust standard deviations: one for the wheels, one for the gyro."""
-        by_kind = np.abs(residual.reshape(-1, MEASURED))
-        wheels = 1.4826 * float(np.median(by_kind[:, :-1]))
-        gyro = 1.4826 * float(np.median(by_kind[:, -1]))
+        by_kind = residual.reshape(-1, MEASURED)
+        wheels, gyro = robust.sigma(by_kind[:, :-1]), robust.sigma(by_kind[:, -1])
         each = np.maximum([*[wheels] * len(WHEEL_NAMES), gyro], _LEAST_SIGMA)
         return np.tile(each, residual.shape[1] // MEASURED)
 

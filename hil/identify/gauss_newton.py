@@ -12,9 +12,8 @@ import numpy as np
 import numpy.typing as npt
 
 from hil.identify.recorded import Array
+from hil.identify.robust import huber_loss, huber_weights
 
-HUBER = 1.5
-"""Residuals beyond so many standard deviations count linearly."""
 _STEP = 2e-3
 _MOST_STEPS = 12
 _DONE = 5e-4
@@ -218,21 +217,11 @@ def _at(experiment: Experiment, starts: Array, sigma: Array, point: Array) -> _L
     return _Local(residual, reduced, projected, jacobian, by_start)
 
 
-def _weights(residual: Array) -> Array:
-    size = np.abs(residual)
-    return np.where(size <= HUBER, 1.0, HUBER / np.maximum(size, HUBER))
-
-
-def _loss(residual: Array) -> Array:
-    size = np.abs(residual)
-    return np.where(size <= HUBER, 0.5 * size**2, HUBER * size - 0.5 * HUBER**2)
-
-
 def _normal(locals_: Sequence[_Local], count: int) -> tuple[Array, Array, Array]:
     """Return gradient, normal matrix, and the scatter of the windows' gradients."""
     gradient, information, scatter = np.zeros(count), np.zeros((count, count)), np.zeros((count, count))
     for local in locals_:
-        weights = _weights(local.reduced)
+        weights = huber_weights(local.reduced)
         each = np.einsum("wmp,wm->wp", local.jacobian, weights * local.reduced)
         gradient += each.sum(axis=0)
         scatter += each.T @ each
@@ -242,7 +231,9 @@ def _normal(locals_: Sequence[_Local], count: int) -> tuple[Array, Array, Array]
 
 def _cost(residuals: Sequence[Array], known: Knowledge, point: Array) -> float:
     away = point - known.mean
-    return sum(float(_loss(residual).sum()) for residual in residuals) + 0.5 * float(away @ known.information @ away)
+    return sum(float(huber_loss(residual).sum()) for residual in residuals) + 0.5 * float(
+        away @ known.information @ away
+    )
 
 
 def _start_step(local: _Local, step: Array) -> Array:

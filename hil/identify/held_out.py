@@ -9,7 +9,7 @@ import numpy as np
 from hil.core.model import RobotModel
 from hil.identify.floor import TWIST
 from hil.identify.recorded import Array, Drive
-from hil.identify.windows import twists
+from hil.identify.windows import rolled, twists
 from hil.plant.mapping import SignalMap
 from hil.plant.signals import POSE
 from hil.plant.start import Value
@@ -62,7 +62,7 @@ def predict(
     torque = drive.current_a[first[:, None] + 1 + np.arange(rows)] * torque_constant_n_m_a
     with WindowStepper(fmu, start, mapping, varied=TWIST, outputs=POSE, step_ns=round(drive.period_s * 1e9)) as stepper:
         ends = stepper.run(torque, np.arange(len(first)), begin)[:, -1]
-    pose, against = (drive.truth, "truth") if drive.has_truth else (_rolled(drive, robot, gyro_bias_rad_s), _WHEELS)
+    pose, against = (drive.truth, "truth") if drive.has_truth else (rolled(drive, robot, gyro_bias_rad_s), _WHEELS)
     moved = pose[first + rows] - pose[first]
     c, s = np.cos(pose[first, 2]), np.sin(pose[first, 2])
     x, y = c * moved[:, 0] + s * moved[:, 1], c * moved[:, 1] - s * moved[:, 0]
@@ -71,16 +71,3 @@ def predict(
 
 
 _WHEELS = "wheels and gyro"
-
-
-def _rolled(drive: Drive, robot: RobotModel, gyro_bias_rad_s: float) -> Array:
-    """Return poses by wheels and gyro since the first feedback, of shape (n, 3)."""
-    steps = twists(np.diff(drive.angle_rad, axis=0), robot)
-    if drive.has_gyro:
-        rate = drive.yaw_rate_rad_s - gyro_bias_rad_s
-        steps[:, 2] = 0.5 * (rate[1:] + rate[:-1]) * drive.period_s
-    heading = np.concatenate([[0.0], np.cumsum(steps[:, 2])])
-    middle = 0.5 * (heading[1:] + heading[:-1])
-    c, s = np.cos(middle), np.sin(middle)
-    way = np.stack([c * steps[:, 0] - s * steps[:, 1], s * steps[:, 0] + c * steps[:, 1]], axis=1)
-    return np.concatenate([np.concatenate([np.zeros((1, 2)), np.cumsum(way, axis=0)]), heading[:, None]], axis=1)

@@ -10,8 +10,10 @@ import numpy as np
 
 from hil.core.errors import BadInputError
 from hil.core.model import RobotModel
+from hil.identify import robust
 from hil.identify.gauss_newton import Knowledge, Solution, inverted, solve
-from hil.identify.recorded import Array, Drive
+from hil.identify.recorded import Array, Drive, integral
+from hil.identify.windows import rolled
 
 WINDOW_S = 12.0
 _PAIR_S = 1.0
@@ -64,13 +66,13 @@ def fit_kinematics(drive: Drive, tape_m: float | None = None) -> Kinematics:
         sideways, sideways_sigma, delay_s, of_radius = 1.0, float("nan"), float("nan"), 0.0
         radius = robot.wheel_radius_m
         if tape_m is not None:
-            rolled = np.hypot(*_ways(drive, bias)[-1, :2])
-            if rolled < 0.5:
+            way_m = np.hypot(*rolled(drive, robot, bias)[-1, :2])
+            if way_m < 0.5:
                 raise BadInputError(
-                    f"{drive.path}: by its wheels the robot ended {rolled:.2f} m from where it began; expected at "
+                    f"{drive.path}: by its wheels the robot ended {way_m:.2f} m from where it began; expected at "
                     "least 0.5 m to compare with the tape"
                 )
-            radius, of_radius = radius * tape_m / float(rolled), (0.003 / tape_m) ** 2
+            radius, of_radius = radius * tape_m / float(way_m), (0.003 / tape_m) ** 2
     variance += of_radius  # the lever follows from the radius
     known = len(drive.fixes) >= _LEAST_FIXES or tape_m is not None
     return Kinematics(radius, radius / ratio, bias, sideways, sideways_sigma, delay_s, variance, known)
@@ -90,7 +92,7 @@ def _radius_over_lever(drive: Drive) -> tuple[float, float, Array]:
     """Return r / L [1], the gyro's bias [rad/s] and their covariance, from turns by the wheels against the gyro's."""
     rows = max(1, round(_PAIR_S / drive.period_s))
     ends = np.arange(1, len(drive.time_s) - 1, rows)
-    heading = _integral(drive.yaw_rate_rad_s, drive.period_s)
+    heading = integral(drive.yaw_rate_rad_s, drive.period_s)
     by_wheels = drive.angle_rad @ np.array([-1.0, 1.0, 1.0, -1.0]) / 4.0
     turned, expected = np.diff(heading[ends]), np.diff(by_wheels[ends])
     if np.abs(expected).sum() * drive.robot.wheel_radius_m / drive.robot.lever_m < _LEAST_TURN_RAD:
@@ -98,31 +100,12 @@ def _radius_over_lever(drive: Drive) -> tuple[float, float, Array]:
             f"{drive.path}: the robot hardly turned; expected turns of {_LEAST_TURN_RAD:g} rad in all, for the lever"
         )
     design = np.stack([expected, np.full(len(turned), rows * drive.period_s)], axis=1)
-    weights = np.ones(len(turned))
-    for _ in range(8):
-        root = np.sqrt(weights)
-        found = np.linalg.lstsq(design * root[:, None], turned * root, rcond=None)[0]
-        residual = turned - design @ found
-        size = np.abs(residual) / max(1.4826 * float(np.median(np.abs(residual))), 1e-9)
-        weights = np.where(size <= 1.5, 1.0, 1.5 / np.maximum(size, 1.5))
-    inverse = inverted(design.T @ (weights[:, None] * design))
-    scores = design * (weights * residual)[:, None]
+    found, covariance = robust.regression(design, turned, design, np.arange(len(turned)))
     if found[0] <= 0.0:
         raise BadInputError(
             f"{drive.path}: gyro and wheels turn in opposite directions; hil commission finds the signs"
         )
-    return float(found[0]), float(found[1]), inverse @ (scores.T @ scores) @ inverse
-
-
-def _integral(rate: Array, period_s: float) -> Array:
-    return np.concatenate([[0.0], np.cumsum(0.5 * (rate[1:] + rate[:-1]) * period_s)])
-
-
-def _ways(drive: Drive, bias_rad_s: float) -> Array:
-    """Return x, y [m] and heading [rad] by wheels and gyro since the first feedback, of shape (n, 3)."""
-    heading = _integral(drive.yaw_rate_rad_s - bias_rad_s, drive.period_s)
-    (forward, left) = _legs(drive, heading)
-    return np.concatenate([(forward + left) * drive.robot.wheel_radius_m, heading[:, None]], axis=1)
+    return float(found[0]), float(found[1]), covariance
 
 
 def _legs(drive: Drive, heading: Array) -> tuple[Array, Array]:
@@ -164,7 +147,7 @@ class _Fixes:
         found = np.empty((len(parameters), *self.measured.shape))
         drive = self._drive
         for place, (radius, sideways, delay, bias) in enumerate(parameters):
-            heading = _integral(drive.yaw_rate_rad_s - self._bias - _BIAS * bias, drive.period_s)
+            heading = integral(drive.yaw_rate_rad_s - self._bias - _BIAS * bias, drive.period_s)
             forward, left = _legs(drive, heading)
             way = self._radius_m * np.exp(radius) * (forward + np.exp(sideways) * left)
             times = self._stamps + _BIAS * delay
@@ -186,9 +169,9 @@ class _Fixes:
 
     def sigmas(self, residual: Array) -> Array:
         """Return robust standard deviations of position and heading."""
-        size = np.abs(residual.reshape(-1, 3))
-        position = 1.4826 * float(np.median(size[:, :2]))
-        each = np.maximum([position, position, 1.4826 * float(np.median(size[:, 2]))], _LEAST_SIGMA)
+        by_kind = residual.reshape(-1, 3)
+        position, heading = robust.sigma(by_kind[:, :2]), robust.sigma(by_kind[:, 2])
+        each = np.maximum([position, position, heading], _LEAST_SIGMA)
         return np.tile(each, residual.shape[1] // 3)
 
 

@@ -13,10 +13,12 @@ import numpy as np
 
 from hil.core.clock import TICK_NS
 from hil.core.errors import BadInputError
-from hil.identify.estimates import Estimate
+from hil.identify.estimates import WIDE, Estimate
+from hil.identify.fit import INFLATION
 from hil.identify.floor import TWIST, Floor, Parameter
 from hil.identify.gauss_newton import Knowledge, solve
 from hil.identify.recorded import Array, Drive
+from hil.identify.robust import Z_95
 from hil.identify.windows import BIN_S, MEASURED, Windows, cut
 from hil.plant import archive
 from hil.plant.description import read_description, variables_of
@@ -29,8 +31,6 @@ _FROM_REST_S = 12.0
 _REST_RAD_S = 0.1
 _LOGARITHM = 8.0  # the widest range, of a logarithm
 _ZERO_UNIT = 0.01
-_WIDE = 0.1
-_95, _INFLATION = 1.96, 2.8
 
 
 class MappedFit(NamedTuple):
@@ -143,8 +143,8 @@ def _error_rad_s(experiment: Floor, parameters: Array) -> float:
 
 
 def _estimate(parameter: Parameter, number: float, sigma: float) -> Estimate:
-    half = _95 * _INFLATION * sigma
+    half = Z_95 * INFLATION[False] * sigma
     low, value, high = (float(parameter.value(number + sign * half)) for sign in (-1.0, 0.0, 1.0))
-    if half > _WIDE:
+    if half > WIDE:
         return Estimate(parameter.name, value, low, high, "effective", "its interval is wide")
     return Estimate(parameter.name, value, low, high, "identified", "for the torque constant of the scenario")

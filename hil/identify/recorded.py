@@ -163,10 +163,15 @@ def _whole_rows(path: Path, time_s: Array, is_known: npt.NDArray[np.bool_]) -> n
     return max(stretches, key=len)
 
 
+def integral(rate: Array, period_s: float) -> Array:
+    """Return the integral of a rate since its first sample, along the first axis, by the trapezoidal rule."""
+    steps = 0.5 * (rate[1:] + rate[:-1]) * period_s
+    return np.concatenate([np.zeros_like(rate[:1]), np.cumsum(steps, axis=0)])
+
+
 def _angles(speed_rad_s: Array, period_s: float, bandwidth_rad_s: float | None) -> Array:
     """Return the angles of the wheels from their filtered speeds."""
-    steps = 0.5 * (speed_rad_s[1:] + speed_rad_s[:-1]) * period_s
-    angle: Array = np.concatenate([np.zeros((1, 4)), np.cumsum(steps, axis=0)])
+    angle = integral(speed_rad_s, period_s)
     if bandwidth_rad_s is None:
         return angle
     rate = np.gradient(speed_rad_s, period_s, axis=0)

@@ -12,7 +12,7 @@ import numpy.typing as npt
 from hil.core.kinematics import body_twist
 from hil.core.model import RobotModel
 from hil.core.types import Wheels
-from hil.identify.recorded import Array, Drive
+from hil.identify.recorded import Array, Drive, integral
 
 WINDOW_S = 0.5
 BIN_S = 0.05
@@ -83,3 +83,16 @@ def twists(speed_rad_s: Array, robot: RobotModel) -> Array:
     """Return the body twists that fit wheel speeds of shape (n, 4) best, of shape (n, 3)."""
     found = body_twist(Wheels(*speed_rad_s.T), robot.wheel_radius_m, robot.lever_m)
     return np.stack(found, axis=1)
+
+
+def rolled(drive: Drive, robot: RobotModel, gyro_bias_rad_s: float) -> Array:
+    """Return poses by wheels and gyro since the first feedback, of shape (n, 3): x, y [m], heading [rad]."""
+    steps = twists(np.diff(drive.angle_rad, axis=0), robot)
+    if drive.has_gyro:
+        heading = integral(drive.yaw_rate_rad_s - gyro_bias_rad_s, drive.period_s)
+    else:
+        heading = np.concatenate([[0.0], np.cumsum(steps[:, 2])])
+    middle = 0.5 * (heading[1:] + heading[:-1])
+    c, s = np.cos(middle), np.sin(middle)
+    way = np.stack([c * steps[:, 0] - s * steps[:, 1], s * steps[:, 0] + c * steps[:, 1]], axis=1)
+    return np.concatenate([np.concatenate([np.zeros((1, 2)), np.cumsum(way, axis=0)]), heading[:, None]], axis=1)
