@@ -13,15 +13,12 @@ from hil.commission.person import Person
 from hil.commission.pulses import CUT_RAD_S, StepError
 from hil.commission.record import Encoders, Record
 from hil.commission.session import Session
-from hil.commission.wirings import DIRECTIONS, Candidate, Direction, pattern
+from hil.commission.wirings import DIRECTIONS, PLAIN, TRIED, Direction, pattern
 from hil.core.types import WHEEL_NAMES
 
-PLAIN = Candidate((0, 1, 2, 3), (1, 1, 1, 1), "x", 0)
-"""The wiring that a board believes in; only its own firmware can have another."""
 _RIM_M_S = 0.08
 _LASTS_S = 0.8
 _FOLLOWS = 0.3  # of the commanded speed must a wheel reach
-_TRIED: tuple[Direction, ...] = ("forward", "left", "turned left")
 
 
 def blocks(session: Session, person: Person, findings: Findings, say: Callable[[str], None]) -> None:
@@ -56,7 +53,7 @@ def floor(session: Session, person: Person, findings: Findings, say: Callable[[s
     )
     session.lift(lifted=False)
     turn = 0.0
-    for direction in _TRIED:
+    for direction in TRIED:
         key = direction.replace(" ", "_")
         person.confirm(f"move_{key}", "Look where the robot goes.")
         record = _driven(session, direction)

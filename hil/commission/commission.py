@@ -30,11 +30,10 @@ _MEANWHILE = {"speed_kp_n_m_s_rad": 0.0, "speed_ki_n_m_rad": 0.0, "encoder_fault
 
 
 class Commissioned(NamedTuple):
-    """What came out: the table that the robot's file has now, the sentences that were said, and the largest motions."""
+    """What came out: the table that the robot's file has now, the values written with it, and the largest motions."""
 
     table: CommissionTable
     values: dict[str, object]
-    report: tuple[str, ...]
     furthest_m: float
     fastest_rad_s: float
 
@@ -58,12 +57,6 @@ def commission(
     if told.commission.state == "done" and not anew:
         raise BadInputError(f"{file}: this robot is commissioned ({told.commission.date}); do it again with --anew")
     findings = Findings() if anew else Findings.kept(told.commission, told.device)
-    said: list[str] = []
-
-    def heard(sentence: str) -> None:
-        said.append(sentence)
-        say(sentence)
-
     url = link_of(session_scenario)
     with (
         device_held(url, f"hil commission {file}"),
@@ -71,23 +64,21 @@ def commission(
         Session(session_scenario, told.device.imu) as session,
     ):
         for warning in session.connect():
-            heard(f"warning: {warning}")
-        heard(f"robot: {session.firmware}")
+            say(f"warning: {warning}")
+        say(f"robot: {session.firmware}")
 
         def save(step: str) -> None:
             findings.finish(step, datetime.date.today().isoformat(), session.firmware)  # noqa: DTZ011 - the user's own
             robot_file.write(file, findings.document())
-            heard(f"{step}: done, and written into {file}")
+            say(f"{step}: done, and written into {file}")
 
         robot_file.write(file, findings.begin())
-        Procedure(session, person or _person(session), findings, heard, save).run()
-        heard(
+        Procedure(session, person or _person(session), findings, say, save).run()
+        say(
             f"the furthest way of a wheel's rim in a pulse was {session.furthest_m * 100:.1f} cm, the largest speed "
             f"of a wheel {session.fastest_rad_s:.1f} rad/s"
         )
-        return Commissioned(
-            findings.table, dict(findings.values), tuple(said), session.furthest_m, session.fastest_rad_s
-        )
+        return Commissioned(findings.table, dict(findings.values), session.furthest_m, session.fastest_rad_s)
 
 
 def _scenarios(file: Path, sets: Sequence[str], link: str | None) -> tuple[Scenario, Scenario]:

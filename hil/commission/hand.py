@@ -3,8 +3,9 @@
 import math
 
 from hil.commission.session import Session
+from hil.core.model import GRAVITY_M_S2
+from hil.drivers.port import clamp
 
-_G_M_S2 = 9.81
 _PUSHES = ("push.force_x_n", "push.force_y_n", "push.moment_n_m")
 _HAND_M, _HAND_RAD, _HAND_SPEED, _HAND_STEPS = 0.6, math.tau, 0.4, 1200
 
@@ -36,8 +37,8 @@ def push_by_hand(session: Session, axis: int) -> None:
         # A hand pushes harder until it moves: the friction is not known.
         force += heavy * (target - speed) * (1.0 if target > speed else 0.0)
         push = heavy * (target - speed) * 4.0 + (force if target else 0.0)
-        limit = robot.mass_kg * _G_M_S2 * arm_m * 0.3
-        push = min(max(push, -limit), limit)
+        limit = robot.mass_kg * GRAVITY_M_S2 * arm_m * 0.3
+        push = clamp(push, limit)
         local.set_variables(dict(zip(_PUSHES, (push * part for part in along), strict=True)))
         session.listen(0.05)
     local.set_variables(dict.fromkeys(_PUSHES, 0.0))

@@ -9,10 +9,9 @@ from typing import Any, Protocol
 
 from hil.commission.wirings import DIRECTIONS
 from hil.core.errors import BadInputError, RunInterruptedError, nearest
-from hil.core.types import WHEEL_NAMES, Pose
+from hil.core.kinematics import BodyTwist, to_body
+from hil.core.types import WHEEL_NAMES, Pose, Twist
 from hil.robot.wheel_map import Wiring
-
-_HAND_N_PER_KG, _HAND_STEPS = 1.0, 40
 
 
 class Person(Protocol):
@@ -135,9 +134,8 @@ class Onlooker:
             return abs(turned_rad) / math.tau
         return math.hypot(x_m, y_m)
 
-    def _moved(self) -> tuple[float, float, float]:
+    def _moved(self) -> BodyTwist:
         """Return how far the robot moved since the last confirmation, in the frame that its body had then."""
         now, before = self._pose(), self._before
-        c, s = math.cos(before.heading_rad), math.sin(before.heading_rad)
-        dx, dy = now.x_m - before.x_m, now.y_m - before.y_m
-        return c * dx + s * dy, c * dy - s * dx, now.heading_rad - before.heading_rad
+        way = Twist(now.x_m - before.x_m, now.y_m - before.y_m, now.heading_rad - before.heading_rad)
+        return to_body(way, before.heading_rad)

@@ -11,14 +11,13 @@ from hil.commission.findings import STEPS, Findings
 from hil.commission.person import Person
 from hil.commission.pulses import StepError, Turned, expected_rad_s2, is_dead, move, shake, turn_channel
 from hil.commission.push import push
-from hil.commission.record import Encoders
+from hil.commission.record import Array, Encoders
 from hil.commission.session import Session
 from hil.commission.wirings import (
     DIRECTIONS,
-    Array,
-    Candidate,
+    PLAIN,
+    TRIED,
     Decision,
-    Direction,
     Evidence,
     Moved,
     Responses,
@@ -29,6 +28,7 @@ from hil.commission.wirings import (
     telling,
     turned_axes,
 )
+from hil.core.model import GRAVITY_M_S2
 from hil.core.types import WHEEL_NAMES, CommandMode
 from hil.robot.wheel_map import ImuMount
 from hil.scenario.values import Wheel
@@ -36,10 +36,7 @@ from hil.scenario.values import Wheel
 _WHEELS: tuple[Wheel, ...] = ("fl", "fr", "rr", "rl")
 _ROLLS_RAD = 0.05
 _SLOPE_M_S2 = 0.35
-_G_M_S2 = 9.81
 _MOST_QUESTIONS = 3
-_PLAIN = Candidate((0, 1, 2, 3), (1, 1, 1, 1), "x", 0)
-_CHECKED: tuple[Direction, ...] = ("forward", "left", "turned left")
 
 
 class Procedure:
@@ -195,7 +192,7 @@ class Procedure:
         if self._upright is not None:
             tilt = self._in_level(record.acceleration_m_s2.mean(axis=0)) - self._level
             if np.hypot(*tilt) > _SLOPE_M_S2:
-                degrees = math.degrees(math.asin(min(1.0, np.hypot(*tilt) / _G_M_S2)))
+                degrees = math.degrees(math.asin(min(1.0, np.hypot(*tilt) / GRAVITY_M_S2)))
                 raise StepError(
                     f"the floor slopes by {degrees:.1f} degrees against where the robot stood before: choose a level "
                     "one"
@@ -257,10 +254,10 @@ class Procedure:
         session.lift(lifted=False)
         axes = self._findings.values.get("device.imu", session.imu_known)
         imu = ImuMount(axes)  # type: ignore[arg-type]
-        for direction in _CHECKED:
+        for direction in TRIED:
             torques = pattern(candidate, direction)
             with session.armed():
-                shaken = shake(session, torques, expected_rad_s2(session, pattern(_PLAIN, direction)))
+                shaken = shake(session, torques, expected_rad_s2(session, pattern(PLAIN, direction)))
             turned = session.encoders.of_motors(list(shaken.wheels_rad_s2))
             if not all(speed * torque > 0.0 for speed, torque in zip(turned, torques, strict=True)):
                 raise StepError(f"driven {direction}, not every wheel turned as it should: commission the robot anew")

@@ -6,17 +6,15 @@ All are open-loop. A pulse grows until something moves, is cut at ``CUT_RAD_S``,
 
 import math
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
-from hil.commission.record import Record
+from hil.commission.record import Array, Record
 from hil.commission.session import Session
 from hil.commission.wirings import response
 from hil.core.errors import HilError
 from hil.robot.snapshot import Feedback
-
-Array = np.ndarray[Any, np.dtype[np.float64]]
 
 CUT_RAD_S = 5.0
 """Wheel speed at which a pulse is cut."""
@@ -65,7 +63,7 @@ def turn_channel(session: Session, channel: int) -> Turned:
     forth, so that it cannot run away. Raises StepError when nothing, or more than one thing, turns.
     """
     robot, firmware = session.scenario.robot, session.scenario.firmware
-    limit = min(robot.torque_limit_n_m, firmware.torque_limit_n_m)
+    limit = session.torque_limit_n_m
     least_rad = _LEAST_COUNTS * math.tau / firmware.counts_per_revolution
     cut_rad_s = min(CUT_RAD_S, robot.speed_limit_rad_s)
     torque = _FIRST_SHARE * limit
@@ -150,8 +148,8 @@ def shake(session: Session, proportions: Sequence[float], expected_rad_s2: float
     ``expected_rad_s2`` is what one newton metre should do to the driven wheels. The torque grows by half while the
     wheels hardly turn, and is halved when they turn too fast. Raises StepError when neither helps.
     """
-    robot, firmware = session.scenario.robot, session.scenario.firmware
-    limit = min(robot.torque_limit_n_m, firmware.torque_limit_n_m)
+    robot = session.scenario.robot
+    limit = session.torque_limit_n_m
     cut_rad_s = min(CUT_RAD_S, robot.speed_limit_rad_s)
     torque = min(_WANTED_RAD_S / _PULSE_S / expected_rad_s2, limit)
     first = torque
@@ -244,8 +242,8 @@ def move(session: Session, torques: Sequence[float]) -> float:
 
     Raises StepError when it does not move.
     """
-    robot, firmware = session.scenario.robot, session.scenario.firmware
-    limit = min(robot.torque_limit_n_m, firmware.torque_limit_n_m)
+    robot = session.scenario.robot
+    limit = session.torque_limit_n_m
     torque = min(_MOVE_M_S2 * robot.wheel_radius_m * robot.effective_mass_kg / 4, limit)
     while True:
         was_there = False

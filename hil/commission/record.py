@@ -1,11 +1,12 @@
 """What one drive of commissioning saw, and what is known of the encoders."""
 
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 
-Array = np.ndarray[Any, np.dtype[np.float64]]
+Array = npt.NDArray[np.float64]
 
 
 class Record(NamedTuple):

@@ -9,7 +9,7 @@ import contextlib
 import math
 import threading
 from collections.abc import Callable, Iterator, Sequence
-from typing import Any, Self
+from typing import Self
 
 import numpy as np
 
@@ -17,13 +17,13 @@ from firmware_protocol.generated.messages import State
 from hil.commission.record import Encoders, Record
 from hil.core.errors import DeviceError, HilError
 from hil.core.types import ZERO_WHEELS, CommandMode, WheelCommand, Wheels
+from hil.drivers.port import clamp
 from hil.robot.snapshot import Feedback
 from hil.runtime.bench import NS, Bench
 from hil.runtime.freshness import Freshness
 from hil.runtime.sampling import Timing
 from hil.scenario import Scenario
 
-Array = np.ndarray[Any, np.dtype[np.float64]]
 Drive = Callable[[float, Feedback], Sequence[float]]
 """What a pulse commands: the torques (or speeds) of the four channels at a time [s], given the newest feedback."""
 
@@ -43,16 +43,20 @@ class Session:
 
     Attributes:
         bench: the bench of the run.
+        imu_known: the axes of the IMU by the robot's own file, for a procedure that goes on; the session uses none.
+        torque_limit_n_m: the largest torque of a channel that both ends allow.
         encoders: what is known of them, for braking.
+        is_on_blocks: whether the robot stands on blocks.
         furthest_m: the longest way of any wheel's rim in one pulse so far.
         fastest_rad_s: the largest wheel speed so far, by the robot's own report.
     """
 
     def __init__(self, scenario: Scenario, imu_known: tuple[str, str, str] = ("x", "y", "z")) -> None:
         self.scenario = scenario
-        self._imu_known = imu_known
+        self.imu_known = imu_known
+        self.torque_limit_n_m = min(scenario.robot.torque_limit_n_m, scenario.firmware.torque_limit_n_m)
         self.bench = Bench(scenario, None, allow_motion=True, wiring_is_unknown=True)
-        self.encoders = Encoders()
+        self.encoders, self.is_on_blocks = Encoders(), True
         self.furthest_m = self.fastest_rad_s = 0.0
         self._newest: tuple[int, ...] | None = None
         self._counted = [0] * 4
@@ -209,14 +213,12 @@ class Session:
             if still * self._period_ns > _STILL_S * NS:
                 return
             speeds = self.encoders.of_motors(feedback.speed_rad_s)
-            brake = [min(max(-gain * speed, -limit), limit) for speed in speeds]
+            brake = [clamp(-gain * speed, limit) for speed in speeds]
             self._send(brake if is_ours else (0.0,) * 4)
         raise DeviceError(
             "the wheels do not come to rest although nothing drives them; if the robot stands on the floor, it slopes: "
             "choose a level one"
         )
-
-    is_on_blocks = True
 
     def _tick(self) -> Feedback:
         device = self.bench.device
@@ -235,14 +237,11 @@ class Session:
 
     def _send(self, values: Sequence[float]) -> None:
         """Send torques, or in mode SPEED speeds, of the four channels, each limited to what [robot] allows."""
-        robot = self.scenario.robot
         if self._mode is CommandMode.TORQUE:
-            limit = min(robot.torque_limit_n_m, self.scenario.firmware.torque_limit_n_m)
-            torques = Wheels(*(min(max(value, -limit), limit) for value in values))
+            torques = Wheels(*(clamp(value, self.torque_limit_n_m) for value in values))
             self.bench.device.send(WheelCommand(CommandMode.TORQUE, ZERO_WHEELS, torques))
         else:
-            limit = robot.speed_limit_rad_s
-            speeds = Wheels(*(min(max(value, -limit), limit) for value in values))
+            speeds = Wheels(*(clamp(value, self.scenario.robot.speed_limit_rad_s) for value in values))
             self.bench.device.send(WheelCommand(CommandMode.SPEED, speeds, ZERO_WHEELS))
 
     def _record(self, rows: list[tuple[float, Feedback, Sequence[float]]], *, was_cut: bool) -> Record:
@@ -269,11 +268,6 @@ class Session:
         self.is_on_blocks = lifted
         if self.bench.local is not None:
             self.bench.local.set_variables({f"wheel.{wheel}.lifted": float(lifted) for wheel in Wheels._fields})
-
-    @property
-    def imu_known(self) -> tuple[str, str, str]:
-        """The axes of the IMU by the robot's own file, for a procedure that goes on; the session itself uses none."""
-        return self._imu_known
 
     def close(self) -> None:
         """Close everything."""

@@ -15,17 +15,17 @@ import functools
 import itertools
 import math
 from collections.abc import Sequence
-from typing import Any, Literal, NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 
+from hil.commission.record import Array
 from hil.core.model import RobotModel
 from hil.core.types import WHEEL_NAMES
 
 Rollers = Literal["x", "o"]
 Direction = Literal["forward", "backward", "left", "right", "turned left", "turned right"]
 DIRECTIONS: tuple[Direction, ...] = ("forward", "backward", "left", "right", "turned left", "turned right")
-Array = np.ndarray[Any, np.dtype[np.float64]]
 
 FITS = 0.85
 """The least score of a wiring that explains the measurement."""
@@ -55,6 +55,12 @@ class Candidate(NamedTuple):
     def reversed_wheels(self) -> tuple[str, ...]:
         """The wheels whose motor turns the other way."""
         return tuple(name for name, sign in zip(self.wheel_names, self.signs, strict=True) if sign < 0)
+
+
+PLAIN = Candidate((0, 1, 2, 3), (1, 1, 1, 1), "x", 0)
+"""Every output turns its own wheel forward: what a board that closes its own loops believes."""
+TRIED: tuple[Direction, ...] = ("forward", "left", "turned left")
+"""The motions by which a wiring is tried."""
 
 
 class Told(NamedTuple):
