@@ -80,7 +80,11 @@ def figure_outcome(
 def stop_outcome(
     expect: ExpectTable, stops: Sequence[Stop], cut_s: float | None = None, faults: Sequence[FaultTable] = ()
 ) -> Outcome:
-    """Judge a claim that the robot stops, by the ``stops`` of a run; the rest is as for ``check_expectation``."""
+    """Judge a claim that the robot stops by itself in its time, and gives its reason.
+
+    ``stops`` are all stops of the run, of which one is enough. ``cut_s`` is the time at which the run ended early, or
+    None; a claim whose time was not over by then is not judged. ``faults`` are those of the scenario.
+    """
     from_s, to_s = span_s(expect, faults)
     claim = f"the robot stops because of {expect.stops} from {from_s:g} s to {to_s:g} s"
     held = [one for one in stops if from_s <= one.t_s <= to_s and str(expect.stops) in one.why]

@@ -50,12 +50,12 @@ class Loop:
     latency later, when the samples have arrived. A tick that would begin after the next one is due is skipped and
     counted as a deadline miss; missed ticks are not caught up.
 
-    With ``rearm`` a lost link or a stopped robot does not end the run. The robot is brought back while the ticks go on
-    without commands; then the law is reset at the reference of the present ``t``. With ``watches`` a robot that
-    stops by itself, and is not brought back, does not end the run either: the ticks go on without commands.
-    ``warn`` is called with each new warning of the device. ``faults`` are the scenario's faults, which may explain
-    undriven ticks. A tick that takes longer than ``tick_limit_s`` of wall-clock time ends the run (``TickWatch``; 0
-    for no limit).
+    With ``rearm`` a lost link or a stopped robot does not end the run. The robot is brought back while the ticks go
+    on without commands; then the law is reset at the reference of the present ``t``. With ``watches`` a robot that
+    stops by itself does not end the run: unless ``rearm`` brings it back, the ticks go on without commands, to the
+    end. A lost link ends such a run as ever. ``warn`` is called with each new warning of the device. ``faults`` are
+    the scenario's faults, which may explain undriven ticks. A tick that takes longer than ``tick_limit_s`` of wall-
+    clock time ends the run (``TickWatch``; 0 for no limit).
     """
 
     def __init__(

@@ -70,8 +70,9 @@ class Rejections:
     Host and robot reject frames. A ``[[fault]]`` that can cut off feedback, state or robot explains all that is counted
     from its beginning until three things have happened in turn: its window has ended (``Undriven`` defines it), the
     robot is driven again, and the robot has reported its counters. Nothing before t = 0 is counted; ``counts`` returns
-    the result. With ``watches`` the end of ACTIVE begins such a window too: commands on the way to a robot that has
-    stopped are rejected. It is a sink: where ``needs_rows`` is set, it needs the row of each tick.
+    the result. With ``watches``, for a run that is to show that the robot stops by itself, the robot's leaving of the
+    state ACTIVE begins an explained time as a fault does: commands that are still on their way to it are rejected then.
+    It is a sink: if ``needs_rows`` is true, ``put`` has to get the row of each tick.
     """
 
     def __init__(

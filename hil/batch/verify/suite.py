@@ -20,11 +20,11 @@ from hil.plant.description import start_defaults
 from hil.runtime.mutation.applied import moved
 from hil.runtime.robots import link_of, plant_start
 from hil.scenario import Scenario, load, shipped, suite
+from hil.scenario.baseline import SUFFIX as BASELINE_SUFFIX
 from hil.scenario.load import SUITE_DIRECTORY
 
 RUN, TESTS = "hil.batch.verify.run:run", "hil.batch.verify.run:run_tests"
 """The kinds of job."""
-_BASELINE = ".baseline.toml"
 _TESTS = "test_*.py"
 
 
@@ -100,7 +100,7 @@ def _sha256(content: bytes) -> str:
 
 
 def _in_folder(folder: Path) -> list[Path]:
-    scenarios = [path for path in folder.glob("*.toml") if not path.name.endswith(_BASELINE)]
+    scenarios = [path for path in folder.glob("*.toml") if not path.name.endswith(BASELINE_SUFFIX)]
     found = sorted([*scenarios, *folder.glob(_TESTS), *folder.glob("*_test.py")])
     if not found:
         raise BadInputError(f"suite {folder}: it has neither scenarios (*.toml) nor tests (test_*.py)")
