@@ -49,6 +49,7 @@ def test_what_was_misspelt_by_one_letter_is_named(known) -> None:
         ("COMMAND", MESSAGES, ["WHEEL_COMMAND", "TORQUE_COMMAND"]),
         ("mem", LINKS, ["memory"]),
         ("reference.v_m_s", SIGNAL_NAMES, ["reference.vx_m_s", "reference.vy_m_s"]),
+        ("wheel.fl.torque_nm", SIGNAL_NAMES, ["wheel.fl.torque_command_n_m"]),
     ],
 )
 def test_capitals_hyphens_and_parts_of_a_name_are_understood(word, known, found) -> None:

@@ -28,6 +28,7 @@ from tests.processes import device, hil
 def test_every_file_is_one_test_that_its_name_and_the_marker_select(suite: pytest.Pytester):
     write(suite, circle=PASSING, line=PASSING)
     (suite.path / "no_test.toml").write_text(PASSING)
+    (suite.path / "line.baseline.toml").write_text("# of line.hil.toml")
     suite.makepyfile(test_other="def test_other(): pass")
     listed = run(suite, "--co", "-q", "--strict-markers")
     assert listed.parseoutcomes() == {"tests": 3}
@@ -37,6 +38,7 @@ def test_every_file_is_one_test_that_its_name_and_the_marker_select(suite: pytes
         (("-m", "not hil"), ["test_other"]),
         (("-k", "circle"), ["circle"]),
         (("line.hil.toml",), ["line"]),
+        (("line.baseline.toml", "line.hil.toml"), ["line"]),  # as a shell names them by *.toml
         (("line.hil.toml::line",), ["line"]),
     ):
         found = [line.partition("::")[2] for line in run(suite, "--co", "-q", *options).outlines if "::" in line]

@@ -2,6 +2,7 @@
 
 import json
 import os
+import shutil
 import subprocess
 import sys
 from collections.abc import Mapping
@@ -20,7 +21,8 @@ from hil.batch.verify.suite import read_suite
 from hil.core.errors import BadInputError
 from hil.core.mutant import VARIABLE
 from hil.core.subprocesses import module_command
-from hil.scenario.baseline import this_platform
+from hil.scenario.baseline import SUFFIX, this_platform
+from hil.scenario.load import SHIPPED_DIRECTORY
 from tests.processes import environment, hil, wait_for
 
 ENTRIES = {entry.id: entry for entry in read_catalogue().mutants}
@@ -205,6 +207,21 @@ def test_a_baseline_notices_and_its_bytes_are_told_apart(tmp_path: Path) -> None
     ]
     without = engine.verify(engine.Request([bare], mutants[:1], {}, 0, tmp_path / "without", workers=1))
     assert [one.verdict for one in without.verdicts] == ["survived"]
+
+
+def test_a_baseline_that_a_shell_names_with_its_scenario_is_left_out_and_refused_alone(tmp_path: Path) -> None:
+    (tmp_path / "near.toml").write_text('extends = "circle_speed"\n', encoding="utf-8")
+    (tmp_path / "far.hil.toml").write_text('extends = "circle_speed"\n', encoding="utf-8")
+    for stem in ("near", "far"):
+        shutil.copy(SHIPPED_DIRECTORY / f"circle_speed{SUFFIX}", tmp_path / f"{stem}{SUFFIX}")
+    named = sorted(map(str, tmp_path.glob("*.toml")))
+    assert len(named) == 4
+    members = read_suite(named)
+    assert [member.name for member in members] == [str(tmp_path / "far"), str(tmp_path / "near.toml")]
+    assert all(member.scenario.baseline is not None for member in members)
+    for alone in ([str(tmp_path / f"near{SUFFIX}")], [str(tmp_path / f"near{SUFFIX}"), str(tmp_path / "far.hil.toml")]):
+        with pytest.raises(BadInputError, match="this is the baseline of a scenario; name the scenario that stands"):
+            read_suite(alone)
 
 
 def test_healthy_runs_that_fail_are_false_alarms(suite: Path) -> None:

@@ -32,8 +32,9 @@ def baseline(
     """
     from hil.batch.baselines import SCHEMA, make_baselines
     from hil.scenario import load
+    from hil.scenario.baseline import without_baselines
 
-    loaded = [load(name, mode=mode, link=link, robot=robot) for name in scenarios]
+    loaded = [load(name, mode=mode, link=link, robot=robot) for name in without_baselines(scenarios)]
     with batch(as_json=as_json) as progress:
         found = make_baselines(
             loaded, seeds, workers=jobs, limit_s=limit_s, allow_motion=allow_motion, on_progress=progress

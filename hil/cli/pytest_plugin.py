@@ -60,13 +60,25 @@ def pytest_report_header() -> str | None:
     return None if mutant is None else f"hil verify has put in the mutant {mutant.id}"
 
 
-def pytest_collect_file(file_path: Path, parent: pytest.Collector) -> "ScenarioFile | None":
-    return ScenarioFile.from_parent(parent, path=file_path) if file_path.name.endswith(TEST_SUFFIX) else None
+def pytest_collect_file(file_path: Path, parent: pytest.Collector) -> "ScenarioFile | BaselineFile | None":
+    if file_path.name.endswith(TEST_SUFFIX):
+        return ScenarioFile.from_parent(parent, path=file_path)
+    stem = file_path.name.removesuffix(".baseline.toml")
+    if stem != file_path.name and file_path.with_name(stem + TEST_SUFFIX).is_file():
+        return BaselineFile.from_parent(parent, path=file_path)
+    return None
 
 
 def pytest_itemcollected(item: pytest.Item) -> None:
     if isinstance(item, ScenarioTest) or not _FIXTURES.isdisjoint(getattr(item, "fixturenames", ())):
         item.add_marker(pytest.mark.hil)
+
+
+class BaselineFile(pytest.File):
+    """The baseline of a ``*.hil.toml`` file: no test, and no error where a shell's ``*.toml`` names it."""
+
+    def collect(self) -> Iterable[pytest.Item]:
+        return ()
 
 
 class ScenarioFile(pytest.File):

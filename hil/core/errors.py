@@ -5,7 +5,7 @@ without a traceback.
 """
 
 import difflib
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 
 
 class HilError(Exception):
@@ -67,7 +67,8 @@ def near(word: str, known: Iterable[str]) -> list[str]:
     """Return the known words that are similar to ``word``: at most three, or an empty list.
 
     Case is ignored, a hyphen equals an underscore, and a part of a known word matches it. Otherwise the similarity of
-    the letters decides, without a common prefix such as ``wheel.fl.``, by which all signals of a wheel are similar.
+    the letters decides, without a common prefix such as ``wheel.fl.``, by which all signals of a wheel are similar; and
+    where none is similar, the first word after that prefix.
     """
     folded = {one: _folded(one) for one in known}
     meant = _folded(word)
@@ -78,8 +79,15 @@ def near(word: str, known: Iterable[str]) -> list[str]:
         return parts
     likeness = {one: _likeness(meant, fold) for one, fold in folded.items()}
     most = max((_NEAR, *likeness.values()))
-    best = [one for one, value in likeness.items() if value == most]
+    best = [one for one, value in likeness.items() if value == most] or _of_same_quantity(meant, folded)
     return best if len(best) <= _MOST_NAMED else []
+
+
+def _of_same_quantity(word: str, folded: Mapping[str, str]) -> list[str]:
+    """Return the known dotted words that have the group and the first word of the name: wheel.fl.torque_..."""
+    group, dot, name = word.rpartition(".")
+    quantity = name.partition("_")[0]
+    return [one for one, fold in folded.items() if dot and fold.startswith(f"{group}.{quantity}_")]
 
 
 def _is_part(word: str, known: str) -> bool:

@@ -7,12 +7,13 @@ import functools
 import hashlib
 import json
 import platform
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
+from hil.core import TEST_SUFFIX
 from hil.core.errors import BadInputError
 from hil.core.options import NOT_NEGATIVE, OptionsError, build, format_value, plain
 from hil.scenario.toml_text import key_lines, parse
@@ -79,6 +80,24 @@ def find(name: str, path: Path | None, directory: Path) -> Baseline | None:
             continue
         return _read(file, (now.st_mtime_ns, now.st_size))
     return None
+
+
+def is_baseline(path: str | Path) -> bool:
+    """Whether a path is that of a baseline, by its name."""
+    return str(path).endswith(SUFFIX)
+
+
+def without_baselines(names: Sequence[str]) -> list[str]:
+    """Return the scenarios that are named, without the baselines among them that stand beside one of them.
+
+    A shell's ``suite/*.toml`` names both.
+    """
+
+    def scenarios(name: str) -> set[str]:
+        stem = name.removesuffix(SUFFIX)
+        return {f"{stem}.toml", f"{stem}{TEST_SUFFIX}"}
+
+    return [name for name in names if not (is_baseline(name) and scenarios(name).intersection(names))]
 
 
 @functools.lru_cache

@@ -16,8 +16,8 @@ from hil.core.errors import BadInputError, nearest
 from hil.core.options import format_value
 from hil.laws.registry import give_law
 from hil.scenario import layers
-from hil.scenario.baseline import SUFFIX as BASELINE_SUFFIX
 from hil.scenario.baseline import find as find_baseline
+from hil.scenario.baseline import is_baseline
 from hil.scenario.check import check, derived
 from hil.scenario.layers import Given, Tree
 from hil.scenario.run import Scenario, values
@@ -64,7 +64,7 @@ def _titles(folder: Path) -> dict[str, str]:
     return {
         path.stem: path.read_text("utf-8").partition("\n")[0].lstrip("# ").rstrip()
         for path in sorted(folder.glob(f"*{_SUFFIX}"))
-        if not path.name.endswith(BASELINE_SUFFIX)
+        if not is_baseline(path)
     }
 
 
@@ -197,6 +197,8 @@ def _robot_layer(path: Path) -> Tree:
 
 def _read(path: Path, display: str, prefix: str) -> _File:
     """Read and parse one file; ``prefix`` begins the message when that fails."""
+    if is_baseline(path):
+        raise BadInputError(f"{prefix}: this is the baseline of a scenario; name the scenario that stands beside it")
     try:
         text = path.read_text("utf-8-sig")
     except FileNotFoundError:

@@ -20,7 +20,7 @@ from hil.plant.description import start_defaults
 from hil.runtime.mutation.applied import moved
 from hil.runtime.robots import link_of, plant_start
 from hil.scenario import Scenario, load, shipped, suite
-from hil.scenario.baseline import SUFFIX as BASELINE_SUFFIX
+from hil.scenario.baseline import is_baseline, without_baselines
 from hil.scenario.load import SUITE_DIRECTORY
 
 RUN, TESTS = "hil.batch.verify.run:run", "hil.batch.verify.run:run_tests"
@@ -72,12 +72,13 @@ class Member(NamedTuple):
 def read_suite(names: Sequence[str], *, baselines: bool = True) -> list[Member]:
     """Return the members that are named: scenarios, test files, and folders of these; without any, all shipped ones.
 
+    A baseline that is named with its scenario, as by a shell's ``suite/*.toml``, is left out.
     Without ``baselines`` they are judged by their expectations and [allow] alone.
 
     Raises BadInputError for what is neither, and for a scenario that does not run in this process in lockstep.
     """
     found: dict[str, Member] = {}
-    for name in names or [*shipped(), *suite(), *map(str, SUITE_DIRECTORY.glob(_TESTS))]:
+    for name in without_baselines(names) or [*shipped(), *suite(), *map(str, SUITE_DIRECTORY.glob(_TESTS))]:
         path = Path(name)
         for one in _in_folder(path) if path.is_dir() else [name]:
             member = _member(str(one))
@@ -100,7 +101,7 @@ def _sha256(content: bytes) -> str:
 
 
 def _in_folder(folder: Path) -> list[Path]:
-    scenarios = [path for path in folder.glob("*.toml") if not path.name.endswith(BASELINE_SUFFIX)]
+    scenarios = [path for path in folder.glob("*.toml") if not is_baseline(path)]
     found = sorted([*scenarios, *folder.glob(_TESTS), *folder.glob("*_test.py")])
     if not found:
         raise BadInputError(f"suite {folder}: it has neither scenarios (*.toml) nor tests (test_*.py)")
