@@ -8,6 +8,7 @@ from hil.core.errors import BadInputError
 from hil.core.types import WHEEL_NAMES
 from hil.laws.registry import SHIPPED
 from hil.review import read
+from hil.review.shadows import shadow_differences
 from hil.scenario import load
 
 SHORT = {"loop.duration_s": 0.5, "loop.rate_hz": 200, "expect": []}
@@ -47,6 +48,20 @@ def test_the_law_in_command_as_its_own_shadow_says_the_same(scenario, quantity):
     shadow = commands(result, f"shadow.{shown.law}.", quantity)
     assert np.abs(shadow).max() > 0.1
     assert np.array_equal(shadow, commands(result, quantity=quantity))
+    for difference in shadow_differences(result.signals)[shown.law].values():
+        assert (difference.rms, difference.max) == (0.0, 0.0)
+
+
+def test_the_difference_of_a_shadow_is_over_the_ticks_that_have_both_commands():
+    signals = run(controller__shadow=["profile", "dsc"]).signals
+    command, shadow = "wheel.fl.torque_command_n_m", "shadow.profile.wheel.fl.torque_command_n_m"
+    signals[shadow] = np.where(np.arange(len(signals[shadow])) < 10, np.nan, signals[shadow])
+    found = shadow_differences(signals)
+    assert list(found) == ["profile", "dsc"]
+    apart = signals[shadow][10:] - signals[command][10:]
+    assert found["profile"][command].rms == pytest.approx(np.sqrt(np.mean(apart**2)))
+    assert found["profile"][command].max == np.abs(apart).max() > 0.0
+    assert found["profile"][command].max_s == signals["loop.t_s"][10:][np.abs(apart).argmax()]
 
 
 def test_shadows_do_not_move_the_robot():

@@ -9,7 +9,7 @@ import array
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -26,23 +26,12 @@ from hil.laws.shadows import QUANTITY, short_name
 from hil.record import Recording, check_output_path
 from hil.review import RecordedRun
 from hil.review.replay.recorded import Series, check_signals, model_of, recorded_gains, rows, scenario_of, tuples
+from hil.review.shadows import CommandDifference, command_difference
 from hil.scenario.toml_text import parse_value
 
-__all__ = ["Difference", "Replay", "replay", "write_replay"]
+__all__ = ["Replay", "replay", "write_replay"]
 
 _LABEL = "open loop: computed afterwards from the recorded states; it never drove the robot"
-
-
-class Difference(NamedTuple):
-    """Replayed minus recorded set points of a wheel, over the ticks in which the law was called.
-
-    ``max`` is the largest absolute difference, at ``max_s`` of the run; ``recorded_rms`` is the size of the commands.
-    """
-
-    rms: float
-    max: float
-    max_s: float
-    recorded_rms: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,7 +61,7 @@ class Replay:
     asked: int
     commands_refused: int
     commands: Mapping[str, Series]
-    differences: Mapping[str, Difference]
+    differences: Mapping[str, CommandDifference]
     notes: tuple[str, ...]
 
     def figures(self) -> dict[str, Any]:
@@ -137,7 +126,9 @@ def replay(run: RecordedRun, text: str) -> Replay:
         asked=int(asked.sum()),
         commands_refused=guard.refused,
         commands=commands,
-        differences={name: _difference(t_s[asked], run.signals[name][asked], commands[name][asked]) for name in names},
+        differences={
+            name: command_difference(t_s[asked], run.signals[name][asked], commands[name][asked]) for name in names
+        },
         notes=tuple(_notes(run, scenario)),
     )
 
@@ -225,13 +216,6 @@ def _flat(command: WheelCommand | None, mode: CommandMode) -> tuple[float, ...]:
         return (NAN,) * len(_compared(mode))
     speed: tuple[float, ...] = command.speed_rad_s if mode is CommandMode.SPEED else ()
     return speed + command.torque_n_m
-
-
-def _difference(t_s: Series, recorded: Series, replayed: Series) -> Difference:
-    apart = np.abs(replayed - recorded)
-    most = int(np.argmax(apart))
-    rms, recorded_rms = (float(np.sqrt(np.mean(series**2))) for series in (apart, recorded))
-    return Difference(rms, float(apart[most]), float(t_s[most]), recorded_rms)
 
 
 def _notes(run: RecordedRun, scenario: Mapping[str, Any]) -> Iterator[str]:
