@@ -53,7 +53,7 @@ def test_the_law_in_command_as_its_own_shadow_says_the_same(scenario, quantity):
 
 
 def test_the_difference_of_a_shadow_is_over_the_ticks_that_have_both_commands():
-    signals = run(controller__shadow=["profile", "dsc"]).signals
+    signals = dict(run(controller__shadow=["profile", "dsc"]).signals)
     command, shadow = "wheel.fl.torque_command_n_m", "shadow.profile.wheel.fl.torque_command_n_m"
     signals[shadow] = np.where(np.arange(len(signals[shadow])) < 10, np.nan, signals[shadow])
     found = shadow_differences(signals)
