@@ -4,10 +4,11 @@
 """
 
 import hashlib
-from collections.abc import Sequence
-from typing import Any, TypeVar
+from collections.abc import Callable, Sequence
+from functools import partial
+from typing import Any
 
-from firmware_protocol.fast_calls import address_of, fast_calls
+from firmware_protocol.fast_calls import address_of, fast_call
 from firmware_protocol.framing import PackedFrames
 from firmware_protocol.generated.messages import Mode, Request
 from firmware_protocol.host import library
@@ -17,9 +18,8 @@ FourNumbers = tuple[float, float, float, float]
 MOST_TICKS = 1000
 """The most that one STEP runs (wheel.dbc, STEP.substeps)."""
 _LOG_BYTES = 1 << 15
-_NO_TIME = -1
-
-_Feedback = TypeVar("_Feedback")
+NO_TIME = -1
+"""The time [ns] in place of one that is not known: a round trip is not measured then, no heartbeat follows."""
 
 
 class Client:
@@ -32,6 +32,14 @@ class Client:
         handle: the C struct, for other functions of the library; valid as long as this object.
         address: the same, for functions of ``fast_calls``.
         view: ``wheel_view``, what is known of the robot.
+        take: takes packed frames from a place on that arrived at a time [ns]; returns where the next one begins, or the
+            end. Then see ``view``.
+        poll: adds HELLO and the heartbeat when they are due at a time [ns]; returns whether one was.
+        command: adds a command: speeds and torques of the four wheels, and the time [ns]; returns its sequence number,
+            or -1 when it cannot be sent.
+        sent: the frames of ``out`` were sent; returns their number.
+        link_figures: returns how many messages were sent and received, how many snapshots are missing or incomplete,
+            and the newest round trip [ms], NaN before the first.
     """
 
     def __init__(self, mode: Mode, parameter_check: int, nonce: int) -> None:
@@ -46,7 +54,14 @@ class Client:
         self._logged = ffi.new("size_t[2]")
         self._hashes = hashlib.sha256(), hashlib.sha256()
         self.address = address_of(self.handle)
-        self._fast = fast_calls()
+        call = partial(fast_call, owner=self.handle, keeps=self._memory)
+        self.take: Callable[[bytes, int, int], int] = call("take")
+        self.poll: Callable[[int], bool] = call("poll")
+        self.command: Callable[[FourNumbers, FourNumbers, int], int] = call("command")
+        self.sent: Callable[[], int] = call("sent")
+        self.link_figures: Callable[[], FourNumbers] = call("link_figures")
+        self._out: Callable[[], bytes] = call("out")
+        self._ask: Callable[[int], bool] = call("ask")
 
     def wire(self, wheel_of_channel: Sequence[int], sign_of_channel: Sequence[int]) -> None:
         """Set which wheel each of the robot's channels drives, and in which direction; ``view`` is then of wheels.
@@ -58,61 +73,29 @@ class Client:
 
     # What the robot sends
 
-    def take(self, packed: bytes, begin: int, now_ns: int) -> int:
-        """Take packed frames from ``begin`` on; return where the next one begins, or the end. Then see ``view``."""
-        return self._fast.take(self.address, packed, begin, now_ns)
-
-    def feedback(self, kind: type[_Feedback], wheels: type, states: tuple[Any, ...]) -> _Feedback | None:
-        """Return the newest snapshot; None before the first, and after ``leave`` or ``begin`` until the next.
-
-        ``kind`` is a class of named tuples: robot time [ns], state, command_sequence, command_age_ms, encoder counts,
-        speeds [rad/s], currents [A], acceleration [m/s²], yaw rate [rad/s]. ``wheels`` is one of four numbers, and
-        ``states`` has an object for each state.
-        """
-        feedback: _Feedback | None = self._fast.feedback(self.address, kind, wheels, states)
-        return feedback
-
     def round_trips_ns(self, begin: int) -> list[int]:
         """Return the round trips from this number on, oldest first, of the newest 256."""
         count, newest = self.view.round_trips, self._ffi.unpack(self.view.round_trips_ns, 256)
         return [newest[number % 256] for number in range(max(begin, count - 256), count)]
 
-    def link_figures(self) -> tuple[float, float, float, float]:
-        """Return how many messages were sent and received, how many snapshots are missing or incomplete, and the newest
-        round trip [ms], NaN before the first.
-        """
-        return self._fast.link_figures(self.address)
-
     # What is sent to the robot
 
     def out(self) -> PackedFrames:
         """Return the frames that wait to be sent; call ``sent`` or ``unsent`` then."""
-        return PackedFrames(self._fast.out(self.address), self.view.out_frames)
-
-    def sent(self) -> int:
-        """The frames of ``out`` were sent; return their number."""
-        return self._fast.sent(self.address)
+        return PackedFrames(self._out(), self.view.out_frames)
 
     def unsent(self) -> None:
         """The frames of ``out`` could not be sent; they do not count."""
         self._lib.wheel_client_unsent(self.handle)
 
-    def command(self, speed_rad_s: FourNumbers, torque_n_m: FourNumbers, now_ns: int | None) -> int:
-        """Add a command for the four wheels; return its sequence number, or -1 when it cannot be sent."""
-        return self._fast.command(self.address, speed_rad_s, torque_n_m, _NO_TIME if now_ns is None else now_ns)
-
-    def poll(self, now_ns: int) -> bool:
-        """Add HELLO and the heartbeat when they are due; return whether one was."""
-        return self._fast.poll(self.address, now_ns)
-
-    def arm(self, now_ns: int | None) -> int:
+    def arm(self, now_ns: int) -> int:
         """Take the next step towards ACTIVE; return it (``WHEEL_ARMING_...``)."""
-        step: int = self._lib.wheel_client_arm(self.handle, _NO_TIME if now_ns is None else now_ns)
+        step: int = self._lib.wheel_client_arm(self.handle, now_ns)
         return step
 
-    def request(self, request: Request, now_ns: int | None) -> None:
+    def request(self, request: Request, now_ns: int) -> None:
         """Set what the heartbeats ask for, and add the first one."""
-        self._lib.wheel_client_request(self.handle, request, _NO_TIME if now_ns is None else now_ns)
+        self._lib.wheel_client_request(self.handle, request, now_ns)
 
     def estop(self) -> None:
         """Add ESTOP."""
@@ -125,7 +108,7 @@ class Client:
 
     def step(self, ticks: int) -> None:
         """Lockstep: add a STEP of so many ticks; 0 asks for the robot's tick. Raises ValueError for more than 1000."""
-        if ticks > MOST_TICKS or not self._fast.ask(self.address, ticks):
+        if ticks > MOST_TICKS or not self._ask(ticks):
             raise ValueError(f"STEP of {ticks} ticks cannot be sent; expected at most {MOST_TICKS}")
 
     def step_again(self) -> None:

@@ -46,26 +46,6 @@ class _Method(ctypes.Structure):
     )
 
 
-class FastCalls(NamedTuple):
-    """The functions; ``fast_calls.h`` says what each takes and returns."""
-
-    command: Callable[[int, Sequence[float], Sequence[float], int], int]
-    poll: Callable[[int, int], bool]
-    step: Callable[[int, int, int, int, int], bool]
-    feedback: Callable[[int, type, type, tuple[Any, ...]], Any]
-    link_figures: Callable[[int], tuple[float, float, float, float]]
-    line_bytes: Callable[[int, int, float], tuple[float, float]]
-    out: Callable[[int], bytes]
-    sent: Callable[[int], int]
-    ask: Callable[[int, int], bool]
-    take: Callable[[int, bytes, int, int], int]
-    receive: Callable[[int, int, bytes, int], "int | tuple[bytes, int]"]
-    encode: Callable[[int, int], bytes]
-    exchange: Callable[[int, int, int, bytes], bytes]
-    split: Callable[[bytes, int], tuple[bytes, bytes]]
-    row: Callable[..., bytes]
-
-
 class Scaled(NamedTuple):
     """A number of a row that is multiplied by ``unit`` first."""
 
@@ -75,7 +55,7 @@ class Scaled(NamedTuple):
 
 Objects = tuple["str | Scaled | Objects | None", ...]
 """What the members of a tuple are: the name of a number, another tuple, or None for what is left out."""
-_SKIP, _TUPLE = -1, -2
+_LEFT_OUT, _NESTED = -1, -2
 
 
 class RowLayout:
@@ -97,20 +77,19 @@ class RowLayout:
         numbers = ffi.new("double[]", [float("nan")] * len(names))
         first = [places[name] for name in difference]
         layout = ffi.new("wheel_python_layout *", (numbers, len(names), *first, members))
-        self._memory = members, numbers, layout
-        self.row: Callable[..., bytes] = functools.partial(fast_calls().row, address_of(layout))
+        self.row: Callable[..., bytes] = fast_call("row", layout, (members, numbers))
 
 
 def _members(objects: Objects, places: Mapping[str, int]) -> Iterator[tuple[int, int, float]]:
     for member in objects:
         if member is None:
-            yield _SKIP, 0, 1.0
+            yield _LEFT_OUT, 0, 1.0
         elif isinstance(member, str):
             yield places[member], 0, 1.0
         elif isinstance(member, Scaled):
             yield places[member.name], 0, member.unit
         else:
-            yield _TUPLE, len(member), 1.0
+            yield _NESTED, len(member), 1.0
             yield from _members(member, places)
 
 
@@ -119,22 +98,30 @@ def address_of(pointer: Any) -> int:
     return int(library()[0].cast("uintptr_t", pointer))
 
 
+def fast_call(name: str, owner: Any = None, keeps: object = None) -> Callable[..., Any]:
+    """Return function ``wheel_python_NAME`` of the library, bound to the struct of a cffi pointer.
+
+    ``fast_calls.h`` says what it takes and returns. It keeps ``owner`` alive, and ``keeps``: the memory that the struct
+    is in or refers to. Raises BuildError when the library cannot be loaded.
+    """
+    method, make = _method(name)
+    address = 0 if owner is None else address_of(owner)
+    bound: Callable[..., Any] = make(ctypes.addressof(method), address, (owner, keeps))
+    return bound
+
+
+@functools.cache  # CPython keeps only the address of a method
+def _method(name: str) -> tuple[_Method, Callable[..., Any]]:
+    ffi, lib = _begun()
+    start = address_of(ffi.addressof(lib, f"wheel_python_{name}"))
+    make = ctypes.PYFUNCTYPE(ctypes.py_object, ctypes.c_void_p, ctypes.py_object, ctypes.py_object)
+    return _Method(name.encode(), start, _FASTCALL, None), make(("PyCFunction_NewEx", ctypes.pythonapi))
+
+
 @functools.cache
-def fast_calls() -> FastCalls:
-    """Return the functions. Raises BuildError when the host library cannot be loaded."""
+def _begun() -> tuple[Any, Any]:
+    """Give the library CPython's functions, once; return cffi's objects of it."""
     ffi, lib = library()
     needed = {name: ctypes.cast(getattr(ctypes.pythonapi, name), ctypes.c_void_p).value for name in _NEEDED}
     lib.wheel_python_begin(ffi.new("wheel_python *", {name: ffi.cast("void *", at) for name, at in needed.items()}))
-    make = ctypes.PYFUNCTYPE(ctypes.py_object, ctypes.c_void_p, ctypes.c_void_p, ctypes.c_void_p)(
-        ("PyCFunction_NewEx", ctypes.pythonapi)
-    )
-    functions = []
-    for name in FastCalls._fields:
-        start = address_of(ffi.addressof(lib, f"wheel_python_{name}"))
-        method = _Method(name.encode(), start, _FASTCALL, None)
-        _kept.append(method)
-        functions.append(make(ctypes.addressof(method), None, None))
-    return FastCalls(*functions)
-
-
-_kept: list[_Method] = []  # CPython keeps only their addresses
+    return ffi, lib

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from firmware_protocol import codec
-from firmware_protocol.client import Client
+from firmware_protocol.client import NO_TIME, Client
 from firmware_protocol.framing import pack
 from firmware_protocol.generated import messages as m
 from firmware_protocol.host import library
@@ -75,7 +75,7 @@ def test_the_session_goes_as_its_twin_does(mode: m.Mode, history: list) -> None:
             twin.poll(now_ns)
         elif event == "arm":
             at_ns = now_ns if what else -1
-            assert steps[client.arm(at_ns if what else None)] == twin.arm(at_ns)
+            assert steps[client.arm(at_ns if what else NO_TIME)] == twin.arm(at_ns)
         elif event == "request":
             client.request(what, now_ns)
             twin.send(what, now_ns)
@@ -160,7 +160,7 @@ def test_a_request_and_a_step_that_the_protocol_lacks_change_nothing() -> None:
 
 def test_a_request_without_a_time_is_sent_once() -> None:
     client = new_client()
-    client.request(m.Request.IDLE, None)
+    client.request(m.Request.IDLE, NO_TIME)
     assert len(sent(client)) == 1
     assert not client.poll(10**12)
 

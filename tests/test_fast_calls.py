@@ -10,11 +10,14 @@ from hypothesis import strategies as st
 
 from firmware_protocol.client import Client
 from firmware_protocol.codec import encode
-from firmware_protocol.fast_calls import RowLayout, Scaled, fast_calls
+from firmware_protocol.fast_calls import RowLayout, Scaled, fast_call
+from firmware_protocol.fast_tuples import Choice, Tuple, fields_of, tuple_reader
 from firmware_protocol.framing import Frame, Framer, pack
 from firmware_protocol.generated import messages as m
+from firmware_protocol.host import library
 from firmware_protocol.host_line import HostLine
 from hil.core.types import Axes, Wheels
+from hil.robot.channel import feedback_reader
 from hil.robot.snapshot import Feedback
 from tests.client_rig import feed, feedback, new_client, sent
 
@@ -23,7 +26,7 @@ FOUR = (1.0, -2.0, 3, 4.5)
 
 def test_a_command_takes_numbers_of_any_kind() -> None:
     client = new_client()
-    assert fast_calls().command(client.address, FOUR, (0, 0, 0, True), 0) == 1
+    assert client.command(FOUR, (0, 0, 0, True), 0) == 1
     assert sent(client) == [m.TorqueFeedforward(0, 0, 0, 1, 1, 1), m.WheelCommand(*FOUR, 1, 1)]
 
 
@@ -31,23 +34,23 @@ def test_a_command_takes_numbers_of_any_kind() -> None:
     ("wrong", "error"),
     [((1.0, 2.0), IndexError), (("a",) * 4, TypeError), ([1.0] * 4, SystemError), (None, SystemError)],
 )
-@pytest.mark.parametrize("place", [1, 2])
+@pytest.mark.parametrize("place", [0, 1])
 def test_what_is_no_tuple_of_four_numbers_raises_and_sends_nothing(wrong: object, error: type, place: int) -> None:
     client = new_client()
-    arguments = [client.address, FOUR, FOUR, 0]
+    arguments = [FOUR, FOUR, 0]
     arguments[place] = wrong
     with pytest.raises(error):
-        fast_calls().command(*arguments)
+        client.command(*arguments)
     assert sent(client) == []
 
 
 def test_a_time_that_is_no_int_raises() -> None:
-    client, calls = new_client(), fast_calls()
+    client = new_client()
     for call in (
-        lambda: calls.poll(client.address, None),
-        lambda: calls.command(client.address, FOUR, FOUR, "now"),
-        lambda: calls.step(0, 0, client.address, None, 0),
-        lambda: calls.poll(client.address, 1 << 70),
+        lambda: client.poll(None),  # type: ignore[arg-type]
+        lambda: client.command(FOUR, FOUR, "now"),  # type: ignore[arg-type]
+        lambda: fast_call("step")(0, client.address, None, 0),
+        lambda: client.poll(1 << 70),
     ):
         with pytest.raises((TypeError, OverflowError)):
             call()
@@ -74,26 +77,21 @@ def a_robot_in(state: m.State) -> Client:
 
 def test_feedback_is_a_named_tuple_with_what_the_view_has() -> None:
     client = a_robot_in(m.State.ACTIVE)
-    found = client.feedback(Feedback, Wheels, tuple(m.State))
+    found = feedback_reader(client)()
     assert found == feedback(client)
     assert type(found) is Feedback
     assert (type(found.speed_rad_s), type(found.current_a), found.state) == (Wheels, Wheels, m.State.ACTIVE)
-    client.leave()
-    assert client.feedback(Feedback, Wheels, tuple(m.State)) is None
 
 
 def test_feedback_and_rows_leave_no_object_behind() -> None:
     client = a_robot_in(m.State.ACTIVE)
-    states = tuple(m.State)
+    states, read = tuple(m.State), feedback_reader(client)
     layout = RowLayout(("a", "b", "x", "y", "h", "d"), ("a", (None, Scaled("b", 2.0))), ("a", "a", "x"))
     references = [sys.getrefcount(one) for one in (*states, None, Feedback, Wheels)]
     tracemalloc.start()
     for _ in range(1000):
-        assert client.feedback(Feedback, Wheels, states).command_age_ms == 7
+        assert read().command_age_ms == 7
         assert layout.row(1, (0, 3)) == layout.row(1.0, ("left out", True + 2))
-    client.leave()
-    for _ in range(1000):
-        assert client.feedback(Feedback, Wheels, states) is None
     kept_bytes, _ = tracemalloc.get_traced_memory()
     tracemalloc.stop()
     grown = [sys.getrefcount(one) for one in (*states, None, Feedback, Wheels)]
@@ -103,8 +101,28 @@ def test_feedback_and_rows_leave_no_object_behind() -> None:
 
 def test_feedback_in_a_state_that_nobody_named_raises() -> None:
     client = a_robot_in(m.State.ESTOP)
-    with pytest.raises(IndexError):
-        client.feedback(Feedback, Wheels, (m.State.BOOT,))
+    (state,) = fields_of(library()[0], client.view, "state")
+    before = sys.getrefcount(Wheels)
+    read = tuple_reader(Tuple(Wheels, (state, Choice(state.address, (m.State.BOOT,)))), client)
+    for _ in range(1000):
+        with pytest.raises(IndexError):
+            read()
+    assert sys.getrefcount(Wheels) < before + 100
+
+
+def test_a_reader_keeps_the_memory_that_it_reads() -> None:
+    ffi, _ = library()
+    numbers, owner = ffi.new("wheel_view *"), []
+    numbers.speed_rad_s, numbers.tick, numbers.robot_time_us = (1.0, 2.0, 3.0, 4.0), 7, 1 << 40
+    numbers = ffi.gc(numbers, lambda _: owner.append("freed"))
+    (time,) = fields_of(ffi, numbers, "robot_time_us")
+    some = Tuple(None, fields_of(ffi, numbers, "speed_rad_s", 1, 2))
+    read = tuple_reader(Tuple(None, (time._replace(factor=1000), some)), numbers)
+    del numbers
+    assert read() == (1000 << 40, (2.0, 3.0))
+    assert not owner
+    del read
+    assert owner == ["freed"]
 
 
 NAMES = ("x", "y", "h", "to_x", "to_y", "to_h", "dx", "dy", "dh", "d", "a", "b")
@@ -139,11 +157,11 @@ def test_what_has_not_the_layout_of_a_row_raises(objects: tuple, error: type) ->
 
 @pytest.mark.parametrize("wrong", [None, "a", bytearray(3), 3])
 def test_what_is_no_bytes_raises(wrong: object) -> None:
-    client, calls = new_client(), fast_calls()
+    client = new_client()
     for call in (
-        lambda: calls.take(client.address, wrong, 0, 0),
-        lambda: calls.exchange(0, 0, client.address, wrong),
-        lambda: calls.split(wrong, 0x300),
+        lambda: client.take(wrong, 0, 0),  # type: ignore[arg-type]
+        lambda: fast_call("exchange")(0, client.address, wrong),
+        lambda: fast_call("split")(wrong, 0x300),
         lambda: HostLine().receive_for(client.address, wrong, 0),  # type: ignore[arg-type]
     ):
         with pytest.raises(TypeError):
@@ -151,12 +169,12 @@ def test_what_is_no_bytes_raises(wrong: object) -> None:
 
 
 def test_a_number_that_is_no_int_raises() -> None:
-    client, calls = new_client(), fast_calls()
+    client = new_client()
     for call in (
-        lambda: calls.ask(client.address, None),
-        lambda: calls.take(client.address, b"", None, 0),
-        lambda: calls.take(client.address, b"", 0, "now"),
-        lambda: calls.split(b"", None),
+        lambda: fast_call("ask", client.handle)(None),
+        lambda: client.take(b"", None, 0),  # type: ignore[arg-type]
+        lambda: client.take(b"", 0, "now"),  # type: ignore[arg-type]
+        lambda: fast_call("split")(b"", None),
     ):
         with pytest.raises(TypeError):
             call()
@@ -236,7 +254,7 @@ def test_a_thousand_splits_leave_no_object_behind() -> None:
     before = sys.getrefcount(packed)
     tracemalloc.start()
     for _ in range(1000):
-        assert fast_calls().split(packed, 0x300) == (packed[:11], packed[11:])
+        assert fast_call("split")(packed, 0x300) == (packed[:11], packed[11:])
     kept_bytes, _ = tracemalloc.get_traced_memory()
     tracemalloc.stop()
     assert sys.getrefcount(packed) == before

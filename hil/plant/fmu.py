@@ -7,14 +7,14 @@ their addresses, with one C call per tick. A step through FMPy's own methods tak
 import contextlib
 import functools
 import shutil
-import struct
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from firmware_protocol.fast_tuples import fields_of
 from hil.core.clock import TICK_NS
 from hil.core.errors import BadInputError, DeviceError
-from hil.core.types import PoseFix, Wheels, make_fix, make_pose, make_twist
+from hil.core.types import Wheels
 from hil.plant import archive, shim
 from hil.plant.instance import Instance
 from hil.plant.mapping import SignalMap, resolve
@@ -50,10 +50,9 @@ class FmuPlant(shim.PlantPort):
         self._context = self._ffi.new("cosim *", {"step_ns": TICK_NS, "prints_log": prints_log})
         # Looked up once: a look-up takes longer than a call.
         self._run = self._lib.cosim_run
-        place_of = functools.partial(self._ffi.offsetof, "cosim")
-        between = place_of("signal") - place_of("steps") - 8
-        unpack = struct.Struct(f"=Q{between}x6d").unpack_from
-        self._read_motion = functools.partial(unpack, self._ffi.buffer(self._context), place_of("steps"))
+        field = functools.partial(fields_of, self._ffi, self._context)
+        (steps,), pose = field("steps"), field("signal", self._lib.COSIM_POSE, 3)
+        self._read_truth(steps._replace(factor=TICK_NS), pose, field("signal", self._lib.COSIM_TWIST, 3))
         self._torque = self._ffi.new("float[4]")
         self._speeds = self._context.signal + self._lib.COSIM_WHEEL_SPEED
         self._solve: Any = None  # the solver as a C function, for model exchange
@@ -106,12 +105,6 @@ class FmuPlant(shim.PlantPort):
         self._torque[0:4] = torque_n_m
         if self._run(self._context, self._torque, ticks) != 0:
             raise DeviceError(f"the plant stopped at {self.truth().time_ns / 1e9:g} s: {self.message}")
-
-    def truth(self) -> PoseFix:
-        """Return pose and twist, world frame, with the time since the start."""
-        steps, x_m, y_m, heading_rad, vx_m_s, vy_m_s, yaw_rate_rad_s = self._read_motion()
-        twist = make_twist((vx_m_s, vy_m_s, yaw_rate_rad_s))
-        return make_fix((steps * TICK_NS, make_pose((x_m, y_m, heading_rad)), twist))
 
     def wheel_speeds(self) -> Wheels:
         """Return the true wheel speeds [rad/s]."""

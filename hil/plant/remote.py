@@ -7,10 +7,11 @@ from dataclasses import asdict
 from functools import partial
 from pathlib import Path
 
+from firmware_protocol.fast_tuples import fields_of
 from hil.core.clock import TICK_NS
 from hil.core.errors import BadInputError, DeviceError
 from hil.core.subprocesses import DEFAULT_LIMIT_MB, MEMORY_IS_KNOWN
-from hil.core.types import Pose, PoseFix, Twist, Wheels
+from hil.core.types import Wheels
 from hil.plant import shim
 from hil.plant.child_output import ChildOutput, one_line
 from hil.plant.mapping import SignalMap
@@ -48,6 +49,9 @@ class RemotePlant(shim.PlantPort):
         self._config = {"fmu": str(fmu.absolute()), "start": dict(start), "mapping": asdict(mapping)}
         self._ffi, self._lib = shim.load()
         self._context = self._ffi.new("remote_plant *")
+        field = partial(fields_of, self._ffi, self._ffi.addressof(self._context, "newest"))
+        (time_ns,) = field("time_ns")
+        self._read_truth(time_ns, field("pose"), field("twist"))
         self._wiring: tuple[Sequence[int], Sequence[int]] = ((0, 1, 2, 3), (1, 1, 1, 1))
         self._closed = False
         self.output = ChildOutput()
@@ -124,11 +128,6 @@ class RemotePlant(shim.PlantPort):
         drive = {"enabled": 1, "torque_n_m": list(torque_n_m)}
         for tick in range(first, first + ticks):
             self._request({"kind": self._lib.REMOTE_TICK, "drive": drive | {"tick": tick}})
-
-    def truth(self) -> PoseFix:
-        """Return pose and twist, world frame, with the time since the start."""
-        newest, unpack = self._context.newest, self._ffi.unpack
-        return PoseFix(newest.time_ns, Pose(*unpack(newest.pose, 3)), Twist(*unpack(newest.twist, 3)))
 
     def wheel_speeds(self) -> Wheels:
         """Return the true wheel speeds [rad/s]."""

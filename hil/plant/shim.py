@@ -6,8 +6,10 @@ from collections.abc import Callable, Mapping
 from typing import Any, ClassVar, Self
 
 from firmware_protocol.built import BuildError
+from firmware_protocol.fast_tuples import Number, Tuple, tuple_reader
 from firmware_protocol.host import Loaded, load_library
 from hil.core.errors import BadInputError, DeviceError, nearest
+from hil.core.types import Pose, PoseFix, Twist
 from hil.plant.built import COSIM, HEADERS
 from hil.plant.mapping import Connection, Wiring
 from hil.plant.signals import OUTPUTS
@@ -45,12 +47,16 @@ class PlantPort(ABC):
     """What both plants offer to C: the addresses of functions, and the context argument for them.
 
     The addresses hold as long as the object lives; the functions fail after ``close``. A context manager.
+
+    Attributes:
+        truth: returns pose and twist, world frame, with the time since the start.
     """
 
     _functions: ClassVar[str]
     """With what the names of the shim's functions begin."""
     _context: Any
     settable: Mapping[str, Settable]
+    truth: Callable[[], PoseFix]
 
     @property
     def exchange_address(self) -> int:
@@ -66,6 +72,11 @@ class PlantPort(ABC):
     def context_address(self) -> int:
         """Address of the context of both functions."""
         return int(load()[0].cast("uintptr_t", self._context))
+
+    def _read_truth(self, time_ns: Number, pose: tuple[Number, ...], twist: tuple[Number, ...]) -> None:
+        """Set the places of the context that ``truth`` reads."""
+        motion = Tuple(Pose, pose), Tuple(Twist, twist)
+        self.truth = tuple_reader(Tuple(PoseFix, (time_ns, *motion)), self._context)
 
     def set_variable(self, name: str, value: float) -> None:
         """Set a tunable parameter or free input, from the next tick on.

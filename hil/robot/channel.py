@@ -7,8 +7,10 @@ from typing import Any
 
 from firmware_protocol.client import MOST_TICKS, Client
 from firmware_protocol.codec import Message, decode
+from firmware_protocol.fast_tuples import Choice, Tuple, fields_of, tuple_reader
 from firmware_protocol.framing import PackedFrames, pack, packed_frame
 from firmware_protocol.generated import messages as m
+from firmware_protocol.host import library
 from hil.core.errors import RobotStoppedError
 from hil.core.ports import Received
 from hil.core.types import Wheels
@@ -19,7 +21,6 @@ from hil.robot.snapshot import Feedback
 from hil.wire.conditions import ConditionedLink
 from hil.wire.framed import StreamLink
 
-_STATES = tuple(m.State)
 _MOST_FRAMES = 200  # that one call takes; a robot sends at most some ten a tick
 _FULL = 512  # bytes of frames that may wait for a step
 _STEP_AWAITED, _STEP_ELSEWHERE = 1, 3
@@ -50,6 +51,7 @@ class Channel:
         self.receive: Callable[[], int | None] = self._receive
         if line is not None:
             self.receive = partial(line.receive_for, client, link.clock, self._attend_from)
+        self._read = feedback_reader(client)
         self._round_trips_seen = 0
         self._round_trip = RoundTrip()
 
@@ -168,7 +170,7 @@ class Channel:
     @property
     def feedback(self) -> Feedback | None:
         """The newest snapshot. None before the first, and until the next when the robot was left."""
-        return self._client.feedback(Feedback, Wheels, _STATES)
+        return self._read() if self._client.view.has_feedback else None
 
     # Counters
 
@@ -191,3 +193,27 @@ class Channel:
         """Return the number of received frames that this side dropped, by cause."""
         view = self._client.view
         return self._link.rejected() | {"range": view.out_of_range, "incomplete_snapshot": view.incomplete}
+
+
+def feedback_reader(client: Client) -> Callable[[], Feedback]:
+    """Return a function that returns the newest snapshot of a client."""
+    ffi, view = library()[0], client.view
+    field = partial(fields_of, ffi, view)
+    (time,), (state,) = field("robot_time_us"), field("state")
+    return tuple_reader(
+        Tuple(
+            Feedback,
+            (
+                time._replace(factor=1000),
+                Choice(state.address, tuple(m.State)),
+                *field("command_sequence"),
+                *field("command_age_ms"),
+                Tuple(None, field("encoder_count")),
+                Tuple(Wheels, field("speed_rad_s")),
+                Tuple(Wheels, field("current_a")),
+                Tuple(None, field("acceleration_m_s2")),
+                *field("yaw_rate_rad_s"),
+            ),
+        ),
+        client,
+    )

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from typing import Protocol, cast
 
 from firmware_protocol.client import Client
-from firmware_protocol.fast_calls import address_of, fast_calls
+from firmware_protocol.fast_calls import address_of, fast_call
 from firmware_protocol.framing import FRAME_OVERHEAD, PACKED_HEADERS, Frame, PackedFrames, unsendable
 from firmware_protocol.generated.messages import Estop
 from firmware_protocol.host import HostNode, library
@@ -79,7 +79,10 @@ class DirectLink:
         self._view = ffi.new("wheel_view *")  # of no client: nothing waits
         self._view_address = address_of(self._view)
         self._is_open = True
-        self._lib, self._address, self._fast = lib, address_of(self._direct), fast_calls()
+        self._lib = lib
+        self._step: Callable[[int, int, int, int], bool] = fast_call("step", self._direct)
+        self._exchange: Callable[[int, int, bytes], bytes] = fast_call("exchange", self._direct)
+        self._line_bytes: Callable[[int, int], tuple[float, float]] = fast_call("line_bytes", self._direct)
         self.now_ns: Callable[[], int] = time.monotonic_ns
 
     def _begin_line(self) -> None:
@@ -124,7 +127,7 @@ class DirectLink:
             raise closed()
         packed = self._handed_over() if self._unsent else b""
         before = self._direct.received_frames
-        answer = self._fast.exchange(self._address, self._robot.node.address, client.address, packed)
+        answer = self._exchange(self._robot.node.address, client.address, packed)
         return PackedFrames(answer, self._direct.received_frames - before)
 
     def _handed_over(self) -> bytes:
@@ -144,7 +147,7 @@ class DirectLink:
             packed = self._handed_over()
             self._lib.wheel_direct_send(self._direct, self._robot.node.handle, packed, len(packed))
         now_ns = self.now_ns()
-        if self._fast.step(self._address, self._robot.node.address, client.address, ticks, now_ns):
+        if self._step(self._robot.node.address, client.address, ticks, now_ns):
             return None
         direct = self._direct
         return Received(PackedFrames(self.answer[direct.answer_at : direct.answer_bytes], 0), now_ns)
@@ -160,7 +163,7 @@ class DirectLink:
         return self._direct.received_frames  # type: ignore[no-any-return]
 
     def byte_counts(self) -> tuple[float, float]:
-        return self._fast.line_bytes(self._address, self._view_address, self._unsent_bytes)
+        return self._line_bytes(self._view_address, self._unsent_bytes)
 
     def rejected(self) -> dict[str, int]:
         counts = {cause: count + self._earlier[cause] for cause, count in self._here.rejected.items()}

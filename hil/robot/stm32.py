@@ -10,7 +10,7 @@ import math
 from collections.abc import Iterator
 
 from firmware_protocol.built import BuildError
-from firmware_protocol.client import Client
+from firmware_protocol.client import NO_TIME, Client
 from firmware_protocol.codec import Message, encode
 from firmware_protocol.framing import pack
 from firmware_protocol.generated import messages as m
@@ -224,8 +224,7 @@ class Stm32(LinkedDevice):
 
     def send(self, command: WheelCommand) -> int:
         _, speed_rad_s, torque_n_m = command
-        clock = self._clock
-        sequence = self._client.command(speed_rad_s, torque_n_m, None if clock is None else clock.now_ns())
+        sequence = self._client.command(speed_rad_s, torque_n_m, self._now_ns())
         if sequence < 0:
             self._raise_unsendable(command)
         self._channel.flush()
@@ -250,8 +249,8 @@ class Stm32(LinkedDevice):
 
     # Messages
 
-    def _now_ns(self) -> int | None:
-        return None if self._clock is None else self._clock.now_ns()
+    def _now_ns(self) -> int:
+        return NO_TIME if self._clock is None else self._clock.now_ns()
 
     def _synchronise_tick(self) -> None:
         """Lockstep: ask for the robot's current firmware tick."""

@@ -16,12 +16,10 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from firmware_protocol.client import Client
 from hil.core.guard import Guard
 from hil.estimation.truth import TruthEstimator
 from hil.judge.results import MemorySink, RunResult
 from hil.laws.surface import SurfaceLaw
-from hil.plant.fmu import FmuPlant
 from hil.references.circle import Circle
 from hil.robot.direct import DirectLink
 from hil.robot.stm32 import Stm32
@@ -52,12 +50,11 @@ class Part(NamedTuple):
 
 
 PARTS = (
-    Part("wait: the robot's time passes", Sampling, "wait"),
+    Part("wait: the robot's time passes; the true pose", Sampling, "wait"),
     Part("STEP, firmware, FMU, answer: one call of the library", DirectLink, "step", 1),
-    Part("the true pose", FmuPlant, "truth", 1),
     Part("the tick", Loop, "_tick"),
     Part("feedback: fresh? the robot ACTIVE?", Freshness, "poll", 1),
-    Part("feedback from the snapshot", Client, "feedback", 2),
+    Part("heartbeat, and feedback from the snapshot", Stm32, "poll", 2),
     Part("estimate", TruthEstimator, "update", 1),
     Part("reference", Circle, "at", 1),
     Part("law, guard, command, row", Tick, "drive", 1),
@@ -75,7 +72,6 @@ REALTIME_PARTS = (
     Part("poll", Stm32, "poll", 2),
     Part("bytes from the line to the client", StreamLink, "receive_for", 3),
     Part("the read: two system calls", SerialStream, "read", 4),
-    Part("feedback from the snapshot", Client, "feedback", 3),
     Part("estimate", TruthEstimator, "update", 1),
     Part("reference", Circle, "at", 1),
     Part("law, guard, command, row", Tick, "drive", 1),

@@ -126,7 +126,7 @@ def ours(seconds: float, record: Path | None, trace: Path | None = None, changes
                 stamps_ns.append(time.perf_counter_ns())
                 return truth()
 
-            robot.plant.truth = stamped_truth  # type: ignore[method-assign]
+            robot.plant.truth = stamped_truth
             yield robot
 
     options = RunOptions(record=record, trace=trace, existing="replace", make_robot=stamped_robot, keep_signals=False)

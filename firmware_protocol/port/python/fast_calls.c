@@ -15,6 +15,7 @@ void wheel_python_begin(const wheel_python *given) {
 
 /* Numbers of arguments are the caller's matter: fast_calls.py makes the functions, and they are private to
  * this package. What the arguments are is CPython's: it sets an exception for what is no number or no tuple.
+ * `self` is an int that fast_calls.py has made of an address.
  */
 
 static bool failed(void) {
@@ -38,31 +39,31 @@ static bool numbers(void *tuple, ptrdiff_t count, double *values) {
 }
 
 void *wheel_python_command(void *self, void *const *arguments, ptrdiff_t count) {
-    (void)self, (void)count;
-    wheel_client *client = python.PyLong_AsVoidPtr(arguments[0]);
-    const int64_t now_ns = python.PyLong_AsLongLong(arguments[3]);
+    (void)count;
+    wheel_client *client = python.PyLong_AsVoidPtr(self);
+    const int64_t now_ns = python.PyLong_AsLongLong(arguments[2]);
     double speed_rad_s[4];
     double torque_n_m[4];
-    if (!numbers(arguments[1], 4, speed_rad_s) || !numbers(arguments[2], 4, torque_n_m) || failed()) {
+    if (!numbers(arguments[0], 4, speed_rad_s) || !numbers(arguments[1], 4, torque_n_m) || failed()) {
         return NULL;
     }
     return python.PyLong_FromLongLong(wheel_client_command(client, speed_rad_s, torque_n_m, now_ns));
 }
 
 void *wheel_python_poll(void *self, void *const *arguments, ptrdiff_t count) {
-    (void)self, (void)count;
-    wheel_client *client = python.PyLong_AsVoidPtr(arguments[0]);
-    const int64_t now_ns = python.PyLong_AsLongLong(arguments[1]);
+    (void)count;
+    wheel_client *client = python.PyLong_AsVoidPtr(self);
+    const int64_t now_ns = python.PyLong_AsLongLong(arguments[0]);
     return failed() ? NULL : python.PyBool_FromLong(wheel_client_poll(client, now_ns));
 }
 
 void *wheel_python_step(void *self, void *const *arguments, ptrdiff_t count) {
-    (void)self, (void)count;
-    wheel_direct *direct = python.PyLong_AsVoidPtr(arguments[0]);
-    wheel_host *robot = python.PyLong_AsVoidPtr(arguments[1]);
-    wheel_client *client = python.PyLong_AsVoidPtr(arguments[2]);
-    const long long ticks = python.PyLong_AsLongLong(arguments[3]);
-    const int64_t now_ns = python.PyLong_AsLongLong(arguments[4]);
+    (void)count;
+    wheel_direct *direct = python.PyLong_AsVoidPtr(self);
+    wheel_host *robot = python.PyLong_AsVoidPtr(arguments[0]);
+    wheel_client *client = python.PyLong_AsVoidPtr(arguments[1]);
+    const long long ticks = python.PyLong_AsLongLong(arguments[2]);
+    const int64_t now_ns = python.PyLong_AsLongLong(arguments[3]);
     if (failed()) {
         return NULL;
     }
@@ -77,89 +78,78 @@ static void *new_bytes(const uint8_t *bytes, size_t length) {
     return python.PyBytes_FromStringAndSize((const char *)bytes, (ptrdiff_t)length);
 }
 
-static void *whole_numbers(const int64_t *values, ptrdiff_t count) {
+/* Returns a new tuple of floats. */
+static void *floats(const double *values, ptrdiff_t count) {
     void *tuple = python.PyTuple_New(count);
-    for (ptrdiff_t i = 0; tuple != NULL && i < count; i++) {
-        python.PyTuple_SetItem(tuple, i, python.PyLong_FromLongLong(values[i]));
-    }
-    return tuple;
-}
-
-/* Returns a new tuple of floats; `kind` is a class of named tuples, or NULL. */
-static void *floats(void *kind, const double *values, ptrdiff_t count) {
-    void *tuple = kind == NULL ? python.PyTuple_New(count) : python.PyType_GenericAlloc(kind, count);
     for (ptrdiff_t i = 0; tuple != NULL && i < count; i++) {
         python.PyTuple_SetItem(tuple, i, python.PyFloat_FromDouble(values[i]));
     }
     return tuple;
 }
 
-/* Returns the view of the client at an address; NULL with an exception. */
-static const wheel_view *view_at(void *address) {
-    const wheel_client *client = python.PyLong_AsVoidPtr(address);
-    return client == NULL ? NULL : wheel_client_view(client);
+/* Returns the value that `*next` describes, and moves on behind all that belongs to it; NULL with an
+ * exception. */
+static void *read_value(const wheel_python_value **next) {
+    const wheel_python_value *value = (*next)++;
+    const void *at = value->at;
+    switch (value->kind) {
+    case WHEEL_PYTHON_FLOAT:
+        return python.PyFloat_FromDouble((double)*(const float *)at);
+    case WHEEL_PYTHON_DOUBLE:
+        return python.PyFloat_FromDouble(*(const double *)at);
+    case WHEEL_PYTHON_UINT8:
+        return python.PyLong_FromLongLong(*(const uint8_t *)at);
+    case WHEEL_PYTHON_UINT16:
+        return python.PyLong_FromLongLong(*(const uint16_t *)at);
+    case WHEEL_PYTHON_UINT64:
+        return python.PyLong_FromLongLong((long long)*(const uint64_t *)at * value->factor);
+    case WHEEL_PYTHON_CHOICE: {
+        void *object = python.PyTuple_GetItem(value->object, *(const uint8_t *)at);
+        if (object != NULL) {
+            python.Py_IncRef(object);
+        }
+        return object;
+    }
+    default: /* a tuple */
+        break;
+    }
+    void *tuple = value->object == NULL ? python.PyTuple_New(value->length)
+                                        : python.PyType_GenericAlloc(value->object, value->length);
+    for (ptrdiff_t i = 0; tuple != NULL && i < value->length; i++) {
+        void *item = read_value(next);
+        if (item == NULL) {
+            python.Py_DecRef(tuple);
+            return NULL;
+        }
+        python.PyTuple_SetItem(tuple, i, item);
+    }
+    return tuple;
 }
 
-void *wheel_python_feedback(void *self, void *const *arguments, ptrdiff_t count) {
-    (void)self, (void)count;
-    const wheel_view *view = view_at(arguments[0]);
-    if (view == NULL) {
-        return NULL;
-    }
-    if (!view->has_feedback) {
-        return python.Py_BuildValue("");
-    }
-    void *state = python.PyTuple_GetItem(arguments[3], view->state);
-    void *feedback = state == NULL ? NULL : python.PyType_GenericAlloc(arguments[1], 9);
-    if (feedback == NULL) {
-        return NULL;
-    }
-    void *wheels = arguments[2];
-    const float *v = view->speed_rad_s;
-    const float *c = view->current_a;
-    const float *a = view->acceleration_m_s2;
-    const uint16_t *counts = view->encoder_count;
-    python.Py_IncRef(state);
-    void *items[] = {python.PyLong_FromLongLong(1000 * (long long)view->robot_time_us),
-                     state,
-                     python.PyLong_FromLongLong(view->command_sequence),
-                     python.PyLong_FromLongLong(view->command_age_ms),
-                     whole_numbers((int64_t[]){counts[0], counts[1], counts[2], counts[3]}, 4),
-                     floats(wheels, (double[]){(double)v[0], (double)v[1], (double)v[2], (double)v[3]}, 4),
-                     floats(wheels, (double[]){(double)c[0], (double)c[1], (double)c[2], (double)c[3]}, 4),
-                     floats(NULL, (double[]){(double)a[0], (double)a[1], (double)a[2]}, 3),
-                     python.PyFloat_FromDouble((double)view->yaw_rate_rad_s)};
-    for (ptrdiff_t i = 0; i < 9; i++) {
-        python.PyTuple_SetItem(feedback, i, items[i]);
-    }
-    if (failed()) { /* no memory */
-        python.Py_DecRef(feedback);
-        return NULL;
-    }
-    return feedback;
+void *wheel_python_read(void *self, void *const *arguments, ptrdiff_t count) {
+    (void)arguments, (void)count;
+    const wheel_python_value *next = python.PyLong_AsVoidPtr(self);
+    return read_value(&next);
 }
 
 void *wheel_python_link_figures(void *self, void *const *arguments, ptrdiff_t count) {
-    (void)self, (void)count;
-    const wheel_view *view = view_at(arguments[0]);
-    if (view == NULL) {
-        return NULL;
-    }
+    (void)arguments, (void)count;
+    const wheel_view *view = wheel_client_view(python.PyLong_AsVoidPtr(self));
     const double lost = (double)view->lost + view->incomplete;
     const double round_trip_ms = view->round_trips == 0u ? (double)NAN : (double)view->round_trip_ns * 1e-6;
-    return floats(NULL, (double[]){(double)view->sent, (double)view->received, lost, round_trip_ms}, 4);
+    return floats((double[]){(double)view->sent, (double)view->received, lost, round_trip_ms}, 4);
 }
 
 void *wheel_python_line_bytes(void *self, void *const *arguments, ptrdiff_t count) {
-    (void)self, (void)count;
-    const wheel_direct *direct = python.PyLong_AsVoidPtr(arguments[0]);
-    const wheel_view *view = python.PyLong_AsVoidPtr(arguments[1]);
+    (void)count;
+    const wheel_direct *direct = python.PyLong_AsVoidPtr(self);
+    const wheel_view *view = python.PyLong_AsVoidPtr(arguments[0]);
     double more;
-    if (direct == NULL || view == NULL || !number(arguments[2], &more)) {
+    if (view == NULL || !number(arguments[1], &more)) {
         return NULL;
     }
     const double sent = (double)direct->sent_bytes + view->out_serial_bytes + more;
-    return floats(NULL, (double[]){sent, (double)direct->received_bytes}, 2);
+    return floats((double[]){sent, (double)direct->received_bytes}, 2);
 }
 
 /* Puts the numbers of a tuple in their places; returns the member behind its own, or NULL with an exception.
@@ -171,14 +161,14 @@ static const wheel_python_member *put(const wheel_python_member *member, void *c
         if (object == NULL) {
             return NULL;
         }
-        if (member->place == WHEEL_PYTHON_TUPLE) {
+        if (member->place == WHEEL_PYTHON_NESTED) {
             member = put(member + 1, NULL, object, member->length, row);
             if (member == NULL) {
                 return NULL;
             }
             continue;
         }
-        if (member->place != WHEEL_PYTHON_SKIP) {
+        if (member->place != WHEEL_PYTHON_LEFT_OUT) {
             double value;
             if (!number(object, &value)) {
                 return NULL;
@@ -191,9 +181,8 @@ static const wheel_python_member *put(const wheel_python_member *member, void *c
 }
 
 void *wheel_python_row(void *self, void *const *arguments, ptrdiff_t count) {
-    (void)self;
-    const wheel_python_layout *layout = python.PyLong_AsVoidPtr(arguments[0]);
-    if (layout == NULL || put(layout->members, arguments + 1, NULL, count - 1, layout->numbers) == NULL) {
+    const wheel_python_layout *layout = python.PyLong_AsVoidPtr(self);
+    if (put(layout->members, arguments, NULL, count, layout->numbers) == NULL) {
         return NULL;
     }
     const double *pose = layout->numbers + layout->pose;
@@ -219,23 +208,23 @@ static bool bytes_of(void *object, uint8_t **bytes, size_t *length) {
 }
 
 void *wheel_python_out(void *self, void *const *arguments, ptrdiff_t count) {
-    (void)self, (void)count;
-    const wheel_client *client = python.PyLong_AsVoidPtr(arguments[0]);
+    (void)arguments, (void)count;
+    const wheel_client *client = python.PyLong_AsVoidPtr(self);
     return new_bytes(wheel_client_out(client), wheel_client_view(client)->out_bytes);
 }
 
 void *wheel_python_sent(void *self, void *const *arguments, ptrdiff_t count) {
-    (void)self, (void)count;
-    wheel_client *client = python.PyLong_AsVoidPtr(arguments[0]);
+    (void)arguments, (void)count;
+    wheel_client *client = python.PyLong_AsVoidPtr(self);
     const long long frames = wheel_client_view(client)->out_frames;
     wheel_client_sent(client);
     return python.PyLong_FromLongLong(frames);
 }
 
 void *wheel_python_ask(void *self, void *const *arguments, ptrdiff_t count) {
-    (void)self, (void)count;
-    wheel_client *client = python.PyLong_AsVoidPtr(arguments[0]);
-    const long long ticks = python.PyLong_AsLongLong(arguments[1]);
+    (void)count;
+    wheel_client *client = python.PyLong_AsVoidPtr(self);
+    const long long ticks = python.PyLong_AsLongLong(arguments[0]);
     if (failed()) {
         return NULL;
     }
@@ -243,13 +232,13 @@ void *wheel_python_ask(void *self, void *const *arguments, ptrdiff_t count) {
 }
 
 void *wheel_python_take(void *self, void *const *arguments, ptrdiff_t count) {
-    (void)self, (void)count;
-    wheel_client *client = python.PyLong_AsVoidPtr(arguments[0]);
-    const long long begin = python.PyLong_AsLongLong(arguments[2]);
-    const int64_t now_ns = python.PyLong_AsLongLong(arguments[3]);
+    (void)count;
+    wheel_client *client = python.PyLong_AsVoidPtr(self);
+    const long long begin = python.PyLong_AsLongLong(arguments[1]);
+    const int64_t now_ns = python.PyLong_AsLongLong(arguments[2]);
     uint8_t *packed;
     size_t length;
-    if (failed() || !bytes_of(arguments[1], &packed, &length)) {
+    if (failed() || !bytes_of(arguments[0], &packed, &length)) {
         return NULL;
     }
     return python.PyLong_FromLongLong(
@@ -257,15 +246,15 @@ void *wheel_python_take(void *self, void *const *arguments, ptrdiff_t count) {
 }
 
 void *wheel_python_receive(void *self, void *const *arguments, ptrdiff_t count) {
-    (void)self, (void)count;
-    wheel_line *line = python.PyLong_AsVoidPtr(arguments[0]);
-    wheel_client *client = python.PyLong_AsVoidPtr(arguments[1]);
-    const int64_t now_ns = python.PyLong_AsLongLong(arguments[3]);
+    (void)count;
+    wheel_line *line = python.PyLong_AsVoidPtr(self);
+    wheel_client *client = python.PyLong_AsVoidPtr(arguments[0]);
+    const int64_t now_ns = python.PyLong_AsLongLong(arguments[2]);
     uint8_t *bytes;
     uint8_t *packed;
     size_t length;
     size_t used;
-    if (failed() || !bytes_of(arguments[2], &bytes, &length)) {
+    if (failed() || !bytes_of(arguments[1], &bytes, &length)) {
         return NULL;
     }
     void *room = new_bytes(NULL, length + WHEEL_LINE_OPEN);
@@ -288,22 +277,22 @@ void *wheel_python_receive(void *self, void *const *arguments, ptrdiff_t count) 
 }
 
 void *wheel_python_encode(void *self, void *const *arguments, ptrdiff_t count) {
-    (void)self, (void)count;
-    wheel_line *line = python.PyLong_AsVoidPtr(arguments[0]);
-    const wheel_client *client = python.PyLong_AsVoidPtr(arguments[1]);
+    (void)count;
+    wheel_line *line = python.PyLong_AsVoidPtr(self);
+    const wheel_client *client = python.PyLong_AsVoidPtr(arguments[0]);
     uint8_t bytes[WHEEL_LINE_GROWTH * WHEEL_CLIENT_OUT];
     const size_t length = wheel_client_view(client)->out_bytes;
     return new_bytes(bytes, wheel_line_encode(line, wheel_client_out(client), length, bytes));
 }
 
 void *wheel_python_exchange(void *self, void *const *arguments, ptrdiff_t count) {
-    (void)self, (void)count;
-    wheel_direct *direct = python.PyLong_AsVoidPtr(arguments[0]);
-    wheel_host *robot = python.PyLong_AsVoidPtr(arguments[1]);
-    wheel_client *client = python.PyLong_AsVoidPtr(arguments[2]);
+    (void)count;
+    wheel_direct *direct = python.PyLong_AsVoidPtr(self);
+    wheel_host *robot = python.PyLong_AsVoidPtr(arguments[0]);
+    wheel_client *client = python.PyLong_AsVoidPtr(arguments[1]);
     uint8_t *packed;
     size_t length;
-    if (!bytes_of(arguments[3], &packed, &length)) {
+    if (!bytes_of(arguments[2], &packed, &length)) {
         return NULL;
     }
     void *thread = python.PyEval_SaveThread();

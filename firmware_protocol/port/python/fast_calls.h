@@ -37,55 +37,73 @@ typedef struct {
 void wheel_python_begin(const wheel_python *python);
 
 /* Functions for Python. They get borrowed references (void * is PyObject *), and return a new one, or NULL
- * with the exception that CPython has set. Addresses are ints. */
+ * with the exception that CPython has set. `self` is an int, the address of what stands before the dot below;
+ * other addresses are ints too. */
 
-/* command(client, speeds, torques, now_ns): wheel_client_command with two tuples of four. */
+/* client.command(speeds, torques, now_ns): wheel_client_command with two tuples of four. */
 void *wheel_python_command(void *self, void *const *arguments, ptrdiff_t count);
 
-/* poll(client, now_ns): wheel_client_poll. */
+/* client.poll(now_ns): wheel_client_poll. */
 void *wheel_python_poll(void *self, void *const *arguments, ptrdiff_t count);
 
-/* step(direct, robot, client, ticks, now_ns): wheel_direct_step. */
-void *wheel_python_step(void *self, void *const *arguments, ptrdiff_t count);
-
-/* feedback(client, Feedback, Wheels, states): the newest snapshot, None before the first, as a Feedback of
- * hil.robot.snapshot. The kinds are classes of named tuples; `states` has an object for each wp_state. */
-void *wheel_python_feedback(void *self, void *const *arguments, ptrdiff_t count);
-
-/* link_figures(client): messages sent and received, snapshots lost or incomplete, the newest round trip [ms]
+/* client.link_figures(): messages sent and received, snapshots lost or incomplete, the newest round trip [ms]
  * or NaN. */
 void *wheel_python_link_figures(void *self, void *const *arguments, ptrdiff_t count);
 
-/* line_bytes(direct, view, more): bytes on the line, sent and received; those that wait in the client of this
- * view, and `more`, count as sent. */
-void *wheel_python_line_bytes(void *self, void *const *arguments, ptrdiff_t count);
-
-/* out(client): the packed frames that wait to be sent, as bytes. */
+/* client.out(): the packed frames that wait to be sent, as bytes. */
 void *wheel_python_out(void *self, void *const *arguments, ptrdiff_t count);
 
-/* sent(client): wheel_client_sent; returns the number of frames. */
+/* client.sent(): wheel_client_sent; returns the number of frames. */
 void *wheel_python_sent(void *self, void *const *arguments, ptrdiff_t count);
 
-/* ask(client, ticks): wheel_client_step; returns False. */
+/* client.ask(ticks): wheel_client_step; returns False. */
 void *wheel_python_ask(void *self, void *const *arguments, ptrdiff_t count);
 
-/* take(client, packed, begin, now_ns): wheel_client_take, to the end of the bytes. */
+/* client.take(packed, begin, now_ns): wheel_client_take, to the end of the bytes. */
 void *wheel_python_take(void *self, void *const *arguments, ptrdiff_t count);
 
-/* receive(line, client, bytes, now_ns): the client takes the frames of received bytes, and adds what is due
+/* line.receive(client, bytes, now_ns): the client takes the frames of received bytes, and adds what is due
  * (wheel_client_poll). Returns the number of frames; or, if the client needs attention, the packed frames and
  * how far it took them. */
 void *wheel_python_receive(void *self, void *const *arguments, ptrdiff_t count);
 
-/* encode(line, client): what waits in the client as bytes of the line. */
+/* line.encode(client): what waits in the client as bytes of the line. */
 void *wheel_python_encode(void *self, void *const *arguments, ptrdiff_t count);
 
-/* exchange(direct, robot, client, packed): sends the packed frames, then what waits in the client, and
+/* direct.step(robot, client, ticks, now_ns): wheel_direct_step. */
+void *wheel_python_step(void *self, void *const *arguments, ptrdiff_t count);
+
+/* direct.line_bytes(view, more): bytes on the line, sent and received; those that wait in the client of this
+ * view, and `more`, count as sent. */
+void *wheel_python_line_bytes(void *self, void *const *arguments, ptrdiff_t count);
+
+/* direct.exchange(robot, client, packed): sends the packed frames, then what waits in the client, and
  * returns the answer as bytes. */
 void *wheel_python_exchange(void *self, void *const *arguments, ptrdiff_t count);
 
 /* split(packed, limit): wheel_packed_split; returns both groups as bytes. */
 void *wheel_python_split(void *self, void *const *arguments, ptrdiff_t count);
+
+/* A value that is read from memory. A tuple's values follow it. */
+typedef struct {
+    int32_t kind;
+    int32_t length; /* of a tuple */
+    int64_t factor; /* by which a WHEEL_PYTHON_UINT64 is multiplied */
+    const void *at; /* where the number is */
+    void *object;   /* the class of a named tuple; NULL for a plain one; the objects of a choice */
+} wheel_python_value;
+enum {
+    WHEEL_PYTHON_TUPLE,
+    WHEEL_PYTHON_CHOICE, /* of a tuple's objects, by a uint8_t */
+    WHEEL_PYTHON_FLOAT,
+    WHEEL_PYTHON_DOUBLE,
+    WHEEL_PYTHON_UINT8,
+    WHEEL_PYTHON_UINT16,
+    WHEEL_PYTHON_UINT64,
+};
+
+/* value.read(): the value as it is now. */
+void *wheel_python_read(void *self, void *const *arguments, ptrdiff_t count);
 
 /* One member of a tuple, in the order of the members. */
 typedef struct {
@@ -93,8 +111,8 @@ typedef struct {
     int16_t length; /* of a tuple */
     double unit;    /* by which the number is multiplied */
 } wheel_python_member;
-#define WHEEL_PYTHON_SKIP -1
-#define WHEEL_PYTHON_TUPLE -2 /* its members follow */
+#define WHEEL_PYTHON_LEFT_OUT -1
+#define WHEEL_PYTHON_NESTED -2 /* a tuple; its members follow */
 
 typedef struct {
     double *numbers;
@@ -107,7 +125,7 @@ typedef struct {
     const wheel_python_member *members; /* of the tuple of the objects */
 } wheel_python_layout;
 
-/* row(layout, objects...): puts the numbers of nested tuples in their places, and returns a copy of all
+/* layout.row(objects...): puts the numbers of nested tuples in their places, and returns a copy of all
  * numbers as bytes. Those that have no member keep their value. */
 void *wheel_python_row(void *self, void *const *arguments, ptrdiff_t count);
 /* cffi: end */
