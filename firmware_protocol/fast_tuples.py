@@ -45,12 +45,15 @@ def fields_of(ffi: Any, struct: Any, name: str, first: int = 0, count: int | Non
     return tuple(Number(begin + place * size, item.cname) for place in range(first, first + length))
 
 
-def tuple_reader(what: Tuple, memory: object) -> Callable[[], Any]:
-    """Return a function that returns the tuple as it is in memory now. It keeps ``memory`` alive, the owner of that.
+def tuple_reader(what: Tuple, memory: object, given: Number | None = None) -> Callable[[], Any]:
+    """Return a function that returns the tuple as it is in memory now; None while the bool ``given`` is false.
 
-    Raises BuildError when the library cannot be loaded.
+    It keeps ``memory`` alive, the owner of the numbers. Raises BuildError when the library cannot be loaded.
     """
-    values = library()[0].new("wheel_python_value[]", list(_flat(what)))
+    ffi, _ = library()
+    values = ffi.new("wheel_python_value[]", list(_flat(what)))
+    if given is not None:
+        values[0].at = ffi.cast("void *", given.address)
     return fast_call("read", values, (what, memory))
 
 

@@ -139,12 +139,13 @@ def test_the_library_sends_what_is_whole_and_stops_there(rest: bytes) -> None:
     assert sum(frame.id == m.StepDone.ID for frame in some) == 1
 
 
-def test_a_step_that_cannot_be_sent_is_none() -> None:
+@pytest.mark.parametrize("ticks", [1001, 65537, 1 << 62])
+def test_a_step_that_cannot_be_sent_is_none(ticks: int) -> None:
     link, *_ = both()
     client = new_client()
-    left = link.step(client, 1001)
-    assert left is not None
-    assert (len(left.frames.packed), client.view.out_bytes, client.view.step) == (0, 0, 0)
+    with pytest.raises(ValueError, match=f"a step of {ticks} ticks; expected at most 1000"):
+        link.step(client, ticks)
+    assert (client.view.out_bytes, client.view.step) == (0, 0)
 
 
 def test_a_run_is_the_same_with_a_firmware_that_is_asked_for_bytes() -> None:

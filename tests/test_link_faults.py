@@ -164,7 +164,8 @@ def test_reordering_swaps_neighbours_and_the_last_one_leaves_at_the_end() -> Non
 def test_in_lockstep_what_is_due_within_a_tick_is_sent_at_its_end() -> None:
     """A window may end between two ticks, and the clock shows whole ticks only."""
     wire, link, _ = fault_link(row("reorder", end=100_400_000))
-    clock = LockstepClock(lambda ticks: None)
+    clock = LockstepClock()
+    clock.step = lambda ticks: None
     wire.now = 100 * MS
     link.send(command(1))
     clock.wait_until(100 * MS)

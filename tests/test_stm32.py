@@ -60,7 +60,8 @@ def driver(
     link = StreamLink(line or Line(rig))
     expected = Expected(parameter_hash(values), lockstep, allow_motion, 20.0)
     nonces = itertools.count(0x2341) if nonces is None else iter(nonces)
-    clock = LockstepClock(lambda ticks: device.step(ticks))
+    clock = LockstepClock()
+    clock.step = lambda ticks: device.step(ticks)
     device = Stm32(
         ConditionedLink(link, clock, command_latency_ns=latencies[0], feedback_latency_ns=latencies[1]),
         CommandMode.SPEED,
@@ -293,7 +294,8 @@ def test_another_hosts_session_is_not_taken_for_ours():
 def test_a_stop_does_not_wait_for_the_links_latency():
     rig = WheelRig(lockstep=True)
     link = StreamLink(Line(rig))
-    clock = LockstepClock(lambda ticks: device.step(ticks))
+    clock = LockstepClock()
+    clock.step = lambda ticks: device.step(ticks)
     expected = Expected(parameter_hash(PARAMETERS), lockstep=True, allow_motion=False, speed_limit_rad_s=20.0)
     delayed = ConditionedLink(link, clock, command_latency_ns=20_000_000)
     device = Stm32(delayed, CommandMode.SPEED, expected, itertools.count(0x2341), WheelMap())

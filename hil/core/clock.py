@@ -24,11 +24,14 @@ class WallClock:
 class LockstepClock:
     """Time in lockstep: it advances only while ``wait_until`` runs the robot, so it is never late.
 
-    ``step`` runs the robot for a number of firmware ticks and returns when the robot has answered.
+    Attributes:
+        step: runs the robot for a number of firmware ticks and returns when the robot has answered; set by who makes
+            the robot's session, before time passes.
     """
 
-    def __init__(self, step: Callable[[int], None]) -> None:
-        self._step = step
+    step: Callable[[int], None]
+
+    def __init__(self) -> None:
         self._now_ns = 0
 
     def now_ns(self) -> int:
@@ -41,7 +44,7 @@ class LockstepClock:
             # Frames that the robot sends during the step get the time of the step's end.
             self._now_ns = now_ns + ticks * TICK_NS
             try:
-                self._step(ticks)
+                self.step(ticks)
             except BaseException:
                 # The robot did not complete the step. Once it is back, the same ticks are run.
                 self._now_ns = now_ns

@@ -5,7 +5,7 @@ from collections.abc import Callable
 from functools import partial
 from typing import Any
 
-from firmware_protocol.client import MOST_TICKS, Client
+from firmware_protocol.client import Client
 from firmware_protocol.codec import Message, decode
 from firmware_protocol.fast_tuples import Choice, Tuple, fields_of, tuple_reader
 from firmware_protocol.framing import PackedFrames, pack, packed_frame
@@ -32,6 +32,11 @@ class Channel:
     ``on_message`` gets every message that is not part of a snapshot, with its time of arrival.
 
     Attributes:
+        feedback: returns the newest snapshot; None before the first, and until the next when the robot was left.
+        step: lockstep: runs the robot for a number of ticks, and takes all that it sends; 0 only asks for its tick.
+            Raises RobotStoppedError when it does not answer within 2 s of wall-clock time, or is at another tick,
+            ValueError for more than 1000 ticks.
+        is_carried: whether the next step carries what is sent, as it is, so that ``flush`` is not needed.
         receive: real time: takes what has arrived, and sends what is then due. Returns the time at which nothing was
             left to be read. None if there may be more: it is read in the next tick, because a host that is slower than
             its robot would never finish.
@@ -46,12 +51,16 @@ class Channel:
         if self._direct is not None:
             self._direct.serve(client)
         self._is_plain = link.is_plain
+        self.is_carried = self._is_plain and self._direct is not None
+        self.step: Callable[[int], None] = self._step_on_link
+        if self._direct is not None:
+            self.step = partial(self._step_directly if self._is_plain else self._step_under_conditions, self._direct)
         # A line without conditions passes bytes between stream and client, in the library.
         self._line = line = link.transport if self._is_plain and isinstance(link.transport, StreamLink) else None
         self.receive: Callable[[], int | None] = self._receive
         if line is not None:
             self.receive = partial(line.receive_for, client, link.clock, self._attend_from)
-        self._read = feedback_reader(client)
+        self.feedback = feedback_reader(client)
         self._round_trips_seen = 0
         self._round_trip = RoundTrip()
 
@@ -81,30 +90,28 @@ class Channel:
             return False
         return self._is_plain or self._link.lets_commands_pass()
 
-    def step(self, ticks: int) -> None:
-        """Lockstep: run the robot for a number of ticks, and take all that it sends; 0 only asks for its tick.
+    def _step_on_link(self, ticks: int) -> None:
+        self._client.step(ticks)
+        self.flush()
+        self._await_step()
 
-        Raises RobotStoppedError when it does not answer within 2 s of wall-clock time, or is at another tick.
-        """
-        if ticks > MOST_TICKS:
-            raise ValueError(f"a step of {ticks} ticks; expected at most {MOST_TICKS}")
-        direct, client = self._direct, self._client
-        if direct is None:
-            client.step(ticks)
-            self.flush()
+    def _step_directly(self, direct: DirectLink, ticks: int) -> None:
+        left = direct.step(self._client, ticks)
+        if left is not None:
+            self._attend(direct.answer, left.stamp_ns)
+            self.take(left)
             self._await_step()
-        elif self._is_plain or self._link.lets_feedback_pass():
-            left = direct.step(client, ticks)
-            if left is not None:
-                self._attend(direct.answer, left.stamp_ns)
-                self.take(left)
-                self._await_step()
-        else:
-            client.step(ticks)
-            ready = self._link.exchange(direct, client)
-            while ready and client.view.step == _STEP_AWAITED:
-                self.take(ready.popleft())
-            self._await_step()
+
+    def _step_under_conditions(self, direct: DirectLink, ticks: int) -> None:
+        if self._link.lets_feedback_pass():
+            self._step_directly(direct, ticks)
+            return
+        client = self._client
+        client.step(ticks)
+        ready = self._link.exchange(direct, client)
+        while ready and client.view.step == _STEP_AWAITED:
+            self.take(ready.popleft())
+        self._await_step()
 
     def _await_step(self) -> None:
         view = self._client.view
@@ -167,11 +174,6 @@ class Channel:
                 "or is stepped by another host"
             )
 
-    @property
-    def feedback(self) -> Feedback | None:
-        """The newest snapshot. None before the first, and until the next when the robot was left."""
-        return self._read() if self._client.view.has_feedback else None
-
     # Counters
 
     def _empty_log(self) -> None:
@@ -195,11 +197,11 @@ class Channel:
         return self._link.rejected() | {"range": view.out_of_range, "incomplete_snapshot": view.incomplete}
 
 
-def feedback_reader(client: Client) -> Callable[[], Feedback]:
-    """Return a function that returns the newest snapshot of a client."""
+def feedback_reader(client: Client) -> Callable[[], Feedback | None]:
+    """Return a function that returns the newest snapshot of a client, None before the first."""
     ffi, view = library()[0], client.view
     field = partial(fields_of, ffi, view)
-    (time,), (state,) = field("robot_time_us"), field("state")
+    (time,), (state,), (given,) = field("robot_time_us"), field("state"), field("has_feedback")
     return tuple_reader(
         Tuple(
             Feedback,
@@ -216,4 +218,5 @@ def feedback_reader(client: Client) -> Callable[[], Feedback]:
             ),
         ),
         client,
+        given,
     )

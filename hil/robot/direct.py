@@ -5,7 +5,7 @@ from collections import Counter
 from collections.abc import Callable
 from typing import Protocol, cast
 
-from firmware_protocol.client import Client
+from firmware_protocol.client import MOST_TICKS, Client
 from firmware_protocol.fast_calls import address_of, fast_call
 from firmware_protocol.framing import FRAME_OVERHEAD, PACKED_HEADERS, Frame, PackedFrames, unsendable
 from firmware_protocol.generated.messages import Estop
@@ -139,7 +139,7 @@ class DirectLink:
         """Send what waits in the client, and a STEP; the client takes the answer.
 
         Return None if the client took all of it. Otherwise it stopped early: see ``client.view``, and then give it
-        the rest, which is returned.
+        the rest, which is returned. Raises ValueError for more than 1000 ticks; nothing is sent then.
         """
         if not self._is_open:
             raise closed()
@@ -149,6 +149,8 @@ class DirectLink:
         now_ns = self.now_ns()
         if self._step(self._robot.node.address, client.address, ticks, now_ns):
             return None
+        if ticks > MOST_TICKS:
+            raise ValueError(f"a step of {ticks} ticks; expected at most {MOST_TICKS}")
         direct = self._direct
         return Received(PackedFrames(self.answer[direct.answer_at : direct.answer_bytes], 0), now_ns)
 

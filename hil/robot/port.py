@@ -2,7 +2,7 @@
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Protocol
 
 from firmware_protocol.generated.messages import State
@@ -213,6 +213,9 @@ class LinkedDevice(ABC):
     """What all devices have in common: link, clock, counters, the wait for ACTIVE. ``Device`` documents the calls.
 
     A subclass sets ``_line``, through which its frames pass.
+
+    Attributes:
+        wait_until: waits until the clock shows a time; delayed frames are sent meanwhile. Returns the lateness [ns].
     """
 
     _clock: Clock | None = None
@@ -224,6 +227,7 @@ class LinkedDevice(ABC):
         self._link = link
         self._poll_age = PollAge()
         self._sequence = 0
+        self.wait_until: Callable[[int], int] = self._wait_until
 
     @property
     def is_lockstep(self) -> bool:
@@ -241,6 +245,8 @@ class LinkedDevice(ABC):
 
     def attend(self, clock: Clock) -> None:
         self._clock = clock
+        if self._is_lockstep and not self._link.may_hold:
+            self.wait_until = clock.wait_until
 
     def start(self, clock: Clock, period_ns: int) -> int:
         self.attend(clock)
@@ -264,8 +270,7 @@ class LinkedDevice(ABC):
     @abstractmethod
     def close(self) -> None: ...
 
-    def wait_until(self, t_ns: int) -> int:
-        """Wait until the clock shows ``t_ns``; delayed frames are sent meanwhile. Return the lateness [ns]."""
+    def _wait_until(self, t_ns: int) -> int:
         clock, link = self._clock, self._link
         assert clock is not None
         if link.may_hold:
@@ -277,7 +282,7 @@ class LinkedDevice(ABC):
         return late_ns
 
     def _receive_until(self, clock: Clock, t_ns: int) -> None:  # noqa: B027 - most devices have nothing to do here
-        """Receive what needs a time stamp of its own arrival, until ``t_ns`` at the latest."""
+        """In real time: receive what needs a time stamp of its own arrival, until ``t_ns`` at the latest."""
 
     @property
     def poll_age_ns(self) -> int:

@@ -7,7 +7,8 @@ This code works the same with each; only HELLO tells them apart. The protocol it
 
 import contextlib
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from functools import partial
 
 from firmware_protocol.built import BuildError
 from firmware_protocol.client import NO_TIME, Client
@@ -51,14 +52,18 @@ class Stm32(LinkedDevice):
         self._mode = mode
         self._expected = expected
         self._map = wheel_map
-        self._imu = imu or ImuMount()
         self._nonces = nonces
+        self._now_ns: Callable[[], int] = _no_time
         try:
             self._client = Client(m.Mode(mode), expected.parameter_hash & 0xFF, next(nonces))
         except BuildError as error:
             raise BadInputError(str(error)) from error
         self._client.wire(wheel_map.wheel_of_channel, wheel_map.sign_of_channel)
-        self._channel = Channel(link, self._client, self._on_message)
+        self._channel = channel = Channel(link, self._client, self._on_message)
+        self.step = channel.step
+        self._feedback = (
+            channel.feedback if imu is None or imu.is_identity else partial(_mounted, channel.feedback, imu)
+        )
         self._greeting: Greeting | None = None
         self._info: RobotInfo | None = None
         self._is_accepted = False  # since the link was opened, or lost
@@ -137,6 +142,10 @@ class Stm32(LinkedDevice):
 
     # Arming and stopping
 
+    def attend(self, clock: Clock) -> None:
+        super().attend(clock)
+        self._now_ns = clock.now_ns
+
     def armed(self) -> bool:
         """Do the session's next step; return whether the robot is ACTIVE in our session."""
         feedback = self.poll()
@@ -205,52 +214,52 @@ class Stm32(LinkedDevice):
 
         In lockstep only ``step`` reads, because what has arrived between steps depends on the wall clock.
         """
-        clock, channel = self._clock, self._channel
-        emptied_ns = None if self._is_lockstep else channel.receive()
+        clock = self._clock
+        if self._is_lockstep:
+            if clock is not None:
+                now_ns = clock.now_ns()
+                if self._client.poll(now_ns):
+                    self._channel.flush()
+                if now_ns >= self._next_sync_ns:
+                    self._synchronise(now_ns)
+            return self._feedback()
+        emptied_ns = self._channel.receive()
         if clock is not None:
             now_ns = clock.now_ns() if emptied_ns is None else emptied_ns
-            if self._is_lockstep and self._client.poll(now_ns):
-                channel.flush()
             if now_ns >= self._next_sync_ns:
                 self._synchronise(now_ns)
-            if not self._is_lockstep:
-                self._poll_age.record_poll(now_ns, everything=emptied_ns is not None)
-        return self.feedback
+            self._poll_age.record_poll(now_ns, everything=emptied_ns is not None)
+        return self._feedback()
 
     @property
     def feedback(self) -> Feedback | None:
-        feedback = self._channel.feedback
-        return feedback if self._imu.is_identity or feedback is None else mounted(feedback, self._imu)
+        return self._feedback()
 
     def send(self, command: WheelCommand) -> int:
         _, speed_rad_s, torque_n_m = command
         sequence = self._client.command(speed_rad_s, torque_n_m, self._now_ns())
         if sequence < 0:
-            self._raise_unsendable(command)
-        self._channel.flush()
+            sequence = self._send_behind_the_rest(command)
+        if not self._channel.is_carried:
+            self._channel.flush()
         return sequence
 
-    def _raise_unsendable(self, command: WheelCommand) -> None:
-        """Raise ValueError for a command that the wire cannot carry."""
+    def _send_behind_the_rest(self, command: WheelCommand) -> int:
+        """Send what waits, then the command. Raises ValueError for a command that the wire cannot carry."""
         _, speed_rad_s, torque_n_m = command
         if self._mode is CommandMode.TORQUE:
             encode(m.TorqueCommand(*self._map.to_wire(torque_n_m), 0, 0))
         else:
             encode(m.TorqueFeedforward(*self._map.to_wire(torque_n_m), 0, 0))
             encode(m.WheelCommand(*self._map.to_wire(speed_rad_s), 0, 0))
-        raise ValueError("no room for a command: too many frames wait to be sent")
-
-    def step(self, ticks: int) -> None:
-        self._channel.step(ticks)
+        self._channel.flush(everything=True)
+        return self._client.command(speed_rad_s, torque_n_m, self._now_ns())
 
     @property
     def tick(self) -> int:
         return int(self._client.view.tick)
 
     # Messages
-
-    def _now_ns(self) -> int:
-        return NO_TIME if self._clock is None else self._clock.now_ns()
 
     def _synchronise_tick(self) -> None:
         """Lockstep: ask for the robot's current firmware tick."""
@@ -307,3 +316,13 @@ class Stm32(LinkedDevice):
     def rejected(self) -> dict[str, int]:
         robot = {f"robot_{cause}": count for cause, count in self.report.rejected.items()}
         return {cause: count for cause, count in (self._channel.rejected() | robot).items() if count}
+
+
+def _no_time() -> int:
+    return NO_TIME
+
+
+def _mounted(read: Callable[[], Feedback | None], imu: ImuMount) -> Feedback | None:
+    """Return the feedback that ``read`` returns, of an IMU that is mounted so."""
+    feedback = read()
+    return None if feedback is None else mounted(feedback, imu)

@@ -87,7 +87,7 @@ class Bench:
         self._uncommissioned: str | None = None
         self.truth: PoseSource | None = None
         self.device: Device
-        self.clock: Clock = LockstepClock(lambda ticks: self.device.step(ticks)) if self._is_lockstep else WallClock()
+        self.clock: Clock = LockstepClock() if self._is_lockstep else WallClock()
         rows = [table.row for table in scenario.fault]
         self.faults = RunFaults(rows, scenario.loop.seed, self.clock, signals, self._protocol)
         with contextlib.ExitStack() as resources:
@@ -114,6 +114,8 @@ class Bench:
                 self.device = self._makers_robot(conditioned, guarding, allow_motion=allow_motion)
             else:
                 self.device = self._stm32(conditioned, allow_motion=allow_motion)
+            if isinstance(self.clock, LockstepClock):
+                self.clock.step = self.device.step
             resources.callback(self.device.close)
             self._resources = resources.pop_all()
 

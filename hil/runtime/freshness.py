@@ -11,6 +11,7 @@ from hil.robot.snapshot import Feedback
 from hil.runtime.sampling import Timing
 from hil.runtime.signal_faults import SignalFaults
 
+_ACTIVE = RobotState.ACTIVE
 _LOST_NS = 250_000_000  # silence that ends the run, and the greatest age of unread feedback while driving
 # Tolerance between a robot's clock and its expected time, beyond which it counts as reset: feedback in transit, and the
 # HSI oscillator's accuracy.
@@ -70,7 +71,7 @@ class Freshness:
                 raise RobotStoppedError(f"the robot was reset at t = {t_s:.3f} s")
             self._newest_ns, self._received_ns = robot_time_ns, now_ns
         self.silent_ns = silent_ns = now_ns - self._received_ns
-        if active and feedback.state is not RobotState.ACTIVE:
+        if active and feedback.state is not _ACTIVE:
             raise self._stop(feedback.state, t_s)
         if age_ns > stale_ns or silent_ns > _LOST_NS:
             self._check_not_lost(age_ns, _LOST_NS if active else _LEAP_NS, t_s)

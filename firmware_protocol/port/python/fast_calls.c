@@ -28,6 +28,12 @@ static bool number(void *object, double *value) {
     return *value != -1.0 || !failed();
 }
 
+/* Reads the ticks of a STEP; what is no such number becomes one that no STEP may have. */
+static uint16_t ticks_of(void *object) {
+    const long long ticks = python.PyLong_AsLongLong(object);
+    return ticks < 0 || ticks > UINT16_MAX ? UINT16_MAX : (uint16_t)ticks;
+}
+
 static bool numbers(void *tuple, ptrdiff_t count, double *values) {
     for (ptrdiff_t i = 0; i < count; i++) {
         void *item = python.PyTuple_GetItem(tuple, i);
@@ -62,14 +68,14 @@ void *wheel_python_step(void *self, void *const *arguments, ptrdiff_t count) {
     wheel_direct *direct = python.PyLong_AsVoidPtr(self);
     wheel_host *robot = python.PyLong_AsVoidPtr(arguments[0]);
     wheel_client *client = python.PyLong_AsVoidPtr(arguments[1]);
-    const long long ticks = python.PyLong_AsLongLong(arguments[2]);
+    const uint16_t ticks = ticks_of(arguments[2]);
     const int64_t now_ns = python.PyLong_AsLongLong(arguments[3]);
     if (failed()) {
         return NULL;
     }
     /* A plant in a process of its own may take long, or hang: others must be able to end it. */
     void *thread = python.PyEval_SaveThread();
-    const bool is_whole = wheel_direct_step(direct, robot, client, (uint16_t)ticks, now_ns);
+    const bool is_whole = wheel_direct_step(direct, robot, client, ticks, now_ns);
     python.PyEval_RestoreThread(thread);
     return python.PyBool_FromLong(is_whole);
 }
@@ -129,7 +135,8 @@ static void *read_value(const wheel_python_value **next) {
 void *wheel_python_read(void *self, void *const *arguments, ptrdiff_t count) {
     (void)arguments, (void)count;
     const wheel_python_value *next = python.PyLong_AsVoidPtr(self);
-    return read_value(&next);
+    const bool *is_given = next->at;
+    return is_given != NULL && !*is_given ? python.Py_BuildValue("") : read_value(&next);
 }
 
 void *wheel_python_link_figures(void *self, void *const *arguments, ptrdiff_t count) {
@@ -224,11 +231,11 @@ void *wheel_python_sent(void *self, void *const *arguments, ptrdiff_t count) {
 void *wheel_python_ask(void *self, void *const *arguments, ptrdiff_t count) {
     (void)count;
     wheel_client *client = python.PyLong_AsVoidPtr(self);
-    const long long ticks = python.PyLong_AsLongLong(arguments[0]);
+    const uint16_t ticks = ticks_of(arguments[0]);
     if (failed()) {
         return NULL;
     }
-    return python.PyBool_FromLong(wheel_client_step(client, (uint16_t)ticks));
+    return python.PyBool_FromLong(wheel_client_step(client, ticks));
 }
 
 void *wheel_python_take(void *self, void *const *arguments, ptrdiff_t count) {

@@ -102,7 +102,7 @@ enum {
     WHEEL_PYTHON_UINT64,
 };
 
-/* value.read(): the value as it is now. */
+/* tuple.read(): the tuple as it is now; None while the bool that its `at` points to is false. */
 void *wheel_python_read(void *self, void *const *arguments, ptrdiff_t count);
 
 /* One member of a tuple, in the order of the members. */
