@@ -274,8 +274,8 @@ def test_an_fmu_without_a_twist_at_its_start_is_stepped_from_rest(tmp_path: Path
     time_s = 0.005 * np.arange(rows + 1)
     drive = Drive(
         Path("foreign"), scenario.robot, {}, 0.005, time_s, np.array(angles),
-        np.concatenate([np.zeros((1, 4)), torque]) / constant, np.zeros(rows + 1), np.zeros((0, 4)),
-        np.full((rows + 1, 3), np.nan),
+        np.concatenate([np.zeros((1, 4)), torque]) / constant, np.full((rows + 1, 4), np.nan), np.zeros(rows + 1),
+        np.zeros((0, 4)), np.full((rows + 1, 3), np.nan),
     )  # fmt: skip
     rows_of_map = {
         signal: {"name": row.name, "scale": row.scale, "sign": row.sign} for signal, row in mapping.rows.items()
@@ -292,7 +292,7 @@ def test_a_tape_measure_gives_the_scale_of_length_in_place_of_fixes(drives: Path
     whole = replace(read_drive(drives / "floor.rrd"), fixes=np.zeros((0, 4)))
     far = np.hypot(*(whole.truth - whole.truth[0])[:, :2].T)
     end = int(np.argmax(far)) + 1
-    names = ("time_s", "angle_rad", "current_a", "yaw_rate_rad_s", "truth")
+    names = ("time_s", "angle_rad", "current_a", "torque_command_n_m", "yaw_rate_rad_s", "truth")
     drive = replace(whole, **{name: getattr(whole, name)[:end] for name in names})
     unscaled = fit_kinematics(drive)
     assert not unscaled.scale_known

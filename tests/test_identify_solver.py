@@ -11,6 +11,7 @@ from hil.core.errors import BadInputError
 from hil.identify.floor import Parameter
 from hil.identify.gauss_newton import Knowledge, information_of, inverted, solve
 from hil.identify.identifiability import outlook
+from hil.identify.robust import HUBER
 from hil.plant.description import start_defaults
 from hil.scenario import load
 from tests.hidden_robots import hidden_robot, write_scenario
@@ -60,6 +61,20 @@ def test_projecting_the_starts_away_equals_one_joint_regression() -> None:
     # Huber's loss differs from squares by what lies beyond 1.5 standard deviations.
     assert found.parameters == pytest.approx(one.joint(), abs=5e-3)
     assert found.starts[0] == pytest.approx(one.own, abs=6 * SIGMA)
+
+
+def test_parameters_and_starts_end_at_one_optimum_of_huber_s_loss_from_any_start() -> None:
+    """Outliers everywhere: a step that weighs them for the parameters and not for the starts would end on the way."""
+    one = Linear(8)
+    one.measured += SIGMA * np.random.default_rng(8).standard_t(1.5, one.measured.shape)
+    found, other = (solve([one], np.full(PARAMETERS, start), bounds=WIDE) for start in (0.0, 5.0))
+    assert other.parameters == pytest.approx(found.parameters, abs=1e-3)
+    residual = one.measured - one.predict(found.parameters[None], found.starts[0][None])[0]
+    pulls = np.clip(residual / SIGMA, -HUBER, HUBER)
+    by_parameters = np.einsum("wm,wmp->p", pulls, one.by_parameters)
+    assert np.abs(by_parameters).max() < 0.05 * np.sqrt(
+        np.einsum("wmp,wmp->p", one.by_parameters, one.by_parameters).min()
+    )
 
 
 def test_intervals_hold_the_truth_as_often_as_they_say() -> None:

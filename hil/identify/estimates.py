@@ -5,7 +5,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from hil.identify.fit import INFLATION, Result, values_of
-from hil.identify.floor import GYRO_BIAS
+from hil.identify.floor import GAINS, GYRO_BIAS
 from hil.identify.robust import Z_95
 
 SCALED = ("mass_kg", "inertia_kg_m2", "wheel_inertia_kg_m2", "viscous_n_m_s_rad")
@@ -49,7 +49,7 @@ def estimates(result: Result, weighed_kg: float | None = None) -> tuple[Estimate
     widened = Z_95 * INFLATION[result.blocks is not None]
     found = []
     for place, parameter in enumerate(model.parameters):
-        if parameter is GYRO_BIAS:
+        if parameter is GYRO_BIAS or parameter in GAINS:
             continue
         name, variance, value = parameter.name, covariance[place, place], values[parameter.name]
         if weighed_kg is not None and name in SCALED:

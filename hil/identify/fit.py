@@ -12,7 +12,8 @@ import plant_fmu
 from hil.core.errors import BadInputError
 from hil.core.model import RobotModel
 from hil.identify.blocks import BlocksFit, fit_blocks
-from hil.identify.floor import GYRO_BIAS, Floor, Parameter, variable
+from hil.identify.currents import quiet
+from hil.identify.floor import GAINS, GYRO_BIAS, Floor, Parameter, variable
 from hil.identify.gauss_newton import Knowledge, Solution, inverted, solve
 from hil.identify.held_out import Prediction, predict
 from hil.identify.identifiability import Outlook, check_excitation, outlook
@@ -110,16 +111,19 @@ def fit(
     for drive in (*floor, held_out):
         if not drive.has_currents:
             raise BadInputError(f"{drive.path}: the robot measured no currents; only its kinematics can be found")
+    measured = quiet([*floor, *([] if blocks is None else [blocks])], held_out)
+    *floor, held_out = (*measured.drives[: len(floor)], measured.drives[-1])
+    blocks = None if blocks is None else measured.drives[-2]
     first = floor[0]
     torque_constant = float(first.values["firmware.torque_constant_n_m_a"])
     kinematics = _joined([fit_kinematics(drive, tape_m if drive is first else None) for drive in floor])
     robot = replace(first.robot, **with_geometry(first.robot, kinematics))
     on_blocks = None if blocks is None else fit_blocks(blocks, torque_constant)
     windows = [cut(drive, robot) for drive in floor]
-    known = _Before(robot, torque_constant, kinematics, on_blocks, None)
+    known = _Before(robot, torque_constant, kinematics, on_blocks, measured.gain_variance, None)
     seen = _prospect(known, windows)
     models: list[Fitted] = []
-    notes: list[str] = []
+    notes = [*measured.sentences]
     for contact in contacts:
         if models and squeeze is not None:
             squeezed = grip_of(squeeze, robot, values_of(models[0]), torque_constant)
@@ -175,18 +179,20 @@ class _Before(NamedTuple):
     torque_constant_n_m_a: float
     kinematics: Kinematics
     blocks: BlocksFit | None
+    gain_variance: Array
     grip: tuple[float, float] | None
 
     def parameters(self, contact: str) -> tuple[Parameter, ...]:
-        """Return what is fitted, then radius, lever and the gyro's bias."""
+        """Return what is fitted, then radius, lever, the currents' gains and the gyro's bias."""
         shares = {name: getattr(self.robot, name) / self.robot.lever_m for name in ("half_length_m", "half_width_m")}
         lengths = (variable("wheel_radius_m"), Parameter("lever_m", shares))
-        return (*(RIGID if contact == "rigid" else SLIP), *lengths, GYRO_BIAS)
+        return (*(RIGID if contact == "rigid" else SLIP), *lengths, *GAINS, GYRO_BIAS)
 
     def point(self, parameters: Sequence[Parameter], fitted: Mapping[str, float]) -> Array:
         """Return the numbers with which a fit begins; ``fitted`` are values of a simpler model."""
         robot = self.robot
         first = {name: getattr(robot, name) for name in ("mass_kg", "inertia_kg_m2", "wheel_inertia_kg_m2", *LENGTHS)}
+        first |= dict.fromkeys([one.name for one in GAINS], 1.0)
         first |= {**_FIRST, GYRO_BIAS.name: self.kinematics.gyro_bias_rad_s, **fitted}
         if self.blocks is not None:
             first |= {
@@ -245,16 +251,22 @@ def values_of(model: Fitted) -> dict[str, float]:
 
 
 def _known(parameters: Sequence[Parameter], point: Array, before: _Before) -> Knowledge:
-    """Return what kinematics, blocks and squeeze found: the lengths are held, the rest counts as measurements."""
+    """Return what else was found: lengths and gains are held, and blocks and squeeze count as measurements."""
     names, blocks, grip = [one.name for one in parameters], before.blocks, before.grip
     known = Knowledge.none(len(names))._replace(mean=point.copy())
     held = [names.index(name) for name in LENGTHS]
     known.held[held] = True
     known.held_covariance[np.ix_(held, held)] = before.kinematics.covariance
+    gains = [names.index(one.name) for one in GAINS]
+    known.held[gains] = True
+    known.held_covariance[gains, gains] = before.gain_variance
     if blocks is not None:
         places = [names.index(name) for name in ("wheel_inertia_kg_m2", "viscous_n_m_s_rad")]
         known.mean[places], covariance = blocks.of_logarithms()
-        known.information[np.ix_(places, places)] = inverted(covariance)
+        # Both are in proportion to the mean of the currents' gains.
+        places += gains
+        rows = np.concatenate([np.eye(2), np.full((2, len(gains)), -1.0 / len(gains))], axis=1)
+        known.information[np.ix_(places, places)] = rows.T @ inverted(covariance) @ rows
     if "grip_coefficient" in names:
         sigma = _GRIP_SIGMA if grip is None else grip[1] / grip[0]
         known.information[(names.index("grip_coefficient"),) * 2] = sigma**-2

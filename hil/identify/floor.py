@@ -6,6 +6,7 @@ from types import TracebackType
 from typing import NamedTuple, Self
 
 import numpy as np
+import numpy.typing as npt
 
 from hil.core.types import WHEEL_NAMES
 from hil.identify import robust
@@ -52,6 +53,10 @@ GYRO_BIAS = Parameter("gyro_bias_rad_s", {}, 0.01)
 """The bias of the gyro; it is added to what the FMU's gyro shows."""
 
 
+GAINS = tuple(Parameter(f"current_gain.{wheel}", {}) for wheel in WHEEL_NAMES)
+"""Factors of the four measured currents; all of them are in a fit's parameters, or none."""
+
+
 class Floor:
     """An ``Experiment`` (``gauss_newton``): windows of a drive on the floor, predicted by an FMU.
 
@@ -76,6 +81,7 @@ class Floor:
     ) -> None:
         self._parameters, self._windows = parameters, windows
         self._bias = parameters.index(GYRO_BIAS) if GYRO_BIAS in parameters else None
+        self._gains = [parameters.index(one) for one in GAINS if one in parameters]
         self._torque = windows.current_a * torque_constant_n_m_a
         self.measured = windows.measured.reshape(len(windows.first), -1)
         count = len(TWIST) if by_twist else 0
@@ -103,11 +109,21 @@ class Floor:
         ]
         shared = np.repeat(np.stack(columns, axis=1), windows, axis=0)
         cases = np.concatenate([shared, starts.reshape(sets * windows, -1)], axis=1)
-        seen = self._stepper.run(self._torque, np.tile(np.arange(windows), sets), cases)
+        seen = self._stepper.run(*self._torques(parameters), cases)
         means = mean_of_samples(seen, self._windows.rows_a_bin).reshape(sets, windows, -1, MEASURED)
         if self._bias is not None:
             means[..., -1] += GYRO_BIAS.value(parameters[:, self._bias])[:, None, None]
         return means.reshape(sets, windows, -1)
+
+    def _torques(self, parameters: Array) -> tuple[Array, npt.NDArray[np.intp]]:
+        """Return windows of torques, by each different set of gains, and which of them belongs to each case."""
+        windows = np.arange(len(self._torque))
+        if not self._gains:
+            return self._torque, np.tile(windows, len(parameters))
+        gains, which = np.unique(np.exp(parameters[:, self._gains]), axis=0, return_inverse=True)
+        torque = gains[:, None, None] * self._torque
+        cases = which.reshape(-1, 1) * len(windows) + windows
+        return torque.reshape(-1, *self._torque.shape[1:]), cases.ravel()
 
     def sigmas(self, residual: Array) -> Array:
         """Return robust standard deviations: one for the wheels, one for the gyro."""

@@ -6,7 +6,7 @@ are predicted in one call.
 """
 
 from collections.abc import Sequence
-from typing import NamedTuple, Protocol, Self
+from typing import Literal, NamedTuple, Protocol, Self
 
 import numpy as np
 import numpy.typing as npt
@@ -15,10 +15,12 @@ from hil.identify.recorded import Array
 from hil.identify.robust import huber_loss, huber_weights
 
 _STEP = 2e-3
-_MOST_STEPS = 12
-_DONE = 5e-4
+_MOST_STEPS = 20
+_DONE = 2e-4
+_FLAT = 0.01  # of the cost, of which 0.5 is one standard deviation
 _NEW_SIGMAS = 3
 _NOTHING = 1e-14
+_OPEN = 1e-10
 _LONGEST = 0.7
 _HALVINGS = 4
 
@@ -66,13 +68,19 @@ class Solution(NamedTuple):
 
 
 class _Local(NamedTuple):
-    """One experiment at one point: whitened residuals and their derivatives, without what the starts explain."""
+    """One experiment at one point: whitened residuals and their derivatives, times the roots of Huber's weights.
 
-    residual: Array  # (W, M) whitened, before the projection
-    reduced: Array  # (W, M) after it
-    jacobian: Array  # (W, M, P) after it
-    raw_jacobian: Array  # (W, M, P) before it
+    With the weights inside, the step of the parameters and those of the starts belong to one cost; a projection without
+    them ended a fit on the way.
+    """
+
+    residual: Array  # (W, M) whitened alone
+    weighted: Array  # (W, M) before the projection
+    reduced: Array  # (W, M) without what the starts explain
+    jacobian: Array  # (W, M, P) without it
+    raw_jacobian: Array  # (W, M, P) before the projection
     start_jacobian: Array  # (W, M, S)
+    inside: npt.NDArray[np.bool_]  # (W, M) where Huber's loss is a square
 
 
 class Knowledge(NamedTuple):
@@ -113,7 +121,10 @@ def solve(
     sigmas = [_sigmas(one, point, start) for one, start in zip(experiments, starts, strict=True)]
     damping, steps = 1e-4, 0
     for steps in range(1, _MOST_STEPS + 1):
-        locals_ = [_at(*args, point) for args in zip(experiments, starts, sigmas, strict=True)]
+        locals_ = [
+            _at(*args, point, free, by="guess" if steps == 1 else "start")
+            for args in zip(experiments, starts, sigmas, strict=True)
+        ]
         gradient, information, _ = _normal(locals_, len(point))
         gradient = gradient + known.information @ (known.mean - point)
         information = information + known.information
@@ -138,19 +149,23 @@ def solve(
         damping = max(damping / 10.0, 1e-6)
         if steps <= _NEW_SIGMAS:  # the first were those of a poor model
             sigmas = [_sigmas(one, point, start) for one, start in zip(experiments, starts, strict=True)]
-        elif change < _DONE or cost - now < 1e-4 * cost:
+        elif change < _DONE or cost - now < _FLAT:
             break
     sigmas = [_sigmas(one, point, start) for one, start in zip(experiments, starts, strict=True)]
-    locals_ = [_at(*args, point) for args in zip(experiments, starts, sigmas, strict=True)]
+    locals_ = [_at(*args, point, np.ones_like(free)) for args in zip(experiments, starts, sigmas, strict=True)]
     _, information, scatter = _normal(locals_, len(point))
+    # The curvature of Huber's loss itself: its weights would make intervals a tenth too narrow.
+    curved = [local._replace(jacobian=local.jacobian * local.inside[..., None]) for local in locals_]
+    curvature = _normal(curved, len(point))[1]
     count = sum(local.residual.size for local in locals_)
     cost = _cost([local.residual for local in locals_], known, point) / count
-    return Solution(point, _covariance(information, scatter, known), information, tuple(starts), cost, steps)
+    return Solution(point, _covariance(curvature, scatter, known), information, tuple(starts), cost, steps)
 
 
 def information_of(experiments: Sequence[Experiment], parameters: Array) -> Array:
     """Return the information (P, P) that experiments hold near these parameters, by the noise of their sensors."""
-    locals_ = [_at(one, one.starts, one.least_sigmas, parameters) for one in experiments]
+    every = np.ones(len(parameters), dtype=bool)
+    locals_ = [_at(one, one.starts, one.least_sigmas, parameters, every, by="nothing") for one in experiments]
     return sum((np.einsum("wmp,wmq->pq", one.jacobian, one.jacobian, optimize=True) for one in locals_), np.zeros(()))
 
 
@@ -159,15 +174,26 @@ def _covariance(information: Array, scatter: Array, known: Knowledge) -> Array:
     free = np.flatnonzero(~known.held)
     held = np.flatnonzero(known.held)
     inner = np.ix_(free, free)
-    inverse = inverted((information + known.information)[inner])
     covariance = known.held_covariance.copy()
-    covariance[inner] = inverse @ (scatter + known.information)[inner] @ inverse
+    covariance[inner] = _sandwich((information + known.information)[inner], (scatter + known.information)[inner])
+    inverse = inverted((information + known.information)[inner])
     if len(held):
-        carried = -inverse @ information[np.ix_(free, held)]
+        carried = -inverse @ (information + known.information)[np.ix_(free, held)]
         of_held = known.held_covariance[np.ix_(held, held)]
         covariance[inner] += carried @ of_held @ carried.T
         covariance[np.ix_(free, held)] = carried @ of_held
         covariance[np.ix_(held, free)] = covariance[np.ix_(free, held)].T
+    return covariance
+
+
+def _sandwich(curvature: Array, scatter: Array) -> Array:
+    """Return the covariance of an optimum, with a huge variance in the directions that have no curvature."""
+    scale = np.sqrt(np.maximum(np.diag(curvature), _NOTHING))
+    values, vectors = np.linalg.eigh(curvature / np.outer(scale, scale))
+    is_open = values < _OPEN
+    inverse = (vectors * np.where(is_open, 0.0, 1.0 / np.maximum(values, _OPEN))) @ vectors.T
+    unknown = (vectors * np.where(is_open, 1.0 / _NOTHING, 0.0)) @ vectors.T
+    covariance: Array = (inverse @ (scatter / np.outer(scale, scale)) @ inverse + unknown) / np.outer(scale, scale)
     return covariance
 
 
@@ -198,34 +224,57 @@ def _value(
     return _cost(residuals, known, point)
 
 
-def _at(experiment: Experiment, starts: Array, sigma: Array, point: Array) -> _Local:
-    count, own = len(point), starts.shape[1]
+def _at(
+    experiment: Experiment,
+    starts: Array,
+    sigma: Array,
+    point: Array,
+    varied: npt.NDArray[np.bool_],
+    *,
+    by: Literal["start", "guess", "nothing"] = "start",
+) -> _Local:
+    """Linearise an experiment in the parameters that are ``varied``; its derivatives by the others are zero.
+
+    Residuals from the starts say what are outliers, or where these are a guess, what is left by the best starts; or no
+    residual is one.
+    """
+    places, own = np.flatnonzero(varied), starts.shape[1]
+    count = len(places)
     sets = np.repeat(point[None], 1 + count + own, axis=0)
-    sets[1 + np.arange(count), np.arange(count)] += _STEP
+    sets[1 + np.arange(count), places] += _STEP
     moved = np.repeat(starts[None], len(sets), axis=0)
     for place, step in enumerate(experiment.start_steps):
         moved[1 + count + place, :, place] += step
     predicted = experiment.predict(sets, moved)
     residual = (experiment.measured - predicted[0]) / sigma
     changes = np.moveaxis((predicted[1:] - predicted[0]) / sigma, 0, -1)
-    jacobian, by_start = changes[..., :count] / _STEP, changes[..., count:] / experiment.start_steps
-    if own == 0:
-        return _Local(residual, residual, jacobian, jacobian, by_start)
+    jacobian, by_start = np.zeros((*residual.shape, len(point))), changes[..., count:] / experiment.start_steps
+    jacobian[..., places] = changes[..., :count] / _STEP
+    left = residual if by == "start" else _projected(by_start, residual[..., None])[..., 0]
+    weights = np.ones_like(left) if by == "nothing" else huber_weights(left)
+    roots = np.sqrt(weights)
+    weighted, jacobian, by_start = residual * roots, jacobian * roots[..., None], by_start * roots[..., None]
+    reduced = _projected(by_start, np.concatenate([weighted[..., None], jacobian], axis=2))
+    return _Local(residual, weighted, reduced[..., 0], reduced[..., 1:], jacobian, by_start, weights == 1.0)
+
+
+def _projected(by_start: Array, columns: Array) -> Array:
+    """Return columns (W, M, C) without what a change of the starts, by (W, M, S), explains of them."""
+    if by_start.shape[2] == 0:
+        return columns
     basis, _ = np.linalg.qr(by_start)
-    reduced = residual - np.einsum("wms,ws->wm", basis, np.einsum("wms,wm->ws", basis, residual))
-    projected = jacobian - basis @ (np.swapaxes(basis, 1, 2) @ jacobian)
-    return _Local(residual, reduced, projected, jacobian, by_start)
+    left: Array = columns - basis @ (np.swapaxes(basis, 1, 2) @ columns)
+    return left
 
 
 def _normal(locals_: Sequence[_Local], count: int) -> tuple[Array, Array, Array]:
     """Return gradient, normal matrix, and the scatter of the windows' gradients."""
     gradient, information, scatter = np.zeros(count), np.zeros((count, count)), np.zeros((count, count))
     for local in locals_:
-        weights = huber_weights(local.reduced)
-        each = np.einsum("wmp,wm->wp", local.jacobian, weights * local.reduced)
+        each = np.einsum("wmp,wm->wp", local.jacobian, local.reduced)
         gradient += each.sum(axis=0)
         scatter += each.T @ each
-        information += np.einsum("wmp,wm,wmq->pq", local.jacobian, weights, local.jacobian, optimize=True)
+        information += np.einsum("wmp,wmq->pq", local.jacobian, local.jacobian, optimize=True)
     return gradient, information, scatter
 
 
@@ -238,7 +287,7 @@ def _cost(residuals: Sequence[Array], known: Knowledge, point: Array) -> float:
 
 def _start_step(local: _Local, step: Array) -> Array:
     """Return the change of each start that fits best after a step of the parameters."""
-    left = local.residual - local.raw_jacobian @ step
+    left = local.weighted - local.raw_jacobian @ step
     if local.start_jacobian.shape[2] == 0:
         return np.zeros((len(left), 0))
     found: Array = np.einsum("wsm,wm->ws", np.linalg.pinv(local.start_jacobian), left)

@@ -28,14 +28,15 @@ _TICK_S = 1e-3
 _POSE = ("x_m", "y_m", "heading_rad")
 _SPEEDS = tuple(f"wheel.{wheel}.speed_rad_s" for wheel in WHEEL_NAMES)
 _CURRENTS = tuple(f"wheel.{wheel}.current_a" for wheel in WHEEL_NAMES)
+_COMMANDS = tuple(f"wheel.{wheel}.torque_command_n_m" for wheel in WHEEL_NAMES)
 _FIX = ("estimator.fix_time_s", *(f"estimator.fix_{name}" for name in _POSE))
 _TRUTH = tuple(f"truth.{name}" for name in _POSE)
 _CLOCK = ("robot.time_s", "robot.yaw_rate_rad_s")
-SIGNALS = ("loop.t_s", "loop.tick", *_CLOCK, *_SPEEDS, *_CURRENTS, *_FIX, *_TRUTH)
+SIGNALS = ("loop.t_s", "loop.tick", *_CLOCK, *_SPEEDS, *_CURRENTS, *_COMMANDS, *_FIX, *_TRUTH)
 """The signals that a fit reads."""
 _LEAST_S = 2.0
 _LEAST_SPLIT_S = 6.0
-_OVER_TIME = ("time_s", "angle_rad", "current_a", "yaw_rate_rad_s", "truth")
+_OVER_TIME = ("time_s", "angle_rad", "current_a", "torque_command_n_m", "yaw_rate_rad_s", "truth")
 
 
 @dataclass(frozen=True)
@@ -50,6 +51,7 @@ class Drive:
         time_s: (n,) sampling instants.
         angle_rad: (n, 4) wheel angles since the first, FL, FR, RR, RL.
         current_a: (n, 4) motor currents; a row is the mean since the row before.
+        torque_command_n_m: (n, 4) torques that were commanded; NaN where none was.
         yaw_rate_rad_s: (n,) gyro; NaN where the robot has none.
         fixes: (k, 4) pose fixes in the order of their stamps: stamp [s], x, y [m], heading [rad].
         truth: (n, 3) true poses; NaN without a source of them.
@@ -62,6 +64,7 @@ class Drive:
     time_s: Array
     angle_rad: Array
     current_a: Array
+    torque_command_n_m: Array
     yaw_rate_rad_s: Array
     fixes: Array
     truth: Array
@@ -126,6 +129,7 @@ def drive_of(path: Path, values: Mapping[str, Any], signals: Mapping[str, Array]
         time_s[rows],
         _angles(table(_SPEEDS)[rows], period_s, bandwidth),
         table(_CURRENTS)[rows],
+        table(_COMMANDS)[rows],
         signals.get("robot.yaw_rate_rad_s", nothing)[rows],
         fixes[np.argsort(fixes[:, 0], kind="stable")],
         table(_TRUTH)[rows],

@@ -1,0 +1,136 @@
+"""Currents without their sensors' noise: where a motor did what it was told, the commands say its current better.
+
+A drive by torque commands each motor's current. The measured currents of a wheel are regressed on its last commands,
+over all drives at once:
+
+    i_k = c + Σ g_j T_{k-j},  j = 0 to 5
+
+with an offset c for each drive. Gain and offset are thus the sensor's own, and the link's delay is found. If what is
+left is white noise, it is the sensor's, and the regression is the current without it. If anything else is left (a
+limit, a drive that follows slowly, a dead motor), the measured currents are taken.
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from hil.core.types import WHEEL_NAMES
+from hil.identify.recorded import Array, Drive
+
+_LAGS = 6
+_BLOCKS = (4, 10, 40, 200, 400)
+"""Rows over which what is left is averaged, to see whether it is white."""
+_SIGMAS = 4.5
+_FURTHEST = 6.0  # standard deviations that a mean over a block may have
+_LEAST_ROWS = 1000
+_QUIET_A = 2e-3  # the resolution of the wire: nothing else is left
+
+
+class Quiet(NamedTuple):
+    """Drives with the currents that a fit takes.
+
+    Attributes:
+        drives: in their order; those whose commands do not explain the currents are as they were.
+        gain_variance: (4,) of the logarithms of the currents' factors; 0 for currents that were only measured.
+        sentences: one on each drive that is as it was.
+    """
+
+    drives: tuple[Drive, ...]
+    gain_variance: Array
+    sentences: tuple[str, ...]
+
+
+def quiet(drives: Sequence[Drive], judge: Drive) -> Quiet:
+    """Return drives without the noise of their currents, and last the ``judge``, from which nothing is learned."""
+    both = (*drives, judge)
+    by_wheel = [_of_wheel(drives, judge, wheel) for wheel in range(len(WHEEL_NAMES))]
+    taken, sentences = [], []
+    for place, drive in enumerate(both):
+        found = [one.currents[place] for one in by_wheel]
+        poor = [name for name, one in zip(WHEEL_NAMES, found, strict=True) if one is None]
+        if poor and np.isfinite(drive.torque_command_n_m).any():
+            sentences.append(
+                f"{drive.path.name}: the currents of {', '.join(poor)} are not what was commanded; they are taken as "
+                "measured, with their noise"
+            )
+        currents = [drive.current_a[:, w] if one is None else one for w, one in enumerate(found)]
+        taken.append(replace(drive, current_a=np.stack(currents, axis=1)))
+    return Quiet(tuple(taken), np.array([one.gain_variance for one in by_wheel]), tuple(sentences))
+
+
+class _Wheel(NamedTuple):
+    """A wheel's currents in each drive by its commands, None where these do not explain them."""
+
+    currents: tuple[Array | None, ...]
+    gain_variance: float
+
+
+def _of_wheel(drives: Sequence[Drive], judge: Drive, wheel: int) -> _Wheel:
+    both = (*drives, judge)
+    lagged = [_lagged(drive, wheel) for drive in both]
+    used = [place for place in range(len(drives)) if lagged[place] is not None]
+    while used:
+        designs, values = [], []
+        for place in used:
+            design, current, _ = lagged[place] or _nothing()
+            designs.append(design - design.mean(axis=0))
+            values.append(current - current.mean())
+        factors = np.linalg.lstsq(np.concatenate(designs), np.concatenate(values), rcond=None)[0]
+        left = [value - design @ factors for design, value in zip(designs, values, strict=True)]
+        white = [place for place, one in zip(used, left, strict=True) if _is_white(one)]
+        if white == used:
+            explained = np.concatenate([design @ factors for design in designs])
+            variance = float(np.var(np.concatenate(left)) / max(float(np.sum(explained**2)), 1e-12))
+            found = [_by_command(drive, wheel, one, factors) for drive, one in zip(both, lagged, strict=True)]
+            return _Wheel(tuple(found), variance)
+        used = white
+    return _Wheel((None,) * len(both), 0.0)
+
+
+_Lagged = tuple[Array, Array, int]
+
+
+def _nothing() -> _Lagged:
+    return np.zeros((0, _LAGS)), np.zeros(0), 0
+
+
+def _lagged(drive: Drive, wheel: int) -> _Lagged | None:
+    """Return the last commands of each row (n, 6), its currents (n,) and the first such row; None without commands."""
+    command, current = drive.torque_command_n_m[:, wheel], drive.current_a[:, wheel]
+    count = len(command)
+    lagged = np.stack([np.pad(command, (lag, 0), constant_values=np.nan)[:count] for lag in range(_LAGS)], axis=1)
+    known: npt.NDArray[np.bool_] = np.isfinite(lagged).all(axis=1) & np.isfinite(current)
+    # Commands begin with the drive, and from then on there is one in each row.
+    first = int(np.argmax(known))
+    if not known[first:].all() or count - first < _LEAST_ROWS:
+        return None
+    return lagged[first:], current[first:], first
+
+
+def _by_command(drive: Drive, wheel: int, lagged: _Lagged | None, factors: Array) -> Array | None:
+    if lagged is None:
+        return None
+    design, current, first = lagged
+    explained = design @ factors
+    left = current - explained
+    if not _is_white(left - left.mean()):
+        return None
+    return np.concatenate([drive.current_a[:first, wheel], explained + left.mean()])
+
+
+def _is_white(left: Array) -> bool:
+    """Return whether means over blocks scatter as those of white noise, and none is far off."""
+    sigma = float(np.std(left))
+    if sigma < _QUIET_A:
+        return True
+    for rows in _BLOCKS:
+        count = len(left) // rows
+        if count == 0:
+            continue
+        means = left[: count * rows].reshape(count, rows).mean(axis=1) * np.sqrt(rows) / sigma
+        if np.abs(means).max() > _FURTHEST or np.mean(means**2) > 1.0 + _SIGMAS * np.sqrt(2.0 / count):
+            return False
+    return True

@@ -1,0 +1,71 @@
+"""Currents of hil identify without their sensors' noise: only where the motors did what they were told."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from hil.identify.currents import quiet
+from hil.identify.recorded import Drive
+from hil.scenario import load
+
+ROWS, NOISE_A, CONSTANT = 6000, 0.03, 1.3
+GAINS = np.array([1.0, 1.02, 0.97, 1.01])
+OFFSET_A = 0.05
+
+
+def drive_of_torques(seed: int, delay: int = 2) -> tuple[Drive, np.ndarray]:
+    """Return a drive whose motors follow after a delay, measured with noise, and the currents without the noise."""
+    random = np.random.default_rng(seed)
+    time_s = np.arange(ROWS, dtype=np.float64) * 0.005
+    phases = random.uniform(0.0, 6.0, (5, 4))
+    command = sum(0.1 * np.sin(7.0 * (one + 1) * time_s[:, None] + phases[one]) for one in range(5))
+    true = np.pad(GAINS * command / CONSTANT, ((delay, 0), (0, 0)))[:ROWS] + OFFSET_A
+    measured = true + random.normal(0.0, NOISE_A, true.shape)
+    command[:2] = np.nan
+    nothing = np.full((ROWS, 3), np.nan)
+    drive = Drive(
+        Path("floor.rrd"), load("circle_speed").robot, {}, 0.005, time_s, np.zeros((ROWS, 4)), measured, command,
+        np.zeros(ROWS), np.zeros((0, 4)), nothing,
+    )  # fmt: skip
+    return drive, true
+
+
+def test_commands_that_were_followed_replace_the_noise_and_keep_gain_offset_and_delay() -> None:
+    (first, _), (second, _), (judge, true) = (drive_of_torques(seed) for seed in (1, 2, 3))
+    found = quiet([first, second], judge)
+    assert found.sentences == ()
+    off = found.drives[-1].current_a[10:] - true[10:]
+    assert off.std() < NOISE_A / 20
+    # The doubt of the gains is that of the noise over all that was driven, and it is no larger than the errors are.
+    gains = np.sum(found.drives[0].current_a * found.drives[0].current_a, axis=0)
+    assert np.sqrt(found.gain_variance) == pytest.approx(NOISE_A / np.sqrt(2.0 * gains), rel=0.3)
+
+
+def test_a_motor_at_its_limit_is_taken_as_it_was_measured() -> None:
+    (first, _), (judge, _) = drive_of_torques(4), drive_of_torques(5)
+    limited = replace(first, current_a=np.clip(first.current_a, -0.12, 0.12))
+    found = quiet([limited], judge)
+    assert np.array_equal(found.drives[0].current_a, limited.current_a)
+    assert found.sentences[0].startswith("floor.rrd: the currents of fl, fr, rr, rl are not what was commanded")
+    assert not found.gain_variance.any()
+
+
+def test_a_drive_that_strays_is_left_out_and_the_others_are_not() -> None:
+    (first, _), (second, _), (judge, _) = (drive_of_torques(seed) for seed in (6, 7, 8))
+    stuck = second.current_a.copy()
+    stuck[3000:3400, 1] = 0.0  # a second and more without the second motor
+    found = quiet([first, replace(second, current_a=stuck)], judge)
+    assert np.array_equal(found.drives[1].current_a[:, 1], stuck[:, 1])
+    assert np.abs(found.drives[1].current_a[:, 0] - stuck[:, 0]).max() > 1e-3
+    assert len(found.sentences) == 1
+    assert "the currents of fr are not" in found.sentences[0]
+
+
+def test_a_drive_without_torque_commands_is_silently_as_measured() -> None:
+    first, _ = drive_of_torques(9)
+    by_speed = replace(first, torque_command_n_m=np.full((ROWS, 4), np.nan))
+    found = quiet([by_speed], by_speed)
+    assert np.array_equal(found.drives[0].current_a, first.current_a)
+    assert found.sentences == ()
