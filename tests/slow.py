@@ -90,6 +90,7 @@ SLOW = (
     "test_pytest_plugin_fixtures.py",
     "test_pytest_plugin_scenarios.py",
     "test_remote_plant.py",
+    "test_review_charts.py",
     "test_review_pages.py",
     "test_mutants.py::test_each_way_of_applying_a_mutant_changes_what_it_says",
     "test_serial_ports.py::test_a_handshake_over_noise_says_that_the_baud_rate_is_wrong",

@@ -60,10 +60,11 @@ class Page:
 
     def open(self, address: str) -> None:
         """Open an address and wait until its page is loaded; what its scripts and frames load may come later."""
-        target = self._call("Target.createTarget", url="about:blank")["targetId"]
-        self._session = self._call("Target.attachToTarget", targetId=target, flatten=True)["sessionId"]
-        for domain in ("Page", "Runtime", "Log"):
-            self._call(f"{domain}.enable")
+        if self._session is None:
+            target = self._call("Target.createTarget", url="about:blank")["targetId"]
+            self._session = self._call("Target.attachToTarget", targetId=target, flatten=True)["sessionId"]
+            for domain in ("Page", "Runtime", "Log"):
+                self._call(f"{domain}.enable")
         self._call("Page.navigate", url=address)
         while self._note(self._read()) != "Page.loadEventFired":
             pass
@@ -71,6 +72,40 @@ class Page:
     def picture(self) -> bytes:
         """Return what the page shows, as PNG."""
         return base64.b64decode(self._call("Page.captureScreenshot", format="png")["data"])
+
+    def resize(self, width: int, height: int, *, is_phone: bool = False) -> None:
+        """Make the page this large in CSS pixels; of a phone, which is touched, with a pixel density of 2."""
+        density = 2 if is_phone else 1
+        self._call(
+            "Emulation.setDeviceMetricsOverride", width=width, height=height, deviceScaleFactor=density, mobile=is_phone
+        )
+        self._call("Emulation.setTouchEmulationEnabled", enabled=is_phone)
+
+    def value(self, expression: str) -> Any:
+        """Return what a JavaScript expression gives, as JSON has it; a promise is waited for."""
+        found = self._call("Runtime.evaluate", expression=expression, returnByValue=True, awaitPromise=True)
+        if "exceptionDetails" in found:
+            raise BrowserError(f"{expression}: {found['exceptionDetails']['text']}")
+        return found["result"].get("value")
+
+    def wait_until(self, expression: str, timeout_s: float) -> None:
+        """Wait until a JavaScript expression is true. Raises BrowserError after ``timeout_s``."""
+        watch = (
+            f"new Promise((done) => {{ const end = Date.now() + {timeout_s * 1e3}; const look = () => "
+            f"({expression}) ? done(true) : Date.now() > end ? done(false) : setTimeout(look, 20); look(); }})"
+        )
+        if not self.value(watch):
+            raise BrowserError(f"{expression} is not true after {timeout_s:g} s; the page's errors: {self.errors}")
+
+    def mouse(self, kind: str, x: float, y: float) -> None:
+        """Move or press the mouse at a place of the page that is shown; ``kind``: mouseMoved, -Pressed, -Released."""
+        pressed = {} if kind == "mouseMoved" else {"button": "left", "clickCount": 1}
+        self._call("Input.dispatchMouseEvent", type=kind, x=x, y=y, **pressed)
+
+    def printed(self) -> bytes:
+        """Return the page as it is printed, as PDF, in the size that its style asks for."""
+        answer = self._call("Page.printToPDF", preferCSSPageSize=True, printBackground=True)
+        return base64.b64decode(answer["data"])
 
     def wait_for(self, is_shown: Callable[[bytes], bool], timeout_s: float) -> bytes:
         """Return the first picture of which ``is_shown`` holds. Raises BrowserError after ``timeout_s``."""

@@ -1,6 +1,6 @@
 """``hil review``."""
 
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -12,7 +12,7 @@ from hil.core.errors import BadInputError
 from hil.core.outputs import Existing, existing_files
 
 if TYPE_CHECKING:
-    from hil.review import Change, Difference
+    from hil.review import Change, Difference, RecordedRun
 
 _EVENTS_SHOWN = 8
 _CHANGES_SHOWN = 20
@@ -40,14 +40,14 @@ def review(
 
     existing = existing_files(force=force)
     _check(recordings, existing, {"page": html, "overlay": overlay, "export": export, "trajectory": trajectory})
-    needed: Collection[str] = ()
+    read_run: Callable[[Path], RecordedRun] = read if export else read_for_figures
     if html is not None:
         from hil.review.html_page import write_document
         from hil.review.page import page
-        from hil.review.pictures import SIGNALS
+        from hil.review.panels import read_for_page
 
-        needed = SIGNALS
-    runs = [read(path) if export else read_for_figures(path, needed) for path in recordings]
+        read_run = read if export else read_for_page
+    runs = [read_run(path) for path in recordings]
     found = [figures(run) for run in runs]
     if html is not None:
         write_document(html, page(runs, found), existing)

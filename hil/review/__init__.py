@@ -1,7 +1,7 @@
 """Recordings read back: figures, comparison of two runs, pages, plots, exports, replay (REVIEW.md).
 
 May import: `judge`, `scenario`, `record`, `laws`, `core`.
-To add a plot: `pictures.py`; an export: `export.py`.
+To add a chart to the page: `panels.py`; a picture: `plots.py`; an export: `export.py`.
 
 run = read(Path("run.rrd"))                # every signal; see RecordedRun
 figures = review(Path("run.rrd"))          # as hil run --json has them

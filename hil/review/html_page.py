@@ -43,13 +43,14 @@ def picture(
     return Picture(title, caption, svg.replace("<svg ", f'<svg role="img" aria-label="{escape(title)}" ', 1))
 
 
-def document(title: str, parts: Iterable[str]) -> str:
-    """Return an HTML page; ``parts`` are HTML already."""
+def document(title: str, parts: Iterable[str], scripts: str = "") -> str:
+    """Return an HTML page; ``parts`` are HTML already, ``scripts`` the sources of scripts that it allows."""
+    policy = f"{_POLICY}; script-src {scripts}; img-src data: blob:" if scripts else _POLICY
     return "\n".join(
         [
             "<!doctype html>",
             '<html lang="en"><head><meta charset="utf-8">',
-            f'<meta http-equiv="Content-Security-Policy" content="{_POLICY}">',
+            f'<meta http-equiv="Content-Security-Policy" content="{policy}">',
             '<meta name="viewport" content="width=device-width">',
             f"<title>{escape(title)}</title><style>{_STYLE.read_text(encoding='utf-8').strip()}</style></head><body>",
             f"<h1>{escape(title)}</h1>",

@@ -6,34 +6,39 @@ from operator import itemgetter
 from pathlib import Path
 from typing import Any
 
-from hil.judge.words import applied_words, belief_rows, figure_rows, in_order, link_rows, outcome_rows
+from hil.judge.words import applied_words, belief_rows, figure_rows, in_order, link_rows, outcome_rows, why_not_passed
+from hil.review.charts import charts_script, place, policy
 from hil.review.difference import Difference, changes, differences
 from hil.review.figures import json_object, scenario_of
-from hil.review.html_page import document, figure, mark, table
-from hil.review.pictures import Shown, pictures
+from hil.review.html_page import document, mark, table
+from hil.review.panels import charts
 from hil.review.plots import colour_of
 from hil.review.reader import RecordedRun
+from hil.review.shown import Shown
 
-_RUN_VERDICTS = {True: ("passed", "passed"), None: ("not known whether it passed", "note"), False: ("failed", "failed")}
+_RUN_VERDICTS = {True: ("PASSED", "passed"), None: ("NO VERDICT", "note"), False: ("FAILED", "failed")}
 _VERDICTS = {True: "held", None: "not judged", False: "failed"}
 
 
 def page(runs: Sequence[RecordedRun], figures: Sequence[Mapping[str, Any]]) -> str:
     """Return the page of one run, or of two, as HTML; ``figures`` are those of ``hil.review.figures.figures``."""
     labels = _labels(figures)
-    shown = [Shown(label, run, colour_of(i)) for i, (label, run) in enumerate(zip(labels, runs, strict=True))]
+    shown = [Shown(*one, colour_of(n)) for n, one in enumerate(zip(labels, runs, figures, strict=True))]
     title = " against ".join(dict.fromkeys(f"{one['scenario']}: {one['law']}" for one in figures))
-    faults = [fault for fault in figures[0].get("fault") or () if fault.get("applied")]
+    drawn = charts(shown)
+    first, *others = [list(place(chart, n)) for n, chart in enumerate(drawn)] or [[]]
     parts = [
-        *_head(labels, figures),
-        "<h2>Figures</h2>",
+        *_head(labels, runs, figures),
+        *first,
         *(_figures(figures[0]) if len(runs) == 1 else _differences(labels, differences(*figures))),
-        *(part for picture in pictures(shown, faults) for part in figure(picture)),
+        *(part for other in others for part in other),
+        *(part for one in figures for part in _outcomes(one)),
         *_links(labels, figures),
         *_events(labels, figures),
         *_scenario(labels, runs),
+        *charts_script(drawn),
     ]
-    return document(title, parts)
+    return document(title, parts, policy() if drawn else "")
 
 
 def _labels(figures: Sequence[Mapping[str, Any]]) -> list[str]:
@@ -44,9 +49,14 @@ def _labels(figures: Sequence[Mapping[str, Any]]) -> list[str]:
     return ["first", "second"][: len(figures)]
 
 
-def _head(labels: Sequence[str], figures: Sequence[Mapping[str, Any]]) -> Iterator[str]:
-    for label, one in zip(labels, figures, strict=True):
+def _head(labels: Sequence[str], runs: Sequence[RecordedRun], figures: Sequence[Mapping[str, Any]]) -> Iterator[str]:
+    """Yield for each run the verdict with its reasons, what failed first, then what ran."""
+    for label, run, one in zip(labels, runs, figures, strict=True):
         verdict, kind = _RUN_VERDICTS[one["passed"]]
+        name = f"{label}: " if len(figures) > 1 else ""
+        yield f'<p class="verdict {kind}">{escape(name + verdict + _when(run, one))}</p>'
+        if why := list(_why(one)):
+            yield f"<ol>{''.join(f'<li>{escape(sentence)}</li>' for sentence in why)}</ol>"
         made = one["made"]
         known = (("version", "mecanum_hil"), ("commit", "commit"), ("on", "machine"))
         by = " ".join(f"{word} {made[key]}" for word, key in known if key in made)
@@ -54,13 +64,27 @@ def _head(labels: Sequence[str], figures: Sequence[Mapping[str, Any]]) -> Iterat
             f"{one['law']} in {made.get('command', '?')} mode, {one['mode']} over {one['link']}, seed {one['seed']}; "
             f"{made.get('started', '')} {by}"
         )
-        name = f"{label}: " if len(figures) > 1 else ""
-        yield f'<p class="verdict {kind}">{escape(name + verdict)}</p><p class="about">{escape(about)}</p>'
-        yield f'<p class="about">{escape(one["recording"])}</p>'
+        yield f'<p class="about">{escape(about)}</p><p class="about">{escape(one["recording"])}</p>'
         yield from (f'<p class="note">{escape(sentence)}</p>' for sentence in one["notes"])
-        if one["failure"] is not None:
-            yield f'<p class="failed">{escape(one["failure"])}</p>'
-        yield from _outcomes(one)
+
+
+def _when(run: RecordedRun, figures: Mapping[str, Any]) -> str:
+    """Return when a run failed first or ended, or what held in one that passed."""
+    rows = figures["expect"] or ()
+    if figures["passed"]:
+        held = sum(row["passed"] is True for row in rows)
+        return f": {held} of {len(rows)} expectations held" if rows else ": nothing was expected of it"
+    times = [row["violation_s"] for row in rows if row["passed"] is False and row["violation_s"] is not None]
+    if figures["failure"] is not None and len(run.signals["loop.t_s"]):
+        times.append(float(run.signals["loop.t_s"][-1]))
+    return f" at t = {min(times):.4g} s" if times else ""
+
+
+def _why(figures: Mapping[str, Any]) -> Iterator[str]:
+    """Yield a sentence for each reason why a run did not pass."""
+    rows = {name: figures[name] or () for name in ("expect", "allow", "fault")}
+    if figures["passed"] is not True:
+        yield from (sentence for _, sentence in why_not_passed({**figures, **rows}))
 
 
 def _outcomes(figures: Mapping[str, Any]) -> Iterator[str]:
@@ -82,13 +106,15 @@ def _outcomes(figures: Mapping[str, Any]) -> Iterator[str]:
 
 
 def _figures(figures: Mapping[str, Any]) -> Iterator[str]:
-    return table(("figure", "value"), _escaped((*figure_rows(figures), *belief_rows(figures))))
+    yield "<h2>Figures</h2>"
+    yield from table(("figure", "value"), _escaped((*figure_rows(figures), *belief_rows(figures))))
 
 
 def _differences(labels: Sequence[str], rows: Sequence[Difference]) -> Iterator[str]:
     def number(value: float | None, form: str, row: Difference) -> str:
         return "-" if value is None else escape(f"{value * row.scale:{form}} {row.unit}".rstrip())
 
+    yield "<h2>Figures</h2>"
     yield from table(
         ("figure", *map(escape, labels), "difference", f"{escape(labels[1])} is"),
         [

@@ -1,0 +1,272 @@
+"""The charts of a review's page, of one run or of two over the same axes."""
+
+from collections.abc import Collection, Iterator, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from hil.core.signals import unit_of
+from hil.core.types import WHEEL_NAMES
+from hil.record.layout import REFERENCE_COLOUR, Colour
+from hil.review.charts import Band, Chart, Line, Panel
+from hil.review.figures import expected, read_for_figures
+from hil.review.judged import fault_band, lanes, marks, planned_s, violations
+from hil.review.plots import colour_of
+from hil.review.reader import RecordedRun
+from hil.review.shadows import shadow_differences, shadow_signals
+from hil.review.shown import Shown
+from hil.review.spectra import spectrum
+
+_ERRORS = {
+    "error.planar_m": ("planar error", "mm", 1e3),
+    "error.x_m": ("error in x", "mm", 1e3),
+    "error.y_m": ("error in y", "mm", 1e3),
+    "error.heading_rad": ("heading error", "mrad", 1e3),
+}
+_TIMES = {"loop.lateness_us": "how late a tick began", "loop.tick_us": "work of a tick"}
+_LINK = {
+    "link.feedback_age_ms": ("feedback age", "ms"),
+    "link.rtt_ms": ("round trip", "ms"),
+    "link.load_percent": ("load", "%"),
+}
+_COUNTS = {"link.rejected": "rejected", "link.lost": "snapshots lost"}
+_GAINS = {gain: [f"gain.{gain}_{axis}_1_s" for axis in ("x", "y", "heading")] for gain in ("k1", "k2")}
+_OF_WHEELS = ("speed_rad_s", "speed_command_rad_s", "torque_command_n_m", "current_a")
+_PLACES = ("reference", "pose", "truth")
+SIGNALS = (
+    *("loop.t_s", "guard.saturated", *_COUNTS, *_TIMES, *_ERRORS, *_LINK, *_GAINS["k1"], *_GAINS["k2"]),
+    *(f"{group}.{name}" for group in _PLACES for name in ("x_m", "y_m")),
+    *(f"wheel.{wheel}.{quantity}" for quantity in _OF_WHEELS for wheel in WHEEL_NAMES),
+)
+"""The signals that the charts need of every run."""
+_PATH_POINTS = 2000
+_BINS = 60
+_INK: Colour = (51, 51, 51)
+_PALE: Colour = (150, 150, 150)
+
+
+def read_for_page(path: Path, more: Collection[str] = ()) -> RecordedRun:
+    """Read a recording: the signals for its figures and its page, and those of ``more``. Raises BadInputError."""
+    run = read_for_figures(path, {*SIGNALS, *more})
+    wanted = {name for row in expected(run) for name in (row.signal, row.of) if name is not None}
+    wanted |= {name for names in shadow_signals(run.held).values() for name in names.values()}
+    further = (wanted & set(run.held)) - run.signals.keys()
+    return read_for_figures(path, {*SIGNALS, *more, *further}) if further else run
+
+
+def charts(runs: Sequence[Shown], further: Sequence[Panel] = ()) -> list[Chart]:
+    """Return the charts that have something to show; ``further`` panels of two runs are with the first chart."""
+    if not any(len(shown.all_t_s) for shown in runs):
+        return []
+    end_s = max(planned_s(one.run)[1] + one.shift_s for one in runs)
+    x_range, bands = (min(planned_s(one.run)[0] + one.shift_s for one in runs), end_s), _bands(runs[0])
+    made = [_what_happened(runs, further), *_shadows(runs), _path(runs)]
+    made += [*_wheels(runs), *_gains(runs), *_link(runs), *_spectra(runs), *_lateness(runs)]
+    return [
+        replace(chart, bands=bands, x_range=x_range) if chart.is_over_time else chart for chart in made if chart.panels
+    ]
+
+
+def _bands(one: Shown) -> list[Band]:
+    """Return what is shaded behind a run: the time after its early end, and the faults in force."""
+    _, end_s = planned_s(one.run)
+    last_s = float(one.all_t_s[-1])
+    bands = [Band(last_s, end_s, "not run")] if last_s < end_s else []
+    return bands + [fault_band(fault, end_s) for fault in one.found["fault"] or () if fault["applied"]]
+
+
+def _what_happened(runs: Sequence[Shown], further: Sequence[Panel]) -> Chart:
+    """Return what was judged, over the time: a reader looks here first."""
+    first = runs[0]
+    failed = [row["signal"] for row in first.found["expect"] or () if row["passed"] is False and row["signal"]]
+    claimed = [row.signal for row in expected(first.run) if row.signal is not None]
+    names = list(dict.fromkeys([*failed, *_ERRORS, *claimed]))
+    panels = [_judged(runs, name) for name in names if name != "loop.t_s" and any(one.has(name) for one in runs)]
+    words = []
+    if len(runs) == 1 and claimed:
+        words.append("Red dotted line: the bound of an expectation, over its time. Red cross: its first violation.")
+        words.append("An axis opens at what was judged; a double click shows all.")
+    words += ["Orange: a fault is in force."] * bool(first.found["fault"])
+    words += ["Grey: the run had ended."] * any(band.kind == "not run" for band in _bands(first))
+    for one in runs:
+        if len(one.t_s) < len(one.all_t_s):
+            words.append(
+                f"{one.label}: minimum and maximum of each {one.longest_s:.2g} s; all rows around what happened."
+            )
+    ended = [float(first.all_t_s[-1])] if first.found["failure"] is not None else []
+    return Chart(
+        "What happened",
+        " ".join(words),
+        [*further, *panels],
+        lanes=list(lanes(first.run, first.found)) if len(runs) == 1 else (),
+        instants=[*ended, *(mark.x for panel in panels for mark in panel.marks)][:3],
+    )
+
+
+def _judged(runs: Sequence[Shown], name: str) -> Panel:
+    """Return a signal with its bounds, with when it was outside them, and with its first violation."""
+    title, unit, scale = _ERRORS.get(name, (name, unit_of(name), 1.0))
+    lines = [one.line(name, one.label, one.colour, scale) for one in runs if one.has(name)]
+    if len(runs) > 1 or not lines:
+        return Panel(title, unit, lines)
+    run, found = runs[0].run, runs[0].found
+    of = {row.of for row in expected(run) if row.signal == name and row.of in run.signals}
+    lines = [lines[0]._replace(in_title=False), *runs[0].bounds(name, scale)]
+    lines += [runs[0].line(other, other, REFERENCE_COLOUR, scale) for other in of if other is not None]
+    shown = Panel(title, unit, lines, marks(run, found, name, scale), violations(run, found, name))
+    return replace(shown, y_range=_while_judged(lines))
+
+
+def _while_judged(lines: Sequence[Line]) -> tuple[float, float] | None:
+    """Return the range of a signal while it has a bound, with its bounds, and some room; None without a bound.
+
+    ``lines`` are the signal and its bounds. What came before, such as a start beside the reference, would hide it.
+    """
+    judged = np.any([np.isfinite(bound.y) for bound in lines if bound.label != lines[0].label], axis=0)
+    values = np.concatenate([line.y[judged] for line in lines]) if np.any(judged) else np.empty(0)
+    if not np.isfinite(values).any():
+        return None
+    low, high = float(np.nanmin(values)), float(np.nanmax(values))
+    room = 0.15 * (high - low) or 1.0
+    return low - room, high + room
+
+
+def _shadows(runs: Sequence[Shown]) -> Iterator[Chart]:
+    """Yield the shadows of each run beside the command, wheel by wheel, with their differences to it."""
+    for one in runs:
+        panels = []
+        shadows, apart_by = shadow_signals(one.run.signals), shadow_differences(one.run.signals)
+        for command in dict.fromkeys(command for names in shadows.values() for command in names):
+            wheel, unit = command.split(".")[1].upper(), unit_of(command)
+            driving = one.line(command, f"command, {one.found['law']}", _INK, width_px=2.5, opacity=0.5)
+            lines = [
+                one.line(names[command], f"shadow {shadow}", colour_of(n), dash="dash")
+                for n, (shadow, names) in enumerate(shadows.items())
+            ]
+            apart = []
+            for n, (shadow, names) in enumerate(shadows.items()):
+                if (found := apart_by.get(shadow, {}).get(command)) is not None:
+                    label = f"{shadow}, rms {found.rms:.3g}"
+                    values = one.series(names[command]) - one.series(command)
+                    apart.append(one.curve(values, label, colour_of(n)))
+            panels += [
+                Panel(wheel, unit, [driving, *lines]),
+                Panel(f"{wheel} minus command", unit, apart, height_px=80),
+            ]
+        if panels:
+            name = f" of {one.label}" if len(runs) > 1 else ""
+            caption = "What other laws would have commanded at each tick. They did not drive the robot."
+            yield Chart(f"Shadows{name}", caption, panels)
+
+
+def _path(runs: Sequence[Shown]) -> Chart:
+    def trail(one: Shown, group: str, label: str, colour: Colour, **style: Any) -> Line:
+        x_m, y_m = one.series(f"{group}.x_m"), one.series(f"{group}.y_m")
+        step = -(-len(x_m) // _PATH_POINTS) or 1
+        return Line(label, x_m[::step], y_m[::step], colour, **style)
+
+    lines = [trail(runs[0], "reference", "reference", REFERENCE_COLOUR, width_px=5.0, opacity=0.6)]
+    for one in runs:
+        group = "truth" if one.has("truth.x_m") else "pose"
+        lines.append(trail(one, group, one.label if len(runs) > 1 else group, one.colour))
+    lines = [line for line in lines if np.isfinite(line.y).any()]
+    panels = [Panel("y", "m", lines, height_px=380, is_true_to_scale=True)] if lines else []
+    return Chart("Path", "From above.", panels, x_title="x [m]")
+
+
+def _wheels(runs: Sequence[Shown]) -> Iterator[Chart]:
+    """Yield speeds and torques of the wheels, each over its command and within its limit."""
+    two = len(runs) > 1
+    panels = []
+    for wheel in WHEEL_NAMES:
+        names = f"wheel.{wheel}.speed_rad_s", f"wheel.{wheel}.speed_command_rad_s"
+        lines = [line for one in runs for line in _command_and_measured(one, names, 1.0, two)]
+        lines += runs[0].limits("robot.speed_limit_rad_s") if lines else ()
+        panels += [Panel(wheel.upper(), "rad/s", lines, height_px=100)] if lines else []
+    caption = "As the firmware measures them. Broad and pale: the command. Red dots: the limit."
+    yield Chart("Wheel speeds", caption, panels)
+    panels = []
+    for wheel in WHEEL_NAMES:
+        lines = []
+        for one in runs:
+            names = f"wheel.{wheel}.current_a", f"wheel.{wheel}.torque_command_n_m"
+            lines += _command_and_measured(one, names, one.torque_n_m_a(wheel), two)
+        lines += runs[0].limits("robot.torque_limit_n_m") if lines else ()
+        panels += [Panel(wheel.upper(), "N·m", lines, height_px=100)] if lines else []
+    yield Chart("Wheel torques", "By the motor currents. Broad and pale: the command. Red dots: the limit.", panels)
+
+
+def _command_and_measured(one: Shown, names: tuple[str, str], scale: float | None, two: bool) -> Iterator[Line]:
+    measured, command = names
+    label = f"{one.label} " if two else ""
+    if one.has(command):
+        yield one.line(command, f"{label}command", one.colour if two else _PALE, width_px=4.0, opacity=0.4)
+    if scale is not None and one.has(measured):
+        yield one.line(measured, f"{label}measured", one.colour, scale)
+
+
+def _gains(runs: Sequence[Shown]) -> Iterator[Chart]:
+    panels = []
+    for gain, names in _GAINS.items():
+        axes = {name: name.removeprefix(f"gain.{gain}_").removesuffix("_1_s") for name in names}
+        if len(runs) == 1:
+            lines = [runs[0].line(name, axes[name], colour_of(n)) for n, name in enumerate(names) if runs[0].has(name)]
+            panels += [Panel(gain.upper(), "1/s", lines, height_px=100)] if lines else []
+            continue
+        for name in names:
+            lines = [one.line(name, one.label, one.colour) for one in runs if one.has(name)]
+            panels += [Panel(f"{gain.upper()} {axes[name]}", "1/s", lines, height_px=80)] if lines else []
+    yield Chart("Gains", "As the law applied them.", panels)
+
+
+def _link(runs: Sequence[Shown]) -> Iterator[Chart]:
+    panels = []
+    for name, (title, unit) in _LINK.items():
+        lines = [one.line(name, one.label, one.colour) for one in runs if one.has(name)]
+        panels += [Panel(title, unit, lines, height_px=80)] if lines else []
+    lines = []
+    for dash, (name, word) in zip(("solid", "dot"), _COUNTS.items(), strict=True):
+        lines += [one.line(name, f"{one.label} {word}", one.colour, dash=dash) for one in runs if one.has(name)]
+    panels += [Panel("frames since the start", "", lines, height_px=80)] if lines else []
+    yield Chart("Link", "Values at each tick; counters since the start.", panels)
+
+
+def _spectra(runs: Sequence[Shown]) -> Iterator[Chart]:
+    panels, words = [], {}
+    for wheel in WHEEL_NAMES:
+        lines = []
+        for one in runs:
+            constant_n_m_a = one.torque_n_m_a(wheel)
+            found = spectrum(one.all_t_s, one.series(f"wheel.{wheel}.current_a"))
+            # A wheel that was never commanded has nothing to show on a logarithmic scale.
+            if constant_n_m_a is not None and found is not None and found.density[1:].any():
+                amplitude = constant_n_m_a * np.sqrt(found.density[1:])
+                lines.append(Line(one.label, found.frequency_hz[1:], amplitude, one.colour))
+                words[one.label] = f"{one.label}: {found.stretches} stretches of {found.stretch_s:.3g} s."
+        panels += [Panel(wheel.upper(), "N·m/√Hz", lines, is_logarithmic=True)] if lines else []
+    caption = "Amplitude spectral density by Welch's method, Hann window, without the mean."
+    title = "Spectra of the wheel torques"
+    yield Chart(title, " ".join([caption, *words.values()]), panels, x_title="f [Hz]", is_logarithmic=True)
+
+
+def _lateness(runs: Sequence[Shown]) -> Iterator[Chart]:
+    panels = []
+    for name, title in _TIMES.items():
+        values = [series[series > 0.0] for series in (one.series(name) for one in runs)]
+        everything = np.concatenate(values)
+        if len(everything):
+            least = everything.min()
+            edges = np.geomspace(least, max(everything.max(), least * 1.01), _BINS + 1)
+            middles = np.sqrt(edges[1:] * edges[:-1])
+            counts = (np.histogram(series, edges)[0].astype(float) for series in values)
+            lines = [
+                Line(one.label, middles, np.where(count > 0, count, np.nan), one.colour)
+                for one, count in zip(runs, counts, strict=True)
+            ]
+            panels.append(Panel(f"ticks by {title}", "", lines, is_logarithmic=True))
+    caption = "How many ticks began so late, and had so much work."
+    if not any(one.has("loop.lateness_us") and (one.series("loop.lateness_us") > 0.0).any() for one in runs):
+        caption = "How many ticks had so much work. No tick was late: in lockstep none can be."
+    yield Chart("Lateness", caption, panels, x_title="time [µs]", is_logarithmic=True)
