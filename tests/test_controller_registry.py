@@ -102,7 +102,7 @@ def test_the_page_of_laws_has_every_option_of_every_law():
 
 
 def test_options_reach_the_law():
-    assert make("dsc", options={"k1_1_s": 8}).gains.k1_x_1_s == 8.0
+    assert make("dsc", options={"k1_1_s": 8}).gains[0] == 8.0
     assert isinstance(make("afdsc", options={"filter_s": 0.02}), Afdsc)
 
 
@@ -119,7 +119,7 @@ def test_a_law_from_a_file(write):
 def test_a_law_from_a_module(write, monkeypatch):
     monkeypatch.syspath_prepend(write(PROPORTIONAL, "law_in_a_module.py"))
     assert load_law("law_in_a_module:Proportional", HERE).__name__ == "Proportional"
-    assert make("hil.laws.dsc:Dsc", options={"k1_1_s": 7.0}).gains.k1_x_1_s == 7.0
+    assert make("hil.laws.dsc:Dsc", options={"k1_1_s": 7.0}).gains[0] == 7.0
 
 
 def test_a_file_named_as_a_module_does_not_replace_it(write):

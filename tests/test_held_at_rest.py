@@ -143,10 +143,11 @@ def test_after_a_hold_the_law_and_its_shadows_begin_anew(counting, monkeypatch):
 def test_after_a_stall_longer_than_the_firmwares_patience_the_law_begins_anew(counting, monkeypatch, skipped, resets):
     """As when the whole machine stood still, robot and all: no law integrates over it."""
 
-    def later(t_s, tick, *rest):
+    def later(values):
+        t_s, tick, *rest = values
         return LoopSignals(t_s, tick if tick < 60 else tick + skipped, *rest)
 
-    monkeypatch.setattr("hil.runtime.loop.LoopSignals", later)
+    monkeypatch.setattr("hil.runtime.loop.make_loop_signals", later)
     result = run(**counting)
     assert set(result.signals["counting.resets"]) == set(range(1, resets + 1))
     assert not result.signals["guard.held"].any()

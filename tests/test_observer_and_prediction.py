@@ -117,7 +117,8 @@ def test_from_observers_a_prediction_needs_no_measured_speed(from_observers):
         ahead = prediction.predict(goal, state, AT_REST._replace(latency_s=latency_s), DT_S)
     end_s = 60 * DT_S + latency_s
     truth = push_m_s2 * end_s**2 / 2, push_m_s2 * end_s
-    found = ahead.error[0], ahead.twist[0]
+    error, _, _, twist = ahead
+    found = error[0], twist[0]
     if from_observers:
         assert found == pytest.approx(truth, abs=1e-3)
     else:

@@ -67,17 +67,7 @@ def test_every_value_of_a_row_stands_under_its_signals_name() -> None:
         [SimpleNamespace(put=rows.append)],
         LATENCY_NS,
     )
-    writer.write(
-        tick=loop,
-        feedback=feedback,
-        silent_ns=2_000_000,
-        fix=fix,
-        state=state,
-        reference=reference,
-        applied=applied,
-        estimator=estimator,
-        is_held=False,
-    )
+    writer.write(loop, feedback, 2_000_000, fix, state, reference, applied, estimator, False)
     expected = {
         **{f"loop.{name}": value for name, value in loop._asdict().items()},
         **{

@@ -4,7 +4,7 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 from firmware_protocol.framing import Frame, PackedFrames
-from hil.core.types import Applied, Gains, MeasuredPose, PoseFix, Reference, State, WheelCommand
+from hil.core.types import Applied, MeasuredPose, Pairs, PoseFix, Reference, State, WheelCommand
 
 
 class Received(NamedTuple):
@@ -85,8 +85,8 @@ class Controller(Protocol):
     """A control law. It has no access to the clock, the link or the plant."""
 
     @property
-    def gains(self) -> Gains:
-        """Gains of the last update, for telemetry; NO_GAINS for a law without gains."""
+    def gains(self) -> Pairs:
+        """Gains of the last update, for telemetry, in the order of ``Gains``; NO_GAINS for a law without gains."""
 
     def reset(self, state: State, reference: Reference) -> None:
         """Reset all internal state and start from this state and reference."""

@@ -151,8 +151,7 @@ make_acceleration: Callable[[Axes], Acceleration] = MethodType(tuple.__new__, Ac
 make_state: Callable[[tuple[Pose, Twist]], State] = MethodType(tuple.__new__, State)
 make_reference: Callable[[tuple[Pose, Twist, Acceleration]], Reference] = MethodType(tuple.__new__, Reference)
 make_command: Callable[[tuple[CommandMode, Wheels, Wheels]], WheelCommand] = MethodType(tuple.__new__, WheelCommand)
-make_gains: Callable[[Pairs], Gains] = MethodType(tuple.__new__, Gains)
-make_fix: Callable[[tuple[int, Pose, Twist]], PoseFix] = MethodType(tuple.__new__, PoseFix)
+make_applied: Callable[[tuple[WheelCommand, bool, float]], Applied] = MethodType(tuple.__new__, Applied)
 
 ZERO_WHEELS = Wheels(0.0, 0.0, 0.0, 0.0)
 NAN_WHEELS = Wheels(NAN, NAN, NAN, NAN)

@@ -44,7 +44,7 @@ class ComputedTorque:
     def update(self, reference: Reference, state: State, applied: Applied, dt_s: float) -> WheelCommand:
         """Return the command of this tick, not limited."""
         predicted = self._predictor.predict(reference, state, applied, dt_s)
-        x, y, heading, vx, vy, yaw_rate = predicted.error
+        (x, y, heading, vx, vy, yaw_rate), *_ = predicted
         ax, ay, ah = reference.acceleration
         kp, kd = self._to_error, self._to_rate
         desired = ax - kp * x - kd * vx, ay - kp * y - kd * vy, ah - kp * heading - kd * yaw_rate

@@ -95,9 +95,9 @@ class Lqi:
             ax, ay, ah = reference.acceleration
         else:
             predicted = extrapolate(reference, state, applied.latency_s)
-            ax, ay, ah = predicted.reference_twist
+            _, _, (ax, ay, ah), _ = predicted
         ix, iy, ih = self._integrated(predicted, applied, dt_s)
-        x, y, heading, vx, vy, yaw_rate = predicted.error
+        (x, y, heading, vx, vy, yaw_rate), *_ = predicted
         desired = (
             ax - ki * ix - kp * x - kd * vx,
             ay - ki * iy - kp * y - kd * vy,
@@ -112,7 +112,7 @@ class Lqi:
         integral = self._integral
         if not applied.saturated:
             ix, iy, ih = integral
-            x, y, heading, _, _, _ = predicted.error
+            (x, y, heading, _, _, _), *_ = predicted
             self._integral = ix + dt_s * x, iy + dt_s * y, ih + dt_s * heading
         return integral
 

@@ -45,11 +45,10 @@ class Pid:
     def update(self, reference: Reference, state: State, applied: Applied, dt_s: float) -> WheelCommand:
         """Return the command of this tick, not limited."""
         predicted = extrapolate(reference, state, applied.latency_s)
+        (x, y, heading, vx, vy, yaw_rate), heading_rad, (vx_d, vy_d, yaw_rate_d), _ = predicted
         options = self._options
         kp, ki, kd = options.kp_1_s, options.ki_1_s2, options.kd
-        x, y, heading, vx, vy, yaw_rate = predicted.error
         ix, iy, ih = self._integral
-        vx_d, vy_d, yaw_rate_d = predicted.reference_twist
         desired = (
             vx_d - kp * x - ki * ix - kd * vx,
             vy_d - kp * y - ki * iy - kd * vy,
@@ -61,7 +60,7 @@ class Pid:
             return speed_command(self._model, desired, predicted, reference.acceleration)
         vx, vy, yaw_rate = state.twist
         twist_error = desired[0] - vx, desired[1] - vy, desired[2] - yaw_rate
-        return self._by_wheel(self._model.wheel_speeds(twist_error, predicted.heading_rad), applied, dt_s)
+        return self._by_wheel(self._model.wheel_speeds(twist_error, heading_rad), applied, dt_s)
 
     def _by_wheel(self, speed_error_rad_s: Wheels, applied: Applied, dt_s: float) -> WheelCommand:
         """Return the torque of each wheel's PI for its speed error [rad/s]."""

@@ -10,9 +10,6 @@ double integrator, whose motion is computed exactly for any latency.
 import math
 import operator
 from collections import deque
-from collections.abc import Callable
-from types import MethodType
-from typing import NamedTuple
 
 from hil.core.kinematics import body_wrench
 from hil.core.model import RobotModel
@@ -186,21 +183,12 @@ def acceleration_of(
     )
 
 
-class Prediction(NamedTuple):
-    """The predicted robot and reference at the time when the command takes effect.
+Prediction = tuple[Pairs, float, Axes, Axes]
+"""The predicted robot and reference at the time when the command takes effect, a plain tuple.
 
-    ``error`` is state minus reference in the world frame [m, rad], and its rate. ``reference_twist`` and ``twist`` (the
-    robot's) are in the world frame.
-    """
-
-    error: Pairs
-    heading_rad: float
-    reference_twist: Axes
-    twist: Axes
-
-
-make_prediction: Callable[[tuple[Pairs, float, Axes, Axes]], Prediction] = MethodType(tuple.__new__, Prediction)
-"""Make a Prediction from a plain tuple, in half the time of calling the class."""
+In order: error, which is state minus reference in the world frame [m, rad], and its rate; heading [rad]; twist of the
+reference, and of the robot, in the world frame.
+"""
 
 
 def torque_command(model: RobotModel, acceleration: Axes, predicted: Prediction) -> WheelCommand:
@@ -323,4 +311,4 @@ def _at_latency(reference: Reference, start: tuple[Axes, Axes], latency_s: float
     vx, vy, yaw_rate = vx + dvx, vy + dvy, yaw_rate + dvh
     vx_d, vy_d, yaw_rate_d = vx_d + latency_s * ax, vy_d + latency_s * ay, yaw_rate_d + latency_s * ah
     error = x, y, heading_error, vx - vx_d, vy - vy_d, yaw_rate - yaw_rate_d
-    return make_prediction((error, heading + turn, (vx_d, vy_d, yaw_rate_d), (vx, vy, yaw_rate)))
+    return error, heading + turn, (vx_d, vy_d, yaw_rate_d), (vx, vy, yaw_rate)

@@ -16,19 +16,16 @@ from hil.core.types import (
     Applied,
     Axes,
     CommandMode,
-    Gains,
     Pairs,
     Reference,
     State,
     WheelCommand,
-    make_gains,
 )
 from hil.laws.prediction import (
     DelayPredictor,
     ExtendedStateObserver,
     Prediction,
     extrapolate,
-    make_prediction,
     speed_command,
     torque_command,
 )
@@ -79,23 +76,27 @@ class SurfaceLaw:
         self._gains = gains
 
     @property
-    def gains(self) -> Gains:
+    def gains(self) -> Pairs:
         """Gains of the last update. In SPEED mode K2 is not in force and NaN."""
-        return make_gains(self._gains if self._torque else (*self._gains[:3], NAN, NAN, NAN))
+        if self._torque:
+            return self._gains
+        x, y, heading, _, _, _ = self._gains
+        return x, y, heading, NAN, NAN, NAN
 
     def reset(self, state: State, reference: Reference) -> None:
         """Start the filter at rest on its input for this state and reference: x2d(0) = x̄2(0) (equation 17)."""
-        now = _present(reference, state)
-        self._gains = self._gains_at(now.error)
-        self._filter.value = _virtual_control(now.reference_twist, now.error, self._gains)
+        error, _, twist_d, _ = _present(reference, state)
+        self._gains = self._gains_at(error)
+        self._filter.value = _virtual_control(twist_d, error, self._gains)
 
     def update(self, reference: Reference, state: State, applied: Applied, dt_s: float) -> WheelCommand:
         """Return the command of this tick, not limited; ``dt_s`` [s] is the time since the last tick."""
         predicted = self._predict(reference, state, applied, dt_s)
-        self._gains = self._gains_at(predicted.error)
+        error, _, twist_d, _ = predicted
+        self._gains = gains = self._gains_at(error)
         if self._torque:
             return self._torque_command(reference, predicted, dt_s)
-        desired = _virtual_control(predicted.reference_twist, predicted.error, self._gains)
+        desired = _virtual_control(twist_d, error, gains)
         return speed_command(self._model, desired, predicted, reference.acceleration)
 
     def _gains_at(self, error: Pairs) -> Pairs:
@@ -107,10 +108,10 @@ class SurfaceLaw:
         return _present(reference, state)
 
     def _torque_command(self, reference: Reference, predicted: Prediction, dt_s: float) -> WheelCommand:
+        error, _, twist_d, (vx, vy, yaw_rate) = predicted
         x, y, heading = self._filter.value
-        desired = _virtual_control(predicted.reference_twist, predicted.error, self._gains)
+        desired = _virtual_control(twist_d, error, self._gains)
         slope_x, slope_y, slope_heading = self._filter.step(desired, dt_s)
-        vx, vy, yaw_rate = predicted.twist
         _, _, _, k2_x, k2_y, k2_heading = self._gains
         commanded = (
             slope_x - k2_x * (vx - x),
@@ -142,7 +143,7 @@ class ObservedSurfaceLaw(SurfaceLaw):
 
     def reset(self, state: State, reference: Reference) -> None:
         """Start the filter at rest on its input, and the observer at this state."""
-        error = _present(reference, state).error
+        error, *_ = _present(reference, state)
         self._gains = self._gains_at(error)
         self._filter.value = _virtual_control((0.0, 0.0, 0.0), error, self._gains)
         self._predictor.reset(state)
@@ -153,7 +154,7 @@ class ObservedSurfaceLaw(SurfaceLaw):
         return extrapolate(reference, state, applied.latency_s)
 
     def _torque_command(self, reference: Reference, predicted: Prediction, dt_s: float) -> WheelCommand:
-        error = predicted.error
+        error, *_ = predicted
         _, _, _, vx, vy, yaw_rate = error
         _, _, _, k2_x, k2_y, k2_heading = self._gains
         x, y, heading = self._filter.value
@@ -176,7 +177,7 @@ def _present(reference: Reference, state: State) -> Prediction:
     (vx, vy, yaw_rate), (vx_d, vy_d, yaw_rate_d) = twist, twist_d
     heading_error = math.remainder(heading - heading_d, math.tau)
     error = x - x_d, y - y_d, heading_error, vx - vx_d, vy - vy_d, yaw_rate - yaw_rate_d
-    return make_prediction((error, heading, twist_d, twist))
+    return error, heading, twist_d, twist
 
 
 def _virtual_control(reference_twist: Axes, error: Pairs, gains: Pairs) -> Axes:

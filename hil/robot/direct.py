@@ -6,7 +6,7 @@ from collections.abc import Callable
 from typing import Protocol, cast
 
 from firmware_protocol.client import MOST_TICKS, Client
-from firmware_protocol.fast_calls import address_of, fast_call
+from firmware_protocol.fast_calls import fast_call
 from firmware_protocol.framing import FRAME_OVERHEAD, PACKED_HEADERS, Frame, PackedFrames, unsendable
 from firmware_protocol.generated.messages import Estop
 from firmware_protocol.host import HostNode, library
@@ -59,6 +59,7 @@ class DirectLink:
     Attributes:
         now_ns: the clock that stamps received frames.
         answer: the packed frames of the newest exchange.
+        byte_counts: returns the bytes sent and received since ``begin_byte_counts``.
     """
 
     counts_frames = True
@@ -75,14 +76,12 @@ class DirectLink:
         self._begin_line()
         self._unsent = b""  # packed
         self._unsent_frames = 0
-        self._unsent_bytes = 0  # on the line
-        self._view = ffi.new("wheel_view *")  # of no client: nothing waits
-        self._view_address = address_of(self._view)
+        self._view = self._direct.waiting = ffi.new("wheel_view *")  # of no client: nothing waits
         self._is_open = True
         self._lib = lib
         self._step: Callable[[int, int, int, int], bool] = fast_call("step", self._direct)
         self._exchange: Callable[[int, int, bytes], bytes] = fast_call("exchange", self._direct)
-        self._line_bytes: Callable[[int, int], tuple[float, float]] = fast_call("line_bytes", self._direct)
+        self.byte_counts: Callable[[], tuple[float, float]] = fast_call("line_bytes", self._direct)
         self.now_ns: Callable[[], int] = time.monotonic_ns
 
     def _begin_line(self) -> None:
@@ -102,9 +101,9 @@ class DirectLink:
         packed, count = frames.packed, len(frames)
         self._unsent += packed
         self._unsent_frames += count
-        self._unsent_bytes += len(packed) + count * _MORE_ON_THE_LINE
+        self._direct.unsent_bytes += len(packed) + count * _MORE_ON_THE_LINE
         if _ESTOP in packed:
-            self._unsent_bytes += sum(frame.id == Estop.ID for frame in frames)
+            self._direct.unsent_bytes += sum(frame.id == Estop.ID for frame in frames)
 
     def receive(self, _timeout_ns: int) -> Received | None:
         if not self._unsent:
@@ -118,7 +117,7 @@ class DirectLink:
 
     def serve(self, client: Client) -> None:
         """Set the client whose frames ``step`` and ``exchange`` send."""
-        self._view, self._view_address = client.view, address_of(client.view)
+        self._view = self._direct.waiting = client.view
 
     def exchange(self, client: Client) -> PackedFrames:
         """Send what waits in the client, and return all that the robot then sends."""
@@ -132,7 +131,7 @@ class DirectLink:
 
     def _handed_over(self) -> bytes:
         """Return what was not sent yet, and forget it."""
-        packed, self._unsent, self._unsent_frames, self._unsent_bytes = self._unsent, b"", 0, 0
+        packed, self._unsent, self._unsent_frames, self._direct.unsent_bytes = self._unsent, b"", 0, 0
         return packed
 
     def step(self, client: Client, ticks: int) -> Received | None:
@@ -164,8 +163,11 @@ class DirectLink:
     def received_frames(self) -> int:
         return self._direct.received_frames  # type: ignore[no-any-return]
 
-    def byte_counts(self) -> tuple[float, float]:
-        return self._line_bytes(self._view_address, self._unsent_bytes)
+    def begin_byte_counts(self) -> None:
+        direct = self._direct
+        sent, received = map(int, self.byte_counts())
+        direct.sent_bytes_before += sent
+        direct.received_bytes_before += received
 
     def rejected(self) -> dict[str, int]:
         counts = {cause: count + self._earlier[cause] for cause, count in self._here.rejected.items()}

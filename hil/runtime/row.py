@@ -96,12 +96,11 @@ class RowWriter:
         )
         own = tuple(own.signals for own in extra)
         names = (*SIGNAL_NAMES, *(name for signals in own for name in signals))
-        self._layout = RowLayout(names, (*objects, *own), ("truth.x_m", "reference.x_m", "error.x_m"))
+        self._layout = RowLayout(names, (*objects, own), ("truth.x_m", "reference.x_m", "error.x_m"))
         self._row = self._layout.row
 
     def write(
         self,
-        *,
         tick: LoopSignals,
         feedback: Feedback | None,
         silent_ns: int,
@@ -117,7 +116,7 @@ class RowWriter:
         ``silent_ns`` is the time since new feedback last came. ``feedback`` is None after a loss; ``fix`` and ``state``
         are None if unknown. ``is_held``: the law was not called.
         """
-        device, wire = self._device, self._wire
+        device, extra = self._device, self._extra
         if tick.tick % _REJECTED_EVERY == 0:
             self._rejected = sum(device.rejected().values())
         row = self._row(
@@ -131,13 +130,13 @@ class RowWriter:
             device.report.health,
             estimator,
             device.link_figures(),
-            wire.traffic(),
+            self._wire.traffic(),
             is_held,
             self._rejected,
             NAN if feedback is None else silent_ns + self._feedback_latency_ns,
             device.clock_sync.offset_us,
             device.clock_sync.drift_ppm,
-            *[own.telemetry for own in self._extra],
+            tuple([own.telemetry for own in extra]) if extra else (),
         )
         if self._faults is not None:
             row = self._faults.recorded(row)

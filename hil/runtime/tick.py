@@ -17,6 +17,7 @@ from hil.core.types import (
     Reference,
     State,
     WheelCommand,
+    make_applied,
 )
 from hil.estimation.measurement import LOST, Estimator
 from hil.laws.shadows import Shadows
@@ -143,19 +144,9 @@ class Tick:
             self._measure_latency(sequence, feedback)
         if self._shadows is not None:
             self._update_shadows(self._shadows, now.t_s, reference, inputs)
-        self._applied = applied = Applied(command, saturated, self._latency.s)
+        self._applied = applied = make_applied((command, saturated, self._latency.s))
         silent_ns, is_held = self._freshness.silent_ns, inputs is None
-        self._rows.write(
-            tick=now,
-            feedback=feedback,
-            silent_ns=silent_ns,
-            fix=fix,
-            state=state,
-            reference=reference,
-            applied=applied,
-            estimator=status,
-            is_held=is_held,
-        )
+        self._rows.write(now, feedback, silent_ns, fix, state, reference, applied, status, is_held)
         self.count += 1
 
     def record_away(
@@ -168,17 +159,7 @@ class Tick:
             parts.shadows.hold()
         applied = Applied(self._nothing, False, self._latency.s)
         status, silent_ns = parts.estimator.status, self._freshness.silent_ns
-        self._rows.write(
-            tick=now,
-            feedback=parts.device.feedback,
-            silent_ns=silent_ns,
-            fix=fix,
-            state=state,
-            reference=reference,
-            applied=applied,
-            estimator=status,
-            is_held=True,
-        )
+        self._rows.write(now, parts.device.feedback, silent_ns, fix, state, reference, applied, status, True)
         self.count += 1
         self._before = None
 

@@ -4,6 +4,7 @@ import math
 from collections.abc import Sequence
 from typing import Any
 
+from hil.core.types import Gains
 from hil.runtime.bench import Bench
 from hil.runtime.realtime import RealTime
 from hil.service.pilot import Pilot
@@ -28,7 +29,7 @@ def bench_status(pilot: Pilot, bench: Bench, granted: RealTime) -> dict[str, Any
         "reference": None if conduct.reference is None else _known(conduct.reference.pose),
         "speed_rad_s": None if feedback is None else _known(feedback.speed_rad_s),
         "battery_v": _finite(device.report.health.battery_v),
-        "gains": {name: value for name, value in gains._asdict().items() if math.isfinite(value)},
+        "gains": {name: value for name, value in zip(Gains._fields, gains, strict=True) if math.isfinite(value)},
         "health": _HEALTH[int(health)] if math.isfinite(health) else None,
         "feedback_age_ms": pilot.feedback_age_ms,
         "round_trip_ms": _finite(device.link_figures()[3]),

@@ -53,6 +53,7 @@ class StreamLink:
         self.sent_bytes = 0
         self.received_frames = 0
         self.received_bytes = 0
+        self.begin_byte_counts()
 
     def send(self, frame: Frame) -> None:
         self._write(self._sender.encode(frame), 1)
@@ -127,8 +128,13 @@ class StreamLink:
             if timeout_ns > 0:
                 timeout_ns = deadline_ns - time.monotonic_ns()
 
+    def begin_byte_counts(self) -> None:
+        self._bytes_before = self.sent_bytes, self.received_bytes
+
     def byte_counts(self) -> tuple[float, float]:
-        return self.sent_bytes, self.received_bytes
+        """Return the bytes sent and received since ``begin_byte_counts``."""
+        sent_before, received_before = self._bytes_before
+        return self.sent_bytes - sent_before, self.received_bytes - received_before
 
     @property
     def counts_frames(self) -> bool:

@@ -79,12 +79,13 @@ class LineMeter:
         self._link = link
         self.byte_ns = _BITS_PER_BYTE * 1_000_000_000 / baud if baud else 0.0
         self.timed = baud is not None
+        self.byte_counts = link.byte_counts
         self.begin()
 
     def begin(self) -> None:
         link = self._link
         self._frames_before = link.sent_frames, link.received_frames
-        self._bytes_before = link.byte_counts()
+        link.begin_byte_counts()
 
     def noise(self) -> int:
         return self._link.noise()
@@ -96,10 +97,6 @@ class LineMeter:
             Count(link.sent_frames - sent, sent_bytes, sent_bytes * _BITS_PER_BYTE),
             Count(link.received_frames - received, received_bytes, received_bytes * _BITS_PER_BYTE),
         )
-
-    def byte_counts(self) -> tuple[float, float]:
-        (sent, received), (sent_before, received_before) = self._link.byte_counts(), self._bytes_before
-        return sent - sent_before, received - received_before
 
     @property
     def counts_frames(self) -> bool:

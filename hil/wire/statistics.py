@@ -85,6 +85,7 @@ class LinkStatistics:
         self._bus = meter if isinstance(meter, BusMeter) else None
         self.is_needed = self._bus is not None or trace is not None
         self._noise_seen = meter.noise()
+        self._byte_counts, self._is_timed = meter.byte_counts, meter.timed
         self.begin()
 
     def begin(self) -> None:
@@ -136,8 +137,8 @@ class LinkStatistics:
         The load of a serial line is that of its busier direction; it is NaN without a bit rate. A line is observed only
         here: call it in every tick.
         """
-        sent, received = self._meter.byte_counts()
-        if not self._meter.timed:
+        sent, received = self._byte_counts()
+        if not self._is_timed:
             return sent, received, NAN
         now_ns = self._clock.now_ns()
         if self._bus is not None:

@@ -162,6 +162,7 @@ class MemoryBus(_End[Frame]):
         super().__init__()
         self.now_ns: Callable[[], int] = time.monotonic_ns
         self.sent_frames = self.sent_bytes = self.received_frames = self.received_bytes = 0
+        self.begin_byte_counts()
 
     def send(self, frame: Frame) -> None:
         self._put(frame)
@@ -176,8 +177,13 @@ class MemoryBus(_End[Frame]):
         self.received_bytes += sum(len(frame.payload) for frame in frames)
         return Received(frames, self.now_ns())
 
+    def begin_byte_counts(self) -> None:
+        self._bytes_before = self.sent_bytes, self.received_bytes
+
     def byte_counts(self) -> tuple[float, float]:
-        return self.sent_bytes, self.received_bytes
+        """Return the bytes sent and received since ``begin_byte_counts``."""
+        sent_before, received_before = self._bytes_before
+        return self.sent_bytes - sent_before, self.received_bytes - received_before
 
     def rejected(self) -> dict[str, int]:
         return {}

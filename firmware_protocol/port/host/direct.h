@@ -19,6 +19,10 @@ typedef struct {
     uint64_t sent_bytes;
     uint64_t received_frames;
     uint64_t received_bytes;
+    const wheel_view *waiting;  /* what waits in the client of this view counts as sent, */
+    uint64_t unsent_bytes;      /* and so does what waits elsewhere */
+    uint64_t sent_bytes_before; /* at the beginning of the count of wheel_python_line_bytes */
+    uint64_t received_bytes_before;
     uint8_t answer[WHEEL_DIRECT_ROOM]; /* packed frames */
 } wheel_direct;
 

@@ -148,15 +148,12 @@ void *wheel_python_link_figures(void *self, void *const *arguments, ptrdiff_t co
 }
 
 void *wheel_python_line_bytes(void *self, void *const *arguments, ptrdiff_t count) {
-    (void)count;
+    (void)arguments, (void)count;
     const wheel_direct *direct = python.PyLong_AsVoidPtr(self);
-    const wheel_view *view = python.PyLong_AsVoidPtr(arguments[0]);
-    double more;
-    if (view == NULL || !number(arguments[1], &more)) {
-        return NULL;
-    }
-    const double sent = (double)direct->sent_bytes + view->out_serial_bytes + more;
-    return floats((double[]){sent, (double)direct->received_bytes}, 2);
+    const uint64_t waiting = direct->waiting->out_serial_bytes + direct->unsent_bytes;
+    const uint64_t sent = direct->sent_bytes + waiting - direct->sent_bytes_before;
+    const uint64_t received = direct->received_bytes - direct->received_bytes_before;
+    return floats((double[]){(double)sent, (double)received}, 2);
 }
 
 /* Puts the numbers of a tuple in their places; returns the member behind its own, or NULL with an exception.

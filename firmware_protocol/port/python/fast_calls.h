@@ -73,8 +73,8 @@ void *wheel_python_encode(void *self, void *const *arguments, ptrdiff_t count);
 /* direct.step(robot, client, ticks, now_ns): wheel_direct_step. */
 void *wheel_python_step(void *self, void *const *arguments, ptrdiff_t count);
 
-/* direct.line_bytes(view, more): bytes on the line, sent and received; those that wait in the client of this
- * view, and `more`, count as sent. */
+/* direct.line_bytes(): bytes on the line, sent and received, since the count began; those that wait count as
+ * sent. */
 void *wheel_python_line_bytes(void *self, void *const *arguments, ptrdiff_t count);
 
 /* direct.exchange(robot, client, packed): sends the packed frames, then what waits in the client, and
