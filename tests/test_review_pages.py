@@ -145,7 +145,7 @@ def test_the_differences_of_a_run_and_itself_are_none(failed: Path) -> None:
 
 def test_a_page_of_two_runs_needs_nothing_but_itself(page_of_two: str) -> None:
     tags = assert_self_contained(page_of_two)
-    assert tags.seen.count("figure") == 8
+    assert tags.seen.count("figure") == 9
     assert len(page_of_two) < 2_500_000
     policy = re.findall(r'Content-Security-Policy" content="([^"]*)"', page_of_two)[0]
     assert policy.startswith("default-src 'none'; ")

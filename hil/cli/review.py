@@ -1,6 +1,7 @@
 """``hil review``."""
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+import itertools
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -12,7 +13,7 @@ from hil.core.errors import BadInputError
 from hil.core.outputs import Existing, existing_files
 
 if TYPE_CHECKING:
-    from hil.review import Change, Difference, RecordedRun
+    from hil.review import Change, Difference
 
 _EVENTS_SHOWN = 8
 _CHANGES_SHOWN = 20
@@ -27,6 +28,14 @@ def review(
     trajectory: Annotated[
         Path | None, Option(metavar="FILE.csv", help="write the robot's poses, for reference.kind = 'trajectory'")
     ] = None,
+    align: Annotated[
+        str,
+        Option(metavar="t|motion|EVENT", help="two runs: by time, first motion, or a part of an event's text"),
+    ] = "t",
+    difference: Annotated[
+        list[str] | None,
+        Option(metavar="SIGNAL[=TOLERANCE]", help="two runs: a signal to compare, in its unit; by default the errors"),
+    ] = None,
     force: Force = False,
     as_json: Json = False,
 ) -> None:
@@ -36,21 +45,27 @@ def review(
     Whether the run passed is "passed" in the output of --json.
     """
     from hil.review import changes, differences, read, write_trajectory
+    from hil.review.alignment import aligned, asked_for, signals_for
     from hil.review.figures import figures, read_for_figures
 
     existing = existing_files(force=force)
+    asked = asked_for(difference or [])
+    if len(recordings) == 1 and (asked or align != "t"):
+        raise BadInputError("--align and --difference compare two runs; name the other recording too")
     _check(recordings, existing, {"page": html, "overlay": overlay, "export": export, "trajectory": trajectory})
-    read_run: Callable[[Path], RecordedRun] = read if export else read_for_figures
+    read_run = read_for_figures
     if html is not None:
         from hil.review.html_page import write_document
         from hil.review.page import page
         from hil.review.panels import read_for_page
 
-        read_run = read if export else read_for_page
-    runs = [read_run(path) for path in recordings]
+        read_run = read_for_page
+    more = signals_for(asked) if len(recordings) == 2 else ()
+    runs = [read(path) if export else read_run(path, more) for path in recordings]
+    together = aligned(runs, align, asked) if len(runs) == 2 else None
     found = [figures(run) for run in runs]
     if html is not None:
-        write_document(html, page(runs, found), existing)
+        write_document(html, page(runs, found, together), existing)
     if trajectory is not None:
         write_trajectory(runs[0], trajectory, existing)
     if overlay is not None:
@@ -61,12 +76,15 @@ def review(
         from hil.review.export import write_export
 
         write_export(runs[0], export, existing)
-    if len(runs) == 1:
+    if together is None:
         print_result(as_json, found[0], _one(found[0]))
         return
     different, changed = differences(*found), changes(*runs)
-    both = {"runs": found, "differences": [row._asdict() for row in different]}
-    print_result(as_json, both | {"changes": [change._asdict() for change in changed]}, _two(found, different, changed))
+    both: dict[str, Any] = {"runs": found, "differences": [row._asdict() for row in different]}
+    both["aligned"] = together.figures()
+    both["changes"] = [change._asdict() for change in changed]
+    lines = ["", *table(together.rows())] if asked or align != "t" else []
+    print_result(as_json, both, itertools.chain(_two(found, different, changed), lines))
 
 
 def _check(recordings: Sequence[Path], existing: Existing, files: Mapping[str, Path | None]) -> None:

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from hil.judge.words import applied_words, belief_rows, figure_rows, in_order, link_rows, outcome_rows, why_not_passed
+from hil.review.alignment import Aligned, aligned
 from hil.review.charts import charts_script, place, policy
 from hil.review.difference import Difference, changes, differences
 from hil.review.figures import json_object, scenario_of
@@ -20,15 +21,23 @@ _RUN_VERDICTS = {True: ("PASSED", "passed"), None: ("NO VERDICT", "note"), False
 _VERDICTS = {True: "held", None: "not judged", False: "failed"}
 
 
-def page(runs: Sequence[RecordedRun], figures: Sequence[Mapping[str, Any]]) -> str:
-    """Return the page of one run, or of two, as HTML; ``figures`` are those of ``hil.review.figures.figures``."""
+def page(runs: Sequence[RecordedRun], figures: Sequence[Mapping[str, Any]], together: Aligned | None = None) -> str:
+    """Return the page of one run, or of two, as HTML.
+
+    ``figures`` are those of ``hil.review.figures.figures``; ``together`` says how two runs are aligned.
+    """
     labels = _labels(figures)
-    shown = [Shown(*one, colour_of(n)) for n, one in enumerate(zip(labels, runs, figures, strict=True))]
+    if len(runs) > 1 and together is None:
+        together = aligned(runs)
+    shifts = (0.0, 0.0 if together is None else together.shift_s)
+    each = zip(labels, runs, figures, map(colour_of, (0, 1)), shifts, strict=False)
+    shown = [Shown(*one) for one in each]
     title = " against ".join(dict.fromkeys(f"{one['scenario']}: {one['law']}" for one in figures))
-    drawn = charts(shown)
+    drawn = charts(shown, () if together is None else together.signals)
     first, *others = [list(place(chart, n)) for n, chart in enumerate(drawn)] or [[]]
     parts = [
         *_head(labels, runs, figures),
+        *_alignment(labels, together),
         *first,
         *(_figures(figures[0]) if len(runs) == 1 else _differences(labels, differences(*figures))),
         *(part for other in others for part in other),
@@ -66,6 +75,19 @@ def _head(labels: Sequence[str], runs: Sequence[RecordedRun], figures: Sequence[
         )
         yield f'<p class="about">{escape(about)}</p><p class="about">{escape(one["recording"])}</p>'
         yield from (f'<p class="note">{escape(sentence)}</p>' for sentence in one["notes"])
+
+
+def _alignment(labels: Sequence[str], together: Aligned | None) -> Iterator[str]:
+    """Yield how two runs are aligned, and the differences of their signals."""
+    if together is None:
+        return
+    by = {"t": "the scenario's time", "motion": "the instant at which the first wheel turns"}
+    words = by.get(together.by, f"the first event with {together.by!r}")
+    shift = f"; {labels[1]} is shifted by {together.shift_s:+.4g} s" if together.shift_s else ""
+    yield f'<p class="about">{escape(f"Aligned by {words}{shift}.")}</p>'
+    head, *rows = together.rows()
+    cells = ((*map(escape, row[:-1]), mark(row[-1], good=not row[-1].startswith("no"))) for row in rows)
+    yield from table(head, cells, numbers=(1, 2, 3))
 
 
 def _when(run: RecordedRun, figures: Mapping[str, Any]) -> str:

@@ -10,7 +10,8 @@ import numpy as np
 from hil.core.signals import unit_of
 from hil.core.types import WHEEL_NAMES
 from hil.record.layout import REFERENCE_COLOUR, Colour
-from hil.review.charts import Band, Chart, Line, Panel
+from hil.review.alignment import SignalDifference
+from hil.review.charts import Band, Chart, Lane, Line, Mark, Panel
 from hil.review.figures import expected, read_for_figures
 from hil.review.judged import fault_band, lanes, marks, planned_s, violations
 from hil.review.plots import colour_of
@@ -18,6 +19,7 @@ from hil.review.reader import RecordedRun
 from hil.review.shadows import shadow_differences, shadow_signals
 from hil.review.shown import Shown
 from hil.review.spectra import spectrum
+from hil.review.stretches import Stretches
 
 _ERRORS = {
     "error.planar_m": ("planar error", "mm", 1e3),
@@ -56,78 +58,119 @@ def read_for_page(path: Path, more: Collection[str] = ()) -> RecordedRun:
     return read_for_figures(path, {*SIGNALS, *more, *further}) if further else run
 
 
-def charts(runs: Sequence[Shown], further: Sequence[Panel] = ()) -> list[Chart]:
-    """Return the charts that have something to show; ``further`` panels of two runs are with the first chart."""
+def charts(runs: Sequence[Shown], compared: Sequence[SignalDifference] = ()) -> list[Chart]:
+    """Return the charts that have something to show; ``compared`` are signals of the second run minus the first."""
     if not any(len(shown.all_t_s) for shown in runs):
         return []
-    end_s = max(planned_s(one.run)[1] + one.shift_s for one in runs)
-    x_range, bands = (min(planned_s(one.run)[0] + one.shift_s for one in runs), end_s), _bands(runs[0])
-    made = [_what_happened(runs, further), *_shadows(runs), _path(runs)]
+    spans = [(begin_s + one.shift_s, end_s + one.shift_s) for one in runs for begin_s, end_s in [planned_s(one.run)]]
+    x_range = min(begin_s for begin_s, _ in spans), max(end_s for _, end_s in spans)
+    made = [
+        *_compared(runs, compared),
+        _what_happened(runs, [one.name for one in compared]),
+        *_shadows(runs),
+        _path(runs),
+    ]
     made += [*_wheels(runs), *_gains(runs), *_link(runs), *_spectra(runs), *_lateness(runs)]
     return [
-        replace(chart, bands=bands, x_range=x_range) if chart.is_over_time else chart for chart in made if chart.panels
+        replace(chart, bands=_bands(runs), x_range=x_range) if chart.is_over_time else chart
+        for chart in made
+        if chart.panels
     ]
 
 
-def _bands(one: Shown) -> list[Band]:
-    """Return what is shaded behind a run: the time after its early end, and the faults in force."""
-    _, end_s = planned_s(one.run)
-    last_s = float(one.all_t_s[-1])
-    bands = [Band(last_s, end_s, "not run")] if last_s < end_s else []
-    return bands + [fault_band(fault, end_s) for fault in one.found["fault"] or () if fault["applied"]]
+def _bands(runs: Sequence[Shown]) -> list[Band]:
+    """Return what is shaded behind the first run: the time after its early end, and the faults in force."""
+    _, end_s = planned_s(runs[0].run)
+    last_s = float(runs[0].run.signals["loop.t_s"][-1])
+    bands = [Band(last_s, end_s, "not run")] if last_s < end_s and len(runs) == 1 else []
+    return bands + [fault_band(fault, end_s) for fault in runs[0].found["fault"] or () if fault["applied"]]
 
 
-def _what_happened(runs: Sequence[Shown], further: Sequence[Panel]) -> Chart:
-    """Return what was judged, over the time: a reader looks here first."""
-    first = runs[0]
-    failed = [row["signal"] for row in first.found["expect"] or () if row["passed"] is False and row["signal"]]
-    claimed = [row.signal for row in expected(first.run) if row.signal is not None]
-    names = list(dict.fromkeys([*failed, *_ERRORS, *claimed]))
+def _compared(runs: Sequence[Shown], compared: Sequence[SignalDifference]) -> Iterator[Chart]:
+    """Yield the differences of signals with their tolerances, each marked where it is first outside."""
+    panels = []
+    for one in compared:
+        title, unit, scale = _ERRORS.get(one.name, (one.name, one.unit, 1.0))
+        found = one.figures()
+        stretches = Stretches(
+            one.t_s, [at_s for at_s in (found["first_outside_s"], found["max_s"]) if at_s is not None]
+        )
+        line = Line("difference", stretches.t_s, scale * stretches(one.values), _INK)
+        size = None if one.tolerance is None else scale * one.tolerance
+        marks_, rms = [], "no value" if found["rms"] is None else f"rms {scale * found['rms']:.3g}"
+        if (at_s := found["first_outside_s"]) is not None:
+            value = scale * float(one.values[np.searchsorted(one.t_s, at_s)])
+            marks_ = [Mark(at_s, value, f"outside from {at_s:.4g} s")]
+        title = f"{title}, difference ({rms})" if size is None else f"{title}, difference ({rms}, tolerance ±{size:g})"
+        panels.append(Panel(title, unit, [line], marks_, tolerance=None if size is None else (-size, size)))
+    if panels:
+        caption = f"{runs[1].label} minus {runs[0].label}. Green: within the tolerance. Red cross: first outside."
+        yield Chart("Difference", caption, panels)
+
+
+def _what_happened(runs: Sequence[Shown], more: Sequence[str]) -> Chart:
+    """Return what was judged, and ``more`` signals, over the time: a reader looks here first."""
+    failed = [
+        row["signal"] for one in runs for row in one.found["expect"] or () if row["passed"] is False and row["signal"]
+    ]
+    claimed = [row.signal for one in runs for row in expected(one.run) if row.signal is not None]
+    names = list(dict.fromkeys([*failed, *_ERRORS, *claimed, *more]))
     panels = [_judged(runs, name) for name in names if name != "loop.t_s" and any(one.has(name) for one in runs)]
     words = []
-    if len(runs) == 1 and claimed:
+    if claimed:
         words.append("Red dotted line: the bound of an expectation, over its time. Red cross: its first violation.")
         words.append("An axis opens at what was judged; a double click shows all.")
-    words += ["Orange: a fault is in force."] * bool(first.found["fault"])
-    words += ["Grey: the run had ended."] * any(band.kind == "not run" for band in _bands(first))
+    bands = _bands(runs)
+    words += ["Orange: a fault is in force."] * any(band.kind == "fault" for band in bands)
+    words += ["Grey: the run had ended."] * any(band.kind == "not run" for band in bands)
     for one in runs:
         if len(one.t_s) < len(one.all_t_s):
-            words.append(
-                f"{one.label}: minimum and maximum of each {one.longest_s:.2g} s; all rows around what happened."
-            )
-    ended = [float(first.all_t_s[-1])] if first.found["failure"] is not None else []
+            shown = f"minimum and maximum of each {one.longest_s:.2g} s; all rows around what happened"
+            words.append(f"{one.label}: {shown}.")
+    ended = [float(one.all_t_s[-1]) + one.shift_s for one in runs if one.found["failure"] and len(one.all_t_s)]
     return Chart(
         "What happened",
         " ".join(words),
-        [*further, *panels],
-        lanes=list(lanes(first.run, first.found)) if len(runs) == 1 else (),
-        instants=[*ended, *(mark.x for panel in panels for mark in panel.marks)][:3],
+        panels,
+        lanes=[lane for one in runs for lane in _lanes_of(one, f"{one.label}: " if len(runs) > 1 else "")],
+        instants=[*ended, *(mark.x for panel in panels for mark in panel.marks)][:4],
     )
 
 
+def _lanes_of(one: Shown, prefix: str) -> Iterator[Lane]:
+    """Yield the lanes of a run at its times on the page."""
+    for lane in lanes(one.run, one.found):
+        moved = [Band(band.begin + one.shift_s, band.end + one.shift_s, band.kind) for band in lane.bands]
+        yield Lane(prefix + lane.text, moved)
+
+
 def _judged(runs: Sequence[Shown], name: str) -> Panel:
-    """Return a signal with its bounds, with when it was outside them, and with its first violation."""
+    """Return a signal with the first run's bounds, with when it was outside them, and with each first violation."""
     title, unit, scale = _ERRORS.get(name, (name, unit_of(name), 1.0))
     lines = [one.line(name, one.label, one.colour, scale) for one in runs if one.has(name)]
-    if len(runs) > 1 or not lines:
-        return Panel(title, unit, lines)
-    run, found = runs[0].run, runs[0].found
-    of = {row.of for row in expected(run) if row.signal == name and row.of in run.signals}
-    lines = [lines[0]._replace(in_title=False), *runs[0].bounds(name, scale)]
-    lines += [runs[0].line(other, other, REFERENCE_COLOUR, scale) for other in of if other is not None]
-    shown = Panel(title, unit, lines, marks(run, found, name, scale), violations(run, found, name))
-    return replace(shown, y_range=_while_judged(lines))
+    first, bounds = runs[0], list(runs[0].bounds(name, scale))
+    of = {row.of for row in expected(first.run) if row.signal == name and row.of in first.run.signals}
+    others = [first.line(other, other, REFERENCE_COLOUR, scale) for other in of if other is not None]
+    found = [
+        Mark(mark.x + one.shift_s, mark.y, mark.text if len(runs) == 1 else f"{one.label}: {mark.text}")
+        for one in runs
+        if one.has(name)
+        for mark in marks(one.run, one.found, name, scale)
+    ]
+    bands = violations(first.run, first.found, name) if len(runs) == 1 and lines else []
+    return Panel(title, unit, [*lines, *bounds, *others], found, bands, y_range=_while_judged(lines, bounds))
 
 
-def _while_judged(lines: Sequence[Line]) -> tuple[float, float] | None:
-    """Return the range of a signal while it has a bound, with its bounds, and some room; None without a bound.
+def _while_judged(lines: Sequence[Line], bounds: Sequence[Line]) -> tuple[float, float] | None:
+    """Return the range of signals while they have a bound, with the bounds, and some room; None without a bound.
 
-    ``lines`` are the signal and its bounds. What came before, such as a start beside the reference, would hide it.
+    What came before, such as a start beside the reference, would hide it.
     """
-    judged = np.any([np.isfinite(bound.y) for bound in lines if bound.label != lines[0].label], axis=0)
-    values = np.concatenate([line.y[judged] for line in lines]) if np.any(judged) else np.empty(0)
-    if not np.isfinite(values).any():
+    times = np.concatenate([bound.x[np.isfinite(bound.y)] for bound in bounds]) if bounds else np.empty(0)
+    if not len(times):
         return None
+    each = [line.y[(line.x >= times.min()) & (line.x <= times.max())] for line in (*lines, *bounds)]
+    values = np.concatenate(each)
     low, high = float(np.nanmin(values)), float(np.nanmax(values))
     room = 0.15 * (high - low) or 1.0
     return low - room, high + room
