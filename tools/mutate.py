@@ -39,11 +39,14 @@ _OF_THE_NODE = (
 )
 _OF_PARAMETERS = ("tests/test_parameters.py", "tests/test_stored_parameters.py")
 _OF_THE_CLIENT = ("tests/test_client_frames.py", "tests/test_client.py")
+_OF_CONTROL = ("tests/test_current_loop.py", "tests/test_node_thresholds.py", *_OF_THE_NODE)
 FILES = {
     **dict.fromkeys(("states.c", "receive.c", "supervise.c", "node.c"), _OF_THE_NODE),
     **dict.fromkeys(("arming.c", "session.c"), (*_OF_THE_CLIENT, "tests/test_snapshot.py")),
     "incoming.c": ("tests/test_snapshot.py", *_OF_THE_CLIENT, "tests/test_snapshot_twin.py"),
     "service.c": (*_OF_PARAMETERS, "tests/test_node_feedback.py", "tests/test_protocol_rules.py"),
+    "control.c": tuple(dict.fromkeys(_OF_CONTROL)),
+    "feedback.c": ("tests/test_node_feedback.py", "tests/test_node_means.py", *_OF_THE_NODE[:5], "tests/test_node.py"),
     "parameters.c": (*_OF_PARAMETERS, "tests/test_node.py"),
     **dict.fromkeys(("line.c", "framing.c", "cobs.c", "crc.c"), ("tests/test_line_of_the_library.py",)),
 }
