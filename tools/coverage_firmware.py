@@ -40,7 +40,7 @@ TESTS = (
     "tests/test_node_sessions.py",
     "tests/test_node_states.py",
     "tests/test_node_thresholds.py",
-    "tests/test_current_loop.py",
+    "tests/test_wheel_loops.py",
     "tests/test_client.py",
     "tests/test_client_frames.py",
     "tests/test_direct.py",

@@ -39,7 +39,7 @@ _OF_THE_NODE = (
 )
 _OF_PARAMETERS = ("tests/test_parameters.py", "tests/test_stored_parameters.py")
 _OF_THE_CLIENT = ("tests/test_client_frames.py", "tests/test_client.py")
-_OF_CONTROL = ("tests/test_current_loop.py", "tests/test_node_thresholds.py", *_OF_THE_NODE)
+_OF_CONTROL = ("tests/test_wheel_loops.py", "tests/test_node_thresholds.py", *_OF_THE_NODE)
 FILES = {
     **dict.fromkeys(("states.c", "receive.c", "supervise.c", "node.c"), _OF_THE_NODE),
     **dict.fromkeys(("arming.c", "session.c"), (*_OF_THE_CLIENT, "tests/test_snapshot.py")),

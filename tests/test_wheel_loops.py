@@ -1,10 +1,10 @@
-"""The current loop on a winding that is solved exactly: bandwidth, steady error, wind-up, and extreme parameters."""
+"""The loops of a wheel: the filter of its speed, the speed loop, and the current loop on a winding solved exactly."""
 
 import math
 from typing import Any
 
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from firmware_protocol.host import parameters
@@ -91,9 +91,25 @@ def test_a_battery_that_is_too_weak_winds_nothing_up(sign: float) -> None:
 def test_without_a_battery_the_duty_is_zero(battery_v: float) -> None:
     winding, block = motor(), believed()
     winding.loop.integral_v = [1.0] * 4
+    winding.duty[0:4] = [1.0] * 4
     winding.step(5.0, block, battery_v=battery_v)
     assert list(winding.duty) == [0.0] * 4
     assert list(winding.loop.integral_v) == [0.0] * 4
+
+
+def test_any_battery_above_zero_drives() -> None:
+    winding = motor()
+    winding.step(0.01, believed(), battery_v=0.2)
+    assert winding.duty[0] > 0.0
+
+
+@pytest.mark.parametrize("bandwidth_rad_s", [9.0, 11.0])
+def test_a_slow_loop_is_as_slow_as_it_is_asked_to_be(bandwidth_rad_s: float) -> None:
+    """So little of the way a tick is worked out by a series of its own."""
+    winding = motor()
+    winding.step(1.0, believed(current_bandwidth_rad_s=bandwidth_rad_s), battery_v=200.0)
+    volts = winding.duty[0] * 200.0 / winding.resistance_ohm
+    assert volts * (1.0 - winding.decay) == pytest.approx(-math.expm1(-bandwidth_rad_s * TICK_S), rel=3e-4)
 
 
 @pytest.mark.parametrize(("bandwidth_rad_s", "overshoot"), [(300.0, 0.001), (1000.0, 0.001), (2000.0, 0.04)])
@@ -150,10 +166,17 @@ def test_exp_minus(x: float) -> None:
     assert core()[1].wheel_exp_minus(x) == pytest.approx(math.exp(-x), abs=5e-6)
 
 
+def test_exp_minus_is_nothing_from_20_on() -> None:
+    exp_minus = core()[1].wheel_exp_minus
+    assert [exp_minus(x) for x in (20.0, 22.0, 1e30)] == [0.0] * 3
+    assert exp_minus(19.9) > 0.0
+
+
 @given(
     values=st.lists(st.floats(-1e6, 1e6, width=32), min_size=4, max_size=4),
     limit=st.floats(0.0, 100.0, width=32),
 )
+@example(values=[-0.2, 0.0, 0.0, 0.0], limit=0.125)
 def test_scaling_keeps_the_direction_and_the_limit(values: list[float], limit: float) -> None:
     ffi, lib = core()
     scaled = ffi.new("float[4]", values)
@@ -162,3 +185,47 @@ def test_scaling_keeps_the_direction_and_the_limit(values: list[float], limit: f
     assert max(map(abs, scaled)) <= limit or largest <= limit
     factor = min(1.0, limit / largest) if largest else 1.0
     assert list(scaled) == pytest.approx([v * factor for v in values], rel=1e-5, abs=1e-6)
+
+
+@given(counts=st.lists(st.integers(-3000, 3000), min_size=1, max_size=50), first=st.integers(0, 0xFFFF))
+def test_the_filter_starts_at_rest_and_keeps_its_fraction_within_a_count(counts: list[int], first: int) -> None:
+    ffi, lib = core()
+    block, tracker = believed(), ffi.new("wheel_tracker *")
+    assert abs(lib.wheel_tracker_update(tracker, first, block)) < 1e-6
+    at = first
+    for moved in counts:
+        at = (at + moved) & 0xFFFF
+        lib.wheel_tracker_update(tracker, at, block)
+        assert 0.0 <= tracker.fraction < 1.0
+
+
+KI, LIMIT_N_M = PARAMETERS["speed_ki_n_m_rad"], 5.0
+
+
+def speed_loop(integral_n_m: float, error_rad_s: float, feedforward_n_m: float, ticks: int = 1) -> list[float]:
+    """Return the integral and the torque of a wheel after so many ticks at a constant error; its limit is 5 N m."""
+    ffi, lib = core()
+    loop, torque = ffi.new("wheel_speed_loop *", {"integral_n_m": [integral_n_m] * 4}), ffi.new("float[4]")
+    for _ in range(ticks):
+        lib.wheel_speed_loop_update(
+            loop, [error_rad_s] * 4, [0.0] * 4, [feedforward_n_m] * 4, believed(), LIMIT_N_M, torque
+        )
+    return [loop.integral_n_m[0], torque[0]]
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_at_the_limit_an_integral_only_goes_back(sign: float) -> None:
+    step = sign * 0.1 * KI * TICK_S
+    far = sign * 20.0  # a feedforward that is beyond the limit alone
+    assert speed_loop(sign * 0.1, sign * 0.1, far)[0] == pytest.approx(sign * 0.1)
+    assert speed_loop(sign * 0.1, -sign * 0.1, far)[0] == pytest.approx(sign * 0.1 - step, rel=1e-6)
+    assert speed_loop(0.0, sign * 0.1, far)[0] == pytest.approx(step, rel=1e-6)
+    assert speed_loop(sign * 0.1, sign * 0.1, 0.0)[0] == pytest.approx(sign * 0.1 + step, rel=1e-6)
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_an_integral_stays_within_the_torque_limit(sign: float) -> None:
+    """A feedforward against it keeps the sum below the limit, so that nothing else stops the integral."""
+    integral, torque = speed_loop(sign * 4.9, sign * 0.5, -sign * 4.0, ticks=round(1.0 / (0.5 * KI * TICK_S)))
+    assert abs(integral) == pytest.approx(LIMIT_N_M)
+    assert abs(torque) < LIMIT_N_M
