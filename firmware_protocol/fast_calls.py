@@ -32,6 +32,7 @@ _NEEDED = (
     "Py_IncRef",
     "Py_BuildValue",
     "PyType_GenericAlloc",
+    "PyErr_BadArgument",
 )
 
 

@@ -1,6 +1,6 @@
-"""Reads named tuples from the memory of C structs, in a fifth of the time that it takes field by field.
+"""Makes named tuples in the host library, in a fraction of the time that it takes in Python.
 
-``Tuple`` describes what is read: ``number``, ``numbers`` and ``Choice`` name places in memory by cffi pointers.
+``Tuple`` describes one: its values are arguments, objects, and numbers in the memory of C structs.
 """
 
 from collections.abc import Callable, Iterator
@@ -10,6 +10,16 @@ from firmware_protocol.fast_calls import address_of, fast_call
 from firmware_protocol.host import library
 
 _NUMBERS = {"float": "FLOAT", "double": "DOUBLE", "uint8_t": "UINT8", "uint16_t": "UINT16", "uint64_t": "UINT64"}
+
+
+class Argument(NamedTuple):
+    """The next argument of the function that makes the tuple."""
+
+
+class Object(NamedTuple):
+    """Always this object."""
+
+    object: object
 
 
 class Number(NamedTuple):
@@ -31,45 +41,50 @@ class Tuple(NamedTuple):
     """A tuple of values: of a class of named tuples, or a plain one."""
 
     kind: type | None
-    values: "tuple[Number | Choice | Tuple, ...]"
+    values: "tuple[Argument | Object | Number | Choice | Tuple, ...]"
 
 
 def fields_of(ffi: Any, struct: Any, name: str, first: int = 0, count: int | None = None) -> tuple[Number, ...]:
     """Return the numbers of a field of the struct that a cffi pointer is of; of an array all, or ``count`` of them."""
-    kind = ffi.typeof(struct).item.fields
-    field = dict(kind)[name]
-    array = field.type.kind == "array"
-    item = field.type.item if array else field.type
+    field = dict(ffi.typeof(struct).item.fields)[name]
+    is_array = field.type.kind == "array"
+    item, length = (field.type.item, field.type.length) if is_array else (field.type, 1)
     begin, size = address_of(struct) + field.offset, ffi.sizeof(item)
-    length = (field.type.length if array else 1) - first if count is None else count
-    return tuple(Number(begin + place * size, item.cname) for place in range(first, first + length))
+    end = length if count is None else first + count
+    return tuple(Number(begin + place * size, item.cname) for place in range(first, end))
 
 
-def tuple_reader(what: Tuple, memory: object, given: Number | None = None) -> Callable[[], Any]:
-    """Return a function that returns the tuple as it is in memory now; None while the bool ``given`` is false.
+def tuple_maker(what: Tuple, memory: object = None, given: Number | None = None) -> Callable[..., Any]:
+    """Return a function that makes the tuple. It takes the arguments in their order, and reads numbers as they are now.
 
-    It keeps ``memory`` alive, the owner of the numbers. Raises BuildError when the library cannot be loaded.
+    While the bool ``given`` is false it returns None. It keeps ``memory`` alive, the owner of the numbers. Called with
+    another number of arguments it raises TypeError. Raises BuildError when the library cannot be loaded.
     """
-    ffi, _ = library()
+    ffi, lib = library()
     values = ffi.new("wheel_python_value[]", list(_flat(what)))
+    values[0].factor = sum(value.kind == lib.WHEEL_PYTHON_ARGUMENT for value in values)
     if given is not None:
         values[0].at = ffi.cast("void *", given.address)
-    return fast_call("read", values, (what, memory))
+    return fast_call("make", values, (what, memory))
 
 
-def _flat(value: Number | Choice | Tuple) -> Iterator[tuple[Any, ...]]:
+def _flat(value: Argument | Object | Number | Choice | Tuple) -> Iterator[tuple[Any, ...]]:
     ffi, lib = library()
 
-    def pointer(address: int) -> Any:
-        return ffi.cast("void *", address)
+    def row(kind: str, *, at: int = 0, named: object = None, length: int = 0, factor: int = 1) -> tuple[Any, ...]:
+        place = ffi.NULL if named is None else ffi.cast("void *", id(named))
+        return getattr(lib, f"WHEEL_PYTHON_{kind}"), length, factor, ffi.cast("void *", at), place
 
-    if isinstance(value, Number):
-        kind = getattr(lib, f"WHEEL_PYTHON_{_NUMBERS[value.c_type]}")
-        yield kind, 0, value.factor, pointer(value.address), ffi.NULL
-    elif isinstance(value, Choice):
-        yield lib.WHEEL_PYTHON_CHOICE, 0, 1, pointer(value.address), pointer(id(value.objects))
-    else:
-        kind = ffi.NULL if value.kind is None else pointer(id(value.kind))
-        yield lib.WHEEL_PYTHON_TUPLE, len(value.values), 1, ffi.NULL, kind
-        for one in value.values:
-            yield from _flat(one)
+    match value:
+        case Argument():
+            yield row("ARGUMENT")
+        case Object(named):
+            yield row("OBJECT", named=named)
+        case Number(address, c_type, factor):
+            yield row(_NUMBERS[c_type], at=address, factor=factor)
+        case Choice(address, objects):
+            yield row("CHOICE", at=address, named=objects)
+        case Tuple(kind, values):
+            yield row("TUPLE", named=kind, length=len(values))
+            for one in values:
+                yield from _flat(one)

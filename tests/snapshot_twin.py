@@ -2,7 +2,7 @@
 
 from firmware_protocol.codec import Message
 from firmware_protocol.generated.messages import Accelerometer, Currents, Encoders, Gyro, State, Tick, WheelSpeeds
-from hil.core.types import NAN, NAN_WHEELS, make_wheels
+from hil.core.types import NAN, NAN_WHEELS, Wheels
 from hil.robot.snapshot import Feedback
 
 _PARTS: dict[type, int] = {Encoders: 1, WheelSpeeds: 2, Currents: 4, Accelerometer: 8, Gyro: 16}
@@ -79,9 +79,9 @@ class SnapshotAssembler:
             if isinstance(message, Encoders):
                 self._count = (*message,)
             elif isinstance(message, WheelSpeeds):
-                self._speed = make_wheels(message)
+                self._speed = Wheels._make(message)
             elif isinstance(message, Currents):
-                self._current = make_wheels(message)
+                self._current = Wheels._make(message)
             elif isinstance(message, Accelerometer):
                 self._acceleration = message[:3]
             elif isinstance(message, Gyro):

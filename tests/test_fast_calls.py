@@ -3,6 +3,7 @@
 import math
 import sys
 import tracemalloc
+from collections.abc import Callable
 
 import pytest
 from hypothesis import given
@@ -11,12 +12,25 @@ from hypothesis import strategies as st
 from firmware_protocol.client import Client
 from firmware_protocol.codec import encode
 from firmware_protocol.fast_calls import RowLayout, Scaled, fast_call
-from firmware_protocol.fast_tuples import Choice, Tuple, fields_of, tuple_reader
+from firmware_protocol.fast_tuples import Choice, Tuple, fields_of, tuple_maker
 from firmware_protocol.framing import Frame, Framer, pack
 from firmware_protocol.generated import messages as m
 from firmware_protocol.host import library
 from firmware_protocol.host_line import HostLine
-from hil.core.types import Axes, Wheels
+from hil.core import makers
+from hil.core.signals import LoopSignals
+from hil.core.types import (
+    ZERO_WHEELS,
+    Acceleration,
+    Axes,
+    CommandMode,
+    Pose,
+    Reference,
+    State,
+    Twist,
+    WheelCommand,
+    Wheels,
+)
 from hil.robot.channel import feedback_reader
 from hil.robot.snapshot import Feedback
 from tests.client_rig import feed, feedback, new_client, sent
@@ -103,7 +117,7 @@ def test_feedback_in_a_state_that_nobody_named_raises() -> None:
     client = a_robot_in(m.State.ESTOP)
     (state,) = fields_of(library()[0], client.view, "state")
     before = sys.getrefcount(Wheels)
-    read = tuple_reader(Tuple(Wheels, (state, Choice(state.address, (m.State.BOOT,)))), client)
+    read = tuple_maker(Tuple(Wheels, (state, Choice(state.address, (m.State.BOOT,)))), client)
     for _ in range(1000):
         with pytest.raises(IndexError):
             read()
@@ -117,7 +131,7 @@ def test_a_reader_keeps_the_memory_that_it_reads() -> None:
     numbers = ffi.gc(numbers, lambda _: owner.append("freed"))
     (time,) = fields_of(ffi, numbers, "robot_time_us")
     some = Tuple(None, fields_of(ffi, numbers, "speed_rad_s", 1, 2))
-    read = tuple_reader(Tuple(None, (time._replace(factor=1000), some)), numbers)
+    read = tuple_maker(Tuple(None, (time._replace(factor=1000), some)), numbers)
     del numbers
     assert read() == (1000 << 40, (2.0, 3.0))
     assert not owner
@@ -259,3 +273,40 @@ def test_a_thousand_splits_leave_no_object_behind() -> None:
     tracemalloc.stop()
     assert sys.getrefcount(packed) == before
     assert kept_bytes < 10_000
+
+
+NINE = tuple(range(9))
+MADE: list[tuple[Callable[..., tuple], tuple, tuple]] = [
+    (makers.make_loop_signals, (1.0, 2, 3.0, 4.0, 5), LoopSignals(1.0, 2, 3.0, 4.0, 5)),
+    (makers.make_state, (Pose(1, 2, 3), Twist(4, 5, 6)), State(Pose(1, 2, 3), Twist(4, 5, 6))),
+    (makers.make_reference, NINE, Reference(Pose(0, 1, 2), Twist(3, 4, 5), Acceleration(6, 7, 8))),
+    (makers.make_torque_command, FOUR, WheelCommand(CommandMode.TORQUE, ZERO_WHEELS, Wheels(*FOUR))),
+    (makers.make_speed_command, (*FOUR, *FOUR), WheelCommand(CommandMode.SPEED, Wheels(*FOUR), Wheels(*FOUR))),
+]
+
+
+def types_in(value: object) -> object:
+    """Return the class of a value, with those in a tuple."""
+    return (type(value), *map(types_in, value)) if isinstance(value, tuple) else type(value)
+
+
+@pytest.mark.parametrize(("make", "arguments", "expected"), MADE)
+def test_what_a_maker_makes_is_what_its_classes_make(
+    make: Callable[..., tuple], arguments: tuple, expected: tuple
+) -> None:
+    made = make(*arguments)
+    assert (made, types_in(made)) == (expected, types_in(expected))
+    for wrong in (arguments[1:], (*arguments, 0.0)):
+        with pytest.raises(TypeError, match="argument"):
+            make(*wrong)
+
+
+@pytest.mark.parametrize(("make", "arguments", "_expected"), MADE)
+def test_a_thousand_tuples_leave_no_object_behind(
+    make: Callable[..., tuple], arguments: tuple, _expected: tuple
+) -> None:
+    seen = (*arguments, ZERO_WHEELS, CommandMode.TORQUE, Pose, Wheels)
+    before = [sys.getrefcount(one) for one in seen]
+    for _ in range(1000):
+        make(*arguments)
+    assert all(sys.getrefcount(one) < count + 100 for one, count in zip(seen, before, strict=True))

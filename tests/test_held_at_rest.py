@@ -143,8 +143,7 @@ def test_after_a_hold_the_law_and_its_shadows_begin_anew(counting, monkeypatch):
 def test_after_a_stall_longer_than_the_firmwares_patience_the_law_begins_anew(counting, monkeypatch, skipped, resets):
     """As when the whole machine stood still, robot and all: no law integrates over it."""
 
-    def later(values):
-        t_s, tick, *rest = values
+    def later(t_s, tick, *rest):
         return LoopSignals(t_s, tick if tick < 60 else tick + skipped, *rest)
 
     monkeypatch.setattr("hil.runtime.loop.make_loop_signals", later)

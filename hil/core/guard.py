@@ -3,7 +3,7 @@
 import math
 
 from hil.core.errors import BadInputError
-from hil.core.types import ZERO_WHEELS, CommandMode, WheelCommand, Wheels, make_command
+from hil.core.types import ZERO_WHEELS, CommandMode, WheelCommand, Wheels
 
 # Share of the gain of the firmware's own speed loop. That loop runs at 1 kHz; ours also has the link's latency.
 _SHARE = 0.25
@@ -45,7 +45,7 @@ class Guard:
         mode, speed, torque = command
         if mode is CommandMode.TORQUE and speed is not ZERO_WHEELS:
             speed = ZERO_WHEELS
-            command = make_command((mode, speed, torque))
+            command = WheelCommand(mode, speed, torque)
         if _is_within(torque, self.torque_limit_n_m) and (
             speed is ZERO_WHEELS or _is_within(speed, self.speed_limit_rad_s)
         ):

@@ -15,7 +15,7 @@ from typing import Annotated
 
 from hil.core.kinematics import body_twist, to_world, wheel_speeds
 from hil.core.options import Range, require_ranges
-from hil.core.types import Axes, FourWheels, Twist, Wheels, make_wheels
+from hil.core.types import Axes, FourWheels, Twist, Wheels
 
 GRAVITY_M_S2 = 9.81
 FRICTION_SPEED_RAD_S = 0.3
@@ -63,18 +63,18 @@ class RobotModel:
         object.__setattr__(self, "effective_inertia_kg_m2", self.inertia_kg_m2 + k * lever**2)
         object.__setattr__(self, "wheel_friction_n_m", friction)
 
-    def wheel_speeds(self, twist: Axes, heading_rad: float) -> Wheels:
+    def wheel_speeds(self, twist: Axes, heading_rad: float) -> FourWheels:
         """Return the wheel speeds [rad/s] of a world twist at this heading: ω = H Rᵀ q̇ / r."""
         vx, vy, yaw_rate = twist
         c, s = cos(heading_rad), sin(heading_rad)
         body = c * vx + s * vy, c * vy - s * vx, yaw_rate
-        return make_wheels(wheel_speeds(body, self.wheel_radius_m, self.lever_m))
+        return wheel_speeds(body, self.wheel_radius_m, self.lever_m)
 
     def twist(self, wheel_speed_rad_s: Wheels, heading_rad: float) -> Twist:
         """Return the world twist of wheel speeds [rad/s] at this heading."""
         return to_world(body_twist(wheel_speed_rad_s, self.wheel_radius_m, self.lever_m), heading_rad)
 
-    def wheel_torques(self, acceleration: Axes, twist: Axes, heading_rad: float, moving: Axes) -> Wheels:
+    def wheel_torques(self, acceleration: Axes, twist: Axes, heading_rad: float, moving: Axes) -> FourWheels:
         """Return the wheel torques [N·m] for a world acceleration, without limits: τ = B⁺ (M q̈ + C) + ξ.
 
         ``twist`` is the world twist in C. Friction ξ (``friction_torques``) is computed for the wheel speeds of the
@@ -93,12 +93,12 @@ class RobotModel:
         minus, plus = forward - left, forward + left
         torque = minus - turn, plus + turn, minus + turn, plus - turn
         if self.wheel_friction_n_m == 0.0:
-            return make_wheels(torque)
+            return torque
         to_fl, to_fr, to_rr, to_rl = torque
         vx, vy, yaw_rate = moving
         speeds = wheel_speeds((c * vx + s * vy, c * vy - s * vx, yaw_rate), self.wheel_radius_m, self.lever_m)
         fl, fr, rr, rl = self.friction_torques(speeds)
-        return make_wheels((to_fl + fl, to_fr + fr, to_rr + rr, to_rl + rl))
+        return to_fl + fl, to_fr + fr, to_rr + rr, to_rl + rl
 
     def friction_torques(self, speed_rad_s: FourWheels) -> FourWheels:
         """Return the friction torque [N·m] of each wheel at these speeds: ξ = (μ m g r / 4) tanh(ω / 0.3 rad/s)."""

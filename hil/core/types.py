@@ -4,9 +4,7 @@ Frames: the world frame is fixed, x and y in the plane, heading positive from x 
 and y left. The order of wheels is FL, FR, RR, RL everywhere (the paper's 1 to 4).
 """
 
-from collections.abc import Callable
 from enum import IntEnum
-from types import MethodType
 from typing import Final, NamedTuple
 
 NAN = float("nan")
@@ -141,17 +139,6 @@ class MeasuredPose(NamedTuple):
     pose: Pose
     covariance: PoseCovariance
 
-
-# Make a named tuple from a plain one in half the time of calling the class. They are bound methods because a
-# functools.partial makes one more tuple per call. Where speed does not matter, call the class with field names.
-make_wheels: Callable[[FourWheels], Wheels] = MethodType(tuple.__new__, Wheels)
-make_pose: Callable[[Axes], Pose] = MethodType(tuple.__new__, Pose)
-make_twist: Callable[[Axes], Twist] = MethodType(tuple.__new__, Twist)
-make_acceleration: Callable[[Axes], Acceleration] = MethodType(tuple.__new__, Acceleration)
-make_state: Callable[[tuple[Pose, Twist]], State] = MethodType(tuple.__new__, State)
-make_reference: Callable[[tuple[Pose, Twist, Acceleration]], Reference] = MethodType(tuple.__new__, Reference)
-make_command: Callable[[tuple[CommandMode, Wheels, Wheels]], WheelCommand] = MethodType(tuple.__new__, WheelCommand)
-make_applied: Callable[[tuple[WheelCommand, bool, float]], Applied] = MethodType(tuple.__new__, Applied)
 
 ZERO_WHEELS = Wheels(0.0, 0.0, 0.0, 0.0)
 NAN_WHEELS = Wheels(NAN, NAN, NAN, NAN)

@@ -4,8 +4,9 @@ from collections.abc import Sequence
 from math import isfinite
 
 from hil.core.kinematics import to_world
+from hil.core.makers import make_state
 from hil.core.model import RobotModel
-from hil.core.types import MeasuredPose, PoseFix, State, make_state
+from hil.core.types import MeasuredPose, PoseFix, State
 from hil.estimation.measurement import Estimator, Measurement, measured_twist
 
 
@@ -37,7 +38,7 @@ class TruthEstimator(Estimator):
         vx, vy, yaw_rate = twist
         if self._uses_wheels or not isfinite(vx + vy + yaw_rate):
             twist = to_world(measured_twist(self._model, measurement), pose.heading_rad)
-        return make_state((pose, twist))
+        return make_state(pose, twist)
 
     def restart(self) -> None:
         """Wait for a new sample of the truth."""

@@ -5,7 +5,18 @@ from typing import Annotated
 
 from hil.core.model import RobotModel
 from hil.core.options import NOT_NEGATIVE, POSITIVE
-from hil.core.types import NO_GAINS, ZERO_WHEELS, Applied, Axes, CommandMode, Reference, State, WheelCommand, Wheels
+from hil.core.types import (
+    NO_GAINS,
+    ZERO_WHEELS,
+    Applied,
+    Axes,
+    CommandMode,
+    FourWheels,
+    Reference,
+    State,
+    WheelCommand,
+    Wheels,
+)
 from hil.laws.prediction import extrapolate, speed_command
 
 
@@ -62,7 +73,7 @@ class Pid:
         twist_error = desired[0] - vx, desired[1] - vy, desired[2] - yaw_rate
         return self._by_wheel(self._model.wheel_speeds(twist_error, heading_rad), applied, dt_s)
 
-    def _by_wheel(self, speed_error_rad_s: Wheels, applied: Applied, dt_s: float) -> WheelCommand:
+    def _by_wheel(self, speed_error_rad_s: FourWheels, applied: Applied, dt_s: float) -> WheelCommand:
         """Return the torque of each wheel's PI for its speed error [rad/s]."""
         kp, ki = self._options.wheel_kp_n_m_s_rad, self._options.wheel_ki_n_m_rad
         fl, fr, rr, rl = speed_error_rad_s

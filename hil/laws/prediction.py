@@ -12,6 +12,7 @@ import operator
 from collections import deque
 
 from hil.core.kinematics import body_wrench
+from hil.core.makers import make_speed_command, make_torque_command
 from hil.core.model import RobotModel
 from hil.core.types import (
     ZERO_WHEELS,
@@ -23,7 +24,6 @@ from hil.core.types import (
     State,
     WheelCommand,
     Wheels,
-    make_command,
 )
 
 # A member of an enumeration takes longer to look up than a global name.
@@ -197,7 +197,7 @@ def torque_command(model: RobotModel, acceleration: Axes, predicted: Prediction)
     Friction is computed at the reference's twist and not at the measured one, so measurement noise does not enter.
     """
     _, heading_rad, reference_twist, twist = predicted
-    return make_command((_TORQUE, ZERO_WHEELS, model.wheel_torques(acceleration, twist, heading_rad, reference_twist)))
+    return make_torque_command(*model.wheel_torques(acceleration, twist, heading_rad, reference_twist))
 
 
 def speed_command(model: RobotModel, desired: Axes, predicted: Prediction, acceleration: Axes) -> WheelCommand:
@@ -207,7 +207,7 @@ def speed_command(model: RobotModel, desired: Axes, predicted: Prediction, accel
     """
     _, heading_rad, twist, _ = predicted
     feedforward = model.wheel_torques(acceleration, twist, heading_rad, twist)
-    return make_command((_SPEED, model.wheel_speeds(desired, heading_rad), feedforward))
+    return make_speed_command(*model.wheel_speeds(desired, heading_rad), *feedforward)
 
 
 def extrapolate(reference: Reference, state: State, latency_s: float) -> Prediction:

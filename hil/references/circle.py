@@ -4,8 +4,9 @@ import math
 from dataclasses import dataclass
 from typing import Annotated, ClassVar, Literal
 
+from hil.core.makers import make_reference
 from hil.core.options import NOT_NEGATIVE, POSITIVE
-from hil.core.types import Reference, make_acceleration, make_pose, make_reference, make_twist
+from hil.core.types import Reference
 from hil.references.motion import ramped
 
 
@@ -42,7 +43,7 @@ class Circle:
         heading, yaw_rate, yaw_acceleration = self.heading_rad, 0.0, 0.0
         if self.heading == "path":
             heading, yaw_rate, yaw_acceleration = heading + 0.25 * turn + angle, rate, acceleration
-        pose = make_pose((self.centre_x_m + x, self.centre_y_m + y, heading))
-        twist = make_twist((-rate * y, rate * x, yaw_rate))
+        vx, vy = -rate * y, rate * x
         ax, ay = -rate * rate * x - acceleration * y, -rate * rate * y + acceleration * x
-        return make_reference((pose, twist, make_acceleration((ax, ay, yaw_acceleration))))
+        x, y = self.centre_x_m + x, self.centre_y_m + y
+        return make_reference(x, y, heading, vx, vy, yaw_rate, ax, ay, yaw_acceleration)

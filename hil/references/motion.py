@@ -2,17 +2,8 @@
 
 from typing import Protocol
 
-from hil.core.types import (
-    Acceleration,
-    Axes,
-    Pose,
-    Reference,
-    Twist,
-    make_acceleration,
-    make_pose,
-    make_reference,
-    make_twist,
-)
+from hil.core.makers import make_reference
+from hil.core.types import Acceleration, Axes, Pose, Reference, Twist
 
 
 class ReferenceSource(Protocol):
@@ -48,15 +39,11 @@ def at_rest(pose: Pose) -> Reference:
 
 def motion_through(point: Point, rate: float, acceleration: float) -> Reference:
     """Return the motion through a point whose parameter changes with this rate and acceleration (chain rule)."""
-    pose, (x1, y1, heading1), (x2, y2, heading2) = point
+    (x, y, heading), (x1, y1, heading1), (x2, y2, heading2) = point
     square = rate * rate
-    slope = (
-        square * x2 + acceleration * x1,
-        square * y2 + acceleration * y1,
-        square * heading2 + acceleration * heading1,
-    )
-    twist = make_twist((rate * x1, rate * y1, rate * heading1))
-    return make_reference((make_pose(pose), twist, make_acceleration(slope)))
+    ax, ay = square * x2 + acceleration * x1, square * y2 + acceleration * y1
+    ah = square * heading2 + acceleration * heading1
+    return make_reference(x, y, heading, rate * x1, rate * y1, rate * heading1, ax, ay, ah)
 
 
 def ramped(t_s: float, rate: float, ramp_s: float) -> Phase:

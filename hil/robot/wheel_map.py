@@ -4,7 +4,7 @@ import math
 from collections.abc import Sequence
 from typing import Final, NamedTuple, Self
 
-from hil.core.types import WHEEL_NAMES, Axes, FourWheels, Wheels, make_wheels
+from hil.core.types import WHEEL_NAMES, Axes, FourWheels, Wheels
 
 IMU_AXES: Final = ("x", "y", "z")
 
@@ -31,7 +31,7 @@ class WheelMap:
     def from_wire(self, value: FourWheels) -> Wheels:
         """Return values per channel of the robot in the order and sign of our wheels."""
         if self.is_identity:
-            return make_wheels(value)
+            return Wheels._make(value)
         return Wheels(*(self.sign_of_channel[c] * value[c] for c in self._channel_of_wheel))
 
     def counts_from_wire(self, value: tuple[int, int, int, int]) -> tuple[int, int, int, int]:

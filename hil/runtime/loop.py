@@ -6,7 +6,7 @@ from time import perf_counter
 from typing import Any, NamedTuple
 
 from hil.core.errors import DeviceError, HilError, LinkError, OverdueError, RobotLatchedError, RobotStoppedError
-from hil.core.signals import make_loop_signals
+from hil.core.makers import make_loop_signals
 from hil.core.tick_watch import TickOverdue, TickWatch
 from hil.core.types import NAN, CommandMode
 from hil.faults.kind import FaultRow
@@ -219,7 +219,7 @@ class Loop:
         self._watch.turn += 1
         ticker, faults, t_ns = self._ticker, self._faults, number * self._period_ns
         self.t_s = t_s = t_ns * 1e-9
-        now = make_loop_signals((t_s, number, late_ns * 1e-3, self._tick_us, self._misses))
+        now = make_loop_signals(t_s, number, late_ns * 1e-3, self._tick_us, self._misses)
         fix = self._sampling.fix_of(number)
         if faults is not None:
             faults.at(t_ns)

@@ -6,6 +6,7 @@ from typing import Any, NamedTuple
 
 from hil.core.errors import HilError
 from hil.core.guard import Brake, Guard
+from hil.core.makers import make_applied
 from hil.core.ports import Clock, Controller, FixSource, Note, OwnSignals, PoseSource, Sink
 from hil.core.signals import LoopSignals
 from hil.core.types import (
@@ -17,7 +18,6 @@ from hil.core.types import (
     Reference,
     State,
     WheelCommand,
-    make_applied,
 )
 from hil.estimation.measurement import LOST, Estimator
 from hil.laws.shadows import Shadows
@@ -144,7 +144,7 @@ class Tick:
             self._measure_latency(sequence, feedback)
         if self._shadows is not None:
             self._update_shadows(self._shadows, now.t_s, reference, inputs)
-        self._applied = applied = make_applied((command, saturated, self._latency.s))
+        self._applied = applied = make_applied(command, saturated, self._latency.s)
         silent_ns, is_held = self._freshness.silent_ns, inputs is None
         self._rows.write(now, feedback, silent_ns, fix, state, reference, applied, status, is_held)
         self.count += 1

@@ -93,12 +93,26 @@ static void *floats(const double *values, ptrdiff_t count) {
     return tuple;
 }
 
-/* Returns the value that `*next` describes, and moves on behind all that belongs to it; NULL with an
- * exception. */
-static void *read_value(const wheel_python_value **next) {
+/* Returns a new reference to an object; NULL stays NULL. */
+static void *again(void *object) {
+    if (object != NULL) {
+        python.Py_IncRef(object);
+    }
+    return object;
+}
+
+/* Returns the value that `*next` describes, and moves on behind all that belongs to it, and behind the
+ * arguments that it takes; NULL with an exception. */
+static void *value_of(const wheel_python_value **next, void *const **arguments) {
     const wheel_python_value *value = (*next)++;
     const void *at = value->at;
     switch (value->kind) {
+    case WHEEL_PYTHON_ARGUMENT:
+        return again(*(*arguments)++);
+    case WHEEL_PYTHON_OBJECT:
+        return again(value->object);
+    case WHEEL_PYTHON_CHOICE:
+        return again(python.PyTuple_GetItem(value->object, *(const uint8_t *)at));
     case WHEEL_PYTHON_FLOAT:
         return python.PyFloat_FromDouble((double)*(const float *)at);
     case WHEEL_PYTHON_DOUBLE:
@@ -109,20 +123,13 @@ static void *read_value(const wheel_python_value **next) {
         return python.PyLong_FromLongLong(*(const uint16_t *)at);
     case WHEEL_PYTHON_UINT64:
         return python.PyLong_FromLongLong((long long)*(const uint64_t *)at * value->factor);
-    case WHEEL_PYTHON_CHOICE: {
-        void *object = python.PyTuple_GetItem(value->object, *(const uint8_t *)at);
-        if (object != NULL) {
-            python.Py_IncRef(object);
-        }
-        return object;
-    }
     default: /* a tuple */
         break;
     }
     void *tuple = value->object == NULL ? python.PyTuple_New(value->length)
                                         : python.PyType_GenericAlloc(value->object, value->length);
     for (ptrdiff_t i = 0; tuple != NULL && i < value->length; i++) {
-        void *item = read_value(next);
+        void *item = value_of(next, arguments);
         if (item == NULL) {
             python.Py_DecRef(tuple);
             return NULL;
@@ -132,11 +139,14 @@ static void *read_value(const wheel_python_value **next) {
     return tuple;
 }
 
-void *wheel_python_read(void *self, void *const *arguments, ptrdiff_t count) {
-    (void)arguments, (void)count;
+void *wheel_python_make(void *self, void *const *arguments, ptrdiff_t count) {
     const wheel_python_value *next = python.PyLong_AsVoidPtr(self);
     const bool *is_given = next->at;
-    return is_given != NULL && !*is_given ? python.Py_BuildValue("") : read_value(&next);
+    if (count != next->factor) {
+        python.PyErr_BadArgument();
+        return NULL;
+    }
+    return is_given != NULL && !*is_given ? python.Py_BuildValue("") : value_of(&next, &arguments);
 }
 
 void *wheel_python_link_figures(void *self, void *const *arguments, ptrdiff_t count) {

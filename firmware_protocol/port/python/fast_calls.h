@@ -32,6 +32,7 @@ typedef struct {
     void (*Py_IncRef)(void *);
     void *(*Py_BuildValue)(const char *, ...);
     void *(*PyType_GenericAlloc)(void *, ptrdiff_t);
+    int (*PyErr_BadArgument)(void); /* raises TypeError */
 } wheel_python;
 
 void wheel_python_begin(const wheel_python *python);
@@ -84,16 +85,18 @@ void *wheel_python_exchange(void *self, void *const *arguments, ptrdiff_t count)
 /* split(packed, limit): wheel_packed_split; returns both groups as bytes. */
 void *wheel_python_split(void *self, void *const *arguments, ptrdiff_t count);
 
-/* A value that is read from memory. A tuple's values follow it. */
+/* A value, and where it comes from. A tuple's values follow it. */
 typedef struct {
     int32_t kind;
-    int32_t length; /* of a tuple */
-    int64_t factor; /* by which a WHEEL_PYTHON_UINT64 is multiplied */
-    const void *at; /* where the number is */
-    void *object;   /* the class of a named tuple; NULL for a plain one; the objects of a choice */
+    int32_t length;
+    int64_t factor; /* by which a WHEEL_PYTHON_UINT64 is multiplied; of the outermost tuple the arguments */
+    const void *at; /* where the number is in memory */
+    void *object; /* the class of a named tuple, NULL for a plain one; the objects of a choice; the object */
 } wheel_python_value;
 enum {
     WHEEL_PYTHON_TUPLE,
+    WHEEL_PYTHON_ARGUMENT, /* the next one */
+    WHEEL_PYTHON_OBJECT,
     WHEEL_PYTHON_CHOICE, /* of a tuple's objects, by a uint8_t */
     WHEEL_PYTHON_FLOAT,
     WHEEL_PYTHON_DOUBLE,
@@ -102,8 +105,9 @@ enum {
     WHEEL_PYTHON_UINT64,
 };
 
-/* tuple.read(): the tuple as it is now; None while the bool that its `at` points to is false. */
-void *wheel_python_read(void *self, void *const *arguments, ptrdiff_t count);
+/* tuple.make(arguments...): the tuple, of arguments and of what is in memory now; None while the bool that
+ * its `at` points to is false. */
+void *wheel_python_make(void *self, void *const *arguments, ptrdiff_t count);
 
 /* One member of a tuple, in the order of the members. */
 typedef struct {
