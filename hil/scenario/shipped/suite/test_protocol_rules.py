@@ -31,6 +31,7 @@ class Robot:
 
     def __init__(self) -> None:
         self.battery_v, self.current_a = 24.0, 0.0
+        self.held = False
         self._speed_rad_s, self._angle_rad = [0.0] * 4, [0.0] * 4
         ffi, _ = library()
         self._exchange = ffi.callback("wheel_plant_exchange", self._tick)
@@ -39,7 +40,7 @@ class Robot:
 
     def _tick(self, _context: Any, drive: Any, sense: Any) -> int:
         for wheel in range(4):
-            if drive:
+            if drive and not self.held:
                 self._speed_rad_s[wheel] += drive.torque_n_m[wheel] / 0.03 * 1e-3
             self._angle_rad[wheel] += self._speed_rad_s[wheel] * 1e-3
             sense.count[wheel] = math.floor(self._angle_rad[wheel] / math.tau * 4096) & 0xFFFF
@@ -145,6 +146,20 @@ def test_a_set_point_is_limited_to_the_robots_own_speed(robot: Robot) -> None:
     robot.command(60.0, 1, A)
     robot.node.run(1)
     assert max(robot.node.look().set_point_rad_s) <= 0.8 * VALUES["overspeed_rad_s"]
+
+
+def test_the_integral_of_the_speed_loop_has_a_limit(robot: Robot) -> None:
+    """The wheels are held, and a feedforward works against the speed loop: their sum stays small."""
+    robot.activate(A)
+    robot.held = True
+    against, sequence = -VALUES["torque_limit_n_m"], 0
+    for speed_rad_s, ticks in ((1.0, 80), (0.05, 400)):
+        for _ in range(0, ticks, 10):
+            sequence += 1
+            robot.send(m.TorqueFeedforward(against, against, against, against, sequence, A & 0xF))
+            robot.command(speed_rad_s, sequence, A)
+            robot.node.run(10)
+    assert max(map(abs, robot.node.look().torque_n_m)) < -0.1 * against
 
 
 def test_no_parameter_changes_while_the_robot_drives(robot: Robot) -> None:
