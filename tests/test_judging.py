@@ -20,8 +20,9 @@ from hil.faults.kind import REST_RAD_S, FaultRow
 from hil.judge.claims import check_expectation
 from hil.judge.expectations import Count, allow_figures, figure_outcome, figures_by_key
 from hil.judge.words import LENIENT, outcome_rows, why_not_passed
-from hil.record.lanes import limit_values, limits
+from hil.record.claims import claims
 from hil.record.layout import layout
+from hil.record.limits import limits
 from hil.review.figures import figures, read_for_figures
 from hil.runtime.parts import RunParts
 from hil.runtime.sampling import Timing
@@ -229,13 +230,14 @@ def test_the_viewer_draws_what_is_claimed_of_differences_and_of_rest() -> None:
         "expect.1.below": 0.2,
         "expect.2.figure": "t10_s", "expect.2.below": 1.0,
     }  # fmt: skip
-    (lines,) = limits(scenario, layout(SIGNAL_NAMES)).values()
+    (lines,) = limits(scenario, claims(scenario), layout(SIGNAL_NAMES)).values()
     column = {name: i for i, name in enumerate(SIGNAL_NAMES)}
     rows = np.zeros((3, len(SIGNAL_NAMES)))
     rows[:, column["wheel.fl.speed_command_rad_s"]] = [1.0, 2.0, 3.0]
-    drawn = limit_values(lines, column, rows, np.array([0.0, 2.0, 4.0]))
-    assert drawn[:, 0].tolist() == [1.5, 2.5, 3.5]
-    assert {tuple(line) for line in np.nan_to_num(drawn[:, 1:].T, nan=9.0)} == {(9.0, 0.2, 9.0), (9.0, -0.2, 9.0)}
+    difference, *rest = lines
+    assert difference.values(column, rows).tolist() == [1.5, 2.5, 3.5]
+    assert {line.value for line in rest} == {0.2, -0.2}
+    assert all(line.inside(np.array([0.0, 2.0, 4.0])).tolist() == [False, True, False] for line in rest)
 
 
 # Missing truth

@@ -117,7 +117,7 @@ def test_a_frame_has_a_column_for_each_signal(run: RecordedRun) -> None:
 def test_states_are_recorded_by_name_where_they_change(recording: Path) -> None:
     import rerun.chunk as rrc
 
-    chunks = rrc.RrdReader(recording).stream().filter(content="/robot/state", components="StateChange:state")
+    chunks = rrc.RrdReader(recording).stream().filter(content="/state/2_robot", components="StateChange:state")
     changes = [
         (record["t"].total_seconds(), record["StateChange:state"][0])
         for chunk in chunks

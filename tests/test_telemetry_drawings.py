@@ -12,8 +12,8 @@ import pytest
 from hil.core.signals import pack_row
 from hil.record import Recording
 from hil.record.blueprint import blueprint
-from hil.record.lanes import limits
 from hil.record.layout import layout
+from hil.record.limits import limits
 from hil.runtime.provenance import properties
 from hil.scenario import load
 from tests.recorded_circle import PERIOD_S, circle_rows, circle_table, column
@@ -31,6 +31,11 @@ end_s = 0.75
 kind = "reset"
 target = "robot"
 start_s = 1.2
+
+[[fault]]
+kind = "estop"
+target = "command"
+start_s = 9.0
 
 [[expect]]
 signal = "error.planar_m"
@@ -110,20 +115,22 @@ def test_the_robot_stands_where_the_truth_is(recording: Path) -> None:
 
 
 def test_a_bound_is_drawn_while_it_is_claimed_and_never_ahead_of_the_run(recording: Path) -> None:
-    t_s, values = read(recording, "/limits/ctrl/error/position", "Scalars:scalars", 1)
-    claimed = t_s[np.isfinite(values[:, 0])]
-    assert (claimed.min(), claimed.max()) == pytest.approx((1.0, 1.4))
-    assert set(values[np.isfinite(values)]) == {0.02}
-    t_s, values = read(recording, "/limits/ctrl/wheel/command/torque", "Scalars:scalars", 2)
-    assert set(values.flat) == {5.0, -5.0}
-    assert t_s.max() <= ROWS * PERIOD_S
-    _, values = read(recording, "/limits/ctrl/wheel/speed", "Scalars:scalars", 2)
-    assert set(values.flat) == {-9.0, 9.5}
+    t_s, values = read(recording, "/limits/ctrl/error/position/0", "Scalars:scalars", 1)
+    assert (t_s.min(), t_s.max()) == pytest.approx((1.0, 1.45))
+    assert set(values.flat) == {0.02}
+    for number, limit in enumerate((5.0, -5.0)):
+        t_s, values = read(recording, f"/limits/ctrl/wheel/command/torque/{number}", "Scalars:scalars", 1)
+        assert set(values.flat) == {limit}
+        assert (t_s.min(), t_s.max()) == pytest.approx((0.0, (ROWS - 1) * PERIOD_S))
+    for number, bound in enumerate((-9.0, 9.5)):
+        _, values = read(recording, f"/limits/ctrl/wheel/speed/{number}", "Scalars:scalars", 1)
+        assert set(values.flat) == {bound}
 
 
-def test_faults_have_lanes_of_their_own(recording: Path) -> None:
-    assert states(recording, "/fault/0_drop_command") == [(0.0, "-"), (0.5, "IN FORCE"), (0.75, "-")]
-    assert states(recording, "/fault/1_reset_robot") == [(0.0, "-"), (1.2, "HAPPENED")]
+def test_faults_have_lanes_of_their_own_once_they_have_begun(recording: Path) -> None:
+    assert states(recording, "/state/6_fault_0_drop_command") == [(0.5, "IN FORCE"), (0.75, "-")]
+    assert states(recording, "/state/6_fault_1_reset_robot") == [(1.2, "HAPPENED")]
+    assert states(recording, "/state/6_fault_2_estop_command") == []
 
 
 def test_the_link_is_lossy_for_a_while_after_a_loss_and_silent_without_feedback(tmp_path: Path) -> None:
@@ -138,7 +145,7 @@ def test_the_link_is_lossy_for_a_while_after_a_loss_and_silent_without_feedback(
             recorder.put(pack_row(tuple(row)))
         recorder.finish({})
     expected = [(0.0, "GOOD"), (0.2, "LOSSY"), (0.3, "GOOD"), (0.5, "STALE"), (0.6, "GOOD"), (0.8, "SILENT")]
-    found = states(path, "/link/state")
+    found = states(path, "/state/3_link")
     assert [state for _, state in found] == [state for _, state in expected]
     assert [t_s for t_s, _ in found] == pytest.approx([t_s for t_s, _ in expected], abs=1.1e-3)
 
@@ -146,9 +153,10 @@ def test_the_link_is_lossy_for_a_while_after_a_loss_and_silent_without_feedback(
 def test_signals_that_a_run_brings_get_views_of_their_own() -> None:
     entities = layout(["loop.t_s", "fuzzy.x.error", "fuzzy.x.rate_1_s", "shadow.dsc.wheel.fl.torque_command_n_m"])
     paths = [entity.path for entity in entities]
-    assert paths[1:] == ["/more/fuzzy/error/number", "/more/fuzzy/rate_1_s/1_s", "/more/shadow/dsc/n_m"]
-    views = repr(_names(blueprint(entities, limits=limits({}, entities), shape=None, live=True).root_container))
-    for name in ("fuzzy error", "fuzzy rate [1_s]", "Shadow dsc [n_m]"):
+    assert paths[1:] == ["/ctrl/shadow/dsc/command", "/more/fuzzy/error/number", "/more/fuzzy/rate_1_s/1_s"]
+    shown = blueprint(entities, limits=limits({}, [], entities), shape=None, live=True, shadows={"dsc": None})
+    views = repr(_names(shown.root_container))
+    for name in ("fuzzy error", "fuzzy rate [1_s]", "Command, and that of the shadow dsc (wide) [N·m]"):
         assert name in views
     assert "Gain K1" not in views
 

@@ -380,7 +380,7 @@ def test_a_limit_of_the_file_costs_rows_and_not_the_run(tmp_path: Path) -> None:
     limits = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (1_000_000, limits[1]))
     try:
-        recording = record(tmp_path / "run.rrd", capacity=512)
+        recording = record(tmp_path / "run.rrd", capacity=256)
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, limits)
     with recording:

@@ -19,7 +19,7 @@ LENIENT = "judged by [[expect]] alone: not by [allow], the baseline, or whether 
 
 
 def with_page(metrics: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the JSON of a run with its rows as ``page``, for the page that a recording shows."""
+    """Return the JSON of a run with its rows as ``page``, and ``why`` it did not pass, for what a recording shows."""
     page: list[Row] = []
     if (passed := metrics.get("passed")) is not None:
         page.append(("passed", "yes" if passed else "no"))
@@ -27,7 +27,8 @@ def with_page(metrics: Mapping[str, Any]) -> dict[str, Any]:
         page.append(("failure", str(metrics["failure"])))
     for rows in (outcome_rows, figure_rows, belief_rows, link_rows):
         page += rows(metrics)
-    return {**metrics, "page": page}
+    why = list(why_not_passed(metrics)) if "allow" in metrics else [("failure", metrics["failure"])]
+    return {**metrics, "page": page, "why": why}
 
 
 def figure_rows(metrics: Mapping[str, Any]) -> Iterator[Row]:

@@ -42,6 +42,25 @@ def indexes(times: Times) -> list[rr.TimeColumn]:
     return [seconds_index(times[:, 0]), rr.TimeColumn("tick", sequence=np.rint(times[:, 1]).astype(np.int64))]
 
 
+_GAP_S = 0.1
+_GAP_PERIODS = 10.0
+
+
+class Gaps:
+    """Finds rows that do not follow those before them: more than 0.1 s and ten periods later, across calls too."""
+
+    def __init__(self) -> None:
+        self._last_s = np.nan
+
+    def __call__(self, t_s: npt.NDArray[np.float64]) -> npt.NDArray[np.bool_]:
+        """Return for ascending times [s] of shape (n,) which are after a gap."""
+        steps = np.diff(t_s, prepend=self._last_s)
+        self._last_s = t_s[-1]
+        period_s = np.median(steps[1:]) if len(steps) > 1 else 0.0
+        found: npt.NDArray[np.bool_] = steps > max(_GAP_S, _GAP_PERIODS * period_s)
+        return found
+
+
 class RowTimes:
     """Returns time and tick of each row; a value that is not finite becomes the last finite one of any call."""
 
@@ -112,6 +131,7 @@ class Trails:
         self._rerun = recording
         self._column = column
         self._decimator = Decimator(TRAIL_PERIOD_S)
+        self._gaps = Gaps()
         self._end: dict[str, Rows] = {}
 
     def describe(self) -> None:
@@ -141,8 +161,10 @@ class Trails:
         if not len(keep):
             return
         rows, times = rows[keep], times[keep]
+        follows = ~self._gaps(times[:, 0])
         for order, (name, group, _, _) in enumerate(TRAILS):
-            self._trail(name, rows[:, [self._column[f"{group}.x_m"], self._column[f"{group}.y_m"]]], times, order)
+            points = rows[:, [self._column[f"{group}.x_m"], self._column[f"{group}.y_m"]]]
+            self._trail(name, points, times, order, follows)
         poses = drawn_pose(rows, self._column)
         seen = np.isfinite(poses).all(axis=1)
         if seen.any():
@@ -151,11 +173,11 @@ class Trails:
             bodies = rr.LineStrips2D.columns(strips=_strips(outlines))
             self._rerun.send_columns(f"{PLAN}/robot", indexes(times[seen]), bodies)
 
-    def _trail(self, name: str, points: Rows, times: Times, order: int) -> None:
+    def _trail(self, name: str, points: Rows, times: Times, order: int, follows: npt.NDArray[np.bool_]) -> None:
         ends = np.vstack([self._end.get(name, points[0]), points])
         self._end[name] = points[-1]
         segments = np.stack([ends[:-1], ends[1:]], axis=1)
-        seen = np.isfinite(segments).all(axis=(1, 2))
+        seen = np.isfinite(segments).all(axis=(1, 2)) & follows
         if not seen.any():
             return
         segments, index = segments[seen], indexes(times[seen])

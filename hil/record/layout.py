@@ -14,17 +14,20 @@ from hil.core.types import WHEEL_NAMES
 
 Colour = tuple[int, int, int]
 
-REFERENCE_COLOUR: Colour = (244, 162, 58)
-TRUTH_COLOUR: Colour = (74, 163, 255)
-ESTIMATE_COLOUR: Colour = (97, 201, 122)
-X_COLOUR: Colour = (238, 102, 119)
-Y_COLOUR: Colour = (97, 201, 122)
-HEADING_COLOUR: Colour = (187, 134, 252)
-PLAIN_COLOUR: Colour = (160, 165, 170)  # shows on a dark and on a light ground
-ALARM_COLOUR: Colour = (235, 87, 87)
+REFERENCE_COLOUR: Colour = (230, 103, 0)
+TRUTH_COLOUR: Colour = (2, 61, 240)
+ESTIMATE_COLOUR: Colour = (11, 180, 123)
+X_COLOUR: Colour = (196, 15, 103)
+Y_COLOUR: Colour = (0, 187, 0)
+HEADING_COLOUR: Colour = (213, 120, 255)
+PLAIN_COLOUR: Colour = (159, 159, 159)
+ALARM_COLOUR: Colour = (181, 30, 0)
 WHEEL_COLOURS: tuple[Colour, ...] = ((86, 180, 233), (230, 159, 0), (0, 190, 140), (214, 117, 176))
 MORE_PATH = "/more"
 SHADOW_GROUP = "shadow"
+SHADOW_PATH = "/ctrl/shadow"
+"""Below it, by the shadow law's name: its command, the difference to the law that drives, and the rms of that."""
+_SHADOW_COMMAND = re.compile(rf"{SHADOW_GROUP}\.([^.]+)\.wheel\.(\w+)\.(?:speed_command_rad_s|torque_command_n_m)")
 NO_UNIT = "number"
 _MORE_COLOURS = (*WHEEL_COLOURS, X_COLOUR, HEADING_COLOUR, PLAIN_COLOUR, TRUTH_COLOUR)
 # A unit as part of a path.
@@ -52,6 +55,8 @@ class Entity(NamedTuple):
     path: str
     series: tuple[Series, ...]
     width_px: float = 1.5
+    plot: str | None = None
+    """The path of the entity with which it is drawn, if that is another one."""
 
 
 def _entity(path: str, *series: tuple[str, str, Colour]) -> Entity:
@@ -65,10 +70,16 @@ def _wheels(path: str, quantity: str) -> Entity:
 
 def _wide_wheels(path: str, quantity: str) -> Entity:
     """Wheels drawn wide and dim, so that the same wheels of another entity show on top of them."""
-    series = []
-    for signal, label, (red, green, blue) in _wheels(path, quantity).series:
-        series.append(Series(signal, f"{label} cmd", (red // 2, green // 2, blue // 2)))
+    series = [
+        Series(signal, f"{label} cmd", dimmed(colour)) for signal, label, colour in _wheels(path, quantity).series
+    ]
     return Entity(path, tuple(series), width_px=5.0)
+
+
+def dimmed(colour: Colour) -> Colour:
+    """Return a darker tone of a colour."""
+    red, green, blue = colour
+    return red // 2, green // 2, blue // 2
 
 
 def _axes(path: str, pattern: str) -> Entity:
@@ -169,7 +180,22 @@ def layout(signals: Sequence[str]) -> tuple[Entity, ...]:
             placed.append(entity._replace(series=series))
             for one in series:
                 del missing[one.signal]
-    return (*placed, *_remaining(missing))
+    return (*placed, *_shadow_commands(missing), *_remaining(missing))
+
+
+def _shadow_commands(missing: dict[str, None]) -> list[Entity]:
+    """Take the commands of shadow laws out of the signals that have no place yet; return their entities.
+
+    They are drawn widest and lowest: where the shadow agrees with the law that drives, it lies under its command.
+    """
+    groups: dict[str, list[Series]] = {}
+    for signal in list(missing):
+        if (found := _SHADOW_COMMAND.fullmatch(signal)) is not None and found[2] in WHEEL_NAMES:
+            colour = dimmed(WHEEL_COLOURS[WHEEL_NAMES.index(found[2])])
+            series = Series(signal, f"{found[2].upper()} {found[1]}", colour)
+            groups.setdefault(f"{SHADOW_PATH}/{found[1]}/command", []).append(series)
+            del missing[signal]
+    return [Entity(path, tuple(series), width_px=8.0) for path, series in groups.items()]
 
 
 def _remaining(signals: Iterable[str]) -> list[Entity]:

@@ -16,7 +16,7 @@ from hil.record.run_files import BATCH_ROWS, RunFiles
 from hil.record.started_process import WITH_RERUN, refuse_pandas
 
 if TYPE_CHECKING:
-    from hil.record.stream import LiveServer
+    from hil.record.live import LiveServer
 
 # With two polls and the write itself, a row is safe 150 ms after it was put.
 BATCH_AGE_S = 0.08
@@ -121,7 +121,7 @@ def _import_rerun() -> None:
 def _open_live(config: Record) -> "LiveServer":
     port = config["live_port"]
     try:
-        from hil.record.stream import LiveServer
+        from hil.record.live import LiveServer
     except ImportError as error:
         raise RefusedError(f"live port {port}: {error}; install rerun-sdk==0.41.*, or run without --live") from error
     try:

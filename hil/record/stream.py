@@ -1,23 +1,23 @@
 """Recordings and live views in rerun's format: rows, events and properties become columns of a stream.
 
 A stream has one sink: a file, or a server that live viewers pull from. (A file and a pushing sink in one stream stall
-each other when no viewer listens.) This module and ``drawings`` alone write with rerun.
+each other when no viewer listens.) This module and the drawings that it calls write with rerun.
 """
 
 import json
-import socket
-import threading
-from collections import deque
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 import rerun as rr
+import rerun.blueprint as rrb
 
-from hil.record.blueprint import blueprint
-from hil.record.decimate import Decimator
-from hil.record.drawings import RowTimes, Scene, Times, Trails, indexes, seconds_index
-from hil.record.lanes import LIMITS_PATH, Lane, Limit, lanes, limit_values, limits
-from hil.record.layout import ALARM_COLOUR, Colour, Series, layout
+from hil.record.blueprint import blueprint, first_blueprint
+from hil.record.claims import ClaimWatch, claims
+from hil.record.course import Course, moments, windows
+from hil.record.curves import Curves
+from hil.record.drawings import RowTimes, Scene, Trails, indexes, seconds_index
+from hil.record.layout import layout
+from hil.record.limits import limits
 from hil.record.properties import (
     APPLICATION,
     PART_PROPERTY,
@@ -31,18 +31,15 @@ from hil.record.properties import (
 )
 from hil.record.ring import Rows
 from hil.record.robot_model import RobotShape
-from hil.record.viewer import HOST
+from hil.record.shadow_curves import ShadowCurves
+from hil.record.states import States
+from hil.record.verdict import running, verdict
+from hil.record.views import LOG, VERDICT
 
-DRAWN_PERIOD_S = 0.005
 _DRAWN_AT_ONCE = 2000
-_LIMIT_PERIOD_S = 0.1
-_LIMIT_WIDTH_PX = 1.0
 _LEVELS = {"debug": "DEBUG", "info": "INFO", "warning": "WARN", "error": "ERROR"}
 _FLUSH_TIMEOUT_S = 10.0
-LIVE_PERIOD_S = 0.01
-_QUEUE_LENGTH = 500
-_MEMORY_LIMIT = "256MiB"
-_CLOSE_TIMEOUT_S = 2.0
+_SETTLED_S = 5.0
 
 
 class Stream:
@@ -70,30 +67,30 @@ class Stream:
     ) -> None:
         self._column = {name: i for i, name in enumerate(signals)}
         self._layout = layout(signals)
-        self._entities = [
-            (entity.path, [self._column[series.signal] for series in entity.series]) for entity in self._layout
-        ]
         self._properties = dict(properties)
+        self._live = live
         values = scenario_values(properties)
-        shape = RobotShape.of(values)
-        self._lanes = lanes(self._column, values)
-        self._lane_states: dict[str, str] = {}  # the newest, by the lane's path
-        self._limits = limits(values, self._layout)
-        self._limit_decimator = Decimator(_LIMIT_PERIOD_S)
-        self._drawn_decimator = Decimator(DRAWN_PERIOD_S)
+        self._shape = RobotShape.of(values)
+        claimed = claims(values)
+        self._watches = [ClaimWatch(claim, self._column, values) for claim in claimed]
         self._times = RowTimes(self._column)
         self._drawn_times = RowTimes(self._column)
         self._undrawn: list[Rows] = []
+        self._span_s: tuple[float, float] | None = None  # of the rows that were drawn
+        self._troubles: list[str] = []
         self._rerun = rr.RecordingStream(APPLICATION, recording_id=recording_id)
-        views = blueprint(self._layout, limits=self._limits, shape=shape, live=live)
+        self._states = States(self._rerun, self._column, values, claimed, live=live)
+        self._curves = Curves(self._rerun, self._layout, self._column, limits(values, claimed, self._layout), live=live)
+        self._shadows = ShadowCurves(self._rerun, self._layout, self._column)
+        views = first_blueprint(self._layout, limits=self._curves.limits, shape=self._shape, live=live)
         self._rerun.set_sinks(sink, default_blueprint=views)
-        self._drawings: list[Trails | Scene] = [Trails(self._rerun, self._column)]
-        if shape is not None:
+        self._drawings: list[Trails | Scene | ShadowCurves] = [Trails(self._rerun, self._column), self._shadows]
+        if self._shape is not None:
             torque_constant_n_m_a = values.get("firmware.torque_constant_n_m_a")
-            self._drawings.append(Scene(self._rerun, self._column, shape, torque_constant_n_m_a))
+            self._drawings.append(Scene(self._rerun, self._column, self._shape, torque_constant_n_m_a))
         if part is not None:
             self._rerun.send_property(PART_PROPERTY, rr.AnyValues(json=json.dumps(part)))
-        self._describe(live=live)
+        self._describe()
         self.flush()
 
     def rows(self, rows: Rows) -> None:
@@ -108,30 +105,60 @@ class Stream:
             self._draw_rest()
 
     def draw(self, rows: Rows) -> None:
-        """Write what the views show of rows of shape (n, signals): each signal at most once per ``DRAWN_PERIOD_S``."""
+        """Write what the views show of rows of shape (n, signals): signals, states, bounds, trails and the robot."""
+        if not len(rows):
+            return
         times = self._drawn_times(rows)
-        for lane in self._lanes:
-            self._state_changes(lane, rows, times)
-        drawn = self._drawn_decimator.keep(times[:, 0])
-        if len(drawn):
-            index, values = indexes(times[drawn]), rows[drawn]
-            for path, columns in self._entities:
-                self._rerun.send_columns(path, index, rr.Scalars.columns(scalars=values[:, columns]))
-        self._draw_limits(rows, times)
+        self._span_s = (times[0, 0] if self._span_s is None else self._span_s[0], times[-1, 0])
+        checked = [(watch.claim, watch(rows)) for watch in self._watches]
+        self._states.rows(rows, times, checked)
+        drawn = len(self._curves.drawn)
+        self._curves.rows(rows, times, checked)
         for drawing in self._drawings:
             drawing.rows(rows, times)
+        if self._live and len(self._curves.drawn) != drawn:
+            # Live viewers get only what is drawn, and show no plot that would be empty. A new layout takes back what
+            # the user has changed in it, so it comes at the beginning alone.
+            self._say_where({entity.path: [one.signal for one in entity.series] for entity in self._curves.drawn})
+            if self._span_s[1] - self._span_s[0] < _SETTLED_S:
+                self._rerun.send_blueprint(self._views(None))
 
     def event(self, t_s: float, level: str, text: str) -> None:
         """Write a line of the event log at scenario time ``t_s``."""
-        line = rr.TextLog.columns(text=[text], level=[_LEVELS.get(level, "INFO")])
-        self._rerun.send_columns("/events", [seconds_index(np.array([t_s]))], line)
+        index = [seconds_index(np.array([t_s]))]
+        level = _LEVELS.get(level, "INFO")
+        self._rerun.send_columns("/events", index, rr.TextLog.columns(text=[text], level=[level]))
+        timed = rr.TextLog.columns(text=[f"{t_s:.3f} s  {text}"], level=[level])
+        self._rerun.send_columns(LOG, index, timed)
+        if level == "ERROR":
+            self._troubles.append(text)
+            self._tell(running(self._properties, self._troubles))
 
     def finish(self, summary: Mapping[str, object] | None, recorder: Mapping[str, int]) -> None:
-        """Write the run's summary, also to the page, unless it is None; then the recorder's counts."""
+        """Write the run's summary, also to the page, unless it is None; then the recorder's counts.
+
+        The layout becomes that of a review: by now it is known what the run has, and where to look.
+        """
         self._draw_rest()
+        begin_s, end_s = self._span_s or (0.0, 0.0)
+        violations = [watch.violation_s for watch in self._watches if watch.violation_s is not None]
+        first = min(violations, default=None)
+        failed_s = None if first is None else first[0]
+        self._states.finish(summary, end_s, failed_s)
+        next_part, troubles = recorder.get("next_part"), self._troubles
+        said = verdict(
+            self._properties, summary, end_s=end_s, failed_s=failed_s, next_part=next_part, troubles=troubles
+        )
+        self._tell(said)
         if summary is not None:
             self._rerun.send_property(SUMMARY_PROPERTY, rr.AnyValues(json=json.dumps(summary)))
             self._page(summary)
+        if self._span_s is not None:
+            happened = moments(self._watches, self._states.begun, summary, end_s)
+            found = windows(begin_s, end_s, summary, happened)
+            violated, lines = tuple(self._curves.violated), said.count("\n- ") + 1
+            course = Course(begin_s, end_s, violated, first, found, self._states.count, lines)
+            self._rerun.send_blueprint(self._views(course))
         # A reader takes a file without these for one that was cut off.
         self._rerun.send_property(RECORDER_PROPERTY, rr.AnyValues(json=json.dumps(recorder)))
 
@@ -145,33 +172,31 @@ class Stream:
         self.flush()
         self._rerun.disconnect()
 
-    def _describe(self, *, live: bool) -> None:
-        drawn = {entity.path: [series.signal for series in entity.series] for entity in self._layout}
-        # This tells a reader where each signal is: live viewers get only what is drawn.
-        held = drawn if live else {SIGNALS_PATH: list(self._column)}
-        self._rerun.send_property(SIGNALS_PROPERTY, rr.AnyValues(json=json.dumps(held)))
+    def _views(self, course: Course | None) -> rrb.Blueprint:
+        shadows = {law: self._shadows.rms(law) for law in self._shadows.laws}
+        is_live = self._live and course is None
+        limited = self._curves.limits
+        entities = self._curves.drawn
+        return blueprint(entities, limits=limited, shape=self._shape, live=is_live, shadows=shadows, course=course)
+
+    def _describe(self) -> None:
+        # This tells a reader where each signal is.
+        self._say_where({} if self._live else {SIGNALS_PATH: list(self._column)})
         if self._properties:
             self._rerun.send_property(RUN_PROPERTY, rr.AnyValues(drop_untyped_nones=True, **self._properties))
         if "scenario_name" in self._properties:
             self._rerun.send_recording_name(self._properties["scenario_name"])
-        for entity in self._layout:
-            self._line_style(entity.path, entity.series, [one.colour for one in entity.series], entity.width_px)
-        for path, lines in self._limits.items():
-            self._line_style(LIMITS_PATH + path, lines, [ALARM_COLOUR] * len(lines), _LIMIT_WIDTH_PX)
-        for lane in self._lanes:
-            # As an array: rerun would take a list of three or four numbers for one colour.
-            colours = np.array(lane.colours, dtype=np.uint32)
-            states = rr.StateConfiguration(values=list(lane.names.values()), colors=colours)
-            self._rerun.log(lane.path, states, static=True)
         for drawing in self._drawings:
             drawing.describe()
         self._page(None)
+        self._tell(running(self._properties, ()))
 
-    def _line_style(
-        self, path: str, lines: Sequence[Series | Limit], colours: Sequence[Colour], width_px: float
-    ) -> None:
-        labels, widths = [line.label for line in lines], [width_px] * len(lines)
-        self._rerun.log(path, rr.SeriesLines(names=labels, colors=colours, widths=widths), static=True)
+    def _say_where(self, held: Mapping[str, Sequence[str]]) -> None:
+        self._rerun.send_property(SIGNALS_PROPERTY, rr.AnyValues(json=json.dumps(held)))
+
+    def _tell(self, text: str) -> None:
+        """Show a text as the verdict."""
+        self._rerun.log(VERDICT, rr.TextDocument(text, media_type=rr.MediaType.MARKDOWN), static=True)
 
     def _page(self, summary: Mapping[str, object] | None) -> None:
         """Log the page: the run's properties and, at the end, its figures."""
@@ -184,88 +209,3 @@ class Stream:
             rows = np.concatenate(self._undrawn)
             self._undrawn.clear()
             self.draw(rows)
-
-    def _state_changes(self, lane: Lane, rows: Rows, times: Times) -> None:
-        codes = lane.codes(rows)
-        for i in np.flatnonzero(np.append(True, codes[1:] != codes[:-1])):
-            if not np.isfinite(codes[i]):
-                continue
-            name = lane.names.get(int(codes[i]), f"UNKNOWN {codes[i]:g}")
-            if name != self._lane_states.get(lane.path):
-                self._lane_states[lane.path] = name
-                self._rerun.send_columns(lane.path, indexes(times[i : i + 1]), rr.StateChange.columns(state=[name]))
-
-    def _draw_limits(self, rows: Rows, times: Times) -> None:
-        # No further than the run has come: a live view follows the newest point.
-        kept = self._limit_decimator.keep(times[:, 0])
-        t_s = times[kept, 0]
-        if not len(t_s):
-            return
-        for path, lines in self._limits.items():
-            drawn = limit_values(lines, self._column, rows[kept], t_s)
-            if np.isfinite(drawn).any():
-                self._rerun.send_columns(LIMITS_PATH + path, [seconds_index(t_s)], rr.Scalars.columns(scalars=drawn))
-
-
-class LiveServer:
-    """A gRPC server on 127.0.0.1 with the run's rows at 100 Hz, in a thread of its own.
-
-    Viewers pull the data. The server's memory and the queue to the thread are bounded and drop the oldest data first,
-    so the recorder never waits for a viewer. Raises OSError for a port that is in use.
-    """
-
-    def __init__(self, port: int, *, recording_id: str, signals: Sequence[str], properties: Mapping[str, str]) -> None:
-        rr.set_strict_mode(True)
-        _check_port(port)
-        sink = rr.GrpcServerSink(HOST, port, server_memory_limit=_MEMORY_LIMIT)
-        self._stream = Stream(sink, recording_id=recording_id, signals=signals, properties=properties, live=True)
-        self._t_column = list(signals).index("loop.t_s")
-        self._decimator = Decimator(LIVE_PERIOD_S)
-        self._queue: deque[Callable[[], None]] = deque(maxlen=_QUEUE_LENGTH)
-        self._wake = threading.Event()
-        self._closing = False
-        self.error: str | None = None
-        self._thread = threading.Thread(target=self._run, name="live", daemon=True)
-        self._thread.start()
-
-    def rows(self, rows: Rows) -> None:
-        """Queue rows of shape (n, signals); one per 10 ms of scenario time is served."""
-        kept = rows[self._decimator.keep(rows[:, self._t_column])]
-        if len(kept):
-            self._put(lambda: self._stream.draw(kept))
-
-    def event(self, t_s: float, level: str, text: str) -> None:
-        """Queue a line of the event log."""
-        self._put(lambda: self._stream.event(t_s, level, text))
-
-    def finish(self, summary: Mapping[str, object] | None, recorder: Mapping[str, int]) -> None:
-        """Queue the run's summary; all is served until ``close``."""
-        self._put(lambda: self._stream.finish(summary, recorder))
-
-    def close(self) -> None:
-        """Stop serving; gives up on what could not be handed over within two seconds."""
-        self._closing = True
-        self._wake.set()
-        self._thread.join(_CLOSE_TIMEOUT_S)
-
-    def _put(self, write: Callable[[], None]) -> None:
-        self._queue.append(write)
-        self._wake.set()
-
-    def _run(self) -> None:
-        try:
-            while not self._closing or self._queue:
-                self._wake.wait()
-                self._wake.clear()
-                while self._queue:
-                    self._queue.popleft()()
-            self._stream.close()
-        except RuntimeError as error:
-            self.error = str(error)
-
-
-def _check_port(port: int) -> None:
-    """Raise OSError for a port in use: rerun binds it later, in a thread, and reports that only in its log."""
-    with socket.socket() as probe:
-        probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        probe.bind((HOST, port))

@@ -43,6 +43,19 @@ class _Piece(NamedTuple):
         """Return the selected rows."""
         return _Piece(self.row_ids[rows], self.ticks[rows], self.values[rows])
 
+    def from_first(self, ticks: npt.NDArray[np.int64]) -> "_Piece":
+        """Return it from the first of these ticks on, without values before its own first.
+
+        A signal received live has an entity only from its first value on.
+        """
+        missing = ticks if not len(self.ticks) else ticks[ticks < self.ticks[0]]
+        if not len(missing):
+            return self
+        nothing = np.full((len(missing), self.values.shape[1]), np.nan)
+        ids = np.zeros((len(missing), 2), np.uint64)
+        own = (np.append(missing, self.ticks), np.append(nothing, self.values, axis=0))
+        return _Piece(np.append(ids, self.row_ids, axis=0), *own)
+
 
 class _Pieces:
     """The rows read so far of an entity, in arrays that grow, because joining pieces later takes twice the memory."""
@@ -204,6 +217,10 @@ def _signals(held: dict[str, list[str]], entities: _Entities) -> dict[str, Serie
         if kept:
             pieces = entities.pieces.get(path)
             joined[path] = kept, _nothing(len(kept)) if pieces is None else pieces.in_order()
+    first = min((part.ticks[0] for _, part in joined.values() if len(part.ticks)), default=0)
+    every = next((part.ticks for _, part in joined.values() if len(part.ticks) and part.ticks[0] == first), None)
+    if every is not None:
+        joined = {path: (names, part.from_first(every)) for path, (names, part) in joined.items()}
     ticks = [part.ticks for _, part in joined.values()]
     if not all(np.array_equal(one, ticks[0]) for one in ticks):
         # After a kill some entities may lack the last rows; after a repair any may lack some.

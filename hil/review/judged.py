@@ -11,9 +11,10 @@ from hil.core.options import plain
 from hil.core.signals import unit_of
 from hil.faults.kind import claimed_span_s
 from hil.judge.claims import claim_of, signals_of
-from hil.record.lanes import limit_values, limits
+from hil.record.claims import claims
 from hil.record.layout import PLAIN_COLOUR, Entity
 from hil.record.layout import Series as OneSeries
+from hil.record.limits import limits
 from hil.record.properties import table_rows
 from hil.review.charts import Band, Lane, Mark
 from hil.review.contents import Series
@@ -146,7 +147,8 @@ def bounds(run: RecordedRun, names: Sequence[str]) -> dict[str, list[tuple[str, 
     """Return the limits of signals, each as its label and its values of shape (rows,), NaN outside its time."""
     entities = [Entity(name, (OneSeries(name, "", PLAIN_COLOUR),)) for name in names]
     try:
-        found = limits(scenario_of(run), entities)
+        scenario = scenario_of(run)
+        found = limits(scenario, claims(scenario), entities)
     except ValueError:  # an expectation after a fault that this version does not understand
         return {}
     column = {name: place for place, name in enumerate(run.signals)}
@@ -156,8 +158,7 @@ def bounds(run: RecordedRun, names: Sequence[str]) -> dict[str, list[tuple[str, 
         rows = np.stack([run.signals[one] for one in column], axis=1) if any(line.of for line in known) else np.empty(0)
         t_s = run.signals["loop.t_s"]
         rows = rows if rows.size else np.empty((len(t_s), 0))
-        values = limit_values(known, column, rows, t_s)
-        lines[name] = [(line.label.removeprefix(f"{name} "), values[:, n]) for n, line in enumerate(known)]
+        lines[name] = [(line.label, np.where(line.inside(t_s), line.values(column, rows), np.nan)) for line in known]
     return lines
 
 

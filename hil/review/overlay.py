@@ -123,7 +123,8 @@ def _about(labels: Sequence[str], runs: Sequence[RecordedRun]) -> str:
 def _blueprint() -> "rrb.Blueprint":
     import rerun.blueprint as rrb
 
-    from hil.record.blueprint import window, without_panels
+    from hil.record.blueprint import without_panels
+    from hil.record.views import window
 
     def plot(title: str, signal: str) -> rrb.TimeSeriesView:
         unit = unit_of(signal)
