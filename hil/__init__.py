@@ -4,6 +4,7 @@
     >>> result = hil.run("paper_circle", set={"loop.duration_s": 6.0})
     >>> result.metrics["tracked_s"]
     >>> result.frame()["error.planar_m"]
+    >>> hil.load("runs/paper_circle-….rrd")  # the same from a recording
 
 Nothing heavy is imported until it is needed.
 """
@@ -17,10 +18,12 @@ if "HIL_MUTANT" in os.environ:  # only in processes that hil verify has started
     _mutant.install()
 
 __version__ = "0.2.0"
-__all__ = ["RunResult", "__version__", "run"]
+__all__ = ["RunResult", "__version__", "load", "run"]
 
 if TYPE_CHECKING:
-    from hil.runtime.assembly import RunResult, run
+    from hil.judge.results import RunResult
+    from hil.review.load import load
+    from hil.runtime.assembly import run
 
 
 def __getattr__(name: str) -> Any:
@@ -28,4 +31,8 @@ def __getattr__(name: str) -> Any:
         from hil.runtime import assembly
 
         return getattr(assembly, name)
+    if name == "load":
+        from hil.review import load as module
+
+        return module.load
     raise AttributeError(f"module 'hil' has no attribute {name!r}")

@@ -72,7 +72,7 @@ def test_what_a_scenario_allows_passes_and_the_review_of_what_it_does_not_says_s
     assert hil.run("circle_speed", set={**BLIND, "allow.held_ticks": "100%"}).passed
     assert not hil.run("circle_speed", set={**BLIND, "allow.held_ticks": 99}, record=tmp_path / "run.rrd").passed
     command([tmp_path / "run.rrd"])
-    assert "allow                  held_ticks: 100 of 100" in capsys.readouterr().out
+    assert "at the end  allow     held_ticks: 100 of 100" in capsys.readouterr().out
 
 
 def test_a_scenario_as_a_test_says_which_limit_was_passed(pytestconfig: pytest.Config) -> None:

@@ -129,7 +129,9 @@ def test_a_pair_review_says_that_the_laws_file_changed(tmp_path, monkeypatch) ->
     done = CliRunner().invoke(app, ["review", "old.mcap", "new.mcap"])
     assert done.exit_code == 0, done.exception
     first, second = (read(Path(name)).properties["law_sha256"][:12] for name in ("old.mcap", "new.mcap"))
-    assert done.stdout.splitlines()[-1].split() == ["code", "of", "the", "law", first, second]
+    lines = done.stdout.splitlines()
+    changed = lines.index("What was changed:")
+    assert lines[changed + 1 : changed + 3] == [f"  code of the law: {first} -> {second}", ""]
 
 
 def test_of_an_older_recording_a_hash_is_not_known(tmp_path: Path) -> None:

@@ -68,17 +68,15 @@ class Still:
 SHORT = {"loop.duration_s": 0.1, "expect": []}
 
 
-def test_a_result_is_printed_in_a_few_lines_that_say_why_it_has_not_passed() -> None:
+def test_a_result_has_a_short_repr_and_is_printed_with_why_it_has_not_passed() -> None:
     failed = hil.run("circle_speed", set={**SHORT, "expect": [{"signal": "loop.tick", "below": 5.0}]})
-    text = repr(failed)
-    assert text == str(failed)
-    lines = text.splitlines()
-    assert len(lines) <= 5
-    assert len(text) < 600
-    assert lines[0].startswith("<RunResult circle_speed: ")
-    assert lines[1] == "  passed: no"
-    assert lines[2].startswith("  expectation: loop.tick below 5 from 0 s to the end: failed, 5 at t = 0.025 s")
-    assert "ticks 20" in lines[-1]
+    assert repr(failed).startswith("<RunResult FAILED circle_speed, 20 ticks, loop.tick below 5 from 0 s to the end: ")
+    assert len(repr(failed)) < 160
+    lines = str(failed).splitlines()
+    assert lines[0] == "FAILED  circle_speed: dsc by speed, lockstep over memory:, seed 1"
+    assert "     0.025 s  failed    loop.tick below 5 from 0 s to the end: first 5 at" in lines
+    passed = hil.run("circle_speed", set=SHORT)
+    assert repr(passed) == "<RunResult PASSED circle_speed, 20 ticks>"
 
 
 def test_a_wrong_name_of_a_signal_is_answered_with_the_near_ones() -> None:

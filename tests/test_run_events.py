@@ -6,6 +6,7 @@ import pytest
 
 from hil.batch.catalogue.recording import RecordingHere
 from hil.judge.results import RunResult
+from hil.judge.verdict import STATE_BEGINS
 from hil.review import read
 from hil.runtime.assembly import RunOptions, run_scenario
 from hil.scenario import load
@@ -47,6 +48,8 @@ def test_faults_and_expectations_are_told_at_their_tick_and_counts_at_the_end(tm
         "{ signal = 'loop.tick', settles_to = 399, tolerance = 0.5 }]",
     )
     in_time = {text: (rows, t_s, level) for text, (rows, t_s, level) in events.items() if t_s > 0.0}
+    [state] = [text for text in in_time if text.startswith(STATE_BEGINS)]
+    assert in_time.pop(state) == (101, 0.5, "info"), "how the robot was is told once, when the run first fails"
     first, open_end = "override error.planar_m 9 from 0.5 s to 0.752 s", "drop command 0.1 from 1.5 s"
     held, settled = (result.metrics["expect"][i]["text"] for i in (1, 2))
     failed = "error.planar_m below 8 from 0 s to the end: failed, 9 at t = 0.5 s"

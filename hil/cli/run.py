@@ -4,15 +4,15 @@ import contextlib
 import shutil
 import sys
 import threading
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 from typer import Option
 
 from hil.cli import options as o
-from hil.cli.output import end_in_order, flush_output, print_json, print_result, rows, table, warn
+from hil.cli.output import end_in_order, flush_output, print_json, print_result, warn
 from hil.core.errors import DeviceError, LinkError, RunInterruptedError
 
 if TYPE_CHECKING:
@@ -105,7 +105,7 @@ def run(
         if as_json:
             _print_failure(str(error))
         raise
-    print_result(as_json, result.metrics, _lines(result))
+    print_result(as_json, result.metrics, _lines(result, Path(sys.argv[0])))
     if result.failure is not None:
         print(f"hil: {result.failure}", file=sys.stderr)
     raise typer.Exit(result.exit_code)
@@ -162,47 +162,19 @@ def _linger() -> None:
         threading.Event().wait()
 
 
-def _lines(result: "RunResult") -> Iterator[str]:
-    """Yield the figures of a run, its expectations, and the next commands to use."""
+def _lines(result: "RunResult", called: Path) -> Iterator[str]:
+    """Yield how a run went, and the next commands to use."""
     from hil.judge.words import recorded_at
 
-    yield from rows(_rows(result.metrics))
+    yield from result.lines()
     # The command as this user can call it: its path if it is in a virtual environment that is not activated.
-    called = Path(sys.argv[0])
     hil = "hil" if shutil.which("hil") or called.name != "hil" else called
-    hints = [(f"  {hil} show {result.scenario.path or result.scenario.name}", "# every value and where it came from")]
+    scenario = result.metrics["scenario"] if result.scenario is None else result.scenario.path or result.scenario.name
+    hints = [f"{hil} show {scenario}"]
     recorded = result.metrics.get("recorded")
     path = None if recorded is None else recorded_at(recorded, result.metrics["recording"])
     if path is not None:
-        hints.insert(0, (f"  {hil} review {path}", "# how it went, from the recording alone"))
+        hints.insert(0, f"{hil} review {path}")
         if path.endswith(".rrd"):
-            hints.insert(0, (f"  {hil} view {path}", "# see it in the rerun viewer; --web for a browser"))
-    yield from ("", "Next:", *table(hints))
-
-
-def _rows(metrics: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
-    """Yield the figures of a run (or why one is missing), its expectations, and whether it passed."""
-    from hil.judge.words import belief_rows, figure_rows, link_rows, outcome_rows
-
-    yield from (*figure_rows(metrics), *belief_rows(metrics), *link_rows(metrics))
-    for sentence in (metrics.get("reference") or {}).get("warnings", ()):
-        yield "warning", sentence
-    yield from outcome_rows(metrics)
-    if (trace := metrics.get("trace")) is not None:
-        yield "trace", trace["trouble"] or f"{trace['frames']} frames in {trace['path']}"
-    if (stream := metrics.get("streamed")) is not None:
-        yield "stream", _streamed(stream)
-    if (passed := metrics.get("passed")) is not None:
-        yield "passed", "yes" if passed else "no"
-
-
-def _streamed(stream: Mapping[str, Any]) -> str:
-    """Return a text on the result of a stream."""
-    if stream["sent"] is None:
-        return f"to {stream['url']} incomplete: {stream['error']}"
-    text = f"{stream['sent']} datagrams to {stream['url']}"
-    if stream["lost"]:
-        text += f", {stream['lost']} lost: {stream['error']}"
-    if stream["rows_dropped"]:
-        text += f", {stream['rows_dropped']} rows dropped: the sender was too slow"
-    return text
+            hints.insert(0, f"{hil} view {path}")
+    yield from ("", "Next:", *(f"  {hint}" for hint in hints))

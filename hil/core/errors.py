@@ -59,6 +59,25 @@ class RunInterruptedError(HilError):
     exit_code = 130
 
 
+def kind_of(error: HilError) -> str:
+    """Return the name of an error's class, or of the nearest class above it that is defined here."""
+    return next(kind.__name__ for kind in type(error).__mro__ if kind.__module__ == __name__)
+
+
+def error_of(kind: str | None, sentence: str) -> HilError:
+    """Return an error by the name of its class, as ``kind_of`` gives it; a DeviceError where the name is not known."""
+    kinds = (
+        LinkError,
+        RobotStoppedError,
+        RobotLatchedError,
+        OverdueError,
+        RunInterruptedError,
+        BadInputError,
+        HilError,
+    )
+    return next((one for one in kinds if one.__name__ == kind), DeviceError)(sentence)
+
+
 _NEAR = 0.75
 _MOST_NAMED = 3
 

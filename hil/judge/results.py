@@ -1,23 +1,55 @@
 """The result of a run: signals as arrays, figures, and the exit code that follows from them."""
 
+import textwrap
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
 from hil.core.errors import HilError, UnknownSignalError
 from hil.core.percentiles import Percentiles, Reservoir
-from hil.judge.figures import BLOCK_ROWS, RunFigures, figures, number
+from hil.core.ports import Note
+from hil.judge.figures import BLOCK_ROWS, RunFigures
 from hil.judge.measure import Series
+from hil.judge.shadows import CommandDifference, ShadowDifferences
+from hil.judge.verdict import run_lines, verdict_word
 from hil.judge.words import why_not_passed
 from hil.scenario import Scenario
 
 if TYPE_CHECKING:
     import pandas as pd
 
-_PRINTED = ("tracked_s", "steady_rms_m", "steady_max_m", "ticks")
+_EVENTS_KEPT = 10_000
+_REASON_LETTERS = 90
+
+
+class Event(NamedTuple):
+    """A line of the event log; the level is DEBUG, INFO, WARN or ERROR, as rerun names it."""
+
+    t_s: float
+    level: str
+    text: str
+
+    @property
+    def severity(self) -> str:
+        """The level as ``Recording.event`` takes it: debug, info, warning or error."""
+        return "warning" if self.level == "WARN" else self.level.lower()
+
+
+class EventLog:
+    """The events of a run, the first 10,000 of them, each passed on to the next log, such as that of a recording."""
+
+    def __init__(self, following: Note) -> None:
+        self.events: list[Event] = []
+        self._following = following
+
+    def note(self, t_s: float, level: str, text: str) -> None:
+        """Add an event; the level is debug, info, warning or error."""
+        if len(self.events) < _EVENTS_KEPT:
+            self.events.append(Event(t_s, "WARN" if level == "warning" else level.upper(), text))
+        self._following(t_s, level, text)
 
 
 class MemorySink:
@@ -32,7 +64,9 @@ class MemorySink:
         self._figures = figures
         self._keep = keep
         self._age_place = names.index("link.feedback_age_ms")
-        self._places = [names.index(name) for name in figures.signals]
+        self._shadows = ShadowDifferences(names)
+        self._columns = list(dict.fromkeys([*figures.signals, *self._shadows.signals]))
+        self._places = [names.index(name) for name in self._columns]
         self._age_ms = Reservoir()
         self._blocks: list[Series] = []
         self._row_bytes = 8 * len(names)
@@ -62,6 +96,10 @@ class MemorySink:
         self._begin_block()
         self._finish_block()
         return self._figures.figures(cut)
+
+    def shadow_differences(self) -> dict[str, dict[str, CommandDifference]]:
+        """Return how the run's shadows differ from its command, over the rows that ``figures`` covered."""
+        return self._shadows.results()
 
     def feedback_age_ms(self) -> Percentiles | None:
         """Return the percentiles of ``link.feedback_age_ms`` over the rows that ``figures`` covered."""
@@ -97,7 +135,11 @@ class MemorySink:
         yield
         # Copied once: each measure would gather its columns from all over the block.
         columns = np.ascontiguousarray(rows.T[self._places])
-        yield from self._figures.add(dict(zip(self._figures.signals, columns, strict=True)))
+        signals = dict(zip(self._columns, columns, strict=True))
+        yield from self._figures.add(signals)
+        if self._shadows.signals:
+            self._shadows.add(signals)
+            yield
 
 
 class Signals(Mapping[str, Series]):
@@ -125,37 +167,40 @@ class Signals(Mapping[str, Series]):
 
 @dataclass(frozen=True, repr=False)
 class RunResult:
-    """A finished run; its ``repr`` is a summary in a few lines.
+    """A finished run, as ``hil.run`` returns it, or ``hil.load`` from a recording. ``print`` shows how it went.
 
     Attributes:
-        scenario: what was run.
+        scenario: what was run; None for a recording that does not hold it.
         metrics: the figures, as ``hil run --json`` prints them; one that is not defined is None, with a sentence in
-            ``reasons``.
+            ``reasons``. Those of a recording also have what only ``hil review --json`` prints.
         signals: every signal of the run by name, each of shape (ticks,): those of ``hil list signals``, then the extra
             ones. Empty when the run kept none.
         failure: what ended the run early, or None.
+        events: the event log, in the order in which it was written.
+        notes: sentences on what is missing in a recording, or could not be read; empty for a run.
     """
 
-    scenario: Scenario
+    scenario: Scenario | None
     metrics: Mapping[str, Any]
     signals: Signals
     failure: HilError | None
+    events: Sequence[Event] = ()
+    notes: Sequence[str] = ()
 
     def __repr__(self) -> str:
-        metrics = self.metrics
-        name, law, mode, link, seed = (metrics[key] for key in ("scenario", "law", "mode", "link", "seed"))
-        lines = [
-            f"<RunResult {name}: {law}, {mode} over {link}, seed {seed}",
-            f"  passed: {'yes' if self.passed else 'no'}",
-        ]
-        lines += [f"  {kind}: {why}" for kind, why in why_not_passed(metrics)]
-        shown = [
-            f"{figure.label} {value * figure.scale:.5g} {figure.unit}".rstrip()
-            for figure in figures()
-            if figure.name in _PRINTED and (value := number(metrics, figure.name)) is not None
-        ]
-        lines.append(f"  {', '.join(shown)}")
-        return "\n".join(lines) + ">"
+        shown = [f"{verdict_word(self.metrics)} {self.metrics['scenario']}", f"{self.metrics['ticks']} ticks"]
+        if not self.passed and (reasons := [why for _, why in why_not_passed(self.metrics)]):
+            more = f" and {len(reasons) - 1} more" if len(reasons) > 1 else ""
+            shown.append(textwrap.shorten(reasons[0], _REASON_LETTERS, placeholder=" …") + more)
+        return f"<RunResult {', '.join(shown)}>"
+
+    def __str__(self) -> str:
+        return "\n".join(self.lines())
+
+    def lines(self, *, everything: bool = False) -> Iterator[str]:
+        """Yield how the run went, as ``hil run`` and ``hil review`` print it; ``everything`` as ``--all`` of these."""
+        told = {"events": [event._asdict() for event in self.events], "notes": self.notes}
+        return run_lines({**self.metrics, **told}, everything=everything)
 
     @property
     def passed(self) -> bool:

@@ -31,16 +31,26 @@ def with_page(metrics: Mapping[str, Any]) -> dict[str, Any]:
     return {**metrics, "page": page, "why": why}
 
 
-def figure_rows(metrics: Mapping[str, Any]) -> Iterator[Row]:
-    """Yield the figures that are printed, the reason for each one that is None, tick times and frame counts."""
+def figure_rows(metrics: Mapping[str, Any], *, machine: bool = True) -> Iterator[Row]:
+    """Yield the figures that are printed, and the reason for each one that is None.
+
+    ``machine``: also those that depend on how fast this machine is, and the the counts of frames.
+    """
     reasons = metrics.get("reasons", {})
     for figure in figures():
-        if not figure.printed:
+        if not figure.printed or (figure.of_machine and not machine):
             continue
         if (value := number(metrics, figure.name)) is not None:
             yield figure.label, f"{value * figure.scale:.5g} {figure.unit}".rstrip()
         elif (name := figure.name.partition(".")[0]) in reasons:
             yield figure.label, f"-      {reasons[name]}"
+    if machine:
+        yield from _machine_rows(metrics)
+        yield from frame_rows(metrics)
+
+
+def _machine_rows(metrics: Mapping[str, Any]) -> Iterator[Row]:
+    """Yield tick times, lateness, and what was granted of real time."""
     tick = metrics.get("tick_us")
     if tick is not None:
         yield "tick p50, p99", f"{tick['p50']:.1f}, {tick['p99']:.1f} µs"
@@ -52,6 +62,10 @@ def figure_rows(metrics: Mapping[str, Any]) -> Iterator[Row]:
         yield "granted", "; ".join(realtime["granted"].values()) or "nothing"
         for sentence in realtime["refused"].values():
             yield "not granted", sentence
+
+
+def frame_rows(metrics: Mapping[str, Any]) -> Iterator[Row]:
+    """Yield the counts of frames."""
     frames = metrics.get("frames")
     if frames is not None:
         rejected = _by_cause(frames["rejected"]) or "none"
@@ -130,7 +144,7 @@ def outcome_rows(metrics: Mapping[str, Any]) -> Iterator[Row]:
         if row["dropped"] is not None:
             yield "shadow", row["dropped"]
     recorded = metrics.get("recorded")
-    if recorded is not None and (text := _recording_words(recorded, metrics["recording"])):
+    if recorded is not None and (text := recording_words(recorded, metrics["recording"])):
         yield "recording", text
 
 
@@ -201,10 +215,11 @@ def applied_words(fault: Mapping[str, Any]) -> str:
         return f"{fault['text']}: not known how often it was applied, because the robot has gone"
     if not fault["applied"]:
         return f"{fault['text']}: never applied, so the run shows nothing about it"
-    return f"{fault['text']}: applied {fault['applied']} times ({fault['counts']})"
+    times = "once" if fault["applied"] == 1 else f"{fault['applied']} times"
+    return f"{fault['text']}: applied {times} ({fault['counts']})"
 
 
-def _recording_words(recorded: Mapping[str, Any], path: str | None) -> str:
+def recording_words(recorded: Mapping[str, Any], path: str | None) -> str:
     """Return what a recording lacks, why, and where the rest is; empty when all is in one file."""
     parts = f" in {len(recorded['parts'])} parts" if len(recorded["parts"]) > 1 else ""
     if (why := why_incomplete(recorded)) is not None:

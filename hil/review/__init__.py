@@ -8,10 +8,11 @@ figures = review(Path("run.rrd"))          # as hil run --json has them
 rows = differences(figures, review(other)) # which of two runs is better, figure by figure
 """
 
+from hil.judge.results import Event
 from hil.review.difference import Change, Difference, changes, differences
 from hil.review.export import write_trajectory
 from hil.review.figures import figures, review
-from hil.review.reader import Event, RecordedRun, read, to_frame
+from hil.review.reader import RecordedRun, read, to_frame
 
 __all__ = [
     "Change",

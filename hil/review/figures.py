@@ -19,9 +19,12 @@ from hil.judge.expectations import (
 )
 from hil.judge.figures import cut_words, figure_signals, signal_figures
 from hil.judge.measure import CommandLimits, RunSetup
-from hil.judge.words import set_lost_rows
+from hil.judge.shadows import ShadowDifferences, with_differences
+from hil.judge.words import SCHEMA, set_lost_rows
 from hil.record.properties import table_rows
 from hil.review.reader import RecordedRun, read
+from hil.review.shadows import shadow_differences
+from hil.scenario.load import given
 from hil.scenario.trial import AllowTable, ExpectTable, FaultTable
 
 T = TypeVar("T")
@@ -30,13 +33,13 @@ _NO_SUMMARY = "the recording has no summary: the run did not come to its end"
 _NO_END = "the recording has no summary and no end: how the run ended is not known"
 _IN_LATER_PART = "the recording has no summary: it is in a later part, which was not read"
 _NOT_IN_SUMMARY = "the run's summary does not have it"
-_IDENTITY = {"scenario": "scenario_name", "law": "law", "mode": "mode", "link": "link", "seed": "seed"}
+_IDENTITY = {name: name for name in ("law", "command", "mode", "link", "seed")} | {"scenario": "scenario_name"}
 _FROM_SUMMARY = ("passed", "realtime_factor", "lateness_us", "frames", "link_statistics", "pose_fixes", "wire_sha256")
 # No reason is given where one of these is None.
 _OUTCOME = (
-    *("failure", "stopped", "expect", "fault", "recoveries", "commands_refused"),
+    *("failure", "failure_kind", "failure_s", "stopped", "expect", "fault", "recoveries", "commands_refused"),
     *("lenient", "baseline", "stale_ticks", "held_ticks", "rejected", "unmatched", "allow", "realtime"),
-    "robot_slipped_ticks",
+    *("robot_slipped_ticks", "reference"),
 )
 _MADE = ("command", "started", "mecanum_hil", "commit", "python", "machine")
 _MUTANT = ("mutant", "mutant_sha256")
@@ -57,9 +60,10 @@ def read_for_figures(path: Path, more: Collection[str] = ()) -> RecordedRun:
     """Read a recording: the signals for its figures and expectations, and those of ``more``. Raises BadInputError."""
     needed = figure_signals().union(more)
     run = read(path, needed)
-    if run.summary is None and (further := {name for row in expected(run) for name in signals_of(row)} - needed):
-        run = read(path, needed | further)
-    return run
+    further = set(ShadowDifferences(run.held).signals)
+    if run.summary is None:
+        further |= {name for row in expected(run) for name in signals_of(row)}
+    return run if further <= needed else read(path, needed | further)
 
 
 def figures(run: RecordedRun) -> dict[str, Any]:
@@ -87,10 +91,12 @@ def figures(run: RecordedRun) -> dict[str, Any]:
     identity = {name: summary.get(name, run.properties.get(stored)) for name, stored in _IDENTITY.items()}
     outcome = {name: summary.get(name) for name in _OUTCOME}
     if run.summary is None:
-        outcome["failure"] = no_summary
+        outcome |= {"failure": no_summary, "failure_kind": "RunInterruptedError", "failure_s": _last_s(run)}
     result = {
+        "schema": SCHEMA,
         "passed": found.pop("passed"),
         **identity,
+        "given": given(scenario_of(run), json_object(run, "scenario_sources")),
         **outcome,
         **found,
         **{name: run.properties[name] for name in _MUTANT if name in run.properties},
@@ -99,6 +105,7 @@ def figures(run: RecordedRun) -> dict[str, Any]:
         "made": {name: text for name, text in run.properties.items() if name in _MADE},
         "events": [event._asdict() for event in run.events],
         "reasons": reasons,
+        "shadows": _shadows(run),
     }
     if result["rejected"] is None and result["frames"] is not None:  # before version 0.3
         result["rejected"], result["unmatched"] = rejected_and_unmatched(result["frames"]["rejected"])
@@ -108,6 +115,13 @@ def figures(run: RecordedRun) -> dict[str, Any]:
     if summary.get("lost_rows", lost) != lost:
         set_lost_rows(result, _tables(run, AllowTable, "allow")[0], lost)
     return result
+
+
+def _shadows(run: RecordedRun) -> list[dict[str, Any]]:
+    """Return the shadows of a run, as its summary has them, with their differences to the command."""
+    differences = shadow_differences(run.signals)
+    unknown = [{"name": name, "dropped_s": None, "dropped": None} for name in differences]
+    return with_differences((run.summary or {}).get("shadows", unknown), differences)
 
 
 def _outcomes(run: RecordedRun, found: Mapping[str, Any], cut_s: float | None) -> list[dict[str, Any]]:
@@ -151,12 +165,16 @@ def _cut_s(run: RecordedRun) -> float | None:
     """
     if run.summary is not None and run.summary.get("failure") is None:
         return None
-    t_s = run.signals["loop.t_s"]
-    last_s = float(t_s[-1]) if len(t_s) else 0.0
+    last_s = _last_s(run)
     duration_s, rate_hz = scenario_number(run, "loop.duration_s"), scenario_number(run, "loop.rate_hz")
     if run.is_continued or duration_s is None or not rate_hz:
         return last_s
     return last_s if last_s < duration_s - 2.0 / rate_hz else None
+
+
+def _last_s(run: RecordedRun) -> float:
+    t_s = run.signals["loop.t_s"]
+    return float(t_s[-1]) if len(t_s) else 0.0
 
 
 def _limits(run: RecordedRun) -> CommandLimits | None:

@@ -9,13 +9,14 @@ import tempfile
 from collections.abc import Collection
 from dataclasses import dataclass
 from pathlib import Path
-from typing import IO, TYPE_CHECKING, Any, NamedTuple
+from typing import IO, TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
 
 from hil.core.errors import BadInputError
 from hil.core.subprocesses import module_command
+from hil.judge.results import Event
 from hil.record.files import EXPECTED_FILE, check_is_recording
 from hil.record.started_process import rerun_environment
 from hil.review.contents import Series
@@ -25,19 +26,6 @@ if TYPE_CHECKING:
 
 _INSTALL = "install rerun-sdk==0.41.*, or read it on a machine that has it"
 _REPAIR = "'rerun rrd optimize --continue-on-error' may recover what is whole"
-
-
-class Event(NamedTuple):
-    """A line of the event log; the level is DEBUG, INFO, WARN or ERROR, as rerun names it."""
-
-    t_s: float
-    level: str
-    text: str
-
-    @property
-    def severity(self) -> str:
-        """The level as ``Recording.event`` takes it: debug, info, warning or error."""
-        return "warning" if self.level == "WARN" else self.level.lower()
 
 
 @dataclass(frozen=True, slots=True)

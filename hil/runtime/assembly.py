@@ -14,7 +14,8 @@ from hil.core.signals import SIGNAL_NAMES
 from hil.judge.claims import signals_of
 from hil.judge.figures import RunFigures, figure_signals
 from hil.judge.measure import CommandLimits, RunSetup
-from hil.judge.results import MemorySink, RunResult, Signals
+from hil.judge.results import EventLog, MemorySink, RunResult, Signals
+from hil.judge.shadows import with_differences
 from hil.judge.words import with_page
 from hil.record import Recording, Rotation, RunRecording, check_output_path, early_recorder, rotation
 from hil.record.udp import UdpStream, parse_destination
@@ -232,7 +233,8 @@ class _Run:
         limits = CommandLimits(robot.speed_limit_rad_s, robot.torque_limit_n_m)
         figures = RunFigures(RunSetup(scenario.firmware.torque_constant_n_m_a, limits), names)
         self._memory = MemorySink(names, figures, keep=self._options.keep_signals)
-        note = self._recording.event if self._recording is not None else _ignore
+        self._log = EventLog(self._recording.event if self._recording is not None else _ignore)
+        note = self._log.note
         self._events = RunEvents(scenario, names, note, self._bench.plant_output)
         faults = [table.row for table in scenario.fault]
         watches = any(row.stops is not None for row in scenario.expect)
@@ -256,11 +258,12 @@ class _Run:
     def _names(self) -> Sequence[str]:
         """Return the names of the signals in a row.
 
-        When only this run reads the rows, a law's extra signals are left out, unless the scenario names one or
-        computing them can fail (a failure must be noticed).
+        When only this run reads the rows, a law's extra signals are left out, unless the scenario names one, computing
+        them can fail (a failure must be noticed), or there are shadows, whose differences are figures.
         """
         scenario, laws, options = self._scenario, self._parts.laws, self._options
-        if options.keep_signals or options.is_recorded or self._destination is not None or laws.extra_may_fail:
+        is_read = options.keep_signals or options.is_recorded or self._destination is not None
+        if is_read or laws.extra_may_fail or laws.shadows is not None:
             return laws.signals
         named = {name for row in scenario.expect for name in signals_of(row)} | figure_signals()
         named |= {row.target for row in scenario.fault}
@@ -305,7 +308,8 @@ class _Run:
         metrics = run_figures(scenario, self._bench, self._memory, loop, report, outcomes, causes, lenient=is_lenient)
         metrics |= mutation().properties
         metrics["realtime"] = None if granted is None else granted.figures()
-        metrics["shadows"] = [] if laws.shadows is None else laws.shadows.figures()
+        shadows = [] if laws.shadows is None else laws.shadows.figures()
+        metrics["shadows"] = with_differences(shadows, self._memory.shadow_differences())
         metrics["reference"] = {"kind": scenario.reference.kind, **self._feasibility.figures()}
         if self._trace is not None:
             metrics["trace"] = self._trace.finish().figures()
@@ -316,7 +320,7 @@ class _Run:
             close_recording(self._recording, loop.t_s, scenario.allow, metrics, keep_live=linger is not None)
             if linger is not None:
                 linger()
-        return RunResult(scenario, metrics, Signals(self._memory.signals()), report.failure)
+        return RunResult(scenario, metrics, Signals(self._memory.signals()), report.failure, self._log.events)
 
     def _warn(self, sentences: Sequence[str]) -> None:
         if self._options.warn is not None:

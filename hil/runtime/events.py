@@ -10,6 +10,7 @@ from hil.core.ports import Note
 from hil.faults.kinds import find
 from hil.judge.claims import Watch
 from hil.judge.expectations import outcome_figures
+from hil.judge.verdict import state_words
 from hil.plant.child_output import ChildOutput, log_lines
 from hil.scenario import Scenario
 
@@ -36,6 +37,8 @@ class RunEvents:
         self._t_at = 8 * names.index("loop.t_s")
         self._expect = scenario.expect
         self._places = {name: 8 * place for place, name in enumerate(names)}
+        self._row: bytes | None = None  # the newest
+        self._is_state_noted = False
         self._watches = {
             i: Watch(row, scenario.fault, scenario.robot) for i, row in enumerate(self._expect) if row.is_of_signals
         }
@@ -57,6 +60,7 @@ class RunEvents:
 
     def put(self, row: bytes) -> None:
         """Process the row of a tick."""
+        self._row = row
         (t_s,) = _value_at(row, self._t_at)
         if t_s >= self._next_s:
             self._cross(t_s)
@@ -75,6 +79,8 @@ class RunEvents:
             log_lines(self._output.end(), t_s, self._note)
         for words in self._in_force:
             self._note(t_s, "info", f"fault ends with the run: {words}")
+        if is_cut:
+            self._note_state(t_s)
         cut_s = t_s if is_cut else None
         for watch in tuple(self._undecided):
             self._decide(watch, t_s, cut_s)
@@ -103,6 +109,15 @@ class RunEvents:
         assert outcome.violation_s is not None, "it was violated"
         self._noted[id(watch)] = outcome.text
         self._note(outcome.violation_s, "error", outcome.text)
+        self._note_state(outcome.violation_s)
+
+    def _note_state(self, t_s: float) -> None:
+        """Log how the robot was, when a run has failed for the first time."""
+        if self._row is None or self._is_state_noted:
+            return
+        self._is_state_noted = True
+        row = self._row
+        self._note(t_s, "info", state_words({name: _value_at(row, at)[0] for name, at in self._places.items()}))
 
     def _decide(self, watch: Watch, t_s: float, cut_s: float | None) -> None:
         self._open = tuple(one for one in self._open if one[1] is not watch)

@@ -4,6 +4,7 @@ import math
 from collections.abc import Mapping
 from typing import Any
 
+from hil.core.errors import kind_of
 from hil.core.percentiles import Percentiles
 from hil.judge.baselines import against_baseline
 from hil.judge.claims import Outcome
@@ -15,6 +16,8 @@ from hil.record import RunRecording
 from hil.runtime.bench import Bench
 from hil.runtime.loop import Loop, Report
 from hil.scenario import Scenario
+from hil.scenario.load import given
+from hil.scenario.run import values
 from hil.scenario.trial import AllowTable, ExpectTable
 
 _NO_VALUE = {
@@ -67,8 +70,10 @@ def run_figures(
         "scenario": scenario.name,
         "law": scenario.controller.law,
         "mode": scenario.loop.mode,
+        "command": scenario.controller.command,
         "link": scenario.link.url,
         "seed": scenario.loop.seed,
+        "given": given(dict(values(scenario)), scenario.provenance),
         **figures,
         "lateness_us": loop.lateness.figures(),
         "deadline_misses": report.deadline_misses,  # the rows miss those after the last row
@@ -86,6 +91,8 @@ def run_figures(
         "expect": [],
         "fault": applied,
         "failure": str(failure) if failure is not None else None,
+        "failure_kind": None if failure is None else kind_of(failure),
+        "failure_s": None if failure is None else loop.t_s + 1.0 / scenario.loop.rate_hz,  # the tick that failed
         "recording": None,
         "reasons": reasons | {"recording": "no recording was asked for"},
     }

@@ -141,6 +141,24 @@ def read(name_or_path: str | Path, *, robot: str | Path | None = None) -> Source
     return Sources(file, tree)
 
 
+def given(values: Mapping[str, object], sources: Mapping[str, str]) -> dict[str, dict[str, str]]:
+    """Return what a user gave for a run: the values that come from no shipped scenario and are no defaults.
+
+    Both arguments go by dotted key, ``sources`` as the provenance of a Scenario. Each value is a text, with where it is
+    ``from``. Faults and expectations are left out, and of a scenario that extends no shipped one all files are.
+    """
+    ours = {f"{name}{_SUFFIX}" for name in shipped() | suite()}
+    of_file = {key: where.rpartition(":")[0] for key, where in sources.items()}
+    extends = any(file in ours for file in of_file.values())
+    return {
+        key: {"value": format_value(values[key]), "from": where}
+        for key, where in sources.items()
+        if key in values
+        and not key.startswith(("expect.", "fault."))
+        and (where.startswith("--") or (extends and of_file[key].endswith(_SUFFIX) and of_file[key] not in ours))
+    }
+
+
 def set_texts(given: Mapping[str, object] | Sequence[str]) -> list[str]:
     """Return the ``set`` of ``load`` as the command line writes it: texts ``key=value``, the value in TOML."""
     if isinstance(given, Mapping):

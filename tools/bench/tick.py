@@ -130,12 +130,13 @@ def ours(seconds: float, record: Path | None, trace: Path | None = None, changes
             yield robot
 
     options = RunOptions(record=record, trace=trace, existing="replace", make_robot=stamped_robot, keep_signals=False)
-    result = run_scenario(_scenario(seconds, changes), options)
+    scenario = _scenario(seconds, changes)
+    result = run_scenario(scenario, options)
     end = result.metrics["expect"][0]
     if result.failure is not None or not end["passed"]:  # a fault that was not applied also fails a run
         raise SystemExit(f"the run failed: {result.failure or end['text']}")
     # What follows is the stop, in which no law is asked.
-    return _turn(stamps_ns[: round(seconds * result.scenario.loop.rate_hz)])
+    return _turn(stamps_ns[: round(seconds * scenario.loop.rate_hz)])
 
 
 def naive(seconds: float, record: Path | None) -> Turn:

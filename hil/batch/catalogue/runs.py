@@ -122,7 +122,7 @@ def _wrong(trial: Mapping[str, Any], result: RunResult) -> Iterator[str]:
     if failure is None and metrics["commands_refused"]:
         yield f"the law gave no number {metrics['commands_refused']} times"
     # In real time a busy machine stalls runs as short as these.
-    if failure is None and result.scenario.loop.mode == "lockstep":
+    if failure is None and metrics["mode"] == "lockstep":
         yield from (row["text"] for row in metrics["allow"] if not row["passed"])
     for row in metrics["fault"]:
         if not row["applied"] and (failure is None or row["start_s"] < _last_s(result)):

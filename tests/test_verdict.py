@@ -1,0 +1,132 @@
+"""How a run went as text: the verdict first, why in order of time, in 80 columns, the same in `hil run` and review."""
+
+import re
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import hil
+from hil.judge.verdict import COLUMNS, failed_words, happenings, run_lines, wrapped
+from hil.review import review
+from tests.processes import hil as command
+from tests.processes import run_json
+
+FAULTS = (
+    "fault=[{kind='drop',target='feedback',value=1.0,start_s=1.0,end_s=1.1},"
+    "{kind='drop',target='command',value=0.5,start_s=0.4,end_s=0.6}]"
+)
+EXPECT = (
+    "expect=[{figure='ticks',below=10},{signal='loop.t_s',below=1.2},{signal='error.planar_m',from_s=0.2,below=0.001},"
+    "{signal='loop.tick',above=-1}]"
+)
+FAILED = ("circle_speed", "--set", "loop.duration_s=1.5", "--set", FAULTS, "--set", EXPECT, "--seed", "4")
+
+
+@pytest.fixture(scope="module")
+def failed(tmp_path_factory: pytest.TempPathFactory) -> tuple[str, Path]:
+    folder = tmp_path_factory.mktemp("failed")
+    done = command("run", *FAILED, "--record", "run.rrd", cwd=folder)
+    assert done.returncode == 1
+    return done.stdout, folder / "run.rrd"
+
+
+def test_run_and_review_print_the_same(failed: tuple[str, Path]) -> None:
+    ran, path = failed
+    told = ran.partition("\nNext:\n")[0].rstrip().splitlines()
+    reviewed = command("review", path).stdout.splitlines()
+    assert reviewed[: len(told)] == told
+    assert reviewed[len(told)].startswith("  made ")
+    assert str(hil.load(path)) == "\n".join(told)
+
+
+def test_a_failed_run_says_first_that_it_failed_and_then_why_in_order_of_time(failed: tuple[str, Path]) -> None:
+    lines = failed[0].splitlines()
+    assert lines[0] == "FAILED  circle_speed: dsc by speed, lockstep over memory:, seed 4"
+    assert "loop.duration_s = 1.5; loop.seed = 4" in lines[1], "what was given explains it"
+    events = [line.split() for line in lines if re.match(r" +(\d+\.\d{3} s|at the end)  \w", line)]
+    kinds = [(words[0], words[2] if words[1] == "s" else words[3]) for words in events]
+    assert kinds[0] == ("0.200", "failed")
+    assert kinds[-1] == ("at", "failed"), "a figure is judged at the end"
+    assert {("0.200", "state"), ("0.400", "fault"), ("1.000", "fault"), ("1.200", "failed")} <= set(kinds)
+    times = [float(at) for at, _ in kinds if at != "at"]
+    assert times == sorted(times)
+    text = " ".join(failed[0].split())
+    assert re.search(
+        r"error\.planar_m below 0\.001 from 0\.2 s to the end: first \S+ at 0\.2 s, worst \S+ at \S+ s, \S+ s in all",
+        text,
+    )
+    assert re.search(
+        r"loop\.t_s below 1\.2 from 0 s to the end: first 1\.2 at 1\.2 s, worst 1\.495 at 1\.495 s, 0\.295 s in all",
+        text,
+    )
+    assert "wheels FL, FR, RR, RL asked for" in text
+    assert "expectations 1 held: loop.tick above -1 from 0 s to the end" in text
+
+
+def test_nothing_is_wider_than_80_columns_but_a_word(failed: tuple[str, Path]) -> None:
+    for line in failed[0].partition("\nNext:")[0].splitlines():
+        assert len(line) <= COLUMNS, line
+    path = "/a" * 100
+    assert wrapped("  note  ", f"it is in {path} and ends") == [
+        "  note  it is in",
+        f"        {path}",
+        "        and ends",
+    ]
+
+
+def test_a_green_run_is_short_and_says_how_much_room_is_left() -> None:
+    found = run_json("circle_speed", "--record", "none")
+    lines = list(run_lines(found))
+    assert lines[0].startswith("PASSED  circle_speed: ")
+    assert len(lines) <= 16
+    text = "\n".join(lines)
+    assert "% of its room left" in text
+    for noise in ("times real time", "tick p50", "deadline", "round trip", "frames  "):
+        assert noise not in text
+        assert noise in "\n".join(run_lines(found, everything=True))
+
+
+def test_what_ended_a_run_is_told_at_its_time_with_how_the_robot_was() -> None:
+    reset = {"kind": "reset", "target": "robot", "start_s": 0.5}
+    result = hil.run("circle_speed", set={"loop.duration_s": 1.5, "expect": [], "fault": [reset]})
+    assert result.failure is not None
+    told = [(one.kind, round(one.t_s, 1)) for one in happenings({**result.metrics, "events": shown(result)})]
+    assert told == [("state", 0.5), ("fault", 0.5), ("ended", 0.5)]
+    text = str(result)
+    labels = re.findall(r"^  no value +(.*)$", text, re.MULTILINE)
+    assert len(labels) == 1, "figures without a value are told together, by their reason"
+
+
+def shown(result: hil.RunResult) -> list[dict[str, Any]]:
+    return [event._asdict() for event in result.events]
+
+
+def row(**fields: Any) -> dict[str, Any]:
+    return {"text": "x below 1 from 0 s to the end: failed, 2 at t = 1 s", "passed": False, "violation_s": 1.0,
+            "violation_value": 2.0, "worst_s": 1.0, "worst_value": 2.0, "violated_s": 0.0} | fields  # fmt: skip
+
+
+def test_a_violation_of_one_sample_a_gap_and_a_claim_without_a_time_are_worded() -> None:
+    assert failed_words(row()) == "x below 1 from 0 s to the end: first 2 at 1 s, once"
+    gap = row(violation_value=float("nan"), worst_s=2.0, worst_value=None, violated_s=3.0)
+    assert (
+        failed_words(gap) == "x below 1 from 0 s to the end: first no value at 1 s, worst no value at 2 s, 3 s in all"
+    )
+    figure = row(text="ticks below 9: failed, 80", violation_s=None, worst_s=None, violated_s=None)
+    assert failed_words(figure) == "ticks below 9: 80"
+    assert happenings({"passed": False, "expect": [figure, row()]})[0].t_s == 1.0
+
+
+def test_a_recording_without_an_end_has_no_verdict_but_what_was_violated_is_told(
+    failed: tuple[str, Path], tmp_path: Path
+) -> None:
+    whole = failed[1].read_bytes()
+    cut = tmp_path / "cut.rrd"
+    cut.write_bytes(whole[: len(whole) // 2])  # the rows are in the first half, the summary is not
+    lines = list(run_lines(review(cut)))
+    assert lines[0].startswith("NO VERDICT  circle_speed: ")
+    text = " ".join(" ".join(lines).split())
+    assert "cut.rrd has no end" in text
+    assert re.search(r" s failed error\.planar_m below 0\.001 from 0\.2 s to the end: first", text)
+    assert re.search(r" s ended the recording has no summary", text)
