@@ -46,8 +46,14 @@ class Guard:
         if mode is CommandMode.TORQUE and speed is not ZERO_WHEELS:
             speed = ZERO_WHEELS
             command = WheelCommand(mode, speed, torque)
-        if _is_within(torque, self.torque_limit_n_m) and (
-            speed is ZERO_WHEELS or _is_within(speed, self.speed_limit_rad_s)
+        fl, fr, rr, rl = torque
+        limit = self.torque_limit_n_m
+        if (  # a comparison with NaN is false
+            -limit <= fl <= limit
+            and -limit <= fr <= limit
+            and -limit <= rr <= limit
+            and -limit <= rl <= limit
+            and (speed is ZERO_WHEELS or _is_within(speed, self.speed_limit_rad_s))
         ):
             return command, False
         if not all(map(math.isfinite, speed + torque)):

@@ -1,7 +1,7 @@
 """The pose by ground truth, for reference: a real robot has none."""
 
 from collections.abc import Sequence
-from math import isfinite
+from math import dist, isfinite
 
 from hil.core.kinematics import to_world
 from hil.core.makers import make_state
@@ -29,14 +29,16 @@ class TruthEstimator(Estimator):
     ) -> State | None:
         """Return the newest true pose, and the twist."""
         if truth is not None:
-            x, y, heading = truth.pose
-            if isfinite(x + y + heading):
+            _, pose, twist = truth
+            if isfinite(dist(pose, twist)) and not self._uses_wheels:  # one call looks at all six numbers
+                self._truth = truth
+                return make_state(pose, twist)
+            if isfinite(sum(pose)):
                 self._truth = truth
         if self._truth is None:
             return None
         _, pose, twist = self._truth
-        vx, vy, yaw_rate = twist
-        if self._uses_wheels or not isfinite(vx + vy + yaw_rate):
+        if self._uses_wheels or not isfinite(sum(twist)):
             twist = to_world(measured_twist(self._model, measurement), pose.heading_rad)
         return make_state(pose, twist)
 

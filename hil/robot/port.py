@@ -228,6 +228,7 @@ class LinkedDevice(ABC):
         self._poll_age = PollAge()
         self._sequence = 0
         self.wait_until: Callable[[int], int] = self._wait_until
+        self.link_figures: Callable[[], tuple[float, float, float, float]] = self._counts
 
     @property
     def is_lockstep(self) -> bool:
@@ -297,6 +298,9 @@ class LinkedDevice(ABC):
     def speed_limit_rad_s(self) -> float:
         return math.inf
 
+    def _counts(self) -> tuple[float, float, float, float]:
+        return self.sent, self.received, self.snapshots_lost, NAN
+
     @property
     def sent(self) -> int:
         return self._line.sent
@@ -308,9 +312,6 @@ class LinkedDevice(ABC):
     @property
     def snapshots_lost(self) -> int:
         return 0
-
-    def link_figures(self) -> tuple[float, float, float, float]:
-        return self.sent, self.received, self.snapshots_lost, NAN
 
     def wire_sha256(self) -> str:
         return self._line.hash.hexdigest()

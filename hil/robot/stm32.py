@@ -59,6 +59,7 @@ class Stm32(LinkedDevice):
         except BuildError as error:
             raise BadInputError(str(error)) from error
         self._client.wire(wheel_map.wheel_of_channel, wheel_map.sign_of_channel)
+        self.link_figures = self._client.link_figures
         self._channel = channel = Channel(link, self._client, self._on_message)
         self.step = channel.step
         self._feedback = (
@@ -302,9 +303,6 @@ class Stm32(LinkedDevice):
     def snapshots_lost(self) -> int:
         view = self._client.view
         return int(view.lost + view.incomplete)
-
-    def link_figures(self) -> tuple[float, float, float, float]:
-        return self._client.link_figures()
 
     def wire_sha256(self) -> str:
         return self._client.hexdigest()

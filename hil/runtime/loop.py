@@ -216,7 +216,8 @@ class Loop:
     def _tick(self, number: int, late_ns: int) -> None:
         """Do one tick of the run: drive the robot or go on with its recovery, and write the row."""
         begin_s = perf_counter()
-        self._watch.turn += 1
+        watch = self._watch
+        watch.turn += 1
         ticker, faults, t_ns = self._ticker, self._faults, number * self._period_ns
         self.t_s = t_s = t_ns * 1e-9
         now = make_loop_signals(t_s, number, late_ns * 1e-3, self._tick_us, self._misses)
@@ -245,7 +246,7 @@ class Loop:
             self._undriven.hold(t_ns, is_stale=ticker.is_stale)
         else:
             self._undriven.drive()
-        self._watch.turn += 1
+        watch.turn += 1
         self._tick_us = (perf_counter() - begin_s) * 1e6
 
     def _leave(self, error: LinkError | RobotStoppedError | RobotLatchedError) -> None:
