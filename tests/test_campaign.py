@@ -194,7 +194,10 @@ def test_failures_and_the_worst_are_recorded_and_a_report_tells_how_to_repeat_th
     assert read(recording).summary["wire_sha256"] == failed["wire_sha256"]
     write_plan(tmp_path, more.format('keep = { worst = 1, by = "effort_n_m_s" }'), tables)
     assert do(plan, out) == rows
-    report = json.loads(in_process("campaign", "report", out, "--json"))
+    report = json.loads(in_process("campaign", "report", out, "--json", "--pictures", "pdf"))
+    names = [Path(file).name for file in report["pictures"]]
+    assert names == ["report-differences.pdf", "report-distributions.pdf", "report-effects.pdf"]
+    assert all(Path(file).read_bytes().startswith(b"%PDF") for file in report["pictures"])
     worst = report["worst"]
     assert worst[0]["key"] == failed["key"]
     passed = sorted((row["effort_n_m_s"] for row in rows if row is not failed), reverse=True)

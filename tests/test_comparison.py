@@ -92,7 +92,7 @@ def in_folder_of_laws(tmp_path, monkeypatch) -> Path:
 def test_the_command_gives_and_writes_the_figures_of_the_runs_the_same_every_time(tmp_path) -> None:
     laws, sets = ("dsc,speed.k1_1_s=7,torque.k1_1_s=9", "afdsc"), (SHORT,)
     words = (*laws, "circle_speed", "--torque", "3", "--drive", "motors", "--quick", "--set", *sets, "--json")
-    written = ("--out", tmp_path / "pictures", "--markdown", tmp_path / "PAGE.md")
+    written = ("--out", tmp_path / "pictures", "--pictures", "svg", "--markdown", tmp_path / "PAGE.md")
     first = command("compare", *words, *written)
     assert first.returncode == 0, first.stderr
     rows = json.loads(first.stdout)["rows"]
@@ -112,10 +112,11 @@ def test_the_command_gives_and_writes_the_figures_of_the_runs_the_same_every_tim
         assert row["nominal"]["effort_n_m_s"] > 0.0
     page = (tmp_path / "PAGE.md").read_text(encoding="utf-8")
     assert f"{rows[1]['nominal']['effort_n_m_s']:.1f}" in page.partition("| afdsc")[2].partition("\n")[0]
-    pictures = sorted((tmp_path / "pictures").glob("*.png"))
+    pictures = sorted((tmp_path / "pictures").glob("*.svg"))
     assert len(pictures) == 3
     for picture in pictures:
-        assert picture.read_bytes().startswith(b"\x89PNG")
+        text = picture.read_text(encoding="utf-8")
+        assert all(f">{row['law']}</text>" in text for row in rows), "laws are called by their names"
         assert f"(pictures/{picture.name})" in page
     with (tmp_path / "pictures" / "comparison.csv").open(encoding="utf-8", newline="") as stream:
         table = list(csv.DictReader(stream))

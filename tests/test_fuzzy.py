@@ -127,6 +127,6 @@ def test_the_command_line_names_the_nearest_tables():
 
 
 def test_the_command_refuses_a_picture_that_it_would_not_write_as_its_name_says(tmp_path):
-    with pytest.raises(BadInputError, match=r"gains\.jpg: a picture is written as PNG"):
+    with pytest.raises(BadInputError, match=r"gains\.jpg: its name must end in \.png, \.svg or \.pdf"):
         fuzzy("printed", tmp_path / "gains.jpg")
     assert not list(tmp_path.iterdir())

@@ -88,20 +88,27 @@ def run(
 def report(
     folder: Annotated[Path, Argument(metavar="DIR", help="the results of a campaign")],
     html: Annotated[Path | None, Option(metavar="FILE", help="the page; by default DIR/report.html")] = None,
+    pictures: Annotated[
+        str | None, Option(metavar="png|svg|pdf", help="write each picture as a file beside the page too")
+    ] = None,
     force: Force = False,
     as_json: Json = False,
 ) -> None:
     """Write one page about a campaign: distributions, effects, pass rates, law against law, the worst runs."""
     from hil.batch.campaign.judged import judge
-    from hil.batch.campaign.page import write_page
+    from hil.batch.campaign.page import write_page, write_pictures
     from hil.core.outputs import check_free, existing_files
+    from hil.review.plots import check_format
 
+    kind = None if pictures is None else check_format("--pictures", pictures)
     existing = existing_files(force=force)
     path = html if html is not None else folder / "report.html"
     check_free("page", path, existing)
     judged = judge(folder)
     write_page(path, judged, existing)
-    print_result(as_json, {"html": str(path), **judged.plain()}, [*judged.sentences(), str(path)])
+    files = [] if kind is None else [str(file) for file in write_pictures(path, judged, kind, existing)]
+    found = {"html": str(path), "pictures": files, **judged.plain()}
+    print_result(as_json, found, [*judged.sentences(), str(path), *files])
 
 
 def _outcomes(redo: str | None) -> frozenset[str]:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 from typer import Argument, Option
 
-from hil.cli.options import Force, Jobs, Json, Limit, Seed, Sets
+from hil.cli.options import Force, Jobs, Json, Limit, PictureFormat, Seed, Sets
 from hil.cli.output import batch, print_result, table
 from hil.core.errors import BadInputError
 from hil.core.outputs import Existing, check_free, existing_files
@@ -36,6 +36,7 @@ def compare(
     ] = None,
     quick: Annotated[bool, Option("--quick", help="nominal runs alone")] = False,
     out: Annotated[Path | None, Option(metavar="DIR", help="pictures and every run as CSV")] = None,
+    pictures: PictureFormat = "png",
     markdown: Annotated[Path | None, Option(metavar="FILE", help="a page with all tables")] = None,
     jobs: Jobs = None,
     limit_s: Limit = 120.0,
@@ -49,6 +50,7 @@ def compare(
     from hil.batch.comparison import compare as run_comparison
     from hil.batch.comparison.conditions import DRIVES, TORQUES_N_M
     from hil.batch.output import prepare_folder
+    from hil.review.plots import check_format
 
     *laws, scenario = laws_and_scenario
     request = Request(
@@ -64,6 +66,7 @@ def compare(
         curves=out is not None,
     )
     existing = existing_files(force=force)
+    kind = check_format("--pictures", pictures)
     if out is not None:
         prepare_folder(out, page.older, "comparison", existing)
     if markdown is not None:
@@ -73,11 +76,11 @@ def compare(
     # Print the results before writing files: they took long, and a disk may be full.
     print_result(as_json, comparison.plain(), _lines(comparison))
     sys.stdout.flush()
-    _write(comparison, out, markdown, existing)
+    _write(comparison, out, kind, markdown, existing)
     raise typer.Exit(1 if comparison.has_failed else 0)
 
 
-def _write(comparison: "Comparison", out: Path | None, markdown: Path | None, existing: Existing) -> None:
+def _write(comparison: "Comparison", out: Path | None, kind: str, markdown: Path | None, existing: Existing) -> None:
     """Write the files. If one cannot be written, the others still are; then raises BadInputError for the first."""
     from hil.batch.comparison import page
     from hil.batch.comparison.pictures import draw
@@ -90,7 +93,7 @@ def _write(comparison: "Comparison", out: Path | None, markdown: Path | None, ex
             remove(page.older(out) if existing == "replace" else [])
             page.write_csv(comparison, out / "comparison.csv")
         with deferred(errors):
-            draw(comparison, out, pictures)
+            draw(comparison, out, kind, pictures)
     if markdown is not None:
         with deferred(errors):
             page.write_markdown(comparison, markdown, f"hil {shlex.join(sys.argv[1:])}", pictures, existing)

@@ -24,16 +24,16 @@ _BEYOND = 1.25  # times the range, to show that the inputs saturate
 
 def fuzzy(
     tables: Annotated[str, Option(metavar="printed|corrected", help="which of the paper's tables")] = "printed",
-    out: Annotated[Path, Option(metavar="FILE.png", help="where the picture goes")] = Path("gains.png"),
+    out: Annotated[Path, Option(metavar="FILE.png|.svg|.pdf", help="where the picture goes")] = Path("gains.png"),
     force: Force = False,
 ) -> None:
     """Draw both gain surfaces of AFDSC's fuzzy block."""
     from hil.laws.fuzzy import RULES
+    from hil.review.plots import picture_format
 
     if tables not in RULES:
         raise BadInputError(f"--tables {tables}: there are no such tables{nearest(tables, RULES)}")
-    if out.suffix.lower() != ".png":
-        raise BadInputError(f"--out {out}: a picture is written as PNG; name a file that ends in .png")
+    picture_format(out)
     existing = existing_files(force=force)
     check_free("picture", out, existing)
     draw_gains(tables, out, existing)
@@ -41,7 +41,7 @@ def fuzzy(
 
 
 def draw_gains(tables: "Tables", path: Path, existing: Existing = "refuse") -> None:
-    """Write a PNG of K1 and K2 [1/s] over error and rate in units of their ranges, with the rules at the peaks.
+    """Write a picture of K1 and K2 [1/s] over error and rate in units of their ranges, with the rules at the peaks.
 
     ``existing`` says what to do when the file exists. Raises BadInputError when the file cannot be written.
     """

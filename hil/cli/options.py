@@ -26,4 +26,5 @@ ServicePort = Annotated[int | None, Option(metavar="PORT", help="which service, 
 TokenFile = Annotated[Path | None, Option(metavar="FILE", help="with the token; by default the service's own")]
 Jobs = Annotated[int | None, Option(metavar="N", help="processes; by default one a processor", min=1)]
 Limit = Annotated[float, Option("--limit", metavar="S", help="a longer run ends as hung", min=1)]
+PictureFormat = Annotated[str, Option("--pictures", metavar="png|svg|pdf", help="format of the pictures")]
 Json = Annotated[bool, Option("--json", help="print one JSON object and nothing else")]

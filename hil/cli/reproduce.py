@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 from typer import Option
 
-from hil.cli.options import Force, Jobs, Json
+from hil.cli.options import Force, Jobs, Json, PictureFormat
 from hil.cli.output import batch, print_result, table
 from hil.core.outputs import existing_files
 
@@ -26,6 +26,7 @@ def reproduce(
         ),
     ] = None,
     quick: Annotated[bool, Option("--quick", help="a few short runs instead of all")] = False,
+    pictures: PictureFormat = "png",
     jobs: Jobs = None,
     force: Force = False,
     as_json: Json = False,
@@ -34,13 +35,17 @@ def reproduce(
     from hil.batch.reproduction import NotWrittenError
     from hil.batch.reproduction import reproduce as run_reproduction
     from hil.batch.reproduction.runs import failures
+    from hil.review.plots import check_format
 
+    kind = check_format("--pictures", pictures)
     out = out or Path("runs/reproduction-quick" if quick else "runs/reproduction")
     not_written: NotWrittenError | None = None
     existing = existing_files(force=force)
     try:
         with batch(as_json=as_json) as progress:
-            summary = run_reproduction(out, quick=quick, workers=jobs, on_progress=progress, existing=existing)
+            summary = run_reproduction(
+                out, quick=quick, kind=kind, workers=jobs, on_progress=progress, existing=existing
+            )
     except NotWrittenError as error:
         not_written, summary = error, error.summary
     print_result(as_json, summary, text_of(summary))

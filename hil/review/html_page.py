@@ -17,7 +17,8 @@ if TYPE_CHECKING:
 _STYLE = Path(__file__).with_name("page.css")
 # The page must not load anything from elsewhere.
 _POLICY = "default-src 'none'; style-src 'unsafe-inline'"
-_WIDTH_IN = 7.2
+WIDTH_IN = 7.2
+"""The width of a picture on a page."""
 
 
 class Picture(NamedTuple):
@@ -33,7 +34,7 @@ def picture(
 ) -> Picture:
     """Call ``draw`` with ``rows`` times ``columns`` axes, together as wide as a page, and return the plot."""
     buffer = BytesIO()
-    with drawing(buffer, rows=rows, columns=columns, size_in=(_WIDTH_IN, height_in)) as axes:
+    with drawing(buffer, rows=rows, columns=columns, size_in=(WIDTH_IN, height_in)) as axes:
         draw(axes)
     svg = buffer.getvalue().decode()
     svg = svg[svg.index("<svg") :]

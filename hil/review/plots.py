@@ -17,12 +17,14 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from hil.core.errors import BadInputError
 from hil.core.outputs import Existing, write_whole
 from hil.core.types import WHEEL_NAMES
 from hil.record.layout import ALARM_COLOUR, REFERENCE_COLOUR, WHEEL_COLOURS, Colour
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 Series = npt.NDArray[np.float64]
 
@@ -47,6 +49,8 @@ _STYLE: Any = {
     "grid.color": "#dddddd",
     "grid.linewidth": 0.6,
     "lines.linewidth": 1.4,
+    "axes.formatter.limits": (-6, 6),  # 0.5 and not 5e-1
+    "axes.formatter.useoffset": False,
     "legend.frameon": False,
     "legend.fontsize": 8.0,
     "figure.dpi": 130.0,
@@ -56,7 +60,11 @@ _STYLE: Any = {
 }
 _LEAST_ERROR_MM = 0.01  # below the encoders' resolution a logarithmic scale shows noise alone
 _BAR_SHARE = 0.8
-_MOST_INSIDE = 5  # entries of a legend within the axes; a longer one is beside them
+FORMATS = ("png", "svg", "pdf")
+"""The formats of a picture, by the ending of its file."""
+_LETTER_IN, _KEY_IN = 0.062, 0.55  # of a legend: a letter at its size, and the sign before each entry with its gaps
+_FEW_DECADES = 2.0
+_MOST_ALONG_X = 7
 
 
 class Curve(NamedTuple):
@@ -92,12 +100,13 @@ def drawing(
     size_in: tuple[float, float] = (6.4, 4.0),
     existing: Existing = "refuse",
 ) -> Iterator[list["Axes"]]:
-    """Yield axes to draw on, row by row, then write the picture: as PNG to a path, or as SVG to a buffer.
+    """Yield axes to draw on, row by row, then write the picture: in the format of the path's ending; a buffer gets SVG.
 
     ``existing`` says what to do if the file exists; ``size_in`` is the size of the whole picture [inch]. Everything
-    drawn inside has the style of this module. Raises BadInputError when the file cannot be written. If the caller
-    raises, nothing is written.
+    drawn inside has the style of this module, and what has a label is in one legend below. Raises BadInputError
+    when the file has another ending or cannot be written. If the caller raises, nothing is written.
     """
+    kind = "svg" if isinstance(file, BytesIO) else picture_format(file)
     import matplotlib
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
@@ -106,12 +115,48 @@ def drawing(
         figure = Figure(figsize=size_in, layout="constrained")
         FigureCanvasAgg(figure)
         yield list(figure.subplots(rows, columns, squeeze=False).flat)
-        if isinstance(file, BytesIO):
-            figure.savefig(file, format="svg", metadata={"Date": None})
-            return
-        png = BytesIO()
-        figure.savefig(png, format="png")
-        write_whole(file, png.getvalue(), "picture", existing)
+        for axes in figure.get_axes():
+            _say_plainly(axes)
+        _legend(figure)
+        buffer = file if isinstance(file, BytesIO) else BytesIO()
+        # Without the time, so that the same data give the same bytes.
+        figure.savefig(buffer, format=kind, metadata={"svg": {"Date": None}, "pdf": {"CreationDate": None}}.get(kind))
+        if not isinstance(file, BytesIO):
+            write_whole(file, buffer.getvalue(), "picture", existing)
+
+
+def picture_format(file: Path) -> str:
+    """Return the format of a picture by the ending of its file: png, svg or pdf. Raises BadInputError for another."""
+    kind = file.suffix.lower().removeprefix(".")
+    if kind not in FORMATS:
+        raise BadInputError(f"picture {file}: its name must end in .png, .svg or .pdf, which tells its format")
+    return kind
+
+
+def check_format(option: str, kind: str) -> str:
+    """Return the format that an option names. Raises BadInputError if there is no such format."""
+    if kind not in FORMATS:
+        raise BadInputError(f"{option} {kind}: expected png, svg or pdf")
+    return kind
+
+
+def _say_plainly(axes: "Axes") -> None:
+    """Write the numbers of logarithmic axes as 0.5 and 200, and no more along x than have room.
+
+    Between the decades of a logarithmic axis there are numbers too where the decades are few.
+    """
+    from matplotlib.ticker import AutoLocator, FuncFormatter, LogLocator, MaxNLocator, NullFormatter
+
+    if isinstance(axes.xaxis.get_major_locator(), AutoLocator):
+        axes.xaxis.set_major_locator(MaxNLocator(_MOST_ALONG_X, steps=[1, 2, 5, 10]))
+
+    for axis, (low, high) in ((axes.xaxis, axes.get_xlim()), (axes.yaxis, axes.get_ylim())):
+        if axis.get_scale() == "log":
+            plain = FuncFormatter(lambda value, _: f"{value:g}")
+            axis.set_major_formatter(plain)
+            few = np.log10(high / low) < _FEW_DECADES
+            axis.set_minor_locator(LogLocator(subs=(2.0, 5.0) if few else "auto"))
+            axis.set_minor_formatter(plain if few else NullFormatter())
 
 
 def thinned(curve: Curve, points: int = 1200) -> Curve:
@@ -144,20 +189,22 @@ def is_dashed(number: int) -> bool:
 def draw_curves(
     axes: "Axes", curves: Sequence[Curve], *, title: str = "", x_label: str = "t [s]", y_label: str = ""
 ) -> None:
-    """Draw curves with a legend; from the tenth on, where the colours repeat, they are dashed."""
+    """Draw curves; from the tenth on, where the colours repeat, they are dashed."""
     for number, curve in enumerate(curves):
         dashed = curve.dashed or (curve.colour is None and is_dashed(number))
         colour = rgb(curve.colour or colour_of(number))
         axes.plot(curve.x, curve.y, label=curve.label, color=colour, linestyle=_DASHES[dashed])
     axes.set(title=title, xlabel=x_label, ylabel=y_label)
-    if any(curve.label for curve in curves):
-        _legend(axes)
 
 
-def _legend(axes: "Axes", **inside: Any) -> None:
-    """Show the legend within the axes, or beside them when it is so long that it would hide what they show."""
-    is_long = len(axes.get_legend_handles_labels()[1]) > _MOST_INSIDE
-    axes.legend(**({"loc": "upper left", "bbox_to_anchor": (1.0, 1.0)} if is_long else inside))
+def _legend(figure: "Figure") -> None:
+    """Show below all axes, where it hides nothing, what has a label in one of them; a label only once."""
+    each = [axes.get_legend_handles_labels() for axes in figure.get_axes()]
+    keys = {label: handle for handles, labels in each for handle, label in zip(handles, labels, strict=True) if label}
+    if keys:
+        longest_in = _KEY_IN + _LETTER_IN * max(map(len, keys))
+        columns = max(1, min(len(keys), int(figure.get_figwidth() / longest_in)))
+        figure.legend(keys.values(), keys.keys(), loc="outside lower center", ncols=columns)
 
 
 def draw_path(axes: "Axes", reference: Curve, curves: Sequence[Curve], *, title: str = "Path") -> None:
@@ -230,9 +277,8 @@ def draw_bars(
     if log:
         axes.set_yscale("log")
     else:
-        axes.margins(y=0.3)  # for the legend above the bars
+        axes.margins(y=0.1)
         axes.set_ylim(bottom=0.0)
-    _legend(axes, ncols=3, loc="upper center")
 
 
 def rgb(colour: Colour) -> tuple[float, float, float]:

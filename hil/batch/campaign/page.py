@@ -1,18 +1,18 @@
 """The page of a campaign: one self-contained HTML file with its verdicts, plots and worst runs."""
 
 import os
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from functools import partial
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from html import escape
 from pathlib import Path
 from typing import Any
 
 from hil.batch.campaign.judged import COMPARED, Judged, duel_words, percent, word
-from hil.batch.campaign.pictures import draw_distributions, draw_duels, draw_effects
+from hil.batch.campaign.pictures import COLUMNS, plots
 from hil.batch.figures import KEY, column_of
 from hil.batch.job import PASSED
 from hil.core.outputs import Existing
-from hil.review.html_page import document, figure, mark, picture, table, write_document
+from hil.review.html_page import WIDTH_IN, document, figure, mark, picture, table, write_document
+from hil.review.plots import drawing
 
 _MEANINGS = (
     "Steady: the planar error over the last 5 s, its root mean square and its greatest value; to 10 mm: the first time "
@@ -109,11 +109,6 @@ def _duels(judged: Judged) -> Iterator[str]:
         rows.append((column.labelled, duel_words(scaled), f"{100 * duel.first_less:.3g} %", *counts))
     head = ("figure", "difference", "first less in", "pairs", "left out", "draws")
     yield from _section("Law against law", about, head, rows, (2, 3, 4, 5))
-    there = list(dict.fromkeys(duel.figure for duel in judged.duels))
-    pairs = len({(duel.first, duel.second) for duel in judged.duels})
-    draw = partial(draw_duels, judged=judged, names=there)
-    caption = "Mean differences of paired runs with their 95 % intervals; left of 0 the first law is less."
-    yield from _panels("Differences", caption, draw, len(there), 0.9 + 0.22 * pairs)
 
 
 def _effects(judged: Judged) -> Iterator[str]:
@@ -133,24 +128,24 @@ def _effects(judged: Judged) -> Iterator[str]:
 
 
 def _pictures(judged: Judged) -> Iterator[str]:
-    there = [name for name in COMPARED if len(judged.values(name))]
-    if not there:
-        return
-    draw = partial(draw_distributions, judged=judged, names=there)
-    caption = "The share of a law's runs in which a figure is at most this: further left is better."
-    yield from _panels("Distributions", caption, draw, len(there), 2.2)
-    shown = judged.by if judged.by in there else there[0]
-    axes = [axis for axis in judged.axes if axis not in ("law", "seed")]
-    if axes:
-        draw = partial(draw_effects, judged=judged, names=axes, shown=shown)
-        caption = f"{column_of(shown).labelled} over each axis; dots are runs, the line joins medians."
-        yield from _panels("Effects", caption, draw, len(axes), 2.4)
+    for plot in plots(judged).values():
+        drawn = picture(plot.title, plot.caption, plot.draw, height_in=plot.height_in, rows=plot.rows, columns=COLUMNS)
+        yield from figure(drawn)
 
 
-def _panels(title: str, caption: str, draw: Callable[..., None], count: int, height_in: float) -> Iterator[str]:
-    """Yield a picture of ``count`` panels, two side by side, each ``height_in`` high."""
-    rows = -(-count // 2)
-    yield from figure(picture(title, caption, draw, height_in=height_in * rows, rows=rows, columns=2))
+def write_pictures(page: Path, judged: Judged, kind: str, existing: Existing = "refuse") -> list[Path]:
+    """Write each picture of the page as a file beside it, as png, svg or pdf (``kind``), and return the files.
+
+    They are called ``report-distributions.svg`` for a page ``report.html``. Raises BadInputError when one cannot be
+    written.
+    """
+    files = []
+    for name, plot in plots(judged).items():
+        files.append(page.with_name(f"{page.stem}-{name}.{kind}"))
+        size_in = (WIDTH_IN, plot.height_in)
+        with drawing(files[-1], rows=plot.rows, columns=COLUMNS, size_in=size_in, existing=existing) as axes:
+            plot.draw(axes)
+    return files
 
 
 def _worst(judged: Judged, folder: Path) -> Iterator[str]:

@@ -1,12 +1,13 @@
 """The plots of a campaign's page: distributions, effects of the axes, and differences between laws."""
 
 import itertools
-from collections.abc import Iterator
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable, Iterator
+from functools import partial
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from hil.batch.campaign.judged import Judged
+from hil.batch.campaign.judged import COMPARED, Judged
 from hil.batch.campaign.tables import RANDOM
 from hil.batch.figures import Column, column_of
 from hil.review.plots import colour_of, rgb
@@ -14,8 +15,46 @@ from hil.review.plots import colour_of, rgb
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
+COLUMNS = 2
+"""How many panels of a plot are side by side."""
 _SCATTERED = 2000
 _MOST_VALUES = 12
+_LEGEND_IN = 0.3
+
+
+class Plot(NamedTuple):
+    """A plot of a campaign: what draws it on ``COLUMNS`` times ``rows`` axes, and how high these are together."""
+
+    title: str
+    caption: str
+    draw: Callable[["list[Axes]"], None]
+    rows: int
+    height_in: float
+
+
+def plots(judged: Judged) -> dict[str, Plot]:
+    """Return by name the plots that have something to show."""
+    found = {}
+
+    def add(name: str, caption: str, draw: Callable[["list[Axes]"], None], count: int, height_in: float) -> None:
+        rows = -(-count // COLUMNS)
+        found[name] = Plot(name.capitalize(), caption, draw, rows, height_in * rows + _LEGEND_IN)
+
+    if there := list(dict.fromkeys(duel.figure for duel in judged.duels)):
+        caption = "Mean differences of paired runs with their 95 % intervals; left of 0 the first law is less."
+        pairs = len({(duel.first, duel.second) for duel in judged.duels})
+        add("differences", caption, partial(draw_duels, judged=judged, names=there), len(there), 0.9 + 0.22 * pairs)
+    there = [name for name in COMPARED if len(judged.values(name))]
+    if not there:
+        return found
+    caption = "The share of a law's runs in which a figure is at most this: further left is better."
+    add("distributions", caption, partial(draw_distributions, judged=judged, names=there), len(there), 2.2)
+    shown = judged.by if judged.by in there else there[0]
+    if axes := [axis for axis in judged.axes if axis not in ("law", "seed")]:
+        caption = f"{column_of(shown).labelled} over each axis; dots are runs, the line joins medians."
+        draw = partial(draw_effects, judged=judged, names=axes, shown=shown)
+        add("effects", caption, draw, len(axes), 2.4)
+    return found
 
 
 def _panels(axes: "list[Axes]", names: list[str]) -> "Iterator[tuple[Axes, str, Column]]":
@@ -34,7 +73,6 @@ def draw_distributions(axes: "list[Axes]", *, judged: Judged, names: list[str]) 
                 shares = np.arange(1, len(values) + 1) / len(values)
                 panel.step(values, shares, where="post", label=law, color=rgb(colour_of(number)))
         panel.set(title=column.title, xlabel=column.labelled, ylabel="share of runs", ylim=(0.0, 1.02))
-    axes[0].legend()
 
 
 def draw_effects(axes: "list[Axes]", *, judged: Judged, names: list[str], shown: str) -> None:
@@ -58,9 +96,7 @@ def draw_effects(axes: "list[Axes]", *, judged: Judged, names: list[str], shown:
             panel.set_xticks(range(len(words)), words)
         if judged.axes[name] == "log_uniform":
             panel.set_xscale("log")
-            panel.xaxis.set_minor_formatter("")
         panel.set(xlabel=name, ylabel=column.labelled)
-    axes[0].legend()
 
 
 def _medians(x: Any, y: Any, *, is_random: bool) -> tuple[list[float], list[float]]:

@@ -12,6 +12,7 @@ from hil.batch.comparison.result import OVER, Comparison, Row
 from hil.batch.figures import Column, shown_columns
 from hil.batch.output import markdown_table
 from hil.core.outputs import Existing, write_whole
+from hil.review.plots import FORMATS
 
 OVERVIEW = "figures"
 """The name of the picture of all figures."""
@@ -41,7 +42,8 @@ def names(condition: Condition) -> tuple[str, str]:
 def older(folder: Path) -> list[Path]:
     """Return the files that an earlier comparison wrote into a folder, whatever its conditions."""
     drives = "|".join(DRIVES)
-    own = re.compile(rf"comparison\.csv|{OVERVIEW}\.png|(error|torque)-[0-9.e+-]+nm-({drives})(-[a-z-]+)?\.png")
+    pictures = rf"({OVERVIEW}|(error|torque)-[0-9.e+-]+nm-({drives})(-[a-z-]+)?)\.({'|'.join(FORMATS)})"
+    own = re.compile(rf"comparison\.csv|{pictures}")
     return sorted(file for file in folder.iterdir() if own.fullmatch(file.name) and file.is_file())
 
 

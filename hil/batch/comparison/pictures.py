@@ -29,13 +29,16 @@ _TITLE, _SMALL_TITLE = 64, 42
 """How many letters fit on a line above half or a third of a picture."""
 
 
-def draw(comparison: Comparison, folder: Path, files: list[Path]) -> None:
-    """Draw into a folder that exists, and add each file to ``files``. Raises BadInputError."""
-    files.append(_figures(comparison, folder / f"{OVERVIEW}.png"))
+def draw(comparison: Comparison, folder: Path, kind: str, files: list[Path]) -> None:
+    """Draw into a folder that exists, as png, svg or pdf (``kind``), and add each file to ``files``.
+
+    Raises BadInputError when a file cannot be written.
+    """
+    files.append(_figures(comparison, folder / f"{OVERVIEW}.{kind}"))
     for condition, rows in comparison.tables().items():
         runs = [(row.entry.label, row.curves) for row in rows if row.curves is not None]
         if runs:
-            files.extend(_condition(comparison, condition, runs, folder))
+            files.extend(_condition(comparison, condition, runs, folder, kind))
 
 
 def _figures(comparison: Comparison, file: Path) -> Path:
@@ -57,12 +60,12 @@ def _figures(comparison: Comparison, file: Path) -> Path:
 
 
 def _condition(
-    comparison: Comparison, condition: Condition, runs: Sequence[tuple[str, Curves]], folder: Path
+    comparison: Comparison, condition: Condition, runs: Sequence[tuple[str, Curves]], folder: Path, kind: str
 ) -> Iterator[Path]:
     # A law that has no curves here keeps its colour for the other pictures.
     numbers = {label: n for n, label in enumerate(dict.fromkeys(row.entry.label for row in comparison.rows))}
     reference = runs[0][1]
-    error_file, torque_file = (folder / f"{name}.png" for name in names(condition))
+    error_file, torque_file = (folder / f"{name}.{kind}" for name in names(condition))
     with drawing(error_file, columns=2, size_in=(12.0, 4.5)) as (path, error):
         paths = [_curve(numbers, label, curves["truth.x_m"], curves["truth.y_m"]) for label, curves in runs]
         draw_path(path, Curve("reference", reference["reference.x_m"], reference["reference.y_m"]), paths)

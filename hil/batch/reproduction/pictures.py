@@ -1,4 +1,4 @@
-"""The paper's figures with our runs in them, in the paper's layout, as PNG."""
+"""The paper's figures with our runs in them, in the paper's layout."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -132,5 +132,3 @@ def delay(path: Path, results: Results) -> None:
             place = (margin.latency_s * 1e3, 0.98)
             at = ("data", "axes fraction")
             left.annotate(text, place, xycoords=at, rotation=90, ha="right", va="top", color=colour, fontsize=8)
-        left.legend(loc="upper left")
-        right.legend()

@@ -25,17 +25,18 @@ from hil.core.errors import BadInputError
 from hil.core.outputs import Existing, claim, write_whole
 from hil.core.types import WHEEL_NAMES
 from hil.judge.tracking import STEADY_WINDOW_S, TRACKED_RATIO
+from hil.review.plots import FORMATS
 from hil.scenario import from_plain, load
 
 Signals = Mapping[str, npt.NDArray[np.float64]]
 
 _SUMMARY = "summary.json"
-_DELAY = "delay.png"
+_DELAY = "delay"
 _PICTURES = {
-    "figure_8.png": (pictures.circle, ("dsc", "afdsc")),
-    "convergence.png": (pictures.convergence, ("dsc", "afdsc")),
-    "figure_10.png": (pictures.path_in_plane, ("experiment",)),
-    "figure_11.png": (pictures.control_signals, ("experiment",)),
+    "figure_8": (pictures.circle, ("dsc", "afdsc")),
+    "convergence": (pictures.convergence, ("dsc", "afdsc")),
+    "figure_10": (pictures.path_in_plane, ("experiment",)),
+    "figure_11": (pictures.control_signals, ("experiment",)),
 }
 """By name: what draws a picture, and the runs (names in ``_SHOWN``) that it needs."""
 _SHOWN = {
@@ -83,6 +84,7 @@ def reproduce(
     folder: Path,
     *,
     quick: bool = False,
+    kind: str = "png",
     workers: int | None = None,
     limit_s: float = 120.0,
     on_progress: OnProgress | None = None,
@@ -94,10 +96,11 @@ def reproduce(
     its figures (None where one is not defined) and ``failure``. ``paper`` has the printed figures, ``verdicts`` the
     verdicts on them, ``pictures`` and ``recordings`` names of files in ``folder``.
 
-    ``quick`` leaves out most variants and shortens the others. ``workers`` is the number of processes, by default one
-    per processor; a run that takes more than ``limit_s`` of wall-clock time is ended. ``on_progress`` is called as
-    ``hil.batch.plan.run_jobs`` does. Results of an earlier reproduction in the folder are removed when the runs are
-    done; with ``existing="refuse"`` they are an error and nothing begins.
+    ``quick`` leaves out most variants and shortens the others. ``kind`` is the format of the pictures: png, svg or
+    pdf. ``workers`` is the number of processes, by default one per processor; a run that takes more than ``limit_s``
+    of wall-clock time is ended. ``on_progress`` is called as ``hil.batch.plan.run_jobs`` does. Results of an earlier
+    reproduction in the folder are removed when the runs are done; with ``existing="refuse"`` they are an error and
+    nothing begins.
 
     Raises BadInputError when ``folder`` cannot be made or written to or has results that must stay, and
     NotWrittenError, with the summary, when a file cannot be written after the runs.
@@ -125,11 +128,11 @@ def reproduce(
             shown = {label: signals[name] for label, name in _SHOWN.items() if signals.get(name)}
             for picture, (draw, needed) in _PICTURES.items():
                 if shown.keys() >= set(needed):
-                    draw(folder / picture, shown)
-                    drawn.append(picture)
+                    draw(folder / f"{picture}.{kind}", shown)
+                    drawn.append(f"{picture}.{kind}")
             if any(results.rows("delay")):
-                pictures.delay(folder / _DELAY, results)
-                drawn.append(_DELAY)
+                pictures.delay(folder / f"{_DELAY}.{kind}", results)
+                drawn.append(f"{_DELAY}.{kind}")
         # Recordings are the largest, so pictures go first: a full disk then costs least.
         with deferred(errors):
             for outcome in outcomes:
@@ -242,7 +245,8 @@ def _signals(job: Job) -> Signals:
 def _older(folder: Path) -> list[Path]:
     """Return the files that an earlier reproduction, quick or not, wrote into a folder."""
     recordings = [_recording(case) for case in cases(quick=False) + cases(quick=True) if case.records]
-    names = dict.fromkeys([_SUMMARY, *_PICTURES, _DELAY, *recordings])
+    drawings = (f"{picture}.{kind}" for picture in (*_PICTURES, _DELAY) for kind in FORMATS)
+    names = dict.fromkeys([_SUMMARY, *drawings, *recordings])
     return [folder / name for name in names if (folder / name).exists()]
 
 
