@@ -4,6 +4,7 @@ Layers, the later wins: built-in defaults, the chain of ``extends`` from its bas
 file (--robot), the options of the command line (--mode, --link, --seed), --set.
 """
 
+import functools
 import numbers
 import os
 from collections.abc import Mapping, Sequence
@@ -52,14 +53,15 @@ class _File(NamedTuple):
 
 def shipped() -> dict[str, str]:
     """Return the shipped scenarios by name, each with the first comment line of its file; without the suite's."""
-    return _titles(SHIPPED_DIRECTORY)
+    return dict(_titles(SHIPPED_DIRECTORY))
 
 
 def suite() -> dict[str, str]:
     """Return the scenarios of the shipped suite, as ``shipped``."""
-    return _titles(SUITE_DIRECTORY)
+    return dict(_titles(SUITE_DIRECTORY))
 
 
+@functools.cache
 def _titles(folder: Path) -> dict[str, str]:
     return {
         path.stem: path.read_text("utf-8").partition("\n")[0].lstrip("# ").rstrip()
