@@ -13,15 +13,21 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import rerun as rr
+import rerun.chunk as rrc
 
 from hil.core.errors import BadInputError
-from hil.core.signals import pack_row
+from hil.core.signals import INDEX, SIGNAL_NAMES, pack_row
 from hil.record import Recording
+from hil.record.live import BATCH_S, LIVE_PERIOD_S, MEMORY_LIMIT
+from hil.record.stream import Stream
 from hil.record.viewer import free_port, has_display, live_address, live_hint, show_live, view, viewer_executable
 from hil.review.contents import DamagedError
 from hil.review.decode import decode
+from hil.runtime.provenance import properties
+from hil.scenario import load
 from tests.processes import wait_for
-from tests.recorded_circle import circle_rows
+from tests.recorded_circle import PERIOD_S, circle_rows, circle_table
 
 linux_only = pytest.mark.skipif(sys.platform != "linux", reason="needs /proc")
 _LISTENING = "0A"
@@ -71,8 +77,8 @@ def test_a_run_is_served_thinned_on_the_loopback_interface_alone(tmp_path: Path)
             viewer.wait()
     assert summary == {"passed": True}
     t_s = signals["loop.t_s"]
-    assert len(t_s) == 200
-    np.testing.assert_allclose(np.diff(t_s), 0.01, atol=1e-9)
+    assert len(t_s) == 100
+    np.testing.assert_allclose(np.diff(t_s), 0.02, atol=1e-9)
     assert listening_addresses(port) == set()
 
 
@@ -90,14 +96,14 @@ def test_a_viewer_that_is_absent_frozen_killed_and_restarted_costs_no_row(tmp_pa
 
         put(0, 3000)
         with receiving(port, tmp_path / "first.rrd") as (first, received):
-            wait_for(lambda: received() >= 300)
+            wait_for(lambda: received() >= 150)
             os.kill(first.pid, signal.SIGSTOP)
             put(3000, 6000)
             first.kill()
         put(6000, 9000)
         report = recording.finish({"passed": True}, keep_live=True)
         with receiving(port, tmp_path / "second.rrd") as (_, received):
-            wait_for(lambda: received() == 900)
+            wait_for(lambda: received() == 450)
     assert report.complete
     assert report.rows_written == 9000
     _, signals = decode(path)
@@ -182,3 +188,29 @@ def test_a_browser_is_served_on_the_loopback_interface_until_interrupted(tmp_pat
         os.killpg(viewer.pid, signal.SIGINT)
         assert viewer.wait() == 0
     assert listening_addresses(page_port) == listening_addresses(data_port) == set()
+
+
+LATE_S = 40.0
+HALF_AN_HOUR_S = 1800.0
+
+
+@linux_only
+def test_a_viewer_that_connects_late_gets_half_an_hour(tmp_path: Path) -> None:
+    """A real client receives what the server kept of 40 s in the batches of a live view; 45 times that must fit."""
+    port, received = free_port(), tmp_path / "received.rrd"
+    sink = rr.GrpcServerSink("127.0.0.1", port, server_memory_limit=MEMORY_LIMIT)
+    told = properties(load("paper_circle"))
+    stream = Stream(sink, recording_id="late", signals=SIGNAL_NAMES, properties=told, live=True)
+    rows = round(LATE_S / LIVE_PERIOD_S)
+    table = np.tile(circle_table(1000)[:: round(LIVE_PERIOD_S / PERIOD_S)], (rows // 50, 1))
+    table[:, INDEX["loop.tick"]] = np.arange(rows)
+    table[:, INDEX["loop.t_s"]] = np.arange(rows) * LIVE_PERIOD_S
+    for piece in np.split(table, rows // round(BATCH_S / LIVE_PERIOD_S)):
+        stream.draw(piece)
+    stream.flush()
+    with receiving(port, received) as (_, count):
+        wait_for(lambda: count() == rows)
+    assert received.stat().st_size * HALF_AN_HOUR_S / LATE_S < 512 << 20
+    lengths = [len(chunk.to_record_batch()) for chunk in rrc.RrdReader(received).stream().filter(content="/ctrl/**")]
+    assert np.median(lengths) == BATCH_S / LIVE_PERIOD_S
+    stream.close()

@@ -16,16 +16,17 @@ from hil.record.ring import Rows
 from hil.record.stream import Stream
 from hil.record.viewer import HOST
 
-LIVE_PERIOD_S = 0.01
+LIVE_PERIOD_S = 0.02
 BATCH_S = 0.5
 """How long rows are collected: a message costs about 1.7 kB and a viewer's time, whatever is in it."""
 _QUEUE_LENGTH = 500
-_MEMORY_LIMIT = "256MiB"
+MEMORY_LIMIT = "512MiB"
+"""Half an hour of a run with 33 entities needs 0.4 GB."""
 _CLOSE_TIMEOUT_S = 2.0
 
 
 class LiveServer:
-    """A gRPC server on 127.0.0.1 with the run's rows at 100 Hz, in a thread of its own.
+    """A gRPC server on 127.0.0.1 with the run's rows at 50 Hz, in a thread of its own.
 
     Viewers pull the data. The server's memory and the queue to the thread are bounded and drop the oldest data first,
     so the recorder never waits for a viewer. Raises OSError for a port that is in use.
@@ -34,7 +35,7 @@ class LiveServer:
     def __init__(self, port: int, *, recording_id: str, signals: Sequence[str], properties: Mapping[str, str]) -> None:
         rr.set_strict_mode(True)
         _check_port(port)
-        sink = rr.GrpcServerSink(HOST, port, server_memory_limit=_MEMORY_LIMIT)
+        sink = rr.GrpcServerSink(HOST, port, server_memory_limit=MEMORY_LIMIT)
         self._stream = Stream(sink, recording_id=recording_id, signals=signals, properties=properties, live=True)
         self._t_column = list(signals).index("loop.t_s")
         self._decimator = Decimator(LIVE_PERIOD_S)
@@ -45,7 +46,7 @@ class LiveServer:
         self._thread.start()
 
     def rows(self, rows: Rows) -> None:
-        """Queue rows of shape (n, signals); one per 10 ms of scenario time is served."""
+        """Queue rows of shape (n, signals); one per 20 ms of scenario time is served."""
         kept = rows[self._decimator.keep(rows[:, self._t_column])]
         if len(kept):
             self._queue.append(kept)

@@ -1,7 +1,7 @@
 """The recorder process, ``python -m hil.record.recorder``, which ``hil.record.recording`` starts.
 
 It reads rows from the ring and lines from its standard input, and writes them to files at full rate and to live viewers
-at about 100 Hz.
+at 50 Hz.
 """
 
 import contextlib

@@ -30,6 +30,7 @@ _COPY_BYTES = 1 << 20
 _GROWN_ROWS = 1 << 14
 _PROPERTIES = "/__properties/"
 _ROW_ID = "rerun.controls.RowId"
+_TIME = "loop.t_s"
 
 
 class _Piece(NamedTuple):
@@ -217,10 +218,9 @@ def _signals(held: dict[str, list[str]], entities: _Entities) -> dict[str, Serie
         if kept:
             pieces = entities.pieces.get(path)
             joined[path] = kept, _nothing(len(kept)) if pieces is None else pieces.in_order()
-    first = min((part.ticks[0] for _, part in joined.values() if len(part.ticks)), default=0)
-    every = next((part.ticks for _, part in joined.values() if len(part.ticks) and part.ticks[0] == first), None)
-    if every is not None:
-        joined = {path: (names, part.from_first(every)) for path, (names, part) in joined.items()}
+    clock = next((part for names, part in joined.values() if _TIME in names), None)
+    if clock is not None:
+        joined = {path: (names, part.from_first(clock.ticks)) for path, (names, part) in joined.items()}
     ticks = [part.ticks for _, part in joined.values()]
     if not all(np.array_equal(one, ticks[0]) for one in ticks):
         # After a kill some entities may lack the last rows; after a repair any may lack some.
