@@ -21,8 +21,8 @@ __version__ = "0.2.0"
 __all__ = ["RunResult", "__version__", "load", "run"]
 
 if TYPE_CHECKING:
-    from hil.judge.results import RunResult
     from hil.review.load import load
+    from hil.review.result import RunResult
     from hil.runtime.assembly import run
 
 

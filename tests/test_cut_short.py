@@ -8,10 +8,10 @@ import pytest
 
 import hil
 from hil.batch.figures import run_columns
-from hil.judge.results import RunResult
 from hil.review import RecordedRun, differences, read
 from hil.review.figures import figures
 from hil.review.page import page
+from hil.review.result import RunResult
 
 END_FIGURES = ("tracked_s", "t10_s", "steady_rms_m", "steady_max_m")
 EXPECT = [

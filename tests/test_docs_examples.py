@@ -70,6 +70,7 @@ def test_a_recording_of_the_bad_day_is_read(tmp_path, capsys) -> None:
     shown = capsys.readouterr().out
     assert "over 8.00 s" in shown
     assert "fault begins: push force_x_n" in shown
+    assert shown.startswith("PASSED  bad_day: ")
     assert shown.endswith("passed: True\n")
 
 

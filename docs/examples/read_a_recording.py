@@ -1,32 +1,31 @@
-"""Read a recording (.rrd or .mcap) of `hil run` into NumPy and pandas."""
+"""Read a recording (.rrd or .mcap) of `hil run` back: how it went, its signals in NumPy and pandas, its events."""
 
 import sys
-from pathlib import Path
 
 import numpy as np
-import pandas as pd
 
-from hil.review import read, review
+import hil
 
 
 def main(file: str) -> None:
     """Print what the recording holds."""
-    recorded = read(Path(file))
-    print(f"{file}: {len(recorded.signals)} signals, {len(recorded.events)} events, {recorded.properties['law']}")
+    result = hil.load(file)  # what hil.run returned; also of a run that was killed, which result.notes then say
+    print(result)
+    for sentence in result.notes:
+        print("note:", sentence)
 
     # NumPy: one array a signal, one value a tick.
-    t_s = recorded.signals["loop.t_s"]
-    error_m = recorded.signals["error.planar_m"]
-    print(f"rms error {np.sqrt(np.mean(error_m**2)):.4f} m over {t_s[-1]:.2f} s")
+    t_s, error_m = result.signals["loop.t_s"], result.signals["error.planar_m"]
+    print(f"rms error {np.sqrt(np.nanmean(error_m**2)):.4f} m over {t_s[-1]:.2f} s")
 
     # pandas: all of them, by time.
-    frame = pd.DataFrame(recorded.signals).set_index("loop.t_s")
-    print(frame[["wheel.fl.speed_rad_s", "wheel.fr.speed_rad_s"]].describe().loc[["mean", "max"]])
+    print(result.frame()[["wheel.fl.speed_rad_s", "wheel.fr.speed_rad_s"]].describe().loc[["mean", "max"]])
 
-    # What happened, and the figures that the run had at its end, worked out of the recording alone.
-    for event in recorded.events:
+    # The figures, by the names in `hil run --json`, and what happened.
+    print(f"law {result.metrics['law']}, effort {result.metrics['effort_n_m_s']:.3g} N·m·s")
+    for event in result.events:
         print(f"{event.t_s:8.3f} s  {event.level:7}  {event.text}")
-    print("passed:", review(Path(file))["passed"])
+    print("passed:", result.passed)
 
 
 if __name__ == "__main__":

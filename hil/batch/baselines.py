@@ -12,8 +12,8 @@ from hil.batch.run import attempt
 from hil.core.options import plain
 from hil.core.outputs import write_whole
 from hil.judge.baselines import Moved, baseline_of, moved, why_not_judged
-from hil.judge.results import RunResult
 from hil.judge.words import why_not_passed
+from hil.review.result import RunResult
 from hil.runtime.assembly import RunOptions
 from hil.scenario import Scenario
 from hil.scenario.baseline import Baseline, place, text_of

@@ -11,9 +11,9 @@ import numpy as np
 from hil.batch.figures import run_columns
 from hil.batch.job import ALWAYS, ENDED, FAILED, IF_FAILED, PASSED, REFUSED, Job, Outcome
 from hil.core.errors import BadInputError, HilError
-from hil.judge.results import RunResult
 from hil.judge.words import why_not_passed
 from hil.laws.registry import forget_law
+from hil.review.result import RunResult
 from hil.robot.virtual import KeptRobot, MakeRobot
 from hil.runtime.assembly import RunOptions, run_scenario
 from hil.runtime.robots import link_of

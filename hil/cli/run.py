@@ -16,7 +16,7 @@ from hil.cli.output import end_in_order, flush_output, print_json, print_result,
 from hil.core.errors import DeviceError, LinkError, RunInterruptedError
 
 if TYPE_CHECKING:
-    from hil.judge.results import RunResult
+    from hil.review.result import RunResult
     from hil.runtime.assembly import Watch
     from hil.runtime.loop import Loop
 

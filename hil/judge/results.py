@@ -1,28 +1,21 @@
-"""The result of a run: signals as arrays, figures, and the exit code that follows from them."""
+"""What a run leaves: its figures, its signals as arrays, and its events."""
 
-import textwrap
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
-from functools import cached_property
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from hil.core.errors import HilError, UnknownSignalError
+from hil.core.errors import UnknownSignalError
 from hil.core.percentiles import Percentiles, Reservoir
 from hil.core.ports import Note
 from hil.judge.figures import BLOCK_ROWS, RunFigures
 from hil.judge.measure import Series
 from hil.judge.shadows import CommandDifference, ShadowDifferences
-from hil.judge.verdict import run_lines, verdict_word
-from hil.judge.words import why_not_passed
-from hil.scenario import Scenario
 
 if TYPE_CHECKING:
-    import pandas as pd
+    pass
 
 _EVENTS_KEPT = 10_000
-_REASON_LETTERS = 90
 
 
 class Event(NamedTuple):
@@ -163,63 +156,3 @@ class Signals(Mapping[str, Series]):
     def __repr__(self) -> str:
         ticks = len(next(iter(self._series.values()), ()))
         return f"<{len(self)} signals of {ticks} ticks>"
-
-
-@dataclass(frozen=True, repr=False)
-class RunResult:
-    """A finished run, as ``hil.run`` returns it, or ``hil.load`` from a recording. ``print`` shows how it went.
-
-    Attributes:
-        scenario: what was run; None for a recording that does not hold it.
-        metrics: the figures, as ``hil run --json`` prints them; one that is not defined is None, with a sentence in
-            ``reasons``. Those of a recording also have what only ``hil review --json`` prints.
-        signals: every signal of the run by name, each of shape (ticks,): those of ``hil list signals``, then the extra
-            ones. Empty when the run kept none.
-        failure: what ended the run early, or None.
-        events: the event log, in the order in which it was written.
-        notes: sentences on what is missing in a recording, or could not be read; empty for a run.
-    """
-
-    scenario: Scenario | None
-    metrics: Mapping[str, Any]
-    signals: Signals
-    failure: HilError | None
-    events: Sequence[Event] = ()
-    notes: Sequence[str] = ()
-
-    def __repr__(self) -> str:
-        shown = [f"{verdict_word(self.metrics)} {self.metrics['scenario']}", f"{self.metrics['ticks']} ticks"]
-        if not self.passed and (reasons := [why for _, why in why_not_passed(self.metrics)]):
-            more = f" and {len(reasons) - 1} more" if len(reasons) > 1 else ""
-            shown.append(textwrap.shorten(reasons[0], _REASON_LETTERS, placeholder=" …") + more)
-        return f"<RunResult {', '.join(shown)}>"
-
-    def __str__(self) -> str:
-        return "\n".join(self.lines())
-
-    def lines(self, *, everything: bool = False) -> Iterator[str]:
-        """Yield how the run went, as ``hil run`` and ``hil review`` print it; ``everything`` as ``--all`` of these."""
-        told = {"events": [event._asdict() for event in self.events], "notes": self.notes}
-        return run_lines({**self.metrics, **told}, everything=everything)
-
-    @property
-    def passed(self) -> bool:
-        """Whether the run ended as expected."""
-        return bool(self.metrics["passed"])
-
-    @property
-    def exit_code(self) -> int:
-        """0 passed; 1 did not pass; else that of the failure: 2 for the law, 3 for link or device, 130 interrupted."""
-        if self.failure is not None:
-            return self.failure.exit_code
-        return 0 if self.passed else 1
-
-    @cached_property
-    def _frame(self) -> "pd.DataFrame":
-        import pandas as pd
-
-        return pd.DataFrame(dict(self.signals)).set_index("loop.t_s", drop=False)
-
-    def frame(self) -> "pd.DataFrame":
-        """Return the signals as a pandas frame, one row a tick, indexed by ``loop.t_s``."""
-        return self._frame

@@ -151,16 +151,16 @@ def outcome_rows(metrics: Mapping[str, Any]) -> Iterator[Row]:
 def why_not_passed(metrics: Mapping[str, Any]) -> Iterator[Row]:
     """Yield kind and sentence for each reason why a run did not pass, causes before their consequences.
 
-    A run without any has passed.
+    A run without any has passed. Of a recording without a summary only its failure and expectations are known.
     """
     if metrics["failure"] is not None:
         yield "failure", metrics["failure"]
-    yield from (("expectation", row["text"]) for row in in_order(metrics["expect"]) if row["passed"] is False)
+    yield from (("expectation", row["text"]) for row in in_order(metrics["expect"] or ()) if row["passed"] is False)
     if metrics["lenient"]:
         return
-    yield from (("allow", row["text"]) for row in metrics["allow"] if not row["passed"])
+    yield from (("allow", row["text"]) for row in metrics["allow"] or () if not row["passed"])
     # A fault that was never applied proves nothing.
-    yield from (("fault", applied_words(row)) for row in metrics["fault"] if not row["applied"])
+    yield from (("fault", applied_words(row)) for row in metrics["fault"] or () if not row["applied"])
     baseline = metrics.get("baseline") or {"figures": (), "frames": None}
     yield from (("baseline", row["text"]) for row in baseline["figures"])
     if (frames := baseline["frames"]) is not None and frames["passed"] is False:

@@ -4,9 +4,11 @@ from pathlib import Path
 
 from hil.core.errors import error_of
 from hil.core.options import OptionsError
-from hil.judge.results import RunResult, Signals
+from hil.core.signals import SIGNAL_NAMES
+from hil.judge.results import Signals
 from hil.review.figures import figures, json_object, scenario_of
 from hil.review.reader import RecordedRun, read
+from hil.review.result import RunResult
 from hil.scenario import Scenario, from_values
 
 
@@ -25,8 +27,8 @@ def load(path: str | Path) -> RunResult:
     scenario, notes = _scenario(run)
     metrics["notes"] = notes = [*metrics["notes"], *notes]
     failure = None if metrics["failure"] is None else error_of(metrics["failure_kind"], metrics["failure"])
-    names = [name for name in run.held if name in run.signals] or list(run.signals)
-    signals = Signals({name: run.signals[name] for name in dict.fromkeys([*names, *run.signals])})
+    names = [name for name in dict.fromkeys([*SIGNAL_NAMES, *run.held, *run.signals]) if name in run.signals]
+    signals = Signals({name: run.signals[name] for name in names})
     return RunResult(scenario, metrics, signals, failure, run.events, notes)
 
 

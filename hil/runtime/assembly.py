@@ -14,12 +14,13 @@ from hil.core.signals import SIGNAL_NAMES
 from hil.judge.claims import signals_of
 from hil.judge.figures import RunFigures, figure_signals
 from hil.judge.measure import CommandLimits, RunSetup
-from hil.judge.results import EventLog, MemorySink, RunResult, Signals
+from hil.judge.results import EventLog, MemorySink, Signals
 from hil.judge.shadows import with_differences
 from hil.judge.words import with_page
 from hil.record import Recording, Rotation, RunRecording, check_output_path, early_recorder, rotation
 from hil.record.udp import UdpStream, parse_destination
 from hil.references import Feasibility
+from hil.review.result import RunResult
 from hil.robot.virtual import MakeNode, MakeRobot, new_robot
 from hil.runtime.bench import NS, Bench
 from hil.runtime.events import RunEvents

@@ -9,9 +9,9 @@ came from, ``shipped()`` and ``suite()`` the names that ``load`` takes.
 """
 
 from hil.core.options import format_value
-from hil.scenario.load import Sources, load, read, set_texts, shipped, suite
+from hil.scenario.load import Sources, from_values, load, read, set_texts, shipped, suite
 from hil.scenario.plant import SHIPPED_FMUS
-from hil.scenario.run import Scenario, from_plain, from_values, resolved, to_plain
+from hil.scenario.run import Scenario, from_plain, resolved, to_plain
 from hil.scenario.tables import DeviceTable, FirmwareTable, RealtimeTable, ServiceTable
 from hil.scenario.trial import ExpectTable, FaultTable
 from hil.scenario.values import StartValue

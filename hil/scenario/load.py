@@ -10,11 +10,11 @@ import os
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple, cast
 
 from hil.core import TEST_SUFFIX
 from hil.core.errors import BadInputError, nearest
-from hil.core.options import format_value
+from hil.core.options import build, format_value
 from hil.laws.registry import give_law
 from hil.scenario import layers
 from hil.scenario.baseline import find as find_baseline
@@ -22,6 +22,7 @@ from hil.scenario.baseline import is_baseline
 from hil.scenario.check import check, derived
 from hil.scenario.layers import Given, Tree
 from hil.scenario.run import Scenario, values
+from hil.scenario.tables import Tables
 from hil.scenario.toml_text import key_lines, parse, parse_value
 from hil.scenario.values import is_path
 
@@ -159,6 +160,26 @@ def given(values: Mapping[str, object], sources: Mapping[str, str]) -> dict[str,
         and not key.startswith(("expect.", "fault."))
         and (where.startswith("--") or (extends and of_file[key].endswith(_SUFFIX) and of_file[key] not in ours))
     }
+
+
+def from_values(name: str, given: Mapping[str, object], sources: Mapping[str, str]) -> Scenario:
+    """Return a scenario from its values by dotted key, as a recording holds them.
+
+    ``sources`` say where each was given. It has no file and no baseline; relative paths start from the current folder.
+    Raises OptionsError for values that this version does not understand.
+    """
+    document: dict[str, Any] = {}
+    for key, value in given.items():
+        *above, last = key.split(".")
+        table = document
+        for part in above:
+            table = table.setdefault(part, {})
+        table[last] = value
+    for array in ("fault", "expect"):
+        rows = document.get(array, [])
+        document[array] = [rows[number] for number in sorted(rows, key=int)] if isinstance(rows, dict) else rows
+    tables = build(Tables, cast("Mapping[str, object]", layers.plain(layers.make_layer(document, "the recording"))))
+    return Scenario(**vars(tables), name=name, path=None, directory=Path.cwd(), provenance=dict(sources))
 
 
 def set_texts(given: Mapping[str, object] | Sequence[str]) -> list[str]:

@@ -123,24 +123,3 @@ def from_plain(given: Mapping[str, Any]) -> Scenario:
     baseline = None if given["baseline"] is None else build(Baseline, given["baseline"])
     own = {"name": given["name"], "provenance": given["provenance"]}
     return Scenario(**vars(tables), **own, path=path, directory=directory, baseline=baseline)
-
-
-def from_values(name: str, given: Mapping[str, Any], sources: Mapping[str, str]) -> Scenario:
-    """Return a scenario from its values by dotted key, as ``values`` returns them and a recording holds them.
-
-    ``sources`` say where each was given. It has no file and no baseline; relative paths start from the current folder.
-    Raises OptionsError for values that this version does not understand.
-    """
-    tables: dict[str, Any] = {}
-    for key, value in given.items():
-        *above, last = key.split(".")
-        table = tables
-        for part in above:
-            table = table.setdefault(part, {})
-        table[last] = tuple(value) if isinstance(value, list) else value
-    for array in _ARRAYS_OF_TABLES:
-        rows = tables.pop(array, {})
-        tables[array] = tuple(rows[number] for number in sorted(rows, key=int)) if isinstance(rows, dict) else rows
-    return Scenario(
-        **vars(build(Tables, tables)), name=name, path=None, directory=Path.cwd(), provenance={**sources}, baseline=None
-    )

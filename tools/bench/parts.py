@@ -18,9 +18,10 @@ from rich.table import Table
 
 from hil.core.guard import Guard
 from hil.estimation.truth import TruthEstimator
-from hil.judge.results import MemorySink, RunResult
+from hil.judge.results import MemorySink
 from hil.laws.surface import SurfaceLaw
 from hil.references.circle import Circle
+from hil.review.result import RunResult
 from hil.robot.direct import DirectLink
 from hil.robot.stm32 import Stm32
 from hil.runtime.assembly import RunOptions, run_scenario

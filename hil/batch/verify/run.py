@@ -16,8 +16,8 @@ from hil.batch.run import attempt
 from hil.judge.baselines import baseline_figures
 from hil.judge.figures import number
 from hil.judge.measure import Series
-from hil.judge.results import RunResult
 from hil.judge.words import why_not_passed
+from hil.review.result import RunResult
 from hil.robot.virtual import KeptRobot
 from hil.runtime.assembly import RunOptions
 from hil.scenario import Scenario

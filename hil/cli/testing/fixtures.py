@@ -12,7 +12,7 @@ from hil.cli.testing.overrides import Overrides
 from hil.cli.testing.robot import RobotLink, RobotProcess
 from hil.cli.testing.verdict import run_as_test
 from hil.core.errors import HilError
-from hil.judge.results import RunResult
+from hil.review.result import RunResult
 from hil.scenario.values import is_path
 
 Set = Mapping[str, object] | Sequence[str]

@@ -10,8 +10,8 @@ import pytest
 
 from hil.cli.testing.overrides import shown
 from hil.core.errors import DeviceError, HilError, LinkError
-from hil.judge.results import RunResult
 from hil.judge.words import applied_words, why_incomplete, why_not_passed
+from hil.review.result import RunResult
 from hil.scenario import Scenario
 
 _FACTS = ("law", "mode", "link", "seed", "wire_sha256")

@@ -1,0 +1,111 @@
+"""hil.load: what hil.run gave, from a recording of either format, of a killed run too; and a result in a notebook."""
+
+import html
+import json
+import os
+import re
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import hil
+from hil.core.errors import BadInputError, DeviceError, LinkError, RunInterruptedError, error_of, kind_of
+from hil.scenario import to_plain
+from tests.processes import environment, wait_for
+
+OLD = Path(__file__).parent / "recordings" / "circle_speed_ca92b7a.rrd"
+EXPECT = [{"signal": "error.planar_m", "from_s": 0.2, "below": 0.001}, {"figure": "ticks", "above": 1}]
+FAULT = [{"kind": "drop", "target": "command", "value": 0.5, "start_s": 0.1, "end_s": 0.2}]
+SETS = {"loop.duration_s": 0.5, "expect": EXPECT, "fault": FAULT, "plant.start.wheel.fl.lifted": 1.0}
+OF_THE_MACHINE = {"realtime_factor", "tick_us", "recorded", "realtime", "recording", "page"}
+
+
+@pytest.mark.parametrize("suffix", [".rrd", ".mcap"])
+def test_a_loaded_run_is_what_the_run_gave(tmp_path: Path, suffix: str) -> None:
+    path = tmp_path / f"run{suffix}"
+    ran = hil.run("circle_speed", set={**SETS, "controller.shadow": ["pid"]}, record=path)
+    loaded = hil.load(path)
+    assert type(loaded) is type(ran)
+    assert list(loaded.signals) == list(ran.signals)
+    for name, series in ran.signals.items():
+        assert loaded.signals[name].tobytes() == np.ascontiguousarray(series).tobytes(), name
+    figures = {name: value for name, value in ran.metrics.items() if name not in OF_THE_MACHINE}
+    assert {name: loaded.metrics[name] for name in figures} == json.loads(json.dumps(figures))
+    assert (loaded.passed, loaded.exit_code, loaded.failure) == (ran.passed, ran.exit_code, None)
+    assert str(loaded) == str(ran)
+    assert repr(loaded) == repr(ran)
+    assert loaded.notes == []
+    assert ran.scenario is not None
+    assert loaded.scenario is not None
+    ours, theirs = (to_plain(one)["tables"] for one in (ran.scenario, loaded.scenario))
+    assert theirs == ours
+    assert loaded.scenario.hash == ran.scenario.hash
+    told = {(round(event.t_s, 6), event.level, event.text) for event in loaded.events}
+    assert {(round(event.t_s, 6), event.level, event.text) for event in ran.events} <= told
+    with pytest.raises(BadInputError, match=r"did you mean 'error\.planar_m'"):
+        loaded.signals["error.planar"]
+    assert loaded.frame().shape == ran.frame().shape
+
+
+def test_a_run_that_failed_has_its_kind_of_failure(tmp_path: Path) -> None:
+    fault = [{"kind": "reset", "target": "robot", "start_s": 0.2}]
+    path = tmp_path / "run.mcap"
+    ran = hil.run("circle_speed", set={"loop.duration_s": 0.5, "expect": [], "fault": fault}, record=path)
+    loaded = hil.load(str(path))
+    assert isinstance(loaded.failure, DeviceError)
+    assert str(loaded.failure) == str(ran.failure)
+    assert loaded.exit_code == ran.exit_code == 3
+    assert kind_of(LinkError("x")) == "LinkError"
+    assert isinstance(error_of("LinkError", "x"), LinkError)
+    assert isinstance(error_of(None, "x"), DeviceError)
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="kills a process by a signal")
+def test_a_run_that_was_killed_is_loaded_with_a_note(tmp_path: Path) -> None:
+    path = tmp_path / "run.mcap"
+    words = [sys.executable, "-m", "hil", "run", "circle_speed", "--mode", "realtime", "--record", str(path)]
+    with subprocess.Popen(
+        [*words, "--set", "loop.duration_s=60"], env=environment(), stderr=subprocess.DEVNULL, start_new_session=True
+    ) as running:
+        wait_for(lambda: path.exists() and path.stat().st_size > 200_000)
+        os.killpg(running.pid, signal.SIGKILL)
+    loaded = hil.load(path)
+    assert isinstance(loaded.failure, RunInterruptedError)
+    assert not loaded.passed
+    told = str(loaded)
+    assert "did not come to its end" in str(loaded.failure) or "how the run ended is not known" in str(loaded.failure)
+    assert " s  ended     the recording has no summary" in told
+    assert len(loaded.signals["loop.t_s"]) > 10
+    assert repr(loaded).startswith("<RunResult NO VERDICT circle_speed, ")
+    assert told.startswith("NO VERDICT  circle_speed: ")
+
+
+def test_an_older_recording_is_loaded_too() -> None:
+    loaded = hil.load(OLD)
+    assert loaded.metrics["scenario"] == "circle_speed"
+    assert len(loaded.signals["loop.t_s"]) == loaded.metrics["ticks"]
+    assert loaded.scenario is not None or any("scenario" in note for note in loaded.notes)
+
+
+def test_what_is_no_recording_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(BadInputError, match="No such file"):
+        hil.load(tmp_path / "missing.rrd")
+
+
+def test_a_notebook_shows_a_result_as_a_small_page() -> None:
+    result = hil.run("circle_speed", set={**SETS, "controller.law": "pid"})
+    shown = result._repr_html_()
+    assert ">FAILED</b> circle_speed: pid by speed" in shown
+    assert "0.200 s</td>" in shown
+    assert "error.planar_m below 0.001 from 0.2 s to the end" in html.unescape(shown)
+    assert "drop command 0.5" in shown
+    assert "effort</td>" in shown
+    assert 'src="data:image/svg+xml;base64,' in shown
+    assert len(shown) < 150_000
+    assert "<script" not in shown
+    for tag in ("div", "table", "p"):
+        assert len(re.findall(f"<{tag}[ >]", shown)) == shown.count(f"</{tag}>")
