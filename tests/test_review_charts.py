@@ -124,7 +124,7 @@ def test_a_browser_draws_the_page_without_an_error(opened: "browsers.Page") -> N
 def test_the_pointer_shows_all_values_of_its_instant(opened: "browsers.Page") -> None:
     texts = point(opened, 0.5)
     assert texts[0].endswith(" s")
-    for name in ("planar error", "error in x", "error in y", "heading error", "planar error, below : 1 mm"):
+    for name in ("planar error", "error in x", "error in y", "heading error", "planar error, bound : 1 mm"):
         assert any(text.startswith(name) for text in texts), texts
 
 

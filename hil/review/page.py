@@ -1,12 +1,14 @@
 """A review as one self-contained HTML file: verdict, figures, plots, events, scenario; made to print."""
 
+import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from html import escape
 from operator import itemgetter
 from pathlib import Path
 from typing import Any
 
-from hil.judge.words import applied_words, belief_rows, figure_rows, in_order, link_rows, outcome_rows, why_not_passed
+from hil.judge.verdict import happenings, verdict_word
+from hil.judge.words import applied_words, belief_rows, figure_rows, in_order, link_rows, outcome_rows
 from hil.review.alignment import Aligned, aligned
 from hil.review.charts import charts_script, place, policy
 from hil.review.difference import Difference, changes, differences
@@ -17,7 +19,9 @@ from hil.review.plots import colour_of
 from hil.review.reader import RecordedRun
 from hil.review.shown import Shown
 
-_RUN_VERDICTS = {True: ("PASSED", "passed"), None: ("NO VERDICT", "note"), False: ("FAILED", "failed")}
+_COLOURS = {True: "passed", None: "note", False: "failed"}
+_BAD = ("failed", "ended", "allow", "moved", "no fault")
+_FIRST_SHOWN = 12
 _VERDICTS = {True: "held", None: "not judged", False: "failed"}
 
 
@@ -36,7 +40,8 @@ def page(runs: Sequence[RecordedRun], figures: Sequence[Mapping[str, Any]], toge
     drawn = charts(shown, () if together is None else together.signals)
     first, *others = [list(place(chart, n)) for n, chart in enumerate(drawn)] or [[]]
     parts = [
-        *_head(labels, runs, figures),
+        *_head(labels, figures),
+        *_changes(labels, runs),
         *_alignment(labels, together),
         *first,
         *(_figures(figures[0]) if len(runs) == 1 else _differences(labels, differences(*figures))),
@@ -58,14 +63,12 @@ def _labels(figures: Sequence[Mapping[str, Any]]) -> list[str]:
     return ["first", "second"][: len(figures)]
 
 
-def _head(labels: Sequence[str], runs: Sequence[RecordedRun], figures: Sequence[Mapping[str, Any]]) -> Iterator[str]:
-    """Yield for each run the verdict with its reasons, what failed first, then what ran."""
-    for label, run, one in zip(labels, runs, figures, strict=True):
-        verdict, kind = _RUN_VERDICTS[one["passed"]]
+def _head(labels: Sequence[str], figures: Sequence[Mapping[str, Any]]) -> Iterator[str]:
+    """Yield for each run the verdict with what went wrong, in order of time, then what ran."""
+    for label, one in zip(labels, figures, strict=True):
         name = f"{label}: " if len(figures) > 1 else ""
-        yield f'<p class="verdict {kind}">{escape(name + verdict + _when(run, one))}</p>'
-        if why := list(_why(one)):
-            yield f"<ol>{''.join(f'<li>{escape(sentence)}</li>' for sentence in why)}</ol>"
+        yield f'<p class="verdict {_COLOURS[one["passed"]]}">{escape(f"{name}{verdict_word(one)}{_when(one)}")}</p>'
+        yield from _happenings(one)
         made = one["made"]
         known = (("version", "mecanum_hil"), ("commit", "commit"), ("on", "machine"))
         by = " ".join(f"{word} {made[key]}" for word, key in known if key in made)
@@ -90,23 +93,26 @@ def _alignment(labels: Sequence[str], together: Aligned | None) -> Iterator[str]
     yield from table(head, cells, numbers=(1, 2, 3))
 
 
-def _when(run: RecordedRun, figures: Mapping[str, Any]) -> str:
+def _when(figures: Mapping[str, Any]) -> str:
     """Return when a run failed first or ended, or what held in one that passed."""
-    rows = figures["expect"] or ()
     if figures["passed"]:
+        rows = figures["expect"] or ()
         held = sum(row["passed"] is True for row in rows)
         return f": {held} of {len(rows)} expectations held" if rows else ": nothing was expected of it"
-    times = [row["violation_s"] for row in rows if row["passed"] is False and row["violation_s"] is not None]
-    if figures["failure"] is not None and len(run.signals["loop.t_s"]):
-        times.append(float(run.signals["loop.t_s"][-1]))
+    times = [one.t_s for one in happenings(figures) if one.kind in _BAD and math.isfinite(one.t_s)]
     return f" at t = {min(times):.4g} s" if times else ""
 
 
-def _why(figures: Mapping[str, Any]) -> Iterator[str]:
-    """Yield a sentence for each reason why a run did not pass."""
-    rows = {name: figures[name] or () for name in ("expect", "allow", "fault")}
-    if figures["passed"] is not True:
-        yield from (sentence for _, sentence in why_not_passed({**figures, **rows}))
+def _happenings(figures: Mapping[str, Any]) -> Iterator[str]:
+    """Yield what went wrong in a run, and what may explain it, in order of time."""
+    found, cells = happenings(figures), []
+    for one in found[:_FIRST_SHOWN]:
+        kind = mark(one.kind, good=False) if one.kind in _BAD else f'<span class="note">{escape(one.kind)}</span>'
+        cells.append((f"{one.t_s:.4g} s" if math.isfinite(one.t_s) else "", kind, escape(one.text)))
+    if cells:
+        yield from table(("t", "", "what happened"), cells, numbers=(0,))
+    if len(found) > _FIRST_SHOWN:
+        yield f'<p class="about">{len(found) - _FIRST_SHOWN} more are below.</p>'
 
 
 def _outcomes(figures: Mapping[str, Any]) -> Iterator[str]:
@@ -136,23 +142,21 @@ def _differences(labels: Sequence[str], rows: Sequence[Difference]) -> Iterator[
     def number(value: float | None, form: str, row: Difference) -> str:
         return "-" if value is None else escape(f"{value * row.scale:{form}} {row.unit}".rstrip())
 
+    def cells(row: Difference) -> tuple[str, ...]:
+        numbers = (number(row.first, ".5g", row), number(row.second, ".5g", row), number(row.difference, "+.4g", row))
+        return escape(row.label), *numbers, f'<span class="{row.verdict or ""}">{row.verdict or ""}</span>'
+
+    head = ("figure", *map(escape, labels), "difference", f"{escape(labels[1])} is")
+    told = [row for verdict in ("worse", "better", None) for row in rows if row.verdict == verdict]
+    told = [row for row in told if not row.of_machine and (row.verdict or row.difference != 0)]
     yield "<h2>Figures</h2>"
-    yield from table(
-        ("figure", *map(escape, labels), "difference", f"{escape(labels[1])} is"),
-        [
-            (
-                escape(row.label),
-                number(row.first, ".5g", row),
-                number(row.second, ".5g", row),
-                number(row.difference, "+.4g", row),
-                f'<span class="{row.verdict or ""}">{row.verdict or ""}</span>',
-            )
-            for row in rows
-        ],
-        numbers=(1, 2, 3),
-    )
-    notes = dict.fromkeys(f"{row.label}: {note}" for row in rows for note in row.notes)
+    yield from table(head, map(cells, told), numbers=(1, 2, 3))
+    notes = dict.fromkeys(f"{row.label}: {note}" for row in told for note in row.notes)
     yield from (f'<p class="note">{escape(note)}</p>' for note in notes)
+    if rest := [row for row in rows if row not in told]:
+        yield f"<details><summary>{len(rest)} that are the same, or of this machine</summary>"
+        yield from table(head, map(cells, rest), numbers=(1, 2, 3))
+        yield "</details>"
 
 
 def _links(labels: Sequence[str], figures: Sequence[Mapping[str, Any]]) -> Iterator[str]:
@@ -177,12 +181,16 @@ def _events(labels: Sequence[str], figures: Sequence[Mapping[str, Any]]) -> Iter
     yield from table(("t [s]", "run", "level", "event"), cells, numbers=(0,)) if cells else ["<p>None.</p>"]
 
 
-def _scenario(labels: Sequence[str], runs: Sequence[RecordedRun]) -> Iterator[str]:
-    """Yield every value of the scenario with its source; of two runs, first what differs."""
+def _changes(labels: Sequence[str], runs: Sequence[RecordedRun]) -> Iterator[str]:
+    """Yield what was changed between two runs."""
     if len(runs) > 1:
-        yield "<h2>What is different</h2>"
+        yield "<h2>What was changed</h2>"
         cells = _escaped(change.words() for change in changes(*runs))
         yield from table(("", *map(escape, labels)), cells) if cells else ["<p>Nothing.</p>"]
+
+
+def _scenario(labels: Sequence[str], runs: Sequence[RecordedRun]) -> Iterator[str]:
+    """Yield every value of the scenario with its source."""
     for label, run in zip(labels, runs, strict=True):
         name = f" of {label}" if len(runs) > 1 else ""
         yield f"<h2>Scenario{escape(name)}</h2>"

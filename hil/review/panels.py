@@ -9,6 +9,7 @@ import numpy as np
 
 from hil.core.signals import unit_of
 from hil.core.types import WHEEL_NAMES
+from hil.judge.claims import signals_of
 from hil.record.layout import REFERENCE_COLOUR, Colour
 from hil.review.alignment import SignalDifference
 from hil.review.charts import Band, Chart, Lane, Line, Mark, Panel
@@ -52,7 +53,7 @@ _PALE: Colour = (150, 150, 150)
 def read_for_page(path: Path, more: Collection[str] = ()) -> RecordedRun:
     """Read a recording: the signals for its figures and its page, and those of ``more``. Raises BadInputError."""
     run = read_for_figures(path, {*SIGNALS, *more})
-    wanted = {name for row in expected(run) for name in (row.signal, row.of) if name is not None}
+    wanted = {name for row in expected(run) for name in signals_of(row)}
     wanted |= {name for names in shadow_signals(run.held).values() for name in names.values()}
     further = (wanted & set(run.held)) - run.signals.keys()
     return read_for_figures(path, {*SIGNALS, *more, *further}) if further else run

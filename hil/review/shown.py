@@ -54,7 +54,7 @@ class Shown:
 
     def bounds(self, name: str, scale: float = 1.0) -> Iterator[Line]:
         """Yield the limits of a signal, each over its time."""
-        for label, values in bounds(self.run, [name]).get(name, ()):
+        for label, values in bounds(self.run, name):
             yield self.curve(scale * values[self._kept], label, ALARM_COLOUR, dash="dot", width_px=1.2, in_title=False)
 
     def limits(self, key: str) -> Iterator[Line]:
