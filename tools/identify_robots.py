@@ -71,6 +71,9 @@ def outcome(seed: int, plant: str) -> dict[str, Any]:
         "plant": plant,
         "chosen": result.chosen.contact,
         "error": {name: _error(one, true[name]) for name, one in found.items()},
+        "width": {
+            name: (one.high - one.low) / 2.0 / (1.0 if name in _LENGTHS else true[name]) for name, one in found.items()
+        },
         "held": {name: one.low <= true[name] <= one.high for name, one in found.items()},
         "before_m": result.before.rms_m,
         **{f"{model.contact}_m": model.held_out.rms_m for model in result.models},

@@ -17,6 +17,7 @@ from hil.identify.recorded import Array, Drive
 from hil.identify.robust import regression
 
 _BIN_S = 0.1
+_HALF_S = 0.02  # a speed is the mean over this time before and after
 _SLOWEST_RAD_S = 0.3
 _CLUSTER_BINS = 10
 _LEAST_BINS = 40
@@ -44,14 +45,17 @@ def fit_blocks(drive: Drive, torque_constant_n_m_a: float) -> BlocksFit:
     if not drive.has_currents:
         raise BadInputError(f"{drive.path}: the robot measured no currents; blocks tell nothing without them")
     rows = max(1, round(_BIN_S / drive.period_s))
-    ends = np.arange(2, len(drive.time_s) - 2, rows)
+    half = max(1, round(_HALF_S / drive.period_s))
+    margin = half + 2
+    ends = np.arange(margin, len(drive.time_s) - margin, rows)
     span_s = rows * drive.period_s
-    # The mean of the next rows, where a row has what passed since the one before.
-    summed = np.concatenate([np.zeros((1, 4)), np.cumsum(drive.current_a * drive.period_s, axis=0)])
-    impulse = torque_constant_n_m_a * np.diff(summed[ends + 1], axis=0)
+    # A speed is a mean over time, so impulses and angles are averaged over the same time: else J would be too large.
+    impulses = torque_constant_n_m_a * np.cumsum(drive.current_a * drive.period_s, axis=0)
+    impulse = np.diff(_averaged(impulses, half)[ends], axis=0)
+    change = np.diff(_speed(drive, half)[ends], axis=0)
+    turned = np.diff(_averaged(drive.angle_rad, half)[ends], axis=0)
     speed = drive.speed_rad_s
-    change, turned = np.diff(speed[ends], axis=0), np.diff(drive.angle_rad[ends], axis=0)
-    least = np.stack([np.abs(speed[a : b + 1]).min(axis=0) for a, b in pairwise(ends)])
+    least = np.stack([np.abs(speed[a - half : b + half + 1]).min(axis=0) for a, b in pairwise(ends)])
     same = np.sign(speed[ends[:-1]]) == np.sign(speed[ends[1:]])
     used = same & (least > _SLOWEST_RAD_S)
     for wheel, count in zip(WHEEL_NAMES, used.sum(axis=0), strict=True):
@@ -66,7 +70,7 @@ def fit_blocks(drive: Drive, torque_constant_n_m_a: float) -> BlocksFit:
     design[np.arange(len(bins)), 2 + wheels] = np.sign(turned[used]) * span_s
     # Speeds of other samples have the same motion and other noise: without them noise would make J smaller.
     instrument = design.copy()
-    instrument[:, 0] = np.diff(_wider(drive)[ends], axis=0)[used]
+    instrument[:, 0] = np.diff(_speed(drive, half + 2)[ends], axis=0)[used]
     found, covariance = regression(design, impulse[used], instrument, bins // _CLUSTER_BINS)
     if found[0] <= 0.0 or found[1] <= 0.0:
         raise BadInputError(
@@ -76,8 +80,17 @@ def fit_blocks(drive: Drive, torque_constant_n_m_a: float) -> BlocksFit:
     return BlocksFit(float(found[0]), float(found[1]), found[2:], covariance)
 
 
-def _wider(drive: Drive) -> Array:
-    """Return wheel speeds from angles two feedbacks before and after, of shape (n, 4)."""
-    angle = np.pad(drive.angle_rad, ((2, 2), (0, 0)), mode="edge")
-    speed: Array = (angle[4:] - angle[:-4]) / (4.0 * drive.period_s)
+def _speed(drive: Drive, half: int) -> Array:
+    """Return the mean wheel speeds from so many feedbacks before to as many after, of shape (n, 4)."""
+    angle = np.pad(drive.angle_rad, ((half, half), (0, 0)), mode="edge")
+    speed: Array = (angle[2 * half :] - angle[: -2 * half]) / (2.0 * half * drive.period_s)
     return speed
+
+
+def _averaged(series: Array, half: int) -> Array:
+    """Return the means of a series (n, 4) over the same times, by the trapezoidal rule."""
+    sums = np.cumsum(np.pad(series, ((half + 1, half), (0, 0)), mode="edge"), axis=0)
+    ends = np.pad(series, ((half, half), (0, 0)), mode="edge")
+    whole = sums[2 * half + 1 :] - sums[: -2 * half - 1]
+    mean: Array = (whole - 0.5 * (ends[2 * half :] + ends[: -2 * half])) / (2.0 * half)
+    return mean

@@ -32,7 +32,7 @@ _SQUEEZE_RAD_S = 0.2
 _SQUEEZE_S = 8.0
 _SLIDING_LOOP_1_S = 40.0
 _REACHED_S = 2.0  # until the speed loop has wound up to the torque limit
-_FLOOR_HZ = (0.06, 2.6)
+_FLOOR_HZ = (0.03, 2.6)
 _HELD_OUT_HZ = (0.08, 1.8)
 _WHEELS_RAD_S = 12.0  # on blocks
 _OURS = ("mecanum", "mecanum_mujoco")
@@ -45,8 +45,8 @@ class Plan:
 
     room_m: float = 3.0
     grip: float = 0.5
-    blocks_s: float = 25.0
-    floor_s: float = 60.0
+    blocks_s: float = 40.0
+    floor_s: float = 120.0
     held_out_s: float = 24.0
     seed: int = 1
 
@@ -126,8 +126,8 @@ def _blocks(scenario: Scenario, plan: Plan) -> dict[str, object]:
     lifted = {f"plant.start.wheel.{wheel}.lifted": 1.0 for wheel in WHEEL_NAMES}
     return {
         **_multisine(
-            speed_m_s=speed, acceleration_m_s2=6.0 * speed, yaw_rate_rad_s=0.0, room_m=1000.0,
-            highest_hz=2.0, seed=plan.seed, rest_s=1.0,
+            speed_m_s=speed, acceleration_m_s2=25.0 * speed, yaw_rate_rad_s=0.0, room_m=1000.0,
+            lowest_hz=0.3, highest_hz=3.0, seed=plan.seed, rest_s=1.0,
         ),
         **_loop(robot.wheel_inertia_kg_m2, 2.0),
         **(lifted if scenario.plant.fmu in _OURS else {}),

@@ -4,12 +4,14 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
-from hil.identify.fit import INFLATION, Result, values_of
+from hil.identify.fit import WITHOUT_BLOCKS, Result, values_of
 from hil.identify.floor import GAINS, GYRO_BIAS
 from hil.identify.robust import Z_95
 
 SCALED = ("mass_kg", "inertia_kg_m2", "wheel_inertia_kg_m2", "viscous_n_m_s_rad")
 """What drives tell only over the torque constant: all of them in proportion to it."""
+SHARED = (*SCALED, "friction_coefficient")
+"""What mass and wheels share, and drives on the floor hardly tell apart."""
 TORQUE_CONSTANT = "torque_constant_n_m_a"
 Status = Literal["identified", "effective", "weighed", "believed"]
 WIDE = 0.1
@@ -39,14 +41,14 @@ class Estimate(NamedTuple):
 def estimates(result: Result, weighed_kg: float | None = None) -> tuple[Estimate, ...]:
     """Return the values of the chosen model. ``weighed_kg`` is the mass on a scale: it gives the torque constant.
 
-    Intervals are sandwiches over windows, widened by ``INFLATION``, which was measured on random robots.
+    Intervals are sandwiches over windows. Those of ``SHARED`` are widened without blocks, by ``WITHOUT_BLOCKS``.
     """
     model, constant = result.chosen, result.torque_constant_n_m_a
     names = [one.name for one in model.parameters]
     values = values_of(model)
     mass, covariance = names.index("mass_kg"), model.solution.covariance
     factor = 1.0 if weighed_kg is None else weighed_kg / values["mass_kg"]
-    widened = Z_95 * INFLATION[result.blocks is not None]
+    without = 1.0 if result.blocks is not None else WITHOUT_BLOCKS
     found = []
     for place, parameter in enumerate(model.parameters):
         if parameter is GYRO_BIAS or parameter in GAINS:
@@ -55,7 +57,7 @@ def estimates(result: Result, weighed_kg: float | None = None) -> tuple[Estimate
         if weighed_kg is not None and name in SCALED:
             value *= factor
             variance += covariance[mass, mass] - 2.0 * covariance[place, mass]
-        half = widened * float(np.sqrt(max(variance, 0.0)))
+        half = Z_95 * (without if name in SHARED else 1.0) * float(np.sqrt(max(variance, 0.0)))
         if parameter.unit is None:
             low, high, wide = value * np.exp(-half), value * np.exp(half), half > WIDE
         else:
@@ -65,7 +67,7 @@ def estimates(result: Result, weighed_kg: float | None = None) -> tuple[Estimate
         if status in ("weighed", "believed"):
             low = high = value
         found.append(Estimate(name, float(value), float(low), float(high), status, why))
-    half = widened * float(np.sqrt(covariance[mass, mass]))
+    half = Z_95 * without * float(np.sqrt(covariance[mass, mass]))
     if weighed_kg is None:
         words = "weigh the robot (--mass): it settles the scale of mass, inertias and friction"
         found.append(Estimate(TORQUE_CONSTANT, constant, constant, constant, "believed", words))

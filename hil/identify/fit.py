@@ -19,7 +19,7 @@ from hil.identify.held_out import Prediction, predict
 from hil.identify.identifiability import Outlook, check_excitation, outlook
 from hil.identify.kinematics import Kinematics, fit_kinematics, with_geometry
 from hil.identify.recorded import Array, Drive
-from hil.identify.squeeze import grip_of
+from hil.identify.squeeze import Squeeze, grip_of
 from hil.identify.windows import Windows, cut
 from hil.plant.start import Value
 
@@ -27,8 +27,8 @@ RIGID = (
     variable("mass_kg"),
     variable("inertia_kg_m2"),
     variable("wheel_inertia_kg_m2"),
-    variable("com_x_m", 0.01),
-    variable("com_y_m", 0.01),
+    variable("com_x_m", 0.05),
+    variable("com_y_m", 0.05),
     variable("friction_coefficient"),
     variable("viscous_n_m_s_rad"),
 )
@@ -37,11 +37,12 @@ LENGTHS = ("wheel_radius_m", "lever_m")
 _FIRST = {"friction_coefficient": 0.02, "viscous_n_m_s_rad": 0.02, "grip_coefficient": 0.7,
           "roller_friction_coefficient": 0.01, "com_x_m": 0.0, "com_y_m": 0.0}  # fmt: skip
 _WIDEST = 6.0
-_GRIP_SIGMA = 0.3  # of its logarithm, without a squeeze: rubber on floors
+_SMALL = 1e-3
+_GRIP_SIGMA = 0.3  # of its logarithm: rubber on floors
 _ROLLER_SIGMA = 1.0
 _MOST_SLIP_WINDOWS = 60
-INFLATION = {True: 1.5, False: 2.8}
-"""By which intervals are widened, with and without wheels on blocks: measured on random robots (METHOD.md)."""
+WITHOUT_BLOCKS = 2.5
+"""By which intervals of what mass and wheels share are widened without wheels on blocks, measured on random robots."""
 
 
 class Fitted(NamedTuple):
@@ -120,16 +121,17 @@ def fit(
     robot = replace(first.robot, **with_geometry(first.robot, kinematics))
     on_blocks = None if blocks is None else fit_blocks(blocks, torque_constant)
     windows = [cut(drive, robot) for drive in floor]
-    known = _Before(robot, torque_constant, kinematics, on_blocks, measured.gain_variance, None)
+    known = _Before(robot, torque_constant, kinematics, on_blocks, measured.gain_variance)
     seen = _prospect(known, windows)
     models: list[Fitted] = []
-    notes = [*measured.sentences]
+    notes, grip = [*measured.sentences], None
     for contact in contacts:
-        if models and squeeze is not None:
-            squeezed = grip_of(squeeze, robot, values_of(models[0]), torque_constant)
-            notes.append(squeezed.sentence)
-            known = known._replace(grip=squeezed.grip)
-        models.append(_fit_model(contact, windows, known, models[0] if models else None, held_out))
+        model = _fit_model(contact, windows, known, models[0] if models else None, held_out)
+        if contact == "slip" and squeeze is not None:
+            # Friction has to be known without that of the rollers, so the model without slip does not do.
+            model, grip, sentence = _squeezed(model, squeeze, known, held_out)
+            notes.append(sentence)
+        models.append(model)
     believed = _shared("rigid") | _geometry(first.robot)
     believed |= {name: getattr(first.robot, name) for name in ("mass_kg", "inertia_kg_m2", "wheel_inertia_kg_m2")}
     believed["friction_coefficient"] = first.robot.friction_coefficient
@@ -147,7 +149,7 @@ def fit(
         tuple(models),
         chosen,
         prediction,
-        known.grip,
+        grip,
         tuple(notes),
     )
 
@@ -180,7 +182,6 @@ class _Before(NamedTuple):
     kinematics: Kinematics
     blocks: BlocksFit | None
     gain_variance: Array
-    grip: tuple[float, float] | None
 
     def parameters(self, contact: str) -> tuple[Parameter, ...]:
         """Return what is fitted, then radius, lever, the currents' gains and the gyro's bias."""
@@ -199,8 +200,6 @@ class _Before(NamedTuple):
                 "wheel_inertia_kg_m2": self.blocks.inertia_kg_m2,
                 "viscous_n_m_s_rad": self.blocks.viscous_n_m_s_rad,
             }
-        if self.grip is not None:
-            first["grip_coefficient"] = self.grip[0]
         return np.array([one.internal(first[one.name]) for one in parameters])
 
 
@@ -235,6 +234,39 @@ def _fit_model(
     with contextlib.ExitStack() as opened:
         floors = _opened(before, contact, parameters, windows, opened)
         solution = solve(floors, point, bounds=(point - _WIDEST, point + _WIDEST), known=known)
+    return _judged(contact, parameters, solution, before, held_out)
+
+
+def _squeezed(
+    model: Fitted, squeeze: Drive, before: "_Before", held_out: Drive
+) -> tuple[Fitted, tuple[float, float] | None, str]:
+    """Return a model with a squeeze's grip in place of the floor's, which hardly shows it; the grip; and a sentence."""
+
+    def found(numbers: Array) -> Squeeze:
+        values = values_of(model._replace(solution=model.solution._replace(parameters=numbers)))
+        return grip_of(squeeze, before.robot, values, before.torque_constant_n_m_a)
+
+    numbers, covariance = model.solution.parameters.copy(), model.solution.covariance.copy()
+    squeezed = found(numbers)
+    if squeezed.grip is None:
+        return model, None, squeezed.sentence
+    value, sigma = squeezed.grip
+    # What is not known of loads and friction is not known of the grip either.
+    others = [found(numbers + row).grip or squeezed.grip for row in np.eye(len(numbers)) * _SMALL]
+    slopes = (np.array([grip for grip, _ in others]) - value) / _SMALL
+    sigma = float(np.sqrt(sigma**2 + slopes @ covariance @ slopes))
+    place = [one.name for one in model.parameters].index("grip_coefficient")
+    numbers[place] = model.parameters[place].internal(value)
+    covariance[place], covariance[:, place] = 0.0, 0.0
+    covariance[place, place] = (sigma / value) ** 2
+    solution = model.solution._replace(parameters=numbers, covariance=covariance)
+    return _judged(model.contact, model.parameters, solution, before, held_out), (value, sigma), squeezed.sentence
+
+
+def _judged(
+    contact: str, parameters: tuple[Parameter, ...], solution: Solution, before: "_Before", held_out: Drive
+) -> Fitted:
+    """Return a model with its start values and its error on the held-out drive."""
     start = _shared(contact)
     for one, number in zip(parameters, solution.parameters, strict=True):
         start |= {name: float(factor * one.value(number)) for name, factor in one.variables.items()}
@@ -252,7 +284,7 @@ def values_of(model: Fitted) -> dict[str, float]:
 
 def _known(parameters: Sequence[Parameter], point: Array, before: _Before) -> Knowledge:
     """Return what else was found: lengths and gains are held, and blocks and squeeze count as measurements."""
-    names, blocks, grip = [one.name for one in parameters], before.blocks, before.grip
+    names, blocks = [one.name for one in parameters], before.blocks
     known = Knowledge.none(len(names))._replace(mean=point.copy())
     held = [names.index(name) for name in LENGTHS]
     known.held[held] = True
@@ -268,7 +300,6 @@ def _known(parameters: Sequence[Parameter], point: Array, before: _Before) -> Kn
         rows = np.concatenate([np.eye(2), np.full((2, len(gains)), -1.0 / len(gains))], axis=1)
         known.information[np.ix_(places, places)] = rows.T @ inverted(covariance) @ rows
     if "grip_coefficient" in names:
-        sigma = _GRIP_SIGMA if grip is None else grip[1] / grip[0]
-        known.information[(names.index("grip_coefficient"),) * 2] = sigma**-2
+        known.information[(names.index("grip_coefficient"),) * 2] = _GRIP_SIGMA**-2
         known.information[(names.index("roller_friction_coefficient"),) * 2] = _ROLLER_SIGMA**-2
     return known

@@ -152,7 +152,11 @@ def solve(
         elif change < _DONE or cost - now < _FLAT:
             break
     sigmas = [_sigmas(one, point, start) for one, start in zip(experiments, starts, strict=True)]
-    locals_ = [_at(*args, point, np.ones_like(free)) for args in zip(experiments, starts, sigmas, strict=True)]
+    every = np.ones_like(free)
+    locals_ = [
+        _smooth(*(_at(*args, point, every, way=way) for way in (1.0, -1.0)))
+        for args in zip(experiments, starts, sigmas, strict=True)
+    ]
     _, information, scatter = _normal(locals_, len(point))
     # The curvature of Huber's loss itself: its weights would make intervals a tenth too narrow.
     curved = [local._replace(jacobian=local.jacobian * local.inside[..., None]) for local in locals_]
@@ -232,16 +236,17 @@ def _at(
     varied: npt.NDArray[np.bool_],
     *,
     by: Literal["start", "guess", "nothing"] = "start",
+    way: float = 1.0,
 ) -> _Local:
     """Linearise an experiment in the parameters that are ``varied``; its derivatives by the others are zero.
 
     Residuals from the starts say what are outliers, or where these are a guess, what is left by the best starts; or no
-    residual is one.
+    residual is one. ``way`` is the side to which the parameters are varied: 1 or -1.
     """
     places, own = np.flatnonzero(varied), starts.shape[1]
     count = len(places)
     sets = np.repeat(point[None], 1 + count + own, axis=0)
-    sets[1 + np.arange(count), places] += _STEP
+    sets[1 + np.arange(count), places] += way * _STEP
     moved = np.repeat(starts[None], len(sets), axis=0)
     for place, step in enumerate(experiment.start_steps):
         moved[1 + count + place, :, place] += step
@@ -249,13 +254,26 @@ def _at(
     residual = (experiment.measured - predicted[0]) / sigma
     changes = np.moveaxis((predicted[1:] - predicted[0]) / sigma, 0, -1)
     jacobian, by_start = np.zeros((*residual.shape, len(point))), changes[..., count:] / experiment.start_steps
-    jacobian[..., places] = changes[..., :count] / _STEP
+    jacobian[..., places] = changes[..., :count] / (way * _STEP)
     left = residual if by == "start" else _projected(by_start, residual[..., None])[..., 0]
     weights = np.ones_like(left) if by == "nothing" else huber_weights(left)
     roots = np.sqrt(weights)
     weighted, jacobian, by_start = residual * roots, jacobian * roots[..., None], by_start * roots[..., None]
     reduced = _projected(by_start, np.concatenate([weighted[..., None], jacobian], axis=2))
     return _Local(residual, weighted, reduced[..., 0], reduced[..., 1:], jacobian, by_start, weights == 1.0)
+
+
+def _smooth(forward: _Local, backward: _Local) -> _Local:
+    """Return the mean of both sides' derivatives, without the windows in which they do not agree.
+
+    A wheel that just sticks or not makes a prediction jump. Over a small step that looks like a huge derivative, and
+    one such window would claim to know a parameter better than all the others together.
+    """
+    sizes = [np.einsum("wmp->wp", one.jacobian**2) for one in (forward, backward)]
+    usual = np.mean(np.minimum(*sizes), axis=0)
+    agree = (np.einsum("wmp->wp", (forward.jacobian - backward.jacobian) ** 2) <= usual).all(axis=1)
+    mean = 0.5 * (forward.jacobian + backward.jacobian) * agree[:, None, None]
+    return forward._replace(jacobian=mean)
 
 
 def _projected(by_start: Array, columns: Array) -> Array:

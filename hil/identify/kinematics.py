@@ -15,7 +15,7 @@ from hil.identify.gauss_newton import Knowledge, Solution, inverted, solve
 from hil.identify.recorded import Array, Drive, integral
 from hil.identify.windows import rolled
 
-WINDOW_S = 12.0
+WINDOW_S = 30.0
 _PAIR_S = 1.0
 _LEAST_FIXES = 40
 _LEAST_TURN_RAD = 1.0

@@ -14,7 +14,7 @@ import numpy as np
 from hil.core.clock import TICK_NS
 from hil.core.errors import BadInputError
 from hil.identify.estimates import WIDE, Estimate
-from hil.identify.fit import INFLATION
+from hil.identify.fit import WITHOUT_BLOCKS
 from hil.identify.floor import TWIST, Floor, Parameter
 from hil.identify.gauss_newton import Knowledge, solve
 from hil.identify.recorded import Array, Drive
@@ -143,7 +143,7 @@ def _error_rad_s(experiment: Floor, parameters: Array) -> float:
 
 
 def _estimate(parameter: Parameter, number: float, sigma: float) -> Estimate:
-    half = Z_95 * INFLATION[False] * sigma
+    half = Z_95 * WITHOUT_BLOCKS * sigma
     low, value, high = (float(parameter.value(number + sign * half)) for sign in (-1.0, 0.0, 1.0))
     if half > WIDE:
         return Estimate(parameter.name, value, low, high, "effective", "its interval is wide")

@@ -21,21 +21,20 @@ PATTERN = (1.0, 1.0, -1.0, -1.0)
 _SLOWEST_RAD_S = 0.1
 _FASTEST_RAD_S = 1.5
 _LEAST_S = 1.0
-_SHARE_SIGMA = 0.05  # of the grip: loads shift, and rollers resist
-_ROLLER = 0.01
+_SHARE_SIGMA = 0.005  # of the grip: the wheels' loads shift a little while they slide
 _LEAST_GRIP = 0.02
 _LEAST_LOAD = 0.2  # of a quarter of the weight
 
 
 class Squeeze(NamedTuple):
-    """What a squeeze found: the grip coefficient with its standard deviation, or None and why."""
+    """What a squeeze found: the grip coefficient with its standard deviation for these values, or None and why."""
 
     grip: tuple[float, float] | None
     sentence: str
 
 
 def grip_of(drive: Drive, robot: RobotModel, values: Mapping[str, float], torque_constant_n_m_a: float) -> Squeeze:
-    """Return the grip; ``values`` are those of a fitted model without slip, ``robot`` has the lengths."""
+    """Return the grip; ``values`` are those of a fitted model with slip, ``robot`` has the lengths."""
     sliding = drive.speed_rad_s @ np.array(PATTERN) / 4.0 > _SLOWEST_RAD_S
     count = int(sliding.sum())
     if count * drive.period_s < _LEAST_S:
@@ -68,4 +67,4 @@ def _grip(torque_n_m: float, speed_rad_s: float, values: Mapping[str, float], ro
     least = 1.0 - abs(values["com_x_m"]) / robot.half_length_m - abs(values["com_y_m"]) / robot.half_width_m
     net = torque_n_m - values["viscous_n_m_s_rad"] * speed_rad_s
     push = net / weight_n_m - values["friction_coefficient"]
-    return math.sqrt(2.0) * push / max(least, _LEAST_LOAD) - _ROLLER
+    return math.sqrt(2.0) * push / max(least, _LEAST_LOAD) - values["roller_friction_coefficient"]

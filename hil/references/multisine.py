@@ -18,6 +18,7 @@ from hil.references.motion import Phase, at_rest, motion_through, ramped
 
 _SAMPLED_S = 120.0
 _SAMPLE_S = 0.01
+_SLOW_HZ = 0.1
 _MARGIN = 0.97  # between two samples a sum of sines is a little higher
 
 
@@ -26,7 +27,8 @@ class Multisine:
     """Sines of many frequencies on x, y and heading at once, within a room and limits of its own: for hil identify.
 
     The speed of a tone falls with the root of its frequency; the frequencies ascend by a constant factor from
-    ``lowest_hz`` to ``highest_hz``, those of the three axes in turn. Phases are random, by ``seed``. x and y are scaled
+    ``lowest_hz`` to ``highest_hz``, those of the three axes in turn. Phases are random, by ``seed``; but tones below
+    0.1 Hz begin at their highest or lowest speed, so that they swing about the start and use the room. x and y are scaled
     by one factor, so that the first of three limits is met: ``speed_m_s``, ``acceleration_m_s2``, and ``room_m``, the
     side of the square in which the robot's centre stays, with the start in its middle. The heading is scaled by
     ``yaw_rate_rad_s`` and ``yaw_acceleration_rad_s2``. Limits hold for the first two minutes. The robot rests for
@@ -98,6 +100,7 @@ def _tones(options: Multisine) -> tuple[tuple[_Tone, ...], ...]:
     ladder = np.geomspace(options.lowest_hz, options.highest_hz, 3 * count) * math.tau
     phases = random.uniform(0.0, math.tau, (3, count))
     frequencies = np.stack([ladder[axis::3] for axis in range(3)])
+    phases = np.where(frequencies < _SLOW_HZ * math.tau, np.where(phases < math.pi, 0.0, math.pi), phases)
     t_s = np.arange(0.0, _SAMPLED_S, _SAMPLE_S)
     shares = np.sqrt(frequencies[:, :1] / frequencies)
     sampled = [_sampled(t_s, *one) for one in zip(shares, frequencies, phases, strict=True)]
