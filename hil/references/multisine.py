@@ -28,9 +28,9 @@ class Multisine:
 
     The speed of a tone falls with the root of its frequency; the frequencies ascend by a constant factor from
     ``lowest_hz`` to ``highest_hz``, those of the three axes in turn. Phases are random, by ``seed``; but tones below
-    0.1 Hz begin at their highest or lowest speed, so that they swing about the start and use the room. x and y are scaled
-    by one factor, so that the first of three limits is met: ``speed_m_s``, ``acceleration_m_s2``, and ``room_m``, the
-    side of the square in which the robot's centre stays, with the start in its middle. The heading is scaled by
+    0.1 Hz begin at their fastest, so that they swing about the start and use the room. x and y are scaled by one
+    factor, so that the first of three limits is met: ``speed_m_s``, ``acceleration_m_s2``, and ``room_m``, the side of
+    the square in which the robot's centre stays, with the start in its middle. The heading is scaled by
     ``yaw_rate_rad_s`` and ``yaw_acceleration_rad_s2``. Limits hold for the first two minutes. The robot rests for
     ``rest_s``, and then begins within ``ramp_s``.
     """
