@@ -1,23 +1,34 @@
 """The host's end of a serial line, in the firmware's C: takes a fifth of the time of ``firmware_protocol.framing``."""
 
-from collections.abc import Callable
+import functools
+from collections.abc import Callable, Sequence
 
 from firmware_protocol.fast_calls import fast_call
 from firmware_protocol.framing import CAUSES, PACKED_HEADERS, Frame, PackedFrames, unsendable
 from firmware_protocol.host import library
 
 _MOST_AT_ONCE = 1 << 12  # bytes passed to the library in one call
-_NOTHING = PackedFrames(b"")
 _OF_NOISE = slice(8, None)  # of the bytes of wheel_line_counts
 _MOST_TO_SEND = 1 << 10  # packed bytes
 
 
-def split(frames: PackedFrames, limit: int) -> tuple[PackedFrames, PackedFrames]:
-    """Return the frames with an id below ``limit``, and the others, each in their order."""
-    below, others = fast_call("split")(frames.packed, limit)
+def split(frames: PackedFrames, limit: int) -> tuple[Sequence[Frame], Sequence[Frame]]:
+    """Return the frames with an id below ``limit``, and the others, each in their order; ``()`` for none."""
+    below, others = _fast("split")(frames.packed, limit)
     if not others:
-        return frames, _NOTHING
-    return (PackedFrames(below), PackedFrames(others)) if below else (_NOTHING, frames)
+        return frames, ()
+    return (PackedFrames(below), PackedFrames(others)) if below else ((), frames)
+
+
+def each_of(frames: Sequence[Frame]) -> Sequence[Frame]:
+    """Return frames one by one; packed ones in a fifth of the time that it takes to iterate over them."""
+    if type(frames) is not PackedFrames:
+        return frames
+    unpacked: tuple[Frame, ...] = _fast("frames")(frames.packed, Frame)
+    return unpacked
+
+
+_fast = functools.cache(fast_call)
 
 
 class HostLine:

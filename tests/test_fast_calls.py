@@ -3,37 +3,20 @@
 import math
 import sys
 import tracemalloc
-from collections.abc import Callable
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from firmware_protocol.client import Client
 from firmware_protocol.codec import encode
 from firmware_protocol.fast_calls import RowLayout, Scaled, fast_call
-from firmware_protocol.fast_tuples import Choice, Tuple, fields_of, tuple_maker
-from firmware_protocol.framing import Frame, Framer, pack
+from firmware_protocol.framing import Frame, Framer, PackedFrames, pack
 from firmware_protocol.generated import messages as m
-from firmware_protocol.host import library
-from firmware_protocol.host_line import HostLine
-from hil.core import makers
-from hil.core.signals import LoopSignals
+from firmware_protocol.host_line import HostLine, each_of
 from hil.core.types import (
-    ZERO_WHEELS,
-    Acceleration,
     Axes,
-    CommandMode,
-    Pose,
-    Reference,
-    State,
-    Twist,
-    WheelCommand,
-    Wheels,
 )
-from hil.robot.channel import feedback_reader
-from hil.robot.snapshot import Feedback
-from tests.client_rig import feed, feedback, new_client, sent
+from tests.client_rig import new_client, sent
 
 FOUR = (1.0, -2.0, 3, 4.5)
 
@@ -69,74 +52,6 @@ def test_a_time_that_is_no_int_raises() -> None:
         with pytest.raises((TypeError, OverflowError)):
             call()
     assert not client.view.out_bytes
-
-
-def a_robot_in(state: m.State) -> Client:
-    """Return a client that has one snapshot, of all parts."""
-    client = new_client()
-    tick = m.Tick(5_000, 3, 7, state, 31, 1)
-    feed(
-        client,
-        [
-            tick,
-            m.Encoders(1, 2, 3, 4),
-            m.WheelSpeeds(0.1, 0.2, 0.3, 0.4),
-            m.Currents(1.0, 2.0, 3.0, 4.0),
-            m.Accelerometer(0.5, 0.25, 9.75, 5),
-            m.Gyro(0.0, 0.0, 0.125, 5),
-        ],
-    )
-    return client
-
-
-def test_feedback_is_a_named_tuple_with_what_the_view_has() -> None:
-    client = a_robot_in(m.State.ACTIVE)
-    found = feedback_reader(client)()
-    assert found == feedback(client)
-    assert type(found) is Feedback
-    assert (type(found.speed_rad_s), type(found.current_a), found.state) == (Wheels, Wheels, m.State.ACTIVE)
-
-
-def test_feedback_and_rows_leave_no_object_behind() -> None:
-    client = a_robot_in(m.State.ACTIVE)
-    states, read = tuple(m.State), feedback_reader(client)
-    layout = RowLayout(("a", "b", "x", "y", "h", "d"), ("a", (None, Scaled("b", 2.0))), ("a", "a", "x"))
-    references = [sys.getrefcount(one) for one in (*states, None, Feedback, Wheels)]
-    tracemalloc.start()
-    for _ in range(1000):
-        assert read().command_age_ms == 7
-        assert layout.row(1, (0, 3)) == layout.row(1.0, ("left out", True + 2))
-    kept_bytes, _ = tracemalloc.get_traced_memory()
-    tracemalloc.stop()
-    grown = [sys.getrefcount(one) for one in (*states, None, Feedback, Wheels)]
-    assert all(abs(now - before) < 100 for now, before in zip(grown, references, strict=True))
-    assert kept_bytes < 10_000
-
-
-def test_feedback_in_a_state_that_nobody_named_raises() -> None:
-    client = a_robot_in(m.State.ESTOP)
-    (state,) = fields_of(library()[0], client.view, "state")
-    before = sys.getrefcount(Wheels)
-    read = tuple_maker(Tuple(Wheels, (state, Choice(state.address, (m.State.BOOT,)))), client)
-    for _ in range(1000):
-        with pytest.raises(IndexError):
-            read()
-    assert sys.getrefcount(Wheels) < before + 100
-
-
-def test_a_reader_keeps_the_memory_that_it_reads() -> None:
-    ffi, _ = library()
-    numbers, owner = ffi.new("wheel_view *"), []
-    numbers.speed_rad_s, numbers.tick, numbers.robot_time_us = (1.0, 2.0, 3.0, 4.0), 7, 1 << 40
-    numbers = ffi.gc(numbers, lambda _: owner.append("freed"))
-    (time,) = fields_of(ffi, numbers, "robot_time_us")
-    some = Tuple(None, fields_of(ffi, numbers, "speed_rad_s", 1, 2))
-    read = tuple_maker(Tuple(None, (time._replace(factor=1000), some)), numbers)
-    del numbers
-    assert read() == (1000 << 40, (2.0, 3.0))
-    assert not owner
-    del read
-    assert owner == ["freed"]
 
 
 NAMES = ("x", "y", "h", "to_x", "to_y", "to_h", "dx", "dy", "dh", "d", "a", "b")
@@ -176,6 +91,7 @@ def test_what_is_no_bytes_raises(wrong: object) -> None:
         lambda: client.take(wrong, 0, 0),  # type: ignore[arg-type]
         lambda: fast_call("exchange")(0, client.address, wrong),
         lambda: fast_call("split")(wrong, 0x300),
+        lambda: fast_call("frames")(wrong, Frame),
         lambda: HostLine().receive_for(client.address, wrong, 0),  # type: ignore[arg-type]
     ):
         with pytest.raises(TypeError):
@@ -268,45 +184,9 @@ def test_a_thousand_splits_leave_no_object_behind() -> None:
     before = sys.getrefcount(packed)
     tracemalloc.start()
     for _ in range(1000):
+        assert each_of(PackedFrames(packed))[1] == Frame(0x300, b"")
         assert fast_call("split")(packed, 0x300) == (packed[:11], packed[11:])
     kept_bytes, _ = tracemalloc.get_traced_memory()
     tracemalloc.stop()
     assert sys.getrefcount(packed) == before
     assert kept_bytes < 10_000
-
-
-NINE = tuple(range(9))
-MADE: list[tuple[Callable[..., tuple], tuple, tuple]] = [
-    (makers.make_loop_signals, (1.0, 2, 3.0, 4.0, 5), LoopSignals(1.0, 2, 3.0, 4.0, 5)),
-    (makers.make_state, (Pose(1, 2, 3), Twist(4, 5, 6)), State(Pose(1, 2, 3), Twist(4, 5, 6))),
-    (makers.make_reference, NINE, Reference(Pose(0, 1, 2), Twist(3, 4, 5), Acceleration(6, 7, 8))),
-    (makers.make_torque_command, FOUR, WheelCommand(CommandMode.TORQUE, ZERO_WHEELS, Wheels(*FOUR))),
-    (makers.make_speed_command, (*FOUR, *FOUR), WheelCommand(CommandMode.SPEED, Wheels(*FOUR), Wheels(*FOUR))),
-]
-
-
-def types_in(value: object) -> object:
-    """Return the class of a value, with those in a tuple."""
-    return (type(value), *map(types_in, value)) if isinstance(value, tuple) else type(value)
-
-
-@pytest.mark.parametrize(("make", "arguments", "expected"), MADE)
-def test_what_a_maker_makes_is_what_its_classes_make(
-    make: Callable[..., tuple], arguments: tuple, expected: tuple
-) -> None:
-    made = make(*arguments)
-    assert (made, types_in(made)) == (expected, types_in(expected))
-    for wrong in (arguments[1:], (*arguments, 0.0)):
-        with pytest.raises(TypeError, match="argument"):
-            make(*wrong)
-
-
-@pytest.mark.parametrize(("make", "arguments", "_expected"), MADE)
-def test_a_thousand_tuples_leave_no_object_behind(
-    make: Callable[..., tuple], arguments: tuple, _expected: tuple
-) -> None:
-    seen = (*arguments, ZERO_WHEELS, CommandMode.TORQUE, Pose, Wheels)
-    before = [sys.getrefcount(one) for one in seen]
-    for _ in range(1000):
-        make(*arguments)
-    assert all(sys.getrefcount(one) < count + 100 for one, count in zip(seen, before, strict=True))

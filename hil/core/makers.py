@@ -4,11 +4,14 @@ Only what is made in each tick is made so; elsewhere call the class. The import 
 cannot be built or loaded.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from typing import Any, TypeVar
 
 from firmware_protocol.built import BuildError
 from firmware_protocol.fast_tuples import Argument, Object, Tuple, tuple_maker
+from firmware_protocol.framing import Frame
 from hil.core.errors import BadInputError
+from hil.core.ports import Received
 from hil.core.signals import LoopSignals
 from hil.core.types import (
     ZERO_WHEELS,
@@ -23,21 +26,35 @@ from hil.core.types import (
     Wheels,
 )
 
+_Kind = TypeVar("_Kind")
+
+
+def _maker(what: Tuple) -> Callable[..., Any]:
+    try:
+        return tuple_maker(what)
+    except BuildError as error:
+        raise BadInputError(str(error)) from error
+
+
+def maker_of(kind: type[_Kind]) -> Callable[..., _Kind]:
+    """Return a function that makes named tuples of a class, of a value for each field in their order.
+
+    Raises BadInputError when the library cannot be built or loaded.
+    """
+    return _maker(Tuple(kind, (Argument(),) * len(kind._fields)))  # type: ignore[attr-defined]
+
+
 _THREE, _FOUR = (Argument(),) * 3, (Argument(),) * 4
 _MOTION = Tuple(Reference, (Tuple(Pose, _THREE), Tuple(Twist, _THREE), Tuple(Acceleration, _THREE)))
 _SPEED = Tuple(WheelCommand, (Object(CommandMode.SPEED), Tuple(Wheels, _FOUR), Tuple(Wheels, _FOUR)))
 _TORQUE = Tuple(WheelCommand, (Object(CommandMode.TORQUE), Object(ZERO_WHEELS), Tuple(Wheels, _FOUR)))
 
-try:
-    make_loop_signals: Callable[[float, int, float, float, int], LoopSignals] = tuple_maker(
-        Tuple(LoopSignals, (Argument(),) * 5)
-    )
-    make_state: Callable[[Pose, Twist], State] = tuple_maker(Tuple(State, (Argument(),) * 2))
-    make_applied: Callable[[WheelCommand, bool, float], Applied] = tuple_maker(Tuple(Applied, _THREE))
-    make_reference: Callable[..., Reference] = tuple_maker(_MOTION)
-    """Of nine numbers: x, y, heading; their rates; their accelerations."""
-    make_speed_command: Callable[..., WheelCommand] = tuple_maker(_SPEED)
-    """Of eight numbers: the four speeds [rad/s], and the torques [N·m] as feedforward."""
-    make_torque_command: Callable[[float, float, float, float], WheelCommand] = tuple_maker(_TORQUE)
-except BuildError as error:
-    raise BadInputError(str(error)) from error
+make_loop_signals: Callable[[float, int, float, float, int], LoopSignals] = maker_of(LoopSignals)
+make_state: Callable[[Pose, Twist], State] = maker_of(State)
+make_applied: Callable[[WheelCommand, bool, float], Applied] = maker_of(Applied)
+make_received: Callable[[Sequence[Frame], int], Received] = maker_of(Received)
+make_reference: Callable[..., Reference] = _maker(_MOTION)
+"""Of nine numbers: x, y, heading; their rates; their accelerations."""
+make_speed_command: Callable[..., WheelCommand] = _maker(_SPEED)
+"""Of eight numbers: the four speeds [rad/s], and the torques [N·m] as feedforward."""
+make_torque_command: Callable[[float, float, float, float], WheelCommand] = _maker(_TORQUE)

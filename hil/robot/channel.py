@@ -109,9 +109,11 @@ class Channel:
         client = self._client
         client.step(ticks)
         ready = self._link.exchange(direct, client)
-        while ready and client.view.step == _STEP_AWAITED:
+        view = client.view
+        while ready and view.step == _STEP_AWAITED:
             self.take(ready.popleft())
-        self._await_step()
+        if view.step == _STEP_AWAITED:
+            self._await_step()
 
     def _await_step(self) -> None:
         view = self._client.view

@@ -14,6 +14,7 @@ from firmware_protocol.framing import Frame, PackedFrames
 from firmware_protocol.host_line import split
 from hil.core.errors import LinkError
 from hil.core.link_protocol import WHEEL_DBC, LinkProtocol
+from hil.core.makers import make_received
 from hil.core.ports import Clock, Link, PackedLink, Received
 from hil.faults.kind import NEVER_NS
 from hil.wire.direction import LATENCY, Direction
@@ -209,8 +210,8 @@ class ConditionedLink:
             frames = client.out()
             answer = transport.exchange(client)
             self._observer.sent(frames)
-            self._observer.received(Received(answer, now_ns) if answer else None)
-        if answer:
+            self._observer.received(make_received(answer, now_ns) if answer.packed else None)
+        if answer.packed:
             self._admit(answer, now_ns, now_ns)
         return self._ready
 
@@ -255,9 +256,9 @@ class ConditionedLink:
         if ready and ready[-1].stamp_ns == stamp_ns and type(frames) is PackedFrames:
             before = ready[-1].frames
             if type(before) is PackedFrames:
-                ready[-1] = Received(PackedFrames(before.packed + frames.packed), stamp_ns)
+                ready[-1] = make_received(PackedFrames(before.packed + frames.packed), stamp_ns)
                 return
-        ready.append(Received(frames, stamp_ns))
+        ready.append(make_received(frames, stamp_ns))
 
     def _undamaged(self, bus: BusFaults, frames: Sequence[Frame], t_ns: int | None) -> Sequence[Frame]:
         """Return the frames that arrive over a bus with faults."""
@@ -269,11 +270,11 @@ class ConditionedLink:
         latency_ns = self._feedback_latency_ns
         for one in self._in.due(now_ns, self._time.at(now_ns)):
             if one.place == self._in.latency_behind_rows:
-                self._ready.append(Received(one.frames, one.due_ns))
+                self._ready.append(make_received(one.frames, one.due_ns))
             elif latency_ns:
                 self._in.hold(one.frames, now_ns + latency_ns, self._in.latency_behind_rows)
             else:
-                self._ready.append(Received(one.frames, now_ns))
+                self._ready.append(make_received(one.frames, now_ns))
 
     # The link itself
 

@@ -4,10 +4,12 @@ Frames that are sent or arrive together stay together as long as no row that act
 """
 
 import heapq
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import NamedTuple
 
 from firmware_protocol.framing import Frame, PackedFrames
+from firmware_protocol.host_line import each_of
+from hil.core.makers import maker_of
 from hil.faults.kind import NEVER_NS
 from hil.wire.faults import LinkFault, ScenarioTime
 
@@ -26,6 +28,9 @@ class Waiting(NamedTuple):
     place: int
     number: int
     frames: Sequence[Frame]
+
+
+_make_waiting: Callable[[int, int, int, Sequence[Frame]], Waiting] = maker_of(Waiting)
 
 
 class _AtWork(NamedTuple):
@@ -67,7 +72,7 @@ class Direction:
         if place == self.behind_rows:
             self._delayed += 1
             self._last_ns = due_ns
-        heapq.heappush(self._queue, Waiting(due_ns, place, self._count, frames))
+        heapq.heappush(self._queue, _make_waiting(due_ns, place, self._count, frames))
         self.due_ns = self._queue[0].due_ns
 
     def is_open(self, t_ns: int) -> bool:
@@ -101,7 +106,7 @@ class Direction:
             return frames
         at_once: list[Frame] = []
         is_changed = False
-        for frame in frames:
+        for frame in each_of(frames):
             some = [frame]
             if frame.id < self._exempt_from:
                 passed = self._pass(some, t_ns, rows)

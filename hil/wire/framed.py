@@ -8,6 +8,7 @@ from firmware_protocol.client import Client
 from firmware_protocol.framing import Frame, PackedFrames, pack
 from firmware_protocol.host_line import HostLine
 from hil.core.link_protocol import WHEEL_DBC, LinkProtocol
+from hil.core.makers import make_received
 from hil.core.ports import Clock, Framing, Received
 from hil.wire.streams import AT_ONCE, HostStream
 
@@ -117,7 +118,7 @@ class StreamLink:
                     if count > _MOST_AT_ONCE:
                         return self._batch_of(frames, stamp_ns)
                     self.received_frames += count
-                    return Received(frames, stamp_ns)
+                    return make_received(frames, stamp_ns)
                 # These bytes completed no frame; the rest may come within the timeout. But a line full of noise must
                 # not hold up a tick.
                 of_no_frame += len(data)

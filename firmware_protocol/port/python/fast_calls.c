@@ -2,12 +2,13 @@
 
 #include "../../client/wheel_client.h"
 #include "../host/direct.h"
+#include "internal.h"
 
 #include <math.h>
 
 #define TURN_RAD 6.283185307179586
 
-static wheel_python python;
+wheel_python python;
 
 void wheel_python_begin(const wheel_python *given) {
     python = *given;
@@ -80,10 +81,6 @@ void *wheel_python_step(void *self, void *const *arguments, ptrdiff_t count) {
     return python.PyBool_FromLong(is_whole);
 }
 
-static void *new_bytes(const uint8_t *bytes, size_t length) {
-    return python.PyBytes_FromStringAndSize((const char *)bytes, (ptrdiff_t)length);
-}
-
 /* Returns a new tuple of floats. */
 static void *floats(const double *values, ptrdiff_t count) {
     void *tuple = python.PyTuple_New(count);
@@ -91,62 +88,6 @@ static void *floats(const double *values, ptrdiff_t count) {
         python.PyTuple_SetItem(tuple, i, python.PyFloat_FromDouble(values[i]));
     }
     return tuple;
-}
-
-/* Returns a new reference to an object; NULL stays NULL. */
-static void *again(void *object) {
-    if (object != NULL) {
-        python.Py_IncRef(object);
-    }
-    return object;
-}
-
-/* Returns the value that `*next` describes, and moves on behind all that belongs to it, and behind the
- * arguments that it takes; NULL with an exception. */
-static void *value_of(const wheel_python_value **next, void *const **arguments) {
-    const wheel_python_value *value = (*next)++;
-    const void *at = value->at;
-    switch (value->kind) {
-    case WHEEL_PYTHON_ARGUMENT:
-        return again(*(*arguments)++);
-    case WHEEL_PYTHON_OBJECT:
-        return again(value->object);
-    case WHEEL_PYTHON_CHOICE:
-        return again(python.PyTuple_GetItem(value->object, *(const uint8_t *)at));
-    case WHEEL_PYTHON_FLOAT:
-        return python.PyFloat_FromDouble((double)*(const float *)at);
-    case WHEEL_PYTHON_DOUBLE:
-        return python.PyFloat_FromDouble(*(const double *)at);
-    case WHEEL_PYTHON_UINT8:
-        return python.PyLong_FromLongLong(*(const uint8_t *)at);
-    case WHEEL_PYTHON_UINT16:
-        return python.PyLong_FromLongLong(*(const uint16_t *)at);
-    case WHEEL_PYTHON_UINT64:
-        return python.PyLong_FromLongLong((long long)*(const uint64_t *)at * value->factor);
-    default: /* a tuple */
-        break;
-    }
-    void *tuple = value->object == NULL ? python.PyTuple_New(value->length)
-                                        : python.PyType_GenericAlloc(value->object, value->length);
-    for (ptrdiff_t i = 0; tuple != NULL && i < value->length; i++) {
-        void *item = value_of(next, arguments);
-        if (item == NULL) {
-            python.Py_DecRef(tuple);
-            return NULL;
-        }
-        python.PyTuple_SetItem(tuple, i, item);
-    }
-    return tuple;
-}
-
-void *wheel_python_make(void *self, void *const *arguments, ptrdiff_t count) {
-    const wheel_python_value *next = python.PyLong_AsVoidPtr(self);
-    const bool *is_given = next->at;
-    if (count != next->factor) {
-        python.PyErr_BadArgument();
-        return NULL;
-    }
-    return is_given != NULL && !*is_given ? python.Py_BuildValue("") : value_of(&next, &arguments);
 }
 
 void *wheel_python_link_figures(void *self, void *const *arguments, ptrdiff_t count) {
@@ -207,18 +148,6 @@ void *wheel_python_row(void *self, void *const *arguments, ptrdiff_t count) {
     difference[2] = remainder(pose[2] - other[2], TURN_RAD);
     difference[3] = hypot(difference[0], difference[1]);
     return new_bytes((const uint8_t *)layout->numbers, sizeof(double) * layout->count);
-}
-
-/* Reads bytes; false with an exception. */
-static bool bytes_of(void *object, uint8_t **bytes, size_t *length) {
-    char *start;
-    ptrdiff_t size;
-    if (python.PyBytes_AsStringAndSize(object, &start, &size) < 0) {
-        return false;
-    }
-    *bytes = (uint8_t *)start;
-    *length = (size_t)size;
-    return true;
 }
 
 void *wheel_python_out(void *self, void *const *arguments, ptrdiff_t count) {

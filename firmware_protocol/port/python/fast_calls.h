@@ -85,6 +85,9 @@ void *wheel_python_exchange(void *self, void *const *arguments, ptrdiff_t count)
 /* split(packed, limit): wheel_packed_split; returns both groups as bytes. */
 void *wheel_python_split(void *self, void *const *arguments, ptrdiff_t count);
 
+/* frames(packed, Frame): the packed frames as a tuple of named tuples of a class: id, payload. */
+void *wheel_python_frames(void *self, void *const *arguments, ptrdiff_t count);
+
 /* A value, and where it comes from. A tuple's values follow it. */
 typedef struct {
     int32_t kind;

@@ -1,0 +1,29 @@
+/* What the files of the fast calls share. */
+#ifndef WHEEL_PYTHON_INTERNAL_H
+#define WHEEL_PYTHON_INTERNAL_H
+
+#include <stdbool.h>
+
+#include "fast_calls.h"
+
+/* CPython's functions, as wheel_python_begin got them; short, because it is in every other line. */
+#define python wheel_python_given
+extern wheel_python wheel_python_given;
+
+static inline void *new_bytes(const uint8_t *bytes, size_t length) {
+    return python.PyBytes_FromStringAndSize((const char *)bytes, (ptrdiff_t)length);
+}
+
+/* Reads bytes; false with an exception. */
+static inline bool bytes_of(void *object, uint8_t **bytes, size_t *length) {
+    char *start;
+    ptrdiff_t size;
+    if (python.PyBytes_AsStringAndSize(object, &start, &size) < 0) {
+        return false;
+    }
+    *bytes = (uint8_t *)start;
+    *length = (size_t)size;
+    return true;
+}
+
+#endif
