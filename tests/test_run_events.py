@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from hil.batch.catalogue.recording import RecordingHere
-from hil.judge.verdict import STATE_BEGINS
+from hil.judge.state import STATE_BEGINS
 from hil.review import read
 from hil.review.result import RunResult
 from hil.runtime.assembly import RunOptions, run_scenario

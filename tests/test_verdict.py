@@ -1,12 +1,17 @@
 """How a run went as text: the verdict first, why in order of time, in 80 columns, the same in `hil run` and review."""
 
+import math
 import re
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 import hil
+from hil.judge.course import ErrorCourse
 from hil.judge.verdict import COLUMNS, failed_words, happenings, run_lines, wrapped
 from hil.review import review
 from tests.processes import hil as command
@@ -52,14 +57,13 @@ def test_a_failed_run_says_first_that_it_failed_and_then_why_in_order_of_time(fa
     times = [float(at) for at, _ in kinds if at != "at"]
     assert times == sorted(times)
     text = " ".join(failed[0].split())
-    assert re.search(
-        r"error\.planar_m below 0\.001 from 0\.2 s to the end: first \S+ at 0\.2 s, worst \S+ at \S+ s, \S+ s in all",
-        text,
-    )
-    assert re.search(
-        r"loop\.t_s below 1\.2 from 0 s to the end: first 1\.2 at 1\.2 s, worst 1\.495 at 1\.495 s, 0\.295 s in all",
-        text,
-    )
+    at_once = r"first \S+ m at 0\.2 s, already when its time began, worst \S+ m at \S+ s, \S+ s in all"
+    assert re.search(rf"error\.planar_m below 0\.001 from 0\.2 s to the end: {at_once}", text)
+    later = "first 1.2 s at 1.2 s, worst 1.495 s at 1.495 s, 0.295 s in all"
+    assert f"loop.t_s below 1.2 from 0 s to the end: {later}" in text
+    course = re.search(r"position error: worst of each 0\.1 s from t = 0 on: ([^m]*) mm", text)
+    assert course is not None
+    assert course[1].startswith("500, "), "it says when the error grew"
     assert "wheels FL, FR, RR, RL asked for" in text
     assert "expectations 1 held: loop.tick above -1 from 0 s to the end" in text
 
@@ -130,3 +134,23 @@ def test_a_recording_without_an_end_has_no_verdict_but_what_was_violated_is_told
     assert "cut.rrd has no end" in text
     assert re.search(r" s failed error\.planar_m below 0\.001 from 0\.2 s to the end: first", text)
     assert re.search(r" s ended the recording has no summary", text)
+
+
+@given(st.lists(st.tuples(st.integers(0, 40_000), st.one_of(st.floats(0.0, 9.0), st.just(math.nan))), min_size=1))
+def test_the_course_has_the_worst_of_each_stretch_whatever_the_blocks(samples: list[tuple[int, float]]) -> None:
+    rows = sorted((tick * 0.005, error) for tick, error in samples)
+    course = ErrorCourse()
+    for block in (rows[i : i + 7] for i in range(0, len(rows), 7)):
+        t_s, error_m = (np.array(column) for column in zip(*block, strict=True))
+        course.add({"loop.t_s": t_s, "error.planar_m": error_m})
+    found = course.figures()
+    known = [(t_s, error) for t_s, error in rows if not math.isnan(error)]
+    if not known:
+        assert found is None
+        return
+    assert found is not None
+    assert len(found["worst_m"]) <= 20
+    assert known[-1][0] < found["stretch_s"] * len(found["worst_m"]) <= max(1.0, 2 * known[-1][0] + found["stretch_s"])
+    for place, worst in enumerate(found["worst_m"]):
+        inside = [error for t_s, error in known if int(t_s / found["stretch_s"]) == place]
+        assert worst == max(inside, default=None)

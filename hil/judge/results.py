@@ -8,6 +8,7 @@ import numpy as np
 from hil.core.errors import UnknownSignalError
 from hil.core.percentiles import Percentiles, Reservoir
 from hil.core.ports import Note
+from hil.judge.course import ErrorCourse
 from hil.judge.figures import BLOCK_ROWS, RunFigures
 from hil.judge.measure import Series
 from hil.judge.shadows import CommandDifference, ShadowDifferences
@@ -58,7 +59,8 @@ class MemorySink:
         self._keep = keep
         self._age_place = names.index("link.feedback_age_ms")
         self._shadows = ShadowDifferences(names)
-        self._columns = list(dict.fromkeys([*figures.signals, *self._shadows.signals]))
+        self._course = ErrorCourse()
+        self._columns = list(dict.fromkeys([*figures.signals, *self._course.signals, *self._shadows.signals]))
         self._places = [names.index(name) for name in self._columns]
         self._age_ms = Reservoir()
         self._blocks: list[Series] = []
@@ -89,6 +91,10 @@ class MemorySink:
         self._begin_block()
         self._finish_block()
         return self._figures.figures(cut)
+
+    def error_course(self) -> dict[str, Any] | None:
+        """Return the course of the position error over the rows that ``figures`` covered."""
+        return self._course.figures()
 
     def shadow_differences(self) -> dict[str, dict[str, CommandDifference]]:
         """Return how the run's shadows differ from its command, over the rows that ``figures`` covered."""
@@ -130,6 +136,8 @@ class MemorySink:
         columns = np.ascontiguousarray(rows.T[self._places])
         signals = dict(zip(self._columns, columns, strict=True))
         yield from self._figures.add(signals)
+        self._course.add(signals)
+        yield
         if self._shadows.signals:
             self._shadows.add(signals)
             yield

@@ -11,8 +11,10 @@ from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
 
-from hil.core.types import WHEEL_NAMES
+from hil.core.signals import unit_of
+from hil.judge.course import course_words
 from hil.judge.shadows import difference_words
+from hil.judge.state import STATE_BEGINS
 from hil.judge.words import (
     LENIENT,
     Row,
@@ -31,6 +33,7 @@ _NO_BREAK = "\N{NO-BREAK SPACE}"
 _NUMBER_WITH_UNIT = re.compile(r"(?<=\d) (?=(?:s|ms|µs|m|mm|rad|mrad|rad/s|m/s|N·m|A|V|%)\b|%)")
 _VERDICTS = {True: "PASSED", False: "FAILED", None: "NO VERDICT"}
 _MOVED, _WARNED, _GIVEN = 6, 6, 6  # how many are shown before the rest is counted
+_MOVED_BESIDE = 3  # where other failures say more
 
 
 _LEFT_OUT = ("granted", "times real time", "frames")  # of a run in real time
@@ -54,6 +57,8 @@ def run_lines(metrics: Mapping[str, Any], *, everything: bool = False) -> Iterat
         yield ""
         yield "On the way:" if metrics["passed"] else "What happened, in order of time:"
         yield from _timeline(happened)
+    if metrics.get("error_course") is not None and (everything or not metrics["passed"]):
+        yield from wrapped("  position error: ", course_words(metrics["error_course"]))
     yield ""
     yield from row_lines(_judged(metrics, everything=everything))
     figures = figure_rows(metrics, machine=everything or metrics.get("mode") == "realtime")
@@ -104,16 +109,22 @@ def happenings(metrics: Mapping[str, Any]) -> list[Happening]:
         for row in metrics.get("recoveries") or ()
     ]
     if metrics.get("failure") is not None:
-        found.append(Happening(_end(metrics.get("failure_s")), "ended", metrics["failure"]))
+        found.append(Happening(_ended_s(metrics), "ended", metrics["failure"]))
     found += [Happening(math.inf, "allow", row["text"]) for row in metrics.get("allow") or () if not row["passed"]]
     found += [
         Happening(_end(row["dropped_s"]), "shadow", row["dropped"])
         for row in metrics.get("shadows") or ()
         if row["dropped"] is not None
     ]
-    found += _moved(metrics)
+    found += _moved(metrics, _MOVED_BESIDE if any(one.kind in ("failed", "ended") for one in found) else _MOVED)
     found += _logged(metrics, found)
     return sorted(found, key=lambda one: one.t_s)
+
+
+def _ended_s(metrics: Mapping[str, Any]) -> float:
+    """Return when a run ended early. A fault that begins between two ticks has ended it after the one before."""
+    began = [row["start_s"] for row in metrics.get("fault") or () if row["applied"] and row.get("start_s") is not None]
+    return float(max([_end(metrics.get("failure_s")), *began]))
 
 
 def failed_words(row: Mapping[str, Any]) -> str:
@@ -121,10 +132,13 @@ def failed_words(row: Mapping[str, Any]) -> str:
     claim, _, rest = str(row["text"]).partition(": failed")
     if row.get("violated_s") is None or row.get("worst_s") is None:
         return f"{claim}: {rest.lstrip(', ')}"
-    first = f"first {_value(row['violation_value'])} at {row['violation_s']:.6g} s"
+    unit = "" if row.get("signal") is None else unit_of(row["signal"])
+    first = f"first {_value(row['violation_value'], unit)} at {row['violation_s']:.6g} s"
     if row["worst_s"] == row["violation_s"] and not row["violated_s"]:
         return f"{claim}: {first}, once"
-    worst = f"worst {_value(row['worst_value'])} at {row['worst_s']:.6g} s"
+    if row["violation_s"] > 0.0 and f" from {row['violation_s']:g} s" in claim:
+        first += ", already when its time began"
+    worst = f"worst {_value(row['worst_value'], unit)} at {row['worst_s']:.6g} s"
     return f"{claim}: {first}, {worst}, {row['violated_s']:.4g} s in all"
 
 
@@ -158,8 +172,8 @@ def _end(t_s: float | None) -> float:
     return math.inf if t_s is None else t_s
 
 
-def _value(value: float | None) -> str:
-    return "no value" if value is None or math.isnan(value) else f"{value:.6g}"
+def _value(value: float | None, unit: str) -> str:
+    return "no value" if value is None or math.isnan(value) else f"{value:.4g} {unit}".rstrip()
 
 
 def _given(metrics: Mapping[str, Any]) -> str:
@@ -172,7 +186,7 @@ def _given(metrics: Mapping[str, Any]) -> str:
     return "; ".join([*rows[:_GIVEN], *more])
 
 
-def _moved(metrics: Mapping[str, Any]) -> Iterator[Happening]:
+def _moved(metrics: Mapping[str, Any], most: int) -> Iterator[Happening]:
     """Yield how a run is away from its baseline, the figure that is farthest from its band first."""
     if (baseline := metrics.get("baseline")) is None or baseline["why"] is not None:
         return
@@ -184,20 +198,22 @@ def _moved(metrics: Mapping[str, Any]) -> Iterator[Happening]:
         return -float(abs(value - accepted) / (row["band"] or 1e-12))
 
     rows = sorted(baseline["figures"], key=away)
-    yield from (Happening(math.inf, "moved", _moved_words(row)) for row in rows[:_MOVED])
-    if len(rows) > _MOVED:
-        others = ", ".join(row["key"] for row in rows[_MOVED:])
+    yield from (Happening(math.inf, "moved", _moved_words(row)) for row in rows[:most])
+    if len(rows) > most:
+        others = ", ".join(row["key"] for row in rows[most:])
         yield Happening(math.inf, "moved", f"also {others}")
-    if (frames := baseline["frames"]) is not None and frames["passed"] is False:
+    frames = baseline["frames"]
+    if frames is not None and frames["passed"] is False and not rows:  # with other figures they must be others
         yield Happening(math.inf, "moved", frames["text"])
 
 
 def _moved_words(row: Mapping[str, Any]) -> str:
     """Return a figure that is not where the baseline has it, in a line."""
-    if row.get("value") is None or not row.get("baseline"):
-        return str(row["text"])
-    share = 100.0 * (row["value"] / row["baseline"] - 1.0)
-    return f"{row['key']}: {row['value']:.4g}, accepted {row['baseline']:.4g} ± {row['band']:.2g} ({share:+.3g} %)"
+    accepted = f"accepted {row['baseline']:.4g} ± {row['band']:.2g}"
+    if row["value"] is None:
+        return f"{row['key']}: no value, {accepted}"
+    share = f" ({100.0 * (row['value'] / row['baseline'] - 1.0):+.3g} %)" if row["baseline"] else ""
+    return f"{row['key']}: {row['value']:.4g}, {accepted}{share}"
 
 
 def _logged(metrics: Mapping[str, Any], found: Sequence[Happening]) -> Iterator[Happening]:
@@ -205,7 +221,7 @@ def _logged(metrics: Mapping[str, Any], found: Sequence[Happening]) -> Iterator[
     # The first violation of an expectation is logged at once; its final text begins with the same claim.
     told = [claim for row in metrics.get("expect") or () if len(claim := row["text"].partition(": failed")[0])]
     told += [one.text for one in found] + [f"{one.kind}: {one.text}" for one in found]
-    told += [f"baseline: {row['text']}" for row in (metrics.get("baseline") or {}).get("figures", ())]
+    told += ["baseline: "] if metrics.get("baseline") is not None else []
     warned = []
     for event in metrics.get("events") or ():
         if event["text"].startswith(STATE_BEGINS) and not metrics.get("passed"):
@@ -216,29 +232,6 @@ def _logged(metrics: Mapping[str, Any], found: Sequence[Happening]) -> Iterator[
     if len(warned) > _WARNED:
         last = warned[-1].t_s
         yield Happening(last, "warning", f"{len(warned) - _WARNED} more until then; hil review --json has them all")
-
-
-STATE_BEGINS = "the robot then: "
-"""How the event begins that tells how the robot was when a run first failed."""
-
-
-def state_words(row: Mapping[str, float]) -> str:
-    """Return where the robot was and what its wheels did, from the signals of a tick, for the event log."""
-
-    def wheels(quantity: str) -> str:
-        values = [row[f"wheel.{wheel}.{quantity}"] for wheel in WHEEL_NAMES]
-        return "" if all(map(math.isnan, values)) else ", ".join("-" if one != one else f"{one:.3g}" for one in values)
-
-    parts = []
-    if not math.isnan(row["error.planar_m"]):
-        x_m, y_m, heading_rad = (row[f"error.{name}"] for name in ("x_m", "y_m", "heading_rad"))
-        parts.append(f"off by x {x_m:.3g} m, y {y_m:.3g} m, heading {heading_rad:.3g} rad")
-    asked = [("speed_command_rad_s", "rad/s"), ("torque_command_n_m", "N·m")]
-    words = [f"asked for {values} {unit}" for name, unit in asked if (values := wheels(name))][:1]
-    words += [f"turned at {values} rad/s" for values in [wheels("speed_rad_s")] if values]
-    words += [f"drew {values} A" for values in [wheels("current_a")] if values]
-    parts += [f"wheels {', '.join(name.upper() for name in WHEEL_NAMES)} {'; '.join(words)}"] if words else []
-    return STATE_BEGINS + "; ".join(parts)
 
 
 def _judged(metrics: Mapping[str, Any], *, everything: bool) -> Iterator[Row]:

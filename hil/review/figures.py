@@ -11,13 +11,14 @@ from hil.core.model import RobotModel
 from hil.core.options import OptionsError, build, options_of
 from hil.core.signals import SIGNAL_NAMES
 from hil.judge.claims import check_expectation, signals_of
+from hil.judge.course import ErrorCourse
 from hil.judge.expectations import (
     figure_outcome,
     figures_by_key,
     outcome_figures,
     rejected_and_unmatched,
 )
-from hil.judge.figures import cut_words, figure_signals, signal_figures
+from hil.judge.figures import BLOCK_ROWS, cut_words, figure_signals, signal_figures
 from hil.judge.measure import CommandLimits, RunSetup
 from hil.judge.shadows import ShadowDifferences, with_differences
 from hil.judge.words import SCHEMA, set_lost_rows
@@ -106,6 +107,7 @@ def figures(run: RecordedRun) -> dict[str, Any]:
         "events": [event._asdict() for event in run.events],
         "reasons": reasons,
         "shadows": _shadows(run),
+        "error_course": _course(run),
     }
     if result["rejected"] is None and result["frames"] is not None:  # before version 0.3
         result["rejected"], result["unmatched"] = rejected_and_unmatched(result["frames"]["rejected"])
@@ -122,6 +124,15 @@ def _shadows(run: RecordedRun) -> list[dict[str, Any]]:
     differences = shadow_differences(run.signals)
     unknown = [{"name": name, "dropped_s": None, "dropped": None} for name in differences]
     return with_differences((run.summary or {}).get("shadows", unknown), differences)
+
+
+def _course(run: RecordedRun) -> dict[str, Any] | None:
+    """Return the course of the position error; None where the recording has none."""
+    course = ErrorCourse()
+    if all(name in run.signals for name in course.signals):
+        for start in range(0, len(run.signals["loop.t_s"]), BLOCK_ROWS):
+            course.add({name: run.signals[name][start : start + BLOCK_ROWS] for name in course.signals})
+    return course.figures()
 
 
 def _outcomes(run: RecordedRun, found: Mapping[str, Any], cut_s: float | None) -> list[dict[str, Any]]:

@@ -309,6 +309,7 @@ class _Run:
         metrics = run_figures(scenario, self._bench, self._memory, loop, report, outcomes, causes, lenient=is_lenient)
         metrics |= mutation().properties
         metrics["realtime"] = None if granted is None else granted.figures()
+        metrics["error_course"] = self._memory.error_course()
         shadows = [] if laws.shadows is None else laws.shadows.figures()
         metrics["shadows"] = with_differences(shadows, self._memory.shadow_differences())
         metrics["reference"] = {"kind": scenario.reference.kind, **self._feasibility.figures()}

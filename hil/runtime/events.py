@@ -10,7 +10,7 @@ from hil.core.ports import Note
 from hil.faults.kinds import find
 from hil.judge.claims import Watch
 from hil.judge.expectations import outcome_figures
-from hil.judge.verdict import state_words
+from hil.judge.state import state_words
 from hil.plant.child_output import ChildOutput, log_lines
 from hil.scenario import Scenario
 

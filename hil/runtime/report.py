@@ -92,7 +92,7 @@ def run_figures(
         "fault": applied,
         "failure": str(failure) if failure is not None else None,
         "failure_kind": None if failure is None else kind_of(failure),
-        "failure_s": None if failure is None else loop.t_s + 1.0 / scenario.loop.rate_hz,  # the tick that failed
+        "failure_s": None if failure is None else loop.t_s,
         "recording": None,
         "reasons": reasons | {"recording": "no recording was asked for"},
     }
