@@ -50,6 +50,8 @@ _SPEED = Tuple(WheelCommand, (Object(CommandMode.SPEED), Tuple(Wheels, _FOUR), T
 _TORQUE = Tuple(WheelCommand, (Object(CommandMode.TORQUE), Object(ZERO_WHEELS), Tuple(Wheels, _FOUR)))
 
 make_loop_signals: Callable[[float, int, float, float, int], LoopSignals] = maker_of(LoopSignals)
+make_wheels: Callable[[float, float, float, float], Wheels] = maker_of(Wheels)
+make_command: Callable[[CommandMode, Wheels, Wheels], WheelCommand] = maker_of(WheelCommand)
 make_state: Callable[[Pose, Twist], State] = maker_of(State)
 make_applied: Callable[[WheelCommand, bool, float], Applied] = maker_of(Applied)
 make_received: Callable[[Sequence[Frame], int], Received] = maker_of(Received)

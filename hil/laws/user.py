@@ -13,8 +13,9 @@ from typing import Any
 
 from hil.core.errors import BadInputError, nearest
 from hil.core.extensions import failure, failures_of
+from hil.core.makers import make_command, make_wheels
 from hil.core.signals import GROUPS
-from hil.core.types import NO_GAINS, Applied, CommandMode, Gains, Reference, State, WheelCommand, Wheels
+from hil.core.types import NO_GAINS, Applied, CommandMode, Gains, Reference, State, WheelCommand
 
 _METHODS = {"reset": ("self", "state", "reference"), "update": ("self", "reference", "state", "applied", "dt_s")}
 _SIGNAL = re.compile(r"[a-z][a-z0-9_]*(\.[a-z0-9_]+)+")
@@ -107,13 +108,15 @@ class UserLaw:
                 f"expected {self._mode.name}, the mode that it was made with"
             )
         try:
-            speed, torque = Wheels(*map(float, command.speed_rad_s)), Wheels(*map(float, command.torque_n_m))
+            fl, fr, rr, rl = map(float, command.speed_rad_s)
+            speed = make_wheels(fl, fr, rr, rl)
+            fl, fr, rr, rl = map(float, command.torque_n_m)
         except (TypeError, ValueError) as error:
             raise BadInputError(
                 f"{self._named}: update returned {command!r}, expected four numbers in speed_rad_s and four in "
                 f"torque_n_m ({error})"
             ) from error
-        return WheelCommand(command.mode, speed, torque)
+        return make_command(command.mode, speed, make_wheels(fl, fr, rr, rl))
 
     def _own_names(self) -> tuple[str, ...]:
         has = [name for name in ("signals", "telemetry") if inspect.getattr_static(self._law, name, None) is not None]
