@@ -33,8 +33,13 @@ _FILLS = {
     "fault": "#e0912f",
     "not run": "#f3f3f3",
 }
-_TITLE_PX, _AXIS_PX, _LANE_PX, _TOP_PX = 28, 40, 30, 30
+_TITLE_PX, _AXIS_PX, _LANE_PX, _TOP_PX = 28, 40, 30, 42
 _LEFT_PX = 52
+_TOP_AXIS = {"overlaying": "x", "matches": "x", "side": "top", "anchor": "free", "position": 1, "showgrid": False}
+_TOP_AXIS |= {"zeroline": False, "ticksuffix": " s", "ticklen": 0}
+_NOWHERE: Series = np.array([np.nan])
+_NOTHING: dict[str, Any] = {"type": "scatter", "mode": "none", "xaxis": "x2", "yaxis": "y", "hoverinfo": "skip"}
+"""A trace that shows nothing: plotly draws no axis without one."""
 _NOTE = {"showarrow": False, "xref": "paper", "x": 0, "xshift": 4 - _LEFT_PX, "xanchor": "left"}
 _NOTE |= {"yref": "paper", "yanchor": "bottom", "align": "left"}
 
@@ -176,6 +181,9 @@ def figure_of(chart: Chart, xs: list[Series]) -> dict[str, Any]:
     for at in chart.instants:
         line = {"color": _RED, "width": 1, "dash": "dot"}
         shapes.append({"type": "line", "x0": at, "x1": at, "yref": "paper", "y0": 0, "y1": 1, "line": line})
+    if chart.lanes:  # the times above them too: the axis below is far away
+        axes["xaxis2"] = _TOP_AXIS
+        data.append(_NOTHING | {"x": _number(_NOWHERE, xs), "y": _packed(_NOWHERE, "f4")})
     lowest = f"y{len(chart.panels)}" if len(chart.panels) > 1 else "y"
     layout = {
         "xaxis": _x_axis(chart, lowest),
@@ -183,7 +191,7 @@ def figure_of(chart: Chart, xs: list[Series]) -> dict[str, Any]:
         "shapes": shapes,
         "annotations": [_NOTE | note for note in notes],
         "height": chart.height_px,
-        "margin": {"l": _LEFT_PX, "r": 10, "t": _TOP_PX, "b": _AXIS_PX},
+        "margin": {"l": _LEFT_PX, "r": 14, "t": _TOP_PX, "b": _AXIS_PX},
         "font": {"family": "system-ui, sans-serif", "size": 11, "color": _INK},
         "hovermode": "x unified" if not chart.panels[0].is_true_to_scale else "closest",
         "hoversubplots": "axis",

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from hil.faults.kinds import KINDS
 from hil.record.claims import WHEEL_SPEEDS, Claim, ClaimWatch, Standing, claims
 from hil.record.layout import PLAIN_COLOUR, Entity
 from hil.record.layout import Series as OneSeries
@@ -64,9 +65,15 @@ def lanes(run: RecordedRun, found: Mapping[str, Any]) -> Iterator[Lane]:
 
 
 def fault_band(fault: Mapping[str, Any], end_s: float) -> Band:
-    """Return the time during which a fault of a run's JSON was in force, until ``end_s`` at most."""
+    """Return the time during which a fault of a run's JSON was in force, until ``end_s`` at most.
+
+    A fault that only happens, and does not last, is as wide as can be seen.
+    """
+    start_s = float(fault["start_s"])
+    if any(kind.is_instant and kind.name == fault["kind"] and fault["target"] in kind.targets for kind in KINDS):
+        return Band(start_s, start_s + 2.0 * _CLOSE * end_s, "fault")
     stop_s = end_s if fault["end_s"] is None else min(fault["end_s"], end_s)
-    return Band(fault["start_s"], max(stop_s, fault["start_s"]), "fault")
+    return Band(start_s, max(stop_s, start_s), "fault")
 
 
 def _judged(run: RecordedRun, found: Mapping[str, Any]) -> list[tuple[Claim, Outcome]]:

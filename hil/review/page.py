@@ -105,7 +105,7 @@ def _when(figures: Mapping[str, Any]) -> str:
 
 def _happenings(figures: Mapping[str, Any]) -> Iterator[str]:
     """Yield what went wrong in a run, and what may explain it, in order of time."""
-    found, cells = happenings(figures), []
+    found, cells = [one for one in happenings(figures) if one.kind != "state"], []  # the charts show that
     for one in found[:_FIRST_SHOWN]:
         kind = mark(one.kind, good=False) if one.kind in _BAD else f'<span class="note">{escape(one.kind)}</span>'
         cells.append((f"{one.t_s:.4g} s" if math.isfinite(one.t_s) else "", kind, escape(one.text)))

@@ -1,0 +1,116 @@
+"""Take the pictures of a review's page that the documents show: ``python -m tools.page_pictures FOLDER``.
+
+Makes a run of each kind (passed, failed, ended early, with faults, with shadows), reviews it, and takes what a real
+browser shows of its page at 1280 pixels; of the failed one also at 390 pixels, as on a phone, and as it is printed.
+"""
+
+import argparse
+import sys
+import tempfile
+from collections.abc import Iterator, Mapping, Sequence
+from io import BytesIO
+from pathlib import Path
+
+import pypdfium2
+from PIL import Image
+
+from hil.review.alignment import Aligned, Asked, aligned
+from hil.review.figures import figures
+from hil.review.html_page import write_document
+from hil.review.page import page
+from hil.review.panels import read_for_page
+from hil.runtime.assembly import RunOptions, run_scenario
+from hil.scenario import load
+from tools.browser import BrowserError, Page, browser
+
+RUNS: Mapping[str, tuple[str, tuple[str, ...]]] = {
+    "passed": ("circle_speed", ()),
+    "failed": (
+        "circle_speed",
+        (
+            'fault=[{kind="push",target="force_x_n",value=60.0,start_s=6.0,end_s=6.5}]',
+            'expect=[{signal="error.planar_m",from_s=4.0,below=0.01},{signal="error.heading_rad",below=0.05}]',
+        ),
+    ),
+    "ended": ("circle_speed", ('fault=[{kind="disconnect",target="link",start_s=3.0,end_s=4.0}]',)),
+    "faulty": (
+        "circle_speed",
+        (
+            'fault=[{kind="dead_motor",target="fl",start_s=4.0,end_s=6.0},'
+            '{kind="drop",target="feedback",value=0.3,start_s=8.0,end_s=10.0},'
+            '{kind="push",target="force_y_n",value=100.0,start_s=11.0,end_s=11.3}]',
+        ),
+    ),
+    "shadowed": ("paper_circle", ('controller.shadow=["dsc", "profile"]', "loop.duration_s=5")),
+    "other law": ("circle_speed", ("controller.law=afdsc",)),
+}
+DRAWN = "document.body.dataset.drawn === 'yes'"
+_WIDE, _PHONE = (1280, 860), (390, 844)
+_COLOURS = 256
+_SHADOWS = "[...document.querySelectorAll('h2')].find((one) => one.textContent === 'Shadows').scrollIntoView()"
+
+
+def make_runs(folder: Path) -> dict[str, Path]:
+    """Do the runs and return their recordings by name."""
+    recordings = {}
+    for name, (scenario, sets) in RUNS.items():
+        recordings[name] = folder / f"{name}.rrd"
+        run_scenario(load(scenario, set=list(sets)), RunOptions(record=recordings[name]))
+    return recordings
+
+
+def write_page(recordings: Sequence[Path], file: Path, asked: Sequence[Asked] = ()) -> None:
+    """Write the page of one recording, or of two with the signals to compare."""
+    runs = [read_for_page(path) for path in recordings]
+    together: Aligned | None = aligned(runs, "t", asked) if len(runs) == 2 else None
+    write_document(file, page(runs, [figures(run) for run in runs], together))
+
+
+def take(view: Page, file: Path) -> Iterator[tuple[str, bytes]]:
+    """Yield what a browser shows of a page: "" as on a desk, and of the failed run "phone" and "printed"."""
+    view.open("about:blank")
+    view.resize(*_WIDE)
+    view.open(file.as_uri())
+    view.wait_until(DRAWN, 60.0)
+    if file.stem == "shadowed":
+        view.value(_SHADOWS)
+    yield "", view.picture()
+    if file.stem == "failed":
+        yield "printed", _first_page(view.printed())
+        view.resize(*_PHONE, is_phone=True)
+        view.wait_until("document.querySelector('.main-svg').getBoundingClientRect().width < 390", 10.0)
+        yield "phone", view.picture()
+
+
+def _first_page(pdf: bytes) -> bytes:
+    buffer = BytesIO()
+    pypdfium2.PdfDocument(pdf)[0].render(scale=1.4).to_pil().save(buffer, "PNG")
+    return buffer.getvalue()
+
+
+def main() -> int:
+    """Run the command line; 0 when all pictures were written."""
+    parser = argparse.ArgumentParser(description="Take the pictures of a review's page that the documents show.")
+    parser.add_argument("folder", type=Path)
+    folder = parser.parse_args().folder
+    try:
+        with tempfile.TemporaryDirectory() as scratch, browser() as view:
+            recordings = make_runs(Path(scratch))
+            pages = {name: [path] for name, path in recordings.items() if name != "other law"}
+            pages["pair"] = [recordings["passed"], recordings["other law"]]
+            for name, paths in pages.items():
+                html = Path(scratch) / f"{name}.html"
+                write_page(paths, html, [Asked("error.planar_m", 0.005)] if name == "pair" else ())
+                for kind, png in take(view, html):
+                    file = folder / f"page_{'_'.join(filter(None, (name, kind)))}.png"
+                    with Image.open(BytesIO(png)) as image:
+                        image.convert("RGB").quantize(_COLOURS).save(file, optimize=True)
+                    print(file, file.stat().st_size)
+    except BrowserError as error:
+        print(f"page_pictures: {error}", file=sys.stderr)
+        return 1
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
