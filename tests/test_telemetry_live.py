@@ -22,6 +22,7 @@ from hil.record import Recording
 from hil.record.live import BATCH_S, LIVE_PERIOD_S, MEMORY_LIMIT
 from hil.record.stream import Stream
 from hil.record.viewer import free_port, has_display, live_address, live_hint, show_live, view, viewer_executable
+from hil.record.web import NOTHING_ELSEWHERE
 from hil.review.contents import DamagedError
 from hil.review.decode import decode
 from hil.runtime.provenance import properties
@@ -162,21 +163,41 @@ def test_what_is_no_recording_is_not_opened(tmp_path: Path) -> None:
         view(tmp_path / "missing.rrd", web=True)
 
 
-_VIEW_IN_A_BROWSER = """
+_VIEW_WITHOUT_A_WINDOW = """
 import sys
 from pathlib import Path
-from hil.record.viewer import view
-view(Path(sys.argv[1]), web=True, say=lambda text: print(text, flush=True))
+from hil.cli.output import end_in_order
+from hil.record import viewer
+command = viewer.viewer_command
+viewer.has_display = lambda: True
+viewer.viewer_command = lambda *options: command("--headless", *options)
+end_in_order()
+print(*command(), flush=True)
+viewer.view(Path(sys.argv[1]), web=sys.argv[2] == "web", say=lambda text: print(text, flush=True))
 """
 
 
-@linux_only
-def test_a_browser_is_served_on_the_loopback_interface_until_interrupted(tmp_path: Path) -> None:
+@contextmanager
+def viewing(path: Path, how: str) -> Iterator["subprocess.Popen[str]"]:
+    command = [sys.executable, "-c", _VIEW_WITHOUT_A_WINDOW, str(path), how]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, start_new_session=True, text=True) as viewer:
+        assert viewer.stdout is not None
+        viewer.stdout.readline()
+        yield viewer
+
+
+@pytest.fixture
+def empty(tmp_path: Path) -> Path:
     path = tmp_path / "run.rrd"
     with Recording(path, properties={}, blocking=True) as recording:
         recording.finish({})
-    command = [sys.executable, "-c", _VIEW_IN_A_BROWSER, str(path)]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, start_new_session=True, text=True) as viewer:
+    return path
+
+
+@linux_only
+@pytest.mark.parametrize("ends", [signal.SIGINT, signal.SIGTERM])
+def test_a_browser_is_served_on_the_loopback_interface_until_interrupted(empty: Path, ends: signal.Signals) -> None:
+    with viewing(empty, "web") as viewer:
         assert viewer.stdout is not None
         sentence = viewer.stdout.readline()
         address = next(word for word in sentence.split() if word.startswith("http://127.0.0.1:"))
@@ -185,9 +206,23 @@ def test_a_browser_is_served_on_the_loopback_interface_until_interrupted(tmp_pat
         assert listening_addresses(page_port) == listening_addresses(data_port) == LOOPBACK
         with urllib.request.urlopen(f"http://127.0.0.1:{page_port}/") as page:
             assert b"<html" in page.read().lower()
-        os.killpg(viewer.pid, signal.SIGINT)
+            assert page.headers["Content-Security-Policy"] == NOTHING_ELSEWHERE
+        viewer.send_signal(ends)
         assert viewer.wait() == 0
     assert listening_addresses(page_port) == listening_addresses(data_port) == set()
+
+
+@linux_only
+def test_a_viewer_ends_with_the_command_that_opened_it(empty: Path) -> None:
+    def children(pid: int) -> list[int]:
+        return [int(word) for word in Path(f"/proc/{pid}/task/{pid}/children").read_text().split()]
+
+    with viewing(empty, "window") as viewer:
+        wait_for(lambda: children(viewer.pid))
+        (own,) = children(viewer.pid)
+        viewer.send_signal(signal.SIGTERM)
+        assert viewer.wait() == 0
+    assert not Path(f"/proc/{own}").exists()
 
 
 LATE_S = 40.0

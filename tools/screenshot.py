@@ -5,7 +5,6 @@ software will do: ``apt-get install -y mesa-vulkan-drivers libvulkan1``.
 """
 
 import argparse
-import os
 import subprocess
 import sys
 import tempfile
@@ -19,7 +18,7 @@ from PIL import Image
 from rerun.experimental import View, ViewerClient
 
 from hil.core.errors import HilError
-from hil.record.viewer import free_port, live_address, viewer_command, wait_until_listening
+from hil.record.viewer import free_port, live_address, viewer_command, viewer_environment, wait_until_listening
 
 MOST_SHOTS = 100
 NOTICES_FADE_S = 6.0
@@ -70,7 +69,7 @@ def take_with(
             _show_tab(viewer, tab)
         if at_s is not None:
             viewer.set_time("t", duration=at_s, play_state="paused")
-        _settle(viewer, picture, at_least_s)
+        settle(viewer, picture, at_least_s)
         at_least_s = 0.0
     # A view's reports are those of the last time that it was shown.
     state = viewer.get_state()
@@ -111,7 +110,7 @@ def headless_viewer() -> Iterator[ViewerClient]:
     port = free_port()
     # Not ViewerClient.spawn(): a viewer of its making listens on every interface.
     command = viewer_command("--headless", "--hide-welcome-screen", "--port", str(port))
-    viewer = subprocess.Popen(command, stderr=subprocess.DEVNULL, env={**os.environ, "RUST_LOG": "off"})
+    viewer = subprocess.Popen(command, stderr=subprocess.DEVNULL, env={**viewer_environment(), "RUST_LOG": "off"})
     try:
         wait_until_listening(viewer, port)
         yield ViewerClient.connect(live_address(port))
@@ -120,7 +119,8 @@ def headless_viewer() -> Iterator[ViewerClient]:
         viewer.wait()
 
 
-def _settle(viewer: ViewerClient, picture: Path, at_least_s: float) -> None:
+def settle(viewer: ViewerClient, picture: Path, at_least_s: float) -> None:
+    """Write a PNG once two shots in a row are alike, after ``at_least_s``. Raises ScreenshotError if none are."""
     earliest = time.monotonic() + at_least_s
     with tempfile.TemporaryDirectory() as directory:
         shot = Path(directory) / "shot.png"

@@ -12,6 +12,7 @@ from hil.record import viewer
 
 def view(recording: Annotated[Path, Argument(metavar="RUN.rrd")], web: InBrowser = False) -> None:
     """Open a recording in the rerun viewer."""
+    end_in_order()
     viewer.view(recording, web=web)
 
 

@@ -14,7 +14,7 @@ import rerun as rr
 from hil.record.decimate import Decimator
 from hil.record.ring import Rows
 from hil.record.stream import Stream
-from hil.record.viewer import HOST
+from hil.record.web import HOST
 
 LIVE_PERIOD_S = 0.02
 BATCH_S = 0.5

@@ -6,14 +6,11 @@ web page reconnects by itself: ``hil live`` reconnects it each time a program be
 
 import contextlib
 import importlib.util
-import itertools
-import json
 import os
 import shutil
 import socket
 import subprocess
 import sys
-import threading
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -21,11 +18,10 @@ from urllib.parse import quote
 
 from hil.core.errors import BadInputError, DeviceError
 from hil.record.files import check_is_recording
+from hil.record.web import HOST, guarded, live_page
 
-HOST = "127.0.0.1"
 _START_TIMEOUT_S = 60.0
 _LOOK_S = 0.25
-_PAGE = Path(__file__).with_name("live_page.html")
 
 
 def view(path: Path, *, web: bool, say: Callable[[str], None] = print) -> None:
@@ -36,18 +32,19 @@ def view(path: Path, *, web: bool, say: Callable[[str], None] = print) -> None:
         DeviceError: the viewer was not found, did not start, or ended with an error.
     """
     check_is_recording(path)
-    remedy = f"; try 'hil view {path} --web'"
-    if web:
-        with contextlib.suppress(KeyboardInterrupt), _web_viewer(str(path)) as (viewer, data_port, page_port):
-            say(f"showing {path} at {_web_address(page_port, live_address(data_port))} until Ctrl-C")
-            viewer.wait()
-            _check_ended(viewer, remedy)
-    elif has_display():
-        viewer = _start("--port", "auto", str(path))
-        viewer.wait()
-        _check_ended(viewer, remedy)
-    else:
+    if not web and not has_display():
         raise BadInputError(f"no display to show {path} on; use 'hil view {path} --web' and a browser")
+    with contextlib.suppress(KeyboardInterrupt):  # Ctrl-C is the normal end
+        if web:
+            with _web_viewer(str(path)) as (viewer, data_port, page_port):
+                say(f"showing {path} at {_web_address(page_port, live_address(data_port))} until Ctrl-C")
+                viewer.wait()
+        else:
+            port = free_port()
+            with _listening_viewer(port, "--port", str(port), str(path)) as viewer:
+                Window(port).point_at_violation(is_open=lambda: viewer.poll() is None)
+                viewer.wait()
+        _check_ended(viewer, f"; try 'hil view {path} --web'")
 
 
 def live(port: int, *, web: bool, say: Callable[[str], None]) -> None:
@@ -134,8 +131,13 @@ def viewer_command(*options: str) -> list[str]:
 
 
 def viewer_environment() -> dict[str, str]:
-    """Return the environment of a viewer: this process's, with a log of errors only."""
-    return {**os.environ, "RUST_LOG": "error"}
+    """Return the environment of a viewer: this process's, with a log of errors only, and without calls elsewhere.
+
+    rerun counts its use unless it runs in continuous integration, which it takes from ``CI``, and looks for a newer
+    version by HTTPS at each start, which a proxy that does not exist prevents.
+    """
+    nowhere = dict.fromkeys(("HTTPS_PROXY", "https_proxy"), f"http://{HOST}:9")
+    return {**os.environ, "RUST_LOG": "error", "CI": "1", **nowhere}
 
 
 def free_port() -> int:
@@ -176,6 +178,23 @@ class Window:
         except (RuntimeError, ConnectionError) as error:
             raise DeviceError(f"the rerun viewer does not open {address}: {error}") from error
 
+    def point_at_violation(self, *, is_open: Callable[[], bool]) -> None:
+        """Put the time cursor on the first violation, if the recording that the viewer opens has one.
+
+        A layout cannot say where the cursor is; ours selects the range of time of the violation. Returns once the
+        recording is loaded, or the viewer is no longer open.
+        """
+        while is_open():
+            with contextlib.suppress(RuntimeError, ConnectionError):  # not ready, or gone
+                state = self._client.get_state()
+                if state.recordings and not state.loading:
+                    shown = self._client.get_blueprint().blueprint
+                    selected = shown.get("/time_panel", {}).get("TimePanelBlueprint", {}).get("time_selection")
+                    if selected is not None:
+                        self._client.set_time("t", duration=selected["min"] / 1e9, play_state="paused")
+                    return
+            time.sleep(_LOOK_S)
+
 
 def _start(*options: str) -> "subprocess.Popen[bytes]":
     return subprocess.Popen(viewer_command(*options), env=viewer_environment())
@@ -204,8 +223,8 @@ def _web_viewer(*sources: str) -> Iterator[tuple["subprocess.Popen[bytes]", int,
     """Serve rerun's web page; yields the process, the port of the data and the port of the page."""
     data_port, page_port = free_port(), free_port()
     ports = ("--port", str(data_port), "--web-viewer-port", str(page_port))
-    with _listening_viewer(page_port, "--serve-web", *ports, *sources) as viewer:
-        yield viewer, data_port, page_port
+    with _listening_viewer(page_port, "--serve-web", *ports, *sources) as viewer, guarded(page_port) as guarded_port:
+        yield viewer, data_port, guarded_port
 
 
 def _web_address(port: int, source: str) -> str:
@@ -225,47 +244,11 @@ def _live_in_window(port: int, say: Callable[[str], None]) -> None:
 def _live_in_browser(port: int, say: Callable[[str], None]) -> None:
     with (
         _web_viewer() as (viewer, _, page_port),
-        _live_page(port, _web_address(page_port, live_address(port))) as (address, next_run),
+        live_page(_web_address(page_port, live_address(port)), _waiting(port)) as (address, next_run),
     ):
         say(f"{_waiting(port)}; open {address} until Ctrl-C")
         on_each_run(port, found=next_run, is_watching=lambda: viewer.poll() is None)
         raise DeviceError(f"the rerun viewer ended with exit status {viewer.returncode}")
-
-
-@contextlib.contextmanager
-def _live_page(port: int, viewer_address: str) -> Iterator[tuple[str, Callable[[], None]]]:
-    """Serve a page that embeds rerun's viewer; yields its URL, and a function that makes it reload the viewer."""
-    from http import HTTPStatus
-    from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
-
-    runs = itertools.count(1)
-    state = {"number": 0, "address": viewer_address, "note": _waiting(port)}
-
-    class Handler(BaseHTTPRequestHandler):
-        def do_GET(self) -> None:
-            answers = {
-                "/": ("text/html; charset=utf-8", _PAGE.read_bytes()),
-                "/run": ("application/json", json.dumps(state).encode()),
-            }
-            if (answer := answers.get(self.path.partition("?")[0])) is None:
-                self.send_error(HTTPStatus.NOT_FOUND)
-                return
-            kind, content = answer
-            self.send_response(HTTPStatus.OK)
-            self.send_header("Content-Type", kind)
-            self.send_header("Content-Length", str(len(content)))
-            self.end_headers()
-            self.wfile.write(content)
-
-        def log_message(self, *_: object) -> None:
-            """Log no requests."""
-
-    with ThreadingHTTPServer((HOST, 0), Handler) as server:
-        threading.Thread(target=server.serve_forever, name="page", daemon=True).start()
-        try:
-            yield f"http://{HOST}:{server.server_port}/", lambda: state.update(number=next(runs))
-        finally:
-            server.shutdown()
 
 
 def _waiting(port: int) -> str:
