@@ -166,6 +166,8 @@ def test_a_zoom_is_one_of_all_charts_over_time(opened: "browsers.Page") -> None:
 
 def test_a_phone_needs_no_scrolling_sideways_and_paper_takes_it(opened: "browsers.Page") -> None:
     pdf = pytest.importorskip("pypdfium2")
+    opened.open(opened.value("location.href"))  # without the cursors of the tests before
+    opened.wait_until(DRAWN, 60.0)
     first = pdf.PdfDocument(opened.printed())[0].get_textpage().get_text_range()
     assert "FAILED at t = 0.2 s" in first
     assert "heading error [mrad]" in first, "the whole first chart is on the first page"
@@ -208,3 +210,16 @@ def test_a_line_without_a_value_and_one_of_infinity_still_make_json() -> None:
     np.testing.assert_array_equal(y, lines[0].y.astype("f4"))
     assert "&lt;b&gt;" in figure["layout"]["annotations"][1]["text"]
     assert figure["layout"]["annotations"][0]["text"] == "&lt;i&gt;"
+
+
+def test_twenty_minutes_at_1_khz_are_few_points_with_a_spike_of_one_row_among_them() -> None:
+    t_s = np.arange(1_200_000) / 1000.0
+    y = np.sin(t_s)
+    y[777_777] = 50.0
+    stretches = Stretches(t_s, [700.0, 700.5, 0.0])
+    drawn = stretches(y)
+    assert len(drawn) <= 2 * 1500 + 3 * FINE_ROWS
+    assert drawn.max() == 50.0
+    assert stretches.t_s[np.argmax(drawn)] == pytest.approx(777.777, abs=stretches.longest_s)
+    assert stretches.longest_s == pytest.approx(0.8)
+    assert np.isin(t_s[:400], stretches.t_s).all(), "the first instants, row by row"
