@@ -272,12 +272,16 @@ def test_nothing_of_the_firmware_closes_a_loop_meanwhile(tmp_path: Path, monkeyp
 
 
 BOARD = ["device.driver=rosmaster", "plant.start.battery_voltage_v=12"]
+BOARDS = [BOARD, ["device.driver=wheeltec", "plant.start.battery_voltage_v=24"]]
 
 
-def test_a_board_that_closes_its_loops_itself_is_driven_slowly_and_its_wiring_is_its_own(tmp_path: Path) -> None:
+@pytest.mark.parametrize("board", BOARDS, ids=["rosmaster", "wheeltec"])
+def test_a_board_that_closes_its_loops_itself_is_driven_slowly_and_its_wiring_is_its_own(
+    tmp_path: Path, board: list[str]
+) -> None:
     file = robot_file(tmp_path)
     said: list[str] = []
-    done = commission(file, sets=BOARD, say=said.append)
+    done = commission(file, sets=board, say=said.append)
     assert done.table.state == "done"
     assert done.fastest_rad_s < 5.0
     assert any("not identifiable" in sentence for sentence in said)

@@ -15,6 +15,7 @@ from hil.core.errors import BadInputError
 from hil.core.types import WHEEL_NAMES
 from hil.identify.recorded import Array, Drive
 from hil.identify.robust import regression
+from hil.identify.trouble import check_motors
 
 _BIN_S = 0.1
 _HALF_S = 0.02  # a speed is the mean over this time before and after
@@ -42,8 +43,7 @@ class BlocksFit(NamedTuple):
 
 def fit_blocks(drive: Drive, torque_constant_n_m_a: float) -> BlocksFit:
     """Fit a drive whose four wheels turned freely. Raises BadInputError when they did not, or hardly turned."""
-    if not drive.has_currents:
-        raise BadInputError(f"{drive.path}: the robot measured no currents; blocks tell nothing without them")
+    check_motors(drive)
     rows = max(1, round(_BIN_S / drive.period_s))
     half = max(1, round(_HALF_S / drive.period_s))
     margin = half + 2

@@ -12,10 +12,11 @@ from typing import Any, NamedTuple
 
 from hil.core.errors import BadInputError
 from hil.core.model import GRAVITY_M_S2, RobotModel
-from hil.core.types import WHEEL_NAMES
+from hil.core.types import WHEEL_NAMES, CommandMode
 from hil.identify.squeeze import PATTERN
 from hil.runtime.assembly import RunOptions, RunResult, run_scenario
 from hil.scenario import Scenario, load
+from hil.scenario.motors import make_driver
 from hil.wire.url import parse_link
 
 STEPS = ("blocks", "floor", "squeeze", "held_out")
@@ -77,11 +78,12 @@ _ASKS = {
 def plan_step(name: str, base: str | Path, plan: Plan, **where: Any) -> Step:
     """Return a drive of a scenario; ``where`` are further arguments of ``hil.scenario.load``.
 
-    Raises BadInputError for an unknown step and as ``load``.
+    Raises BadInputError for an unknown step, for a robot that takes no torques, and as ``load``.
     """
     if name not in STEPS:
         raise BadInputError(f"step {name!r}: expected {', '.join(STEPS)}")
     scenario = load(base, **where)
+    _check_torque(scenario)
     tables = _common(scenario) | {
         "blocks": _blocks,
         "floor": _floor,
@@ -89,6 +91,17 @@ def plan_step(name: str, base: str | Path, plan: Plan, **where: Any) -> Step:
         "held_out": _held_out,
     }[name](scenario, plan)
     return Step(name, _ASKS[name], load(base, set=tables, **where))
+
+
+def _check_torque(scenario: Scenario) -> None:
+    """Raise BadInputError for motor controllers that close the loops of the wheels themselves and take speeds alone."""
+    device = scenario.device
+    if device.is_makers and CommandMode.TORQUE not in make_driver(scenario).capabilities.modes:
+        raise BadInputError(
+            f'device.driver = "{device.driver}": it takes speeds alone and closes the loops of the wheels itself. '
+            "Mass, inertia, friction and grip need torque: they are not identifiable here. hil commission finds the "
+            "radius of the wheels and the lever"
+        )
 
 
 def perform(step: Step, recording: Path, options: RunOptions) -> RunResult:

@@ -9,7 +9,6 @@ from typing import NamedTuple
 import numpy as np
 
 import plant_fmu
-from hil.core.errors import BadInputError
 from hil.core.model import RobotModel
 from hil.identify.blocks import BlocksFit, fit_blocks
 from hil.identify.currents import quiet
@@ -20,6 +19,7 @@ from hil.identify.identifiability import Outlook, check_excitation, outlook
 from hil.identify.kinematics import Kinematics, fit_kinematics, with_geometry
 from hil.identify.recorded import Array, Drive
 from hil.identify.squeeze import Squeeze, grip_of
+from hil.identify.trouble import check_level, check_motors
 from hil.identify.windows import Windows, cut
 from hil.plant.start import Value
 
@@ -105,13 +105,12 @@ def fit(
     The values are for the torque constant of the first drive's scenario; ``estimates`` scales them when the mass is
     weighed. ``squeeze`` is a drive in which the wheels slid against one another.
 
-    Raises BadInputError for drives that tell too little.
+    Raises BadInputError for drives that tell too little, or that show a robot or a floor that is not as it should be.
     """
+    for drive in (*floor, held_out):
+        check_motors(drive)
     for drive in floor:
         check_excitation(drive)
-    for drive in (*floor, held_out):
-        if not drive.has_currents:
-            raise BadInputError(f"{drive.path}: the robot measured no currents; only its kinematics can be found")
     measured = quiet([*floor, *([] if blocks is None else [blocks])], held_out)
     *floor, held_out = (*measured.drives[: len(floor)], measured.drives[-1])
     blocks = None if blocks is None else measured.drives[-2]
@@ -126,7 +125,7 @@ def fit(
     models: list[Fitted] = []
     notes, grip = [*measured.sentences], None
     for contact in contacts:
-        model = _fit_model(contact, windows, known, models[0] if models else None, held_out)
+        model = _fit_model(contact, floor, windows, known, models[0] if models else None, held_out)
         if contact == "slip" and squeeze is not None:
             # Friction has to be known without that of the rollers, so the model without slip does not do.
             model, grip, sentence = _squeezed(model, squeeze, known, held_out)
@@ -224,7 +223,12 @@ def _opened(
 
 
 def _fit_model(
-    contact: str, windows: Sequence[Windows], before: _Before, simpler: Fitted | None, held_out: Drive
+    contact: str,
+    drives: Sequence[Drive],
+    windows: Sequence[Windows],
+    before: _Before,
+    simpler: Fitted | None,
+    held_out: Drive,
 ) -> Fitted:
     parameters = before.parameters(contact)
     point = before.point(parameters, {} if simpler is None else values_of(simpler))
@@ -234,6 +238,10 @@ def _fit_model(
     with contextlib.ExitStack() as opened:
         floors = _opened(before, contact, parameters, windows, opened)
         solution = solve(floors, point, bounds=(point - _WIDEST, point + _WIDEST), known=known)
+        if simpler is None:
+            for drive, one, seen, starts in zip(drives, windows, floors, solution.starts, strict=True):
+                left = seen.measured - seen.predict(solution.parameters[None], starts[None])[0]
+                check_level(drive, one, left, before.robot)
     return _judged(contact, parameters, solution, before, held_out)
 
 
