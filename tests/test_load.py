@@ -13,7 +13,9 @@ import numpy as np
 import pytest
 
 import hil
+from hil.batch.verify.catalogue import read_catalogue
 from hil.core.errors import BadInputError, DeviceError, LinkError, RunInterruptedError, error_of, kind_of
+from hil.core.mutant import VARIABLE
 from hil.scenario import to_plain
 from tests.processes import environment, wait_for
 
@@ -82,6 +84,20 @@ def test_a_run_that_was_killed_is_loaded_with_a_note(tmp_path: Path) -> None:
     assert len(loaded.signals["loop.t_s"]) > 10
     assert repr(loaded).startswith("<RunResult NO VERDICT circle_speed, ")
     assert told.startswith("NO VERDICT  circle_speed: ")
+
+
+@pytest.mark.parametrize("suffix", [".rrd", ".mcap"])
+def test_a_run_that_could_not_begin_has_the_reason_in_its_recording(tmp_path: Path, suffix: str) -> None:
+    (silent,) = (one for one in read_catalogue().mutants if one.id == "wire.gyro_lost")
+    path = tmp_path / f"run{suffix}"
+    words = [sys.executable, "-m", "hil", "run", "circle_speed", "--record", str(path)]
+    env = environment() | {VARIABLE: silent.mutant.to_text()}
+    done = subprocess.run(words, env=env, capture_output=True, text=True, check=False)
+    loaded = hil.load(path)
+    assert (done.returncode, loaded.exit_code) == (3, 3)
+    assert f"hil: {loaded.failure}" in done.stderr
+    assert "it was not judged" not in str(loaded)
+    assert "     0.000 s  ended     the robot answered HELLO but sends no feedback" in str(loaded)
 
 
 def test_an_older_recording_is_loaded_too() -> None:

@@ -121,6 +121,25 @@ def test_two_runs_side_by_side_say_what_is_better_and_what_was_different(failed:
     assert "robot.mass_kg" not in changed
 
 
+def test_the_text_of_two_runs_says_first_what_was_changed_and_leaves_the_machine_out(failed: Path, other: Path) -> None:
+    done = hil("review", failed, other)
+    assert done.returncode == 0, done.stderr
+    lines = [line for line in done.stdout.splitlines() if str(failed) not in line and str(other) not in line]
+    assert max(map(len, lines)) <= 80
+    titles = [line for line in lines if line.endswith(":") and not line.startswith(" ")]
+    assert titles[:2] == ["What was changed:", "Worse in the second run:"]
+    assert "Better in the second run:" in titles
+    changed = lines[lines.index("What was changed:") + 1 :]
+    assert changed[0].startswith("  code of the law: "), "code, then gains, then what the scenario has"
+    assert changed.index("  controller.law: dsc -> afdsc") < changed.index("  loop.seed: 1 -> 2")
+    assert changed.index("  loop.seed: 1 -> 2") < len(changed) - 1
+    told = "\n".join(lines)
+    assert "scenario_sha256" not in told
+    for noise in ("tick p50", "times real time", "deadline misses"):
+        assert noise not in told
+        assert noise in hil("review", failed, other, "--all").stdout
+
+
 def test_the_differences_of_a_run_and_itself_are_none(failed: Path) -> None:
     run = read(failed)
     one, other = figures(run), review(OLD)

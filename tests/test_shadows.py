@@ -1,14 +1,19 @@
 """Shadows: computed beside the law in command, from the same inputs, never sent, and never the end of a run."""
 
+import json
+
 import numpy as np
 import pytest
 
 import hil
+from hil.cli.review import review as review_command
 from hil.core.errors import BadInputError
 from hil.core.types import WHEEL_NAMES
 from hil.laws.registry import SHIPPED
-from hil.review import read
+from hil.review import read, review
 from hil.review.shadows import shadow_differences
+from hil.runtime.assembly import run_scenario
+from hil.runtime.options import RunOptions
 from hil.scenario import load
 
 SHORT = {"loop.duration_s": 0.5, "loop.rate_hz": 200, "expect": []}
@@ -138,3 +143,28 @@ def test_another_law_keeps_the_shadows_and_a_path_starts_from_its_own_file(tmp_p
     controller = load("top.toml").controller
     assert controller.law == "pid"
     assert controller.shadow == ("dsc", f"{tmp_path / 'laws' / 'mine.py'}:Broken")
+
+
+@pytest.mark.parametrize("suffix", [".rrd", ".mcap"])
+def test_how_far_a_shadow_is_from_the_command_is_in_the_run_its_review_and_their_text(tmp_path, suffix, capsys):
+    path = tmp_path / f"run{suffix}"
+    result = hil.run("paper_circle", set=SHORT | {"controller.shadow": ["dsc"]}, record=path)
+    (row,) = result.metrics["shadows"]
+    t_s = result.signals["loop.t_s"]
+    for wheel in WHEEL_NAMES:
+        name = f"wheel.{wheel}.torque_command_n_m"
+        apart = np.abs(result.signals[f"shadow.dsc.{name}"] - result.signals[name])
+        found = row["difference"][name]
+        assert found["rms"] == pytest.approx(np.sqrt(np.mean(apart**2)))
+        assert (found["max"], found["max_s"]) == (apart.max(), t_s[apart.argmax()])
+    assert review(path)["shadows"] == [row]
+    (line,) = [line for line in result.lines() if line.startswith("  shadow dsc ")]
+    assert f"apart from the command by FL {row['difference']['wheel.fl.torque_command_n_m']['rms']:.3g}" in line
+    review_command([path], as_json=True)
+    assert json.loads(capsys.readouterr().out)["shadows"] == [row]
+
+
+def test_a_run_that_keeps_no_rows_says_it_too():
+    kept = run(controller__shadow=["dsc"])
+    bare = run_scenario(kept.scenario, RunOptions(keep_signals=False))
+    assert bare.metrics["shadows"] == kept.metrics["shadows"]

@@ -17,8 +17,8 @@ from hil.core.errors import DeviceError, LinkError, RunInterruptedError
 
 if TYPE_CHECKING:
     from hil.review.result import RunResult
-    from hil.runtime.assembly import Watch
     from hil.runtime.loop import Loop
+    from hil.runtime.options import Watch
 
 _REFRESH_HZ = 10
 

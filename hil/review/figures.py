@@ -213,7 +213,7 @@ def _tables(run: RecordedRun, kind: type[T], table: str) -> list[T]:
 
 def _judged_before(run: RecordedRun) -> list[str]:
     """Return a note on the limits of ``[allow]`` by which an older version did not judge the run."""
-    if run.summary is None or run.summary.get("passed") is None:
+    if run.summary is None or run.summary.get("passed") is None or "frames" not in run.summary:  # it has no figures
         return []
     judged = {row["name"] for row in run.summary.get("allow") or ()}
     missing = [name for name in options_of(AllowTable) if name not in judged]

@@ -25,8 +25,8 @@ def pair_lines(
     ``figures`` are those of both; ``everything``: also figures that are the same, and those of the machine.
     """
     for which, run in zip(("first", "second"), figures, strict=True):
-        yield from wrapped(f"{which}:  ", run["recording"])
-        yield from (f"  {line}" for line in row_lines(_head(run)))
+        yield from wrapped(f"{which:<6}  ", run["recording"])
+        yield from row_lines(_head(run))
     yield from (
         "",
         "What was changed:" if changes else "Nothing was changed in scenario, code and versions.",

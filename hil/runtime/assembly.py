@@ -3,11 +3,10 @@
 import contextlib
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeVar
 
-from hil.core.errors import DeviceError, HilError, LinkError
+from hil.core.errors import DeviceError, HilError, LinkError, OverdueError
 from hil.core.outputs import Existing, existing_files
 from hil.core.ports import Sink
 from hil.core.signals import SIGNAL_NAMES
@@ -16,20 +15,19 @@ from hil.judge.figures import RunFigures, figure_signals
 from hil.judge.measure import CommandLimits, RunSetup
 from hil.judge.results import EventLog, MemorySink, Signals
 from hil.judge.shadows import with_differences
-from hil.judge.words import with_page
-from hil.record import Recording, Rotation, RunRecording, check_output_path, early_recorder, rotation
+from hil.record import Rotation, RunRecording, check_output_path, early_recorder, rotation
 from hil.record.udp import UdpStream, parse_destination
 from hil.references import Feasibility
 from hil.review.result import RunResult
-from hil.robot.virtual import MakeNode, MakeRobot, new_robot
 from hil.runtime.bench import NS, Bench
 from hil.runtime.events import RunEvents
 from hil.runtime.loop import Loop, Report
 from hil.runtime.mutation.mutation import mutation
+from hil.runtime.options import RunOptions
 from hil.runtime.parts import RunParts
 from hil.runtime.provenance import ingredients, properties
 from hil.runtime.realtime import RealTime, real_time
-from hil.runtime.report import close_recording, is_cut, run_figures
+from hil.runtime.report import close_recording, close_unfinished, is_cut, run_figures
 from hil.runtime.robots import open_trace
 from hil.runtime.undriven import Rejections
 from hil.scenario import Scenario, load, set_texts
@@ -98,52 +96,7 @@ def run(
         return run_scenario(loaded, options)
 
 
-@dataclass(frozen=True, kw_only=True)
-class RunOptions:
-    """Options of a run that are not part of the scenario.
-
-    Attributes:
-        truth, rotate, trace, stream, allow_motion, lenient: as for ``run``.
-        record: the file of a recording, or None.
-        existing: what to do when ``record`` exists already. A ``trace`` is never numbered: "number" counts as "refuse"
-            there.
-        live_port: serves live viewers on this port of 127.0.0.1.
-        watch: a context manager made from the loop, entered while the loop runs.
-        warn: called with each warning: what the robot cannot follow, before anything is opened, and the robot's own
-            warnings, before it is armed.
-        linger: called when everything is recorded, while live viewers are still served.
-        on_stuck: called with a sentence, in its own thread, before this process is ended because the law takes too long
-            and cannot be interrupted (``hil.core.tick_watch``).
-        make_robot: makes a robot in this process; make_node: its firmware; make_recording: the recording.
-        keep_signals: False leaves signals out of the result, so that memory does not grow with the run. Extra signals
-            are then computed only if something else reads them.
-    """
-
-    truth: str | None = None
-    record: Path | None = None
-    rotate: Rotation = Rotation()  # noqa: RUF009 -- immutable
-    trace: Path | None = None
-    existing: Existing = "refuse"
-    live_port: int | None = None
-    stream: str | None = None
-    allow_motion: bool = False
-    lenient: bool = False
-    watch: Watch | None = None
-    warn: Callable[[str], None] | None = None
-    linger: Callable[[], None] | None = None
-    on_stuck: Callable[[str], None] | None = None
-    make_node: MakeNode | None = None
-    make_robot: MakeRobot = new_robot
-    make_recording: Callable[..., RunRecording] = Recording
-    keep_signals: bool = True
-
-    @property
-    def is_recorded(self) -> bool:
-        """Whether the run is recorded, in a file or only for live viewers."""
-        return self.record is not None or self.live_port is not None
-
-
-def run_scenario(scenario: Scenario, options: RunOptions = RunOptions()) -> RunResult:
+def run_scenario(scenario: Scenario, options: RunOptions = RunOptions()) -> RunResult:  # noqa: B008 -- immutable
     """Run a scenario that was loaded. Raises as ``run``."""
     run = _Run(scenario, options)
     with contextlib.ExitStack() as resources:
@@ -279,10 +232,8 @@ class _Run:
             self._trace.finish()
         if self._recording is not None:
             t_s = self._loop.t_s
-            self._recording.event(t_s, "error", sentence)
             outcomes = list(self._events.finish(t_s, is_cut=True).values())
-            with contextlib.suppress(HilError):  # nothing was recorded; the sentence counts for more
-                self._recording.finish(with_page({"passed": False, "failure": sentence, "expect": outcomes}))
+            close_unfinished(self._recording, t_s, OverdueError(sentence), outcomes)
         if self._options.on_stuck is not None:
             self._options.on_stuck(sentence)
 
@@ -333,8 +284,11 @@ class _Run:
         """Take a step towards ACTIVE. If the robot in this process has failed, raise its failure in place of ours."""
         try:
             return step()
-        except (DeviceError, LinkError):
-            if (failure := self._bench.stop_robot()) is not None:
+        except (DeviceError, LinkError) as error:
+            failure = self._bench.stop_robot()
+            if self._recording is not None:
+                close_unfinished(self._recording, 0.0, failure or error)
+            if failure is not None:
                 raise failure from None
             raise
 

@@ -1,10 +1,11 @@
 """Computes the figures of a finished run, and finishes its recording."""
 
+import contextlib
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
-from hil.core.errors import kind_of
+from hil.core.errors import HilError, kind_of
 from hil.core.percentiles import Percentiles
 from hil.judge.baselines import against_baseline
 from hil.judge.claims import Outcome
@@ -171,3 +172,16 @@ def close_recording(
         "troubles": list(report.troubles),
         "parts": [str(path) for path in report.parts],
     }
+
+
+def close_unfinished(
+    recording: RunRecording, t_s: float, failure: HilError, outcomes: Sequence[Mapping[str, Any]] = ()
+) -> None:
+    """Finish the recording of a run that has no figures: it could not begin, or its law did not return.
+
+    ``outcomes`` are those of its expectations. A recording that cannot be written is no error here: the failure counts.
+    """
+    recording.event(t_s, "error", str(failure))
+    summary = {"passed": False, "failure": str(failure), "failure_kind": kind_of(failure), "failure_s": t_s}
+    with contextlib.suppress(HilError):
+        recording.finish(with_page({**summary, "expect": outcomes}))
