@@ -79,7 +79,8 @@ class ConditionedLink:
         self._send_packed = link.send_packed if isinstance(link, PackedLink) and bus is None else None
         self._receive_now = link.receive if observer is None else self._receive_from_wire
         self.send = self._send if self.may_hold or not is_bare else link.send
-        self.receive = self._receive if self._has_rows or bus is not None or feedback_latency_ns else self._receive_now
+        self._changes_feedback = self._has_rows or bus is not None or feedback_latency_ns > 0
+        self.receive = self._receive if self._changes_feedback else self._receive_now
 
     def _put(self, frames: Sequence[Frame]) -> None:
         """Put frames on the wire."""
@@ -231,6 +232,9 @@ class ConditionedLink:
 
     def _admit(self, frames: Sequence[Frame], stamp_ns: int, now_ns: int) -> None:
         """Apply the conditions to what came from the wire."""
+        if not self._changes_feedback:
+            self._add_ready(frames, stamp_ns)
+            return
         t_ns = self._time.at(now_ns)
         if self._bus is not None:
             frames = self._undamaged(self._bus, frames, t_ns)

@@ -5,7 +5,7 @@ PACKED it holds frames that crossed the wire together, as ``PackedFrames`` has t
 """
 
 import struct
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import Any
 
 from firmware_protocol.framing import PackedFrames
@@ -19,9 +19,9 @@ _ROW = struct.Struct(f"4d{MOST_PACKED}s")
 WIDTH = _ROW.size // 8
 
 
-def pack(unix_us: int, flags: int, number: int, length: int, payload: bytes) -> bytes:
-    """Return the row; ``length`` is that of the payload, or the one that a remote frame requests."""
-    return _ROW.pack(unix_us, flags, number, length, payload)
+pack: Callable[[int, int, int, int, bytes], bytes] = _ROW.pack
+"""Returns the row of a Unix time [µs], flags, identifier, length of the payload, or the one that a remote frame
+requests, and payload."""
 
 
 def pack_message(unix_us: int, message: Any) -> bytes:

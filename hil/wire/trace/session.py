@@ -75,6 +75,7 @@ class Trace:
         self._path = path = claim("trace", path, existing)
         self._zero_unix_us = 0
         self._flags = packing.FD * fd + packing.SWITCHED * (fd and switched)
+        self._packed_flags = self._flags + packing.PACKED, self._flags + packing.PACKED + packing.SENT
         self._report: TraceReport | None = None
         self._passed = self._dropped = 0  # frames
         try:
@@ -103,7 +104,7 @@ class Trace:
     def frames(self, stamp_ns: int, frames: Sequence[Frame], *, sent: bool) -> None:
         """Trace frames of this link, which crossed the wire together."""
         if type(frames) is PackedFrames and len(frames.packed) <= packing.MOST_PACKED:
-            flags, packed = self._flags + packing.PACKED + packing.SENT * sent, frames.packed
+            flags, packed = self._packed_flags[sent], frames.packed
             self._put(packing.pack(self._zero_unix_us + stamp_ns // 1000, flags, 0, len(packed), packed), len(frames))
             return
         for frame in frames:
