@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 
 from hil.review import figures
 from hil.review.charts import Band, Chart, Lane, Line, Mark, Panel, figure_of
+from hil.review.judged import _bands
 from hil.review.page import page
 from hil.review.panels import charts, read_for_page
 from hil.review.shown import Shown
@@ -140,7 +141,7 @@ def test_two_clicks_measure_time_and_every_signal(opened: "browsers.Page", faile
     rows = "[...document.querySelectorAll('#measured-0 tr')].slice(0, 2)"
     head, planar = opened.value(f"{rows}.map((row) => [...row.cells].map((cell) => cell.textContent))")
     times = [float(text.split(": ")[1].removesuffix(" s")) for text in head[1:3]]
-    assert head[3] == f"Δt {times[1] - times[0]:.5g} s"
+    assert head[3] == f"Δt {times[1] - times[0]:.6g} s"
     run = read_for_page(failed)
     values = np.interp(times, run.signals["loop.t_s"], 1e3 * run.signals["error.planar_m"])
     assert planar[0] == "planar error [mm]"
@@ -162,6 +163,13 @@ def test_a_zoom_is_one_of_all_charts_over_time(opened: "browsers.Page") -> None:
     low, high = opened.value(ranges)[0]
     assert low == pytest.approx(0.25, abs=0.02)
     assert high == pytest.approx(0.5, abs=0.02)
+
+
+def test_a_time_of_what_happened_shows_that_instant_in_every_chart(opened: "browsers.Page") -> None:
+    opened.value("document.querySelector('button.at').click()")
+    ranges = "[0, 1, 3].map((n) => String(document.getElementById(`chart-${n}`)._fullLayout.xaxis.range))"
+    at_s = float(opened.value("document.querySelector('button.at').dataset.t"))
+    opened.wait_until(f"new Set({ranges}.concat('{at_s - 0.5:g},{at_s + 0.5:g}')).size === 1", 10.0)
 
 
 def test_a_phone_needs_no_scrolling_sideways_and_paper_takes_it(opened: "browsers.Page") -> None:
@@ -223,3 +231,16 @@ def test_twenty_minutes_at_1_khz_are_few_points_with_a_spike_of_one_row_among_th
     assert stretches.t_s[np.argmax(drawn)] == pytest.approx(777.777, abs=stretches.longest_s)
     assert stretches.longest_s == pytest.approx(0.8)
     assert np.isin(t_s[:400], stretches.t_s).all(), "the first instants, row by row"
+
+
+def test_bands_are_where_flags_are_set_and_never_more_than_can_be_drawn() -> None:
+    t_s = np.arange(10_000) / 100.0
+    once = _bands(t_s, (t_s >= 3.0) & (t_s < 4.0), "violated")
+    assert once == [Band(3.0, 4.0, "violated")]
+    assert _bands(t_s, np.zeros(len(t_s), bool), "violated") == []
+    assert _bands(t_s, np.ones(len(t_s), bool), "violated") == [Band(0.0, 99.99, "violated")]
+    often = (np.arange(10_000) % 20 < 5) & ((t_s < 40.0) | (t_s > 60.0))
+    bands = _bands(t_s, often, "violated")
+    assert len(bands) == 60
+    assert all(any(band.begin <= at_s <= band.end for band in bands) for at_s in t_s[often])
+    assert not any(band.begin < 50.0 < band.end for band in bands), "the widest gap stays one"

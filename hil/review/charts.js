@@ -26,7 +26,7 @@
     }
     return at - x[low] <= x[high] - at ? low : high;
   };
-  const digits = (value) => Number.isFinite(value) ? String(Number(value.toPrecision(5))) : "-";
+  const digits = (value) => Number.isFinite(value) ? String(Number(value.toPrecision(6))) : "-";
 
   const measure = (chart) => {
     const lines = cursors.map((t, number) => ({
@@ -47,7 +47,8 @@
     table.append(document.createElement("table"));
     const [first, second] = cursors;
     const both = second !== undefined;
-    row(["", `1: ${digits(first)} s`, ...(both ? [`2: ${digits(second)} s`, `Δt ${digits(second - first)} s`] : [])], "th");
+    const later = both ? [`2: ${digits(second)} s`, `Δt ${digits(second - first)} s`] : [];
+    row(["", `1: ${digits(first)} s`, ...later], "th");
     for (const trace of chart.data.filter((one) => one.mode === "lines")) {
       const values = cursors.map((t) => trace.y[nearest(trace.x, t)]);
       row([trace.meta, ...values.map(digits), ...(both ? [`Δ ${digits(values[1] - values[0])}`] : [])]);
@@ -76,7 +77,7 @@
       for (const trace of chart.data) Object.assign(trace, { x: arrays[trace.x], y: numbers(trace.y) });
       if (is_touched) chart.layout.dragmode = false; // a finger that moves scrolls the page
       chart.layout.shapes = chart.layout.shapes || [];
-      await Plotly.newPlot(chart.div, chart.data, { ...chart.layout }, options);
+      await Plotly.newPlot(chart.div, chart.data, structuredClone(chart.layout), options); // plotly changes it
       drawn.push(chart);
       if (!chart.time) continue;
       measure(chart);
@@ -86,7 +87,19 @@
         drawn.filter((one) => one.time).forEach(measure);
       });
     }
-    const to_width = (width) => drawn.forEach(({ div }) => Plotly.relayout(div, width ? { width } : { autosize: true, width: null }));
+    const over_time = drawn.filter((one) => one.time);
+    for (const button of document.querySelectorAll("button.at")) {
+      button.title = "show this instant in the plots";
+      button.addEventListener("click", () => {
+        const [low, high] = over_time[0].layout.xaxis.range;
+        const half = Math.max((high - low) / 100, 0.5);
+        const t = Number(button.dataset.t);
+        over_time.forEach(({ div }) => Plotly.relayout(div, { "xaxis.range": [t - half, t + half] }));
+        over_time[0].div.scrollIntoView();
+      });
+    }
+    const to_width = (width) =>
+      drawn.forEach(({ div }) => Plotly.relayout(div, width ? { width } : { autosize: true, width: null }));
     addEventListener("beforeprint", () => to_width(855)); // A4 without its margins, at the zoom of the print style
     addEventListener("afterprint", () => to_width(null));
     document.body.dataset.drawn = "yes";

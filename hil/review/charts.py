@@ -215,7 +215,9 @@ def _lanes(chart: Chart, inner_px: int) -> tuple[list[dict[str, Any]], list[dict
 
 def _rectangle(band: Band, y: str, opacity: float) -> dict[str, Any]:
     box = {"type": "rect", "xref": "x", "x0": band.begin, "x1": band.end, "yref": y, "y0": 0, "y1": 1}
-    return box | {"fillcolor": _FILLS[band.kind], "opacity": opacity, "line": {"width": 0}, "layer": "below"}
+    # An outline of what is judged, so that what is short shows in a long run too.
+    line = {"width": 1.5 if band.kind in ("violated", "fault") else 0, "color": _FILLS[band.kind]}
+    return box | {"fillcolor": _FILLS[band.kind], "opacity": opacity, "line": line, "layer": "below"}
 
 
 def _x_axis(chart: Chart, anchor: str) -> dict[str, Any]:

@@ -21,7 +21,6 @@ Outcome = Mapping[str, Any]
 """An expectation's entry in a run's JSON."""
 _TRUE_POSE = ("truth.x_m", "truth.y_m", "truth.heading_rad")
 _MOST_BANDS = 60
-_CLOSE = 0.002
 _WORDS = {True: "held", False: "FAILED", None: "not judged"}
 
 
@@ -50,7 +49,7 @@ def lanes(run: RecordedRun, found: Mapping[str, Any]) -> Iterator[Lane]:
     begin_s, end_s = planned_s(run)
     last_s = float(run.signals["loop.t_s"][-1])
     if found["failure"] is not None:
-        yield Lane(f"ENDED at {last_s:.4g} s", [Band(last_s, end_s, "violated")])
+        yield Lane(f"ENDED at {last_s:.6g} s", [Band(last_s, end_s, "violated")])
     rows = [(claim, outcome) for claim, outcome in _judged(run, found) if outcome["figure"] is None]
     for claim, outcome in sorted(rows, key=lambda pair: _urgency(pair[1])):
         from_s, to_s = max(claim.from_s, begin_s), min(claim.to_s, last_s)
@@ -67,11 +66,11 @@ def lanes(run: RecordedRun, found: Mapping[str, Any]) -> Iterator[Lane]:
 def fault_band(fault: Mapping[str, Any], end_s: float) -> Band:
     """Return the time during which a fault of a run's JSON was in force, until ``end_s`` at most.
 
-    A fault that only happens, and does not last, is as wide as can be seen.
+    A fault that only happens does not last.
     """
     start_s = float(fault["start_s"])
     if any(kind.is_instant and kind.name == fault["kind"] and fault["target"] in kind.targets for kind in KINDS):
-        return Band(start_s, start_s + 2.0 * _CLOSE * end_s, "fault")
+        return Band(start_s, start_s, "fault")
     stop_s = end_s if fault["end_s"] is None else min(fault["end_s"], end_s)
     return Band(start_s, max(stop_s, start_s), "fault")
 
@@ -113,17 +112,14 @@ def _broken(run: RecordedRun, claim: Claim, outcome: Outcome, from_s: float, to_
 
 
 def _bands(t_s: Series, flags: npt.NDArray[np.bool_], kind: str) -> list[Band]:
-    """Return when flags are set; what is close together is one band, and none is too narrow to be seen."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], flags, [False]]).astype(int)))
-    close_s = _CLOSE * float(t_s[-1] - t_s[0])
-    found: list[Band] = []
-    for begin, end in edges.reshape(-1, 2).tolist():
-        begin_s, end_s = float(t_s[begin]), float(t_s[min(end, len(t_s) - 1)])
-        if found and (begin_s - found[-1].end < close_s or len(found) >= _MOST_BANDS):
-            found[-1] = found[-1]._replace(end=end_s)
-        else:
-            found.append(Band(begin_s, max(end_s, begin_s + close_s), kind))
-    return found
+    """Return when flags are set; where this changes too often, what is nearest together is one band."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], flags, [False]]).astype(int))).reshape(-1, 2)
+    if not len(edges):
+        return []
+    begins, ends = t_s[edges[:, 0]], t_s[np.minimum(edges[:, 1], len(t_s) - 1)]
+    widest = np.sort(np.argsort(begins[1:] - ends[:-1])[1 - _MOST_BANDS :])
+    begins, ends = begins[np.append(0, widest + 1)], ends[np.append(widest, len(ends) - 1)]
+    return [Band(float(begin_s), float(end_s), kind) for begin_s, end_s in zip(begins, ends, strict=True)]
 
 
 def violations(run: RecordedRun, found: Mapping[str, Any], name: str) -> list[Band]:
@@ -158,7 +154,7 @@ def marks(run: RecordedRun, found: Mapping[str, Any], name: str, scale: float = 
             known = before[np.isfinite(before)][-1:]
             value = scale * float(known[0]) if len(known) else 0.0
             word = "not settled" if claim.settles else "violated"
-            made.append(Mark(outcome["violation_s"], value, f"{word} at {outcome['violation_s']:.4g} s"))
+            made.append(Mark(outcome["violation_s"], value, f"{word} at {outcome['violation_s']:.6g} s"))
     return made
 
 

@@ -100,7 +100,7 @@ def _when(figures: Mapping[str, Any]) -> str:
         held = sum(row["passed"] is True for row in rows)
         return f": {held} of {len(rows)} expectations held" if rows else ": nothing was expected of it"
     times = [one.t_s for one in happenings(figures) if one.kind in _BAD and math.isfinite(one.t_s)]
-    return f" at t = {min(times):.4g} s" if times else ""
+    return f" at t = {min(times):.6g} s" if times else ""
 
 
 def _happenings(figures: Mapping[str, Any]) -> Iterator[str]:
@@ -108,7 +108,8 @@ def _happenings(figures: Mapping[str, Any]) -> Iterator[str]:
     found, cells = [one for one in happenings(figures) if one.kind != "state"], []  # the charts show that
     for one in found[:_FIRST_SHOWN]:
         kind = mark(one.kind, good=False) if one.kind in _BAD else f'<span class="note">{escape(one.kind)}</span>'
-        cells.append((f"{one.t_s:.4g} s" if math.isfinite(one.t_s) else "", kind, escape(one.text)))
+        t = f'<button class="at" data-t="{one.t_s}">{one.t_s:.6g} s</button>' if math.isfinite(one.t_s) else ""
+        cells.append((t, kind, escape(one.text)))
     if cells:
         yield from table(("t", "", "what happened"), cells, numbers=(0,))
     if len(found) > _FIRST_SHOWN:
