@@ -3,6 +3,7 @@
 May import: `judge`, `scenario`, `record`, `laws`, `core`.
 To add a chart to the page: `panels.py`; a picture: `plots.py`; an export: `export.py`.
 
+result = hil.load("run.rrd")               # what hil.run returned (load.py, result.py)
 run = read(Path("run.rrd"))                # every signal; see RecordedRun
 figures = review(Path("run.rrd"))          # as hil run --json has them
 rows = differences(figures, review(other)) # which of two runs is better, figure by figure

@@ -47,7 +47,7 @@ class Change(NamedTuple):
         Older recordings lack some hashes: they are "not recorded".
         """
         is_hash = self.key in HASHES
-        nothing, text = ("not recorded", hash_text) if is_hash else ("-", str)
+        nothing, text = ("not recorded", hash_text) if is_hash else ("not given", str)
         first, second = (nothing if value is None else text(str(value)) for value in (self.first, self.second))
         return PROPERTY_WORDS[self.key] if is_hash else self.key, first, second
 
