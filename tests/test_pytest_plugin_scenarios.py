@@ -2,6 +2,7 @@
 
 import re
 import shlex
+import shutil
 import sys
 from pathlib import Path
 
@@ -9,6 +10,7 @@ import pytest
 
 from hil.cli.pytest_plugin import _places
 from hil.review import review
+from hil.scenario.load import SHIPPED_DIRECTORY
 from tests.plugin_suites import (
     BAD_KEY,
     HOLDING,
@@ -28,7 +30,7 @@ from tests.processes import device, hil
 def test_every_file_is_one_test_that_its_name_and_the_marker_select(suite: pytest.Pytester):
     write(suite, circle=PASSING, line=PASSING)
     (suite.path / "no_test.toml").write_text(PASSING)
-    (suite.path / "line.baseline.toml").write_text("# of line.hil.toml")
+    shutil.copy(SHIPPED_DIRECTORY / "paper_circle.baseline.toml", suite.path / "line.baseline.toml")
     suite.makepyfile(test_other="def test_other(): pass")
     listed = run(suite, "--co", "-q", "--strict-markers")
     assert listed.parseoutcomes() == {"tests": 3}

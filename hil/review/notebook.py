@@ -17,6 +17,7 @@ from hil.review.plots import Curve, draw_error, drawing, rgb, thinned
 
 _COLOURS = {"PASSED": "#1b7f3b", "FAILED": "#c62828"}
 _SHOWN = 12
+_SHORT = 24
 _ERROR = "error.planar_m"
 
 
@@ -46,7 +47,7 @@ def _parts(metrics: Mapping[str, Any], signals: Mapping[str, Series]) -> Iterato
 
 
 def _table(rows: Iterable[Iterable[str]]) -> Iterator[str]:
-    cells = ["".join(f'<td style="text-align: left">{escape(text)}</td>' for text in row) for row in rows]
+    cells = ["".join(f'<td style="{_cell(text)}">{escape(text)}</td>' for text in row) for row in rows]
     if cells:
         yield f"<table>{''.join(f'<tr>{row}</tr>' for row in cells)}</table>"
 
@@ -64,3 +65,8 @@ def _picture(metrics: Mapping[str, Any], signals: Mapping[str, Series]) -> str:
             if row["passed"] is False and row["violation_s"] is not None:
                 axes.axvline(row["violation_s"], color=rgb(ALARM_COLOUR), linewidth=1.0)
     return base64.b64encode(svg.getvalue()).decode("ascii")
+
+
+def _cell(text: str) -> str:
+    """Return the style of a cell; a short text, such as a time, stays on one line."""
+    return "text-align: left; vertical-align: top" + ("; white-space: nowrap" if len(text) <= _SHORT else "")

@@ -43,7 +43,9 @@ def pair_lines(
     same = [row for row in shown if row.verdict == "same"]
     others = [row for row in shown if row.verdict is None and (everything or row.difference != 0)]
     if others := [row for row in others if everything or row.name not in _COUNTS]:
-        yield from ("", "Neither better nor worse:", *map(_difference_line, others))
+        has_ended = any(run.get("failure") is not None for run in figures)
+        title = "Not judged, because a run ended early:" if has_ended else "Other figures that differ:"
+        yield from ("", title, *map(_difference_line, others))
     if same and everything:
         yield from ("", "The same:", *map(_difference_line, same))
     elif same:
