@@ -18,7 +18,7 @@ from hil.identify.blocks import fit_blocks
 from hil.identify.drive import STEPS, Plan, perform, plan_step
 from hil.identify.held_out import predict
 from hil.identify.identifiability import check_excitation
-from hil.identify.kinematics import fit_kinematics
+from hil.identify.kinematics import Tape, fit_kinematics
 from hil.identify.mapped import fit_mapped
 from hil.identify.recorded import Drive, split
 from hil.identify.squeeze import grip_of
@@ -299,13 +299,13 @@ def test_a_tape_measure_gives_the_scale_of_length_in_place_of_fixes(drives: Path
     assert unscaled.radius_m == ROBOT.believed["wheel_radius_m"]
     by_tape = replace(drive, robot=replace(drive.robot, wheel_radius_m=1.2 * ROBOT.true["wheel_radius_m"]))
     assert far.max() > 0.5
-    assert fit_kinematics(by_tape, tape_m=float(far.max())).radius_m == pytest.approx(
-        ROBOT.true["wheel_radius_m"], rel=0.02
-    )
+    found = fit_kinematics(by_tape, Tape(float(far.max()), 0.01))
+    assert found.radius_m == pytest.approx(ROBOT.true["wheel_radius_m"], rel=0.02)
+    assert np.sqrt(found.covariance[0, 0]) == pytest.approx(0.01 / far.max())
     back = 2000 + int(np.argmin(far[2000:])) + 1
     near = replace(whole, **{name: getattr(whole, name)[:back] for name in names})
     with pytest.raises(BadInputError, match=r"expected at least 0\.5 m to compare with the tape"):
-        fit_kinematics(near, tape_m=0.2)
+        fit_kinematics(near, Tape(0.2))
 
 
 def test_without_the_truth_a_prediction_is_measured_against_wheels_and_gyro(drives: Path) -> None:

@@ -110,6 +110,9 @@ def fit(
     tape: Annotated[
         float | None, Option(metavar="METRE", help="distance from the first recording's start to its end", min=0.1)
     ] = None,
+    tape_sigma: Annotated[
+        float, Option(metavar="METRE", help="standard deviation of --tape, with that of the marks", min=1e-5)
+    ] = 0.003,
     contact: Annotated[
         str, Option(metavar="rigid|both", help="rigid: no model with slip; both: the better one is taken")
     ] = "both",
@@ -127,6 +130,7 @@ def fit(
     from hil.identify.estimates import estimates
     from hil.identify.files import PICTURE_FILE, check_files, write_figures, write_files
     from hil.identify.fit import fit as fit_drives
+    from hil.identify.kinematics import Tape
     from hil.identify.page import draw
     from hil.identify.recorded import read_drive
 
@@ -139,7 +143,8 @@ def fit(
     floor, judged_by = _read(recordings, held_out)
     others = {name: read_drive(path) for name, path in (("blocks", blocks), ("squeeze", squeeze)) if path is not None}
     contacts = ("rigid",) if contact == "rigid" else ("rigid", "slip")
-    result = fit_drives(floor, judged_by, tape_m=tape, contacts=contacts, **others)
+    measured = None if tape is None else Tape(tape, tape_sigma)
+    result = fit_drives(floor, judged_by, tape=measured, contacts=contacts, **others)
     found = estimates(result, mass)
     figures = {"schema": SCHEMA, **_figures(result, found)}
     better = figures["passed"]

@@ -16,7 +16,7 @@ from hil.identify.floor import GAINS, GYRO_BIAS, Floor, Parameter, variable
 from hil.identify.gauss_newton import Knowledge, Solution, inverted, solve
 from hil.identify.held_out import Prediction, predict
 from hil.identify.identifiability import Outlook, check_excitation, outlook
-from hil.identify.kinematics import Kinematics, fit_kinematics, with_geometry
+from hil.identify.kinematics import Kinematics, Tape, fit_kinematics, with_geometry
 from hil.identify.recorded import Array, Drive
 from hil.identify.squeeze import Squeeze, grip_of
 from hil.identify.trouble import check_level, check_motors
@@ -96,7 +96,7 @@ def fit(
     held_out: Drive,
     *,
     blocks: Drive | None = None,
-    tape_m: float | None = None,
+    tape: Tape | None = None,
     contacts: Sequence[str] = ("rigid", "slip"),
     squeeze: Drive | None = None,
 ) -> Result:
@@ -116,7 +116,7 @@ def fit(
     blocks = None if blocks is None else measured.drives[-2]
     first = floor[0]
     torque_constant = float(first.values["firmware.torque_constant_n_m_a"])
-    kinematics = _joined([fit_kinematics(drive, tape_m if drive is first else None) for drive in floor])
+    kinematics = _joined([fit_kinematics(drive, tape if drive is first else None) for drive in floor])
     robot = replace(first.robot, **with_geometry(first.robot, kinematics))
     on_blocks = None if blocks is None else fit_blocks(blocks, torque_constant)
     windows = [cut(drive, robot) for drive in floor]

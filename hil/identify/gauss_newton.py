@@ -119,7 +119,7 @@ def solve(
     point, free = parameters.copy(), ~known.held
     starts = [experiment.starts.copy() for experiment in experiments]
     sigmas = [_sigmas(one, point, start) for one, start in zip(experiments, starts, strict=True)]
-    damping, steps = 1e-4, 0
+    damping, steps, has_settled = 1e-4, 0, False
     for steps in range(1, _MOST_STEPS + 1):
         locals_ = [
             _at(*args, point, free, by="guess" if steps == 1 else "start")
@@ -142,15 +142,16 @@ def solve(
                 found = tried, moved, now
                 break
             damping = max(damping * 10.0, 1e-3)
-        if found is None:
+        done = found is None
+        if found is not None:
+            done = float(np.abs(found[0] - point).max()) < _DONE or cost - found[2] < _FLAT
+            point, starts, _ = found
+            damping = max(damping / 10.0, 1e-6)
+        if done and has_settled:
             break
-        change = float(np.abs(found[0] - point).max())
-        point, starts, now = found
-        damping = max(damping / 10.0, 1e-6)
-        if steps <= _NEW_SIGMAS:  # the first were those of a poor model
+        has_settled = has_settled or (done and steps > _NEW_SIGMAS)
+        if steps <= _NEW_SIGMAS or done:  # the last were those of a poorer model
             sigmas = [_sigmas(one, point, start) for one, start in zip(experiments, starts, strict=True)]
-        elif change < _DONE or cost - now < _FLAT:
-            break
     sigmas = [_sigmas(one, point, start) for one, start in zip(experiments, starts, strict=True)]
     every = np.ones_like(free)
     locals_ = [

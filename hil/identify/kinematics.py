@@ -25,6 +25,13 @@ _SIDEWAYS_SIGMA = 0.01  # what is to be expected: 0.989 with free rollers that s
 RADIUS, SIDEWAYS, DELAY, BIAS = range(4)
 
 
+class Tape(NamedTuple):
+    """A distance on the floor by a tape measure, and its standard deviation [m]."""
+
+    way_m: float
+    sigma_m: float = 0.003
+
+
 class Kinematics(NamedTuple):
     """What was found; ``covariance`` (2, 2) is of the logarithms of radius and lever.
 
@@ -43,8 +50,8 @@ class Kinematics(NamedTuple):
     scale_known: bool
 
 
-def fit_kinematics(drive: Drive, tape_m: float | None = None) -> Kinematics:
-    """Fit a drive on the floor. ``tape_m`` is the measured distance between where it began and where it ended.
+def fit_kinematics(drive: Drive, tape: Tape | None = None) -> Kinematics:
+    """Fit a drive on the floor. ``tape`` is the measured distance between where it began and where it ended.
 
     Raises BadInputError for a robot without a gyro, or one that hardly turned.
     """
@@ -65,16 +72,16 @@ def fit_kinematics(drive: Drive, tape_m: float | None = None) -> Kinematics:
     else:
         sideways, sideways_sigma, delay_s, of_radius = 1.0, float("nan"), float("nan"), 0.0
         radius = robot.wheel_radius_m
-        if tape_m is not None:
+        if tape is not None:
             way_m = np.hypot(*rolled(drive, robot, bias)[-1, :2])
             if way_m < 0.5:
                 raise BadInputError(
                     f"{drive.path}: by its wheels the robot ended {way_m:.2f} m from where it began; expected at "
                     "least 0.5 m to compare with the tape"
                 )
-            radius, of_radius = radius * tape_m / float(way_m), (0.003 / tape_m) ** 2
+            radius, of_radius = radius * tape.way_m / float(way_m), (tape.sigma_m / tape.way_m) ** 2
     variance += of_radius  # the lever follows from the radius
-    known = len(drive.fixes) >= _LEAST_FIXES or tape_m is not None
+    known = len(drive.fixes) >= _LEAST_FIXES or tape is not None
     return Kinematics(radius, radius / ratio, bias, sideways, sideways_sigma, delay_s, variance, known)
 
 

@@ -35,6 +35,7 @@ _CLOCK = ("robot.time_s", "robot.yaw_rate_rad_s")
 SIGNALS = ("loop.t_s", "loop.tick", *_CLOCK, *_SPEEDS, *_CURRENTS, *_COMMANDS, *_FIX, *_TRUTH)
 """The signals that a fit reads."""
 _LEAST_S = 2.0
+_MOST_MISSING = 3
 _LEAST_SPLIT_S = 6.0
 _OVER_TIME = ("time_s", "angle_rad", "current_a", "torque_command_n_m", "yaw_rate_rad_s", "truth")
 
@@ -92,7 +93,9 @@ class Drive:
 
 
 def read_drive(path: Path) -> Drive:
-    """Read a recording of ``hil run`` as a fit needs it: its longest stretch without a gap in the feedback.
+    """Read a recording of ``hil run`` as a fit needs it: its longest stretch without a long gap in the feedback.
+
+    Up to three feedbacks that are missing in a row are interpolated, as a line loses one now and then.
 
     Raises BadInputError when it cannot be read, lacks a signal, or is too short.
     """
@@ -113,11 +116,17 @@ def drive_of(path: Path, values: Mapping[str, Any], signals: Mapping[str, Array]
     time_s = signals["robot.time_s"]
     rows = _whole_rows(path, time_s, np.asarray(np.isfinite(table(_SPEEDS)).all(axis=1), dtype=np.bool_))
     period_s = float(np.median(np.diff(time_s[rows])))
-    if len(rows) * period_s < _LEAST_S:
+    span_s = float(time_s[rows[-1]] - time_s[rows[0]])
+    if span_s < _LEAST_S:
         raise BadInputError(
-            f"{path}: its longest stretch without a gap in the feedback is {len(rows) * period_s:.2g} s; expected at "
-            f"least {_LEAST_S:g} s"
+            f"{path}: its longest stretch without a gap in the feedback is {span_s:.2g} s; expected at least "
+            f"{_LEAST_S:g} s"
         )
+    places = np.round((time_s[rows] - time_s[rows[0]]) / period_s)
+
+    def whole(series: Array) -> Array:
+        return _filled(series[rows], places)
+
     fixes = table(_FIX)
     fixes = fixes[np.isfinite(fixes).all(axis=1)]
     bandwidth = _bandwidth_rad_s(values)
@@ -126,13 +135,13 @@ def drive_of(path: Path, values: Mapping[str, Any], signals: Mapping[str, Array]
         _robot(path, values),
         values,
         period_s,
-        time_s[rows],
-        _angles(table(_SPEEDS)[rows], period_s, bandwidth),
-        table(_CURRENTS)[rows],
-        table(_COMMANDS)[rows],
-        signals.get("robot.yaw_rate_rad_s", nothing)[rows],
+        whole(time_s),
+        _angles(whole(table(_SPEEDS)), period_s, bandwidth),
+        whole(table(_CURRENTS)),
+        whole(table(_COMMANDS)),
+        whole(signals.get("robot.yaw_rate_rad_s", nothing)),
         fixes[np.argsort(fixes[:, 0], kind="stable")],
-        table(_TRUTH)[rows],
+        whole(table(_TRUTH)),
     )
 
 
@@ -154,7 +163,7 @@ def split(drive: Drive, share: float = 2 / 3) -> tuple[Drive, Drive]:
 
 
 def _whole_rows(path: Path, time_s: Array, is_known: npt.NDArray[np.bool_]) -> npt.NDArray[np.intp]:
-    """Return the places of the longest run of rows that each came one period after the one before."""
+    """Return the places of the longest run of rows that each came one period after the one before, or a few more."""
     places = np.flatnonzero(is_known & np.isfinite(time_s))
     # A tick without new feedback repeats the feedback before it.
     places = places[np.concatenate([[True], np.diff(time_s[places]) > 0.0])] if len(places) else places
@@ -162,9 +171,21 @@ def _whole_rows(path: Path, time_s: Array, is_known: npt.NDArray[np.bool_]) -> n
         raise BadInputError(f"{path}: it has no feedback of the robot")
     steps_s = np.diff(time_s[places])
     period_s = np.median(steps_s)
-    ends = np.flatnonzero(np.abs(steps_s - period_s) > 0.1 * period_s) + 1
+    periods = np.round(steps_s / period_s)
+    off = np.abs(steps_s - periods * period_s) > 0.1 * period_s
+    ends = np.flatnonzero(off | (periods < 1) | (periods > 1 + _MOST_MISSING)) + 1
     stretches = np.split(places, ends)
     return max(stretches, key=len)
+
+
+def _filled(series: Array, places: Array) -> Array:
+    """Return a series (k,) or (k, n) over all places up to the last, those that are missing interpolated."""
+    every = np.arange(places[-1] + 1.0)
+    if len(every) == len(places):
+        return series
+    columns = series.reshape(len(places), -1).T
+    filled = np.stack([np.interp(every, places, column) for column in columns], axis=1)
+    return filled.reshape(len(every), *series.shape[1:])
 
 
 def integral(rate: Array, period_s: float) -> Array:
