@@ -8,9 +8,11 @@ import contextlib
 import importlib.util
 import os
 import shutil
+import signal
 import socket
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -209,13 +211,35 @@ def _check_ended(viewer: "subprocess.Popen[bytes]", remedy: str) -> None:
 @contextlib.contextmanager
 def _listening_viewer(port: int, *options: str) -> Iterator["subprocess.Popen[bytes]"]:
     """Start a viewer, yield it once it listens on the port, and end it."""
-    viewer = _start(*options)
+    viewer = None
     try:
+        with _signals_held():
+            viewer = _start(*options)
         wait_until_listening(viewer, port)
         yield viewer
     finally:
-        viewer.terminate()
-        viewer.wait()
+        if viewer is not None:
+            viewer.terminate()
+            viewer.wait()
+
+
+@contextlib.contextmanager
+def _signals_held() -> Iterator[None]:
+    """Handle SIGINT, SIGTERM and SIGHUP after the block: none can part a process that starts from who ends it."""
+    caught: list[int] = []
+    held = {}
+    if threading.current_thread() is threading.main_thread():
+        for number in filter(None, (getattr(signal, name, None) for name in ("SIGINT", "SIGTERM", "SIGHUP"))):
+            if callable(handler := signal.getsignal(number)):
+                held[number] = handler
+                signal.signal(number, lambda number, _frame: caught.append(number))
+    try:
+        yield
+    finally:
+        for number, handler in held.items():
+            signal.signal(number, handler)
+    for number in caught:
+        held[signal.Signals(number)](number, None)
 
 
 @contextlib.contextmanager
