@@ -219,6 +219,10 @@ def test_a_baseline_that_a_shell_names_with_its_scenario_is_left_out_and_refused
     members = read_suite(named)
     assert [member.name for member in members] == [str(tmp_path / "far"), str(tmp_path / "near.toml")]
     assert all(member.scenario.baseline is not None for member in members)
+    checked = hil("check", *named)
+    assert checked.returncode == 0, checked.stderr
+    told = [line for line in checked.stdout.splitlines() if not line.startswith(" ")]
+    assert told == [name for name in named if not name.endswith(SUFFIX)]
     for alone in ([str(tmp_path / f"near{SUFFIX}")], [str(tmp_path / f"near{SUFFIX}"), str(tmp_path / "far.hil.toml")]):
         with pytest.raises(BadInputError, match="this is the baseline of a scenario; name the scenario that stands"):
             read_suite(alone)

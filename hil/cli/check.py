@@ -1,9 +1,10 @@
 """``hil check`` and ``hil show``: a scenario is checked and printed without running it."""
 
 from collections.abc import Iterator
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
 import typer
+from typer import Argument
 
 from hil.cli.options import Json, LinkUrl, Mode, RobotFile, ScenarioName, Seed, Sets
 from hil.cli.output import print_result, rows, table
@@ -13,7 +14,7 @@ if TYPE_CHECKING:
 
 
 def check(
-    scenario: ScenarioName,
+    scenarios: Annotated[list[str], Argument(metavar="SCENARIO...", help="shipped names or paths to .toml files")],
     robot: RobotFile = None,
     mode: Mode = None,
     link: LinkUrl = None,
@@ -21,18 +22,25 @@ def check(
     sets: Sets = None,
     as_json: Json = False,
 ) -> None:
-    """Check a scenario without running it: its values, its law, and whether the robot can follow its reference."""
+    """Check scenarios without running them: their values, laws, and whether the robot can follow the reference."""
     from hil.judge.baselines import baseline_words
     from hil.runtime.assembly import check_scenario
     from hil.scenario import load
+    from hil.scenario.baseline import without_baselines
 
-    resolved = load(scenario, set=sets or [], robot=robot, mode=mode, link=link, seed=seed)
-    feasibility = check_scenario(resolved)
-    baseline = baseline_words(resolved)
-    reference = {"kind": resolved.reference.kind, **feasibility.figures()}
-    found = {"scenario": resolved.name, "reference": reference, "baseline": baseline}
-    print_result(as_json, found, rows([*_rows(feasibility), ("baseline", baseline)]))
-    raise typer.Exit(1 if feasibility.sentences else 0)
+    found, lines, feasible = [], [], True
+    names = without_baselines(scenarios)
+    for name in names:
+        resolved = load(name, set=sets or [], robot=robot, mode=mode, link=link, seed=seed)
+        feasibility = check_scenario(resolved)
+        feasible &= not feasibility.sentences
+        baseline = baseline_words(resolved)
+        reference = {"kind": resolved.reference.kind, **feasibility.figures()}
+        found.append({"scenario": resolved.name, "reference": reference, "baseline": baseline})
+        lines += [name] if len(names) > 1 else []
+        lines += rows([*_rows(feasibility), ("baseline", baseline)])
+    print_result(as_json, found[0] if len(names) == 1 else {"scenarios": found}, lines)
+    raise typer.Exit(0 if feasible else 1)
 
 
 def show(
