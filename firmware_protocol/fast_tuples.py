@@ -54,7 +54,7 @@ def fields_of(ffi: Any, struct: Any, name: str, first: int = 0, count: int | Non
     return tuple(Number(begin + place * size, item.cname) for place in range(first, end))
 
 
-def tuple_maker(what: Tuple, memory: object = None, given: Number | None = None) -> Callable[..., Any]:
+def tuple_constructor(what: Tuple, memory: object = None, given: Number | None = None) -> Callable[..., Any]:
     """Return a function that makes the tuple. It takes the arguments in their order, and reads numbers as they are now.
 
     While the bool ``given`` is false it returns None. It keeps ``memory`` alive, the owner of the numbers. Called with

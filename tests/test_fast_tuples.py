@@ -11,12 +11,12 @@ from hypothesis import strategies as st
 from firmware_protocol.client import Client
 from firmware_protocol.codec import encode
 from firmware_protocol.fast_calls import RowLayout, Scaled
-from firmware_protocol.fast_tuples import Choice, Tuple, fields_of, tuple_maker
+from firmware_protocol.fast_tuples import Choice, Tuple, fields_of, tuple_constructor
 from firmware_protocol.framing import Frame, PackedFrames, pack
 from firmware_protocol.generated import messages as m
 from firmware_protocol.host import library
 from firmware_protocol.host_line import each_of
-from hil.core import makers
+from hil.core import tuples
 from hil.core.signals import LoopSignals
 from hil.core.types import (
     ZERO_WHEELS,
@@ -90,7 +90,7 @@ def test_feedback_in_a_state_that_nobody_named_raises() -> None:
     client = a_robot_in(m.State.ESTOP)
     (state,) = fields_of(library()[0], client.view, "state")
     before = sys.getrefcount(Wheels)
-    read = tuple_maker(Tuple(Wheels, (state, Choice(state.address, (m.State.BOOT,)))), client)
+    read = tuple_constructor(Tuple(Wheels, (state, Choice(state.address, (m.State.BOOT,)))), client)
     for _ in range(1000):
         with pytest.raises(IndexError):
             read()
@@ -104,7 +104,7 @@ def test_a_reader_keeps_the_memory_that_it_reads() -> None:
     numbers = ffi.gc(numbers, lambda _: owner.append("freed"))
     (time,) = fields_of(ffi, numbers, "robot_time_us")
     some = Tuple(None, fields_of(ffi, numbers, "speed_rad_s", 1, 2))
-    read = tuple_maker(Tuple(None, (time._replace(factor=1000), some)), numbers)
+    read = tuple_constructor(Tuple(None, (time._replace(factor=1000), some)), numbers)
     del numbers
     assert read() == (1000 << 40, (2.0, 3.0))
     assert not owner
@@ -116,11 +116,11 @@ NINE = tuple(range(9))
 
 
 MADE: list[tuple[Callable[..., tuple], tuple, tuple]] = [
-    (makers.make_loop_signals, (1.0, 2, 3.0, 4.0, 5), LoopSignals(1.0, 2, 3.0, 4.0, 5)),
-    (makers.make_state, (Pose(1, 2, 3), Twist(4, 5, 6)), State(Pose(1, 2, 3), Twist(4, 5, 6))),
-    (makers.make_reference, NINE, Reference(Pose(0, 1, 2), Twist(3, 4, 5), Acceleration(6, 7, 8))),
-    (makers.make_torque_command, FOUR, WheelCommand(CommandMode.TORQUE, ZERO_WHEELS, Wheels(*FOUR))),
-    (makers.make_speed_command, (*FOUR, *FOUR), WheelCommand(CommandMode.SPEED, Wheels(*FOUR), Wheels(*FOUR))),
+    (tuples.make_loop_signals, (1.0, 2, 3.0, 4.0, 5), LoopSignals(1.0, 2, 3.0, 4.0, 5)),
+    (tuples.make_state, (Pose(1, 2, 3), Twist(4, 5, 6)), State(Pose(1, 2, 3), Twist(4, 5, 6))),
+    (tuples.make_reference, NINE, Reference(Pose(0, 1, 2), Twist(3, 4, 5), Acceleration(6, 7, 8))),
+    (tuples.make_torque_command, FOUR, WheelCommand(CommandMode.TORQUE, ZERO_WHEELS, Wheels(*FOUR))),
+    (tuples.make_speed_command, (*FOUR, *FOUR), WheelCommand(CommandMode.SPEED, Wheels(*FOUR), Wheels(*FOUR))),
 ]
 
 
@@ -130,9 +130,7 @@ def types_in(value: object) -> object:
 
 
 @pytest.mark.parametrize(("make", "arguments", "expected"), MADE)
-def test_what_a_maker_makes_is_what_its_classes_make(
-    make: Callable[..., tuple], arguments: tuple, expected: tuple
-) -> None:
+def test_what_is_made_is_what_its_classes_make(make: Callable[..., tuple], arguments: tuple, expected: tuple) -> None:
     made = make(*arguments)
     assert (made, types_in(made)) == (expected, types_in(expected))
     for wrong in (arguments[1:], (*arguments, 0.0)):

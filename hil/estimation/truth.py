@@ -4,8 +4,8 @@ from collections.abc import Sequence
 from math import dist, isfinite
 
 from hil.core.kinematics import to_world
-from hil.core.makers import make_state
 from hil.core.model import RobotModel
+from hil.core.tuples import make_state
 from hil.core.types import MeasuredPose, PoseFix, State
 from hil.estimation.measurement import Estimator, Measurement, measured_twist
 

@@ -12,8 +12,8 @@ import operator
 from collections import deque
 
 from hil.core.kinematics import body_wrench
-from hil.core.makers import make_speed_command, make_torque_command
 from hil.core.model import RobotModel
+from hil.core.tuples import make_speed_command, make_torque_command
 from hil.core.types import (
     ZERO_WHEELS,
     Applied,

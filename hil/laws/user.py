@@ -13,8 +13,8 @@ from typing import Any
 
 from hil.core.errors import BadInputError, nearest
 from hil.core.extensions import failure, failures_of
-from hil.core.makers import make_command, make_wheels
 from hil.core.signals import GROUPS
+from hil.core.tuples import make_command, make_wheels
 from hil.core.types import NO_GAINS, Applied, CommandMode, Gains, Reference, State, WheelCommand
 
 _METHODS = {"reset": ("self", "state", "reference"), "update": ("self", "reference", "state", "applied", "dt_s")}

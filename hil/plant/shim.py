@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping
 from typing import Any, ClassVar, Self
 
 from firmware_protocol.built import BuildError
-from firmware_protocol.fast_tuples import Number, Tuple, tuple_maker
+from firmware_protocol.fast_tuples import Number, Tuple, tuple_constructor
 from firmware_protocol.host import Loaded, load_library
 from hil.core.errors import BadInputError, DeviceError, nearest
 from hil.core.types import Pose, PoseFix, Twist
@@ -76,7 +76,7 @@ class PlantPort(ABC):
     def _read_truth(self, time_ns: Number, pose: tuple[Number, ...], twist: tuple[Number, ...]) -> None:
         """Set the places of the context that ``truth`` reads."""
         motion = Tuple(Pose, pose), Tuple(Twist, twist)
-        self.truth = tuple_maker(Tuple(PoseFix, (time_ns, *motion)), self._context)
+        self.truth = tuple_constructor(Tuple(PoseFix, (time_ns, *motion)), self._context)
 
     def set_variable(self, name: str, value: float) -> None:
         """Set a tunable parameter or free input, from the next tick on.

@@ -4,8 +4,8 @@ import math
 from dataclasses import dataclass
 from typing import Annotated, ClassVar, Literal
 
-from hil.core.makers import make_reference
 from hil.core.options import NOT_NEGATIVE, POSITIVE
+from hil.core.tuples import make_reference
 from hil.core.types import Reference
 from hil.references.motion import ramped
 

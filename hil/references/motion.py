@@ -2,7 +2,7 @@
 
 from typing import Protocol
 
-from hil.core.makers import make_reference
+from hil.core.tuples import make_reference
 from hil.core.types import Acceleration, Axes, Pose, Reference, Twist
 
 

@@ -7,7 +7,7 @@ from typing import Any
 
 from firmware_protocol.client import Client
 from firmware_protocol.codec import Message, decode
-from firmware_protocol.fast_tuples import Choice, Tuple, fields_of, tuple_maker
+from firmware_protocol.fast_tuples import Choice, Tuple, fields_of, tuple_constructor
 from firmware_protocol.framing import PackedFrames, pack, packed_frame
 from firmware_protocol.generated import messages as m
 from firmware_protocol.host import library
@@ -204,7 +204,7 @@ def feedback_reader(client: Client) -> Callable[[], Feedback | None]:
     ffi, view = library()[0], client.view
     field = partial(fields_of, ffi, view)
     (time,), (state,), (given,) = field("robot_time_us"), field("state"), field("has_feedback")
-    return tuple_maker(
+    return tuple_constructor(
         Tuple(
             Feedback,
             (

@@ -6,8 +6,8 @@ from time import perf_counter
 from typing import Any, NamedTuple
 
 from hil.core.errors import DeviceError, HilError, LinkError, OverdueError, RobotLatchedError, RobotStoppedError
-from hil.core.makers import make_loop_signals
 from hil.core.tick_watch import TickOverdue, TickWatch
+from hil.core.tuples import make_loop_signals
 from hil.core.types import NAN, CommandMode
 from hil.faults.kind import FaultRow
 from hil.judge.expectations import Count, Stop

@@ -6,9 +6,9 @@ from typing import Any, NamedTuple
 
 from hil.core.errors import HilError
 from hil.core.guard import Brake, Guard
-from hil.core.makers import make_applied
 from hil.core.ports import Clock, Controller, FixSource, Note, OwnSignals, PoseSource, Sink
 from hil.core.signals import LoopSignals
+from hil.core.tuples import make_applied
 from hil.core.types import (
     NAN_WHEELS,
     ZERO_WHEELS,

@@ -14,8 +14,8 @@ from firmware_protocol.framing import Frame, PackedFrames
 from firmware_protocol.host_line import split
 from hil.core.errors import LinkError
 from hil.core.link_protocol import WHEEL_DBC, LinkProtocol
-from hil.core.makers import make_received
 from hil.core.ports import Clock, Link, PackedLink, Received
+from hil.core.tuples import make_received
 from hil.faults.kind import NEVER_NS
 from hil.wire.direction import LATENCY, Direction
 from hil.wire.faults import BusFaults, LinkFault, ScenarioTime

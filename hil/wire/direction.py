@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 from firmware_protocol.framing import Frame, PackedFrames
 from firmware_protocol.host_line import each_of
-from hil.core.makers import maker_of
+from hil.core.tuples import constructor_of
 from hil.faults.kind import NEVER_NS
 from hil.wire.faults import LinkFault, ScenarioTime
 
@@ -30,7 +30,7 @@ class Waiting(NamedTuple):
     frames: Sequence[Frame]
 
 
-_make_waiting: Callable[[int, int, int, Sequence[Frame]], Waiting] = maker_of(Waiting)
+_make_waiting: Callable[[int, int, int, Sequence[Frame]], Waiting] = constructor_of(Waiting)
 
 
 class _AtWork(NamedTuple):

@@ -8,8 +8,8 @@ from firmware_protocol.client import Client
 from firmware_protocol.framing import Frame, PackedFrames, pack
 from firmware_protocol.host_line import HostLine
 from hil.core.link_protocol import WHEEL_DBC, LinkProtocol
-from hil.core.makers import make_received
 from hil.core.ports import Clock, Framing, Received
+from hil.core.tuples import make_received
 from hil.wire.streams import AT_ONCE, HostStream
 
 _MOST_AT_ONCE = 50

@@ -8,7 +8,7 @@ from collections.abc import Callable, Sequence
 from typing import Any, TypeVar
 
 from firmware_protocol.built import BuildError
-from firmware_protocol.fast_tuples import Argument, Object, Tuple, tuple_maker
+from firmware_protocol.fast_tuples import Argument, Object, Tuple, tuple_constructor
 from firmware_protocol.framing import Frame
 from hil.core.errors import BadInputError
 from hil.core.ports import Received
@@ -29,19 +29,19 @@ from hil.core.types import (
 _Kind = TypeVar("_Kind")
 
 
-def _maker(what: Tuple) -> Callable[..., Any]:
+def _constructor(what: Tuple) -> Callable[..., Any]:
     try:
-        return tuple_maker(what)
+        return tuple_constructor(what)
     except BuildError as error:
         raise BadInputError(str(error)) from error
 
 
-def maker_of(kind: type[_Kind]) -> Callable[..., _Kind]:
+def constructor_of(kind: type[_Kind]) -> Callable[..., _Kind]:
     """Return a function that makes named tuples of a class, of a value for each field in their order.
 
     Raises BadInputError when the library cannot be built or loaded.
     """
-    return _maker(Tuple(kind, (Argument(),) * len(kind._fields)))  # type: ignore[attr-defined]
+    return _constructor(Tuple(kind, (Argument(),) * len(kind._fields)))  # type: ignore[attr-defined]
 
 
 _THREE, _FOUR = (Argument(),) * 3, (Argument(),) * 4
@@ -49,14 +49,14 @@ _MOTION = Tuple(Reference, (Tuple(Pose, _THREE), Tuple(Twist, _THREE), Tuple(Acc
 _SPEED = Tuple(WheelCommand, (Object(CommandMode.SPEED), Tuple(Wheels, _FOUR), Tuple(Wheels, _FOUR)))
 _TORQUE = Tuple(WheelCommand, (Object(CommandMode.TORQUE), Object(ZERO_WHEELS), Tuple(Wheels, _FOUR)))
 
-make_loop_signals: Callable[[float, int, float, float, int], LoopSignals] = maker_of(LoopSignals)
-make_wheels: Callable[[float, float, float, float], Wheels] = maker_of(Wheels)
-make_command: Callable[[CommandMode, Wheels, Wheels], WheelCommand] = maker_of(WheelCommand)
-make_state: Callable[[Pose, Twist], State] = maker_of(State)
-make_applied: Callable[[WheelCommand, bool, float], Applied] = maker_of(Applied)
-make_received: Callable[[Sequence[Frame], int], Received] = maker_of(Received)
-make_reference: Callable[..., Reference] = _maker(_MOTION)
+make_loop_signals: Callable[[float, int, float, float, int], LoopSignals] = constructor_of(LoopSignals)
+make_wheels: Callable[[float, float, float, float], Wheels] = constructor_of(Wheels)
+make_command: Callable[[CommandMode, Wheels, Wheels], WheelCommand] = constructor_of(WheelCommand)
+make_state: Callable[[Pose, Twist], State] = constructor_of(State)
+make_applied: Callable[[WheelCommand, bool, float], Applied] = constructor_of(Applied)
+make_received: Callable[[Sequence[Frame], int], Received] = constructor_of(Received)
+make_reference: Callable[..., Reference] = _constructor(_MOTION)
 """Of nine numbers: x, y, heading; their rates; their accelerations."""
-make_speed_command: Callable[..., WheelCommand] = _maker(_SPEED)
+make_speed_command: Callable[..., WheelCommand] = _constructor(_SPEED)
 """Of eight numbers: the four speeds [rad/s], and the torques [N·m] as feedforward."""
-make_torque_command: Callable[[float, float, float, float], WheelCommand] = _maker(_TORQUE)
+make_torque_command: Callable[[float, float, float, float], WheelCommand] = _constructor(_TORQUE)
