@@ -162,6 +162,9 @@ def solve(
     # The curvature of Huber's loss itself: its weights would make intervals a tenth too narrow.
     curved = [local._replace(jacobian=local.jacobian * local.inside[..., None]) for local in locals_]
     curvature = _normal(curved, len(point))[1]
+    # Parameters follow the windows that they are fitted to, so a few windows scatter too little.
+    windows, fitted = sum(len(local.residual) for local in locals_), int(free.sum())
+    scatter = scatter * (windows / (windows - fitted) if windows > 3 * fitted else 1.0)
     count = sum(local.residual.size for local in locals_)
     cost = _cost([local.residual for local in locals_], known, point) / count
     return Solution(point, _covariance(curvature, scatter, known), information, tuple(starts), cost, steps)

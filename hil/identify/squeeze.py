@@ -21,7 +21,7 @@ PATTERN = (1.0, 1.0, -1.0, -1.0)
 _SLOWEST_RAD_S = 0.1
 _FASTEST_RAD_S = 1.5
 _LEAST_S = 1.0
-_SHARE_SIGMA = 0.005  # of the grip: the wheels' loads shift a little while they slide
+_SHARE_SIGMA = 0.008  # of the grip: the wheels' loads shift a little while they slide
 _LEAST_GRIP = 0.02
 _LEAST_LOAD = 0.2  # of a quarter of the weight
 
