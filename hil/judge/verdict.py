@@ -116,6 +116,8 @@ def happenings(metrics: Mapping[str, Any]) -> list[Happening]:
         for row in metrics.get("shadows") or ()
         if row["dropped"] is not None
     ]
+    warned = (metrics.get("reference") or {}).get("warnings", ())
+    found += [Happening(0.0, "warning", sentence) for sentence in warned]
     found += _moved(metrics, _MOVED_BESIDE if any(one.kind in ("failed", "ended") for one in found) else _MOVED)
     found += _logged(metrics, found)
     return sorted(found, key=lambda one: one.t_s)
