@@ -2,6 +2,8 @@
 
 Starts a viewer without a window, with the layout that the recording ships. It needs a Vulkan driver; one in
 software will do: ``apt-get install -y mesa-vulkan-drivers libvulkan1``.
+
+``python tools/screenshot.py --examples tools/pictures`` makes five runs, and takes the pictures of RECORDING.md.
 """
 
 import argparse
@@ -18,12 +20,29 @@ from PIL import Image
 from rerun.experimental import View, ViewerClient
 
 from hil.core.errors import HilError
-from hil.record.viewer import free_port, live_address, viewer_command, viewer_environment, wait_until_listening
+from hil.record.viewer import Window, free_port, live_address, viewer_command, viewer_environment, wait_until_listening
 
 MOST_SHOTS = 100
 NOTICES_FADE_S = 6.0
 BAR_PX = 37
 _CONTAINER = "ContainerBlueprint"
+
+
+_BOUNDS = [
+    {"signal": "error.planar_m", "from_s": 10.0, "to_s": 15.0, "below": 0.003},
+    {"signal": "wheel.fl.speed_rad_s", "from_s": 2.0, "within": [-8.0, 7.0]},
+]
+_RESET = [{"kind": "reset", "target": "robot", "start_s": 6.0}]
+EXAMPLES: Mapping[str, tuple[str, Mapping[str, Any], str | None]] = {
+    # name of the picture: scenario, what is set in it, and the tab to show
+    "passed": ("paper_circle", {}, None),
+    "failed": ("circle_speed", {"expect": _BOUNDS}, None),
+    "killed": ("circle_speed", {"fault": _RESET}, None),
+    "faulty": ("disconnect", {}, None),
+    "faulty_transients": ("disconnect", {}, "Transients"),
+    "shadowed": ("circle_speed", {"controller.shadow": ["lqi"]}, "Shadow lqi"),
+}
+_COLOURS = 200
 
 
 class ScreenshotError(Exception):
@@ -79,6 +98,30 @@ def take_with(
     if problems:
         raise ScreenshotError(f"{recording}: {'; '.join(problems)}")
     return state.views
+
+
+def take_examples(folder: Path) -> None:
+    """Make a run for each of ``EXAMPLES`` and write its picture, small, as ``hil view`` opens it.
+
+    Raises as ``take_screenshots``.
+    """
+    import hil
+
+    folder.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryDirectory() as directory:
+        for name, (scenario, values, tab) in EXAMPLES.items():
+            recording, picture = Path(directory) / f"{name}.rrd", folder / f"viewer_{name}.png"
+            hil.run(scenario, record=recording, set=values)
+            with headless_viewer() as viewer:
+                viewer.open(str(recording))
+                if tab is not None:
+                    _show_tab(viewer, tab)
+                Window(int(viewer.url.split(":")[2].split("/")[0])).point_at_violation(is_open=lambda: True)
+                settle(viewer, picture, NOTICES_FADE_S)
+            with Image.open(picture) as image:
+                small = image.convert("RGB").quantize(_COLOURS)
+            small.save(picture, optimize=True)
+            print(f"{picture}: {picture.stat().st_size / 1000:.0f} kB")
 
 
 def tabs(recording: Path) -> list[str]:
@@ -144,11 +187,17 @@ def _without_bar(shot: Path, picture: Path) -> None:
 def main() -> int:
     """Run the command line; 0 when the picture was written."""
     parser = argparse.ArgumentParser(description="Take a picture of a recording as a viewer shows it.")
-    parser.add_argument("recording", type=Path)
-    parser.add_argument("picture", type=Path)
+    parser.add_argument("recording", type=Path, nargs="?")
+    parser.add_argument("picture", type=Path, nargs="?")
+    parser.add_argument("--examples", type=Path, metavar="DIR", help="make the example runs and write their pictures")
     parser.add_argument("--tab", help="the tab to show; by default the one that the recording opens with")
     parser.add_argument("--at", type=float, metavar="SECONDS", help="the time under the cursor; by default the end")
     options = parser.parse_args()
+    if options.examples is not None:
+        take_examples(options.examples)
+        return 0
+    if options.recording is None or options.picture is None:
+        parser.error("expected RUN.rrd OUT.png, or --examples DIR")
     if not options.recording.is_file():
         print(f"screenshot: {options.recording}: no such file", file=sys.stderr)
         return 2

@@ -16,9 +16,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hil.core.errors import BadInputError
-from hil.core.outputs import Existing, whole_file, write_whole
+from hil.core.outputs import Existing, check_free, whole_file, write_whole
 from hil.core.signals import SIGNALS, unit_of
 from hil.record.files import check_output_path
+from hil.review.layouts import layout_files, write_layouts
 from hil.review.reader import RecordedRun
 
 if TYPE_CHECKING:
@@ -28,15 +29,20 @@ _ROWS_AT_ONCE = 50_000
 
 
 def write_export(run: RecordedRun, file: Path, existing: Existing = "refuse") -> None:
-    """Write all signals of a run; the file's extension gives the format. The run must have been read whole.
+    """Write all signals of a run, and layouts of PlotJuggler and Foxglove beside them; the extension gives the format.
+
+    The run must have been read whole.
 
     ``existing`` says what to do if the file exists. Raises BadInputError for an unknown extension, when the file cannot
     be written, and when the library that writes the format is not installed.
     """
     check_output_path("export", file, existing)
+    for beside in layout_files(file):
+        check_free("layout", beside, existing)
     try:
         with whole_file(file, "export", existing) as unfinished:
             (_write_mcap if file.suffix == ".mcap" else _write_table)(run, unfinished)
+        write_layouts(run, file, existing)
     except ImportError as error:
         remedy = "install pyarrow, or export to .mcap, which does not need it"
         raise BadInputError(f"export {file}: no library to write {file.suffix} ({error}); {remedy}") from error
