@@ -172,6 +172,13 @@ def test_a_page_of_two_runs_needs_nothing_but_itself(page_of_two: str) -> None:
     assert "afdsc" in page_of_two
 
 
+def test_an_old_recording_has_a_page_too() -> None:
+    run = read_for_page(OLD)
+    text = page([run], [figures(run)])
+    assert_self_contained(text)
+    assert "What happened" in text
+
+
 def test_a_page_shows_what_a_scenario_says_as_text_and_not_as_tags(tmp_path: Path) -> None:
     run = read_for_page(OLD)
     whole = figures(run)

@@ -18,7 +18,7 @@ from hil.review.figures import scenario_number, scenario_of
 from hil.review.reader import RecordedRun
 
 Outcome = Mapping[str, Any]
-"""An expectation's entry in a run's JSON."""
+"""An expectation's entry in a run's JSON; that of an older version lacks some keys."""
 _TRUE_POSE = ("truth.x_m", "truth.y_m", "truth.heading_rad")
 _MOST_BANDS = 60
 _WORDS = {True: "held", False: "FAILED", None: "not judged"}
@@ -50,7 +50,7 @@ def lanes(run: RecordedRun, found: Mapping[str, Any]) -> Iterator[Lane]:
     last_s = float(run.signals["loop.t_s"][-1])
     if found["failure"] is not None:
         yield Lane(f"ENDED at {last_s:.6g} s", [Band(last_s, end_s, "violated")])
-    rows = [(claim, outcome) for claim, outcome in _judged(run, found) if outcome["figure"] is None]
+    rows = [(claim, outcome) for claim, outcome in _judged(run, found) if outcome.get("figure") is None]
     for claim, outcome in sorted(rows, key=lambda pair: _urgency(pair[1])):
         from_s, to_s = max(claim.from_s, begin_s), min(claim.to_s, last_s)
         bands = [Band(begin_s, min(from_s, end_s), "waiting")] if from_s > begin_s else []
@@ -58,9 +58,14 @@ def lanes(run: RecordedRun, found: Mapping[str, Any]) -> Iterator[Lane]:
             bands += [Band(from_s, to_s, "held"), *_broken(run, claim, outcome, from_s, to_s)]
         bands += [Band(to_s, end_s, "waiting")] if to_s < end_s else []
         yield Lane(f"{_WORDS[outcome['passed']]}: {claim.words}", bands)
-    for fault in found["fault"] or ():
+    for fault in faults(found):
         word = "" if fault["applied"] is not False and fault["applied"] != 0 else ", never applied"
         yield Lane(f"fault: {fault['text']}{word}", [fault_band(fault, end_s)])
+
+
+def faults(found: Mapping[str, Any]) -> list[Mapping[str, Any]]:
+    """Return the faults of a run's figures, but for those of an older version, which did not say when they were."""
+    return [fault for fault in found["fault"] or () if fault.get("start_s") is not None]
 
 
 def fault_band(fault: Mapping[str, Any], end_s: float) -> Band:
@@ -86,15 +91,15 @@ def _judged(run: RecordedRun, found: Mapping[str, Any]) -> list[tuple[Claim, Out
 
 
 def _is_of(claim: Claim, outcome: Outcome) -> bool:
-    if outcome["signal"] is not None:
+    if outcome.get("signal") is not None:
         return claim.signal == str(outcome["signal"])
-    figure, stops = outcome["figure"], outcome.get("stops")
+    figure, stops = outcome.get("figure"), outcome.get("stops")
     words = None if figure is None and stops is None else str(figure) if stops is None else f"stops {stops}"
     return claim.is_rest if words is None else claim.signal is None and claim.words.startswith(words)
 
 
 def _urgency(outcome: Outcome) -> tuple[int, float]:
-    at_s = outcome["violation_s"]
+    at_s = outcome.get("violation_s")
     return {False: 0, None: 1, True: 2}[outcome["passed"]], math.inf if at_s is None else at_s
 
 
@@ -103,7 +108,7 @@ def _broken(run: RecordedRun, claim: Claim, outcome: Outcome, from_s: float, to_
     needed = (*WHEEL_SPEEDS, *_TRUE_POSE) if claim.is_rest else (claim.signal, claim.of)
     names = ["loop.t_s", *(name for name in needed if name is not None)]
     if len(names) == 1 or any(name not in run.signals for name in names):  # a stop that did not come, for one
-        since_s = outcome["violation_s"]
+        since_s = outcome.get("violation_s")
         return [Band(from_s if since_s is None else since_s, to_s, "violated")] if outcome["passed"] is False else []
     watch = ClaimWatch(claim, {name: place for place, name in enumerate(names)}, scenario_of(run))
     standing = watch(np.column_stack([run.signals[name] for name in names])).standing
@@ -148,13 +153,13 @@ def marks(run: RecordedRun, found: Mapping[str, Any], name: str, scale: float = 
     """Return the first violation of each failed expectation about a signal, where the signal was then."""
     t_s, values, made = run.signals["loop.t_s"], run.signals[name], []
     for claim, outcome in _judged(run, found):
-        if outcome["passed"] is False and claim.signal == name and outcome["violation_s"] is not None:
+        if outcome["passed"] is False and claim.signal == name and (at_s := outcome.get("violation_s")) is not None:
             # Where the violation is that the signal has no value, the mark is at its value before that.
-            before = values[: int(np.searchsorted(t_s, outcome["violation_s"], "right"))]
+            before = values[: int(np.searchsorted(t_s, at_s, "right"))]
             known = before[np.isfinite(before)][-1:]
             value = scale * float(known[0]) if len(known) else 0.0
             word = "not settled" if claim.settles else "violated"
-            made.append(Mark(outcome["violation_s"], value, f"{word} at {outcome['violation_s']:.6g} s"))
+            made.append(Mark(at_s, value, f"{word} at {at_s:.6g} s"))
     return made
 
 
@@ -162,5 +167,5 @@ def instants(found: Mapping[str, Any]) -> list[float]:
     """Return the times at which a reader will look, the most important first: violations, then the faults' edges."""
     failed = [row for row in found["expect"] or () if row["passed"] is False]
     times = [row.get(name) for name in ("violation_s", "worst_s") for row in failed]
-    times += [fault[edge] for edge in ("start_s", "end_s") for fault in found["fault"] or ()]
+    times += [fault.get(edge) for edge in ("start_s", "end_s") for fault in found["fault"] or ()]
     return list(dict.fromkeys([*(at_s for at_s in times if at_s is not None and math.isfinite(at_s)), 0.0]))

@@ -100,7 +100,8 @@ def _when(figures: Mapping[str, Any]) -> str:
         held = sum(row["passed"] is True for row in rows)
         return f": {held} of {len(rows)} expectations held" if rows else ": nothing was expected of it"
     times = [one.t_s for one in happenings(figures) if one.kind in _BAD and math.isfinite(one.t_s)]
-    return f" at t = {min(times):.6g} s" if times else ""
+    word = ": it ended" if figures["passed"] is None else ""
+    return f"{word} at t = {min(times):.6g} s" if times else ""
 
 
 def _happenings(figures: Mapping[str, Any]) -> Iterator[str]:

@@ -14,7 +14,7 @@ from hil.record.layout import REFERENCE_COLOUR, Colour
 from hil.review.alignment import SignalDifference
 from hil.review.charts import Band, Chart, Lane, Line, Mark, Panel
 from hil.review.figures import expected, read_for_figures
-from hil.review.judged import fault_band, lanes, marks, planned_s, violations
+from hil.review.judged import fault_band, faults, lanes, marks, planned_s, violations
 from hil.review.plots import colour_of
 from hil.review.reader import RecordedRun
 from hil.review.shadows import shadow_differences, shadow_signals
@@ -84,7 +84,7 @@ def _bands(runs: Sequence[Shown]) -> list[Band]:
     _, end_s = planned_s(runs[0].run)
     last_s = float(runs[0].run.signals["loop.t_s"][-1])
     bands = [Band(last_s, end_s, "not run")] if last_s < end_s and len(runs) == 1 else []
-    return bands + [fault_band(fault, end_s) for fault in runs[0].found["fault"] or () if fault["applied"]]
+    return bands + [fault_band(fault, end_s) for fault in faults(runs[0].found) if fault["applied"]]
 
 
 def _compared(runs: Sequence[Shown], compared: Sequence[SignalDifference]) -> Iterator[Chart]:
@@ -197,7 +197,7 @@ def _shadows(runs: Sequence[Shown]) -> Iterator[Chart]:
                     apart.append(one.curve(values, label, colour_of(n)))
             panels += [
                 Panel(wheel, unit, [driving, *lines]),
-                Panel(f"{wheel} minus command", unit, apart, height_px=80),
+                Panel(f"{wheel} difference", unit, apart, height_px=80),
             ]
         if panels:
             name = f" of {one.label}" if len(runs) > 1 else ""
@@ -244,11 +244,12 @@ def _wheels(runs: Sequence[Shown]) -> Iterator[Chart]:
 
 def _command_and_measured(one: Shown, names: tuple[str, str], scale: float | None, two: bool) -> Iterator[Line]:
     measured, command = names
-    label = f"{one.label} " if two else ""
     if one.has(command):
-        yield one.line(command, f"{label}command", one.colour if two else _PALE, width_px=4.0, opacity=0.4)
+        label = f"{one.label} command" if two else "command"
+        colour = one.colour if two else _PALE
+        yield one.line(command, label, colour, width_px=4.0, opacity=0.4, in_title=not two)
     if scale is not None and one.has(measured):
-        yield one.line(measured, f"{label}measured", one.colour, scale)
+        yield one.line(measured, one.label if two else "measured", one.colour, scale)
 
 
 def _gains(runs: Sequence[Shown]) -> Iterator[Chart]:
@@ -271,10 +272,17 @@ def _link(runs: Sequence[Shown]) -> Iterator[Chart]:
         lines = [one.line(name, one.label, one.colour) for one in runs if one.has(name)]
         panels += [Panel(title, unit, lines, height_px=80)] if lines else []
     lines = []
+    two = len(runs) > 1
     for dash, (name, word) in zip(("solid", "dot"), _COUNTS.items(), strict=True):
-        lines += [one.line(name, f"{one.label} {word}", one.colour, dash=dash) for one in runs if one.has(name)]
+        for one in (one for one in runs if one.has(name)):
+            label = f"{one.label} {word}" if two else word
+            lines.append(one.line(name, label, one.colour, dash=dash, in_title=not two or dash == "solid"))
     panels += [Panel("frames since the start", "", lines, height_px=80)] if lines else []
-    yield Chart("Link", "Values at each tick; counters since the start.", panels)
+    yield Chart(
+        "Link",
+        "Values at each tick; frames that were rejected, and dotted the snapshots that were lost, since the start.",
+        panels,
+    )
 
 
 def _spectra(runs: Sequence[Shown]) -> Iterator[Chart]:
