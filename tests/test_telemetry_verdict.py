@@ -15,8 +15,10 @@ import hil
 from hil.core.signals import INDEX, SIGNAL_NAMES, pack_row
 from hil.judge.claims import Watch
 from hil.record import Recording
+from hil.record.blueprint import blueprint
 from hil.record.claims import ClaimWatch, Standing, claims
-from hil.record.course import windows
+from hil.record.course import Course, windows
+from hil.record.layout import layout
 from hil.record.verdict import Moment, running, verdict
 from hil.runtime.provenance import properties
 from hil.scenario import Scenario, load
@@ -165,7 +167,8 @@ def test_the_lanes_are_in_order_and_an_idle_fault_has_none(failed: Path) -> None
 
 
 def test_a_fault_that_ended_the_run_before_a_row_of_its_time_shows_at_the_last_instant(failed: Path) -> None:
-    assert states(failed, "/state/6_fault_0_drop_command") == [(pytest.approx(1.598), "IN FORCE")]
+    ((at_s, state),) = states(failed, "/state/6_fault_0_drop_command")
+    assert (at_s, state) == (pytest.approx(1.598), "IN FORCE")
 
 
 def test_an_expectation_waits_holds_and_is_violated(failed: Path) -> None:
@@ -272,3 +275,39 @@ def test_the_run_tells_its_recording_why_it_did_not_pass(tmp_path: Path) -> None
     assert not result.passed
     assert words(path).startswith("# FAILED at t = 0.05 s (circle_speed, law dsc)\n\n- error.planar_m below 1e-09 from")
     assert set(SIGNAL_NAMES) <= set(result.signals)
+
+
+@pytest.mark.parametrize("scenario", ["circle_speed", "paper_circle"])
+def test_a_shadow_is_drawn_with_the_command_their_difference_and_its_rms(tmp_path: Path, scenario: str) -> None:
+    path = tmp_path / "run.rrd"
+    law = "pid" if scenario == "circle_speed" else "dsc"
+    values = {"loop.duration_s": 0.2, "expect": [], "controller.shadow": [law]}
+    signals = hil.run(scenario, record=path, set=values).signals
+    quantity = "speed_command_rad_s" if scenario == "circle_speed" else "torque_command_n_m"
+    names = [f"wheel.{wheel}.{quantity}" for wheel in ("fl", "fr", "rr", "rl")]
+    driven = np.stack([signals[name] for name in names], axis=1)
+    shadow = np.stack([signals[f"shadow.{law}.{name}"] for name in names], axis=1)
+    apart = shadow - driven
+    rms = math.sqrt(np.nanmean(apart**2))
+    period_s = float(np.diff(signals["loop.t_s"]).min())
+    for entity, expected in (("command", shadow), ("driven", driven), ("difference", apart)):
+        t_s, drawn = read(path, f"/ctrl/shadow/{law}/{entity}", "Scalars:scalars", 4)
+        np.testing.assert_array_equal(drawn, expected[np.rint(t_s / period_s).astype(int)])
+    _, drawn = read(path, f"/ctrl/shadow/{law}/rms", "Scalars:scalars", 1)
+    last = round(0.005 / period_s) if period_s < 0.005 else 1
+    assert drawn[-1, 0] == pytest.approx(math.sqrt(np.nanmean(apart[: len(apart) - last + 1] ** 2)), rel=1e-9)
+    assert drawn[-1, 0] == pytest.approx(rms, rel=0.05)
+
+
+def test_a_long_run_has_a_window_for_each_event_four_to_a_tab() -> None:
+    happened = [Moment(100.0 * number, f"drop {number}") for number in range(1, 7)]
+    found = windows(0.0, 1200.0, None, happened)
+    assert [window.words for window in found[:2]] == ["start", "drop 1 at 100 s"]
+    entities = layout(["error.planar_m", "loop.t_s"])
+    course = Course(0.0, 1200.0, ("/ctrl/error/position",), (100.0, 101.0), found, 5, 1)
+    shown: Any = blueprint(entities, limits={}, shape=None, live=False, course=course).root_container
+    tabs = shown.contents
+    transients = {tab.name: [column.name for column in tab.contents] for tab in tabs if "Transients" in str(tab.name)}
+    assert list(transients) == ["Transients 1", "Transients 2"]
+    assert sum(map(len, transients.values())) == 7
+    assert not [tab.name for tab in tabs if tab.name in ("Wheels", "Link and loop")], "it has none of their signals"
