@@ -1,7 +1,8 @@
 """Recordings read back: figures, comparison of two runs, pages, plots, exports, replay (REVIEW.md).
 
 May import: `judge`, `scenario`, `record`, `laws`, `core`.
-To add a chart to the page: `panels.py`; a picture: `plots.py`; an export: `export.py`.
+To add a chart to the page: `panels.py` (`charts.py` says what a chart is; `drawn_charts.py` and `charts.js` draw it);
+a picture: `plots.py`; an export: `export.py`.
 
 result = hil.load("run.rrd")               # what hil.run returned (load.py, result.py)
 run = read(Path("run.rrd"))                # every signal; see RecordedRun

@@ -1,22 +1,14 @@
-"""Interactive plots of a page, drawn by plotly: panels over one x axis, with bands, bounds and marks.
+"""Interactive plots of a page, as plotly takes them: panels over one x axis, with bands, bounds and marks.
 
-    chart = Chart("Errors", "Truth minus reference.", [Panel("planar error", "mm", [Line("dsc", t_s, planar_mm)])])
-    script = charts_script([chart])      # the elements that draw it; the chart's own place: place(chart)
-
-plotly's code and the values are in the page, compressed. ``charts.js`` unpacks and draws them, keeps the plots at the
-same time, and measures between two instants.
+chart = Chart("Errors", "Truth minus reference.", [Panel("planar error", "mm", [Line("dsc", t_s, planar_mm)])])
+html = [*place(chart, 0), *charts_script([chart])]      # of drawn_charts.py
 """
 
 import base64
-import gzip
-import hashlib
-import json
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import cache
 from html import escape
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -24,7 +16,6 @@ import numpy as np
 from hil.record.layout import Colour
 from hil.review.contents import Series
 
-_SCRIPT = Path(__file__).with_name("charts.js")
 _RED, _INK, _GRID = "#c62828", "#333333", "#e4e4e4"
 _FILLS = {
     "waiting": "#dcdcdc",
@@ -127,35 +118,6 @@ class Chart:
         return self.x_title.startswith("t [")
 
 
-def place(chart: Chart, number: int) -> Iterator[str]:
-    """Yield the title of a chart, the element in which it is drawn, and its caption."""
-    yield f'<h2>{escape(chart.title)}</h2><figure><div id="chart-{number}" class="chart" role="img" '
-    yield f'aria-label="{escape(chart.title)}" style="height:{chart.height_px}px"></div>'
-    if chart.is_over_time:
-        yield f'<div id="measured-{number}" class="measured"></div>'
-    yield f"<figcaption>{escape(chart.caption)}</figcaption></figure>"
-
-
-def charts_script(charts: Sequence[Chart]) -> Iterator[str]:
-    """Yield the elements that draw the charts: plotly and all values, compressed, and the script."""
-    if not charts:
-        return
-    xs: list[Series] = []
-    figures = [figure_of(chart, xs) for chart in charts]
-    held = {"xs": [_packed(x, "f8") for x in xs], "charts": figures}
-    yield '<noscript><p class="note">The plots need JavaScript.</p></noscript><p id="undrawn" class="note"></p>'
-    for name, text in (("plotly", _plotly()), ("values", json.dumps(held, separators=(",", ":"), allow_nan=False))):
-        packed = base64.b64encode(_compressed(text)).decode()
-        yield f'<script type="application/gzip" id="{name}">{packed}</script>'
-    yield f"<script>{_script()}</script>"
-
-
-def policy() -> str:
-    """Return the sources of scripts that a page with charts allows: its own script and plotly, by their hashes."""
-    hashes = (hashlib.sha256(text.encode()).digest() for text in (_script(), _plotly()))
-    return " ".join(f"'sha256-{base64.b64encode(one).decode()}'" for one in hashes)
-
-
 def figure_of(chart: Chart, xs: list[Series]) -> dict[str, Any]:
     """Return a chart as plotly's data and layout; its x are numbers of arrays, which are appended to ``xs``."""
     data: list[dict[str, Any]] = []
@@ -183,7 +145,7 @@ def figure_of(chart: Chart, xs: list[Series]) -> dict[str, Any]:
         shapes.append({"type": "line", "x0": at, "x1": at, "yref": "paper", "y0": 0, "y1": 1, "line": line})
     if chart.lanes:  # the times above them too: the axis below is far away
         axes["xaxis2"] = _TOP_AXIS
-        data.append(_NOTHING | {"x": _number(_NOWHERE, xs), "y": _packed(_NOWHERE, "f4")})
+        data.append(_NOTHING | {"x": _number(_NOWHERE, xs), "y": packed(_NOWHERE, "f4")})
     lowest = f"y{len(chart.panels)}" if len(chart.panels) > 1 else "y"
     layout = {
         "xaxis": _x_axis(chart, lowest),
@@ -264,7 +226,7 @@ def _trace(line: Line, panel: Panel, y: str, xs: list[Series]) -> dict[str, Any]
         "mode": "lines",
         "name": escape(name),
         "x": _number(line.x, xs),
-        "y": _packed(line.y, "f4"),
+        "y": packed(line.y, "f4"),
         "yaxis": y,
         "line": {"color": css(line.colour), "width": line.width_px, "dash": line.dash},
         "opacity": line.opacity,
@@ -280,7 +242,7 @@ def _marks(marks: Sequence[Mark], y: str, xs: list[Series], chart: Chart) -> dic
         "type": "scatter",
         "mode": "markers+text",
         "x": _number(np.array([mark.x for mark in marks]), xs),
-        "y": _packed(np.array([mark.y for mark in marks]), "f8"),
+        "y": packed(np.array([mark.y for mark in marks]), "f8"),
         "yaxis": y,
         "text": [f"<b>{escape(mark.text)}</b>" for mark in marks],
         "textposition": ["top left" if mark.x > (low + high) / 2 else "top right" for mark in marks],
@@ -318,23 +280,6 @@ def _number(x: Series, xs: list[Series]) -> int:
     return len(xs) - 1
 
 
-def _packed(values: Series, kind: str) -> Mapping[str, str]:
+def packed(values: Series, kind: str) -> Mapping[str, str]:
     """Return numbers as plotly takes them in JSON: their bytes, little-endian, in base64."""
     return {"dtype": kind, "bdata": base64.b64encode(values.astype(f"<{kind}").tobytes()).decode()}
-
-
-def _compressed(text: str) -> bytes:
-    return gzip.compress(text.encode(), mtime=0)
-
-
-@cache
-def _plotly() -> str:
-    from plotly.offline import get_plotlyjs
-
-    text: str = get_plotlyjs()
-    return text
-
-
-@cache
-def _script() -> str:
-    return _SCRIPT.read_text(encoding="utf-8").strip()

@@ -10,8 +10,8 @@ from typing import Any
 from hil.judge.verdict import happenings, verdict_word
 from hil.judge.words import applied_words, belief_rows, figure_rows, in_order, link_rows, outcome_rows
 from hil.review.alignment import Aligned, aligned
-from hil.review.charts import charts_script, place, policy
 from hil.review.difference import Difference, changes, differences
+from hil.review.drawn_charts import charts_script, place, policy
 from hil.review.figures import json_object, scenario_of
 from hil.review.html_page import document, mark, table
 from hil.review.panels import charts
