@@ -1,8 +1,11 @@
 """Named tuples that the host library makes: what their classes make, of arguments, of memory and of packed frames."""
 
+import os
+import subprocess
 import sys
 import tracemalloc
 from collections.abc import Callable
+from pathlib import Path
 
 import pytest
 from hypothesis import given
@@ -68,6 +71,10 @@ def test_feedback_is_a_named_tuple_with_what_the_view_has() -> None:
     assert found == feedback(client)
     assert type(found) is Feedback
     assert (type(found.speed_rad_s), type(found.current_a), found.state) == (Wheels, Wheels, m.State.ACTIVE)
+
+
+def test_without_a_snapshot_there_is_no_feedback() -> None:
+    assert feedback_reader(new_client())() is None
 
 
 def test_feedback_and_rows_leave_no_object_behind() -> None:
@@ -155,3 +162,13 @@ def test_packed_frames_come_apart_as_they_were(frames: list[Frame]) -> None:
     assert list(unpacked) == frames
     assert all(type(frame) is Frame for frame in unpacked)
     assert each_of(frames) is frames
+
+
+def test_without_the_library_only_what_makes_tuples_is_refused(tmp_path: Path) -> None:
+    """Whatever needs no run, such as ``hil doctor``, works then. It is another process because of the import."""
+    missing = tmp_path / "missing"
+    program = "import hil.laws, hil.core.tuples as t; print('imported'); t.make_wheels(1.0, 2.0, 3.0, 4.0)"
+    environment = os.environ | {"WHEEL_HOST_LIBRARY": str(missing)}
+    done = subprocess.run([sys.executable, "-c", program], env=environment, capture_output=True, text=True, check=False)
+    assert done.stdout == "imported\n"
+    assert f"BadInputError: {missing} does not exist; build it, or unset WHEEL_HOST_LIBRARY" in done.stderr

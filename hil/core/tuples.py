@@ -1,7 +1,7 @@
 """Make the named tuples of a tick in the host library: a reference in an eighth of the time of calling its classes.
 
-Only what is made in each tick is made so; elsewhere call the class. The import raises BadInputError when the library
-cannot be built or loaded.
+Only what is made in each tick is made so; elsewhere call the class. Where the library cannot be built or loaded, each
+call raises BadInputError with the reason: what needs no run, such as ``hil doctor``, works without it.
 """
 
 from collections.abc import Callable, Sequence
@@ -33,14 +33,16 @@ def _constructor(what: Tuple) -> Callable[..., Any]:
     try:
         return tuple_constructor(what)
     except BuildError as error:
-        raise BadInputError(str(error)) from error
+        reason = str(error)
+
+    def refuse(*_values: object) -> Any:
+        raise BadInputError(reason)
+
+    return refuse
 
 
 def constructor_of(kind: type[_Kind]) -> Callable[..., _Kind]:
-    """Return a function that makes named tuples of a class, of a value for each field in their order.
-
-    Raises BadInputError when the library cannot be built or loaded.
-    """
+    """Return a function that makes named tuples of a class, of a value for each field in their order."""
     return _constructor(Tuple(kind, (Argument(),) * len(kind._fields)))  # type: ignore[attr-defined]
 
 
