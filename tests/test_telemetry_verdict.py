@@ -2,6 +2,8 @@
 
 import json
 import math
+import os
+import signal
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -22,8 +24,10 @@ from hil.record.layout import layout
 from hil.record.verdict import Moment, running, verdict
 from hil.runtime.provenance import properties
 from hil.scenario import Scenario, load
+from tests.processes import wait_for
 from tests.recorded_circle import circle_table
 from tests.test_telemetry_drawings import batches, read, states
+from tests.test_telemetry_recording import has_ended
 
 CLAIMS: Mapping[str, Mapping[str, Any]] = {
     "below": {"signal": "error.planar_m", "below": 0.5, "from_s": 0.2, "to_s": 0.8},
@@ -120,8 +124,8 @@ def failed(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("verdict")
     scenario = scenario_with(folder, VIOLATED, FAULTS)
     table = circle_table(1599)
-    for signal in ("link.rtt_ms", "link.latency_ms", "link.load_percent"):
-        table[:, INDEX[signal]] = np.nan
+    for name in ("link.rtt_ms", "link.latency_ms", "link.load_percent"):
+        table[:, INDEX[name]] = np.nan
     table[1000:1200, [INDEX[f"{group}.x_m"] for group in ("pose", "truth")]] = np.nan
     table[:, INDEX["estimator.fix_age_ms"]] = np.nan
     path = folder / "run.rrd"
@@ -168,7 +172,8 @@ def test_the_lanes_are_in_order_and_an_idle_fault_has_none(failed: Path) -> None
 
 def test_a_fault_that_ended_the_run_before_a_row_of_its_time_shows_at_the_last_instant(failed: Path) -> None:
     ((at_s, state),) = states(failed, "/state/6_fault_0_drop_command")
-    assert (at_s, state) == (pytest.approx(1.598), "IN FORCE")
+    assert at_s == pytest.approx(1.598)
+    assert state == "IN FORCE"
 
 
 def test_an_expectation_waits_holds_and_is_violated(failed: Path) -> None:
@@ -227,6 +232,19 @@ def test_a_run_without_a_verdict_says_so(tmp_path: Path, kept: Mapping[str, obje
     assert told.startswith("# NO VERDICT" if kept is None else "# NOT JUDGED")
     assert "t = 1.5 s" in told
     assert "- it broke" in told
+
+
+def test_a_run_that_is_killed_has_no_verdict(tmp_path: Path) -> None:
+    path = tmp_path / "run.rrd"
+    with Recording(path, properties={}, blocking=True) as recorder:
+        for row in circle_table(300):
+            recorder.put(pack_row(tuple(row)))
+        os.kill(recorder.pid, signal.SIGTERM)  # as when the run has gone
+        wait_for(lambda: has_ended(recorder.pid))
+    assert words(path).startswith(
+        "# NO VERDICT\n\nThe run was killed or interrupted: its recording ends at t = 0.299 s"
+    )
+    assert states(path, "/state/1_verdict") == [(0.0, "RUNNING")]
 
 
 def test_the_verdict_of_parts_of_a_run_under_way_and_of_one_that_passed() -> None:

@@ -80,7 +80,9 @@ class States:
     def finish(self, summary: Mapping[str, Any] | None, end_s: float, failed_s: float | None) -> None:
         """Write what only the end of the run decides; ``failed_s`` is the time of its first violation, if any."""
         begin_s = end_s if self._begin_s is None else self._begin_s
-        if summary is not None and "passed" in summary:
+        if summary is None or "passed" not in summary:
+            self._put(self._verdict, begin_s, RUNNING if summary is None else NOT_JUDGED)
+        else:
             word = {True: PASSED, False: FAILED, None: NOT_JUDGED}[summary["passed"]]
             if word == FAILED and failed_s is None and summary.get("failure") is not None:
                 failed_s = end_s
