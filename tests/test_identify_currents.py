@@ -38,9 +38,9 @@ def test_commands_that_were_followed_replace_the_noise_and_keep_gain_offset_and_
     assert found.sentences == ()
     off = found.drives[-1].current_a[10:] - true[10:]
     assert off.std() < NOISE_A / 20
-    # The doubt of the gains is that of the noise over all that was driven, and it is no larger than the errors are.
+    # The doubt of the gains follows from the noise over all that was driven.
     gains = np.sum(found.drives[0].current_a * found.drives[0].current_a, axis=0)
-    assert np.sqrt(found.gain_variance) == pytest.approx(NOISE_A / np.sqrt(2.0 * gains), rel=0.3)
+    assert np.sqrt(found.gain_variance) == pytest.approx(NOISE_A / np.sqrt(gains), rel=0.3)
 
 
 def test_a_motor_at_its_limit_is_taken_as_it_was_measured() -> None:

@@ -41,6 +41,8 @@ _SMALL = 1e-3
 _GRIP_SIGMA = 0.3  # of its logarithm: rubber on floors
 _ROLLER_SIGMA = 1.0
 _MOST_SLIP_WINDOWS = 60
+WITH_SLIP = 1.5
+"""By which the interval of the friction is widened where the rollers' own is fitted too, measured on random robots."""
 WITHOUT_BLOCKS = 2.5
 """By which intervals of what mass and wheels share are widened without wheels on blocks, measured on random robots."""
 
