@@ -146,9 +146,10 @@ class ClaimWatch:
             standing[t_s > claim.to_s] = Standing.OPEN
             return Checked(standing, violated)
         if inside.any():
+            is_first = self._before is None
             value = self._values(rows[inside], t_s[inside])
             sampled = np.ones(len(value), bool)
-            if claim.is_rest and not self._samples:
+            if claim.is_rest and is_first:  # there is no movement yet
                 sampled[0] = not math.isnan(value[0])
             holds = self._holds(value)
             self._samples += int(sampled.sum())
