@@ -16,7 +16,7 @@ from hil.core.extensions import Extensions
 
 SHIPPED = {
     "run": "Run a scenario and judge it.",
-    "check": "Check a scenario without running it: its values, its law, and whether the robot can follow its "
+    "check": "Check scenarios without running them: their values, laws, and whether the robot can follow the "
     "reference.",
     "show": "Print every value of a scenario and where it came from.",
     "list": "Print signals, figures, laws, references, scenarios, those of the suite, links, faults or drivers.",
