@@ -130,6 +130,21 @@ def test_a_used_nonce_arms_no_second_time(robot: Robot) -> None:
     assert robot.state == m.State.ARMED
 
 
+def test_a_refused_wish_to_arm_uses_up_its_announcement(robot: Robot) -> None:
+    robot.wish(m.Request.IDLE, A)
+    robot.send(m.HostHeartbeat(A, m.SCHEMA_HASH, m.Request.ARM, m.Mode.SPEED, CHECK ^ 1))
+    robot.wish(m.Request.ARM, A)
+    assert robot.state == m.State.IDLE
+
+
+def test_a_command_is_taken_up_to_20_ahead(robot: Robot) -> None:
+    robot.activate(A)
+    for speed_rad_s, sequence, taken in ((1.0, 20, 1.0), (2.0, 41, 1.0), (3.0, 40, 3.0)):
+        robot.command(speed_rad_s, sequence, A)
+        robot.node.run(1)
+        assert robot.node.look().set_point_rad_s[0] == taken
+
+
 def test_a_wish_to_clear_clears_one_fault_only(robot: Robot) -> None:
     robot.fail(A)
     robot.wish(m.Request.CLEAR, 0x77)
@@ -299,6 +314,17 @@ def test_a_host_takes_parts_of_a_snapshot_in_their_order_only(robot: Robot) -> N
     place = next(i for i, one in enumerate(heard) if isinstance(one, m.Encoders))
     heard[place], heard[place + 1] = heard[place + 1], heard[place]
     assert linked(A, heard).view.snapshots == whole - 1
+
+
+def test_a_host_takes_no_part_of_another_instant(robot: Robot) -> None:
+    robot.arm(A)
+    robot.heard()
+    robot.node.run(30)
+    heard = robot.heard()
+    whole = linked(A, heard).view.snapshots
+    for kind in (m.Accelerometer, m.Gyro):
+        changed = [one._replace(tick=one.tick + 5) if isinstance(one, kind) else one for one in heard]
+        assert linked(A, changed).view.snapshots < whole
 
 
 def test_a_host_counts_on_where_a_counter_of_the_robot_wraps() -> None:
