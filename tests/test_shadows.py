@@ -9,9 +9,9 @@ import hil
 from hil.cli.review import review as review_command
 from hil.core.errors import BadInputError
 from hil.core.types import WHEEL_NAMES
+from hil.judge.shadows import shadow_differences
 from hil.laws.registry import SHIPPED
 from hil.review import read, review
-from hil.review.shadows import shadow_differences
 from hil.runtime.assembly import run_scenario
 from hil.runtime.options import RunOptions
 from hil.scenario import load

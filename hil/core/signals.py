@@ -219,3 +219,5 @@ SIGNALS: tuple[Signal, ...] = tuple(Signal(n, unit_of(n), _meaning_of(n)) for n 
 SIGNAL_NAMES: tuple[str, ...] = tuple(s.name for s in SIGNALS)
 INDEX: dict[str, int] = {name: i for i, name in enumerate(SIGNAL_NAMES)}
 GROUPS: frozenset[str] = frozenset(name.partition(".")[0] for name in SIGNAL_NAMES)
+WHEEL_SPEEDS: tuple[str, ...] = tuple(f"wheel.{wheel}.speed_rad_s" for wheel in WHEEL_NAMES)
+TRUE_POSE: tuple[str, ...] = tuple(f"truth.{name}" for name in Pose._fields)

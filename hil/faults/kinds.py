@@ -205,6 +205,11 @@ def names(some: tuple[Kind, ...] | None = None) -> tuple[str, ...]:
     return tuple(dict.fromkeys(kind.name for kind in (kinds() if some is None else some)))
 
 
+def is_instant(name: str, target: str) -> bool:
+    """Return whether a fault only happens, at its beginning. Of other packages' kinds none does."""
+    return any(kind.is_instant and kind.name == name and target in kind.targets for kind in KINDS)
+
+
 def find(name: str, target: str | None) -> Kind:
     """Return the kind of fault with this name; if there are several, the one that can act on the target.
 

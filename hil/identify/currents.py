@@ -72,17 +72,14 @@ class _Wheel(NamedTuple):
 def _of_wheel(drives: Sequence[Drive], judge: Drive, wheel: int) -> _Wheel:
     both = (*drives, judge)
     lagged = [_lagged(drive, wheel) for drive in both]
-    used = [place for place in range(len(drives)) if lagged[place] is not None]
+    used = [one for one in lagged[: len(drives)] if one is not None]
     while used:
-        designs, values = [], []
-        for place in used:
-            design, current, _ = lagged[place] or _nothing()
-            designs.append(design - design.mean(axis=0))
-            values.append(current - current.mean())
+        designs = [design - design.mean(axis=0) for design, _, _ in used]
+        values = [current - current.mean() for _, current, _ in used]
         factors = np.linalg.lstsq(np.concatenate(designs), np.concatenate(values), rcond=None)[0]
         left = [value - design @ factors for design, value in zip(designs, values, strict=True)]
-        white = [place for place, one in zip(used, left, strict=True) if _is_white(one)]
-        if white == used:
+        white = [one for one, rest in zip(used, left, strict=True) if _is_white(rest)]
+        if len(white) == len(used):
             explained = np.concatenate([design @ factors for design in designs])
             variance = _FAST * float(np.var(np.concatenate(left)) / max(float(np.sum(explained**2)), 1e-12))
             found = [_by_command(drive, wheel, one, factors) for drive, one in zip(both, lagged, strict=True)]
@@ -92,10 +89,6 @@ def _of_wheel(drives: Sequence[Drive], judge: Drive, wheel: int) -> _Wheel:
 
 
 _Lagged = tuple[Array, Array, int]
-
-
-def _nothing() -> _Lagged:
-    return np.zeros((0, _LAGS)), np.zeros(0), 0
 
 
 def _lagged(drive: Drive, wheel: int) -> _Lagged | None:

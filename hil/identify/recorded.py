@@ -18,6 +18,7 @@ import numpy.typing as npt
 
 from hil.core.errors import BadInputError
 from hil.core.model import RobotModel
+from hil.core.signals import TRUE_POSE, WHEEL_SPEEDS
 from hil.core.types import WHEEL_NAMES
 from hil.record.properties import scenario_values
 from hil.review.reader import read
@@ -26,13 +27,11 @@ Array = npt.NDArray[np.float64]
 
 _TICK_S = 1e-3
 _POSE = ("x_m", "y_m", "heading_rad")
-_SPEEDS = tuple(f"wheel.{wheel}.speed_rad_s" for wheel in WHEEL_NAMES)
 _CURRENTS = tuple(f"wheel.{wheel}.current_a" for wheel in WHEEL_NAMES)
 _COMMANDS = tuple(f"wheel.{wheel}.torque_command_n_m" for wheel in WHEEL_NAMES)
 _FIX = ("estimator.fix_time_s", *(f"estimator.fix_{name}" for name in _POSE))
-_TRUTH = tuple(f"truth.{name}" for name in _POSE)
 _CLOCK = ("robot.time_s", "robot.yaw_rate_rad_s")
-SIGNALS = ("loop.t_s", "loop.tick", *_CLOCK, *_SPEEDS, *_CURRENTS, *_COMMANDS, *_FIX, *_TRUTH)
+SIGNALS = ("loop.t_s", "loop.tick", *_CLOCK, *WHEEL_SPEEDS, *_CURRENTS, *_COMMANDS, *_FIX, *TRUE_POSE)
 """The signals that a fit reads."""
 _LEAST_S = 2.0
 _MOST_MISSING = 3
@@ -100,7 +99,7 @@ def read_drive(path: Path) -> Drive:
     Raises BadInputError when it cannot be read, lacks a signal, or is too short.
     """
     run = read(path, SIGNALS)
-    missing = [name for name in (*_CLOCK, *_SPEEDS) if name not in run.signals]
+    missing = [name for name in (*_CLOCK, *WHEEL_SPEEDS) if name not in run.signals]
     if missing:
         raise BadInputError(f"{path}: it lacks the signal {missing[0]}; expected a recording of hil run")
     return drive_of(path, scenario_values(run.properties), run.signals)
@@ -114,7 +113,7 @@ def drive_of(path: Path, values: Mapping[str, Any], signals: Mapping[str, Array]
         return np.stack([signals.get(name, nothing) for name in names], axis=1)
 
     time_s = signals["robot.time_s"]
-    rows = _whole_rows(path, time_s, np.asarray(np.isfinite(table(_SPEEDS)).all(axis=1), dtype=np.bool_))
+    rows = _whole_rows(path, time_s, np.asarray(np.isfinite(table(WHEEL_SPEEDS)).all(axis=1), dtype=np.bool_))
     period_s = float(np.median(np.diff(time_s[rows])))
     span_s = float(time_s[rows[-1]] - time_s[rows[0]])
     if span_s < _LEAST_S:
@@ -136,12 +135,12 @@ def drive_of(path: Path, values: Mapping[str, Any], signals: Mapping[str, Array]
         values,
         period_s,
         whole(time_s),
-        _angles(whole(table(_SPEEDS)), period_s, bandwidth),
+        _angles(whole(table(WHEEL_SPEEDS)), period_s, bandwidth),
         whole(table(_CURRENTS)),
         whole(table(_COMMANDS)),
         whole(signals.get("robot.yaw_rate_rad_s", nothing)),
         fixes[np.argsort(fixes[:, 0], kind="stable")],
-        whole(table(_TRUTH)),
+        whole(table(TRUE_POSE)),
     )
 
 

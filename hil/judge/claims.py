@@ -10,13 +10,9 @@ from typing import NamedTuple
 
 from hil.core.errors import UnknownSignalError
 from hil.core.model import RobotModel
-from hil.core.signals import unit_of
-from hil.core.types import WHEEL_NAMES
+from hil.core.signals import TRUE_POSE, WHEEL_SPEEDS, unit_of
 from hil.judge.measure import Series
 from hil.scenario.trial import ExpectTable, FaultTable, span_s
-
-_WHEEL_SPEEDS = tuple(f"wheel.{wheel}.speed_rad_s" for wheel in WHEEL_NAMES)
-_TRUE_POSE = ("truth.x_m", "truth.y_m", "truth.heading_rad")
 
 
 class Outcome(NamedTuple):
@@ -89,7 +85,7 @@ class Claim(NamedTuple):
 def signals_of(expect: ExpectTable) -> tuple[str, ...]:
     """Return the signals that a claim is judged by; none for a claim about a figure."""
     if expect.at_rest:
-        return (*_WHEEL_SPEEDS, *_TRUE_POSE)
+        return (*WHEEL_SPEEDS, *TRUE_POSE)
     return tuple(name for name in (expect.signal, expect.of) if name is not None)
 
 

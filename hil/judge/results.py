@@ -1,7 +1,7 @@
 """What a run leaves: its figures, its signals as arrays, and its events."""
 
 from collections.abc import Iterator, Mapping, Sequence
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -12,9 +12,6 @@ from hil.judge.course import ErrorCourse
 from hil.judge.figures import BLOCK_ROWS, RunFigures
 from hil.judge.measure import Series
 from hil.judge.shadows import CommandDifference, ShadowDifferences
-
-if TYPE_CHECKING:
-    pass
 
 _EVENTS_KEPT = 10_000
 

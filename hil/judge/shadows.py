@@ -107,6 +107,18 @@ class ShadowDifferences:
         return found
 
 
+def shadow_differences(signals: Mapping[str, Series]) -> dict[str, dict[str, CommandDifference]]:
+    """Return how each shadow's set points differ from the command, by shadow and by the command's signal.
+
+    ``signals`` are those of a whole run with the shadows' among them. Ticks without a command or without a value of the
+    shadow are left out; a shadow that never had a value beside a command has no entry.
+    """
+    differences = ShadowDifferences(signals)
+    if differences.signals:
+        differences.add(signals)
+    return differences.results()
+
+
 def with_differences(
     shadows: Iterable[Mapping[str, Any]], differences: Mapping[str, Mapping[str, CommandDifference]]
 ) -> list[dict[str, Any]]:

@@ -14,18 +14,12 @@ def state_words(row: Mapping[str, float]) -> str:
 
     def wheels(quantity: str, digits: int) -> str:
         values = [row[f"wheel.{wheel}.{quantity}"] for wheel in WHEEL_NAMES]
-        return (
-            ""
-            if all(map(math.isnan, values))
-            else ", ".join(f"{round(one, digits) + 0.0:.{digits}f}" for one in values)
-        )
+        return "" if all(map(math.isnan, values)) else ", ".join(_number(one, digits) for one in values)
 
     parts = []
     if not math.isnan(row["error.planar_m"]):
-        x_mm, y_mm, heading_mrad = (
-            round(1e3 * row[f"error.{name}"], 1) + 0.0 for name in ("x_m", "y_m", "heading_rad")
-        )
-        parts.append(f"off by x {x_mm:.1f} mm, y {y_mm:.1f} mm, heading {heading_mrad:.1f} mrad")
+        x_mm, y_mm, heading_mrad = (_number(1e3 * row[f"error.{name}"], 1) for name in ("x_m", "y_m", "heading_rad"))
+        parts.append(f"off by x {x_mm} mm, y {y_mm} mm, heading {heading_mrad} mrad")
     if row["guard.held"]:
         parts.append("held at rest, because its state was unknown or old")
     asked = [("speed_command_rad_s", 1, "rad/s"), ("torque_command_n_m", 2, "N·m")]

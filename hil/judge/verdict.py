@@ -34,8 +34,6 @@ _NUMBER_WITH_UNIT = re.compile(r"(?<=\d) (?=(?:s|ms|µs|m|mm|rad|mrad|rad/s|m/s|
 _VERDICTS = {True: "PASSED", False: "FAILED", None: "NO VERDICT"}
 _MOVED, _WARNED, _GIVEN = 6, 6, 6  # how many are shown before the rest is counted
 _MOVED_BESIDE = 3  # where other failures say more
-
-
 _LEFT_OUT = ("granted", "times real time", "frames")  # of a run in real time
 
 

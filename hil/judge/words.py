@@ -34,7 +34,7 @@ def with_page(metrics: Mapping[str, Any]) -> dict[str, Any]:
 def figure_rows(metrics: Mapping[str, Any], *, machine: bool = True) -> Iterator[Row]:
     """Yield the figures that are printed, and the reason for each one that is None.
 
-    ``machine``: also those that depend on how fast this machine is, and the the counts of frames.
+    ``machine``: also those that depend on how fast this machine is, and the counts of frames.
     """
     reasons = metrics.get("reasons", {})
     for figure in figures():
@@ -201,12 +201,13 @@ def set_lost_rows(metrics: dict[str, Any], allow: AllowTable, lost: int) -> None
 
 def in_order(expect: Iterable[Mapping[str, Any]]) -> list[Mapping[str, Any]]:
     """Return the rows of expectations: the failed ones by time, then those not judged, then those that held."""
+    return sorted(expect, key=urgency)
 
-    def place(row: Mapping[str, Any]) -> tuple[int, float]:
-        passed, at_s = row["passed"], row["violation_s"]
-        return 1 if passed is None else 2 * passed, math.inf if at_s is None else at_s
 
-    return sorted(expect, key=place)
+def urgency(row: Mapping[str, Any]) -> tuple[int, float]:
+    """Return a key to sort rows of expectations by, as ``in_order`` does; a row of an older version may lack a time."""
+    passed, at_s = row["passed"], row.get("violation_s")
+    return 1 if passed is None else 2 * passed, math.inf if at_s is None else at_s
 
 
 def applied_words(fault: Mapping[str, Any]) -> str:

@@ -13,16 +13,12 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from hil.core.signals import unit_of
-from hil.core.types import WHEEL_NAMES
+from hil.core.signals import TRUE_POSE, WHEEL_SPEEDS, unit_of
 from hil.record.properties import table_rows
 
 Table = npt.NDArray[np.float64]
 Flags = npt.NDArray[np.bool_]
 Columns = Mapping[str, int]
-
-WHEEL_SPEEDS = tuple(f"wheel.{wheel}.speed_rad_s" for wheel in WHEEL_NAMES)
-_TRUE_POSE = ("truth.x_m", "truth.y_m", "truth.heading_rad")
 
 
 class Standing(IntEnum):
@@ -54,12 +50,20 @@ class Claim(NamedTuple):
     signal: str | None = None
     of: str | None = None
     is_rest: bool = False
+    is_stop: bool = False
     settles: bool = False
 
     @property
     def signals(self) -> tuple[str, ...]:
         """The signals whose plots show the claim."""
         return WHEEL_SPEEDS if self.is_rest else () if self.signal is None else (self.signal,)
+
+    @property
+    def needed(self) -> tuple[str, ...]:
+        """The signals from which the claim is checked; none for a claim about a figure or a stop."""
+        if self.is_rest:
+            return (*WHEEL_SPEEDS, *TRUE_POSE)
+        return tuple(name for name in (self.signal, self.of) if name is not None)
 
     @property
     def path(self) -> str:
@@ -80,7 +84,7 @@ def _claim(number: int, row: Mapping[str, Any], faults: Sequence[Mapping[str, An
 
         span = claimed_span_s(row, faults)
     if "stops" in row:
-        return Claim(number, f"stops {row['stops']}", *span)
+        return Claim(number, f"stops {row['stops']}", *span, is_stop=True)
     low, high, includes, said = _limits(row)
     subject = "at_rest" if row.get("at_rest") else str(row.get("figure") or row["signal"])
     less = f" minus {row['of']}" if "of" in row else ""
@@ -124,9 +128,8 @@ class ClaimWatch:
         self.claim = claim
         self.violation_s: tuple[float, float] | None = None
         self._t = column["loop.t_s"]
-        needed = (*WHEEL_SPEEDS, *_TRUE_POSE) if claim.is_rest else (claim.signal, claim.of)
-        names = [name for name in needed if name is not None]
-        self._columns = [column[name] for name in names] if names and all(name in column for name in names) else []
+        known = all(name in column for name in claim.needed)
+        self._columns = [column[name] for name in claim.needed] if known else []
         self._is_angle = claim.of is not None and unit_of(str(claim.signal)) == "rad"
         sizes = [values.get(f"robot.{name}") for name in ("half_length_m", "half_width_m", "wheel_radius_m")]
         self._sizes = None if any(size is None for size in sizes) else [float(size) for size in sizes]  # type: ignore[arg-type]

@@ -5,6 +5,7 @@ A signal is drawn from its first value on: a signal without any value has no ent
 
 import re
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 import rerun as rr
@@ -12,7 +13,7 @@ import rerun as rr
 from hil.record.claims import Checked, Claim
 from hil.record.decimate import Decimator
 from hil.record.drawings import Gaps, Times, indexes, seconds_index
-from hil.record.layout import ALARM_COLOUR, Colour, Entity
+from hil.record.layout import ALARM_COLOUR, Entity
 from hil.record.limits import LIMITS_PATH, VIOLATIONS_PATH, Limit
 from hil.record.ring import Rows
 
@@ -108,11 +109,10 @@ class Curves:
         for entity in self.drawn:
             self._style(
                 entity.path,
-                rr.SeriesLines(
-                    names=[one.label for one in entity.series],
-                    colors=[one.colour for one in entity.series],
-                    widths=[entity.width_px] * len(entity.series),
-                ),
+                rr.SeriesLines,
+                names=[one.label for one in entity.series],
+                colors=[one.colour for one in entity.series],
+                widths=[entity.width_px] * len(entity.series),
             )
 
     def _draw_limits(self, rows: Rows, times: Times) -> None:
@@ -128,7 +128,7 @@ class Curves:
                 kept = np.union1d(regular[inside[regular]], np.flatnonzero(ends))
                 values = line.values(self._column, rows[kept])
                 entity = f"{LIMITS_PATH}{path}/{number}"
-                self._style(entity, _line(line.label, ALARM_COLOUR, _LIMIT_WIDTH_PX))
+                self._style(entity, rr.SeriesLines, names=line.label, colors=ALARM_COLOUR, widths=_LIMIT_WIDTH_PX)
                 self._rerun.send_columns(entity, [seconds_index(t_s[kept])], rr.Scalars.columns(scalars=values))
 
     def _mark(self, claim: Claim, found: Checked, rows: Rows, times: Times) -> None:
@@ -148,18 +148,13 @@ class Curves:
             values = np.where(np.isfinite(values), values, bound)
             if len(kept):
                 entity = f"{VIOLATIONS_PATH}{path}/{claim.number}"
-                mark = rr.SeriesPoints(
-                    names="violated", colors=ALARM_COLOUR, markers="cross", marker_sizes=_MARK_SIZE_PX
-                )
-                self._style(entity, mark)
+                cross = {"markers": "cross", "marker_sizes": _MARK_SIZE_PX}
+                self._style(entity, rr.SeriesPoints, names="violated", colors=ALARM_COLOUR, **cross)
                 index = [seconds_index(times[kept, 0])]
                 self._rerun.send_columns(entity, index, rr.Scalars.columns(scalars=values))
 
-    def _style(self, path: str, style: rr.SeriesLines | rr.SeriesPoints) -> None:
+    def _style(self, path: str, kind: type[rr.SeriesLines | rr.SeriesPoints], **style: Any) -> None:
+        """Say once how an entity is drawn."""
         if path not in self._styled:
             self._styled.add(path)
-            self._rerun.log(path, style, static=True)
-
-
-def _line(label: str, colour: Colour, width_px: float) -> rr.SeriesLines:
-    return rr.SeriesLines(names=label, colors=colour, widths=width_px)
+            self._rerun.log(path, kind(**style), static=True)

@@ -147,12 +147,11 @@ def fault_lanes(column: Columns, values: Mapping[str, Any]) -> list[FaultLane]:
 
 
 def _fault_lane(number: int, row: Mapping[str, Any], t_column: int) -> FaultLane:
-    from hil.faults.kinds import KINDS  # only for a run with faults: it imports the wire's protocol
+    from hil.faults.kinds import is_instant  # only for a run with faults: it imports the wire's protocol
 
     kind, target = str(row["kind"]), str(row["target"])
     begin_s, end_s = float(row.get("start_s", 0.0)), float(row.get("end_s", math.inf))
-    is_instant = any(known.is_instant and known.name == kind and target in known.targets for known in KINDS)
-    word = "HAPPENED" if is_instant else "IN FORCE"
+    word = "HAPPENED" if is_instant(kind, target) else "IN FORCE"
 
     def codes(rows: npt.NDArray[np.float64]) -> Codes:
         t_s = rows[:, t_column]

@@ -63,9 +63,6 @@ class ShadowCurves:
             if not len(kept) or not counts[-1]:
                 continue
             rms = np.sqrt(np.divide(totals, counts, out=np.full(len(rows), np.nan), where=counts > 0))
-            self._rerun.send_columns(
-                f"{SHADOW_PATH}/{law}/driven", index, rr.Scalars.columns(scalars=rows[kept][:, driven])
-            )
             commands = rr.Scalars.columns(scalars=rows[kept][:, driven])
             self._rerun.send_columns(f"{SHADOW_PATH}/{law}/driven", index, commands)
             differences = rr.Scalars.columns(scalars=difference[kept])

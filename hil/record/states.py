@@ -74,7 +74,7 @@ class States:
         standings = {int(standing): standing.name for standing in Standing}
         for claim, found in checked:
             # A figure is one number of the whole run: its lane is written at the end.
-            if claim.signals or claim.words.startswith("stops"):
+            if claim.signals or claim.is_stop:
                 self._changes(self._claims[claim.number], standings, found.standing, times)
 
     def finish(self, summary: Mapping[str, Any] | None, end_s: float, failed_s: float | None) -> None:
@@ -99,7 +99,7 @@ class States:
         words = {True: Standing.HELD.name, False: Standing.FAILED.name, None: NOT_JUDGED}
         for claim, outcome in zip(self._claimed, summary.get("expect") or (), strict=False):
             lane, word = self._claims[claim.number], words[outcome["passed"]]
-            if claim.words.startswith("stops"):
+            if claim.is_stop:
                 decided_s = min(claim.to_s, end_s) if outcome["violation_s"] is None else outcome["violation_s"]
                 self._put(lane, decided_s, word)
             elif not claim.signals:

@@ -6,16 +6,13 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from hil.core.errors import BadInputError, UnknownSignalError
-from hil.core.signals import unit_of
-from hil.core.types import WHEEL_NAMES
+from hil.core.signals import WHEEL_SPEEDS, unit_of
 from hil.faults.kind import REST_RAD_S
 from hil.review.contents import Series
 from hil.review.reader import RecordedRun
 
 COMPARED = ("error.planar_m", "error.x_m", "error.y_m", "error.heading_rad")
 """The signals that are compared where none is named."""
-
-_WHEEL_SPEEDS = tuple(f"wheel.{wheel}.speed_rad_s" for wheel in WHEEL_NAMES)
 
 
 class Asked(NamedTuple):
@@ -101,7 +98,7 @@ def _instant_s(run: RecordedRun, by: str) -> float:
                 return event.t_s
         texts = "; ".join(dict.fromkeys(event.text for event in run.events)) or "it has none"
         raise BadInputError(f"--align {by!r}: {run.path} has no event with this text; its events: {texts}")
-    speeds = [run.signals[name] for name in _WHEEL_SPEEDS if name in run.signals]
+    speeds = [run.signals[name] for name in WHEEL_SPEEDS if name in run.signals]
     turning = np.any([np.abs(speed) > REST_RAD_S for speed in speeds], axis=0) if speeds else np.empty(0)
     if not np.any(turning):
         raise BadInputError(
@@ -175,7 +172,7 @@ def _row(one: SignalDifference) -> tuple[str, ...]:
 
 def signals_for(asked: Sequence[Asked]) -> set[str]:
     """Return the names of the signals that ``aligned`` needs of both runs."""
-    return {"loop.t_s", *(one.name for one in asked), *COMPARED, *_WHEEL_SPEEDS}
+    return {"loop.t_s", *(one.name for one in asked), *COMPARED, *WHEEL_SPEEDS}
 
 
 def aligned(runs: Sequence[RecordedRun], by: str = "t", asked: Sequence[Asked] = ()) -> Aligned:

@@ -20,11 +20,10 @@ from hil.judge.expectations import (
 )
 from hil.judge.figures import BLOCK_ROWS, cut_words, figure_signals, signal_figures
 from hil.judge.measure import CommandLimits, RunSetup
-from hil.judge.shadows import ShadowDifferences, with_differences
+from hil.judge.shadows import ShadowDifferences, shadow_differences, with_differences
 from hil.judge.words import SCHEMA, set_lost_rows
 from hil.record.properties import table_rows
 from hil.review.reader import RecordedRun, read
-from hil.review.shadows import shadow_differences
 from hil.scenario.load import given
 from hil.scenario.trial import AllowTable, ExpectTable, FaultTable
 

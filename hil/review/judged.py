@@ -7,8 +7,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from hil.faults.kinds import KINDS
-from hil.record.claims import WHEEL_SPEEDS, Claim, ClaimWatch, Standing, claims
+from hil.faults.kinds import is_instant
+from hil.judge.words import urgency
+from hil.record.claims import Claim, ClaimWatch, Standing, claims
 from hil.record.layout import PLAIN_COLOUR, Entity
 from hil.record.layout import Series as OneSeries
 from hil.record.limits import limits
@@ -19,7 +20,6 @@ from hil.review.reader import RecordedRun
 
 Outcome = Mapping[str, Any]
 """An expectation's entry in a run's JSON; that of an older version lacks some keys."""
-_TRUE_POSE = ("truth.x_m", "truth.y_m", "truth.heading_rad")
 _MOST_BANDS = 60
 _WORDS = {True: "held", False: "FAILED", None: "not judged"}
 
@@ -51,7 +51,7 @@ def lanes(run: RecordedRun, found: Mapping[str, Any]) -> Iterator[Lane]:
     if found["failure"] is not None:
         yield Lane(f"ENDED at {last_s:.6g} s", [Band(last_s, end_s, "violated")])
     rows = [(claim, outcome) for claim, outcome in _judged(run, found) if outcome.get("figure") is None]
-    for claim, outcome in sorted(rows, key=lambda pair: _urgency(pair[1])):
+    for claim, outcome in sorted(rows, key=lambda pair: urgency(pair[1])):
         from_s, to_s = max(claim.from_s, begin_s), min(claim.to_s, last_s)
         bands = [Band(begin_s, min(from_s, end_s), "waiting")] if from_s > begin_s else []
         if from_s < to_s:
@@ -74,7 +74,7 @@ def fault_band(fault: Mapping[str, Any], end_s: float) -> Band:
     A fault that only happens does not last.
     """
     start_s = float(fault["start_s"])
-    if any(kind.is_instant and kind.name == fault["kind"] and fault["target"] in kind.targets for kind in KINDS):
+    if is_instant(fault["kind"], fault["target"]):
         return Band(start_s, start_s, "fault")
     stop_s = end_s if fault["end_s"] is None else min(fault["end_s"], end_s)
     return Band(start_s, max(stop_s, start_s), "fault")
@@ -98,16 +98,10 @@ def _is_of(claim: Claim, outcome: Outcome) -> bool:
     return claim.is_rest if words is None else claim.signal is None and claim.words.startswith(words)
 
 
-def _urgency(outcome: Outcome) -> tuple[int, float]:
-    at_s = outcome.get("violation_s")
-    return {False: 0, None: 1, True: 2}[outcome["passed"]], math.inf if at_s is None else at_s
-
-
 def _broken(run: RecordedRun, claim: Claim, outcome: Outcome, from_s: float, to_s: float) -> list[Band]:
     """Return when a claim did not hold in its time: violated, or not yet settled."""
-    needed = (*WHEEL_SPEEDS, *_TRUE_POSE) if claim.is_rest else (claim.signal, claim.of)
-    names = ["loop.t_s", *(name for name in needed if name is not None)]
-    if len(names) == 1 or any(name not in run.signals for name in names):  # a stop that did not come, for one
+    names = ["loop.t_s", *claim.needed]
+    if not claim.needed or any(name not in run.signals for name in names):  # a stop that did not come, for one
         since_s = outcome.get("violation_s")
         return [Band(from_s if since_s is None else since_s, to_s, "violated")] if outcome["passed"] is False else []
     watch = ClaimWatch(claim, {name: place for place, name in enumerate(names)}, scenario_of(run))

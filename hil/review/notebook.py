@@ -13,6 +13,7 @@ from hil.judge.measure import Series
 from hil.judge.verdict import happenings, head_rows
 from hil.judge.words import figure_rows
 from hil.record.layout import ALARM_COLOUR
+from hil.review.judged import fault_band
 from hil.review.plots import Curve, draw_error, drawing, rgb, thinned
 
 _COLOURS = {"PASSED": "#1b7f3b", "FAILED": "#c62828"}
@@ -60,7 +61,8 @@ def _picture(metrics: Mapping[str, Any], signals: Mapping[str, Series]) -> str:
         draw_error(axes, [thinned(Curve("", t_s, signals[_ERROR]))], title="")
         for fault in metrics.get("fault") or ():
             if fault["applied"]:
-                axes.axvspan(fault["start_s"], fault["end_s"] or float(t_s[-1]), color="#dddddd")
+                band = fault_band(fault, float(t_s[-1]))
+                axes.axvspan(band.begin, band.end, color="#dddddd")
         for row in metrics.get("expect") or ():
             if row["passed"] is False and row["violation_s"] is not None:
                 axes.axvline(row["violation_s"], color=rgb(ALARM_COLOUR), linewidth=1.0)

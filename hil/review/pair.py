@@ -11,6 +11,7 @@ from hil.review.difference import Change, Difference
 
 _CHANGES_SHOWN = 20
 _LONGEST_VALUE = 52
+_COUNTS = ("frames.sent", "frames.received")
 
 
 def pair_lines(
@@ -27,10 +28,7 @@ def pair_lines(
     for which, run in zip(("first", "second"), figures, strict=True):
         yield from wrapped(f"{which:<6}  ", run["recording"])
         yield from row_lines(_head(run))
-    yield from (
-        "",
-        "What was changed:" if changes else "Nothing was changed in scenario, code and versions.",
-    )
+    yield from ("", "What was changed:" if changes else "Nothing was changed in scenario, code and versions.")
     for change in changes[: None if everything else _CHANGES_SHOWN]:
         yield from _change_lines(change)
     if len(changes) > _CHANGES_SHOWN and not everything:
@@ -54,9 +52,6 @@ def pair_lines(
     for note in notes:
         labels = ", ".join(row.label for row in shown if note in row.notes)
         yield from wrapped("  ", f"{labels}: {note}")
-
-
-_COUNTS = ("frames.sent", "frames.received")
 
 
 def _head(run: Mapping[str, Any]) -> Iterator[tuple[str, str]]:

@@ -10,6 +10,7 @@ import numpy as np
 from hil.core.signals import unit_of
 from hil.core.types import WHEEL_NAMES
 from hil.judge.claims import signals_of
+from hil.judge.shadows import shadow_differences, shadow_signals
 from hil.record.layout import REFERENCE_COLOUR, Colour
 from hil.review.alignment import SignalDifference
 from hil.review.charts import Band, Chart, Lane, Line, Mark, Panel
@@ -17,7 +18,6 @@ from hil.review.figures import expected, read_for_figures
 from hil.review.judged import fault_band, faults, lanes, marks, planned_s, violations
 from hil.review.plots import colour_of
 from hil.review.reader import RecordedRun
-from hil.review.shadows import shadow_differences, shadow_signals
 from hil.review.shown import Shown
 from hil.review.spectra import spectrum
 from hil.review.stretches import Stretches

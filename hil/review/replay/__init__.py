@@ -20,13 +20,13 @@ from hil.core.ports import Controller
 from hil.core.signals import pack_row
 from hil.core.tick_watch import TickOverdue, TickWatch
 from hil.core.types import NAN, WHEEL_NAMES, ZERO_WHEELS, Applied, CommandMode, WheelCommand
+from hil.judge.shadows import CommandDifference, command_difference
 from hil.judge.words import with_page
 from hil.laws.registry import make_controller
 from hil.laws.shadows import QUANTITY, short_name
 from hil.record import Recording, check_output_path
 from hil.review import RecordedRun
 from hil.review.replay.recorded import Series, check_signals, model_of, recorded_gains, rows, scenario_of, tuples
-from hil.review.shadows import CommandDifference, command_difference
 from hil.scenario.toml_text import parse_value
 
 __all__ = ["Replay", "replay", "write_replay"]
