@@ -96,11 +96,12 @@ bench: setup .venv/tools
 nightly: setup .venv/tools
 	$(BIN)/python -m tools.nightly $(ARGS)
 
-## draw the pictures of the README and of a review's page anew
+## draw the pictures of the README, of a recording and of a review's page anew
 picture: setup .venv/tools
 	$(BIN)/hil run paper_circle --record runs/picture.rrd --force
-	$(BIN)/python tools/screenshot.py runs/picture.rrd tools/pictures/paper_circle.png --at 0.5
-	$(BIN)/python tools/screenshot.py runs/picture.rrd tools/pictures/paper_circle_law.png --tab Law
+	$(BIN)/python -m tools.screenshot runs/picture.rrd tools/pictures/paper_circle.png --at 0.5
+	$(BIN)/python -m tools.screenshot runs/picture.rrd tools/pictures/paper_circle_law.png --tab Law
+	$(BIN)/python -m tools.screenshot --examples tools/pictures
 	$(BIN)/python -m tools.page_pictures tools/pictures
 
 ## mend what ruff and clang-format can mend

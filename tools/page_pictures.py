@@ -7,7 +7,7 @@ browser shows of its page at 1280 pixels; of the failed one also at 390 pixels, 
 import argparse
 import sys
 import tempfile
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from io import BytesIO
 from pathlib import Path
 
@@ -19,44 +19,13 @@ from hil.review.figures import figures
 from hil.review.html_page import write_document
 from hil.review.page import page
 from hil.review.panels import read_for_page
-from hil.runtime.assembly import RunOptions, run_scenario
-from hil.scenario import load
 from tools.browser import BrowserError, Page, browser
+from tools.example_runs import make_runs
 
-RUNS: Mapping[str, tuple[str, tuple[str, ...]]] = {
-    "passed": ("circle_speed", ()),
-    "failed": (
-        "circle_speed",
-        (
-            'fault=[{kind="push",target="force_x_n",value=60.0,start_s=6.0,end_s=6.5}]',
-            'expect=[{signal="error.planar_m",from_s=4.0,below=0.01},{signal="error.heading_rad",below=0.05}]',
-        ),
-    ),
-    "ended": ("circle_speed", ('fault=[{kind="disconnect",target="link",start_s=3.0,end_s=4.0}]',)),
-    "faulty": (
-        "circle_speed",
-        (
-            'fault=[{kind="dead_motor",target="fl",start_s=4.0,end_s=6.0},'
-            '{kind="drop",target="feedback",value=0.3,start_s=8.0,end_s=10.0},'
-            '{kind="push",target="force_y_n",value=100.0,start_s=11.0,end_s=11.3}]',
-        ),
-    ),
-    "shadowed": ("paper_circle", ('controller.shadow=["dsc", "profile"]', "loop.duration_s=5")),
-    "other law": ("circle_speed", ("controller.law=afdsc",)),
-}
 DRAWN = "document.body.dataset.drawn === 'yes'"
 _WIDE, _PHONE = (1280, 860), (390, 844)
 _COLOURS = 256
 _SHADOWS = "[...document.querySelectorAll('h2')].find((one) => one.textContent === 'Shadows').scrollIntoView()"
-
-
-def make_runs(folder: Path) -> dict[str, Path]:
-    """Do the runs and return their recordings by name."""
-    recordings = {}
-    for name, (scenario, sets) in RUNS.items():
-        recordings[name] = folder / f"{name}.rrd"
-        run_scenario(load(scenario, set=list(sets)), RunOptions(record=recordings[name]))
-    return recordings
 
 
 def write_page(recordings: Sequence[Path], file: Path, asked: Sequence[Asked] = ()) -> None:

@@ -1,9 +1,10 @@
-"""Take a picture of a recording as a viewer shows it: ``python tools/screenshot.py RUN.rrd OUT.png``.
+"""Take a picture of a recording as a viewer shows it: ``python -m tools.screenshot RUN.rrd OUT.png``.
 
 Starts a viewer without a window, with the layout that the recording ships. It needs a Vulkan driver; one in
 software will do: ``apt-get install -y mesa-vulkan-drivers libvulkan1``.
 
-``python tools/screenshot.py --examples tools/pictures`` makes five runs, and takes the pictures of RECORDING.md.
+``python -m tools.screenshot --examples tools/pictures`` makes a run of each kind (``example_runs.py``),
+and takes the pictures of RECORDING.md.
 """
 
 import argparse
@@ -21,26 +22,21 @@ from rerun.experimental import View, ViewerClient
 
 from hil.core.errors import HilError
 from hil.record.viewer import Window, free_port, live_address, viewer_command, viewer_environment, wait_until_listening
+from tools.example_runs import make_runs
 
 MOST_SHOTS = 100
 NOTICES_FADE_S = 6.0
 BAR_PX = 37
 _CONTAINER = "ContainerBlueprint"
 
-
-_BOUNDS = [
-    {"signal": "error.planar_m", "from_s": 10.0, "to_s": 15.0, "below": 0.003},
-    {"signal": "wheel.fl.speed_rad_s", "from_s": 2.0, "within": [-8.0, 7.0]},
-]
-_RESET = [{"kind": "reset", "target": "robot", "start_s": 6.0}]
-EXAMPLES: Mapping[str, tuple[str, Mapping[str, Any], str | None]] = {
-    # name of the picture: scenario, what is set in it, and the tab to show
-    "passed": ("paper_circle", {}, None),
-    "failed": ("circle_speed", {"expect": _BOUNDS}, None),
-    "killed": ("circle_speed", {"fault": _RESET}, None),
-    "faulty": ("disconnect", {}, None),
-    "faulty_transients": ("disconnect", {}, "Transients"),
-    "shadowed": ("circle_speed", {"controller.shadow": ["lqi"]}, "Shadow lqi"),
+EXAMPLES: Mapping[str, tuple[str, str | None]] = {
+    # name of the picture: the run, and the tab to show
+    "passed": ("passed", None),
+    "failed": ("failed", None),
+    "ended": ("ended", None),
+    "faulty": ("faulty", None),
+    "faulty_transients": ("faulty", "Transients 1"),
+    "shadowed": ("shadowed", "Shadow profile"),
 }
 _COLOURS = 200
 
@@ -101,19 +97,17 @@ def take_with(
 
 
 def take_examples(folder: Path) -> None:
-    """Make a run for each of ``EXAMPLES`` and write its picture, small, as ``hil view`` opens it.
+    """Make the example runs and write each of ``EXAMPLES``, small, as ``hil view`` opens it.
 
     Raises as ``take_screenshots``.
     """
-    import hil
-
     folder.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory() as directory:
-        for name, (scenario, values, tab) in EXAMPLES.items():
-            recording, picture = Path(directory) / f"{name}.rrd", folder / f"viewer_{name}.png"
-            hil.run(scenario, record=recording, set=values)
+        recordings = make_runs(Path(directory))
+        for name, (run, tab) in EXAMPLES.items():
+            picture = folder / f"viewer_{name}.png"
             with headless_viewer() as viewer:
-                viewer.open(str(recording))
+                viewer.open(str(recordings[run]))
                 if tab is not None:
                     _show_tab(viewer, tab)
                 Window(int(viewer.url.split(":")[2].split("/")[0])).point_at_violation(is_open=lambda: True)
