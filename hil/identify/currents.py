@@ -1,13 +1,14 @@
-"""Currents without their sensors' noise: where a motor did what it was told, the commands say its current better.
+"""Currents without their sensors' noise: where a motor did as commanded, the commands tell its current better than the
+sensor.
 
-A drive by torque commands each motor's current. The measured currents of a wheel are regressed on its last commands,
-over all drives at once:
+A torque command commands the current of a motor. Over all drives at once, the measured currents of a wheel are
+regressed on the newest commands before them:
 
     i_k = c + Σ g_j T_{k-j},  j = 0 to 5
 
 with an offset c for each drive. Gain and offset are thus the sensor's own, and the link's delay is found. If what is
-left is white noise, it is the sensor's, and the regression is the current without it. If anything else is left (a
-limit, a drive that follows slowly, a dead motor), the measured currents are taken.
+left is white noise, it is the sensor's, and a fit takes what the regression predicts. If anything else is left (a
+limit, a motor that follows slowly or is dead), it takes the measured currents.
 """
 
 from collections.abc import Sequence
@@ -45,7 +46,10 @@ class Quiet(NamedTuple):
 
 
 def quiet(drives: Sequence[Drive], judge: Drive) -> Quiet:
-    """Return drives without the noise of their currents, and last the ``judge``, from which nothing is learned."""
+    """Return the drives, then the ``judge``, all without the noise of their currents.
+
+    The judge is the drive by which a fit is judged, so the regression is not made from it.
+    """
     both = (*drives, judge)
     by_wheel = [_of_wheel(drives, judge, wheel) for wheel in range(len(WHEEL_NAMES))]
     taken, sentences = [], []

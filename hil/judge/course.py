@@ -13,9 +13,10 @@ _FIRST_S = 0.05
 
 
 class ErrorCourse:
-    """Computes the course from a run's rows, block by block. A run of any length has 10 to 20 stretches of one length.
+    """Keeps the worst position error of each stretch of a run, from its rows, block by block.
 
-    A short one has fewer.
+    All stretches are equally long: 0.05 s at first, twice as long whenever a run outgrows 20 of them. So a run of more
+    than a second has 10 to 20, and a shorter one fewer.
     """
 
     signals = ("loop.t_s", "error.planar_m")

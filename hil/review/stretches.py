@@ -21,12 +21,13 @@ _STRETCHES = 1500
 class Stretches:
     """Shows signals by the minimum and maximum of each stretch, and row by row around some instants.
 
-    ``t_s`` are the times of all rows, ascending, of shape (rows,); ``instants`` [s] the most important first. A run of
-    no more rows than twice the number of stretches is shown row by row. Where rows are missing, lines have a gap.
+    ``t_s`` are the times of all rows, ascending, of shape (rows,). Around each of the first 8 ``instants`` [s] 1000
+    rows are shown one by one. The others are shown in at most 1500 stretches; a recording of up to 3000 rows is shown
+    whole. Where rows are missing, lines have a gap.
 
     Attributes:
         t_s: the times at which signals are shown, of shape (n,).
-        longest_s: the longest stretch [s]; one period where all rows are shown.
+        longest_s: the length of a stretch [s]; that of one row if the recording is shown whole.
     """
 
     def __init__(self, t_s: Series, instants: Sequence[float] = ()) -> None:
