@@ -20,6 +20,7 @@ _NEEDED = (
     "PyErr_Occurred",
     "PyTuple_GetItem",
     "PyTuple_New",
+    "PyTuple_Size",
     "PyTuple_SetItem",
     "PyFloat_FromDouble",
     "PyLong_FromLongLong",

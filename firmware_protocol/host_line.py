@@ -8,16 +8,24 @@ from firmware_protocol.framing import CAUSES, PACKED_HEADERS, Frame, PackedFrame
 from firmware_protocol.host import library
 
 _MOST_AT_ONCE = 1 << 12  # bytes passed to the library in one call
-_OF_NOISE = slice(8, None)  # of the bytes of wheel_line_counts
 _MOST_TO_SEND = 1 << 10  # packed bytes
 
 
-def split(frames: PackedFrames, limit: int) -> tuple[Sequence[Frame], Sequence[Frame]]:
-    """Return the frames with an id below ``limit``, and the others, each in their order; ``()`` for none."""
+def split(frames: PackedFrames, limit: int) -> tuple[PackedFrames | None, PackedFrames | None]:
+    """Return the frames with an id below ``limit``, and the others, each in their order; None for none."""
     below, others = _fast("split")(frames.packed, limit)
     if not others:
-        return frames, ()
-    return (PackedFrames(below), PackedFrames(others)) if below else ((), frames)
+        return frames, None
+    return (PackedFrames(below), PackedFrames(others)) if below else (None, frames)
+
+
+def packed_of(frames: Sequence[Frame]) -> bytes:
+    """Return frames packed, in a fraction of the time of ``framing.pack``.
+
+    Raises TypeError for an id of more than 16 bits, or a payload of more than 255 bytes.
+    """
+    packed: bytes = frames.packed if type(frames) is PackedFrames else _fast("pack")(tuple(frames))
+    return packed
 
 
 def each_of(frames: Sequence[Frame]) -> Sequence[Frame]:
@@ -42,14 +50,13 @@ class HostLine:
         receive_for: as ``feed``, for the client at an address, which takes the frames of the bytes that arrived at a
             time [ns], and then adds what is due (``Client.poll``). Returns the number of frames. If the client needs
             attention (see its ``view``), it returns the packed frames, and how far the client took them.
+        noise: returns how many pieces were no frame: the sum of ``rejected`` but for lost frames.
         encode_for: returns what waits in the client at an address as bytes for the wire.
     """
 
     def __init__(self) -> None:
         ffi, lib = library()
         self._counts = ffi.new("wheel_line_counts *")
-        self._count_bytes = ffi.buffer(self._counts)
-        self._noise_bytes, self._noise = b"", 0
         self._memory = ffi.new("uint64_t[]", lib.wheel_line_size() // 8 + 1)
         self.handle = ffi.cast("wheel_line *", self._memory)
         lib.wheel_line_init(self.handle)
@@ -57,6 +64,7 @@ class HostLine:
             "receive", self.handle, self._memory
         )
         self.encode_for: Callable[[int], bytes] = fast_call("encode", self.handle, self._memory)
+        self.noise: Callable[[], int] = fast_call("noise", self.handle, self._memory)
         self._packed, self._used = ffi.new("uint8_t[]", _MOST_AT_ONCE + lib.WHEEL_LINE_OPEN), ffi.new("size_t *")
         self._received = ffi.buffer(self._packed)
         self._encoded = ffi.new("uint8_t[]", lib.WHEEL_LINE_GROWTH * _MOST_TO_SEND)
@@ -97,15 +105,6 @@ class HostLine:
     def _feed_much(self, data: bytes) -> PackedFrames:
         pieces = [self.feed(data[at : at + _MOST_AT_ONCE]) for at in range(0, len(data), _MOST_AT_ONCE)]
         return PackedFrames(b"".join(piece.packed for piece in pieces), sum(map(len, pieces)))
-
-    def noise(self) -> int:
-        """Return how many pieces were no frame: the sum of ``rejected`` but for lost frames."""
-        counts = self._counts
-        self._count(self.handle, counts)
-        if self._noise_bytes != (now := self._count_bytes[_OF_NOISE]):
-            self._noise_bytes = now
-            self._noise = int(counts.cobs + counts.crc + counts.length + counts.unknown_id + counts.overrun)
-        return self._noise
 
     @property
     def rejected(self) -> dict[str, int]:

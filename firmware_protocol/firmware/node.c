@@ -153,7 +153,9 @@ static bool drive_active(wheel_node *node, wheel_drive *drive) {
 /* The duties that drive these torques through motors without a current loop of their own. */
 static void drive_currents(wheel_node *node, wheel_drive *drive) {
     float target_a[WHEEL_COUNT];
-    if (drive->enabled == 0u) {
+    /* A robot that is cleared and armed within a tick is switched on for it before its fault is found again.
+     * Without sensors it gives no duty: that of a current of NaN would be NaN. */
+    if (drive->enabled == 0u || !wheel_sense_is_plausible(&node->sense)) {
         memset(&node->current_loop, 0, sizeof node->current_loop);
         return;
     }

@@ -14,6 +14,7 @@ from typing import NamedTuple
 from firmware_protocol.built import BuildError
 from hil.core.errors import BadInputError, nearest
 from hil.core.mutant import in_force
+from hil.core.strangers import check_may_run, code_is_refused
 from hil.plant.built import FMUS
 from hil.plant.unpacking import extract as extract
 from hil.plant.unpacking import opened, pieces, refuse_folder
@@ -100,6 +101,12 @@ def sha256(fmu: Path) -> str:
 def is_ours(fmu: Path) -> bool:
     """Return whether this is the path of an FMU that ships with this package, MuJoCo's included."""
     return fmu in SHIPPED.values()
+
+
+def check_may_load(fmu: Path) -> None:
+    """Raise BadInputError for a foreign FMU where code of files is refused: its library is code."""
+    if code_is_refused() and not (is_ours(fmu) or is_shipped(fmu)):
+        check_may_run(f"FMU {fmu}")
 
 
 def is_shipped(fmu: Path) -> bool:

@@ -23,7 +23,7 @@ def read_description(fmu: Path) -> Any:
     archive.read_header(fmu)
     from fmpy import read_model_description
 
-    folder = archive.extract(fmu, only=archive.DESCRIPTIONS)
+    folder = archive.extract(fmu, only=archive.DESCRIPTIONS.__contains__)
     try:
         return read_model_description(folder, validate=False)
     except Exception as error:  # FMPy raises whatever its parser meets, down to plain Exception

@@ -58,7 +58,8 @@ class FmuPlant(shim.PlantPort):
         self._solve: Any = None  # the solver as a C function, for model exchange
         self.wire((0, 1, 2, 3), (1, 1, 1, 1))
         with contextlib.ExitStack() as resources:
-            folder = archive.extract(fmu)
+            archive.check_may_load(fmu)
+            folder = archive.extract(fmu, only=_may_be_read)
             resources.callback(shutil.rmtree, folder, ignore_errors=True)
             self.instance = instance = Instance(fmu, folder, library, self._context)
             resources.callback(instance.unload)
@@ -181,6 +182,11 @@ class FmuPlant(shim.PlantPort):
             self._context.solve = self._solve
         if self._lib.cosim_start(self._context) != 0:
             raise DeviceError(f"the plant has no outputs at its start: {self.message}")
+
+
+def _may_be_read(name: str) -> bool:
+    """Return whether an entry may be read while the FMU runs; what these folders hold is for people and for tools."""
+    return not name.startswith(("documentation/", "extra/", "sources/"))
 
 
 def _is_needed(folder: Path, member: str) -> bool:

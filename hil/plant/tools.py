@@ -65,6 +65,7 @@ def check(fmu: Path, longest_s: float = _LONGEST_CALL_S) -> CheckResult:
     """
     archive.read_header(fmu)
     shim.load()  # the child needs it: raise here what is missing
+    archive.check_may_load(fmu)
     folder = archive.extract(fmu)
     try:
         found = [violation(one_line(problem)) for problem in validate_fmu(str(folder))]

@@ -13,7 +13,7 @@ import tempfile
 import unicodedata
 import zipfile
 import zlib
-from collections.abc import Container, Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path, PurePosixPath
 
 from hil.core.errors import BadInputError
@@ -69,13 +69,16 @@ def pieces(fmu: Path, archive: zipfile.ZipFile, entry: zipfile.ZipInfo) -> Itera
         raise BadInputError(f"FMU {fmu}: its entry {entry.filename!r} cannot be unpacked ({error})") from error
 
 
-def extract(fmu: Path, only: Container[str] | None = None) -> Path:
-    """Unpack the entries, or those named, into a new temporary folder; the caller removes it. Raises BadInputError."""
+def extract(fmu: Path, only: Callable[[str], bool] = lambda _: True) -> Path:
+    """Unpack the entries, of these names ``only``, into a new temporary folder; the caller removes it.
+
+    Raises BadInputError.
+    """
     with opened(fmu) as archive, contextlib.ExitStack() as undo:
         folder = Path(tempfile.mkdtemp(prefix="hil_fmu_"))
         undo.callback(shutil.rmtree, folder, ignore_errors=True)
         for entry in archive.infolist():
-            if only is None or entry.filename in only:
+            if only(entry.filename):
                 _write(fmu, archive, entry, folder / entry.filename)
         undo.pop_all()
     return folder

@@ -8,9 +8,10 @@ from typing import Any
 from firmware_protocol.client import Client
 from firmware_protocol.codec import Message, decode
 from firmware_protocol.fast_tuples import Choice, Tuple, fields_of, tuple_constructor
-from firmware_protocol.framing import PackedFrames, pack, packed_frame
+from firmware_protocol.framing import packed_frame
 from firmware_protocol.generated import messages as m
 from firmware_protocol.host import library
+from firmware_protocol.host_line import packed_of
 from hil.core.errors import RobotStoppedError
 from hil.core.ports import Received
 from hil.core.types import Wheels
@@ -72,16 +73,17 @@ class Channel:
         To a robot in this thread the next step carries it, unless conditions act now, much waits, or ``everything``.
         """
         client = self._client
+        view = client.view
         try:
             if self._line is not None:
                 self._line.send_from(client)
-            elif client.view.out_bytes and not self._may_wait(everything):
+            elif view.out_bytes and not self._may_wait(everything):
                 self._link.send_all(client.out())
                 client.sent()
         except BaseException:
             client.unsent()
             raise
-        if client.view.log_is_due and not client.view.out_bytes:  # what waits may still be unsent
+        if view.log_is_due and not view.out_bytes:  # what waits may still be unsent
             self._empty_log()
 
     def _may_wait(self, everything: bool) -> bool:
@@ -96,7 +98,10 @@ class Channel:
         self._await_step()
 
     def _step_directly(self, direct: DirectLink, ticks: int) -> None:
-        left = direct.step(self._client, ticks)
+        self._finish_step(direct, direct.step(self._client, ticks))
+
+    def _finish_step(self, direct: DirectLink, left: Received | None) -> None:
+        """Take what the client left of the answer to a STEP."""
         if left is not None:
             self._attend(direct.answer, left.stamp_ns)
             self.take(left)
@@ -104,12 +109,10 @@ class Channel:
 
     def _step_under_conditions(self, direct: DirectLink, ticks: int) -> None:
         if self._link.lets_feedback_pass():
-            self._step_directly(direct, ticks)
+            self._finish_step(direct, self._link.step(direct, self._client, ticks))
             return
-        client = self._client
-        client.step(ticks)
-        ready = self._link.exchange(direct, client)
-        view = client.view
+        ready = self._link.exchange(direct, self._client, ticks)
+        view = self._client.view
         while ready and view.step == _STEP_AWAITED:
             self.take(ready.popleft())
         if view.step == _STEP_AWAITED:
@@ -135,8 +138,7 @@ class Channel:
     def take(self, received: Received) -> None:
         """Process frames that arrived together. Raises RobotStoppedError for a step that ended at a wrong tick."""
         frames, stamp_ns = received
-        packed = frames.packed if type(frames) is PackedFrames else pack(frames)
-        self._take_from(packed, 0, stamp_ns)
+        self._take_from(packed_of(frames), 0, stamp_ns)
 
     def _take_from(self, packed: bytes, at: int, stamp_ns: int) -> None:
         while at < len(packed):

@@ -7,8 +7,7 @@ from typing import Protocol, cast
 
 from firmware_protocol.client import MOST_TICKS, Client
 from firmware_protocol.fast_calls import fast_call
-from firmware_protocol.framing import FRAME_OVERHEAD, PACKED_HEADERS, Frame, PackedFrames, unsendable
-from firmware_protocol.generated.messages import Estop
+from firmware_protocol.framing import PACKED_HEADERS, Frame, PackedFrames, unsendable
 from firmware_protocol.host import HostNode, library
 from firmware_protocol.host_line import HostLine
 from hil.core.ports import Link, Received
@@ -17,8 +16,7 @@ from hil.wire.framed import StreamLink
 from hil.wire.link import Line
 from hil.wire.streams import DirectStream, closed
 
-_ESTOP = PACKED_HEADERS[Estop.ID, Estop.LENGTH]
-_MORE_ON_THE_LINE = FRAME_OVERHEAD - len(_ESTOP)  # than packed
+_NO_CLIENT = 0
 
 
 class DirectTruth:
@@ -59,13 +57,15 @@ class DirectLink:
     Attributes:
         now_ns: the clock that stamps received frames.
         answer: the packed frames of the newest exchange.
+        crossed: returns the packed frames that the newest exchange sent of the client's, and their number; and those of
+            the answer.
         byte_counts: returns the bytes sent and received since ``begin_byte_counts``.
     """
 
     counts_frames = True
 
     def __init__(self, robot: LibraryRobot, stream: DirectStream) -> None:
-        ffi, lib = library()
+        ffi, _ = library()
         self._robot = robot
         self._stream = stream
         self._there = HostLine()
@@ -74,13 +74,12 @@ class DirectLink:
         self._earlier: Counter[str] = Counter()  # rejected before the link was reopened
         self._earlier_noise = 0
         self._begin_line()
-        self._unsent = b""  # packed
-        self._unsent_frames = 0
         self._view = self._direct.waiting = ffi.new("wheel_view *")  # of no client: nothing waits
         self._is_open = True
-        self._lib = lib
         self._step: Callable[[int, int, int, int], bool] = fast_call("step", self._direct)
-        self._exchange: Callable[[int, int, bytes], bytes] = fast_call("exchange", self._direct)
+        self._hold: Callable[[int, bytes], int] = fast_call("hold", self._direct)
+        self._exchange: Callable[[int, int, int], bytes | None] = fast_call("exchange", self._direct)
+        self.crossed: Callable[[], tuple[bytes, int, bytes, int]] = fast_call("crossed", self._direct)
         self.byte_counts: Callable[[], tuple[float, float]] = fast_call("line_bytes", self._direct)
         self.now_ns: Callable[[], int] = time.monotonic_ns
 
@@ -98,41 +97,29 @@ class DirectLink:
     def send_packed(self, frames: PackedFrames) -> None:
         if not self._is_open:
             raise closed()
-        packed, count = frames.packed, len(frames)
-        self._unsent += packed
-        self._unsent_frames += count
-        self._direct.unsent_bytes += len(packed) + count * _MORE_ON_THE_LINE
-        if _ESTOP in packed:
-            self._direct.unsent_bytes += sum(frame.id == Estop.ID for frame in frames)
+        self._hold(self._robot.node.address, frames.packed)
 
     def receive(self, _timeout_ns: int) -> Received | None:
-        if not self._unsent:
+        if not self._is_open or not self._direct.held_bytes:
             return None
-        direct, node = self._direct, self._robot.node.handle
-        packed = self._handed_over()
-        self._lib.wheel_direct_send(direct, node, packed, len(packed))
-        self._lib.wheel_direct_receive(direct, node)
-        answer = self.answer[: direct.answer_bytes]
+        answer = self._exchange(self._robot.node.address, _NO_CLIENT, 0)
         return Received(PackedFrames(answer), self.now_ns()) if answer else None
 
     def serve(self, client: Client) -> None:
         """Set the client whose frames ``step`` and ``exchange`` send."""
         self._view = self._direct.waiting = client.view
 
-    def exchange(self, client: Client) -> PackedFrames:
-        """Send what waits in the client, and return all that the robot then sends."""
-        if not self._is_open:
-            client.unsent()
-            raise closed()
-        packed = self._handed_over() if self._unsent else b""
-        before = self._direct.received_frames
-        answer = self._exchange(self._robot.node.address, client.address, packed)
-        return PackedFrames(answer, self._direct.received_frames - before)
+    def exchange(self, client: Client, ticks: int) -> PackedFrames:
+        """Send what waits in the client, and a STEP; return all that the robot then sends.
 
-    def _handed_over(self) -> bytes:
-        """Return what was not sent yet, and forget it."""
-        packed, self._unsent, self._unsent_frames, self._direct.unsent_bytes = self._unsent, b"", 0, 0
-        return packed
+        Raises ValueError for more than 1000 ticks; nothing is sent then.
+        """
+        if not self._is_open:
+            raise closed()
+        answer = self._exchange(self._robot.node.address, client.address, ticks)
+        if answer is None:
+            raise _unsendable_step(ticks)
+        return PackedFrames(answer)
 
     def step(self, client: Client, ticks: int) -> Received | None:
         """Send what waits in the client, and a STEP; the client takes the answer.
@@ -142,22 +129,19 @@ class DirectLink:
         """
         if not self._is_open:
             raise closed()
-        if self._unsent:
-            packed = self._handed_over()
-            self._lib.wheel_direct_send(self._direct, self._robot.node.handle, packed, len(packed))
         now_ns = self.now_ns()
         if self._step(self._robot.node.address, client.address, ticks, now_ns):
             return None
-        if ticks > MOST_TICKS:
-            raise ValueError(f"a step of {ticks} ticks; expected at most {MOST_TICKS}")
         direct = self._direct
+        if not direct.stepped_bytes:  # the client refused it: a step that was made is never empty
+            raise _unsendable_step(ticks)
         return Received(PackedFrames(self.answer[direct.answer_at : direct.answer_bytes], 0), now_ns)
 
     # The counters; what waits in the client counts as sent.
 
     @property
     def sent_frames(self) -> int:
-        return self._direct.sent_frames + self._unsent_frames + self._view.out_frames  # type: ignore[no-any-return]
+        return self._direct.sent_frames + self._direct.held_frames + self._view.out_frames  # type: ignore[no-any-return]
 
     @property
     def received_frames(self) -> int:
@@ -189,5 +173,8 @@ class DirectLink:
 
     def close(self) -> None:
         self._is_open = False
-        self._handed_over()
         self._stream.close()
+
+
+def _unsendable_step(ticks: int) -> ValueError:
+    return ValueError(f"a step of {ticks} ticks; expected at most {MOST_TICKS}, and room in the client")

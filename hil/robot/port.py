@@ -96,6 +96,10 @@ class Device(Protocol):
         """The largest wheel speed that the robot accepts as a command; infinity if it reports none."""
 
     @property
+    def overspeed_rad_s(self) -> float:
+        """The wheel speed at which the robot stops itself; infinity if it reports none."""
+
+    @property
     def warnings(self) -> Sequence[str]:
         """Warnings for the user before anything moves, for example that nothing stops the wheels if the host dies.
 
@@ -276,14 +280,15 @@ class LinkedDevice(ABC):
         assert clock is not None
         if link.may_hold:
             link.hand_over_until(clock, t_ns)
-        self._receive_until(clock, t_ns)
+        if not self._is_lockstep:
+            self._receive_until(clock, t_ns)
         late_ns = clock.wait_until(t_ns)
         if link.may_hold:
             link.service()
         return late_ns
 
     def _receive_until(self, clock: Clock, t_ns: int) -> None:  # noqa: B027 - most devices have nothing to do here
-        """In real time: receive what needs a time stamp of its own arrival, until ``t_ns`` at the latest."""
+        """Receive, in real time, what needs a time stamp of its own arrival, until ``t_ns`` at the latest."""
 
     @property
     def poll_age_ns(self) -> int:
@@ -296,6 +301,10 @@ class LinkedDevice(ABC):
 
     @property
     def speed_limit_rad_s(self) -> float:
+        return math.inf
+
+    @property
+    def overspeed_rad_s(self) -> float:
         return math.inf
 
     def _counts(self) -> tuple[float, float, float, float]:

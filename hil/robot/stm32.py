@@ -100,10 +100,13 @@ class Stm32(LinkedDevice):
 
     @property
     def speed_limit_rad_s(self) -> float:
-        """The robot's limit of commanded speeds (DBC HELLO_LIMITS); infinity in TORQUE mode and before HELLO."""
-        if self.info is None or self._mode is CommandMode.TORQUE:
-            return math.inf
-        return self.info.limits.speed_limit_rad_s
+        """The robot's limit of commanded speeds (DBC HELLO_LIMITS); infinity before HELLO."""
+        return math.inf if self.info is None else self.info.limits.speed_limit_rad_s
+
+    @property
+    def overspeed_rad_s(self) -> float:
+        """The wheel speed that the robot takes for a fault (DBC HELLO_LIMITS); infinity before HELLO."""
+        return math.inf if self.info is None else self.info.limits.overspeed_rad_s
 
     @property
     def warnings(self) -> tuple[str, ...]:
@@ -204,7 +207,7 @@ class Stm32(LinkedDevice):
 
     def _receive_until(self, clock: Clock, t_ns: int) -> None:
         """Wait for the answer to TIME_SYNC: if read only at the next tick, its time of arrival would be unknown."""
-        while not self._is_lockstep and self.clock_sync.awaiting and (left_ns := t_ns - clock.now_ns()) > 0:
+        while self.clock_sync.awaiting and (left_ns := t_ns - clock.now_ns()) > 0:
             received = self._link.receive(left_ns)
             if received is None:
                 return

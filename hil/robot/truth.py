@@ -1,8 +1,11 @@
 """True pose of a virtual robot in another process, and the faults injected there: over TCP, not over the robot's link.
 
-The client sends one JSON line ``{"scenario": HASH, "reset": BOOL}``; the server (``truth_server``) answers one JSON
-line, ``{"ok": true}`` or ``{"error": TEXT}``, and then sends records: robot time since power-on, pose, twist, set
-points, age of the newest command, and state.
+The client sends one JSON line ``{"token": TEXT, "scenario": HASH, "reset": BOOL}``; the server (``truth_server``)
+answers one JSON line, ``{"ok": true}`` or ``{"error": TEXT}``, and then sends records: robot time since power-on, pose,
+twist, set points, age of the newest command, and state.
+
+The token is a secret (``hil.core.tokens``) in a file of the user who runs the server. The client finds the file by the
+port, or it is named: ``tcp://127.0.0.1:PORT?token_file=FILE``.
 
 Requests about faults each use a connection of their own. Their line also has ``"faults"``: ``{"arm": ROWS}``,
 ``{"begin": TICK}`` or ``{"applied": true}``. The client gets an answer and no records.
@@ -13,17 +16,21 @@ import socket
 import struct
 import time
 from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
 from typing import NamedTuple
-from urllib.parse import urlsplit
+from urllib.parse import parse_qs, urlsplit
 
 from firmware_protocol.generated.messages import State
 from hil.core.errors import BadInputError, DeviceError
+from hil.core.tokens import read_token, token_file
 from hil.core.types import Pose, PoseFix, Twist, Wheels
 from hil.faults.kind import FaultRow
 
 RECORD = struct.Struct("<q6d4dIB")
 ANSWER_S = 2.0
 LONGEST_ANSWER = 65536
+KIND = "truth"
+"""Of the servers, in the state folder with their tokens."""
 _CHUNK = 65536
 
 
@@ -136,15 +143,19 @@ class TruthClient:
 
 
 def _greet(url: str, request: Mapping[str, object]) -> tuple[socket.socket, dict[str, object], bytearray]:
-    """Connect and send the first line; return the connection, the answer and the bytes after it.
+    """Connect and send the first line with the token; return the connection, the answer and the bytes after it.
 
-    Raises BadInputError for an invalid URL, DeviceError when no ``hil device`` listens there.
+    Raises BadInputError for an invalid URL or token file, DeviceError when no ``hil device`` listens there.
     """
+    host, port, named = _address(url)
+    file = token_file(KIND, port) if named is None else named
+    # Without a token the server's refusal names the file, and another program shows that it is another.
+    token = read_token(file) if named is not None or file.exists() else ""
     connection = None
     try:
-        connection = socket.create_connection(_address(url), timeout=2 * ANSWER_S)
+        connection = socket.create_connection((host, port), timeout=2 * ANSWER_S)
         connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-        connection.sendall(json.dumps(request).encode() + b"\n")
+        connection.sendall(json.dumps({"token": token, **request}).encode() + b"\n")
         return connection, *_read_answer(connection)
     except (OSError, ValueError) as error:
         if connection is not None:
@@ -154,7 +165,8 @@ def _greet(url: str, request: Mapping[str, object]) -> tuple[socket.socket, dict
         raise DeviceError(f"truth {url!r}: something else listens there; use the URL of hil device") from error
 
 
-def _address(url: str) -> tuple[str, int]:
+def _address(url: str) -> tuple[str, int, Path | None]:
+    """Return host, port, and the token's file if it is named."""
     try:
         parts = urlsplit(url)
         port = parts.port
@@ -162,7 +174,8 @@ def _address(url: str) -> tuple[str, int]:
         parts, port = urlsplit(""), None
     if parts.scheme != "tcp" or not parts.hostname or port is None:
         raise BadInputError(f"truth {url!r} is no valid address; expected tcp://127.0.0.1:PORT as hil device prints it")
-    return parts.hostname, port
+    named = parse_qs(parts.query).get("token_file")
+    return parts.hostname, port, None if named is None else Path(named[-1])
 
 
 def _read_answer(connection: socket.socket) -> tuple[dict[str, object], bytearray]:

@@ -1,20 +1,26 @@
 """The robot's side of the true pose: serves the protocol of ``hil.robot.truth`` on loopback."""
 
+import contextlib
 import json
 import queue
+import secrets
 import socket
 import threading
+import time
 from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple, TypeVar
 
 from firmware_protocol.host import View
 from hil.core.errors import BadInputError, DeviceError, HilError
+from hil.core.tokens import make_token, read_token, token_file
 from hil.core.types import PoseFix
 from hil.faults.kind import FaultRow
 from hil.robot.faults import RobotFaults
-from hil.robot.truth import ANSWER_S, LONGEST_ANSWER, RECORD
+from hil.robot.truth import ANSWER_S, KIND, LONGEST_ANSWER, RECORD
 
 _HOST = "127.0.0.1"
+_MOST_SILENT = 64
+_RETRY_S = 0.1
 
 
 class _Client:
@@ -44,6 +50,7 @@ class _Client:
 class _Request(NamedTuple):
     """The first line of a client."""
 
+    token: str
     scenario: str
     reset: bool
     faults: Mapping[str, Any] | None
@@ -55,7 +62,7 @@ class _Request(NamedTuple):
             request = json.loads(line)
             faults = request.get("faults")
             if faults is None or isinstance(faults, dict):
-                return cls(str(request["scenario"]), bool(request["reset"]), faults)
+                return cls(str(request.get("token", "")), str(request["scenario"]), bool(request["reset"]), faults)
         except (ValueError, KeyError, TypeError, AttributeError, RecursionError):
             pass
         raise DeviceError("the request was not understood")
@@ -74,12 +81,26 @@ def _await(start: Callable[[Callable[[Answer], None]], None]) -> Answer:
         raise DeviceError("the robot did not answer") from None
 
 
+def _read_line(connection: socket.socket, until_s: float) -> bytes:
+    """Return the first line of a client. Raises TimeoutError when it has not come by then, however slowly it comes."""
+    line = bytearray()
+    while not line.endswith(b"\n") and len(line) < LONGEST_ANSWER:
+        if (left_s := until_s - time.monotonic()) <= 0.0:
+            raise TimeoutError
+        connection.settimeout(left_s)
+        if not (data := connection.recv(LONGEST_ANSWER)):
+            break
+        line += data
+    return bytes(line)
+
+
 class TruthServer:
     """Publishes the true pose of a virtual robot on loopback. ``request_reset`` is called when a client wants a reset.
 
-    ``run_on_faults`` runs a function on the robot's faults, in the robot's own thread.
+    ``run_on_faults`` runs a function on the robot's faults, in the robot's own thread. Only clients with the token of
+    ``token_file`` are served. Of those that have not sent their request, ``_MOST_SILENT`` are waited for.
 
-    ``port`` 0 picks a free port. Raises BadInputError when the port cannot be opened.
+    ``port`` 0 picks a free port. Raises BadInputError when the port cannot be opened, or the token's file not written.
     """
 
     needs_view = True
@@ -90,7 +111,17 @@ class TruthServer:
             self._listener = socket.create_server((_HOST, port))
         except (OSError, OverflowError) as error:
             raise BadInputError(f"truth port {port} cannot be opened ({error}); choose another") from error
-        self.url = f"tcp://{_HOST}:{self._listener.getsockname()[1]}"
+        port = self._listener.getsockname()[1]
+        self.url = f"tcp://{_HOST}:{port}"
+        self.token_file = token_file(KIND, port)
+        try:
+            make_token(self.token_file)
+        except BadInputError:
+            self._listener.close()
+            raise
+        self._token = read_token(self.token_file)
+        self._closed = threading.Event()
+        self._silent: dict[socket.socket, None] = {}  # oldest first
         self._clients: list[_Client] = []
         self._newest: bytes | None = None
         self._lock = threading.Lock()
@@ -111,11 +142,17 @@ class TruthServer:
                 self._clients = [client for client in self._clients if client.send(record)]
 
     def _accept(self) -> None:
-        while True:
+        while not self._closed.is_set():
             try:
                 connection, _ = self._listener.accept()
             except OSError:
-                return  # closed
+                self._closed.wait(_RETRY_S)  # for want of descriptors; or it is closed
+                continue
+            with self._lock:
+                self._silent[connection] = None
+                if len(self._silent) > _MOST_SILENT:
+                    with contextlib.suppress(OSError):  # the client has disconnected
+                        next(iter(self._silent)).shutdown(socket.SHUT_RDWR)  # which ends its thread
             # One thread per client: a silent client must not block the others.
             threading.Thread(target=self._greet, args=(connection,), name="truth client", daemon=True).start()
 
@@ -124,13 +161,19 @@ class TruthServer:
             self._answer(connection)
         except OSError:
             connection.close()  # the client disconnected during the exchange
+        finally:
+            with self._lock:
+                self._silent.pop(connection, None)
 
     def _answer(self, connection: socket.socket) -> None:
-        connection.settimeout(ANSWER_S)
         connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        line = _read_line(connection, time.monotonic() + ANSWER_S)
+        with self._lock:
+            self._silent.pop(connection, None)
+        connection.settimeout(ANSWER_S)
         answer: dict[str, object]
         try:
-            request = _Request.parse(connection.makefile("rb").readline(LONGEST_ANSWER))
+            request = _Request.parse(line)
             self._grant(request)
             answer = {"ok": True} if request.faults is None else self._answer_faults(request.faults)
         except HilError as refusal:
@@ -146,7 +189,12 @@ class TruthServer:
             self._clients = [*self._clients, client]
 
     def _grant(self, request: _Request) -> None:
-        """Check the scenario and do a requested reset. Raises DeviceError with the reason when it is refused."""
+        """Check token and scenario, and do a requested reset. Raises DeviceError with the reason when it is refused."""
+        if not secrets.compare_digest(request.token.encode(errors="replace"), self._token.encode()):
+            raise DeviceError(
+                f"the token is missing or wrong; it is in {self.token_file}, for the user of hil device alone: another "
+                "gives the name of a copy, ?token_file=FILE after the port"
+            )
         if request.scenario != self._hash:
             raise DeviceError(
                 f"the robot runs another scenario (hash {self._hash[:12]}, asked for {request.scenario[:12]}); start "
@@ -174,14 +222,18 @@ class TruthServer:
                 answer(handle(faults))
             except BadInputError as error:
                 answer({"error": str(error)})
-            except (TypeError, ValueError) as error:
+            except (TypeError, ValueError, OverflowError) as error:
                 answer({"error": f"the request was not understood ({error})"})
 
         return _await(lambda answer: run(lambda faults: guarded(faults, answer)))
 
     def close(self) -> None:
-        """Stop listening and disconnect the readers."""
+        """Stop listening, disconnect the readers, and remove the token."""
+        self._closed.set()
+        with contextlib.suppress(OSError):  # Linux: wakes the thread that accepts
+            self._listener.shutdown(socket.SHUT_RDWR)
         self._listener.close()
+        self.token_file.unlink(missing_ok=True)
         with self._lock:
             for client in self._clients:
                 client.close()

@@ -5,6 +5,7 @@ import logging
 import time
 from collections.abc import Callable, Iterable, Iterator
 from itertools import combinations
+from pathlib import Path
 from typing import Any, NamedTuple
 
 from firmware_protocol.framing import Frame
@@ -13,6 +14,7 @@ from hil.core.link_protocol import WHEEL_DBC, LinkProtocol, Side
 from hil.core.ports import Received
 from hil.wire.can_errors import BUS_OFF, CAUSES, causes_of, failure
 from hil.wire.can_ports import PythonCan, SocketCan
+from hil.wire.device_lock import claim_file
 from hil.wire.url import CanUrl
 
 _QUEUE_FULL_S = 0.05  # at 1 Mbit/s and full load a queue of 100 frames is empty after 13 ms
@@ -32,8 +34,11 @@ class CanLink:
     ``error_passive``, ...) and, for a host that receives from the robot, ``unknown_id`` and ``length``. A robot
     receives all standard data frames that pass the filters, and its firmware counts the wrong ones. This side's own
     messages, which some buses echo (python-can's ``udp_multicast``, without a mark), are dropped and not counted. After
-    a bus-off the link is lost and must be reopened. Raises BadInputError for an interface or option that python-can
-    does not know, LinkError when the bus cannot be opened.
+    a bus-off the link is lost and must be reopened. While a bus is open, a host in another process, of whichever user,
+    is refused it, where the interface has a file to lock (socketcan, slcan).
+
+    Raises BadInputError for an interface or option that python-can does not know, LinkError when the bus cannot be
+    opened.
 
     Attributes:
         on_foreign: if set, is called with each counted ``can.Message``; not for ``garbled``.
@@ -53,6 +58,7 @@ class CanLink:
         self._rejected = dict.fromkeys(("foreign", "garbled", "unknown_id", "length", *CAUSES), 0)
         self._bus: Any = None
         self._port: PythonCan | SocketCan | None = None
+        self._give_back: Callable[[], None] | None = None
         self.on_foreign: Callable[[Any], None] | None = None
         self.now_ns: Callable[[], int] = time.monotonic_ns
         if url.interface not in can.VALID_INTERFACES:
@@ -66,10 +72,14 @@ class CanLink:
         """Close the bus and open it again. Raises LinkError when that fails."""
         self.close()
         options = dict(self._options())
+        if (file := self._file_to_claim()) is not None:
+            url = self._url
+            self._give_back = claim_file(file, f"CAN interface {url.interface!r}, channel {url.channel!r}")
         try:
             self._bus = self._can.Bus(interface=self._url.interface, **options)
         # NameError, AttributeError: raised by python-can itself when a vendor's library is missing.
         except (*self._failures, TypeError, ImportError, NotImplementedError, NameError, AttributeError) as error:
+            self.close()
             raise failure(self._url, error) from error
         if self._url.fd and self._bus.protocol is self._can.CanProtocol.CAN_20:
             self.close()
@@ -81,6 +91,15 @@ class CanLink:
             self._port = SocketCan(self._can, self._bus, self._url)
         else:
             self._port = PythonCan(self._can, self._bus, self._url, self._rejected)
+
+    def _file_to_claim(self) -> str | None:
+        """Return the file whose lock stands for the bus; None if it has none, or if this is a robot on a shared bus."""
+        url = self._url
+        if url.interface == "socketcan":
+            is_host = self._sender == "ROBOT"
+            return f"/sys/class/net/{url.channel}/type" if is_host and "/" not in url.channel else None
+        name = url.device_name()  # the path of an adapter that is a serial port
+        return name if name is not None and Path(name).is_absolute() else None
 
     def _options(self) -> Iterator[tuple[str, Any]]:
         url = self._url
@@ -164,12 +183,15 @@ class CanLink:
 
     def close(self) -> None:
         bus, self._bus, self._port = self._bus, None, None
+        give_back, self._give_back = self._give_back, None
         if bus is not None:
             try:
                 bus.shutdown()
             except self._failures as error:
                 # Closing an adapter that was unplugged fails; its channel is released all the same.
                 logging.getLogger(__name__).info("%s: closing failed: %s", self.describe(), error)
+        if give_back is not None:
+            give_back()
 
 
 def _is_queue_full(error: Exception) -> bool:

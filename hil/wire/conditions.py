@@ -7,11 +7,10 @@ Each direction (``direction.py``) has one queue of delayed frames. An observer s
 import time
 from collections import deque
 from collections.abc import Sequence
-from typing import Protocol
 
 from firmware_protocol.client import Client
 from firmware_protocol.framing import Frame, PackedFrames
-from firmware_protocol.host_line import split
+from firmware_protocol.host_line import each_of
 from hil.core.errors import LinkError
 from hil.core.link_protocol import WHEEL_DBC, LinkProtocol
 from hil.core.ports import Clock, Link, PackedLink, Received
@@ -19,14 +18,8 @@ from hil.core.tuples import make_received
 from hil.faults.kind import NEVER_NS
 from hil.wire.direction import LATENCY, Direction
 from hil.wire.faults import BusFaults, LinkFault, ScenarioTime
+from hil.wire.link import DirectTransport
 from hil.wire.statistics import LinkStatistics
-
-
-class DirectTransport(Protocol):
-    """A link to a robot in this thread."""
-
-    def exchange(self, client: Client) -> PackedFrames:
-        """Send what waits in the client, and return all that the robot then sends. Raises LinkError when it is lost."""
 
 
 class ConditionedLink:
@@ -68,23 +61,28 @@ class ConditionedLink:
         self._cut: LinkFault | None = None  # the row that cut the link
         rows = [fault for fault in faults if fault.kind != "disconnect"]
         self._has_rows = bool(faults)
+        self._is_timed = self._has_rows or bus is not None  # whether anything depends on the scenario's time
         self._out = Direction("command", rows, self._time, protocol.exempt_from)
         self._in = Direction("feedback", rows, self._time, protocol.exempt_from)
         self._ready: deque[Received] = deque()
-        self.may_hold = self._has_rows or command_latency_ns > 0
+        acts_out, acts_in = (any(fault.acts_on(name) for fault in faults) for name in ("command", "feedback"))
+        self.may_hold = acts_out or command_latency_ns > 0
+        self._changes_feedback = acts_in or bus is not None or feedback_latency_ns > 0
         is_bare = observer is None and bus is None
         self.transport = link
-        self.is_plain = is_bare and not self.may_hold and not feedback_latency_ns
-        self._is_bare = is_bare
+        self.is_plain = is_bare and not self.may_hold and not self._changes_feedback
+        # Whether frames may skip the queues while no row acts. Observed commands may not: they would be stamped at the
+        # next step, which carries them, and not when they were sent.
+        self._may_pass_commands = is_bare and not command_latency_ns
+        self._may_pass_feedback = bus is None and not feedback_latency_ns
         self._send_packed = link.send_packed if isinstance(link, PackedLink) and bus is None else None
         self._receive_now = link.receive if observer is None else self._receive_from_wire
         self.send = self._send if self.may_hold or not is_bare else link.send
-        self._changes_feedback = self._has_rows or bus is not None or feedback_latency_ns > 0
         self.receive = self._receive if self._changes_feedback else self._receive_now
 
     def _put(self, frames: Sequence[Frame]) -> None:
         """Put frames on the wire."""
-        if self._send_packed is not None and type(frames) is PackedFrames:
+        if type(frames) is PackedFrames and self._send_packed is not None:
             self._send_packed(frames)
             if self._observer is not None:
                 self._observer.sent(frames)
@@ -112,10 +110,10 @@ class ConditionedLink:
 
     def lets_commands_pass(self) -> bool:
         """Whether a command that is sent now passes at once, unchanged and unobserved."""
-        return self._is_bare and not self._command_latency_ns and self._is_open(self._out)
+        return self._may_pass_commands and (not self.may_hold or self._is_open(self._out))
 
     def _is_open(self, way: Direction) -> bool:
-        t_ns = self._time.now_ns()
+        t_ns = self._time.now_ns() if self._is_timed else None
         return t_ns is None or (way.is_open(t_ns) and not (self._disconnects and self._is_cut(t_ns)))
 
     def _send(self, frame: Frame) -> None:
@@ -126,47 +124,41 @@ class ConditionedLink:
         if not self.may_hold:
             self._put(frames)
             return
-        delayed, exempt = self._apart(frames)
-        if delayed and exempt:  # in their order
-            for frame in frames:
+        delayed, exempt = self._out.apart(frames)
+        if exempt is not None:
+            if delayed is None:
+                self._put(frames)
+                return
+            for frame in frames:  # in their order
                 self.send_all((frame,))
-        elif exempt:
-            self._put(frames)
         elif self._command_latency_ns:
             self._out.hold(frames, self.clock.now_ns() + self._command_latency_ns, LATENCY)
         else:
             self.service()
             self._enter(frames)
 
-    def _apart(self, frames: Sequence[Frame]) -> tuple[Sequence[Frame], Sequence[Frame]]:
-        """Return the frames that conditions apply to, and those that are exempt, each in their order."""
-        limit = self._exempt_from
-        if type(frames) is PackedFrames:
-            return split(frames, limit)
-        return [one for one in frames if one.id < limit], [one for one in frames if one.id >= limit]
-
     def _enter(self, frames: Sequence[Frame]) -> None:
         """Apply the rows to commands. Raises LinkError while the link is cut."""
-        t_ns = self._time.now_ns() if self._has_rows else None
-        if t_ns is not None:
+        if (t_ns := self._time.now_ns()) is not None:
             self._refuse_if_cut(t_ns)
             frames = self._out.pass_rows(frames, t_ns)
-        if frames:
-            self._put(frames)
+        self._put(frames)
 
     def service(self, *, everything: bool = False) -> None:
         """Send the commands that are due, or with ``everything`` all that wait."""
         now_ns, way = self.clock.now_ns(), self._out
         if way.due_ns > now_ns and not (everything or self._disconnects):
             return
-        t_ns = self._time.at(now_ns)
+        t_ns = self._time.at(now_ns) if self._is_timed else None
         if t_ns is not None and self._is_cut(t_ns):
             way.forget(but_latency=True)
-        for one in way.due(now_ns, t_ns, everything=everything):
-            if one.place == LATENCY:
-                self._enter(one.frames)
+        until_ns = NEVER_NS - 1 if everything else now_ns
+        while way.due_ns <= until_ns:
+            _, place, _, frames = way.pop_first(t_ns)
+            if place == LATENCY and self._has_rows:
+                self._enter(frames)
             else:
-                self._put(one.frames)
+                self._put(frames)
 
     def next_due_ns(self) -> int | None:
         """Return the clock time at which the next command is due, or None when none waits."""
@@ -193,11 +185,18 @@ class ConditionedLink:
     # Feedback
 
     def lets_feedback_pass(self) -> bool:
-        """Whether all feedback that comes now passes at once, unchanged and unobserved."""
-        return self._is_bare and not self._feedback_latency_ns and not self._ready and self._is_open(self._in)
+        """Whether all feedback that comes now passes at once and unchanged."""
+        return not self._changes_feedback or (self._may_pass_feedback and not self._ready and self._is_open(self._in))
 
-    def exchange(self, transport: DirectTransport, client: Client) -> deque[Received]:
-        """Send what waits in the client to a robot that answers at once; return what ``receive`` would return now.
+    def step(self, transport: DirectTransport, client: Client, ticks: int) -> Received | None:
+        """Have a robot that answers at once make a STEP, while ``lets_feedback_pass``; return what the client left."""
+        left = transport.step(client, ticks)
+        if self._observer is not None:
+            self._observer.exchanged(*transport.crossed(), self.clock.now_ns())
+        return left
+
+    def exchange(self, transport: DirectTransport, client: Client, ticks: int) -> deque[Received]:
+        """Have a robot that answers at once make a STEP; return what ``receive`` would return now.
 
         The client's frames must be exempt, or were added while ``lets_commands_pass``. ``receive`` returns later what
         the caller leaves in the result.
@@ -205,13 +204,9 @@ class ConditionedLink:
         now_ns = self.clock.now_ns()
         if self._in.due_ns <= now_ns:
             self._let_in(now_ns)
-        if self._observer is None:
-            answer = transport.exchange(client)
-        else:
-            frames = client.out()
-            answer = transport.exchange(client)
-            self._observer.sent(frames)
-            self._observer.received(make_received(answer, now_ns) if answer.packed else None)
+        answer = transport.exchange(client, ticks)
+        if self._observer is not None:
+            self._observer.exchanged(*transport.crossed(), now_ns)
         if answer.packed:
             self._admit(answer, now_ns, now_ns)
         return self._ready
@@ -232,36 +227,37 @@ class ConditionedLink:
 
     def _admit(self, frames: Sequence[Frame], stamp_ns: int, now_ns: int) -> None:
         """Apply the conditions to what came from the wire."""
-        if not self._changes_feedback:
-            self._add_ready(frames, stamp_ns)
-            return
-        t_ns = self._time.at(now_ns)
+        t_ns = self._time.at(now_ns) if self._is_timed else None
         if self._bus is not None:
             frames = self._undamaged(self._bus, frames, t_ns)
-        late: Sequence[Frame] = ()
+            if not frames:
+                return
+        late: Sequence[Frame] | None = None
+        at_once: Sequence[Frame] | None = frames
         is_cut = bool(self._disconnects) and t_ns is not None and self._is_cut(t_ns)
         if self._feedback_latency_ns or is_cut:
-            late, frames = self._apart(frames)
+            late, at_once = self._in.apart(frames)
         if is_cut:
-            late = ()
+            late = None
         elif self._in.rows and t_ns is not None:
-            if self._feedback_latency_ns:
-                late = self._in.pass_rows(late, t_ns)
-            else:
-                frames = self._in.pass_rows(frames, t_ns)
-        if frames:
-            self._add_ready(frames, stamp_ns)
-        if late:
+            if late is not None:
+                late = self._in.pass_rows(late, t_ns) or None
+            elif not self._feedback_latency_ns:
+                at_once = self._in.pass_rows(frames, t_ns) or None
+        if at_once is not None:
+            self._add_ready(at_once, stamp_ns)
+        if late is not None:
             self._in.hold(late, now_ns + self._feedback_latency_ns, self._in.latency_behind_rows)
 
     def _add_ready(self, frames: Sequence[Frame], stamp_ns: int) -> None:
         """Make frames available, together with those of the same time before them."""
         ready = self._ready
-        if ready and ready[-1].stamp_ns == stamp_ns and type(frames) is PackedFrames:
-            before = ready[-1].frames
-            if type(before) is PackedFrames:
-                ready[-1] = make_received(PackedFrames(before.packed + frames.packed), stamp_ns)
-                return
+        if ready and ready[-1].stamp_ns == stamp_ns:
+            before = ready.pop().frames
+            if type(before) is PackedFrames and type(frames) is PackedFrames:
+                frames = PackedFrames(before.packed + frames.packed)
+            else:
+                frames = [*each_of(before), *each_of(frames)]
         ready.append(make_received(frames, stamp_ns))
 
     def _undamaged(self, bus: BusFaults, frames: Sequence[Frame], t_ns: int | None) -> Sequence[Frame]:
@@ -271,14 +267,18 @@ class ConditionedLink:
 
     def _let_in(self, now_ns: int) -> None:
         """Make the feedback that is due available; its time stamp is when it was due."""
-        latency_ns = self._feedback_latency_ns
-        for one in self._in.due(now_ns, self._time.at(now_ns)):
-            if one.place == self._in.latency_behind_rows:
-                self._ready.append(make_received(one.frames, one.due_ns))
+        latency_ns, way = self._feedback_latency_ns, self._in
+        t_ns = self._time.at(now_ns) if self._is_timed else None
+        while way.due_ns <= now_ns:
+            due_ns, place, _, frames = way.pop_first(t_ns)
+            if place == way.latency_behind_rows:
+                self._ready.append(make_received(frames, due_ns))
+            elif not frames:  # they wait again
+                continue
             elif latency_ns:
-                self._in.hold(one.frames, now_ns + latency_ns, self._in.latency_behind_rows)
+                way.hold(frames, now_ns + latency_ns, way.latency_behind_rows)
             else:
-                self._ready.append(make_received(one.frames, now_ns))
+                self._ready.append(make_received(frames, now_ns))
 
     # The link itself
 

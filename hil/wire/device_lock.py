@@ -1,54 +1,109 @@
 """One process per device: who drives a robot holds a lock named after the device, however its URL is spelt.
 
-The lock holds for the whole machine, so that it also keeps out another user's process.
+There are two locks. ``device_held`` is for the processes of one user: it is held for as long as they drive, also while
+the link is lost, and tells them who holds it. ``claim_file`` locks an open device itself, not a file that stands for it
+and that others could hold or remove: it keeps out every other user who may use the device. A serial port is locked
+likewise by pyserial when it is opened. A CAN interface of Linux has no file of its own: its ``type`` under /sys stands
+for it, which every user may lock, as every user may send on it too.
 """
 
 import contextlib
 import hashlib
 import os
+import platform
 import re
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from hil.core.errors import LinkError
 from hil.wire.link import LinkUrl
+from hil.wire.serial_failures import BUSY
 
 if TYPE_CHECKING:
-    from hil.core.process_lock import LockHeldError
+    from hil.core.process_lock import LockHeldError, ProcessLock
 
 
 @contextlib.contextmanager
 def device_held(url: LinkUrl, command: str) -> Iterator[None]:
-    """Hold the lock on a link's device for the body of a ``with``; other processes are told ``command`` as its holder.
+    """Hold this user's lock on a link's device for the body of a ``with``; others are told ``command`` as its holder.
 
-    Raises LinkError with the holder's name and process id when another process holds it.
+    Raises LinkError with the holder's name and process id when another process of this user holds it.
     """
     name = url.device_name()
     if name is None:
         yield
         return
-    from hil.core.process_lock import LockHeldError, ProcessLock  # only for a device: most runs have none
+    from hil.core.process_lock import LockHeldError  # only for a device: most runs have none
 
-    folder = _folder()
-    record = {"pid": os.getpid(), "command": command, "since": f"{datetime.now():%Y-%m-%d %H:%M:%S}"}  # noqa: DTZ005
     try:
-        _make_for_all(folder)
-        # Any user may lock: in the temporary folder itself only its owner may open a file for writing.
-        claim = ProcessLock(folder, _file_name(name), record, mode=0o666)
+        claim = _locked(url, name, command)
     except LockHeldError as taken:
         raise LinkError(_refusal(str(url), taken)) from None
-    except OSError as error:
-        raise LinkError(
-            f"link {str(url)!r}: the lock that keeps other processes from the device cannot be taken "
-            f"({error.strerror}); make sure that {folder} can be written"
-        ) from error
     try:
         yield
     finally:
         claim.release()
+
+
+def _locked(url: LinkUrl, name: str, command: str) -> "ProcessLock":
+    """Take the lock in the first folder that this user alone can use. Raises LockHeldError and LinkError."""
+    from hil.core.private_files import private_folder
+    from hil.core.process_lock import ProcessLock
+
+    record = {"pid": os.getpid(), "command": command, "since": f"{datetime.now():%Y-%m-%d %H:%M:%S}"}  # noqa: DTZ005
+    why = []
+    for folder in _folders():
+        try:
+            return ProcessLock(private_folder(folder), _file_name(name), record)
+        except OSError as error:
+            why.append(f"{folder}: {error.strerror}")
+    raise LinkError(
+        f"link {str(url)!r}: the lock that keeps other processes from the device cannot be taken ({'; '.join(why)}); "
+        "make one of these folders yours alone, with mode 0700"
+    )
+
+
+_claims: dict[str, tuple[int, int]] = {}  # for each file its descriptor and how many links of this process use it
+
+
+def claim_file(path: str, device: str) -> Callable[[], None]:
+    """Lock the file of an open device against other processes, and return what gives the lock back.
+
+    The links of one process share the lock. A file that is not there or may not be read is not locked: opening the
+    device says why. Nor is one on Windows, where a port and an adapter belong to the one who opens them. ``device``
+    names the device in messages. Raises LinkError when another process holds the lock.
+    """
+    if sys.platform == "win32":
+        return lambda: None
+    import fcntl
+
+    descriptor, users = _claims.get(path, (-1, 0))
+    if not users:
+        try:
+            descriptor = os.open(path, os.O_RDONLY | os.O_NOCTTY | os.O_NONBLOCK | os.O_NOFOLLOW)
+        except OSError:
+            return lambda: None
+        try:
+            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError as error:
+            os.close(descriptor)
+            raise LinkError(f"{device} {BUSY}") from error
+        except OSError:  # a file that cannot be locked
+            os.close(descriptor)
+            return lambda: None
+    _claims[path] = descriptor, users + 1
+
+    def give_back() -> None:
+        descriptor, users = _claims.pop(path)
+        if users > 1:
+            _claims[path] = descriptor, users - 1
+        else:
+            os.close(descriptor)
+
+    return give_back
 
 
 def _refusal(link: str, taken: "LockHeldError") -> str:
@@ -64,30 +119,23 @@ def _refusal(link: str, taken: "LockHeldError") -> str:
 
 
 def _file_name(device: str) -> str:
-    """Return a legible file name, with a hash because it cannot hold every character of a device's name."""
-    digest = hashlib.sha256(device.encode("utf-8", "surrogateescape")).hexdigest()[:8]
+    """Return a legible file name, with a hash because it cannot hold every character of a device's name.
+
+    The hash is also of this machine's name, because several machines may have one home folder.
+    """
+    digest = hashlib.sha256(f"{platform.node()}/{device}".encode("utf-8", "surrogateescape")).hexdigest()[:8]
     return f"{re.sub('[^A-Za-z0-9_.-]', '_', device).strip('_')[-60:]}-{digest}"
 
 
-def _make_for_all(folder: Path) -> None:
-    """Make the folder, writable for every user. Raises OSError, also if a symbolic link stands in its place."""
-    try:
-        folder.mkdir(parents=sys.platform == "win32")
-    except FileExistsError:
-        # Any user may have made it. Changing the mode through a symbolic link could open up another folder.
-        if folder.is_symlink() or not folder.is_dir():
-            raise
-    else:
-        folder.chmod(0o777)  # whatever the umask
+def _folders() -> Iterator[Path]:
+    """Yield the folders for this user's locks, the best first.
 
+    That is where the records of the user's services are, because it does not depend on whether the user has logged in.
+    The others are for a user without a home.
+    """
+    from platformdirs import user_state_path
 
-def _folder() -> Path:
-    """Return the folder that all users of this machine share."""
-    if sys.platform == "win32":
-        from platformdirs import site_data_path
-
-        return site_data_path("mecanum-hil", appauthor=False) / "locks"
-    # Not TMPDIR, which may be private to a user, nor /run/lock, which only root may write on newer systems. /tmp may be
-    # private to a systemd unit, or read-only; Linux has /dev/shm, a folder in memory that is neither.
-    shared = Path("/dev/shm")
-    return (shared if shared.is_dir() else Path("/tmp")) / "mecanum-hil-locks"
+    yield user_state_path("mecanum-hil", appauthor=False) / "locks"
+    if sys.platform != "win32":
+        yield Path(f"/run/user/{os.getuid()}/mecanum-hil-locks")
+        yield Path(f"/tmp/mecanum-hil-locks-{os.getuid()}")

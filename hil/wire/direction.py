@@ -4,11 +4,11 @@ Frames that are sent or arrive together stay together as long as no row that act
 """
 
 import heapq
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 from firmware_protocol.framing import Frame, PackedFrames
-from firmware_protocol.host_line import each_of
+from firmware_protocol.host_line import each_of, split
 from hil.core.tuples import constructor_of
 from hil.faults.kind import NEVER_NS
 from hil.wire.faults import LinkFault, ScenarioTime
@@ -75,6 +75,13 @@ class Direction:
         heapq.heappush(self._queue, _make_waiting(due_ns, place, self._count, frames))
         self.due_ns = self._queue[0].due_ns
 
+    def apart(self, frames: Sequence[Frame]) -> tuple[Sequence[Frame] | None, Sequence[Frame] | None]:
+        """Return the frames that conditions apply to, and those that are exempt, in their order; None for none."""
+        limit = self._exempt_from
+        if type(frames) is PackedFrames:
+            return split(frames, limit)
+        return [one for one in frames if one.id < limit] or None, [one for one in frames if one.id >= limit] or None
+
     def is_open(self, t_ns: int) -> bool:
         """Whether frames pass as they come: no row is at work, and none wait that go before them."""
         if self._queue:
@@ -105,20 +112,21 @@ class Direction:
         if not rows and not self._delayed:
             return frames
         at_once: list[Frame] = []
-        is_changed = False
+        is_changed, exempt_from, pass_one = False, self._exempt_from, self._pass
         for frame in each_of(frames):
-            some = [frame]
-            if frame.id < self._exempt_from:
-                passed = self._pass(some, t_ns, rows)
-                is_changed = is_changed or passed is not some
-                at_once += passed
-            else:
+            if frame.id >= exempt_from:
                 at_once.append(frame)
+                continue
+            some = [frame]
+            passed = pass_one(some, t_ns, rows)
+            if passed is not some:
+                is_changed = True
+            at_once += passed
         return at_once if is_changed else frames
 
     def _pass(self, frames: list[Frame], t_ns: int, rows: Sequence[_AtWork], delay_ns: int = 0) -> list[Frame]:
         """Apply rows to a frame and its copies. Return what continues at once; that is ``frames`` if none acted."""
-        for number, (place, fault, is_in_force) in enumerate(rows, 1):
+        for place, fault, is_in_force in rows:
             if fault.is_of_one_message and not fault.concerns(self.name, frames[0].id):
                 continue
             if not is_in_force:
@@ -131,20 +139,19 @@ class Direction:
                     return frames
             elif (overtaken := self._remove_overtaken(place)) is not None:
                 fault.applied += 1
-                rows = rows[number:]
-                return self._pass(frames, t_ns, rows, delay_ns) + self._pass(overtaken, t_ns, rows, delay_ns)
+                behind = _behind(rows, place)
+                return self._pass(frames, t_ns, behind, delay_ns) + self._pass(overtaken, t_ns, behind, delay_ns)
             elif fault.chance.random() < fault.row.value:
-                self.hold(frames, self._time.on_clock_ns(fault.row.end_ns), place)
+                self.hold(frames, fault.row.end_ns + self._time.offset_ns, place)
                 return []
         if not (delay_ns or self._delayed):
             return frames
-        # Nothing overtakes frames that already wait behind the rows.
-        due_ns = max(self._time.on_clock_ns(t_ns + delay_ns), self._last_ns if self._delayed else 0)
-        if self._delayed and due_ns == self._last_ns:
+        due_ns = t_ns + delay_ns + self._time.offset_ns
+        if self._delayed and due_ns <= self._last_ns:  # nothing overtakes frames that already wait behind the rows
             self._last += frames
         else:
-            self._last = list(frames)
-            self.hold(self._last, due_ns, self.behind_rows)
+            self._last = frames
+            self.hold(frames, due_ns, self.behind_rows)
         return []
 
     def _remove_overtaken(self, place: int) -> list[Frame] | None:
@@ -157,22 +164,29 @@ class Direction:
         self.due_ns = self._queue[0].due_ns if self._queue else NEVER_NS
         return list(held.frames)
 
-    def due(self, now_ns: int, t_ns: int | None, *, everything: bool = False) -> Iterator[Waiting]:
-        """Remove and yield what is due by now, in order; with ``everything`` also what is not yet due."""
-        while self._queue and (everything or self.due_ns <= now_ns):
-            one = heapq.heappop(self._queue)
-            self.due_ns = self._queue[0].due_ns if self._queue else NEVER_NS
-            self._delayed -= one.place == self.behind_rows
-            if t_ns is not None and 0 <= one.place < self.behind_rows:  # nothing overtook it in the row's window
-                left_ns = min(t_ns, self.rows[one.place].row.end_ns)
-                rows = [behind for behind in self._rows_at(left_ns) if behind.place > one.place]
-                if at_once := self._pass(list(one.frames), left_ns, rows):
-                    yield Waiting(one.due_ns, self.behind_rows, one.number, at_once)
-            else:
-                yield one
+    def pop_first(self, t_ns: int | None) -> Waiting:
+        """Remove the first frames of the queue and return them, at a time of the scenario.
+
+        Their ``frames`` are empty if rows, which they enter again, hold them.
+        """
+        one = heapq.heappop(self._queue)
+        place = one.place
+        self.due_ns = self._queue[0].due_ns if self._queue else NEVER_NS
+        if place == self.behind_rows:
+            self._delayed -= 1
+        elif t_ns is not None and 0 <= place < self.behind_rows:  # nothing overtook it in the row's window
+            left_ns = min(t_ns, self.rows[place].row.end_ns)
+            at_once = self._pass(list(one.frames), left_ns, _behind(self._rows_at(left_ns), place))
+            return Waiting(one.due_ns, self.behind_rows, one.number, at_once)
+        return one
 
     def forget(self, *, but_latency: bool = False) -> None:
         """Discard the queue; ``but_latency`` keeps what has not reached the rows yet."""
         self._queue = [one for one in self._queue if but_latency and one.place == LATENCY]
         self._delayed = 0
         self.due_ns = self._queue[0].due_ns if self._queue else NEVER_NS
+
+
+def _behind(rows: Sequence[_AtWork], place: int) -> Sequence[_AtWork]:
+    """Return the rows behind that of a number."""
+    return [one for one in rows if one.place > place]

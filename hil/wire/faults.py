@@ -27,15 +27,20 @@ _DIRECTION_OF = {"HOST": "command", "ROBOT": "feedback"}
 
 
 class ScenarioTime:
-    """The scenario's time [ns] on a clock, from the first ACTIVE tick; it is None before ``begin``."""
+    """The scenario's time [ns] on a clock, from the first ACTIVE tick; it is None before ``begin``.
+
+    Attributes:
+        offset_ns: the clock's time when the scenario's is 0; 0 before ``begin``.
+    """
 
     def __init__(self, clock: Clock) -> None:
         self._clock = clock
         self._origin_ns: int | None = None
+        self.offset_ns = 0
 
     def begin(self, origin_ns: int) -> None:
         """Set the clock time at which the scenario's time began."""
-        self._origin_ns = origin_ns
+        self._origin_ns = self.offset_ns = origin_ns
 
     def now_ns(self) -> int | None:
         """Return the scenario's time, or None before it has begun."""
@@ -44,15 +49,6 @@ class ScenarioTime:
     def at(self, clock_ns: int) -> int | None:
         """Return the scenario's time at a time of the clock, or None before it has begun."""
         return None if self._origin_ns is None else clock_ns - self._origin_ns
-
-    def on_clock_ns(self, t_ns: int) -> int:
-        """Convert a time of the scenario to clock time."""
-        return t_ns + (self._origin_ns or 0)
-
-
-def _whole_ticks(seconds: float) -> int:
-    """Return a time in whole ticks, rounded up [ns]."""
-    return -(-round(seconds * 1e9) // TICK_NS) * TICK_NS
 
 
 class LinkFault:
@@ -76,7 +72,8 @@ class LinkFault:
         self.is_of_one_message = self._message is not None
         self.header = b""
         self.delays = row.kind in ("delay", "jitter")
-        self._delay_ns = _whole_ticks(row.value) if self.delays else 0
+        self._is_jitter, self._value, self._random = row.kind == "jitter", row.value, chance.random
+        self._delay_ns = -(-round(row.value * 1e9) // TICK_NS) * TICK_NS if self.delays else 0
         if self._message is not None and protocol.senders is not None:
             number = next(number for number, name in protocol.names.items() if name == self._message)
             self._direction = _DIRECTION_OF[protocol.senders[number]]
@@ -124,8 +121,11 @@ class LinkFault:
 
     def delay_ns(self) -> int:
         """Return the delay of a frame by a row that ``delays``, in force: whole ticks, like robot time in lockstep."""
-        delay_ns = _whole_ticks(self.row.value * self.chance.random()) if self.kind == "jitter" else self._delay_ns
-        self.applied += delay_ns > 0
+        delay_ns = self._delay_ns
+        if self._is_jitter:
+            delay_ns = -(-round(self._value * self._random() * 1e9) // TICK_NS) * TICK_NS
+        if delay_ns > 0:
+            self.applied += 1
         return delay_ns
 
     def due(self, t_ns: int) -> range:

@@ -9,13 +9,15 @@ import contextlib
 import re
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping
-from typing import TYPE_CHECKING, Any, ClassVar, Literal, NamedTuple, Self
+from typing import TYPE_CHECKING, Any, ClassVar, Literal, NamedTuple, Protocol, Self
 
 from hil.core.errors import BadInputError, nearest
 from hil.core.link_protocol import WHEEL_DBC, LinkProtocol
-from hil.core.ports import Link
+from hil.core.ports import Link, Received
 
 if TYPE_CHECKING:
+    from firmware_protocol.client import Client
+    from firmware_protocol.framing import PackedFrames
     from hil.wire.meters import Meter
     from hil.wire.robot_end import Wire
     from hil.wire.streams import HostStream
@@ -34,6 +36,20 @@ class Pair(NamedTuple):
 def unchanged(stream: "HostStream") -> "HostStream":
     """Return a stream unchanged: a line without faults."""
     return stream
+
+
+class DirectTransport(Protocol):
+    """A link to a robot in this thread."""
+
+    def exchange(self, client: "Client", ticks: int) -> "PackedFrames":
+        """Send what waits in the client and a STEP; return all that the robot then sends. Raises LinkError."""
+
+    def step(self, client: "Client", ticks: int) -> Received | None:
+        """The same, but the client takes the answer; return what it left. Raises LinkError."""
+
+    @property
+    def crossed(self) -> Callable[[], tuple[bytes, int, bytes, int]]:
+        """Returns the packed frames of the newest exchange, and their number: the client's, and the answer."""
 
 
 class LinkUrl(ABC):

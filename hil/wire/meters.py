@@ -79,16 +79,13 @@ class LineMeter:
         self._link = link
         self.byte_ns = _BITS_PER_BYTE * 1_000_000_000 / baud if baud else 0.0
         self.timed = baud is not None
-        self.byte_counts = link.byte_counts
+        self.byte_counts, self.noise = link.byte_counts, link.noise
         self.begin()
 
     def begin(self) -> None:
         link = self._link
         self._frames_before = link.sent_frames, link.received_frames
         link.begin_byte_counts()
-
-    def noise(self) -> int:
-        return self._link.noise()
 
     def counts(self) -> tuple[Count, Count]:
         link, (sent, received) = self._link, self._frames_before

@@ -1,6 +1,7 @@
 """The robot's end of a pseudo-terminal: a serial port that needs no hardware. POSIX only."""
 
 import os
+import re
 import select
 import time
 import tty
@@ -13,6 +14,7 @@ _CHUNK = 65536
 _PATIENCE_S = 2.0
 _AHEAD_S = 0.05  # bytes of this time may come in a burst: a robot that stalled may catch up by this much
 _BITS_PER_BYTE = 10  # start, eight data bits, stop
+_PSEUDO_TERMINAL = re.compile(r"/dev/(pts/|ttys)\d+")  # on Linux, and on macOS; one that has gone is a name only
 
 
 class _Pace:
@@ -35,6 +37,10 @@ class _Pace:
         self._left -= count
 
 
+def _not_replaced(symlink: Path, why: str) -> BadInputError:
+    return BadInputError(f"symlink {str(symlink)!r} exists and is not replaced ({why}); choose another path")
+
+
 class PtyStream:
     """The master side of a new pseudo-terminal; ``port`` names the other side for any serial program.
 
@@ -44,7 +50,7 @@ class PtyStream:
     With ``waits`` (for lockstep, where time stands still until the host has read) a write waits for the reader, and
     drops only after 2 s in which no byte was read. With ``baud`` bytes from the other side are read no faster than that
     bit rate, except for a burst of up to 50 ms' worth; the rest stays in the buffer. With ``symlink`` the port also has
-    a fixed name; a symlink left by an earlier process is replaced.
+    a fixed name; a symlink to a pseudo-terminal, which an earlier process left, is replaced, and nothing else.
 
     Raises BadInputError when the symlink cannot be made.
     """
@@ -73,12 +79,17 @@ class PtyStream:
             self._make_symlink(symlink)
 
     def _make_symlink(self, symlink: Path) -> None:
-        if symlink.exists() and not symlink.is_symlink():
-            self.close()
-            raise BadInputError(f"symlink {str(symlink)!r} exists and is not a symbolic link; choose another path")
         try:
-            symlink.unlink(missing_ok=True)
+            if symlink.is_symlink():
+                if not _PSEUDO_TERMINAL.fullmatch(target := str(symlink.readlink())):
+                    raise _not_replaced(symlink, f"it leads to {target!r}, which is no pseudo-terminal")
+                symlink.unlink()
+            elif symlink.exists():
+                raise _not_replaced(symlink, "it is not a symbolic link")
             symlink.symlink_to(self.port)
+        except BadInputError:
+            self.close()
+            raise
         except OSError as error:
             self.close()
             raise BadInputError(

@@ -18,6 +18,9 @@ LIST_PORTS = "list the ports with: python -m serial.tools.list_ports"
 SHARED = "is busy: another program reads it too, and takes bytes meant for this one; close that program"
 """The problem of a port that ``is_shared``, to follow its name in a sentence."""
 
+BUSY = "is busy: another program holds it; close that program"
+"""The problem of a device that another program has locked, to follow its name in a sentence."""
+
 _GONE = (errno.EIO, errno.ENODEV, errno.ENXIO, errno.EBADF)
 # pyserial's words on POSIX when a port was readable but had no bytes: the device has hung up, or another program has
 # read them first.
@@ -55,7 +58,7 @@ def opening_problem(error: Exception) -> str | None:
             "sudo usermod -aG dialout $USER, and log in again; on Windows another program may hold it"
         )
     if number in (errno.EAGAIN, errno.EBUSY, errno.EWOULDBLOCK) or "exclusively lock" in text:
-        return "is busy: another program holds it; close that program"
+        return BUSY
     if number in (errno.ENOTTY, errno.EISDIR):
         return "is not a serial port; expected a device such as /dev/ttyACM0 or COM3"
     return None

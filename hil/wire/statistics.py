@@ -7,8 +7,9 @@ line are below it. Time stamps are by the run's clock. STATISTICS.md explains ea
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
-from firmware_protocol.framing import Frame
+from firmware_protocol.framing import Frame, PackedFrames
 from hil.core.ports import Clock, Link, Received
+from hil.core.tuples import make_received
 from hil.core.types import NAN
 from hil.wire.link import LinkUrl
 from hil.wire.meters import BusMeter, Meter
@@ -116,6 +117,12 @@ class LinkStatistics:
             self._up.add(stamp_ns, self._bus.received(frames))
         if trace is not None:
             trace.frames(stamp_ns, frames, sent=False)
+
+    def exchanged(self, sent: bytes, sent_count: int, answer: bytes, count: int, stamp_ns: int) -> None:
+        """Count and trace packed frames, and their number, that crossed to a robot in this thread, and its answer."""
+        if sent:
+            self.sent(PackedFrames(sent, sent_count))
+        self.received(make_received(PackedFrames(answer, count), stamp_ns) if answer else None)
 
     def overhear(self, message: Any) -> None:
         """Count and trace a ``can.Message`` that is not of this link's protocol."""

@@ -101,7 +101,7 @@ void *wheel_python_link_figures(void *self, void *const *arguments, ptrdiff_t co
 void *wheel_python_line_bytes(void *self, void *const *arguments, ptrdiff_t count) {
     (void)arguments, (void)count;
     const wheel_direct *direct = python.PyLong_AsVoidPtr(self);
-    const uint64_t waiting = direct->waiting->out_serial_bytes + direct->unsent_bytes;
+    const uint64_t waiting = direct->waiting->out_serial_bytes + direct->held_line_bytes;
     const uint64_t sent = direct->sent_bytes + waiting - direct->sent_bytes_before;
     const uint64_t received = direct->received_bytes - direct->received_bytes_before;
     return floats((double[]){(double)sent, (double)received}, 2);
@@ -228,23 +228,50 @@ void *wheel_python_encode(void *self, void *const *arguments, ptrdiff_t count) {
     return new_bytes(bytes, wheel_line_encode(line, wheel_client_out(client), length, bytes));
 }
 
+void *wheel_python_hold(void *self, void *const *arguments, ptrdiff_t count) {
+    (void)count;
+    wheel_direct *direct = python.PyLong_AsVoidPtr(self);
+    wheel_host *robot = python.PyLong_AsVoidPtr(arguments[0]);
+    uint8_t *packed;
+    size_t length;
+    if (!bytes_of(arguments[1], &packed, &length)) {
+        return NULL;
+    }
+    void *thread = python.PyEval_SaveThread();
+    wheel_direct_hold(direct, robot, packed, length);
+    python.PyEval_RestoreThread(thread);
+    return python.PyLong_FromLongLong(direct->held_frames);
+}
+
 void *wheel_python_exchange(void *self, void *const *arguments, ptrdiff_t count) {
     (void)count;
     wheel_direct *direct = python.PyLong_AsVoidPtr(self);
     wheel_host *robot = python.PyLong_AsVoidPtr(arguments[0]);
     wheel_client *client = python.PyLong_AsVoidPtr(arguments[1]);
-    uint8_t *packed;
-    size_t length;
-    if (!bytes_of(arguments[2], &packed, &length)) {
+    const uint16_t ticks = ticks_of(arguments[2]);
+    if (failed()) {
         return NULL;
     }
+    if (client != NULL && !wheel_client_step(client, ticks)) {
+        return python.Py_BuildValue("");
+    }
     void *thread = python.PyEval_SaveThread();
-    wheel_direct_send(direct, robot, packed, length);
-    wheel_direct_send(direct, robot, wheel_client_out(client), wheel_client_view(client)->out_bytes);
-    wheel_client_sent(client);
-    wheel_direct_receive(direct, robot);
+    wheel_direct_exchange(direct, robot, client);
     python.PyEval_RestoreThread(thread);
     return new_bytes(direct->answer, direct->answer_bytes);
+}
+
+void *wheel_python_crossed(void *self, void *const *arguments, ptrdiff_t count) {
+    (void)arguments, (void)count;
+    const wheel_direct *direct = python.PyLong_AsVoidPtr(self);
+    void *all = python.PyTuple_New(4);
+    if (all != NULL) {
+        python.PyTuple_SetItem(all, 0, new_bytes(direct->stepped, direct->stepped_bytes));
+        python.PyTuple_SetItem(all, 1, python.PyLong_FromLongLong(direct->stepped_frames));
+        python.PyTuple_SetItem(all, 2, new_bytes(direct->answer, direct->answer_bytes));
+        python.PyTuple_SetItem(all, 3, python.PyLong_FromLongLong(direct->answer_frames));
+    }
+    return all;
 }
 
 void *wheel_python_split(void *self, void *const *arguments, ptrdiff_t count) {
@@ -266,4 +293,12 @@ void *wheel_python_split(void *self, void *const *arguments, ptrdiff_t count) {
     }
     python.Py_DecRef(room);
     return groups;
+}
+
+void *wheel_python_noise(void *self, void *const *arguments, ptrdiff_t count) {
+    (void)arguments, (void)count;
+    wheel_line_counts counts;
+    wheel_line_count(python.PyLong_AsVoidPtr(self), &counts);
+    return python.PyLong_FromLongLong((long long)counts.cobs + counts.crc + counts.length +
+                                      counts.unknown_id + counts.overrun);
 }

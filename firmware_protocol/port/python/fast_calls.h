@@ -20,6 +20,7 @@ typedef struct {
     void *(*PyErr_Occurred)(void);
     void *(*PyTuple_GetItem)(void *, ptrdiff_t); /* borrowed */
     void *(*PyTuple_New)(ptrdiff_t);
+    ptrdiff_t (*PyTuple_Size)(void *);
     int (*PyTuple_SetItem)(void *, ptrdiff_t, void *); /* steals the reference */
     void *(*PyFloat_FromDouble)(double);
     void *(*PyLong_FromLongLong)(long long);
@@ -78,12 +79,25 @@ void *wheel_python_step(void *self, void *const *arguments, ptrdiff_t count);
  * sent. */
 void *wheel_python_line_bytes(void *self, void *const *arguments, ptrdiff_t count);
 
-/* direct.exchange(robot, client, packed): sends the packed frames, then what waits in the client, and
- * returns the answer as bytes. */
+/* direct.hold(robot, packed): wheel_direct_hold; returns how many frames are held. */
+void *wheel_python_hold(void *self, void *const *arguments, ptrdiff_t count);
+
+/* direct.exchange(robot, client, ticks): wheel_client_step and wheel_direct_exchange; returns the answer as
+ * bytes, None if the STEP cannot be sent. The client may be 0. */
 void *wheel_python_exchange(void *self, void *const *arguments, ptrdiff_t count);
+
+/* direct.crossed(): what the newest exchange sent of the client's, and the answer, each as bytes with its
+ * number of frames. */
+void *wheel_python_crossed(void *self, void *const *arguments, ptrdiff_t count);
 
 /* split(packed, limit): wheel_packed_split; returns both groups as bytes. */
 void *wheel_python_split(void *self, void *const *arguments, ptrdiff_t count);
+
+/* pack(frames): a tuple of frames, packed, as bytes. */
+void *wheel_python_pack(void *self, void *const *arguments, ptrdiff_t count);
+
+/* line.noise(): how many pieces of what was received were no frame. */
+void *wheel_python_noise(void *self, void *const *arguments, ptrdiff_t count);
 
 /* frames(packed, Frame): the packed frames as a tuple of named tuples of a class: id, payload. */
 void *wheel_python_frames(void *self, void *const *arguments, ptrdiff_t count);

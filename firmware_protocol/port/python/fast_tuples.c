@@ -2,6 +2,8 @@
 #include "../../client/packed.h"
 #include "internal.h"
 
+#include <string.h>
+
 /* Returns a new reference to an object; NULL stays NULL. */
 static void *again(void *object) {
     if (object != NULL) {
@@ -85,4 +87,48 @@ void *wheel_python_frames(void *self, void *const *arguments, ptrdiff_t count) {
         at = frame.next;
     }
     return tuple;
+}
+
+/* Reads a frame of a tuple of frames; false with an exception. */
+static bool frame_at(void *frames, ptrdiff_t place, long long *id, uint8_t **payload, size_t *length) {
+    void *frame = python.PyTuple_GetItem(frames, place);
+    void *number = frame == NULL ? NULL : python.PyTuple_GetItem(frame, 0);
+    void *content = number == NULL ? NULL : python.PyTuple_GetItem(frame, 1);
+    if (content == NULL || !bytes_of(content, payload, length)) {
+        return false;
+    }
+    *id = python.PyLong_AsLongLong(number);
+    if (*id < 0 || *id > UINT16_MAX || *length > UINT8_MAX) {
+        python.PyErr_BadArgument();
+        return false;
+    }
+    return true;
+}
+
+void *wheel_python_pack(void *self, void *const *arguments, ptrdiff_t count) {
+    (void)self, (void)count;
+    const ptrdiff_t frames = python.PyTuple_Size(arguments[0]);
+    long long id;
+    uint8_t *payload;
+    size_t length;
+    size_t size = 0;
+    for (ptrdiff_t i = 0; i < frames; i++) {
+        if (!frame_at(arguments[0], i, &id, &payload, &length)) {
+            return NULL;
+        }
+        size += WHEEL_PACKED_HEADER + length;
+    }
+    void *packed = frames < 0 ? NULL : new_bytes(NULL, size);
+    uint8_t *at;
+    if (packed == NULL || !bytes_of(packed, &at, &size)) {
+        return NULL;
+    }
+    for (ptrdiff_t i = 0; i < frames && frame_at(arguments[0], i, &id, &payload, &length); i++) {
+        at[0] = (uint8_t)((unsigned long long)id & 0xFFu);
+        at[1] = (uint8_t)((unsigned long long)id >> 8);
+        at[2] = (uint8_t)length;
+        memcpy(at + WHEEL_PACKED_HEADER, payload, length);
+        at += WHEEL_PACKED_HEADER + length;
+    }
+    return packed;
 }

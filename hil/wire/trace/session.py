@@ -91,6 +91,7 @@ class Trace:
         except BaseException:
             release(path, existing)
             raise
+        self._try_put = self._process.ring.try_put
 
     @property
     def pid(self) -> int:
@@ -103,16 +104,16 @@ class Trace:
 
     def frames(self, stamp_ns: int, frames: Sequence[Frame], *, sent: bool) -> None:
         """Trace frames of this link, which crossed the wire together."""
-        if type(frames) is PackedFrames and len(frames.packed) <= packing.MOST_PACKED:
-            flags, packed = self._packed_flags[sent], frames.packed
-            self._put(packing.pack(self._zero_unix_us + stamp_ns // 1000, flags, 0, len(packed), packed), len(frames))
+        if type(frames) is PackedFrames and (length := len(frames.packed)) <= packing.MOST_PACKED:
+            stamp_us, flags = self._zero_unix_us + stamp_ns // 1000, self._packed_flags[sent]
+            self._put(packing.pack(stamp_us, flags, 0, length, frames.packed), len(frames))
             return
         for frame in frames:
             self.frame(stamp_ns, frame, sent=sent)
 
     def _put(self, row: bytes, frames: int = 1) -> None:
         """Give the writer a row with so many frames, or count them as dropped."""
-        if self._process.ring.try_put(row):
+        if self._try_put(row):
             self._passed += frames
         else:
             self._dropped += frames

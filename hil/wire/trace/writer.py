@@ -23,6 +23,8 @@ class TraceWriter:
     Raises RefusedError when the file cannot be opened.
     """
 
+    failing = None
+
     def __init__(self, config: Record, ring: RingReader) -> None:
         self._ring = ring
         self._error: str | None = None
