@@ -16,7 +16,7 @@ PAIRWISE := --numprocesses 3 --dist worksteal
 ALONE_TESTS := $(shell grep -l 'pytest\.mark\.alone' tests/test_*.py)
 SOCKETCAN_TESTS := tests/test_socketcan_*.py
 
-.PHONY: help demo test test-rest test-all test-socketcan catalogue check proof bench nightly picture format native fmu clean setup
+.PHONY: help demo test test-rest test-all test-socketcan catalogue check proof chaos bench nightly picture format native fmu clean setup
 
 ## what make can do here
 help:
@@ -86,6 +86,12 @@ proof: setup .venv/tools
 	$(BIN)/python -m tools.coverage_firmware
 	$(BIN)/python -m tools.mutate --sample 12 $(foreach file,states receive supervise node,--file $(file).c)
 
+# CHAOS goes to tools.chaos. Seldom busy for long, so that it can go on beside other things.
+CHAOS ?= --minutes 2
+## kill, stop and starve a service and its robot at random, and judge by the robot's truth
+chaos: setup .venv/tools
+	$(BIN)/python -m tools.chaos $(CHAOS)
+
 # ARGS goes to tools.bench, as in make bench ARGS=--short.
 ## measure what a run costs, against named peers
 bench: setup .venv/tools
@@ -115,7 +121,7 @@ setup: .venv/installed native
 
 # A target that needs the tools installs them with the rest, which is quicker than one after the other.
 TOOLS := [campaign,dev,mujoco,targets,teleop]
-test test-rest test-all test-socketcan check proof bench nightly picture format fmu: EXTRAS := $(TOOLS)
+test test-rest test-all test-socketcan check proof chaos bench nightly picture format fmu: EXTRAS := $(TOOLS)
 
 # The pip that comes with Python may be old and slow. Bytecode is made for what is imported, when it is imported.
 PIP_INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check --no-compile

@@ -2,6 +2,7 @@
 
 import os
 from collections.abc import Iterator
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
@@ -70,6 +71,12 @@ def _made_once(tmp_path_factory: pytest.TempPathFactory) -> None:
     """Let tests.once work; the folder of a worker of xdist is in that of the session."""
     folder = tmp_path_factory.getbasetemp()
     once.share(folder.parent if "PYTEST_XDIST_WORKER" in os.environ else folder)
+
+
+@pytest.fixture
+def state_home(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Keep tokens and locks of a test in its folder, for all its processes."""
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
 
 
 @pytest.fixture(scope="module")

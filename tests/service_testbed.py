@@ -87,9 +87,9 @@ class ControlSide:
         options.setdefault("headers", self.headers)
         return self._http.request(method, self.child.url + path, **options)
 
-    def live(self) -> ClientConnection:
+    def live(self, headers: dict[str, str] | None = None) -> ClientConnection:
         address = self.child.url.replace("http", "ws", 1) + "/v1/live"
-        return connect(address, additional_headers=self.headers, proxy=None, open_timeout=30.0)
+        return connect(address, additional_headers=headers or self.headers, proxy=None, open_timeout=30.0)
 
     def forget(self) -> None:
         """Be as in the beginning."""

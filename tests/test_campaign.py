@@ -15,6 +15,7 @@ from pathlib import Path
 
 import dask
 import distributed
+import pandas
 import psutil
 import pytest
 from typer.testing import CliRunner
@@ -94,6 +95,48 @@ def rows_written(folder: Path) -> int:
     return len(list(rows.glob("*.parquet"))) if rows.is_dir() else 0
 
 
+HELD_UP_IN_C = """
+import pathlib
+import re
+
+
+class Stuck:
+    def __init__(self, model, mode):
+        pass
+
+    def reset(self, state, reference):
+        pass
+
+    def update(self, reference, state, applied, dt_s):
+        pathlib.Path(__file__).with_name("begun").touch()
+        re.match("(a+)+$", "a" * 64 + "b")  # for ages, and no other thread runs meanwhile
+"""
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="Windows has no signal at the end of a pipe")
+def test_with_a_killed_campaign_its_workers_end_whatever_they_do_and_no_folder_of_it_stays(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    temporary, out = tmp_path / "temporary", tmp_path / "out"
+    temporary.mkdir()
+    monkeypatch.setenv("TMPDIR", str(temporary))
+    (tmp_path / "laws.py").write_text(HELD_UP_IN_C)
+    plan = write_plan(tmp_path, 'laws = ["./laws.py:Stuck"]\nkeep = "all"')
+    campaign = start(plan, "--out", out, "--workers", "1")
+    wait_for((tmp_path / "begun").exists)
+    family = psutil.Process(campaign.pid).children(recursive=True)
+    assert any(MODULE in process.cmdline() for process in family)
+    campaign.kill()
+    campaign.communicate()
+    assert psutil.wait_procs(family, timeout=30)[1] == []
+    assert list(temporary.iterdir()) == []
+    assert list(out.glob("*.unfinished"))
+    (tmp_path / "laws.py").unlink()
+    plan = write_plan(tmp_path, 'laws = ["dsc"]')
+    assert [row["outcome"] for row in do(plan, out)] == ["passed"]
+    assert not list(out.glob("*.unfinished"))
+
+
 def test_a_campaign_that_was_stopped_or_killed_goes_on_with_no_run_twice_or_lost(
     tmp_path: Path,
 ) -> None:
@@ -123,6 +166,10 @@ def test_a_campaign_that_was_stopped_or_killed_goes_on_with_no_run_twice_or_lost
     assert [row["outcome"] for row in rows] == ["passed"] * 12
     assert [row for row in rows if row in before] == before  # they were not run again
     assert len({row["wire_sha256"] for row in rows}) == 12
+    assert sorted(pandas.read_parquet(out / ROWS)["key"]) == sorted(row["key"] for row in rows)
+    write_plan(tmp_path, more.format(10), MASSES + FRICTION)
+    assert Campaign(plan).left(out) <= dry["left"]  # the others were set aside, and are not forgotten
+    write_plan(tmp_path, more.format(1), MASSES + FRICTION)
     assert (rows[4]["robot.mass_kg"], rows[4]["law"]) == (24.0, "afdsc")
     for row, run in list(zip(rows, Campaign(plan).runs, strict=True))[::3]:
         of_one = run_columns(bridge.run("circle_speed", set=run.point.sets).metrics)

@@ -3,6 +3,7 @@
 import contextlib
 import json
 import os
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -275,6 +276,28 @@ def test_can_down_is_said_with_the_remedy():
 
     error = failure(CanUrl("socketcan", "can0"), can.CanOperationError("Network is down", 100))
     assert "is down; bring it up: ip link set can0 up type can bitrate 1000000" in str(error)
+
+
+LONG = "n" * 300
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("run", LONG),
+        ("serve", LONG),
+        ("run", "paper_circle", "--record", f"{LONG}.rrd"),
+        ("device", "paper_circle", "--link", f"serial:pty?symlink={LONG}"),
+        ("fmu", "check", LONG),
+        ("campaign", "report", LONG),
+        ("verify", LONG),
+    ],
+    ids=lambda words: words[0],
+)
+def test_a_name_that_is_too_long_is_one_sentence(words):
+    done = hil(*words)
+    assert (done.returncode, done.stdout) == (2, "")
+    assert re.fullmatch(r"hil: .*(too long).*\n", done.stderr), done.stderr
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs /dev/full, as Linux has it")

@@ -38,8 +38,8 @@ from tests.service_testbed import STATUS, ControlSide, own_state, served
         ),
         ("go -1 .5 -90", Action.GO, {"x_m": -1.0, "y_m": 0.5, "heading_rad": pytest.approx(-1.5707963)}),
         ("gains kp=2.5 law=true", Action.GAINS, {"gains": {"kp": 2.5, "law": True}}),
-        ("record a.mcap", Action.RECORD, {"path": str(Path("a.mcap").absolute()), "force": False}),
-        ("record --force", Action.RECORD, {"path": None, "force": True}),
+        ("record a.mcap", Action.RECORD, {"name": "a.mcap"}),
+        ("record", Action.RECORD, {"name": None}),
     ],
 )
 def test_a_command_is_an_order(side: ControlSide, command: str, action: Action, arguments: dict) -> None:

@@ -130,13 +130,16 @@ def test_a_path_that_was_being_read_when_the_service_stood_still_is_not_followed
         assert served.pilot.conduct.task is Task.HOLD
 
 
-def test_a_second_recording_is_refused_whenever_it_is_asked_for(tmp_path: Path) -> None:
+def test_a_second_recording_is_refused_whenever_it_is_asked_for(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
     with Served() as served:
-        first = served.order(Action.RECORD, path=str(tmp_path / "one.mcap"), force=False)
+        first = served.order(Action.RECORD, name="one.mcap")
         served.beside.work()  # it has been started, and nobody has taken note yet
-        second = served.order(Action.RECORD, path=str(tmp_path / "two.mcap"), force=False)
+        second = served.order(Action.RECORD, name="two.mcap")
         assert "is being written" in served.refusal(second)
-        assert served.answers[first].result["path"] == str(tmp_path / "one.mcap")
+        assert served.answers[first].result["path"] == str(Path("runs/one.mcap"))
         end = served.order(Action.STOP_RECORDING)
         again = served.order(Action.STOP_RECORDING)
         served.finish()
@@ -144,25 +147,55 @@ def test_a_second_recording_is_refused_whenever_it_is_asked_for(tmp_path: Path) 
         assert served.refusal(again) == "nothing is being recorded"
 
 
-def test_a_recording_names_the_code_that_is_served_and_not_the_files_of_later(tmp_path: Path) -> None:
+ELSEWHERE = ["../one.mcap", "/tmp/one.mcap", "runs/one.mcap"]
+NO_NAMES = ["\x1b[2Jone.mcap", "a\n.mcap", f"{'n' * 300}.mcap"]
+
+
+@pytest.mark.parametrize("name", [*ELSEWHERE, *NO_NAMES, "link.mcap", "there.mcap"])
+def test_a_recording_is_a_new_file_of_the_service_s_own_folder(
+    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    runs = tmp_path / "runs"
+    runs.mkdir()
+    (runs / "there.mcap").write_text("evidence")
+    (runs / "link.mcap").symlink_to(tmp_path / "elsewhere.mcap")
+    with Served() as served:
+        number = served.order(Action.RECORD, name=name)
+        served.finish()
+        refusal = served.refusal(number)
+    assert refusal.isprintable()
+    assert len(refusal) < 500
+    assert "OSError" not in refusal
+    assert sorted(path.name for path in tmp_path.rglob("*")) == ["link.mcap", "runs", "there.mcap"]
+    assert (runs / "there.mcap").read_text() == "evidence"
+
+
+def test_a_recording_names_the_code_that_is_served_and_not_the_files_of_later(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
     with Served() as served:
         for name in ("before.mcap", "after.mcap"):
-            served.order(Action.RECORD, path=str(tmp_path / name), force=False)
+            served.order(Action.RECORD, name=name)
             served.finish()
             served.order(Action.STOP_RECORDING)
             served.finish()
             served.order(Action.GAINS, gains={"k1_1_s": 7.0})  # the law is made anew
             served.finish()
-    before, after = (read(tmp_path / name).properties for name in ("before.mcap", "after.mcap"))
+    before, after = (read(tmp_path / "runs" / name).properties for name in ("before.mcap", "after.mcap"))
     assert before["law_sha256"] == "as it was made"
     assert after["law_sha256"] == law_sha256("dsc", tmp_path)
     assert (json.loads(before["gains"])["k1_1_s"], json.loads(after["gains"])["k1_1_s"]) == (8.0, 7.0)
     assert before["fmu_sha256"] == after["fmu_sha256"]
 
 
-def test_a_recording_that_is_being_started_at_the_end_is_one_that_can_be_finished(tmp_path: Path) -> None:
+def test_a_recording_that_is_being_started_at_the_end_is_one_that_can_be_finished(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
     with Served() as served:
-        served.order(Action.RECORD, path=str(tmp_path / "one.mcap"), force=False)
+        served.order(Action.RECORD, name="one.mcap")
         served.beside.work()
         served.desk.end()
         recording = served.records.end()
@@ -181,11 +214,21 @@ def test_an_emergency_stop_that_waited_is_done() -> None:
     ("action", "arguments", "why"),
     [
         (Action.GAINS, {"gains": {"k1_1_s": 10**400}}, "expected a finite number"),
+        (
+            Action.GAINS,
+            {"gains": {"k1_1_s": 1e6}},
+            "k1_1_s = 1000000.0; expected a number greater than 0 and at most 1000",
+        ),
         (Action.GAINS, {"gains": {"k3": 1.0}}, "unknown key controller.gains.k3; known: "),
         (
             Action.TRACK,
             {"here": True, "reference": {"kind": "rounded_square", "side_m": 1e308}},
             "no finite pose at some time",
+        ),
+        (
+            Action.TRACK,
+            {"here": False, "reference": {"kind": "circle", "radius_m": 50.0, "period_s": 1.0}},
+            "the path reaches 314 m/s at t = 0 s, and service.speed_m_s is 0.5; make it slower",
         ),
         (Action.TRACK, {"here": True, "reference": {"kind": "waypoints", "file": "none.csv"}}, "none.csv"),
     ],

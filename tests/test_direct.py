@@ -92,6 +92,36 @@ def test_all_that_a_full_queue_has_comes_at_once() -> None:
     assert direct.receive(0) is None
 
 
+@pytest.mark.parametrize("sizes", [(100,) * 9, (373,), (372, 1), (1, 600, 1)], ids=str)
+def test_what_has_no_room_to_wait_reaches_the_robot_in_its_order(sizes: tuple[int, ...]) -> None:
+    direct, line, one, other = both()
+    for number, size in enumerate(sizes):
+        some = [codec.encode(m.Step(turn, 1)) for turn in range(number, number + size - 1)] + [
+            codec.encode(m.Estop(1, 0))
+        ]
+        direct.send_packed(PackedFrames(pack(some)))
+        for frame in some:
+            line.send(frame)
+        assert (direct.sent_frames, direct.byte_counts()[0]) == (line.sent_frames, line.byte_counts()[0])
+    assert received(direct) == received(line)
+    assert (direct.received_frames, direct.byte_counts()) == (line.received_frames, line.byte_counts())
+    assert one.node.look() == other.node.look()
+
+
+def test_what_crossed_is_told_with_its_number() -> None:
+    direct, *_ = both()
+    client = new_client()
+    client.request(m.Request.IDLE, 0)
+    before = client.out()
+    answer = direct.exchange(client, 2)
+    sent, sent_count, heard, count = direct.crossed()
+    assert (PackedFrames(sent)[:-1], sent_count) == (list(before), 2)
+    assert codec.decode(PackedFrames(sent)[-1]) == m.Step(0, 2)
+    assert (heard, count) == (answer.packed, len(answer))
+    direct.step(client, 3)
+    assert direct.crossed()[:2] == (pack([codec.encode(m.Step(0, 3))]), 1)
+
+
 def test_a_link_that_was_closed_says_so_and_its_robot_hears_nothing_more() -> None:
     direct, line, *rigs = both()
     for link in (direct, line):
@@ -143,8 +173,9 @@ def test_the_library_sends_what_is_whole_and_stops_there(rest: bytes) -> None:
 def test_a_step_that_cannot_be_sent_is_none(ticks: int) -> None:
     link, *_ = both()
     client = new_client()
-    with pytest.raises(ValueError, match=f"a step of {ticks} ticks; expected at most 1000"):
-        link.step(client, ticks)
+    for call in (link.step, link.exchange):
+        with pytest.raises(ValueError, match=f"a step of {ticks} ticks; expected at most 1000"):
+            call(client, ticks)
     assert (client.view.out_bytes, client.view.step) == (0, 0)
 
 

@@ -128,7 +128,7 @@ def test_a_robot_is_driven_over_http(tmp_path) -> None:
     log = tmp_path / "log"
     with log.open("wb") as errors, subprocess.Popen(command, env=variables, cwd=tmp_path, stderr=errors) as service:
         try:
-            wait_for(lambda: "the robot is disarmed" in log.read_text())
+            wait_for(lambda: "phase=disarmed" in log.read_text())
             [token] = tmp_path.glob("mecanum-hil/services/*.token")
             words = [sys.executable, str(EXAMPLES / "drive_over_http.py"), token.stem, str(token)]
             driven = subprocess.run(words, capture_output=True, text=True, timeout=60, check=False)

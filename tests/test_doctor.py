@@ -2,6 +2,7 @@
 
 import json
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -10,7 +11,9 @@ from packaging.requirements import Requirement
 from firmware_protocol.built import WHEEL_HOST
 from hil.cli.checks import Finding, Verdict, install, ports, realtime, recording
 from hil.cli.doctor import lines as lines_of
-from tests.processes import hil
+from hil.service.messages import Phase
+from tests.processes import hil, wait_for
+from tests.service_testbed import ControlSide
 
 linux = pytest.mark.skipif(sys.platform != "linux", reason="the trees are Linux's")
 
@@ -125,3 +128,47 @@ def test_a_graphics_processor_is_found_by_its_node(tmp_path: Path) -> None:
     (tmp_path / "renderD128").touch()
     assert _verdicts(list(recording.check_viewer(tmp_path)))["graphics"] is Verdict.OK
     assert _verdicts(list(recording.check_viewer(tmp_path / "none")))["graphics"] is Verdict.NOTE
+
+
+def _examined(side: ControlSide) -> tuple[int, dict[str, dict[str, str]]]:
+    assert side.child.token_file is not None
+    which = ("--service", "--url", side.child.url, "--token-file", side.child.token_file)
+    done = hil("doctor", *which, "--json")
+    return done.returncode, {found["subject"]: found for found in json.loads(done.stdout)}
+
+
+def test_a_running_service_is_examined(side: ControlSide) -> None:
+    side.status = replace(side.status, frames={"sent": 10, "received": 9, "rejected": {}})
+    wait_for(lambda: not side.request("GET", "/v1/status").json()["frames"]["rejected"])
+    code, found = _examined(side)
+    assert (code, {one["verdict"] for one in found.values()} - {"note"}) == (0, {"ok"}), found
+    assert found["robot"]["sentence"] == "active"
+    assert found["frames"]["sentence"] == "10 frames sent, 9 received, 0 rejected"
+
+
+def test_what_is_wrong_with_a_running_service_is_said_with_a_remedy(side: ControlSide) -> None:
+    side.status = replace(
+        side.status,
+        phase=Phase.FAULT,
+        why="encoder fl stands",
+        deadline_misses=600,
+        recording="run.rrd",
+        recording_trouble="No space left on device",
+        feedback_age_ms=400.0,
+        realtime={"priority": "priority: refused, no permission"},
+    )
+    wait_for(lambda: side.request("GET", "/v1/status").json()["phase"] == "fault")
+    code, found = _examined(side)
+    assert code == 1
+    assert found["robot"]["sentence"] == "fault: encoder fl stands"
+    wrong = {name: one["verdict"] for name, one in found.items() if one["verdict"] != "ok"}
+    assert wrong.items() >= {
+        "robot": "problem", "recording": "problem", "loop": "note", "frames": "note", "feedback": "note",
+        "priority": "note",
+    }.items()  # fmt: skip
+    assert all(found[name]["remedy"] for name in wrong)
+
+
+def test_a_service_is_chosen_only_for_service() -> None:
+    refused = hil("doctor", "--port", "8770")
+    assert (refused.returncode, "add --service" in refused.stderr) == (2, True)

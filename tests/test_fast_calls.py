@@ -12,7 +12,7 @@ from firmware_protocol.codec import encode
 from firmware_protocol.fast_calls import RowLayout, Scaled, fast_call
 from firmware_protocol.framing import Frame, Framer, PackedFrames, pack
 from firmware_protocol.generated import messages as m
-from firmware_protocol.host_line import HostLine, each_of
+from firmware_protocol.host_line import HostLine, each_of, packed_of
 from hil.core.types import (
     Axes,
 )
@@ -89,13 +89,37 @@ def test_what_is_no_bytes_raises(wrong: object) -> None:
     client = new_client()
     for call in (
         lambda: client.take(wrong, 0, 0),  # type: ignore[arg-type]
-        lambda: fast_call("exchange")(0, client.address, wrong),
+        lambda: fast_call("hold")(0, 0, wrong),
         lambda: fast_call("split")(wrong, 0x300),
         lambda: fast_call("frames")(wrong, Frame),
         lambda: HostLine().receive_for(client.address, wrong, 0),  # type: ignore[arg-type]
     ):
         with pytest.raises(TypeError):
             call()
+
+
+@given(some=st.lists(st.builds(Frame, st.integers(0, 0xFFFF), st.binary(max_size=255)), max_size=9))
+def test_frames_are_packed_as_in_python(some: list[Frame]) -> None:
+    assert packed_of(some) == packed_of(PackedFrames(pack(some))) == pack(some)
+
+
+@pytest.mark.parametrize(
+    "wrong", [3, (3,), (1, "a"), (1,), Frame(1 << 16, b""), Frame(-1, b""), Frame(1 << 70, b""), Frame(1, bytes(256))]
+)
+def test_what_is_no_frame_is_not_packed(wrong: object) -> None:
+    with pytest.raises((TypeError, IndexError, SystemError)):
+        packed_of([Frame(1, b"a"), wrong])  # type: ignore[list-item]
+    with pytest.raises(SystemError):
+        fast_call("pack")([])  # no tuple
+
+
+def test_noise_is_the_sum_of_what_is_rejected_but_for_lost_frames() -> None:
+    line, framer = HostLine(), Framer()
+    framer.encode(encode(m.Step(0, 1)))  # never comes
+    whole = framer.encode(encode(m.StepDone(1)))
+    line.feed(b"\2a\0".join((whole, whole[:3] + b"\1" + whole[4:], b"x" * 99, b"")))
+    counts = line.rejected
+    assert line.noise() == sum(counts.values()) - counts["lost"] > 2
 
 
 def test_a_number_that_is_no_int_raises() -> None:

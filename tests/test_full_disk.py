@@ -5,6 +5,7 @@ import re
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -20,7 +21,8 @@ def test_a_recording_says_that_the_disk_is_full_what_is_lost_and_what_is_safe(tm
     own = ["unshare", "--mount"] if os.geteuid() == 0 else ["unshare", "--mount", "--map-root-user"]
     path = tmp_path / "run.rrd"
     command = [*own, "sh", "-c", ON_A_SMALL_DISK, "sh", tmp_path, *HIL, "run", "circle_speed", *SHORT, "--record", path]
-    done = subprocess.run(command, capture_output=True, text=True, check=False, env=environment(), timeout=120)
+    how: dict[str, Any] = {"capture_output": True, "text": True, "check": False, "env": environment(), "timeout": 120}
+    done = subprocess.run(command, **how)
     if done.returncode == 77 or done.stderr.startswith("unshare"):
         pytest.skip(f"no disk may be mounted here: {done.stderr}")
     assert done.returncode == 1, done.stderr  # rows are missing, and [allow] permits none
@@ -32,6 +34,10 @@ def test_a_recording_says_that_the_disk_is_full_what_is_lost_and_what_is_safe(tm
     lost, safe = map(int, told.groups())
     assert safe > 0
     assert lost + safe == 2400
+    assert done.stdout.split()[0] == "FAILED"
+    exploring = subprocess.run([*command, "--lenient", "--force"], **how)
+    assert exploring.returncode == 0, exploring.stderr
+    assert exploring.stdout.split()[:2] == ["PASSED,", "INCOMPLETE"]
 
 
 def test_a_disk_that_is_full_ends_the_trace_and_not_the_run(tmp_path):

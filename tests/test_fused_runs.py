@@ -149,6 +149,7 @@ class Law:
 """
 
 
+@pytest.mark.usefixtures("state_home")
 def test_another_process_says_where_the_robot_is(tmp_path):
     """The client of the documents, in real time: it says so on and on, until the run is over."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:

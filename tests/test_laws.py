@@ -171,7 +171,7 @@ def test_computed_torque_refuses_speed_commands():
     ("name", "options", "message"),
     [
         ("computed_torque", {"damping": 0.0}, "damping = 0.0; expected a number greater than 0"),
-        ("pid", {"ki_1_s2": -1.0}, "ki_1_s2 = -1.0; expected a number of at least 0"),
+        ("pid", {"ki_1_s2": -1.0}, "ki_1_s2 = -1.0; expected a number from 0 to 10000"),
         ("lqi", {"speed_error_1_s2": 0.0}, "speed_error_1_s2 = 0.0; expected a number greater than 0"),
         ("dsc_eso", {"observer_rad_s": -1.0}, "observer_rad_s = -1.0; expected a number greater than 0"),
         ("afdsc_eso", {"error_range_m": 0.0}, "error_range_m = 0.0; expected a number greater than 0"),

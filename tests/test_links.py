@@ -174,19 +174,23 @@ def test_a_line_that_hangs_up_is_lost():
 
 def test_symlink_is_made_replaced_and_removed(tmp_path: Path):
     name = tmp_path / "robot"
-    name.symlink_to("/nowhere")
+    name.symlink_to("/dev/pts/99999")  # of a robot that was killed
     master = pty.PtyStream(name)
     assert str(name.readlink()) == master.port
     master.close()
     assert not name.is_symlink()
 
 
-def test_symlink_never_replaces_a_file(tmp_path: Path):
-    name = tmp_path / "robot"
-    name.write_text("precious")
-    with pytest.raises(BadInputError, match="not a symbolic link"):
-        pty.PtyStream(name)
-    assert name.read_text() == "precious"
+@pytest.mark.parametrize("target", ["thesis.tex", "gone", "/dev/null"])
+def test_symlink_never_replaces_a_file_or_a_link_that_leads_elsewhere_than_to_a_terminal(target, tmp_path: Path):
+    name, thesis = tmp_path / "robot", tmp_path / "thesis.tex"
+    thesis.write_text("precious")
+    name.symlink_to(target)
+    for existing, why in ((name, f"it leads to '{target}', which is no pseudo-terminal"), (thesis, "not a symbolic")):
+        with pytest.raises(BadInputError, match=f"exists and is not replaced .*{why}"):
+            pty.PtyStream(existing)
+    assert str(name.readlink()) == target
+    assert thesis.read_text() == "precious"
     with pytest.raises(BadInputError, match="cannot be made"):
         pty.PtyStream(tmp_path / "missing" / "robot")
 

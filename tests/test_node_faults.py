@@ -263,6 +263,20 @@ def test_a_cause_that_lasts_is_a_fault_again_after_clearing(cause: str) -> None:
     assert rig.state is m.State.FAULT
 
 
+@pytest.mark.proves("R-STATE-12")
+def test_a_robot_that_is_cleared_and_armed_within_a_tick_gives_no_duty_without_its_sensors() -> None:
+    """It drives for that tick, by what its encoders say; the duty that a current of NaN gives would be NaN."""
+    rig = WheelRig()
+    rig.current_a[0] = math.nan
+    rig.run(10)
+    rig.heartbeat(m.Request.CLEAR, 0x99)
+    rig.activate()
+    assert rig.state is m.State.ACTIVE
+    rig.run(1)
+    assert rig.duty == [0.0] * 4
+    assert rig.state is m.State.FAULT
+
+
 @pytest.mark.proves("R-STATE-7", "R-GEN-5")
 def test_a_fault_while_an_estop_brakes_switches_off_and_stays_an_estop() -> None:
     rig, _ = driving()

@@ -13,7 +13,6 @@ from typer.testing import CliRunner
 import hil
 import hil.record.files
 from hil.batch.catalogue.recording import RecordingHere
-from hil.cli.ctl import app as ctl
 from hil.cli.main import app
 from hil.core.errors import BadInputError
 from hil.core.outputs import claim, free_name, write_whole
@@ -22,11 +21,22 @@ from hil.record import Recording
 from hil.record.files import check_output_path, new_in_runs, numbered_path
 from hil.review import read
 from hil.wire.trace import Trace
+from tests import processes
 from tests.recorded_circle import circle_rows
 
 OLD = Path(__file__).parent / "recordings" / "circle_speed_ca92b7a.rrd"
 SHORT = ("--set", "loop.duration_s=0.1", "--set", "expect=[]")
 KEPT = b"evidence of another day"
+
+
+@pytest.mark.parametrize("name", ["a\x1b[31m.rrd", "two\nlines.rrd", "two\u2028lines.rrd", "del\x7f.rrd"])
+def test_a_name_that_a_terminal_would_obey_is_refused_and_printed_harmlessly(name: str, tmp_path: Path) -> None:
+    done = processes.hil("run", "circle_speed", *SHORT, "--record", name, cwd=tmp_path)
+    assert done.returncode == 2
+    assert done.stderr == (
+        f"hil: recording {name!r}: its name has a character that cannot be printed; choose another name\n"
+    )
+    assert not list(tmp_path.iterdir())
 
 
 @pytest.mark.parametrize(
@@ -93,14 +103,6 @@ def test_a_run_in_python_refuses_and_replaces_alike(tmp_path: Path) -> None:
         hil.run("circle_speed", set=short, record=path)
     assert hil.run("circle_speed", set=short, record=path, force=True).metrics["recording"] == str(path)
     assert len(read(path).signals["loop.t_s"])
-
-
-def test_a_recording_for_a_service_is_refused_before_it_is_asked(tmp_path: Path) -> None:
-    path = tmp_path / "night.rrd"
-    path.write_bytes(KEPT)
-    done = CliRunner().invoke(ctl, ["record", str(path)])
-    assert isinstance(done.exception, BadInputError)
-    assert "the file exists already" in str(done.exception)
 
 
 @pytest.mark.parametrize(

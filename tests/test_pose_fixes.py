@@ -4,6 +4,7 @@ import contextlib
 import json
 import math
 import socket
+import stat
 import time
 from collections.abc import Iterator
 from typing import Any
@@ -15,16 +16,20 @@ from hypothesis import strategies as st
 from scipy.stats import chi2, kstest
 
 from hil.core.errors import BadInputError
+from hil.core.private_files import write_private
+from hil.core.tokens import token_file
 from hil.core.types import NAN, MeasuredPose, Pose, PoseFix, Twist
 from hil.estimation.localisation import SimulatedFixes, SimulatedOptions, UdpFixes
 from hil.estimation.localisation.message import Refused, parse, parse_address
 from hil.runtime.assembly import RunOptions, run_scenario
 from hil.runtime.loop import Loop
 from hil.scenario import load
-from tools.pose_fix_client import datagram
+from tools.pose_fix_client import datagram, token_at
 
+TOKEN = "0123456789abcdef"
 GOOD: dict[str, Any] = {
     "version": 1,
+    "token": TOKEN,
     "age_s": 0.1,
     "x_m": 1.0,
     "y_m": -2.0,
@@ -42,11 +47,11 @@ def without(*names: str) -> bytes:
 
 
 def test_a_message_says_when_where_and_how_sure() -> None:
-    found = parse(encoded())
+    found = parse(encoded(), TOKEN)
     assert (found.age_s, found.unix_time_s, found.pose) == (0.1, None, Pose(1.0, -2.0, 0.5))
     assert found.covariance == (4e-4, 1e-5, 0.0, 4e-4, 0.0, 1e-4)
     assert found.age_at(12345.0) == 0.1
-    client = parse(datagram(1000.25, 1.0, -2.0, 0.5, 0.02, 0.01))
+    client = parse(datagram(TOKEN, 1000.25, 1.0, -2.0, 0.5, 0.02, 0.01), TOKEN)
     assert client.pose == found.pose
     assert client.covariance == pytest.approx((4e-4, 0.0, 0.0, 4e-4, 0.0, 1e-4))
     assert client.age_at(1000.5) == 0.25
@@ -58,7 +63,13 @@ WRONG = [
     (b"1.0 2.0 3.0", "malformed"),
     (b"[1, 2, 3]", "malformed"),
     (b"null", "malformed"),
-    (b'{"version": 1}', "malformed"),
+    (b'{"version": 1, "token": "0123456789abcdef"}', "malformed"),
+    (b'{"version": 1}', "token"),
+    (without("token"), "token"),
+    (encoded(token="0123456789abcdeg"), "token"),
+    (encoded(token="\ud800"), "token"),
+    (encoded(token=None), "token"),
+    (json.dumps({"version": 2, "pose": [1, 2, 3]}).encode(), "token"),
     (b"[" * 1000, "malformed"),
     (encoded(surprise=1), "malformed"),
     (encoded(unix_time_s=1.0), "malformed"),
@@ -75,7 +86,7 @@ WRONG = [
     (encoded(covariance=[4e-4] * 9), "malformed"),
     (encoded(covariance=[4e-4, 0, 0, 4e-4, 0, "x"]), "malformed"),
     (encoded(version=2), "version"),
-    (json.dumps({"version": 2, "pose": [1, 2, 3]}).encode(), "version"),
+    (json.dumps({"version": 2, "token": TOKEN, "pose": [1, 2, 3]}).encode(), "version"),
     (encoded(x_m=NAN), "not_finite"),
     (encoded(y_m=math.inf), "not_finite"),
     (encoded(age_s=NAN), "not_finite"),
@@ -96,7 +107,7 @@ WRONG = [
 @pytest.mark.parametrize(("data", "cause"), WRONG)
 def test_what_is_no_message_is_refused_for_its_cause(data: bytes, cause: str) -> None:
     with pytest.raises(Refused) as refused:
-        parse(data)
+        parse(data, TOKEN)
     assert refused.value.cause == cause
 
 
@@ -106,7 +117,7 @@ def test_what_is_no_message_is_refused_for_its_cause(data: bytes, cause: str) ->
 ).map(lambda tree: json.dumps(tree).encode()))  # fmt: skip
 def test_nothing_that_is_received_raises_anything_else(data: bytes) -> None:
     with contextlib.suppress(Refused):
-        parse(data)
+        parse(data, TOKEN)
 
 
 @given(st.lists(st.floats(-1, 1), min_size=9, max_size=9))
@@ -114,16 +125,20 @@ def test_a_covariance_that_is_taken_can_be_inverted(entries: list[float]) -> Non
     root = np.array(entries).reshape(3, 3)
     p = root @ root.T
     p += (0.01 * p.trace() + 1e-8) * np.eye(3)  # far enough from singular to be taken
-    found = parse(encoded(covariance=list(p[np.triu_indices(3)])))
+    found = parse(encoded(covariance=list(p[np.triu_indices(3)])), TOKEN)
     full = np.zeros((3, 3))
     full[np.triu_indices(3)] = found.covariance
     assert np.linalg.eigvalsh(full + np.triu(full, 1).T).min() > 0.0
 
 
-def free_port() -> int:
+@pytest.fixture
+def port(state_home: None) -> int:
+    """A free port, whose receiver wants ``TOKEN``."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
         probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
+        number = int(probe.getsockname()[1])
+    write_private(token_file("fixes", number), TOKEN)
+    return number
 
 
 def received(source: UdpFixes, count: int, now_ns: int = 0) -> list[MeasuredPose]:
@@ -136,12 +151,16 @@ def received(source: UdpFixes, count: int, now_ns: int = 0) -> list[MeasuredPose
     return fixes
 
 
-def test_datagrams_become_fixes_or_are_counted_and_nothing_waits() -> None:
-    port = free_port()
+def test_datagrams_become_fixes_or_are_counted_and_nothing_waits(port: int) -> None:
     source = UdpFixes(f"udp://127.0.0.1:{port}", 1.0, unix_time_s=lambda: 1000.0)
     sent = [data for data, _ in WRONG]
-    sent += [encoded(age_s=1.5), encoded(age_s=-0.02), datagram(998.0, 0, 0, 0, 1, 1), datagram(1001.0, 0, 0, 0, 1, 1)]
-    sent += [encoded(), datagram(999.75, 1.0, -2.0, 0.5, 0.02, 0.01)]
+    sent += [
+        encoded(age_s=1.5),
+        encoded(age_s=-0.02),
+        datagram(TOKEN, 998.0, 0, 0, 0, 1, 1),
+        datagram(TOKEN, 1001.0, 0, 0, 0, 1, 1),
+    ]
+    sent += [encoded(), datagram(TOKEN, 999.75, 1.0, -2.0, 0.5, 0.02, 0.01)]
     assert list(source.poll(0, None)) == [], "an empty socket is no reason to wait"
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
         for data in sent:
@@ -157,9 +176,8 @@ def test_datagrams_become_fixes_or_are_counted_and_nothing_waits() -> None:
     source.close()
 
 
-def test_what_waits_before_the_first_tick_is_refused_not_taken_for_new() -> None:
+def test_what_waits_before_the_first_tick_is_refused_not_taken_for_new(port: int) -> None:
     """In real time; ``watch`` is entered when the port is open and no tick has been."""
-    port = free_port()
 
     @contextlib.contextmanager
     def sending(_: Loop) -> Iterator[None]:
@@ -184,8 +202,7 @@ def test_fixes_are_skipped_in_every_tick_without_the_robot(monkeypatch: pytest.M
     assert len(calls) >= round((recovery["armed_s"] - recovery["lost_s"]) * 200)
 
 
-def test_a_flood_is_taken_in_portions() -> None:
-    port = free_port()
+def test_a_flood_is_taken_in_portions(port: int) -> None:
     source = UdpFixes(f"udp://127.0.0.1:{port}", 1.0)
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
         for _ in range(40):
@@ -195,6 +212,20 @@ def test_a_flood_is_taken_in_portions() -> None:
     assert len(first) <= 16
     assert len(first) + len(received(source, 40)) == 40
     source.close()
+
+
+def test_the_token_is_of_this_user_alone_and_whoever_comes_first_makes_it(port: int) -> None:
+    file = token_file("fixes", port)
+    assert token_at(port) == file
+    for first, second in ((token_at, UdpFixes), (UdpFixes, token_at)):
+        file.unlink()
+        opened = [side(port) if side is token_at else side(f"udp://127.0.0.1:{port}", 1.0) for side in (first, second)]
+        assert stat.S_IMODE(file.stat().st_mode) == 0o600
+        (receiver,) = [side for side in opened if isinstance(side, UdpFixes)]
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
+            sender.sendto(datagram(file.read_text().strip(), time.time(), 1, 2, 3, 1, 1), ("127.0.0.1", port))
+        assert len(received(receiver, 1)) == 1
+        receiver.close()
 
 
 def test_a_port_that_is_taken_is_said() -> None:

@@ -172,7 +172,7 @@ def test_in_speed_mode_the_inner_gain_is_not_in_force():
         ({"k1_1_s": 0.0}, "k1_1_s"),
         ({"braking_share": 1.2}, "at most 1"),
         ({"observer_rad_s": -1.0}, "observer_rad_s"),
-        ({"speed_lag_s": -0.1}, "at least 0"),
+        ({"speed_lag_s": -0.1}, "from 0 to 1"),
     ],
 )
 def test_options_out_of_range_are_refused(options, sentence):

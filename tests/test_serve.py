@@ -18,6 +18,7 @@ from typing import Any
 import pytest
 
 from hil.core.errors import DeviceError, LinkError
+from hil.core.tokens import token_file
 from hil.review import RecordedRun, read
 from hil.robot.truth import TruthClient
 from hil.scenario import load
@@ -25,7 +26,7 @@ from hil.service.client import Client
 from hil.service.messages import Action
 from tests.processes import HIL, Device, device, environment, hil, is_running, wait_for
 
-pytestmark = pytest.mark.alone
+pytestmark = [pytest.mark.alone, pytest.mark.usefixtures("state_home")]
 OVERRIDES = ("--set", "loop.rate_hz=100")
 TWIST = {"vx_m_s": 0.3, "vy_m_s": 0.0, "yaw_rate_rad_s": 0.0}
 
@@ -40,27 +41,27 @@ class Serving:
             stderr=subprocess.PIPE,
             text=True,
             cwd=folder,
-            env=environment() | {"XDG_STATE_HOME": str(folder / "state")},
+            env=environment(),
         )
         self._come: queue.SimpleQueue[dict[str, Any]] = queue.SimpleQueue()
         self.lines: list[dict[str, Any]] = []
         threading.Thread(target=self._read, daemon=True).start()
         listens = self.line("API listens")
         self.api_pid = int(listens["pid"])
-        [token] = (folder / "state/mecanum-hil/services").glob("*.token")
-        self.client = Client(listens["url"], token)
+        port = int(listens["url"].rpartition(":")[2])
+        self.client = Client(listens["url"], token_file("services", port))
 
     def _read(self) -> None:
         assert self.process.stderr is not None
         for line in self.process.stderr:
             self._come.put(json.loads(line) if line.startswith("{") else {"event": line})
 
-    def line(self, event: str) -> dict[str, Any]:
-        """Wait for a line of the log that was not there before."""
+    def line(self, event: str, **fields: str) -> dict[str, Any]:
+        """Wait for a line of the log that was not there before, whose fields begin as given."""
         while True:
-            self.lines.append(self._come.get(timeout=30))
-            if event in self.lines[-1]["event"]:
-                return self.lines[-1]
+            self.lines.append(line := self._come.get(timeout=30))
+            if line["event"] == event and all(str(line.get(name)).startswith(text) for name, text in fields.items()):
+                return line
 
     def status(self) -> dict[str, Any]:
         with contextlib.suppress(LinkError):  # while the API starts again
@@ -131,12 +132,17 @@ def test_sigterm_ramps_down_disarms_closes_the_recording_and_exits_0(tmp_path: P
         service.drive()
         service.process.send_signal(signal.SIGTERM)
         assert service.process.wait(30) == 0
-        service.line("the robot is disarmed")
+        service.line("phase", phase="disarmed")
         assert service.line("recording finished")["lost"] == 0
         assert not is_running(service.api_pid)
-    run = read(tmp_path / "run.mcap")
+    run = read(tmp_path / "runs/run.mcap")
     assert max(abs(run.signals[f"wheel.{wheel}.speed_rad_s"][-1]) for wheel in ("fl", "fr", "rr", "rl")) < 0.5
     assert any("the robot is stopping" in event.text for event in run.events)
+    [audit] = (tmp_path / "state/mecanum-hil/audit").iterdir()
+    orders = [json.loads(line) for line in audit.read_text().splitlines()]
+    assert [(one["action"], one["token"]) for one in orders if one["outcome"] == "accepted"] == [
+        ("arm", "owner"), ("track", "owner"),
+    ]  # fmt: skip
 
 
 def test_a_killed_services_recording_is_still_there_after_its_next_start(tmp_path: Path) -> None:
@@ -147,8 +153,8 @@ def test_a_killed_services_recording_is_still_there_after_its_next_start(tmp_pat
             service.process.kill()
             service.process.wait()
         shutil.rmtree(tmp_path / "state")  # with the token of the killed one
-    assert recorded == ["n.mcap", "n_2.mcap"]
-    assert any((line.get("asked"), line.get("path")) == ("n.mcap", "n_2.mcap") for line in service.lines)
+    assert recorded == ["runs/n.mcap", "runs/n_2.mcap"]
+    assert any((line.get("asked"), line.get("path")) == ("runs/n.mcap", "runs/n_2.mcap") for line in service.lines)
     first, second = (wait_for(lambda name=name: has_rows(tmp_path / name)) for name in recorded)  # type: ignore[misc]
     assert first.properties["started"] < second.properties["started"]
 
@@ -211,7 +217,7 @@ def test_a_stalled_control_process_waits_disarmed_and_knows_where_the_robot_is(
         os.kill(service.process.pid, signal.SIGCONT)
         pose = service.until(phase="disarmed")["pose"]
         assert math.dist(pose[:2], truth.poll().pose[:2]) < 0.05  # type: ignore[union-attr]
-        assert not any("was reset" in line["event"] for line in service.lines)
+        assert not any("was reset" in str(line) for line in service.lines)
 
 
 def test_a_robot_with_other_parameters_is_never_armed(tmp_path: Path) -> None:
@@ -233,8 +239,8 @@ def test_an_api_that_hangs_costs_the_motion_and_not_the_service(tmp_path: Path) 
     with serving(tmp_path) as service:
         service.drive()
         os.kill(service.api_pid, signal.SIGSTOP)
-        service.line("the API process ended or hangs")
-        service.line("the robot is disarmed")
+        service.line("phase", why="the API process ended or hangs")
+        service.line("phase", phase="disarmed")
         os.kill(service.api_pid, signal.SIGCONT)
         service.until(phase="disarmed")
         # At first it takes orders for ones that have waited.
@@ -268,7 +274,7 @@ def test_orders_are_answered_while_a_link_is_slow_to_open(tmp_path: Path) -> Non
                 service.client.order(Action.ESTOP)
                 service.process.send_signal(signal.SIGTERM)
                 assert service.process.wait(30) == 0
-    assert not any("cannot be opened" in line["event"] for line in service.lines)
+    assert not any("cannot be opened" in str(line) for line in service.lines)
 
 
 def test_twists_that_end_stop_the_robot_and_an_estop_latches(tmp_path: Path) -> None:
@@ -297,21 +303,21 @@ def test_gains_are_read_again_and_recordings_come_and_go(tmp_path: Path) -> None
         assert service.status()["task"] == "track"
         with pytest.raises(DeviceError, match=r"unknown key controller\.gains\.k3"):
             service.client.order(Action.GAINS, {"gains": {"k3": 6.0}})
-        begun = service.client.order(Action.RECORD, {"path": "one.mcap"})
+        begun = service.client.order(Action.RECORD, {"name": "one.mcap"})
         path = begun["path"]
         with pytest.raises(DeviceError, match=r"one\.mcap is being written"):
             service.client.order(Action.RECORD)
         assert service.until(recording=path)["phase"] == "active"
         report = service.client.order(Action.STOP_RECORDING)
         assert report["complete"]
-        t_s = read(tmp_path / "one.mcap").signals["loop.t_s"]
+        t_s = read(tmp_path / "runs/one.mcap").signals["loop.t_s"]
         assert len(t_s) == report["rows"] > 0
         assert t_s[0] == pytest.approx(begun["from_s"], abs=1e-6)
         assert begun["from_s"] > 0.0
         for _ in range(2):  # as a window that is closed does it
             service.process.send_signal(signal.SIGHUP)
         assert service.process.wait(30) == 0
-        service.line("the robot is disarmed")
+        service.line("phase", phase="disarmed")
 
 
 def test_a_device_has_one_service(tmp_path: Path) -> None:

@@ -39,7 +39,7 @@ BODIES = {
     "/v1/go": {"x_m": 1.0, "y_m": -2.0, "heading_rad": 3},
     "/v1/twist": {"vx_m_s": 0.5, "vy_m_s": 0.0, "yaw_rate_rad_s": -0.1},
     "/v1/gains": {"gains": {"kp": 2.0}},
-    "/v1/record": {"path": "a.mcap", "force": False},
+    "/v1/record": {"name": "a.mcap"},
 }
 TWIST = BODIES["/v1/twist"]
 
@@ -128,7 +128,7 @@ def test_a_body_that_may_be_left_out_has_its_defaults(side: ControlSide, path: s
         ("/v1/gains", r'{"gains": {"kp": "\ud800"}}', "the body: a text in it is not Unicode"),
         ("/v1/gains", r'{"\udfff": {}}', "the body: a text in it is not Unicode"),
         ("/v1/twist", '{"vx_m_s": 1' + 400 * "0" + "}", "0…: it should be"),
-        ("/v1/record", '{"path": "run.txt"}', "path = 'run.txt': it"),
+        ("/v1/record", '{"name": "run.txt"}', "name = 'run.txt': it"),
     ],
 )  # fmt: skip
 def test_a_body_that_is_not_as_it_should_be_is_refused_with_a_sentence(

@@ -1,5 +1,6 @@
-"""The lock of a device and the record of a service: the operating system releases both when their process ends."""
+"""The locks of a device and the record of a service: the operating system releases them when their process ends."""
 
+import contextlib
 import os
 import stat
 import subprocess
@@ -11,12 +12,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hil.core.errors import BadInputError, LinkError
+from hil.core.private_files import private_folder
 from hil.core.process_lock import LockHeldError, ProcessLock, held
 from hil.service.discovery import Service, announce, running
-from hil.wire.device_lock import _file_name, _folder, device_held
+from hil.wire.device_lock import _file_name, _folders, claim_file, device_held
 from hil.wire.url import SerialUrl, parse_link
+from tests import slcan_adapters
 from tests.examples import share_of_examples
-from tests.processes import environment
+from tests.processes import environment, hil, hil_process
 from tests.service_testbed import own_state
 
 HOLDER = (
@@ -92,20 +95,103 @@ def test_two_ports_have_one_lock_only_when_they_are_one(one: str, other: str) ->
     assert len(_file_name(one)) < 100
 
 
-@pytest.mark.skipif(sys.platform == "win32", reason="Windows has no modes of files")
-def test_the_lock_of_a_device_is_for_all_users_and_the_record_of_a_service_for_one(port: Path, tmp_path: Path) -> None:
-    old = os.umask(0o077)
+NO_MODES = pytest.mark.skipif(sys.platform == "win32", reason="Windows has no modes of files")
+# What it imports it imports as root, because another user may not read where it is.
+STRANGER = """
+import os, sys
+import hil.wire.terminal
+from pathlib import Path
+from hil.core.errors import HilError
+from hil.wire.device_lock import device_held
+from hil.wire.url import parse_link
+link, lock = sys.argv[1:]
+for kind in ("serial:", "can:slcan/"):
     try:
-        with device_held(SerialUrl(str(port)), "hil run"):
-            mine = [path for path in _folder().iterdir() if port.parent.name in path.name]
-            assert {stat.S_IMODE(path.stat().st_mode) for path in mine} == {0o666}
-            assert stat.S_IMODE(_folder().stat().st_mode) == 0o777
-        os.umask(0)
+        with device_held(parse_link("serial:/nowhere"), "hil run"):
+            parse_link(kind + "/nowhere").open_host()
+    except HilError:
+        pass
+os.environ.pop("XDG_STATE_HOME")
+os.environ["HOME"] = "/nonexistent"
+os.setgroups([])
+os.setgid(65534)
+os.setuid(65534)
+for does in (os.unlink, lambda path: open(path), lambda path: os.rename(path, "/tmp/mine")):
+    try:
+        does(lock)
+    except PermissionError:
+        print("forbidden")
+try:
+    with device_held(parse_link(link), "hil run"):
+        parse_link(link).open_host().close()
+    print("open")
+except HilError as error:
+    print(error)
+"""
+
+
+@NO_MODES
+@pytest.mark.parametrize("kind", ["serial:", "can:slcan/"])
+def test_another_user_is_kept_from_an_open_device_and_from_its_locks(kind: str, tmp_path: Path) -> None:
+    if os.geteuid() != 0:
+        pytest.skip("only root can be two users")
+    bus = slcan_adapters.SlcanBus(1)
+    Path(bus.ports[0]).chmod(0o666)
+    link = f"{kind}{bus.ports[0]}"
+
+    def stranger_says() -> list[str]:
+        command = [sys.executable, "-c", STRANGER, link, str(lock)]
+        done = subprocess.run(command, capture_output=True, text=True, env=environment(), check=False, cwd="/")
+        assert done.returncode == 0, done.stderr
+        return done.stdout.splitlines()
+
+    try:
+        with own_state(tmp_path):
+            with device_held(parse_link(link), "hil run"), contextlib.closing(parse_link(link).open_host()):
+                (lock,) = (tmp_path / "mecanum-hil" / "locks").glob("*.lock")
+                *deeds, said = stranger_says()
+                assert deeds == ["forbidden"] * 3
+                assert "is busy: another program holds it; close that program" in said
+            assert stranger_says()[-1] == "open"
+    finally:
+        bus.close()
+
+
+CLAIMANT = (
+    "import sys\nfrom hil.wire.device_lock import claim_file\n"
+    "give_back = claim_file('/sys/class/net/lo/type', 'it')\nprint('held', flush=True)\nsys.stdin.read()\n"
+)
+
+
+@pytest.mark.skipif(not Path("/sys/class/net/lo/type").exists(), reason="needs the network interfaces of Linux")
+def test_a_can_interface_is_one_process_s_whoever_runs_it() -> None:
+    """Loopback is no CAN bus: who has the lock on it learns that when it opens the bus."""
+    command = [sys.executable, "-c", CLAIMANT]
+    holder = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, env=environment())
+    assert holder.stdout is not None
+    assert holder.stdout.readline() == "held\n"
+    refused = hil("params", "can:socketcan/lo")
+    assert refused.returncode == 3
+    assert "CAN interface 'socketcan', channel 'lo' is busy: another program holds it" in refused.stderr
+    holder.kill()
+    holder.communicate()
+    assert "is busy" not in hil("params", "can:socketcan/lo").stderr
+    first = claim_file("/sys/class/net/lo/type", "it")
+    claim_file("/sys/class/net/lo/type", "it")()  # a second link of one process, such as a fault's babbling node
+    assert hil_process("params", "can:socketcan/lo").stderr == refused.stderr
+    first()
+
+
+@NO_MODES
+def test_what_a_lock_or_a_service_writes_is_for_its_user_alone(port: Path, tmp_path: Path) -> None:
+    old = os.umask(0)
+    try:
         with own_state(tmp_path):
             claim = announce(SERVICE)
-            folder = tmp_path / "mecanum-hil" / "services"
-            assert {stat.S_IMODE(path.stat().st_mode) for path in folder.iterdir()} == {0o600}
-            assert stat.S_IMODE(folder.stat().st_mode) == 0o700
+            with device_held(SerialUrl(str(port)), "hil run"):
+                for folder in (tmp_path / "mecanum-hil" / name for name in ("locks", "services")):
+                    assert {stat.S_IMODE(path.stat().st_mode) for path in folder.iterdir()} == {0o600}
+                    assert stat.S_IMODE(folder.stat().st_mode) == 0o700
             claim.release()
     finally:
         os.umask(old)
@@ -149,21 +235,42 @@ def test_a_claim_whose_record_is_unreadable_is_held_all_the_same(tmp_path: Path)
     ProcessLock(tmp_path, "one", {"pid": 2}).release()
 
 
-@pytest.mark.skipif(sys.platform == "win32", reason="Windows has no modes of files")
-def test_a_link_in_place_of_the_folder_for_locks_is_refused_and_not_followed(
+@NO_MODES
+def test_a_folder_that_is_not_this_user_s_alone_is_not_used_for_locks(
     port: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    private, link = tmp_path / "private", tmp_path / "locks"
+    private, link, open_to_all, last = (tmp_path / name for name in ("private", "link", "open", "last"))
     private.mkdir(mode=0o700)
     link.symlink_to(private)
-    monkeypatch.setattr("hil.wire.device_lock._folder", lambda: link)
-    with pytest.raises(LinkError, match=f"make sure that {link} can be written"):
+    open_to_all.mkdir()
+    open_to_all.chmod(0o777)
+    folders = [link, open_to_all]
+    if os.geteuid() == 0:
+        folders.append(tmp_path / "of another user")
+        folders[-1].mkdir(mode=0o700)
+        os.chown(folders[-1], 65534, 65534)
+    for folder in folders:
+        with pytest.raises(OSError, match="no folder that this user alone may write to"):
+            private_folder(folder)
+    monkeypatch.setattr("hil.wire.device_lock._folders", lambda: iter([*folders, last]))
+    with device_held(SerialUrl(str(port)), "hil run"):
+        assert len(list(last.iterdir())) == 2
+    monkeypatch.setattr("hil.wire.device_lock._folders", lambda: iter(folders))
+    with pytest.raises(LinkError, match=rf"{link}: it is no folder .* with mode 0700"):
         device_held(SerialUrl(str(port)), "hil run").__enter__()
-    assert stat.S_IMODE(private.stat().st_mode) == 0o700
-    assert list(private.iterdir()) == []
+    assert not any(list(folder.iterdir()) for folder in folders)
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="Windows has no such folders")
+def test_a_user_without_a_home_has_a_folder_for_locks_too(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv("XDG_STATE_HOME", raising=False)
+    monkeypatch.setenv("HOME", str(tmp_path))
+    at_home, *others = _folders()
+    assert at_home.is_relative_to(tmp_path)
+    assert all(str(os.getuid()) in str(folder) for folder in others)
 
 
 def test_a_folder_that_cannot_be_made_is_named(tmp_path: Path) -> None:
     (tmp_path / "mecanum-hil").touch()
-    with own_state(tmp_path), pytest.raises(BadInputError, match=r"services: it cannot be made"):
+    with own_state(tmp_path), pytest.raises(BadInputError, match=r"services: it cannot be used"):
         announce(SERVICE)

@@ -1,10 +1,12 @@
 """Structured log lines on stderr; writing them never waits."""
 
+import ast
 import json
 import logging
 import os
 import sys
 from collections.abc import Callable, Iterator
+from pathlib import Path
 
 import pytest
 
@@ -71,15 +73,46 @@ def test_what_libraries_say_and_tracebacks_are_lines_too(pipe: tuple[int, Read])
 def test_a_reader_that_stands_still_holds_nobody_up_and_learns_what_it_missed(pipe: tuple[int, Read]) -> None:
     read = configured("json", pipe)
     for number in range(2000):
-        logs.info("tick", number=number)
+        logs.info(f"tick {number}", number=number)
     taken = [json.loads(line)["number"] for line in read().splitlines()]
     assert taken == list(range(len(taken)))
     assert 100 < len(taken) < 2000
-    logs.info("tick", number=2000)
-    logs.info("tick", number=2001)
+    for number in (2000, 2001):
+        logs.info(f"tick {number}", number=number)
     first, second = map(json.loads, read().splitlines())
     assert (first["number"], first["lines_dropped"]) == (2000, 2000 - len(taken))
     assert "lines_dropped" not in second
+
+
+def test_of_one_event_few_lines_are_written_and_the_next_says_how_many_were_not(
+    pipe: tuple[int, Read], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    now_s = 100.0
+    monkeypatch.setattr(logs.time, "monotonic", lambda: now_s)
+    read = configured("json", pipe)
+    for number in range(5000):
+        logs.warning("frame rejected", number=number)
+        logs.info("order", action="go", number=number)
+    logs.info("order", action="arm")
+    lines = [json.loads(line) for line in read().splitlines()]
+    assert [line["number"] for line in lines if line["event"] == "frame rejected"] == list(range(20))
+    assert lines[-1]["action"] == "arm", "many orders of one kind hide none of another"
+    now_s += 0.5
+    logs.warning("frame rejected", number=5000)
+    logs.warning("frame rejected", number=5001)
+    (line,) = map(json.loads, read().splitlines())
+    assert (line["number"], line["left_out"]) == (5000, 4980)
+
+
+def test_the_events_of_a_service_are_constants() -> None:
+    for file in Path(logs.__file__).parent.rglob("*.py"):
+        for call in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
+            is_log = isinstance(call, ast.Call) and ast.unparse(call.func) in (
+                "logs.info",
+                "logs.warning",
+                "logs.error",
+            )
+            assert not is_log or isinstance(call.args[0], ast.Constant), f"{file}:{call.lineno}"
 
 
 def test_a_line_too_long_to_be_written_at_once_is_cut(pipe: tuple[int, Read]) -> None:

@@ -1,7 +1,7 @@
 """Where session nonces come from: the system's random source, or the seed of a lockstep run; never from the robot."""
 
 import random
-from itertools import islice
+from itertools import islice, pairwise
 
 import pytest
 
@@ -20,6 +20,7 @@ def test_in_real_time_nonces_come_from_the_systems_random_source() -> None:
     assert drawn[0] != drawn[1]
     assert all(1 <= nonce <= 0xFFFF for nonces in drawn for nonce in nonces)
     assert {nonce & 0xF for nonce in drawn[0]} == set(range(16))
+    assert all((one ^ other) & 0xF for one, other in pairwise(drawn[0])), "the robot would refuse SESSION_USED"
     assert len(set(drawn[0])) > 3700, "of 65535 about 3880 differ in 4000 draws"
     assert sum(nonce >> 15 for nonce in drawn[0]) == pytest.approx(2000, abs=250), "eight standard deviations"
 
@@ -29,6 +30,7 @@ def test_in_lockstep_nonces_come_from_the_seed_alone() -> None:
     first, again, other = (list(islice(bench._nonces(seed), 100)) for seed in (5, 5, 6))
     assert first == again != other
     assert all(1 <= nonce <= 0xFFFF for nonce in first)
+    assert all((one ^ other) & 0xF for one, other in pairwise(first))
 
 
 @pytest.mark.proves("R-RESET-2")

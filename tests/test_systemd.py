@@ -1,6 +1,7 @@
 """The messages of a service to systemd, over a real datagram socket, and its unit."""
 
 import os
+import re
 import shutil
 import socket
 import subprocess
@@ -109,7 +110,7 @@ def test_the_unit_names_this_program_and_the_configuration_and_systemd_takes_it(
     text = unit(str(config), ["--allow-motion", "--set", "link.url=serial:/dev/tty ACM0"])
     escaped = str(config).replace('"', '\\"').replace("%", "%%").replace("$", "$$")
     assert f'serve "{escaped}" --log json --allow-motion --set "link.url=serial:/dev/tty ACM0"\n' in text
-    assert "@" not in "".join(line for line in text.splitlines() if not line.startswith("#"))
+    assert not re.search("@[A-Z]+@", text)
     assert "Type=notify" in text
     assert "\nKillMode=process\n" in text, "any other kills a guardian before it has stopped its base"
     if shutil.which("systemd-analyze") is None:
@@ -119,6 +120,23 @@ def test_the_unit_names_this_program_and_the_configuration_and_systemd_takes_it(
     done = subprocess.run(["systemd-analyze", "verify", path], capture_output=True, text=True, check=False)
     complaints = [line for line in done.stderr.splitlines() if "hil-serve" in line]
     assert complaints == []
+
+
+@pytest.mark.skipif(shutil.which("systemd-analyze") is None, reason="no systemd here: install it to rate the unit")
+def test_the_unit_exposes_less_than_4_of_10(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("LOGNAME", "robot")
+    path = tmp_path / "hil-serve.service"
+    path.write_text(unit("circle_speed", ["--allow-motion"]))
+    command = ["systemd-analyze", "security", "--offline=true", "--no-pager", "--threshold=40", path]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert "Overall exposure level" in done.stdout
+
+
+def test_the_unit_of_a_service_that_refuses_code_refuses_it_too(monkeypatch: pytest.MonkeyPatch) -> None:
+    assert "--no-code" not in unit("circle_speed")
+    monkeypatch.setenv("HIL_NO_CODE", "1")
+    assert " --no-code serve circle_speed" in unit("circle_speed")
 
 
 def test_a_line_break_in_a_unit_is_refused() -> None:

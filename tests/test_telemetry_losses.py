@@ -60,7 +60,7 @@ class Memory:
         self.writer = RingWriter(self._block, 512, width)
         self.ring = RingReader(self._block)
         self._config: dict[str, Any] = {"path": str(path), "properties": {}, "signals": list(SIGNAL_NAMES)}
-        self._config |= {"recording_id": "one", "zero_unix_ns": 0, "rotate": [None, None]}
+        self._config |= {"recording_id": "one", "zero_unix_ns": 0, "rotate": [None, None], "keep": [None, None, False]}
 
     def files(self, restarts: int = 0) -> RunFiles:
         return RunFiles({**self._config, "restarts": restarts}, self.ring)

@@ -85,7 +85,7 @@ def service(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Robot]:
         command = [*HIL, "serve", "circle_speed", "--log", "json", *sets]
         process = subprocess.Popen(command, stderr=stderr, env=environment())
         try:
-            wait_for(lambda: "the robot is disarmed" in log.read_text())
+            wait_for(lambda: '"phase": "disarmed"' in log.read_text())
             yield Robot(find(), log, process.pid)
         finally:
             process.terminate()

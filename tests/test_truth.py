@@ -1,12 +1,16 @@
 """The truth socket, client against server in one process: what is refused is said, and no record is left out."""
 
 import contextlib
+import json
+import socket
+import stat
+from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
 
 from firmware_protocol.generated.messages import State
-from hil.core.errors import DeviceError
+from hil.core.errors import BadInputError, DeviceError
 from hil.core.types import ZERO_WHEELS, Pose, PoseFix, Twist
 from hil.robot.truth import TruthClient
 from hil.robot.truth_server import TruthServer
@@ -23,6 +27,60 @@ def test_a_robot_that_takes_no_faults_says_so_at_the_begin():
         pytest.raises(DeviceError, match="this robot does not support faults"),
     ):
         client.begin(0)
+
+
+def answer(server: TruthServer, line: bytes) -> dict:
+    with socket.create_connection(("127.0.0.1", int(server.url.rpartition(":")[2])), timeout=10.0) as connection:
+        connection.sendall(line + b"\n")
+        return json.loads(connection.makefile().readline())
+
+
+@pytest.mark.parametrize("token", [{}, {"token": ""}, {"token": 43 * "x"}, {"token": "\ud800"}, {"token": None}])
+@pytest.mark.parametrize(
+    "request_",
+    [{"reset": False}, {"reset": True}, {"reset": False, "faults": {"arm": []}}],
+    ids=["read", "reset", "arm"],
+)
+def test_nobody_without_the_token_reads_resets_or_arms_a_fault(token: dict, request_: dict) -> None:
+    with contextlib.closing(TruthServer("a scenario")) as server:
+        server.request_reset = server.run_on_faults = pytest.fail
+        refused = answer(server, json.dumps({"scenario": "a scenario"} | request_ | token).encode())["error"]
+        assert "the token is missing or wrong" in refused
+        assert str(server.token_file) in refused
+
+
+def test_the_token_is_for_this_user_alone_new_each_time_and_gone_at_the_end() -> None:
+    with contextlib.closing(TruthServer("a scenario")) as server:
+        assert stat.S_IMODE(server.token_file.stat().st_mode) == 0o600
+        first = server.token_file.read_text()
+    assert not server.token_file.exists()
+    with contextlib.closing(TruthServer("a scenario")) as server:
+        assert server.token_file.read_text() != first
+
+
+def test_a_token_may_be_named_and_one_that_others_may_read_is_refused(tmp_path: Path) -> None:
+    with contextlib.closing(TruthServer("a scenario")) as server:
+        copy = tmp_path / "of another user"
+        server.token_file.rename(copy)
+        with pytest.raises(DeviceError, match="the token is missing or wrong"):
+            TruthClient(server.url, "a scenario", reset=False)
+        named = f"{server.url}?token_file={copy}"
+        TruthClient(named, "a scenario", reset=False).close()
+        copy.chmod(0o644)
+        with pytest.raises(BadInputError, match="others may read it"):
+            TruthClient(named, "a scenario", reset=False)
+
+
+def test_clients_that_say_nothing_take_the_place_of_each_other_and_of_no_client_with_the_token() -> None:
+    with contextlib.ExitStack() as stack:
+        server = stack.enter_context(contextlib.closing(TruthServer("a scenario")))
+        address = ("127.0.0.1", int(server.url.rpartition(":")[2]))
+        reader = stack.enter_context(contextlib.closing(TruthClient(server.url, "a scenario", reset=False)))
+        silent = [stack.enter_context(socket.create_connection(address, timeout=1.5)) for _ in range(100)]
+        assert silent[0].recv(1) == b"", "sooner than in the two seconds that each has"
+        TruthClient(server.url, "a scenario", reset=False).close()
+        server.publish(PoseFix(MS, Pose(0.0, 0.0, 0.0), Twist(0.0, 0.0, 0.0)), VIEW)
+        assert wait_for(reader.poll).time_ns == MS
 
 
 def test_a_poll_that_waits_gives_every_record_that_came_meanwhile():

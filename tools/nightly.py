@@ -67,6 +67,10 @@ STEPS = {
         ),
     ),
     "soak": Step("a service that is driven for two hours", (PYTHON, "-m", "tools.soak", "--minutes", "120")),
+    "chaos": Step(
+        "an hour of kills, stops, full disks and bad lines, judged by the robot's truth",
+        (PYTHON, "-m", "tools.chaos", "--minutes", "60"),
+    ),
     "bench": Step("all benchmarks", (PYTHON, "-m", "tools.bench", "--json", "{out}/bench.json")),
 }
 

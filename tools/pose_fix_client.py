@@ -2,24 +2,47 @@
 
 Reads one pose a line from standard input, ``unix_time_s x_m y_m heading_rad``, and sends each at once as a message of
 version 1 (hil/estimation/ESTIMATORS.md). A time of ``now`` stands for the present. A line that is no pose is skipped;
-how many were is said at the end. It needs Python's own library alone; put in its place whatever your localisation
+how many were is said at the end. Each message has the token of the port, from a file of this user, which whoever of
+client and run begins first makes. It needs Python's own library alone; put in its place whatever your localisation
 gives::
 
     my_slam | python tools/pose_fix_client.py --port 5005 --sigma-m 0.02 --sigma-rad 0.01
 """
 
 import argparse
+import contextlib
 import json
 import math
+import os
+import secrets
 import socket
 import sys
 import time
+from pathlib import Path
 
 
-def datagram(unix_time_s: float, x_m: float, y_m: float, heading_rad: float, sigma_m: float, sigma_rad: float) -> bytes:
+def token_at(port: int) -> Path:
+    """Return the file with the token of this user's receiver at a port; it is made if it is not there (Linux)."""
+    state = Path(os.environ.get("XDG_STATE_HOME") or Path.home() / ".local/state")
+    file = state / f"mecanum-hil/fixes/{port}.token"
+    if not file.exists():
+        file.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
+        new = file.with_name(f".{port}.{os.getpid()}")
+        new.touch(0o600)
+        new.write_text(secrets.token_urlsafe(32))
+        with contextlib.suppress(FileExistsError):  # the receiver has made it meanwhile
+            os.link(new, file)
+        new.unlink()
+    return file
+
+
+def datagram(
+    token: str, unix_time_s: float, x_m: float, y_m: float, heading_rad: float, sigma_m: float, sigma_rad: float
+) -> bytes:
     """Return the message: the pose in the world frame, and its covariance, upper triangle of (x, y, heading)."""
     message = {
         "version": 1,
+        "token": token,
         "unix_time_s": unix_time_s,
         "x_m": x_m,
         "y_m": y_m,
@@ -49,12 +72,14 @@ def main() -> int:
     parser.add_argument("--port", type=int, required=True)
     parser.add_argument("--sigma-m", type=float, default=0.02, help="standard deviation of x and of y")
     parser.add_argument("--sigma-rad", type=float, default=0.01, help="standard deviation of the heading")
+    parser.add_argument("--token-file", type=Path, help="by default that of this user's receiver at the port")
     options = parser.parse_args()
+    token_file = options.token_file or token_at(options.port)
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
         skipped = 0
         for number, line in enumerate(sys.stdin, start=1):
             try:
-                data = datagram(*pose_of(line), options.sigma_m, options.sigma_rad)
+                data = datagram(token_file.read_text().strip(), *pose_of(line), options.sigma_m, options.sigma_rad)
             except ValueError:
                 if not skipped:
                     print(f"line {number} is skipped: expected unix_time_s x_m y_m heading_rad", file=sys.stderr)

@@ -55,7 +55,7 @@ def soak(folder: Path, minutes: float, track_s: float) -> dict[str, Any]:
         try:
             client = _until(lambda: _client(service), "the service listens")
             while not sizes or time.monotonic() - begin_s < 60.0 * minutes:
-                drive(client, folder / f"{len(sizes)}.rrd", track_s)
+                drive(client, folder / "runs" / f"{len(sizes)}.rrd", track_s)
                 sizes.append(_size(service.pid))
             client.order(Action.SHUTDOWN)
             if code := service.wait(WAIT_S):
@@ -66,7 +66,7 @@ def soak(folder: Path, minutes: float, track_s: float) -> dict[str, Any]:
             service.kill()
             service.wait()
     lines = [json.loads(line) if line.startswith("{") else {"event": line} for line in log.read_text().splitlines()]
-    trouble += [f"logged: {line['event']}" for line in lines if line.get("level", "error") not in ("debug", "info")]
+    trouble += [f"logged: {line}" for line in lines if line.get("level", "error") not in ("debug", "info")]
     trouble += grown(sizes)
     return {"minutes": (time.monotonic() - begin_s) / 60.0, "cycles": len(sizes), "sizes": sizes, "trouble": trouble}
 
@@ -76,7 +76,7 @@ def drive(client: Client, recording: Path, track_s: float) -> None:
     _until(lambda: client.status()["phase"] == "disarmed", "the robot is disarmed")
     client.order(Action.ARM)
     _until(lambda: client.status()["phase"] == "active", "the robot is active")
-    client.order(Action.RECORD, {"path": str(recording)})
+    client.order(Action.RECORD, {"name": recording.name})
     client.order(Action.TRACK, {"here": True})
     end_s = time.monotonic() + track_s
     while time.monotonic() < end_s:

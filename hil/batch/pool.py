@@ -17,7 +17,7 @@ from typing import IO, Protocol, TypeVar
 
 from hil.batch.job import LOST, Job, Outcome, plain
 from hil.core import mutant as mutants
-from hil.core.subprocesses import away_from_terminal, excess, module_command
+from hil.core.subprocesses import LifeLine, away_from_terminal, excess, module_command
 from hil.record.started_process import rerun_environment
 
 READY = "ready\n"
@@ -181,13 +181,15 @@ class _Process:
         self._stderr: IO[bytes] = tempfile.TemporaryFile()  # noqa: SIM115 -- closed in close()
         library = {} if job.library is None else {"WHEEL_HOST_LIBRARY": job.library}
         mutant = {mutants.VARIABLE: job.options["mutant"]} if job.options.get("mutant") else {}
+        self._life_line = LifeLine()
         self._process = subprocess.Popen(
-            module_command(MODULE, job.kind),
+            module_command(MODULE, job.kind, self._life_line.token),
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=self._stderr,
             env=rerun_environment() | library | mutant,
             **away_from_terminal(),
+            **self._life_line.options,
         )
         self._is_ready = False
         self.ended_why: str | None = None
@@ -255,6 +257,7 @@ class _Process:
         except (subprocess.TimeoutExpired, OSError, ValueError):
             self._process.kill()
             self._process.wait()
+        self._life_line.close()
         self._stderr.close()
 
     def kill(self) -> None:

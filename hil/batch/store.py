@@ -3,6 +3,7 @@
     DIR/plan.parquet         the jobs that the batch has
     DIR/campaign.json        what the batch is, for its report
     DIR/rows/*.parquet       one row for each job that is done; together one dataset
+    DIR/rows_of_other_plans  rows of runs that the plan no longer has
     DIR/recordings/KEY.rrd   recordings that are kept
 
 A file is written under another name, synced to the disk, and renamed. Many small files of rows are merged into one,
@@ -12,8 +13,7 @@ whose metadata names them: files that a kill leaves beside it are removed when t
 import contextlib
 import itertools
 import json
-import os
-import re
+import shutil
 import time
 import uuid
 from collections.abc import Collection, Iterator, Mapping, Sequence
@@ -21,27 +21,37 @@ from pathlib import Path
 from typing import Any, Self
 
 import pyarrow as pa
-import pyarrow.parquet as pq
 from filelock import FileLock, Timeout
 
-from hil.batch.figures import KEY
+from hil.batch.row_files import (
+    REPLACES,
+    UNFINISHED,
+    concatenated,
+    joined,
+    keys_of,
+    merged_into,
+    parted,
+    read_table,
+    reason,
+    row_files,
+    schema_of,
+    size_class,
+    write_bytes,
+    write_parquet,
+)
 from hil.core.errors import BadInputError
 
 PLAN, ABOUT, ROWS, RECORDINGS = "plan.parquet", "campaign.json", "rows", "recordings"
+OTHER_ROWS = "rows_of_other_plans"
 RECORDING_SUFFIX = ".rrd"
-_REPLACES = b"hil.replaces"
 _MOST_OF_A_SIZE = 32
-_NAME = re.compile(r"(\d+)-[0-9a-f]{32}\.parquet")
-_UNFINISHED = ".unfinished"
 _LOCK = "lock"
-_OURS = (ROWS, RECORDINGS, _LOCK, PLAN, ABOUT, "report.html")
+_OURS = (ROWS, OTHER_ROWS, RECORDINGS, _LOCK, PLAN, ABOUT, "report.html")
 _ABOUT = {"name", "scenario", "laws", "faults", "seeds", "samples", "axes", "keep", "by", "runs"}
 _ANEW = "give hil campaign with its plan once more, which writes it anew"
-_REDO = "remove it, and the same command does its runs again"
 _ATTEMPTS = 10
 _REST, _LONGEST_REST_S = 9.0, 0.5
 """After rows were added no more are added for this many times as long as that took, but not for longer than this."""
-_NO_ROWS = pa.schema([(KEY, pa.string())]).empty_table()
 Row = Mapping[str, Any]
 
 
@@ -51,12 +61,17 @@ class Store:
     ``schema`` has the columns of a row; what a row does not have is null.
 
     Raises BadInputError when the folder cannot be made or written to, has a damaged file, or is in use.
+
+    Attributes:
+        scratch: a folder for files of this process; what a kill leaves there is removed with the next one.
     """
 
     def __init__(self, folder: Path, schema: pa.Schema) -> None:
         self.folder = folder
         self._schema = schema
         self._rows = folder / ROWS
+        self._other_rows = folder / OTHER_ROWS
+        self.scratch = folder / (RECORDINGS + UNFINISHED)
         self._rested_s = 0.0
         with _writing(folder):
             (folder / RECORDINGS).mkdir(parents=True, exist_ok=True)
@@ -71,6 +86,7 @@ class Store:
         try:
             with _writing(folder):
                 self._tidy()
+                self.scratch.mkdir()
             self._check_columns()
         except BaseException:
             self._lock.release()
@@ -96,27 +112,44 @@ class Store:
 
         Raises BadInputError when the folder cannot be written to.
         """
-        files = _row_files(self._rows)
+        files = row_files(self._rows)
         if not keys or not files:
             return
-        table = _concatenated(files)
-        others = table.filter(pa.array([key not in keys for key in table.column(KEY).to_pylist()], pa.bool_()))
+        others = parted(concatenated(files), keys)[1]
         with _writing(self.folder):
             for key in keys:
                 for recording in (self.folder / RECORDINGS).glob(f"{key}.*"):
                     recording.unlink()
-            self._replace(files, others, max(map(_size, files)))
+            self._replace(files, others, max(map(size_class, files)))
+
+    def sort(self, keys: Collection[str]) -> None:
+        """Let ``rows`` hold the rows of these jobs alone: others are set aside, and come back when they are wanted.
+
+        A kill meanwhile loses no row. Raises BadInputError when the folder cannot be written to.
+        """
+        files, other_files = row_files(self._rows), row_files(self._other_rows)
+        here, others = concatenated(files), concatenated(other_files)
+        wanted, away = parted(here, keys)
+        others = parted(others, keys_of(here))[1]  # a kill may have left copies of rows that are here
+        back, elsewhere = parted(others, keys)
+        if not (back.num_rows or away.num_rows):
+            return
+        with _writing(self.folder):
+            self._other_rows.mkdir(exist_ok=True)
+            copies = self._replace(other_files, joined([others, away]), 0, self._other_rows)
+            self._replace(files, joined([wanted, back]), max(map(size_class, files), default=0))
+            self._replace([copies], joined([elsewhere, away]), 0, self._other_rows)
 
     def begin(self, plan: pa.Table, about: Mapping[str, Any]) -> None:
         """Write the plan and the description of the batch. Raises BadInputError when that cannot be written."""
         with _writing(self.folder):
-            _write_parquet(plan, self.folder / PLAN)
-            _write_bytes(json.dumps(about, indent=1).encode(), self.folder / ABOUT)
+            write_parquet(plan, self.folder / PLAN)
+            write_bytes(json.dumps(about, indent=1).encode(), self.folder / ABOUT)
 
     def keep_recording(self, key: str, recording: Path) -> None:
         """Move a job's recording into the folder. Raises BadInputError when it cannot be written."""
         with _writing(self.folder):
-            _write_bytes(recording.read_bytes(), self.folder / RECORDINGS / (key + RECORDING_SUFFIX))
+            write_bytes(recording.read_bytes(), self.folder / RECORDINGS / (key + RECORDING_SUFFIX))
             recording.unlink()
 
     def recorded(self) -> set[str]:
@@ -132,18 +165,22 @@ class Store:
 
     def __exit__(self, *_: object) -> None:
         """Release the folder for other processes."""
+        shutil.rmtree(self.scratch, ignore_errors=True)
         self._lock.release()
 
     def _tidy(self) -> None:
         """Remove what a kill has left: unfinished files, and those that were merged into another."""
-        for unfinished in [*self.folder.glob(f"*{_UNFINISHED}"), *self.folder.glob(f"*/*{_UNFINISHED}")]:
+        if self.scratch.exists():
+            shutil.rmtree(self.scratch)
+        for unfinished in [*self.folder.glob(f"*{UNFINISHED}"), *self.folder.glob(f"*/*{UNFINISHED}")]:
             unfinished.unlink()
-        for name in {name for file in _row_files(self._rows) for name in _merged_into(file)}:
-            (self._rows / name).unlink(missing_ok=True)
+        for rows in (self._rows, self._other_rows):
+            for name in {name for file in row_files(rows) for name in merged_into(file)}:
+                (rows / name).unlink(missing_ok=True)
 
     def _check_columns(self) -> None:
-        for file in _row_files(self._rows):
-            there = _schema(file)
+        for file in row_files(self._rows):
+            there = schema_of(file)
             for name in set(there.names) & set(self._schema.names):
                 if there.field(name).type != self._schema.field(name).type:
                     raise BadInputError(
@@ -151,21 +188,24 @@ class Store:
                         f"now it is {self._schema.field(name).type}; name another folder with --out"
                     )
 
-    def _write(self, table: pa.Table, size: int) -> None:
-        _write_parquet(table, self._rows / f"{size}-{uuid.uuid4().hex}.parquet")
+    def _write(self, table: pa.Table, size: int, folder: Path | None = None) -> Path:
+        path = (folder or self._rows) / f"{size}-{uuid.uuid4().hex}.parquet"
+        write_parquet(table, path)
+        return path
 
     def _merge(self) -> None:
         """Merge files of one size into one of the next, as soon as there are many."""
-        for size, files in itertools.groupby(sorted(_row_files(self._rows), key=_size), _size):
+        for size, files in itertools.groupby(sorted(row_files(self._rows), key=size_class), size_class):
             if len(some := list(files)) >= _MOST_OF_A_SIZE:
-                self._replace(some, _concatenated(some), size + 1)
+                self._replace(some, concatenated(some), size + 1)
 
-    def _replace(self, files: Sequence[Path], table: pa.Table, size: int) -> None:
+    def _replace(self, files: Sequence[Path], table: pa.Table, size: int, folder: Path | None = None) -> Path:
         """Write a table in place of files. Its metadata names them, so that files left by a kill are ignored."""
         names = json.dumps([file.name for file in files]).encode()
-        self._write(table.replace_schema_metadata({_REPLACES: names}), size)
+        path = self._write(table.replace_schema_metadata({REPLACES: names}), size, folder)
         for file in files:
             file.unlink()
+        return path
 
 
 def check_folder(folder: Path, about: Mapping[str, Any]) -> None:
@@ -183,7 +223,7 @@ def check_folder(folder: Path, about: Mapping[str, Any]) -> None:
                     f"{about[what]!r}; name another folder with --out"
                 )
         return
-    strange = sorted(path.name for path in folder.iterdir() if path.name.removesuffix(_UNFINISHED) not in _OURS)
+    strange = sorted(path.name for path in folder.iterdir() if path.name.removesuffix(UNFINISHED) not in _OURS)
     if strange:
         raise BadInputError(
             f"folder {folder}: it holds {strange[0]}, and no campaign; name an empty or a new one with --out"
@@ -199,7 +239,7 @@ def read_about(folder: Path) -> dict[str, Any]:
             raise ValueError("it has other content")
     except (OSError, ValueError) as error:
         raise BadInputError(
-            f"file {file}: it cannot be read ({_why(error)}); remove it if it is there, and {_ANEW}"
+            f"file {file}: it cannot be read ({reason(error)}); remove it if it is there, and {_ANEW}"
         ) from error
     return about
 
@@ -209,70 +249,27 @@ def read_plan(folder: Path) -> list[dict[str, Any]]:
     file = folder / PLAN
     if not file.is_file():
         raise BadInputError(f"file {file}: there is no such file; {_ANEW}")
-    return list(_read(file, _ANEW).to_pylist())
+    return list(read_table(file, _ANEW).to_pylist())
 
 
-def read_rows(folder: Path) -> pa.Table:
+def read_rows(folder: Path, rows: str = ROWS) -> pa.Table:
     """Return all rows in a folder, one for each key, also while a process adds to them.
+
+    ``rows`` is ``OTHER_ROWS`` for those of runs that the plan no longer has.
 
     Raises BadInputError when there is no batch, or a file of it is damaged.
     """
-    rows = folder / ROWS
-    if not rows.is_dir():
+    place = folder / rows
+    if rows == ROWS and not place.is_dir():
         raise BadInputError(f"folder {folder}: it holds no results; give the folder of hil campaign --out")
     for _ in range(_ATTEMPTS):
-        files = _row_files(rows)
+        files = row_files(place)
         try:
-            merged = {name for file in files for name in _merged_into(file)}
-            return _concatenated([file for file in files if file.name not in merged])
+            merged = {name for file in files for name in merged_into(file)}
+            return concatenated([file for file in files if file.name not in merged])
         except FileNotFoundError:
             continue  # a campaign under way has just merged them into another
     raise BadInputError(f"folder {folder}: its files change while they are read; try again")
-
-
-def _row_files(rows: Path) -> list[Path]:
-    return sorted(path for path in rows.iterdir() if _NAME.fullmatch(path.name))
-
-
-def _concatenated(files: Sequence[Path]) -> pa.Table:
-    tables = [_read(file).replace_schema_metadata() for file in files]
-    return pa.concat_tables(tables, promote_options="default") if tables else _NO_ROWS
-
-
-def _merged_into(file: Path) -> list[str]:
-    """Return the names of the files that were merged into this one."""
-    metadata = _schema(file).metadata or {}
-    return [str(name) for name in json.loads(metadata.get(_REPLACES, b"[]"))]
-
-
-def _schema(file: Path) -> pa.Schema:
-    with _sound(file):
-        return pq.read_schema(file)
-
-
-def _read(file: Path, remedy: str = _REDO) -> pa.Table:
-    with _sound(file, remedy):
-        return pq.read_table(file, page_checksum_verification=True)
-
-
-@contextlib.contextmanager
-def _sound(file: Path, remedy: str = _REDO) -> Iterator[None]:
-    """Raise BadInputError, with the remedy, for a damaged file."""
-    try:
-        yield
-    except FileNotFoundError:
-        raise
-    except (pa.ArrowException, OSError, ValueError) as error:
-        raise BadInputError(f"file {file}: it is damaged ({_why(error)}); {remedy}") from error
-
-
-def _why(error: Exception) -> str:
-    return " ".join(str(getattr(error, "strerror", None) or error).split())[:200]
-
-
-def _size(file: Path) -> int:
-    """Return the size class of a file: how many times its rows were merged."""
-    return int(file.name.partition("-")[0])
 
 
 @contextlib.contextmanager
@@ -285,29 +282,3 @@ def _writing(folder: Path) -> Iterator[None]:
             f"folder {folder}: it cannot be written to ({error.strerror or error}); what was written is safe: "
             "make room, or make it writable, and give the same command again"
         ) from error
-
-
-def _write_parquet(table: pa.Table, path: Path) -> None:
-    sink = pa.BufferOutputStream()
-    pq.write_table(table, sink, compression="zstd", write_page_checksum=True)
-    _write_bytes(sink.getvalue(), path)
-
-
-def _write_bytes(data: Any, path: Path) -> None:
-    """Write a file so that it is there whole or not at all, whatever happens."""
-    unfinished = path.with_name(path.name + _UNFINISHED)
-    try:
-        with unfinished.open("wb") as file:
-            file.write(data)
-            file.flush()
-            os.fsync(file.fileno())
-        unfinished.replace(path)
-    except OSError:
-        unfinished.unlink(missing_ok=True)
-        raise
-    if hasattr(os, "O_DIRECTORY"):  # elsewhere the system brings the new name to the disk
-        descriptor = os.open(path.parent, os.O_RDONLY | os.O_DIRECTORY)
-        try:
-            os.fsync(descriptor)
-        finally:
-            os.close(descriptor)

@@ -1,4 +1,4 @@
-"""A process that does jobs of one kind: ``python -m hil.batch.worker MODULE:FUNCTION``.
+"""A process that does jobs of one kind: ``python -m hil.batch.worker MODULE:FUNCTION LIFELINE``.
 
 It reads jobs as lines of JSON from stdin and writes one outcome a line to stdout. An exception in another thread, or in
 a place where it cannot be raised (such as ``__del__``), makes the job lost. One in the job itself ends the process,
@@ -21,6 +21,7 @@ from hil.batch.job import FOREIGN, LOST, REFUSED, Job, Outcome, plain
 from hil.batch.keys import is_current
 from hil.batch.pool import READY
 from hil.core.errors import BadInputError
+from hil.core.subprocesses import hold_on
 from hil.scenario import from_plain
 
 
@@ -76,4 +77,5 @@ def _lines() -> Iterator[str]:
 
 
 if __name__ == "__main__":
+    hold_on(sys.argv[2])
     sys.exit(main(sys.argv[1]))

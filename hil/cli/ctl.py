@@ -4,17 +4,16 @@ import json
 import math
 import sys
 from collections.abc import Callable, Mapping
-from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from typer import Argument, Option
 
 from hil.cli.commands import Group
-from hil.cli.options import Force, Json, ServicePort, ServiceUrl, TokenFile
+from hil.cli.options import Json, ServicePort, ServiceUrl, TokenFile
 from hil.cli.output import end_in_order, print_json, print_result, rows
 from hil.core.errors import BadInputError, RunInterruptedError
-from hil.core.outputs import check_free, existing_files
+from hil.core.printable import printable, raw_stream
 from hil.service.messages import Action
 
 if TYPE_CHECKING:
@@ -53,6 +52,7 @@ def status(
     as_json: Json = False,
 ) -> None:
     """Show the state of the robot and the service."""
+    from rich.console import Console
     from rich.live import Live
     from rich.text import Text
 
@@ -68,9 +68,9 @@ def status(
                 print_json(now)
                 sys.stdout.flush()
         else:
-            with Live(auto_refresh=False, screen=True) as screen:
+            with Live(console=Console(file=raw_stream(sys.stdout)), auto_refresh=False, screen=True) as screen:
                 for now in client.watch():
-                    screen.update(Text("\n".join(rows(_rows(now)))), refresh=True)
+                    screen.update(Text(printable("\n".join(rows(_rows(now))))), refresh=True)
     except KeyboardInterrupt:
         raise RunInterruptedError("interrupted; the service goes on") from None
 
@@ -140,13 +140,11 @@ def gains(
 @app.command(help=Action.RECORD.summary)
 def record(
     context: typer.Context,
-    file: Annotated[Path | None, Argument(metavar="[FILE]", help=".rrd or .mcap; by default runs/...")] = None,
-    force: Force = False,
+    name: Annotated[
+        str | None, Argument(metavar="[NAME]", help=".rrd or .mcap in the service's folder; by default a new one")
+    ] = None,
 ) -> None:
-    if file is not None:
-        check_free("recording", file, existing_files(force=force))
-    # Absolute, because the service has another working directory.
-    _order(context, Action.RECORD, {"path": None if file is None else str(file.absolute()), "force": force})
+    _order(context, Action.RECORD, {"name": name})
 
 
 for _action in (Action.STOP_RECORDING, Action.SHUTDOWN):
@@ -184,7 +182,7 @@ def _rows(status: Mapping[str, Any]) -> list[tuple[str, str]]:
     if robot is not None and status["power_stage"] is not None:
         robot += ", with motors" if status["power_stage"] else ", without motors"
     rejected = ", ".join(f"{number} {cause}" for cause, number in frames.get("rejected", {}).items() if number)
-    dropped = f", {status['rows_dropped']} rows dropped" if status["rows_dropped"] else ""
+    gone = "".join(f", {status[f'rows_{how}']} rows {how}" for how in ("dropped", "lost") if status[f"rows_{how}"])
     lateness = [f"{name} {_number(value, '.0f', 'µs')}" for name, value in status["lateness_us"].items()]
     found = [
         ("phase", status["phase"] if task is None else f"{status['phase']}, {task}"),
@@ -208,7 +206,8 @@ def _rows(status: Mapping[str, Any]) -> list[tuple[str, str]]:
             f"{frames.get('sent', 0)} sent, {frames.get('received', 0)} received, rejected: {rejected or 'none'}",
         ),
         ("recoveries", str(status["recoveries"])),
-        ("recording", None if status["recording"] is None else f"{status['recording']}{dropped}"),
+        ("recording", f"{status['recording'] or 'none'}{gone}" if status["recording"] or gone else None),
+        ("not recorded", status["recording_trouble"]),
         *((name, sentence.removeprefix(f"{name}: ")) for name, sentence in status["realtime"].items()),
     ]
     return [(name, text) for name, text in found if text]

@@ -7,8 +7,9 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 from typer import Option
 
-from hil.cli.options import Json
+from hil.cli.options import Json, ServicePort, ServiceUrl, TokenFile
 from hil.cli.output import print_result
+from hil.core.errors import BadInputError
 
 if TYPE_CHECKING:
     from hil.cli.checks import Finding
@@ -16,15 +17,38 @@ if TYPE_CHECKING:
 
 def doctor(
     folder: Annotated[Path, Option(metavar="FOLDER", help="where recordings are to be written")] = Path("runs"),
+    service: Annotated[bool, Option("--service", help="examine a running service instead")] = False,
+    url: ServiceUrl = None,
+    port: ServicePort = None,
+    token_file: TokenFile = None,
     as_json: Json = False,
 ) -> None:
     """Check this machine and print remedies; exit 1 when there is a problem.
 
-    Kernel, permissions, clock, ports, CAN, disk, viewer, compiler and versions are looked at; nothing is changed.
+    Kernel, permissions, clock, ports, CAN, disk, viewer, compiler and versions are looked at; nothing is changed. With
+    --service it is a service that runs on this machine: its robot, loop, link, recording, and clients.
     """
-    from hil.cli.checks import Verdict, install, ports, realtime, recording
+    from hil.cli.checks import Verdict
 
-    findings = [
+    if not service and (url, port, token_file) != (None, None, None):
+        raise BadInputError("--url, --port and --token-file choose a service; add --service")
+    findings = _of_service(url, port, token_file) if service else _of_machine(folder)
+    print_result(as_json, [finding._asdict() for finding in findings], lines(findings))
+    raise typer.Exit(any(finding.verdict is Verdict.PROBLEM for finding in findings))
+
+
+def _of_service(url: str | None, port: int | None, token_file: Path | None) -> "list[Finding]":
+    from hil.cli.checks.service import check_service
+    from hil.service.client import find
+
+    client = find(url, port, token_file)
+    return list(check_service(client.status(), client.metrics()))
+
+
+def _of_machine(folder: Path) -> "list[Finding]":
+    from hil.cli.checks import install, ports, realtime, recording
+
+    return [
         *install.check_versions(),
         *install.check_native(),
         *realtime.check_kernel(),
@@ -35,8 +59,6 @@ def doctor(
         *recording.check_disk(folder),
         *recording.check_viewer(),
     ]
-    print_result(as_json, [finding._asdict() for finding in findings], lines(findings))
-    raise typer.Exit(any(finding.verdict is Verdict.PROBLEM for finding in findings))
 
 
 def lines(findings: "Sequence[Finding]") -> Iterator[str]:

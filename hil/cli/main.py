@@ -7,12 +7,16 @@ does not return, 130 interrupted.
 import errno
 import gc
 import sys
+from typing import Annotated, TextIO, cast
 
 import typer
+from typer import Option
 
 from hil.cli.commands import Commands
 from hil.cli.output import drop_output, flush_output
 from hil.core.errors import BadInputError, HilError
+from hil.core.printable import PrintableStream
+from hil.core.strangers import refuse_code
 from hil.core.subprocesses import one_thread_a_process
 
 app = typer.Typer(
@@ -26,17 +30,24 @@ app = typer.Typer(
 
 
 @app.callback()
-def hil() -> None:
+def hil(
+    no_code: Annotated[bool, Option("--no-code", help="refuse laws in Python files and FMUs of others")] = False,
+) -> None:
     """Test a Mecanum robot's controller against a plant FMU before the wheels touch the ground."""
+    if no_code:
+        refuse_code()
 
 
 _GC_THRESHOLD = 100_000
 """New objects before a garbage collection; Python's default of 700 would scan all modules again and again at start."""
 
+_SHOWN = 40  # characters of a name that is too long
+
 
 def main() -> None:
     """Entry point. A HilError is printed as one sentence on stderr, and gives the exit code."""
     gc.set_threshold(_GC_THRESHOLD)
+    sys.stdout, sys.stderr = (cast("TextIO", PrintableStream(stream)) for stream in (sys.stdout, sys.stderr))
     one_thread_a_process()
     try:
         try:
@@ -48,10 +59,15 @@ def main() -> None:
         print(f"hil: {error}", file=sys.stderr)
         sys.exit(error.exit_code)
     except OSError as error:
-        if error.errno != errno.ENOSPC:
+        if error.errno == errno.ENOSPC:
+            drop_output()
+            sentence = "no space is left for the output; free some, or write it elsewhere"
+        elif error.errno == errno.ENAMETOOLONG:  # each command has names, and all end here
+            name = str(error.filename)
+            sentence = f"{name[:_SHOWN]!r}...: a file's name of {len(name)} characters is too long; give a shorter one"
+        else:
             raise
-        drop_output()
-        print("hil: no space is left for the output; free some, or write it elsewhere", file=sys.stderr)
+        print(f"hil: {sentence}", file=sys.stderr)
         sys.exit(BadInputError.exit_code)
 
 

@@ -96,14 +96,14 @@ class RunsProgress:
     def __call__(self, done: int, total: int, trouble: str | None, failed: int | None = None) -> None:
         """Show how many runs are done and failed. A new ``trouble``, a sentence, stays on a line of its own."""
         if trouble not in (None, self._trouble):
-            print(f"\r{trouble:<{self._width}}", file=sys.stderr)
+            print("\r", f"{trouble:<{self._width}}", sep="", file=sys.stderr)
         self._trouble = trouble
         line = f"{done} of {total} runs" + ("" if failed is None else f", {failed} failed")
         done_before, began_s = self._first = self._first or (done, time.monotonic())
         new, since_s = done - done_before, time.monotonic() - began_s
         if new and since_s:
             line += f", {new / since_s:.3g} runs/s, {duration_words((total - done) * since_s / new)} left"
-        print(f"\r{line:<{self._width}}", end="", file=sys.stderr, flush=True)
+        print("\r", f"{line:<{self._width}}", sep="", end="", file=sys.stderr, flush=True)
         self._width = len(line)
 
     def end(self) -> None:

@@ -130,6 +130,8 @@ def _progress(duration_s: float) -> "Watch":
     from rich.live import Live
     from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
+    from hil.core.printable import raw_stream
+
     @contextlib.contextmanager
     def watch(loop: "Loop") -> Iterator[None]:
         text = TextColumn("{task.completed:6.2f} s of {task.total:g} s")
@@ -140,7 +142,8 @@ def _progress(duration_s: float) -> "Watch":
             bar.update(task, completed=loop.t_s)
             return bar
 
-        with Live(get_renderable=updated, console=Console(stderr=True), transient=True, refresh_per_second=_REFRESH_HZ):
+        console = Console(file=raw_stream(sys.stderr))
+        with Live(get_renderable=updated, console=console, transient=True, refresh_per_second=_REFRESH_HZ):
             yield
 
     return watch

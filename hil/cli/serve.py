@@ -15,16 +15,23 @@ def serve(
     truth: TruthUrl = None,
     robot: RobotFile = None,
     record: Annotated[
-        Path | None,
+        str | None,
         Option(
-            metavar="FILE",
-            help="record from the start (.rrd, .mcap), to the next free FILE_2, FILE_3 where it is there already; "
-            "hil ctl record does later",
+            metavar="NAME",
+            help="record from the start (.rrd, .mcap) in service.recordings, to the next free NAME_2, NAME_3 where it "
+            "is there already; hil ctl record does later",
         ),
     ] = None,
     live: Annotated[bool, Option("--live", help="serve live viewers on 127.0.0.1, for hil live")] = False,
     live_port: LivePort = LIVE_PORT,
     token_file: Annotated[Path | None, Option(metavar="FILE", help="the API's token; by default a new one")] = None,
+    clients: Annotated[
+        Path | None,
+        Option(metavar="FILE", help="further tokens, each a line NAME ROLE[,ROLE] TOKEN"),
+    ] = None,
+    audit: Annotated[
+        Path | None, Option(metavar="FILE", help="record who gave which order; by default in your state folder")
+    ] = None,
     log: Annotated[Literal["text", "json"], Option(help="form of the log's lines on stderr")] = "text",
     sets: Sets = None,
     allow_motion: AllowMotion = False,
@@ -45,8 +52,8 @@ def serve(
         return load(config, set=sets or [], robot=robot, mode="realtime", link=link)
 
     logs.configure(log, "control")
-    token = str(token_file) if token_file is not None else None
-    options = Options(record, live_port if live else None, token, truth, allow_motion, log)
+    token, others, trail = (None if file is None else str(file.absolute()) for file in (token_file, clients, audit))
+    options = Options(record, live_port if live else None, token, others, trail, truth, allow_motion, log)
     run(loaded(), options, loaded)
 
 

@@ -9,6 +9,7 @@ from typer import Argument, Option
 from hil.cli.options import Jobs, Json, Limit
 from hil.cli.output import batch, print_result
 from hil.core.errors import BadInputError
+from hil.core.printable import printable
 
 
 def verify(
@@ -58,7 +59,7 @@ def verify(
         found = engine.verify(request, progress or (lambda *_: None))
     file = out / pages.PAGE
     try:
-        file.write_text(pages.page(found), encoding="utf-8")
+        file.write_text(printable(pages.page(found)), encoding="utf-8")
     except OSError as error:
         raise BadInputError(
             f"--out {out}: {file.name} cannot be written ({error.strerror}); make room for it"

@@ -3,7 +3,8 @@
 import math
 
 from hil.core.errors import BadInputError
-from hil.core.types import ZERO_WHEELS, CommandMode, WheelCommand, Wheels
+from hil.core.motion_limits import BodyLimits, MotionLimits
+from hil.core.types import ZERO_WHEELS, CommandMode, State, WheelCommand, Wheels
 
 # Share of the gain of the firmware's own speed loop. That loop runs at 1 kHz; ours also has the link's latency.
 _SHARE = 0.25
@@ -13,11 +14,12 @@ class Guard:
     """Limits the commands of a law; nothing else on the host does.
 
     All four wheels are scaled by one factor, so that the direction of motion, or of force, is kept. The speed limit is
-    the smaller of ``speed_limit_rad_s`` and the robot's own, which is set with ``limit_to``. ``refused`` counts
+    the smaller of ``speed_limit_rad_s`` and the robot's own, which is set with ``limit_to``. With ``motion``, torques
+    are also faded near the limits of a moving robot (``hil.core.motion_limits``). ``refused`` counts
     commands with a NaN or an infinity; a stop replaced them. Raises BadInputError unless limits are finite and above 0.
     """
 
-    def __init__(self, speed_limit_rad_s: float, torque_limit_n_m: float) -> None:
+    def __init__(self, speed_limit_rad_s: float, torque_limit_n_m: float, motion: MotionLimits | None = None) -> None:
         limits = {"speed_limit_rad_s": speed_limit_rad_s, "torque_limit_n_m": torque_limit_n_m}
         for name, value in limits.items():
             if not (math.isfinite(value) and value > 0.0):
@@ -26,14 +28,30 @@ class Guard:
         self.speed_limit_rad_s = speed_limit_rad_s
         self.torque_limit_n_m = torque_limit_n_m
         self.refused = 0
+        self._motion = motion
+        self._has_body = False
 
-    def limit_to(self, robot_speed_limit_rad_s: float) -> None:
-        """Apply also the wheel speed limit that the robot reports; infinity if it reports none.
+    def keep_body(self, limits: BodyLimits) -> None:
+        """Keep also the speed and the yaw rate of the body within limits. Raises ValueError without ``motion``."""
+        if self._motion is None:
+            raise ValueError("this guard knows nothing of the robot's motion")
+        self._motion.body = limits
+        self._has_body = True
 
-        That limit leaves a margin for the overshoot of the robot's speed loop: our firmware reports 0.8 times the speed
+    def limit_to(self, robot_speed_limit_rad_s: float, overspeed_rad_s: float = math.inf) -> None:
+        """Apply also the wheel speed that the robot accepts, and the one at which it stops itself; infinity for none.
+
+        The first leaves a margin for the overshoot of the robot's speed loop: our firmware reports 0.8 times the speed
         at which it goes to FAULT (PROTOCOL.md, "Limits").
         """
         self.speed_limit_rad_s = min(self._own_speed_limit_rad_s, max(0.0, robot_speed_limit_rad_s))
+        if self._motion is not None:
+            self._motion.limit_to(robot_speed_limit_rad_s, overspeed_rad_s)
+
+    @property
+    def follows(self) -> bool:
+        """Whether torques depend on the robot's motion: whether ``fade`` is to be called for each."""
+        return self._motion is not None and self._motion.acts
 
     def apply(self, command: WheelCommand) -> tuple[WheelCommand, bool]:
         """Return the limited command, and whether it was scaled.
@@ -55,11 +73,39 @@ class Guard:
             and -limit <= rl <= limit
             and (speed is ZERO_WHEELS or _is_within(speed, self.speed_limit_rad_s))
         ):
-            return command, False
+            return (command, False) if not self._has_body else self._within_body(command, False)
         if not all(map(math.isfinite, speed + torque)):
             self.refused += 1
             return WheelCommand(mode, ZERO_WHEELS, ZERO_WHEELS), False
-        return WheelCommand(mode, _scaled(speed, self.speed_limit_rad_s), _scaled(torque, self.torque_limit_n_m)), True
+        speed = _scaled(speed, self.speed_limit_rad_s)
+        return self._within_body(WheelCommand(mode, speed, _scaled(torque, self.torque_limit_n_m)), True)
+
+    def _within_body(self, command: WheelCommand, saturated: bool) -> tuple[WheelCommand, bool]:
+        mode, speed, torque = command
+        if mode is CommandMode.TORQUE or self._motion is None or (scaled := self._motion.scaled(speed)) is speed:
+            return command, saturated
+        return WheelCommand(mode, scaled, torque), True
+
+    def fade(
+        self, command: WheelCommand, saturated: bool, speed_rad_s: Wheels, time_ns: int, state: State, latency_s: float
+    ) -> tuple[WheelCommand, bool]:
+        """Return a command in TORQUE mode as it may act on the moving robot, and whether it was limited at all.
+
+        ``command`` and ``saturated`` are what ``apply`` returned; the others are as in ``MotionLimits.faded``.
+        """
+        motion = self._motion
+        if motion is None:
+            return command, saturated
+        fl, fr, rr, rl = speed_rad_s
+        near = motion.near_rad_s
+        if -near < fl < near and -near < fr < near and -near < rr < near and -near < rl < near:
+            motion.last = speed_rad_s, time_ns
+            return command, saturated
+        torque = motion.faded(command, speed_rad_s, time_ns, state, latency_s)
+        if torque is command.torque_n_m:
+            return command, saturated
+        torque = _scaled(torque, self.torque_limit_n_m)
+        return command._replace(torque_n_m=torque), True
 
 
 class Brake:

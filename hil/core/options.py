@@ -64,6 +64,8 @@ class Expected(str):
 
 
 POSITIVE, NOT_NEGATIVE = Range(gt=0), Range(ge=0)
+RATE = Range(gt=0, le=1000)
+"""A gain [1/s] or a bandwidth [rad/s] of a loop with ticks of 1 ms and more: above it nothing is stable."""
 
 
 class Option(NamedTuple):

@@ -1,17 +1,19 @@
-"""A lock that one process holds until it ends, with a record that describes the holder.
+"""A lock that one process of a user holds until it ends, with a record that describes the holder.
 
 The lock is a file that the operating system locks (``flock``, on Windows ``LockFileEx``); the record is a JSON file
-beside it. The operating system releases the lock however the process ends, so no cleanup is needed.
+beside it. The operating system releases the lock however the process ends, so no cleanup is needed. Both are in a
+``private_folder``: in a folder that others may write to, they could remove the lock, hold it, or put a symbolic link in
+its place.
 """
 
-import contextlib
 import json
-import os
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
 from filelock import FileLock, Timeout
+
+from hil.core.private_files import PRIVATE, write_private
 
 # Longer than ``held`` keeps each lock when it tests whether it is free.
 _TIMEOUT_S = 0.3
@@ -28,19 +30,19 @@ class LockHeldError(Exception):
 class ProcessLock:
     """Holds ``folder/name.lock`` until ``release`` or the process's end, and writes ``record`` to ``folder/name.json``.
 
-    ``mode`` gives the permissions of both files. Raises LockHeldError when another process holds the lock,
-    and OSError when the folder is not writable.
+    ``folder`` is a ``private_folder``. Raises LockHeldError when another process holds the lock, and OSError when the
+    folder is not writable.
     """
 
-    def __init__(self, folder: Path, name: str, record: Mapping[str, Any], mode: int = 0o600) -> None:
-        self._lock = _lock(folder, name, mode)
+    def __init__(self, folder: Path, name: str, record: Mapping[str, Any]) -> None:
+        self._lock = _lock(folder, name)
         self._record = folder / f"{name}.json"
         try:
             self._lock.acquire(timeout=_TIMEOUT_S, poll_interval=0.02)
         except Timeout:
             raise LockHeldError(_read(self._record)) from None
         try:
-            write_private(self._record, json.dumps(record), mode)
+            write_private(self._record, json.dumps(record))
         except OSError:
             self._lock.release()
             raise
@@ -55,7 +57,7 @@ class ProcessLock:
 def held(folder: Path) -> Iterator[dict[str, Any]]:
     """Yield the records of the held locks in a folder, sorted by name; remove records whose holder has ended."""
     for record in sorted(folder.glob("*.json")):
-        lock = _lock(folder, record.stem, 0o600)
+        lock = _lock(folder, record.stem)
         try:
             lock.acquire(blocking=False)
         except Timeout:
@@ -66,23 +68,9 @@ def held(folder: Path) -> Iterator[dict[str, Any]]:
         lock.release()
 
 
-def write_private(path: Path, text: str, mode: int = 0o600) -> None:
-    """Write a file and move it into place, with the permissions ``mode`` from the start. Raises OSError."""
-    new = path.with_name(f".{path.name}.{os.getpid()}")
-    with contextlib.suppress(FileNotFoundError):
-        new.unlink()
-    descriptor = os.open(new, os.O_WRONLY | os.O_CREAT | os.O_EXCL, mode)
-    with os.fdopen(descriptor, "w", encoding="utf-8") as file:
-        if hasattr(os, "fchmod"):
-            # Independent of the umask. By descriptor, because the name could become a symbolic link.
-            os.fchmod(descriptor, mode)
-        file.write(text)
-    new.replace(path)
-
-
-def _lock(folder: Path, name: str, mode: int) -> FileLock:
+def _lock(folder: Path, name: str) -> FileLock:
     # thread_local=False: any thread may release the lock.
-    return FileLock(folder / f"{name}.lock", mode=mode, thread_local=False)
+    return FileLock(folder / f"{name}.lock", mode=PRIVATE, thread_local=False)
 
 
 def _read(path: Path) -> dict[str, Any]:

@@ -50,6 +50,56 @@ def start_children_as_ordinary() -> None:
             os.sched_setscheduler(0, policy | os.SCHED_RESET_ON_FORK, os.sched_getparam(0))
 
 
+class LifeLine:
+    """A pipe by which the operating system ends a child when this process ends, however it ends.
+
+    Unlike a thread of the child that waits for the end of a pipe, it also ends a child whose interpreter is held up in
+    C. ``options`` are for Popen. A child of ours is given ``token`` for ``hold_on``; one of another program is tied by
+    ``tie``. On Windows it does nothing.
+    """
+
+    def __init__(self) -> None:
+        self.options: dict[str, Any] = {}
+        self.token = ""
+        self._ends: tuple[int, ...] = ()
+        if sys.platform != "win32":
+            self._ends = child_end, _ = os.pipe()
+            self.token = str(child_end)
+            self.options = {"pass_fds": (child_end,)}
+
+    def tie(self, process: int) -> None:
+        """End the process of this number, which was started with ``options``, when this process has ended."""
+        if self._ends:
+            _signal_at_end(self._ends[0], process)
+
+    def close(self) -> None:
+        """Let go of the child, which ends if it still holds on. May be called twice."""
+        ends, self._ends = self._ends, ()
+        for end in ends:
+            os.close(end)
+
+
+def hold_on(token: str) -> None:
+    """End this process when the one that made the ``LifeLine`` has ended."""
+    if sys.platform != "win32" and token:
+        import select
+
+        end = int(token)
+        _signal_at_end(end, os.getpid())
+        if select.select([end], [], [], 0)[0]:  # the other process ended before
+            os._exit(1)
+
+
+def _signal_at_end(end: int, process: int) -> None:
+    """Have the operating system send SIGIO to a process at the end of a pipe; it ends one that does not handle it."""
+    if sys.platform != "win32":
+        import fcntl
+
+        fcntl.fcntl(end, fcntl.F_SETOWN, process)
+        # Nothing is ever written, so the end is the only event. The flag belongs to all descriptors of this end.
+        fcntl.fcntl(end, fcntl.F_SETFL, fcntl.fcntl(end, fcntl.F_GETFL) | os.O_ASYNC)
+
+
 def wait_for_end(descriptor: int) -> None:
     """Wait until a pipe ends, for example because the process at its other end has ended; for a thread of its own.
 

@@ -11,6 +11,7 @@ from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
 
+from hil.core.printable import printable
 from hil.core.signals import unit_of
 from hil.judge.course import course_words
 from hil.judge.shadows import difference_words
@@ -25,6 +26,7 @@ from hil.judge.words import (
     in_order,
     link_rows,
     recording_words,
+    why_incomplete,
 )
 
 COLUMNS = 80
@@ -46,10 +48,14 @@ class Happening(NamedTuple):
 
 
 def run_lines(metrics: Mapping[str, Any], *, everything: bool = False) -> Iterator[str]:
-    """Yield the lines about a run, from its JSON; ``events`` and ``notes`` of it may be missing.
+    """Return the lines about a run, from its JSON; ``events`` and ``notes`` of it may be missing.
 
     ``everything``: also what held, the figures of this machine, and those of a link that lost nothing.
     """
+    return map(printable, _run_lines(metrics, everything=everything))
+
+
+def _run_lines(metrics: Mapping[str, Any], *, everything: bool) -> Iterator[str]:
     yield from row_lines(head_rows(metrics))
     if happened := happenings(metrics):
         yield ""
@@ -71,8 +77,13 @@ def run_lines(metrics: Mapping[str, Any], *, everything: bool = False) -> Iterat
 
 
 def verdict_word(metrics: Mapping[str, Any]) -> str:
-    """Return PASSED, FAILED, or NO VERDICT for a run that did not come to its end."""
-    return _VERDICTS[metrics.get("passed")]
+    """Return PASSED, FAILED, or NO VERDICT for a run that did not come to its end.
+
+    A run that passed though its recording lacks something, as with ``--lenient``, is PASSED, INCOMPLETE.
+    """
+    word, recorded = _VERDICTS[metrics.get("passed")], metrics.get("recorded")
+    lacks = metrics.get("lost_rows") or (recorded is not None and why_incomplete(recorded) is not None)
+    return f"{word}, INCOMPLETE" if metrics.get("passed") and lacks else word
 
 
 def head_rows(metrics: Mapping[str, Any]) -> Iterator[Row]:

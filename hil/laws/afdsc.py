@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import Annotated, ClassVar
 
 from hil.core.model import RobotModel
-from hil.core.options import POSITIVE
+from hil.core.options import RATE, Range
 from hil.core.types import CommandMode
 from hil.laws.fuzzy import FuzzyGains, FuzzyLaw, FuzzyRanges, Tables
 from hil.laws.surface import ObservedSurfaceLaw
@@ -29,7 +29,7 @@ class Afdsc(FuzzyLaw):
         longer overshoots, and the convergence time jumps.
         """
 
-        filter_s: Annotated[float, POSITIVE] = 0.0675
+        filter_s: Annotated[float, Range(gt=0, le=10)] = 0.0675
 
     def __init__(self, model: RobotModel, mode: CommandMode, options: Options) -> None:
         super().__init__(model, mode, options.filter_s)
@@ -53,8 +53,8 @@ class AfdscEso(FuzzyLaw, ObservedSurfaceLaw):
         """Ranges of the fuzzy inputs, the tables, the filter's time constant ς [s] and the observer's ωo [rad/s]."""
 
         tables: Tables = "corrected"
-        filter_s: Annotated[float, POSITIVE] = 0.01
-        observer_rad_s: Annotated[float, POSITIVE] = 60.0
+        filter_s: Annotated[float, Range(gt=0, le=10)] = 0.01
+        observer_rad_s: Annotated[float, RATE] = 60.0
 
     def __init__(self, model: RobotModel, mode: CommandMode, options: Options) -> None:
         super().__init__(model, mode, options.filter_s, options.observer_rad_s)

@@ -5,7 +5,7 @@ from typing import Annotated
 
 from hil.core.errors import BadInputError
 from hil.core.model import RobotModel
-from hil.core.options import POSITIVE
+from hil.core.options import RATE, Range
 from hil.core.types import NO_GAINS, Applied, CommandMode, Reference, State, WheelCommand
 from hil.laws.prediction import DelayPredictor
 
@@ -22,8 +22,8 @@ class ComputedTorque:
     class Options:
         """Natural frequency ωn [rad/s] and damping ratio ζ [1] of all three axes."""
 
-        frequency_rad_s: Annotated[float, POSITIVE] = 14.0
-        damping: Annotated[float, POSITIVE] = 1.0
+        frequency_rad_s: Annotated[float, RATE] = 14.0
+        damping: Annotated[float, Range(gt=0, le=100)] = 1.0
 
     gains = NO_GAINS
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Annotated
 
 from hil.core.model import RobotModel
-from hil.core.options import POSITIVE
+from hil.core.options import RATE, Range
 from hil.core.types import CommandMode
 from hil.laws.surface import ObservedSurfaceLaw, SurfaceLaw
 
@@ -26,9 +26,9 @@ class Dsc(SurfaceLaw):
         ς is not in the paper; 0.0675 s follows from its steady error of 0.79 mm.
         """
 
-        k1_1_s: Annotated[float, POSITIVE] = 15.0
-        k2_1_s: Annotated[float, POSITIVE] = 40.0
-        filter_s: Annotated[float, POSITIVE] = 0.0675
+        k1_1_s: Annotated[float, RATE] = 15.0
+        k2_1_s: Annotated[float, RATE] = 40.0
+        filter_s: Annotated[float, Range(gt=0, le=10)] = 0.0675
 
     def __init__(self, model: RobotModel, mode: CommandMode, options: Options) -> None:
         k1, k2 = options.k1_1_s, options.k2_1_s
@@ -42,10 +42,10 @@ class DscEso(ObservedSurfaceLaw):
     class Options:
         """Gains of all three axes [1/s], the filter's time constant ς [s], and the observer's ωo [rad/s]."""
 
-        k1_1_s: Annotated[float, POSITIVE] = 8.0
-        k2_1_s: Annotated[float, POSITIVE] = 30.0
-        filter_s: Annotated[float, POSITIVE] = 0.01
-        observer_rad_s: Annotated[float, POSITIVE] = 60.0
+        k1_1_s: Annotated[float, RATE] = 8.0
+        k2_1_s: Annotated[float, RATE] = 30.0
+        filter_s: Annotated[float, Range(gt=0, le=10)] = 0.01
+        observer_rad_s: Annotated[float, RATE] = 60.0
 
     def __init__(self, model: RobotModel, mode: CommandMode, options: Options) -> None:
         k1, k2 = options.k1_1_s, options.k2_1_s

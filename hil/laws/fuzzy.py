@@ -11,7 +11,7 @@ The paper's text does not give the ranges of the inputs: they are parameters.
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Annotated, Literal
 
-from hil.core.options import POSITIVE
+from hil.core.options import Range
 from hil.core.types import NAN, Pairs
 from hil.laws.surface import SurfaceLaw
 
@@ -162,10 +162,10 @@ def _cell(outputs: tuple[float, ...], i: int, j: int) -> tuple[float, float, flo
 class FuzzyRanges:
     """Ranges of the fuzzy inputs: where the sets NB and PB peak. x and y share one pair, the heading has its own."""
 
-    error_range_m: Annotated[float, POSITIVE] = 0.2
-    error_rate_range_m_s: Annotated[float, POSITIVE] = 0.7
-    heading_error_range_rad: Annotated[float, POSITIVE] = 0.8
-    heading_rate_range_rad_s: Annotated[float, POSITIVE] = 4.0
+    error_range_m: Annotated[float, Range(gt=0, le=1000)] = 0.2
+    error_rate_range_m_s: Annotated[float, Range(gt=0, le=1000)] = 0.7
+    heading_error_range_rad: Annotated[float, Range(gt=0, le=100)] = 0.8
+    heading_rate_range_rad_s: Annotated[float, Range(gt=0, le=1000)] = 4.0
 
 
 class FuzzyGains:

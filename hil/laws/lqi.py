@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Annotated
 
 from hil.core.errors import BadInputError
 from hil.core.model import RobotModel
-from hil.core.options import POSITIVE
+from hil.core.options import Range
 from hil.core.types import NO_GAINS, Applied, Axes, CommandMode, Reference, State, WheelCommand
 from hil.laws.prediction import DelayPredictor, Prediction, extrapolate, speed_command
 
@@ -64,11 +64,11 @@ class Lqi:
         The input is an acceleration in TORQUE mode and a speed in SPEED mode: each mode has its own weights.
         """
 
-        torque_integral_1_s6: Annotated[float, POSITIVE] = 2.0e5
-        torque_error_1_s4: Annotated[float, POSITIVE] = 4.0e4
-        torque_rate_1_s2: Annotated[float, POSITIVE] = 400.0
-        speed_integral_1_s4: Annotated[float, POSITIVE] = 400.0
-        speed_error_1_s2: Annotated[float, POSITIVE] = 64.0
+        torque_integral_1_s6: Annotated[float, Range(gt=0, le=1e12)] = 2.0e5
+        torque_error_1_s4: Annotated[float, Range(gt=0, le=1e10)] = 4.0e4
+        torque_rate_1_s2: Annotated[float, Range(gt=0, le=1e8)] = 400.0
+        speed_integral_1_s4: Annotated[float, Range(gt=0, le=1e8)] = 400.0
+        speed_error_1_s2: Annotated[float, Range(gt=0, le=1e6)] = 64.0
 
     gains = NO_GAINS
 

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from typing import Annotated
 
 from hil.core.model import RobotModel
-from hil.core.options import NOT_NEGATIVE, POSITIVE
+from hil.core.options import RATE, Range
 from hil.core.types import (
     NO_GAINS,
     ZERO_WHEELS,
@@ -33,11 +33,11 @@ class Pid:
     class Options:
         """Gains of all three axes, Kp [1/s], Ki [1/s²] and Kd [1], and of each wheel's PI in TORQUE mode."""
 
-        kp_1_s: Annotated[float, POSITIVE] = 8.0
-        ki_1_s2: Annotated[float, NOT_NEGATIVE] = 4.0
-        kd: Annotated[float, NOT_NEGATIVE] = 0.0
-        wheel_kp_n_m_s_rad: Annotated[float, POSITIVE] = 1.1
-        wheel_ki_n_m_rad: Annotated[float, NOT_NEGATIVE] = 12.0
+        kp_1_s: Annotated[float, RATE] = 8.0
+        ki_1_s2: Annotated[float, Range(ge=0, le=10_000)] = 4.0
+        kd: Annotated[float, Range(ge=0, le=10)] = 0.0
+        wheel_kp_n_m_s_rad: Annotated[float, Range(gt=0, le=100)] = 1.1
+        wheel_ki_n_m_rad: Annotated[float, Range(ge=0, le=10_000)] = 12.0
 
     gains = NO_GAINS
 

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from typing import Annotated
 
 from hil.core.model import RobotModel
-from hil.core.options import NOT_NEGATIVE, POSITIVE, Range
+from hil.core.options import RATE, Range
 from hil.core.types import (
     NAN,
     ZERO_WHEELS,
@@ -95,12 +95,12 @@ class Profile:
         SPEED mode it always does.
         """
 
-        k1_1_s: Annotated[float, POSITIVE] = 20.0
-        k2_1_s: Annotated[float, POSITIVE] = 50.0
+        k1_1_s: Annotated[float, RATE] = 20.0
+        k2_1_s: Annotated[float, RATE] = 50.0
         braking_share: Annotated[float, Range(gt=0, le=1)] = 0.85
-        observer_rad_s: Annotated[float, POSITIVE] = 70.0
-        speed_k1_1_s: Annotated[float, POSITIVE] = 12.0
-        speed_lag_s: Annotated[float, NOT_NEGATIVE] = 0.0133
+        observer_rad_s: Annotated[float, RATE] = 70.0
+        speed_k1_1_s: Annotated[float, RATE] = 12.0
+        speed_lag_s: Annotated[float, Range(ge=0, le=1)] = 0.0133
         keeps_speed_limit: bool = True
 
     def __init__(self, model: RobotModel, mode: CommandMode, options: Options) -> None:

@@ -11,6 +11,7 @@ from hil.core.errors import BadInputError
 from hil.core.extensions import OUR_PACKAGE, Extensions, from_package
 from hil.core.model import RobotModel
 from hil.core.options import build
+from hil.core.strangers import check_may_run
 from hil.core.types import CommandMode
 from hil.laws.afdsc import Afdsc, AfdscCorrected, AfdscEso
 from hil.laws.code import code_of_file, code_of_module, forget
@@ -136,6 +137,7 @@ def _found(spec: str, base: Path, key: str) -> tuple[type, str]:
     if spec in _given:
         return check_class(_given[spec], named), named
     if ":" in spec:
+        check_may_run(named)
         return find_class(spec, base, named), named
     if spec.endswith(".py"):
         raise BadInputError(f"{named}: name the class too, as in '{spec}:MyLaw'")

@@ -10,6 +10,7 @@ from typing import NamedTuple
 
 from hil.core.errors import BadInputError
 from hil.core.outputs import Existing, check_free, free_name
+from hil.record.keeping import NoRoomError
 
 EXPECTED_FILE = "an .rrd or .mcap file made by 'hil run --record'"
 OUTPUTS = {
@@ -41,6 +42,10 @@ def check_output_path(what: str, path: Path, existing: Existing = "refuse") -> N
     *others, last = OUTPUTS[what]
     if path.suffix not in OUTPUTS[what]:
         problem = f"its name must end in {', '.join(others)}{' or ' * bool(others)}{last}, which tells its format"
+    elif not str(path).isprintable():
+        raise BadInputError(
+            f"{what} {str(path)!r}: its name has a character that cannot be printed; choose another name"
+        )
     elif path.is_dir():
         problem = "it is a folder; name a file in it"
     elif path.is_fifo() or path.is_socket():
@@ -86,6 +91,8 @@ def why_not_written(path: Path, error: Exception) -> str:
             error = reason
     if not isinstance(error, OSError):
         return str(error)
+    if isinstance(error, NoRoomError):
+        return error.strerror or str(error)
     what = "the disk is full" if error.errno in (errno.ENOSPC, errno.EDQUOT) else "it could not be written any more"
     return f"{what} ({error.strerror})"
 
@@ -159,16 +166,38 @@ def rotation(text: str) -> Rotation:
     return Rotation(round(found["size"]) if "size" in found else None, found.get("time"))
 
 
-def new_in_runs(name: str, suffix: str, remedy: str) -> Path:
-    """Return the path of a new file ``runs/NAME-TIMESUFFIX``; the folder is made if missing.
+RUNS = Path("runs")
+"""The folder of recordings for which no other is named."""
+_LONGEST_NAME = 200  # bytes; a file's name may have 255, and that of a later part is longer
 
-    Raises BadInputError, whose message ends with ``remedy``, when the folder cannot be made.
+
+def named_in(folder: Path, name: str) -> Path:
+    """Return the path of a recording ``name`` in a service's folder, which is made if missing.
+
+    Raises BadInputError for a name that leads elsewhere or is too long, and when the folder cannot be made.
     """
-    folder = Path("runs")
+    if name != Path(name).name or len(os.fsencode(name)) > _LONGEST_NAME:
+        raise BadInputError(
+            f"recording {name[:_LONGEST_NAME]!r}: expected a file's name of at most {_LONGEST_NAME} bytes without a "
+            f"folder; this service records to {folder} (service.recordings)"
+        )
+    _make(folder, "set service.recordings")
+    return folder / name
+
+
+def _make(folder: Path, remedy: str) -> None:
     try:
         folder.mkdir(exist_ok=True)
     except OSError as error:
         raise BadInputError(
             f"recording folder {folder.absolute()}: it cannot be made ({error.strerror}); {remedy}"
         ) from error
+
+
+def new_in_runs(name: str, suffix: str, remedy: str, folder: Path = RUNS) -> Path:
+    """Return the path of a new file ``runs/NAME-TIMESUFFIX``; the folder is made if missing.
+
+    Raises BadInputError, whose message ends with ``remedy``, when the folder cannot be made.
+    """
+    _make(folder, remedy)
     return free_name(folder / f"{name}-{datetime.now():%Y%m%d-%H%M%S-%f}{suffix}")  # noqa: DTZ005 - the user's own time

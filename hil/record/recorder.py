@@ -5,6 +5,7 @@ at 50 Hz.
 """
 
 import contextlib
+import errno
 import gc
 import sys
 import time
@@ -59,6 +60,11 @@ class Recorder:
             self._batch_since = now
         if self._files is not None:
             self._files.check()
+
+    @property
+    def failing(self) -> str | None:
+        """Why the files cannot be written at present, or None."""
+        return None if self._files is None else self._files.failing
 
     def line(self, record: Record) -> None:
         """Write a line of the event log to the files and to live viewers."""
@@ -128,6 +134,8 @@ def _open_live(config: Record) -> "LiveServer":
         return LiveServer(port, **{name: config[name] for name in ("recording_id", "signals", "properties")})
     except (RuntimeError, OSError) as error:
         reason = getattr(error, "strerror", None) or str(error)
+        if isinstance(error, OSError) and error.errno in (errno.EFBIG, errno.ENOSPC):
+            raise RefusedError(f"live port {port}: {reason}; make room on the disk, or run without --live") from error
         raise RefusedError(
             f"live port {port}: {reason} on 127.0.0.1; end the program that uses it, or choose another port"
         ) from error

@@ -13,6 +13,7 @@ from hil.core.errors import HilError
 from hil.core.outputs import Existing, claim, release
 from hil.core.signals import SIGNAL_NAMES
 from hil.record.files import Rotation, check_output_path, numbered_path
+from hil.record.keeping import Keeping
 from hil.record.ring import Kept
 from hil.record.ring_process import RingProcess
 from hil.record.started_process import WITH_RERUN, StartedProcess, rerun_environment
@@ -109,6 +110,7 @@ class Recording(RingProcess):
         signals: the names of a row's values; they must include ``loop.t_s``, ``loop.tick`` and the signals that are
             drawn.
         rotation: when the recording continues in the next file.
+        keeping: what the folder of the file may hold. Where it lets older files go, parts that are gone are not lost.
         existing: what to do if the file exists; attribute ``path`` has the name that was chosen.
         started: a recorder process that is already running (see ``early_recorder``); by default one is started now.
         wait: return when the recorder is ready. Otherwise return at once, for a run in lockstep: its rows wait in the
@@ -133,6 +135,7 @@ class Recording(RingProcess):
         capacity: int = 16384,
         signals: Sequence[str] = SIGNAL_NAMES,
         rotation: Rotation = Rotation(),  # noqa: B008 -- immutable
+        keeping: Keeping = Keeping(),  # noqa: B008 -- immutable
         existing: Existing = "refuse",
         started: StartedProcess | None = None,
         wait: bool = True,
@@ -142,6 +145,7 @@ class Recording(RingProcess):
             path = claim("recording", path, existing)
         self.path = path
         self._existing = existing
+        self._keeping = keeping
         self._live_port = live_port
         self._result: RecordingReport | None = None
         config = {
@@ -152,6 +156,7 @@ class Recording(RingProcess):
             "recording_id": str(uuid.uuid4()),
             "zero_unix_ns": time.time_ns(),
             "rotate": list(rotation),
+            "keep": list(keeping),
         }
         try:
             super().__init__(
@@ -182,8 +187,18 @@ class Recording(RingProcess):
             release(self.path, self._existing)
 
     @property
+    def report(self) -> RecordingReport | None:
+        """What ``finish`` has returned; None before."""
+        return self._result
+
+    @property
     def rows_dropped(self) -> int:
-        return self.ring.dropped
+        return self.ring.dropped if self._result is None else self._result.rows_dropped
+
+    @property
+    def rows_lost(self) -> int:
+        """Rows that were put and are in no file, as far as that is known by now."""
+        return self.ring.tail - self.ring.saved if self._result is None else self._result.rows_lost
 
     def event(self, t_s: float, level: str, text: str) -> None:
         """Add a line to the event log; ``level`` is debug, info, warning or error. Never waits."""
@@ -208,7 +223,9 @@ class Recording(RingProcess):
         gone = [number for number, path in paths.items() if not path.exists()]
         rows_gone, events_gone = sum(kept[number].rows for number in gone), sum(kept[number].lines for number in gone)
         written = self.ring.saved - rows_gone
-        lost = 0 if self.path is None else self.ring.head - written
+        if self._keeping.removes:  # they have given way to newer ones
+            rows_gone = events_gone = 0
+        lost = 0 if self.path is None else self.ring.head - self.ring.saved + rows_gone
         events_lost = self.lines_lost + events_gone
         troubles = [f"the recorder ended: {trouble}" for trouble in self.troubles]
         if reply.get("trouble"):

@@ -29,6 +29,10 @@ class RefusedError(Exception):
 class RowWriter(Protocol):
     """What the child process does with rows and lines."""
 
+    @property
+    def failing(self) -> str | None:
+        """Why nothing can be written at present, or None; the run is told when it changes."""
+
     def poll(self) -> None:
         """Look for rows in the ring; called every ``POLL_S`` and after each line."""
 
@@ -84,6 +88,7 @@ def _step_back() -> None:
 
 
 def _serve(writer: RowWriter, inbox: _Inbox, replies: LineWriter, parent_pid: int) -> None:
+    told = None
     while True:
         record = _next(inbox, parent_pid)
         if record is None:
@@ -97,6 +102,9 @@ def _serve(writer: RowWriter, inbox: _Inbox, replies: LineWriter, parent_pid: in
         if record:
             writer.line(record)
         writer.poll()
+        if writer.failing != told:
+            told = writer.failing
+            replies.send({"failing": told})
 
 
 def _next(inbox: _Inbox, parent_pid: int) -> Record | None:

@@ -75,6 +75,7 @@ class RingProcess:
         self._swap = threading.Lock()  # held while lines are sent, and while the process is replaced
         self._unsent: deque[Mapping[str, object]] = deque()
         self._unsaved: deque[Mapping[str, object]] = deque()
+        self._failing: str | None = None
         self._lines_dropped = 0
         self._lines_seen_saved = 0
         self._reports: queue.SimpleQueue[dict[str, Any]] = queue.SimpleQueue()
@@ -106,6 +107,13 @@ class RingProcess:
         with self._swap:
             self._send_unsent()
             return self._lines_dropped + len(self._unsaved) + self.ring.lines_lost
+
+    @property
+    def failing(self) -> str | None:
+        """Why the process cannot write at present, as it says itself, or why there is none any more; else None."""
+        if self._gone.is_set() and not self._closing.is_set() and self.troubles:
+            return f"{self._name} ended: {self.troubles[-1]}"
+        return self._failing
 
     def wait_ready(self) -> None:
         """Wait until the process is ready. Raises BadInputError if it refuses the config, DeviceError if it never is.
@@ -185,7 +193,9 @@ class RingProcess:
         while True:
             reply = self._child.replies.read()
             if reply is not None:
-                if was_ready and "ready" in reply:
+                if "failing" in reply:
+                    self._failing = cast("str | None", reply["failing"])
+                elif was_ready and "ready" in reply:
                     self._send_again()
                     self._flush_all()
                 else:
@@ -218,6 +228,7 @@ class RingProcess:
                 self.troubles.append(f"{self._name} could not be started again: {error}")
                 return False
             self.restarts += 1
+            self._failing = None
             self._send_config()
         self._send_waiting()
         return True

@@ -16,13 +16,14 @@ import numpy as np
 
 from hil.core.outputs import release
 from hil.record.files import Rotation, check_writable, has_end, numbered_path, why_not_written
+from hil.record.keeping import ROOM_BYTES, Keeping, NoRoomError
 from hil.record.ring import MOST_FILES, RingReader, Rows
 from hil.record.ring_child import Record, RefusedError
 
 BATCH_ROWS = 1000
 _FIRST_BACK_OFF_S = 0.5
 _LONGEST_BACK_OFF_S = 8.0
-_ROOM_BYTES = 16 << 20
+_LOOK_EVERY_S = 0.5  # after the room in the folder
 
 
 class RunFile(Protocol):
@@ -51,15 +52,21 @@ class RunFiles:
 
     Attributes:
         trouble: the newest reason why a file could not be written, or None.
+        failing: why nothing can be written at present, or None.
         summary_trouble: why the run's summary is in none of the files, or None.
     """
 
     def __init__(self, config: Record, ring: RingReader) -> None:
         self.trouble: str | None = None
+        self.failing: str | None = None
         self.summary_trouble: str | None = None
         self._config = config
         self._path = Path(config["path"])
-        self._rotation = Rotation(*config["rotate"])
+        size_bytes, duration_s = config["rotate"]
+        self._keeping = Keeping(*config["keep"])
+        self._rotation = Rotation(self._keeping.part_bytes(size_bytes), duration_s)
+        self._is_held = False  # because the quota is used up; the file stays open
+        self._look_s = 0.0
         self._ring = ring
         self._t_column = config["signals"].index("loop.t_s")
         self._events: list[tuple[float, str, str]] = []
@@ -84,7 +91,10 @@ class RunFiles:
         self._events.append((t_s, level, text))
 
     def check(self) -> None:
-        """Write waiting events, and begin a new file if the current one was removed."""
+        """Write waiting events, look after the room, and begin a new file if the current one was removed."""
+        if time.monotonic() >= self._look_s:
+            self._look_s = time.monotonic() + _LOOK_EVERY_S
+            self._look_after_room()
         if self._events or (self._file is not None and _identity(self._file_path) != self._identity):
             self._write(lambda _file: None)
 
@@ -104,6 +114,7 @@ class RunFiles:
 
     def finish(self, summary: Record | None) -> None:
         """Write all rows in the ring and close the file; with a summary, rows that cannot be written now are lost."""
+        self._is_held = False  # the last rows belong to the others
         self._next_try_s = 0.0
         self.write_until(self._ring.head)
         if self._ring.tail < self._ring.head:  # the file failed at the last rows: try the next one
@@ -116,6 +127,18 @@ class RunFiles:
         self._ring.give_up(self._ring.head)
         if not self._finish_file(summary) and not self._finish_file(summary):  # the second try writes a new file
             self.summary_trouble = f"its summary could not be written: {self.trouble}"
+
+    def _look_after_room(self) -> None:
+        """Write nothing while the quota is used up; rows wait in the ring meanwhile."""
+        try:
+            self._keeping.make_room(self._file_path)
+        except NoRoomError as error:
+            self._is_held = True
+            self.failing = self.trouble = why_not_written(self._file_path, error)
+        except OSError:
+            pass  # a disk that cannot be read, or written, is known by writing
+        else:
+            self._is_held = False
 
     def _finish_file(self, summary: Record | None, next_number: int | None = None) -> bool:
         """Write the end of the file and close it; False when that could not be written."""
@@ -136,7 +159,7 @@ class RunFiles:
         counts = {
             "rows_written": written,
             "rows_dropped": ring.dropped,
-            "rows_lost": ring.tail - written,
+            "rows_lost": ring.tail - (ring.saved if self._keeping.removes else written),
             "rows_in_part": kept[max(kept)].rows,
         }
         return counts if next_number is None else {**counts, "next_part": next_number}
@@ -146,7 +169,7 @@ class RunFiles:
 
         Without a file the next one is opened first, unless the pause after the last failure is not over.
         """
-        if self._file is None and time.monotonic() < self._next_try_s:
+        if self._is_held or (self._file is None and time.monotonic() < self._next_try_s):
             return False
         try:
             file = self._file or self._open()
@@ -159,6 +182,7 @@ class RunFiles:
         except (RuntimeError, OSError) as error:
             self._give_up(error)
             return False
+        self.failing = None
         self._ring.add_lines_saved(len(self._events))
         self._events.clear()
         return True
@@ -168,8 +192,9 @@ class RunFiles:
         path = numbered_path(self._path, number)
         if number > 1:
             path.parent.mkdir(parents=True, exist_ok=True)
-            if shutil.disk_usage(path.parent).free < _ROOM_BYTES:
-                raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        self._keeping.make_room(path)
+        if number > 1 and shutil.disk_usage(path.parent).free < ROOM_BYTES:
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
         # rerun may wait for ever for a file of which it cannot write the beginning.
         if os.access(path.parent, os.W_OK):
             check_writable(path.parent)
@@ -203,6 +228,7 @@ class RunFiles:
     def _give_up(self, error: Exception) -> None:
         """Stop writing to the file; the next one is tried after a pause, which doubles with each failure."""
         self.trouble = why_not_written(numbered_path(self._path, max(1, self._ring.file_number)), error)
+        self.failing = self.trouble
         if isinstance(error, RuntimeError):
             self._abandoned.append(error)
         if self._file is not None:

@@ -11,6 +11,7 @@ import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
 
+from hil.core.printable import printable
 from hil.record.blueprint import blueprint, first_blueprint
 from hil.record.claims import ClaimWatch, claims
 from hil.record.course import Course, moments, windows
@@ -126,7 +127,7 @@ class Stream:
     def event(self, t_s: float, level: str, text: str) -> None:
         """Write a line of the event log at scenario time ``t_s``."""
         index = [seconds_index(np.array([t_s]))]
-        level = _LEVELS.get(level, "INFO")
+        level, text = _LEVELS.get(level, "INFO"), printable(text)
         self._rerun.send_columns("/events", index, rr.TextLog.columns(text=[text], level=[level]))
         timed = rr.TextLog.columns(text=[f"{t_s:.3f} s  {text}"], level=[level])
         self._rerun.send_columns(LOG, index, timed)
@@ -196,11 +197,11 @@ class Stream:
 
     def _tell(self, text: str) -> None:
         """Show a text as the verdict."""
-        self._rerun.log(VERDICT, rr.TextDocument(text, media_type=rr.MediaType.MARKDOWN), static=True)
+        self._rerun.log(VERDICT, rr.TextDocument(printable(text), media_type=rr.MediaType.MARKDOWN), static=True)
 
     def _page(self, summary: Mapping[str, object] | None) -> None:
         """Log the page: the run's properties and, at the end, its figures."""
-        text = rr.TextDocument(page(self._properties, summary), media_type=rr.MediaType.MARKDOWN)
+        text = rr.TextDocument(printable(page(self._properties, summary)), media_type=rr.MediaType.MARKDOWN)
         self._rerun.log("/run", text, static=True)
 
     def _draw_rest(self) -> None:

@@ -84,6 +84,8 @@ class UdpSender:
     there is no route to the address.
     """
 
+    failing = None
+
     def __init__(self, config: Record, ring: RingReader) -> None:
         self._ring = ring
         self._time = config["signals"].index("loop.t_s")

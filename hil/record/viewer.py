@@ -19,6 +19,7 @@ from pathlib import Path
 from urllib.parse import quote
 
 from hil.core.errors import BadInputError, DeviceError
+from hil.core.subprocesses import LifeLine
 from hil.record.files import check_is_recording
 from hil.record.web import HOST, guarded, live_page
 
@@ -199,7 +200,11 @@ class Window:
 
 
 def _start(*options: str) -> "subprocess.Popen[bytes]":
-    return subprocess.Popen(viewer_command(*options), env=viewer_environment())
+    """Start a viewer that ends with this process, also when that is killed."""
+    life_line = LifeLine()
+    viewer = subprocess.Popen(viewer_command(*options), env=viewer_environment(), **life_line.options)
+    life_line.tie(viewer.pid)
+    return viewer
 
 
 def _check_ended(viewer: "subprocess.Popen[bytes]", remedy: str) -> None:

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 from hil.core.outputs import Existing, write_whole
+from hil.core.printable import printable
 from hil.record.files import check_output_path
 from hil.review.plots import drawing
 
@@ -67,7 +68,7 @@ def write_document(path: Path, text: str, existing: Existing = "refuse") -> None
     Raises BadInputError when its name does not end in .html, and when it cannot be written.
     """
     check_output_path("page", path, existing)
-    write_whole(path, text.encode("utf-8"), "page", existing)
+    write_whole(path, printable(text).encode("utf-8"), "page", existing)
 
 
 def figure(drawn: Picture) -> Iterator[str]:

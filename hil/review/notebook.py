@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from hil.core.printable import printable
 from hil.judge.measure import Series
 from hil.judge.verdict import happenings, head_rows
 from hil.judge.words import figure_rows
@@ -24,7 +25,7 @@ _ERROR = "error.planar_m"
 
 def small_page(metrics: Mapping[str, Any], signals: Mapping[str, Series]) -> str:
     """Return the page as HTML without scripts. ``metrics`` are a run's figures with its ``events`` and ``notes``."""
-    return "".join(_parts(metrics, signals))
+    return printable("".join(_parts(metrics, signals)))
 
 
 def _parts(metrics: Mapping[str, Any], signals: Mapping[str, Series]) -> Iterator[str]:

@@ -293,7 +293,14 @@ def _fix_source(scenario: Scenario) -> FixSource | None:
 
 
 def _nonces(seed: int | None) -> Iterator[int]:
-    """Yield session nonces: in lockstep from the seed, so that runs repeat exactly, else from the system's source."""
+    """Yield session nonces: in lockstep from the seed, so that runs repeat exactly, else from the system's source.
+
+    The low 4 bits of each differ from those of the one before: the robot would refuse it as SESSION_USED (R-REF-4).
+    """
     source = random.SystemRandom() if seed is None else random.Random(seed)
+    session = None
     while True:
-        yield source.randrange(1, 0x10000)
+        nonce = source.randrange(1, 0x10000)
+        if nonce & 0xF != session:
+            session = nonce & 0xF
+            yield nonce

@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 
 from hil.core.guard import Brake, Guard
+from hil.core.motion_limits import MotionLimits
 from hil.core.ports import Note, Sink
 from hil.estimation.choice import make_estimator
 from hil.judge.expectations import check_figures
@@ -32,7 +33,9 @@ class RunParts:
             scenario.link.feedback_latency_ns,
             round(scenario.firmware.watchdog_s * NS),
         )
-        self._guard = Guard(self.model.speed_limit_rad_s, self.model.torque_limit_n_m)
+        limiter, period_s = scenario.limiter, scenario.loop.period_ns / NS
+        motion = MotionLimits(self.model, period_s, limiter.slip_m_s, limiter.torque_speed)
+        self._guard = Guard(self.model.speed_limit_rad_s, self.model.torque_limit_n_m, motion)
         self._brake = Brake(scenario.controller.mode, self._guard, scenario.firmware.speed_kp_n_m_s_rad)
 
     def feasibility(self) -> Feasibility:

@@ -82,11 +82,11 @@ class Tick:
     """
 
     def __init__(self, parts: TickParts, mode: CommandMode, timing: Timing) -> None:
+        self._mode = mode
         self._set_parts(parts)
         self._timing = timing
         self._period_ns = timing.period_ns
         self._is_lockstep = parts.device.is_lockstep
-        self._mode = mode
         self._rows = self._make_rows()
         self._freshness = Freshness(parts.clock, parts.device, parts.faults, timing)
         self._rest = WheelCommand(mode, ZERO_WHEELS, ZERO_WHEELS)
@@ -139,6 +139,9 @@ class Tick:
             if faults is not None:
                 requested = faults.command(requested)
             command, saturated = self._guard.apply(requested)
+            if self._fades:
+                measured, at_ns = feedback.speed_rad_s, feedback.robot_time_ns
+                command, saturated = self._guard.fade(command, saturated, measured, at_ns, state, self._latency.s)
         sequence = self._device.send(command)
         if not self._is_lockstep:
             self._measure_latency(sequence, feedback)
@@ -231,7 +234,8 @@ class Tick:
     def _update_limits(self) -> None:
         """Limit commands to the wheel speed that the robot accepts; after a reconnection it may be another robot."""
         limit_rad_s = self._device.speed_limit_rad_s
-        self._guard.limit_to(limit_rad_s)
+        self._guard.limit_to(limit_rad_s, self._device.overspeed_rad_s)
+        self._fades = self._mode is CommandMode.TORQUE and self._guard.follows
         if self._shadows is not None:
             self._shadows.limit_to(limit_rad_s)
 

@@ -143,7 +143,10 @@ def asked(scenario: "Scenario") -> dict[str, Any]:
         reference["file"] = sha256_of(scenario.directory / file) or file
     controller["law"] = _last_part(controller["law"])
     controller["shadow"] = [_last_part(law) for law in controller["shadow"]]
+    # Only where it is not as usual, so that baselines made before there was a limiter stay what they are.
+    limiter = {"limiter": plain(scenario.limiter)} if scenario.limiter != type(scenario.limiter)() else {}
     return {
+        **limiter,
         "format": FORMAT,
         "robot": plain(scenario.robot),
         "link": {"command_latency_s": link.command_latency_s, "feedback_latency_s": link.feedback_latency_s},

@@ -11,11 +11,14 @@ from typing import Annotated, Any, Literal
 
 from hil.core.errors import BadInputError, nearest
 from hil.core.model import RobotModel
+from hil.core.motion_limits import TorqueSpeed
 from hil.core.options import OTHERS, OptionsError, Problem, Range
 from hil.core.types import WHEEL_NAMES, CommandMode
 from hil.drivers.registry import OUR_DRIVER, driver_names, make_settings
 from hil.estimation.choice import EstimatorOptions
 from hil.laws.shadows import short_name
+from hil.record.files import Rotation, rotation
+from hil.record.keeping import Keeping
 from hil.robot.wheel_map import IMU_AXES
 from hil.scenario.commission import CommissionTable
 from hil.scenario.plant import PlantTable
@@ -60,6 +63,17 @@ _rate = check(RATES_HZ.__contains__, f"one of {', '.join(map(str, RATES_HZ))}, a
 _tick_limit = check(
     lambda s: s == 0.0 or s >= LEAST_TICK_LIMIT_S, f"at least {LEAST_TICK_LIMIT_S:g} s, or 0 for no limit"
 )
+
+
+def _rotate(text: str) -> str:
+    if text != "none":
+        try:
+            rotation(text)
+        except BadInputError as error:
+            raise ValueError(str(error)) from error
+    return text
+
+
 _processors = check(
     lambda cpus: min(cpus, default=0) >= 0 and len(set(cpus)) == len(cpus), "processor numbers, from 0, each once"
 )
@@ -232,6 +246,35 @@ class ServiceTable:
     yaw_rate_rad_s: Annotated[float, Range(gt=0, le=50), "of the heading"] = 1.0
     yaw_acceleration_rad_s2: Annotated[float, Range(gt=0, le=500), "of the heading"] = 3.0
     yaw_jerk_rad_s3: Annotated[float, Range(gt=0, le=10_000), "of the heading, on the way to a pose"] = 15.0
+    recordings: Annotated[Text, "folder of all its recordings, as seen from where the service is started"] = "runs"
+    rotate: Annotated[Text, _rotate, "size or time at which a recording continues in the next file: '1GB|1h'"] = "none"
+    recordings_gb: Annotated[float, Range(ge=0), "that the recordings in the folder may take; 0 for no limit"] = 0.0
+    recordings_days: Annotated[float, Range(ge=0), "after which a recording is removed; 0 for never"] = 0.0
+    when_full: Annotated[
+        Literal["stop_recording", "keep_newest", "stop_robot"],
+        "when the disk is full, the limit is reached or the recorder fails; keep_newest removes the oldest recordings",
+    ] = "stop_recording"
+
+    @property
+    def rotation(self) -> Rotation:
+        """``rotate`` as the recorder takes it."""
+        return Rotation() if self.rotate == "none" else rotation(self.rotate)
+
+    @property
+    def keeping(self) -> Keeping:
+        """What the folder of recordings may hold."""
+        quota, days = round(self.recordings_gb * 1e9), self.recordings_days
+        return Keeping(quota or None, days * 86_400.0 if days else None, self.when_full == "keep_newest")
+
+
+@dataclass(frozen=True)
+class LimiterTable:
+    """``[limiter]``: what limits a law's commands beside ``[robot]``, in TORQUE mode by the robot's measured motion."""
+
+    torque_speed: Annotated[
+        TorqueSpeed, "wheel speed below which torques keep: the robot's overspeed, robot.speed_limit_rad_s, or none"
+    ] = "protection"
+    slip_m_s: Annotated[float | None, Range(gt=0, le=20), "how much faster than the floor a rim may be driven"] = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -244,6 +287,7 @@ class Tables:
     device: DeviceTable = DeviceTable()
     link: LinkTable = LinkTable()
     controller: ControllerTable
+    limiter: LimiterTable = LimiterTable()
     reference: ReferenceTable
     estimator: EstimatorOptions = field(default_factory=EstimatorOptions)
     loop: LoopTable

@@ -162,7 +162,7 @@ class ApiChild:
             port = int(self.url.rpartition(":")[2])
             self._config = replace(self._config, port=port, token_file=str(self.token_file))
             self._ready = True
-            logs.info("API listens", url=self.url, pid=self.pid)
+            logs.info("API listens", url=self.url, pid=self.pid, audit=ready["audit"])
         return None
 
     def _restart(self) -> None:

@@ -14,8 +14,10 @@ from typing import Any
 
 from hil.core.errors import BadInputError
 from hil.core.json_lines import LineReader, LineWriter
+from hil.core.tokens import make_token, read_token, state_folder, token_file
 from hil.service import logs
-from hil.service.discovery import make_token, own_token_file, read_token
+from hil.service.api.access import Access, read_clients
+from hil.service.api.audit import Audit
 from hil.service.messages import HOST, ApiConfig, Limits
 
 
@@ -35,15 +37,18 @@ def main() -> int:
         listener = _listen(config)
         port = listener.getsockname()[1]
         path = _token_file(config, port)
-        token = read_token(path)
+        others = {} if config.clients_file is None else read_clients(Path(config.clients_file))
+        access = Access(read_token(path), others)
+        audit_file = state_folder("audit") / f"{port}.jsonl" if config.audit is None else Path(config.audit).absolute()
+        audit = Audit(audit_file)
     except BadInputError as error:
         writer.send({"refused": str(error)})
         return error.exit_code
     # Imported late: it takes a second, and a refusal should be quick.
     from hil.service.api.server import serve
 
-    ready = {"url": f"http://{HOST}:{port}", "token_file": str(path)}
-    asyncio.run(serve(config, listener, token, lines, writer, ready))
+    ready = {"url": f"http://{HOST}:{port}", "token_file": str(path), "audit": str(audit_file)}
+    asyncio.run(serve(config, listener, access, audit, lines, writer, ready))
     return 0
 
 
@@ -64,7 +69,7 @@ def _listen(config: ApiConfig) -> socket.socket:
 
 def _token_file(config: ApiConfig, port: int) -> Path:
     """Return the file with the token. Make it if it does not exist, or if each start has a new token."""
-    path = own_token_file(port) if config.token_file is None else Path(config.token_file).absolute()
+    path = token_file("services", port) if config.token_file is None else Path(config.token_file).absolute()
     if config.token_file is None or not path.exists():
         make_token(path)
     return path

@@ -4,6 +4,7 @@ import contextlib
 import itertools
 import json
 import time
+from collections import defaultdict
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
@@ -13,7 +14,8 @@ from websockets.exceptions import ConnectionClosed, InvalidStatus, WebSocketExce
 from websockets.sync.client import ClientConnection, connect
 
 from hil.core.errors import BadInputError, DeviceError, LinkError, RunInterruptedError
-from hil.service.discovery import Service, read_token, running
+from hil.core.tokens import read_token
+from hil.service.discovery import Service, running
 from hil.service.messages import HOST, LONG, Action, route
 
 TWIST_PERIOD_S = 0.05
@@ -65,6 +67,16 @@ class Client:
         """Return the service's status, by the names of ``hil.service.messages.Status``."""
         return self._request("GET", "/v1/status")
 
+    def metrics(self) -> dict[str, float]:
+        """Return the service's metrics: for each name of a sample the sum over its labels."""
+        from prometheus_client.parser import text_string_to_metric_families
+
+        sums: dict[str, float] = defaultdict(float)
+        for family in text_string_to_metric_families(self._response("GET", "/metrics").text):
+            for sample in family.samples:
+                sums[sample.name] += sample.value
+        return sums
+
     def order(self, action: Action, arguments: Mapping[str, Any] | None = None) -> dict[str, Any]:
         """Give an order; return its result when it is done, or for a motion when it has begun."""
         method, path = route(action)
@@ -98,15 +110,18 @@ class Client:
                 raise RunInterruptedError("interrupted; the robot was told to stop")
 
     def _request(self, method: str, path: str, body: Any = None, timeout_s: float = _TIMEOUT_S) -> dict[str, Any]:
+        response = self._response(method, path, body, timeout_s)
+        return self._checked(response.status_code, response.content)
+
+    def _response(self, method: str, path: str, body: Any = None, timeout_s: float = _TIMEOUT_S) -> httpx.Response:
         try:
             # No proxy from the environment on this machine; without TLS there are no certificates to load (0.1 s).
             with httpx.Client(trust_env=False, verify=False, timeout=timeout_s) as http:
-                response = http.request(method, self._url + path, headers=self._headers, json=body)
+                return http.request(method, self._url + path, headers=self._headers, json=body)
         except httpx.TimeoutException:
             raise LinkError(f"service {self._url}: no answer within {timeout_s:g} s; see its log") from None
         except httpx.HTTPError as error:
             raise LinkError(f"service {self._url}: {error}; it may be restarting, or has ended") from None
-        return self._checked(response.status_code, response.content)
 
     def _checked(self, status: int, content: bytes | bytearray) -> dict[str, Any]:
         """Return the decoded content of a response.
@@ -124,7 +139,7 @@ class Client:
                 f"service {self._url}: it does not accept the token in {self._token_file}; each start makes a new one, "
                 "so give the file of this start with --token-file"
             )
-        if status == 422:
+        if status in (403, 422):
             raise BadInputError(sentence)
         if status != 200:
             raise (

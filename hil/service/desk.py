@@ -1,7 +1,6 @@
 """Carries out the orders of a service: short ones at once, long ones in a second thread."""
 
 import contextlib
-import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import Executor, Future
 from dataclasses import dataclass, replace
@@ -11,16 +10,16 @@ from typing import Any, NamedTuple
 
 from hil.core.errors import BadInputError, HilError
 from hil.core.kinematics import BodyTwist
-from hil.core.outputs import Existing, existing_files
 from hil.core.types import Pose
 from hil.record import Recording, RecordingReport
-from hil.record.files import new_in_runs
+from hil.record.files import named_in, new_in_runs
 from hil.references import ReferenceSource, make_reference
 from hil.runtime.provenance import law_ingredients, properties
 from hil.scenario import Scenario
 from hil.scenario.laws import Laws, make_laws
 from hil.service import logs
-from hil.service.messages import MOVING, Action, Answer, Order
+from hil.service.messages import MOVING, Action, Answer, Order, Phase
+from hil.service.motions import check_path
 from hil.service.pilot import Pilot
 from hil.service.records import Records, finished, recording_of
 
@@ -66,10 +65,11 @@ class Desk:
         pilot = self.pilot
         self._under_way: list[tuple[Order, Future[Any], Long]] = []
         self._t_s = 0.0
+        self._policy = self.scenario.service.when_full
         self.shutdown = False
         # Each is called with the order's arguments.
         self._actions: dict[Action, Callable[..., Result | Long]] = {
-            Action.ARM: pilot.arm,
+            Action.ARM: self._arm,
             Action.DISARM: pilot.disarm,
             Action.ESTOP: pilot.estop,
             Action.CLEAR: pilot.clear,
@@ -130,6 +130,14 @@ class Desk:
         logs.warning("order refused", action=order.action.value, why=why)
         self.answer(Answer(order.number, why))
 
+    def _arm(self) -> None:
+        if self.records.path is not None and self.records.trouble is not None and self._policy == "stop_robot":
+            raise BadInputError(
+                f"the recording cannot be written ({self.records.trouble}), and service.when_full is stop_robot; make "
+                "room, or end the recording"
+            )
+        self.pilot.arm()
+
     def _twist(self, vx_m_s: float, vy_m_s: float, yaw_rate_rad_s: float) -> Result:
         twist = self.pilot.active().twist(BodyTwist(vx_m_s, vy_m_s, yaw_rate_rad_s))
         return {"vx_m_s": twist.forward_m_s, "vy_m_s": twist.left_m_s, "yaw_rate_rad_s": twist.yaw_rate_rad_s}
@@ -143,7 +151,7 @@ class Desk:
 
         def read() -> ReferenceSource:
             path = make_reference(kind, options, self.scenario.directory)
-            _try_out(path)
+            check_path(path, self.scenario.service)
             return path
 
         def follow(path: ReferenceSource) -> Result:
@@ -184,15 +192,29 @@ class Desk:
             )
         return new.gains
 
-    def _record(self, path: str | None, force: bool) -> Long:
+    def watch_recording(self) -> None:
+        """Do what ``service.when_full`` says if the recording cannot be written; called 20 times a second."""
+        why = self.records.watch(self._t_s)
+        if why is None or self._policy == "keep_newest":
+            return
+        if self._policy == "stop_robot":
+            if self.pilot.phase in (Phase.ARMING, Phase.ACTIVE):
+                self.pilot.disarm(f"its recording cannot be written: {why}")
+        elif (recording := self.records.end()) is not None:
+            self.beside.submit(finished, recording)
+
+    def _record(self, name: str | None) -> Long:
         if self._is_under_way(*_RECORDING) or self.records.path is not None:
             raise BadInputError(f"{self.records.path or 'a recording'} is being written; stop that first")
         made_of = self.made_of
 
         def start() -> Recording:
-            file = new_in_runs(self.scenario.name, ".rrd", "name a file") if path is None else Path(path)
-            existing: Existing = "number" if path is None else existing_files(force=force)
-            return recording_of(properties(self.scenario, made_of), self.signals, file, existing=existing)
+            table = self.scenario.service
+            folder, about = Path(table.recordings), properties(self.scenario, made_of)
+            if name is not None:
+                return recording_of(about, self.signals, named_in(folder, name), table)
+            file = new_in_runs(self.scenario.name, ".rrd", "set service.recordings", folder)
+            return recording_of(about, self.signals, file, table, existing="number")
 
         def use(recording: Recording) -> Result:
             self.records.begin(recording)
@@ -204,6 +226,7 @@ class Desk:
         recording = None if self._is_under_way(*_RECORDING) else self.records.end()
         if recording is None:
             raise BadInputError("nothing is being recorded")
+        self.records.trouble = None
 
         def result_of(report: RecordingReport) -> Result:
             path, rows = str(report.path), report.rows_written
@@ -216,15 +239,3 @@ class Desk:
 
     def _shut_down(self) -> None:
         self.shutdown = True
-
-
-def _try_out(path: ReferenceSource) -> None:
-    """Raise BadInputError for a path whose poses are not finite."""
-    for share in (0.0, 0.1, 0.5, 1.0, 10.0):
-        try:
-            pose, twist, acceleration = path.at(share * path.span_s)
-            is_finite = math.isfinite(sum(pose) + sum(twist) + sum(acceleration))
-        except (ArithmeticError, ValueError):
-            is_finite = False
-        if not is_finite:
-            raise BadInputError("the path has no finite pose at some time; its options are too large or too small")

@@ -1,7 +1,8 @@
 """The log of a service: lines on stderr, as text for a person or as JSON objects for a collector.
 
 Logging never waits: a full pipe must not stall a control loop. When nobody reads stderr, lines are dropped, and the
-next line that is written has their number.
+next line that is written has their number. Of the same event 20 lines are written at once and then two a second; the
+next of them has the number of those that were left out.
 """
 
 import json
@@ -9,14 +10,20 @@ import logging
 import os
 import select
 import sys
+import time
+from dataclasses import dataclass
 from datetime import UTC, datetime
 from functools import partial
 from typing import Any
 
+from hil.core.printable import printable
 from hil.service.messages import LogStyle
 
 # A pipe takes this many bytes in one piece, if it takes any at once (POSIX: PIPE_BUF is at least 512, on Linux 4096).
 _LONGEST_LINE_BYTES = 4096 if sys.platform == "linux" else 512
+_AT_ONCE = 20.0
+_PER_S = 2.0
+_MOST_EVENTS = 1000
 _LOGGER = logging.getLogger("hil.service")
 
 
@@ -41,13 +48,42 @@ def log(level: str, event: str, /, **fields: object) -> None:
 info, warning, error = (partial(log, level) for level in ("info", "warning", "error"))
 
 
+@dataclass
+class _Allowance:
+    """How many lines of an event may be written now, and how many were left out since the last one."""
+
+    lines: float
+    since_s: float
+    left_out: int = 0
+
+
 class _Handler(logging.Handler):
     def __init__(self, descriptor: int) -> None:
         super().__init__()
         self._descriptor = descriptor
         self._dropped = 0
+        self._allowances: dict[tuple[object, ...], _Allowance] = {}
+
+    def _is_allowed(self, record: logging.LogRecord) -> bool:
+        now_s = time.monotonic()
+        # Orders of each kind count apart, so that many of one do not hide another.
+        event = (record.name, record.levelno, record.getMessage(), getattr(record, "fields", {}).get("action"))
+        if len(self._allowances) >= _MOST_EVENTS:
+            self._allowances.clear()  # a library puts values into its texts
+        allowance = self._allowances.setdefault(event, _Allowance(_AT_ONCE, now_s))
+        allowance.lines = min(_AT_ONCE, allowance.lines + (now_s - allowance.since_s) * _PER_S)
+        allowance.since_s = now_s
+        if allowance.lines < 1.0:
+            allowance.left_out += 1
+            return False
+        allowance.lines -= 1.0
+        if allowance.left_out:
+            record.left_out, allowance.left_out = allowance.left_out, 0
+        return True
 
     def emit(self, record: logging.LogRecord) -> None:
+        if not self._is_allowed(record):
+            return
         if not self._may_write_line():
             self._dropped += 1
             return
@@ -84,14 +120,16 @@ class _Formatter(logging.Formatter):
             fields["logger"] = record.name
         if record.exc_info:
             fields["traceback"] = self.formatException(record.exc_info)
-        if hasattr(record, "dropped"):
-            fields["lines_dropped"] = record.dropped
-        time, level = datetime.fromtimestamp(record.created, UTC), record.levelname.lower()
+        for field, attribute in (("lines_dropped", "dropped"), ("left_out", "left_out")):
+            if hasattr(record, attribute):
+                fields[field] = getattr(record, attribute)
+        stamp, level = datetime.fromtimestamp(record.created, UTC), record.levelname.lower()
         if not self._is_json:
             words = " ".join([record.getMessage(), *(f"{name}={_word(value)}" for name, value in fields.items())])
-            return f"{time.astimezone().strftime('%H:%M:%S.%f')[:-3]} {level:7} {self._process}: {words}"
-        stamp = time.isoformat(timespec="milliseconds").replace("+00:00", "Z")
-        line = {"time": stamp, "level": level, "process": self._process, "event": record.getMessage()}
+            time = stamp.astimezone().strftime("%H:%M:%S.%f")[:-3]
+            return printable(f"{time} {level:7} {self._process}: {words}").replace("\n", "\\n")
+        iso = stamp.isoformat(timespec="milliseconds").replace("+00:00", "Z")
+        line = {"time": iso, "level": level, "process": self._process, "event": record.getMessage()}
         # A field cannot replace a key of the line itself.
         return json.dumps(fields | line, default=str)
 

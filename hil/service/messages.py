@@ -68,6 +68,9 @@ def route(action: Action) -> tuple[str, str]:
     return ("DELETE", "/v1/record") if action is Action.STOP_RECORDING else ("POST", f"/v1/{action.value}")
 
 
+ORDERS = {route(action): action for action in Action}
+"""The orders by HTTP method and path."""
+
 LONG = frozenset({Action.RECORD, Action.STOP_RECORDING, Action.TRACK, Action.GAINS})
 """Orders that read files or start or end a recorder. They are answered when that is done; the ticks go on meanwhile."""
 
@@ -110,7 +113,9 @@ class Status:
         ticks: since the service began. deadline_misses. lateness_us: p50, p99 and p99.9 since the service began, by
             these names. feedback_age_ms, round_trip_ms.
         frames: sent, received, and rejected by cause. recoveries: how often a lost robot came back.
-        recording: path of the file being written, or None. rows_dropped. twist_age_s: age of the twist in force.
+        recording: path of the file being written, or None. recording_trouble: why it cannot be written, or why it was
+            ended early; None if all is well. rows_dropped: for which a recorder had no room, since the service began.
+            rows_lost: that a recorder could not write. twist_age_s: age of the twist in force.
         realtime: by setting, a sentence on whether the operating system granted it.
     """
 
@@ -139,7 +144,9 @@ class Status:
     frames: Mapping[str, Any] = field(default_factory=lambda: {"sent": 0, "received": 0, "rejected": {}})
     recoveries: int = 0
     recording: str | None = None
+    recording_trouble: str | None = None
     rows_dropped: int = 0
+    rows_lost: int = 0
     twist_age_s: float | None = None
     realtime: Mapping[str, str] = field(default_factory=dict)
 
@@ -165,6 +172,8 @@ class ApiConfig:
     Attributes:
         title: the scenario's name. device: URL of the link. port: TCP port; 0 picks a free one.
         token_file: file that holds the access token, made if missing; None makes a new token at each start.
+        clients_file: file with further tokens and their roles, or None. audit: file of the audit log; None is one in
+            the state folder, named after the port.
         log: format of the lines on stderr.
     """
 
@@ -173,6 +182,8 @@ class ApiConfig:
     limits: Limits
     port: int = 8770
     token_file: str | None = None
+    clients_file: str | None = None
+    audit: str | None = None
     log: LogStyle = "text"
 
 

@@ -5,6 +5,7 @@ Time is the service's own, in seconds; it never decreases.
 
 import math
 
+from hil.core.errors import BadInputError
 from hil.core.kinematics import BodyTwist, to_body, to_world, wrap_angle
 from hil.core.types import Acceleration, Pose, Reference, Twist
 from hil.references import ReferenceSource
@@ -17,6 +18,8 @@ _STILL = Acceleration(0.0, 0.0, 0.0)
 _SAME_M, _SAME_RAD = 0.001, 0.001
 """A shorter way is not driven: the robot is there already."""
 _LEAP_M, _LEAP_RAD = 0.02, 0.04
+_LOOK_S, _MOST_LOOKS = 0.01, 2000
+_ROUNDING = 1e-6
 
 
 class Drive:
@@ -158,3 +161,41 @@ def _moved(reference: Reference, frame: Pose) -> Reference:
     """Return a reference of a path's own frame in the world."""
     pose, twist, acceleration = (to_world(BodyTwist(*part), frame.heading_rad) for part in reference)
     return Reference(Pose(*map(sum, zip(frame, pose, strict=True))), twist, Acceleration(*acceleration))
+
+
+def check_path(path: ReferenceSource, options: ServiceTable) -> None:
+    """Raise BadInputError for a path that is faster than the limits of the service, or not finite somewhere.
+
+    Speeds and accelerations are looked at every 10 ms, in a path of more than 20 s at 2000 times. A jump of the path
+    has none; the limiter of the commands keeps the robot within the limits there.
+    """
+    limits = (
+        ("m/s", "speed_m_s", options.speed_m_s),
+        ("rad/s", "yaw_rate_rad_s", options.yaw_rate_rad_s),
+        ("m/s²", "acceleration_m_s2", options.acceleration_m_s2),
+        ("rad/s²", "yaw_acceleration_rad_s2", options.yaw_acceleration_rad_s2),
+    )
+    worst = [(0.0, 0.0)] * len(limits)
+    step_s = max(_LOOK_S, path.span_s / _MOST_LOOKS)
+    times = (
+        [number * step_s for number in range(math.floor(path.span_s / step_s) + 1)] if path.span_s < math.inf else []
+    )
+    for t_s in (*times, path.span_s, 10.0 * path.span_s):
+        try:
+            pose, (vx, vy, yaw_rate), (ax, ay, yaw_acceleration) = path.at(t_s)
+            found = math.hypot(vx, vy), abs(yaw_rate), math.hypot(ax, ay), abs(yaw_acceleration)
+            is_finite = math.isfinite(sum(pose) + sum(found))
+        except (ArithmeticError, ValueError):
+            is_finite = False
+        if not is_finite:
+            raise BadInputError("the path has no finite pose at some time; its options are too large or too small")
+        worst = [
+            (one, t_s) if one > before[0] * (1.0 + _ROUNDING) else before
+            for before, one in zip(worst, found, strict=True)
+        ]
+    for (unit, name, limit), (value, t_s) in zip(limits, worst, strict=True):
+        if value > limit * (1.0 + _ROUNDING):
+            raise BadInputError(
+                f"the path reaches {value:.3g} {unit} at t = {t_s:.3g} s, and service.{name} is {limit:g}; "
+                "make it slower"
+            )

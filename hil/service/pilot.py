@@ -10,6 +10,7 @@ from collections.abc import Callable
 
 from firmware_protocol.generated.messages import State as RobotState
 from hil.core.errors import BadInputError, DeviceError, HilError, LinkError, OverdueError, RobotStoppedError
+from hil.core.motion_limits import BodyLimits
 from hil.core.signals import LoopSignals
 from hil.core.tick_watch import TickOverdue
 from hil.core.types import CommandMode, PoseFix, State
@@ -47,6 +48,7 @@ class Pilot:
 
     def __init__(self, parts: TickParts, mode: CommandMode, timing: Timing, options: ServiceTable) -> None:
         self._parts = parts
+        parts.guard.keep_body(BodyLimits(options.speed_m_s, options.yaw_rate_rad_s))
         self._tick = Tick(parts, mode, timing)
         self._t_s = 0.0
         self._deadline_s = math.inf

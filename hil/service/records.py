@@ -5,6 +5,7 @@ from pathlib import Path
 
 from hil.core.outputs import Existing
 from hil.record import Recording, RecordingReport
+from hil.scenario.tables import ServiceTable
 from hil.service import logs
 
 
@@ -12,12 +13,17 @@ class Records:
     """A sink of rows and events; its recording starts and ends on orders. Only the thread of the ticks uses it.
 
     ``live`` serves viewers, or is None.
+
+    Attributes:
+        trouble: why the recording cannot be written, or why it was ended before it was to end; None if it is well.
     """
 
     def __init__(self, live: Recording | None) -> None:
         self._live = live
         self._recording: Recording | None = None
-        self._dropped = 0
+        self._ended: list[Recording] = []  # that are not finished yet
+        self._dropped = self._lost = 0  # by those that are
+        self.trouble: str | None = None
 
     @property
     def path(self) -> Path | None:
@@ -26,18 +32,44 @@ class Records:
 
     @property
     def rows_dropped(self) -> int:
-        """Number of rows that recordings have dropped since the service began."""
-        return self._dropped + (0 if self._recording is None else self._recording.ring.dropped)
+        """Number of rows for which recorders have had no room since the service began."""
+        return self._dropped + sum(recording.rows_dropped for recording in self._open())
+
+    @property
+    def rows_lost(self) -> int:
+        """Number of rows that recorders could not write since the service began."""
+        return self._lost + sum(recording.rows_lost for recording in self._open())
+
+    def _open(self) -> list[Recording]:
+        return self._ended if self._recording is None else [*self._ended, self._recording]
 
     def begin(self, recording: Recording) -> None:
         """Record from the next row on."""
         self._recording = recording
+        self.trouble = None
+        for ended in [one for one in self._ended if one.report is not None]:
+            self._ended.remove(ended)
+            self._dropped += ended.rows_dropped
+            self._lost += ended.rows_lost
+
+    def watch(self, t_s: float) -> str | None:
+        """Return why the recording cannot be written at present, and report when that begins and ends."""
+        if self._recording is None:
+            return None
+        if (trouble := self._recording.failing) != self.trouble:
+            self.trouble = trouble
+            path, lost = self._recording.path, self._recording.rows_lost
+            if trouble is None:
+                self._tell(t_s, "warning", "recording is written again", path=path, rows_lost=lost)
+            else:
+                self._tell(t_s, "error", "recording cannot be written", path=path, rows_lost=lost, why=trouble)
+        return trouble
 
     def end(self) -> Recording | None:
         """Stop recording; return the recording for ``finished``, or None."""
         recording, self._recording = self._recording, None
         if recording is not None:
-            self._dropped += recording.ring.dropped
+            self._ended.append(recording)
         return recording
 
     def finish(self) -> None:
@@ -51,28 +83,44 @@ class Records:
             if recording is not None:
                 recording.put(row)
 
-    def note(self, t_s: float, level: str, text: str) -> None:
-        """Write an event to the recording, the viewers and the service's log."""
+    def note(self, t_s: float, level: str, text: str, event: str = "note", **fields: object) -> None:
+        """Write an event to the recording, the viewers and the service's log.
+
+        In the log it is ``event``, a constant, with ``fields``, or with the text where there are none.
+        """
         for recording in (self._recording, self._live):
             if recording is not None:
                 recording.event(t_s, level, text)
-        logs.log(level, text, t_s=round(t_s, 3))
+        logs.log(level, event, **(fields or {"text": text}), t_s=round(t_s, 3))
+
+    def _tell(self, t_s: float, level: str, event: str, **fields: object) -> None:
+        self.note(t_s, level, f"{event}: {fields['why']}" if "why" in fields else event, event, **fields)
 
 
 def recording_of(
     about: Mapping[str, str],
     signals: Sequence[str],
     path: Path | None,
+    table: ServiceTable,
     live_port: int | None = None,
     existing: Existing = "refuse",
 ) -> Recording:
     """Start a recording of a service, to a file or only for live viewers; takes longer than a tick.
 
-    ``about`` are the recording's properties, which describe the parts of the service. ``existing`` says what to do when
-    the file exists; a changed name is logged. Raises BadInputError and DeviceError as ``Recording``.
+    ``about`` are the recording's properties, which describe the parts of the service. ``table`` says what the folder of
+    the file may hold. ``existing`` says what to do when the file exists; a changed name is logged.
+
+    Raises BadInputError and DeviceError as ``Recording``.
     """
     recording = Recording(
-        path, properties=about, blocking=False, live_port=live_port, signals=signals, existing=existing
+        path,
+        properties=about,
+        blocking=False,
+        live_port=live_port,
+        signals=signals,
+        rotation=table.rotation,
+        keeping=table.keeping,
+        existing=existing,
     )
     if recording.path != path:
         logs.warning(

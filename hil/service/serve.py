@@ -14,6 +14,7 @@ from hil.core.signals import LoopSignals
 from hil.core.tick_watch import TickWatch
 from hil.core.types import NAN
 from hil.plant.child_output import log_lines
+from hil.record.files import named_in
 from hil.record.viewer import live_hint
 from hil.runtime.bench import Bench
 from hil.runtime.lateness import Lateness
@@ -45,13 +46,16 @@ _ENDING_LIMIT_S = 7.0  # longer than the pilot waits for a robot to stop
 class Options:
     """The options of ``hil serve`` besides the configuration.
 
-    ``record`` is a file to record to from the start, numbered if it exists. ``live_port`` serves viewers. The API's
-    token is in ``token_file``. ``truth`` is the URL of a virtual robot's truth socket. ``log`` is the log's format.
+    ``record`` is the name of a file to record to from the start, numbered if it exists. ``live_port`` serves viewers.
+    The API's token is in ``token_file``, those of further clients in ``clients_file``; ``audit`` is the file of the
+    audit log. ``truth`` is the URL of a virtual robot's truth socket. ``log`` is the log's format.
     """
 
-    record: Path | None = None
+    record: str | None = None
     live_port: int | None = None
     token_file: str | None = None
+    clients_file: str | None = None
+    audit: str | None = None
     truth: str | None = None
     allow_motion: bool = False
     log: LogStyle = "text"
@@ -92,18 +96,18 @@ def serve(scenario: Scenario, options: Options, reload: Callable[[], Scenario]) 
         resources.callback(notifier.close)
         made_of = ingredients(scenario)
         about = properties(scenario, made_of)
-        signals, live = parts.laws.signals, None
+        signals, live, table = parts.laws.signals, None, scenario.service
         if options.live_port is not None:
-            live = resources.enter_context(recording_of(about, signals, None, options.live_port))
-            logs.info(live_hint(options.live_port))
+            live = resources.enter_context(recording_of(about, signals, None, table, options.live_port))
+            logs.info("live view", hint=live_hint(options.live_port))
         records = Records(live)
         if options.record is not None:
-            records.begin(recording_of(about, signals, options.record, existing="number"))
+            file = named_in(Path(table.recordings), options.record)
+            records.begin(recording_of(about, signals, file, table, existing="number"))
         resources.callback(records.finish)
-        table = scenario.service
         limits = Limits(table.speed_m_s, table.yaw_rate_rad_s, _FARTHEST_M, table.twist_timeout_s)
-        link, token_file = scenario.link.url, options.token_file
-        api = ApiChild(ApiConfig(scenario.name, link, limits, port=table.port, token_file=token_file, log=options.log))
+        files = {name: getattr(options, name) for name in ("token_file", "clients_file", "audit")}
+        api = ApiChild(ApiConfig(scenario.name, scenario.link.url, limits, table.port, **files, log=options.log))
         resources.callback(api.close)
         _Service(scenario, made_of, options, parts, records, api, notifier, ending).run(reload)
         notifier.stopping()
@@ -238,6 +242,7 @@ class _Service:
                 pilot.tick(now, sampling.fix_of(number))
                 watch.turn += 1
             if pilot.phase is not self._phase or number % every == 0:
+                desk.watch_recording()
                 self._report(pilot, bench, granted)
             self.notifier.beat(begin_ns)
             tick_us = (time.perf_counter_ns() - begin_ns) * 1e-3
@@ -282,7 +287,9 @@ class _Service:
                 law=law.law,
                 command=law.command,
                 recording=None if path is None else str(path),
+                recording_trouble=self.records.trouble,
                 rows_dropped=self.records.rows_dropped,
+                rows_lost=self.records.rows_lost,
                 ticks=self._ticks,
                 deadline_misses=self._deadline_misses,
                 lateness_us=self._lateness.percentiles_us(),
@@ -300,5 +307,6 @@ class _Service:
         self._phase = pilot.phase
         is_bad = pilot.phase in (Phase.AWAY, Phase.FAULT, Phase.ESTOP) or pilot.why is not None
         sentence = f"the robot is {pilot.phase}" + (f": {pilot.why}" if pilot.why is not None else "")
-        self.records.note(self._t_s, "warning" if is_bad else "info", sentence)
+        level = "warning" if is_bad else "info"
+        self.records.note(self._t_s, level, sentence, "phase", phase=pilot.phase.value, why=pilot.why)
         self.notifier.status(sentence)

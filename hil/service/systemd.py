@@ -13,6 +13,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from hil.core.errors import BadInputError
+from hil.core.printable import printable
+from hil.core.strangers import code_is_refused
 
 _UNIT = Path(__file__).with_name("hil-serve.service")
 
@@ -50,7 +52,7 @@ class Notifier:
         """Show a sentence in ``systemctl status``; an unchanged one is not sent again."""
         if sentence != self._status:
             self._status = sentence
-            self._send("STATUS=" + sentence.replace("\n", " "))
+            self._send("STATUS=" + printable(sentence).replace("\n", " "))
 
     def beat(self, now_ns: int) -> None:
         """Feed the watchdog; called in each tick (0.1 µs when no beat is due). ``now_ns``: by any monotonic clock."""
@@ -90,6 +92,7 @@ def unit(config: str, options: Sequence[str] = ()) -> str:
             raise BadInputError(f"{word!r}: a unit cannot hold a line break; leave it out, or rename the file")
     hil = shutil.which("hil", path=str(Path(sys.executable).parent))
     command = [hil] if hil else [sys.executable, "-P", "-m", "hil.cli.main"]
+    command += ["--no-code"] if code_is_refused() else []
     filled = {
         "@CONFIG@": _quoted(what),
         "@HIL@": " ".join(_quoted(word) for word in command),

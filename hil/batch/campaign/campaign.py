@@ -7,7 +7,6 @@ campaign = Campaign(Path("mass.toml")) for rows in campaign.perform(Path("runs/m
 import contextlib
 import math
 import shlex
-import tempfile
 from collections.abc import Callable, Collection, Iterator, Sequence
 from functools import cached_property, partial
 from pathlib import Path
@@ -24,7 +23,7 @@ from hil.batch.keys import SCENARIO_RUN, key_of
 from hil.batch.plan import FixedPlan, run_plan
 from hil.batch.plan_file import found_from_anywhere
 from hil.batch.pool import LocalPool, Pool, Runner
-from hil.batch.store import ROWS, Row, Store, check_folder, read_rows
+from hil.batch.store import OTHER_ROWS, ROWS, Row, Store, check_folder, read_rows
 from hil.core.errors import BadInputError
 from hil.core.options import plain
 from hil.runtime.provenance import versions
@@ -141,11 +140,8 @@ class Campaign:
         check_folder(folder, self.about())
         with contextlib.ExitStack() as resources:
             store = resources.enter_context(Store(folder, self._schema))
-            try:
-                scratch = resources.enter_context(tempfile.TemporaryDirectory(prefix="hil_campaign_"))
-            except OSError as error:
-                raise BadInputError(f"no temporary folder can be made ({error}); make room for one") from error
-            do = partial(self._outcomes, place, Path(scratch), on_trouble, is_stopping)
+            do = partial(self._outcomes, place, store.scratch, on_trouble, is_stopping)
+            store.sort(self._by_key)
             self._begin(store)
             there = self._there(folder)
             store.drop({key for key, row in there.items() if row["outcome"] in redo})
@@ -193,7 +189,8 @@ class Campaign:
 
     def _there(self, folder: Path) -> dict[str, Row]:
         """Return the rows of this campaign's runs that are in a folder, by their keys."""
-        return {row[KEY]: row for row in read_rows(folder).to_pylist() if row[KEY] in self._by_key}
+        rows = [row for place in (OTHER_ROWS, ROWS) for row in read_rows(folder, place).to_pylist()]
+        return {row[KEY]: row for row in rows if row[KEY] in self._by_key}
 
     @cached_property
     def _by_key(self) -> dict[str, Run]:

@@ -12,6 +12,7 @@ from hil.batch.comparison.result import OVER, Comparison, Row
 from hil.batch.figures import Column, shown_columns
 from hil.batch.output import markdown_table
 from hil.core.outputs import Existing, write_whole
+from hil.core.printable import printable
 from hil.review.plots import FORMATS
 
 OVERVIEW = "figures"
@@ -86,7 +87,7 @@ def write_markdown(
             lines += ["", *(f"- {note}" for note in notes)]
         lines += _shown(pictures, names(condition), file)
     lines += _shown(pictures, (OVERVIEW,), file)
-    write_whole(file, ("\n".join(lines) + "\n").encode("utf-8"), "page", existing)
+    write_whole(file, printable("\n".join(lines) + "\n").encode("utf-8"), "page", existing)
 
 
 def _preface(comparison: Comparison, command: str) -> Iterator[str]:

@@ -1,12 +1,13 @@
 """The message of an external pose fix: one JSON object in one datagram (hil/estimation/ESTIMATORS.md). No I/O.
 
-{"version": 1, "age_s": 0.1, "x_m": 1.0, "y_m": 0.5, "heading_rad": 0.7,
+{"version": 1, "token": "...", "age_s": 0.1, "x_m": 1.0, "y_m": 0.5, "heading_rad": 0.7,
  "covariance": [4e-4, 0, 0, 4e-4, 0, 1e-4]}
 """
 
 import ipaddress
 import json
 import math
+import secrets
 from typing import NamedTuple
 from urllib.parse import urlsplit
 
@@ -74,8 +75,11 @@ class Received(NamedTuple):
         return self.age_s
 
 
-def parse(datagram: bytes) -> Received:
-    """Read a datagram. Raises Refused with the cause: too_long, malformed, version, not_finite or covariance."""
+def parse(datagram: bytes, token: str) -> Received:
+    """Read a datagram that must have the token.
+
+    Raises Refused with the cause: too_long, malformed, token, version, not_finite or covariance.
+    """
     if len(datagram) > LONGEST_BYTES:
         raise Refused("too_long")
     try:
@@ -84,6 +88,8 @@ def parse(datagram: bytes) -> Received:
         raise Refused("malformed") from None
     if not isinstance(message, dict):
         raise Refused("malformed")
+    if not secrets.compare_digest(str(message.pop("token", "")).encode(errors="replace"), token.encode()):
+        raise Refused("token")
     version = message.get("version")
     if type(version) is int and version != VERSION:
         raise Refused("version")

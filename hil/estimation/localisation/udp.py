@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
 from hil.core.errors import BadInputError
+from hil.core.tokens import make_token, read_token, token_file
 from hil.core.types import MeasuredPose, PoseFix
 from hil.estimation.localisation.message import Refused, parse, parse_address
 
@@ -23,7 +24,9 @@ class UdpFixes:
     A fix older than ``oldest_s`` is refused as ``stale``. One stamped more than 10 ms ahead of now is refused as
     ``future``: clocks of one machine differ by less. ``unix_time_s`` is the clock for stamps of Unix time.
 
-    Raises BadInputError for an address that is invalid or in use.
+    Every datagram must have the token in ``token_file``, which is made if it is missing, and kept.
+
+    Raises BadInputError for an address that is invalid or in use, and for a token file that cannot be used.
     """
 
     def __init__(self, address: str, oldest_s: float, unix_time_s: Callable[[], float] = time.time) -> None:
@@ -39,6 +42,14 @@ class UdpFixes:
         except OSError as error:
             self._socket.close()
             raise BadInputError(f"estimator.fix = {address!r} cannot be opened ({error}); choose another") from error
+        try:
+            self.token_file = token_file("fixes", parsed[1])
+            if not self.token_file.exists():
+                make_token(self.token_file)
+            self._token = read_token(self.token_file)
+        except BadInputError:
+            self._socket.close()
+            raise
 
     def poll(self, now_ns: int, truth: PoseFix | None) -> Sequence[MeasuredPose]:
         """Return the fixes that have arrived; ``truth`` is not used."""
@@ -80,7 +91,7 @@ class UdpFixes:
         self._socket.close()
 
     def _read(self, datagram: bytes, now_ns: int) -> MeasuredPose:
-        message = parse(datagram)
+        message = parse(datagram, self._token)
         age_s = message.age_at(self._unix_time_s())
         if age_s > self._oldest_s:
             raise Refused("stale")

@@ -71,14 +71,13 @@ class Gains(Body):
 class Record(Body):
     """Record to a file."""
 
-    path: str | None = Field(
+    name: str | None = Field(
         default=None,
         min_length=5,
-        max_length=1000,
+        max_length=200,
         pattern=r"\.(rrd|mcap)$",
-        description="an .rrd or .mcap file, as the service's user sees it; null for a name by scenario and time",
+        description="a new .rrd or .mcap file in the service's folder; null for a name by scenario and time",
     )
-    force: bool = Field(default=False, description="replace an existing file; otherwise the order is refused")
 
 
 def bodies(limits: Limits) -> Mapping[Action, type[Body]]:

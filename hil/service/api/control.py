@@ -6,10 +6,13 @@ import secrets
 import threading
 import time
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from functools import partial
 from typing import Any
 
 from hil.core.json_lines import LineReader, LineWriter, json_safe
+from hil.service.api.access import NEEDED, UNLIMITED, Client
+from hil.service.api.audit import Audit
 from hil.service.messages import LONG, MOVING, SILENT_S, Action, Answer, Order, to_line
 
 ANSWER_S = 1.0
@@ -26,27 +29,31 @@ _CATCHING_UP_S = 0.3
 _MOST_OPEN = 64
 
 
-class NoAnswerError(Exception):
-    """There is no answer to an order: none came in time (``http_status`` 504), or the order was not sent (503)."""
+class NotDoneError(Exception):
+    """An order was not sent (``http_status`` 403, 429 or 503), or was not answered in time (504)."""
 
     def __init__(self, sentence: str, http_status: int = 503) -> None:
         super().__init__(sentence)
         self.http_status = http_status
+        self.outcome = {403: "forbidden", 429: "too_many"}.get(http_status, "unanswered")
 
 
 class Control:
     """Sends orders to the control process and receives its answers and statuses, for the tasks of one event loop.
 
     Attributes:
+        audit: notes the orders.
         status: the newest, as a JSON object with null in place of NaN; None before the first.
         gone: set when the control process has ended.
         watchers: events that are set at each new status.
-        outcomes: number of orders by action and outcome (accepted, refused, unanswered).
+        outcomes: number of orders by action and outcome: accepted, refused by the control process, unanswered, invalid,
+            forbidden to the client, or too_many.
     """
 
-    def __init__(self, lines: LineReader, writer: LineWriter, twist_timeout_s: float) -> None:
+    def __init__(self, lines: LineReader, writer: LineWriter, twist_timeout_s: float, audit: Audit) -> None:
         self._loop = asyncio.get_running_loop()
         self._writer = writer
+        self.audit = audit
         # Random, so that an answer for an earlier API process matches no order.
         self._number = secrets.randbits(48)
         self._open: dict[int, asyncio.Future[Answer]] = {}
@@ -67,40 +74,66 @@ class Control:
         return time.monotonic() - self._received_s
 
     def fresh_status(self) -> dict[str, Any]:
-        """Return the newest status. Raises NoAnswerError when the control process has sent none for a second."""
+        """Return the newest status. Raises NotDoneError when the control process has sent none for a second."""
         if self.status is None or self.status_age_s > ANSWER_S:
-            raise NoAnswerError(f"the control process has sent no status for {self.status_age_s:.1f} s", 504)
+            raise NotDoneError(f"the control process has sent no status for {self.status_age_s:.1f} s", 504)
         return self.status
 
-    async def order(self, action: Action, arguments: Mapping[str, Any]) -> Answer:
-        """Send an order, and return the control process's answer.
+    async def order(self, action: Action, arguments: Mapping[str, Any], client: Client) -> Answer:
+        """Send a client's order, and return the control process's answer; the audit log has both.
 
-        Raises NoAnswerError. An emergency stop is always sent, unless the service is ending.
+        Raises NotDoneError. An emergency stop is always sent, unless the service is ending.
         """
+        self._number += 1
+        in_series = action is Action.TWIST or action in UNLIMITED
+        note = partial(self.audit.note, client, action, number=self._number, in_series=in_series)
+        try:
+            answer = await self._order(action, arguments, client, note)
+        except NotDoneError as error:
+            self.outcomes[action, error.outcome] += 1
+            note(error.outcome, why=str(error), in_series=in_series or error.http_status != 504)
+            raise
+        outcome = "accepted" if answer.refused is None else "refused"
+        self.outcomes[action, outcome] += 1
+        note(outcome, why=answer.refused)
+        return answer
+
+    async def _order(
+        self, action: Action, arguments: Mapping[str, Any], client: Client, note: Callable[..., None]
+    ) -> Answer:
+        if not client.may(action):
+            raise NotDoneError(
+                f"{action.value} needs the role {NEEDED[action]}, which the token {client.name!r} lacks", 403
+            )
         if self.gone.is_set():
-            raise NoAnswerError("the service is ending")
+            raise NotDoneError("the service is ending")
         busy = None
         if action in MOVING and self._has_stalled(action):
             busy = "the API stalled while this order waited; give it again"
         elif len(self._open) >= _MOST_OPEN and action is not Action.ESTOP:
             busy = f"the control process has {len(self._open)} orders to answer; only estop is accepted now"
         if busy is not None:
-            self.outcomes[action, "unanswered"] += 1
-            raise NoAnswerError(busy)
-        self._number += 1
+            raise NotDoneError(busy)
+        number = self._number
         future: asyncio.Future[Answer] = self._loop.create_future()
-        self._open[self._number] = future
-        self._writer.send(to_line(Order(self._number, action, arguments)), always=True)
+        self._open[number] = future
+        if action is not Action.ESTOP:
+            note("given", arguments=arguments)
+        self._writer.send(to_line(Order(number, action, arguments)), always=True)
+        if action is Action.ESTOP:
+            note("given")
         timeout_s = LONG_ANSWER_S if action in LONG else ANSWER_S
         try:
             # The future is kept when the wait is over: the control process still has the order.
-            answer = await asyncio.wait_for(asyncio.shield(future), timeout_s)
+            return await asyncio.wait_for(asyncio.shield(future), timeout_s)
         except TimeoutError:
-            self.outcomes[action, "unanswered"] += 1
             why = f"has not answered {action.value} within {timeout_s:g} s; it may still carry it out"
-            raise NoAnswerError(f"the control process {why}", 504) from None
-        self.outcomes[action, "accepted" if answer.refused is None else "refused"] += 1
-        return answer
+            raise NotDoneError(f"the control process {why}", 504) from None
+
+    def not_sent(self, client: Client, action: Action, outcome: str, why: str) -> None:
+        """Count and note an order that was refused before it came here."""
+        self.outcomes[action, outcome] += 1
+        self.audit.note(client, action, outcome, why=why, in_series=True)
 
     async def live(self) -> None:
         """Send signs of life to the control process, and notice stalls of this event loop, until cancelled."""
@@ -151,6 +184,6 @@ class Control:
         self.gone.set()
         for future in self._open.values():
             if not future.done():
-                future.set_exception(NoAnswerError("the service has ended"))
+                future.set_exception(NotDoneError("the service has ended"))
                 future.exception()  # marks it as read, because perhaps nobody waits for it
         self._open.clear()

@@ -19,8 +19,9 @@ from pydantic import BaseModel, Field, ValidationError
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from hil.service import logs
+from hil.service.api.access import TOO_MANY, Access, Client
 from hil.service.api.bodies import Body, sentence
-from hil.service.api.control import Control, NoAnswerError
+from hil.service.api.control import Control, NotDoneError
 from hil.service.messages import Action, Answer, to_line
 
 GOING_AWAY = 1001
@@ -45,9 +46,13 @@ class _Message(BaseModel, extra="forbid", strict=True):
 class LiveClient:
     """One client on the WebSocket, from its handshake to its end."""
 
-    def __init__(self, socket: WebSocket, control: Control, bodies: Mapping[Action, type[Body]]) -> None:
+    def __init__(
+        self, socket: WebSocket, control: Control, access: Access, bodies: Mapping[Action, type[Body]]
+    ) -> None:
         self._socket = socket
         self._control = control
+        self._access = access
+        self._client: Client = socket.state.client
         self._bodies = bodies
         self._answers: deque[Answer] = deque()
         self._news = asyncio.Event()
@@ -93,6 +98,10 @@ class LiveClient:
         except ValidationError as error:
             self._put(Answer(_NO_NUMBER, f"this is not an order: {sentence(error.errors())}"))
             return
+        if not self._access.is_in_time(self._client, order.action):
+            self._control.not_sent(self._client, order.action, "too_many", TOO_MANY)
+            self._put(Answer(order.number, TOO_MANY))
+            return
         task = asyncio.create_task(self._carry_out(order))
         self._pending.add(task)
         task.add_done_callback(self._pending.discard)
@@ -100,10 +109,12 @@ class LiveClient:
     async def _carry_out(self, order: _Order) -> None:
         try:
             body = self._bodies[order.action].model_validate(order.arguments)
-            answer = await self._control.order(order.action, body.model_dump())
+            answer = await self._control.order(order.action, body.model_dump(), self._client)
         except ValidationError as error:
-            self._put(Answer(order.number, sentence(error.errors())))
-        except NoAnswerError as error:
+            why = sentence(error.errors())
+            self._control.not_sent(self._client, order.action, "invalid", why)
+            self._put(Answer(order.number, why))
+        except NotDoneError as error:
             self._put(Answer(order.number, str(error)))
         else:
             self._put(replace(answer, number=order.number))

@@ -20,10 +20,14 @@ from hil.service.messages import Phase, Task
 
 
 class ServiceMetrics(Collector):
-    """The metrics of a service, made from its newest status at each request."""
+    """The metrics of a service, made from its newest status at each request.
 
-    def __init__(self, control: Control) -> None:
+    ``dropped`` are the numbers of connections that were dropped, by cause.
+    """
+
+    def __init__(self, control: Control, dropped: Mapping[str, int]) -> None:
         self._control = control
+        self._dropped = dropped
         self._registry = CollectorRegistry()
         self._registry.register(self)
 
@@ -46,6 +50,14 @@ class ServiceMetrics(Collector):
         for (action, outcome), number in sorted(control.outcomes.items()):
             orders.add_metric((action.value, outcome), number)
         yield orders
+        dropped = CounterMetricFamily(
+            "hil_api_connections_dropped", "Connections that were dropped, by cause.", labels=("cause",)
+        )
+        for cause in ("late", "crowded", "not_accepted"):
+            dropped.add_metric((cause,), self._dropped.get(cause, 0))
+        yield dropped
+        documentation = "Lines that the audit log could not take."
+        yield CounterMetricFamily("hil_api_audit_failures", documentation, control.audit.failures)
         if control.status is not None:
             yield from _of_status(control.status)
 
@@ -65,6 +77,7 @@ def _of_status(status: Mapping[str, Any]) -> Iterator[Metric]:
         ("hil_deadline_misses", "Ticks that began after their deadline.", status["deadline_misses"]),
         ("hil_recoveries", "Losses of the robot that were recovered from.", status["recoveries"]),
         ("hil_rows_dropped", "Rows that the recorder had no room for.", status["rows_dropped"]),
+        ("hil_rows_lost", "Rows that the recorder could not write.", status["rows_lost"]),
         ("hil_frames_sent", "Frames to the robot.", frames["sent"]),
         ("hil_frames_received", "Frames from the robot.", frames["received"]),
     ):
@@ -82,6 +95,7 @@ def _of_status(status: Mapping[str, Any]) -> Iterator[Metric]:
         ("twist_age_seconds", "Age of the twist in force.", status["twist_age_s"], 1.0),
         ("power_stage", "1 when the robot has motors.", status["power_stage"], 1.0),
         ("recording", "1 while a recording is written.", status["recording"] is not None, 1.0),
+        ("recording_trouble", "1 when a recording cannot be written.", status["recording_trouble"] is not None, 1.0),
     ):
         if value is not None:
             yield GaugeMetricFamily(f"hil_{name}", documentation, value * unit)

@@ -1,6 +1,6 @@
 """The routes of the API: one for each order, and routes for the status, the metrics and the WebSocket."""
 
-from collections.abc import Awaitable, Callable
+from collections.abc import Awaitable, Callable, Mapping
 from inspect import Parameter, Signature
 from typing import Any
 
@@ -10,11 +10,12 @@ from fastapi.responses import JSONResponse
 from fastapi.security import HTTPBearer
 from pydantic import BaseModel, Field
 
+from hil.service.api.access import Access
 from hil.service.api.bodies import Body, bodies, sentence
-from hil.service.api.control import Control, NoAnswerError
+from hil.service.api.control import Control, NotDoneError
 from hil.service.api.live import LiveClient
 from hil.service.api.metrics import ServiceMetrics
-from hil.service.messages import Action, ApiConfig, Status, route
+from hil.service.messages import ORDERS, Action, ApiConfig, Status, route
 
 
 class Refusal(BaseModel):
@@ -32,15 +33,20 @@ class Done(BaseModel):
 _REFUSALS: dict[int | str, dict[str, Any]] = {
     400: {"model": Refusal, "description": "The body cannot be read: nested too deeply, or a number too long"},
     401: {"model": Refusal, "description": "The token is missing or wrong"},
+    403: {"model": Refusal, "description": "The token lacks the role that the order needs"},
     409: {"model": Refusal, "description": "The control process refuses: the order is not possible now"},
     422: {"model": Refusal, "description": "The body is not valid"},
+    429: {"model": Refusal, "description": "Too many orders a second were given with this token"},
     503: {"model": Refusal, "description": "The control process has too many orders to answer, or is ending"},
     504: {"model": Refusal, "description": "The control process does not answer within a second"},
 }
 
 
-def make_app(config: ApiConfig, control: Control) -> FastAPI:
-    """Return the application. ``server.Gate`` is in front of it and checks who may use it."""
+def make_app(config: ApiConfig, control: Control, access: Access, dropped: Mapping[str, int]) -> FastAPI:
+    """Return the application. ``server.Gate`` is in front of it: it puts the client into the state of each request.
+
+    ``dropped`` are the numbers of connections that were dropped, by cause.
+    """
     app = FastAPI(
         title=f"hil serve: {config.title}",
         version="1",
@@ -53,7 +59,7 @@ def make_app(config: ApiConfig, control: Control) -> FastAPI:
         dependencies=[Security(HTTPBearer(auto_error=False, description="the token of this start"))],
     )
     checked = bodies(config.limits)
-    metrics = ServiceMetrics(control)
+    metrics = ServiceMetrics(control, dropped)
 
     @app.get("/v1/status", response_model=Status, responses=_some(401, 504), summary="The status", tags=["status"])
     async def status() -> Response:
@@ -66,7 +72,7 @@ def make_app(config: ApiConfig, control: Control) -> FastAPI:
 
     @app.websocket("/v1/live")
     async def live(socket: WebSocket) -> None:
-        await LiveClient(socket, control, checked).serve()
+        await LiveClient(socket, control, access, checked).serve()
 
     for action in Action:
         method, path = route(action)
@@ -81,8 +87,14 @@ def make_app(config: ApiConfig, control: Control) -> FastAPI:
             tags=["orders"],
         )
 
-    app.exception_handler(RequestValidationError)(_invalid)
-    app.exception_handler(NoAnswerError)(_no_answer)
+    @app.exception_handler(RequestValidationError)
+    async def invalid(request: Request, error: RequestValidationError) -> Response:
+        why = sentence(error.errors())
+        if (action := ORDERS.get((request.method, request.url.path))) is not None:
+            control.not_sent(request.state.client, action, "invalid", why)
+        return JSONResponse({"detail": why}, 422)
+
+    app.exception_handler(NotDoneError)(_not_done)
     return app
 
 
@@ -91,27 +103,22 @@ def _some(*statuses: int) -> dict[int | str, dict[str, Any]]:
 
 
 def _endpoint(control: Control, action: Action, model: type[Body]) -> Callable[..., Awaitable[Response]]:
-    async def order(body: Body | None = None) -> Response:
-        answer = await control.order(action, (body or model()).model_dump())
+    async def order(request: Request, body: Body | None = None) -> Response:
+        answer = await control.order(action, (body or model()).model_dump(), request.state.client)
         if answer.refused is not None:
             return JSONResponse({"detail": answer.refused}, 409)
         return JSONResponse({"result": answer.result})
 
-    parameters = []
+    parameters = [Parameter("request", Parameter.KEYWORD_ONLY, annotation=Request)]
     if model.model_fields:
         is_required = any(field.is_required() for field in model.model_fields.values())
         default, annotation = (Parameter.empty, model) if is_required else (None, model | None)
-        parameters = [Parameter("body", Parameter.KEYWORD_ONLY, default=default, annotation=annotation)]
+        parameters.append(Parameter("body", Parameter.KEYWORD_ONLY, default=default, annotation=annotation))
     # The models have this service's ranges, which an annotation in the source cannot name.
     order.__signature__ = Signature(parameters)  # type: ignore[attr-defined]
     return order
 
 
-async def _invalid(_request: Request, error: Exception) -> Response:
-    assert isinstance(error, RequestValidationError)
-    return JSONResponse({"detail": sentence(error.errors())}, 422)
-
-
-async def _no_answer(_request: Request, error: Exception) -> Response:
-    assert isinstance(error, NoAnswerError)
+async def _not_done(_request: Request, error: Exception) -> Response:
+    assert isinstance(error, NotDoneError)
     return JSONResponse({"detail": str(error)}, error.http_status)

@@ -5,8 +5,8 @@ to 127.0.0.1 (DNS rebinding), the Host header shows it; otherwise the token stop
 """
 
 import asyncio
-import secrets
 import socket
+from collections.abc import Mapping
 
 import uvicorn
 from fastapi.responses import JSONResponse
@@ -14,76 +14,109 @@ from starlette.types import ASGIApp, Receive, Scope, Send
 
 from hil.core.json_lines import LineReader, LineWriter
 from hil.service import logs
+from hil.service.api.access import TOO_MANY, Access, Client, Headers, values_of
+from hil.service.api.audit import Audit
 from hil.service.api.control import Control
+from hil.service.api.door import BATCH, Door
 from hil.service.api.routes import make_app
-from hil.service.messages import HOST, ApiConfig
+from hil.service.messages import HOST, ORDERS, ApiConfig
 
 _PING_S = 5.0
 _LONGEST_BYTES = 64 * 1024  # of a body or a WebSocket message
 _LAST_ANSWERS_S = 1
+_MOST_LIVE = 64
+_TOO_MANY_STATUS = 429
+_TOO_MANY_PAUSE_S = 0.1
+_LONGEST_QUEUE = 4096  # connections that the system keeps until they are accepted
 
 
 class Gate:
     """An ASGI application in front of another one: it refuses requests without the token or with a foreign Host header.
 
-    It also refuses a body of more than 64 KiB before reading it.
+    It also refuses a body of more than 64 KiB before reading it, and a WebSocket beyond ``_MOST_LIVE``. Whoever is
+    refused is disconnected: the body may be unread.
     """
 
-    def __init__(self, app: ASGIApp, *, token: str, hosts: frozenset[bytes]) -> None:
+    def __init__(self, app: ASGIApp, access: Access, hosts: frozenset[bytes], control: Control) -> None:
         self._app = app
-        self._authorization = f"Bearer {token}".encode()
+        self._access = access
         self._hosts = hosts
+        self._control = control
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Refuse a request or a handshake, or pass it on."""
-        await (self._refusal(scope) or self._app)(scope, receive, send)
+        client = self._access.client(scope["headers"])
+        refusal = self._refusal(scope, client)
+        if refusal is not None and refusal.status_code == _TOO_MANY_STATUS:
+            # The connection is not read meanwhile, so that a flood leaves time for other clients.
+            await asyncio.sleep(_TOO_MANY_PAUSE_S)
+        await (refusal or self._app)(scope, receive, send)
 
-    def _refusal(self, scope: Scope) -> JSONResponse | None:
-        def values_of(header: bytes) -> list[bytes]:
-            return [value for name, value in scope["headers"] if name == header]
-
-        if values_of(b"host") not in [[host] for host in self._hosts]:
+    def _refusal(self, scope: Scope, client: Client | None) -> JSONResponse | None:
+        headers: Headers = scope["headers"]
+        length, encoding = values_of(headers, b"content-length"), values_of(headers, b"transfer-encoding")
+        if length and encoding:  # a proxy may take the one and this server the other (RFC 9112, 6.3)
+            return _refuse(400, "a request has a Content-Length or a Transfer-Encoding, and this one has both")
+        if values_of(headers, b"host") not in [[host] for host in self._hosts]:
             hosts = " or ".join(sorted(host.decode() for host in self._hosts))
             return _refuse(421, f"this service answers for {hosts} only, and the Host header names another")
-        shown = values_of(b"authorization")
-        if len(shown) != 1 or not secrets.compare_digest(shown[0], self._authorization):
+        if client is None:
             sentence = "the header 'Authorization: Bearer TOKEN' with the token of this start is missing or wrong"
             return _refuse(401, sentence, {"www-authenticate": "Bearer"})
+        host, port = scope["client"]
+        scope["state"]["client"] = client = client._replace(address=f"{host}:{port}")
         if scope["type"] != "http":
+            if len(self._control.watchers) >= _MOST_LIVE:
+                return _refuse(503, f"{_MOST_LIVE} clients are on the WebSocket; end one of them")
             return None
-        if values_of(b"transfer-encoding"):
+        if encoding:
             return _refuse(411, "send the body with a Content-Length")
-        length = int((values_of(b"content-length") or [b"0"])[0])  # the server has checked that it is a number
-        if length > _LONGEST_BYTES:
-            sentence = f"a body of {length} bytes is too long; expected at most {_LONGEST_BYTES}"
-            return _refuse(413, sentence, {"connection": "close"})  # the body was not read
+        size = int((length or [b"0"])[0])  # the server has checked that it is a number
+        if size > _LONGEST_BYTES:
+            return _refuse(413, f"a body of {size} bytes is too long; expected at most {_LONGEST_BYTES}")
+        action = ORDERS.get((scope["method"], scope["path"]))
+        if action is not None and not self._access.is_in_time(client, action):
+            self._control.not_sent(client, action, "too_many", TOO_MANY)
+            return JSONResponse({"detail": TOO_MANY}, _TOO_MANY_STATUS, {"retry-after": "1"})
         return None
 
 
-def _refuse(status: int, sentence: str, headers: dict[str, str] | None = None) -> JSONResponse:
-    return JSONResponse({"detail": sentence}, status, headers)
+def _refuse(status: int, sentence: str, headers: Mapping[str, str] | None = None) -> JSONResponse:
+    return JSONResponse({"detail": sentence}, status, {"connection": "close"} | dict(headers or {}))
 
 
 async def serve(
-    config: ApiConfig, listener: socket.socket, token: str, lines: LineReader, writer: LineWriter, ready: dict[str, str]
+    config: ApiConfig,
+    listener: socket.socket,
+    access: Access,
+    audit: Audit,
+    lines: LineReader,
+    writer: LineWriter,
+    ready: dict[str, str],
 ) -> None:
     """Serve the API on a listening socket until the control process has ended or this process gets a signal.
 
-    ``token`` is the one that clients must send; ``ready`` is sent to the control process when the server listens.
+    ``access`` knows the clients, and ``audit`` notes their orders. ``ready`` is sent to the control process when the
+    server listens.
     """
-    control = Control(lines, writer, config.limits.twist_timeout_s)
+    control = Control(lines, writer, config.limits.twist_timeout_s, audit)
     port = listener.getsockname()[1]
     hosts = frozenset(f"{name}:{port}".encode() for name in (HOST, "localhost"))
 
     class Server(uvicorn.Server):
         async def startup(self, sockets: list[socket.socket] | None = None) -> None:
             await super().startup(sockets)
+            listener.listen(_LONGEST_QUEUE)  # asyncio accepts as many in one turn as its queue is long
             writer.send({"ready": ready})
 
+    door = Door(access.is_known)
+    gate = Gate(make_app(config, control, access, door.dropped), access, hosts, control)
     server = Server(
         uvicorn.Config(
-            Gate(make_app(config, control), token=token, hosts=hosts),
-            http="h11",
+            gate,
+            http=door.protocol(),
+            backlog=BATCH,
+            timeout_keep_alive=10,  # the door's time for a client that has shown a token
             ws="websockets-sansio",
             loop="asyncio",
             lifespan="off",
@@ -103,8 +136,9 @@ async def serve(
         await control.gone.wait()
         server.should_exit = True
 
-    beside = [asyncio.create_task(task) for task in (control.live(), end())]
+    beside = [asyncio.create_task(task) for task in (control.live(), door.sweep(), audit.keep(), end())]
     await server.serve([listener])
     for task in beside:
         task.cancel()
+    audit.close()
     logs.info("API ends")

@@ -1,0 +1,210 @@
+"""Limits on how fast torques may make a moving robot: of its wheels, of their slip, and of its body. Pure.
+
+A torque is faded, from all of it at the beginning of a band to none at the end, while it drives something faster that
+is near its limit: a wheel by itself, which may spin, and the body, which all wheels drive together. What brakes or
+steers passes as it is. A speed counts as near its limit by what it will be when the command acts: the measured speed,
+plus its present rate of change times the sum of latency, tick and lag of the measurement. A wheel that rolls gains
+little in that time. One without grip has nothing but its own inertia to gain against, and is faded tens of rad/s before
+its limit.
+"""
+
+import math
+from typing import Literal, NamedTuple
+
+from hil.core.kinematics import body_twist, body_wrench
+from hil.core.model import RobotModel
+from hil.core.types import State, WheelCommand, Wheels
+
+TorqueSpeed = Literal["protection", "limit", "off"]
+BAND = 0.05
+"""The law may go beyond the limits of the body by this share, or it could not make up for what it has lost."""
+_LAG_S = 0.0133  # of a measured wheel speed: 2 / tracking_bandwidth_rad_s, with its default
+_OLD_S = 0.05  # speeds further apart than this say nothing of the acceleration now
+_WHEEL_END = 0.9  # share of the overspeed at which the torque is gone
+_SLIP_BEGIN = 0.5  # share of the limit of slip from which the torque is faded
+_TURNS_S = 0.25  # how far ahead a turning robot's wheels are looked at
+_NEAR = 0.25  # share of the beginning of a band below which nothing is looked at
+
+
+class BodyLimits(NamedTuple):
+    """The largest speed of the robot's centre [m/s], and yaw rate [rad/s]."""
+
+    speed_m_s: float
+    yaw_rate_rad_s: float
+
+
+class MotionLimits:
+    """What a ``Guard`` does beyond scaling set points to what a wheel may have.
+
+    ``body`` are the limits of the body, if any; in SPEED mode they scale the set points. ``slip_m_s``, if given, is how
+    much faster than the floor a rim may move. ``torque_speed`` is which wheel speed torques keep below: one at which
+    the robot's ``protection`` does not stop it, the ``limit`` of the scenario, or, with ``off``, none. ``near_rad_s``
+    is the wheel speed below which no limit can be near, ``last`` are the newest wheel speeds and their robot's time.
+    """
+
+    def __init__(
+        self,
+        model: RobotModel,
+        period_s: float,
+        slip_m_s: float | None = None,
+        torque_speed: TorqueSpeed = "protection",
+    ) -> None:
+        self._model = model
+        self._torque_speed = torque_speed
+        self._ahead_s = period_s + _LAG_S
+        self._slip_rad_s = math.inf if slip_m_s is None else slip_m_s / model.wheel_radius_m
+        self.last: tuple[Wheels | None, int] = None, 0
+        nothing: tuple[float, ...] = ()
+        self._slip: tuple[Wheels | None, int, tuple[float, ...], tuple[float, ...]] = None, -1, nothing, nothing
+        self._body: BodyLimits | None = None
+        self._between = math.inf, math.inf
+        self._set_near()
+
+    @property
+    def acts(self) -> bool:
+        """Whether there is any limit to keep in TORQUE mode."""
+        return self.near_rad_s < math.inf
+
+    @property
+    def body(self) -> BodyLimits | None:
+        return self._body
+
+    @body.setter
+    def body(self, limits: BodyLimits | None) -> None:
+        self._body = limits
+        self._set_near()
+
+    def limit_to(self, accepted_rad_s: float, overspeed_rad_s: float) -> None:
+        """Apply what the robot reports: the speed that it accepts as a command, and the one at which it stops itself.
+
+        Both are infinity where it reports none.
+        """
+        begin, end = math.inf, math.inf
+        if self._torque_speed != "off":
+            begin, end = accepted_rad_s, _WHEEL_END * overspeed_rad_s
+        if self._torque_speed == "limit":
+            limit = min(self._model.speed_limit_rad_s, accepted_rad_s)
+            begin, end = (1.0 - BAND) * limit, limit
+        self._between = begin, end
+        self._set_near()
+
+    def scaled(self, speed_rad_s: Wheels) -> Wheels:
+        """Return set points scaled to the limits of the body; the same object if they are kept."""
+        body, model = self._body, self._model
+        if body is None:
+            return speed_rad_s
+        forward, left, yaw_rate = body_twist(speed_rad_s, model.wheel_radius_m, model.lever_m)
+        most = max(math.hypot(forward, left) / body.speed_m_s, abs(yaw_rate) / body.yaw_rate_rad_s) / (1.0 + BAND)
+        return Wheels(*(one / most for one in speed_rad_s)) if most > 1.0 else speed_rad_s
+
+    def faded(self, command: WheelCommand, speed_rad_s: Wheels, time_ns: int, state: State, latency_s: float) -> Wheels:
+        """Return the torques of a command; the same object if nothing is near a limit.
+
+        It need not be called while all wheels are slower than ``near_rad_s``, but ``last`` has to be set.
+        ``speed_rad_s`` are the measured wheel speeds, ``time_ns`` the robot's time of the measurement, ``state`` is the
+        robot's as far as known, ``latency_s`` that of a command.
+        """
+        before, before_ns = self.last
+        self.last = speed_rad_s, time_ns
+        torque = command.torque_n_m
+        if not math.isfinite(sum(speed_rad_s)):
+            return torque
+        dt_s = (time_ns - before_ns) * 1e-9
+        ahead = (self._ahead_s + latency_s) / dt_s if 0.0 < dt_s < _OLD_S else 0.0
+        coming = _ahead(speed_rad_s, before, ahead)
+        begin, end = self._between
+        torque = _faded(torque, speed_rad_s, coming, begin, end)
+        if self._slip_rad_s < math.inf:
+            torque = self._fade_slip(torque, speed_rad_s, time_ns, before_ns, ahead, state)
+        return self._fade_body(torque, coming)
+
+    def _fade_slip(
+        self, torque: Wheels, now: Wheels, time_ns: int, before_ns: int, ahead: float, state: State
+    ) -> Wheels:
+        (_, _, heading_rad), twist = state
+        rolling = self._model.wheel_speeds(twist, heading_rad)
+        before, at_ns, once, twice = self._slip
+        if at_ns == before_ns:
+            # The measured speeds lag behind by two filters in a row, so what they are compared with must do so too.
+            follows = -math.expm1(-2e-9 * (time_ns - before_ns) / _LAG_S)
+            once = tuple(old + follows * (new - old) for old, new in zip(once, rolling, strict=True))
+            twice = tuple(old + follows * (new - old) for old, new in zip(twice, once, strict=True))
+        else:
+            before, once, twice = None, rolling, rolling
+        slip = Wheels(*(one - rolls for one, rolls in zip(now, twice, strict=True)))
+        self._slip = slip, time_ns, once, twice
+        coming = _ahead(slip, before, ahead)
+        return _faded(torque, now, coming, _SLIP_BEGIN * self._slip_rad_s, self._slip_rad_s)
+
+    def _fade_body(self, torque: Wheels, coming: Wheels) -> Wheels:
+        """Take away from the force what pushes the way that the robot moves, and from the torque what turns it on.
+
+        Wheels that roll are driven by each other: to fade the fastest alone would let the other three drive it on. And
+        a robot that turns needs no force to make a wheel faster: it moves along that wheel's direction a little later.
+        """
+        model = self._model
+        forward, left, yaw_rate = body_twist(coming, model.wheel_radius_m, model.lever_m)
+        speed = math.hypot(forward, left)
+        plane = turn = 1.0 - _share(self._fastest_rad_s(forward, left, yaw_rate), *self._between)
+        if (body := self._body) is not None:
+            plane = max(plane, 1.0 - _share(speed, body.speed_m_s, (1.0 + BAND) * body.speed_m_s))
+            turn = max(turn, 1.0 - _share(abs(yaw_rate), body.yaw_rate_rad_s, (1.0 + BAND) * body.yaw_rate_rad_s))
+        if plane == turn == 0.0:
+            return torque
+        force_x, force_y, yaw_n_m = body_wrench(torque, model.wheel_radius_m, model.lever_m)
+        push = plane * max(force_x * forward + force_y * left, 0.0) / (speed * speed) if speed else 0.0
+        quarter = model.wheel_radius_m / 4.0
+        x, y = quarter * push * forward, quarter * push * left
+        yaw = quarter * turn * (yaw_n_m if yaw_n_m * yaw_rate > 0.0 else 0.0) / model.lever_m
+        if x == y == yaw == 0.0:
+            return torque
+        fl, fr, rr, rl = torque
+        return Wheels(fl - (x - y - yaw), fr - (x + y + yaw), rr - (x - y + yaw), rl - (x + y - yaw))
+
+    def _fastest_rad_s(self, forward: float, left: float, yaw_rate: float) -> float:
+        """Return how fast the fastest wheel rolls at this twist while the robot turns on for ``_TURNS_S``."""
+        large, small = abs(forward), abs(left)
+        off_rad = abs(math.atan2(small, large) - 0.25 * math.pi)  # from the nearest diagonal, where a wheel is fastest
+        along = math.cos(max(off_rad - _TURNS_S * abs(yaw_rate), 0.0))
+        push = math.sqrt(2.0) * math.hypot(forward, left) * along
+        return (push + self._model.lever_m * abs(yaw_rate)) / self._model.wheel_radius_m
+
+    def _set_near(self) -> None:
+        begins = [self._between[0], _SLIP_BEGIN * self._slip_rad_s]
+        if self._body is not None:
+            model = self._model
+            begins.append(min(self._body.speed_m_s, model.lever_m * self._body.yaw_rate_rad_s) / model.wheel_radius_m)
+        self.near_rad_s = _NEAR * min(begins)
+
+
+def _ahead(now: Wheels, before: Wheels | None, steps: float) -> Wheels:
+    """Return what the values will be after so many steps like the last one, but none nearer to zero than it is now.
+
+    A wheel that was let go slows down fast; to give it all of its torque back for that would make it spin again.
+    """
+    if before is None or steps == 0.0:
+        return now
+    return Wheels(
+        *(
+            one + steps * (one - then) if (one - then) * one > 0.0 else one
+            for one, then in zip(now, before, strict=True)
+        )
+    )
+
+
+def _faded(torque: Wheels, now: Wheels, coming: Wheels, begin: float, end: float) -> Wheels:
+    """Return torques faded by ``coming``: only those that drive a wheel the way it turns already."""
+    shares = [
+        _share(math.copysign(will_be, pushes * will_be), begin, end) if pushes * is_at > 0.0 else 1.0
+        for pushes, is_at, will_be in zip(torque, now, coming, strict=True)
+    ]
+    if min(shares) == 1.0:
+        return torque
+    return Wheels(*(share * pushes for share, pushes in zip(shares, torque, strict=True)))
+
+
+def _share(value: float, begin: float, end: float) -> float:
+    """Return 1 up to ``begin``, 0 from ``end`` on, and in between what lies on the straight line."""
+    if value <= begin:
+        return 1.0
+    return 0.0 if value >= end else (end - value) / (end - begin)

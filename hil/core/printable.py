@@ -1,0 +1,43 @@
+"""Text from elsewhere (a device, a recording, a law, a file's name) made harmless where it leaves this program.
+
+A terminal obeys control characters: it moves its cursor, changes its title, or types what it was told. Each door by
+which text leaves calls ``printable``: the streams of a command, the log of a service, pages, and what a viewer shows.
+"""
+
+import re
+from typing import TextIO
+
+# Control characters but tab and line feed; marks that turn the direction of text or end a line; halves of a character.
+_HARMFUL = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u200e\u200f\u2028-\u202e\u2066-\u2069\ud800-\udfff]")
+
+
+def printable(text: str) -> str:
+    r"""Return a text with an escape in the place of each character that a terminal would obey; its lines stay.
+
+    >>> printable("red: \x1b[31m\n")
+    'red: \\x1b[31m\n'
+    """
+    return _HARMFUL.sub(lambda found: found[0].encode("unicode_escape").decode("ascii"), text)
+
+
+class PrintableStream:
+    """A text stream that writes ``printable`` text. A carriage return that is written alone passes: it is ours.
+
+    Attributes:
+        raw: the stream itself, for who writes control sequences of our own.
+    """
+
+    def __init__(self, raw: TextIO) -> None:
+        self.raw = raw
+
+    def write(self, text: str) -> int:
+        """Write a text and return the number of characters that were written."""
+        return self.raw.write(text if text == "\r" else printable(text))
+
+    def __getattr__(self, name: str) -> object:
+        return getattr(self.raw, name)
+
+
+def raw_stream(stream: TextIO) -> TextIO:
+    """Return the stream below a ``PrintableStream``, or the stream itself."""
+    return stream.raw if isinstance(stream, PrintableStream) else stream

@@ -1,0 +1,153 @@
+"""The connections of the API: how many there may be, for how long each may keep the server waiting, and who goes first.
+
+A connection is in one of three rooms. Each has a limit of connections, beyond which the oldest is dropped, and of time.
+So clients that open connections and send nothing, or half a header, take room from each other, and never from a client
+whose requests have the token. WebSockets are counted where they are accepted (``server.Gate``).
+"""
+
+import asyncio
+import sys
+import time
+from collections import Counter
+from collections.abc import Callable
+from typing import Any
+
+from uvicorn.protocols.http.h11_impl import H11Protocol
+
+from hil.service import logs
+from hil.service.api.access import Headers
+
+BATCH = 64
+"""Connections accepted in one turn of the event loop; a new one is read two turns later, while it is still young."""
+
+_FILES = 640  # the rooms, 64 WebSockets, and what the process itself has open
+_SWEEP_S = 0.25
+_SAY_S = 10.0
+
+
+def _most_files() -> float:
+    """Return how many files this process may have open; take what it may take at most, up to ``_FILES``."""
+    if sys.platform == "win32":
+        return _FILES
+    import resource
+
+    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+    if soft < _FILES:
+        soft = min(_FILES, hard)
+        resource.setrlimit(resource.RLIMIT_NOFILE, (soft, hard))
+    return soft
+
+
+class _Room:
+    """Connections by the time at which they came in, oldest first."""
+
+    def __init__(self, most: int, limit_s: float) -> None:
+        self.most = most
+        self.limit_s = limit_s
+        self.since_s: dict[Connection, float] = {}
+
+    def oldest(self) -> "Connection":
+        return next(iter(self.since_s))
+
+    def overdue(self, now_s: float) -> list["Connection"]:
+        return [one for one, since_s in self.since_s.items() if now_s - since_s > self.limit_s]
+
+
+class Door:
+    """Holds the connections of one server, in rooms that this process's limit of file descriptors has space for.
+
+    ``is_known`` returns whether a request's headers have a valid token.
+
+    Attributes:
+        dropped: number of connections by cause: ``late``, ``crowded``, or ``not_accepted``.
+    """
+
+    def __init__(self, is_known: Callable[[Headers], bool]) -> None:
+        self.is_known = is_known
+        self.dropped: Counter[str] = Counter()
+        share = min(1.0, _most_files() / _FILES)
+        # Far more than a batch or two, so that none is dropped before its first bytes were looked at.
+        self._strangers = _Room(round(256 * share), 2.0)
+        # Those that have shown a token, and send their next request or rest.
+        self._guests = _Room(round(128 * share), 10.0)
+        # Longer than the longest order takes; beyond it a client does not read.
+        self._served = _Room(round(128 * share), 40.0)
+        self._said: Counter[str] = Counter()
+        self._say_s = 0.0
+
+    def protocol(self) -> type[H11Protocol]:
+        """Return the protocol for uvicorn, whose connections go through this door."""
+        return type("Connection", (Connection,), {"door": self})
+
+    def enter(self, connection: "Connection", *, is_served: bool) -> None:
+        """Put a connection into the room for its state; drop the oldest of a full room. One that is there stays."""
+        room = self._strangers if not connection.is_known else self._served if is_served else self._guests
+        if connection in room.since_s:
+            return
+        self.leave(connection)
+        if len(room.since_s) >= room.most:
+            self._drop(room.oldest(), "crowded")
+        room.since_s[connection] = time.monotonic()
+
+    def leave(self, connection: "Connection") -> None:
+        """Forget a connection that has ended or changes its room."""
+        for room in (self._strangers, self._guests, self._served):
+            room.since_s.pop(connection, None)
+
+    async def sweep(self) -> None:
+        """Drop connections that are overdue, and log how many were dropped, until cancelled."""
+        asyncio.get_running_loop().set_exception_handler(self._on_exception)
+        while True:
+            await asyncio.sleep(_SWEEP_S)
+            now_s = time.monotonic()
+            for room in (self._strangers, self._guests, self._served):
+                for connection in room.overdue(now_s):
+                    self._drop(connection, "late")
+            if self.dropped != self._said and now_s >= self._say_s:
+                logs.warning("connections dropped", **self.dropped - self._said)
+                self._said, self._say_s = self.dropped.copy(), now_s + _SAY_S
+
+    def _drop(self, connection: "Connection", cause: str) -> None:
+        self.leave(connection)
+        self.dropped[cause] += 1
+        connection.transport.abort()  # at once, whatever is unsent
+
+    def _on_exception(self, loop: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
+        """Count a connection that could not be accepted, for want of descriptors; asyncio tries again in a second."""
+        if isinstance(context.get("exception"), OSError) and "socket" in context:
+            self.dropped["not_accepted"] += 1
+        else:
+            loop.default_exception_handler(context)
+
+
+class Connection(H11Protocol):
+    """A connection of uvicorn that tells the door when it waits for a request, and when one is being answered."""
+
+    door: Door
+    is_known = False
+
+    def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
+        """Begin to wait for the first request."""
+        super().connection_made(transport)
+        self.door.enter(self, is_served=False)
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        """Forget the connection."""
+        self.door.leave(self)
+        super().connection_lost(exc)
+
+    def handle_events(self) -> None:
+        """Handle what has arrived; a request that is whole is no longer waited for."""
+        before = self.cycle
+        super().handle_events()
+        if self.transport.get_protocol() is not self:  # it is a WebSocket now
+            self.door.leave(self)
+        elif self.cycle is not None and not self.cycle.response_complete:
+            if self.cycle is not before:
+                self.is_known = self.door.is_known(self.headers)
+            self.door.enter(self, is_served=not self.cycle.more_body)
+
+    def on_response_complete(self) -> None:
+        """Wait for the next request."""
+        self.door.enter(self, is_served=False)
+        super().on_response_complete()

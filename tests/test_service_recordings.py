@@ -1,0 +1,134 @@
+"""What a service does when its recording cannot be written: it says so at once, and does what is configured."""
+
+import os
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import httpx
+import pytest
+
+from hil.core.errors import DeviceError
+from hil.core.tokens import token_file
+from hil.review import read
+from hil.service.messages import Action
+from tests.processes import HIL, wait_for
+from tests.test_serve import Serving, serving
+
+pytestmark = [pytest.mark.alone, pytest.mark.usefixtures("state_home")]
+LIMIT = ("--set", "service.recordings_gb=0.01")
+FULL = "GB, and 0.01 GB are allowed; remove some, or allow more"
+
+
+def fill(folder: Path, name: str = "others.mcap", written_s: float | None = None, size_bytes: int = 20_000_000) -> Path:
+    """Let the recordings in the service's folder take more than it may hold."""
+    path = folder / "runs" / name
+    path.parent.mkdir(exist_ok=True)
+    with path.open("wb") as file:
+        file.truncate(size_bytes)
+    if written_s is not None:
+        os.utime(path, (written_s, written_s))
+    return path
+
+
+def in_trouble(service: Serving) -> dict[str, Any]:
+    status: dict[str, Any] = wait_for(lambda: status if (status := service.status()).get("recording_trouble") else None)
+    return status
+
+
+def metric(service: Serving, name: str) -> float:
+    """Return a metric, from the service's own page for Prometheus."""
+    url = next(line["url"] for line in service.lines if line["event"] == "API listens")
+    token = token_file("services", int(url.rpartition(":")[2])).read_text().strip()
+    headers = {"Authorization": f"Bearer {token}"}
+    text = httpx.get(f"{url}/metrics", headers=headers, trust_env=False).text
+    return float(next(line.split()[1] for line in text.splitlines() if line.startswith(f"{name} ")))
+
+
+def test_a_recording_for_which_there_is_no_room_ends_and_the_robot_drives_on(tmp_path: Path) -> None:
+    with serving(tmp_path, *LIMIT, "--record", "run.mcap") as service:
+        service.drive()
+        other = fill(tmp_path)
+        status = in_trouble(service)
+        assert status["recording_trouble"].endswith(FULL)
+        assert (status["phase"], status["task"]) == ("active", "track")
+        assert service.line("recording cannot be written")["why"].endswith(FULL)
+        assert service.until(recording=None)["rows_lost"] == 0
+        assert service.line("recording finished")["lost"] == 0
+        other.unlink()
+        service.client.order(Action.RECORD, {"name": "next.mcap"})
+        assert service.until(recording="runs/next.mcap")["recording_trouble"] is None
+        assert service.status()["phase"] == "active"
+    assert len(read(tmp_path / "runs/run.mcap").signals["loop.t_s"])
+
+
+def test_a_robot_that_must_be_recorded_stops_when_it_cannot_be(tmp_path: Path) -> None:
+    with serving(tmp_path, *LIMIT, "--set", "service.when_full=stop_robot", "--record", "run.mcap") as service:
+        service.drive()
+        other = fill(tmp_path)
+        status = service.until(phase="disarmed")
+        assert status["why"].startswith("its recording cannot be written: the recordings in")
+        with pytest.raises(DeviceError, match=r"service\.when_full is stop_robot; make room, or end the recording"):
+            service.client.order(Action.ARM)
+        other.unlink()
+        service.until(recording_trouble=None)
+        service.line("recording is written again")
+        service.client.order(Action.ARM)
+        service.until(phase="active")
+
+
+def test_the_oldest_recordings_give_way_without_a_gap_and_those_that_are_too_old_go(tmp_path: Path) -> None:
+    now_s = time.time()
+    aged = fill(tmp_path, "aged.mcap", now_s - 3 * 86_400.0, 1000)
+    old = fill(tmp_path, "old.mcap", now_s - 3600.0, 5_000_000)
+    thesis = fill(tmp_path, "thesis.tex", now_s - 3 * 86_400.0)
+    how = ("--set", "service.when_full=keep_newest", "--set", "service.recordings_days=2", "--set", "service.rotate=1s")
+    first, second = (tmp_path / "runs" / f"run{part}.mcap" for part in ("", "-2"))
+    with serving(tmp_path, *LIMIT, *how, "--record", "run.mcap") as service:
+        wait_for(lambda: not aged.exists() and second.exists())
+        assert old.exists()
+        assert first.exists()
+        last = fill(tmp_path, "last.mcap", now_s + 3600.0, 10_000_000 - 2 * first.stat().st_size)
+        wait_for(lambda: not old.exists() and not first.exists())
+        status = service.until(recording="runs/run.mcap")
+        assert (status["recording_trouble"], status["rows_lost"], status["rows_dropped"]) == (None, 0, 0)
+        end = service.client.order(Action.STOP_RECORDING)
+        assert end["complete"], end
+    assert thesis.exists()
+    assert last.exists()
+
+
+def use_up(filler: Path) -> None:
+    """Take all room of a disk. Raises OSError when there is no more."""
+    with filler.open("wb", buffering=0) as file:
+        while True:
+            file.write(bytes(1 << 16))
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="mounts a disk in a namespace, as Linux can")
+def test_a_full_disk_is_told_while_the_service_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The disk is one of the service's own, and goes away with it."""
+    runs = tmp_path / "runs"
+    runs.mkdir()
+    own = ["unshare", "--mount"] if os.geteuid() == 0 else ["unshare", "--mount", "--map-root-user"]
+    with_disk = [*own, "sh", "-c", 'mount -t tmpfs -o size=8m tmpfs "$1" || exit 77; shift; exec "$@"', "sh", str(runs)]
+    if subprocess.run([*with_disk, "true"], check=False).returncode:
+        pytest.skip("no disk may be mounted here")
+    monkeypatch.setattr("tests.test_serve.HIL", [*with_disk, *HIL])
+    with serving(tmp_path, "--record", "run.mcap") as service:
+        disk = Path(f"/proc/{service.process.pid}/root{runs}")
+        service.until(recording="runs/run.mcap", rows_lost=0, recording_trouble=None)
+        with pytest.raises(OSError, match="No space left"):
+            use_up(disk / "filler")
+        why = in_trouble(service)["recording_trouble"]
+        assert why == "the disk is full (No space left on device)"
+        assert metric(service, "hil_recording_trouble") == 1.0
+        assert service.line("recording cannot be written")["why"] == why
+        lost = service.line("recording is not complete")["lost"]
+        service.until(recording=None, rows_lost=lost)
+        assert metric(service, "hil_rows_lost_total") == lost > 0
+        (disk / "filler").unlink()
+        service.client.order(Action.RECORD, {"name": "next.mcap"})
+        assert service.until(recording="runs/next.mcap")["recording_trouble"] is None
