@@ -65,6 +65,7 @@ class Direction:
         # The rows that are at work from one edge of the rows' windows to the next.
         self._from_ns = self._until_ns = 0
         self._at_work: Sequence[_AtWork] = ()
+        self._only_delay = False
 
     def hold(self, frames: Sequence[Frame], due_ns: int, place: int) -> None:
         """Delay frames until a time of the clock."""
@@ -99,6 +100,7 @@ class Direction:
                 for place, fault in enumerate(self.rows)
                 if fault.acts_on(self.name) and fault.is_at_work(t_ns)
             ]
+            self._only_delay = not self._has_message_rows and all(one.fault.delays for one in self._at_work)
         return self._at_work
 
     def pass_rows(self, frames: Sequence[Frame], t_ns: int) -> Sequence[Frame]:
@@ -111,6 +113,8 @@ class Direction:
             rows = [one for one in rows if one.fault.header in frames.packed]
         if not rows and not self._delayed:
             return frames
+        if self._only_delay:
+            return self._delay(frames, t_ns)
         at_once: list[Frame] = []
         is_changed, exempt_from, pass_one = False, self._exempt_from, self._pass
         for frame in each_of(frames):
@@ -146,13 +150,34 @@ class Direction:
                 return []
         if not (delay_ns or self._delayed):
             return frames
-        due_ns = t_ns + delay_ns + self._time.offset_ns
-        if self._delayed and due_ns <= self._last_ns:  # nothing overtakes frames that already wait behind the rows
+        self._wait(frames, t_ns + delay_ns + self._time.offset_ns)
+        return []
+
+    def _delay(self, frames: Sequence[Frame], t_ns: int) -> Sequence[Frame]:
+        """As ``pass_rows``, where all rows at work only delay: in a third of the time."""
+        at_once: list[Frame] = []
+        draws = [one.fault.delay_ns for one in self._at_work]
+        clock_ns, exempt_from = t_ns + self._time.offset_ns, self._exempt_from
+        for frame in each_of(frames):
+            if frame.id >= exempt_from:
+                at_once.append(frame)
+                continue
+            delay_ns = 0
+            for draw in draws:
+                delay_ns += draw()
+            if delay_ns or self._delayed:
+                self._wait([frame], clock_ns + delay_ns)
+            else:
+                at_once.append(frame)
+        return at_once
+
+    def _wait(self, frames: list[Frame], due_ns: int) -> None:
+        """Queue frames behind the rows. Nothing overtakes frames that already wait there."""
+        if self._delayed and due_ns <= self._last_ns:
             self._last += frames
         else:
             self._last = frames
             self.hold(frames, due_ns, self.behind_rows)
-        return []
 
     def _remove_overtaken(self, place: int) -> list[Frame] | None:
         """Return the frames that the row of this number holds, and remove them from the queue."""
