@@ -8,10 +8,12 @@ import math
 
 import pytest
 
-from firmware_protocol.framing import Deframer, Frame, Framer, PackedFrames, pack
+from firmware_protocol.framing import Deframer, Framer, PackedFrames, pack
 from firmware_protocol.generated import messages as m
 from hil.faults.kind import REST_RAD_S, FaultRow, claimed_span_s
 from hil.faults.kinds import KINDS, find, is_instant
+from hil.scenario.shipped.suite import link_bench as bench
+from hil.scenario.shipped.suite.link_bench import BEAT, MS, STEP, Clock, command, framed, heard, row, tick
 from hil.wire.can_errors import causes_of, failure
 from hil.wire.conditions import ConditionedLink
 from hil.wire.faults import LinkFault, ScenarioTime, link_faults
@@ -20,48 +22,13 @@ from hil.wire.line_faults import FaultLine
 from hil.wire.streams import MemoryStream, memory_pair
 from hil.wire.url import CanUrl, parse_link
 
-MS = 1_000_000
-STEP = Frame(m.Step.ID, m.Step(0, 1).encode())
-
-
-class Clock:
-    """A clock that is set by hand."""
-
-    now = 0
-
-    def now_ns(self) -> int:
-        return self.now
-
-    def wait_until(self, t_ns: int) -> int:
-        self.now = t_ns
-        return 0
-
-
-def command(number: int) -> Frame:
-    return Frame(m.WheelCommand.ID, m.WheelCommand(0, 0, 0, 0, number & 0xFF, 0).encode())
-
-
-def tick(number: int) -> Frame:
-    return Frame(m.Tick.ID, m.Tick(number, 0, 0, 0, 0, 0).encode())
-
-
-def row(kind: str, target: str, value: float, from_ms: int = 0, to_ms: int = 10_000) -> FaultRow:
-    return FaultRow(kind, "link", target, from_ms * MS, to_ms * MS, value)
-
 
 def line(*rows: FaultRow, begun: bool = True) -> tuple[Clock, FaultLine, MemoryStream, list[LinkFault]]:
     clock = Clock()
-    time = ScenarioTime(clock)
-    if begun:
-        time.begin(0)
+    time = bench.begun(clock) if begun else ScenarioTime(clock)
     here, there = memory_pair()
     faults = link_faults(rows, 1)
     return clock, FaultLine(here, time, faults), there, faults
-
-
-def framed(frames: list[Frame]) -> bytes:
-    framer = Framer()
-    return b"".join(framer.encode(frame) for frame in frames)
 
 
 def wrong_bits(sent: bytes, arrived: bytes) -> int:
@@ -162,8 +129,7 @@ def test_frames_that_were_lost_on_a_line_are_counted_and_a_reopened_one_begins_a
     pieces = [framer.encode(tick(number)) for number in range(300)]
     for first, last, lost in ((0, 10, 0), (13, 20, 3), (20, 290, 3)):
         there.write(b"".join(pieces[first:last]))
-        while link.receive(0) is not None:
-            pass
+        heard(link)
         assert link.rejected()["lost"] == lost
     there.write(b"\x05\x06\0" + pieces[290][:4])
     assert link.receive(0) is None
@@ -171,9 +137,7 @@ def test_frames_that_were_lost_on_a_line_are_counted_and_a_reopened_one_begins_a
     assert noise == sum(link.rejected().values()) - 3 > 0
     link.reopen()
     there.write(pieces[299])
-    received = link.receive(0)
-    assert received is not None
-    assert list(received.frames) == [tick(299)]
+    assert heard(link) == [tick(299)]
     assert link.rejected()["lost"] == 3, "the gap was on the line before"
     assert link.noise() == noise
     before = link.sent_frames, link.sent_bytes
@@ -188,17 +152,12 @@ def test_frames_that_were_lost_on_a_line_are_counted_and_a_reopened_one_begins_a
 
 @pytest.mark.parametrize("target", ["command", "WHEEL_COMMAND", "HOST_HEARTBEAT"])
 def test_packed_frames_pass_the_faults_as_single_ones_do(target: str) -> None:
-    beat = Frame(m.HostHeartbeat.ID, m.HostHeartbeat(1, 2, m.Request.IDLE, m.Mode.SPEED, 3).encode())
-    frames = [beat, command(1), STEP, command(2)]
+    frames = [BEAT, command(1), STEP, command(2)]
     arrived = []
     for some in (frames, PackedFrames(pack(frames))):
         here, there = memory_pair()
-        clock = Clock()
-        time = ScenarioTime(clock)
-        time.begin(0)
-        link = ConditionedLink(
-            StreamLink(here), clock, faults=link_faults([row("duplicate", target, 1.0)], 1), scenario_time=time
-        )
+        clock, faults = Clock(), link_faults([row("duplicate", target)], 1)
+        link = ConditionedLink(StreamLink(here), clock, faults=faults, scenario_time=bench.begun(clock))
         link.send_all(some)
         arrived.append(Deframer().feed(there.read(0)))
     assert arrived[0] == arrived[1]
@@ -272,6 +231,9 @@ def test_a_row_is_in_force_from_its_first_instant_to_before_its_last() -> None:
     assert [one.is_in_force(t) for t in (10 * MS - 1, 10 * MS, 20 * MS - 1, 20 * MS)] == [False, True, True, False]
 
 
+NOTHING: dict[str, float | None] = dict.fromkeys(("value", "burst_frames", "x_m", "y_m", "radius_m"))
+
+
 def test_numbers_of_a_row_keep_the_ranges_of_their_kind() -> None:
     most = {
         "drop": 1.0, "burst_loss": 0.99, "delay": 10.0, "jitter": 10.0, "duplicate": 1.0, "reorder": 1.0,
@@ -285,23 +247,15 @@ def test_numbers_of_a_row_keep_the_ranges_of_their_kind() -> None:
         assert is_instant(kind.name, target) is (kind.name in ("estop", "reset"))
         if (value := kind.value) is None or kind.further:
             continue
-        nothing: dict[str, float | None] = {
-            "value": None,
-            "burst_frames": None,
-            "x_m": None,
-            "y_m": None,
-            "radius_m": None,
-        }
-        kind.check_numbers(nothing | {"value": value.high})
+        kind.check_numbers(NOTHING | {"value": value.high})
         for wrong in (value.low if value.excludes_low else value.low - 1.0, value.high * 1.001, None):
             with pytest.raises(ValueError, match="value"):
-                kind.check_numbers(nothing | {"value": wrong})
+                kind.check_numbers(NOTHING | {"value": wrong})
         with pytest.raises(ValueError, match="takes no radius_m"):
-            kind.check_numbers(nothing | {"value": value.high, "radius_m": 1.0})
+            kind.check_numbers(NOTHING | {"value": value.high, "radius_m": 1.0})
     bursts = find("burst_loss", "command")
     bursts.check_numbers({"value": 0.66, "burst_frames": 2.0})
     with pytest.raises(ValueError, match="lower value"):
         bursts.check_numbers({"value": 0.67, "burst_frames": 2.0})
-    patch = find("slip_patch", "floor")
     with pytest.raises(ValueError, match="belong together"):
-        patch.check_numbers({"value": 0.5, "x_m": 1.0, "y_m": None, "radius_m": None, "burst_frames": None})
+        find("slip_patch", "floor").check_numbers(NOTHING | {"value": 0.5, "x_m": 1.0})

@@ -14,33 +14,14 @@ from firmware_protocol.framing import Frame
 from firmware_protocol.generated import messages as m
 from hil.core.errors import LinkError
 from hil.faults.kind import FaultRow
+from hil.scenario.shipped.suite import link_bench as bench
+from hil.scenario.shipped.suite.link_bench import BEAT, MS, STEP, STEP_DONE, Clock, command, heard
 from hil.wire.conditions import ConditionedLink
 from hil.wire.faults import LinkFault, ScenarioTime, link_faults
 from hil.wire.streams import memory_bus
 
-MS = 1_000_000
 BEGIN_MS = 40  # when the scenario's time begins on the clock
 FROM_MS, TO_MS, END_MS = 100, 200, 260  # the window of a fault, and the end, in the scenario's time
-STEP = Frame(m.Step.ID, m.Step(0, 1).encode())
-STEP_DONE = Frame(m.StepDone.ID, m.StepDone(1).encode())
-BEAT = Frame(m.HostHeartbeat.ID, m.HostHeartbeat(1, 2, m.Request.IDLE, m.Mode.SPEED, 3).encode())
-
-
-class Clock:
-    """A clock that is set by hand."""
-
-    now = 0
-
-    def now_ns(self) -> int:
-        return self.now
-
-    def wait_until(self, t_ns: int) -> int:
-        self.now = max(self.now, t_ns)
-        return 0
-
-
-def command(number: int) -> Frame:
-    return Frame(m.WheelCommand.ID, m.WheelCommand(0, 0, 0, 0, number & 0xFF, number >> 8).encode())
 
 
 def number_of(frame: Frame) -> int:
@@ -50,8 +31,7 @@ def number_of(frame: Frame) -> int:
 
 
 def row(kind: str, target: str = "command", value: float = 1.0, burst: float = 0.0, **window: int) -> FaultRow:
-    from_ms, to_ms = window.get("from_ms", FROM_MS), window.get("to_ms", TO_MS)
-    return FaultRow(kind, "link", target, from_ms * MS, to_ms * MS, value, burst)
+    return bench.row(kind, target, value, **{"from_ms": FROM_MS, "to_ms": TO_MS} | window, burst_frames=burst)
 
 
 class Line:
@@ -79,16 +59,6 @@ class Line:
         if ms >= 0 and self.time.now_ns() is None:
             self.time.begin(BEGIN_MS * MS)
 
-    def arrived(self) -> list[Frame]:
-        received = self.there.receive(0)
-        return list(received.frames) if received else []
-
-    def heard(self) -> list[Frame]:
-        frames: list[Frame] = []
-        while (received := self.link.receive(0)) is not None:
-            frames += received.frames
-        return frames
-
     def _note(self, frames: Sequence[Frame]) -> None:
         self.out += [(round(self.clock.now / MS) - BEGIN_MS, number_of(frame)) for frame in frames]
 
@@ -100,11 +70,11 @@ class Line:
                 self.link.service()
                 if ms < end_ms:
                     self.link.send(command(ms))
-                self._note(self.arrived())
+                self._note(heard(self.there))
             else:
                 if ms < end_ms:
                     self.there.send(command(ms))
-                self._note(self.heard())
+                self._note(heard(self.link))
         return self.out
 
 
@@ -196,12 +166,12 @@ def test_a_fault_of_one_message_spares_the_others_and_all_spare_lockstep() -> No
         line = Line(row("drop", target))
         line.at(150)
         line.link.send_all([command(1), BEAT, STEP])
-        assert line.arrived() == kept
+        assert heard(line.there) == kept
     line = Line(row("drop", "feedback"), row("mute", "TICK"))
     line.at(150)
     line.there.send(command(1))
     line.there.send(STEP_DONE)
-    assert line.heard() == [STEP_DONE]
+    assert heard(line.link) == [STEP_DONE]
 
 
 def test_nothing_happens_before_the_scenario_has_begun() -> None:
@@ -210,7 +180,7 @@ def test_nothing_happens_before_the_scenario_has_begun() -> None:
         line.at(ms)
         line.link.send(command(1))
         line.there.send(command(2))
-        assert (len(line.arrived()), len(line.heard())) == (kept, kept)
+        assert (len(heard(line.there)), len(heard(line.link))) == (kept, kept)
 
 
 @BOTH
@@ -223,7 +193,7 @@ def test_latency_moves_frames_and_windows_by_its_time(direction: str, latency_ms
     assert line.run(direction) == late([number for number in ALL if number not in lost], latency_ms)
     line.link.send(STEP)
     line.there.send(STEP_DONE)
-    assert (line.arrived(), line.heard()) == ([STEP], [STEP_DONE])
+    assert (heard(line.there), heard(line.link)) == ([STEP], [STEP_DONE])
 
 
 def test_feedback_is_stamped_when_it_was_due_and_all_can_be_sent_at_once() -> None:
@@ -239,14 +209,14 @@ def test_feedback_is_stamped_when_it_was_due_and_all_can_be_sent_at_once() -> No
     assert received.stamp_ns == (BEGIN_MS + 13) * MS
     line.at(12)
     line.link.flush()
-    assert line.arrived() == [command(2)]
+    assert heard(line.there) == [command(2)]
     assert line.link.next_due_ns() is None
     line.link.send(command(3))
     line.link.hand_over_until(line.clock, (BEGIN_MS + 17) * MS)
     assert line.clock.now == (BEGIN_MS + 12) * MS, "it is due then, and not before"
     line.link.hand_over_until(line.clock, (BEGIN_MS + 30) * MS)
     assert line.clock.now == (BEGIN_MS + 17) * MS
-    assert line.arrived() == [command(3)]
+    assert heard(line.there) == [command(3)]
 
 
 @pytest.mark.parametrize(
@@ -274,7 +244,7 @@ def test_what_was_overtaken_by_none_leaves_at_the_end_of_its_window() -> None:
     assert line.link.next_due_ns() == (BEGIN_MS + 101) * MS
     line.at(101)
     line.link.service()
-    assert line.arrived() == [command(1)]
+    assert heard(line.there) == [command(1)]
     assert line.faults[0].applied == 0
 
 
@@ -288,10 +258,10 @@ def test_a_cut_link_is_lost_until_it_is_opened_again_and_forgets_what_waited() -
     line.link.send(STEP)
     line.there.send(command(3))
     line.there.send(STEP_DONE)
-    assert line.heard() == [STEP_DONE]
+    assert heard(line.link) == [STEP_DONE]
     line.at(140)
     line.link.service()
-    assert (line.arrived(), line.heard()) == ([STEP], [])
+    assert (heard(line.there), heard(line.link)) == ([STEP], [])
     with pytest.raises(LinkError):
         line.link.reopen()
     line.at(210)
@@ -301,9 +271,9 @@ def test_a_cut_link_is_lost_until_it_is_opened_again_and_forgets_what_waited() -
     line.link.reopen()
     line.there.send(command(6))
     line.link.send(command(7))
-    assert (line.arrived(), line.heard()) == ([command(7)], [])
+    assert (heard(line.there), heard(line.link)) == ([command(7)], [])
     line.at(230)
-    assert line.heard() == [command(6)]
+    assert heard(line.link) == [command(6)]
     assert line.faults[0].applied == 3
 
 
@@ -312,9 +282,9 @@ def test_what_is_on_its_way_when_a_link_is_opened_again_never_comes() -> None:
     line.at(10)
     line.link.send(command(1))
     line.there.send(command(2))
-    assert line.heard() == []
+    assert heard(line.link) == []
     line.link.reopen()
     line.at(50)
     line.link.service()
-    assert (line.arrived(), line.heard()) == ([], [])
+    assert (heard(line.there), heard(line.link)) == ([], [])
     assert line.link.next_due_ns() is None

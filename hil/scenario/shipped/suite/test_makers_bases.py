@@ -3,7 +3,9 @@
 A member of the shipped suite of ``hil verify``. The drivers' docstrings name the sources.
 """
 
+import functools
 import math
+import operator
 import struct
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -12,43 +14,15 @@ import pytest
 
 from firmware_protocol.framing import Frame
 from hil.core.errors import BadInputError
-from hil.core.types import CommandMode, FourWheels
-from hil.drivers.port import Driver, RobotFacts, Sample, Wire
-from hil.drivers.registry import dialect, make_settings
+from hil.drivers.port import Driver
 from hil.drivers.rosmaster.driver import RosmasterFraming
 from hil.drivers.wheeltec.driver import WheeltecFraming
-
-MS = 1_000_000
-STILL: FourWheels = (0.0, 0.0, 0.0, 0.0)
-RADIUS_M, LEVER_M, N_M_A, WATCHDOG_S = 0.05, 0.3, 0.5, 0.1
-ALL = (0, 1, 2, 3)
+from hil.scenario.shipped.suite import driver_bench as bench
+from hil.scenario.shipped.suite.driver_bench import MS, STILL, feed, found_by, near, sample_of
 
 
-SPEED = CommandMode.SPEED
-
-
-def make(
-    name: str, settings: Mapping[str, Any] | None = None, wire: Wire = "serial", order: tuple[int, ...] = ALL
-) -> Driver:
-    signs = (1, 1, 1, 1)
-    facts = RobotFacts(RADIUS_M, LEVER_M, order, signs, 4.0, 30.0, N_M_A, WATCHDOG_S, 0.01, SPEED, wire)
-    return dialect(name).make(make_settings(name, settings or {}, "device.motors"), facts)
-
-
-def sample_of(driver: Driver) -> Sample:
-    assert driver.sample is not None
-    return driver.sample
-
-
-def near(found: Sequence[float], expected: Sequence[float], within: float = 1e-9) -> None:
-    assert list(found) == pytest.approx(list(expected), rel=1e-6, abs=within, nan_ok=True)
-
-
-def wheels(forward: float, left: float, turn: float, radius_m: float, lever_m: float) -> FourWheels:
-    """Return the speeds of FL, FR, RR and RL (equation 7 of the paper)."""
-    sides = ((-1, -1), (1, 1), (-1, 1), (1, -1))  # of left and of turn
-    a, b, c, d = ((forward + y * left + w * lever_m * turn) / radius_m for y, w in sides)
-    return a, b, c, d
+def make(name: str, settings: Mapping[str, Any] | None = None, order: tuple[int, ...] = bench.ALL) -> Driver:
+    return bench.make(name, settings, wire="serial", order=order)
 
 
 # Rosmaster X3: FF FC length function data sum, little-endian; M1 to M4 are FL, RL, FR, RR
@@ -57,7 +31,7 @@ X3_RADIUS_M, X3_LEVER_M = 0.204203 / math.tau, 0.164555
 
 
 def board_says(driver: Driver, number: int, layout: str, *values: float, t_ms: float = 1.0) -> None:
-    driver.feed(Frame(number, struct.pack("<" + layout, *values)), round(t_ms * MS))
+    feed(driver, number, "<" + layout, *values, t_ms=t_ms)
 
 
 def greet_board(driver: Driver, car: int = 1, major: int = 3) -> None:
@@ -67,10 +41,8 @@ def greet_board(driver: Driver, car: int = 1, major: int = 3) -> None:
     board_says(driver, 0x15, "BB", car, 0)
 
 
-def board(
-    t_ms: float = 1.0, twist: Sequence[int] = (0, 0, 0), volts: float = 12.0, driver: Driver | None = None
-) -> Driver:
-    driver = driver or make("rosmaster")
+def board(t_ms: float = 1.0, twist: Sequence[int] = (0, 0, 0), volts: float = 12.0, of: Driver | None = None) -> Driver:
+    driver = of or make("rosmaster")
     board_says(driver, 0x0A, "3hB", *twist, round(10 * volts), t_ms=t_ms)
     board_says(driver, 0x0D, "4i", 0, 0, 0, 0, t_ms=t_ms)
     return driver
@@ -83,12 +55,12 @@ def test_a_rosmaster_gets_the_twist_of_its_own_geometry_within_its_limit() -> No
     driver.arm(10 * MS)
     assert driver.is_armed
     for number, twist in enumerate(((0.3, 0.0, 0.0), (0.0, 0.2, 0.0), (0.0, 0.0, -0.9), (0.2, -0.1, 0.5))):
-        (frame,) = driver.command(wheels(*twist, X3_RADIUS_M, X3_LEVER_M), STILL, (20 + 10 * number) * MS)
+        (frame,) = driver.command(bench.wheels(*twist, X3_RADIUS_M, X3_LEVER_M), STILL, (20 + 10 * number) * MS)
         assert frame.id == 0x12
         car, *counts = struct.unpack("<B3h", frame.payload)
         assert car == 1
         near(counts, [1000 * one for one in twist], 0.51)
-    (frame,) = driver.command(wheels(1.5, 0.5, 0.0, X3_RADIUS_M, X3_LEVER_M), STILL, 100 * MS)
+    (frame,) = driver.command(bench.wheels(1.5, 0.5, 0.0, X3_RADIUS_M, X3_LEVER_M), STILL, 100 * MS)
     near(struct.unpack("<B3h", frame.payload)[1:], [750, 250, 0], 0.51)
     assert driver.command(STILL, STILL, 103 * MS) == (), "the board takes a frame each 4 ms"
     assert driver.command(STILL, STILL, 104 * MS) != ()
@@ -101,7 +73,7 @@ def test_a_rosmaster_gets_the_twist_of_its_own_geometry_within_its_limit() -> No
 def test_a_rosmaster_says_what_its_wheels_imu_and_battery_do() -> None:
     driver = board(1, (300, -200, 900))
     board_says(driver, 0x0B, "9h", 1, 2, -3755, 1672, -3344, 16395, 0, 0, 0, t_ms=2)
-    near(sample_of(driver).speed_rad_s, wheels(0.3, -0.2, 0.9, X3_RADIUS_M, X3_LEVER_M))
+    near(sample_of(driver).speed_rad_s, bench.wheels(0.3, -0.2, 0.9, X3_RADIUS_M, X3_LEVER_M))
     near([sample_of(driver).battery_v, sample_of(driver).yaw_rate_rad_s], [12.0, 1.0], 1e-3)
     near(sample_of(driver).acceleration_m_s2, [1.0, -2.0, 9.8066], 2e-3)
     board_says(driver, 0x0E, "9h", 1, 2, -500, 1000, -2000, 9807, 0, 0, 0, t_ms=2)
@@ -126,7 +98,7 @@ def test_a_rosmaster_is_armed_when_its_wheels_stand_and_its_report_is_fresh() ->
     assert not driver.is_armed
     for twist, t_ms, armed in (((40, 0, 0), 20, False), ((10, 0, 0), 30, True), ((0, 0, 0), 300, False)):
         driver.restart()
-        board(30.0 if t_ms == 300 else t_ms, twist, driver=driver)
+        board(30.0 if t_ms == 300 else t_ms, twist, of=driver)
         driver.arm(t_ms * MS)
         driver.arm((t_ms + 5) * MS)
         assert driver.is_armed is armed
@@ -146,10 +118,10 @@ def test_a_battery_of_a_rosmaster_may_be_bad_for_a_second_and_a_half(volts: floa
     driver.arm(MS)
     driver.arm(10 * MS)
     for begin_ms, lasts_ms, bad in ((100, 1499, False), (3000, 1500, True)):
-        board(begin_ms, volts=volts, driver=driver)
-        board(begin_ms + lasts_ms, volts=volts, driver=driver)
+        board(begin_ms, volts=volts, of=driver)
+        board(begin_ms + lasts_ms, volts=volts, of=driver)
         assert (driver.is_armed, len(driver.errors)) == (not bad, bad)
-        board(begin_ms + lasts_ms + 10, driver=driver)
+        board(begin_ms + lasts_ms + 10, of=driver)
         assert driver.errors == ()
 
 
@@ -159,7 +131,7 @@ def test_packets_of_a_rosmaster_are_found_and_checked() -> None:
     good = b"\xff\xfb" + body + bytes((sum(body) & 0xFF,))
     bad = good[:-1] + bytes((good[-1] ^ 1,))
     data = b"\x09\x08\xff" + good + bad + b"\xff\xfb\x02" + b"\xff\xfb\x21" + good
-    assert [frame for byte in data for frame in framing.feed(bytes((byte,)))] == [Frame(0x0A, b"\1\2\3")] * 2
+    assert [frame for byte in bench.each_byte(data) for frame in framing.feed(byte)] == [Frame(0x0A, b"\1\2\3")] * 2
     assert framing.rejected["checksum"] == 1
     assert framing.rejected["length"] == 2
     sent = framing.encode(Frame(0x12, b"\1\2"))
@@ -172,14 +144,9 @@ def test_packets_of_a_rosmaster_are_found_and_checked() -> None:
 # WHEELTEC: 24 bytes of a report, big-endian, in three frames
 
 
-def report(
-    stop: int = 0, twist: Sequence[int] = (0, 0, 0), imu: Sequence[int] = (0,) * 6, millivolts: int = 24_000
-) -> bytes:
-    body = struct.pack(">BB3h3h3hH", 0x7B, stop, *twist, *imu, millivolts)
-    total = 0
-    for byte in body:
-        total ^= byte
-    return body + bytes((total, 0x7D))
+def report(stop: int = 0, twist: Sequence[int] = (0,) * 3, imu: Sequence[int] = (0,) * 6, mv: int = 24_000) -> bytes:
+    body = struct.pack(">BB3h3h3hH", 0x7B, stop, *twist, *imu, mv)
+    return body + bytes((functools.reduce(operator.xor, body), 0x7D))
 
 
 def base_says(driver: Driver, data: bytes, t_ms: float = 1.0, numbers: Sequence[int] = (0, 1, 2)) -> None:
@@ -191,7 +158,7 @@ def test_a_wheeltec_base_gets_and_says_thousandths() -> None:
     driver = make("wheeltec")
     base_says(driver, report(0, (300, -200, 900), (1672, -3344, 16395, 5, 6, -3277), 22_700))
     found = sample_of(driver)
-    near(found.speed_rad_s, wheels(0.3, -0.2, 0.9, RADIUS_M, LEVER_M))
+    near(found.speed_rad_s, bench.wheels(0.3, -0.2, 0.9))
     near(found.acceleration_m_s2, [1.0, -2.0, 9.8066], 2e-3)
     near([found.yaw_rate_rad_s, found.battery_v], [math.radians(-50.0), 22.7], 1e-3)
     assert math.isnan(found.position_rad[0])
@@ -200,16 +167,10 @@ def test_a_wheeltec_base_gets_and_says_thousandths() -> None:
     own.arm(0)
     own.arm(10 * MS)
     assert own.is_armed
-    for number, (forward, left, turn, counts) in enumerate(
-        (
-            (0.2, 0.1, -0.4, (200, 100, -400)),
-            (0.4, 0.0, 1.0, (400, 0, 1000)),
-            (2.0, 0.0, 0.0, (1000, 0, 0)),
-            (0.0, 0.0, 1.6, (0, 0, 1000)),
-            (0.8, 0.2, 1.0, (533, 133, 667)),
-        )
-    ):
-        (frame,) = own.command(wheels(forward, left, turn, 0.1, 0.5), STILL, (20 + 10 * number) * MS)
+    twists = ((0.2, 0.1, -0.4), (0.4, 0.0, 1.0), (2.0, 0.0, 0.0), (0.0, 0.0, 1.6), (0.8, 0.2, 1.0))
+    sent = ((200, 100, -400), (400, 0, 1000), (1000, 0, 0), (0, 0, 1000), (533, 133, 667))
+    for twist, counts, t_ms in zip(twists, sent, range(20, 70, 10), strict=True):
+        (frame,) = own.command(bench.wheels(*twist, 0.1, 0.5), STILL, t_ms * MS)
         assert frame.id == 0x181
         near(struct.unpack(">3hxx", frame.payload), counts, 0.51)
     assert list(own.disarm()) == [Frame(0x181, bytes(8))] * 2
@@ -237,7 +198,7 @@ def test_a_wheeltec_base_that_has_switched_off_says_why_and_is_not_armed() -> No
         driver.arm(now_ms * MS)
     assert driver.is_armed
     for millivolts, words in ((24_000, "emergency stop"), (19_900, "19.9 V")):
-        base_says(driver, report(1, millivolts=millivolts), 20)
+        base_says(driver, report(1, mv=millivolts), 20)
         assert not driver.is_armed
         assert words in driver.errors[0]
         driver.arm(30 * MS)
@@ -253,7 +214,7 @@ def test_packets_of_a_wheeltec_base_are_found_and_checked() -> None:
     framing = WheeltecFraming()
     good = report(0, (1, 2, 3))
     data = b"\x01" + good + good[:-2] + bytes((good[-2] ^ 1, 0x7D)) + good[:-1] + b"\x7c" + good
-    found = [frame for byte in data for frame in framing.feed(bytes((byte,)))]
+    found = [frame for byte in bench.each_byte(data) for frame in framing.feed(byte)]
     assert found == [Frame(0x101 + n, good[8 * n : 8 * n + 8]) for n in (0, 1, 2)] * 2
     assert (framing.rejected["checksum"], framing.rejected["tail"]) == (1, 1)
     sent = framing.encode(Frame(0x181, struct.pack(">3hxx", 300, -2, 5)))
@@ -262,31 +223,25 @@ def test_packets_of_a_wheeltec_base_are_found_and_checked() -> None:
 
 
 def test_probes_know_a_base_by_what_it_says() -> None:
-    make_probe = dialect("rosmaster").probe
-    assert make_probe is not None
     for car, major, motors in ((1, 3, {"car": "x3"}), (2, 3, {"car": "x3_plus"}), (5, 3, None), (1, 2, None)):
-        probe = make_probe()
+        probe = bench.make_probe("rosmaster")
         assert probe.patience_s == 0.1
         assert [frame.payload[0] for _ in range(3) for frame in probe.ask()] == [0x51, 0x15, 0x51]
         assert probe.found() is None
         probe.feed(Frame(0x51, bytes((major, 5))))
         probe.feed(Frame(0x15, bytes((car, 0))))
-        found = probe.found()
-        assert found is not None
+        found = found_by(probe)
         assert found.motors == motors
         if car == 1 and motors:
             assert found.known["robot.wheel_radius_m"] == X3_RADIUS_M
             assert found.known["robot.half_length_m"] + found.known["robot.half_width_m"] == X3_LEVER_M
             assert found.known["robot.speed_limit_rad_s"] == pytest.approx(1.0 / X3_RADIUS_M)
             assert found.known["firmware.counts_per_revolution"] == 1320
-    make_probe = dialect("wheeltec").probe
-    assert make_probe is not None
-    probe = make_probe()
-    data = report(millivolts=23_500)
+    probe = bench.make_probe("wheeltec")
+    data = report(mv=23_500)
     for number in range(3):
         assert probe.found() is None
         assert probe.feed(Frame(0x101 + number, data[8 * number : 8 * number + 8]))
-    found = probe.found()
-    assert found is not None
+    found = found_by(probe)
     assert found.sentences == ["a WHEELTEC base, battery 23.5 V"]
     assert not probe.feed(Frame(0x104, bytes(8)))

@@ -13,54 +13,29 @@ import pytest
 from firmware_protocol.framing import Frame
 from hil.core.errors import BadInputError
 from hil.core.types import CommandMode, FourWheels
-from hil.drivers.port import EXTENDED, Driver, RobotFacts, Sample, Wire
-from hil.drivers.registry import dialect, make_settings
-
-MS = 1_000_000
-STILL: FourWheels = (0.0, 0.0, 0.0, 0.0)
-SPEEDS: FourWheels = (1.0, -2.0, 3.0, -4.0)
-TORQUES: FourWheels = (0.5, -1.0, 1.5, -2.0)
-SPEED, TORQUE = CommandMode.SPEED, CommandMode.TORQUE
-LIMIT_N_M, N_M_A, WATCHDOG_S, PERIOD_S = 4.0, 0.5, 0.1, 0.01
-
-
-def make(name: str, settings: Mapping[str, Any] | None = None, mode: CommandMode = SPEED, wire: Wire = "can") -> Driver:
-    order = (0, 1, 2, 3)
-    facts = RobotFacts(0.05, 0.3, order, (1, 1, 1, 1), LIMIT_N_M, 60.0, N_M_A, WATCHDOG_S, PERIOD_S, mode, wire)
-    return dialect(name).make(make_settings(name, settings or {}, "device.motors"), facts)
-
-
-def sample_of(driver: Driver) -> Sample:
-    assert driver.sample is not None
-    return driver.sample
-
-
-def near(found: Sequence[float], expected: Sequence[float]) -> None:
-    assert list(found) == pytest.approx(list(expected), rel=1e-6, abs=1e-9, nan_ok=True)
-
+from hil.drivers.port import EXTENDED, Driver
+from hil.scenario.shipped.suite import driver_bench as bench
+from hil.scenario.shipped.suite.driver_bench import MS, SPEEDS, STILL, TORQUES, feed, found_by, make, near, sample_of
 
 # C620: currents in 1/16384 of 20 A, 0x200 for motors 1 to 4, 0x1FF for 5 to 8; the gear is 3591 / 187
 
 C620_GEAR = 3591 / 187
 C610 = {"controller": "c610"}
-
-
-ALL = (1, 2, 3, 4)
+IDS = (1, 2, 3, 4)
 
 
 def c620_says(
-    driver: Driver, t_ms: float, angle: int = 0, rpm: int = 0, count: int = 0, degc: int = 30, ids: Sequence[int] = ALL
+    driver: Driver, t_ms: float, angle: int = 0, rpm: int = 0, count: int = 0, degc: int = 30, ids: Sequence[int] = IDS
 ) -> None:
     for number in ids:
-        frame = Frame(0x200 + number, struct.pack(">HhhBx", angle % 8192, rpm, count, degc))
-        driver.feed(frame, round(t_ms * MS))
+        feed(driver, 0x200 + number, ">HhhBx", angle % 8192, rpm, count, degc, t_ms=t_ms)
 
 
 @pytest.mark.parametrize(("controller", "per_a", "most"), [("c620", 819.2, 16384), ("c610", 1000.0, 10000)])
 def test_a_c620_gets_the_current_of_a_torque_within_its_range(controller: str, per_a: float, most: int) -> None:
-    driver = make("c620", {"controller": controller, "ids": [2, 5, 1, 8]}, TORQUE)
+    driver = make("c620", {"controller": controller, "ids": [2, 5, 1, 8]}, bench.TORQUE)
     low, high = driver.command(STILL, TORQUES, 0)
-    a, b, c, d = (round(torque / N_M_A * per_a) for torque in TORQUES)
+    a, b, c, d = (round(torque / bench.N_M_A * per_a) for torque in TORQUES)
     assert low == Frame(0x200, struct.pack(">4h", c, a, 0, 0))
     assert high == Frame(0x1FF, struct.pack(">4h", b, 0, 0, d))
     low, high = driver.command(STILL, (1e3, -1e3, 1e3, -1e3), 0)
@@ -88,9 +63,7 @@ def test_a_c620_says_what_its_rotor_does(settings: Mapping[str, Any], gear: floa
 @pytest.mark.parametrize(
     ("together", "rpm", "lost"), [(1, 900, 0), (10, 8000, 0), (5, -8250, 0), (1, 7000, 15), (4, -6000, 8)]
 )
-def test_a_c620_s_turns_are_counted_also_of_frames_that_came_together_or_not(
-    together: int, rpm: int, lost: int
-) -> None:
+def test_a_c620_s_turns_are_counted_also_of_frames_that_came_together(together: int, rpm: int, lost: int) -> None:
     driver = make("c620")
     first: float | None = None
     last_ms = 0
@@ -107,7 +80,7 @@ def test_a_c620_s_turns_are_counted_also_of_frames_that_came_together_or_not(
 
 
 def torques_of(frames: Sequence[Frame]) -> list[float]:
-    return [count / 819.2 * N_M_A for count in struct.unpack(">4h", frames[0].payload)]
+    return [count / 819.2 * bench.N_M_A for count in struct.unpack(">4h", frames[0].payload)]
 
 
 def test_the_speed_loop_for_a_c620_has_its_gains_limit_and_no_windup() -> None:
@@ -117,7 +90,7 @@ def test_the_speed_loop_for_a_c620_has_its_gains_limit_and_no_windup() -> None:
     ahead: FourWheels = (0.1, 0.0, -0.1, 0.2)
     near_ahead = pytest.approx([0.5 + 0.1, -1.0, 1.5 - 0.1, -2.0 + 0.2], abs=1e-3)
     assert torques_of(driver.command(SPEEDS, ahead, 0)) == near_ahead
-    integrated = [10.0 * speed * PERIOD_S for speed in SPEEDS]
+    integrated = [10.0 * speed * bench.PERIOD_S for speed in SPEEDS]
     for step in range(1, 4):
         found = torques_of(driver.command(SPEEDS, STILL, step * 10 * MS))
         assert found == pytest.approx([0.5 * w + step * i for w, i in zip(SPEEDS, integrated, strict=True)], abs=1e-3)
@@ -158,24 +131,23 @@ def test_a_c620_is_there_when_all_four_were_heard_and_hot_beyond_its_limit() -> 
 # moteus: registers in revolutions at the output; a command has mode, position, speed, torque, limit and timeout
 
 MOTEUS_GEAR = 6.0
+LIMITS = bench.LIMIT_N_M / MOTEUS_GEAR, bench.WATCHDOG_S  # registers 0x25 and 0x27
 
 
-def moteus(mode: CommandMode = SPEED, **settings: Any) -> Driver:
+def moteus(mode: CommandMode = bench.SPEED, **settings: Any) -> Driver:
     return make("moteus", {"gear_ratio": MOTEUS_GEAR} | settings, mode, "can_fd")
 
 
-def moteus_says(
-    driver: Driver, t_ms: float = 1.0, mode: int = 10, ids: Sequence[int] = (1, 2, 3, 4), fault: int = 0
-) -> None:
+def moteus_says(driver: Driver, t_ms: float = 1.0, mode: int = 10, ids: Sequence[int] = IDS, fault: int = 0) -> None:
     state = struct.pack("<BBb", 0x21, 0x00, mode) + struct.pack("<BBff", 0x2E, 0x01, 1.5, -0.75)
     state += struct.pack("<BBf", 0x2D, 0x04, -3.5) + struct.pack("<BBhhh", 0x27, 0x0D, 243, 412, fault)
-    state += struct.pack("<BBf", 0x2D, 0x27, WATCHDOG_S)
+    state += struct.pack("<BBf", 0x2D, 0x27, bench.WATCHDOG_S)
     for number in ids:
         driver.feed(Frame(EXTENDED | number << 8, state), round(t_ms * MS))
 
 
 def moteus_introduces(driver: Driver, register_map: int = 5) -> None:
-    for number in (1, 2, 3, 4):
+    for number in IDS:
         payload = struct.pack("<BBB", 0x2B, 0x80, 0x02) + struct.pack("<iii", 0x20, 0x10A, register_map)
         driver.feed(Frame(EXTENDED | number << 8, payload), 0)
 
@@ -202,17 +174,17 @@ def written(frame: Frame) -> dict[int, float]:
 def test_a_moteus_gets_speed_torque_limit_and_timeout_at_its_output() -> None:
     driver = moteus(can_prefix=3)
     frames = driver.command(SPEEDS, TORQUES, 0)
-    assert [frame.id for frame in frames] == [EXTENDED | 3 << 16 | 0x8000 | number for number in (1, 2, 3, 4)]
+    assert [frame.id for frame in frames] == [EXTENDED | 3 << 16 | 0x8000 | number for number in IDS]
     for frame, speed, torque in zip(frames, SPEEDS, TORQUES, strict=True):
         registers = written(frame)
         assert registers[0x00] == 10
         assert math.isnan(registers[0x20]), "a speed alone"
         near([registers[number] for number in (0x21, 0x22, 0x25, 0x27)],
-             [speed * MOTEUS_GEAR / math.tau, torque / MOTEUS_GEAR, LIMIT_N_M / MOTEUS_GEAR, WATCHDOG_S])  # fmt: skip
-    for frame, torque in zip(moteus(TORQUE).command(STILL, TORQUES, 0), TORQUES, strict=True):
+             [speed * MOTEUS_GEAR / math.tau, torque / MOTEUS_GEAR, *LIMITS])  # fmt: skip
+    for frame, torque in zip(moteus(bench.TORQUE).command(STILL, TORQUES, 0), TORQUES, strict=True):
         registers = written(frame)
         near([registers[number] for number in (0x21, 0x22, 0x23, 0x24, 0x25, 0x27, 0x2B)],
-             [0.0, torque / MOTEUS_GEAR, 0.0, 0.0, LIMIT_N_M / MOTEUS_GEAR, WATCHDOG_S, 0.0])  # fmt: skip
+             [0.0, torque / MOTEUS_GEAR, 0.0, 0.0, *LIMITS, 0.0])  # fmt: skip
 
 
 def test_a_moteus_says_what_its_output_does() -> None:
@@ -249,10 +221,9 @@ def test_a_moteus_is_armed_in_its_mode_with_its_watchdog_and_is_not_rearmed_from
         driver.arm(0)
         moteus_says(driver, mode=mode, ids=(3,), fault=38)
         assert not driver.is_armed
-        assert len(driver.errors) == len(words)
-        assert all(
-            one in error and "moteus 3 of wheel rr" in error for one, error in zip(words, driver.errors, strict=True)
-        )
+        for one, error in zip(words, driver.errors, strict=True):
+            assert one in error
+            assert "moteus 3 of wheel rr" in error
     assert all(not written(frame) for frame in driver.arm(0)), "in fault it is only asked"
     moteus_introduces(driver, 4)
     assert driver.identity is not None
@@ -282,27 +253,21 @@ def test_a_stop_of_a_moteus_spares_a_fault_and_its_e_stop_lasts() -> None:
 
 
 def test_a_probe_hears_a_c620_by_its_feedback() -> None:
-    probe = dialect("c620").probe
-    assert probe is not None
-    c620 = probe()
+    c620 = bench.make_probe("c620")
     assert (c620.ask(), c620.found(), c620.patience_s) == ((), None, 0.0)
     for number, angle, is_one in ((4, 8191, True), (8, 0, True), (1, 8192, False), (9, 0, False), (0, 0, False)):
         assert c620.feed(Frame(0x200 + number, struct.pack(">Hhhxx", angle, 1, 2))) is is_one
-    found = c620.found()
-    assert found is not None
+    found = found_by(c620)
     assert [sentence[-1] for sentence in found.sentences] == ["4", "8"]
     assert found.motors is None
     for number in (1, 6):
         c620.feed(Frame(0x200 + number, bytes(8)))
-    found = c620.found()
-    assert found is not None
+    found = found_by(c620)
     assert found.motors == {"ids": [1, 4, 6, 8]}
 
 
 def test_a_probe_asks_every_moteus_and_knows_it_by_model_and_firmware() -> None:
-    probe = dialect("moteus").probe
-    assert probe is not None
-    moteus_probe = probe()
+    moteus_probe = bench.make_probe("moteus")
     assert {frame.id for frame in moteus_probe.ask()} == {EXTENDED | 0x8000 | number for number in range(1, 127)}
     identity = struct.pack("<BBBiii", 0x2B, 0x80, 0x02, 0x20, 0x10A, 5)
     for number, to, is_one in ((7, 0, True), (9, 1, False), (127, 0, False)):
@@ -310,7 +275,6 @@ def test_a_probe_asks_every_moteus_and_knows_it_by_model_and_firmware() -> None:
     assert moteus_probe.feed(Frame(EXTENDED | 8 << 8, struct.pack("<BBb", 0x21, 0x00, 0))) is False
     for number in (1, 2, 3):
         moteus_probe.feed(Frame(EXTENDED | number << 8, identity))
-    found = moteus_probe.found()
-    assert found is not None
+    found = found_by(moteus_probe)
     assert found.motors == {"ids": [1, 2, 3, 7]}
     assert "model 0x20, firmware 0x10a" in found.sentences[0]

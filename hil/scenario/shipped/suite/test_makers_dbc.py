@@ -6,6 +6,7 @@ A member of the shipped suite of ``hil verify``. The examples of ``hil/drivers/d
 import math
 import struct
 from collections.abc import Sequence
+from typing import Any
 
 import pytest
 
@@ -20,7 +21,6 @@ from hil.drivers.port import (
     EXTENDED,
     Capabilities,
     Driver,
-    RobotFacts,
     Sample,
     clamp,
     four_ids,
@@ -28,54 +28,24 @@ from hil.drivers.port import (
     late_ns,
     oldest,
 )
-from hil.drivers.registry import dialect, make_settings
 from hil.robot.link_times import PollAge
 from hil.scenario import load
+from hil.scenario.shipped.suite import driver_bench as bench
+from hil.scenario.shipped.suite.driver_bench import MS, STILL, near, sample_of
 from hil.wire.conditions import ConditionedLink
 from hil.wire.streams import memory_bus
-
-MS = 1_000_000
-STILL: FourWheels = (0.0, 0.0, 0.0, 0.0)
-RADIUS_M, LEVER_M, N_M_A, WATCHDOG_S = 0.05, 0.3, 0.5, 0.1
-ALL = (0, 1, 2, 3)
-
-
-SPEED = CommandMode.SPEED
 
 
 def make(scenario: str) -> Driver:
     """Make the driver with the mapping of a scenario of the suite."""
-    facts = RobotFacts(RADIUS_M, LEVER_M, ALL, (1, 1, 1, 1), 4.0, 30.0, N_M_A, WATCHDOG_S, 0.01, SPEED, "can")
-    return dialect("dbc").make(make_settings("dbc", load(scenario).device.motors, "device.motors"), facts)
-
-
-def sample_of(driver: Driver) -> Sample:
-    assert driver.sample is not None
-    return driver.sample
-
-
-def near(found: Sequence[float], expected: Sequence[float], within: float = 1e-9) -> None:
-    assert list(found) == pytest.approx(list(expected), rel=1e-6, abs=within, nan_ok=True)
-
-
-def wheels(forward: float, left: float, turn: float, radius_m: float, lever_m: float) -> FourWheels:
-    """Return the speeds of FL, FR, RR and RL (equation 7 of the paper)."""
-    sides = ((-1, -1), (1, 1), (-1, 1), (1, -1))  # of left and of turn
-    a, b, c, d = ((forward + y * left + w * lever_m * turn) / radius_m for y, w in sides)
-    return a, b, c, d
+    return bench.make("dbc", load(scenario).device.motors)
 
 
 # A DBC: twenty motor turns for one of the wheel, in rpm; a base in m/s, rad/s, degrees and g
 
 
 def say(
-    driver: Driver,
-    t_ms: float,
-    rpm: float = 0.0,
-    angle: int = 0,
-    state: int = 2,
-    error: int = 0,
-    of: Sequence[int] = ALL,
+    driver: Driver, t_ms: float, rpm: float = 0.0, angle: int = 0, state: int = 2, error: int = 0, of: Any = bench.ALL
 ) -> None:
     """Send STATUS: speed in 0.5 rpm, angle in 4096 to a turn, -6 A in 0.05 A, state, 41 degrees from -40 on."""
     for wheel in of:
@@ -105,7 +75,7 @@ def test_drives_of_a_dbc_get_and_say_what_their_wheels_do() -> None:
     assert "STATUS_FL" in driver.missing
     frames = [fields(driver.command((1.0, -2.0, 3.0, -4.0), (0.5, -1.0, 1.5, -2.0), 0)) for _ in range(17)]
     for number, frame in enumerate(frames):
-        assert [one[:3] for one in frame] == [(wheel, 1, frame[0][2]) for wheel in ALL]
+        assert [one[:3] for one in frame] == [(wheel, 1, frame[0][2]) for wheel in bench.ALL]
         assert [one[3] for one in frame] == [number % 16] * 4
         near([one[4] for one in frame], (1.0, -2.0, 3.0, -4.0), 0.0015)
     ratio = frames[0][0][5] / 0.5
@@ -162,13 +132,13 @@ def test_drives_of_a_dbc_are_armed_with_their_watchdog_and_in_their_state() -> N
 
 def test_a_base_of_a_dbc_gets_and_says_its_twist() -> None:
     driver = make("odometry_dbc_base")
-    (frame,) = driver.command(wheels(0.3, -0.2, 0.5, RADIUS_M, LEVER_M), STILL, 0)
+    (frame,) = driver.command(bench.wheels(0.3, -0.2, 0.5), STILL, 0)
     assert struct.unpack(">3hB", frame.payload) == (300, -200, 500, 0)
     assert frame.id & EXTENDED
     motion, imu = EXTENDED | 2566849024 & 0x1FFFFFFF, EXTENDED | 2566849280 & 0x1FFFFFFF
     driver.feed(Frame(imu, struct.pack(">4h", -3000, 100, -200, 1000)), MS)
     driver.feed(Frame(motion, struct.pack(">3hBx", 300, -200, 900, 0)), MS)
-    near(sample_of(driver).speed_rad_s, wheels(0.3, -0.2, 0.9, RADIUS_M, LEVER_M))
+    near(sample_of(driver).speed_rad_s, bench.wheels(0.3, -0.2, 0.9))
     near([sample_of(driver).yaw_rate_rad_s], [math.radians(-30.0)])
     near(sample_of(driver).acceleration_m_s2, [0.980665, -1.96133, 9.80665], 1e-3)
     driver.feed(Frame(motion, struct.pack(">3hBx", 0, 0, 0, 0x40)), 2 * MS)
@@ -220,7 +190,7 @@ def test_a_value_is_too_old_after_five_periods_and_holds_a_sample_back_for_so_lo
 
 
 class Motors(Driver):
-    """A driver whose wheels have the speed that a test sets."""
+    """A driver whose bench.wheels have the speed that a test sets."""
 
     _capabilities = Capabilities(100.0, frozenset())
 

@@ -3,6 +3,7 @@
 A member of the shipped suite of ``hil verify``. The driver's tables name their sources.
 """
 
+import itertools
 import math
 import struct
 from collections.abc import Mapping, Sequence
@@ -12,68 +13,36 @@ import pytest
 
 from firmware_protocol.framing import Frame
 from hil.core.errors import BadInputError
-from hil.core.types import CommandMode, FourWheels
-from hil.drivers.port import REMOTE, Driver, RobotFacts, Sample, Wire
-from hil.drivers.registry import dialect, make_settings
-
-MS = 1_000_000
-STILL: FourWheels = (0.0, 0.0, 0.0, 0.0)
-SPEEDS: FourWheels = (1.0, -2.0, 3.0, -4.0)
-TORQUES: FourWheels = (0.5, -1.0, 1.5, -2.0)
-SPEED, TORQUE = CommandMode.SPEED, CommandMode.TORQUE
-LIMIT_N_M, N_M_A, WATCHDOG_S, PERIOD_S = 4.0, 0.5, 0.1, 0.01
-ALL = (0, 1, 2, 3)
-
-
-def make(name: str, settings: Mapping[str, Any] | None = None, mode: CommandMode = SPEED, wire: Wire = "can") -> Driver:
-    facts = RobotFacts(0.05, 0.3, ALL, (1, 1, 1, 1), LIMIT_N_M, 60.0, N_M_A, WATCHDOG_S, PERIOD_S, mode, wire)
-    return dialect(name).make(make_settings(name, settings or {}, "device.motors"), facts)
-
-
-def sample_of(driver: Driver) -> Sample:
-    assert driver.sample is not None
-    return driver.sample
-
-
-def near(found: Sequence[float], expected: Sequence[float]) -> None:
-    assert list(found) == pytest.approx(list(expected), rel=1e-6, abs=1e-9, nan_ok=True)
-
+from hil.core.types import CommandMode
+from hil.drivers.port import REMOTE, Driver
+from hil.scenario.shipped.suite import driver_bench as bench
+from hil.scenario.shipped.suite.driver_bench import MS, SPEEDS, STILL, TORQUES, feed, found_by, make, near, sample_of
 
 # ODrive: identifier node << 5 | command, little-endian, revolutions of the motor
 
 GEAR = 8.0
 IDLE, CLOSED = 1, 8
-ENDPOINTS: dict[str, Any] = {
-    "watchdog_endpoints": [300, 301],
-    "endpoints_firmware": "0.6.10",
-    "endpoints_hardware": "4.4.58",
-}
+VERSIONS = {"endpoints_firmware": "0.6.10", "endpoints_hardware": "4.4.58"}
+ENDPOINTS: dict[str, Any] = {"watchdog_endpoints": [300, 301]} | VERSIONS
 
 
-def odrive(mode: CommandMode = SPEED, **settings: Any) -> Driver:
+def odrive(mode: CommandMode = bench.SPEED, **settings: Any) -> Driver:
     return make("odrive", {"gear_ratio": GEAR, "node_ids": [4, 5, 6, 7]} | settings, mode)
 
 
-def axis_says(
-    driver: Driver, command: int, layout: str, *values: float, t_ms: float = 1.0, axes: Sequence[int] = ALL
+def says(
+    driver: Driver, command: int, layout: str, *values: float, t_ms: float = 1.0, axes: Sequence[int] = bench.ALL
 ) -> None:
     for axis in axes:
-        driver.feed(Frame(4 + axis << 5 | command, struct.pack("<" + layout, *values)), round(t_ms * MS))
+        feed(driver, 4 + axis << 5 | command, "<" + layout, *values, t_ms=t_ms)
 
 
-def beat(
-    driver: Driver,
-    state: int,
-    error: int = 0,
-    t_ms: float = 1.0,
-    axes: Sequence[int] = ALL,
-    flags: Sequence[int] = (0, 0, 0),
-) -> None:
-    axis_says(driver, 0x01, "IBBBB", error, state, *flags, t_ms=t_ms, axes=axes)
+def beat(driver: Driver, state: int, error: int = 0, *flags: int, **of: Any) -> None:
+    says(driver, 0x01, "IBBBB", error, state, *(flags or (0, 0, 0)), **of)
 
 
-def estimates(driver: Driver, t_ms: float = 1.0, axes: Sequence[int] = ALL) -> None:
-    axis_says(driver, 0x09, "ff", 2.5, -0.75, t_ms=t_ms, axes=axes)
+def estimates(driver: Driver, t_ms: float = 1.0, **of: Any) -> None:
+    says(driver, 0x09, "ff", 2.5, -0.75, t_ms=t_ms, **of)
 
 
 def greet(driver: Driver, minor: int = 6) -> None:
@@ -82,49 +51,49 @@ def greet(driver: Driver, minor: int = 6) -> None:
     for _ in range(5):
         driver.ask()
         if minor == 6:
-            axis_says(driver, 0x00, "xBBBBBBB", 4, 4, 58, 0, 6, 10, 0)
+            says(driver, 0x00, "xBBBBBBB", 4, 4, 58, 0, 6, 10, 0)
         else:
-            axis_says(driver, 0x1D, "II", 0, 0)
+            says(driver, 0x1D, "II", 0, 0)
     beat(driver, IDLE)
     estimates(driver)
 
 
+def commands_in(frames: Sequence[Frame], command: int) -> list[Frame]:
+    return [frame for frame in frames if frame.id & 0x1F == command and not frame.id & REMOTE]
+
+
 def commands_of(frames: Sequence[Frame], command: int, layout: str) -> list[tuple[float, ...]]:
     """Return the values of a command to the four axes, in their order."""
-    some = [frame for frame in frames if frame.id & 0x1F == command and not frame.id & REMOTE]
+    some = commands_in(frames, command)
     assert [frame.id >> 5 for frame in some] == [4, 5, 6, 7]
     return [struct.unpack("<" + layout, frame.payload) for frame in some]
 
 
 def test_an_odrive_gets_turns_and_torque_of_its_motor() -> None:
-    for (speed, torque), w, n in zip(
-        commands_of(odrive().command(SPEEDS, TORQUES, 0), 0x0D, "ff"), SPEEDS, TORQUES, strict=True
-    ):
-        near((speed, torque), (w * GEAR / math.tau, n / GEAR))
-    for (torque,), n in zip(commands_of(odrive(TORQUE).command(STILL, TORQUES, 0), 0x0E, "f4x"), TORQUES, strict=True):
-        near((torque,), (n / GEAR,))
+    by_speed = commands_of(odrive().command(SPEEDS, TORQUES, 0), 0x0D, "ff")
+    near([one[0] for one in by_speed], [w * GEAR / math.tau for w in SPEEDS])
+    near([one[1] for one in by_speed], [n / GEAR for n in TORQUES])
+    by_torque = commands_of(odrive(bench.TORQUE).command(STILL, TORQUES, 0), 0x0E, "f4x")
+    near([one[0] for one in by_torque], [n / GEAR for n in TORQUES])
 
 
 def test_an_odrive_says_what_its_motor_does_and_a_value_that_comes_no_more_is_unknown() -> None:
     driver = odrive()
     greet(driver)
-    axis_says(driver, 0x14, "ff", 9.0, -1.5)
-    axis_says(driver, 0x15, "ff", 31.0, 42.0)
-    axis_says(driver, 0x17, "ff", 23.5, 0.5)
+    says(driver, 0x14, "ff", 9.0, -1.5)
+    says(driver, 0x15, "ff", 31.0, 42.0)
+    says(driver, 0x17, "ff", 23.5, 0.5)
     found = sample_of(driver)
     near(found.speed_rad_s, [-0.75 * math.tau / GEAR] * 4)
     near(found.position_rad, [2.5 * math.tau / GEAR] * 4)
-    near(
-        [*found.current_a, *found.temperature_degc, found.battery_v, found.battery_a],
-        [-1.5] * 4 + [42.0] * 4 + [23.5, 2.0],
-    )
-    late_ms = 1 + 1000 * max(5 * 4 * 5 * PERIOD_S, 0.1)
+    near([*found.current_a, *found.temperature_degc], [-1.5] * 4 + [42.0] * 4)
+    near([found.battery_v, found.battery_a], [23.5, 2.0])
+    late_ms = 1 + 1000 * max(5 * 4 * 5 * bench.PERIOD_S, 0.1)
     estimates(driver, late_ms - 1.0)
     near([sample_of(driver).battery_v], [23.5])
     estimates(driver, late_ms + 1.0)
-    near(
-        [*sample_of(driver).current_a, *sample_of(driver).temperature_degc, sample_of(driver).battery_v], [math.nan] * 9
-    )
+    late = sample_of(driver)
+    near([*late.current_a, *late.temperature_degc, late.battery_v], [math.nan] * 9)
     estimates(driver, 9000, axes=(0, 1, 3))
     assert sample_of(driver).stamp_ns == round((late_ms + 1.0) * MS)
     driver.feed(Frame(REMOTE | 6 << 5 | 0x09, b""), 9000 * MS)
@@ -139,8 +108,8 @@ def test_an_odrive_of_0_5_tells_itself_by_what_it_does_not_answer() -> None:
     greet(driver, 5)
     assert driver.missing == ""
     assert "0.5.4" in (driver.identity or "")
-    axis_says(driver, 0x15, "ff", 31.0, 42.0)
-    axis_says(driver, 0x17, "ff", 23.5, 0.5)
+    says(driver, 0x15, "ff", 31.0, 42.0)
+    says(driver, 0x17, "ff", 23.5, 0.5)
     assert math.isnan(sample_of(driver).temperature_degc[0])
     assert math.isnan(sample_of(driver).battery_a)
     assert not driver.capabilities.sensors & {"temperature", "battery_current"}
@@ -167,27 +136,26 @@ def follow(driver: Driver, until_ms: int = 4000) -> int:
                 if write:
                     stored[endpoint] = frame.payload[4:]
                 else:
-                    driver.feed(
-                        Frame(4 + axis << 5 | 0x05, struct.pack("<BHB", 0, endpoint, 0) + stored[endpoint]), ms * MS
-                    )
+                    answer = struct.pack("<BHB", 0, endpoint, 0) + stored[endpoint]
+                    driver.feed(Frame(4 + axis << 5 | 0x05, answer), ms * MS)
         beat(driver, state, t_ms=ms)
         if driver.is_armed:
-            assert stored in ({300: struct.pack("<f", WATCHDOG_S), 301: b"\1"}, {300: bytes(4), 301: b"\0"})
+            assert stored in ({300: struct.pack("<f", bench.WATCHDOG_S), 301: b"\1"}, {300: bytes(4), 301: b"\0"})
             return ms
     raise AssertionError(driver.errors)
 
 
 @pytest.mark.parametrize("settings", [{}, ENDPOINTS])
-@pytest.mark.parametrize("mode", [SPEED, TORQUE])
+@pytest.mark.parametrize("mode", [bench.SPEED, bench.TORQUE])
 def test_an_odrive_is_armed_step_by_step_at_standstill(settings: Mapping[str, Any], mode: CommandMode) -> None:
     driver = odrive(mode, **settings)
     assert driver.capabilities.watchdog == ("set" if settings else "none")
     greet(driver)
     first = driver.arm(MS)
     if not settings:
-        assert commands_of(first, 0x0B, "II") == [(2 if mode is SPEED else 1, 1)] * 4
+        assert commands_of(first, 0x0B, "II") == [(2 if mode is bench.SPEED else 1, 1)] * 4
         assert commands_of(first, 0x07, "I4x") == [(CLOSED,)] * 4
-        still = commands_of(first, 0x0D, "ff") if mode is SPEED else commands_of(first, 0x0E, "f4x")
+        still = commands_of(first, 0x0D, "ff") if mode is bench.SPEED else commands_of(first, 0x0E, "f4x")
         assert {value for values in still for value in values} == {0.0}
     assert follow(driver) < 1500
     assert driver.is_armed
@@ -200,52 +168,47 @@ def test_an_odrive_is_armed_step_by_step_at_standstill(settings: Mapping[str, An
     assert [frame.id & 0x1F for frame in driver.estop()] == [0x02] * 4
 
 
-@pytest.mark.parametrize(
-    ("error", "name"), [(1 << 9, "DC_BUS_UNDER_VOLTAGE"), (1 << 24, "WATCHDOG"), (1 << 23, "0x800000")]
-)
+ERRORS = [(1 << 9, "DC_BUS_UNDER_VOLTAGE"), (1 << 24, "WATCHDOG"), (1 << 23, "0x800000")]
+
+
+@pytest.mark.parametrize(("error", "name"), ERRORS)
 def test_an_error_of_an_odrive_ends_its_closed_loop_and_lasts_until_it_is_cleared(error: int, name: str) -> None:
     driver = odrive()
     greet(driver)
     follow(driver)
-    beat(driver, CLOSED, 0, 2000, axes=(0, 2, 3))
-    beat(driver, CLOSED, error, 2000, axes=(1,))
+    beat(driver, CLOSED, t_ms=2000, axes=(0, 2, 3))
+    beat(driver, CLOSED, error, t_ms=2000, axes=(1,))
     assert not driver.is_armed
     assert len(driver.errors) == 1
     assert name in driver.errors[0]
     assert not commands_in(driver.arm(2010 * MS), 0x07), "with an error nothing is armed"
-    axis_says(driver, 0x03, "II", 0, error, t_ms=2010.0, axes=(1,))
+    says(driver, 0x03, "II", 0, error, t_ms=2010.0, axes=(1,))
     assert name in driver.errors[0], "it is also the reason why it was disarmed"
     cleared = driver.clear()
     assert [(frame.id & 0x1F, frame.payload) for frame in cleared] == [(0x18, b"\0")] * 4
     assert driver.errors == []
-    beat(driver, IDLE, error, 2020, axes=(1,))
+    beat(driver, IDLE, error, t_ms=2020, axes=(1,))
     assert driver.errors == [], "it was on the way"
-    beat(driver, IDLE, 0, 2120)
+    beat(driver, IDLE, t_ms=2120)
     estimates(driver, 2120)
     assert commands_in(driver.arm(2130 * MS), 0x07)
-
-
-def commands_in(frames: Sequence[Frame], command: int) -> list[Frame]:
-    return [frame for frame in frames if frame.id & 0x1F == command and not frame.id & REMOTE]
 
 
 def test_a_flag_of_0_5_is_an_error_before_its_register_is_read_and_ends_with_the_flag() -> None:
     driver = odrive()
     greet(driver, 5)
-    beat(driver, IDLE, t_ms=2, axes=(0,), flags=(1, 0, 0))
+    beat(driver, IDLE, 0, 1, 0, 0, t_ms=2, axes=(0,))
     assert "motor error, not read yet" in driver.errors[0]
     asked = [frame.id for frame in driver.disarm() if frame.id & REMOTE]
     assert asked == [REMOTE | 4 << 5 | 0x03]
-    axis_says(driver, 0x03, "Q", 1 << 12, axes=(0,))
+    says(driver, 0x03, "Q", 1 << 12, axes=(0,))
     assert "motor error CURRENT_LIMIT_VIOLATION" in driver.errors[0]
     beat(driver, IDLE, t_ms=3, axes=(0,))
     assert driver.errors == []
-    for flags, command, name in (
-        ((0, 1, 0), 0x04, "encoder error NO_RESPONSE"),
-        ((0, 0, 1), 0x1D, "controller error UNSTABLE_GAIN"),
-    ):
-        beat(driver, IDLE, t_ms=4, axes=(3,), flags=flags)
-        axis_says(driver, command, "II", 4, 0, axes=(3,))
+    encoder, controller = "encoder error NO_RESPONSE", "controller error UNSTABLE_GAIN"
+    for flags, command, name in (((0, 1, 0), 0x04, encoder), ((0, 0, 1), 0x1D, controller)):
+        beat(driver, IDLE, 0, *flags, t_ms=4, axes=(3,))
+        says(driver, command, "II", 4, 0, axes=(3,))
         assert name in driver.errors[0]
         beat(driver, IDLE, t_ms=5, axes=(3,))
 
@@ -256,16 +219,10 @@ def test_an_odrive_that_is_silent_for_a_second_is_an_error_and_it_is_asked_in_tu
     follow(driver)
     now_ms = 1500
     beat(driver, CLOSED, t_ms=now_ms)
-    asked = [
-        frame.id
-        for turn in range(16)
-        for frame in driver.command(STILL, STILL, (now_ms + turn) * MS)
-        if frame.id & REMOTE
-    ]
-    polled = [number for number in asked if number & 0x1F != 0x09]
-    assert {(number >> 5 & 0x3F, number & 0x1F) for number in polled} == {
-        (n, c) for n in (4, 5, 6, 7) for c in (3, 0x14, 0x15, 0x17)
-    }
+    sent = [frame.id for turn in range(16) for frame in driver.command(STILL, STILL, (now_ms + turn) * MS)]
+    asked = [(number >> 5 & 0x3F, number & 0x1F) for number in sent if number & REMOTE]
+    polled = [(node, command) for node, command in asked if command != 0x09]
+    assert {*polled} == {*itertools.product((4, 5, 6, 7), (3, 0x14, 0x15, 0x17))}
     assert len(asked) - len(polled) == 16 * 4, "it asks for estimates that do not come by themselves"
     driver.command(STILL, STILL, (now_ms + 1000) * MS)
     assert driver.is_armed
@@ -290,22 +247,14 @@ def test_a_disarmed_odrive_is_not_armed_and_a_watchdog_that_is_not_kept_is_an_er
 
 
 def test_a_probe_knows_an_odrive_by_its_answers() -> None:
-    make_probe = dialect("odrive").probe
-    assert make_probe is not None
-    probe = make_probe()
+    probe = bench.make_probe("odrive")
     for node, state, is_one in ((5, 1, True), (6, 14, True), (7, 15, False), (63, 1, False)):
         assert probe.feed(Frame(node << 5 | 1, struct.pack("<IBBBB", 0, state, 0, 0, 0))) is is_one
     assert probe.found() is None
-    assert {frame.id for frame in probe.ask()} == {
-        REMOTE | node << 5 | command for node in (5, 6) for command in (0, 0x1D)
-    }
-    for numbers, is_version in (
-        ((4, 4, 58, 0, 6, 10, 0), True),
-        ((0, 4, 58, 0, 6, 10, 0), False),
-        ((4, 4, 58, 0, 5, 6, 0), False),
-    ):
+    assert {frame.id ^ REMOTE for frame in probe.ask()} == {node << 5 | one for node in (5, 6) for one in (0, 0x1D)}
+    versions = ((4, 4, 58, 0, 6, 10, 0), True), ((0, 4, 58, 0, 6, 10, 0), False), ((4, 4, 58, 0, 5, 6, 0), False)
+    for numbers, is_version in versions:
         assert probe.feed(Frame(5 << 5, struct.pack("<xBBBBBBB", *numbers))) is is_version
-    found = probe.found()
-    assert found is not None
+    found = found_by(probe)
     assert found.motors is None
     assert found.sentences == ["an ODrive axis, node 5, of firmware 0.6.10 on hardware 4.4.58"]

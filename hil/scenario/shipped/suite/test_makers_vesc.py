@@ -3,6 +3,7 @@
 A member of the shipped suite of ``hil verify``. ``hil/drivers/vesc/frames.py`` names the sources.
 """
 
+import itertools
 import math
 import struct
 from binascii import crc_hqx
@@ -13,42 +14,26 @@ import pytest
 
 from firmware_protocol.framing import Frame
 from hil.core.errors import BadInputError
-from hil.core.types import CommandMode, FourWheels
-from hil.drivers.port import EXTENDED, Driver, RobotFacts, Sample, Wire
-from hil.drivers.registry import dialect, make_settings
+from hil.core.types import CommandMode
+from hil.drivers.port import EXTENDED, Driver, Wire
 from hil.drivers.vesc.frames import LONGEST_PACKET, SerialFraming
+from hil.scenario.shipped.suite import driver_bench as bench
+from hil.scenario.shipped.suite.driver_bench import MS, SPEEDS, STILL, TORQUES, feed, near, sample_of
 
-MS = 1_000_000
-STILL: FourWheels = (0.0, 0.0, 0.0, 0.0)
-SPEEDS: FourWheels = (1.0, -2.0, 3.0, -4.0)
-TORQUES: FourWheels = (0.5, -1.0, 1.5, -2.0)
-SPEED, TORQUE = CommandMode.SPEED, CommandMode.TORQUE
-LIMIT_N_M, N_M_A, WATCHDOG_S, PERIOD_S = 4.0, 0.5, 0.1, 0.01
 IDS, HOST = (11, 12, 13, 14), 253
 POLES, GEAR = 5, 3.0
 ERPM_PER_RAD_S = GEAR * POLES * 60.0 / math.tau
 STEP_RAD = math.tau / (6 * POLES * GEAR)
 
 
-def make(settings: Mapping[str, Any] | None = None, mode: CommandMode = SPEED, wire: Wire = "can") -> Driver:
-    order = (0, 1, 2, 3)
-    facts = RobotFacts(0.05, 0.3, order, (1, 1, 1, 1), LIMIT_N_M, 60.0, N_M_A, WATCHDOG_S, PERIOD_S, mode, wire)
+def make(settings: Mapping[str, Any] | None = None, mode: CommandMode = bench.SPEED, wire: Wire = "can") -> Driver:
     options = {"ids": IDS, "pole_pairs": POLES, "gear_ratio": GEAR, "serial_id": 11} | dict(settings or {})
-    return dialect("vesc").make(make_settings("vesc", options, "device.motors"), facts)
-
-
-def sample_of(driver: Driver) -> Sample:
-    assert driver.sample is not None
-    return driver.sample
-
-
-def near(found: Sequence[float], expected: Sequence[float], within: float = 1e-9) -> None:
-    assert list(found) == pytest.approx(list(expected), rel=1e-6, abs=within, nan_ok=True)
+    return bench.make("vesc", options, mode, wire)
 
 
 def status(driver: Driver, command: int, layout: str, *values: float, t_ms: float, ids: Sequence[int] = IDS) -> None:
     for vesc in ids:
-        driver.feed(Frame(EXTENDED | command << 8 | vesc, struct.pack(">" + layout, *values)), round(t_ms * MS))
+        feed(driver, EXTENDED | command << 8 | vesc, ">" + layout, *values, t_ms=t_ms)
 
 
 def moves(
@@ -121,9 +106,10 @@ def settings_of(frames: Sequence[Frame], command: int) -> list[int]:
 
 def test_a_vesc_gets_electrical_revolutions_or_a_current() -> None:
     assert settings_of(make().command(SPEEDS, TORQUES, 0), 3) == [round(w * ERPM_PER_RAD_S) for w in SPEEDS]
-    assert settings_of(make(mode=TORQUE).command(STILL, TORQUES, 0), 1) == [round(n / N_M_A * 1000) for n in TORQUES]
+    by_torque = make(mode=bench.TORQUE).command(STILL, TORQUES, 0)
+    assert settings_of(by_torque, 1) == [round(n / bench.N_M_A * 1000) for n in TORQUES]
     assert settings_of(make().disarm(), 1) == [0] * 4
-    assert settings_of(make().estop(), 2) == [round(LIMIT_N_M / N_M_A * 1000)] * 4
+    assert settings_of(make().estop(), 2) == [round(bench.LIMIT_N_M / bench.N_M_A * 1000)] * 4
     assert settings_of(make({"brake_current_a": 2.5}).estop(), 2) == [2500] * 4
     assert settings_of(make().command((1e9,) * 4, STILL, 0), 3) == [2**31 - 1] * 4
 
@@ -205,7 +191,7 @@ def test_a_vesc_is_asked_for_version_state_and_timeout_one_after_the_other() -> 
 def test_the_timeout_of_a_vesc_is_its_watchdog_if_short_enough(timeout_ms: int, brake_a: float, warning: str) -> None:
     driver = make()
     introduce(driver, timeout_ms, brake_a)
-    assert driver.capabilities.watchdog == ("fixed" if 0 < timeout_ms <= 1000 * WATCHDOG_S else "none")
+    assert driver.capabilities.watchdog == ("fixed" if 0 < timeout_ms <= 1000 * bench.WATCHDOG_S else "none")
     found = [words for words in driver.warnings if "timeout" in words]
     assert len(found) == bool(warning)
     assert all(warning in words and "11, 12, 13, 14" in words for words in found)
@@ -221,12 +207,9 @@ def test_a_vesc_is_armed_while_it_reports_neither_fault_nor_kill_switch() -> Non
         answer(driver, vesc, values(fault=0))
     assert settings_of(driver.arm(10 * MS), 3) == [0] * 4
     assert driver.is_armed
-    for message, words in (
-        (values(fault=5), "fault 5: over temperature of the MOSFETs"),
-        (values(fault=99), "fault 99"),
-        (values(status=2), "kill switch"),
-    ):
-        answer(driver, 13, message)
+    hot = "fault 5: over temperature of the MOSFETs"
+    for said, words in (({"fault": 5}, hot), ({"fault": 99}, "fault 99"), ({"status": 2}, "kill switch")):
+        answer(driver, 13, values(**said))
         assert not driver.is_armed
         assert [error.startswith("VESC 13 of wheel rr") and words in error for error in driver.errors] == [True]
         answer(driver, 13, values(fault=0))
@@ -234,19 +217,11 @@ def test_a_vesc_is_armed_while_it_reports_neither_fault_nor_kill_switch() -> Non
         assert driver.errors == []
         driver.arm(20 * MS)
         assert driver.is_armed
-    asked = []
-    for turn in range(8):
-        frames = driver.command(STILL, STILL, (30 + turn) * MS)
-        asked += [
-            (frame.id & 0xFF, frame.payload[:3], frame.payload[3:])
-            for frame in frames
-            if (frame.id & ~EXTENDED) >> 8 == 8
-        ]
+    sent = [frame for turn in range(8) for frame in driver.command(STILL, STILL, (30 + turn) * MS)]
+    asked = [(frame.id & 0xFF, frame.payload) for frame in sent if (frame.id & ~EXTENDED) >> 8 == 8]
     assert len(asked) == 16
-    assert {(vesc, data) for vesc, head, data in asked} == {
-        (vesc, struct.pack(">I", 1 << bit)) for vesc in IDS for bit in (15, 21)
-    }
-    assert {head for _, head, _ in asked} == {bytes((HOST, 0, 50))}
+    questions = [struct.pack(">BBBI", HOST, 0, 50, 1 << bit) for bit in (15, 21)]
+    assert {*asked} == {*itertools.product(IDS, questions)}
     for vesc in IDS[:3]:
         answer(driver, vesc, values(fault=0))
     driver.command(STILL, STILL, 1005 * MS)
@@ -263,9 +238,8 @@ def test_a_vesc_is_armed_while_it_reports_neither_fault_nor_kill_switch() -> Non
     other = make()
     introduce(other)
     answer(other, 12, values(status=0))
-    assert [words[:30] for words in other.warnings if "commanded just now" in words] == [
-        "the VESC 12 was commanded just"
-    ]
+    (words,) = (words for words in other.warnings if "commanded just now" in words)
+    assert words.startswith("the VESC 12 was")
 
 
 def test_a_long_answer_counts_if_its_pieces_are_all_there() -> None:
@@ -292,14 +266,13 @@ def packet(message: bytes) -> bytes:
 @pytest.mark.parametrize("size", [1, 5, 255, 256, 512])
 def test_packets_of_a_line_are_found_among_noise(size: int) -> None:
     framing = SerialFraming()
-    message = bytes(range(1, 256)) * 3
-    message = message[:size]
+    message = (bytes(range(1, 256)) * 3)[:size]
     good = packet(message)
     assert framing.encode(Frame(message[0], message[1:])) == good
     damaged = bytearray(good)
     damaged[-3] ^= 1
     data = b"\x07\x09" + good + bytes(damaged) + b"\xff" * 520 + good
-    found = [frame for byte in data for frame in framing.feed(bytes((byte,)))]
+    found = [frame for byte in bench.each_byte(data) for frame in framing.feed(byte)]
     assert found == [Frame(message[0], message[1:])] * 2
     assert framing.rejected["start"] == 1
     assert sum(framing.rejected.values()) == 2

@@ -14,79 +14,21 @@ import pytest
 from firmware_protocol.framing import Frame, Framer
 from firmware_protocol.generated import messages as m
 from hil.core.errors import LinkError
-from hil.core.ports import EXTENDED, REMOTE, Link
+from hil.core.ports import EXTENDED, REMOTE
 from hil.faults.kind import FaultRow
+from hil.scenario.shipped.suite import link_bench as bench
+from hil.scenario.shipped.suite.can_frame_model import classic_frame, fd_lengths
+from hil.scenario.shipped.suite.link_bench import MS, STEP, Clock, command, heard, row, tick
 from hil.wire.can_bus import CanLink
 from hil.wire.can_frame import classic_bits, fd_bits
 from hil.wire.conditions import ConditionedLink
-from hil.wire.faults import BusFaults, LinkFault, ScenarioTime, link_faults
+from hil.wire.faults import BusFaults, LinkFault, link_faults
 from hil.wire.framed import StreamLink
 from hil.wire.statistics import LinkStatistics, LoadWindow, observe
 from hil.wire.streams import memory_bus, memory_pair
 from hil.wire.url import parse_link
 
-MS = 1_000_000
-STEP = Frame(m.Step.ID, m.Step(0, 1).encode())
-
-
-class Clock:
-    """A clock that is set by hand."""
-
-    now = 0
-
-    def now_ns(self) -> int:
-        return self.now
-
-    def wait_until(self, t_ns: int) -> int:
-        self.now = t_ns
-        return 0
-
-
-def command(number: int) -> Frame:
-    return Frame(m.WheelCommand.ID, m.WheelCommand(0, 0, 0, 0, number & 0xFF, 0).encode())
-
-
-def tick(number: int) -> Frame:
-    return Frame(m.Tick.ID, m.Tick(number, 0, 0, 0, 0, 0).encode())
-
-
-def row(kind: str, target: str, value: float, from_ms: int = 0, to_ms: int = 10_000) -> FaultRow:
-    return FaultRow(kind, "link", target, from_ms * MS, to_ms * MS, value)
-
-
-def heard(link: Link) -> list[Frame]:
-    frames: list[Frame] = []
-    while (received := link.receive(0)) is not None:
-        frames += received.frames
-    return frames
-
-
-# A CAN frame, written out bit by bit (ISO 11898-1)
-
-
-def stuffed(bits: str) -> str:
-    out = ""
-    for bit in bits:
-        out += bit
-        if out[-5:] in ("00000", "11111"):
-            out += "10"[int(bit)]
-    return out
-
-
-def crc15(bits: str) -> str:
-    rest = int(bits + 15 * "0", 2)
-    while rest.bit_length() > 15:
-        rest ^= 0b1100010110011001 << rest.bit_length() - 16
-    return f"{rest:015b}"
-
-
-def classic_length(number: int, payload: bytes, extended: bool, remote_length: int | None = None) -> int:
-    rtr = "0" if remote_length is None else "1"
-    long = f"{number:029b}"
-    head = f"0{long[:11]}11{long[11:]}{rtr}00" if extended else f"0{number:011b}{rtr}00"
-    length = len(payload) if remote_length is None else remote_length
-    body = head + f"{length:04b}" + "".join(f"{byte:08b}" for byte in payload)
-    return len(stuffed(body + crc15(body))) + len("1" + "01" + 7 * "1" + 3 * "1")
+# Bits of a CAN frame
 
 
 def payloads() -> list[bytes]:
@@ -99,34 +41,24 @@ def payloads() -> list[bytes]:
 
 
 def test_a_classic_frame_has_its_bits_with_those_that_are_stuffed() -> None:
-    for payload, number in itertools.product(payloads(), (0, 0x7FF, 0x01F, 0x123)):
-        assert classic_bits(number, payload) == classic_length(number, payload, extended=False)
-    for payload, number in itertools.product(payloads(), (0, 0x1FFFFFFF, 0x1F, 0x18FF1234)):
-        assert classic_bits(number, payload, extended=True) == classic_length(number, payload, extended=True)
+    standard, extended = [(0, False), (0x7FF, False), (0x1F, False), (0x123, False)], [(0, True), (0x1FFFFFFF, True)]
+    extended += [(0x1F, True), (0x18FF1234, True)]
+    for payload, (number, is_extended) in itertools.product(payloads(), standard + extended):
+        expected = len(classic_frame(number, payload, extended=is_extended))
+        assert classic_bits(number, payload, extended=is_extended) == expected
     for asked in (0, 4, 8):
-        assert classic_bits(0x55, b"", remote_length=asked) == classic_length(0x55, b"", False, asked)
+        assert classic_bits(0x55, b"", remote_length=asked) == len(classic_frame(0x55, b"", remote_length=asked))
 
 
 @pytest.mark.parametrize("extended", [False, True])
 def test_an_fd_frame_has_its_slow_bits_and_its_fast_ones(extended: bool) -> None:
-    """Up to the bit that switches the rate, and from the CRC delimiter on, it is slow; the CRC is stuffed evenly."""
     chance = random.Random(6)
-    for length in (0, 1, 7, 8, 12, 16, 20, 32, 48, 64):
+    for length, switched in itertools.product((0, 1, 7, 8, 12, 16, 20, 32, 48, 64), (False, True)):
         for _ in range(12):
             payload = bytes(chance.choice((0, 0xFF, chance.randrange(256))) for _ in range(length))
             number = chance.randrange(0x1FFFFFFF if extended else 0x7FF)
-            long = f"{number:029b}"
-            head = f"0{long[:11]}11{long[11:]}0101" if extended else f"0{number:011b}00101"
-            code = (0, 1, 2, 3, 4, 5, 6, 7, 8, 12, 16, 20, 24, 32, 48, 64).index(length)
-            body = head + "0" + f"{code:04b}" + "".join(f"{byte:08b}" for byte in payload)
-            crc = 4 + (17 if length <= 16 else 21)
-            whole = len(stuffed(body[:-1])) + 1 + crc + math.ceil(crc / 4) + 1 + 12
-            slow = len(stuffed(head[:-1])) + 1 + 12
-            found = fd_bits(number, payload, extended=extended, switched=True)
-            assert found == (slow, whole - slow)
-            plain = fd_bits(number, payload, extended=extended, switched=False)
-            assert plain.data == 0
-            assert abs(plain.nominal - whole) <= 2, "one bit of the head differs"
+            found = fd_bits(number, payload, extended=extended, switched=switched)
+            assert found == fd_lengths(number, payload, extended=extended, switched=switched)
 
 
 # Load
@@ -206,14 +138,15 @@ def test_a_can_bus_carries_both_directions_and_strangers(settings: str) -> None:
             used = [fd_bits(*one, switched=True) for one in (*sent, answer)]
             bits, ns = [sum(one) for one in used], [one.nominal * 2000 + one.data * 500 for one in used]
         else:
-            bits = [classic_length(*one, extended=False) for one in (*sent, answer)]
+            bits = [len(classic_frame(*one)) for one in (*sent, answer)]
             ns = [2000 * one for one in bits]
-        foreign = [classic_length(0x18FF1234, bytes(8), extended=True), classic_length(0x555, b"", False, 4)]
+        strangers = [classic_frame(0x18FF1234, bytes(8), extended=True), classic_frame(0x555, b"", remote_length=4)]
+        foreign = sum(map(len, strangers))
         figures = statistics.figures()
         assert figures["sent"] == {"frames": 2, "bytes": 16, "bits": sum(bits[:2])}
         assert figures["received"] == {"frames": 1, "bytes": len(answer.payload), "bits": bits[2]}
-        assert figures["foreign"] == {"frames": 3, "bytes": 8, "bits": sum(foreign)}
-        busy_s = (sum(ns) + 2000 * sum(foreign)) * 1e-9
+        assert figures["foreign"] == {"frames": 3, "bytes": 8, "bits": foreign}
+        busy_s = (sum(ns) + 2000 * foreign) * 1e-9
         assert figures["load"]["bus"]["mean_percent"] == pytest.approx(100.0 * busy_s / 0.05)
         assert statistics.traffic() == pytest.approx((16.0, len(answer.payload), 100.0 * busy_s / 0.1))
         assert link.rejected()["foreign"] == 2
@@ -227,8 +160,8 @@ def test_a_can_bus_carries_both_directions_and_strangers(settings: str) -> None:
 def test_flags_of_an_identifier_are_no_bits_of_it() -> None:
     meter = parse_link("can:virtual/none?bitrate=1000000").meter(None)
     frames = [Frame(EXTENDED | 0x18FF1234, bytes(3)), Frame(REMOTE | 0x29, b"")]
-    expected = [classic_length(0x18FF1234, bytes(3), extended=True), classic_length(0x29, b"", False, 8)]
-    assert [meter.sent([one]) for one in frames] == [1000 * one for one in expected]  # type: ignore[attr-defined]
+    whole = classic_frame(0x18FF1234, bytes(3), extended=True), classic_frame(0x29, b"", remote_length=8)
+    assert [meter.sent([one]) for one in frames] == [1000 * len(one) for one in whole]  # type: ignore[attr-defined]
 
 
 # Errors of a bus
@@ -239,12 +172,11 @@ class Bus:
 
     def __init__(self, *rows: FaultRow) -> None:
         self.clock = Clock()
-        time = ScenarioTime(self.clock)
-        time.begin(0)
         self.faults: list[LinkFault] = link_faults(rows, 1)
         self.here, self.there = memory_bus()
         self.babbler, self.listener = memory_bus()
-        self.link = ConditionedLink(self.here, self.clock, bus=BusFaults(self.faults, self.babbler), scenario_time=time)
+        bus, time = BusFaults(self.faults, self.babbler), bench.begun(self.clock)
+        self.link = ConditionedLink(self.here, self.clock, bus=bus, scenario_time=time)
 
 
 def test_a_frame_is_sent_again_until_it_is_whole_and_its_chance_grows_with_its_bits() -> None:
