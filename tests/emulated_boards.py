@@ -11,7 +11,7 @@ from firmware_protocol import codec
 from firmware_protocol.arm_build import TARGETS
 from firmware_protocol.framing import Deframer, Frame, Framer
 from firmware_protocol.generated import messages as m
-from firmware_protocol.host import library, parameter_hash, stored_parameters
+from firmware_protocol.host import parameter_hash, stored_parameters
 from firmware_protocol.stm32_flash import HIL_BOARD
 from hil.wire.robot_end import Node
 from tests import arm_firmwares
@@ -39,8 +39,7 @@ def firmware(link: str) -> Path:
 
 def plant_of(rig: WheelRig) -> tuple[int, int]:
     """Return the addresses of the rig's exchange and of its context."""
-    ffi, _ = library()
-    return int(ffi.cast("uintptr_t", rig._exchange)), 0
+    return rig.node.plant_address, 0
 
 
 def stored() -> bytes:

@@ -561,3 +561,11 @@ def test_the_same_input_gives_the_same_bytes():
 def test_codec_refuses_what_the_node_would():
     with pytest.raises(ValueError, match="WHEEL_COMMAND"):
         codec.encode(m.WheelCommand(64.0, 0.0, 0.0, 0.0, 0, 0))
+
+
+def test_what_a_plant_in_python_raises_is_raised_by_the_call_that_let_time_pass():
+    rig = WheelRig()
+    rig.current_a = []
+    for pass_time in (lambda: rig.run(1), lambda: rig.send(m.Estop(0, 0))):
+        with pytest.raises(IndexError):
+            pass_time()

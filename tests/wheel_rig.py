@@ -6,7 +6,8 @@ import math
 from firmware_protocol import codec
 from firmware_protocol.framing import Frame
 from firmware_protocol.generated import messages as m
-from firmware_protocol.host import HostNode, library, parameter_hash
+from firmware_protocol.host import parameter_hash
+from hil.scenario.shipped.suite.plant_node import PlantNode
 
 PARAMETERS = {
     "counts_per_revolution": 4096.0,
@@ -60,10 +61,7 @@ class WheelRig:
         self.encoder_dead = [False] * 4
         self.count = [0] * 4
         self.override: dict[str, tuple[int, float]] = {}  # a sensor's value, by its name and place
-        ffi, _ = library()
-        self._exchange = ffi.callback("wheel_plant_exchange", self._plant)
-        address = int(ffi.cast("uintptr_t", self._exchange))
-        self.node = HostNode(self.values, address, 0, lockstep=lockstep, power_stage=power_stage, stored=stored)
+        self.node = PlantNode(self._plant, self.values, lockstep=lockstep, power_stage=power_stage, stored=stored)
         self.nonces = itertools.count(0x1231)
         self.nonce = 0
 

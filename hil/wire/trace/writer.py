@@ -24,6 +24,7 @@ class TraceWriter:
     """
 
     failing = None
+    """Of a ``RowWriter``. A trace that fails is told when it ends, since the run goes on without it."""
 
     def __init__(self, config: Record, ring: RingReader) -> None:
         self._ring = ring

@@ -12,7 +12,7 @@ from firmware_protocol.capabilities import Capability
 from firmware_protocol.codec import Message, decode, encode
 from firmware_protocol.framing import Deframer, Frame, Framer, crc16
 from firmware_protocol.generated import messages as m
-from firmware_protocol.host import HostNode, library
+from hil.scenario.shipped.suite.plant_node import PlantNode
 from hil.scenario.shipped.suite.robot_feedback import Sense
 from hil.scenario.shipped.suite.robot_model import RobotModel
 from hil.scenario.shipped.suite.robot_parameters import binary32
@@ -118,7 +118,7 @@ class Bench:
     """
 
     robot: RobotModel
-    node: HostNode
+    node: PlantNode
 
     def __init__(
         self,
@@ -132,9 +132,6 @@ class Bench:
         self.values = {name: binary32(value) for name, value in values.items()}
         self.plant = Plant(self.values, count)
         self.serial, self._capabilities = serial, _ALL & ~lacks | also
-        ffi, _ = library()
-        self._exchange = ffi.callback("wheel_plant_exchange", self._tick)
-        self.address = int(ffi.cast("uintptr_t", self._exchange))
         self.begin(None)
 
     def begin(
@@ -149,13 +146,13 @@ class Bench:
         self._first: Sense | None = None
         self.model: RobotModel | None = None
         self._framer, self._line, self._answers = Framer(), Deframer(), Deframer()
-        self.node = HostNode(
+        has = self._capabilities
+        self.node = PlantNode(
+            self._tick,
             self.values,
-            self.address,
-            0,
-            lockstep=bool(self._capabilities & Capability.LOCKSTEP),
-            power_stage=bool(self._capabilities & Capability.POWER_STAGE),
-            lacks=_ALL & ~self._capabilities,
+            lockstep=bool(has & Capability.LOCKSTEP),
+            power_stage=bool(has & Capability.POWER_STAGE),
+            lacks=_ALL & ~has,
             stored=stored,
             reset_cause=reset_cause,
         )

@@ -94,7 +94,7 @@ def test_a_build_with_a_parameter_out_of_its_range_never_drives() -> None:
     bench = Bench(random_values(1), serial=False)
     ffi, lib = library()
     block = ffi.new("wheel_parameters *", bench.values | {"ramp_s": 5.0})
-    exchange = ffi.cast("wheel_plant_exchange", bench.address)
+    exchange = ffi.cast("wheel_plant_exchange", bench.node.plant_address)
     lib.wheel_host_init(bench.node.handle, block, ffi.NULL, 0x7FC, m.ResetCause.PIN, exchange, ffi.NULL)
     for nonce, message, state in (
         (1, m.TimeSyncRequest(1), m.State.FAULT),
