@@ -99,15 +99,7 @@ class Plant:
                 setattr(sense, name, value)
             else:
                 getattr(sense, name)[place] = value
-        return Sense(
-            tuple(sense.count),
-            tuple(sense.current_a),
-            tuple(sense.gyro_rad_s),
-            tuple(sense.acceleration_m_s2),
-            sense.battery_v,
-            sense.battery_a,
-            tuple(sense.temperature_degc),
-        )
+        return Sense._make(_read(getattr(sense, name)) for name in Sense._fields)
 
 
 class Bench:
@@ -251,6 +243,10 @@ class Bench:
         now = (look.tick, look.state, look.mode, look.fault, look.fault_wheel, look.stop_reason, look.command_age_ticks)
         then = (robot.tick, robot.state, robot.mode, robot.fault, robot.fault_wheel, robot.stop_reason, age)
         assert now == then, f"{now} instead of {then}"
+
+
+def _read(value: Any) -> Any:
+    return value if isinstance(value, float) else tuple(value)
 
 
 def _close(some: Any, others: Any, limit: float) -> bool:

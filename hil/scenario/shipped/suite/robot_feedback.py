@@ -19,7 +19,7 @@ _COLDEST_DEGC, _PLAUSIBLE = -45.0, 1e6
 class Sense(NamedTuple):
     """What the sensors say at the beginning of a tick; binary32, as the plant gives it."""
 
-    counts: tuple[int, ...]
+    count: tuple[int, ...]
     current_a: tuple[float, ...]
     gyro_rad_s: tuple[float, ...]
     acceleration_m_s2: tuple[float, ...]
@@ -31,11 +31,8 @@ class Sense(NamedTuple):
         """Tell whether each value is one that a sensor can measure."""
         inertial = (*self.gyro_rad_s, *self.acceleration_m_s2)
         values = (*self.current_a, *inertial, *self.temperature_degc, self.battery_v, self.battery_a)
-        is_number = not math.isnan(sum(values))
-        return is_number and -_PLAUSIBLE <= min(values) <= max(values) <= _PLAUSIBLE and not self._is_wire_lost()
-
-    def _is_wire_lost(self) -> bool:
-        return min(self.temperature_degc) < _COLDEST_DEGC
+        is_number = not math.isnan(sum(values))  # a thermistor without its wire is as cold as nothing is
+        return is_number and max(map(abs, values)) <= _PLAUSIBLE and min(self.temperature_degc) >= _COLDEST_DEGC
 
 
 def _within(values: Sequence[float], limit: float) -> list[float]:
@@ -115,13 +112,12 @@ class Feedback:
         time_us = robot.tick * 1000 & 0xFFFF_FFFF
         robot.out.append(m.Tick(time_us, robot.sequence, age, robot.state, parts, self._snapshot))
         self._snapshot = (self._snapshot + 1) & 0xFF
-        robot.out.append(m.Encoders(*robot.sensed.counts))
+        robot.out.append(m.Encoders(*robot.sensed.count))
         robot.out.append(m.WheelSpeeds(*_within(robot.speed.tolist(), 127.99609375)))
         if has[4]:
             robot.out.append(m.Currents(*_within(self._mean("current_a"), 31.9990234375)))
         if has[8]:
-            robot.out.append(
-                m.Accelerometer._make((*_within(self._mean("acceleration_m_s2"), 127.99609375), millisecond))
-            )
+            mean = _within(self._mean("acceleration_m_s2"), 127.99609375)
+            robot.out.append(m.Accelerometer._make((*mean, millisecond)))
         if has[16]:
             robot.out.append(m.Gyro._make((*_within(robot.sensed.gyro_rad_s, 31.9990234375), millisecond)))

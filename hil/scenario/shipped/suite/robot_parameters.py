@@ -54,6 +54,12 @@ def as_bits(index: int, value: float) -> int:
     return int(value) if is_whole else int.from_bytes(struct.pack("<f", value), "little")
 
 
+def ends_of(index: int) -> tuple[int, int]:
+    """Return the ends of a parameter's range as the wire has them."""
+    low, high = (as_bits(index, binary32(TABLE[index][end])) for end in ("minimum", "maximum"))
+    return low, high
+
+
 def from_bits(index: int, bits: int) -> float:
     """Return the value of bits on the wire."""
     is_whole = TABLE[index]["type"] == "UINT32"

@@ -6,8 +6,7 @@ disturbed, faults that are cleared, and whatever a session may leave for the nex
 
 import math
 import random
-from collections.abc import Callable
-from typing import ClassVar
+from typing import Any, ClassVar
 
 from cobs import cobs
 
@@ -15,11 +14,11 @@ from firmware_protocol.framing import Frame
 from firmware_protocol.generated import messages as m
 from firmware_protocol.generated.messages import Mode, Operation, Request, State
 from hil.scenario.shipped.suite.robot_bench import Bench, framed
-from hil.scenario.shipped.suite.robot_parameters import INDEX, SENSIBLE, TABLE, as_bits, binary32
+from hil.scenario.shipped.suite.robot_parameters import INDEX, SENSIBLE, TABLE, as_bits, binary32, ends_of
 from hil.scenario.shipped.suite.robot_trouble import Trouble
 from hil.scenario.shipped.suite.wheel_model import speed_limit, ticks
 
-Choice = tuple[float, Callable[[], None]]
+Choice = tuple[Any, ...]  # weight, method, arguments
 _MOST_SPEED, _MOST_TORQUE = 63.984375, 15.99609375
 _HOST = (m.Estop, m.HostHeartbeat, m.TorqueFeedforward, m.WheelCommand, m.TorqueCommand, m.TimeSyncRequest)
 _COMMANDS = (m.WheelCommand, m.TorqueCommand, m.TorqueFeedforward)
@@ -49,89 +48,9 @@ class Talk:
         while robot.tick < tick:
             if robot.tick >= self._trouble.until:
                 self._trouble.end()
-            choices = [*self._BY_STATE[robot.state](self), *self._anywhere()]
-            weights, actions = zip(*choices, strict=True)
-            self.random.choices(actions, weights)[0]()
-
-    # What may be said
-
-    def _idle(self) -> list[Choice]:
-        return [
-            (8.0, self._arm),
-            (6.0, self._arm_wrongly),
-            (0.7, self._arm_after_clear),
-            (3.0, self._write),
-            (0.6, lambda: self._ask(self.random.choice((Operation.STORE, Operation.RESTORE)))),
-            (1.0, lambda: self._pass(1, 120)),
-            (0.5, lambda: self._command(0)),
-            (0.5, self._trouble.begin),
-        ]
-
-    def _armed(self) -> list[Choice]:
-        return [
-            (6.0, self._activate),
-            (1.0, lambda: self._command(1)),
-            (0.5, self._ahead),
-            (0.3, lambda: self._pass(995, 1001)),
-            (0.5, self._disarm),
-            (0.5, lambda: self._pass(1, 20)),
-            (0.3, self._trouble.begin),
-        ]
-
-    def _active(self) -> list[Choice]:
-        return [
-            (8.0, self._drive),
-            (1.0, self._drive_late),
-            (1.5, self._break_encoder),
-            (6.0, self._command_wrongly),
-            (0.7, self._disarm),
-            (0.5, self._trouble.begin),
-            (0.3, lambda: self._pass(1, 150)),
-        ]
-
-    def _stopping(self) -> list[Choice]:
-        return [
-            (4.0, lambda: self._pass(1, 60)),
-            (0.5, self._trouble.begin),
-            (0.5, lambda: self._command(1)),
-            (0.5, self._disarm),
-            (0.4, self._arm),
-        ]
-
-    def _latched(self) -> list[Choice]:
-        return [
-            (3.0, self._clear),
-            (2.0, lambda: self._pass(1, 90)),
-            (0.5, lambda: self._wish(Request.CLEAR, self.bench.robot.cleared or 1)),
-            (0.5, self._arm),
-            (0.3, self._trouble.begin),
-        ]
-
-    _BY_STATE: ClassVar = {
-        State.IDLE: _idle,
-        State.ARMED: _armed,
-        State.ACTIVE: _active,
-        State.STOPPING: _stopping,
-        State.FAULT: _latched,
-        State.ESTOP: _latched,
-    }
-
-    def _anywhere(self) -> list[Choice]:
-        chance = self.random
-        return [
-            (0.25, lambda: self.bench.send(m.HelloRequest(chance.randrange(256)))),
-            (0.25, self._sync),
-            (0.3, lambda: self._ask(chance.choice((Operation.READ, Operation.READ_MINIMUM, Operation.READ_MAXIMUM)))),
-            (0.2, self._write),
-            (0.1, lambda: self.bench.send(m.Estop(chance.randrange(256), chance.randrange(256)))),
-            (1.5, self._raw),
-            (0.15, lambda: self._ask(chance.choice((Operation.STORE, Operation.RESTORE)))),
-            (0.5, self._step),
-            (0.1, self._lose),
-            (0.3, lambda: self._wish(Request.ARM, self.bench.robot.session or 1)),
-            (0.2, lambda: self._wish(Request.CLEAR, chance.randrange(1, 0x10000))),
-            (0.8 if self.bench.serial else 0.0, self._noise),
-        ]
+            choices = [*self._IN_STATE[robot.state], *self._ANYWHERE, (0.8 * self.bench.serial, Talk._noise)]
+            _, action, *arguments = self.random.choices(choices, [one[0] for one in choices])[0]
+            action(self, *arguments)
 
     # How it is said
 
@@ -237,8 +156,7 @@ class Talk:
         limit = speed_limit(robot.values)
         most = min(_MOST_SPEED, chance.choice((0.5 * limit, 0.5 * limit, limit, 1.3 * limit)))
         self._speeds, ahead = self._values(most), chance.choice((0, 0, 1, 2))
-        watchdog = ticks(robot.values["watchdog_s"])
-        period = chance.choice((1, 5, 10, watchdog - 1))
+        period = chance.choice((1, 5, 10, ticks(robot.values["watchdog_s"]) - 1))
         if chance.random() < 0.15:
             self._trouble.begin()
         for _ in range(max(1, chance.randint(10, 120) // period)):
@@ -253,8 +171,7 @@ class Talk:
     def _drive_late(self) -> None:
         """Let the watchdog almost fire, or fire."""
         self._command(1.0)
-        watchdog = ticks(self.bench.robot.values["watchdog_s"])
-        self.bench.run(watchdog - 1)
+        self.bench.run(ticks(self.bench.robot.values["watchdog_s"]) - 1)
         self.bench.run(self.random.choice((0, 1)))
         self._command(1.0)
 
@@ -302,24 +219,20 @@ class Talk:
         chance = self.random
         name = chance.choice([*SENSIBLE, *INDEX])
         index = INDEX[name]
-        row = TABLE[index]
-        sensible = as_bits(index, binary32(self.bench.robot.values[name]))
+        sensible = binary32(self.bench.robot.values[name])
         if name in SENSIBLE and name != "counts_per_revolution":
-            sensible = as_bits(index, chance.choice(SENSIBLE[name]))
-        low, high = (as_bits(index, binary32(row[end])) for end in ("minimum", "maximum"))
+            sensible = chance.choice(SENSIBLE[name])
+        low, high = ends_of(index)
         beyond = (low - 1 if low else 0x8000_0001, high + 1, 0x7FC0_0000, 0x7F80_0000, 0xFF80_0000)
-        for bits in (*chance.choice(((), (low,), (high,), beyond)), sensible):
+        for bits in (*chance.choice(((), (low,), (high,), beyond)), as_bits(index, sensible)):
             self.bench.send(m.ParameterRequest(index, Operation.WRITE, chance.randrange(256), bits))
 
     def _raw(self) -> None:
         """Send a frame that may be none: random bits, a length of another message, an id that no robot hears."""
         chance, robot = self.random, self.bench.robot
         kind = chance.choice(_RAW)
-        length = m.LENGTHS[kind.ID]
         number = chance.choice((kind.ID, kind.ID, kind.ID, m.Tick.ID, 0x7F))
-        if number != kind.ID:
-            length = m.LENGTHS.get(number, length)
-        length += chance.choice((0, 0, 0, -1, 1))
+        length = m.LENGTHS.get(number, m.LENGTHS[kind.ID]) + chance.choice((0, 0, 0, -1, 1))
         payload = chance.randbytes(length)
         if kind in _COMMANDS and length == 8 and chance.random() < 0.5:  # one value below its least
             payload = (0x1000 << 13 * chance.randrange(4) | robot.session << 60 & 0xF << 60).to_bytes(8, "little")
@@ -350,3 +263,44 @@ class Talk:
     def _step(self) -> None:
         wrong = self.random.choice((0, 0, 0, 1, -1))
         self.bench.send(m.Step((self.bench.robot.tick + wrong) & 0xFFFF_FFFF, self.random.choice((0, 1, 7, 20))))
+
+    def _any(self, *operations: Operation) -> None:
+        self._ask(self.random.choice(operations))
+
+    def _disturb(self) -> None:
+        self._trouble.begin()
+
+    # What may be said in each state, and in all: how likely it is, and what with
+
+    _KEPT = Operation.STORE, Operation.RESTORE
+    _LATCHED = (
+        (3.0, _clear), (2.0, _pass, 1, 90), (0.5, lambda s: s._wish(Request.CLEAR, s.bench.robot.cleared or 1)),
+        (0.5, _arm), (0.3, _disturb),
+    )  # fmt: skip
+    _IN_STATE: ClassVar[dict[State, tuple[Choice, ...]]] = {
+        State.IDLE: (
+            (8.0, _arm), (6.0, _arm_wrongly), (0.7, _arm_after_clear), (3.0, _write), (0.6, _any, *_KEPT),
+            (1.0, _pass, 1, 120), (0.5, _command, 0), (0.5, _disturb),
+        ),
+        State.ARMED: (
+            (6.0, _activate), (1.0, _command, 1), (0.5, _ahead), (0.3, _pass, 995, 1001), (0.5, _disarm),
+            (0.5, _pass, 1, 20), (0.3, _disturb),
+        ),
+        State.ACTIVE: (
+            (8.0, _drive), (1.0, _drive_late), (1.5, _break_encoder), (6.0, _command_wrongly), (0.7, _disarm),
+            (0.5, _disturb), (0.3, _pass, 1, 150),
+        ),
+        State.STOPPING: ((4.0, _pass, 1, 60), (0.5, _disturb), (0.5, _command, 1), (0.5, _disarm), (0.4, _arm)),
+        State.FAULT: _LATCHED,
+        State.ESTOP: _LATCHED,
+    }  # fmt: skip
+    _ANYWHERE: ClassVar[tuple[Choice, ...]] = (
+        (0.25, lambda s: s.bench.send(m.HelloRequest(s.random.randrange(256)))),
+        (0.25, _sync),
+        (0.3, _any, Operation.READ, Operation.READ_MINIMUM, Operation.READ_MAXIMUM),
+        (0.2, _write),
+        (0.1, lambda s: s.bench.send(m.Estop(s.random.randrange(256), s.random.randrange(256)))),
+        (1.5, _raw), (0.15, _any, *_KEPT), (0.5, _step), (0.1, _lose),
+        (0.3, lambda s: s._wish(Request.ARM, s.bench.robot.session or 1)),
+        (0.2, lambda s: s._wish(Request.CLEAR, s.random.randrange(1, 0x10000))),
+    )  # fmt: skip

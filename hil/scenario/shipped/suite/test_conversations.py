@@ -19,7 +19,7 @@ from firmware_protocol.host_line import HostLine, split
 from hil.scenario.shipped.suite.host_bench import HostBench
 from hil.scenario.shipped.suite.host_talk import HostTalk
 from hil.scenario.shipped.suite.robot_bench import Bench
-from hil.scenario.shipped.suite.robot_parameters import INDEX, TABLE, as_bits, binary32, random_values
+from hil.scenario.shipped.suite.robot_parameters import INDEX, TABLE, as_bits, ends_of, random_values
 from hil.scenario.shipped.suite.robot_talk import Talk
 from hil.scenario.shipped.suite.robot_trouble import BEYOND, UNMEASURED
 
@@ -73,7 +73,7 @@ def test_a_robot_tells_what_its_wire_cannot_carry_as_the_most_and_no_number_not_
 def test_a_robot_takes_each_value_of_a_message_within_its_range_only() -> None:
     bench, chance = Bench(random_values(0), serial=False, also=Capability.LOCKSTEP), random.Random(0)
     for index, row in enumerate(TABLE):
-        low, high = (as_bits(index, binary32(row[end])) for end in ("minimum", "maximum"))
+        low, high = ends_of(index)
         below = low - 1 if low else 0x8000_0001
         for bits in (below, high + 1, 0x7FC0_0000, 0x7F80_0000, low, high, as_bits(index, bench.values[row["name"]])):
             bench.send(m.ParameterRequest(index, m.Operation.WRITE, bits & 0xFF, bits))

@@ -12,20 +12,14 @@ from firmware_protocol.generated import messages as m
 from hil.core.errors import BadInputError
 from hil.core.guard import Brake, Guard
 from hil.core.kinematics import BodyTwist, body_twist, to_body, to_world, wheel_speeds, wrap_angle
-from hil.core.types import (
-    ZERO_WHEELS,
-    CommandMode,
-    Twist,
-    WheelCommand,
-    Wheels,
-)
+from hil.core.types import ZERO_WHEELS, CommandMode, Twist, WheelCommand, Wheels
 from hil.robot.link_times import ClockSync, CommandLatency, PollAge, RoundTrip
 from hil.robot.robot_report import ProcessorFault, RobotReport
 from hil.robot.wheel_map import ImuMount, WheelMap, Wiring
 
 MS = 1_000_000
 SPEED, TORQUE = CommandMode.SPEED, CommandMode.TORQUE
-SOME = Wheels(1.0, -2.0, 3.0, -4.0)
+SOME, STILL = Wheels(1.0, -2.0, 3.0, -4.0), (ZERO_WHEELS, ZERO_WHEELS)
 
 
 def near(found: tuple[float, ...], expected: tuple[float, ...]) -> None:
@@ -51,18 +45,12 @@ def test_the_guard_scales_all_wheels_by_one_factor_from_its_limit_on(place: int,
             assert (found[0].speed_rad_s == ZERO_WHEELS) is (mode is TORQUE)
     for wrong in (math.nan, math.inf):
         spoilt = Wheels(*(sign * wrong if wheel == place else 1.0 for wheel in range(4)))
-        for command in (
-            WheelCommand(SPEED, spoilt, SOME),
-            WheelCommand(SPEED, SOME, spoilt),
-            WheelCommand(TORQUE, SOME, spoilt),
-        ):
-            assert guard.apply(command) == (WheelCommand(command.mode, ZERO_WHEELS, ZERO_WHEELS), False)
+        for mode, speed, torque in ((SPEED, spoilt, SOME), (SPEED, SOME, spoilt), (TORQUE, SOME, spoilt)):
+            assert guard.apply(WheelCommand(mode, speed, torque)) == (WheelCommand(mode, *STILL), False)
     assert guard.refused == 6
     guard.limit_to(5.0)
-    near(
-        guard.apply(WheelCommand(SPEED, Wheels(10.0, 0.0, 5.0, -1.0), ZERO_WHEELS))[0].speed_rad_s,
-        (5.0, 0.0, 2.5, -0.5),
-    )
+    halved = guard.apply(WheelCommand(SPEED, Wheels(10.0, 0.0, 5.0, -1.0), ZERO_WHEELS))[0]
+    near(halved.speed_rad_s, (5.0, 0.0, 2.5, -0.5))
     guard.limit_to(50.0)
     assert guard.speed_limit_rad_s == 10.0
     for limits in ((0.0, 1.0), (1.0, 0.0), (math.nan, 1.0), (1.0, math.inf)):
@@ -72,12 +60,12 @@ def test_the_guard_scales_all_wheels_by_one_factor_from_its_limit_on(place: int,
 
 def test_the_brake_works_against_each_wheel_with_a_quarter_of_the_gain() -> None:
     guard = Guard(10.0, 4.0)
-    assert Brake(SPEED, guard, 8.0).command(SOME) == (WheelCommand(SPEED, ZERO_WHEELS, ZERO_WHEELS), False)
+    assert Brake(SPEED, guard, 8.0).command(SOME) == (WheelCommand(SPEED, *STILL), False)
     brake = Brake(TORQUE, guard, 2.0)
     assert brake.command(SOME) == (WheelCommand(TORQUE, ZERO_WHEELS, Wheels(-0.5, 1.0, -1.5, 2.0)), False)
     assert brake.command(Wheels(16.0, -8.0, 0.0, 4.0))[0].torque_n_m == Wheels(-4.0, 2.0, 0.0, -1.0)
     for unknown in (None, Wheels(1.0, math.nan, 1.0, 1.0)):
-        assert brake.command(unknown) == (WheelCommand(TORQUE, ZERO_WHEELS, ZERO_WHEELS), False)
+        assert brake.command(unknown) == (WheelCommand(TORQUE, *STILL), False)
 
 
 def test_a_wiring_goes_to_the_wire_and_back() -> None:
@@ -233,11 +221,9 @@ def test_data_are_no_older_than_since_the_link_was_last_empty() -> None:
 # What the robot reports
 
 
-def status(
-    state: m.State, reason: m.StopReason = m.StopReason.NONE, fault: m.Fault = m.Fault.NONE, wheel: int = 0
-) -> m.Status:
+def status(**values: int) -> m.Status:
     blank = dict.fromkeys(m.Status._fields, 0)
-    return m.Status(**(blank | {"state": state, "stop_reason": reason, "fault": fault, "fault_wheel": wheel}))
+    return m.Status(**(blank | values))
 
 
 def test_a_report_names_reason_fault_and_the_wheel_that_hangs_on_the_channel() -> None:
@@ -245,9 +231,10 @@ def test_a_report_names_reason_fault_and_the_wheel_that_hangs_on_the_channel() -
     assert not report.explains(m.State.IDLE)
     assert not report.knows_no_reason
     assert report.last_reset == ""
-    report.feed(status(m.State.IDLE))
+    report.feed(status(state=m.State.IDLE))
     assert report.knows_no_reason
-    report.feed(status(m.State.FAULT, m.StopReason.FAULT, m.Fault.ENCODER_STUCK, m.FaultWheel.FL + 2))
+    fault = {"fault": m.Fault.ENCODER_STUCK, "fault_wheel": m.FaultWheel.FL + 2}
+    report.feed(status(state=m.State.FAULT, stop_reason=m.StopReason.FAULT, **fault))
     assert report.stop_reason() == "FAULT (ENCODER_STUCK of wheel rl)"
     assert report.explains(m.State.FAULT)
     assert not report.explains(m.State.IDLE)
@@ -259,3 +246,6 @@ def test_a_report_names_reason_fault_and_the_wheel_that_hangs_on_the_channel() -
     words = ProcessorFault(cfsr=1 << 25 | 1 << 15, pc=0x08000100, lr=0x08000200, bfar=0x20000000).describe()
     where = "at 0x08000100, called from 0x08000200 for address 0x20000000"
     assert words == f"division by zero {where} (CFSR 02008000, HFSR 00000000)"
+    for crc in (250, 3):
+        report.feed(m.LinkCounters(*(crc if name == "crc" else 0 for name in m.LinkCounters._fields)))
+    assert report.rejected["crc"] == 9, "it counts on where a counter of the robot wraps"
