@@ -7,10 +7,10 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 from firmware_protocol.client import Client
-from firmware_protocol.framing import Frame
+from firmware_protocol.framing import Frame, pack
 from firmware_protocol.generated.messages import Mode, Request
 from firmware_protocol.host import library
-from hil.scenario.shipped.suite.host_model import HostModel, packed
+from hil.scenario.shipped.suite.host_model import HostModel
 
 _LOG = 2100  # bytes of each log: few, so that they fill up
 _OF_SNAPSHOT = (
@@ -79,12 +79,12 @@ class HostBench:
 
     def take(self, frames: Sequence[Frame], now_ns: int, cut: bytes = b"") -> None:
         """Take frames that arrive together; ``cut``: bytes of half a frame behind them."""
-        data, left = b"".join(map(packed, frames)) + cut, list(frames)
+        data, left = pack(frames) + cut, list(frames)
         at = 0
         while left:
             self.calls += 1
             count, stopped, message = self.model.take(left, now_ns)
-            end = at + sum(len(packed(frame)) for frame in left[:count])
+            end = at + len(pack(left[:count]))
             expected = end if stopped else len(data)
             got = self.client.take(data, at, now_ns)
             assert got == expected, f"call {self.calls}: it took {frames} to {got} instead of {expected}"
@@ -92,7 +92,7 @@ class HostBench:
             view = self.client.view
             assert (view.message_id or None) == told, f"call {self.calls}: it told {view.message_id} and not {told}"
             if told is not None:
-                assert view.message_at == end - len(packed(left[count - 1])), f"call {self.calls}: message_at"
+                assert view.message_at == end - len(pack(left[count - 1 : count])), f"call {self.calls}: message_at"
             self._compare(f"take {left[:count]}")
             if count == 0:
                 self.send()
@@ -128,7 +128,7 @@ class HostBench:
                 f"call {self.calls}, {after}: {name} {got}, not {expected}"
             )
         waiting = [one.frame for one in model.waiting]
-        bytes_out = b"".join(map(packed, waiting))
+        bytes_out = pack(waiting)
         out = bytes(self._ffi.buffer(self._lib.wheel_client_out(self.client.handle), view.out_bytes))
         assert out == bytes_out, f"call {self.calls}, {after}: {out.hex()} waits instead of {waiting}"
         serial = sum(7 + len(frame.payload) + (frame.id == 0x10) for frame in waiting)

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 from firmware_protocol.codec import Message, decode, encode
-from firmware_protocol.framing import Frame
+from firmware_protocol.framing import Frame, pack
 from firmware_protocol.generated import messages as m
 from firmware_protocol.generated.messages import ArmRefusal, Mode, Request, State
 from hil.scenario.shipped.suite.snapshot_model import Snapshots
@@ -29,15 +29,10 @@ class Waiting(NamedTuple):
     frame: Frame
     counted: bool
 
-
-def packed_size(frame: Frame) -> int:
-    """Return the bytes of a frame as the client packs it."""
-    return 3 + len(frame.payload)
-
-
-def packed(frame: Frame) -> bytes:
-    """Return a frame as the client packs it."""
-    return frame.id.to_bytes(2, "little") + bytes([len(frame.payload)]) + frame.payload
+    @property
+    def size(self) -> int:
+        """How many bytes it takes, packed."""
+        return len(pack([self.frame]))
 
 
 def on_wire(value: float, limit: float, step: float) -> float | None:
@@ -80,14 +75,17 @@ class HostModel:
 
     # What it sends
 
+    def _waits(self) -> int:
+        return sum(one.size for one in self.waiting)
+
     def _has_room(self, size: int, counted: bool) -> bool:
-        waiting = sum(packed_size(one.frame) for one in self.waiting)
-        return waiting + size <= ROOM and (not counted or self._log_has_room(0, size))
+        return self._waits() + size <= ROOM and (not counted or self._log_has_room(0, size))
 
     def _add(self, frame: Frame, counted: bool = True) -> bool:
-        if not self._has_room(packed_size(frame), counted):
+        one = Waiting(frame, counted)
+        if not self._has_room(one.size, counted):
             return False
-        self.waiting.append(Waiting(frame, counted))
+        self.waiting.append(one)
         if counted:
             self.sent += 1
             self._log(0, frame)
@@ -95,7 +93,7 @@ class HostModel:
 
     def _log(self, direction: int, frame: Frame) -> None:
         if self._capacity is not None:
-            self.logs[direction].extend(packed(frame))
+            self.logs[direction].extend(pack([frame]))
             self.log_is_due = self.log_is_due or 4 * len(self.logs[direction]) >= self._capacity
 
     def _log_has_room(self, direction: int, size: int) -> bool:
@@ -117,10 +115,10 @@ class HostModel:
 
     def unsend(self) -> None:
         """Forget what waited: it was not sent, and is neither counted nor logged."""
-        counted = [one.frame for one in self.waiting if one.counted]
-        self.sent -= len(counted)
-        if (size := sum(map(packed_size, counted))) and self._capacity is not None:
-            del self.logs[0][-size:]
+        sizes = [one.size for one in self.waiting if one.counted]
+        self.sent -= len(sizes)
+        if sizes and self._capacity is not None:
+            del self.logs[0][-sum(sizes) :]
         self.waiting.clear()
 
     def take_logs(self) -> tuple[int, int]:
@@ -140,9 +138,9 @@ class HostModel:
         speed = [on_wire(sign * speeds[wheel], 63.984375, 1 / 64) for wheel, sign in wires]
         if None in torque or (None in speed and not is_torque) or not self._has_room(22, True):
             return -1
-        self._commanded[sequence] = now_ns
-        if now_ns < 0:
-            del self._commanded[sequence]
+        self._commanded.pop(sequence, None)
+        if now_ns >= 0:
+            self._commanded[sequence] = now_ns
         if is_torque:
             self._add(encode(m.TorqueCommand._make((*torque, *ends))))
             return sequence
@@ -167,13 +165,13 @@ class HostModel:
 
     def poll(self, now_ns: int) -> bool:
         """Add HELLO and the heartbeat when they are due; return whether one was."""
-        before = sum(packed_size(one.frame) for one in self.waiting)
+        before = self._waits()
         if self._is_asking and not self.is_greeted and now_ns >= self._hello_ns:
             self._hello_ns = now_ns + _HELLO_NS
             self._add(encode(m.HelloRequest(m.PROTOCOL_VERSION)), counted=False)
         if self._heartbeat_ns is not None and now_ns >= self._heartbeat_ns:
             self.wish(self.request, now_ns)
-        return before != sum(packed_size(one.frame) for one in self.waiting)
+        return before != self._waits()
 
     def estop(self) -> None:
         """Add ESTOP, in the place of all that waits if there is no room."""
@@ -253,7 +251,7 @@ class HostModel:
     def take(self, frames: Sequence[Frame], now_ns: int) -> tuple[int, bool, Message | None]:
         """Take frames; return how many, whether it stopped there, and the message behind which it did, if one."""
         for place, frame in enumerate(frames):
-            if not self._log_has_room(1, packed_size(frame)):
+            if not self._log_has_room(1, len(pack([frame]))):
                 return place, True, None
             message = decode(frame)
             if message is None:

@@ -51,7 +51,6 @@ class Line:
             faults=self.faults,
             scenario_time=self.time,
         )
-        self.out: list[tuple[int, int]] = []  # when, in ms of the scenario, and which
 
     def at(self, ms: float) -> None:
         """Go to this time of the scenario."""
@@ -59,23 +58,17 @@ class Line:
         if ms >= 0 and self.time.now_ns() is None:
             self.time.begin(BEGIN_MS * MS)
 
-    def _note(self, frames: Sequence[Frame]) -> None:
-        self.out += [(round(self.clock.now / MS) - BEGIN_MS, number_of(frame)) for frame in frames]
-
     def run(self, direction: str = "command", end_ms: int = END_MS) -> list[tuple[int, int]]:
         """Send a frame each millisecond, number n at n ms; return when each came, until nothing is on the way."""
+        sender, end = (self.link, self.there) if direction == "command" else (self.there, self.link)
+        out = []
         for ms in range(2 * end_ms):
             self.at(ms)
-            if direction == "command":
-                self.link.service()
-                if ms < end_ms:
-                    self.link.send(command(ms))
-                self._note(heard(self.there))
-            else:
-                if ms < end_ms:
-                    self.there.send(command(ms))
-                self._note(heard(self.link))
-        return self.out
+            self.link.service()
+            if ms < end_ms:
+                sender.send(command(ms))
+            out += [(ms, number_of(frame)) for frame in heard(end)]
+        return out
 
 
 BOTH = pytest.mark.parametrize("direction", ["command", "feedback"])
@@ -219,20 +212,16 @@ def test_feedback_is_stamped_when_it_was_due_and_all_can_be_sent_at_once() -> No
     assert heard(line.there) == [command(3)]
 
 
-@pytest.mark.parametrize(
-    ("behind", "expected"),
-    [
-        (row("drop", from_ms=120), 20),
-        (row("duplicate", from_ms=120), 180),
-        (row("delay", value=0.01, from_ms=120), 100),
-        (row("reorder", value=0.4, from_ms=100), 100),
-    ],
-)
-def test_rows_act_one_after_the_other_on_frames_that_were_overtaken_too(behind: FaultRow, expected: int) -> None:
+BEHIND = [("drop", 1.0, 20), ("duplicate", 1.0, 180), ("delay", 0.01, 100), ("reorder", 0.4, 100)]
+
+
+@pytest.mark.parametrize(("kind", "value", "expected"), BEHIND)
+def test_rows_act_one_after_the_other_on_overtaken_frames_too(kind: str, value: float, expected: int) -> None:
+    behind = row(kind, value=value, from_ms=100 if kind == "reorder" else 120)
     line = Line(row("reorder", value=0.5), behind)
     out = [(ms, number) for ms, number in line.run() if FROM_MS <= number < TO_MS]
     assert len(out) == expected
-    if behind.kind == "delay":
+    if kind == "delay":
         assert all(ms >= number + 10 for ms, number in out if number >= 120)
     assert all(fault.applied for fault in line.faults)
 

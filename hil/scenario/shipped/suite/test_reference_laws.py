@@ -31,6 +31,7 @@ PATH: Options = {"heading": "path"}
 BACK: Options = {"clockwise": True}
 ROUTE = POSES + "0,0,0,1,0\n2,0,1,1,0.5\n2,1.5,1,1,0\n2,1.5,-2,1,0\n0,1.5,-2,0.2,0\n0,0,0.5,1,0.3\n"
 CORNERS = POSES + "0,0,0,1,0\n2,0,1,1,0\n2,1.5,-0.4,0.3,0\n0.5,2.5,2,1,0\n0.7,1.1,2,1,0\n0.7,2.4,2,1,0\n"
+BLEND: Options = {"rows": CORNERS, "corners": "blend", "blend_m": 0.3} | LIMITS | YAW_LIMITS
 
 KINDS: Sequence[tuple[str, Options]] = (
     *(("circle", {"period_s": 7.0, "radius_m": 0.8} | PLACE | more) for more in ({}, RAMP | PATH, BACK | RAMP | PATH)),
@@ -43,7 +44,7 @@ KINDS: Sequence[tuple[str, Options]] = (
     ("spin", {"path": "circle", "direction_rad": 0.7, "radius_m": 0.6, "y_m": 0.1, "yaw_ramp_s": 2.0} | RAMP),
     ("hold", {"x_m": 0.3, "y_m": -0.2, "heading_rad": 1.0}),
     ("waypoints", {"rows": ROUTE} | LIMITS | YAW_LIMITS),
-    ("waypoints", {"rows": CORNERS, "corners": "blend", "blend_m": 0.3} | LIMITS | YAW_LIMITS),
+    ("waypoints", BLEND),
     ("multisine", {"rest_s": 0.5, "tones": 3, "x_m": 0.1, "y_m": 0.2, "heading_rad": 0.3, "lowest_hz": 0.2} | RAMP),
 )  # fmt: skip
 
@@ -166,9 +167,8 @@ def test_a_spin_turns_at_a_rate_of_its_own() -> None:
     assert pose == pytest.approx((1.0 + 0.8 * math.cos(0.7), 0.8 * math.sin(0.7), -1.8))
     assert twist == pytest.approx((0.4 * math.cos(0.7), 0.4 * math.sin(0.7), -0.9))
     assert tuple(acceleration) == pytest.approx((0.0, 0.0, 0.0))
-    circle = make_reference(
-        "spin", {"path": "circle", "speed_m_s": 0.4, "radius_m": 0.5, "direction_rad": 0.7, "y_m": 1.0}
-    )
+    options = {"path": "circle", "speed_m_s": 0.4, "radius_m": 0.5, "direction_rad": 0.7, "y_m": 1.0}
+    circle = make_reference("spin", options)
     poses, twists, accelerations = motion(circle, np.linspace(0.0, 9.0, 200))
     centre = (-0.5 * math.sin(0.7), 1.0 + 0.5 * math.cos(0.7))  # to the left of where it begins
     out = poses[:, :2] - centre
@@ -176,9 +176,8 @@ def test_a_spin_turns_at_a_rate_of_its_own() -> None:
     np.testing.assert_allclose(accelerations[:, :2], -out * (0.4 / 0.5) ** 2, atol=1e-9)
     np.testing.assert_allclose(twists[:, 2], 0.8)
     assert line.span_s == pytest.approx(math.tau / 0.9)
-    assert make_reference(
-        "spin", {"path": "circle", "yaw_rate_rad_s": 0.8, "ramp_s": 1.0, "yaw_ramp_s": 2.0}
-    ).span_s == (pytest.approx(2.0 + math.tau / 0.5))
+    slow = make_reference("spin", {"path": "circle", "yaw_rate_rad_s": 0.8, "ramp_s": 1.0, "yaw_ramp_s": 2.0})
+    assert slow.span_s == pytest.approx(2.0 + math.tau / 0.5)
 
 
 def rest_to_rest_s(way: float, speed: float, acceleration: float, jerk: float) -> float:
@@ -189,16 +188,10 @@ def rest_to_rest_s(way: float, speed: float, acceleration: float, jerk: float) -
 def test_waypoints_are_passed_at_rest_as_fast_as_the_limits_allow(tmp_path: Path) -> None:
     source = made("waypoints", {"rows": ROUTE} | LIMITS | YAW_LIMITS, tmp_path)
     straight, turn = (0.5, 0.5, 2.0), (1.0, 2.0, 10.0)
-    legs = [
-        rest_to_rest_s(2.0, *straight),  # its heading changes by 1 rad: the plane's limits are the lower ones
-        0.5,
-        rest_to_rest_s(1.5, *straight),
-        rest_to_rest_s(3.0, *turn),
-        rest_to_rest_s(2.0, 0.2, 0.5, 2.0),
-        rest_to_rest_s(1.5, *straight),
-        0.3,
-    ]
-    stops = np.cumsum([0.0, *legs])
+    # Where its heading changes by 1 rad as well, the plane's limits are the lower ones.
+    first, side = rest_to_rest_s(2.0, *straight), rest_to_rest_s(1.5, *straight)
+    turning, slow = rest_to_rest_s(3.0, *turn), rest_to_rest_s(2.0, 0.2, 0.5, 2.0)
+    stops = np.cumsum([0.0, first, 0.5, side, turning, slow, side, 0.3])
     wanted = [(0, 0, 0), (2, 0, 1), (2, 0, 1), (2, 1.5, 1), (2, 1.5, -2), (0, 1.5, -2), (0, 0, 0.5), (0, 0, 0.5)]
     for t_s, pose in zip(stops, wanted, strict=True):
         there = source.at(float(t_s))
@@ -220,19 +213,16 @@ def test_a_short_way_has_no_time_at_its_top_speed(tmp_path: Path) -> None:
     assert source.at(first + 0.5 * second).twist.vx_m_s == pytest.approx(peak)
 
 
-@pytest.mark.parametrize(
-    ("rows", "limits"),
-    [
-        (CORNERS, LIMITS | YAW_LIMITS),
-        (CORNERS, LIMITS | {"max_jerk_m_s3": 0.6} | YAW_LIMITS),
-        (CORNERS, LIMITS | YAW_LIMITS | {"max_yaw_rate_rad_s": 0.3}),
-        (CORNERS, LIMITS | YAW_LIMITS | {"max_yaw_acceleration_rad_s2": 0.15}),
-        (CORNERS, LIMITS | YAW_LIMITS | {"max_yaw_jerk_rad_s3": 0.2}),
-        (ROUTE, LIMITS | YAW_LIMITS | {"max_yaw_rate_rad_s": 0.2}),
-    ],
+LOWER: Sequence[Options] = (
+    *({}, {"max_jerk_m_s3": 0.6}, {"max_yaw_rate_rad_s": 0.3}, {"max_yaw_acceleration_rad_s2": 0.15}),
+    *({"max_yaw_jerk_rad_s3": 0.2}, {"rows": ROUTE, "max_yaw_rate_rad_s": 0.2}),
 )
-def test_bends_keep_every_limit_and_use_one_of_them(rows: str, limits: Options, tmp_path: Path) -> None:
-    source = made("waypoints", {"rows": rows, "corners": "blend", "blend_m": 0.3} | limits, tmp_path)
+
+
+@pytest.mark.parametrize("lower", LOWER)
+def test_bends_keep_every_limit_and_use_one_of_them(lower: Options, tmp_path: Path) -> None:
+    limits = BLEND | lower
+    source = made("waypoints", limits, tmp_path)
     t, step_s = np.linspace(0.0, source.span_s, 3001, retstep=True)
     _, twists, accelerations = motion(source, t)
     jerks = np.diff(accelerations, axis=0) / step_s
@@ -251,7 +241,7 @@ def test_bends_keep_every_limit_and_use_one_of_them(rows: str, limits: Options, 
 
 
 def test_a_bend_rounds_its_corner_and_a_sharp_one_is_a_stop(tmp_path: Path) -> None:
-    source = made("waypoints", {"rows": CORNERS, "corners": "blend", "blend_m": 0.3} | LIMITS | YAW_LIMITS, tmp_path)
+    source = made("waypoints", BLEND, tmp_path)
     t = np.linspace(0.0, source.span_s, 4001)
     poses, twists, _ = motion(source, t)
     speed = np.hypot(twists[:, 0], twists[:, 1])
@@ -312,9 +302,8 @@ def test_a_multisine_begins_late_and_keeps_its_limits() -> None:
 def test_what_the_wheels_need_is_found_with_its_wheel_and_time() -> None:
     """A line at 0.6 m/s to the left forward: by ω = (x ± y ± L yaw) / r two wheels turn, two stand still."""
     robot = load("paper_circle").robot
-    line = make_reference(
-        "spin", {"speed_m_s": 0.6, "direction_rad": math.pi / 4, "yaw_rate_rad_s": 0.0, "ramp_s": 1.0}
-    )
+    options = {"speed_m_s": 0.6, "direction_rad": math.pi / 4, "yaw_rate_rad_s": 0.0, "ramp_s": 1.0}
+    line = make_reference("spin", options)
     needs = feasibility(line, robot, 4.0, 0.01)
     fast = 0.6 * math.sqrt(2.0) / robot.wheel_radius_m
     assert needs.speed.worst == pytest.approx(fast, rel=1e-6)
@@ -326,6 +315,5 @@ def test_what_the_wheels_need_is_found_with_its_wheel_and_time() -> None:
     assert beyond.first_s == pytest.approx(0.51, abs=0.011), "half of the speed is reached in the middle of the ramp"
     assert beyond.first_wheel in WHEEL_NAMES
     circle = make_reference("circle", {"period_s": 3.0})
-    assert feasibility(circle, robot, 30.0, 0.01).torque.worst == pytest.approx(
-        feasibility(circle, robot, 3.0, 0.01).torque.worst
-    ), "one period tells all"
+    once, often = (feasibility(circle, robot, until_s, 0.01).torque.worst for until_s in (3.0, 30.0))
+    assert often == pytest.approx(once), "one period tells all"

@@ -6,7 +6,7 @@ A member of the shipped suite of ``hil verify``. FAULTS.md describes the kinds.
 import contextlib
 import math
 from array import array
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import pytest
@@ -52,12 +52,15 @@ class Session:
         assert feedback is not None
         return feedback
 
-    def arm(self, limit: int = 300) -> None:
+    def wait(self, is_so: Callable[[], bool], limit: int = 300) -> None:
         for _ in range(limit):
-            if self.device.armed():
+            if is_so():
                 return
             self.device.wait_until(self.bench.clock.now_ns() + 10 * MS)
         raise AssertionError(self.device.why_not_active())
+
+    def arm(self, limit: int = 300) -> None:
+        self.wait(self.device.armed, limit)
 
     def drive(self, seconds: float, command: WheelCommand) -> Feedback:
         for _ in range(round(seconds * 100)):
@@ -144,10 +147,7 @@ def test_a_robot_with_torques_is_braked_when_it_is_disarmed_and_can_be_left_and_
         count = robot.drive(0.3, forward).encoder_count[0]
         device.leave()
         device.begin_again()
-        for _ in range(200):
-            if device.greeted():
-                break
-            device.wait_until(robot.bench.clock.now_ns() + 10 * MS)
+        robot.wait(device.greeted)
         robot.arm()
         gone = (robot.pass_ms().encoder_count[0] - count + 2**15) % 2**16 - 2**15
         assert abs(gone) < 4096, "the angles go on from where they were"
@@ -185,20 +185,16 @@ def seen(faults: SignalFaults, row: bytes) -> dict[str, float]:
     assert state is not None
     numbers = [feedback.robot_time_ns * 1e-9, feedback.state, feedback.command_age_ms, feedback.yaw_rate_rad_s]
     names = ["robot.time_s", "robot.state", "robot.command_age_ms", "robot.yaw_rate_rad_s"]
-    groups = {
-        "robot.acceleration_{}_m_s2": ("xyz", feedback.acceleration_m_s2),
-        "truth.{}": (Pose._fields, fix.pose),
-        "pose.{}": (Pose._fields, state.pose),
-        "twist.{}": (Twist._fields, state.twist),
-        "reference.{}": (ReferenceSignals._fields, (*reference.pose, *reference.twist, *reference.acceleration)),
-        "wheel.{}.speed_rad_s": (Wheels._fields, feedback.speed_rad_s),
-        "wheel.{}.current_a": (Wheels._fields, feedback.current_a),
-        "wheel.{}.speed_command_rad_s": (Wheels._fields, command.speed_rad_s),
-        "wheel.{}.torque_command_n_m": (Wheels._fields, command.torque_n_m),
-    }
+    wheels = {"speed_rad_s": feedback.speed_rad_s, "current_a": feedback.current_a}
+    wheels |= {"speed_command_rad_s": command.speed_rad_s, "torque_command_n_m": command.torque_n_m}
+    groups: dict[str, Any] = {"truth": fix.pose, "pose": state.pose, "twist": state.twist}
+    groups["reference"] = ReferenceSignals(*reference.pose, *reference.twist, *reference.acceleration)
     found = dict(zip(names, map(float, numbers), strict=True))
-    for form, (parts, values) in groups.items():
-        found |= {form.format(part): float(value) for part, value in zip(parts, values, strict=True)}
+    found |= {f"robot.acceleration_{axis}_m_s2": a for axis, a in zip("xyz", feedback.acceleration_m_s2, strict=True)}
+    for group, values in groups.items():
+        found |= {f"{group}.{part}": float(value) for part, value in values._asdict().items()}
+    for name, four in wheels.items():
+        found |= {f"wheel.{wheel}.{name}": value for wheel, value in four._asdict().items()}
     recorded = dict(zip(SIGNAL_NAMES, array("d", faults.recorded(row)), strict=True))
     return recorded | found
 
