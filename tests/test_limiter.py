@@ -138,6 +138,32 @@ def test_no_law_drives_the_robot_into_its_overspeed_on_a_floor_that_gives_half_o
     assert max(np.abs(kept.signals[f"wheel.{wheel}.speed_rad_s"]).max() for wheel in WHEEL_NAMES) < 40.0
 
 
+@pytest.mark.parametrize(
+    ("law", "grip", "mass_kg", "way_ms", "start"),
+    [
+        ("dsc", 0.345, 21.9, (10, 7), (1.2, -0.3, 2.9)),
+        ("computed_torque", 0.573, 12.0, (9, 6), (-0.2, 1.1, -2.0)),
+        ("pid", 0.301, 22.4, (12, 8), (0.9, 0.9, 3.5)),
+        ("profile", 0.478, 26.6, (8, 5), (0.3, -1.3, 2.4)),
+    ],
+)
+def test_wheels_that_were_let_go_do_not_spin_again_with_torque_that_was_on_its_way(
+    law: str, grip: float, mass_kg: float, way_ms: tuple[int, int], start: tuple[float, float, float]
+):
+    """5 N·m and a long way: what is commanded now shows in the measured speed 30 to 40 ms later."""
+    sets = {
+        **SLIPPERY,
+        "plant.start.grip_coefficient": grip,
+        "controller.law": law,
+        "plant.start.mass_kg": mass_kg,
+        "robot.torque_limit_n_m": 5.0,
+        "firmware.torque_limit_n_m": 5.0,
+        **{f"link.{name}_latency_s": ms * 1e-3 for name, ms in zip(("command", "feedback"), way_ms, strict=True)},
+        **dict(zip((f"plant.start.start_{one}" for one in ("x_m", "y_m", "heading_rad")), start, strict=True)),
+    }
+    assert hil.run("compare_circle", set=sets).failure is None
+
+
 def test_with_a_limit_of_slip_the_law_is_on_the_path_soon_where_it_was_not_in_4_s():
     kept, gripping = (
         hil.run("compare_circle", set={**SLIPPERY, "controller.law": "profile", **more})

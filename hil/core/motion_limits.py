@@ -5,7 +5,8 @@ is near its limit: a wheel by itself, which may spin, and the body, which all wh
 steers passes as it is. A speed counts as near its limit by what it will be when the command acts: the measured speed,
 plus its present rate of change times the sum of latency, tick and lag of the measurement. A wheel that rolls gains
 little in that time. One without grip has nothing but its own inertia to gain against, and is faded tens of rad/s before
-its limit.
+its limit. It gets its torque back slowly: what was commanded during the last latency and lag is not in its measured
+speed yet, and would make it spin again.
 """
 
 import math
@@ -23,6 +24,8 @@ _OLD_S = 0.05  # speeds further apart than this say nothing of the acceleration 
 _WHEEL_END = 0.9  # share of the overspeed at which the torque is gone
 _SLIP_BEGIN = 0.5  # share of the limit of slip from which the torque is faded
 _TURNS_S = 0.25  # how far ahead a turning robot's wheels are looked at
+_BACK = 12.0  # sums of latency, tick and lag that pass until a wheel that was let go has all of its torque again
+_ALL = 1.0, 1.0, 1.0, 1.0
 _NEAR = 0.25  # share of the beginning of a band below which nothing is looked at
 
 
@@ -56,6 +59,7 @@ class MotionLimits:
         self.last: tuple[Wheels | None, int] = None, 0
         nothing: tuple[float, ...] = ()
         self._slip: tuple[Wheels | None, int, tuple[float, ...], tuple[float, ...]] = None, -1, nothing, nothing
+        self._given: tuple[float, ...] = _ALL  # share of its torque that each wheel may have at most
         self._body: BodyLimits | None = None
         self._between = math.inf, math.inf
         self._set_near()
@@ -112,11 +116,20 @@ class MotionLimits:
         dt_s = (time_ns - before_ns) * 1e-9
         ahead = (self._ahead_s + latency_s) / dt_s if 0.0 < dt_s < _OLD_S else 0.0
         coming = _ahead(speed_rad_s, before, ahead)
-        begin, end = self._between
-        torque = _faded(torque, speed_rad_s, coming, begin, end)
+        torque = _times(torque, speed_rad_s, self._give(torque, speed_rad_s, coming, ahead))
         if self._slip_rad_s < math.inf:
             torque = self._fade_slip(torque, speed_rad_s, time_ns, before_ns, ahead, state)
         return self._fade_body(torque, coming)
+
+    def _give(self, torque: Wheels, now: Wheels, coming: Wheels, ahead: float) -> tuple[float, ...]:
+        """Return the share of its torque that each wheel gets: it falls at once, and rises slowly."""
+        shares = _shares(torque, now, coming, *self._between)
+        more = 1.0 / (_BACK * ahead) if ahead else 0.0
+        given = tuple(min(share, before + more) for share, before in zip(shares, self._given, strict=True))
+        if given != self._given:
+            self._given = given
+            self._set_near()
+        return given
 
     def _fade_slip(
         self, torque: Wheels, now: Wheels, time_ns: int, before_ns: int, ahead: float, state: State
@@ -134,7 +147,7 @@ class MotionLimits:
         slip = Wheels(*(one - rolls for one, rolls in zip(now, twice, strict=True)))
         self._slip = slip, time_ns, once, twice
         coming = _ahead(slip, before, ahead)
-        return _faded(torque, now, coming, _SLIP_BEGIN * self._slip_rad_s, self._slip_rad_s)
+        return _times(torque, now, _shares(torque, now, coming, _SLIP_BEGIN * self._slip_rad_s, self._slip_rad_s))
 
     def _fade_body(self, torque: Wheels, coming: Wheels) -> Wheels:
         """Take away from the force what pushes the way that the robot moves, and from the torque what turns it on.
@@ -170,6 +183,9 @@ class MotionLimits:
         return (push + self._model.lever_m * abs(yaw_rate)) / self._model.wheel_radius_m
 
     def _set_near(self) -> None:
+        if self._given != _ALL:
+            self.near_rad_s = 0.0  # the shares have to rise
+            return
         begins = [self._between[0], _SLIP_BEGIN * self._slip_rad_s]
         if self._body is not None:
             model = self._model
@@ -192,15 +208,24 @@ def _ahead(now: Wheels, before: Wheels | None, steps: float) -> Wheels:
     )
 
 
-def _faded(torque: Wheels, now: Wheels, coming: Wheels, begin: float, end: float) -> Wheels:
-    """Return torques faded by ``coming``: only those that drive a wheel the way it turns already."""
-    shares = [
+def _shares(torque: Wheels, now: Wheels, coming: Wheels, begin: float, end: float) -> tuple[float, ...]:
+    """Return the share of each wheel's torque by ``coming``: all of one that does not drive it the way it turns."""
+    return tuple(
         _share(math.copysign(will_be, pushes * will_be), begin, end) if pushes * is_at > 0.0 else 1.0
         for pushes, is_at, will_be in zip(torque, now, coming, strict=True)
-    ]
-    if min(shares) == 1.0:
+    )
+
+
+def _times(torque: Wheels, now: Wheels, shares: tuple[float, ...]) -> Wheels:
+    """Return torques times shares, but for those that do not drive a wheel the way it turns."""
+    if shares == _ALL:
         return torque
-    return Wheels(*(share * pushes for share, pushes in zip(shares, torque, strict=True)))
+    return Wheels(
+        *(
+            share * pushes if pushes * is_at > 0.0 else pushes
+            for share, pushes, is_at in zip(shares, torque, now, strict=True)
+        )
+    )
 
 
 def _share(value: float, begin: float, end: float) -> float:
