@@ -16,7 +16,7 @@ from hil.batch.plan import run_jobs, run_plan
 from hil.batch.pool import LocalPool
 from hil.batch.store import Store, read_rows
 from hil.core.errors import BadInputError, LinkError
-from hil.core.subprocesses import MEMORY_IS_KNOWN
+from hil.core.subprocesses import MEMORY_IS_KNOWN, LifeLine
 from hil.scenario import Scenario, load
 
 SHORT = {"loop.duration_s": 0.2, "loop.rate_hz": 200, "expect": []}
@@ -172,3 +172,15 @@ def test_a_kind_and_its_options_are_part_of_a_key() -> None:
 def test_outcomes_come_back_a_folder_as_they_were() -> None:
     outcome = Outcome("k", PASSED, None, {"a": 0.1}, {"extremes": {"s": [None, 1.0, 2.0, 0.1]}}, 0.5, None, "w")
     assert resumable._outcome(resumable._row(outcome)) == outcome
+
+
+@pytest.mark.skipif(not Path("/proc/self/fd").exists(), reason="only Linux lists descriptors")
+def test_a_life_line_of_a_child_that_cannot_be_started_is_closed() -> None:
+    def descriptors() -> int:
+        return len(list(Path("/proc/self/fd").iterdir()))
+
+    before = descriptors()
+    for _ in range(5):
+        with pytest.raises(FileNotFoundError):
+            LifeLine().start(["/nowhere/program"])
+    assert descriptors() == before

@@ -1,17 +1,19 @@
 """Text from elsewhere reaches no terminal, log or page with a character in it that a terminal would obey."""
 
+import io
 import json
 import logging
 import os
 import re
 import sys
+import unicodedata
 from pathlib import Path
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hil.core.printable import printable
+from hil.core.printable import PrintableStream, printable
 from hil.service import logs
 from tests.examples import share_of_examples
 from tests.processes import hil
@@ -32,7 +34,25 @@ def test_only_what_a_terminal_obeys_is_escaped_and_lines_stay(text: str) -> None
     assert not HARMFUL.search(clean)
     assert clean.count("\n") == text.count("\n")
     assert printable(clean) == clean
-    assert clean == text or HARMFUL.search(text) or re.search("[\u200e\u200f]", text)
+    assert clean == text or HARMFUL.search(text) or re.search("[\u061c\u200e\u200f]", text)
+
+
+def test_every_mark_that_turns_the_direction_of_text_is_escaped() -> None:
+    marks = [chr(0x200E), chr(0x200F), chr(0x061C)]
+    turns = {"LRE", "RLE", "PDF", "LRO", "RLO", "LRI", "RLI", "FSI", "PDI"}
+    marks += [chr(code) for code in range(sys.maxunicode + 1) if unicodedata.bidirectional(chr(code)) in turns]
+    assert len(marks) == 12, "Unicode's property Bidi_Control"
+    assert printable("".join(marks)).isascii()
+    assert printable("سلام, שלום\tΩ é\n") == "سلام, שלום\tΩ é\n"
+
+
+def test_whatever_way_text_is_written_to_a_stream_it_is_escaped() -> None:
+    raw = io.StringIO()
+    stream = PrintableStream(raw)
+    stream.writelines(["a\x1b[2J\n", "\u061cb\n"])
+    print("\x9b", file=stream)
+    stream.write("\r")
+    assert raw.getvalue() == "a\\x1b[2J\n\\u061cb\n\\x9b\n\r"
 
 
 @share_of_examples(0.1)

@@ -104,6 +104,32 @@ def test_of_one_event_few_lines_are_written_and_the_next_says_how_many_were_not(
     assert (line["number"], line["left_out"]) == (5000, 4980)
 
 
+@pytest.mark.skipif(sys.platform == "win32", reason="Windows waits")
+def test_a_line_that_cannot_be_written_uses_up_no_allowance_and_every_line_is_counted(
+    pipe: tuple[int, Read], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    now_s = 100.0
+    monkeypatch.setattr(logs.time, "monotonic", lambda: now_s)
+    read = configured("json", pipe)
+    for number in range(30):  # 20 are written and 10 left out
+        logs.warning("frame rejected", number=number)
+    for number in range(2000):
+        logs.info(f"tick {number}")  # until the pipe is full
+    now_s += 0.5
+    for _ in range(25):
+        logs.warning("frame rejected")
+        logs.warning("link lost")
+    lost = 2000 + 50 - sum("tick" in line for line in read().splitlines())
+    logs.warning("link lost")
+    logs.warning("frame rejected")
+    for number in range(19):
+        logs.warning("link lost", number=number)
+    lost_line, rejected_line, *others = map(json.loads, read().splitlines())
+    assert (lost_line["lines_dropped"], lost_line.get("left_out")) == (lost, None)
+    assert rejected_line["left_out"] == 10
+    assert len(others) == 19
+
+
 def test_the_events_of_a_service_are_constants() -> None:
     for file in Path(logs.__file__).parent.rglob("*.py"):
         for call in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):

@@ -182,14 +182,13 @@ class _Process:
         library = {} if job.library is None else {"WHEEL_HOST_LIBRARY": job.library}
         mutant = {mutants.VARIABLE: job.options["mutant"]} if job.options.get("mutant") else {}
         self._life_line = LifeLine()
-        self._process = subprocess.Popen(
+        self._process = self._life_line.start(
             module_command(MODULE, job.kind, self._life_line.token),
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=self._stderr,
             env=rerun_environment() | library | mutant,
             **away_from_terminal(),
-            **self._life_line.options,
         )
         self._is_ready = False
         self.ended_why: str | None = None

@@ -5,10 +5,12 @@ which text leaves calls ``printable``: the streams of a command, the log of a se
 """
 
 import re
+from collections.abc import Iterable
 from typing import TextIO
 
-# Control characters but tab and line feed; marks that turn the direction of text or end a line; halves of a character.
-_HARMFUL = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u200e\u200f\u2028-\u202e\u2066-\u2069\ud800-\udfff]")
+# Control characters but tab and line feed; marks that turn the direction of text (all that Unicode has, Bidi_Control)
+# or end a line; halves of a character.
+_HARMFUL = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u061c\u200e\u200f\u2028-\u202e\u2066-\u2069\ud800-\udfff]")
 
 
 def printable(text: str) -> str:
@@ -33,6 +35,11 @@ class PrintableStream:
     def write(self, text: str) -> int:
         """Write a text and return the number of characters that were written."""
         return self.raw.write(text if text == "\r" else printable(text))
+
+    def writelines(self, lines: Iterable[str]) -> None:
+        """Write texts one after another."""
+        for line in lines:
+            self.write(line)
 
     def __getattr__(self, name: str) -> object:
         return getattr(self.raw, name)

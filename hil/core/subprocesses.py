@@ -4,6 +4,7 @@ import mmap
 import os
 import subprocess
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -54,21 +55,29 @@ class LifeLine:
     """A pipe by which the operating system ends a child when this process ends, however it ends.
 
     Unlike a thread of the child that waits for the end of a pipe, it also ends a child whose interpreter is held up in
-    C. ``options`` are for Popen. A child of ours is given ``token`` for ``hold_on``; one of another program is tied by
-    ``tie``. On Windows it does nothing.
+    C. A child of ours is given ``token`` for ``hold_on``; one of another program is tied by ``tie``. On Windows it does
+    nothing.
     """
 
     def __init__(self) -> None:
-        self.options: dict[str, Any] = {}
+        self._options: dict[str, Any] = {}
         self.token = ""
         self._ends: tuple[int, ...] = ()
         if sys.platform != "win32":
             self._ends = child_end, _ = os.pipe()
             self.token = str(child_end)
-            self.options = {"pass_fds": (child_end,)}
+            self._options = {"pass_fds": (child_end,)}
+
+    def start(self, command: Sequence[str], **options: Any) -> "subprocess.Popen[bytes]":
+        """Start the child, with options of Popen. Raises OSError, and then it is closed."""
+        try:
+            return subprocess.Popen(command, **options, **self._options)
+        except BaseException:
+            self.close()
+            raise
 
     def tie(self, process: int) -> None:
-        """End the process of this number, which was started with ``options``, when this process has ended."""
+        """End the process of this number, which was begun by ``start``, when this process has ended."""
         if self._ends:
             _signal_at_end(self._ends[0], process)
 

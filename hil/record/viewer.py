@@ -202,7 +202,7 @@ class Window:
 def _start(*options: str) -> "subprocess.Popen[bytes]":
     """Start a viewer that ends with this process, also when that is killed."""
     life_line = LifeLine()
-    viewer = subprocess.Popen(viewer_command(*options), env=viewer_environment(), **life_line.options)
+    viewer = life_line.start(viewer_command(*options), env=viewer_environment())
     life_line.tie(viewer.pid)
     return viewer
 

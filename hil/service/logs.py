@@ -82,10 +82,10 @@ class _Handler(logging.Handler):
         return True
 
     def emit(self, record: logging.LogRecord) -> None:
-        if not self._is_allowed(record):
-            return
-        if not self._may_write_line():
+        if not self._may_write_line():  # first: a line that is dropped takes no other's place
             self._dropped += 1
+            return
+        if not self._is_allowed(record):
             return
         if self._dropped:
             record.dropped = self._dropped
@@ -97,8 +97,8 @@ class _Handler(logging.Handler):
         try:
             os.write(self._descriptor, line + b"\n")
             self._dropped = 0
-        except OSError:
-            self._dropped += 1  # the reader is gone
+        except OSError:  # the reader is gone, or the disk is full
+            self._dropped += 1 + getattr(record, "left_out", 0)
 
     def _may_write_line(self) -> bool:
         if sys.platform == "win32":
