@@ -99,7 +99,7 @@ class Plant:
                 setattr(sense, name, value)
             else:
                 getattr(sense, name)[place] = value
-        return Sense._make(_read(getattr(sense, name)) for name in Sense._fields)
+        return Sense(tuple(sense.count), *(_read(getattr(sense, name)) for name in Sense._fields[1:]))
 
 
 class Bench:

@@ -19,7 +19,7 @@ _COLDEST_DEGC, _PLAUSIBLE = -45.0, 1e6
 class Sense(NamedTuple):
     """What the sensors say at the beginning of a tick; binary32, as the plant gives it."""
 
-    count: tuple[int, ...]
+    counts: tuple[int, ...]
     current_a: tuple[float, ...]
     gyro_rad_s: tuple[float, ...]
     acceleration_m_s2: tuple[float, ...]
@@ -112,7 +112,7 @@ class Feedback:
         time_us = robot.tick * 1000 & 0xFFFF_FFFF
         robot.out.append(m.Tick(time_us, robot.sequence, age, robot.state, parts, self._snapshot))
         self._snapshot = (self._snapshot + 1) & 0xFF
-        robot.out.append(m.Encoders(*robot.sensed.count))
+        robot.out.append(m.Encoders(*robot.sensed.counts))
         robot.out.append(m.WheelSpeeds(*_within(robot.speed.tolist(), 127.99609375)))
         if has[4]:
             robot.out.append(m.Currents(*_within(self._mean("current_a"), 31.9990234375)))

@@ -272,7 +272,7 @@ class RobotModel:
         self.now_us = self.tick * 1000 & 0xFFFF_FFFF
         if plant_failed:
             self.fail(Fault.SENSOR)
-        self.speed = self.trackers.update(sensed.count, self.values)
+        self.speed = self.trackers.update(sensed.counts, self.values)
         self.sensed, self.is_plausible = sensed, sensed.is_plausible()
         self._supervise()
         self.feedback.tell()
