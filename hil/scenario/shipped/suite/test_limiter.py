@@ -91,7 +91,7 @@ def test_slip_is_limited_by_the_speed_of_the_rim_over_the_floor() -> None:
     rolling = State(Pose(0.0, 0.0, 0.0), Twist(0.75, 0.0, 0.0))  # 10 rad/s each
     measured = Wheels(13.0, 10.0, 10.0, 10.0)  # 0.225 m/s of 0.3: half of its band
     left = left_of(guard("off", slip_m_s=0.3), PUSH, measured, measured, state=rolling)
-    assert left == (pytest.approx(0.5), 1.0, 1.0, 1.0)
+    assert left == pytest.approx((0.5, 1.0, 1.0, 1.0))
     assert left_of(guard("off"), PUSH, measured, measured, state=rolling) == PUSH
 
 
@@ -125,12 +125,12 @@ def test_set_points_of_a_body_are_scaled_to_its_limits(twist: tuple[float, float
 
 def test_a_path_faster_than_the_service_is_refused_with_its_figure() -> None:
     table = ServiceTable()
-    check_path(make_reference("circle", {"radius_m": 0.5, "period_s": 7.0, "ramp_s": 2.0}, None), table)
+    check_path(make_reference("circle", {"radius_m": 0.5, "period_s": 7.0, "ramp_s": 2.0}), table)
     for options, why in (
         ({"radius_m": 0.5, "period_s": 6.0}, "0.524 m/s"),
         ({"radius_m": 0.1, "period_s": 1.5}, "1.75 m/s²"),
     ):
         with pytest.raises(BadInputError, match=f"the path reaches {why} at t = "):
-            check_path(make_reference("circle", options, None), table)
+            check_path(make_reference("circle", options), table)
     with pytest.raises(BadInputError, match="reaches 2 rad/s"):
-        check_path(make_reference("spin", {"yaw_rate_rad_s": 2.0}, None), table)
+        check_path(make_reference("spin", {"yaw_rate_rad_s": 2.0}), table)
