@@ -1,5 +1,6 @@
 """Who may do what over the API, and what the audit log has of it, through real processes."""
 
+import collections
 import itertools
 import json
 import os
@@ -12,6 +13,7 @@ from typing import Any
 from urllib.parse import urlsplit
 
 import pytest
+from websockets.exceptions import ConnectionClosed
 
 from hil.core.errors import BadInputError
 from hil.service.api.access import NEEDED, OWNER, TOO_MANY, Access, Client, Role, read_clients
@@ -77,6 +79,28 @@ def test_the_websocket_has_the_roles_of_its_token(of_many: ControlSide) -> None:
         assert "needs the role drive, which the token 'reader' lacks" in str(give_and_hear(Action.ARM))
         assert give_and_hear(Action.ESTOP) is None
     assert of_many.actions == [Action.ESTOP]
+
+
+def test_a_changed_clients_file_is_read_again_and_a_token_that_is_gone_ends(tmp_path: Path) -> None:
+    clients = tmp_path / "clients"
+    clients.touch(0o600)
+    clients.write_text(f"panel drive {TOKENS[Role.DRIVE]}\n")
+    with own_state(tmp_path), served(clients_file=str(clients)) as side:
+        header = {"Authorization": f"Bearer {TOKENS[Role.DRIVE]}"}
+        with side.live(header) as live:
+            clients.write_text("panel drive\n")  # cannot be used: nothing changes
+            wait_for(lambda: give(side, Role.DRIVE, Action.ARM) == 200)
+            clients.write_text(f"panel read {TOKENS[Role.DRIVE]}\n")
+            wait_for(lambda: give(side, Role.DRIVE, Action.ARM) == 403)
+            live.send(json.dumps({"order": {"number": 7, "action": "arm"}}))
+            answer = next(got["answer"] for text in live if "answer" in (got := json.loads(text)))
+            assert "needs the role drive" in answer["refused"]
+            clients.write_text(f"other read {TOKENS[Role.READ]}\n")
+            wait_for(lambda: give(side, Role.DRIVE, Action.ARM) == 401)
+            with pytest.raises(ConnectionClosed, match="its token is not valid any more"):
+                collections.deque(iter(lambda: live.recv(timeout=30.0), None), 0)
+        assert side.request("GET", "/v1/status", headers={"Authorization": f"Bearer {TOKENS[Role.READ]}"}).is_success
+        assert side.request("GET", "/v1/status").is_success, "the service's own token stays"
 
 
 def test_hil_ctl_says_which_role_a_token_lacks(of_many: ControlSide, tmp_path: Path) -> None:
@@ -172,6 +196,18 @@ def test_a_full_file_is_numbered_and_one_that_was_moved_is_begun_anew(tmp_path: 
         audit.note(PANEL, Action.ARM, "given", number=number)
     audit.close()
     assert len(list(tmp_path.glob("audit.jsonl*"))) == 4
+
+
+def test_long_arguments_are_cut_and_the_line_says_by_how_much(tmp_path: Path) -> None:
+    audit = Audit(tmp_path / "audit.jsonl")
+    long = {"reference": {"kind": "circle", "file": "é" * 5000}}
+    audit.note(PANEL, Action.TRACK, "given", number=1, arguments=long)
+    audit.note(PANEL, Action.TRACK, "given", number=2, arguments={"here": True})
+    audit.close()
+    cut, whole = lines(tmp_path / "audit.jsonl")
+    assert cut["arguments"] == json.dumps(long)[:2000]
+    assert cut["arguments_cut"] == len(json.dumps(long)) - 2000
+    assert (whole["arguments"], "arguments_cut" in whole) == ({"here": True}, False)
 
 
 def test_a_series_is_summed_up_and_no_order_of_it_is_lost(tmp_path: Path) -> None:

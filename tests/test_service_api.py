@@ -2,7 +2,10 @@
 
 import json
 import stat
+import subprocess
+import sys
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import asdict
 from urllib.parse import urlsplit
 
 import httpx
@@ -13,9 +16,9 @@ from openapi_spec_validator import validate
 from prometheus_client.openmetrics.parser import text_string_to_metric_families as openmetrics_families
 from prometheus_client.parser import text_string_to_metric_families
 
-from hil.service.messages import Action, Answer, Phase
+from hil.service.messages import Action, Answer, ApiConfig, Phase
 from tests.processes import wait_for
-from tests.service_testbed import STATUS, ControlSide
+from tests.service_testbed import LIMITS, STATUS, ControlSide
 
 ROUTES = {
     ("GET", "/v1/status"): None,
@@ -258,3 +261,21 @@ def test_the_token_is_new_long_and_for_this_user_only(side: ControlSide) -> None
     assert stat.S_IMODE(path.stat().st_mode) == 0o600
     assert len(path.read_text().strip()) >= 43, "32 bytes in base 64"
     assert json.loads(path.with_name(f"{urlsplit(side.child.url).port}.json").read_text())["token_file"] == str(path)
+
+
+def test_an_error_beside_the_server_ends_the_api_process_so_that_another_is_started() -> None:
+    broken = (
+        "import sys\nfrom hil.service import api_process\nfrom hil.service.api.audit import Audit\n"
+        "async def keep(self): raise RuntimeError('broken')\n"
+        "Audit.keep = keep\nsys.exit(api_process.main())"
+    )
+    config = {"config": asdict(ApiConfig("a test", "a test", LIMITS, port=0))}
+    command = [sys.executable, "-c", broken]
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as process:
+        assert process.stdin is not None
+        assert process.stderr is not None
+        process.stdin.write(json.dumps(config).encode() + b"\n")
+        process.stdin.flush()  # and it stays open
+        text = process.stderr.read().decode()
+        assert process.wait() == 1
+    assert "API ends because of an error why=RuntimeError('broken')" in text

@@ -16,7 +16,7 @@ from hil.core.errors import BadInputError
 from hil.core.json_lines import LineReader, LineWriter
 from hil.core.tokens import make_token, read_token, state_folder, token_file
 from hil.service import logs
-from hil.service.api.access import Access, read_clients
+from hil.service.api.access import Access, ClientsFile
 from hil.service.api.audit import Audit
 from hil.service.messages import HOST, ApiConfig, Limits
 
@@ -37,8 +37,8 @@ def main() -> int:
         listener = _listen(config)
         port = listener.getsockname()[1]
         path = _token_file(config, port)
-        others = {} if config.clients_file is None else read_clients(Path(config.clients_file))
-        access = Access(read_token(path), others)
+        clients = None if config.clients_file is None else ClientsFile(Path(config.clients_file))
+        access = Access(read_token(path), {} if clients is None else clients.others)
         audit_file = state_folder("audit") / f"{port}.jsonl" if config.audit is None else Path(config.audit).absolute()
         audit = Audit(audit_file)
     except BadInputError as error:
@@ -48,7 +48,7 @@ def main() -> int:
     from hil.service.api.server import serve
 
     ready = {"url": f"http://{HOST}:{port}", "token_file": str(path), "audit": str(audit_file)}
-    asyncio.run(serve(config, listener, access, audit, lines, writer, ready))
+    asyncio.run(serve(config, listener, access, clients, audit, lines, writer, ready))
     return 0
 
 

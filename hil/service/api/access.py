@@ -11,6 +11,7 @@ from typing import NamedTuple
 from hil.core.errors import BadInputError, nearest
 from hil.core.private_files import read_private
 from hil.core.tokens import SHORTEST
+from hil.service import logs
 from hil.service.messages import Action
 
 Headers = Sequence[tuple[bytes, bytes]]
@@ -66,14 +67,21 @@ class Access:
     """
 
     def __init__(self, owner: str, others: Mapping[str, Client]) -> None:
+        self._owner = owner
+        self._left: dict[str, float] = {}
+        self._filled_s = time.monotonic()
+        self.replace(others)
+
+    def replace(self, others: Mapping[str, Client]) -> None:
+        """Know these other clients from now on. Raises BadInputError as the constructor, and then nothing changes."""
+        owner = self._owner
         if owner in others:
             raise BadInputError(
                 f"clients file: {others[owner].name!r} has the service's own token; give it one of its own"
             )
         tokens = {owner: Client(OWNER, frozenset(Role)), **others}
         self._clients = [(f"Bearer {token}".encode(), client) for token, client in tokens.items()]
-        self._left = {client.name: _AT_ONCE for client in tokens.values()}
-        self._filled_s = time.monotonic()
+        self._left = {client.name: self._left.get(client.name, _AT_ONCE) for client in tokens.values()}
 
     def client(self, headers: Headers) -> Client | None:
         """Return whose token is in the headers of a request, or None."""
@@ -99,6 +107,39 @@ class Access:
             return False
         self._left[client.name] -= 1.0
         return True
+
+
+class ClientsFile:
+    """Keeps ``Access`` as the file of the other clients says, while it changes.
+
+    A changed file that cannot be used changes nothing, and the log says so: the tokens from before stay valid.
+    Raises BadInputError when the file cannot be used at the start.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self._seen = self._state()
+        self.others = read_clients(path)
+
+    def refresh(self, access: Access) -> None:
+        """Look whether the file has changed, and read it then."""
+        state = self._state()
+        if state == self._seen:
+            return
+        self._seen = state
+        try:
+            access.replace(read_clients(self._path))
+        except BadInputError as error:
+            logs.error("clients file cannot be used; the clients from before stay", why=str(error))
+        else:
+            logs.info("clients file was read again", path=self._path)
+
+    def _state(self) -> tuple[int, ...] | None:
+        try:
+            found = self._path.stat()
+        except OSError:
+            return None
+        return found.st_ino, found.st_mtime_ns, found.st_size, found.st_mode
 
 
 TOO_MANY = f"more than {_ORDERS_PER_S:g} orders a second were given with this token; stop, disarm and estop still pass"

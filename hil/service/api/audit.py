@@ -26,6 +26,9 @@ from hil.service.api.access import Client
 from hil.service.messages import Action
 
 _SYNC_S = 1.0
+_LONGEST_ARGUMENTS = (
+    2000  # characters as JSON: a body may have 64 KiB, and a line a second of those would fill the files
+)
 _FLAGS = os.O_WRONLY | os.O_APPEND | os.O_CREAT | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_CLOEXEC", 0)
 _FLAGS |= getattr(os, "O_NONBLOCK", 0)  # of a pipe, which is refused
 
@@ -77,7 +80,8 @@ class Audit:
     ) -> None:
         """Write what became of an order; ``number`` is the one that it has on the way to the control process."""
         values = {"order": number, "action": action.value, "outcome": outcome, "token": client.name}
-        record = values | {"client": client.address, "arguments": arguments or None, "why": why}
+        told, cut = _cut(arguments)
+        record = values | {"client": client.address, "arguments": told, "arguments_cut": cut, "why": why}
         if not in_series:
             self._write(record)
             return
@@ -172,6 +176,14 @@ class Audit:
             os.close(descriptor)
             raise
         return descriptor
+
+
+def _cut(arguments: Mapping[str, Any] | None) -> tuple[Mapping[str, Any] | str | None, int | None]:
+    """Return arguments as they are; of long ones the beginning of their JSON, and the number of characters cut."""
+    text = json.dumps(arguments or None)
+    if len(text) <= _LONGEST_ARGUMENTS:
+        return arguments or None, None
+    return text[:_LONGEST_ARGUMENTS], len(text) - _LONGEST_ARGUMENTS
 
 
 def _sync(descriptors: Sequence[int]) -> None:

@@ -27,7 +27,7 @@ from hil.service.messages import Action, Answer, to_line
 GOING_AWAY = 1001
 """Close code: the control process has ended (RFC 6455, 7.4.1)."""
 POLICY_VIOLATION = 1008
-"""Close code: the client does not read its answers."""
+"""Close code: the client does not read its answers, or its token is not valid any more."""
 
 _LONGEST_BACKLOG = 256
 _NO_NUMBER = -1  # of the answer to a message that is no order
@@ -52,12 +52,12 @@ class LiveClient:
         self._socket = socket
         self._control = control
         self._access = access
-        self._client: Client = socket.state.client
+        self._client: Client = socket.state.client  # renewed by ``_is_known``
         self._bodies = bodies
         self._answers: deque[Answer] = deque()
         self._news = asyncio.Event()
         self._pending: set[asyncio.Task[None]] = set()
-        self._reads = True
+        self._closed_why: str | None = None
 
     async def serve(self) -> None:
         """Serve the client until it or the control process ends."""
@@ -74,8 +74,8 @@ class LiveClient:
             ends = await asyncio.gather(*tasks, return_exceptions=True)
         if self._control.gone.is_set():
             await self._close(GOING_AWAY, "the control process has ended")
-        elif not self._reads:
-            await self._close(POLICY_VIOLATION, f"{_LONGEST_BACKLOG} answers are unread")
+        elif self._closed_why is not None:
+            await self._close(POLICY_VIOLATION, self._closed_why)
         for end in ends:
             if isinstance(end, Exception) and not isinstance(end, WebSocketDisconnect):
                 raise end
@@ -86,11 +86,21 @@ class LiveClient:
             message = await self._socket.receive()
             if message["type"] == "websocket.disconnect":
                 return
+            if not self._is_known():
+                return
             self._handle(message.get("text") or "")
             if len(self._answers) + len(self._pending) > _LONGEST_BACKLOG:
                 logs.warning("live client is closed: it does not read its answers", unread=len(self._answers))
-                self._reads = False
+                self._closed_why = f"{_LONGEST_BACKLOG} answers are unread"
                 return
+
+    def _is_known(self) -> bool:
+        """Return whether the client's token is still valid; take the roles that it has now."""
+        if (client := self._access.client(self._socket.scope["headers"])) is None:
+            self._closed_why = "its token is not valid any more"
+            return False
+        self._client = client._replace(address=self._client.address)
+        return True
 
     def _handle(self, text: str) -> None:
         try:
@@ -104,7 +114,12 @@ class LiveClient:
             return
         task = asyncio.create_task(self._carry_out(order))
         self._pending.add(task)
-        task.add_done_callback(self._pending.discard)
+        task.add_done_callback(self._carried_out)
+
+    def _carried_out(self, task: asyncio.Task[None]) -> None:
+        self._pending.discard(task)
+        if not task.cancelled() and (error := task.exception()) is not None:
+            logs.error("order on the WebSocket failed", why=repr(error))
 
     async def _carry_out(self, order: _Order) -> None:
         try:
@@ -124,11 +139,13 @@ class LiveClient:
         self._news.set()
 
     async def _send(self) -> None:
-        """Send every answer, and the newest status."""
+        """Send every answer, and the newest status, for as long as the token is valid."""
         sent: Mapping[str, Any] | None = None
         while True:
             await self._news.wait()
             self._news.clear()
+            if not self._is_known():
+                return
             while self._answers:
                 await self._socket.send_json(to_line(self._answers.popleft()))
             if self._control.status is not sent and (sent := self._control.status) is not None:

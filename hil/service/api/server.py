@@ -14,7 +14,7 @@ from starlette.types import ASGIApp, Receive, Scope, Send
 
 from hil.core.json_lines import LineReader, LineWriter
 from hil.service import logs
-from hil.service.api.access import TOO_MANY, Access, Client, Headers, values_of
+from hil.service.api.access import TOO_MANY, Access, Client, ClientsFile, Headers, values_of
 from hil.service.api.audit import Audit
 from hil.service.api.control import Control
 from hil.service.api.door import BATCH, Door
@@ -24,6 +24,7 @@ from hil.service.messages import HOST, ORDERS, ApiConfig
 _PING_S = 5.0
 _LONGEST_BYTES = 64 * 1024  # of a body or a WebSocket message
 _LAST_ANSWERS_S = 1
+_REFRESH_S = 1.0
 _MOST_LIVE = 64
 _TOO_MANY_STATUS = 429
 _TOO_MANY_PAUSE_S = 0.1
@@ -89,6 +90,7 @@ async def serve(
     config: ApiConfig,
     listener: socket.socket,
     access: Access,
+    clients: ClientsFile | None,
     audit: Audit,
     lines: LineReader,
     writer: LineWriter,
@@ -96,8 +98,9 @@ async def serve(
 ) -> None:
     """Serve the API on a listening socket until the control process has ended or this process gets a signal.
 
-    ``access`` knows the clients, and ``audit`` notes their orders. ``ready`` is sent to the control process when the
-    server listens.
+    ``access`` knows the clients, ``clients`` keeps it as their file says, and ``audit`` notes their orders. ``ready``
+    is sent to the control process when the server listens. An error of what runs beside the server ends it and is
+    raised: the control process starts another.
     """
     control = Control(lines, writer, config.limits.twist_timeout_s, audit)
     port = listener.getsockname()[1]
@@ -136,9 +139,25 @@ async def serve(
         await control.gone.wait()
         server.should_exit = True
 
-    beside = [asyncio.create_task(task) for task in (control.live(), door.sweep(), audit.keep(), end())]
+    async def refresh() -> None:
+        while clients is not None:
+            await asyncio.sleep(_REFRESH_S)
+            clients.refresh(access)
+
+    def on_end(task: asyncio.Task[None]) -> None:
+        if not task.cancelled() and task.exception() is not None:
+            server.should_exit = True
+
+    beside = [asyncio.create_task(task) for task in (control.live(), door.sweep(), audit.keep(), refresh(), end())]
+    for task in beside:
+        task.add_done_callback(on_end)
     await server.serve([listener])
     for task in beside:
         task.cancel()
+    ends = await asyncio.gather(*beside, return_exceptions=True)
     audit.close()
+    for one in ends:
+        if isinstance(one, Exception):
+            logs.error("API ends because of an error", why=repr(one))
+            raise one
     logs.info("API ends")
