@@ -61,7 +61,7 @@ def _run(job: Job, scenario: Scenario, *, record: bool) -> Outcome:
         details = {"reasons": result.metrics["reasons"], "undriven": undriven, "claims": claims}
         return Outcome(job.key, status, reason, run_columns(result.metrics), details)
 
-    make_robot = _emulated(job.options["target"], scenario) if "target" in job.options else _kept().robot
+    make_robot = _emulated(job.options["target"], scenario) if "target" in job.options else kept_robot()
     options = RunOptions(
         record=path, allow_motion=job.allow_motion, make_robot=make_robot, keep_signals=bool(job.signals_file)
     )
@@ -95,4 +95,8 @@ def _emulated(target: str, scenario: Scenario) -> MakeRobot:
 
 _UNDRIVEN = ("stale_ticks", "held_ticks")
 _kept = functools.cache(KeptRobot)
-"""The robot of this process, whose FMU stays open."""
+
+
+def kept_robot() -> MakeRobot:
+    """Return what makes the robot of this process, whose FMU stays open from run to run."""
+    return _kept().robot

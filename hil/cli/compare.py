@@ -2,9 +2,9 @@
 
 import shlex
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, NoReturn
 
 import typer
 from typer import Argument, Option
@@ -16,6 +16,7 @@ from hil.core.outputs import Existing, check_free, existing_files
 
 if TYPE_CHECKING:
     from hil.batch.comparison import Comparison
+    from hil.batch.comparison.robust import Robustness
 
 
 def compare(
@@ -35,6 +36,9 @@ def compare(
         list[str] | None, Option(metavar="rigid|slip", help="by default the scenario's; repeatable")
     ] = None,
     quick: Annotated[bool, Option("--quick", help="nominal runs alone")] = False,
+    robust: Annotated[
+        int | None, Option(metavar="N", min=1, help="instead of tables: N random cases, and how many each law holds")
+    ] = None,
     out: Annotated[Path | None, Option(metavar="DIR", help="pictures and every run as CSV")] = None,
     pictures: PictureFormat = "png",
     markdown: Annotated[Path | None, Option(metavar="FILE", help="a page with all tables")] = None,
@@ -53,6 +57,10 @@ def compare(
     from hil.review.plots import check_format
 
     *laws, scenario = laws_and_scenario
+    if robust is not None:
+        others = {"--torque": torque, "--drive": drive, "--estimator": estimator, "--contact": contact, "--out": out}
+        _refuse_beside_robust(others | {"--quick": quick, "--markdown": markdown})
+        _try_in_cases(laws, scenario, robust, sets or [], seed, jobs, limit_s, as_json=as_json)
     request = Request(
         laws,
         scenario,
@@ -78,6 +86,45 @@ def compare(
     sys.stdout.flush()
     _write(comparison, out, kind, markdown, existing)
     raise typer.Exit(1 if comparison.has_failed else 0)
+
+
+def _refuse_beside_robust(others: Mapping[str, object]) -> None:
+    for name, value in others.items():
+        if value:
+            raise BadInputError(
+                f"{name}: --robust draws its own conditions, and prints; leave {name} out, or use --set"
+            )
+
+
+def _try_in_cases(
+    laws: Sequence[str],
+    scenario: str,
+    count: int,
+    sets: Sequence[str],
+    seed: int | None,
+    jobs: int | None,
+    limit_s: float,
+    *,
+    as_json: bool,
+) -> NoReturn:
+    """Run laws in random cases, print how they held, and exit."""
+    from hil.batch.comparison.robust import try_laws
+
+    with batch(as_json=as_json) as progress:
+        tried = try_laws(laws, scenario, count, sets, seed, workers=jobs, limit_s=limit_s, on_progress=progress)
+    print_result(as_json, tried.plain(), _case_lines(tried))
+    raise typer.Exit(1 if tried.has_failed else 0)
+
+
+def _case_lines(tried: "Robustness") -> Iterator[str]:
+    """Yield the table, and for each case that a law did not hold, what happened and the command that repeats it."""
+    yield from table(list(tried.rows()))
+    for trial in tried.trials:
+        if trial.verdict != "held":
+            reason = f": {trial.outcome.reason}" if trial.outcome.reason else ""
+            follows = "" if trial.case.can_follow else " (which wheels cannot follow)"
+            yield f"\n{trial.entry.label}, case {trial.case.number}{follows}, {trial.verdict}{reason}"
+            yield f"  {shlex.join(trial.command)}"
 
 
 def _write(comparison: "Comparison", out: Path | None, kind: str, markdown: Path | None, existing: Existing) -> None:

@@ -25,6 +25,7 @@ from hil.scenario.toml_text import parse_value
 from plant_fmu.shipped import variable_names
 
 MODE, LINK = "lockstep", "memory:"
+_OURS = ("loop.mode", "link.url")
 _START = "plant.start."
 _CURVES = ("loop.t_s", "error.planar_m", "truth.x_m", "truth.y_m", "reference.x_m", "reference.y_m")
 _CURRENTS = tuple(f"wheel.{wheel}.current_a" for wheel in WHEEL_NAMES)
@@ -61,6 +62,7 @@ def compare(
 
     Raises BadInputError, before anything is run, for a law, a gain, a scenario or a condition that does not exist.
     """
+    check_laws(request.scenario, request.sets)
     _check_request(request)
     tables = conditions(request.torques_n_m, request.drives, request.estimators, request.contacts)
     _check_sets(request.sets, tables)
@@ -133,14 +135,24 @@ def _scenarios(request: Request, base: Scenario, table: Condition, robots: Seque
     return scenarios
 
 
-def _check_request(request: Request) -> None:
-    """Raise BadInputError for a law in the place of the scenario, which was forgotten, and for unknown conditions."""
-    law = request.scenario.partition(",")[0]
-    if request.scenario not in shipped() and (law in SHIPPED or ":" in law):
+def check_laws(scenario: str, sets: Sequence[str]) -> None:
+    """Raise BadInputError for a law in the place of the scenario, which was forgotten, and for a law among ``sets``."""
+    law = scenario.partition(",")[0]
+    if scenario not in shipped() and (law in SHIPPED or ":" in law):
         raise BadInputError(
-            f"scenario {request.scenario}: this is a law; the last argument is the scenario, one of hil list scenarios "
-            "or a file"
+            f"scenario {scenario}: this is a law; the last argument is the scenario: one of hil list scenarios, or "
+            "a file"
         )
+    for text in sets:
+        key = text.partition("=")[0].strip()
+        if key in _OURS:
+            raise BadInputError(f"--set {text}: a comparison sets {key} itself; it runs in lockstep over memory:")
+        if key.startswith("controller.") and key != "controller.command":
+            raise BadInputError(f"--set {text}: laws and gains are named together, as in: hil compare dsc,k1_1_s=8 ...")
+
+
+def _check_request(request: Request) -> None:
+    """Raise BadInputError for unknown conditions."""
     for torque_n_m in request.torques_n_m:
         if not torque_n_m > 0.0:
             raise BadInputError(f"--torque {torque_n_m:g}: expected the limit of a wheel in N·m, more than 0")
@@ -159,16 +171,13 @@ def _check_request(request: Request) -> None:
 
 def _check_sets(sets: Sequence[str], tables: Sequence[Condition]) -> None:
     """Refuse to change what the comparison itself sets, because its tables would then be wrong."""
-    reserved = {"loop.mode", "link.url", *(key for table in tables for key in table.sets())}
+    reserved = {key for table in tables for key in table.sets()}
     for text in sets:
         key = text.partition("=")[0].strip()
         if key in reserved:
             raise BadInputError(
-                f"--set {text}: a comparison sets {key} itself; it runs in lockstep over memory:, under --torque, "
-                "--drive, --estimator and --contact"
+                f"--set {text}: a comparison sets {key} itself, under --torque, --drive, --estimator and --contact"
             )
-        if key.startswith("controller."):
-            raise BadInputError(f"--set {text}: laws and gains are named together, as in: hil compare dsc,k1_1_s=8 ...")
 
 
 def entries(texts: Sequence[str], scenario: str, sets: Sequence[str]) -> list[Entry]:

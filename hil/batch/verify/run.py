@@ -1,6 +1,5 @@
 """Does one member of a suite in a worker process, which may have a mutant."""
 
-import functools
 import subprocess
 import sys
 import tempfile
@@ -12,13 +11,12 @@ from typing import Any
 import numpy as np
 
 from hil.batch.job import ENDED, FAILED, PASSED, REFUSED, Job, Outcome
-from hil.batch.run import attempt
+from hil.batch.run import attempt, kept_robot
 from hil.judge.baselines import baseline_figures
 from hil.judge.figures import number
 from hil.judge.measure import Series
 from hil.judge.words import why_not_passed
 from hil.review.result import RunResult
-from hil.robot.virtual import KeptRobot
 from hil.runtime.assembly import RunOptions
 from hil.scenario import Scenario
 
@@ -52,7 +50,7 @@ def run(job: Job, scenario: Scenario) -> Outcome:
             details["modules"] = sorted(name for name in sys.modules if name.startswith(_PACKAGES))
         return Outcome(job.key, status, reason, figures, details)
 
-    return attempt(job, scenario, judge, RunOptions(make_robot=_kept().robot))
+    return attempt(job, scenario, judge, RunOptions(make_robot=kept_robot()))
 
 
 def run_tests(job: Job, _scenario: Scenario) -> Outcome:
@@ -106,7 +104,3 @@ def _hashes(report: ET.Element) -> Iterator[tuple[str, str]]:
 def _why(case: ET.Element) -> str:
     lines = (case[0].attrib.get("message") or case[0].text or "").strip().splitlines()
     return f"{case.attrib['name']}: {lines[0] if lines else case[0].tag}"
-
-
-_kept = functools.cache(KeptRobot)
-"""The robot of this process, whose FMU stays open."""
