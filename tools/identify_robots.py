@@ -24,7 +24,8 @@ from hil.core.errors import HilError
 from hil.core.outputs import write_whole
 from hil.identify.drive import STEPS, Plan, plan_step
 from hil.identify.estimates import Estimate, estimates
-from hil.identify.fit import fit
+from hil.identify.fit import LENGTHS, Result, fit
+from hil.identify.floor import GAINS
 from hil.identify.recorded import Drive, drive_of
 from hil.runtime.assembly import RunOptions, run_scenario
 from hil.scenario import resolved
@@ -51,7 +52,7 @@ _LENGTHS = ("com_x_m", "com_y_m")
 
 
 def outcome(seed: int, plant: str) -> dict[str, Any]:
-    """Drive and fit one robot; return its errors, which intervals hold, predictions [m] and times [s]."""
+    """Drive and fit one robot; return its errors, intervals and which of them hold, predictions [m] and times [s]."""
     robot = hidden_robot(seed)
     with tempfile.TemporaryDirectory() as folder:
         drives = dict(_drives(Path(folder), robot, seed, plant))
@@ -71,14 +72,32 @@ def outcome(seed: int, plant: str) -> dict[str, Any]:
         "plant": plant,
         "chosen": result.chosen.contact,
         "error": {name: _error(one, true[name]) for name, one in found.items()},
-        "width": {
-            name: (one.high - one.low) / 2.0 / (1.0 if name in _LENGTHS else true[name]) for name, one in found.items()
+        "width": {name: _width(one, true[name]) for name, one in found.items()},
+        "shares": {
+            source: {one.name: _width(one, true[one.name]) for one in ones if one.name in found}
+            for source, ones in _shares(result, robot.true["mass_kg"])
         },
         "held": {name: one.low <= true[name] <= one.high for name, one in found.items()},
         "before_m": result.before.rms_m,
         **{f"{model.contact}_m": model.held_out.rms_m for model in result.models},
         "fit_s": fit_s,
     }
+
+
+def _shares(result: Result, mass_kg: float) -> Iterator[tuple[str, Sequence[Estimate]]]:
+    """Yield what intervals would be if nothing but the lengths, or the gains of the currents, were uncertain."""
+    model = result.chosen
+    solution, names = model.solution, [one.name for one in model.parameters]
+    for source, of_source in (("lengths", LENGTHS), ("gains", [one.name for one in GAINS])):
+        inner = np.ix_(*[[names.index(name) for name in of_source]] * 2)
+        held = np.zeros_like(solution.covariance)
+        held[inner] = solution.covariance[inner]
+        share = solution._replace(covariance=solution.carried @ held @ solution.carried.T)
+        yield source, estimates(result._replace(chosen=model._replace(solution=share)), mass_kg)
+
+
+def _width(one: Estimate, true: float) -> float:
+    return (one.high - one.low) / 2.0 / (1.0 if one.name in _LENGTHS else true)
 
 
 def _error(one: Estimate, true: float) -> float:

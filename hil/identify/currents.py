@@ -24,10 +24,10 @@ from hil.identify.recorded import Array, Drive
 _LAGS = 6
 _BLOCKS = (4, 10, 40, 200, 400)
 """Rows over which what is left is averaged, to see whether it is white."""
+_BIN_ROWS = 10
 _SIGMAS = 4.5
 _FURTHEST = 6.0  # standard deviations that a mean over a block may have
 _LEAST_ROWS = 1000
-_FAST = 2.0  # six factors know the gain of fast currents less well than one would; measured on random robots
 _QUIET_A = 2e-3  # the resolution of the wire: nothing else is left
 
 
@@ -84,12 +84,31 @@ def _of_wheel(drives: Sequence[Drive], judge: Drive, wheel: int) -> _Wheel:
         left = [value - design @ factors for design, value in zip(designs, values, strict=True)]
         white = [one for one, rest in zip(used, left, strict=True) if _is_white(rest)]
         if len(white) == len(used):
-            explained = np.concatenate([design @ factors for design in designs])
-            variance = _FAST * float(np.var(np.concatenate(left)) / max(float(np.sum(explained**2)), 1e-12))
+            variance = _gain_variance(designs, factors, float(np.var(np.concatenate(left))))
             found = [_by_command(drive, wheel, one, factors) for drive, one in zip(both, lagged, strict=True)]
             return _Wheel(tuple(found), variance)
         used = white
     return _Wheel((None,) * len(both), 0.0)
+
+
+def _gain_variance(designs: Sequence[Array], factors: Array, noise: float) -> float:
+    """Return the variance of the gain's logarithm, for means over ``_BIN_ROWS``, from that of the noise [A²].
+
+    A robot answers to means of its currents. Much of a command may be fast noise of the loops, which tells the factors
+    and hardly the gain of their means.
+    """
+    means = np.concatenate([_means(design, _BIN_ROWS) for design in designs])
+    explained = means @ factors
+    gain_of = means.T @ explained / max(float(explained @ explained), 1e-12)
+    design = np.concatenate(designs)
+    return noise * float(gain_of @ np.linalg.pinv(design.T @ design, hermitian=True) @ gain_of)
+
+
+def _means(series: Array, rows: int) -> Array:
+    """Return the means over blocks of rows, of shape (n // rows, ...)."""
+    count = len(series) // rows
+    means: Array = series[: count * rows].reshape(count, rows, *series.shape[1:]).mean(axis=1)
+    return means
 
 
 _Lagged = tuple[Array, Array, int]
@@ -125,10 +144,10 @@ def _is_white(left: Array) -> bool:
     if sigma < _QUIET_A:
         return True
     for rows in _BLOCKS:
-        count = len(left) // rows
+        means = _means(left, rows) * np.sqrt(rows) / sigma
+        count = len(means)
         if count == 0:
             continue
-        means = left[: count * rows].reshape(count, rows).mean(axis=1) * np.sqrt(rows) / sigma
         if np.abs(means).max() > _FURTHEST or np.mean(means**2) > 1.0 + _SIGMAS * np.sqrt(2.0 / count):
             return False
     return True

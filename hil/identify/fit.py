@@ -13,7 +13,7 @@ from hil.core.model import RobotModel
 from hil.identify.blocks import BlocksFit, fit_blocks
 from hil.identify.currents import quiet
 from hil.identify.floor import GAINS, GYRO_BIAS, Floor, Parameter, variable
-from hil.identify.gauss_newton import Knowledge, Solution, inverted, solve
+from hil.identify.gauss_newton import STEP, Knowledge, Solution, inverted, solve
 from hil.identify.held_out import Prediction, predict
 from hil.identify.identifiability import Outlook, check_excitation, outlook
 from hil.identify.kinematics import Kinematics, Tape, fit_kinematics, with_geometry
@@ -23,6 +23,8 @@ from hil.identify.trouble import check_level, check_motors
 from hil.identify.windows import Windows, cut
 from hil.plant.start import Value
 
+ROLLERS = "roller_friction_coefficient"
+"""Often next to zero, so it is not a logarithm."""
 RIGID = (
     variable("mass_kg"),
     variable("inertia_kg_m2"),
@@ -32,14 +34,14 @@ RIGID = (
     variable("friction_coefficient"),
     variable("viscous_n_m_s_rad"),
 )
-SLIP = (*RIGID, variable("grip_coefficient"), variable("roller_friction_coefficient"))
+SLIP = (*RIGID, variable("grip_coefficient"), variable(ROLLERS, 0.01))
 LENGTHS = ("wheel_radius_m", "lever_m")
 _FIRST = {"friction_coefficient": 0.02, "viscous_n_m_s_rad": 0.02, "grip_coefficient": 0.7,
-          "roller_friction_coefficient": 0.01, "com_x_m": 0.0, "com_y_m": 0.0}  # fmt: skip
+          ROLLERS: 0.01, "com_x_m": 0.0, "com_y_m": 0.0}  # fmt: skip
 _WIDEST = 6.0
 _SMALL = 1e-3
 _GRIP_SIGMA = 0.3  # of its logarithm: rubber on floors
-_ROLLER_SIGMA = 1.0
+_ROLLER_SIGMA = 1.0  # of 0.01
 _MOST_SLIP_WINDOWS = 60
 WITH_SLIP = 1.5
 """By which the interval of the friction is widened where the rollers' own is fitted too, measured on random robots."""
@@ -239,7 +241,10 @@ def _fit_model(
         windows = [one.thinned(_MOST_SLIP_WINDOWS // len(windows)) for one in windows]
     with contextlib.ExitStack() as opened:
         floors = _opened(before, contact, parameters, windows, opened)
-        solution = solve(floors, point, bounds=(point - _WIDEST, point + _WIDEST), known=known)
+        least = point - _WIDEST
+        if contact == "slip":  # it is not negative, and derivatives look to both sides
+            least[[one.name for one in parameters].index(ROLLERS)] = STEP
+        solution = solve(floors, point, bounds=(least, point + _WIDEST), known=known)
         if simpler is None:
             for drive, one, seen, starts in zip(drives, windows, floors, solution.starts, strict=True):
                 left = seen.measured - seen.predict(solution.parameters[None], starts[None])[0]
@@ -311,5 +316,5 @@ def _known(parameters: Sequence[Parameter], point: Array, before: _Before) -> Kn
         known.information[np.ix_(places, places)] = rows.T @ inverted(covariance) @ rows
     if "grip_coefficient" in names:
         known.information[(names.index("grip_coefficient"),) * 2] = _GRIP_SIGMA**-2
-        known.information[(names.index("roller_friction_coefficient"),) * 2] = _ROLLER_SIGMA**-2
+        known.information[(names.index(ROLLERS),) * 2] = _ROLLER_SIGMA**-2
     return known

@@ -14,9 +14,11 @@ import numpy.typing as npt
 from hil.identify.recorded import Array
 from hil.identify.robust import huber_loss, huber_weights
 
-_STEP = 2e-3
+STEP = 2e-3
+"""By how much a parameter is varied for a derivative."""
 _MOST_STEPS = 20
 _DONE = 2e-4
+_NEAR = 0.02  # so near derivatives are good enough for another step; they are most of the work
 _FLAT = 0.01  # of the cost, of which 0.5 is one standard deviation
 _NEW_SIGMAS = 3
 _NOTHING = 1e-14
@@ -53,6 +55,7 @@ class Solution(NamedTuple):
     Attributes:
         parameters: (P,) as the model takes them.
         covariance: (P, P) a sandwich, clustered by window; huge along null directions.
+        carried: (P, P) the derivatives of all parameters by those that were held; zero by the others.
         information: (P, P) the weighted normal matrix of the windows alone, from which null directions are read.
         starts: for each experiment (W, S).
         cost: mean Huber loss of a residual.
@@ -61,6 +64,7 @@ class Solution(NamedTuple):
 
     parameters: Array
     covariance: Array
+    carried: Array
     information: Array
     starts: tuple[Array, ...]
     cost: float
@@ -118,18 +122,23 @@ def solve(
     known = Knowledge.none(len(parameters)) if known is None else known
     point, free = parameters.copy(), ~known.held
     starts = [experiment.starts.copy() for experiment in experiments]
-    sigmas = [_sigmas(one, point, start) for one, start in zip(experiments, starts, strict=True)]
+    predicted = _predicted(experiments, point, starts)
+    sigmas = _sigmas(experiments, predicted)
     damping, steps, has_settled = 1e-4, 0, False
+    slopes: list[_Slopes] = []
+    are_new = False
     for steps in range(1, _MOST_STEPS + 1):
+        if not slopes:
+            slopes, are_new = _all_slopes(experiments, predicted, starts, point, free), True
         locals_ = [
-            _at(*args, point, free, by="guess" if steps == 1 else "start")
-            for args in zip(experiments, starts, sigmas, strict=True)
+            _at(*args, by="guess" if steps == 1 else "start")
+            for args in zip(experiments, predicted, slopes, sigmas, strict=True)
         ]
         gradient, information, _ = _normal(locals_, len(point))
         gradient = gradient + known.information @ (known.mean - point)
         information = information + known.information
         cost = _cost([local.residual for local in locals_], known, point)
-        found = None
+        found, is_flat = None, False
         for _ in range(_HALVINGS + 1):
             matrix = (information + np.diag(damping * np.diag(information) + 1e-12))[np.ix_(free, free)]
             step = np.zeros(len(point))
@@ -137,26 +146,36 @@ def solve(
             step *= min(1.0, _LONGEST / max(float(np.abs(step).max()), 1e-12))
             tried = np.clip(point + step, *bounds)
             moved = [start + _start_step(local, tried - point) for local, start in zip(locals_, starts, strict=True)]
-            now = _value(experiments, tried, moved, sigmas, known)
+            there = _predicted(experiments, tried, moved)
+            now = _cost(_residuals(experiments, there, sigmas), known, tried)
             if now <= cost:
-                found = tried, moved, now
+                found = tried, moved, there, now
+                break
+            is_flat = 0.5 * float(gradient @ step) < _FLAT  # a shorter step would win nothing
+            if is_flat:
                 break
             damping = max(damping * 10.0, 1e-3)
+        if found is None and not is_flat and not are_new:
+            slopes = []  # those of a point near by may be what fails
+            continue
         done = found is None
         if found is not None:
-            done = float(np.abs(found[0] - point).max()) < _DONE or cost - found[2] < _FLAT
-            point, starts, _ = found
+            furthest = float(np.abs(found[0] - point).max())
+            done = furthest < _DONE or cost - found[3] < _FLAT
+            point, starts, predicted, _ = found
+            slopes, are_new = slopes if furthest < _NEAR else [], False
             damping = max(damping / 10.0, 1e-6)
         if done and has_settled:
             break
         has_settled = has_settled or (done and steps > _NEW_SIGMAS)
         if steps <= _NEW_SIGMAS or done:  # the last were those of a poorer model
-            sigmas = [_sigmas(one, point, start) for one, start in zip(experiments, starts, strict=True)]
-    sigmas = [_sigmas(one, point, start) for one, start in zip(experiments, starts, strict=True)]
+            sigmas = _sigmas(experiments, predicted)
+    sigmas = _sigmas(experiments, predicted)
     every = np.ones_like(free)
+    sides = [_all_slopes(experiments, predicted, starts, point, every, way=way) for way in (1.0, -1.0)]
     locals_ = [
-        _smooth(*(_at(*args, point, every, way=way) for way in (1.0, -1.0)))
-        for args in zip(experiments, starts, sigmas, strict=True)
+        _smooth(*(_at(experiment, seen, slope, sigma) for slope in both))
+        for experiment, seen, sigma, *both in zip(experiments, predicted, sigmas, *sides, strict=True)
     ]
     _, information, scatter = _normal(locals_, len(point))
     # The curvature of Huber's loss itself: its weights would make intervals a tenth too narrow.
@@ -167,31 +186,35 @@ def solve(
     scatter = scatter * (windows / (windows - fitted) if windows > 3 * fitted else 1.0)
     count = sum(local.residual.size for local in locals_)
     cost = _cost([local.residual for local in locals_], known, point) / count
-    return Solution(point, _covariance(curvature, scatter, known), information, tuple(starts), cost, steps)
+    covariance, carried = _covariance(curvature, scatter, known)
+    return Solution(point, covariance, carried, information, tuple(starts), cost, steps)
 
 
 def information_of(experiments: Sequence[Experiment], parameters: Array) -> Array:
     """Return the information (P, P) that experiments hold near these parameters, by the noise of their sensors."""
     every = np.ones(len(parameters), dtype=bool)
-    locals_ = [_at(one, one.starts, one.least_sigmas, parameters, every, by="nothing") for one in experiments]
+    starts = [one.starts for one in experiments]
+    predicted = _predicted(experiments, parameters, starts)
+    slopes = _all_slopes(experiments, predicted, starts, parameters, every)
+    locals_ = [
+        _at(one, seen, slope, one.least_sigmas, by="nothing")
+        for one, seen, slope in zip(experiments, predicted, slopes, strict=True)
+    ]
     return sum((np.einsum("wmp,wmq->pq", one.jacobian, one.jacobian, optimize=True) for one in locals_), np.zeros(()))
 
 
-def _covariance(information: Array, scatter: Array, known: Knowledge) -> Array:
-    """Return the sandwich of the fitted parameters, with the share that those held have in it."""
+def _covariance(information: Array, scatter: Array, known: Knowledge) -> tuple[Array, Array]:
+    """Return the sandwich of the fitted parameters, with the share of those held in it, and ``Solution.carried``."""
     free = np.flatnonzero(~known.held)
     held = np.flatnonzero(known.held)
     inner = np.ix_(free, free)
-    covariance = known.held_covariance.copy()
+    covariance = np.zeros_like(information)
     covariance[inner] = _sandwich((information + known.information)[inner], (scatter + known.information)[inner])
+    carried = np.diag(known.held.astype(np.float64))
     inverse = inverted((information + known.information)[inner])
-    if len(held):
-        carried = -inverse @ (information + known.information)[np.ix_(free, held)]
-        of_held = known.held_covariance[np.ix_(held, held)]
-        covariance[inner] += carried @ of_held @ carried.T
-        covariance[np.ix_(free, held)] = carried @ of_held
-        covariance[np.ix_(held, free)] = covariance[np.ix_(free, held)].T
-    return covariance
+    carried[np.ix_(free, held)] = -inverse @ (information + known.information)[np.ix_(free, held)]
+    covariance += carried @ known.held_covariance @ carried.T
+    return covariance, carried
 
 
 def _sandwich(curvature: Array, scatter: Array) -> Array:
@@ -213,52 +236,68 @@ def inverted(information: Array) -> Array:
     return inverse
 
 
-def _sigmas(experiment: Experiment, parameters: Array, starts: Array) -> Array:
-    predicted = experiment.predict(parameters[None], starts[None])[0]
-    return experiment.sigmas(experiment.measured - predicted)
+def _predicted(experiments: Sequence[Experiment], point: Array, starts: Sequence[Array]) -> list[Array]:
+    """Return what each experiment predicts at one point, (W, M) each."""
+    return [one.predict(point[None], start[None])[0] for one, start in zip(experiments, starts, strict=True)]
 
 
-def _value(
+def _residuals(experiments: Sequence[Experiment], predicted: Sequence[Array], sigmas: Sequence[Array]) -> list[Array]:
+    """Return what is left of the measurements, in standard deviations."""
+    return [(one.measured - seen) / sigma for one, seen, sigma in zip(experiments, predicted, sigmas, strict=True)]
+
+
+def _sigmas(experiments: Sequence[Experiment], predicted: Sequence[Array]) -> list[Array]:
+    return [one.sigmas(one.measured - seen) for one, seen in zip(experiments, predicted, strict=True)]
+
+
+class _Slopes(NamedTuple):
+    """Derivatives of an experiment's predictions by the parameters (W, M, P) and by the starts (W, M, S)."""
+
+    by_parameter: Array
+    by_start: Array
+
+
+def _all_slopes(
     experiments: Sequence[Experiment],
-    point: Array,
+    predicted: Sequence[Array],
     starts: Sequence[Array],
-    sigmas: Sequence[Array],
-    known: Knowledge,
-) -> float:
-    residuals = [
-        (one.measured - one.predict(point[None], start[None])[0]) / sigma
-        for one, start, sigma in zip(experiments, starts, sigmas, strict=True)
-    ]
-    return _cost(residuals, known, point)
+    point: Array,
+    varied: npt.NDArray[np.bool_],
+    way: float = 1.0,
+) -> list[_Slopes]:
+    """Return each experiment's derivatives by the parameters that are ``varied``; those by the others are zero.
+
+    ``predicted`` is at ``point``. ``way`` is the side to which the parameters are varied: 1 or -1.
+    """
+    places = np.flatnonzero(varied)
+    count, found = len(places), []
+    for experiment, here, start in zip(experiments, predicted, starts, strict=True):
+        sets = np.repeat(point[None], count + start.shape[1], axis=0)
+        sets[np.arange(count), places] += way * STEP
+        moved = np.repeat(start[None], len(sets), axis=0)
+        for place, step in enumerate(experiment.start_steps):
+            moved[count + place, :, place] += step
+        changes = np.moveaxis(experiment.predict(sets, moved) - here, 0, -1)
+        by_parameter = np.zeros((*here.shape, len(point)))
+        by_parameter[..., places] = changes[..., :count] / (way * STEP)
+        found.append(_Slopes(by_parameter, changes[..., count:] / experiment.start_steps))
+    return found
 
 
 def _at(
     experiment: Experiment,
-    starts: Array,
+    predicted: Array,
+    slopes: _Slopes,
     sigma: Array,
-    point: Array,
-    varied: npt.NDArray[np.bool_],
-    *,
     by: Literal["start", "guess", "nothing"] = "start",
-    way: float = 1.0,
 ) -> _Local:
-    """Linearise an experiment in the parameters that are ``varied``; its derivatives by the others are zero.
+    """Return an experiment linearised where it predicts this.
 
     Residuals from the starts say what are outliers, or where these are a guess, what is left by the best starts; or no
-    residual is one. ``way`` is the side to which the parameters are varied: 1 or -1.
+    residual is one.
     """
-    places, own = np.flatnonzero(varied), starts.shape[1]
-    count = len(places)
-    sets = np.repeat(point[None], 1 + count + own, axis=0)
-    sets[1 + np.arange(count), places] += way * _STEP
-    moved = np.repeat(starts[None], len(sets), axis=0)
-    for place, step in enumerate(experiment.start_steps):
-        moved[1 + count + place, :, place] += step
-    predicted = experiment.predict(sets, moved)
-    residual = (experiment.measured - predicted[0]) / sigma
-    changes = np.moveaxis((predicted[1:] - predicted[0]) / sigma, 0, -1)
-    jacobian, by_start = np.zeros((*residual.shape, len(point))), changes[..., count:] / experiment.start_steps
-    jacobian[..., places] = changes[..., :count] / (way * _STEP)
+    residual = (experiment.measured - predicted) / sigma
+    jacobian, by_start = (slope / sigma[:, None] for slope in slopes)
     left = residual if by == "start" else _projected(by_start, residual[..., None])[..., 0]
     weights = np.ones_like(left) if by == "nothing" else huber_weights(left)
     roots = np.sqrt(weights)

@@ -75,19 +75,20 @@ class Multisine:
         return motion_through((pose, speeds, changes), rate, acceleration)
 
 
-_Tone = tuple[float, float, float]
-"""Amplitude of the speed, angular frequency [rad/s] and phase [rad]."""
+_Tone = tuple[float, float, float, float, float, float]
+"""Amplitude of the speed, angular frequency [rad/s] and phase [rad]; amplitudes of way and acceleration, and the sine
+of the phase."""
 
 
 def _sum(tones: tuple[_Tone, ...], t_s: float) -> Axes:
     """Return way, speed and acceleration of an axis after ``t_s``; the way is 0 at the start."""
     way = speed = change = 0.0
-    for amplitude, frequency, phase in tones:
+    for amplitude, frequency, phase, of_way, of_change, at_start in tones:
         angle = frequency * t_s + phase
         sine = math.sin(angle)
-        way += amplitude / frequency * (sine - math.sin(phase))
+        way += of_way * (sine - at_start)
         speed += amplitude * math.cos(angle)
-        change -= amplitude * frequency * sine
+        change -= of_change * sine
     return way, speed, change
 
 
@@ -116,9 +117,15 @@ def _tones(options: Multisine) -> tuple[tuple[_Tone, ...], ...]:
         options.yaw_acceleration_rad_s2 / float(np.abs(changes[2]).max()),
     )
     return tuple(
-        tuple((scale * float(a), float(frequency), float(phase)) for a, frequency, phase in zip(*both, strict=True))
+        tuple(
+            _tone(scale * float(a), float(frequency), float(phase)) for a, frequency, phase in zip(*both, strict=True)
+        )
         for scale, *both in zip((linear, linear, turning), shares, frequencies, phases, strict=True)
     )
+
+
+def _tone(amplitude: float, frequency: float, phase: float) -> _Tone:
+    return amplitude, frequency, phase, amplitude / frequency, amplitude * frequency, math.sin(phase)
 
 
 _Series = npt.NDArray[np.float64]
