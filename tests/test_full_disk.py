@@ -40,6 +40,21 @@ def test_a_recording_says_that_the_disk_is_full_what_is_lost_and_what_is_safe(tm
     assert exploring.stdout.split()[:2] == ["PASSED,", "INCOMPLETE"]
 
 
+@pytest.mark.skipif(sys.platform != "linux", reason="mounts a disk in a namespace, as Linux can")
+def test_a_service_that_finds_the_disk_full_says_what_to_do_and_leaves_nothing_there(tmp_path) -> None:
+    own = ["unshare", "--mount"] if os.geteuid() == 0 else ["unshare", "--mount", "--map-root-user"]
+    fill = 'cd "$1"; shift; head -c 2000000 /dev/zero > fill; "$@"; code=$?; find . -name "*token*"; exit $code'
+    serve = [*HIL, "serve", "circle_speed", "--set", "service.port=0"]
+    command = [*own, "sh", "-c", ON_A_SMALL_DISK, "sh", tmp_path, "sh", "-c", fill, "sh", tmp_path, *serve]
+    state = {"XDG_STATE_HOME": str(tmp_path / "state")}
+    done = subprocess.run(command, capture_output=True, text=True, check=False, env=environment() | state, timeout=120)
+    if done.returncode == 77 or done.stderr.startswith("unshare"):
+        pytest.skip(f"no disk may be mounted here: {done.stderr}")
+    assert done.returncode == 2
+    assert "it cannot be written (No space left on device); make room, or name one" in done.stderr, done.stderr
+    assert done.stdout == ""
+
+
 def test_a_disk_that_is_full_ends_the_trace_and_not_the_run(tmp_path):
     if not Path("/dev/full").exists():
         pytest.skip("needs /dev/full, as Linux has it")

@@ -5,6 +5,7 @@ without a traceback.
 """
 
 import difflib
+import errno
 from collections.abc import Iterable, Mapping
 
 
@@ -127,6 +128,11 @@ def _likeness(word: str, known: str) -> float:
     if sorted(word) == sorted(known):
         return 1.0  # the same letters in another order: the ratio below is too low for this in a short name
     return difflib.SequenceMatcher(None, known, word).ratio()
+
+
+def remedy(error: OSError, otherwise: str) -> str:
+    """Return what helps where a file cannot be written: on a full disk to make room, else what ``otherwise`` says."""
+    return f"make room, or {otherwise}" if error.errno in (errno.ENOSPC, errno.EDQUOT) else otherwise
 
 
 SEE_SIGNALS = "; `hil list signals` prints them all"

@@ -7,7 +7,7 @@ from itertools import count
 from pathlib import Path
 from typing import Literal
 
-from hil.core.errors import BadInputError
+from hil.core.errors import BadInputError, remedy
 
 Existing = Literal["refuse", "number", "replace"]
 """What to do when the file exists already.
@@ -51,7 +51,8 @@ def claim(what: str, path: Path, existing: Existing = "refuse") -> Path:
             continue
         except OSError as error:
             raise BadInputError(
-                f"{what} {name}: it cannot be written ({error.strerror}); choose a path that can be written"
+                f"{what} {name}: it cannot be written ({error.strerror}); "
+                + remedy(error, "choose a path that can be written")
             ) from error
         return name
     raise _exists_already(what, path)

@@ -35,12 +35,16 @@ def write_private(path: Path, text: str) -> None:
     with contextlib.suppress(FileNotFoundError):
         new.unlink()
     descriptor = os.open(new, os.O_WRONLY | os.O_CREAT | os.O_EXCL, PRIVATE)
-    with os.fdopen(descriptor, "w", encoding="utf-8") as file:
-        if hasattr(os, "fchmod"):
-            # Independent of the umask. By descriptor, because the name could become a symbolic link.
-            os.fchmod(descriptor, PRIVATE)
-        file.write(text)
-    new.replace(path)
+    try:
+        with os.fdopen(descriptor, "w", encoding="utf-8") as file:
+            if hasattr(os, "fchmod"):
+                # Independent of the umask. By descriptor, because the name could become a symbolic link.
+                os.fchmod(descriptor, PRIVATE)
+            file.write(text)
+        new.replace(path)
+    except OSError:  # a full disk
+        new.unlink(missing_ok=True)
+        raise
 
 
 def read_private(path: Path, what: str) -> str:

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from platformdirs import user_state_path
 
-from hil.core.errors import BadInputError
+from hil.core.errors import BadInputError, remedy
 from hil.core.private_files import private_folder, read_private, write_private
 
 SHORTEST = 16
@@ -26,7 +26,8 @@ def state_folder(kind: str) -> Path:
         return private_folder(folder)
     except OSError as error:
         raise BadInputError(
-            f"folder {folder}: it cannot be used ({error.strerror}); make it yourself, with mode 0700"
+            f"folder {folder}: it cannot be used ({error.strerror}); "
+            + remedy(error, "make it yourself, with mode 0700")
         ) from error
 
 
@@ -41,7 +42,8 @@ def make_token(path: Path) -> None:
         write_private(path, secrets.token_urlsafe(32) + "\n")
     except OSError as error:
         raise BadInputError(
-            f"token file {path}: it cannot be written ({error.strerror}); name one in a folder where you may write"
+            f"token file {path}: it cannot be written ({error.strerror}); "
+            + remedy(error, "name one in a folder where you may write")
         ) from error
 
 

@@ -14,6 +14,7 @@ from typing import Protocol
 
 import numpy as np
 
+from hil.core.errors import remedy
 from hil.core.outputs import release
 from hil.record.files import Rotation, check_writable, has_end, numbered_path, why_not_written
 from hil.record.keeping import ROOM_BYTES, Keeping, NoRoomError
@@ -82,8 +83,9 @@ class RunFiles:
             self._open()
         except (RuntimeError, OSError) as error:
             if not config["restarts"]:
-                reason = getattr(error, "strerror", None) or error
-                raise RefusedError(f"recording {self._path}: {reason}; choose a path that can be written") from error
+                reason, helps = getattr(error, "strerror", None) or error, "choose a path that can be written"
+                helps = remedy(error, helps) if isinstance(error, OSError) else helps
+                raise RefusedError(f"recording {self._path}: {reason}; {helps}") from error
             self._give_up(error)
 
     def event(self, t_s: float, level: str, text: str) -> None:

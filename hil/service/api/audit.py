@@ -20,7 +20,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from hil.core.errors import BadInputError
+from hil.core.errors import BadInputError, remedy
 from hil.service import logs
 from hil.service.api.access import Client
 from hil.service.messages import Action
@@ -64,7 +64,8 @@ class Audit:
             self._descriptor = self._opened()
         except OSError as error:
             raise BadInputError(
-                f"audit log {path}: it cannot be written ({error.strerror}); name another by --audit"
+                f"audit log {path}: it cannot be written ({error.strerror}); "
+                + remedy(error, "name another by --audit")
             ) from error
 
     def note(
