@@ -37,7 +37,7 @@ from hil.judge.expectations import figure_outcome
 from hil.judge.measure import NO_TRUTH, Figure
 from hil.judge.words import outcome_rows, why_not_passed
 from hil.review.figures import figures, read_for_figures
-from hil.scenario import from_plain, load, shipped, suite, to_plain
+from hil.scenario import from_plain, load, shipped_scenarios, suite_scenarios, to_plain
 from hil.scenario.baseline import Band, Baseline, asked_sha256, find, place, text_of
 from hil.scenario.load import SHIPPED_DIRECTORY
 from hil.scenario.trial import ExpectTable
@@ -306,11 +306,11 @@ def test_without_a_baseline_what_is_relative_to_it_fails_and_one_of_something_el
 # Where they are
 
 
-@pytest.mark.parametrize("name", sorted(shipped() | suite()))
+@pytest.mark.parametrize("name", sorted(shipped_scenarios() | suite_scenarios()))
 def test_every_shipped_scenario_has_the_baseline_of_what_it_asks(name: str) -> None:
     scenario = load(name)
     if scenario.baseline is None:
-        assert name not in shipped()
+        assert name not in shipped_scenarios()
         pytest.skip("a new member of the suite: cd hil/scenario/shipped/suite && hil baseline NAME")
     assert scenario.baseline.scenario_sha256 == asked_sha256(scenario)
     assert len(scenario.baseline.seeds) >= 10

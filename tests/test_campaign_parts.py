@@ -32,7 +32,7 @@ from hil.batch.store import ROWS, Store, read_rows
 from hil.core.errors import BadInputError
 from hil.robot.virtual import KeptRobot
 from hil.runtime.assembly import RunOptions, run_scenario
-from hil.scenario import from_plain, load, shipped, to_plain
+from hil.scenario import from_plain, load, shipped_scenarios, to_plain
 from tests.campaigns import write_plan
 
 RANDOM = "[axes]\nplant.start.mass_kg = {{ uniform = [16, 24] }}\n{more}"
@@ -96,7 +96,7 @@ def test_more_draws_and_another_axis_leave_the_draws_that_there_were(tmp_path: P
     assert not {run.key for run in other.runs} & {run.key for run in few.runs}
 
 
-@pytest.mark.parametrize("name", shipped())
+@pytest.mark.parametrize("name", shipped_scenarios())
 def test_a_scenario_is_the_same_after_a_way_as_json(name: str) -> None:
     scenario = load(name, set={"fault": [{"kind": "drop", "target": "command", "value": 0.1}]})
     again = from_plain(json.loads(json.dumps(to_plain(scenario))))

@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from hil.core.errors import BadInputError
-from hil.scenario import load, shipped
+from hil.scenario import load, shipped_scenarios
 
 BASE = 'extends = "paper_circle"\n'
 DROP = "[[fault]]\nkind = 'drop'\ntarget = 'command'\n"
@@ -204,7 +204,7 @@ def test_a_file_that_is_no_toml(text: str, line: str) -> None:
             "paper_circel",
             "scenario paper_circel: no shipped scenario has this name; did you mean 'paper_circle'?",
         ),
-        ("zzz", f"known: {', '.join(shipped())};"),
+        ("zzz", f"known: {', '.join(shipped_scenarios())};"),
         ("nowhere.toml", "scenario nowhere.toml: there is no file"),
         ("./", "cannot be read"),
     ],

@@ -15,7 +15,7 @@ from hil.core.options import options_of
 from hil.core.types import CommandMode
 from hil.laws.registry import make_controller
 from hil.references import make_reference
-from hil.scenario import Scenario, load, resolved, shipped
+from hil.scenario import Scenario, load, resolved, shipped_scenarios
 from hil.scenario.load import SHIPPED_DIRECTORY
 from hil.scenario.run import tables_of
 from hil.scenario.tables import RATES_HZ, FirmwareTable
@@ -40,7 +40,7 @@ def where(scenario: Scenario, key: str) -> str:
     return scenario.provenance[key]
 
 
-@pytest.mark.parametrize("name", shipped())
+@pytest.mark.parametrize("name", shipped_scenarios())
 def test_a_shipped_scenario_can_be_built(name: str) -> None:
     scenario = load(name)
     assert scenario.name == name
@@ -56,7 +56,7 @@ def test_a_shipped_scenario_can_be_built(name: str) -> None:
     )
 
 
-@pytest.mark.parametrize(("name", "line"), shipped().items())
+@pytest.mark.parametrize(("name", "line"), shipped_scenarios().items())
 def test_a_shipped_scenario_says_what_it_is(name: str, line: str) -> None:
     assert 20 < len(line) < 120, name
 
@@ -143,7 +143,7 @@ def test_a_robots_own_file_runs_any_scenario(here: Path) -> None:
         here / "robot.toml",
         "[robot]\nmass_kg = 8\n[device]\nwheels = ['fr', 'fl', 'rl', 'rr']\nreversed = ['fr']\n",
     )
-    for name in shipped():
+    for name in shipped_scenarios():
         scenario = load(name, robot=here / "robot.toml")
         assert scenario.robot.mass_kg == 8.0
         assert scenario.device.wheels == ("fr", "fl", "rl", "rr")

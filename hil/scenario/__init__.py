@@ -5,11 +5,11 @@ of its table, here (`tables.py`, `plant.py`, `trial.py`) or in the package that 
 `hil.estimation`); `hil.core.options` says how ranges and meanings are written.
 
 ``load("paper_circle", set=["robot.mass_kg=24"])`` returns a Scenario, ``resolved(scenario)`` every value and where it
-came from, ``shipped()`` and ``suite()`` the names that ``load`` takes.
+came from, ``shipped_scenarios()`` and ``suite_scenarios()`` the names that ``load`` takes.
 """
 
 from hil.core.options import format_value
-from hil.scenario.load import Sources, from_values, load, read, set_texts, shipped, suite
+from hil.scenario.load import Sources, from_values, load, read, set_texts, shipped_scenarios, suite_scenarios
 from hil.scenario.plant import SHIPPED_FMUS
 from hil.scenario.run import Scenario, from_plain, resolved, to_plain
 from hil.scenario.tables import DeviceTable, FirmwareTable, RealtimeTable, ServiceTable
@@ -19,5 +19,5 @@ from hil.scenario.values import StartValue
 __all__ = [
     "SHIPPED_FMUS", "DeviceTable", "ExpectTable", "FaultTable", "FirmwareTable", "RealtimeTable", "Scenario",
     "ServiceTable", "Sources", "StartValue", "format_value", "from_plain", "from_values", "load", "read",
-    "resolved", "set_texts", "shipped", "suite", "to_plain",
+    "resolved", "set_texts", "shipped_scenarios", "suite_scenarios", "to_plain",
 ]  # fmt: skip

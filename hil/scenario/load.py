@@ -52,12 +52,12 @@ class _File(NamedTuple):
         return layers.make_layer(tables, self.display, self.lines)
 
 
-def shipped() -> dict[str, str]:
+def shipped_scenarios() -> dict[str, str]:
     """Return the shipped scenarios by name, each with the first comment line of its file; without the suite's."""
     return dict(_titles(SHIPPED_DIRECTORY))
 
 
-def suite() -> dict[str, str]:
+def suite_scenarios() -> dict[str, str]:
     """Return the scenarios of the shipped suite, as ``shipped``."""
     return dict(_titles(SUITE_DIRECTORY))
 
@@ -150,7 +150,7 @@ def given(values: Mapping[str, object], sources: Mapping[str, str]) -> dict[str,
     Both arguments go by dotted key, ``sources`` as the provenance of a Scenario. Each value is a text, with where it is
     ``from``. Faults and expectations are left out, and of a scenario that extends no shipped one all files are.
     """
-    ours = {f"{name}{_SUFFIX}" for name in shipped() | suite()}
+    ours = {f"{name}{_SUFFIX}" for name in shipped_scenarios() | suite_scenarios()}
     of_file = {key: where.rpartition(":")[0] for key, where in sources.items()}
     extends = any(file in ours for file in of_file.values())
     return {
@@ -194,12 +194,15 @@ def _open_scenario(name: str | Path, extended_by: _File | None) -> _File:
     text = str(name)
     prefix = f"scenario {text}" if extended_by is None else _extends(extended_by, text)
     if isinstance(name, str) and not is_path(name):
-        known = shipped() | suite()
+        known = shipped_scenarios() | suite_scenarios()
         if name not in known:
             beside = f"; for the file write {name}{_SUFFIX}" if Path(f"{name}{_SUFFIX}").is_file() else ""
-            hint = beside or f"{nearest(name, known, nearest(name, shipped()))}; the path of a file ends in {_SUFFIX}"
+            hint = (
+                beside
+                or f"{nearest(name, known, nearest(name, shipped_scenarios()))}; the path of a file ends in {_SUFFIX}"
+            )
             raise BadInputError(f"{prefix}: no shipped scenario has this name{hint}")
-        folder = SHIPPED_DIRECTORY if name in shipped() else SUITE_DIRECTORY
+        folder = SHIPPED_DIRECTORY if name in shipped_scenarios() else SUITE_DIRECTORY
         return _read(folder / f"{name}{_SUFFIX}", f"{name}{_SUFFIX}", prefix)
     if extended_by is None:
         return _read(Path.cwd() / text, text, prefix)

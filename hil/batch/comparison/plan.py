@@ -20,7 +20,7 @@ from hil.core.options import build
 from hil.core.types import WHEEL_NAMES, CommandMode
 from hil.laws.registry import SHIPPED, load_law
 from hil.runtime.robots import plant_start
-from hil.scenario import SHIPPED_FMUS, Scenario, format_value, load, read, set_texts, shipped
+from hil.scenario import SHIPPED_FMUS, Scenario, format_value, load, read, set_texts, shipped_scenarios
 from hil.scenario.toml_text import parse_value
 from plant_fmu.shipped import variable_names
 
@@ -138,7 +138,7 @@ def _scenarios(request: Request, base: Scenario, table: Condition, robots: Seque
 def check_laws(scenario: str, sets: Sequence[str]) -> None:
     """Raise BadInputError for a law in the place of the scenario, which was forgotten, and for a law among ``sets``."""
     law = scenario.partition(",")[0]
-    if scenario not in shipped() and (law in SHIPPED or ":" in law):
+    if scenario not in shipped_scenarios() and (law in SHIPPED or ":" in law):
         raise BadInputError(
             f"scenario {scenario}: this is a law; the last argument is the scenario: one of hil list scenarios, or "
             "a file"

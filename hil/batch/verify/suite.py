@@ -19,7 +19,7 @@ from hil.plant import archive
 from hil.plant.description import start_defaults
 from hil.runtime.mutation.applied import moved
 from hil.runtime.robots import link_of, plant_start
-from hil.scenario import Scenario, load, shipped, suite
+from hil.scenario import Scenario, load, shipped_scenarios, suite_scenarios
 from hil.scenario.baseline import is_baseline, without_baselines
 from hil.scenario.load import SUITE_DIRECTORY
 
@@ -78,7 +78,11 @@ def read_suite(names: Sequence[str], *, baselines: bool = True) -> list[Member]:
     Raises BadInputError for what is neither, and for a scenario that does not run in this process in lockstep.
     """
     found: dict[str, Member] = {}
-    for name in without_baselines(names) or [*shipped(), *suite(), *map(str, SUITE_DIRECTORY.glob(_TESTS))]:
+    for name in without_baselines(names) or [
+        *shipped_scenarios(),
+        *suite_scenarios(),
+        *map(str, SUITE_DIRECTORY.glob(_TESTS)),
+    ]:
         path = Path(name)
         for one in _in_folder(path) if path.is_dir() else [name]:
             member = _member(str(one))
