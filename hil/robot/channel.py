@@ -47,7 +47,7 @@ class Channel:
         self._link = link
         self._client = client
         self._on_message = on_message
-        # To a robot in this thread a step is one call into the library, unless conditions act on feedback.
+        # To a robot in this thread a step without conditions is one call into the library.
         self._direct = link.transport if isinstance(link.transport, DirectLink) else None
         if self._direct is not None:
             self._direct.serve(client)
@@ -70,7 +70,7 @@ class Channel:
     def flush(self, *, everything: bool = False) -> None:
         """Send what waits in the client. Raises LinkError when the link is lost; what waited is then forgotten.
 
-        To a robot in this thread the next step carries it, unless conditions act now, much waits, or ``everything``.
+        To a robot in this thread the next step carries it, unless there are conditions, much waits, or ``everything``.
         """
         client = self._client
         view = client.view
@@ -88,9 +88,7 @@ class Channel:
 
     def _may_wait(self, everything: bool) -> bool:
         """Return whether the next step may carry what waits."""
-        if self._direct is None or everything or self._client.view.out_bytes >= _FULL:
-            return False
-        return self._is_plain or self._link.lets_commands_pass()
+        return self.is_carried and not everything and self._client.view.out_bytes < _FULL
 
     def _step_on_link(self, ticks: int) -> None:
         self._client.step(ticks)
@@ -98,19 +96,13 @@ class Channel:
         self._await_step()
 
     def _step_directly(self, direct: DirectLink, ticks: int) -> None:
-        self._finish_step(direct, direct.step(self._client, ticks))
-
-    def _finish_step(self, direct: DirectLink, left: Received | None) -> None:
-        """Take what the client left of the answer to a STEP."""
+        left = direct.step(self._client, ticks)
         if left is not None:
             self._attend(direct.answer, left.stamp_ns)
             self.take(left)
             self._await_step()
 
     def _step_under_conditions(self, direct: DirectLink, ticks: int) -> None:
-        if self._link.lets_feedback_pass():
-            self._finish_step(direct, self._link.step(direct, self._client, ticks))
-            return
         ready = self._link.exchange(direct, self._client, ticks)
         view = self._client.view
         while ready and view.step == _STEP_AWAITED:

@@ -71,10 +71,6 @@ class ConditionedLink:
         is_bare = observer is None and bus is None
         self.transport = link
         self.is_plain = is_bare and not self.may_hold and not self._changes_feedback
-        # Whether frames may skip the queues while no row acts. Observed commands may not: they would be stamped at the
-        # next step, which carries them, and not when they were sent.
-        self._may_pass_commands = is_bare and not command_latency_ns
-        self._may_pass_feedback = bus is None and not feedback_latency_ns
         self._send_packed = link.send_packed if isinstance(link, PackedLink) and bus is None else None
         self._receive_now = link.receive if observer is None else self._receive_from_wire
         self.send = self._send if self.may_hold or not is_bare else link.send
@@ -107,14 +103,6 @@ class ConditionedLink:
         return received
 
     # Commands
-
-    def lets_commands_pass(self) -> bool:
-        """Whether a command that is sent now passes at once, unchanged and unobserved."""
-        return self._may_pass_commands and (not self.may_hold or self._is_open(self._out))
-
-    def _is_open(self, way: Direction) -> bool:
-        t_ns = self._time.now_ns() if self._is_timed else None
-        return t_ns is None or (way.is_open(t_ns) and not (self._disconnects and self._is_cut(t_ns)))
 
     def _send(self, frame: Frame) -> None:
         self.send_all((frame,))
@@ -184,22 +172,10 @@ class ConditionedLink:
 
     # Feedback
 
-    def lets_feedback_pass(self) -> bool:
-        """Whether all feedback that comes now passes at once and unchanged."""
-        return not self._changes_feedback or (self._may_pass_feedback and not self._ready and self._is_open(self._in))
-
-    def step(self, transport: DirectTransport, client: Client, ticks: int) -> Received | None:
-        """Have a robot that answers at once make a STEP, while ``lets_feedback_pass``; return what the client left."""
-        left = transport.step(client, ticks)
-        if self._observer is not None:
-            self._observer.exchanged(*transport.crossed(), self.clock.now_ns())
-        return left
-
     def exchange(self, transport: DirectTransport, client: Client, ticks: int) -> deque[Received]:
         """Have a robot that answers at once make a STEP; return what ``receive`` would return now.
 
-        The client's frames must be exempt, or were added while ``lets_commands_pass``. ``receive`` returns later what
-        the caller leaves in the result.
+        The client's other frames must have been sent. ``receive`` returns later what the caller leaves in the result.
         """
         now_ns = self.clock.now_ns()
         if self._in.due_ns <= now_ns:

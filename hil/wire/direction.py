@@ -83,12 +83,6 @@ class Direction:
             return split(frames, limit)
         return [one for one in frames if one.id < limit] or None, [one for one in frames if one.id >= limit] or None
 
-    def is_open(self, t_ns: int) -> bool:
-        """Whether frames pass as they come: no row is at work, and none wait that go before them."""
-        if self._queue:
-            return False
-        return not (self._at_work if self._from_ns <= t_ns < self._until_ns else self._rows_at(t_ns))
-
     def _rows_at(self, t_ns: int) -> Sequence[_AtWork]:
         """Return the rows that are at work at a time of the scenario."""
         if not self._from_ns <= t_ns < self._until_ns:
