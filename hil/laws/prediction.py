@@ -22,6 +22,7 @@ from hil.core.types import (
     Pairs,
     Reference,
     State,
+    Twist,
     WheelCommand,
     Wheels,
 )
@@ -211,7 +212,13 @@ def speed_command(model: RobotModel, desired: Axes, predicted: Prediction, accel
 
 
 def extrapolate(reference: Reference, state: State, latency_s: float) -> Prediction:
-    """Return both ``latency_s`` [s] later, if the robot accelerates as the reference does. This needs no model."""
+    """Return both ``latency_s`` [s] later, if the robot accelerates and turns as the reference does. No model is needed.
+
+    The measured yaw rate is not used. It would close a second loop around that of the firmware, which has little
+    damping there: against yaw a wheel has a fifth of the inertia that it has against a push.
+    """
+    pose, (vx, vy, _) = state
+    state = State(pose, Twist(vx, vy, reference.twist.yaw_rate_rad_s))
     ax, ay, ah = reference.acceleration
     vx, vy, vh = latency_s * ax, latency_s * ay, latency_s * ah
     half_s = 0.5 * latency_s

@@ -87,8 +87,8 @@ class Profile:
     class Options:
         """Gains [1/s], braking share, bandwidth of the observers [rad/s] and lag of the speed estimate [s].
 
-        ``k1_1_s`` and ``k2_1_s`` are the two poles near the reference in TORQUE mode; ``speed_k1_1_s`` is the pole in
-        SPEED mode. ``braking_share`` is the share of the torque that the profile plans to brake with: 0.85 suffices
+        ``k1_1_s`` and ``k2_1_s`` are the two poles near the reference in TORQUE mode; in SPEED mode ``speed_k1_1_s``
+        is the pole of x and y, ``speed_turn_k1_1_s`` that of the heading. ``braking_share`` is the share of the torque that the profile plans to brake with: 0.85 suffices
         for a robot with 20 % more mass than configured. ``speed_lag_s`` is the delay of the firmware's estimate of a
         wheel's speed, 2 / tracking_bandwidth_rad_s. ``keeps_speed_limit`` applies to TORQUE mode, where no other law
         and no other part limits the wheel speed: with it the profile stays within the robot's wheel speed limit. In
@@ -100,6 +100,7 @@ class Profile:
         braking_share: Annotated[float, Range(gt=0, le=1)] = 0.85
         observer_rad_s: Annotated[float, RATE] = 70.0
         speed_k1_1_s: Annotated[float, RATE] = 12.0
+        speed_turn_k1_1_s: Annotated[float, RATE] = 4.0
         speed_lag_s: Annotated[float, Range(ge=0, le=1)] = 0.0133
         keeps_speed_limit: bool = True
 
@@ -107,9 +108,10 @@ class Profile:
         self._model = model
         self._torque = mode is CommandMode.TORQUE
         self._k1 = k1 = options.k1_1_s if self._torque else options.speed_k1_1_s
+        self._turn_k1 = turn_k1 = k1 if self._torque else options.speed_turn_k1_1_s
         self._speed_lag_s = options.speed_lag_s
         self._k2 = k2 = options.k2_1_s if self._torque else NAN
-        self.gains = Gains(k1, k1, k1, k2, k2, k2)
+        self.gains = Gains(k1, k1, turn_k1, k2, k2, k2)
         self._push_n_m_per_m_s2 = model.wheel_radius_m * model.effective_mass_kg / (2.0 * SQRT2)
         self._turn_n_m_per_rad_s2 = model.wheel_radius_m * model.effective_inertia_kg_m2 / (4.0 * model.lever_m)
         push_m_s2 = model.torque_limit_n_m / self._push_n_m_per_m_s2
@@ -175,18 +177,19 @@ class Profile:
     def _speed_command(self, reference: Reference, state: State, latency_s: float, dt_s: float) -> WheelCommand:
         """Return ω for q̇ = q̇_d + w(e), with the feedforward torque for the reference and the slope of the profile.
 
-        Over the latency the robot is extrapolated by its own speed and the reference's acceleration.
+        Over the latency the robot is extrapolated by its own speed and the reference's acceleration. The measured yaw
+        rate only limits the step: PROFILE.md says why.
         """
         model = self._model
         predicted = extrapolate(reference, state, latency_s)
-        (x, y, heading_error, vx, vy, yaw_rate), heading, (vx_d, vy_d, yaw_rate_d), _ = predicted
+        (x, y, heading_error, vx, vy, _), heading, (vx_d, vy_d, yaw_rate_d), _ = predicted
         ax, ay, yaw_acceleration = reference.acceleration
         x1, y1, x2, y2 = directions(heading)
         along_1, along_2 = vx_d * x1 + vy_d * y1, vx_d * x2 + vy_d * y2
         k1, braking = self._k1, self._braking_m_s2
         limit, step = self._turn_rad_s, self._turn_step_rad_s
-        low, high = _range(-limit, limit, yaw_rate, step)
-        turn, turn_slope = profile(heading_error, yaw_rate, k1, self._turn_braking_rad_s2, low, high)
+        low, high = _range(-limit, limit, state.twist.yaw_rate_rad_s - reference.twist.yaw_rate_rad_s, step)
+        turn, _ = profile(heading_error, 0.0, self._turn_k1, self._turn_braking_rad_s2, low, high)
         limit, step = self._push_speed_m_s(yaw_rate_d + turn), self._push_step_m_s
         now_1, now_2 = vx * x1 + vy * y1, vx * x2 + vy * y2
         low, high = _range(-limit - along_1, limit - along_1, now_1, step)
@@ -196,7 +199,6 @@ class Profile:
         # The slope counts only as far as the robot follows the profile, so that measurement noise is not fed forward.
         slope_1, slope_2 = slope_1 * in_step(now_1, rate_1), slope_2 * in_step(now_2, rate_2)
         ax, ay = ax + slope_1 * x1 + slope_2 * x2, ay + slope_1 * y1 + slope_2 * y2
-        yaw_acceleration += turn_slope * in_step(yaw_rate, turn)
         # Set points for the middle of the tick, minus the lag of the speed that the firmware measures.
         lead_s = 0.5 * dt_s - self._speed_lag_s
         # The speed limit comes last: it overrides lead, reference and step.

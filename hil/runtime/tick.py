@@ -143,8 +143,7 @@ class Tick:
                 measured, at_ns = feedback.speed_rad_s, feedback.robot_time_ns
                 command, saturated = self._guard.fade(command, saturated, measured, at_ns, state, self._latency.s)
         sequence = self._device.send(command)
-        if not self._is_lockstep:
-            self._measure_latency(sequence, feedback)
+        self._measure_latency(sequence, feedback)
         if self._shadows is not None:
             self._update_shadows(self._shadows, now.t_s, reference, inputs)
         self._applied = applied = make_applied(command, saturated, self._latency.s)
