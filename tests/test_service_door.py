@@ -27,6 +27,11 @@ if sys.platform != "win32":
 SOON_S = 0.5
 HALF_A_HEADER = b"POST /v1/estop HTTP/1.1\r\nHost: 127.0.0.1\r\nX-Half: "
 
+HANDSHAKE = (
+    b"GET /v1/live HTTP/1.1\r\nHost: %s\r\nUpgrade: websocket\r\nConnection: Upgrade\r\nSec-WebSocket-Version: 13\r\n"
+    b"Sec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\n%s\r\n"
+)
+
 
 @contextlib.contextmanager
 def connections(side: ControlSide, number: int, text: bytes) -> Iterator[list[socket.socket]]:
@@ -161,11 +166,10 @@ def test_the_websocket_has_room_for_64_and_others_are_told(side: ControlSide) ->
         text = side.request("GET", "/metrics").text
         return int(float(re.findall(r"^hil_api_live_clients (\S+)", text, re.MULTILINE)[0]))
 
-    handshake = (
-        f"GET /v1/live HTTP/1.1\r\nHost: {urlsplit(side.child.url).netloc}\r\nUpgrade: websocket\r\n"
-        f"Authorization: {side.headers['Authorization']}\r\nConnection: Upgrade\r\nSec-WebSocket-Version: 13\r\n"
-        "Sec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\n\r\n"
-    ).encode()
+    handshake = HANDSHAKE % (
+        urlsplit(side.child.url).netloc.encode(),
+        b"Authorization: %s\r\n" % side.headers["Authorization"].encode(),
+    )
     with connections(side, 64, handshake):
         wait_for(lambda: live_clients() == 64)
         refused = answer(side, handshake)
@@ -173,6 +177,12 @@ def test_the_websocket_has_room_for_64_and_others_are_told(side: ControlSide) ->
         assert b"64 clients are on the WebSocket" in refused
         assert estop_s(side) < 30.0
     wait_for(lambda: live_clients() == 0)
+
+
+@pytest.mark.parametrize("header", [b"Content-Length: 3\r\n", b"X-Long: " + 9000 * b"x" + b"\r\n", 200 * b"X: x\r\n"])
+def test_a_handshake_that_the_websocket_never_answers_is_dropped(side: ControlSide, header: bytes) -> None:
+    with connections(side, 3, HANDSHAKE % (urlsplit(side.child.url).netloc.encode(), header)) as strangers:
+        assert all(map(closed, strangers))
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="only Linux sets the limits of another process")

@@ -2,7 +2,8 @@
 
 A connection is in one of three rooms. Each has a limit of connections, beyond which the oldest is dropped, and of time.
 So clients that open connections and send nothing, or half a header, take room from each other, and never from a client
-whose requests have the token. WebSockets are counted where they are accepted (``server.Gate``).
+whose requests have the token. A WebSocket is in a room until its handshake is answered; those that are accepted are
+counted by ``server.Gate``.
 """
 
 import asyncio
@@ -10,9 +11,11 @@ import sys
 import time
 from collections import Counter
 from collections.abc import Callable
-from typing import Any
+from typing import Any, cast
 
+import h11
 from uvicorn.protocols.http.h11_impl import H11Protocol
+from uvicorn.protocols.websockets.websockets_sansio_impl import WebSocketsSansIOProtocol
 
 from hil.service import logs
 from hil.service.api.access import Headers
@@ -44,12 +47,12 @@ class _Room:
     def __init__(self, most: int, limit_s: float) -> None:
         self.most = most
         self.limit_s = limit_s
-        self.since_s: dict[Connection, float] = {}
+        self.since_s: dict[Guest, float] = {}
 
-    def oldest(self) -> "Connection":
+    def oldest(self) -> "Guest":
         return next(iter(self.since_s))
 
-    def overdue(self, now_s: float) -> list["Connection"]:
+    def overdue(self, now_s: float) -> list["Guest"]:
         return [one for one, since_s in self.since_s.items() if now_s - since_s > self.limit_s]
 
 
@@ -75,11 +78,12 @@ class Door:
         self._said: Counter[str] = Counter()
         self._say_s = 0.0
 
-    def protocol(self) -> type[H11Protocol]:
-        """Return the protocol for uvicorn, whose connections go through this door."""
-        return type("Connection", (Connection,), {"door": self})
+    def protocols(self) -> tuple[type[H11Protocol], type[WebSocketsSansIOProtocol]]:
+        """Return the protocols for uvicorn, HTTP and WebSocket, whose connections go through this door."""
+        own = {"door": self}
+        return type("Connection", (Connection,), own), type("Handshake", (Handshake,), own)
 
-    def enter(self, connection: "Connection", *, is_served: bool) -> None:
+    def enter(self, connection: "Guest", *, is_served: bool) -> None:
         """Put a connection into the room for its state; drop the oldest of a full room. One that is there stays."""
         room = self._strangers if not connection.is_known else self._served if is_served else self._guests
         if connection in room.since_s:
@@ -89,7 +93,7 @@ class Door:
             self._drop(room.oldest(), "crowded")
         room.since_s[connection] = time.monotonic()
 
-    def leave(self, connection: "Connection") -> None:
+    def leave(self, connection: "Guest") -> None:
         """Forget a connection that has ended or changes its room."""
         for room in (self._strangers, self._guests, self._served):
             room.since_s.pop(connection, None)
@@ -107,7 +111,7 @@ class Door:
                 logs.warning("connections dropped", **self.dropped - self._said)
                 self._said, self._say_s = self.dropped.copy(), now_s + _SAY_S
 
-    def _drop(self, connection: "Connection", cause: str) -> None:
+    def _drop(self, connection: "Guest", cause: str) -> None:
         self.leave(connection)
         self.dropped[cause] += 1
         connection.transport.abort()  # at once, whatever is unsent
@@ -140,14 +144,41 @@ class Connection(H11Protocol):
         """Handle what has arrived; a request that is whole is no longer waited for."""
         before = self.cycle
         super().handle_events()
-        if self.transport.get_protocol() is not self:  # it is a WebSocket now
-            self.door.leave(self)
-        elif self.cycle is not None and not self.cycle.response_complete:
+        if self.cycle is not None and not self.cycle.response_complete:
             if self.cycle is not before:
                 self.is_known = self.door.is_known(self.headers)
             self.door.enter(self, is_served=not self.cycle.more_body)
+
+    def handle_websocket_upgrade(self, event: h11.Request) -> None:
+        """Hand the connection over to a WebSocket, which waits for the end of its handshake."""
+        self.door.leave(self)
+        super().handle_websocket_upgrade(event)
+        handshake = cast(Handshake, self.transport.get_protocol())
+        handshake.is_known = self.door.is_known(self.headers)
+        self.door.enter(handshake, is_served=True)
 
     def on_response_complete(self) -> None:
         """Wait for the next request."""
         self.door.enter(self, is_served=False)
         super().on_response_complete()
+
+
+class Handshake(WebSocketsSansIOProtocol):
+    """A WebSocket of uvicorn that tells the door when its handshake is answered; uvicorn answers some of them never."""
+
+    door: Door
+    is_known = False
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        """Forget the connection."""
+        self.door.leave(self)
+        super().connection_lost(exc)
+
+    async def send(self, message: Any) -> None:
+        """Send what the application says; after its first answer nothing is waited for."""
+        await super().send(message)
+        if self.handshake_complete:
+            self.door.leave(self)
+
+
+Guest = Connection | Handshake

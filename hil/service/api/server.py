@@ -113,14 +113,15 @@ async def serve(
             writer.send({"ready": ready})
 
     door = Door(access.is_known)
+    http, websocket = door.protocols()
     gate = Gate(make_app(config, control, access, door.dropped), access, hosts, control)
     server = Server(
         uvicorn.Config(
             gate,
-            http=door.protocol(),
+            http=http,
             backlog=BATCH,
             timeout_keep_alive=10,  # the door's time for a client that has shown a token
-            ws="websockets-sansio",
+            ws=websocket,
             loop="asyncio",
             lifespan="off",
             ws_ping_interval=_PING_S,
