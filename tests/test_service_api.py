@@ -5,7 +5,7 @@ import stat
 import subprocess
 import sys
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from urllib.parse import urlsplit
 
 import httpx
@@ -16,9 +16,11 @@ from openapi_spec_validator import validate
 from prometheus_client.openmetrics.parser import text_string_to_metric_families as openmetrics_families
 from prometheus_client.parser import text_string_to_metric_families
 
+from hil.core.printable import printable
 from hil.service.messages import Action, Answer, ApiConfig, Phase
 from tests.processes import wait_for
 from tests.service_testbed import LIMITS, STATUS, ControlSide
+from tests.test_printable import EVIL, HARMFUL
 
 ROUTES = {
     ("GET", "/v1/status"): None,
@@ -187,14 +189,24 @@ def test_the_status_is_the_newest_and_fits_its_schema(side: ControlSide) -> None
     assert status["phase"] == "active"
     assert status["pose"] == list(STATUS.pose or ())
     assert status["lateness_us"]["p99.9"] is None, "JSON has no NaN"
-    side.status = STATUS.__class__(**{**_values(), "phase": Phase.FAULT, "task": None, "why": "encoder fl stands"})
+    side.status = replace(STATUS, phase=Phase.FAULT, task=None, why="encoder fl stands")
     wait_for(lambda: side.request("GET", "/v1/status").json()["why"] == "encoder fl stands")
     schema = side.request("GET", "/openapi.json").json()["components"]["schemas"]["Status"]
     assert set(status) == set(schema["properties"])
 
 
-def _values() -> dict:
-    return {name: getattr(STATUS, name) for name in STATUS.__slots__}
+def test_texts_of_a_device_a_law_or_a_path_reach_a_client_without_control_characters(side: ControlSide) -> None:
+    side.status = replace(STATUS, why=EVIL, link=EVIL, scenario=EVIL, realtime={"memory": EVIL})
+    wait_for(lambda: "title" in str(side.request("GET", "/v1/status").json()["why"]))
+    side.refuse(EVIL)
+    refused = side.request("POST", "/v1/arm")
+    assert refused.json() == {"detail": printable(EVIL)}
+    with side.live() as live:
+        pushed = str(live.recv(timeout=30.0))
+    shown = [side.request("GET", path).text for path in ("/v1/status", "/metrics")]
+    for text in (*shown, refused.text, pushed):
+        assert "title" in text
+        assert not HARMFUL.search(text)
 
 
 def test_a_control_process_that_says_nothing_is_a_gateway_timeout(side: ControlSide) -> None:

@@ -11,6 +11,7 @@ from functools import partial
 from typing import Any
 
 from hil.core.json_lines import LineReader, LineWriter, json_safe
+from hil.core.printable import printable
 from hil.service.api.access import NEEDED, UNLIMITED, Client
 from hil.service.api.audit import Audit
 from hil.service.messages import LONG, MOVING, SILENT_S, Action, Answer, Order, to_line
@@ -169,8 +170,9 @@ class Control:
         if record is None:
             self._end()
             return
+        record = _shown(json_safe(record))
         if (status := record.get("status")) is not None:
-            self.status = json_safe(status)
+            self.status = status
             self._received_s = time.monotonic()
             for event in self.watchers:
                 event.set()
@@ -187,3 +189,12 @@ class Control:
                 future.set_exception(NotDoneError("the service has ended"))
                 future.exception()  # marks it as read, because perhaps nobody waits for it
         self._open.clear()
+
+
+def _shown(value: Any) -> Any:
+    """Return what the control process says with all texts made ``printable``: a device, a law or a path is in them."""
+    if isinstance(value, dict):
+        return {key: _shown(item) for key, item in value.items()}
+    if isinstance(value, list):
+        return [_shown(item) for item in value]
+    return printable(value) if isinstance(value, str) else value

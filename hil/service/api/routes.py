@@ -10,6 +10,7 @@ from fastapi.responses import JSONResponse
 from fastapi.security import HTTPBearer
 from pydantic import BaseModel, Field
 
+from hil.core.printable import printable
 from hil.service.api.access import Access
 from hil.service.api.bodies import Body, bodies, sentence
 from hil.service.api.control import Control, NotDoneError
@@ -48,9 +49,9 @@ def make_app(config: ApiConfig, control: Control, access: Access, dropped: Mappi
     ``dropped`` are the numbers of connections that were dropped, by cause.
     """
     app = FastAPI(
-        title=f"hil serve: {config.title}",
+        title=printable(f"hil serve: {config.title}"),
         version="1",
-        description=f"Drives the robot behind {config.device}.",
+        description=printable(f"Drives the robot behind {config.device}."),
         # FastAPI's page would be blank: it loads its scripts from another machine.
         docs_url=None,
         redoc_url=None,
