@@ -1,4 +1,4 @@
-"""The judge of tools.chaos sees what it is there for, and the worlds of chaos are cleared away."""
+"""The judge of tools.chaos sees what it is there for. CI also runs it for two minutes, and all has to be well."""
 
 import random
 import signal
@@ -11,7 +11,6 @@ if sys.platform != "linux":
     pytest.skip("chaos needs pseudo-terminals, prlimit and signals", allow_module_level=True)
 
 from hil.service.messages import Action
-from tools.chaos.__main__ import chaos
 from tools.chaos.judge import Judge
 from tools.chaos.world import KINDS, World, until
 
@@ -49,10 +48,3 @@ def test_a_board_that_drives_on_without_host_and_guardian_is_seen(own_state: Non
         judge.must_stand = True
         assert until(lambda: judge.trouble, PATIENCE_S) == ["it moved though its host was dead or stopped"]
         judge.close()
-
-
-def test_a_short_chaos_ends_well_and_leaves_nothing(own_state: None, tmp_path: Path) -> None:
-    found = chaos("firmware", tmp_path / "world", random.Random(3), 5.0)
-    assert found["trouble"] == []
-    assert found["truths_moving"] > 0
-    assert found["rows"] > 0

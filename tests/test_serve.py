@@ -24,7 +24,7 @@ from hil.robot.truth import TruthClient
 from hil.scenario import load
 from hil.service.client import Client
 from hil.service.messages import Action
-from tests.processes import HIL, Device, device, environment, hil, is_running, wait_for
+from tests.processes import HIL, READY_S, Device, device, environment, hil, is_running, wait_for
 
 pytestmark = [pytest.mark.alone, pytest.mark.usefixtures("state_home")]
 OVERRIDES = ("--set", "loop.rate_hz=100")
@@ -59,7 +59,7 @@ class Serving:
     def line(self, event: str, **fields: str) -> dict[str, Any]:
         """Wait for a line of the log that was not there before, whose fields begin as given."""
         while True:
-            self.lines.append(line := self._come.get(timeout=30))
+            self.lines.append(line := self._come.get(timeout=READY_S))
             if line["event"] == event and all(str(line.get(name)).startswith(text) for name, text in fields.items()):
                 return line
 
@@ -177,19 +177,34 @@ def test_when_the_control_process_is_killed_the_firmware_stops_the_wheels(tmp_pa
             next_one.until(phase="disarmed")
 
 
-def test_when_the_api_process_is_killed_the_robot_ramps_down_and_the_api_comes_back(tmp_path: Path) -> None:
+def test_when_the_api_process_is_killed_or_hangs_the_robot_ramps_down_and_the_api_comes_back(tmp_path: Path) -> None:
     with serving(tmp_path) as service:
         service.drive()
         os.kill(service.api_pid, signal.SIGKILL)
-        status = service.until(phase="disarmed")
-        assert "the API process ended or hangs" in status["why"]
-        service.client.order(Action.ARM)
+        service.line("phase", why="the API process ended or hangs")
+        service.api_pid = int(service.line("API listens")["pid"])
+        assert "the API process ended or hangs" in service.until(phase="disarmed")["why"]
+        service.drive()
+        os.kill(service.api_pid, signal.SIGSTOP)
+        service.line("phase", why="the API process ended or hangs")
+        service.line("phase", phase="disarmed")
+        os.kill(service.api_pid, signal.SIGCONT)
+        service.until(phase="disarmed")
+        # At first it takes orders for ones that have waited.
+        wait_for(lambda: service.takes(Action.ARM))
         service.until(phase="active")
 
 
-def test_a_robot_that_was_unplugged_is_reconnected_and_is_not_armed_by_itself(tmp_path: Path) -> None:
+def test_a_device_has_one_service_which_has_it_also_while_it_is_unplugged(tmp_path: Path) -> None:
     with served_device(tmp_path) as (robot, service):
         service.drive()
+        link = ("--link", f"serial:{tmp_path / 'robot'}", "--set", "estimator.source=odometry")
+        second = hil("serve", "circle_speed", *OVERRIDES, *link, "--set", "service.port=0")
+        assert second.returncode == 3
+        assert f"(process {service.process.pid}) has had the device since" in second.stderr
+        run = hil("run", "circle_speed", *OVERRIDES, "--mode", "realtime", *link, "--record", "none")
+        assert run.returncode == 3
+        assert "hil ctl" in run.stderr
         robot.process.kill()
         robot.process.wait()
         away = service.until(phase="away")
@@ -235,24 +250,10 @@ def test_a_robot_with_other_parameters_is_never_armed(tmp_path: Path) -> None:
                 service.client.order(Action.ARM)
 
 
-def test_an_api_that_hangs_costs_the_motion_and_not_the_service(tmp_path: Path) -> None:
-    with serving(tmp_path) as service:
-        service.drive()
-        os.kill(service.api_pid, signal.SIGSTOP)
-        service.line("phase", why="the API process ended or hangs")
-        service.line("phase", phase="disarmed")
-        os.kill(service.api_pid, signal.SIGCONT)
-        service.until(phase="disarmed")
-        # At first it takes orders for ones that have waited.
-        wait_for(lambda: service.takes(Action.ARM))
-        service.until(phase="active")
-
-
 def test_a_service_waits_for_a_robot_that_is_not_there_yet(tmp_path: Path) -> None:
     port = tmp_path / "robot"
     with serving(tmp_path, "--link", f"serial:{port}", "--set", "estimator.source=odometry") as service:
-        status = service.until(phase="away")
-        assert str(port) in status["why"]
+        wait_for(lambda: str(port) in str(service.until(phase="away")["why"]))
         with pytest.raises(DeviceError, match="refused: the robot is away"):
             service.client.order(Action.ARM)
         with device("circle_speed", *OVERRIDES, "--mode", "realtime", "--link", f"serial:pty?symlink={port}"):
@@ -318,18 +319,6 @@ def test_gains_are_read_again_and_recordings_come_and_go(tmp_path: Path) -> None
             service.process.send_signal(signal.SIGHUP)
         assert service.process.wait(30) == 0
         service.line("phase", phase="disarmed")
-
-
-def test_a_device_has_one_service(tmp_path: Path) -> None:
-    with served_device(tmp_path) as (_, service):
-        service.until(phase="disarmed")
-        link = ("--link", f"serial:{tmp_path / 'robot'}", "--set", "estimator.source=odometry")
-        second = hil("serve", "circle_speed", *OVERRIDES, *link, "--set", "service.port=0")
-        assert second.returncode == 3
-        assert f"(process {service.process.pid}) has had the device since" in second.stderr
-        run = hil("run", "circle_speed", *OVERRIDES, "--mode", "realtime", *link, "--record", "none")
-        assert run.returncode == 3
-        assert "hil ctl" in run.stderr
 
 
 def test_lockstep_is_no_mode_for_a_service() -> None:
