@@ -41,7 +41,9 @@ def hidden_robot(seed: int) -> Hidden:
     spread = {"mass_kg": 0.15, "inertia_kg_m2": 0.3, "wheel_radius_m": 0.02, "half_length_m": 0.02,
               "half_width_m": 0.02, "wheel_inertia_kg_m2": 0.3, "motor_constant_n_m_a": 0.1}  # fmt: skip
     believed = {name: float(true[name] * np.exp(random.normal(0.0, sigma))) for name, sigma in spread.items()}
-    return Hidden(true, believed, float(random.normal(0.0, 0.01)))
+    bias_rad_s = float(random.normal(0.0, 0.01))
+    true["roller_friction_coefficient"] = between(0.005, 0.02)
+    return Hidden(true, believed, bias_rad_s)
 
 
 def scenario_text(robot: Hidden, plant: dict[str, object], seed: int) -> str:

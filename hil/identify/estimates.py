@@ -4,8 +4,8 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
-from hil.identify.fit import WITH_SLIP, WITHOUT_BLOCKS, Result, values_of
-from hil.identify.floor import GAINS, GYRO_BIAS
+from hil.identify.fit import WITHOUT_BLOCKS, Result, values_of
+from hil.identify.floor import NUISANCES
 from hil.identify.robust import Z_95
 
 SCALED = ("mass_kg", "inertia_kg_m2", "wheel_inertia_kg_m2", "viscous_n_m_s_rad")
@@ -41,8 +41,7 @@ class Estimate(NamedTuple):
 def estimates(result: Result, weighed_kg: float | None = None) -> tuple[Estimate, ...]:
     """Return the values of the chosen model. ``weighed_kg`` is the mass on a scale: it gives the torque constant.
 
-    Intervals are sandwiches over windows. Those of ``SHARED`` are widened without blocks, by ``WITHOUT_BLOCKS``,
-    and that of the friction with slip by ``WITH_SLIP``.
+    Intervals are sandwiches over windows. Those of ``SHARED`` are widened without blocks, by ``WITHOUT_BLOCKS``.
     """
     model, constant = result.chosen, result.torque_constant_n_m_a
     names = [one.name for one in model.parameters]
@@ -52,14 +51,13 @@ def estimates(result: Result, weighed_kg: float | None = None) -> tuple[Estimate
     without = 1.0 if result.blocks is not None else WITHOUT_BLOCKS
     found = []
     for place, parameter in enumerate(model.parameters):
-        if parameter is GYRO_BIAS or parameter in GAINS:
+        if parameter in NUISANCES:
             continue
         name, variance, value = parameter.name, covariance[place, place], values[parameter.name]
         if weighed_kg is not None and name in SCALED:
             value *= factor
             variance += covariance[mass, mass] - 2.0 * covariance[place, mass]
-        slipping = WITH_SLIP if name == "friction_coefficient" and model.contact == "slip" else 1.0
-        half = Z_95 * slipping * (without if name in SHARED else 1.0) * float(np.sqrt(max(variance, 0.0)))
+        half = Z_95 * (without if name in SHARED else 1.0) * float(np.sqrt(max(variance, 0.0)))
         if parameter.unit is None:
             low, high, wide = value * np.exp(-half), value * np.exp(half), half > WIDE
         else:

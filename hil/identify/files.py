@@ -35,15 +35,13 @@ def check_files(folder: Path, existing: Existing) -> None:
 def robot_text(result: Result, found: Sequence[Estimate], made_from: Sequence[Drive]) -> str:
     """Return a robot's file: the tables that a robot of the first recording had, with what was found in them."""
     values, by_name = made_from[0].values, {one.name: one for one in found}
-    share = result.robot.lever_m / result.believed.lever_m
     lines = ["# A robot as it was identified. Runs any scenario on it: hil run SCENARIO --robot FILE"]
     lines += [f"# {line}" for line in provenance(result, made_from)]
     lines += ["", "[robot]"]
     for name in _ROBOT:
         if name in ("half_length_m", "half_width_m"):
             lever = by_name["lever_m"]
-            length = getattr(result.believed, name) * share
-            lines.append(_line(name, length, f"their sum {_interval(lever)}"))
+            lines.append(_line(name, getattr(result.robot, name), f"their sum {_interval(lever)}"))
         elif name in by_name:
             lines.append(_line(name, by_name[name].value, _words(by_name[name])))
         else:

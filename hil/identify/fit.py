@@ -4,7 +4,7 @@ import contextlib
 import functools
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -12,7 +12,7 @@ import plant_fmu
 from hil.core.model import RobotModel
 from hil.identify.blocks import BlocksFit, fit_blocks
 from hil.identify.currents import quiet
-from hil.identify.floor import GAINS, GYRO_BIAS, Floor, Parameter, variable
+from hil.identify.floor import GAINS, GYRO_BIAS, STRETCH, Floor, Parameter, variable, variables_of
 from hil.identify.gauss_newton import STEP, Knowledge, Solution, inverted, solve
 from hil.identify.held_out import Prediction, predict
 from hil.identify.identifiability import Outlook, check_excitation, outlook
@@ -37,14 +37,13 @@ RIGID = (
 SLIP = (*RIGID, variable("grip_coefficient"), variable(ROLLERS, 0.01))
 LENGTHS = ("wheel_radius_m", "lever_m")
 _FIRST = {"friction_coefficient": 0.02, "viscous_n_m_s_rad": 0.02, "grip_coefficient": 0.7,
-          ROLLERS: 0.01, "com_x_m": 0.0, "com_y_m": 0.0}  # fmt: skip
+          ROLLERS: 0.01, "com_x_m": 0.0, "com_y_m": 0.0, STRETCH.name: 0.0}  # fmt: skip
 _WIDEST = 6.0
 _SMALL = 1e-3
 _GRIP_SIGMA = 0.3  # of its logarithm: rubber on floors
 _ROLLER_SIGMA = 1.0  # of 0.01
+_LENGTH_SIGMA = 0.02  # of half the length and half the width, as somebody measured them
 _MOST_SLIP_WINDOWS = 60
-WITH_SLIP = 1.5
-"""By which the interval of the friction is widened where the rollers' own is fitted too, measured on random robots."""
 WITHOUT_BLOCKS = 2.5
 """By which intervals of what mass and wheels share are widened without wheels on blocks, measured on random robots."""
 
@@ -144,7 +143,7 @@ def fit(
     chosen = min(models, key=lambda model: model.held_out.rms_m)
     return Result(
         first.robot,
-        robot,
+        _with_lengths(robot, chosen.start),
         torque_constant,
         seen,
         kinematics,
@@ -169,6 +168,10 @@ def _joined(found: Sequence[Kinematics]) -> Kinematics:
     return best[0]._replace(radius_m=float(radius), lever_m=float(lever), covariance=total)
 
 
+def _with_lengths(robot: RobotModel, found: Mapping[str, Any]) -> RobotModel:
+    return replace(robot, **{name: float(found[name]) for name in ("half_length_m", "half_width_m")})
+
+
 def _geometry(robot: RobotModel) -> dict[str, Value]:
     return {name: getattr(robot, name) for name in ("wheel_radius_m", "half_length_m", "half_width_m")}
 
@@ -187,10 +190,10 @@ class _Before(NamedTuple):
     gain_variance: Array
 
     def parameters(self, contact: str) -> tuple[Parameter, ...]:
-        """Return what is fitted, then radius, lever, the currents' gains and the gyro's bias."""
+        """Return what is fitted, the lengths, the currents' gains, and last the gyro's bias."""
         shares = {name: getattr(self.robot, name) / self.robot.lever_m for name in ("half_length_m", "half_width_m")}
         lengths = (variable("wheel_radius_m"), Parameter("lever_m", shares))
-        return (*(RIGID if contact == "rigid" else SLIP), *lengths, *GAINS, GYRO_BIAS)
+        return (*(RIGID if contact == "rigid" else SLIP), STRETCH, *lengths, *GAINS, GYRO_BIAS)
 
     def point(self, parameters: Sequence[Parameter], fitted: Mapping[str, float]) -> Array:
         """Return the numbers with which a fit begins; ``fitted`` are values of a simpler model."""
@@ -259,7 +262,8 @@ def _squeezed(
 
     def found(numbers: Array) -> Squeeze:
         values = values_of(model._replace(solution=model.solution._replace(parameters=numbers)))
-        return grip_of(squeeze, before.robot, values, before.torque_constant_n_m_a)
+        robot = _with_lengths(before.robot, variables_of(model.parameters, numbers))
+        return grip_of(squeeze, robot, values, before.torque_constant_n_m_a)
 
     numbers, covariance = model.solution.parameters.copy(), model.solution.covariance.copy()
     squeezed = found(numbers)
@@ -282,9 +286,8 @@ def _judged(
     contact: str, parameters: tuple[Parameter, ...], solution: Solution, before: "_Before", held_out: Drive
 ) -> Fitted:
     """Return a model with its start values and its error on the held-out drive."""
-    start = _shared(contact)
-    for one, number in zip(parameters, solution.parameters, strict=True):
-        start |= {name: float(factor * one.value(number)) for name, factor in one.variables.items()}
+    found = variables_of(parameters, solution.parameters)
+    start = _shared(contact) | {name: float(value) for name, value in found.items()}
     bias = float(GYRO_BIAS.value(solution.parameters[-1]))
     constant = before.torque_constant_n_m_a
     prediction = predict(held_out, before.robot, bias, plant_fmu.path(2), start, constant)
@@ -314,6 +317,10 @@ def _known(parameters: Sequence[Parameter], point: Array, before: _Before) -> Kn
         places += gains
         rows = np.concatenate([np.eye(2), np.full((2, len(gains)), -1.0 / len(gains))], axis=1)
         known.information[np.ix_(places, places)] = rows.T @ inverted(covariance) @ rows
+    robot, place = before.robot, names.index(STRETCH.name)
+    sigma_m = np.sqrt(2.0) * _LENGTH_SIGMA * robot.half_length_m * robot.half_width_m / robot.lever_m
+    known.mean[place] = 0.0  # as it was believed; a simpler model may have moved the point
+    known.information[place, place] = (STRETCH.internal(1.0) * sigma_m) ** -2
     if "grip_coefficient" in names:
         known.information[(names.index("grip_coefficient"),) * 2] = _GRIP_SIGMA**-2
         known.information[(names.index(ROLLERS),) * 2] = _ROLLER_SIGMA**-2

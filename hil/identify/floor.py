@@ -55,6 +55,19 @@ GYRO_BIAS = Parameter("gyro_bias_rad_s", {}, 0.01)
 
 GAINS = tuple(Parameter(f"current_gain.{wheel}", {}) for wheel in WHEEL_NAMES)
 """Factors of the four measured currents; all of them are in a fit's parameters, or none."""
+STRETCH = Parameter("stretch_m", {"half_length_m": 1.0, "half_width_m": -1.0}, 0.005)
+"""By how much half the length is larger than its believed share of the lever, and half the width smaller."""
+NUISANCES = (GYRO_BIAS, *GAINS, STRETCH)
+"""What is fitted, or doubted, so that the intervals of the others are honest."""
+
+
+def variables_of(parameters: Sequence[Parameter], numbers: Array) -> dict[str, Array]:
+    """Return the FMU's variables for the fit's numbers, of shape (..., P): of each the sum over its parameters."""
+    found: dict[str, Array] = {}
+    for place, one in enumerate(parameters):
+        for name, factor in one.variables.items():
+            found[name] = found.get(name, np.zeros(())) + factor * one.value(numbers[..., place])
+    return found
 
 
 class Floor:
@@ -87,7 +100,7 @@ class Floor:
         count = len(TWIST) if by_twist else 0
         self.starts, self.start_steps = windows.twist[:, :count], _TWIST_STEPS[:count]
         self.least_sigmas = np.tile(_SENSORS, self.measured.shape[1] // MEASURED)
-        names = [name for one in parameters for name in one.variables]
+        names = list(dict.fromkeys(name for one in parameters for name in one.variables))
         row_ns = round(windows.period_s * 1e9)
         self._stepper = WindowStepper(
             fmu,
@@ -102,12 +115,8 @@ class Floor:
     def predict(self, parameters: Array, starts: Array) -> Array:
         """See ``Experiment``. A start is the body's twist, of shape (3,)."""
         sets, windows = len(parameters), len(self._windows.first)
-        columns = [
-            factor * one.value(parameters[:, place])
-            for place, one in enumerate(self._parameters)
-            for factor in one.variables.values()
-        ]
-        shared = np.repeat(np.stack(columns, axis=1), windows, axis=0)
+        columns = variables_of(self._parameters, parameters)
+        shared = np.repeat(np.stack(list(columns.values()), axis=1), windows, axis=0)
         cases = np.concatenate([shared, starts.reshape(sets * windows, -1)], axis=1)
         seen = self._stepper.run(*self._torques(parameters), cases)
         means = mean_of_samples(seen, self._windows.rows_a_bin).reshape(sets, windows, -1, MEASURED)

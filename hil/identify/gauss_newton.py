@@ -24,6 +24,8 @@ _NEW_SIGMAS = 3
 _NOTHING = 1e-14
 _OPEN = 1e-10
 _LONGEST = 0.7
+_RISES = 1.0
+_SHORTER = (0.3, 0.0)
 _HALVINGS = 4
 
 
@@ -145,8 +147,7 @@ def solve(
             step[free] = np.linalg.solve(matrix, gradient[free])
             step *= min(1.0, _LONGEST / max(float(np.abs(step).max()), 1e-12))
             tried = np.clip(point + step, *bounds)
-            moved = [start + _start_step(local, tried - point) for local, start in zip(locals_, starts, strict=True)]
-            there = _predicted(experiments, tried, moved)
+            moved, there = _moved(experiments, locals_, starts, tried, tried - point, sigmas)
             now = _cost(_residuals(experiments, there, sigmas), known, tried)
             if now <= cost:
                 found = tried, moved, there, now
@@ -344,6 +345,46 @@ def _cost(residuals: Sequence[Array], known: Knowledge, point: Array) -> float:
     return sum(float(huber_loss(residual).sum()) for residual in residuals) + 0.5 * float(
         away @ known.information @ away
     )
+
+
+def _moved(
+    experiments: Sequence[Experiment],
+    locals_: Sequence[_Local],
+    starts: Sequence[Array],
+    tried: Array,
+    step: Array,
+    sigmas: Sequence[Array],
+) -> tuple[list[Array], list[Array]]:
+    """Return the starts after a step of the parameters, and what is predicted from them.
+
+    A window whose cost rises by its own step takes a part of it, or none: a wheel may stick from there.
+    """
+    moved, there = [], []
+    for experiment, local, start, sigma in zip(experiments, locals_, starts, sigmas, strict=True):
+        by = _start_step(local, step)
+        ends = start + by
+        seen = experiment.predict(tried[None], ends[None])[0]
+        costs = _window_costs(experiment, seen, sigma)
+        if np.any(costs > huber_loss(local.residual).sum(axis=1) + _RISES):
+            fewer = np.stack([start + share * by for share in _SHORTER])
+            others = experiment.predict(np.repeat(tried[None], len(fewer), axis=0), fewer)
+            for end, other in zip(fewer, others, strict=True):
+                cost = _window_costs(experiment, other, sigma)
+                better = cost < costs
+                ends, seen, costs = (
+                    np.where(better[:, None], end, ends),
+                    np.where(better[:, None], other, seen),
+                    np.minimum(cost, costs),
+                )
+        moved.append(ends)
+        there.append(seen)
+    return moved, there
+
+
+def _window_costs(experiment: Experiment, predicted: Array, sigma: Array) -> Array:
+    """Return Huber's loss of each window, of shape (W,)."""
+    cost: Array = huber_loss((experiment.measured - predicted) / sigma).sum(axis=1)
+    return cost
 
 
 def _start_step(local: _Local, step: Array) -> Array:

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from hil.core.errors import BadInputError
-from hil.identify.floor import GYRO_BIAS, Parameter
+from hil.identify.floor import NUISANCES, Parameter
 from hil.identify.gauss_newton import Experiment, Knowledge, information_of
 from hil.identify.recorded import Array, Drive
 from hil.identify.windows import twists
@@ -105,7 +105,7 @@ def outlook(
     Raises BadInputError for drives that leave mass, inertia or friction open.
     """
     information = information_of(experiments, point) / _NOISE**2 + known.information
-    fitted = [place for place, one in enumerate(parameters) if not known.held[place] and one is not GYRO_BIAS]
+    fitted = [place for place, one in enumerate(parameters) if not known.held[place] and one not in NUISANCES]
     inner = information[np.ix_(fitted, fitted)]
     values, vectors = np.linalg.eigh(inner)
     unknown = []
