@@ -122,7 +122,7 @@ def test_with_a_killed_campaign_its_workers_end_whatever_they_do_and_no_folder_o
     monkeypatch.setenv("TMPDIR", str(temporary))
     (tmp_path / "laws.py").write_text(HELD_UP_IN_C)
     plan = write_plan(tmp_path, 'laws = ["./laws.py:Stuck"]\nkeep = "all"')
-    campaign = start(plan, "--out", out, "--workers", "1")
+    campaign = start(plan, "--out", out, "--jobs", "1")
     wait_for((tmp_path / "begun").exists)
     family = psutil.Process(campaign.pid).children(recursive=True)
     assert any(MODULE in process.cmdline() for process in family)
@@ -142,7 +142,7 @@ def test_a_campaign_that_was_stopped_or_killed_goes_on_with_no_run_twice_or_lost
 ) -> None:
     more = 'laws = ["afdsc", "dsc"]\nseeds = 2\nsamples = {}\nkeep = "none"'
     plan, out = write_plan(tmp_path, more.format(10), MASSES + FRICTION), tmp_path / "out"
-    stopped = start(plan, "--out", out, "--workers", "1")
+    stopped = start(plan, "--out", out, "--jobs", "1")
     wait_for(lambda: rows_written(out) >= 1)
     stopped.send_signal(signal.SIGINT)
     _, told = stopped.communicate(timeout=60)
@@ -152,7 +152,7 @@ def test_a_campaign_that_was_stopped_or_killed_goes_on_with_no_run_twice_or_lost
         told == f"hil: interrupted; {done} of 120 runs are done and saved in {out}; run the same command to continue\n"
     )
     files = rows_written(out)
-    killed = start(plan, "--out", out, "--workers", "1")
+    killed = start(plan, "--out", out, "--jobs", "1")
     wait_for(lambda: rows_written(out) > files)
     killed.kill()
     killed.communicate()
@@ -320,17 +320,17 @@ def test_what_is_behind_a_link_is_asked_what_it_cannot_do_before_anything_runs(t
         (f'{makers}loop.mode = "realtime"', "real motors would move; add --allow-motion"),
     ):
         plan = write_plan(tmp_path, 'keep = "none"', tables)
-        done = CliRunner().invoke(app, ["campaign", str(plan), "--dry-run", "--workers", "1"])
+        done = CliRunner().invoke(app, ["campaign", str(plan), "--dry-run", "--jobs", "1"])
         assert isinstance(done.exception, BadInputError)
         assert sentence in str(done.exception)
     assert Campaign(plan, allow_motion=True).on_bench
     bench = write_plan(tmp_path, 'keep = "none"', f"{url}{odometry}", name="bench.toml")
-    for more in ([], ["--scheduler", "tcp://127.0.0.1:1"]):  # one run at a time needs no --workers 1
+    for more in ([], ["--scheduler", "tcp://127.0.0.1:1"]):  # one run at a time needs no --jobs 1
         dry = json.loads(in_process("campaign", bench, "--dry-run", "--json", "--out", tmp_path / "out", *more))
         assert dry["workers"] == 1
     fixes = 'loop.mode = "realtime"\nestimator.source = "fused"\nestimator.fix = "udp://127.0.0.1:5000"'
     plan = write_plan(tmp_path, 'keep = "none"', fixes)
-    done = CliRunner().invoke(app, ["campaign", str(plan), "--dry-run", "--workers", "2"])
+    done = CliRunner().invoke(app, ["campaign", str(plan), "--dry-run", "--jobs", "2"])
     assert "there is one bench behind the link or the pose fixes" in str(done.exception)
 
 
@@ -500,8 +500,8 @@ def test_runs_behind_a_link_are_done_one_at_a_time_where_the_bench_is(tmp_path: 
         rows = do(plan, tmp_path / "out", Place(cluster.address, 0, LIMIT_S))
         assert [row["outcome"] for row in rows] == ["passed", "passed"], rows
         assert {row["machine.worker"].split()[1] for row in rows} == {"with"}
-        refused = CliRunner().invoke(app, ["campaign", str(plan), "--workers", "2"])
-        assert "--workers 2: there is one bench behind the link" in str(refused.exception)
+        refused = CliRunner().invoke(app, ["campaign", str(plan), "--jobs", "2"])
+        assert "--jobs 2: there is one bench behind the link" in str(refused.exception)
 
 
 def test_two_campaigns_share_a_cluster_and_leave_no_process_there(tmp_path: Path, cluster: Cluster) -> None:

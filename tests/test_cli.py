@@ -37,7 +37,7 @@ SHORT = ("--set", "loop.duration_s=0.5", "--set", "expect=[]")
 
 
 def test_the_same_run_in_two_processes_gives_equal_figures_and_bytes(tmp_path: Path):
-    short = ("--set", "loop.duration_s=6", "--set", "loop.rate_hz=200", "--set", "expect.0.from_s=5")
+    short = ("--set", "loop.duration_s=6", "--set", "loop.rate_hz=200", "--set", "expect.1.from_s=5")
     lockstep = ("paper_circle", "--mode", "lockstep", *short)
     one = run_json(*lockstep, cwd=tmp_path)
     two = run_json(*lockstep, cwd=tmp_path, by=hil_process)
@@ -68,7 +68,7 @@ def test_run_prints_figures_and_the_next_commands(tmp_path: Path):
 
 
 def test_failed_expectation_is_exit_code_1(tmp_path: Path):
-    done = hil("run", "paper_circle", "--record", "none", "--set", "expect.0.below=0.001", cwd=tmp_path)
+    done = hil("run", "paper_circle", "--record", "none", "--set", "expect.1.below=0.001", cwd=tmp_path)
     assert done.returncode == 1
     assert "failed" in done.stdout
 

@@ -91,7 +91,7 @@ def test_a_machine_without_a_compiler_builds_installs_and_runs_the_wheel(tmp_pat
     [installed] = (tmp_path / "venv").rglob("mecanum_hil-*.dist-info")
     link_packages(installed.parent, Distribution.at(installed).requires or ())
     assert "No broken requirements" in run(*there, "check", cwd=tmp_path, environment=bare)
-    short = ("--set", "loop.duration_s=2", "--set", "expect.0.from_s=1", "--set", "expect.0.to_s=2")
+    short = ("--set", "loop.duration_s=2", "--set", "expect.1.from_s=1", "--set", "expect.1.to_s=2")
     said = run(hil, "run", "paper_circle", *short, "--record", "none", "--json", cwd=tmp_path, environment=bare)
     assert json.loads(said)["passed"] is True
     for fmu in sorted(Path(name).stem for name in fmus):

@@ -97,7 +97,7 @@ def test_a_figure_of_a_run_that_ended_early_is_not_judged() -> None:
 def test_an_unknown_figure_is_refused_with_its_place_and_near_names(tmp_path: Path) -> None:
     path = tmp_path / "wrong.toml"
     path.write_text('extends = "paper_circle"\n[[expect]]\nfigure = "steady_rms"\nbelow = 1\n')
-    with pytest.raises(BadInputError, match=r'wrong.toml:3: expect.0.figure = "steady_rms"; .*did you mean .*_rms_m'):
+    with pytest.raises(BadInputError, match=r'wrong.toml:3: expect.1.figure = "steady_rms"; .*did you mean .*_rms_m'):
         RunParts(load(str(path)))
 
 
@@ -118,8 +118,8 @@ def test_an_unknown_figure_is_refused_with_its_place_and_near_names(tmp_path: Pa
             'at_rest = true\nwithin_s = 1\nafter_fault = "push"',
             "no fault has this name or kind; known: drop",
         ),
-        ("at_rest = true\nwithin_s = 1\nafter_fault = 9", "expected a place from 0 to 2"),
-        ("at_rest = true\nwithin_s = 1\nafter_fault = true", "expected the name of a fault, its kind, or its place"),
+        ("at_rest = true\nwithin_s = 1\nafter_fault = 9", "expected a row from 1 to 3"),
+        ("at_rest = true\nwithin_s = 1\nafter_fault = true", "expected the name of a fault, its kind, or its row"),
         ('at_rest = true\nwithin_s = 1\nafter_fault = "drop"', "2 faults are of this kind; name one of them"),
         ('at_rest = true\nwithin_s = 1\nafter_fault = "pull"\nfrom_s = 1', "remove from_s"),
         ('at_rest = true\nwithin_s = 1\nafter_fault = "pull"\nto_s = 2.5', "expected a time after 3 s"),
@@ -212,10 +212,10 @@ def test_a_robot_must_be_at_rest_so_long_after_a_fault_and_may_drive_again_after
     assert result.metrics["expect"][2]["violation_s"] == pytest.approx(1.8), "and there it drives"
 
 
-def test_a_fault_is_named_by_its_name_its_kind_or_its_place() -> None:
+def test_a_fault_is_named_by_its_name_its_kind_or_its_row() -> None:
     rows = [FaultTable("drop", "command", start_s=1.0), FaultTable("drop", "feedback", start_s=2.0, name="late"),
             FaultTable("push", "force_x_n", start_s=4.0, end_s=4.2, value=9.0)]  # fmt: skip
-    for which, begins in ((0, 1.0), ("late", 2.0), ("push", 4.0), (2, 4.0)):
+    for which, begins in ((1, 1.0), ("late", 2.0), ("push", 4.0), (3, 4.0)):
         row = expect(signal="error.x_m", below=1, after_fault=which, within_s=0.5)
         assert span_s(row, rows) == (begins + 0.5, math.inf), "a signal recovers after the fault too"
     assert span_s(expect(at_rest=True, after_fault="push", within_s=0.1), rows) == (4.1, 4.2)
@@ -224,11 +224,11 @@ def test_a_fault_is_named_by_its_name_its_kind_or_its_place() -> None:
 
 def test_the_viewer_draws_what_is_claimed_of_differences_and_of_rest() -> None:
     scenario = {
-        "fault.0.kind": "disconnect", "fault.0.target": "link", "fault.0.start_s": 1.0, "fault.0.end_s": 3.0,
-        "expect.0.signal": "wheel.fl.speed_rad_s", "expect.0.of": "wheel.fl.speed_command_rad_s", "expect.0.below": 0.5,
-        "expect.1.at_rest": True, "expect.1.after_fault": "disconnect", "expect.1.within_s": 0.5,
-        "expect.1.below": 0.2,
-        "expect.2.figure": "t10_s", "expect.2.below": 1.0,
+        "fault.1.kind": "disconnect", "fault.1.target": "link", "fault.1.start_s": 1.0, "fault.1.end_s": 3.0,
+        "expect.1.signal": "wheel.fl.speed_rad_s", "expect.1.of": "wheel.fl.speed_command_rad_s", "expect.1.below": 0.5,
+        "expect.2.at_rest": True, "expect.2.after_fault": "disconnect", "expect.2.within_s": 0.5,
+        "expect.2.below": 0.2,
+        "expect.3.figure": "t10_s", "expect.3.below": 1.0,
     }  # fmt: skip
     (lines,) = limits(scenario, claims(scenario), layout(SIGNAL_NAMES)).values()
     column = {name: i for i, name in enumerate(SIGNAL_NAMES)}

@@ -194,7 +194,7 @@ def test_scenarios_run_on_a_robot_elsewhere(suite: pytest.Pytester):
 def test_first_failure_ends_the_session_and_last_failed_runs_it_alone(suite: pytest.Pytester):
     write(suite, a_good=PASSING, b_strict=TOO_STRICT, c_good=PASSING)
     run(suite, "-x").assert_outcomes(passed=1, failed=1)
-    again = run(suite, "--lf", "--hil-set", "expect.0.below=1.0")
+    again = run(suite, "--lf", "--hil-set", "expect.1.below=1.0")
     again.assert_outcomes(passed=1)
 
 

@@ -181,7 +181,7 @@ def test_what_a_robot_drove_becomes_a_reference(tmp_path):
 @pytest.mark.parametrize("name", ["figure_eight", "waypoints"])
 def test_the_shipped_references_are_followed_through_the_wire(name):
     below = 0.002
-    result = hil.run(name, set={"loop.duration_s": 4.0, "expect.0.to_s": 4.0, "expect.0.below": below})
+    result = hil.run(name, set={"loop.duration_s": 4.0, "expect.1.to_s": 4.0, "expect.1.below": below})
     assert result.metrics["passed"] is True
     assert result.metrics["reference"]["warnings"] == []
 

@@ -39,7 +39,7 @@ def message_of(text: str) -> str:
         ("[robot]\nrate_hz = 3", "unknown key robot.rate_hz; did you mean 'loop.rate_hz'?"),
         ("[robto]\nmass_kg = 3", "my.toml:3: unknown key robto; did you mean 'robot'?"),
         ("[controller]\nk1_1_s = 3", "unknown key controller.k1_1_s; known: command, gains, law"),
-        (EXPECT + "belwo = 1", "my.toml:4: unknown key expect.0.belwo; did you mean 'below'?"),
+        (EXPECT + "belwo = 1", "my.toml:4: unknown key expect.1.belwo; did you mean 'below'?"),
     ],
 )
 def test_a_key_that_is_unknown(text: str, sentence: str) -> None:
@@ -64,7 +64,7 @@ def test_a_key_that_is_unknown(text: str, sentence: str) -> None:
             "[plant]\nfmu = 'mecanm'",
             'plant.fmu = "mecanm"; expected a shipped FMU or a path to one; did you mean',
         ),
-        ("[[expect]]\nsignal = 'error.x_m'\nwithin = 1.0", "expect.0.within = 1.0; expected two numbers: [low, high]"),
+        ("[[expect]]\nsignal = 'error.x_m'\nwithin = 1.0", "expect.1.within = 1.0; expected two numbers: [low, high]"),
         ("[plant.start]\nx = [1]", "plant.start.x = [1]; expected a finite number, a whole one within 64 bits"),
         ("[plant.start]\nx = inf", "plant.start.x = inf; expected a finite number"),
         ("[plant]\ntimeout_s = 0", "plant.timeout_s = 0; expected a number from 0.05 to 3600"),
@@ -73,12 +73,12 @@ def test_a_key_that_is_unknown(text: str, sentence: str) -> None:
         ("[firmware]\nwatchdog_s = 0.0205", "expected a whole number of milliseconds"),
         ("[device]\ndriver = 'stm31'", "did you mean 'stm32'?"),
         ("[device]\nwheels = ['fl', 'fl', 'rr', 'rl']", 'expected each of "fl", "fr", "rr" and "rl" once'),
-        ("[device]\nwheels = ['f', 'fl', 'rr', 'rl']", 'wheels.0 = "f"; expected "fl", "fr", "rr" or "rl"'),
+        ("[device]\nwheels = ['f', 'fl', 'rr', 'rl']", 'wheels.1 = "f"; expected "fl", "fr", "rr" or "rl"'),
         (
             "[controller]\nshadow = 'dsc'",
             'shadow = "dsc"; expected an array, each item text in quotation marks, as in ["first", "second"]',
         ),
-        ("[controller]\nshadow = [3]", "controller.shadow.0 = 3; expected text in quotation marks"),
+        ("[controller]\nshadow = [3]", "controller.shadow.1 = 3; expected text in quotation marks"),
         ("[device]\nwheels = 'fl'", 'expected an array, each item "fl", "fr", "rr" or "rl"'),
         ("[device]\nreversed = ['fl', 'fl']", "expected each wheel at most once"),
         ("[link]\nurl = 'serail:/x'", "unknown kind of link 'serail'; did you mean 'serial'?"),
@@ -107,27 +107,27 @@ def test_a_key_that_is_unknown(text: str, sentence: str) -> None:
         ("[expect]\nsignal = 'a'", "my.toml:3: expect: expected an array of tables: write [[...]]"),
         ("[[expect]]\nsignal = 'error.planar'\nbelow = 1", "did you mean 'error.planar_m'?"),
         ("[[expect]]\nsignal = 'zzz'\nbelow = 1", "`hil list signals` prints them all"),
-        ("[[expect]]\nbelow = 1", "my.toml:3: expect.0: needs one of `signal`, `figure`, `at_rest = true`, or `stops`"),
+        ("[[expect]]\nbelow = 1", "my.toml:3: expect.1: needs one of `signal`, `figure`, `at_rest = true`, or `stops`"),
         (
             "[[fault]]\nstart_s = 1",
-            "my.toml:3: fault.0.kind is missing; expected a kind of fault, one of drop, burst_loss",
+            "my.toml:3: fault.1.kind is missing; expected a kind of fault, one of drop, burst_loss",
         ),
         (
             "[[fault]]\nkind = 'reset'\ntarget = 'robot'\n[[fault]]\nkind = 'drop'",
-            "my.toml:6: fault.1.target is missing; expected what drop acts on: command (to the robot), ",
+            "my.toml:6: fault.2.target is missing; expected what drop acts on: command (to the robot), ",
         ),
-        (EXPECT, "my.toml:3: expect.0: needs one claim: below or above or both"),
+        (EXPECT, "my.toml:3: expect.1: needs one claim: below or above or both"),
         (EXPECT + "below = 1\nabove = 2", "above = 2.0 is not less than below = 1.0"),
         (EXPECT + "below = 1\nfrom_s = 2\nto_s = 1", "to_s = 1.0 is before from_s = 2.0"),
         (EXPECT + "below = 1\nto_s = nan", "to_s = nan; expected a number greater than 0"),
-        (DROP.replace("drop", "drp"), "fault.0: kind = 'drp' is not a kind of fault; did you mean 'drop'?"),
+        (DROP.replace("drop", "drp"), "fault.1: kind = 'drp' is not a kind of fault; did you mean 'drop'?"),
         (
             DROP.replace("'command'", "'comand'"),
             "'comand' is not a target of drop; did you mean 'command'?",
         ),
         (
             DROP + "value = 2",
-            "fault.0: value = 2: expected more than 0, at most 1, the probability that a frame is lost",
+            "fault.1: value = 2: expected more than 0, at most 1, the probability that a frame is lost",
         ),
         (DROP + "start_s = 2\nend_s = 1", "end_s = 1.0 is not after start_s = 2.0"),
         (MUTE + "target = 'WHEEL_COMAND'", "is not a target of mute; did you mean 'WHEEL_COMMAND'?"),
@@ -179,7 +179,7 @@ def test_each_problem_has_a_line() -> None:
 
 def test_a_misspelt_key_is_not_missing_too() -> None:
     sentence = message_of(BASE + EXPECT.replace("signal", "signl") + "below = 1")
-    assert sentence == "scenario my.toml:3: unknown key expect.0.signl; did you mean 'signal'?"
+    assert sentence == "scenario my.toml:3: unknown key expect.1.signl; did you mean 'signal'?"
 
 
 @pytest.mark.parametrize(
@@ -253,10 +253,10 @@ def test_a_base_that_cannot_be(extends: str, sentence: str) -> None:
         ("=3", "--set =3: expected key=value"),
         ("robot..mass_kg=3", "expected a dotted key such as robot.mass_kg"),
         ("reference.radus_m=3", "--set: unknown key reference.radus_m; did you mean 'radius_m'?"),
-        ("expect.1.below=3", "--set expect.1.below: expected expect.N.KEY with the row N from 0 to 0"),
+        ("expect.2.below=3", "--set expect.2.below: expected expect.N.KEY with the row N from 1 to 1"),
         ("expect.first.below=3", "expected expect.N.KEY"),
-        ("expect.0=3", "--set: expect.0 = 3; expected a table"),
-        ("fault.0.kind=drop", "--set fault.0.kind: there is no [[fault]] to change"),
+        ("expect.1=3", "--set: expect.1 = 3; expected a table"),
+        ("fault.1.kind=drop", "--set fault.1.kind: there is no [[fault]] to change"),
         ("extends=paper_circle", "--set extends: only a file can extend another"),
     ],
 )

@@ -105,8 +105,8 @@ def test_an_array_of_tables_replaces_the_one_before() -> None:
 
 
 def test_one_key_of_a_row_is_assigned() -> None:
-    tree = assign(layer({"expect": [{"below": 1}, {"below": 2}]}, "file"), "expect.1.below", 3, "--set")
-    assert given_values(tree) == {"expect.0.below": (1, "file"), "expect.1.below": (3, "--set")}
+    tree = assign(layer({"expect": [{"below": 1}, {"below": 2}]}, "file"), "expect.2.below", 3, "--set")
+    assert given_values(tree) == {"expect.1.below": (1, "file"), "expect.2.below": (3, "--set")}
 
 
 def test_start_values_with_dots_are_one_name_in_every_spelling() -> None:
@@ -156,9 +156,9 @@ deep = 3
         ("robot", "start", "x"): 15,
         ("robot", "start", "y"): 15,
         ("robot", "after", "dotted"): 16,
-        ("expect", "0", "below"): 19,
-        ("expect", "1", "below"): 21,
-        ("expect", "1", "inner", "0", "deep"): 23,
+        ("expect", "1", "below"): 19,
+        ("expect", "2", "below"): 21,
+        ("expect", "2", "inner", "1", "deep"): 23,
     }
     assert key_lines(text.replace("\n", "\r\n")) == key_lines(text)
 

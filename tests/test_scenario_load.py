@@ -91,7 +91,7 @@ def test_provenance_names_the_file_and_line_or_the_option(here: Path) -> None:
         robot="robot.toml",
         mode="realtime",
         seed=3,
-        set=["robot.inertia_kg_m2=1", "expect.0.above=1"],
+        set=["robot.inertia_kg_m2=1", "expect.1.above=1"],
     )
     assert where(scenario, "robot.mass_kg") == "mine.toml:4"
     assert where(scenario, "robot.wheel_radius_m").startswith("paper_circle.toml:")
@@ -100,9 +100,9 @@ def test_provenance_names_the_file_and_line_or_the_option(here: Path) -> None:
     assert where(scenario, "firmware.ramp_s") == "--robot robot.toml:4"
     assert where(scenario, "loop.mode") == "--mode"
     assert where(scenario, "loop.seed") == "--seed"
-    assert where(scenario, "expect.0.below") == "mine.toml:8"
-    assert where(scenario, "expect.0.above") == "--set"
-    assert where(scenario, "expect.0.from_s") == "default"
+    assert where(scenario, "expect.1.below") == "mine.toml:8"
+    assert where(scenario, "expect.1.above") == "--set"
+    assert where(scenario, "expect.1.from_s") == "default"
 
 
 def test_a_link_option_is_told_apart() -> None:
@@ -124,7 +124,7 @@ def test_show_covers_every_value_once() -> None:
     rows = resolved(scenario)
     keys = [key for key, _, _ in rows]
     assert len(set(keys)) == len(keys) == count(tables_of(scenario))
-    assert {"fault.0.target", "controller.gains.extra", "plant.start.start_x_m", "reference.radius_m"} <= {*keys}
+    assert {"fault.1.target", "controller.gains.extra", "plant.start.start_x_m", "reference.radius_m"} <= {*keys}
     assert all(origin for _, _, origin in rows)
 
 

@@ -93,7 +93,7 @@ def test_a_shadow_that_raises_is_dropped_with_a_sentence_and_the_run_goes_on(tmp
     dsc, broken = result.metrics["shadows"]
     assert dsc["dropped"] is None
     assert broken["asked"] == 19
-    assert broken["dropped"].startswith("shadow Broken dropped at t = 0.095 s: controller.shadow.1 = ")
+    assert broken["dropped"].startswith("shadow Broken dropped at t = 0.095 s: controller.shadow.2 = ")
     assert broken["dropped"].endswith(f"update failed at {path}:14: ZeroDivisionError: division by zero")
     assert np.isnan(commands(result, "shadow.Broken.")[0]).tolist() == [False] * 19 + [True] * 81
     assert np.isfinite(commands(result, "shadow.dsc.")).all()
@@ -116,7 +116,7 @@ def test_a_shadow_is_not_asked_while_the_law_in_command_is_not():
 @pytest.mark.parametrize(
     ("keys", "message"),
     [
-        ({"controller.shadow": ["dcs"]}, "controller.shadow.0 = 'dcs': unknown"),
+        ({"controller.shadow": ["dcs"]}, "controller.shadow.1 = 'dcs': unknown"),
         ({"controller.shadow": ["pid", "pid"]}, "expected one law of the name 'pid'"),
         ({"controller.shadow_gains.dsc": {"k1_1_s": 1.0}}, "no shadow has this name"),
         (

@@ -69,7 +69,7 @@ def can_cable() -> Iterator[tuple[str, str]]:
 @needs_compiler
 @needs_unicorn
 def test_unicorn_tracks_the_circle_over_serial_with_the_host_librarys_bytes():
-    below_3_mm = ("--set", "expect.0.from_s=1", "--set", "expect.0.to_s=2")
+    below_3_mm = ("--set", "expect.1.from_s=1", "--set", "expect.1.to_s=2")
     options = ("--set", "loop.rate_hz=200", "--set", "loop.duration_s=2", *below_3_mm)
     expected = circle_here(*options)
     figures = circle("unicorn", "serial:pty", None, *options)

@@ -80,6 +80,14 @@ def test_decode_takes_what_is_asked_for(tmp_path):
     ]
 
 
+def test_decode_that_finds_nothing_says_what_there_is(tmp_path):
+    path = written(tmp_path / "bus.log")
+    done = hil("decode", path, "--message", "HELLO_IDENTITY")
+    assert (done.returncode, done.stdout) == (0, "")
+    assert done.stderr.startswith(f"hil: no frame is what was asked for: {path} has 9 frames of 1.000 s: ")
+    assert "TICK" in done.stderr
+
+
 def test_decode_raw_takes_no_frame_for_ours(tmp_path):
     """As in a trace of other makers' motors, whose identifiers are those of our messages."""
     path = written(tmp_path / "bus.blf")

@@ -42,7 +42,7 @@ def run(
     plan: Annotated[Path, Argument(metavar="PLAN.toml", help="what is run, see CAMPAIGNS.md")],
     out: Annotated[Path | None, Option(metavar="DIR", help="results, continued if begun; by default runs/PLAN")] = None,
     dry_run: Annotated[bool, Option("--dry-run", help="say how many runs and about how long")] = False,
-    workers: Jobs = None,
+    jobs: Jobs = None,
     scheduler: Annotated[
         str | None, Option(metavar="URL", help="of Dask: tls://HOST:PORT, or tcp://127.0.0.1:PORT on this machine")
     ] = None,
@@ -56,8 +56,8 @@ def run(
 ) -> None:
     """Do the runs of a campaign that are not done yet; exit 1 when one did not pass."""
     end_in_order()
-    if scheduler is not None and workers is not None:
-        raise BadInputError(f"--workers {workers}: an existing cluster has its own; leave it out with --scheduler")
+    if scheduler is not None and jobs is not None:
+        raise BadInputError(f"--jobs {jobs}: an existing cluster has its own; leave it out with --scheduler")
     try:
         from hil.batch.campaign.campaign import Campaign, Place
 
@@ -70,10 +70,10 @@ def run(
         folder = out if out is not None else Path("runs") / campaign.plan.file.name
         # The number of workers of an existing cluster is not known here: estimate for one worker.
         is_one = scheduler is not None or campaign.in_real_time or campaign.on_bench
-        count = workers or (1 if is_one else os.cpu_count() or 1)
+        count = jobs or (1 if is_one else os.cpu_count() or 1)
         if campaign.on_bench and count > 1:
             raise BadInputError(
-                f"--workers {count}: there is one bench behind the link or the pose fixes; it takes one run at a time"
+                f"--jobs {count}: there is one bench behind the link or the pose fixes; it takes one run at a time"
             )
         if dry_run:
             _print_estimate(campaign, folder, count, outcomes, as_json=as_json)

@@ -58,7 +58,11 @@ def show(
 
     values = resolved_values(load(scenario, set=sets or [], robot=robot, mode=mode, link=link, seed=seed))
     found = {key: {"value": value, "from": where} for key, value, where in values}
-    print_result(as_json, found, table([(key, format_value(value), where) for key, value, where in values]))
+    print_result(
+        as_json,
+        found,
+        table([("key", "value", "from"), *((key, format_value(value), where) for key, value, where in values)]),
+    )
 
 
 def _rows(feasibility: "Feasibility") -> Iterator[tuple[str, str]]:

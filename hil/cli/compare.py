@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, NoReturn
 import typer
 from typer import Argument, Option
 
-from hil.cli.options import Force, Jobs, Json, Limit, PictureFormat, Seed, Sets
+from hil.cli.options import LAW, LAW_HELP, Force, Jobs, Json, Limit, PictureFormat, Seed, Sets
 from hil.cli.output import batch, print_result, table
 from hil.core.errors import BadInputError
 from hil.core.outputs import Existing, check_free, existing_files
@@ -23,12 +23,12 @@ def compare(
     laws_and_scenario: Annotated[
         list[str],
         Argument(
-            metavar="LAW SCENARIO",
-            help="laws as LAW or LAW,KEY=VALUE,..., by default all that are shipped; last the scenario",
+            metavar="[LAW]... SCENARIO",
+            help=f"each {LAW}: {LAW_HELP}; by default all that are shipped",
         ),
     ],
     torque: Annotated[
-        list[float] | None, Option(metavar="N·M", help="limit of a wheel; by default 5 and 1.8; may be repeated")
+        list[float] | None, Option(metavar="N·M", help="limit of a wheel; by default 5 and 1.8; repeatable")
     ] = None,
     drive: Annotated[list[str] | None, Option(metavar="ideal|motors", help="by default both; repeatable")] = None,
     estimator: Annotated[list[str] | None, Option(metavar="NAME", help="by default the scenario's; repeatable")] = None,

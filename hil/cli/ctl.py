@@ -118,7 +118,7 @@ def twist(
     vy_m_s: Annotated[float, Argument(metavar="VY", help="to the left [m/s]")],
     yaw_rate_rad_s: Annotated[float, Argument(metavar="YAW", help="counter-clockwise [rad/s]")],
     for_s: Annotated[
-        float | None, Option("--for", metavar="SECONDS", help="repeat it for this time, then stop", min=0.05, max=3600)
+        float | None, Option("--for", metavar="S", help="repeat it for this time, then stop", min=0.05, max=3600)
     ] = None,
 ) -> None:
     """Drive by twist, in the body frame: once, in force until it times out, or repeated; Ctrl-C stops."""

@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 from typer import Argument, Option
 
-from hil.cli.output import drop_output, print_json, print_result, table
+from hil.cli.output import drop_output, print_json, print_result, say_on_stderr, table
 from hil.core.errors import BadInputError
 from hil.wire.trace import decode as decoder
 
@@ -17,7 +17,7 @@ def decode(
     trace: Annotated[Path, Argument(metavar="FILE", help="a .blf, .asc, .log (candump -L) or .trc file")],
     message: Annotated[list[str] | None, Option(metavar="NAME", help="only this message; repeatable")] = None,
     from_s: Annotated[float, Option("--from", metavar="S", help="seconds after the first frame")] = 0.0,
-    to_s: Annotated[float, Option("--to", metavar="S")] = math.inf,
+    to_s: Annotated[float, Option("--to", metavar="S", help="the last second; by default the end")] = math.inf,
     counts: Annotated[bool, Option("--counts", help="how many frames of each message instead")] = False,
     raw: Annotated[bool, Option("--raw", help="bare frames of third-party motor controllers")] = False,
     as_json: Annotated[bool, Option("--json", help="one JSON object a line: for each frame, or for all")] = False,
@@ -28,6 +28,8 @@ def decode(
         if not counts:
             for entry in read:
                 print_json(entry.record()) if as_json else print(entry.text())
+            if read.trouble is None and read.selected == 0:
+                say_on_stderr(f"hil: no frame is what was asked for: {read.contents()}")
         else:
             found = decoder.count(read)
             if read.frames or read.trouble is None:
@@ -38,5 +40,5 @@ def decode(
         drop_output()
         raise typer.Exit(0) from None
     if read.trouble is not None:
-        print(f"hil: {read.trouble}", file=sys.stderr)
+        say_on_stderr(f"hil: {read.trouble}")
         raise typer.Exit(BadInputError.exit_code)

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 
 def doctor(
-    folder: Annotated[Path, Option(metavar="FOLDER", help="where recordings are to be written")] = Path("runs"),
+    folder: Annotated[Path, Option(metavar="DIR", help="where recordings are to be written")] = Path("runs"),
     service: Annotated[bool, Option("--service", help="examine a running service instead")] = False,
     url: ServiceUrl = None,
     port: ServicePort = None,

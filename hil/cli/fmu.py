@@ -10,7 +10,7 @@ from typer import Argument, Option
 
 from hil.cli.commands import Group
 from hil.cli.options import Json
-from hil.cli.output import print_result, table
+from hil.cli.output import print_result, rows, table
 from hil.core.errors import BadInputError
 
 if TYPE_CHECKING:
@@ -22,7 +22,7 @@ app = typer.Typer(cls=Group, no_args_is_help=True, help="The plant: build, look 
 
 @app.command("build")
 def build(
-    out: Annotated[Path | None, Option(metavar="FOLDER", help="by default the shipped place")] = None,
+    out: Annotated[Path | None, Option(metavar="DIR", help="by default the shipped place")] = None,
     all_platforms: Annotated[bool, Option("--all-platforms", help="for Linux, Windows and macOS; needs --out")] = False,
     mujoco: Annotated[bool, Option("--mujoco", help="the MuJoCo plant instead, for this machine")] = False,
 ) -> None:
@@ -79,6 +79,8 @@ def check_fmu(fmu: FmuName = "mecanum", as_json: Json = False) -> None:
 
 def _info_lines(info: "FmuInfo") -> Iterator[str]:
     """Yield an FMU's description, and its variables as a table."""
+    from hil.plant.child_output import one_line
+
     yield f"{info.path}{f' (shipped as {info.shipped})' if info.shipped else ''}"
     facts = [("model", info.model_name), *info.about.items(), ("FMI version", info.fmi_version)]
     for interface, identifier in info.interfaces.items():
@@ -87,7 +89,7 @@ def _info_lines(info: "FmuInfo") -> Iterator[str]:
     experiment = ", ".join(f"{name} {value}" for name, value in info.experiment.items())
     facts += [("platforms", ", ".join(info.platforms) or "none"), ("default experiment", experiment or "none")]
     facts.append(("sha256", info.sha256))
-    yield from _table([(f"  {name}", value) for name, value in facts])
+    yield from rows((name, one_line(value)) for name, value in facts)
     yield ""
     head = ("name", "causality", "variability", "type", "unit", "start", "range", "description")
     variables = [
@@ -121,11 +123,11 @@ def _check_lines(fmu: Path, result: "CheckResult") -> Iterator[str]:
     yield f"{fmu}: {', '.join(words)}"
 
 
-def _table(rows: Sequence[Sequence[str]]) -> Iterator[str]:
+def _table(texts: Sequence[Sequence[str]]) -> Iterator[str]:
     """Yield a table of an FMU's texts, which may hold line breaks."""
     from hil.plant.child_output import one_line
 
-    return table([tuple(map(one_line, row)) for row in rows])
+    return table([tuple(map(one_line, row)) for row in texts])
 
 
 def _type(variable: "VariableInfo") -> str:

@@ -37,9 +37,9 @@ def drive(
     out: Annotated[Path, Option(metavar="DIR", help="where the recordings go")] = Path("runs/identify"),
     step: Annotated[
         list[str] | None,
-        Option(metavar="STEP", help="only this one: blocks, floor, squeeze or held_out; may be repeated"),
+        Option(metavar="STEP", help="only this one: blocks, floor, squeeze or held_out; repeatable"),
     ] = None,
-    room: Annotated[float, Option(metavar="METRE", help="side of the free square on the floor")] = 3.0,
+    room: Annotated[float, Option(metavar="M", help="side of the free square on the floor")] = 3.0,
     grip: Annotated[float, Option(metavar="NUMBER", help="what the floor surely has; rubber 0.5 and more")] = 0.5,
     robot: o.RobotFile = None,
     link: o.LinkUrl = None,
@@ -100,18 +100,18 @@ def drive(
 
 @app.command("fit")
 def fit(
-    recordings: Annotated[list[Path], Argument(metavar="RECORDING...", help="drives on the floor")],
-    blocks: Annotated[_Recording, Option(metavar="RECORDING", help="a drive on blocks")] = None,
-    squeeze: Annotated[_Recording, Option(metavar="RECORDING", help="wheels turned against one another")] = None,
+    recordings: Annotated[list[Path], Argument(metavar="RUN...", help="drives on the floor")],
+    blocks: Annotated[_Recording, Option(metavar="RUN", help="a drive on blocks")] = None,
+    squeeze: Annotated[_Recording, Option(metavar="RUN", help="wheels turned against one another")] = None,
     held_out: Annotated[
-        _Recording, Option(metavar="RECORDING", help="the drive to judge by; by default the last third of the first")
+        _Recording, Option(metavar="RUN", help="the drive to judge by; by default the last third of the first")
     ] = None,
     mass: Annotated[float | None, Option(metavar="KG", help="the robot's weight on a scale", min=0.01)] = None,
     tape: Annotated[
-        float | None, Option(metavar="METRE", help="distance from the first recording's start to its end", min=0.1)
+        float | None, Option(metavar="M", help="distance from the first recording's start to its end", min=0.1)
     ] = None,
     tape_sigma: Annotated[
-        float, Option(metavar="METRE", help="standard deviation of --tape, with that of the marks", min=1e-5)
+        float, Option(metavar="M", help="standard deviation of --tape, with that of the marks", min=1e-5)
     ] = 0.003,
     contact: Annotated[
         str, Option(metavar="rigid|both", help="rigid: no model with slip; both: the better one is taken")
@@ -160,10 +160,10 @@ def fit(
 @app.command("fmu")
 def fit_fmu(
     scenario: o.ScenarioName,
-    recordings: Annotated[list[Path], Argument(metavar="RECORDING...", help="drives of the robot")],
-    parameter: Annotated[list[str], Option(metavar="NAME", help="of the FMU, to be fitted; may be repeated")],
+    recordings: Annotated[list[Path], Argument(metavar="RUN...", help="drives of the robot")],
+    parameter: Annotated[list[str], Option(metavar="NAME", help="of the FMU, to be fitted; repeatable")],
     held_out: Annotated[
-        _Recording, Option(metavar="RECORDING", help="the drive to judge by; by default the last third of the first")
+        _Recording, Option(metavar="RUN", help="the drive to judge by; by default the last third of the first")
     ] = None,
     robot: o.RobotFile = None,
     sets: o.Sets = None,

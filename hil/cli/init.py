@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 from typer import Argument, Option
 
-from hil.cli.options import Force
+from hil.cli.options import Force, LinkUrl
 from hil.core.errors import BadInputError
 from hil.core.outputs import Existing, check_free, existing_files, write_whole
 
@@ -21,23 +21,21 @@ SCENARIO_FILE = "first_circle.toml"
 _SLOWER = 1.25
 _TRIES = 40
 _Number = float | None
-_Metre = Annotated[_Number, Option(metavar="METRE")]
-_Inertia = Annotated[_Number, Option(metavar="KG·M²")]
 
 
 def init(
     directory: Annotated[Path, Argument(metavar="[DIRECTORY]")] = Path(),
-    mass_kg: Annotated[_Number, Option(metavar="KG")] = None,
-    wheel_radius_m: _Metre = None,
-    half_length_m: _Metre = None,
-    half_width_m: _Metre = None,
-    inertia_kg_m2: _Inertia = None,
-    wheel_inertia_kg_m2: _Inertia = None,
-    torque_limit_n_m: Annotated[_Number, Option(metavar="N·M")] = None,
-    speed_limit_rad_s: Annotated[_Number, Option(metavar="RAD/S")] = None,
-    counts_per_revolution: Annotated[int | None, Option(metavar="COUNTS")] = None,
-    torque_constant_n_m_a: Annotated[_Number, Option(metavar="N·M/A")] = None,
-    link: Annotated[str | None, Option(metavar="LINK")] = None,
+    mass_kg: Annotated[_Number, Option(metavar="KG", help="with everything on it")] = None,
+    wheel_radius_m: Annotated[_Number, Option(metavar="M", help="to where a roller touches the floor")] = None,
+    half_length_m: Annotated[_Number, Option(metavar="M", help="half the distance of front and rear axle")] = None,
+    half_width_m: Annotated[_Number, Option(metavar="M", help="half the distance of left and right wheels")] = None,
+    inertia_kg_m2: Annotated[_Number, Option(metavar="KG·M²", help="of the robot, about the vertical axis")] = None,
+    wheel_inertia_kg_m2: Annotated[_Number, Option(metavar="KG·M²", help="of a wheel with gear and motor")] = None,
+    torque_limit_n_m: Annotated[_Number, Option(metavar="N·M", help="of a wheel")] = None,
+    speed_limit_rad_s: Annotated[_Number, Option(metavar="RAD/S", help="of a wheel")] = None,
+    counts_per_revolution: Annotated[int | None, Option(metavar="COUNTS", help="of an encoder, a wheel's turn")] = None,
+    torque_constant_n_m_a: Annotated[_Number, Option(metavar="N·M/A", help="torque of a wheel for each ampere")] = None,
+    link: LinkUrl = None,
     defaults: Annotated[bool, Option("--defaults", help="take the proposed value where no flag gives one")] = False,
     force: Force = False,
 ) -> None:

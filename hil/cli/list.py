@@ -114,7 +114,14 @@ _LISTS = {
 """Column names of each list, and where its rows are, or the function that makes them: imported when it is called."""
 
 
-def list_(what: Annotated[str, Argument(metavar="|".join(_LISTS))], as_json: Json = False) -> None:
+def _complete(incomplete: str) -> list[str]:
+    return [name for name in _LISTS if name.startswith(incomplete)]
+
+
+def list_(
+    what: Annotated[str, Argument(metavar="WHAT", help=", ".join(_LISTS), autocompletion=_complete)],
+    as_json: Json = False,
+) -> None:
     """Print signals, figures, laws, references, scenarios, those of the suite, links, faults or drivers."""
     header, rows = listing(what)
     print_result(as_json, [dict(zip(header, row, strict=True)) for row in rows], table([header, *rows]))

@@ -12,8 +12,9 @@ from typing import Annotated, TextIO, cast
 import typer
 from typer import Option
 
+from hil import __version__
 from hil.cli.commands import Commands
-from hil.cli.output import drop_output, flush_output
+from hil.cli.output import WIDEST, drop_output, flush_output, say_on_stderr
 from hil.core.errors import BadInputError, HilError
 from hil.core.printable import PrintableStream
 from hil.core.strangers import refuse_code
@@ -22,15 +23,23 @@ from hil.core.subprocesses import one_thread_a_process
 app = typer.Typer(
     cls=Commands,
     no_args_is_help=True,
-    add_completion=False,
     pretty_exceptions_enable=False,
     rich_markup_mode=None,  # rich's boxes take longer to import than everything else
-    context_settings={"help_option_names": ["-h", "--help"]},
+    context_settings={"help_option_names": ["-h", "--help"], "max_content_width": WIDEST},
 )
+
+
+def _print_version(asked: bool) -> None:
+    if asked:
+        print(f"hil {__version__}")
+        raise typer.Exit
 
 
 @app.callback()
 def hil(
+    version: Annotated[
+        bool, Option("--version", help="print the version and end", callback=_print_version, is_eager=True)
+    ] = False,
     no_code: Annotated[bool, Option("--no-code", help="refuse laws in Python files and FMUs of others")] = False,
 ) -> None:
     """Test a Mecanum robot's controller against a plant FMU before the wheels touch the ground."""
@@ -56,7 +65,7 @@ def main() -> None:
             flush_output()
             gc.freeze()  # otherwise the interpreter's end scans all modules once more: 0.08 s after a run
     except HilError as error:
-        print(f"hil: {error}", file=sys.stderr)
+        say_on_stderr(f"hil: {error}")
         sys.exit(error.exit_code)
     except OSError as error:
         if error.errno == errno.ENOSPC:
@@ -67,7 +76,7 @@ def main() -> None:
             sentence = f"{name[:_SHOWN]!r}...: a file's name of {len(name)} characters is too long; give a shorter one"
         else:
             raise
-        print(f"hil: {sentence}", file=sys.stderr)
+        say_on_stderr(f"hil: {sentence}")
         sys.exit(BadInputError.exit_code)
 
 

@@ -5,13 +5,28 @@ from typing import Annotated
 
 from typer import Argument, Option
 
-ScenarioName = Annotated[str, Argument(metavar="SCENARIO", help="a shipped name or a path to a .toml file")]
+LAW = "LAW[,KEY=VALUE...]"
+LAW_HELP = "one of hil list laws, MODULE:CLASS or FILE.py:CLASS, with changed gains"
+
+
+def complete_scenario(incomplete: str) -> list[str]:
+    """Return the scenarios that begin so, for a shell: shipped names, and files here."""
+    from hil.scenario import shipped_scenarios
+
+    files = (str(path) for path in Path().glob(f"{incomplete}*") if path.suffix == ".toml" or path.is_dir())
+    return [*(name for name in shipped_scenarios() if name.startswith(incomplete)), *files]
+
+
+ScenarioName = Annotated[
+    str,
+    Argument(metavar="SCENARIO", help="a shipped name or a path to a .toml file", autocompletion=complete_scenario),
+]
 Sets = Annotated[list[str] | None, Option("--set", metavar="KEY=VALUE", help="override a key, as in robot.mass_kg=24")]
 RobotFile = Annotated[Path | None, Option(metavar="FILE", help="merge a robot's own file")]
 Mode = Annotated[str | None, Option(metavar="lockstep|realtime", help="as fast as possible, or by the clock")]
 LinkUrl = Annotated[str | None, Option(metavar="LINK", help="memory:, serial:PATH, serial:pty, can:INTERFACE/CHANNEL")]
 PortOrBus = Annotated[str, Argument(metavar="LINK", help="serial:PATH or can:INTERFACE/CHANNEL")]
-Seed = Annotated[int | None, Option(metavar="N", help="of everything random in the run")]
+Seed = Annotated[int | None, Option(metavar="N", help="seed of everything random in the run")]
 TraceFile = Annotated[
     Path | None, Option(metavar="FILE.blf|.asc|.log", help="write the traffic of the wire, for bus tools")
 ]
@@ -23,7 +38,7 @@ InBrowser = Annotated[bool, Option("--web", help="in the browser, served on 127.
 AllowMotion = Annotated[bool, Option("--allow-motion", help="real motors may move")]
 ServiceUrl = Annotated[str | None, Option(metavar="URL", help="http://127.0.0.1:PORT")]
 ServicePort = Annotated[int | None, Option(metavar="PORT", help="which service, when several run", min=1, max=65535)]
-TokenFile = Annotated[Path | None, Option(metavar="FILE", help="with the token; by default the service's own")]
+TokenFile = Annotated[Path | None, Option(metavar="FILE", help="that holds the token; by default the service's own")]
 Jobs = Annotated[int | None, Option(metavar="N", help="processes; by default one a processor", min=1)]
 Limit = Annotated[float, Option("--limit", metavar="S", help="a longer run ends as hung", min=1)]
 PictureFormat = Annotated[str, Option("--pictures", metavar="png|svg|pdf", help="format of the pictures")]

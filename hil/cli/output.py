@@ -1,17 +1,27 @@
 """What commands print: results as JSON or as lines, tables, warnings, the progress of many runs; and how they end."""
 
 import contextlib
+import itertools
 import json
 import os
+import re
+import shutil
 import signal
 import sys
+import textwrap
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from types import FrameType
-from typing import Any
+from typing import Any, TextIO
 
 from hil.core.errors import RunInterruptedError
 from hil.core.json_lines import json_safe
+
+WIDEST = 120
+"""Columns of the widest help."""
+_NARROWEST = 40
+_GAP = 2
+_READABLE = 20
 
 
 def print_json(value: Any) -> None:
@@ -25,7 +35,8 @@ def print_result(as_json: bool, value: Any, lines: Iterable[str]) -> None:
         print_json(value)
     else:
         for line in lines:
-            print(line)
+            for part in folded(line):
+                print(part)
 
 
 def say(line: str) -> None:
@@ -38,18 +49,79 @@ def rows(pairs: Iterable[tuple[str, str]]) -> Iterator[str]:
     return (f"  {label:<22} {text}".rstrip() for label, text in pairs)
 
 
-def table(rows: Sequence[Sequence[str]]) -> Iterator[str]:
-    """Yield rows in columns; the last column is not padded. Nothing is cut, so that names can be copied."""
-    widths = [max(map(len, column)) for column in zip(*rows, strict=True)][:-1]
+def table(rows: Sequence[Sequence[str]], *, has_head: bool = True) -> Iterator[str]:
+    """Yield rows in columns as wide as the terminal allows; the last column is not padded. No word is cut.
+
+    Where columns of prose would be too narrow to read, each row becomes a paragraph under the names of the columns.
+    """
+    columns = [*zip(*rows, strict=True)]
+    widths = [max(map(len, column)) for column in columns]
+    limit = terminal_width()
+    if limit is not None and sum(widths) + _GAP * (len(widths) - 1) > limit:
+        least = [max(len(word) for text in column for word in text.split() or [""]) for column in columns]
+        room = limit - _GAP * (len(widths) - 1)
+        cap = next((cap for cap in range(room, 0, -1) if sum(_capped(widths, least, cap)) <= room), 0)
+        if has_head and (cap == 0 or (cap < _READABLE and max(widths) > 3 * _READABLE)):
+            yield from _paragraphs(rows, limit)
+            return
+        widths = _capped(widths, least, cap)
     for row in rows:
-        padded = [text.ljust(width) for text, width in zip(row, widths, strict=False)]
-        yield "  ".join([*padded, row[-1]]).rstrip()
+        cells = [_wrapped(text, width) for text, width in zip(row, widths, strict=True)]
+        for parts in itertools.zip_longest(*cells, fillvalue=""):
+            padded = [part.ljust(width) for part, width in zip(parts[:-1], widths, strict=False)]
+            yield (" " * _GAP).join([*padded, parts[-1]]).rstrip()
+
+
+def terminal_width(stream: TextIO | None = None) -> int | None:
+    """Return the columns of the terminal; None where a stream goes to a file or a program.
+
+    The stream is stdout unless another one is given.
+    """
+    if not (stream or sys.stdout).isatty():
+        return None
+    return max(_NARROWEST, shutil.get_terminal_size().columns)
+
+
+def folded(line: str, stream: TextIO | None = None) -> list[str]:
+    """Return a line as lines that fit the terminal, indented to its text. A command stays whole, to be copied."""
+    limit = terminal_width(stream)
+    if limit is None or len(line) <= limit or re.match(r"\s*(?:\S*/)?hil ", line):
+        return [line]
+    texts = [found.end() for found in re.finditer(r"\S\s{2,}(?=\S)", line) if found.end() <= limit // 2]
+    indent = texts[-1] if texts else min(len(line) - len(line.lstrip()) + 2, limit // 2)
+    return _wrapped(line, limit, indent)
+
+
+def _capped(widths: Sequence[int], least: Sequence[int], cap: int) -> list[int]:
+    return [max(word, min(width, cap)) for width, word in zip(widths, least, strict=True)]
+
+
+def _paragraphs(rows: Sequence[Sequence[str]], limit: int) -> Iterator[str]:
+    head, *others = rows
+    label = max(map(len, head[1:]))
+    for row in others:
+        yield from _wrapped(row[0], limit)
+        for name, text in zip(head[1:], row[1:], strict=True):
+            if text:
+                yield from _wrapped(f"  {name:<{label}}  {text}", limit, label + 4)
+
+
+def _wrapped(text: str, width: int, indent: int = 0) -> list[str]:
+    if len(text) <= width:
+        return [text]
+    return textwrap.wrap(text, width, subsequent_indent=" " * indent, break_long_words=False, break_on_hyphens=False)
+
+
+def say_on_stderr(text: str) -> None:
+    """Print lines on stderr, folded to its terminal."""
+    for line in text.splitlines():
+        print(*folded(line, sys.stderr), sep="\n", file=sys.stderr)
 
 
 def warn(sentence: str) -> None:
     """Print a warning on stderr."""
     with contextlib.suppress(OSError):  # a closed stderr must not end a run; the recording has the sentence too
-        print(f"hil: warning: {sentence}", file=sys.stderr)
+        say_on_stderr(f"hil: warning: {sentence}")
 
 
 def drop_output() -> None:

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 
 from typer import Argument, Option
 
-from hil.cli.options import Force, Json
+from hil.cli.options import LAW, LAW_HELP, Force, Json
 from hil.cli.output import print_result, table
 from hil.core.outputs import existing_files
 
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 def replay(
     recording: Annotated[Path, Argument(metavar="RUN", help="recording of a run")],
-    law: Annotated[str, Option(metavar="LAW[,GAIN=VALUE...]", help="the law to compute")],
+    law: Annotated[str, Option(metavar=LAW, help=LAW_HELP)],
     record: Annotated[Path | None, Option(metavar="FILE.rrd", help="record the run with the replayed commands")] = None,
     force: Force = False,
     as_json: Json = False,

@@ -32,7 +32,9 @@ def serve(
     audit: Annotated[
         Path | None, Option(metavar="FILE", help="record who gave which order; by default in your state folder")
     ] = None,
-    log: Annotated[Literal["text", "json"], Option(help="form of the log's lines on stderr")] = "text",
+    log: Annotated[
+        Literal["text", "json"], Option(metavar="text|json", help="form of the log's lines on stderr")
+    ] = "text",
     sets: Sets = None,
     allow_motion: AllowMotion = False,
     print_unit: Annotated[bool, Option("--print-unit", help="print a systemd unit that serves this, and end")] = False,

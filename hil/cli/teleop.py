@@ -14,14 +14,18 @@ def teleop(
     port: ServicePort = None,
     token_file: TokenFile = None,
     speed_m_s: Annotated[
-        float, Option("--speed", metavar="M_S", help="in the plane, at full deflection", min=0.001, max=20)
+        float, Option("--speed", metavar="M/S", help="in the plane, at full deflection", min=0.001, max=20)
     ] = 0.25,
     yaw_rate_rad_s: Annotated[
-        float, Option("--yaw-rate", metavar="RAD_S", help="in yaw, at full deflection", min=0.001, max=50)
+        float, Option("--yaw-rate", metavar="RAD/S", help="in yaw, at full deflection", min=0.001, max=50)
     ] = 0.8,
     gamepad: Annotated[bool, Option("--gamepad", help="drive with a gamepad too: hold its left shoulder")] = False,
-    dead_zone: Annotated[float, Option(help="share of a stick's way that is rest", min=0, max=0.9)] = 0.1,
-    expo: Annotated[float, Option(help="0: a stick is linear; 1: cubic, finest at rest", min=0, max=1)] = 0.5,
+    dead_zone: Annotated[
+        float, Option(metavar="SHARE", help="share of a stick's way that is rest", min=0, max=0.9)
+    ] = 0.1,
+    expo: Annotated[
+        float, Option(metavar="SHARE", help="0: a stick is linear; 1: cubic, finest at rest", min=0, max=1)
+    ] = 0.5,
 ) -> None:
     """Drive the robot that hil serve runs, by hand: it moves while a key or the gamepad's button is held."""
     if sys.platform == "win32":

@@ -15,7 +15,7 @@ from hil.core.printable import printable
 def verify(
     suite: Annotated[
         list[str] | None,
-        Argument(metavar="[SUITE]...", help="scenarios, pytest files or folders; default: the shipped ones"),
+        Argument(metavar="[SUITE]...", help="scenarios, pytest files or folders; by default the shipped ones"),
     ] = None,
     mutants: Annotated[
         list[Path] | None, Option("--mutants", metavar="FILE", help="further mutants and variations; repeatable")
@@ -28,7 +28,7 @@ def verify(
     seed: Annotated[int, Option(metavar="N", help="chooses the sample and the fresh seeds", min=0)] = 0,
     healthy: Annotated[
         int | None,
-        Option(metavar="N", help="healthy runs with fresh seeds and variations; default: 6 a scenario", min=0),
+        Option(metavar="N", help="healthy runs with fresh seeds and variations; by default 6 a scenario", min=0),
     ] = None,
     least: Annotated[
         float, Option(metavar="PERCENT", help="of the mutants that have to be noticed for exit code 0", min=0, max=100)

@@ -264,7 +264,7 @@ def _typed(option: Option, value: Any, path: Path, problems: list[Problem]) -> A
     elif origin is tuple:
         if isinstance(value, list | tuple) and (inner[-1] is ... or len(value) == len(inner)):
             kinds = [inner[0]] * len(value) if inner[-1] is ... else inner
-            pairs = enumerate(zip(kinds, value, strict=True))
+            pairs = enumerate(zip(kinds, value, strict=True), start=1)
             return tuple(_read(_parsed(one), item, (*path, str(i)), problems) for i, (one, item) in pairs)
     elif origin is not None and issubclass(origin, Mapping):
         if isinstance(value, Mapping):

@@ -41,8 +41,8 @@ class FaultRow(NamedTuple):
 def claimed_span_s(claim: Mapping[str, Any], faults: Sequence[Mapping[str, Any]]) -> tuple[float, float]:
     """Return from when to when a row of ``[[expect]]`` is judged; both tables as plain values, None or left out alike.
 
-    ``after_fault`` names a fault by its name, by its kind if only one row has that, or by its place. A robot that is at
-    rest while a fault lasts may drive again after it, so ``at_rest`` ends with a fault that still lasts when the
+    ``after_fault`` names a fault by its name, by its kind if only one row has that, or by its row, from 1. A robot that
+    is at rest while a fault lasts may drive again after it, so ``at_rest`` ends with a fault that still lasts when the
     claim begins. A claim that the robot ``stops`` is from the fault's begin on, for ``within_s``. Raises
     ValueError, with part of a message, when there is no such fault or more than one.
     """
@@ -62,9 +62,9 @@ def _named(which: int | str, faults: Sequence[Mapping[str, Any]]) -> Mapping[str
     if not faults:
         raise ValueError("the scenario has no fault; add a row of [[fault]], or give from_s")
     if isinstance(which, int):
-        if which >= len(faults):
-            raise ValueError(f"expected a place from 0 to {len(faults) - 1}: the scenario has {len(faults)} of them")
-        return faults[which]
+        if not 1 <= which <= len(faults):
+            raise ValueError(f"expected a row from 1 to {len(faults)}: the scenario has {len(faults)} of them")
+        return faults[which - 1]
     found = [row for row in faults if row.get("name") == which] or [row for row in faults if row["kind"] == which]
     if not found:
         known = [row.get("name") or row["kind"] for row in faults]

@@ -34,7 +34,7 @@ def figures_by_key() -> dict[str, Figure]:
 def check_figures(scenario: Scenario) -> None:
     """Raise BadInputError for an expectation of a figure that no run has; it says where and suggests similar names."""
     known = figures_by_key() if any(row.figure is not None for row in scenario.expect) else {}
-    for i, row in enumerate(scenario.expect):
+    for i, row in enumerate(scenario.expect, start=1):
         if row.figure is not None and row.figure not in known:
             where = scenario.provenance[key := f"expect.{i}.figure"]
             hint = nearest(row.figure, known, otherwise="; `hil list figures` prints them all")

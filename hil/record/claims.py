@@ -74,7 +74,15 @@ class Claim(NamedTuple):
 def claims(values: Mapping[str, Any]) -> list[Claim]:
     """Return the claims of a scenario, in their order; ``values`` are the scenario's, by dotted key."""
     faults = table_rows(values, "fault")
-    return [_claim(number, row, faults) for number, row in enumerate(table_rows(values, "expect"))]
+    rows = table_rows(values, "expect")
+    if any(key.startswith("expect.0.") for key in values):  # an older recording, which counts rows from 0
+        rows = [row | {"after_fault": row["after_fault"] + 1} if _is_row(row) else row for row in rows]
+    return [_claim(number, row, faults) for number, row in enumerate(rows)]
+
+
+def _is_row(claim: Mapping[str, Any]) -> bool:
+    """Whether a claim names a fault by its row."""
+    return isinstance(claim.get("after_fault"), int)
 
 
 def _claim(number: int, row: Mapping[str, Any], faults: Sequence[Mapping[str, Any]]) -> Claim:

@@ -86,8 +86,8 @@ def place(tree: Tree, path: Path, scenario: str) -> str:
             break
         if isinstance(node, dict):
             node = node.get(key)
-        elif isinstance(node, list) and key.isdigit() and int(key) < len(node):
-            node = node[int(key)]
+        elif isinstance(node, list) and key.isdigit() and 1 <= int(key) <= len(node):
+            node = node[int(key) - 1]
         else:
             node = None
     places = [given.where for _, given in leaves(node)] if node is not None else []
@@ -130,14 +130,16 @@ def _unknown_signals(tables: Tables, directory: FilePath) -> Iterator[tuple[str,
     """Yield key and message for each row that names a signal which the run does not have."""
     named = {
         f"expect.{i}.{key}": name
-        for i, row in enumerate(tables.expect)
+        for i, row in enumerate(tables.expect, start=1)
         for key, name in (("signal", row.signal), ("of", row.of))
         if name is not None
     }
     named |= {
-        f"fault.{i}.target": table.target for i, table in enumerate(tables.fault) if table.row.acts_on == "signal"
+        f"fault.{i}.target": table.target
+        for i, table in enumerate(tables.fault, start=1)
+        if table.row.acts_on == "signal"
     }
-    for i, row in enumerate(tables.expect):
+    for i, row in enumerate(tables.expect, start=1):
         if row.signal is not None and row.of is not None and unit_of(row.signal) != unit_of(row.of):
             unit = unit_of(row.signal) or "without a unit"
             yield (
@@ -169,7 +171,7 @@ def _contradictions(tables: Tables) -> Iterator[tuple[str, str]]:
     if (limit := robot.speed_limit_rad_s) >= firmware.overspeed_rad_s:
         words = f"expected more than robot.speed_limit_rad_s = {limit:g}, or the robot would trip at a permitted speed"
         yield "firmware.overspeed_rad_s", words
-    for i, row in enumerate(tables.expect):
+    for i, row in enumerate(tables.expect, start=1):
         if row.after_fault is not None:
             try:
                 from_s, to_s = span_s(row, tables.fault)
@@ -182,7 +184,7 @@ def _contradictions(tables: Tables) -> Iterator[tuple[str, str]]:
                         f"expected a time after {from_s:g} s, from when it is judged",
                     )
     for name in sorted(name for name, count in Counter(row.name for row in tables.fault).items() if name and count > 1):
-        at = next(i for i, row in reversed(list(enumerate(tables.fault))) if row.name == name)
+        at = next(i for i, row in reversed(list(enumerate(tables.fault, start=1))) if row.name == name)
         yield f"fault.{at}.name", "another fault has this name; expected one of its own"
     if tables.device.is_makers:
         yield from motors.contradictions(tables)

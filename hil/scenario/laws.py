@@ -51,6 +51,6 @@ def make_laws(tables: Tables, directory: Path) -> Laws:
             law_key=f"controller.shadow.{index}",
             gains_key=f"controller.shadow_gains.{name}",
         )
-        for index, (name, spec) in enumerate(zip(table.shadow_names, table.shadow, strict=True))
+        for index, (name, spec) in enumerate(zip(table.shadow_names, table.shadow, strict=True), start=1)
     }
     return Laws(controller, Shadows(shadows, table.mode, model))

@@ -18,7 +18,7 @@ from hil.scenario.plant import PLANT_SIGNALS, SHIPPED_FMUS, MapRow, PlantTable
 from plant_fmu.shipped import variable_names
 
 Path = tuple[str, ...]
-"""Keys from the root to a value; a row of an array of tables is its number as text."""
+"""Keys from the root to a value; a row of an array of tables is its number from 1, as text."""
 
 
 class Given(NamedTuple):
@@ -82,7 +82,7 @@ def merge(below: Tree, above: Tree) -> Tree:
 
 
 def assign(tree: Tree, key: str, value: object, where: str) -> Tree:
-    """Return the tree with one dotted key set, such as ``robot.mass_kg`` or ``expect.0.below``.
+    """Return the tree with one dotted key set, such as ``robot.mass_kg`` or ``expect.1.below``.
 
     Raises BadInputError when the key is malformed or names a row that is not there.
     """
@@ -95,11 +95,11 @@ def assign(tree: Tree, key: str, value: object, where: str) -> Tree:
         return stack(tree, make_layer(_nested(path, value), where))
     if not isinstance(rows, list):
         rows = []
-    if not numbered or int(path[1]) >= len(rows):
+    if not numbered or not 1 <= int(path[1]) <= len(rows):
         if not rows:
             raise BadInputError(f"{where} {key}: there is no [[{path[0]}]] to change; add one to a file")
-        raise BadInputError(f"{where} {key}: expected {path[0]}.N.KEY with the row N from 0 to {len(rows) - 1}")
-    index = int(path[1])
+        raise BadInputError(f"{where} {key}: expected {path[0]}.N.KEY with the row N from 1 to {len(rows)}")
+    index = int(path[1]) - 1
     row = rows[index]
     above = make_layer(_nested(path[2:], value), where) if len(path) > 2 else None
     changed: Node = Given(value, where)
@@ -113,7 +113,7 @@ def leaves(node: Node, path: Path = ()) -> Iterator[tuple[Path, Given]]:
     if isinstance(node, Given):
         yield path, node
         return
-    children = node.items() if isinstance(node, dict) else ((str(i), row) for i, row in enumerate(node))
+    children = node.items() if isinstance(node, dict) else ((str(i), row) for i, row in enumerate(node, start=1))
     for key, child in children:
         yield from leaves(child, (*path, key))
 
@@ -139,7 +139,7 @@ def _annotate(value: object, source: str, lines: Mapping[Path, int], path: Path)
     if isinstance(value, Mapping):
         return {str(key): _annotate(child, source, lines, (*path, str(key))) for key, child in value.items()}
     if isinstance(value, list | tuple) and value and all(isinstance(row, Mapping) for row in value):
-        return [_annotate(row, source, lines, (*path, str(i))) for i, row in enumerate(value)]
+        return [_annotate(row, source, lines, (*path, str(i))) for i, row in enumerate(value, start=1)]
     return Given(value, place_in(source, lines, path))
 
 

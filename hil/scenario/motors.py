@@ -70,7 +70,7 @@ def contradictions(tables: Tables) -> Iterator[tuple[str, str]]:
         gap = f"the {1.0 / can.feedback_hz:g} s between two feedbacks of {title}"
         yield "firmware.watchdog_s", f"expected more than {gap}, or the robot would always be held"
     signals = {}
-    for i, fault in enumerate(tables.fault):
+    for i, fault in enumerate(tables.fault, start=1):
         if fault.row.acts_on == "signal":
             signals[f"fault.{i}.target"] = fault.target
         if fault.row.acts_on == "link" and fault.target in MESSAGES:
@@ -80,7 +80,7 @@ def contradictions(tables: Tables) -> Iterator[tuple[str, str]]:
             yield f"fault.{i}.kind", f"ESTOP is a message of our firmware; {title} has none; take disconnect, or drop"
         if fault.kind == "gyro_bias" and "gyro" not in can.sensors:
             yield f"fault.{i}.kind", f"{title} as it is set up has no gyro to act on; remove the row"
-    for i, row in enumerate(tables.expect):
+    for i, row in enumerate(tables.expect, start=1):
         signals |= {f"expect.{i}.{key}": name for key in ("signal", "of") if (name := getattr(row, key)) is not None}
     for key, signal in signals.items():
         if signal in _SENSOR_OF and _SENSOR_OF[signal] not in can.sensors:

@@ -90,7 +90,7 @@ def _walk(value: object, key: str, found: list[tuple[str, object]]) -> None:
         for name, child in value.items() if isinstance(value, Mapping) else items(value):
             _walk(child, f"{key}.{name}", found)
     elif isinstance(value, tuple) and key in _ARRAYS_OF_TABLES:
-        for index, row in enumerate(value):
+        for index, row in enumerate(value, start=1):
             _walk(row, f"{key}.{index}", found)
     elif value is not None:
         found.append((key, value))

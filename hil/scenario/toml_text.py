@@ -64,7 +64,7 @@ def _header(parsed: dict[str, Any], last_row: dict[Path, int]) -> Path:
         key, node = next(iter(node.items()))
         path = (*path, key)
         if isinstance(node, list):
-            last_row[path] = last_row.get(path, -1) + 1
+            last_row[path] = last_row.get(path, 0) + 1
             node = None
         if path in last_row:
             path = (*path, str(last_row[path]))
@@ -75,7 +75,7 @@ def _leaf_paths(node: Any, path: Path = ()) -> Iterator[Path]:
     if isinstance(node, dict) and node:
         children: Any = node.items()
     elif isinstance(node, list) and node and all(isinstance(row, dict) for row in node):
-        children = ((str(i), row) for i, row in enumerate(node))
+        children = ((str(i), row) for i, row in enumerate(node, start=1))
     else:
         if path:
             yield path

@@ -88,12 +88,12 @@ def _share(value: object) -> float | str | None:
 
 
 def _which_fault(value: object) -> int | str | None:
-    """Accept the name or kind of a fault, or its place; None is no value."""
+    """Accept the name or kind of a fault, or its row; None is no value."""
     if value is None or (isinstance(value, str) and value):
         return value
-    if isinstance(value, int) and not isinstance(value, bool) and value >= 0:
+    if isinstance(value, int) and not isinstance(value, bool) and value >= 1:
         return value
-    raise ValueError("expected the name of a fault, its kind, or its place in the scenario, from 0")
+    raise ValueError("expected the name of a fault, its kind, or its row in the scenario, from 1")
 
 
 _SUBJECTS = "`signal`, `figure`, `at_rest = true`, or `stops`"
@@ -131,9 +131,7 @@ class ExpectTable:
     figure: Annotated[str | None, "name of a figure of the run; `hil list figures` prints them all"] = None
     at_rest: Annotated[bool | None, "true: the claim is that the robot is at rest"] = None
     stops: Annotated[str | None, "part of the reason that the robot gives, such as OVERSPEED or COMMAND_TIMEOUT"] = None
-    after_fault: Annotated[Any, _which_fault, "name, kind or place (from 0) of the fault after which it is judged"] = (
-        None
-    )
+    after_fault: Annotated[Any, _which_fault, "name, kind or row (from 1) of the fault after which it is judged"] = None
     within_s: Annotated[float | None, Range(ge=0), "time after the beginning of that fault"] = None
     from_s: Annotated[float, Range(ge=0)] = 0.0
     to_s: Annotated[float, Range(gt=0, infinite=True)] = math.inf

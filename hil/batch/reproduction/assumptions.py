@@ -75,7 +75,7 @@ _EXPERIMENT = (
     _Row("the initial pose", _START, "the origin of Fig. 10: SLAM's map begins where the robot does"),
     _Row(
         "how nothing is commanded",
-        ("fault.0.kind", "fault.0.start_s", "fault.0.end_s"),
+        ("fault.1.kind", "fault.1.start_s", "fault.1.end_s"),
         "its 30 s are our 0 s; nobody is on the line, the robot stops by itself, and the host that comes at 7 s "
         "connects and arms anew",
     ),

@@ -35,9 +35,10 @@ _REPEATS = (
     "One key at a time.",
 )
 _HELP = (
-    "  u  i  o       or arrows        s f  turn left, right        Space Esc k  stop",
-    "  j  k  l                        + -  faster, slower          e            emergency stop",
-    "  m  ,  .                        a, then Enter  arm           d disarm     c clear     q quit",
+    "Space Esc k  stop    e  EMERGENCY STOP    c  clear it    d  disarm    q  quit",
+    "  u  i  o            a, then Enter  arm",
+    "  j  k  l  drive     s f  turn left, right",
+    "  m  ,  .            + -  faster, slower      arrows drive too",
 )
 
 
@@ -219,14 +220,13 @@ class _Session:
             actual = _twist(to_body(Twist(*status["twist"]), status["pose"][2]))
         return [
             "hil teleop: hold a key to run, let go to stop",
+            *_HELP,
             "",
             *(["phase     not known yet"] if status is None else _status(status, now_s - self._received_s)),
             f"asked     {requested}",
             f"got       {actual}",
             f"speed     {speeds.speed_m_s:.2f} m/s, {speeds.yaw_rate_rad_s:.2f} rad/s",
             *([] if self._gamepad is None else [f"gamepad   {self._gamepad}"]),
-            "",
-            *_HELP,
             "",
             *(_REPORTS_RELEASES if self._terminal.reports_releases else _REPEATS),
             "",

@@ -6,6 +6,7 @@ import select
 import signal
 import sys
 import termios
+import textwrap
 import time
 from collections.abc import Iterator, Sequence
 
@@ -22,6 +23,7 @@ _ENTER = b"\x1b[?1049h\x1b[?25l\x1b[?1004h"
 _LEAVE = b"\x1b[?1004l\x1b[?25h\x1b[?1049l"
 _Attributes = list[int | list[bytes | int]]
 _HOME, _REST_OF_LINE, _REST_OF_SCREEN = "\x1b[H", "\x1b[K", "\x1b[J"
+_TEXT = " " * 10  # where the text of a labelled line begins
 _ANSWER_S = 1.0
 """Timeout for an answer over a slow network; a local terminal answers at once."""
 _ESC_S = 0.05
@@ -105,13 +107,14 @@ class Terminal:
         self._write(_QUERY_FLAGS)
 
     def show(self, lines: Sequence[str]) -> None:
-        """Show lines from the top, if the terminal accepts output now."""
+        """Show lines from the top, long ones over several rows, if the terminal accepts output now."""
         try:
             size = os.get_terminal_size(self._out)
         except OSError:
             raise LostTerminalError("the terminal is gone") from None
         columns, rows = size.columns or 80, size.lines or 24
-        shown = f"{_REST_OF_LINE}\r\n".join(line[:columns] for line in lines[:rows])
+        folded = [part for line in lines for part in textwrap.wrap(line, columns, subsequent_indent=_TEXT) or [""]]
+        shown = f"{_REST_OF_LINE}\r\n".join(folded[:rows])
         self._write(f"{_HOME}{shown}{_REST_OF_LINE}{_REST_OF_SCREEN}".encode())
 
     def _query_flags(self) -> int | None:

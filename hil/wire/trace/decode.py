@@ -122,21 +122,34 @@ def _signals(message: codec.Message) -> Iterator[str]:
 
 
 class Reading:
-    """Iterates over the selected frames of a file. If reading stopped early, ``trouble`` then says where and why."""
+    """Iterates over the selected frames of a file, and counts all frames and the ``selected`` ones.
+
+    If reading stopped early, ``trouble`` then says where and why.
+    """
 
     def __init__(self, path: Path, selection: Selection) -> None:
         self._path = path
         self._selection = selection
         self._first_s: float | None = None
-        self.frames = 0
+        self._kinds: Counter[str] = Counter()
+        self._last_s = 0.0
+        self.frames = self.selected = 0
         self.trouble: str | None = None
 
     def __iter__(self) -> Iterator[Entry]:
         kinds, from_s, to_s, _ = self._selection
         for message in self._messages():
             entry = self._entry(message)
+            self._kinds[entry.kind] += 1
+            self._last_s = entry.t_s
             if from_s <= entry.t_s <= to_s and (not kinds or entry.kind in kinds):
+                self.selected += 1
                 yield entry
+
+    def contents(self) -> str:
+        """Return in words what was read: how many frames, of what time, and their kinds, the most frequent first."""
+        kinds = ", ".join(kind for kind, _ in self._kinds.most_common())
+        return f"{self._path} has {self.frames} frames of {self._last_s:.3f} s: {kinds}"
 
     def _messages(self) -> Iterator[Any]:
         from can.io.blf import BLFParseError

@@ -212,15 +212,15 @@ def test_a_claim_after_a_fault_is_judged_in_its_time() -> None:
         ({}, (0.0, math.inf)),
         ({"from_s": 0.5, "to_s": 2.5}, (0.5, 2.5)),
         ({"after_fault": "mute", "within_s": 0.4}, (1.4, math.inf)),
-        ({"after_fault": 1, "within_s": 0.4, "to_s": 4.0}, (2.4, 4.0)),
+        ({"after_fault": 2, "within_s": 0.4, "to_s": 4.0}, (2.4, 4.0)),
         ({"after_fault": "mute", "within_s": 0.4, "at_rest": True}, (1.4, 3.0)),
         ({"after_fault": "mute", "within_s": 2.5, "at_rest": True}, (3.5, math.inf)),
         ({"after_fault": "mute", "within_s": 2.0, "at_rest": True}, (3.0, math.inf)),
         ({"after_fault": "again", "within_s": 0.3, "stops": True}, (2.0, 2.3)),
     ):
         assert claimed_span_s(claim, faults) == span
-    for wrong in ("nothing", 2):
-        with pytest.raises(ValueError, match=r"no fault has this|expected a place"):
+    for wrong in ("nothing", 3, 0):
+        with pytest.raises(ValueError, match=r"no fault has this|expected a row"):
             claimed_span_s({"after_fault": wrong}, faults)
     with pytest.raises(ValueError, match="name one of them"):
         claimed_span_s({"after_fault": "mute"}, [faults[0], faults[0]])
