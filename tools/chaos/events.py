@@ -94,6 +94,16 @@ def stop_robot(world: World, judge: Judge, rng: random.Random) -> str:
     return "stop robot"
 
 
+def kill_robot(world: World, judge: Judge, rng: random.Random) -> str:
+    """Kill the robot's process and start it again, as a board that is unplugged, or was reset."""
+    judge.robot_sleeps = True
+    world.kill_robot()
+    time.sleep(rng.uniform(0.0, 2.0))
+    world.start_robot()
+    judge.robot_sleeps = False
+    return "kill robot"
+
+
 def kill_viewer(world: World, judge: Judge, rng: random.Random) -> str:
     """Start a viewer, or kill the one that is there."""
     if world.viewer is None or world.viewer.poll() is not None:
@@ -218,6 +228,7 @@ EVENTS: Mapping[Event, int] = {
     kill_child: 4,
     stop_child: 3,
     stop_robot: 1,
+    kill_robot: 1,
     kill_viewer: 1,
     full_disk: 2,
     step_clock: 2,

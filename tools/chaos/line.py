@@ -17,8 +17,7 @@ class Line:
     """Passes bytes between one host, at ``url``, and the robot at ``robot``, and spoils what it is told to.
 
     The attributes may be changed at any time: ``loss`` is the share of chunks that vanish, ``late_s`` by how much each
-    chunk is delayed at most, ``is_cut`` drops the host and takes no other one. ``heard_s`` is when the newest bytes of
-    the host were passed on, on the monotonic clock.
+    chunk is delayed at most, ``is_cut`` drops the host and takes no other one.
     """
 
     def __init__(self, robot: Path, rng: random.Random) -> None:
@@ -28,7 +27,6 @@ class Line:
         self.url = f"serial:socket://127.0.0.1:{self._server.getsockname()[1]}"
         self.loss = self.late_s = 0.0
         self.is_cut = False
-        self.heard_s = 0.0
         self._flood: deque[bytes] = deque()
         self._ends = threading.Event()
         self._thread = threading.Thread(target=self._run, name="line", daemon=True)
@@ -88,8 +86,6 @@ class Line:
                 for item in [item for item in waiting if item[0] <= now_s]:
                     waiting.remove(item)
                     _write(item[1], item[2])
-                    if item[1] == robot:
-                        self.heard_s = time.monotonic()
         except OSError:  # one of the two has gone
             return
         finally:

@@ -1,7 +1,6 @@
 """The processes: a virtual robot, the service that drives it, its children, and a viewer."""
 
 import contextlib
-import json
 import os
 import random
 import shutil
@@ -65,8 +64,9 @@ class World:
         self.viewer: subprocess.Popen[bytes] | None = None
         self._log = (folder / "log.jsonl").open("ab")
         self.live_port = _free_port()
+        self.robot: subprocess.Popen[bytes]
         self.truth = ""
-        self.robot = self._start_robot()
+        self.start_robot()
         self.line = Line(folder / "robot", rng) if kind.has_line else None
         self.services, self._began_s = 0, 0.0
         self.service = self.start_service()
@@ -111,6 +111,31 @@ class World:
         code, is_young = self.service.returncode, time.monotonic() - self._began_s < _START_S
         self.start_service()
         return None if code in (2, 3) and is_young else f"the service ended with exit code {code}"
+
+    def start_robot(self) -> None:
+        """Start the robot. Raises RuntimeError when it does not come up."""
+        words = ["device", self.kind.scenario, "--mode", "realtime", "--link", "serial:pty?symlink=robot"]
+        for setting in self.kind.sets:
+            words += ["--set", setting]
+        self.robot = subprocess.Popen(
+            [sys.executable, "-m", "hil", *words],
+            cwd=self.folder,
+            env=self._environment,
+            stdout=subprocess.PIPE,
+            stderr=(self.folder / "robot.log").open("ab"),
+            start_new_session=True,
+        )
+        assert self.robot.stdout is not None
+        ready = self.robot.stdout.readline().decode()
+        if "truth=" not in ready:
+            raise RuntimeError(f"the robot did not start: {ready!r}; see {self.folder / 'robot.log'}")
+        self.truth = ready.partition("truth=")[2].split()[0]
+
+    def kill_robot(self) -> None:
+        """Kill the robot's process, as when a board is unplugged. The truth of the next one is at another address."""
+        self.truth = ""
+        self.robot.kill()
+        self.robot.communicate()
 
     def start_viewer(self) -> None:
         """Start the viewer of the live signals, in the browser's form: no window."""
@@ -198,34 +223,6 @@ class World:
         self.kill()
         if self.line is not None:
             self.line.close()
-
-    def _start_robot(self) -> "subprocess.Popen[bytes]":
-        words = ["device", self.kind.scenario, "--mode", "realtime", "--link", "serial:pty?symlink=robot"]
-        for setting in self.kind.sets:
-            words += ["--set", setting]
-        robot = subprocess.Popen(
-            [sys.executable, "-m", "hil", *words],
-            cwd=self.folder,
-            env=self._environment,
-            stdout=subprocess.PIPE,
-            stderr=(self.folder / "robot.log").open("ab"),
-            start_new_session=True,
-        )
-        assert robot.stdout is not None
-        ready = robot.stdout.readline().decode()
-        if "truth=" not in ready:
-            raise RuntimeError(f"the robot did not start: {ready!r}; see {self.folder / 'robot.log'}")
-        self.truth = ready.partition("truth=")[2].split()[0]
-        return robot
-
-    def logged(self) -> list[dict[str, Any]]:
-        """Return the lines of the service's log."""
-        lines = (self.folder / "log.jsonl").read_text(encoding="utf-8", errors="replace").splitlines()
-        return [json.loads(line) if line.startswith("{") else {"event": line, "level": "error"} for line in lines]
-
-    def clear(self) -> None:
-        """Delete the folder."""
-        shutil.rmtree(self.folder, ignore_errors=True)
 
 
 def until(condition: Callable[[], Any], limit_s: float) -> Any:
