@@ -103,6 +103,17 @@ def test_a_changed_clients_file_is_read_again_and_a_token_that_is_gone_ends(tmp_
         assert side.request("GET", "/v1/status").is_success, "the service's own token stays"
 
 
+def test_requests_without_a_valid_token_are_counted(of_many: ControlSide) -> None:
+    def unknown() -> float:
+        text = of_many.request("GET", "/metrics").text
+        return float(next(line for line in text.splitlines() if 'dropped_total{cause="unknown"}' in line).split()[1])
+
+    before = unknown()
+    for headers in ({}, {"Authorization": "Bearer wrong"}, {"Authorization": f"Bearer {TOKENS[Role.DRIVE][:-1]}"}):
+        assert of_many.request("POST", "/v1/arm", headers=headers).status_code == 401
+    assert unknown() == before + 3
+
+
 def test_hil_ctl_says_which_role_a_token_lacks(of_many: ControlSide, tmp_path: Path) -> None:
     of_many.forget()
     file = tmp_path / "token"

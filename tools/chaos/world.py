@@ -16,11 +16,11 @@ from typing import Any, NamedTuple, Self
 import psutil
 
 from hil.core.errors import HilError
-from hil.service.client import Client, find
+from hil.service.client import Client
+from hil.service.discovery import running
 from tools.chaos.line import Line
 
 WAIT_S = 40.0
-_START_S = 15.0
 _ROLES = {
     "hil.record.recorder": "recorder",
     "hil.service.api_child": "api",
@@ -68,7 +68,7 @@ class World:
         self.truth = ""
         self.start_robot()
         self.line = Line(folder / "robot", rng) if kind.has_line else None
-        self.services, self._began_s = 0, 0.0
+        self.services, self._served = 0, 0
         self.service = self.start_service()
 
     @property
@@ -92,7 +92,6 @@ class World:
         if self._clock_library is not None:
             environment |= {"LD_PRELOAD": str(self._clock_library), "HIL_CHAOS_CLOCK": str(self._clock)}
         self.services += 1
-        self._began_s = time.monotonic()
         self.service = subprocess.Popen(
             [sys.executable, "-m", "hil", *words],
             cwd=self.folder,
@@ -108,9 +107,9 @@ class World:
 
         One that could not start, as its recorder was killed (3) or the disk was full (2), may say so and end.
         """
-        code, is_young = self.service.returncode, time.monotonic() - self._began_s < _START_S
+        code, has_served = self.service.returncode, self._served == self.service.pid
         self.start_service()
-        return None if code in (2, 3) and is_young else f"the service ended with exit code {code}"
+        return None if code in (2, 3) and not has_served else f"the service ended with exit code {code}"
 
     def start_robot(self) -> None:
         """Start the robot. Raises RuntimeError when it does not come up."""
@@ -151,9 +150,13 @@ class World:
 
     def client(self) -> Client | None:
         """Return a client of the running service; None while there is none."""
+        found = running()
+        if len(found) != 1:
+            return None
+        self._served = found[0].pid
         try:
-            return find()
-        except HilError:
+            return Client(found[0].url, Path(found[0].token_file))
+        except HilError:  # it is gone
             return None
 
     def processes(self) -> dict[str, list[psutil.Process]]:

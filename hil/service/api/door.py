@@ -62,7 +62,7 @@ class Door:
     ``is_known`` returns whether a request's headers have a valid token.
 
     Attributes:
-        dropped: number of connections by cause: ``late``, ``crowded``, or ``not_accepted``.
+        dropped: number of connections by cause: ``late``, ``crowded``, ``not_accepted``, and ``unknown``: no token.
     """
 
     def __init__(self, is_known: Callable[[Headers], bool]) -> None:

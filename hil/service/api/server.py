@@ -6,6 +6,7 @@ to 127.0.0.1 (DNS rebinding), the Host header shows it; otherwise the token stop
 
 import asyncio
 import socket
+from collections import Counter
 from collections.abc import Mapping
 
 import uvicorn
@@ -35,11 +36,14 @@ class Gate:
     """An ASGI application in front of another one: it refuses requests without the token or with a foreign Host header.
 
     It also refuses a body of more than 64 KiB before reading it, and a WebSocket beyond ``_MOST_LIVE``. Whoever is
-    refused is disconnected: the body may be unread.
+    refused is disconnected: the body may be unread. ``dropped`` counts those without the token as ``unknown``.
     """
 
-    def __init__(self, app: ASGIApp, access: Access, hosts: frozenset[bytes], control: Control) -> None:
+    def __init__(
+        self, app: ASGIApp, access: Access, hosts: frozenset[bytes], control: Control, dropped: Counter[str]
+    ) -> None:
         self._app = app
+        self._dropped = dropped
         self._access = access
         self._hosts = hosts
         self._control = control
@@ -62,6 +66,7 @@ class Gate:
             hosts = " or ".join(sorted(host.decode() for host in self._hosts))
             return _refuse(421, f"this service answers for {hosts} only, and the Host header names another")
         if client is None:
+            self._dropped["unknown"] += 1
             sentence = "the header 'Authorization: Bearer TOKEN' with the token of this start is missing or wrong"
             return _refuse(401, sentence, {"www-authenticate": "Bearer"})
         host, port = scope["client"]
@@ -114,7 +119,7 @@ async def serve(
 
     door = Door(access.is_known)
     http, websocket = door.protocols()
-    gate = Gate(make_app(config, control, access, door.dropped), access, hosts, control)
+    gate = Gate(make_app(config, control, access, door.dropped), access, hosts, control, door.dropped)
     server = Server(
         uvicorn.Config(
             gate,
