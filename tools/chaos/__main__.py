@@ -9,6 +9,7 @@ folder and on loopback. The same seed gives the same events; when they hit what,
 
 import argparse
 import collections
+import contextlib
 import json
 import random
 import sys
@@ -21,7 +22,7 @@ from typing import Any
 
 import hil
 from hil.core.errors import HilError
-from tools.chaos.events import EVENTS, user
+from tools.chaos.events import EVENTS, give_order
 from tools.chaos.judge import Judge
 from tools.chaos.world import KINDS, World, until
 
@@ -62,9 +63,8 @@ def chaos(kind: str, folder: Path, rng: random.Random, seconds: float) -> dict[s
                 if not until(lambda: judge.is_moving, QUIET_S):
                     trouble.append(f"the robot did not drive within {QUIET_S:g} s of the start")
                 end_s = time.monotonic() + seconds
-                for event in _draws(rng):
-                    if time.monotonic() > end_s:
-                        break
+                while time.monotonic() < end_s:
+                    [event] = rng.choices(list(EVENTS), list(EVENTS.values()))
                     if (words := event(world, judge, rng)) is not None:
                         happened[words] += 1
                         print(f"{time.monotonic() - begin_s:6.1f} s  {words}", file=sys.stderr, flush=True)
@@ -93,29 +93,22 @@ def chaos(kind: str, folder: Path, rng: random.Random, seconds: float) -> dict[s
         }
 
 
-def _draws(rng: random.Random) -> Iterator[Any]:
-    while True:
-        yield rng.choices(list(EVENTS), list(EVENTS.values()))[0]
+@contextlib.contextmanager
+def _used(world: World, judge: Judge, rng: random.Random) -> Iterator[None]:
+    """Let a user give orders in a thread of its own meanwhile."""
+    ends = threading.Event()
 
+    def give_orders() -> None:
+        while not ends.wait(_USER_S):
+            give_order(world, judge, rng)
 
-class _used:  # noqa: N801 - a context manager
-    """A user in a thread of its own, from entry to exit."""
-
-    def __init__(self, world: World, judge: Judge, rng: random.Random) -> None:
-        self._orders = user(world, judge, rng)
-        self._ends = threading.Event()
-        self._thread = threading.Thread(target=self._run, name="user", daemon=True)
-
-    def _run(self) -> None:
-        while not self._ends.wait(_USER_S):
-            next(self._orders)
-
-    def __enter__(self) -> None:
-        self._thread.start()
-
-    def __exit__(self, *_: object) -> None:
-        self._ends.set()
-        self._thread.join()
+    thread = threading.Thread(target=give_orders, name="user", daemon=True)
+    thread.start()
+    try:
+        yield
+    finally:
+        ends.set()
+        thread.join()
 
 
 def _opened(path: Path) -> int | str:

@@ -25,23 +25,10 @@ from tools.chaos.world import World
 Event = Callable[[World, Judge, random.Random], str | None]
 """Returns the words for what it did, or None where there was nothing to do it to."""
 
-_ODD: tuple[Any, ...] = (
-    None,
-    -1,
-    1e308,
-    float("nan"),
-    "",
-    "x" * 5000,
-    [],
-    {},
-    [[]],
-    True,
-    "../../x",
-    "../x.rrd",
-    "a\x00.rrd",
-    "\x1b[2J",
-    2**70,
-)
+_TWIST = ("vx_m_s", "vy_m_s", "yaw_rate_rad_s")
+_ARGUMENTS = (*_TWIST, "x_m", "y_m", "heading_rad", "reference", "gains", "here", "name")
+_ODD: tuple[Any, ...] = (None, -1, 1e308, float("nan"), 2**70, True, [], {}, [[]])
+_ODD += ("", "x" * 5000, "../../x", "../x.rrd", "a\x00.rrd", "\x1b[2J")
 
 
 def kill_service(world: World, judge: Judge, rng: random.Random) -> str:
@@ -176,20 +163,8 @@ def malformed_orders(world: World, judge: Judge, rng: random.Random) -> str | No
     client = world.client()
     if client is None:
         return None
-    arguments = [
-        "vx_m_s",
-        "vy_m_s",
-        "yaw_rate_rad_s",
-        "x_m",
-        "y_m",
-        "heading_rad",
-        "reference",
-        "gains",
-        "here",
-        "name",
-    ]
     for _ in range(rng.randrange(5, 40)):
-        names = rng.sample(arguments, rng.randrange(5))
+        names = rng.sample(_ARGUMENTS, rng.randrange(5))
         action = rng.choice([one for one in Action if one not in (Action.SHUTDOWN, Action.STOP_RECORDING)])
         # Refused, or the service is away; what it does with it is judged by the truth.
         with contextlib.suppress(HilError, ValueError):
@@ -240,34 +215,28 @@ EVENTS: Mapping[Event, int] = {
 """How often each happens, in shares."""
 
 
-def user(world: World, judge: Judge, rng: random.Random) -> Iterator[None]:
-    """Use the service as a user does, an order at each step: arm, drive, clear; whatever happens to it."""
-    while True:
-        status, client = judge.status(), world.client()
-        if status is None or client is None:
-            yield
-            continue
-        with contextlib.suppress(HilError):  # refused, or away: it asks again
-            _next_order(client.order, status["phase"], rng)
-        yield
+def give_order(world: World, judge: Judge, rng: random.Random) -> None:
+    """Do the next thing that a user does, whatever happens to the service: arm, drive, clear."""
+    status, client = judge.status(), world.client()
+    if status is None or client is None:
+        return
+    with contextlib.suppress(HilError):  # refused, or away: the user asks again
+        client.order(*_next_order(status["phase"], rng))
 
 
-def _next_order(order: Callable[[Action, Mapping[str, Any]], Any], phase: str, rng: random.Random) -> None:
-    if phase == "disarmed":
-        order(Action.ARM, {})
-    elif phase in ("fault", "estop"):
-        order(Action.CLEAR, {})
-    elif phase == "active":
-        what = rng.random()
-        if what < 0.5:
-            names = ("vx_m_s", "vy_m_s", "yaw_rate_rad_s")
-            order(Action.TWIST, {name: rng.uniform(-0.5, 0.5) for name in names})
-        elif what < 0.75:
-            order(Action.TRACK, {"here": True, "reference": {"kind": "circle", "radius_m": 0.5, "period_s": 8.0}})
-        elif what < 0.95:
-            order(Action.GO, {"x_m": rng.uniform(-2, 2), "y_m": rng.uniform(-2, 2), "heading_rad": rng.uniform(-3, 3)})
-        else:
-            order(rng.choice([Action.DISARM, Action.ESTOP, Action.STOP]), {})
+def _next_order(phase: str, rng: random.Random) -> tuple[Action, Mapping[str, Any]]:
+    if phase in ("fault", "estop"):
+        return Action.CLEAR, {}
+    if phase != "active":
+        return Action.ARM, {}
+    what = rng.random()
+    if what < 0.5:
+        return Action.TWIST, {name: rng.uniform(-0.5, 0.5) for name in _TWIST}
+    if what < 0.75:
+        return Action.TRACK, {"here": True, "reference": {"kind": "circle", "radius_m": 0.5, "period_s": 8.0}}
+    if what < 0.95:
+        return Action.GO, {"x_m": rng.uniform(-2, 2), "y_m": rng.uniform(-2, 2), "heading_rad": rng.uniform(-3, 3)}
+    return rng.choice([Action.DISARM, Action.ESTOP, Action.STOP]), {}
 
 
 def _child(world: World, rng: random.Random) -> tuple[str, psutil.Process | None]:
