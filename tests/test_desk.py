@@ -167,6 +167,7 @@ def test_a_recording_is_a_new_file_of_the_service_s_own_folder(
     assert refusal.isprintable()
     assert len(refusal) < 500
     assert "OSError" not in refusal
+    assert "--force" not in refusal, "no order has it"
     assert sorted(path.name for path in tmp_path.rglob("*")) == ["link.mcap", "runs", "there.mcap"]
     assert (runs / "there.mcap").read_text() == "evidence"
 

@@ -1,6 +1,7 @@
 """Carries out the orders of a service: short ones at once, long ones in a second thread."""
 
 import contextlib
+import os
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import Executor, Future
 from dataclasses import dataclass, replace
@@ -212,7 +213,13 @@ class Desk:
             table = self.scenario.service
             folder, about = Path(table.recordings), properties(self.scenario, made_of)
             if name is not None:
-                return recording_of(about, self.signals, named_in(folder, name), table)
+                file = named_in(folder, name)
+                if os.path.lexists(file):  # a command's refusal would speak of --force
+                    raise BadInputError(
+                        f"recording {str(file)!r}: the file exists already, and a service replaces none; choose "
+                        "another name"
+                    )
+                return recording_of(about, self.signals, file, table)
             file = new_in_runs(self.scenario.name, ".rrd", "set service.recordings", folder)
             return recording_of(about, self.signals, file, table, existing="number")
 
