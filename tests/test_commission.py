@@ -189,6 +189,23 @@ def test_each_failure_is_one_sentence_and_nothing_is_written_that_was_not_found(
     assert after == before
 
 
+def test_a_gyro_that_is_not_mounted_as_the_accelerometer_is_named(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    record = Session._record
+
+    def upside_down(session: Session, *arguments: Any, **options: Any) -> Any:
+        seen = record(session, *arguments, **options)
+        return seen._replace(yaw_rate_rad_s=-seen.yaw_rate_rad_s)
+
+    monkeypatch.setattr(Session, "_record", upside_down)
+    file = robot_file(tmp_path)
+    with pytest.raises(StepError, match="the gyro turns against .* it is not mounted as the accelerometer is"):
+        commission(file, sets=WIRED)
+    assert the_table(file)["steps"] == ["blocks"]
+    assert tomllib.loads(file.read_text())["device"]["wheels"] == ["fl", "fr", "rr", "rl"]
+
+
 def test_a_floor_that_slopes_against_where_the_robot_stood_is_noticed(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -271,8 +288,10 @@ def test_nothing_of_the_firmware_closes_a_loop_meanwhile(tmp_path: Path, monkeyp
         commission(robot_file(tmp_path / "other"), sets=["firmware.speed_kp_n_m_s_rad=1"])
 
 
-BOARD = ["device.driver=rosmaster", "plant.start.battery_voltage_v=12"]
-BOARDS = [BOARD, ["device.driver=wheeltec", "plant.start.battery_voltage_v=24"]]
+BOARDS = [
+    ["device.driver=rosmaster", "plant.start.battery_voltage_v=12"],
+    ["device.driver=wheeltec", "plant.start.battery_voltage_v=24"],
+]
 
 
 @pytest.mark.parametrize("board", BOARDS, ids=["rosmaster", "wheeltec"])
@@ -288,6 +307,7 @@ def test_a_board_that_closes_its_loops_itself_is_driven_slowly_and_its_wiring_is
     assert "device.wheels" not in done.values
 
 
+@pytest.mark.parametrize("board", BOARDS, ids=["rosmaster", "wheeltec"])
 @pytest.mark.parametrize(
     ("wiring", "words"),
     [
@@ -299,10 +319,10 @@ def test_a_board_that_closes_its_loops_itself_is_driven_slowly_and_its_wiring_is
         ('plant.wiring.encoders_reversed=["fl"]', "a wheel ran away"),
     ],
 )
-def test_a_board_that_is_wired_wrongly_is_found_out(tmp_path: Path, wiring: str, words: str) -> None:
+def test_a_board_that_is_wired_wrongly_is_found_out(tmp_path: Path, board: list[str], wiring: str, words: str) -> None:
     file = robot_file(tmp_path)
     with pytest.raises(StepError, match=words):
-        commission(file, sets=[*BOARD, wiring])
+        commission(file, sets=[*board, wiring])
     assert the_table(file)["state"] == "begun"
 
 

@@ -223,6 +223,11 @@ class Procedure:
         if decision.is_clear or (decision.fits and decision.rollers == "o"):
             return decision
         if not decision.fits:
+            if self._decided(seen._replace(yaw_rad_s2=-seen.yaw_rad_s2), evidence).fits:
+                raise StepError(
+                    "the gyro turns against what accelerometer and encoders saw: it is not mounted as the "
+                    "accelerometer is, or the wheel that moved first was the one diagonally opposite to that answered"
+                )
             raise StepError(
                 f"no wiring explains what the sensors saw (the best scores {decision.score:.2f}): look whether the "
                 "robot stands free, whether all four wheels are Mecanum wheels, and whether [robot] has its mass and "
