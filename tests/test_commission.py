@@ -200,7 +200,7 @@ def test_a_gyro_that_is_not_mounted_as_the_accelerometer_is_named(
 
     monkeypatch.setattr(Session, "_record", upside_down)
     file = robot_file(tmp_path)
-    with pytest.raises(StepError, match="the gyro turns against .* it is not mounted as the accelerometer is"):
+    with pytest.raises(StepError, match=r"the gyro turns against .* it is not mounted as the accelerometer is"):
         commission(file, sets=WIRED)
     assert the_table(file)["steps"] == ["blocks"]
     assert tomllib.loads(file.read_text())["device"]["wheels"] == ["fl", "fr", "rr", "rl"]

@@ -86,6 +86,23 @@ def test_intervals_hold_the_truth_as_often_as_they_say() -> None:
     assert 0.89 < np.mean(held) < 0.99
 
 
+class Bent(Linear):
+    """Windows that answer to the arc tangent of their start: a whole step from far away goes further away."""
+
+    def predict(self, parameters: np.ndarray, starts: np.ndarray) -> np.ndarray:
+        return super().predict(parameters, np.arctan(starts))
+
+
+def test_a_window_whose_step_goes_astray_takes_a_shorter_one() -> None:
+    one = Bent(9)
+    one.measured += np.einsum("wms,ws->wm", one.by_start, np.arctan(one.own) - one.own)
+    one.starts = one.own.copy()
+    one.starts[:20] = 2.5 * np.sign(one.own[:20])
+    near = solve([one], one.true, bounds=WIDE)
+    assert near.starts[0][:20] == pytest.approx(one.own[:20], abs=20 * SIGMA)
+    assert near.parameters == pytest.approx(one.true, abs=0.02)
+
+
 def test_windows_that_went_wrong_do_no_harm() -> None:
     one = Linear(2)
     clean = solve([one], np.zeros(PARAMETERS), bounds=WIDE).parameters

@@ -13,10 +13,11 @@ from hil.core.model import RobotModel
 from hil.identify.blocks import BlocksFit, fit_blocks
 from hil.identify.currents import quiet
 from hil.identify.floor import GAINS, GYRO_BIAS, STRETCH, Floor, Parameter, variable, variables_of
-from hil.identify.gauss_newton import STEP, Knowledge, Solution, inverted, solve
+from hil.identify.gauss_newton import Knowledge, Solution, inverted, solve
 from hil.identify.held_out import Prediction, predict
 from hil.identify.identifiability import Outlook, check_excitation, outlook
 from hil.identify.kinematics import Kinematics, Tape, fit_kinematics, with_geometry
+from hil.identify.linearised import STEP
 from hil.identify.recorded import Array, Drive
 from hil.identify.squeeze import Squeeze, grip_of
 from hil.identify.trouble import check_level, check_motors

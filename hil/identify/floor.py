@@ -71,7 +71,7 @@ def variables_of(parameters: Sequence[Parameter], numbers: Array) -> dict[str, A
 
 
 class Floor:
-    """An ``Experiment`` (``gauss_newton``): windows of a drive on the floor, predicted by an FMU.
+    """An ``Experiment`` (``linearised``): windows of a drive on the floor, predicted by an FMU.
 
     ``parameters`` are the fit's, in its order. ``start`` is shared by all windows. ``torque_constant_n_m_a`` turns
     currents into torques at the wheels. ``by_twist`` is False for an FMU whose twist at the start cannot be set: each

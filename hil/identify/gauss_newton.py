@@ -1,21 +1,19 @@
 """Robust nonlinear least squares over windows: parameters common to all, and the free start of each window.
 
 Per window, the part of the residuals that a change of its start explains is projected away (variable projection),
-so that hundreds of starts cost no more than the few parameters. Derivatives are finite differences: all sets of a step
-are predicted in one call.
+so that hundreds of starts cost no more than the few parameters (``linearised``).
 """
 
 from collections.abc import Sequence
-from typing import Literal, NamedTuple, Protocol, Self
+from typing import NamedTuple, Self
 
 import numpy as np
 import numpy.typing as npt
 
+from hil.identify.linearised import Experiment, Local, Slopes, all_slopes, linearised, smooth
 from hil.identify.recorded import Array
-from hil.identify.robust import huber_loss, huber_weights
+from hil.identify.robust import huber_loss
 
-STEP = 2e-3
-"""By how much a parameter is varied for a derivative."""
 _MOST_STEPS = 20
 _DONE = 2e-4
 _NEAR = 0.02  # so near derivatives are good enough for another step; they are most of the work
@@ -24,31 +22,9 @@ _NEW_SIGMAS = 3
 _NOTHING = 1e-14
 _OPEN = 1e-10
 _LONGEST = 0.7
-_RISES = 1.0
+_RISES = 1.0  # of a window's cost
 _SHORTER = (0.3, 0.0)
 _HALVINGS = 4
-
-
-class Experiment(Protocol):
-    """Windows of one kind of drive, and a model that predicts them.
-
-    Attributes:
-        measured: (W, M) what was measured in each window.
-        starts: (W, S) a first guess of each window's start.
-        start_steps: (S,) steps of the finite differences of a start.
-        least_sigmas: (M,) standard deviations of the sensors themselves, if the model were true.
-    """
-
-    measured: Array
-    starts: Array
-    start_steps: Array
-    least_sigmas: Array
-
-    def predict(self, parameters: Array, starts: Array) -> Array:
-        """Return the predictions (K, W, M) for K sets of parameters (K, P), each with starts (K, W, S)."""
-
-    def sigmas(self, residual: Array) -> Array:
-        """Return the standard deviations (M,) of the measurements, from residuals (W, M)."""
 
 
 class Solution(NamedTuple):
@@ -71,22 +47,6 @@ class Solution(NamedTuple):
     starts: tuple[Array, ...]
     cost: float
     steps: int
-
-
-class _Local(NamedTuple):
-    """One experiment at one point: whitened residuals and their derivatives, times the roots of Huber's weights.
-
-    With the weights inside, the step of the parameters and those of the starts belong to one cost; a projection without
-    them ended a fit on the way.
-    """
-
-    residual: Array  # (W, M) whitened alone
-    weighted: Array  # (W, M) before the projection
-    reduced: Array  # (W, M) without what the starts explain
-    jacobian: Array  # (W, M, P) without it
-    raw_jacobian: Array  # (W, M, P) before the projection
-    start_jacobian: Array  # (W, M, S)
-    inside: npt.NDArray[np.bool_]  # (W, M) where Huber's loss is a square
 
 
 class Knowledge(NamedTuple):
@@ -127,13 +87,13 @@ def solve(
     predicted = _predicted(experiments, point, starts)
     sigmas = _sigmas(experiments, predicted)
     damping, steps, has_settled = 1e-4, 0, False
-    slopes: list[_Slopes] = []
+    slopes: list[Slopes] = []
     are_new = False
     for steps in range(1, _MOST_STEPS + 1):
         if not slopes:
-            slopes, are_new = _all_slopes(experiments, predicted, starts, point, free), True
+            slopes, are_new = all_slopes(experiments, predicted, starts, point, free), True
         locals_ = [
-            _at(*args, by="guess" if steps == 1 else "start")
+            linearised(*args, by="guess" if steps == 1 else "start")
             for args in zip(experiments, predicted, slopes, sigmas, strict=True)
         ]
         gradient, information, _ = _normal(locals_, len(point))
@@ -147,7 +107,10 @@ def solve(
             step[free] = np.linalg.solve(matrix, gradient[free])
             step *= min(1.0, _LONGEST / max(float(np.abs(step).max()), 1e-12))
             tried = np.clip(point + step, *bounds)
-            moved, there = _moved(experiments, locals_, starts, tried, tried - point, sigmas)
+            ends = [
+                _moved(*args, tried, tried - point) for args in zip(experiments, locals_, starts, sigmas, strict=True)
+            ]
+            moved, there = [end for end, _ in ends], [seen for _, seen in ends]
             now = _cost(_residuals(experiments, there, sigmas), known, tried)
             if now <= cost:
                 found = tried, moved, there, now
@@ -171,11 +134,23 @@ def solve(
         has_settled = has_settled or (done and steps > _NEW_SIGMAS)
         if steps <= _NEW_SIGMAS or done:  # the last were those of a poorer model
             sigmas = _sigmas(experiments, predicted)
+    return _with_intervals(experiments, point, starts, predicted, known, steps)
+
+
+def _with_intervals(
+    experiments: Sequence[Experiment],
+    point: Array,
+    starts: Sequence[Array],
+    predicted: Sequence[Array],
+    known: Knowledge,
+    steps: int,
+) -> Solution:
+    """Return an optimum with its covariance, from derivatives to both sides."""
     sigmas = _sigmas(experiments, predicted)
-    every = np.ones_like(free)
-    sides = [_all_slopes(experiments, predicted, starts, point, every, way=way) for way in (1.0, -1.0)]
+    every = np.ones(len(point), dtype=bool)
+    sides = [all_slopes(experiments, predicted, starts, point, every, way=way) for way in (1.0, -1.0)]
     locals_ = [
-        _smooth(*(_at(experiment, seen, slope, sigma) for slope in both))
+        smooth(*(linearised(experiment, seen, slope, sigma) for slope in both))
         for experiment, seen, sigma, *both in zip(experiments, predicted, sigmas, *sides, strict=True)
     ]
     _, information, scatter = _normal(locals_, len(point))
@@ -183,7 +158,7 @@ def solve(
     curved = [local._replace(jacobian=local.jacobian * local.inside[..., None]) for local in locals_]
     curvature = _normal(curved, len(point))[1]
     # Parameters follow the windows that they are fitted to, so a few windows scatter too little.
-    windows, fitted = sum(len(local.residual) for local in locals_), int(free.sum())
+    windows, fitted = sum(len(local.residual) for local in locals_), int((~known.held).sum())
     scatter = scatter * (windows / (windows - fitted) if windows > 3 * fitted else 1.0)
     count = sum(local.residual.size for local in locals_)
     cost = _cost([local.residual for local in locals_], known, point) / count
@@ -196,9 +171,9 @@ def information_of(experiments: Sequence[Experiment], parameters: Array) -> Arra
     every = np.ones(len(parameters), dtype=bool)
     starts = [one.starts for one in experiments]
     predicted = _predicted(experiments, parameters, starts)
-    slopes = _all_slopes(experiments, predicted, starts, parameters, every)
+    slopes = all_slopes(experiments, predicted, starts, parameters, every)
     locals_ = [
-        _at(one, seen, slope, one.least_sigmas, by="nothing")
+        linearised(one, seen, slope, one.least_sigmas, by="nothing")
         for one, seen, slope in zip(experiments, predicted, slopes, strict=True)
     ]
     return sum((np.einsum("wmp,wmq->pq", one.jacobian, one.jacobian, optimize=True) for one in locals_), np.zeros(()))
@@ -251,85 +226,7 @@ def _sigmas(experiments: Sequence[Experiment], predicted: Sequence[Array]) -> li
     return [one.sigmas(one.measured - seen) for one, seen in zip(experiments, predicted, strict=True)]
 
 
-class _Slopes(NamedTuple):
-    """Derivatives of an experiment's predictions by the parameters (W, M, P) and by the starts (W, M, S)."""
-
-    by_parameter: Array
-    by_start: Array
-
-
-def _all_slopes(
-    experiments: Sequence[Experiment],
-    predicted: Sequence[Array],
-    starts: Sequence[Array],
-    point: Array,
-    varied: npt.NDArray[np.bool_],
-    way: float = 1.0,
-) -> list[_Slopes]:
-    """Return each experiment's derivatives by the parameters that are ``varied``; those by the others are zero.
-
-    ``predicted`` is at ``point``. ``way`` is the side to which the parameters are varied: 1 or -1.
-    """
-    places = np.flatnonzero(varied)
-    count, found = len(places), []
-    for experiment, here, start in zip(experiments, predicted, starts, strict=True):
-        sets = np.repeat(point[None], count + start.shape[1], axis=0)
-        sets[np.arange(count), places] += way * STEP
-        moved = np.repeat(start[None], len(sets), axis=0)
-        for place, step in enumerate(experiment.start_steps):
-            moved[count + place, :, place] += step
-        changes = np.moveaxis(experiment.predict(sets, moved) - here, 0, -1)
-        by_parameter = np.zeros((*here.shape, len(point)))
-        by_parameter[..., places] = changes[..., :count] / (way * STEP)
-        found.append(_Slopes(by_parameter, changes[..., count:] / experiment.start_steps))
-    return found
-
-
-def _at(
-    experiment: Experiment,
-    predicted: Array,
-    slopes: _Slopes,
-    sigma: Array,
-    by: Literal["start", "guess", "nothing"] = "start",
-) -> _Local:
-    """Return an experiment linearised where it predicts this.
-
-    Residuals from the starts say what are outliers, or where these are a guess, what is left by the best starts; or no
-    residual is one.
-    """
-    residual = (experiment.measured - predicted) / sigma
-    jacobian, by_start = (slope / sigma[:, None] for slope in slopes)
-    left = residual if by == "start" else _projected(by_start, residual[..., None])[..., 0]
-    weights = np.ones_like(left) if by == "nothing" else huber_weights(left)
-    roots = np.sqrt(weights)
-    weighted, jacobian, by_start = residual * roots, jacobian * roots[..., None], by_start * roots[..., None]
-    reduced = _projected(by_start, np.concatenate([weighted[..., None], jacobian], axis=2))
-    return _Local(residual, weighted, reduced[..., 0], reduced[..., 1:], jacobian, by_start, weights == 1.0)
-
-
-def _smooth(forward: _Local, backward: _Local) -> _Local:
-    """Return the mean of both sides' derivatives, without the windows in which they do not agree.
-
-    A wheel that just sticks or not makes a prediction jump. Over a small step that looks like a huge derivative, and
-    one such window would claim to know a parameter better than all the others together.
-    """
-    sizes = [np.einsum("wmp->wp", one.jacobian**2) for one in (forward, backward)]
-    usual = np.mean(np.minimum(*sizes), axis=0)
-    agree = (np.einsum("wmp->wp", (forward.jacobian - backward.jacobian) ** 2) <= usual).all(axis=1)
-    mean = 0.5 * (forward.jacobian + backward.jacobian) * agree[:, None, None]
-    return forward._replace(jacobian=mean)
-
-
-def _projected(by_start: Array, columns: Array) -> Array:
-    """Return columns (W, M, C) without what a change of the starts, by (W, M, S), explains of them."""
-    if by_start.shape[2] == 0:
-        return columns
-    basis, _ = np.linalg.qr(by_start)
-    left: Array = columns - basis @ (np.swapaxes(basis, 1, 2) @ columns)
-    return left
-
-
-def _normal(locals_: Sequence[_Local], count: int) -> tuple[Array, Array, Array]:
+def _normal(locals_: Sequence[Local], count: int) -> tuple[Array, Array, Array]:
     """Return gradient, normal matrix, and the scatter of the windows' gradients."""
     gradient, information, scatter = np.zeros(count), np.zeros((count, count)), np.zeros((count, count))
     for local in locals_:
@@ -348,36 +245,23 @@ def _cost(residuals: Sequence[Array], known: Knowledge, point: Array) -> float:
 
 
 def _moved(
-    experiments: Sequence[Experiment],
-    locals_: Sequence[_Local],
-    starts: Sequence[Array],
-    tried: Array,
-    step: Array,
-    sigmas: Sequence[Array],
-) -> tuple[list[Array], list[Array]]:
-    """Return the starts after a step of the parameters, and what is predicted from them.
+    experiment: Experiment, local: Local, start: Array, sigma: Array, tried: Array, step: Array
+) -> tuple[Array, Array]:
+    """Return the starts (W, S) after a step of the parameters to ``tried``, and what is predicted from them (W, M).
 
-    A window whose cost rises by its own step takes a part of it, or none: a wheel may stick from there.
+    A window whose cost rises by its own step takes a part of it, or none: from there a wheel may stick.
     """
-    moved, there = [], []
-    for experiment, local, start, sigma in zip(experiments, locals_, starts, sigmas, strict=True):
-        by = _start_step(local, step)
-        ends = start + by
-        seen = experiment.predict(tried[None], ends[None])[0]
-        costs = _window_costs(experiment, seen, sigma)
-        if np.any(costs > huber_loss(local.residual).sum(axis=1) + _RISES):
-            fewer = np.stack([start + share * by for share in _SHORTER])
-            others = experiment.predict(np.repeat(tried[None], len(fewer), axis=0), fewer)
-            for end, other in zip(fewer, others, strict=True):
-                cost = _window_costs(experiment, other, sigma)
-                better = cost < costs
-                ends, seen, costs = (
-                    np.where(better[:, None], end, ends),
-                    np.where(better[:, None], other, seen),
-                    np.minimum(cost, costs),
-                )
-        moved.append(ends)
-        there.append(seen)
+    by = _start_step(local, step)
+    moved = start + by
+    there = experiment.predict(tried[None], moved[None])[0]
+    costs = _window_costs(experiment, there, sigma)
+    if np.any(costs > huber_loss(local.residual).sum(axis=1) + _RISES):
+        shorter = np.stack([start + share * by for share in _SHORTER])
+        others = experiment.predict(np.repeat(tried[None], len(shorter), axis=0), shorter)
+        for other, seen in zip(shorter, others, strict=True):
+            now = _window_costs(experiment, seen, sigma)
+            better = (now < costs)[:, None]
+            moved, there, costs = np.where(better, other, moved), np.where(better, seen, there), np.minimum(now, costs)
     return moved, there
 
 
@@ -387,7 +271,7 @@ def _window_costs(experiment: Experiment, predicted: Array, sigma: Array) -> Arr
     return cost
 
 
-def _start_step(local: _Local, step: Array) -> Array:
+def _start_step(local: Local, step: Array) -> Array:
     """Return the change of each start that fits best after a step of the parameters."""
     left = local.weighted - local.raw_jacobian @ step
     if local.start_jacobian.shape[2] == 0:

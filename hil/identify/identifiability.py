@@ -12,7 +12,8 @@ import numpy as np
 
 from hil.core.errors import BadInputError
 from hil.identify.floor import NUISANCES, Parameter
-from hil.identify.gauss_newton import Experiment, Knowledge, information_of
+from hil.identify.gauss_newton import Knowledge, information_of
+from hil.identify.linearised import Experiment
 from hil.identify.recorded import Array, Drive
 from hil.identify.windows import twists
 

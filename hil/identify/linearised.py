@@ -1,0 +1,132 @@
+"""A model of windows, linearised: its derivatives by the parameters, and without what the start of a window explains.
+
+Derivatives are finite differences: all sets of a step are predicted in one call.
+"""
+
+from collections.abc import Sequence
+from typing import Literal, NamedTuple, Protocol
+
+import numpy as np
+import numpy.typing as npt
+
+from hil.identify.recorded import Array
+from hil.identify.robust import huber_weights
+
+STEP = 2e-3
+"""By how much a parameter is varied for a derivative."""
+
+
+class Experiment(Protocol):
+    """Windows of one kind of drive, and a model that predicts them.
+
+    Attributes:
+        measured: (W, M) what was measured in each window.
+        starts: (W, S) a first guess of each window's start.
+        start_steps: (S,) steps of the finite differences of a start.
+        least_sigmas: (M,) standard deviations of the sensors themselves, if the model were true.
+    """
+
+    measured: Array
+    starts: Array
+    start_steps: Array
+    least_sigmas: Array
+
+    def predict(self, parameters: Array, starts: Array) -> Array:
+        """Return the predictions (K, W, M) for K sets of parameters (K, P), each with starts (K, W, S)."""
+
+    def sigmas(self, residual: Array) -> Array:
+        """Return the standard deviations (M,) of the measurements, from residuals (W, M)."""
+
+
+class Local(NamedTuple):
+    """One experiment at one point: whitened residuals and their derivatives, times the roots of Huber's weights.
+
+    With the weights inside, the step of the parameters and those of the starts belong to one cost; a projection without
+    them ended a fit on the way.
+    """
+
+    residual: Array  # (W, M) whitened alone
+    weighted: Array  # (W, M) before the projection
+    reduced: Array  # (W, M) without what the starts explain
+    jacobian: Array  # (W, M, P) without it
+    raw_jacobian: Array  # (W, M, P) before the projection
+    start_jacobian: Array  # (W, M, S)
+    inside: npt.NDArray[np.bool_]  # (W, M) where Huber's loss is a square
+
+
+class Slopes(NamedTuple):
+    """Derivatives of an experiment's predictions by the parameters (W, M, P) and by the starts (W, M, S)."""
+
+    by_parameter: Array
+    by_start: Array
+
+
+def all_slopes(
+    experiments: Sequence[Experiment],
+    predicted: Sequence[Array],
+    starts: Sequence[Array],
+    point: Array,
+    varied: npt.NDArray[np.bool_],
+    way: float = 1.0,
+) -> list[Slopes]:
+    """Return each experiment's derivatives by the parameters that are ``varied``; those by the others are zero.
+
+    ``predicted`` is at ``point``. ``way`` is the side to which the parameters are varied: 1 or -1.
+    """
+    places = np.flatnonzero(varied)
+    count, found = len(places), []
+    for experiment, here, start in zip(experiments, predicted, starts, strict=True):
+        sets = np.repeat(point[None], count + start.shape[1], axis=0)
+        sets[np.arange(count), places] += way * STEP
+        moved = np.repeat(start[None], len(sets), axis=0)
+        for place, step in enumerate(experiment.start_steps):
+            moved[count + place, :, place] += step
+        changes = np.moveaxis(experiment.predict(sets, moved) - here, 0, -1)
+        by_parameter = np.zeros((*here.shape, len(point)))
+        by_parameter[..., places] = changes[..., :count] / (way * STEP)
+        found.append(Slopes(by_parameter, changes[..., count:] / experiment.start_steps))
+    return found
+
+
+def linearised(
+    experiment: Experiment,
+    predicted: Array,
+    slopes: Slopes,
+    sigma: Array,
+    by: Literal["start", "guess", "nothing"] = "start",
+) -> Local:
+    """Return an experiment linearised where it predicts this.
+
+    Residuals from the starts say what are outliers, or where these are a guess, what is left by the best starts; or no
+    residual is one.
+    """
+    residual = (experiment.measured - predicted) / sigma
+    jacobian, by_start = (slope / sigma[:, None] for slope in slopes)
+    left = residual if by == "start" else _projected(by_start, residual[..., None])[..., 0]
+    weights = np.ones_like(left) if by == "nothing" else huber_weights(left)
+    roots = np.sqrt(weights)
+    weighted, jacobian, by_start = residual * roots, jacobian * roots[..., None], by_start * roots[..., None]
+    reduced = _projected(by_start, np.concatenate([weighted[..., None], jacobian], axis=2))
+    return Local(residual, weighted, reduced[..., 0], reduced[..., 1:], jacobian, by_start, weights == 1.0)
+
+
+def smooth(forward: Local, backward: Local) -> Local:
+    """Return the mean of both sides' derivatives, without the windows in which they do not agree.
+
+    A wheel that just sticks or not makes a prediction jump. Over a small step that looks like a huge derivative, and
+    one such window would claim to know a parameter better than all the others together.
+    """
+    sizes = [np.einsum("wmp->wp", one.jacobian**2) for one in (forward, backward)]
+    usual = np.mean(np.minimum(*sizes), axis=0)
+    agree = (np.einsum("wmp->wp", (forward.jacobian - backward.jacobian) ** 2) <= usual).all(axis=1)
+    mean = 0.5 * (forward.jacobian + backward.jacobian) * agree[:, None, None]
+    return forward._replace(jacobian=mean)
+
+
+def _projected(by_start: Array, columns: Array) -> Array:
+    """Return columns (W, M, C) without what a change of the starts, by (W, M, S), explains of them."""
+    if by_start.shape[2] == 0:
+        return columns
+    basis, _ = np.linalg.qr(by_start)
+    left: Array = columns - basis @ (np.swapaxes(basis, 1, 2) @ columns)
+    return left
