@@ -46,7 +46,7 @@ def test_every_value_of_a_row_stands_under_its_signals_name() -> None:
         acceleration_m_s2=(70.0, 71.0, 72.0),
         yaw_rate_rad_s=73.0,
     )
-    estimator = EstimatorSignals(*range(180, 192))
+    estimator = EstimatorSignals(*range(180, 194))
     gains = Gains(*range(90, 90 + len(Gains._fields)))
     applied = Applied(WheelCommand(CommandMode.SPEED, four(100), four(110)), True, 0.12)
     device = SimpleNamespace(

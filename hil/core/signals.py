@@ -58,6 +58,8 @@ class EstimatorSignals(NamedTuple):
     sigma_position_m: float
     sigma_heading_rad: float
     gyro_bias_rad_s: float
+    wheel_scale: float
+    fix_noise: float
     fixes_accepted: float
     fixes_rejected: float
     fix_age_ms: float
@@ -148,6 +150,8 @@ _MEANING = {
     "estimator.sigma_position_m": "standard deviation of the estimated position, its worst direction; only fused",
     "estimator.sigma_heading_rad": "standard deviation of the estimated heading; only fused",
     "estimator.gyro_bias_rad_s": "bias of the gyro as estimated; only fused",
+    "estimator.wheel_scale": "true over believed size of the wheels, as estimated; only fused",
+    "estimator.fix_noise": "how many times noisier pose fixes are than they tell, as estimated, at least 1; only fused",
     "estimator.fixes_accepted": "pose fixes accepted so far; only fused",
     "estimator.fixes_rejected": "pose fixes rejected so far, as too far from the estimate; only fused",
     "estimator.fix_age_ms": "age of the newest accepted pose fix; only fused",

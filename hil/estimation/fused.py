@@ -6,13 +6,15 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Annotated, Literal
 
-from hil.core.kinematics import to_world
+from hil.core.kinematics import BodyTwist, to_world
 from hil.core.model import RobotModel
 from hil.core.options import Range
 from hil.core.signals import EstimatorSignals
 from hil.core.types import NAN, Axes, MeasuredPose, Pose, PoseFix, State
-from hil.estimation.belief import Acceptance, Belief, Step, corrected, gate_of, position_sigma_m, start, start_unknown
+from hil.estimation.belief import Belief, Step, position_sigma_m, start, start_unknown
+from hil.estimation.correction import Acceptance, corrected, gate_of
 from hil.estimation.history import History
+from hil.estimation.inertial import Inertial, Travel
 from hil.estimation.measurement import DEGRADED, GOOD, LOST, NO_STATUS, Estimator, Measurement, measured_twist
 from hil.estimation.motion import Motion, MotionReader
 from hil.estimation.slip import SlipDetector
@@ -77,13 +79,17 @@ class FilterOptions:
     begin: Annotated[Literal["start", "fix"], "at the scenario's start pose, or unknown"] = "start"
     start_sigma_m: Annotated[float, Range(ge=0, le=100), "of the start pose, each axis"] = 0.01
     start_sigma_rad: Annotated[float, Range(ge=0, le=10), "of the start pose's heading"] = 0.01
-    wheels_sigma_m: Annotated[float, Range(gt=0, le=10), "of each axis after 1 m rolled"] = 0.01
+    wheels_sigma_m: Annotated[float, Range(gt=0, le=10), "of each axis after 1 m rolled"] = 0.001
+    wheels_scale_sigma: Annotated[float, Range(ge=0, le=0.5), "of the wheels' true size over the believed one"] = 0.005
     wheels_sigma_rad: Annotated[float, Range(gt=0, le=10), "of the heading after 1 m, without gyro"] = 0.02
     gyro_noise_rad_s: Annotated[float, Range(gt=0, le=10), "of one sample of the gyro"] = 0.01
     gyro_bias_sigma_rad_s: Annotated[float, Range(ge=0, le=10), "of the gyro's bias at the start"] = 0.02
-    gyro_bias_walk_rad_s: Annotated[float, Range(ge=0, le=10), "of the bias's random walk in 1 s"] = 0.001
+    gyro_bias_walk_rad_s: Annotated[float, Range(ge=0, le=10), "of the bias's random walk in 1 s"] = 3e-4
     gate_probability: Annotated[float, Range(ge=0.5, le=0.999999), "of a right fix to be accepted"] = 0.999
     restart_after: Annotated[int, Range(ge=2, le=1000), "rejected fixes in a row that agree, to be believed"] = 10
+    fix_noise_most: Annotated[
+        float, Range(ge=1, le=100), "how many times noisier than they tell fixes may prove; 1: as they tell"
+    ] = 4.0
     fix_timeout_s: Annotated[float, Range(gt=0, le=3600), "age of the newest fix that counts as degraded"] = 0.5
     lost_sigma_m: Annotated[float, Range(gt=0, le=1000), "of the position, beyond which the robot is held at rest"] = (
         0.25
@@ -116,10 +122,14 @@ class FusedEstimator(Estimator):
         self._start_pose = start_pose
         self._options = options
         self._acceptance = Acceptance(
-            gate_of(options.gate_probability), options.restart_after, options.gyro_bias_sigma_rad_s**2
+            gate_of(options.gate_probability),
+            options.restart_after,
+            options.gyro_bias_sigma_rad_s**2,
+            options.fix_noise_most**2,
         )
         self._reader = MotionReader(model, counts_per_revolution)
         self._slip = SlipDetector(model.lever_m, slip_threshold_m_s)
+        self._inertial = Inertial()
         self._last: Measurement | None = None
         self._history: History | None = None
         self._before: Belief | None = None
@@ -146,11 +156,12 @@ class FusedEstimator(Estimator):
         last = self._last
         if last is None or self._history is None:
             self._history = self._begun(measurement.robot_time_ns)
+            forward_m_s, left_m_s, _ = measured_twist(self._model, measurement)
+            self._inertial.restart((forward_m_s, left_m_s))
             self._last = last = measurement
         elif measurement.robot_time_ns > last.robot_time_ns:
             motion = self._reader.between(last, measurement)
-            slip_m_s = self._slip.update(motion, self._history.newest.bias_rad_s)
-            self._history.append(self._step(motion, slip_m_s), measurement.robot_time_ns)
+            self._move(self._history, motion, measurement.robot_time_ns)
             self._release.advance(motion.dt_s)
             self._last = last = measurement
         if fixes or self._waiting:
@@ -162,7 +173,7 @@ class FusedEstimator(Estimator):
         if not belief.is_known:
             return None
         pose = self._release.pose(belief)
-        return State(pose, to_world(measured_twist(self._model, last, belief.bias_rad_s), pose.heading_rad))
+        return State(pose, to_world(self._twist(last, belief), pose.heading_rad))
 
     def restart(self) -> None:
         """Continue from the last belief, with more variance for unmeasured motion, and the same gyro bias."""
@@ -178,25 +189,50 @@ class FusedEstimator(Estimator):
         if before is not None:
             first = _unsure(before)._replace(time_ns=time_ns, fixed_ns=time_ns - (before.time_ns - before.fixed_ns))
         elif options.begin == "fix":
-            first = start_unknown(time_ns, options.gyro_bias_sigma_rad_s)
+            first = start_unknown(time_ns, options.gyro_bias_sigma_rad_s, options.wheels_scale_sigma)
         else:
             sigmas = options.start_sigma_m, options.start_sigma_rad, options.gyro_bias_sigma_rad_s
-            first = start(time_ns, self._start_pose, *sigmas)
+            first = start(time_ns, self._start_pose, *sigmas, options.wheels_scale_sigma)
         return History(first, round(options.history_s * _NS), partial(corrected, acceptance=self._acceptance))
 
-    def _step(self, motion: Motion, slip_m_s: float) -> Step:
-        options = self._options
+    def _move(self, history: History, motion: Motion, time_ns: int) -> None:
+        bias_rad_s = history.newest.bias_rad_s
+        slip_m_s = self._slip.update(motion, bias_rad_s)
+        *again, newest = [self._step(travel) for travel in self._inertial.update(motion, bias_rad_s, slip_m_s)]
+        before = history.newest
+        history.replace(again)
+        self._release.correct(before, history.newest)
+        history.append(newest, time_ns)
+
+    def _step(self, travel: Travel) -> Step:
+        options, motion = self._options, travel.motion
         way_m = math.hypot(motion.forward_m, motion.left_m) + self._model.lever_m * abs(motion.turned_rad)
         dt_s = motion.dt_s
-        position_m2 = options.wheels_sigma_m**2 * way_m + slip_m_s**2 * dt_s * _SLIP_LASTS_S
+        position_m2 = options.wheels_sigma_m**2 * way_m + travel.sigma_m_s**2 * dt_s * _SLIP_LASTS_S
         bias_rad2_s2 = options.gyro_bias_walk_rad_s**2 * dt_s
         turned_rad, biased_s = motion.gyro_rad, dt_s
         heading_rad2 = (options.gyro_noise_rad_s * dt_s) ** 2
         if math.isnan(motion.gyro_rad):
-            slip_rad_s = slip_m_s / self._model.lever_m
+            slip_rad_s = travel.sigma_m_s / self._model.lever_m
             turned_rad, biased_s = motion.turned_rad, 0.0
             heading_rad2 = options.wheels_sigma_rad**2 * way_m + slip_rad_s**2 * dt_s * _SLIP_LASTS_S
-        return Step(motion.forward_m, motion.left_m, turned_rad, biased_s, position_m2, heading_rad2, bias_rad2_s2)
+        return Step(
+            motion.forward_m,
+            motion.left_m,
+            turned_rad,
+            biased_s,
+            position_m2,
+            heading_rad2,
+            bias_rad2_s2,
+            travel.is_rolled,
+        )
+
+    def _twist(self, measurement: Measurement, belief: Belief) -> BodyTwist:
+        """Return the twist by the wheels' true size, or by the inertial sensors, and the gyro's yaw rate."""
+        forward_m_s, left_m_s, yaw_rate_rad_s = measured_twist(self._model, measurement, belief.bias_rad_s)
+        if self._inertial.is_inertial:
+            return BodyTwist(*self._inertial.velocity, yaw_rate_rad_s)
+        return BodyTwist(belief.scale * forward_m_s, belief.scale * left_m_s, yaw_rate_rad_s)
 
     def _sort(self, history: History, now_ns: int, fixes: Sequence[MeasuredPose]) -> None:
         """Insert due fixes, keep those ahead of the newest measurement, count those out of reach."""
@@ -225,6 +261,8 @@ class FusedEstimator(Estimator):
             sigma_m,
             math.sqrt(max(0.0, belief.covariance.hh)),
             belief.bias_rad_s,
+            belief.scale,
+            math.sqrt(belief.noise),
             belief.accepted,
             belief.rejected,
             age_ns * 1e-6,
@@ -238,4 +276,4 @@ def _unsure(belief: Belief) -> Belief:
     """Return the belief after a reset of the robot: it moved by an unknown way, and the streak of fixes ends."""
     p = belief.covariance
     grown = p._replace(xx=p.xx + _UNSEEN_M**2, yy=p.yy + _UNSEEN_M**2, hh=p.hh + _UNSEEN_RAD**2)
-    return belief._replace(covariance=grown, streak=0, streak_fix=None, streak_belief=None)
+    return belief._replace(covariance=grown, streak=0, last_fix=None, last_belief=None)

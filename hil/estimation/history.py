@@ -2,7 +2,7 @@
 
 from bisect import bisect_left, insort
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 from hil.core.types import MeasuredPose
@@ -47,6 +47,13 @@ class History:
         self._nodes.append(_Node(moved(self.newest, step, time_ns), step))
         while self._nodes[1].belief.time_ns <= time_ns - self._length_ns:
             self._nodes.popleft()
+
+    def replace(self, steps: Sequence[Step]) -> None:
+        """Put these steps in place of the newest, in order; those before the first node do not matter any more."""
+        first = max(1, len(self._nodes) - len(steps))
+        for index in range(first, len(self._nodes)):
+            self._nodes[index].step = steps[index - len(self._nodes)]
+            self._recompute(self._nodes[index - 1].belief, self._nodes[index])
 
     def insert(self, fixes: list[MeasuredPose]) -> int:
         """Apply fixes later than ``begin_ns`` and not later than the newest measurement, in any order.

@@ -121,6 +121,10 @@ _ENTITIES = (
     ),
     _entity("/ctrl/estimator/gyro_bias", ("estimator.gyro_bias_rad_s", "gyro bias", HEADING_COLOUR)),
     _entity(
+        "/ctrl/estimator/factors", ("estimator.wheel_scale", "true size of wheels", PLAIN_COLOUR),
+        ("estimator.fix_noise", "noise of fixes", ESTIMATE_COLOUR),
+    ),
+    _entity(
         "/ctrl/estimator/fixes", ("estimator.fixes_accepted", "accepted", ESTIMATE_COLOUR),
         ("estimator.fixes_rejected", "rejected", ALARM_COLOUR),
     ),

@@ -13,7 +13,7 @@ from urllib.parse import urlsplit
 
 from hil.core.errors import BadInputError
 from hil.core.types import Pose, PoseCovariance
-from hil.estimation.belief import is_regular
+from hil.estimation.correction import is_regular
 
 LOOPBACK = "127.0.0.1"
 _EXPECTED = 'expected "simulated" or udp://127.0.0.1:PORT with a port from 1 to 65535'

@@ -1,0 +1,142 @@
+"""How far the robot came: by its wheels while they roll, by gyro and accelerometer while they slip."""
+
+import math
+from collections import deque
+from collections.abc import Iterator
+from typing import NamedTuple
+
+from hil.estimation.motion import Motion
+
+_Velocity = tuple[float, float]
+
+# Wheels are believed at times longer than this, the accelerometer at shorter ones. Counts are noisy below it.
+_CROSSOVER_S = 0.1
+# For so long the accelerometer must differ from rolling wheels until that is its bias.
+_BIAS_S = 2.0
+# So long wheels slip before slip is told.
+_REACH_S = 0.1
+# Standard deviation of the inertial velocity: at the beginning of slip, and how fast it grows, by what is left of
+# the accelerometer's bias (a floor that leans by 0.6 degrees).
+_BEGIN_M_S = 0.02
+_GROWS_M_S2 = 0.1
+
+
+class Travel(NamedTuple):
+    """A motion with the displacement to believe, whether it is the wheels', and the deviation of its velocity."""
+
+    motion: Motion
+    is_rolled: bool
+    sigma_m_s: float
+
+
+class _Gain(NamedTuple):
+    """A motion, the velocity before it, and how it changes: by the accelerometer, and by the turn of the axes."""
+
+    motion: Motion
+    before: _Velocity
+    forward_m_s: float
+    left_m_s: float
+    turned_rad: float
+
+
+class Inertial:
+    """Velocity in the body frame: by the wheels while they roll, by gyro and accelerometer while they slip.
+
+    Over a motion of dt, with the wheels' mean velocity w, the accelerometer's a with its bias b, and the turn φ by the
+    gyro (φ × v is (-φ left, φ forward)):
+
+        u = v + (a - b) dt - φ × v            the velocity by the inertial sensors
+        v = u                                 while the wheels slip
+        v = w + κ (u - w)                     while they roll, κ = exp(-dt / 0.1 s),
+        b = b + (v - w) dt / (0.1 s · 2 s)    so that what differs for longer than 2 s is the bias
+
+    Slip is told about 0.1 s after it began, and until then the wheels spoilt v. So the last 0.1 s are done again, from
+    the v before them. Where gyro or accelerometer is missing, the wheels are all there is.
+
+    Attributes:
+        velocity: forward and left [m/s], mean over the newest motion.
+        is_inertial: whether the newest motion is the inertial sensors'.
+    """
+
+    def __init__(self) -> None:
+        self._bias_m_s2: _Velocity = (0.0, 0.0)
+        self.restart((0.0, 0.0))
+
+    def restart(self, velocity: _Velocity) -> None:
+        """Start again with this velocity; the bias stays."""
+        self.velocity = velocity
+        self.is_inertial = False
+        self._slipped_s = 0.0
+        self._recent: deque[_Gain] = deque()
+        self._recent_s = 0.0
+
+    def update(self, motion: Motion, bias_rad_s: float, slip_m_s: float) -> list[Travel]:
+        """Return the travel of a motion, and before it anew those of the last 0.1 s if slip has just been told.
+
+        ``bias_rad_s`` is the gyro's, and ``slip_m_s`` the speed of the slip, 0 without slip.
+        """
+        gain = self._gain(motion, bias_rad_s)
+        if gain is None:
+            self.restart(self._towards_wheels(self.velocity, motion))
+            return [Travel(motion, is_rolled=True, sigma_m_s=slip_m_s)]
+        if slip_m_s > 0.0:
+            return self._slipping(gain)
+        self.is_inertial, self._slipped_s = False, 0.0
+        self.velocity = self._towards_wheels(_advanced(self.velocity, gain), motion)
+        self._learn_bias(motion)
+        self._remember(gain)
+        return [Travel(motion, is_rolled=True, sigma_m_s=0.0)]
+
+    def _gain(self, motion: Motion, bias_rad_s: float) -> _Gain | None:
+        dt_s, (forward, left) = motion.dt_s, self._bias_m_s2
+        gain = _Gain(
+            motion,
+            self.velocity,
+            motion.gained_forward_m_s - forward * dt_s,
+            motion.gained_left_m_s - left * dt_s,
+            motion.gyro_rad - bias_rad_s * dt_s,
+        )
+        return None if math.isnan(gain.forward_m_s + gain.left_m_s + gain.turned_rad) else gain
+
+    def _towards_wheels(self, velocity: _Velocity, motion: Motion) -> _Velocity:
+        kept = math.exp(-motion.dt_s / _CROSSOVER_S)
+        forward, left = motion.forward_m / motion.dt_s, motion.left_m / motion.dt_s
+        return forward + kept * (velocity[0] - forward), left + kept * (velocity[1] - left)
+
+    def _learn_bias(self, motion: Motion) -> None:
+        (forward, left), (bias_forward, bias_left) = self.velocity, self._bias_m_s2
+        rate = 1.0 / (_CROSSOVER_S * _BIAS_S)
+        self._bias_m_s2 = (
+            bias_forward + rate * (forward * motion.dt_s - motion.forward_m),
+            bias_left + rate * (left * motion.dt_s - motion.left_m),
+        )
+
+    def _remember(self, gain: _Gain) -> None:
+        self._recent.append(gain)
+        self._recent_s += gain.motion.dt_s
+        while self._recent_s - self._recent[0].motion.dt_s >= _REACH_S:
+            self._recent_s -= self._recent.popleft().motion.dt_s
+
+    def _slipping(self, gain: _Gain) -> list[Travel]:
+        again = [*self._recent, gain]
+        self.velocity, self.is_inertial = again[0].before, True
+        self._recent.clear()
+        self._recent_s = 0.0
+        return list(self._travels(again))
+
+    def _travels(self, gains: list[_Gain]) -> Iterator[Travel]:
+        for gain in gains:
+            dt_s = gain.motion.dt_s
+            self.velocity = forward, left = _advanced(self.velocity, gain)
+            self._slipped_s += dt_s
+            motion = gain.motion._replace(forward_m=forward * dt_s, left_m=left * dt_s)
+            yield Travel(motion, is_rolled=False, sigma_m_s=_BEGIN_M_S + _GROWS_M_S2 * self._slipped_s)
+
+
+def _advanced(velocity: _Velocity, gain: _Gain) -> _Velocity:
+    """Return the velocity after a motion, by the inertial sensors."""
+    forward, left = velocity
+    return (
+        forward + gain.forward_m_s + gain.turned_rad * left,
+        left + gain.left_m_s - gain.turned_rad * forward,
+    )
