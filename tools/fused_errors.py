@@ -1,0 +1,266 @@
+"""How far the fused estimate is from the truth: ``python -m tools.fused_errors --page``.
+
+Each row of the table is one condition, driven in closed loop over the wire once for each seed. ``--page`` writes the
+table into hil/estimation/ESTIMATORS.md, beside what no causal filter can do better (the filter's own covariance when
+it knows all noises) and a smoother that knows the whole run (Rauch, Tung and Striebel).
+"""
+
+import argparse
+import itertools
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import NamedTuple
+from unittest.mock import patch
+
+import numpy as np
+import numpy.typing as npt
+
+from hil.core.model import RobotModel
+from hil.core.outputs import write_whole
+from hil.core.types import MeasuredPose, Pose, PoseCovariance, PoseFix, State
+from hil.estimation.belief import Belief, Step, moved, start
+from hil.estimation.choice import EstimatorOptions
+from hil.estimation.correction import Acceptance, corrected, gate_of
+from hil.estimation.fused import FilterOptions, FusedEstimator
+from hil.estimation.measurement import Measurement
+from hil.estimation.motion import MotionReader
+from hil.runtime import parts
+from hil.runtime.assembly import RunOptions, run_scenario
+from hil.scenario import load
+
+Array = npt.NDArray[np.float64]
+
+PAGE = Path(__file__).parents[1] / "hil" / "estimation" / "ESTIMATORS.md"
+BEGIN, END = "<!-- fused errors: begin -->", "<!-- fused errors: end -->"
+SETTLED_S = 5.0
+ORACLE_SEEDS = 5
+RADIUS_M = 0.075
+SENSORS = {
+    "plant.start.gyro_noise_rad_s": 0.01,
+    "plant.start.gyro_bias_z_rad_s": 0.02,
+    "plant.start.accelerometer_noise_m_s2": 0.2,
+}
+ROLLING_SIGMA_M = 1e-4
+"""Drift of these plants' wheels in 1 m, where they do not slip."""
+
+
+class Condition(NamedTuple):
+    """A row: its words, the scenario and its keys, from when errors count, and the fixes' noise over the told one."""
+
+    words: str
+    scenario: str
+    sets: dict[str, object]
+    from_s: float = SETTLED_S
+    noisier: float = 1.0
+    has_oracle: bool = True
+
+
+def conditions() -> Iterator[Condition]:
+    """Yield the rows of the table."""
+    for name, scenario in (("circle", "circle_speed"), ("eight", "figure_eight")):
+        for contact in ("rigid", "slip"):
+            for percent in (0.0, 0.5, -0.5):
+                words = f"{name}, {contact}" + (f", radius {percent:+g} %" if percent else "")
+                radius_m = RADIUS_M * (1.0 + 0.01 * percent)
+                start = {"plant.start.contact": contact, "plant.start.wheel_radius_m": radius_m}
+                yield Condition(words, scenario, start, has_oracle=contact == "rigid")
+        noise = {"estimator.simulated_fix.sigma_m": 0.04, "estimator.simulated_fix.sigma_rad": 0.02}
+        yield Condition(f"{name}, fixes twice as noisy as told", scenario, noise, noisier=2.0, has_oracle=False)
+    torque = {"robot.torque_limit_n_m": 5.0, "firmware.torque_limit_n_m": 5.0, "firmware.overspeed_rad_s": 127.0}
+    leans = {"plant.start.accelerometer_bias_x_m_s2": 0.05, "plant.start.accelerometer_bias_y_m_s2": 0.05}
+    for rate_hz in (200, 1000):
+        words = f"heavy slip, {rate_hz} Hz, whole run"
+        sets = torque | {"loop.rate_hz": rate_hz}
+        yield Condition(words, "circle_slip", sets, from_s=0.0, has_oracle=False)
+    words = "the same at 200 Hz, accelerometer off by 0.07 m/s²"
+    yield Condition(words, "circle_slip", torque | leans | {"loop.rate_hz": 200}, from_s=0.0, has_oracle=False)
+
+
+class Kept(FusedEstimator):
+    """A fused estimator that keeps what it was given, and what it believed after each update."""
+
+    noisier = 1.0
+
+    def __init__(self, model: RobotModel, start_pose: Pose, counts: int, slip_m_s: float, options: FilterOptions):
+        super().__init__(model, start_pose, counts, slip_m_s, options)
+        self.made_with = model, start_pose, counts
+        self.given: list[tuple[Measurement, list[MeasuredPose]]] = []
+        self.beliefs: list[Belief] = []
+
+    def update(
+        self, measurement: Measurement, truth: PoseFix | None, fixes: Sequence[MeasuredPose] = ()
+    ) -> State | None:
+        """Update with fixes that say less of their noise than is true."""
+        share = self.noisier**-2
+        told = [fix._replace(covariance=PoseCovariance(*[share * one for one in fix.covariance])) for fix in fixes]
+        self.given.append((measurement, told))
+        state = super().update(measurement, truth, told)
+        assert self._history is not None
+        self.beliefs.append(self._history.newest)
+        return state
+
+
+class Outcome(NamedTuple):
+    """Of one run: errors [m] of robot and estimate, NEES / 2, and of the first seeds bound and smoother [m]."""
+
+    tracking_m: Array
+    estimate_m: Array
+    nees: float
+    bound_m2: float
+    smoothed_m: Array
+
+
+def outcome(condition: Condition, seed: int) -> Outcome:
+    """Drive once."""
+    kept: list[Kept] = []
+
+    def make(options: EstimatorOptions, model: RobotModel, start_pose: Pose, counts: int) -> Kept:
+        kept.append(Kept(model, start_pose, counts, options.slip_threshold_m_s, options.filter))
+        kept[-1].noisier = condition.noisier
+        return kept[-1]
+
+    sets = {**SENSORS, "estimator.source": "fused", **condition.sets}
+    scenario = replace(load(condition.scenario, set=sets, seed=seed), expect=())
+    with patch.object(parts, "make_estimator", make):
+        result = run_scenario(scenario, RunOptions(lenient=True))
+    if result.failure is not None:
+        raise result.failure
+    signals, (estimator,) = result.signals, kept
+    count = len(signals["loop.t_s"])
+    counts = signals["loop.t_s"] >= condition.from_s
+    truth = np.array([signals["truth.x_m"], signals["truth.y_m"]])
+    told = np.array([signals["pose.x_m"], signals["pose.y_m"]])
+    bound_m2, smoothed_m = np.nan, np.array([])
+    if condition.has_oracle and seed <= ORACLE_SEEDS:
+        estimates, bound_m2 = _oracle(estimator, count - np.count_nonzero(counts))
+        smoothed_m = np.hypot(*(estimates.T[:2, -count:] - truth))[counts]
+    return Outcome(
+        signals["error.planar_m"][counts],
+        np.hypot(*(told - truth))[counts],
+        float(np.mean(_nees(estimator.beliefs[-count:], truth)[counts])),
+        bound_m2,
+        smoothed_m,
+    )
+
+
+def _nees(beliefs: Sequence[Belief], truth: Array) -> Array:
+    """Return half of the normalised squared error of the position in each tick: 1 on average for an honest filter."""
+    x, y = np.array([(one.x_m, one.y_m) for one in beliefs]).T - truth
+    xx, xy, yy = np.array([(one.covariance.xx, one.covariance.xy, one.covariance.yy) for one in beliefs]).T
+    return (yy * x**2 - 2.0 * xy * x * y + xx * y**2) / (xx * yy - xy**2) / 2.0
+
+
+def _oracle(kept: Kept, skipped: int) -> tuple[Array, float]:
+    """Return the smoothed states of a run, and the mean variance [m²] of a causal filter that knows all noises."""
+    options = FilterOptions(
+        wheels_sigma_m=ROLLING_SIGMA_M, gyro_bias_walk_rad_s=1e-9, gate_probability=0.999999, fix_noise_most=1.0
+    )
+    causal = Kept(*kept.made_with, 100.0, options)
+    for measurement, fixes in kept.given:
+        causal.update(measurement, None, fixes)
+    variances = [one.covariance.xx + one.covariance.yy for one in causal.beliefs[-(len(kept.given) - skipped) :]]
+    return _smoothed(kept, options), float(np.mean(variances))
+
+
+def _smoothed(kept: Kept, options: FilterOptions) -> Array:
+    """Return (x, y, heading, bias, scale) at each measurement from all fixes of the run, early and late."""
+    model, pose, counts = kept.made_with
+    acceptance = Acceptance(gate_of(options.gate_probability), options.restart_after, 0.0, 1.0)
+    fixes = sorted(fix for _, given in kept.given for fix in given)
+    measured = [measurement for measurement, _ in kept.given]
+    reader = MotionReader(model, counts)
+    sigmas = options.start_sigma_m, options.start_sigma_rad, options.gyro_bias_sigma_rad_s
+    belief = start(measured[0].robot_time_ns, pose, *sigmas, options.wheels_scale_sigma)
+    forward = [(belief, belief, np.eye(5))]
+    ends: list[int] = [0]
+    for last, now in itertools.pairwise(measured):
+        begin_ns, end_ns = last.robot_time_ns, now.robot_time_ns
+        if end_ns == begin_ns:
+            ends.append(len(forward) - 1)
+            continue
+        motion = reader.between(last, now)
+        way_m = np.hypot(motion.forward_m, motion.left_m) + model.lever_m * abs(motion.turned_rad)
+        noise = ROLLING_SIGMA_M**2 * way_m, (options.gyro_noise_rad_s * motion.dt_s) ** 2, 0.0
+        step = Step(motion.forward_m, motion.left_m, motion.gyro_rad, motion.dt_s, *noise)
+        while begin_ns < end_ns:
+            due = [fix for fix in fixes if begin_ns < fix.time_ns <= end_ns][:1]
+            to_ns = due[0].time_ns if due else end_ns
+            share = (to_ns - begin_ns) / (end_ns - last.robot_time_ns)
+            before, predicted = belief, moved(belief, step, to_ns, share)
+            belief = corrected(predicted, due[0], acceptance) if due else predicted
+            forward.append((predicted, belief, _jacobian(before, step, to_ns, share)))
+            begin_ns = to_ns
+        ends.append(len(forward) - 1)
+    states = [_numbers(forward[-1][1])]
+    for (_, filtered, _), (predicted, _, jacobian) in zip(forward[-2::-1], forward[:0:-1], strict=True):
+        gain = np.linalg.solve(_matrix(predicted), jacobian @ _matrix(filtered)).T
+        states.append(_numbers(filtered) + gain @ (states[-1] - _numbers(predicted)))
+    return np.array(states[::-1])[ends]
+
+
+def _jacobian(belief: Belief, step: Step, time_ns: int, share: float, width: float = 1e-6) -> Array:
+    columns = []
+    for direction in width * np.eye(5):
+        x, y, heading, bias, scale = _numbers(belief) + direction
+        shifted = belief._replace(x_m=x, y_m=y, heading_rad=heading, bias_rad_s=bias, scale=scale)
+        columns.append(_numbers(moved(shifted, step, time_ns, share)) - _numbers(moved(belief, step, time_ns, share)))
+    return np.array(columns).T / width
+
+
+def _numbers(belief: Belief) -> Array:
+    return np.array([belief.x_m, belief.y_m, belief.heading_rad, belief.bias_rad_s, belief.scale])
+
+
+def _matrix(belief: Belief) -> Array:
+    full = np.zeros((5, 5))
+    full[np.triu_indices(5)] = belief.covariance
+    return full + np.triu(full, 1).T
+
+
+def row(condition: Condition, seeds: int) -> str:
+    """Return a condition's row: root mean squares over all seeds, and the worst of the seeds."""
+    runs = [outcome(condition, seed) for seed in range(1, seeds + 1)]
+
+    def rms(errors: Sequence[Array]) -> str:
+        each = [1e3 * float(np.sqrt(np.mean(one**2))) for one in errors]
+        return f"{np.sqrt(np.mean(np.square(each))):.2f} ({max(each):.1f})"
+
+    largest = 1e3 * max(float(run.estimate_m.max()) for run in runs)
+    nees = np.mean([run.nees for run in runs])
+    with_oracle = [run for run in runs if len(run.smoothed_m)]
+    oracle = " | "
+    if with_oracle:
+        smoothed = np.sqrt(np.mean(np.concatenate([run.smoothed_m for run in with_oracle]) ** 2))
+        oracle = f"{1e3 * np.sqrt(np.mean([run.bound_m2 for run in with_oracle])):.2f} | {1e3 * smoothed:.2f}"
+    tracking = rms([run.tracking_m for run in runs]) if condition.from_s else ""
+    return (
+        f"| {condition.words} | {tracking} | {rms([run.estimate_m for run in runs])} | {largest:.0f} | {nees:.2f} "
+        f"| {oracle} |"
+    )
+
+
+HEAD = """\
+| | robot, rms | estimate, rms | largest | NEES/2 | causal bound | smoother |
+|---|---|---|---|---|---|---|"""
+
+
+def main() -> None:
+    """Drive all conditions and print the table, or write it into the page."""
+    parser = argparse.ArgumentParser(prog="tools.fused_errors", description=(__doc__ or "").partition("\n")[0])
+    parser.add_argument("--seeds", type=int, default=20, help="runs of each condition")
+    parser.add_argument("--page", action="store_true", help="write the table into hil/estimation/ESTIMATORS.md")
+    options = parser.parse_args()
+    lines = HEAD.split("\n")
+    print(HEAD)
+    for condition in conditions():
+        lines.append(row(condition, options.seeds))
+        print(lines[-1], flush=True)
+    if options.page:
+        before, _, rest = PAGE.read_text("utf-8").partition(BEGIN)
+        text, after = "\n".join(lines), rest.partition(END)[2]
+        write_whole(PAGE, f"{before}{BEGIN}\n{text}\n{END}{after}".encode(), "page", "replace")
+
+
+if __name__ == "__main__":
+    main()
