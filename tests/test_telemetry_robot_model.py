@@ -10,12 +10,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hil.core.kinematics import body_wrench
-from hil.core.types import WHEEL_NAMES, Wheels
-from hil.record.robot_model import SIDEWAYS, RobotShape, drive_directions
+from hil.core.types import Wheels
+from hil.record.robot_model import SIDEWAYS, WHEEL_JOINTS, WHEEL_LINKS, RobotShape, drive_directions
+from hil.record.rollers import ROLLERS
 from tests.examples import share_of_examples
 
 SHAPE = RobotShape(mass_kg=20.0, wheel_radius_m=0.075, half_length_m=0.3, half_width_m=0.25)
-ROLLERS = 9
 lengths = st.floats(0.01, 1.0)
 
 
@@ -31,12 +31,13 @@ def test_the_urdf_is_read_with_each_wheel_where_the_scenario_has_it(tmp_path: Pa
     import rerun as rr
 
     tree = rr.urdf.UrdfTree.from_file_path(SHAPE.write(tmp_path))
-    places = {joint.name: joint.origin_xyz for joint in tree.joints()}
-    assert list(places) == list(WHEEL_NAMES)
-    assert places["fl"] == pytest.approx((0.3, 0.25, 0.075))
-    assert places["rr"] == pytest.approx((-0.3, -0.25, 0.075))
-    assert {joint.axis for joint in tree.joints()} == {(0.0, 1.0, 0.0)}
-    assert all(len(tree.get_visual_geometry_paths(f"wheel_{wheel}")) == 2 for wheel in WHEEL_NAMES)
+    wheels = [joint for joint in tree.joints() if joint.joint_type == "continuous"]
+    places = {joint.name: joint.origin_xyz for joint in wheels}
+    assert tuple(places) == WHEEL_JOINTS
+    assert places["front_left_wheel_joint"] == pytest.approx((0.3, 0.25, 0.075))
+    assert places["rear_right_wheel_joint"] == pytest.approx((-0.3, -0.25, 0.075))
+    assert {joint.axis for joint in wheels} == {(0.0, 1.0, 0.0)}
+    assert all(len(tree.get_visual_geometry_paths(link)) == 2 for link in WHEEL_LINKS)
 
 
 @share_of_examples(0.2)
@@ -47,7 +48,7 @@ def test_a_robot_of_any_size_is_drawn_with_positive_sizes(radius: float, length:
     urdf = ElementTree.fromstring(RobotShape(20.0, radius, length, width).urdf())
     sizes = [float(word) for box in urdf.iter("box") for word in box.attrib["size"].split()]
     sizes += [float(value) for cylinder in urdf.iter("cylinder") for value in cylinder.attrib.values()]
-    assert len(sizes) == 6 + 8
+    assert len(sizes) == 6 + 8 + 8 * ROLLERS
     assert min(sizes) > 0
 
 

@@ -62,6 +62,7 @@ GROUPS = {
         "list": "Print signals, figures, laws, references, scenarios, those of the suite, links, faults or drivers.",
         "doctor": "Check this machine and print remedies; exit 1 when there is a problem.",
         "fmu": "The plant: build, look at and check FMUs.",
+        "export": "Write a robot for other programs: its description as a URDF.",
         "fuzzy": "Draw both gain surfaces of AFDSC's fuzzy block.",
     },
 }
@@ -69,7 +70,7 @@ GROUPS = {
 SHIPPED = {name: text for group in GROUPS.values() for name, text in group.items()}
 _PLACES = {
     "show": "check:show", "list": "list:list_", "live": "view:live",
-    "campaign": "campaign:app", "ctl": "ctl:app", "fmu": "fmu:app", "identify": "identify:app",
+    "campaign": "campaign:app", "ctl": "ctl:app", "export": "export:app", "fmu": "fmu:app", "identify": "identify:app",
 }  # fmt: skip
 """Module and name of each command that is not simply ``hil.cli.NAME:NAME``."""
 

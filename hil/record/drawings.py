@@ -25,8 +25,9 @@ from hil.record.layout import (
     Y_COLOUR,
     Colour,
 )
+from hil.record.motion import SCENE_PERIOD_S, WheelAngles, drawn_pose, pose
 from hil.record.ring import Rows
-from hil.record.robot_model import RobotShape, drive_directions
+from hil.record.robot_model import BASE_LINK, WHEEL_JOINTS, RobotShape, drive_directions
 
 Times = npt.NDArray[np.float64]
 """Scenario time [s] and tick of each row, shape (n, 2)."""
@@ -76,18 +77,6 @@ class RowTimes:
         times = np.take_along_axis(times, newest, axis=0)
         self._last = times[-1]
         return times[1:]
-
-
-def pose(rows: Rows, column: Mapping[str, int], group: str) -> Rows:
-    """Return a group's x [m], y [m] and heading [rad], shape (n, 3)."""
-    return rows[:, [column[f"{group}.{name}"] for name in ("x_m", "y_m", "heading_rad")]]
-
-
-def drawn_pose(rows: Rows, column: Mapping[str, int]) -> Rows:
-    """Return where the robot is drawn: at the truth, or at the estimate where there is no truth; shape (n, 3)."""
-    truth = pose(rows, column, "truth")
-    known = np.isfinite(truth).all(axis=1, keepdims=True)
-    return np.where(known, truth, pose(rows, column, "pose"))
 
 
 def turned(vectors: Rows, heading_rad: Rows) -> Rows:
@@ -187,16 +176,15 @@ class Trails:
 
 
 SCENE = "/world"
-BODY = f"{SCENE}/robot/visual_geometries/base_link/body"
+BODY = f"{SCENE}/robot/visual_geometries/{BASE_LINK}/body"
 """The camera follows this entity."""
 
-SCENE_PERIOD_S = 0.02
 _ABOVE_WHEEL = 2.15
 """Height of the force arrows over the floor, in wheel radii."""
 
 
 class Scene:
-    """Draws the robot at 50 Hz; wheel angles are the integral of the wheel speeds at full rate.
+    """Draws the robot at 50 Hz.
 
     The force of a wheel is F = Hᵀ τ / r (``hil.core.kinematics``), where τ is the torque of this wheel alone, by its
     motor current. So the four arrows add up to the force on the body.
@@ -213,11 +201,9 @@ class Scene:
         self._column = column
         self._shape = shape
         self._torque_constant = torque_constant_n_m_a
-        self._speeds = [column[f"wheel.{wheel}.speed_rad_s"] for wheel in WHEEL_NAMES]
+        self._angles = WheelAngles(column)
         self._currents = [column[f"wheel.{wheel}.current_a"] for wheel in WHEEL_NAMES]
         self._decimator = Decimator(SCENE_PERIOD_S)
-        self._angles_rad = np.zeros(len(WHEEL_NAMES))
-        self._last_s: float | None = None
         self._joints: dict[str, rr.urdf.UrdfJoint] = {}
 
     def describe(self) -> None:
@@ -237,7 +223,7 @@ class Scene:
 
     def rows(self, rows: Rows, times: Times) -> None:
         """Draw rows of shape (n, signals)."""
-        angles = self._turn(rows[:, self._speeds], times[:, 0])
+        angles = self._angles(rows, times[:, 0])
         keep = self._decimator.keep(times[:, 0])
         keep = keep[np.isfinite(drawn_pose(rows[keep], self._column)).all(axis=1)]
         if not len(keep):
@@ -248,14 +234,6 @@ class Scene:
         self._forces(drawn, rows, times)
         self._reference(drawn, pose(rows, self._column, "reference"), times)
 
-    def _turn(self, speeds_rad_s: Rows, t_s: Rows) -> Rows:
-        """Return the wheel angles at each row [rad], shape (n, 4); a wheel of unknown speed does not turn."""
-        before = t_s[0] if self._last_s is None else self._last_s
-        steps = np.maximum(np.diff(t_s, prepend=before), 0.0)
-        angles: Rows = self._angles_rad + np.cumsum(np.nan_to_num(speeds_rad_s) * steps[:, None], axis=0)
-        self._angles_rad, self._last_s = angles[-1], float(t_s[-1])
-        return angles
-
     def _robot(self, poses: Rows, angles_rad: Rows, times: Times) -> None:
         index, half = indexes(times), poses[:, 2] / 2
         zero = np.zeros(len(poses))
@@ -263,11 +241,11 @@ class Scene:
             translation=np.stack([poses[:, 0], poses[:, 1], zero], axis=1),
             quaternion=np.stack([zero, zero, np.sin(half), np.cos(half)], axis=1),
             parent_frame=[f"tf#{SCENE}"] * len(poses),
-            child_frame=["base_link"] * len(poses),
+            child_frame=[BASE_LINK] * len(poses),
         )
         self._rerun.send_columns(f"{SCENE}/pose", index, columns)
-        for wheel, angle in zip(WHEEL_NAMES, angles_rad.T, strict=True):
-            turned_wheel = self._joints[wheel].compute_transform_columns(np.remainder(angle, 2 * np.pi))
+        for wheel, joint, angle in zip(WHEEL_NAMES, WHEEL_JOINTS, angles_rad.T, strict=True):
+            turned_wheel = self._joints[joint].compute_transform_columns(np.remainder(angle, 2 * np.pi))
             self._rerun.send_columns(f"{SCENE}/wheel/{wheel}", index, turned_wheel)
 
     def _forces(self, poses: Rows, rows: Rows, times: Times) -> None:

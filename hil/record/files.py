@@ -20,8 +20,9 @@ OUTPUTS = {
     "overlay": (".rrd",),
     "export": (".csv", ".parquet", ".mcap"),
     "trajectory": (".csv",),
+    "urdf": (".urdf",),
 }
-"""The kinds of output file of a run or its review, each with the extensions that it may have.
+"""The kinds of output file of a run, its review or its robot, each with the extensions that it may have.
 
 A trace has Vector's binary or text format, or that of ``candump -L``.
 """

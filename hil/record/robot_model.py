@@ -1,36 +1,38 @@
-"""The robot as a recording draws it: a URDF with its own sizes, and the rollers of its wheels as meshes."""
+"""The robot as a URDF: drawn by recordings, Foxglove and RViz, simulated with the masses and inertias of [robot]."""
 
 import math
-import struct
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from string import Template
+from xml.sax.saxutils import escape
 
 import numpy as np
 import numpy.typing as npt
 
 from hil.core.kinematics import BodyTwist, wheel_speeds
-from hil.core.types import WHEEL_NAMES, Wheels
+from hil.core.model import RobotModel
+from hil.core.types import Wheels
+from hil.record.inertias import Inertia, Inertias, inertias
+from hil.record.rollers import ROLLER_RADIUS, cylinders, mesh, mesh_visual
 
 Points = npt.NDArray[np.float64]
 
+BASE_LINK = "base_link"
+_PLACES = ("front_left", "front_right", "rear_right", "rear_left")
+WHEEL_LINKS = tuple(f"{place}_wheel_link" for place in _PLACES)
+WHEEL_JOINTS = tuple(f"{place}_wheel_joint" for place in _PLACES)
+"""Links and joints of the wheels in the order of ``WHEEL_NAMES``."""
+
 _TEMPLATES = Path(__file__).parent
-_ROLLERS = 9
-# Shares of the wheel's radius.
-_ROLLER_RADIUS = 0.17
-_ROLLER_LENGTH = 0.85
-_WHEEL_WIDTH = 0.62
-# A roller as it is drawn: rings along its axis, corners of a ring.
-_RINGS = 3
-_CORNERS = 6
+_WHEEL_WIDTH = 0.62  # of its radius
 _PLAIN_ACCELERATION_M_S2 = 0.5
 _ROUND_TO = (5.0, 2.0, 1.0)
 
 
 @dataclass(frozen=True, slots=True)
 class RobotShape:
-    """Sizes [m] and mass [kg] of a robot, from the scenario's ``[robot]``."""
+    """Sizes [m] and mass [kg] of a robot, from the scenario's ``[robot]``; the body is drawn to fit them."""
 
     mass_kg: float
     wheel_radius_m: float
@@ -51,6 +53,17 @@ class RobotShape:
         return np.array([(x, y), (x, -y), (-x, -y), (-x, y)])
 
     @property
+    def wheel_width_m(self) -> float:
+        """Width of a wheel as it is drawn."""
+        return _WHEEL_WIDTH * self.wheel_radius_m
+
+    @property
+    def body_m(self) -> tuple[float, float, float]:
+        """Length, width and height of the body as it is drawn."""
+        width = max(2 * self.half_width_m - 1.3 * self.wheel_width_m, 0.5 * self.half_width_m)
+        return 2 * self.half_length_m + 0.6 * self.wheel_radius_m, width, 0.9 * self.wheel_radius_m
+
+    @property
     def force_scale_m_n(self) -> float:
         """Length of a force arrow [m/N], rounded down to 1, 2 or 5 times a power of ten.
 
@@ -60,45 +73,59 @@ class RobotShape:
         power = 10.0 ** math.floor(math.log10(exact))
         return next(digit for digit in _ROUND_TO if digit * power <= exact * (1 + 1e-9)) * power
 
-    def urdf(self) -> str:
-        """Return the URDF; ``write`` writes the meshes that it names."""
+    def urdf(self, name: str = "robot", solid: Inertias | None = None) -> str:
+        """Return the URDF, in one file with cylinders as rollers. Without inertias it is for drawing alone."""
+        return self._urdf(name, solid, {side: cylinders(self.wheel_radius_m, side) for side in _SIDES})
+
+    def write(self, directory: Path) -> Path:
+        """Write the URDF with meshes as rollers (binary STL) to a folder and return the path of the URDF."""
+        visuals = {}
+        for side, word in _SIDES.items():
+            (directory / f"rollers_{word}.stl").write_bytes(mesh(self.wheel_radius_m, side))
+            visuals[side] = mesh_visual(f"rollers_{word}.stl")
+        path = directory / "robot.urdf"
+        path.write_text(self._urdf("robot", None, visuals), encoding="utf-8")
+        return path
+
+    def _urdf(self, name: str, solid: Inertias | None, rollers: Mapping[float, str]) -> str:
+        """Return the URDF; ``rollers`` are the visuals of a wheel's rollers by the key of ``_SIDES``."""
         radius = self.wheel_radius_m
-        wheel_width = _WHEEL_WIDTH * radius
-        length = 2 * self.half_length_m + 0.6 * radius
-        width = max(2 * self.half_width_m - 1.3 * wheel_width, 0.5 * self.half_width_m)
-        height = 0.9 * radius
+        length, width, height = self.body_m
+        middle = 1.1 * radius
         wheels = "".join(
             _template("robot_wheel.urdf").substitute(
-                wheel=name,
+                joint=joint,
+                link=link,
                 x_m=x,
                 y_m=y,
                 radius_m=radius,
-                hub_radius_m=(1 - 2.1 * _ROLLER_RADIUS) * radius,
-                hub_length_m=wheel_width,
-                rollers=_SIDES[sideways],
+                hub_radius_m=(1 - 2.1 * ROLLER_RADIUS) * radius,
+                width_m=self.wheel_width_m,
+                rollers=rollers[sideways],
+                solid="" if solid is None else _solid_wheel(solid.wheel, radius, self.wheel_width_m),
             )
-            for name, (x, y), sideways in zip(WHEEL_NAMES, self.centres_m, SIDEWAYS, strict=True)
+            for joint, link, (x, y), sideways in zip(WHEEL_JOINTS, WHEEL_LINKS, self.centres_m, SIDEWAYS, strict=True)
         )
         return _template("robot.urdf").substitute(
+            name=escape(name, {'"': "&quot;"}),
             body_length_m=length,
             body_width_m=width,
             body_height_m=height,
-            body_z_m=1.1 * radius,
+            body_z_m=middle,
             nose_length_m=0.12 * length,
             nose_width_m=0.7 * width,
             nose_height_m=0.3 * height,
             nose_x_m=0.44 * length,
-            nose_z_m=1.1 * radius + 0.65 * height,
+            nose_z_m=middle + 0.65 * height,
+            solid="" if solid is None else _solid_body(solid.body, self.body_m, middle),
             wheels=wheels,
         )
 
-    def write(self, directory: Path) -> Path:
-        """Write the URDF and its meshes (binary STL) to a folder and return the path of the URDF."""
-        for sign, side in _SIDES.items():
-            (directory / f"rollers_{side}.stl").write_bytes(_stl(_rollers(self.wheel_radius_m, sign)))
-        path = directory / "robot.urdf"
-        path.write_text(self.urdf(), encoding="utf-8")
-        return path
+
+def robot_description(robot: RobotModel, name: str) -> str:
+    """Return the URDF of a robot with its masses and inertias. Raises BadInputError as ``inertias``."""
+    shape = RobotShape(robot.mass_kg, robot.wheel_radius_m, robot.half_length_m, robot.half_width_m)
+    return shape.urdf(name, inertias(robot, shape.body_m, shape.wheel_width_m))
 
 
 def drive_directions() -> Points:
@@ -119,47 +146,23 @@ def _template(name: str) -> Template:
     return Template((_TEMPLATES / name).read_text(encoding="utf-8"))
 
 
-def _rollers(radius_m: float, sideways: float) -> Points:
-    """Return the triangles of a wheel's rollers, shape (n, 3 corners, 3), about its centre, axle along y.
+def _solid_body(inertia: Inertia, size_m: tuple[float, float, float], middle_m: float) -> str:
+    """Return the link that has the body's inertia and collisions.
 
-    The envelope of the rollers is a cylinder of the wheel's radius r: where a roller's axis, at 45 degrees to the axle,
-    is s from its middle, its own radius is r - √((r - ρ)² + s² / 2), where ρ is its radius in the middle.
+    It is not base_link: KDL, with which robot_state_publisher computes, ignores the inertia of a root.
     """
-    middle = (1 - _ROLLER_RADIUS) * radius_m
-    along = np.linspace(-0.5, 0.5, _RINGS) * _ROLLER_LENGTH * radius_m
-    thick = radius_m - np.sqrt(middle**2 + along**2 / 2)
-    angle = np.arange(_CORNERS) * (2 * np.pi / _CORNERS)
-    axis = np.array([1.0, sideways, 0.0]) / math.sqrt(2)
-    across = np.array([-sideways, 1.0, 0.0]) / math.sqrt(2)
-    down = np.array([0.0, 0.0, -1.0])
-    ring = np.cos(angle)[:, None] * across + np.sin(angle)[:, None] * down
-    rings = middle * down + along[:, None, None] * axis + thick[:, None, None] * ring
-    lowest = np.array([*_sides(rings), *_cap(rings[0]), *_cap(rings[-1][::-1])])
-    turns = np.arange(_ROLLERS) * (2 * np.pi / _ROLLERS)
-    return np.concatenate([lowest @ _about_y(turn).T for turn in turns])
+    box = '<box size="{} {} {}"/>'.format(*size_m)
+    return (
+        '  <joint name="body_joint" type="fixed">\n    <parent link="base_link"/>\n    <child link="body_link"/>\n'
+        f'    <origin xyz="0 0 {middle_m}"/>\n  </joint>\n  <link name="body_link">\n'
+        f"    <collision>\n      <geometry>{box}</geometry>\n    </collision>\n{inertia.urdf()}\n  </link>\n"
+    )
 
 
-def _sides(rings: Points) -> Points:
-    """Return the triangles between each ring, shape (corners, 3), and the next one."""
-    one, other = rings[:-1], rings[1:]
-    one_next, other_next = np.roll(one, -1, axis=1), np.roll(other, -1, axis=1)
-    pairs = [np.stack(corners, axis=2) for corners in ((one, other_next, one_next), (one, other, other_next))]
-    return np.concatenate(pairs).reshape(-1, 3, 3)
-
-
-def _cap(ring: Points) -> list[Points]:
-    return [np.array([ring[0], ring[i], ring[i + 1]]) for i in range(1, _CORNERS - 1)]
-
-
-def _about_y(angle_rad: float) -> Points:
-    c, s = math.cos(angle_rad), math.sin(angle_rad)
-    return np.array([(c, 0.0, s), (0.0, 1.0, 0.0), (-s, 0.0, c)])
-
-
-def _stl(triangles: Points) -> bytes:
-    """Return triangles as binary STL: a header of 80 bytes, their number, then each with its normal."""
-    normals = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
-    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
-    packed = np.zeros(len(triangles), dtype=[("vectors", "<f4", (4, 3)), ("attribute", "<u2")])
-    packed["vectors"] = np.concatenate([normals[:, None], triangles], axis=1)
-    return bytes(80) + struct.pack("<I", len(triangles)) + packed.tobytes()
+def _solid_wheel(inertia: Inertia, radius_m: float, width_m: float) -> str:
+    """Return what a wheel's link needs to be simulated: a cylinder, since a URDF knows no rollers that roll."""
+    cylinder = f'<cylinder radius="{radius_m}" length="{width_m}"/>'
+    return (
+        f'    <collision>\n      <origin rpy="{math.pi / 2} 0 0"/>\n      <geometry>{cylinder}</geometry>\n'
+        f"    </collision>\n{inertia.urdf()}"
+    )

@@ -9,7 +9,16 @@ came from, ``shipped_scenarios()`` and ``suite_scenarios()`` the names that ``lo
 """
 
 from hil.core.options import format_value
-from hil.scenario.load import Sources, from_values, load, read, set_texts, shipped_scenarios, suite_scenarios
+from hil.scenario.load import (
+    Sources,
+    from_values,
+    load,
+    read,
+    robot_model,
+    set_texts,
+    shipped_scenarios,
+    suite_scenarios,
+)  # fmt: skip
 from hil.scenario.plant import SHIPPED_FMUS
 from hil.scenario.run import Scenario, from_plain, resolved, to_plain
 from hil.scenario.tables import DeviceTable, FirmwareTable, RealtimeTable, ServiceTable
@@ -19,5 +28,5 @@ from hil.scenario.values import StartValue
 __all__ = [
     "SHIPPED_FMUS", "DeviceTable", "ExpectTable", "FaultTable", "FirmwareTable", "RealtimeTable", "Scenario",
     "ServiceTable", "Sources", "StartValue", "format_value", "from_plain", "from_values", "load", "read",
-    "resolved", "set_texts", "shipped_scenarios", "suite_scenarios", "to_plain",
+    "resolved", "robot_model", "set_texts", "shipped_scenarios", "suite_scenarios", "to_plain",
 ]  # fmt: skip

@@ -14,12 +14,13 @@ from typing import Any, NamedTuple, cast
 
 from hil.core import TEST_SUFFIX
 from hil.core.errors import BadInputError, nearest
-from hil.core.options import build, format_value
+from hil.core.model import RobotModel
+from hil.core.options import OptionsError, build, format_value
 from hil.laws.registry import give_law
 from hil.scenario import layers
 from hil.scenario.baseline import find as find_baseline
 from hil.scenario.baseline import is_baseline
-from hil.scenario.check import check, derived
+from hil.scenario.check import check, derived, describe
 from hil.scenario.layers import Given, Tree
 from hil.scenario.run import Scenario, values
 from hil.scenario.tables import Tables
@@ -93,6 +94,19 @@ def load(
 def with_baseline(scenario: Scenario) -> Scenario:
     """Return a scenario with its baseline, if there is one. Raises BadInputError for a baseline that is wrong."""
     return replace(scenario, baseline=find_baseline(scenario.name, scenario.path, scenario.directory))
+
+
+def robot_model(name_or_path: str | Path) -> RobotModel:
+    """Return the ``[robot]`` of a scenario, or of a robot's own file. Raises BadInputError as ``load`` does."""
+    sources = read(name_or_path)
+    if not sources.tree.keys() <= set(ROBOT_TABLES):
+        return sources.scenario().robot
+    try:
+        given = cast("Mapping[str, Mapping[str, object]]", layers.plain(sources.tree))
+        return build(RobotModel, given.get("robot", {}), "robot")
+    except OptionsError as error:
+        where = f"robot file {sources.file.display}"
+        raise BadInputError("\n".join(describe(error.problems, sources.tree, where))) from None
 
 
 class Sources(NamedTuple):
