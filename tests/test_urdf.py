@@ -50,15 +50,11 @@ def roller_axes(urdf: str) -> dict[str, Numbers]:
     """Return the axis of the lowest roller of each wheel's link, from the drawn cylinders."""
     found = {}
     for link in ElementTree.fromstring(urdf).iter("link"):
-        origins = [visual.find("origin") for visual in link.iterfind("visual[@name='rollers']")]
+        rollers = [link.find(f"visual[@name='roller_{number}']/origin") for number in range(1, ROLLERS + 1)]
+        origins = [origin.attrib for origin in rollers if origin is not None]
         if origins:
-            assert len(origins) == ROLLERS
-            places = [
-                [float(word) for word in origin.attrib["xyz"].split()] for origin in origins if origin is not None
-            ]
-            lowest = origins[int(np.argmin(np.array(places)[:, 2]))]
-            assert lowest is not None
-            roll, pitch, yaw = (float(word) for word in lowest.attrib["rpy"].split())
+            lowest = min(origins, key=lambda origin: float(origin["xyz"].split()[2]))
+            roll, pitch, yaw = (float(word) for word in lowest["rpy"].split())
             assert roll == 0.0
             found[link.attrib["name"]] = np.array(
                 [np.cos(yaw) * np.sin(pitch), np.sin(yaw) * np.sin(pitch), np.cos(pitch)]

@@ -22,9 +22,9 @@ _RINGS = 3
 _CORNERS = 6
 
 
-def _visual(place: str, geometry: str) -> str:
+def _visual(name: str, place: str, geometry: str) -> str:
     return (
-        f'    <visual name="rollers">\n      <origin {place}/>\n      <geometry>{geometry}</geometry>\n'
+        f'    <visual name="{name}">\n      <origin {place}/>\n      <geometry>{geometry}</geometry>\n'
         '      <material name="roller"/>\n    </visual>'
     )
 
@@ -37,17 +37,17 @@ def cylinders(radius_m: float, sideways: float) -> str:
     ring = math.sqrt((1 - _CYLINDER_RADIUS) ** 2 - (_CYLINDER_LENGTH / 2) ** 2 / 2) * radius_m
     sizes = f'radius="{_CYLINDER_RADIUS * radius_m:.10g}" length="{_CYLINDER_LENGTH * radius_m:.10g}"'
     visuals = []
-    for turn in _turns():
+    for number, turn in enumerate(_turns(), 1):
         x, y, z = _about_y(turn) @ _axis(sideways)
         xyz = " ".join(f"{value:.10g}" for value in _about_y(turn) @ (0.0, 0.0, -ring))
         place = f'xyz="{xyz}" rpy="0 {math.acos(z):.10g} {math.atan2(y, x):.10g}"'
-        visuals.append(_visual(place, f"<cylinder {sizes}/>"))
+        visuals.append(_visual(f"roller_{number}", place, f"<cylinder {sizes}/>"))
     return "\n".join(visuals)
 
 
 def mesh_visual(file: str) -> str:
     """Return the ``visual`` element of a URDF for a wheel's rollers in a file that ``mesh`` fills."""
-    return _visual('xyz="0 0 0"', f'<mesh filename="{file}"/>')
+    return _visual("rollers", 'xyz="0 0 0"', f'<mesh filename="{file}"/>')
 
 
 def mesh(radius_m: float, sideways: float) -> bytes:
