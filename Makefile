@@ -16,7 +16,7 @@ PAIRWISE := --numprocesses 3 --dist worksteal
 ALONE_TESTS := $(shell grep -l 'pytest\.mark\.alone' tests/test_*.py)
 SOCKETCAN_TESTS := tests/test_socketcan_*.py
 
-.PHONY: help demo test test-rest test-all test-socketcan catalogue check proof chaos bench nightly picture format native fmu clean setup
+.PHONY: help demo test test-rest test-all test-socketcan catalogue check proof chaos bench nightly picture format native fmu ros clean setup
 
 ## what make can do here
 help:
@@ -151,6 +151,10 @@ native: .venv/native
 ## build the FMUs to give away, with binaries for all platforms, into dist/
 fmu: .venv/tools
 	$(BIN)/python -m tools.build.fmu --all-platforms --out dist
+
+## make the package for ROS 2, into dist/ros/, for a workspace of colcon
+ros: setup
+	$(BIN)/python -m tools.build.ros_package
 
 ## remove all that was set up, built or run
 clean:

@@ -28,6 +28,7 @@ SLOW = (
     "test_install.py",
     "test_mujoco_fmu.py",
     "test_reset_cause.py",
+    "test_ros_package.py",
     "test_mutants.py::test_every_mutant_of_the_c_sources_compiles",
     # Emulators, browsers, other kernels.
     "test_qemu.py",

@@ -71,6 +71,15 @@ def test_the_layouts_beside_an_mcap_file_name_its_fields(run: RecordedRun, tmp_p
 
     tabs = [name for tab in panels["Tab!run"]["tabs"] for name in shown(tab["layout"])]
     assert sorted([*shown(layout["layout"]), *tabs]) == sorted(panels)
+    view = panels["3D!robot"]
+    with (tmp_path / "run.mcap").open("rb") as file:
+        reader = make_reader(file, decoder_factories=[DecoderFactory()])
+        moves = [message for *_, message in reader.iter_decoded_messages(topics=["/tf"])]
+        topics = {channel.topic for channel in reader.get_summary().channels.values()}
+    frames = {transform.child_frame_id for message in moves for transform in message.transforms}
+    assert view["followTf"] in frames
+    assert {frame.removeprefix("frame:") for frame in view["transforms"]} < frames
+    assert set(view["topics"]) < topics
 
 
 def test_the_layout_beside_a_table_names_its_columns_and_none_that_is_empty(run: RecordedRun, tmp_path: Path) -> None:

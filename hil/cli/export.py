@@ -7,7 +7,7 @@ import typer
 from typer import Argument, Option
 
 from hil.cli.commands import Group
-from hil.cli.options import Force
+from hil.cli.options import Force, RobotFile
 
 app = typer.Typer(cls=Group, no_args_is_help=True, help="Write a robot for other programs: its description as a URDF.")
 
@@ -19,7 +19,8 @@ def _export() -> None:
 
 @app.command("urdf")
 def urdf(
-    robot: Annotated[str, Argument(metavar="ROBOT", help="a robot's own file, or a scenario's file or name")],
+    config: Annotated[str, Argument(metavar="CONFIG", help="a robot's own file, or a scenario's file or name")],
+    robot: RobotFile = None,
     out: Annotated[Path | None, Option(metavar="FILE.urdf", help="by default it is printed")] = None,
     force: Force = False,
 ) -> None:
@@ -35,7 +36,7 @@ def urdf(
     existing = existing_files(force=force)
     if out is not None:
         check_output_path("urdf", out, existing)
-    text = robot_description(robot_model(robot), Path(robot).stem)
+    text = robot_description(robot_model(config, robot), Path(robot or config).stem)
     if out is None:
         print(text, end="")
     else:

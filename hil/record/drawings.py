@@ -25,7 +25,7 @@ from hil.record.layout import (
     Y_COLOUR,
     Colour,
 )
-from hil.record.motion import SCENE_PERIOD_S, WheelAngles, drawn_pose, pose
+from hil.record.motion import SCENE_PERIOD_S, WheelAngles, pose
 from hil.record.ring import Rows
 from hil.record.robot_model import BASE_LINK, WHEEL_JOINTS, RobotShape, drive_directions
 
@@ -77,6 +77,13 @@ class RowTimes:
         times = np.take_along_axis(times, newest, axis=0)
         self._last = times[-1]
         return times[1:]
+
+
+def drawn_pose(rows: Rows, column: Mapping[str, int]) -> Rows:
+    """Return where the robot is drawn: at the truth, or at the estimate where there is no truth; shape (n, 3)."""
+    truth = pose(rows, column, "truth")
+    known = np.isfinite(truth).all(axis=1, keepdims=True)
+    return np.where(known, truth, pose(rows, column, "pose"))
 
 
 def turned(vectors: Rows, heading_rad: Rows) -> Rows:

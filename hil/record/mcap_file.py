@@ -2,8 +2,9 @@
 
 Each row is one message on ``/hil``, of a ROS 2 message definition that holds the signals by their names, as in
 ``/hil.wheel.fl.speed_rad_s``, encoded as CDR: floats of 64 bits one after the other. Events are ``foxglove.Log`` on
-``/events``. The properties and the summary are metadata records with the names of an .rrd file's properties. A chunk is
-closed whenever the recorder flushes, so a file that was cut off keeps everything that was flushed.
+``/events``. The robot is there as ROS has it, for Foxglove and RViz to draw: its URDF on ``/robot_description``, its
+frames on ``/tf``. The properties and the summary are metadata records with the names of an .rrd file's properties. A
+chunk is closed whenever the recorder flushes, so a file that was cut off keeps everything that was flushed.
 """
 
 import json
@@ -15,6 +16,7 @@ from typing import Any
 import numpy as np
 from mcap.writer import CompressionType, Writer
 
+from hil.record.frames import RobotFrames
 from hil.record.properties import (
     APPLICATION,
     PART_PROPERTY,
@@ -22,13 +24,15 @@ from hil.record.properties import (
     RUN_PROPERTY,
     SIGNALS_PROPERTY,
     SUMMARY_PROPERTY,
+    scenario_values,
 )
 from hil.record.ring import Rows
+from hil.record.ros_messages import CDR_HEADER, STRING, TF_MESSAGE, Definition, string_message
 
 SIGNALS_TOPIC = "/hil"
 EVENTS_TOPIC = "/events"
+ROBOT_TOPIC, FRAMES_TOPIC = "/robot_description", "/tf"
 ZERO_KEY = "zero_unix_ns"
-CDR_HEADER = b"\0\1\0\0"  # little-endian
 LEVELS = {"debug": 1, "info": 2, "warning": 3, "error": 4}
 """The numbers of the levels in ``foxglove.Log``."""
 _INTEGER, _STRING = {"type": "integer"}, {"type": "string"}
@@ -75,10 +79,14 @@ class McapFile:
         held = {SIGNALS_TOPIC: [signals[i] for i in self._order]}
         self._writer.add_metadata(SIGNALS_PROPERTY, {"json": json.dumps(held), ZERO_KEY: str(zero_unix_ns)})
         self._writer.add_metadata(PART_PROPERTY, {"json": json.dumps(part)})
-        definition = self._writer.register_schema("hil/Row", "ros2msg", _definition(tree).encode())
-        self._rows = self._writer.register_channel(SIGNALS_TOPIC, "cdr", definition)
+        self._rows = self._channel(SIGNALS_TOPIC, Definition("hil/Row", _definition(tree)))
         log = self._writer.register_schema("foxglove.Log", "jsonschema", json.dumps(_LOG_SCHEMA).encode())
         self._events = self._writer.register_channel(EVENTS_TOPIC, "json", log)
+        self._robot = RobotFrames.of(signals, scenario_values(properties))
+        if self._robot is not None:
+            self._frames = self._channel(FRAMES_TOPIC, TF_MESSAGE)
+            robot, message = self._channel(ROBOT_TOPIC, STRING), string_message(self._robot.urdf)
+            self._writer.add_message(robot, zero_unix_ns, message, zero_unix_ns)
         self.flush()
 
     def rows(self, rows: Rows) -> None:
@@ -90,6 +98,11 @@ class McapFile:
             message = CDR_HEADER + data[i * width : (i + 1) * width]
             sequence = int(tick) & 0xFFFFFFFF if np.isfinite(tick) else 0
             self._writer.add_message(self._rows, stamp_ns, message, stamp_ns, sequence)
+        if self._robot is not None:
+            self._writer.flush()  # as before an event
+            for stamp_ns, message in self._robot.messages(rows, self._zero_unix_ns):
+                self._writer.add_message(self._frames, stamp_ns, message, stamp_ns)
+            self._writer.flush()
 
     def event(self, t_s: float, level: str, text: str) -> None:
         """Write a line of the event log at scenario time ``t_s``."""
@@ -117,6 +130,12 @@ class McapFile:
         """Write the index, and close the file."""
         self._writer.finish()
         self._file.close()
+
+    def _channel(self, topic: str, of: Definition) -> int:
+        """Open a topic for messages of ROS 2 and return its channel."""
+        schema = self._writer.register_schema(of.name, "ros2msg", of.text.encode())
+        channel: int = self._writer.register_channel(topic, "cdr", schema)
+        return channel
 
     def _stamp_ns(self, t_s: float) -> int:
         """Return the Unix time [ns] of a time of the run; a row without a time gets that of the last one."""

@@ -17,13 +17,6 @@ def pose(rows: Rows, column: Mapping[str, int], group: str) -> Rows:
     return rows[:, [column[f"{group}.{name}"] for name in ("x_m", "y_m", "heading_rad")]]
 
 
-def drawn_pose(rows: Rows, column: Mapping[str, int]) -> Rows:
-    """Return where the robot is drawn: at the truth, or at the estimate where there is no truth; shape (n, 3)."""
-    truth = pose(rows, column, "truth")
-    known = np.isfinite(truth).all(axis=1, keepdims=True)
-    return np.where(known, truth, pose(rows, column, "pose"))
-
-
 class WheelAngles:
     """Angles of the wheels: the integral of their speeds at full rate, since the first row, also across calls."""
 

@@ -13,8 +13,9 @@ from mcap.opcode import Opcode
 from mcap.records import Channel, Chunk, Header, Message, Metadata
 from mcap.stream_reader import CRCValidationError, StreamReader, breakup_chunk, get_chunk_data_stream
 
-from hil.record.mcap_file import CDR_HEADER, EVENTS_TOPIC, LEVELS, SIGNALS_TOPIC, ZERO_KEY
+from hil.record.mcap_file import EVENTS_TOPIC, LEVELS, SIGNALS_TOPIC, ZERO_KEY
 from hil.record.properties import SIGNALS_PROPERTY
+from hil.record.ros_messages import CDR_HEADER
 from hil.review.contents import Contents, DamagedError, Selection, Series, json_property, why_nothing
 
 _LEVEL_NAMES = {number: {"warning": "WARN"}.get(name, name.upper()) for name, number in LEVELS.items()}

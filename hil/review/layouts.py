@@ -1,4 +1,4 @@
-"""Layouts of PlotJuggler and Foxglove for an exported run: its errors, wheels, link and loop in plots."""
+"""Layouts of PlotJuggler and Foxglove for an exported run: errors, wheels, link and loop in plots; the robot in 3D."""
 
 import json
 from collections.abc import Iterator, Mapping, Sequence
@@ -9,8 +9,11 @@ from xml.etree import ElementTree
 import numpy as np
 
 from hil.core.outputs import Existing, whole_file
+from hil.record.frames import ODOM, RobotFrames
 from hil.record.layout import Colour, Entity, layout
-from hil.record.mcap_file import EVENTS_TOPIC, SIGNALS_TOPIC
+from hil.record.mcap_file import EVENTS_TOPIC, ROBOT_TOPIC, SIGNALS_TOPIC
+from hil.record.properties import scenario_values
+from hil.record.robot_model import BASE_LINK, WHEEL_LINKS
 from hil.review.reader import RecordedRun
 
 _TABS: Mapping[str, Sequence[str]] = {
@@ -79,7 +82,7 @@ def _plotjuggler(run: RecordedRun, export: Path) -> str:
 
 
 def _foxglove(run: RecordedRun) -> str:
-    """Return a layout of Foxglove: tabs of plots, and the events below them."""
+    """Return a layout of Foxglove: tabs of plots, and beside them the robot, if the file has it, over the events."""
     panels: dict[str, Any] = {"Log!events": {"topicToRender": EVENTS_TOPIC, "searchTerms": []}}
     tabs = []
     for tab, plots in _plots(run):
@@ -104,7 +107,11 @@ def _foxglove(run: RecordedRun) -> str:
             }
         tabs.append({"title": tab, "layout": _stacked(names)})
     panels["Tab!run"] = {"activeTabIdx": 0, "tabs": tabs}
-    whole = {"direction": "column", "first": "Tab!run", "second": "Log!events", "splitPercentage": 80}
+    beside: Any = "Log!events"
+    if RobotFrames.of(list(run.signals), scenario_values(run.properties)) is not None:
+        panels["3D!robot"] = _robot()
+        beside = {"direction": "column", "first": "3D!robot", "second": "Log!events", "splitPercentage": 70}
+    whole = {"direction": "row", "first": "Tab!run", "second": beside, "splitPercentage": 60}
     return json.dumps(
         {
             "configById": panels,
@@ -115,6 +122,19 @@ def _foxglove(run: RecordedRun) -> str:
         },
         indent=1,
     )
+
+
+def _robot() -> dict[str, Any]:
+    """Return Foxglove's settings of a 3D view, in which a URDF is not shown by itself, with a grid on the floor."""
+    return {
+        "cameraState": {"distance": 4, "perspective": True, "phi": 50, "thetaOffset": 45, "fovy": 45, "near": 0.05},
+        "followMode": "follow-position",
+        "followTf": BASE_LINK,
+        "scene": {"transforms": {"axisScale": 0.3, "showLabel": True}},
+        "transforms": {f"frame:{link}": {"visible": False} for link in WHEEL_LINKS},
+        "topics": {ROBOT_TOPIC: {"visible": True}},
+        "layers": {"grid": {"layerId": "foxglove.Grid", "visible": True, "frameId": ODOM, "size": 10, "divisions": 10}},
+    }
 
 
 def _stacked(names: Sequence[str]) -> Any:

@@ -96,9 +96,9 @@ def with_baseline(scenario: Scenario) -> Scenario:
     return replace(scenario, baseline=find_baseline(scenario.name, scenario.path, scenario.directory))
 
 
-def robot_model(name_or_path: str | Path) -> RobotModel:
+def robot_model(name_or_path: str | Path, robot: str | Path | None = None) -> RobotModel:
     """Return the ``[robot]`` of a scenario, or of a robot's own file. Raises BadInputError as ``load`` does."""
-    sources = read(name_or_path)
+    sources = read(name_or_path, robot=robot)
     if not sources.tree.keys() <= set(ROBOT_TABLES):
         return sources.scenario().robot
     try:
