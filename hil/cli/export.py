@@ -26,7 +26,7 @@ def urdf(
 ) -> None:
     """Describe a robot for ROS, RViz and Foxglove: links, joints, shapes, masses and inertias, in one file.
 
-    Mass, yaw inertia and the wheels' inertia are those of [robot]; hil/record/RECORDING.md says what is chosen.
+    Mass, yaw inertia and the wheels' inertia are those of [robot]; RECORDING.md says what is chosen.
     """
     from hil.core.outputs import existing_files, write_whole
     from hil.record.files import check_output_path
