@@ -304,7 +304,7 @@ def test_a_decoder_that_aborts_leaves_no_copy_behind(
 @posix_only
 def test_a_config_of_more_than_a_pipe_holds_reaches_a_recorder_that_was_restarted(tmp_path: Path) -> None:
     with Recording(
-        tmp_path / "run.mcap", properties={"scenario": '{"x": "%s"}' % ("x" * 200_000)}, blocking=False, capacity=512
+        tmp_path / "run.mcap", properties={"scenario": "x" * 200_000}, blocking=False, capacity=512
     ) as recording:
         os.kill(recording.pid, signal.SIGKILL)
         for row in circle_rows(300):
