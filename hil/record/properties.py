@@ -63,9 +63,12 @@ def hash_text(text: str) -> str:
 
 
 def scenario_values(properties: Mapping[str, str]) -> dict[str, Any]:
-    """Return the scenario's values by dotted key; empty when the properties have no scenario."""
-    values: dict[str, Any] = json.loads(properties.get("scenario", "{}"))
-    return values
+    """Return the scenario's values by dotted key; empty when the properties have no scenario, or none that is JSON."""
+    try:
+        values = json.loads(properties.get("scenario", "{}"))
+    except ValueError:
+        values = None
+    return values if isinstance(values, dict) else {}
 
 
 def table_rows(values: Mapping[str, Any], table: str) -> list[dict[str, Any]]:
