@@ -4,7 +4,7 @@ import contextlib
 from collections.abc import Iterator
 from typing import Any, Self
 
-from hil.core.errors import HilError, RobotStoppedError
+from hil.core.errors import HilError
 from hil.core.signals import SIGNAL_NAMES, LoopSignals
 from hil.runtime.bench import Bench
 from hil.runtime.parts import RunParts
@@ -70,9 +70,6 @@ class PilotBench:
                 self._sampling.wait(self._number)
             except HilError as error:
                 self.pilot.lose(error)
-                if isinstance(error, RobotStoppedError):
-                    # In lockstep no time passes before the tick of a robot that was reset is known.
-                    self.pilot._recovery.begin_now()
             else:
                 return
 

@@ -19,7 +19,7 @@ from hil.service.messages import SILENT_S, Action, Answer, ApiConfig, Limits, Or
 from tests.processes import wait_for
 
 # With a timeout as short as a robot's, an API process that waits for a processor refuses twists, as it should.
-LIMITS = Limits(speed_m_s=2.0, yaw_rate_rad_s=4.0, distance_m=100.0, twist_timeout_s=SILENT_S)
+LIMITS = Limits(speed_m_s=2.0, yaw_rate_rad_s=4.0, distance_m=100.0, wheel=40.0, twist_timeout_s=SILENT_S)
 STATUS = Status(
     time_unix_s=1.7e9,
     phase=Phase.ACTIVE,

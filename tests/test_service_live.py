@@ -233,7 +233,7 @@ def test_the_api_process_ends_when_its_control_process_is_killed(tmp_path: Path)
     script = (
         "import sys, time\nfrom hil.service.api_child import ApiChild\n"
         "from hil.service.messages import ApiConfig, Limits\n"
-        "child = ApiChild(ApiConfig(title='t', device='d', limits=Limits(1, 1, 1, 1), port=0))\n"
+        "child = ApiChild(ApiConfig(title='t', device='d', limits=Limits(1, 1, 1, 1, 1), port=0))\n"
         "print(child.pid, flush=True)\ntime.sleep(600)\n"
     )
     control = subprocess.Popen(

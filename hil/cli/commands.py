@@ -46,6 +46,7 @@ GROUPS = {
         "device": "Run the scenario's virtual robot in a process of its own; print one line when ready.",
         "serve": "Serve a robot: armed, driven and recorded by `hil ctl` or over HTTP, until SIGTERM.",
         "ctl": "Drive the robot that hil serve runs; an order returns when accepted.",
+        "ros2": "Be a ROS 2 node for a robot or its simulation: cmd_vel in; odometry, tf, joint states and more out.",
         "teleop": "Drive the robot that hil serve runs, by hand: it moves while a key or the gamepad's button is held.",
     },
     "Your robot": {
@@ -143,5 +144,5 @@ def _command(name: str, found: Any) -> Any:
     if isinstance(found, typer.Typer):
         holder.add_typer(found, name=name)
     else:
-        holder.command(name)(found)
+        holder.command(name, context_settings=getattr(found, "context_settings", None))(found)
     return get_group(holder).commands[name]

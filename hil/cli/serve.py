@@ -37,6 +37,9 @@ def serve(
     ] = "text",
     sets: Sets = None,
     allow_motion: AllowMotion = False,
+    lifeline: Annotated[
+        int | None, Option(metavar="FD", help="end in order when this pipe, a descriptor, ends", hidden=True)
+    ] = None,
     print_unit: Annotated[bool, Option("--print-unit", help="print a systemd unit that serves this, and end")] = False,
 ) -> None:
     """Serve a robot: armed, driven and recorded by `hil ctl` or over HTTP, until SIGTERM."""
@@ -56,6 +59,10 @@ def serve(
     logs.configure(log, "control")
     token, others, trail = (None if file is None else str(file.absolute()) for file in (token_file, clients, audit))
     options = Options(record, live_port if live else None, token, others, trail, truth, allow_motion, log)
+    if lifeline is not None:
+        from hil.core.subprocesses import terminate_at_end
+
+        terminate_at_end(lifeline)
     run(loaded(), options, loaded)
 
 

@@ -2,8 +2,10 @@
 
 import mmap
 import os
+import signal
 import subprocess
 import sys
+import threading
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -116,6 +118,16 @@ def wait_for_end(descriptor: int) -> None:
     """
     while os.read(descriptor, 4096):
         pass
+
+
+def terminate_at_end(descriptor: int) -> None:
+    """Send this process SIGTERM when a pipe ends, so that it ends in order. Returns at once."""
+
+    def terminate() -> None:
+        wait_for_end(descriptor)
+        os.kill(os.getpid(), signal.SIGTERM)
+
+    threading.Thread(target=terminate, name="lifeline", daemon=True).start()
 
 
 _PROCESSES = Path("/proc")

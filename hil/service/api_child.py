@@ -18,7 +18,7 @@ from hil.core.process_lock import ProcessLock
 from hil.core.subprocesses import away_from_terminal, child_environment, module_command, start_children_as_ordinary
 from hil.service import logs
 from hil.service.discovery import Service, announce
-from hil.service.messages import SILENT_S, Action, Answer, ApiConfig, Order, Status, to_line
+from hil.service.messages import SILENT_S, Action, Answer, ApiConfig, Motion, Order, Status, to_line
 from hil.wire.reopening import BackOff
 
 _READY_S = 60.0
@@ -38,6 +38,7 @@ class ApiChild:
         url: the API's URL; the same after a restart.
         token_file: the file with the clients' token.
         restarts: number of restarts.
+        motion_hz: how often clients want the robot's motion; 0 for none.
     """
 
     def __init__(self, config: ApiConfig) -> None:
@@ -57,6 +58,7 @@ class ApiChild:
         self.url = ""
         self.token_file: Path | None = None
         self.restarts = 0
+        self.motion_hz = 0.0
         try:
             self._start()
             self._wait_until_ready()
@@ -87,8 +89,8 @@ class ApiChild:
             self._restart()
         return sorted(orders, key=lambda order: order.action is not Action.ESTOP)
 
-    def send(self, message: Answer | Status) -> None:
-        """Send an answer or the status. Never waits: a status is left out when the pipe is full."""
+    def send(self, message: Answer | Status | Motion) -> None:
+        """Send an answer, the status or a motion. Never waits: the latter two are left out when the pipe is full."""
         self._kill_if_hung()
         if self._ready and (self._writer.flush() or isinstance(message, Answer)):
             self._writer.send(to_line(message), always=isinstance(message, Answer))
@@ -156,6 +158,7 @@ class ApiChild:
             logs.error("API process cannot start again", why=record["refused"])
             return None
         self._alive_s = time.monotonic()
+        self.motion_hz = record.get("motion_hz", self.motion_hz)
         if (ready := record.get("ready")) is not None:
             self.url, self.token_file = ready["url"], Path(ready["token_file"])
             # With a fixed port and token file, clients find the service again after a restart.
@@ -169,6 +172,7 @@ class ApiChild:
         """Start the next process in a thread, because that takes longer than a tick."""
         self._lines = None
         self._ready = False
+        self.motion_hz = 0.0
         self.restarts += 1
         self._starter = threading.Thread(target=self._start_next, name="API starter")
         self._starter.start()

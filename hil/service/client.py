@@ -177,8 +177,15 @@ class Live:
         self._socket.send(json.dumps({"order": order}))
         return number
 
+    def ask_for_motion(self, rate_hz: float) -> None:
+        """Receive the robot's motion this often too, as far as its ticks allow it; 0 ends that."""
+        self._socket.send(json.dumps({"motion": {"rate_hz": rate_hz}}))
+
     def receive(self, timeout_s: float | None) -> dict[str, Any] | None:
-        """Return the next ``{"status": ...}`` or ``{"answer": ...}``, or None at the timeout. None waits for ever."""
+        """Return the next ``{"status": ...}``, ``{"answer": ...}`` or ``{"motion": ...}``, or None at the timeout.
+
+        A ``timeout_s`` of None waits for ever.
+        """
         try:
             message: dict[str, Any] = json.loads(self._socket.recv(timeout=timeout_s))
         except TimeoutError:

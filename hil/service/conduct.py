@@ -5,7 +5,7 @@ from collections.abc import Callable
 
 from hil.core.errors import BadInputError
 from hil.core.kinematics import BodyTwist
-from hil.core.types import NAN_POSE, Pose, Reference, State
+from hil.core.types import NAN_POSE, Acceleration, FourWheels, Pose, Reference, State
 from hil.references import ReferenceSource
 from hil.references.motion import at_rest
 from hil.scenario import ServiceTable
@@ -14,6 +14,7 @@ from hil.service.motions import Drive, Follow, frame_at, way_to
 
 NOWHERE = at_rest(NAN_POSE)
 """The reference of a robot without a task."""
+_NO_ACCELERATION = Acceleration(0.0, 0.0, 0.0)
 
 Motion = Drive | Follow
 
@@ -23,7 +24,7 @@ class Conduct:
 
     Attributes:
         task: the present task, or None outside ``begin`` to ``end``. reference: that of the last tick, None before the
-            first.
+            first. wheels: the command of a law elsewhere [rad/s or N·m], while the task is WHEELS.
         gave_up: why a task was ended and the robot stopped; the reader sets it to None again.
     """
 
@@ -33,7 +34,9 @@ class Conduct:
         self._state: State | None = None
         self._motion: Motion | None = None
         self._after_rest: Callable[[Reference], Motion] | None = None
-        self._twist_until_s = -math.inf
+        self._until_s = -math.inf  # of the twist or the wheel command
+        self._sequence = -1
+        self.wheels: FourWheels | None = None
         self.task: Task | None = None
         self.reference: Reference | None = None
         self.gave_up: str | None = None
@@ -45,7 +48,7 @@ class Conduct:
 
     def end(self) -> None:
         """End the task and forget the motion."""
-        self._motion = self._after_rest = self._state = None
+        self._motion = self._after_rest = self._state = self.wheels = None
         self.task = self.reference = self.gave_up = None
 
     @property
@@ -53,7 +56,7 @@ class Conduct:
         """Age of the twist in force; None if there is none."""
         if self.task is not Task.TWIST:
             return None
-        return self._t_s - (self._twist_until_s - self._options.twist_timeout_s)
+        return self._t_s - (self._until_s - self._options.twist_timeout_s)
 
     # Orders. Each raises BadInputError if the robot's pose is not known.
 
@@ -66,8 +69,23 @@ class Conduct:
         """Drive by a twist for ``twist_timeout_s``; return the twist, scaled to the limits."""
         drive = self._motion if self.task is Task.TWIST and isinstance(self._motion, Drive) else self._rest()
         self.task = Task.TWIST
-        self._twist_until_s = self._t_s + self._options.twist_timeout_s
+        self._until_s = self._t_s + self._options.twist_timeout_s
         return drive.set_target(twist)
+
+    def command_wheels(self, wheels: FourWheels, sequence: int | None) -> None:
+        """Command the wheels for ``twist_timeout_s`` as a law elsewhere asks for it.
+
+        With a ``sequence`` number a command must be newer than the one before. Raises BadInputError for another.
+        """
+        if self.task is not Task.WHEELS:
+            self._rest()
+            self._sequence = -1
+        if sequence is not None:
+            if sequence <= self._sequence:
+                raise BadInputError(f"sequence = {sequence}: it came after {self._sequence}; a late command is dropped")
+            self._sequence = sequence
+        self.task, self.wheels = Task.WHEELS, wheels
+        self._until_s = self._t_s + self._options.twist_timeout_s
 
     def track(self, path: ReferenceSource, *, here: bool) -> None:
         """Follow a path once the robot rests: shifted to its pose (``here``), or from the path's start in the world."""
@@ -112,7 +130,7 @@ class Conduct:
     def give_up(self, why: str) -> None:
         """End the task; the robot holds its position."""
         self.gave_up = why
-        self._motion = self._after_rest = self.reference = None
+        self._motion = self._after_rest = self.reference = self.wheels = None
         self.task = Task.HOLD
 
     def _where(self, pose: Pose | None) -> Reference:
@@ -120,8 +138,11 @@ class Conduct:
             if pose is None:
                 return NOWHERE
             self._motion = self._hold(at_rest(pose))
-        if self.task is Task.TWIST and self._t_s > self._twist_until_s:
+        if self.task in (Task.TWIST, Task.WHEELS) and self._t_s > self._until_s:
             self.stop()
+        if self.task is Task.WHEELS and self._state is not None:
+            # Nobody here knows where it should be; when the commands end it ramps down from its present motion.
+            return Reference(*self._state, _NO_ACCELERATION)
         reference = self._motion.at(self._t_s, pose)
         if self._after_rest is not None and isinstance(self._motion, Drive) and self._motion.rests:
             self._motion, self._after_rest = self._after_rest(reference), None
@@ -137,6 +158,6 @@ class Conduct:
             if self._state is None:
                 raise BadInputError("the robot's pose is not known; wait until the status has a pose")
             at = at_rest(self._state.pose)
-        self._after_rest = None
+        self._after_rest = self.wheels = None
         self._motion = drive = self._hold(at)
         return drive

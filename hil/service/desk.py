@@ -19,7 +19,7 @@ from hil.runtime.provenance import law_ingredients, properties
 from hil.scenario import Scenario
 from hil.scenario.laws import Laws, make_laws
 from hil.service import logs
-from hil.service.messages import MOVING, Action, Answer, Order, Phase
+from hil.service.messages import MOVING, STREAMED, Action, Answer, Order, Phase
 from hil.service.motions import check_path
 from hil.service.pilot import Pilot
 from hil.service.records import Records, finished, recording_of
@@ -76,6 +76,7 @@ class Desk:
             Action.CLEAR: pilot.clear,
             Action.STOP: lambda: pilot.active().stop(),
             Action.TWIST: self._twist,
+            Action.WHEELS: self._wheels,
             Action.GO: lambda **pose: pilot.active().go(Pose(**pose)),
             Action.TRACK: self._track,
             Action.GAINS: self._gains,
@@ -92,7 +93,7 @@ class Desk:
         """
         self._t_s = t_s
         for order in orders:
-            if order.action is not Action.TWIST:  # twists are too many to log
+            if order.action not in STREAMED:  # too many to log
                 logs.info("order", action=order.action.value, **order.arguments)
             if stalled and order.action in MOVING:
                 self._refuse(order, _STALLED)
@@ -142,6 +143,13 @@ class Desk:
     def _twist(self, vx_m_s: float, vy_m_s: float, yaw_rate_rad_s: float) -> Result:
         twist = self.pilot.active().twist(BodyTwist(vx_m_s, vy_m_s, yaw_rate_rad_s))
         return {"vx_m_s": twist.forward_m_s, "vy_m_s": twist.left_m_s, "yaw_rate_rad_s": twist.yaw_rate_rad_s}
+
+    def _wheels(self, command: str, values: Sequence[float], sequence: int | None) -> None:
+        served = self.scenario.controller.command
+        if command != served:
+            raise BadInputError(f"command = {command!r}: this service commands {served}; it is fixed by its scenario")
+        fl, fr, rr, rl = values
+        self.pilot.active().command_wheels((fl, fr, rr, rl), sequence)
 
     def _track(self, reference: Mapping[str, Any] | None, here: bool) -> Long:
         self.pilot.need_active()  # before the path is read, which takes long

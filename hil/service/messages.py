@@ -34,6 +34,7 @@ class Task(StrEnum):
     TRACK = "track"
     GO = "go"
     TWIST = "twist"
+    WHEELS = "wheels"  # a law elsewhere commands the wheels
 
 
 class Action(StrEnum):
@@ -56,6 +57,7 @@ class Action(StrEnum):
     TRACK = "track", "Follow a path."
     GO = "go", "Drive to a pose in the world frame, by the shorter turn."
     TWIST = "twist", "Drive by twist, in the body frame, until it times out."
+    WHEELS = "wheels", "Command the four wheels, from a law elsewhere, until it times out."
     STOP = "stop", "Ramp down to rest, and hold; the robot stays armed."
     GAINS = "gains", "Change gains of the law; without any, read those of the configuration's file again."
     RECORD = "record", "Begin a recording."
@@ -74,7 +76,10 @@ ORDERS = {route(action): action for action in Action}
 LONG = frozenset({Action.RECORD, Action.STOP_RECORDING, Action.TRACK, Action.GAINS})
 """Orders that read files or start or end a recorder. They are answered when that is done; the ticks go on meanwhile."""
 
-MOVING = frozenset({Action.ARM, Action.CLEAR, Action.TRACK, Action.GO, Action.TWIST, Action.GAINS})
+STREAMED = frozenset({Action.TWIST, Action.WHEELS})
+"""Orders that a client repeats many times a second; each is in force for the service's twist timeout."""
+
+MOVING = frozenset({Action.ARM, Action.CLEAR, Action.TRACK, Action.GO, Action.GAINS}) | STREAMED
 """Orders that can make the robot move, now or later. After a stall such an order is refused."""
 
 SILENT_S = 1.0
@@ -151,17 +156,46 @@ class Status:
     realtime: Mapping[str, str] = field(default_factory=dict)
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Motion:
+    """The robot's motion at one sampling instant, for clients that ask for it; an unknown value is None.
+
+    Attributes:
+        time_unix_s: of the sample.
+        pose: x [m], y [m], heading [rad]; twist: in the world frame [m/s, rad/s].
+        sigma: standard deviations of position [m] and heading [rad], where the estimator knows them.
+        angle_rad, speed_rad_s, current_a: of the four wheels. torque_n_m: the currents times the torque constant.
+        yaw_rate_rad_s, acceleration_m_s2: as the IMU measures them, along the robot's axes.
+        truth, true_twist: of a simulated robot, in the world frame.
+    """
+
+    time_unix_s: float
+    pose: tuple[float, float, float] | None = None
+    twist: tuple[float, float, float] | None = None
+    sigma: tuple[float, float] | None = None
+    angle_rad: tuple[float, float, float, float] | None = None
+    speed_rad_s: tuple[float, float, float, float] | None = None
+    current_a: tuple[float, float, float, float] | None = None
+    torque_n_m: tuple[float, float, float, float] | None = None
+    yaw_rate_rad_s: float | None = None
+    acceleration_m_s2: tuple[float, float, float] | None = None
+    truth: tuple[float, float, float] | None = None
+    true_twist: tuple[float, float, float] | None = None
+
+
 @dataclass(frozen=True, slots=True)
 class Limits:
     """Largest values that an order may ask for. The API refuses larger ones before the control process sees them.
 
     ``speed_m_s`` is along each axis of the robot's body, ``distance_m`` along each axis of the world, from its origin
-    to a target pose. A twist is in force for ``twist_timeout_s``; one that has waited longer in the API is refused.
+    to a target pose. ``wheel`` is for the command of one wheel [rad/s or N·m, by the service's command]. A twist is in
+    force for ``twist_timeout_s``; one that has waited longer in the API is refused.
     """
 
     speed_m_s: float
     yaw_rate_rad_s: float
     distance_m: float
+    wheel: float
     twist_timeout_s: float
 
 
@@ -187,7 +221,7 @@ class ApiConfig:
     log: LogStyle = "text"
 
 
-def to_line(message: Order | Answer | Status) -> dict[str, Any]:
+def to_line(message: Order | Answer | Status | Motion) -> dict[str, Any]:
     """Return a message as the record of one line, such as ``{"order": {...}}``."""
     # asdict copies deeply, which is too slow: the control process does this in a tick.
     return {type(message).__name__.lower(): {one.name: getattr(message, one.name) for one in fields(message)}}

@@ -11,6 +11,7 @@ from collections.abc import Callable
 from firmware_protocol.generated.messages import State as RobotState
 from hil.core.errors import BadInputError, DeviceError, HilError, LinkError, OverdueError, RobotStoppedError
 from hil.core.motion_limits import BodyLimits
+from hil.core.ports import Controller
 from hil.core.signals import LoopSignals
 from hil.core.tick_watch import TickOverdue
 from hil.core.types import CommandMode, PoseFix, State
@@ -22,7 +23,7 @@ from hil.scenario.laws import Laws
 from hil.service.conduct import NOWHERE, Conduct
 from hil.service.emergency import EmergencyStop
 from hil.service.messages import Phase
-from hil.service.stand_ins import without_law
+from hil.service.stand_ins import LawElsewhere, without_law
 
 _ARMING_LIMIT_S = 4.0
 _STOPPING_LIMIT_S = 5.0
@@ -47,7 +48,9 @@ class Pilot:
     """
 
     def __init__(self, parts: TickParts, mode: CommandMode, timing: Timing, options: ServiceTable) -> None:
-        self._parts = parts
+        self.conduct = Conduct(options)
+        self._mode = mode
+        self._parts = parts = parts._replace(controller=self._with_law_elsewhere(parts.controller))
         parts.guard.keep_body(BodyLimits(options.speed_m_s, options.yaw_rate_rad_s))
         self._tick = Tick(parts, mode, timing)
         self._t_s = 0.0
@@ -56,7 +59,6 @@ class Pilot:
         self._why: str | None = None
         self._trouble: str | None = None
         self._law_failed = False
-        self.conduct = Conduct(options)
         self.phase = Phase.AWAY
         self.motion_requests = 0
         self.state: State | None = None
@@ -144,9 +146,14 @@ class Pilot:
 
     def use(self, laws: Laws) -> None:
         """Use other laws, or the same with other gains, from the next tick on; they start from their reset state."""
-        self._parts = self._parts._replace(controller=laws.controller, shadows=laws.shadows, extra=laws.extra)
+        self._parts = self._parts._replace(
+            controller=self._with_law_elsewhere(laws.controller), shadows=laws.shadows, extra=laws.extra
+        )
         self._law_failed = False
         self._tick.use(self._parts)
+
+    def _with_law_elsewhere(self, law: Controller) -> Controller:
+        return LawElsewhere(law, self.conduct, self._mode)
 
     # The tick
 
@@ -235,6 +242,8 @@ class Pilot:
                 self.emergency.request(self._t_s)  # a robot that was reset meanwhile does not know of it
             self._enter(Phase.AWAY)
             self._recovery = self._new_recovery(error)
+            if self._parts.device.is_lockstep and isinstance(error, RobotStoppedError):
+                self._recovery.begin_now()  # no time passes before the tick of a robot that was reset is known
             return
         self._parts.device.disarm()
         if isinstance(error, DeviceError) and feedback is not None and feedback.state in _LATCHED:

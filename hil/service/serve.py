@@ -26,6 +26,7 @@ from hil.scenario import Scenario
 from hil.service import logs
 from hil.service.api_child import ApiChild
 from hil.service.desk import Desk
+from hil.service.feed import MotionFeed
 from hil.service.messages import Action, Answer, ApiConfig, Limits, LogStyle, Phase, Status
 from hil.service.pilot import Pilot
 from hil.service.records import Records, recording_of
@@ -105,7 +106,9 @@ def serve(scenario: Scenario, options: Options, reload: Callable[[], Scenario]) 
             file = named_in(Path(table.recordings), options.record)
             records.begin(recording_of(about, signals, file, table, existing="number"))
         resources.callback(records.finish)
-        limits = Limits(table.speed_m_s, table.yaw_rate_rad_s, _FARTHEST_M, table.twist_timeout_s)
+        robot, command = scenario.robot, scenario.controller.command
+        wheel = robot.speed_limit_rad_s if command == "speed" else robot.torque_limit_n_m
+        limits = Limits(table.speed_m_s, table.yaw_rate_rad_s, _FARTHEST_M, wheel, table.twist_timeout_s)
         files = {name: getattr(options, name) for name in ("token_file", "clients_file", "audit")}
         api = ApiChild(ApiConfig(scenario.name, scenario.link.url, limits, table.port, **files, log=options.log))
         resources.callback(api.close)
@@ -217,6 +220,7 @@ class _Service:
         every = max(1, round(1e9 / _STATUS_HZ / timing.period_ns))
         stall_ns = self.scenario.service.twist_timeout_s * 1e9
         tick_us = NAN
+        feed = MotionFeed(self.scenario, pilot)
         polled_ns = time.perf_counter_ns()
         for _ in self._until_stopped(pilot, desk):
             try:
@@ -239,7 +243,10 @@ class _Service:
                 self._t_s = t_s
                 now = LoopSignals(t_s, number, late_ns * 1e-3, tick_us, self._deadline_misses)
                 watch.turn += 1
-                pilot.tick(now, sampling.fix_of(number))
+                fix = sampling.fix_of(number)
+                pilot.tick(now, fix)
+                if (motion := feed.motion(self.api.motion_hz, number, fix)) is not None:
+                    self.api.send(motion)
                 watch.turn += 1
             if pilot.phase is not self._phase or number % every == 0:
                 desk.watch_recording()

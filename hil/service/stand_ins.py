@@ -1,12 +1,25 @@
-"""Replacements for parts of a service's ticks: for a law that has failed, and for a lost source of truth."""
+"""Replacements for parts of a service's ticks: for a law that has failed or is elsewhere, and for a lost truth."""
 
 from collections.abc import Callable
 from typing import NamedTuple
 
 from hil.core.errors import DeviceError
-from hil.core.ports import PoseSource
-from hil.core.types import NAN, NO_GAINS, Applied, PoseFix, Reference, State, WheelCommand
+from hil.core.ports import Controller, PoseSource
+from hil.core.types import (
+    NAN,
+    NO_GAINS,
+    ZERO_WHEELS,
+    Applied,
+    CommandMode,
+    Pairs,
+    PoseFix,
+    Reference,
+    State,
+    WheelCommand,
+    Wheels,
+)
 from hil.runtime.tick import TickParts
+from hil.service.conduct import Conduct
 
 
 class LastingTruth:
@@ -35,6 +48,37 @@ class LastingTruth:
         if self._source is not None:
             self._source.close()
             self._source = None
+
+
+class LawElsewhere:
+    """A controller that returns the wheel commands of a law elsewhere while there are any, else those of ``law``."""
+
+    def __init__(self, law: Controller, conduct: Conduct, mode: CommandMode) -> None:
+        self._law = law
+        self._conduct = conduct
+        self._mode = mode
+        self._was_elsewhere = False
+
+    @property
+    def gains(self) -> Pairs:
+        """Gains of the law that is here."""
+        return self._law.gains
+
+    def reset(self, state: State, reference: Reference) -> None:
+        """Reset the law that is here."""
+        self._law.reset(state, reference)
+
+    def update(self, reference: Reference, state: State, applied: Applied, dt_s: float) -> WheelCommand:
+        """Return the command of this tick; the law that is here starts anew when it takes over."""
+        if (wheels := self._conduct.wheels) is not None:
+            self._was_elsewhere = True
+            if self._mode is CommandMode.SPEED:
+                return WheelCommand(self._mode, Wheels(*wheels), ZERO_WHEELS)
+            return WheelCommand(self._mode, ZERO_WHEELS, Wheels(*wheels))
+        if self._was_elsewhere:
+            self._was_elsewhere = False
+            self._law.reset(state, reference)
+        return self._law.update(reference, state, applied, dt_s)
 
 
 class _NoLaw:

@@ -24,10 +24,10 @@ def bench_status(pilot: Pilot, bench: Bench, granted: RealTime) -> dict[str, Any
         "link": device.describe_link(),
         "robot": None if info is None else info.describe(),
         "power_stage": None if info is None else info.has_power_stage,
-        "pose": None if state is None else _known(state.pose),
-        "twist": None if state is None else _known(state.twist),
-        "reference": None if conduct.reference is None else _known(conduct.reference.pose),
-        "speed_rad_s": None if feedback is None else _known(feedback.speed_rad_s),
+        "pose": None if state is None else known(state.pose),
+        "twist": None if state is None else known(state.twist),
+        "reference": None if conduct.reference is None else known(conduct.reference.pose),
+        "speed_rad_s": None if feedback is None else known(feedback.speed_rad_s),
         "battery_v": _finite(device.report.health.battery_v),
         "gains": {name: value for name, value in zip(Gains._fields, gains, strict=True) if math.isfinite(value)},
         "health": _HEALTH[int(health)] if math.isfinite(health) else None,
@@ -44,6 +44,6 @@ def _finite(value: float) -> float | None:
     return value if math.isfinite(value) else None
 
 
-def _known(values: Sequence[float]) -> Any:
+def known(values: Sequence[float]) -> Any:
     """Return the values as a tuple; None when one of them is unknown (NaN)."""
     return tuple(values) if math.isfinite(sum(values)) else None

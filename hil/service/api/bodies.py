@@ -7,7 +7,7 @@ the WebSocket, and make up the OpenAPI document.
 import json
 import re
 from collections.abc import Iterable, Mapping
-from typing import Any
+from typing import Annotated, Any, Literal
 
 from pydantic import (
     BaseModel,
@@ -100,7 +100,19 @@ def bodies(limits: Limits) -> Mapping[Action, type[Body]]:
         y_m: float = within(limits.distance_m, "[m]")
         heading_rad: float = within(_MOST_HEADING_RAD, "[rad]")
 
-    with_arguments: dict[Action, type[Body]] = {Action.TWIST: Twist, Action.GO: Go, Action.TRACK: Track}
+    class Wheels(Body):
+        """Command the wheels for as long as the service's twist timeout, in place of its law."""
+
+        command: Literal["speed", "torque"] = Field(description="as controller.command of the configuration")
+        values: list[Annotated[float, Field(ge=-limits.wheel, le=limits.wheel)]] = Field(
+            min_length=4, max_length=4, description="FL, FR, RR, RL [rad/s or N·m]"
+        )
+        sequence: int | None = Field(
+            default=None, ge=0, le=2**53, description="grows with each command, so that a late one is dropped"
+        )
+
+    with_arguments: dict[Action, type[Body]] = {Action.TWIST: Twist, Action.WHEELS: Wheels, Action.GO: Go}
+    with_arguments |= {Action.TRACK: Track}
     return {**dict.fromkeys(Action, Body), **with_arguments, Action.GAINS: Gains, Action.RECORD: Record}
 
 

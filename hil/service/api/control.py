@@ -14,7 +14,7 @@ from hil.core.json_lines import LineReader, LineWriter, json_safe
 from hil.core.printable import printable
 from hil.service.api.access import NEEDED, UNLIMITED, Client
 from hil.service.api.audit import Audit
-from hil.service.messages import LONG, MOVING, SILENT_S, Action, Answer, Order, to_line
+from hil.service.messages import LONG, MOVING, SILENT_S, STREAMED, Action, Answer, Order, to_line
 
 ANSWER_S = 1.0
 """Timeout of an order's answer, and the greatest age of a status."""
@@ -46,6 +46,7 @@ class Control:
         audit: notes the orders.
         status: the newest, as a JSON object with null in place of NaN; None before the first.
         gone: set when the control process has ended.
+        motion: the newest motion, as a JSON object; None while no client asks for it.
         watchers: events that are set at each new status.
         outcomes: number of orders by action and outcome: accepted, refused by the control process, unanswered, invalid,
             forbidden to the client, or too_many.
@@ -61,6 +62,8 @@ class Control:
         self.watchers: set[asyncio.Event] = set()
         self._received_s = time.monotonic()
         self.status: dict[str, Any] | None = None
+        self.motion: dict[str, Any] | None = None
+        self._motion_hz: dict[asyncio.Event, float] = {}
         self.gone = asyncio.Event()
         self._turned_s = time.monotonic()  # last time at which the event loop was seen running
         self._twist_stall_s = min(SILENT_S, twist_timeout_s + LIFE_PERIOD_S)
@@ -86,7 +89,7 @@ class Control:
         Raises NotDoneError. An emergency stop is always sent, unless the service is ending.
         """
         self._number += 1
-        in_series = action is Action.TWIST or action in UNLIMITED
+        in_series = action in STREAMED or action in UNLIMITED
         note = partial(self.audit.note, client, action, number=self._number, in_series=in_series)
         try:
             answer = await self._order(action, arguments, client, note)
@@ -136,6 +139,13 @@ class Control:
         self.outcomes[action, outcome] += 1
         self.audit.note(client, action, outcome, why=why, in_series=True)
 
+    def ask_for_motion(self, news: asyncio.Event, rate_hz: float) -> None:
+        """Set ``news`` at each new motion, at least ``rate_hz`` times a second if the ticks allow it; 0 ends that."""
+        self._motion_hz[news] = rate_hz
+        if not rate_hz:
+            del self._motion_hz[news]
+        self._writer.send({"motion_hz": max(self._motion_hz.values(), default=0.0)}, always=True)
+
     async def live(self) -> None:
         """Send signs of life to the control process, and notice stalls of this event loop, until cancelled."""
         while True:
@@ -145,7 +155,7 @@ class Control:
 
     def _has_stalled(self, action: Action) -> bool:
         """Whether an order of this kind may have waited too long because this process or its event loop stalled."""
-        return self._notice_stall() < (self._refuse_twists_until_s if action is Action.TWIST else self._refuse_until_s)
+        return self._notice_stall() < (self._refuse_twists_until_s if action in STREAMED else self._refuse_until_s)
 
     def _notice_stall(self) -> float:
         """Measure how long the event loop did not run; return the present time."""
@@ -175,6 +185,10 @@ class Control:
             self.status = status
             self._received_s = time.monotonic()
             for event in self.watchers:
+                event.set()
+        elif (motion := record.get("motion")) is not None:
+            self.motion = motion
+            for event in self._motion_hz:
                 event.set()
         else:
             answer = Answer(**record["answer"])

@@ -5,7 +5,10 @@ Messages are JSON objects, as on the pipe between the processes:
     to the client    {"status": {...}}    {"answer": {"number": 7, "refused": null, "result": {}}}
     from the client  {"order": {"number": 7, "action": "twist", "arguments": {"vx_m_s": 0.2, ...}}}
 
-The client chooses the number. A client that reads slowly gets all answers, but of the statuses only the newest.
+A client that sends {"motion": {"rate_hz": 200}} also gets {"motion": {...}} that often, as far as the ticks allow it.
+
+The client chooses the number. A client that reads slowly gets all answers, but of the statuses and
+motions only the newest.
 """
 
 import asyncio
@@ -13,9 +16,9 @@ import contextlib
 from collections import deque
 from collections.abc import Mapping
 from dataclasses import replace
-from typing import Any
+from typing import Any, Self
 
-from pydantic import BaseModel, Field, ValidationError
+from pydantic import BaseModel, Field, ValidationError, model_validator
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from hil.service import logs
@@ -39,8 +42,19 @@ class _Order(BaseModel, extra="forbid", strict=True):
     arguments: dict[str, Any] = {}
 
 
+class _MotionWish(BaseModel, extra="forbid", strict=True):
+    rate_hz: float = Field(ge=0.0, le=1000.0)
+
+
 class _Message(BaseModel, extra="forbid", strict=True):
-    order: _Order
+    order: _Order | None = None
+    motion: _MotionWish | None = None
+
+    @model_validator(mode="after")
+    def _is_one(self) -> Self:
+        if (self.order is None) is (self.motion is None):
+            raise ValueError("expected order or motion")
+        return self
 
 
 class LiveClient:
@@ -58,6 +72,7 @@ class LiveClient:
         self._news = asyncio.Event()
         self._pending: set[asyncio.Task[None]] = set()
         self._closed_why: str | None = None
+        self._wants_motion = False
 
     async def serve(self) -> None:
         """Serve the client until it or the control process ends."""
@@ -69,6 +84,8 @@ class LiveClient:
             await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
         finally:
             self._control.watchers.discard(self._news)
+            if self._wants_motion:
+                self._control.ask_for_motion(self._news, 0.0)
             for task in tasks:  # not those of ``_pending``: an order that was received must be sent
                 task.cancel()
             ends = await asyncio.gather(*tasks, return_exceptions=True)
@@ -104,9 +121,14 @@ class LiveClient:
 
     def _handle(self, text: str) -> None:
         try:
-            order = _Message.model_validate_json(text).order
+            message = _Message.model_validate_json(text)
         except ValidationError as error:
             self._put(Answer(_NO_NUMBER, f"this is not an order: {sentence(error.errors())}"))
+            return
+        if message.motion is not None:
+            self._control.ask_for_motion(self._news, message.motion.rate_hz)
+            self._wants_motion = message.motion.rate_hz > 0.0
+        if (order := message.order) is None:
             return
         if not self._access.is_in_time(self._client, order.action):
             self._control.not_sent(self._client, order.action, "too_many", TOO_MANY)
@@ -139,8 +161,9 @@ class LiveClient:
         self._news.set()
 
     async def _send(self) -> None:
-        """Send every answer, and the newest status, for as long as the token is valid."""
+        """Send every answer, and the newest status and motion, for as long as the token is valid."""
         sent: Mapping[str, Any] | None = None
+        sent_motion: Mapping[str, Any] | None = None
         while True:
             await self._news.wait()
             self._news.clear()
@@ -150,6 +173,9 @@ class LiveClient:
                 await self._socket.send_json(to_line(self._answers.popleft()))
             if self._control.status is not sent and (sent := self._control.status) is not None:
                 await self._socket.send_json({"status": sent})
+            if self._wants_motion and (motion := self._control.motion) is not sent_motion and motion is not None:
+                sent_motion = motion
+                await self._socket.send_json({"motion": motion})
 
     async def _close(self, code: int, reason: str) -> None:
         with contextlib.suppress(RuntimeError):  # the client has closed it already
