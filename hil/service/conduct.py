@@ -44,6 +44,7 @@ class Conduct:
     def begin(self) -> None:
         """Start with the task HOLD: the robot rests where it is."""
         self.end()
+        self._sequence = -1
         self.task = Task.HOLD
 
     def end(self) -> None:
@@ -75,15 +76,15 @@ class Conduct:
     def command_wheels(self, wheels: FourWheels, sequence: int | None) -> None:
         """Command the wheels for ``twist_timeout_s`` as a law elsewhere asks for it.
 
-        With a ``sequence`` number a command must be newer than the one before. Raises BadInputError for another.
+        With a ``sequence`` number a command must be newer than all since ``begin``. Raises BadInputError for another.
         """
+        if sequence is not None and sequence <= self._sequence:
+            raise BadInputError(
+                f"sequence = {sequence}: it came after {self._sequence}; count on, or disarm and arm to count anew"
+            )
         if self.task is not Task.WHEELS:
             self._rest()
-            self._sequence = -1
-        if sequence is not None:
-            if sequence <= self._sequence:
-                raise BadInputError(f"sequence = {sequence}: it came after {self._sequence}; a late command is dropped")
-            self._sequence = sequence
+        self._sequence = self._sequence if sequence is None else sequence
         self.task, self.wheels = Task.WHEELS, wheels
         self._until_s = self._t_s + self._options.twist_timeout_s
 

@@ -1,0 +1,117 @@
+"""A node over a service in real time: who dies, who floods, who comes late. The service's own status tells."""
+
+import signal
+import socket
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from hil.service.client import Client, find
+from hil.service.discovery import running
+from hil.service.messages import Action
+from tests.processes import is_running, wait_for
+from tests.ros2_testbed import Peer, needs_ros, node, twist
+from tests.service_testbed import own_state
+
+pytestmark = [pytest.mark.alone, needs_ros]
+SERVED = ("circle_speed", "--mode", "realtime", "--set", "loop.rate_hz=100")
+
+
+@pytest.fixture(scope="module")
+def served(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Any, Peer, Client, int]]:
+    """A node over a service of its own, another node beside it, a client of the service, and the service's process."""
+    folder = tmp_path_factory.mktemp("served")
+    with own_state(folder / "state"):
+        peer = Peer("")
+        try:
+            peer.listen("odom", "diagnostics")
+            with node(folder, *SERVED, ros=("-p", "publish_rate_hz:=50.0")) as process:
+                wait_for(lambda: peer.phase() == "disarmed", 120.0)
+                (service,) = running()
+                yield process, peer, find(), service.pid
+                process.kill()  # whatever became of it
+                process.wait()
+                wait_for(lambda: not is_running(service.pid))
+        finally:
+            peer.close()
+
+
+def drive(peer: Peer, client: Client) -> None:
+    peer.arm()
+    peer.publish("cmd_vel", 50.0, **twist(0.3))
+    wait_for(lambda: fastest(client) > 3.0)
+
+
+def fastest(client: Client) -> float:
+    return max(map(abs, client.status()["speed_rad_s"]))
+
+
+def test_another_node_that_floods_and_dies_takes_nobody_the_e_stop(served: Any) -> None:
+    _, peer, client, _ = served
+    peer.arm()
+    flood = Peer("")
+    flood.publish("cmd_vel", 2000.0, **twist(0.3))
+    wait_for(lambda: fastest(client) > 3.0)
+    given = client.metrics()["hil_api_orders_total"]
+    begin_s = time.monotonic()
+    time.sleep(1.0)
+    rate_hz = (client.metrics()["hil_api_orders_total"] - given) / (time.monotonic() - begin_s)
+    assert rate_hz < 130.0
+    assert peer.call("estop")["success"]
+    wait_for(lambda: client.status()["phase"] == "estop" and fastest(client) < 0.1)
+    flood.close()
+    assert peer.call("clear")["success"]
+    wait_for(lambda: client.status()["phase"] == "disarmed")
+
+
+def test_the_node_may_drive_and_no_more_and_is_not_the_only_client(served: Any) -> None:
+    _, peer, client, service = served
+    late = Peer("")  # a late joiner hears the robot too
+    late.listen("odom", "diagnostics")
+    wait_for(lambda: late.phase() == "disarmed" and late.count("odom") > 5)
+    late.close()
+    client.order(Action.ARM)
+    wait_for(lambda: peer.phase() == "active")
+    (announced,) = running()
+    audit = Path(announced.token_file).parents[1] / "audit" / f"{announced.port}.jsonl"
+    assert peer.call("disarm")["success"]
+    wait_for(lambda: '"token": "ros2"' in audit.read_text(encoding="utf-8") and peer.phase() == "disarmed")
+    assert announced.pid == service
+
+
+def test_a_node_that_hangs_or_is_killed_stops_the_robot_and_its_service_ends_in_order(served: Any) -> None:
+    process, peer, client, service = served
+    drive(peer, client)
+    process.send_signal(signal.SIGSTOP)
+    begin_s = time.monotonic()
+    wait_for(lambda: fastest(client) < 0.1, 10.0)
+    assert time.monotonic() - begin_s < 3.0  # twist timeout and ramp are 0.5 s
+    assert client.status()["task"] == "hold"
+    process.send_signal(signal.SIGCONT)
+    wait_for(lambda: fastest(client) > 3.0)
+    process.kill()
+    wait_for(lambda: not is_running(service), 20.0)
+    assert not running()
+
+
+def test_pose_fixes_reach_the_fused_estimator(tmp_path: Path, state_home: None) -> None:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as free:
+        free.bind(("127.0.0.1", 0))
+        port = free.getsockname()[1]
+    fused = ("--set", "estimator.source=fused", "--set", f"estimator.fix=udp://127.0.0.1:{port}")
+    peer = Peer("")
+    try:
+        peer.listen("odom")
+        with node(tmp_path, *SERVED, *fused, ros=("-p", "publish_rate_hz:=20.0")):
+            wait_for(lambda: peer.newest("odom"), 120.0)
+            at = peer.newest("odom")["pose"]["pose"]["position"]
+            variances = [1e-4 if place in (0, 7, 35) else 0.0 for place in range(36)]
+            there = {"position": {"x": at["x"] + 0.02, "y": at["y"]}, "orientation": {"w": 1.0}}
+            peer.publish("pose", 10.0, pose={"pose": there, "covariance": variances})
+            wait_for(lambda: peer.newest("odom")["pose"]["pose"]["position"]["x"] > at["x"] + 0.012)
+            assert peer.newest("odom")["pose"]["covariance"][0] < 0.0025
+    finally:
+        peer.close()
