@@ -1,5 +1,5 @@
 # Two commands on a fresh machine: `make demo` and `make test`. Both set up .venv first and need Python 3.11 or newer
-# and make. Without a C compiler they are set up with zig. The tests want more than a user needs: .venv/tools.
+# and make. Without a C compiler they are set up with zig. The tests want more than a user needs: .venv/for-tests.
 PYTHON ?= python3
 BIN := .venv/bin
 NATIVE_SOURCES := $(wildcard tools/build/*.py firmware_protocol/built.py firmware_protocol/firmware/*.[ch] \
@@ -28,17 +28,17 @@ demo: setup
 	$(BIN)/hil run paper_circle
 
 ## run the tests that prove most, in under three minutes
-test: setup .venv/tools
+test: setup .venv/for-tests
 	$(PYTEST) $(BESIDE) -m 'not slow and not alone' $(ARGS)
 
 ## run the tests that make test leaves out: the slow ones, and those of real time
-test-rest: setup .venv/tools
+test-rest: setup .venv/for-tests
 	$(PYTEST) $(BESIDE) -m 'slow and not alone' $(ARGS)
 	$(REAL_TIME)
 
 # Other mutants for each commit. Of 16, where the suite notices 95 %, fewer than 80 % are noticed once in 140 times.
 ## run all tests, each once, and a sample of the known defects that hil verify puts in
-test-all: setup .venv/tools
+test-all: setup .venv/for-tests
 	$(PYTEST) $(BESIDE) -m 'not alone' $(ARGS)
 	$(REAL_TIME)
 	$(BIN)/hil verify --sample 16 --seed $$(git rev-list --count HEAD 2>/dev/null || echo 0) --healthy 16 --least 80 --out build/verify
@@ -51,7 +51,7 @@ endef
 
 # For example: make test-socketcan ARGS='-k lockstep -v'. Where there is no SocketCAN it says so and fails at once.
 ## run only the tests over real SocketCAN, which test-rest runs too
-test-socketcan: setup .venv/tools
+test-socketcan: setup .venv/for-tests
 	$(BIN)/python -m tools.socketcan true
 	$(PYTEST) -m socketcan -rs $(SOCKETCAN_TESTS) $(ARGS)
 
@@ -67,7 +67,7 @@ catalogue: setup
 	$(BIN)/hil catalogue --set loop.rate_hz=200 --set device.driver=odrive $(ENDPOINTS) $(ARGS)
 
 ## check style, types, imports, and that what is generated is fresh
-check: setup .venv/tools
+check: setup .venv/for-tests
 	$(BIN)/ruff check
 	$(BIN)/ruff format --check
 	$(BIN)/mypy
@@ -82,28 +82,28 @@ check: setup .venv/tools
 
 # Lines run, and wrong checks noticed, of which make nightly tries all.
 ## show what the tests of the firmware are worth
-proof: setup .venv/tools
+proof: setup .venv/for-tests
 	$(BIN)/python -m tools.coverage_firmware
 	$(BIN)/python -m tools.mutate --sample 12 $(foreach file,states receive supervise node,--file $(file).c)
 
 # CHAOS goes to tools.chaos. Seldom busy for long, so that it can go on beside other things.
 CHAOS ?= --minutes 2
 ## kill, stop and starve a service and its robot at random, and judge by the robot's truth
-chaos: setup .venv/tools
+chaos: setup .venv/for-tests
 	$(BIN)/python -m tools.chaos $(CHAOS)
 
 # ARGS goes to tools.bench, as in make bench ARGS=--short.
 ## measure what a run costs, against named peers
-bench: setup .venv/tools
+bench: setup .venv/for-tests
 	$(BIN)/python -m tools.bench $(ARGS)
 
 # ARGS goes to tools.nightly, as in make nightly ARGS='--only soak'. Takes hours.
 ## run what is too long for CI, and write its results into one folder
-nightly: setup .venv/tools
+nightly: setup .venv/for-tests
 	$(BIN)/python -m tools.nightly $(ARGS)
 
 ## draw the pictures of the README, of a recording and of a review's page anew
-picture: setup .venv/tools
+picture: setup .venv/for-tests
 	$(BIN)/hil run paper_circle --record runs/picture.rrd --force
 	$(BIN)/python -m tools.screenshot runs/picture.rrd tools/pictures/paper_circle.png --at 0.5
 	$(BIN)/python -m tools.screenshot runs/picture.rrd tools/pictures/paper_circle_law.png --tab Law
@@ -111,7 +111,7 @@ picture: setup .venv/tools
 	$(BIN)/python -m tools.page_pictures tools/pictures
 
 ## mend what ruff and clang-format can mend
-format: .venv/tools
+format: .venv/for-tests
 	$(BIN)/ruff check --fix
 	$(BIN)/ruff format
 	$(BIN)/clang-format -i $$(git ls-files '*.c' '*.h')
@@ -120,24 +120,29 @@ format: .venv/tools
 setup: .venv/installed native
 
 # A target that needs the tools installs them with the rest, which is quicker than one after the other.
-TOOLS := [campaign,dev,mujoco,targets,teleop]
+TOOLS := [campaign,dev,mujoco,ros2,targets,teleop]
 test test-rest test-all test-socketcan check proof chaos bench nightly picture format fmu: EXTRAS := $(TOOLS)
 
 # The pip that comes with Python may be old and slow. Bytecode is made for what is imported, when it is imported.
 PIP_INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check --no-compile
+
+# Messages of ROS 2 that have no wheel are compiled once, into the user's cache.
+MESSAGES := $(BIN)/python -m hil.service.ros2.installation
 
 .venv/installed: pyproject.toml tools/hatch_build.py
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "Python 3.11 or newer is needed; set PYTHON")'
 	@$(PYTHON) -c 'import ensurepip, venv' || { echo "Python's venv is missing; on Debian: apt install python3-venv"; exit 1; }
 	$(PYTHON) -m venv .venv
 	$(PIP_INSTALL) --upgrade pip
+	@[ ! -f .venv/tools ] || rm .venv/tools  # an earlier name of .venv/for-tests; a wheel of ROS 2 has a folder there
 	$(PIP_INSTALL) --editable '.$(EXTRAS)'
 	@touch $@ .venv/native
-	@$(if $(EXTRAS),touch .venv/tools)
+	@$(if $(EXTRAS),$(MESSAGES) && touch .venv/for-tests)
 
 # Packages for tests, checks and the FMUs of all platforms.
-.venv/tools: .venv/installed
+.venv/for-tests: .venv/installed
 	@[ -e $@ ] && [ ! $< -nt $@ ] || { set -x; $(PIP_INSTALL) --editable '.$(TOOLS)'; }
+	@$(MESSAGES)
 	@touch $@
 
 native: .venv/native
@@ -149,7 +154,7 @@ native: .venv/native
 	@touch $@
 
 ## build the FMUs to give away, with binaries for all platforms, into dist/
-fmu: .venv/tools
+fmu: .venv/for-tests
 	$(BIN)/python -m tools.build.fmu --all-platforms --out dist
 
 ## make the package for ROS 2, into dist/ros/, for a workspace of colcon

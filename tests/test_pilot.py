@@ -86,6 +86,25 @@ def test_a_twist_drives_in_the_body_frame_as_long_as_it_is_repeated() -> None:
         assert bench.pilot.phase is Phase.ACTIVE
 
 
+def test_a_law_elsewhere_commands_the_wheels_until_it_falls_silent_and_ours_takes_over() -> None:
+    with armed_pilot() as bench:
+        for sequence in range(60):
+            bench.pilot.active().command_wheels((3.0, 3.0, 3.0, 3.0), sequence)
+            bench.run(0.01)
+        assert bench.pilot.conduct.task is Task.WHEELS
+        assert bench.pilot.conduct.sequence == 59
+        assert bench.last("wheel.fl.speed_rad_s") == pytest.approx(3.0, abs=0.3)
+        for late in (59, 3):
+            with pytest.raises(BadInputError, match=f"sequence = {late}: it came after 59"):
+                bench.pilot.active().command_wheels((30.0, 3.0, 3.0, 3.0), late)
+        bench.run(OPTIONS.twist_timeout_s + 0.02)
+        assert bench.pilot.conduct.task is Task.HOLD
+        bench.run(1.0)
+        assert is_still(bench)
+        bench.pilot.active().command_wheels((1.0, 1.0, 1.0, 1.0), None)
+        assert bench.pilot.conduct.wheels is not None, "a command without a number is newer than all"
+
+
 def test_a_twist_beyond_the_limits_is_scaled_and_keeps_its_direction() -> None:
     with armed_pilot() as bench:
         wanted = BodyTwist(3.0, 4.0, 0.5)

@@ -272,7 +272,7 @@ def test_a_second_robot_in_its_namespace_starts_elsewhere_and_takes_stamped_twis
             assert two.newest("odom")["child_frame_id"] == "two/base_link"
             assert two.newest("ground_truth/odom")["pose"]["pose"]["position"]["x"] > 3.0
             assert robot.next("ground_truth/odom")["pose"]["pose"]["position"] == pytest.approx(first, abs=1e-3)
-            old = {"stamp": {"sec": 1, "nanosec": 0}}  # by the wall clock, which is the node's here
+            old = {"stamp": {"sec": 0, "nanosec": 1}}  # by simulated time, whatever the node's parameters are
             two.publish("cmd_vel", 50.0, kind=kind, twist=twist(0.2), header=old)
             wait_for(lambda: speed_of(two.newest("odom")) < 0.01)
         finally:

@@ -33,6 +33,7 @@ ROUTES = {
     ("POST", "/v1/track"): Action.TRACK,
     ("POST", "/v1/go"): Action.GO,
     ("POST", "/v1/twist"): Action.TWIST,
+    ("POST", "/v1/wheels"): Action.WHEELS,
     ("POST", "/v1/stop"): Action.STOP,
     ("POST", "/v1/gains"): Action.GAINS,
     ("POST", "/v1/record"): Action.RECORD,
@@ -43,6 +44,7 @@ BODIES = {
     "/v1/track": {"reference": {"kind": "circle", "radius_m": 0.5}, "here": True},
     "/v1/go": {"x_m": 1.0, "y_m": -2.0, "heading_rad": 3},
     "/v1/twist": {"vx_m_s": 0.5, "vy_m_s": 0.0, "yaw_rate_rad_s": -0.1},
+    "/v1/wheels": {"command": "speed", "values": [1.0, -1.0, 40.0, 0.0], "sequence": 7},
     "/v1/gains": {"gains": {"kp": 2.0}},
     "/v1/record": {"name": "a.mcap"},
 }

@@ -18,7 +18,7 @@ from websockets.sync.client import ClientConnection
 from hil.core.errors import BadInputError
 from hil.core.subprocesses import module_command
 from hil.service.api_child import ApiChild
-from hil.service.messages import Action, Answer, ApiConfig, Phase
+from hil.service.messages import Action, Answer, ApiConfig, Motion, Phase
 from tests.processes import environment, is_running, wait_for
 from tests.service_testbed import LIMITS, STATUS, ControlSide, own_state, served
 
@@ -77,6 +77,22 @@ def test_a_message_that_is_no_order_is_answered_with_a_sentence_and_the_client_s
         order(live, 4, "arm", {})
         assert next_answer(live) == {"number": 4, "refused": None, "result": {}}
     assert side.actions == [Action.ARM]
+
+
+def test_who_asks_for_the_motion_gets_the_newest_and_the_control_process_knows_how_often(side: ControlSide) -> None:
+    with side.live() as plain, side.live() as live:
+        for rate_hz in (50.0, 200.0):
+            live.send(json.dumps({"motion": {"rate_hz": rate_hz}}))
+            wait_for(lambda rate_hz=rate_hz: side.child.motion_hz == rate_hz)
+        with side.turn:
+            side.child.send(Motion(time_unix_s=1.0, pose=(1.0, 2.0, 3.0), sequence=5))
+        while (motion := json.loads(live.recv(timeout=30.0)).get("motion")) is None:
+            pass
+        assert (motion["pose"], motion["sequence"], motion["truth"]) == ([1.0, 2.0, 3.0], 5, None)
+        assert all("status" in json.loads(plain.recv(timeout=30.0)) for _ in range(3))
+        live.send('{"motion": {"rate_hz": 2000}}')
+        assert "motion.rate_hz = 2000" in next_answer(live)["refused"]
+    wait_for(lambda: side.child.motion_hz == 0.0)
 
 
 def test_a_refusal_and_a_missing_answer_reach_the_client(side: ControlSide) -> None:

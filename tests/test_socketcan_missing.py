@@ -23,7 +23,7 @@ def test_a_target_that_could_run_nothing_fails_at_once(tmp_path: Path):
             (tmp_path / tool).symlink_to(found)
     (tmp_path / "unshare").write_text("#!/bin/sh\nexit 1\n")
     (tmp_path / "unshare").chmod(0o755)
-    command = [shutil.which("make"), "-o", "setup", "-o", ".venv/tools", "test-socketcan"]
+    command = [shutil.which("make"), "-o", "setup", "-o", ".venv/for-tests", "test-socketcan"]
     done = subprocess.run(
         [*command, f"BIN={Path(sys.executable).parent}"],
         capture_output=True,

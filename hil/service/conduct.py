@@ -25,6 +25,7 @@ class Conduct:
     Attributes:
         task: the present task, or None outside ``begin`` to ``end``. reference: that of the last tick, None before the
             first. wheels: the command of a law elsewhere [rad/s or N·m], while the task is WHEELS.
+        sequence: of the last wheel command, if it had one.
         gave_up: why a task was ended and the robot stopped; the reader sets it to None again.
     """
 
@@ -35,8 +36,9 @@ class Conduct:
         self._motion: Motion | None = None
         self._after_rest: Callable[[Reference], Motion] | None = None
         self._until_s = -math.inf  # of the twist or the wheel command
-        self._sequence = -1
+        self._newest = -1  # sequence of wheel commands since ``begin``
         self.wheels: FourWheels | None = None
+        self.sequence: int | None = None
         self.task: Task | None = None
         self.reference: Reference | None = None
         self.gave_up: str | None = None
@@ -44,7 +46,7 @@ class Conduct:
     def begin(self) -> None:
         """Start with the task HOLD: the robot rests where it is."""
         self.end()
-        self._sequence = -1
+        self._newest = -1
         self.task = Task.HOLD
 
     def end(self) -> None:
@@ -78,14 +80,14 @@ class Conduct:
 
         With a ``sequence`` number a command must be newer than all since ``begin``. Raises BadInputError for another.
         """
-        if sequence is not None and sequence <= self._sequence:
+        if sequence is not None and sequence <= self._newest:
             raise BadInputError(
-                f"sequence = {sequence}: it came after {self._sequence}; count on, or disarm and arm to count anew"
+                f"sequence = {sequence}: it came after {self._newest}; count on, or disarm and arm to count anew"
             )
         if self.task is not Task.WHEELS:
             self._rest()
-        self._sequence = self._sequence if sequence is None else sequence
-        self.task, self.wheels = Task.WHEELS, wheels
+        self._newest = self._newest if sequence is None else sequence
+        self.task, self.wheels, self.sequence = Task.WHEELS, wheels, sequence
         self._until_s = self._t_s + self._options.twist_timeout_s
 
     def track(self, path: ReferenceSource, *, here: bool) -> None:

@@ -54,6 +54,7 @@ class MotionFeed:
             sigma=known((status.sigma_position_m, status.sigma_heading_rad)),
             truth=truth and known(truth.pose),
             true_twist=truth and known(truth.twist),
+            sequence=None if pilot.conduct.wheels is None else pilot.conduct.sequence,
             **values,
         )
 

@@ -167,6 +167,7 @@ class Motion:
         angle_rad, speed_rad_s, current_a: of the four wheels. torque_n_m: the currents times the torque constant.
         yaw_rate_rad_s, acceleration_m_s2: as the IMU measures them, along the robot's axes.
         truth, true_twist: of a simulated robot, in the world frame.
+        sequence: of the wheel command in force, if it has one.
     """
 
     time_unix_s: float
@@ -181,6 +182,7 @@ class Motion:
     acceleration_m_s2: tuple[float, float, float] | None = None
     truth: tuple[float, float, float] | None = None
     true_twist: tuple[float, float, float] | None = None
+    sequence: int | None = None
 
 
 @dataclass(frozen=True, slots=True)

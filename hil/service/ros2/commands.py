@@ -1,6 +1,7 @@
 """What comes into a node: twists, wheel commands, pose fixes and paths. None of it arms the robot."""
 
 import json
+import math
 import socket
 import tempfile
 import time
@@ -13,7 +14,6 @@ from nav_msgs.msg import Odometry
 from nav_msgs.msg import Path as PathMessage
 from rclpy.clock import Clock, ClockType
 from rclpy.qos import QoSProfile, ReliabilityPolicy
-from rclpy.time import Time
 from std_msgs.msg import Float64MultiArray
 
 from hil.core.errors import BadInputError
@@ -30,6 +30,7 @@ _NEWEST = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
 """Of commands only the newest counts, and none is sent again. It matches publishers of every reliability."""
 
 _WARN_S = 1.0
+_SHORTEST_S = 1e-3
 
 
 class Commands:
@@ -42,7 +43,7 @@ class Commands:
         self._robot = robot
         self._folder = tempfile.TemporaryDirectory(prefix="hil-ros2-path-")
         self.figures = {"cmd_vel": 0, "wheel_commands": 0, "pose_fixes": 0, "dropped": 0}
-        rate_hz = settings.command_rate_hz
+        rate_hz = math.inf if robot.takes_all else settings.command_rate_hz
         self._twists, self._wheels = (
             _Newest(node, rate_hz, self._order(action)) for action in (Action.TWIST, Action.WHEELS)
         )
@@ -90,7 +91,10 @@ class Commands:
         """Return the age of a header's stamp; one that is zero says nothing, and counts as new."""
         if stamp.sec == stamp.nanosec == 0:
             return 0.0
-        return float((self._node.get_clock().now() - Time.from_msg(stamp)).nanoseconds) * 1e-9
+        now_ns = self._robot.now_ns()
+        if now_ns is None:
+            now_ns = self._node.get_clock().now().nanoseconds
+        return 1e-9 * (now_ns - stamp.sec * 1_000_000_000 - stamp.nanosec)
 
     def _twist(self, message: Any) -> None:
         if not self._taken("cmd_vel"):
@@ -171,7 +175,9 @@ class _Newest:
         self._sent_s = 0.0
         self._waiting: Mapping[str, Any] | None = None
         self._node = node
-        self._timer = node.create_timer(self._period_s, self._later, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        self._timer = node.create_timer(
+            max(self._period_s, _SHORTEST_S), self._later, clock=Clock(clock_type=ClockType.STEADY_TIME)
+        )
         self._timer.cancel()
 
     def send(self, arguments: Mapping[str, Any]) -> None:

@@ -32,8 +32,8 @@ PACKAGES = {
 _DEFINITIONS = Path(__file__).parent / "interfaces"
 _FAST_DDS = "rosidl_typesupport_fastrtps_c"
 _LIBRARIES = ("rosidl_generator_c", _FAST_DDS, "rosidl_typesupport_c", "rosidl_generator_py")  # of a package's types
-_RUNTIME = (_FAST_DDS, "rosidl_runtime_c", "rosidl_typesupport_c", "rosidl_typesupport_fastrtps_cpp", "fastcdr")
-_RUNTIME += ("rcutils", "rmw")
+_RUNTIME = ("rosidl_runtime_c", "rosidl_typesupport_c", _FAST_DDS, "rosidl_typesupport_fastrtps_cpp")
+_FURTHER = ("fastcdr", "rcutils", "rmw")
 _MADE_AS = "1"  # changes with what this file makes of the same definitions
 _LISTED = 1500  # characters of a compiler's complaint
 
@@ -163,11 +163,13 @@ def _compile(package: str, used: Sequence[str], folder: Path, work: Path) -> Non
         standard = "-std=gnu11" if is_c else "-std=c++17"
         command = [compiler, standard, "-O1", "-w", "-fPIC", "-c", *flags, str(source), "-o", str(objects[-1])]
         subprocess.run(command, check=True)
-    libraries = [f"-l{name}__{kind}" for name in used for kind in _LIBRARIES] + [f"-l{name}" for name in _RUNTIME]
+    libraries = [f"-l{name}__{kind}" for name in used for kind in _LIBRARIES] + [
+        f"-l{name}" for name in (*_RUNTIME, *_FURTHER)
+    ]
     extension = folder / f"{package}_s__rosidl_typesupport_c{sysconfig.get_config_var('EXT_SUFFIX')}"
     where = [f"-L{prefix / 'lib'}", f"-Wl,-rpath,{prefix / 'lib'}"]
-    command = [os.environ.get("CXX", "c++"), "-shared", "-o", extension, *objects, *where, *libraries]
-    subprocess.run(list(map(str, command)), check=True)
+    linked = [str(one) for one in (extension, *objects)]
+    subprocess.run([os.environ.get("CXX", "c++"), "-shared", "-o", *linked, *where, *libraries], check=True)
 
 
 if __name__ == "__main__":

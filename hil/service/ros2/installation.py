@@ -39,3 +39,8 @@ def require_ros() -> None:
         from hil.service.ros2.generate import provide
 
         sys.path.append(str(provide(user_cache_path("mecanum-hil", appauthor=False) / "ros2")))
+
+
+if __name__ == "__main__":  # of make: what has to be compiled is compiled before the tests
+    if sys.platform == "linux" and importlib.util.find_spec("rclpy") is not None:
+        require_ros()

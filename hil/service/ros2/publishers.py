@@ -8,7 +8,7 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from geometry_msgs.msg import TransformStamped
 from nav_msgs.msg import Odometry
 from sensor_msgs.msg import BatteryState, Imu, JointState
-from std_msgs.msg import Float64MultiArray
+from std_msgs.msg import Float64MultiArray, Int64
 from tf2_msgs.msg import TFMessage
 
 from hil.service.messages import Phase
@@ -50,6 +50,7 @@ class Publishers:
         diagonal = [_ACCELERATION_VARIANCE if place % 4 == 0 else 0.0 for place in range(9)]
         self._imu.linear_acceleration_covariance = diagonal
         self._current, self._current_to = Float64MultiArray(), publisher(Float64MultiArray, "wheel_currents")
+        self._applied, self._applied_to = Int64(), publisher(Int64, "wheel_commands/applied")
         self._battery, self._battery_to = BatteryState(present=True), publisher(BatteryState, "battery_state")
         for name in ("temperature", "current", "charge", "capacity", "design_capacity", "percentage"):
             setattr(self._battery, name, math.nan)
@@ -88,6 +89,9 @@ class Publishers:
             joints.velocity = list(motion["speed_rad_s"])
             joints.effort = list(in_order(motion["torque_n_m"]))
             self._joints_to.publish(joints)
+        if motion["sequence"] is not None:
+            self._applied.data = motion["sequence"]
+            self._applied_to.publish(self._applied)
         if motion["current_a"] is not None:
             self._current.data = list(motion["current_a"])
             self._current_to.publish(self._current)

@@ -30,13 +30,18 @@ _END_S = 15.0
 
 
 class Robot(Protocol):
-    """A robot that takes orders."""
+    """A robot that takes orders. ``takes_all`` is whether it takes streams of orders at any rate."""
+
+    takes_all: bool
 
     def start(self, hear: Hear) -> None:
         """Begin to say how the robot is."""
 
     def order(self, action: Action, arguments: Mapping[str, Any], answered: Answered) -> None:
         """Give an order, without waiting; ``answered`` is called in any thread."""
+
+    def now_ns(self) -> int | None:
+        """Return the simulated time [ns] of a robot that makes its own; None where time is the node's."""
 
     def failure(self) -> HilError | None:
         """Return the error that ended the robot for good, or None."""
@@ -47,6 +52,8 @@ class Robot(Protocol):
 
 class ServedRobot:
     """A Robot behind a service. The connection is made anew when it was lost, and meanwhile orders are refused."""
+
+    takes_all = False
 
     def __init__(self, client: Client, rate_hz: float, service: "OwnService | None") -> None:
         self._client = client
@@ -79,6 +86,9 @@ class ServedRobot:
     def failure(self) -> HilError | None:
         """As ``Robot``."""
         return None if self._service is None else self._service.failure()
+
+    def now_ns(self) -> None:
+        """As ``Robot``."""
 
     def close(self) -> None:
         """As ``Robot``."""

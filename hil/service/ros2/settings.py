@@ -41,7 +41,7 @@ class Settings:
         from rclpy.parameter import Parameter
 
         fixed = ParameterDescriptor(read_only=True)
-        values = {}
+        values: dict[str, Any] = {}
         for one in fields(cls):
             default = one.default
             if default == ():  # an empty list has no type of its own

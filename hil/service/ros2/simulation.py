@@ -56,6 +56,8 @@ class Simulation:
         truth: the newest motion; None before the first.
     """
 
+    takes_all = True
+
     def __init__(
         self, load_at: Callable[[Pose | None], Scenario], start: Pose | None, pace: Pace, on_time: Callable[[int], None]
     ) -> None:
@@ -94,6 +96,10 @@ class Simulation:
             self._orders.append(Order(number, action, dict(arguments)))
             self._wheels_came = self._wheels_came or action is Action.WHEELS
             self._changed.notify_all()
+
+    def now_ns(self) -> int:
+        """As ``Robot``."""
+        return self._time_ns
 
     def failure(self) -> HilError | None:
         """As ``Robot``."""
