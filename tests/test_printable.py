@@ -84,6 +84,25 @@ def test_a_scenario_s_name_and_a_law_s_words_are_harmless_in_terminal_recording_
         assert not HARMFUL.search(text)
 
 
+@pytest.mark.skipif(sys.platform == "win32", reason="Windows has no pseudo-terminals")
+def test_what_teleop_shows_of_a_robot_and_a_gamepad_is_harmless(monkeypatch: pytest.MonkeyPatch) -> None:
+    import pty
+
+    from hil.service.teleop.terminal import Terminal
+
+    end, inner = pty.openpty()
+    with os.fdopen(end, "rb", buffering=0) as window, os.fdopen(inner, "w") as stream:
+        for name in ("stdin", "stdout", "stderr"):
+            monkeypatch.setattr(sys, name, stream)
+        Terminal().show([f"phase {EVIL}", "gamepad a\nb"])
+        shown = window.read(65536).decode()
+    for ours in ("\x1b[H", "\x1b[K", "\x1b[J"):
+        shown = shown.replace(ours, "")
+    first, second = shown.split("\r\r\n")  # the terminal puts a return before each line feed
+    assert first == f"phase {printable(EVIL)}"
+    assert second == "gamepad a b"
+
+
 @share_of_examples(0.2)
 @given(st.text(st.characters() | st.sampled_from(EVIL + "\n")), st.sampled_from(["text", "json"]))
 def test_a_line_of_a_log_is_one_harmless_line(text: str, style: logs.LogStyle) -> None:

@@ -11,6 +11,7 @@ import time
 from collections.abc import Iterator, Sequence
 
 from hil.core.errors import BadInputError, LinkError
+from hil.core.printable import printable
 from hil.service.teleop.keys import Attributes, Event, Flags, KeyDecoder
 
 # Kitty's keyboard protocol: 1 makes the Esc key unambiguous, 2 reports press, repeat and release, 8 does so for every
@@ -107,13 +108,17 @@ class Terminal:
         self._write(_QUERY_FLAGS)
 
     def show(self, lines: Sequence[str]) -> None:
-        """Show lines from the top, long ones over several rows, if the terminal accepts output now."""
+        """Show lines, with texts of a robot or a gamepad in them, from the top, if the terminal accepts output now.
+
+        Long lines take several rows.
+        """
         try:
             size = os.get_terminal_size(self._out)
         except OSError:
             raise LostTerminalError("the terminal is gone") from None
         columns, rows = size.columns or 80, size.lines or 24
-        folded = [part for line in lines for part in textwrap.wrap(line, columns, subsequent_indent=_TEXT) or [""]]
+        whole = (printable(line).replace("\n", " ") for line in lines)
+        folded = [part for line in whole for part in textwrap.wrap(line, columns, subsequent_indent=_TEXT) or [""]]
         shown = f"{_REST_OF_LINE}\r\n".join(folded[:rows])
         self._write(f"{_HOME}{shown}{_REST_OF_LINE}{_REST_OF_SCREEN}".encode())
 
