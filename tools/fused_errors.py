@@ -7,7 +7,7 @@ it knows all noises) and a smoother that knows the whole run (Rauch, Tung and St
 
 import argparse
 import itertools
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
@@ -18,7 +18,7 @@ import numpy.typing as npt
 
 from hil.core.model import RobotModel
 from hil.core.outputs import write_whole
-from hil.core.types import MeasuredPose, Pose, PoseCovariance, PoseFix, State
+from hil.core.types import MeasuredPose, Pose, PoseFix, State
 from hil.estimation.belief import Belief, Step, moved, start
 from hil.estimation.choice import EstimatorOptions
 from hil.estimation.correction import Acceptance, corrected, gate_of
@@ -46,13 +46,12 @@ ROLLING_SIGMA_M = 1e-4
 
 
 class Condition(NamedTuple):
-    """A row: its words, the scenario and its keys, from when errors count, and the fixes' noise over the told one."""
+    """A row: its words, the scenario and its keys, from when errors count, and whether it has bound and smoother."""
 
     words: str
     scenario: str
-    sets: dict[str, object]
+    sets: Mapping[str, object]
     from_s: float = SETTLED_S
-    noisier: float = 1.0
     has_oracle: bool = True
 
 
@@ -65,8 +64,8 @@ def conditions() -> Iterator[Condition]:
                 radius_m = RADIUS_M * (1.0 + 0.01 * percent)
                 start = {"plant.start.contact": contact, "plant.start.wheel_radius_m": radius_m}
                 yield Condition(words, scenario, start, has_oracle=contact == "rigid")
-        noise = {"estimator.simulated_fix.sigma_m": 0.04, "estimator.simulated_fix.sigma_rad": 0.02}
-        yield Condition(f"{name}, fixes twice as noisy as told", scenario, noise, noisier=2.0, has_oracle=False)
+        noise = {"estimator.simulated_fix.noisier": 2.0}
+        yield Condition(f"{name}, fixes twice as noisy as told", scenario, noise, has_oracle=False)
     torque = {"robot.torque_limit_n_m": 5.0, "firmware.torque_limit_n_m": 5.0, "firmware.overspeed_rad_s": 127.0}
     leans = {"plant.start.accelerometer_bias_x_m_s2": 0.05, "plant.start.accelerometer_bias_y_m_s2": 0.05}
     for rate_hz in (200, 1000):
@@ -80,8 +79,6 @@ def conditions() -> Iterator[Condition]:
 class Kept(FusedEstimator):
     """A fused estimator that keeps what it was given, and what it believed after each update."""
 
-    noisier = 1.0
-
     def __init__(self, model: RobotModel, start_pose: Pose, counts: int, slip_m_s: float, options: FilterOptions):
         super().__init__(model, start_pose, counts, slip_m_s, options)
         self.made_with = model, start_pose, counts
@@ -91,11 +88,9 @@ class Kept(FusedEstimator):
     def update(
         self, measurement: Measurement, truth: PoseFix | None, fixes: Sequence[MeasuredPose] = ()
     ) -> State | None:
-        """Update with fixes that say less of their noise than is true."""
-        share = self.noisier**-2
-        told = [fix._replace(covariance=PoseCovariance(*[share * one for one in fix.covariance])) for fix in fixes]
-        self.given.append((measurement, told))
-        state = super().update(measurement, truth, told)
+        """Update, and keep what was given and is believed."""
+        self.given.append((measurement, list(fixes)))
+        state = super().update(measurement, truth, fixes)
         assert self._history is not None
         self.beliefs.append(self._history.newest)
         return state
@@ -117,7 +112,6 @@ def outcome(condition: Condition, seed: int) -> Outcome:
 
     def make(options: EstimatorOptions, model: RobotModel, start_pose: Pose, counts: int) -> Kept:
         kept.append(Kept(model, start_pose, counts, options.slip_threshold_m_s, options.filter))
-        kept[-1].noisier = condition.noisier
         return kept[-1]
 
     sets = {**SENSORS, "estimator.source": "fused", **condition.sets}
@@ -133,7 +127,7 @@ def outcome(condition: Condition, seed: int) -> Outcome:
     told = np.array([signals["pose.x_m"], signals["pose.y_m"]])
     bound_m2, smoothed_m = np.nan, np.array([])
     if condition.has_oracle and seed <= ORACLE_SEEDS:
-        estimates, bound_m2 = _oracle(estimator, count - np.count_nonzero(counts))
+        estimates, bound_m2 = _oracle(estimator, int(np.count_nonzero(counts)))
         smoothed_m = np.hypot(*(estimates.T[:2, -count:] - truth))[counts]
     return Outcome(
         signals["error.planar_m"][counts],
@@ -148,10 +142,11 @@ def _nees(beliefs: Sequence[Belief], truth: Array) -> Array:
     """Return half of the normalised squared error of the position in each tick: 1 on average for an honest filter."""
     x, y = np.array([(one.x_m, one.y_m) for one in beliefs]).T - truth
     xx, xy, yy = np.array([(one.covariance.xx, one.covariance.xy, one.covariance.yy) for one in beliefs]).T
-    return (yy * x**2 - 2.0 * xy * x * y + xx * y**2) / (xx * yy - xy**2) / 2.0
+    squared: Array = (yy * x**2 - 2.0 * xy * x * y + xx * y**2) / (xx * yy - xy**2)
+    return squared / 2.0
 
 
-def _oracle(kept: Kept, skipped: int) -> tuple[Array, float]:
+def _oracle(kept: Kept, settled: int) -> tuple[Array, float]:
     """Return the smoothed states of a run, and the mean variance [m²] of a causal filter that knows all noises."""
     options = FilterOptions(
         wheels_sigma_m=ROLLING_SIGMA_M, gyro_bias_walk_rad_s=1e-9, gate_probability=0.999999, fix_noise_most=1.0
@@ -159,7 +154,7 @@ def _oracle(kept: Kept, skipped: int) -> tuple[Array, float]:
     causal = Kept(*kept.made_with, 100.0, options)
     for measurement, fixes in kept.given:
         causal.update(measurement, None, fixes)
-    variances = [one.covariance.xx + one.covariance.yy for one in causal.beliefs[-(len(kept.given) - skipped) :]]
+    variances = [one.covariance.xx + one.covariance.yy for one in causal.beliefs[-settled:]]
     return _smoothed(kept, options), float(np.mean(variances))
 
 

@@ -21,6 +21,7 @@ class SimulatedOptions:
     latency_s: Annotated[float, Range(ge=0, le=10), "from the scan to the fix"] = 0.1
     sigma_m: Annotated[float, Range(ge=1e-5, le=100), "noise of each axis"] = 0.02
     sigma_rad: Annotated[float, Range(ge=1e-5, le=10), "noise of the heading"] = 0.01
+    noisier: Annotated[float, Range(ge=0.1, le=100), "true noise over sigma_m and sigma_rad, which fixes tell"] = 1.0
     outlier_probability: Annotated[float, Range(ge=0, le=1), "of a fix to be wrong"] = 0.0
     outlier_m: Annotated[float, Range(ge=0, le=1000), "how far off; turned by at most as many rad"] = 1.0
     dropout_probability: Annotated[float, Range(ge=0, le=1), "of a fix to be missing"] = 0.0
@@ -94,8 +95,8 @@ class SimulatedFixes:
 
     def _make(self, truth: Pose, time_ns: int, t_s: float) -> MeasuredPose | None:
         options, chance = self._options, self._random
-        x_m, y_m = (chance.gauss(0.0, options.sigma_m) for _ in "xy")
-        heading_rad = chance.gauss(0.0, options.sigma_rad)
+        x_m, y_m = (chance.gauss(0.0, options.noisier * options.sigma_m) for _ in "xy")
+        heading_rad = chance.gauss(0.0, options.noisier * options.sigma_rad)
         is_outlier = chance.random() < options.outlier_probability
         direction_rad, turned_rad = chance.uniform(-math.pi, math.pi), chance.uniform(-1.0, 1.0) * options.outlier_m
         is_dropped = chance.random() < options.dropout_probability
