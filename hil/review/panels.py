@@ -11,8 +11,9 @@ from hil.core.signals import unit_of
 from hil.core.types import WHEEL_NAMES
 from hil.judge.claims import signals_of
 from hil.judge.shadows import shadow_differences, shadow_signals
-from hil.record.layout import REFERENCE_COLOUR, Colour
+from hil.record.layout import ESTIMATE_COLOUR, REFERENCE_COLOUR, Colour
 from hil.review.alignment import SignalDifference
+from hil.review.believed import BELIEVED_SIGNALS, believed, is_estimated
 from hil.review.charts import Band, Chart, Lane, Line, Mark, Panel
 from hil.review.figures import expected, read_for_figures
 from hil.review.judged import fault_band, faults, lanes, marks, planned_s, violations
@@ -41,6 +42,7 @@ _PLACES = ("reference", "pose", "truth")
 SIGNALS = (
     *("loop.t_s", "guard.saturated", *_COUNTS, *_TIMES, *_ERRORS, *_LINK, *_GAINS["k1"], *_GAINS["k2"]),
     *(f"{group}.{name}" for group in _PLACES for name in ("x_m", "y_m")),
+    *BELIEVED_SIGNALS,
     *(f"wheel.{wheel}.{quantity}" for quantity in _OF_WHEELS for wheel in WHEEL_NAMES),
 )
 """The signals that the charts need of every run."""
@@ -70,6 +72,7 @@ def charts(runs: Sequence[Shown], compared: Sequence[SignalDifference] = ()) -> 
         _what_happened(runs, [one.name for one in compared]),
         *_shadows(runs),
         _path(runs),
+        believed(runs),
     ]
     made += [*_wheels(runs), *_gains(runs), *_link(runs), *_spectra(runs), *_lateness(runs)]
     return [
@@ -213,6 +216,8 @@ def _path(runs: Sequence[Shown]) -> Chart:
 
     lines = [trail(runs[0], "reference", "reference", REFERENCE_COLOUR, width_px=5.0, opacity=0.6)]
     for one in runs:
+        if len(runs) == 1 and is_estimated(one):
+            lines.append(trail(one, "pose", "believed", ESTIMATE_COLOUR, width_px=1.0))
         group = "truth" if one.has("truth.x_m") else "pose"
         lines.append(trail(one, group, one.label if len(runs) > 1 else group, one.colour))
     lines = [line for line in lines if np.isfinite(line.y).any()]
