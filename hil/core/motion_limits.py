@@ -59,6 +59,7 @@ class MotionLimits:
         self.last: tuple[Wheels | None, int] = None, 0
         nothing: tuple[float, ...] = ()
         self._slip: tuple[Wheels | None, int, tuple[float, ...], tuple[float, ...]] = None, -1, nothing, nothing
+        self._gripped: tuple[float, ...] = _ALL
         self._given: tuple[float, ...] = _ALL  # share of its torque that each wheel may have at most
         self._body: BodyLimits | None = None
         self._between = math.inf, math.inf
@@ -147,7 +148,10 @@ class MotionLimits:
         slip = Wheels(*(one - rolls for one, rolls in zip(now, twice, strict=True)))
         self._slip = slip, time_ns, once, twice
         coming = _ahead(slip, before, ahead)
-        return _times(torque, now, _shares(torque, now, coming, _SLIP_BEGIN * self._slip_rad_s, self._slip_rad_s))
+        shares = _shares(torque, slip, coming, _SLIP_BEGIN * self._slip_rad_s, self._slip_rad_s)
+        more = 1.0 / (_BACK * ahead) if ahead else 0.0
+        self._gripped = tuple(min(share, last + more) for share, last in zip(shares, self._gripped, strict=True))
+        return _times(torque, slip, self._gripped)
 
     def _fade_body(self, torque: Wheels, coming: Wheels) -> Wheels:
         """Take away from the force what pushes the way that the robot moves, and from the torque what turns it on.

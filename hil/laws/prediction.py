@@ -212,7 +212,7 @@ def speed_command(model: RobotModel, desired: Axes, predicted: Prediction, accel
 
 
 def extrapolate(reference: Reference, state: State, latency_s: float) -> Prediction:
-    """Return both ``latency_s`` [s] later, if the robot accelerates and turns as the reference does. No model is needed.
+    """Return both ``latency_s`` [s] later, if the robot accelerates and turns as the reference does. Needs no model.
 
     The measured yaw rate is not used. It would close a second loop around that of the firmware, which has little
     damping there: against yaw a wheel has a fifth of the inertia that it has against a push.
@@ -231,6 +231,9 @@ class DelayPredictor:
     ``observers``, if given, are those of x, y and heading. The prediction then includes their ``disturbance``
     (acceleration [m/s², m/s², rad/s²]), which is zero without them. It starts at the measured state or, with
     ``from_observers``, at the observers' estimate, which uses the measured pose and not the measured twist.
+
+    ``moved`` is the motion since the last tick that the commands account for, by the model. With observers a law may
+    set ``shares``: how much of it, along x and y and around the heading, the robot really has (``adaptation.py``).
     """
 
     def __init__(
@@ -245,10 +248,13 @@ class DelayPredictor:
         self._latency_s = 0.0
         self._is_new = True
         self.disturbance = _ZERO
+        self.moved: Pairs = _ZERO + _ZERO
+        self.shares = 1.0, 1.0
 
     def reset(self, state: State) -> None:
         """Start at this state, with no command sent and no disturbance."""
         self._pending.reset()
+        self.moved = _ZERO + _ZERO
         self._commanded, self._sent, self._latency_s = _ZERO, ZERO_WHEELS, 0.0
         self._is_new = True
         self.disturbance = _ZERO
@@ -266,6 +272,8 @@ class DelayPredictor:
         if not self._observers:
             return _at_latency(reference, state, latency_s, moved)
         dx, dy, dh, dvx, dvy, dvh = moved
+        push, turn = self.shares
+        dx, dy, dh, dvx, dvy, dvh = push * dx, push * dy, turn * dh, push * dvx, push * dvy, turn * dvh
         zx, zy, zh = self.disturbance
         vx, vy, vh = latency_s * zx, latency_s * zy, latency_s * zh
         half_s = 0.5 * latency_s
@@ -284,14 +292,15 @@ class DelayPredictor:
         if torque != self._sent:
             # The guard scaled the command, or another one was sent in its place.
             commanded = acceleration_of(self._model, torque, twist, pose.heading_rad, reference_twist)
-        dx, dy, dh, dvx, dvy, dvh = self._pending.advance(commanded, self._latency_s, dt_s)
+        self.moved = dx, dy, dh, dvx, dvy, dvh = self._pending.advance(commanded, self._latency_s, dt_s)
         if self._observers:
             x, y, heading = self._observers
-            x.update(pose.x_m, dx, dvx, dt_s)
-            y.update(pose.y_m, dy, dvy, dt_s)
+            push, turn = self.shares
+            x.update(pose.x_m, push * dx, push * dvx, dt_s)
+            y.update(pose.y_m, push * dy, push * dvy, dt_s)
             # The pose wraps at π; the observer's heading does not.
             turned = math.remainder(pose.heading_rad - heading.position, math.tau)
-            heading.update(heading.position + turned, dh, dvh, dt_s)
+            heading.update(heading.position + turned, turn * dh, turn * dvh, dt_s)
             self.disturbance = x.disturbance, y.disturbance, heading.disturbance
 
     def command(self, acceleration: Axes, predicted: Prediction) -> WheelCommand:

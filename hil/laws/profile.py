@@ -26,6 +26,7 @@ from hil.core.types import (
     WheelCommand,
     Wheels,
 )
+from hil.laws.adaptation import AccelerationShare
 from hil.laws.prediction import DelayPredictor, ExtendedStateObserver, Prediction, extrapolate, speed_command
 
 SQRT2 = math.sqrt(2.0)
@@ -68,6 +69,10 @@ def within(value: float, limit: float) -> float:
 # Share of the largest yaw acceleration and yaw rate that the profile plans with. Pushing has priority, so little torque
 # is certain to be left for turning, and turning may use little of the speed.
 _TURNING_SHARE = 0.3
+# The braking share where the mass is known.
+_KNOWN_BRAKING_SHARE = 0.97
+# Latency and tick together up to which the gains are as configured.
+_FULL_GAIN_S = 0.015
 # How far set points may be from measured speeds, as time at full acceleration. Further away the torque limit would let
 # the fastest wheels drag the others backwards, which the firmware reports as the fault WRONG_DIRECTION.
 _STEP_S = 0.05
@@ -88,11 +93,11 @@ class Profile:
         """Gains [1/s], braking share, bandwidth of the observers [rad/s] and lag of the speed estimate [s].
 
         ``k1_1_s`` and ``k2_1_s`` are the two poles near the reference in TORQUE mode; in SPEED mode ``speed_k1_1_s``
-        is the pole of x and y, ``speed_turn_k1_1_s`` that of the heading. ``braking_share`` is the share of the torque that the profile plans to brake with: 0.85 suffices
-        for a robot with 20 % more mass than configured. ``speed_lag_s`` is the delay of the firmware's estimate of a
-        wheel's speed, 2 / tracking_bandwidth_rad_s. ``keeps_speed_limit`` applies to TORQUE mode, where no other law
-        and no other part limits the wheel speed: with it the profile stays within the robot's wheel speed limit. In
-        SPEED mode it always does.
+        is the pole of x and y, ``speed_turn_k1_1_s`` that of the heading. ``braking_share`` is the share of the torque
+        that the profile plans to brake with until it has learnt the mass: 0.85 suffices for a robot with 20 % more mass
+        than configured. ``speed_lag_s`` is the delay of the firmware's estimate of a wheel's speed, 2 /
+        tracking_bandwidth_rad_s. ``keeps_speed_limit`` applies to TORQUE mode, where no other law limits the wheel
+        speed: with it the profile stays within the robot's wheel speed limit. In SPEED mode it always does.
         """
 
         k1_1_s: Annotated[float, RATE] = 20.0
@@ -117,6 +122,7 @@ class Profile:
         push_m_s2 = model.torque_limit_n_m / self._push_n_m_per_m_s2
         turn_rad_s2 = model.torque_limit_n_m / self._turn_n_m_per_rad_s2
         self._braking_m_s2 = options.braking_share * push_m_s2
+        self._known_braking_m_s2 = max(options.braking_share, _KNOWN_BRAKING_SHARE) * push_m_s2
         self._turn_braking_rad_s2 = _TURNING_SHARE * turn_rad_s2
         self._push_step_m_s = _STEP_S * push_m_s2
         self._turn_step_rad_s = _STEP_S * turn_rad_s2
@@ -128,19 +134,36 @@ class Profile:
         limits = (push_m_s2, push_m_s2, turn_rad_s2)
         observers = tuple(ExtendedStateObserver(options.observer_rad_s, limit) for limit in limits)
         self._predictor = DelayPredictor(model, observers, from_observers=True)
+        self._push_share, self._turn_share = AccelerationShare(push_m_s2), AccelerationShare(turn_rad_s2)
 
     def reset(self, state: State, reference: Reference) -> None:
         """Start at this state, with no command sent and no disturbance."""
         self._predictor.reset(state)
+        self._push_share.reset()
+        self._turn_share.reset()
 
     def update(self, reference: Reference, state: State, applied: Applied, dt_s: float) -> WheelCommand:
         """Return the command that acts ``applied.latency_s`` from now, in TORQUE mode within the torque limit."""
         if self._torque:
             predicted = self._predictor.predict(reference, state, applied, dt_s)
-            return self._torque_command(reference.acceleration, predicted, dt_s)
+            self._learn(state, applied, dt_s)
+            return self._torque_command(reference.acceleration, predicted, applied.latency_s, dt_s)
         return self._speed_command(reference, state, applied.latency_s, dt_s)
 
-    def _torque_command(self, acceleration: Acceleration, predicted: Prediction, dt_s: float) -> WheelCommand:
+    def _learn(self, state: State, applied: Applied, dt_s: float) -> None:
+        """Learn how much of the commanded acceleration the robot has, and predict by that.
+
+        Around the heading only a robot that turns more easily than believed counts: pushes leave little torque there.
+        """
+        (_, (vx, vy, yaw_rate)), (*_, dvx, dvy, dvh) = state, self._predictor.moved
+        push, turn, is_limited = self._push_share, self._turn_share, applied.saturated
+        push.update((vx, vy), (dvx, dvy), dt_s, is_limited=is_limited)
+        turn.update((yaw_rate,), (dvh,), dt_s, is_limited=is_limited)
+        self._predictor.shares = push.share, max(turn.share, 1.0)
+
+    def _torque_command(
+        self, acceleration: Acceleration, predicted: Prediction, latency_s: float, dt_s: float
+    ) -> WheelCommand:
         """Return τ for q̈ = q̈_d + ẇ(e) + K2 (w(e) - ė) - d, with one axis for each pair and one for the heading."""
         model = self._model
         (x, y, heading_error, vx_e, vy_e, now_turn), heading, (vx_d, vy_d, yaw_rate_d), (vx, vy, yaw_rate) = predicted
@@ -148,24 +171,30 @@ class Profile:
         x1, y1, x2, y2 = directions(heading + 0.5 * dt_s * yaw_rate)
         along_1, along_2 = vx_d * x1 + vy_d * y1, vx_d * x2 + vy_d * y2
         now_1, now_2 = vx_e * x1 + vy_e * y1, vx_e * x2 + vy_e * y2
-        k1, braking = self._k1, self._braking_m_s2
+        push_share, turn_share = self._predictor.shares
+        # The bandwidth follows the latency: K1 and K2 keep their distance from its phase.
+        slower = min(1.0, _FULL_GAIN_S / (latency_s + dt_s))
+        k1 = slower * self._k1
+        braking = push_share * (self._known_braking_m_s2 if self._push_share.is_known else self._braking_m_s2)
         limit = self._turn_rad_s
         turn, turn_slope = profile(heading_error, now_turn, k1, self._turn_braking_rad_s2, -limit, limit)
         limit = self._push_speed_m_s(yaw_rate)
         rate_1, slope_1 = profile(x * x1 + y * y1, now_1, k1, braking, -limit - along_1, limit - along_1)
         rate_2, slope_2 = profile(x * x2 + y * y2, now_2, k1, braking, -limit - along_2, limit - along_2)
         # The gain that moves ė towards w as a pole at K2 does, exact for an acceleration held over the tick.
-        k2 = -math.expm1(-self._k2 * dt_s) / dt_s
+        k2 = -math.expm1(-slower * self._k2 * dt_s) / dt_s
         coupling = model.wheels_mass_kg / model.effective_mass_kg * yaw_rate
         ax, ay, yaw_acceleration = acceleration
         zx, zy, zh = self._predictor.disturbance
         known_x = ax - zx + coupling * vy
         known_y = ay - zy - coupling * vx
         to_push, to_turn = self._push_n_m_per_m_s2, self._turn_n_m_per_rad_s2
+        # What is known in advance takes the estimated mass. The gains do not grow by it: it may be wrong.
+        gain = max(push_share, 1.0)
         torque, push_1, push_2, turn = allocate(
-            to_push * (known_x * x1 + known_y * y1 + slope_1 + k2 * (rate_1 - now_1)),
-            to_push * (known_x * x2 + known_y * y2 + slope_2 + k2 * (rate_2 - now_2)),
-            to_turn * (yaw_acceleration - zh + turn_slope + k2 * (turn - now_turn)),
+            to_push * ((known_x * x1 + known_y * y1) / push_share + (slope_1 + k2 * (rate_1 - now_1)) / gain),
+            to_push * ((known_x * x2 + known_y * y2) / push_share + (slope_2 + k2 * (rate_2 - now_2)) / gain),
+            to_turn / turn_share * (yaw_acceleration - zh + turn_slope + k2 * (turn - now_turn)),
             self._friction(along_1, along_2, yaw_rate_d),
             self._torque_limit_n_m,
         )

@@ -1,0 +1,86 @@
+"""How much of the commanded acceleration a robot has, learnt while it drives: its believed mass over its true one.
+
+Over a window the measured velocity changes by Δv and the commands that acted account for Δu, both along an axis:
+
+    Δv = s Δu - f Δs
+
+with the share s = believed mass / true mass, and an unknown friction f [m/s²] against the motion, Δs being the time of
+the window with the sign of the velocity. Sums over a window need no derivative, and the noise of a velocity enters only
+at its two ends. Recursive least squares (K. J. Åström and B. Wittenmark, Adaptive Control, 2nd ed. 1995, section 2.2)
+with forgetting, and with the prior s = 1, f = 0, which it returns where nothing was learnt.
+"""
+
+import math
+
+_WINDOW_S = 0.03  # long against the noise of a velocity, short against the time in which a robot gets up speed
+_GATE = 1.0 / 6.0  # least Δu of a window, in units of the largest acceleration times a window
+_FORGET = 0.98  # of what was learnt, each window from which something is learnt
+_PRIOR_SHARE, _PRIOR_FRICTION = 0.02, 0.02  # weights of s = 1 and f = 0, in the units of the sums below
+_LEAST, _MOST = 0.45, 2.2  # a robot from half to twice as heavy as believed
+_TRUSTED = (
+    0.4  # sum of squares of Δu, in units of the largest acceleration times a window, from which s counts as known
+)
+
+
+class AccelerationShare:
+    """Learns s and f of one or two axes that share them.
+
+    ``share`` is s, within 0.45 to 2.2, and ``is_known`` says whether enough was seen to rely on it.
+
+    ``largest`` is the acceleration at full torque [m/s² or rad/s²]; windows with less than a sixth of it teach nothing:
+    what they show may be friction, a slope or noise. A window in which a limiter took torque away, as from wheels that
+    slip, teaches only that a robot is lighter: it may have had less force than the torque stands for, but not more.
+    """
+
+    __slots__ = ("_scale", "_sums", "_was_limited", "_window", "is_known", "share")
+
+    def __init__(self, largest: float) -> None:
+        self._scale = 1.0 / (largest * _WINDOW_S)
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget everything: a robot that was stopped may have been loaded meanwhile."""
+        self._sums = 0.0, 0.0, 0.0, 0.0, 0.0
+        self.share, self.is_known = 1.0, False
+        self._was_limited = False
+        self._begin(())
+
+    def _begin(self, rates: tuple[float, ...]) -> None:
+        self._window = 0.0, rates, (0.0,) * len(rates)
+
+    def update(self, rates: tuple[float, ...], changes: tuple[float, ...], dt_s: float, *, is_limited: bool) -> None:
+        """Add a tick of ``dt_s`` [s]: the measured ``rates`` now, and the ``changes`` that the commands account for."""
+        passed_s, first, moved = self._window
+        if not first:
+            self._begin(rates)
+            return
+        self._was_limited = self._was_limited or is_limited
+        passed_s += dt_s
+        moved = tuple(map(float.__add__, moved, changes))
+        if passed_s < _WINDOW_S:
+            self._window = passed_s, first, moved
+            return
+        self._begin(rates)
+        gained = sum(u * (end - begin - u) for u, begin, end in zip(moved, first, rates, strict=True))
+        if gained > 0.0 or not self._was_limited:
+            self._learn(first, rates, moved, passed_s)
+        self._was_limited = False
+
+    def _learn(
+        self, first: tuple[float, ...], last: tuple[float, ...], moved: tuple[float, ...], passed_s: float
+    ) -> None:
+        scale = self._scale
+        if math.hypot(*moved) * scale < _GATE:
+            return
+        middle = [0.5 * (one + two) for one, two in zip(first, last, strict=True)]
+        speed = math.hypot(*middle)
+        uu, us, ss, uv, sv = (_FORGET * one for one in self._sums)
+        for begin, end, change, rate in zip(first, last, moved, middle, strict=True):
+            u, v = scale * change, scale * (end - begin)
+            s = -passed_s / _WINDOW_S * rate / speed if speed > 0.0 else 0.0
+            uu, us, ss, uv, sv = uu + u * u, us + u * s, ss + s * s, uv + u * v, sv + s * v
+        self._sums = uu, us, ss, uv, sv
+        a, b, y1, y2 = uu + _PRIOR_SHARE, ss + _PRIOR_FRICTION, uv + _PRIOR_SHARE, sv
+        share = (b * y1 - us * y2) / (a * b - us * us)
+        self.share = min(max(share, _LEAST), _MOST)
+        self.is_known = uu > _TRUSTED
