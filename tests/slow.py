@@ -68,6 +68,8 @@ SLOW = (
     "test_fmu_calls.py::test_two_thousand_instances_leave_nothing_behind",
     "test_load.py::test_a_run_that_was_killed_is_loaded_with_a_note",
     "test_law_code.py::test_a_pair_review_says_that_the_laws_file_changed",
+    "test_init.py::test_all_that_it_writes_passes_at_once_and_the_action_shows_it",
+    "test_init.py::test_by_flags_the_files_are_written_and_never_over_others",
     "test_makers_runs.py::test_the_papers_circle_is_tracked_through_each",
     "test_reproduction.py::test_the_json_keeps_its_form",
     "test_reproduction.py::test_the_pictures_open",

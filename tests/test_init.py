@@ -1,29 +1,34 @@
 """``hil init``: what it writes is a robot and a scenario that run, whatever the robot."""
 
 import os
+import re
+import subprocess
 import sys
 import tomllib
+import zipfile
 from pathlib import Path
 from typing import Any
 
 import pytest
+import yaml
 from hypothesis import given
 from hypothesis import strategies as st
 
 import hil
-from hil.cli.init import ROBOT_FILE, SCENARIO_FILE, begin, init
-from hil.cli.new_robot import QUESTIONS
+from hil.cli.init import ROBOT_FILE, SCENARIO_FILE, WORKFLOW, begin, init
+from hil.cli.new_project import FILES
+from hil.cli.new_robot import PROJECT_QUESTIONS
 from hil.core.errors import BadInputError
 from hil.runtime.assembly import check_scenario
 from hil.scenario import load
 from tests.examples import share_of_examples
-from tests.processes import HIL, environment
+from tests.processes import HIL, ROOT, environment
 
 
 def _answers(**known: Any) -> dict[str, Any]:
     """Return answers to all questions: those known, and else what is proposed."""
     answers: dict[str, Any] = {}
-    for question in QUESTIONS:
+    for question in PROJECT_QUESTIONS:
         name = question.key.partition(".")[2]
         answers[question.key] = known.get(name, question.proposed(answers))
     return answers
@@ -41,7 +46,7 @@ def test_whatever_the_robot_its_first_circle_is_one_that_it_can_drive(
 ) -> None:
     folder = tmp_path_factory.mktemp("robot")
     answers = _answers(mass_kg=mass, wheel_radius_m=radius, half_length_m=length, half_width_m=width)
-    _, path = begin(folder, answers)
+    path = begin(folder, answers)[SCENARIO_FILE]
     scenario = load(path)
     assert check_scenario(scenario).sentences == ()
     assert scenario.robot.mass_kg == mass
@@ -55,13 +60,13 @@ def test_whatever_the_robot_its_first_circle_is_one_that_it_can_drive(
 )
 def test_the_first_circle_is_driven_and_passes(tmp_path: Path, sizes: tuple[float, ...]) -> None:
     names = ("mass_kg", "wheel_radius_m", "half_length_m", "half_width_m")
-    _, path = begin(tmp_path, _answers(**dict(zip(names, sizes, strict=True))))
+    path = begin(tmp_path, _answers(**dict(zip(names, sizes, strict=True))))[SCENARIO_FILE]
     (expected,) = load(path).expect
     run = hil.run(path, set={"loop.duration_s": expected.from_s + 1.0})
     assert run.passed, run.metrics["expect"]
 
 
-def test_by_flags_both_files_are_written_and_never_over_others(
+def test_by_flags_the_files_are_written_and_never_over_others(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     folder = tmp_path / "new"
@@ -69,8 +74,8 @@ def test_by_flags_both_files_are_written_and_never_over_others(
     robot = tomllib.loads((folder / ROBOT_FILE).read_text("utf-8"))
     assert robot["robot"]["mass_kg"] == 12.0
     assert robot["link"]["url"] == "serial:/dev/ttyACM0"
-    hint = capsys.readouterr().out.splitlines()[1]
-    assert hint.startswith(f"Next: hil run {folder / SCENARIO_FILE} --link memory:")
+    assert f"  hil run {folder / SCENARIO_FILE}" in capsys.readouterr().out.splitlines()
+    assert load(folder / SCENARIO_FILE).link.url == "memory:"
     assert load("paper_circle", robot=folder / ROBOT_FILE).robot.mass_kg == 12.0
     with pytest.raises(BadInputError, match="the file exists already; choose another name, or replace it with --force"):
         init(folder, defaults=True)
@@ -94,7 +99,7 @@ def test_a_person_is_asked_again_until_the_answer_is_one(tmp_path: Path) -> None
     pid, terminal = pty.fork()
     if pid == 0:
         os.execve(sys.executable, [*HIL, "init", str(tmp_path), "--mass-kg", "12"], environment())
-    os.write(terminal, b"75\nwide\n0.06\n" + b"\n" * len(QUESTIONS))
+    os.write(terminal, b"75\nwide\n0.06\n" + b"\n" * len(PROJECT_QUESTIONS))
     said = b""
     while True:
         try:
@@ -109,3 +114,62 @@ def test_a_person_is_asked_again_until_the_answer_is_one(tmp_path: Path) -> None
     assert "'wide' is not a number" in text
     robot = tomllib.loads((tmp_path / ROBOT_FILE).read_text("utf-8"))["robot"]
     assert (robot["mass_kg"], robot["wheel_radius_m"]) == (12.0, 0.06)
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="the steps are bash's")
+def test_all_that_it_writes_passes_at_once_and_the_action_shows_it(tmp_path: Path) -> None:
+    """The steps of the action are run as they stand, in the order of its file."""
+    (tmp_path / ".git").mkdir()
+    mine = tmp_path / "robots" / "mine"
+    init(mine, speed_limit_rad_s=40.0, driver="wheeltec", link="serial:/dev/ttyACM0", defaults=True)
+    assert {path.name for path in mine.iterdir()} == {Path(name).name for name in FILES} - {"robot.yml"}
+    workflow = yaml.safe_load((tmp_path / WORKFLOW).read_text("utf-8"))
+    *_, step = workflow["jobs"]["scenarios"]["steps"]
+    assert step["with"] == {"path": "robots/mine"}
+    place, _, version = step["uses"].partition("@")
+    assert (place.split("/")[2:], version) == (["tools", "action"], f"v{hil.__version__}")
+
+    action = yaml.safe_load((ROOT / "tools" / "action" / "action.yml").read_text("utf-8"))
+    values = {name: one["default"] for name, one in action["inputs"].items()} | step["with"]
+    values["package"] = str(_package(tmp_path))
+    summary = tmp_path / "summary.md"
+    given = {"GITHUB_ACTION_PATH": str(ROOT / "tools" / "action"), "GITHUB_STEP_SUMMARY": str(summary)}
+    installed = {"PIP_TARGET": str(tmp_path / "installed"), "PIP_NO_INDEX": "1"}
+    found = environment() | given | installed | {"PATH": f"{Path(sys.executable).parent}:{os.environ['PATH']}"}
+    steps = [one for one in action["runs"]["steps"] if "run" in one]
+    assert [one["name"] for one in steps] == ["Install", "Run", "Summarise"]
+    for one in steps:
+        filled = {
+            name: re.sub(r"\$\{\{ inputs\.(\w+) \}\}", lambda m: values[m[1]], text)
+            for name, text in one["env"].items()
+        }
+        done = subprocess.run(
+            ["bash", "-e", "-c", one["run"]],
+            cwd=tmp_path,
+            env=found | filled,
+            capture_output=True,
+            text=True,
+            check=False,
+        )
+        assert done.returncode == 0, done.stdout + done.stderr
+    assert (tmp_path / "installed" / "robot_package.py").is_file()
+    text = summary.read_text("utf-8")
+    assert "5 in all, 0 failed" in text
+    pages = {path.name for path in (tmp_path / "hil-results").rglob("*.html")}
+    assert pages
+    assert all(f"`{name}`" in text for name in pages)
+
+
+def _package(folder: Path) -> Path:
+    """Return a wheel that pip can install without a network: it stands for ours, which test_install.py builds."""
+    wheel = folder / "robot_package-1-py3-none-any.whl"
+    with zipfile.ZipFile(wheel, "w") as archive:
+        archive.writestr("robot_package.py", "")
+        archive.writestr(
+            "robot_package-1.dist-info/METADATA", "Metadata-Version: 2.1\nName: robot-package\nVersion: 1\n"
+        )
+        archive.writestr(
+            "robot_package-1.dist-info/WHEEL", "Wheel-Version: 1.0\nRoot-Is-Purelib: true\nTag: py3-none-any\n"
+        )
+        archive.writestr("robot_package-1.dist-info/RECORD", "")
+    return wheel

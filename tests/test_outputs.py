@@ -63,7 +63,7 @@ def test_a_name_that_a_terminal_would_obey_is_refused_and_printed_harmlessly(nam
         (("campaign", "report", "."), "report.html"),
         (("campaign", "report", ".", "--html", "{}"), "page.html"),
         (("init", ".", "--defaults"), "robot.toml"),
-        (("init", ".", "--defaults"), "first_circle.toml"),
+        (("init", ".", "--defaults"), "first_circle.hil.toml"),
     ],
 )
 def test_a_command_refuses_a_file_that_is_there(words, file, tmp_path, monkeypatch) -> None:

@@ -18,8 +18,8 @@ from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from hil.cli.init import begin
-from hil.cli.new_robot import QUESTIONS, Value
+from hil.cli.init import ROBOT_FILE, begin
+from hil.cli.new_robot import PROJECT_QUESTIONS, Value
 from hil.commission.commission import commission
 from hil.core.errors import HilError
 from hil.core.options import format_value
@@ -86,9 +86,9 @@ def hidden(seed: int) -> Hidden:
 def robot_file(folder: Path) -> Path:
     """Write the robot of ``hil init`` with these half lengths, and return its file."""
     answers: dict[str, Value] = {}
-    for question in QUESTIONS:
+    for question in PROJECT_QUESTIONS:
         answers[question.key] = GEOMETRY.get(question.key, question.proposed(answers))
-    return begin(folder, answers)[0]
+    return begin(folder, answers)[ROBOT_FILE]
 
 
 def found_right(wired: Hidden, values: dict[str, object], table: Any) -> str | None:

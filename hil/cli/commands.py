@@ -50,7 +50,7 @@ GROUPS = {
         "teleop": "Drive the robot that hil serve runs, by hand: it moves while a key or the gamepad's button is held.",
     },
     "Your robot": {
-        "init": "Write a robot file and a first scenario; ask for the values that no flag gives.",
+        "init": "Write what tests your robot: its file, a law, scenarios, tests, a baseline and a CI workflow.",
         "commission": "Find out, step by step, how a robot is wired, on blocks and on the floor, and write it "
         "into its file.",
         "identify": "Drive your robot so that it shows what it is made of, and fit a plant to the recordings.",

@@ -1,7 +1,9 @@
-"""``hil init``: the first two files of a user's own robot, from answers or flags."""
+"""``hil init``: the files that test a user's own robot, from answers or flags."""
 
+import os
 import sys
 import tempfile
+import tomllib
 from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -10,6 +12,7 @@ import typer
 from typer import Argument, Option
 
 from hil.cli.options import Force, LinkUrl
+from hil.cli.output import say_on_stderr, table
 from hil.core.errors import BadInputError
 from hil.core.outputs import Existing, check_free, existing_files, write_whole
 
@@ -17,14 +20,16 @@ if TYPE_CHECKING:
     from hil.cli.new_robot import Question, Value
 
 ROBOT_FILE = "robot.toml"
-SCENARIO_FILE = "first_circle.toml"
+SCENARIO_FILE = "first_circle.hil.toml"
+WORKFLOW = ".github/workflows/robot.yml"
+_SEEDS = 3
 _SLOWER = 1.25
 _TRIES = 40
 _Number = float | None
 
 
 def init(
-    directory: Annotated[Path, Argument(metavar="[DIRECTORY]")] = Path(),
+    directory: Annotated[Path, Argument(metavar="[DIR]", help="by default this one")] = Path(),
     mass_kg: Annotated[_Number, Option(metavar="KG", help="with everything on it")] = None,
     wheel_radius_m: Annotated[_Number, Option(metavar="M", help="to where a roller touches the floor")] = None,
     half_length_m: Annotated[_Number, Option(metavar="M", help="half the distance of front and rear axle")] = None,
@@ -36,23 +41,29 @@ def init(
     counts_per_revolution: Annotated[int | None, Option(metavar="COUNTS", help="of an encoder, a wheel's turn")] = None,
     torque_constant_n_m_a: Annotated[_Number, Option(metavar="N·M/A", help="torque of a wheel for each ampere")] = None,
     link: LinkUrl = None,
+    driver: Annotated[
+        str | None, Option(metavar="NAME", help="who talks to the motors: one of hil list drivers")
+    ] = None,
+    rate_hz: Annotated[int | None, Option(metavar="HZ", help="of the commands")] = None,
     defaults: Annotated[bool, Option("--defaults", help="take the proposed value where no flag gives one")] = False,
     force: Force = False,
 ) -> None:
-    """Write a robot file and a first scenario; ask for the values that no flag gives.
+    """Write what tests your robot: its file, a law, scenarios, tests, a baseline and a CI workflow.
 
-    Each question, and the file, says what its value means.
+    It asks for the values that no flag gives; each question, and the robot's file, says what its value means. All that
+    it writes runs, and passes, as it stands: on the virtual robot.
     """
-    from hil.cli.new_robot import QUESTIONS, problem_with
+    from hil.cli.new_project import FILES, is_address_set
+    from hil.cli.new_robot import PROJECT_QUESTIONS, problem_with
 
     arguments = dict(locals())
-    given: dict[str, Value | None] = {one.key: arguments[one.parameter] for one in QUESTIONS}
+    given: dict[str, Value | None] = {one.key: arguments[one.parameter] for one in PROJECT_QUESTIONS}
     is_interactive = not defaults and sys.stdin.isatty()
-    missing = [question.flag for question in QUESTIONS if given[question.key] is None]
+    missing = [question.flag for question in PROJECT_QUESTIONS if given[question.key] is None]
     if missing and not defaults and not is_interactive:
         raise BadInputError(f"stdin is not a terminal; give {', '.join(missing)}, or --defaults for proposed values")
     answers: dict[str, Value] = {}
-    for question in QUESTIONS:
+    for question in PROJECT_QUESTIONS:
         value = given[question.key]
         if value is None:
             proposed = question.proposed(answers)
@@ -60,10 +71,17 @@ def init(
         elif (problem := problem_with(question, value)) is not None:
             raise BadInputError(f"{question.flag}: {problem}")
         answers[question.key] = value
-    robot, scenario = begin(directory, answers, existing_files(force=force))
-    print(f"wrote {robot} and {scenario}")
-    elsewhere = " --link memory:" if answers["link.url"] != "memory:" else ""
-    print(f"Next: hil run {scenario}{elsewhere}    # on the virtual robot")
+    existing = existing_files(force=force)
+    written = begin(directory, answers, existing)
+    _write_baseline(directory / SCENARIO_FILE)
+    print("Written:")
+    for line in table([(f"  {path}", FILES[name]) for name, path in written.items()], has_head=False):
+        print(line)
+    if not is_address_set():
+        say_on_stderr(
+            f"hil: note: the address in {WORKFLOW} is not set yet; put the owner of mecanum-hil's repository there"
+        )
+    print(f"Next:\n  hil run {directory / SCENARIO_FILE}\n  pytest {directory}")
 
 
 def _prompt(question: "Question", proposed: "Value") -> "Value":
@@ -83,25 +101,51 @@ def _prompt(question: "Question", proposed: "Value") -> "Value":
         print(problem)
 
 
-def begin(folder: Path, answers: "Mapping[str, Value]", existing: Existing = "refuse") -> tuple[Path, Path]:
-    """Write ``robot.toml`` and ``first_circle.toml`` into ``folder``, which is made if missing; return their paths.
+def begin(folder: Path, answers: "Mapping[str, Value]", existing: Existing = "refuse") -> dict[str, Path]:
+    """Write all files but the baseline into ``folder``, which is made if missing; return their paths by name.
 
-    ``answers`` has a value for every question. Raises BadInputError when a file exists and may not be replaced, when
-    values contradict each other, or when the robot cannot follow the scenario's circle at any speed that is tried.
+    The workflow goes to the top of the repository. ``answers`` has a value for every question. Raises BadInputError
+    when a file exists and may not be replaced, when values contradict each other, or when the robot cannot follow the
+    scenario's circle at any speed that is tried.
     """
+    from hil.cli.new_project import FILES, bad_day_text, law_text, tests_text, workflow_text
     from hil.cli.new_robot import robot_text
 
-    robot, scenario = folder / ROBOT_FILE, folder / SCENARIO_FILE
-    for path in (robot, scenario):
+    top = next((one for one in (folder.absolute(), *folder.absolute().parents) if (one / ".git").exists()), folder)
+    written = {name: (top if name == WORKFLOW else folder) / name for name in FILES}
+    for path in written.values():
         check_free("file", path, existing)
-    texts = robot_text(answers), _feasible(answers)
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise BadInputError(f"folder {folder}: it cannot be made ({error.strerror}); name another") from error
-    for path, text in zip((robot, scenario), texts, strict=True):
+    circle = _feasible(answers)
+    mass_kg, duration_s = float(answers["robot.mass_kg"]), tomllib.loads(circle)["loop"]["duration_s"]
+    texts = {
+        ROBOT_FILE: robot_text(answers),
+        SCENARIO_FILE: circle,
+        "bad_day.hil.toml": bad_day_text(mass_kg, duration_s),
+        "my_law.py": law_text(),
+        "test_my_law.py": tests_text(mass_kg),
+        WORKFLOW: workflow_text(os.path.relpath(folder, top)),
+    }
+    for name, text in texts.items():
+        path = written[name]
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise BadInputError(f"folder {path.parent}: it cannot be made ({error.strerror}); name another") from error
         write_whole(path, text.encode(), "file", existing)
-    return robot, scenario
+    return written
+
+
+def _write_baseline(scenario: Path) -> None:
+    """Run a scenario with a few seeds and write its baseline. Raises BadInputError when it does not pass."""
+    from hil.batch.baselines import make_baselines
+    from hil.scenario import load
+
+    [made] = make_baselines([load(scenario)], _SEEDS)
+    if made.new is None:
+        raise BadInputError(
+            f"{scenario}: the virtual robot does not pass it: {'; '.join(made.failed)}; check the limits"
+        )
+    made.write()
 
 
 def _feasible(answers: "Mapping[str, Value]") -> str:

@@ -7,16 +7,19 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from typing import NamedTuple
 
+from hil.core.errors import BadInputError
 from hil.core.model import GRAVITY_M_S2
 from hil.core.options import Option, OptionsError, build, options_of
 from hil.drivers.port import Found
-from hil.scenario import format_value
+from hil.drivers.registry import OUR_DRIVER
+from hil.scenario import format_value, load
 from hil.scenario.tables import Tables
 
 Value = float | int | str
 Answers = Mapping[str, Value]
 
 _GRIP = 0.7
+_RATES_HZ = (200, 100, 50, 20)
 _SPEED_M_S = 1.5
 _WHEEL_SHARE = 0.09
 """Share of the robot's mass in one wheel with its rollers and motor, taken as a disc."""
@@ -68,6 +71,8 @@ class Question(NamedTuple):
                 value = min(15.0, _GRIP * mass_kg * GRAVITY_M_S2 / 4 * radius_m / math.sqrt(2))
             case "speed_limit_rad_s":
                 value = min(60.0, _SPEED_M_S / radius_m)
+            case "rate_hz":  # as fast as the driver's feedback allows
+                return _fastest(str(known["driver"]))
             case _:  # the torque constant at which the torque limit takes about 1.4 A
                 value = max(0.001, 0.7 * float(known["torque_limit_n_m"]))
         return _rounded(value)
@@ -93,11 +98,29 @@ QUESTIONS = (
     Question("firmware.torque_constant_n_m_a"),
     Question("link.url", "memory:"),
 )
+PROJECT_QUESTIONS = (*QUESTIONS, Question("device.driver", OUR_DRIVER), Question("loop.rate_hz"))
+"""Those of a repository of one's own: with the driver, and the rate of the commands."""
 
 
 def _rounded(value: float) -> float:
     """Return a value rounded to three digits."""
     return float(f"{value:.3g}")
+
+
+def _fastest(driver: str) -> int:
+    """Return the highest of the usual rates that a driver can hold [Hz]. Raises BadInputError if it can hold none."""
+    for rate_hz in _RATES_HZ:
+        watchdog_s = min(max(5.0 / rate_hz, 0.02), 0.1)  # as the first circle has by default
+        try:
+            load(
+                "circle_speed",
+                set={"device.driver": driver, "loop.rate_hz": rate_hz, "firmware.watchdog_s": watchdog_s},
+            )
+        except BadInputError as error:
+            problem = error
+        else:
+            return rate_hz
+    raise problem
 
 
 def option_of(key: str) -> Option:
@@ -169,14 +192,17 @@ heading_rad = 0.0
 [estimator]
 source = "odometry"                     # "truth" where it is measured; "fused" with pose fixes
 
+[link]
+url = "memory:"                         # the virtual robot; the real one: --mode realtime --robot robot.toml
+
 [loop]
-rate_hz = 200
+rate_hz = {answers["loop.rate_hz"]}
 duration_s = {period_s:g}
 
 [[expect]]                              # needs the truth, which the virtual robot has
 signal = "error.planar_m"
 from_s = {period_s / 2:g}
-below = 0.02
+below = 0.05
 """
 
 

@@ -1,0 +1,153 @@
+"""The files of a repository that tests a robot, beside the robot's own: a law, a bad day, tests, and a workflow.
+
+``hil init`` writes them, and each says what it is for. Everything in them runs as it stands.
+"""
+
+import importlib.metadata
+from collections.abc import Mapping
+
+from hil import __version__
+from hil.core.extensions import OUR_PACKAGE
+from hil.core.model import GRAVITY_M_S2
+
+_PUSH_SHARE = 0.05
+"""Force of the push as a share of the robot's weight."""
+_TO_BE_SET = "OWNER"
+
+
+def action() -> str:
+    """Return the GitHub Action of this version, as a workflow names it; the address is that of the package."""
+    links = importlib.metadata.metadata(OUR_PACKAGE).get_all("Project-URL") or ()
+    addresses = dict(link.split(", ", 1) for link in links)
+    return f"{addresses['Repository'].removeprefix('https://github.com/')}/tools/action@v{__version__}"
+
+
+def is_address_set() -> bool:
+    """Whether the package says where its repository is."""
+    return not action().startswith(f"{_TO_BE_SET}/")
+
+
+def law_text() -> str:
+    """Return a law in a few lines, with what it is given and what it returns."""
+    return '''\
+"""A control law of your own: it turns where the robot is, and should be, into wheel speeds.
+
+It sees no clock, no link and no plant, so it runs unchanged on the virtual robot and on the real one.
+"""
+
+from hil.core.model import RobotModel
+from hil.core.types import ZERO_WHEELS, Applied, CommandMode, Reference, State, WheelCommand
+
+GAIN_1_S = 4.0  # an error of 1 m is answered with 4 m/s
+
+
+class MyLaw:
+    """Drives with the twist of the reference, minus the gain times the error."""
+
+    def __init__(self, model: RobotModel, mode: CommandMode) -> None:
+        self._model = model  # mass, lengths and limits, as robot.toml has them
+
+    def reset(self, state: State, reference: Reference) -> None:
+        """Forget what was before; called once before the first tick. This law remembers nothing."""
+
+    def update(self, reference: Reference, state: State, applied: Applied, dt_s: float) -> WheelCommand:
+        """Return the command of this tick.
+
+        state.pose, state.twist: where the robot is: x [m], y [m], heading [rad], and their rates, in the world frame.
+        reference.pose, .twist, .acceleration: where it should be, in the same units.
+        applied: the command that was really sent last, and the latency; dt_s: the time between two ticks.
+        """
+        errors = [is_ - should for is_, should in zip(state.pose, reference.pose, strict=True)]
+        wish = [speed - GAIN_1_S * error for speed, error in zip(reference.twist, errors, strict=True)]
+        # A twist becomes four wheel speeds [rad/s], in the order FL, FR, RR, RL, by the robot's geometry.
+        speeds = self._model.wheel_speeds((wish[0], wish[1], wish[2]), state.pose.heading_rad)
+        return WheelCommand(CommandMode.SPEED, speeds, ZERO_WHEELS)
+'''
+
+
+def bad_day_text(mass_kg: float, duration_s: float) -> str:
+    """Return a scenario with faults: the first circle, with commands that get lost and a push."""
+    push_s = round(duration_s / 2, 1)
+    return f"""\
+# A bad day: one command in fifty is lost, and somebody pushes the robot.
+# It passes when every claim holds, and when every fault was really applied.
+
+extends = "first_circle.hil.toml"
+
+[[fault]]                               # `hil list faults` prints all kinds
+kind = "drop"
+target = "command"
+value = 0.02
+start_s = 1.0
+
+[[fault]]
+kind = "push"
+target = "force_x_n"
+value = {_PUSH_SHARE * mass_kg * GRAVITY_M_S2:.3g}
+start_s = {push_s:g}
+end_s = {push_s + 0.2:g}
+
+[[expect]]                              # a claim; `hil list signals` prints what it can be about
+signal = "error.planar_m"
+after_fault = "push"
+within_s = 2.0
+below = 0.05
+"""
+
+
+def tests_text(mass_kg: float) -> str:
+    """Return the tests of the law: pytest finds them, and every *.hil.toml beside them."""
+    return f'''\
+"""Tests of the law; run `pytest` here. The files *.hil.toml beside this one are tests too."""
+
+from pathlib import Path
+
+HERE = Path(__file__).parent
+MINE = {{"controller.law": f"{{HERE / 'my_law.py'}}:MyLaw", "controller.gains": {{}}}}
+HEAVIER = {{"plant.start.mass_kg": {1.2 * mass_kg:.4g}}}  # than robot.toml says
+
+
+def test_my_law_drives_the_circle(hil_run):
+    hil_run(HERE / "first_circle.hil.toml", set=MINE)  # fails with a report when a claim does not hold
+
+
+def test_my_law_survives_a_bad_day(hil_run):
+    hil_run(HERE / "bad_day.hil.toml", set=MINE)
+
+
+def test_my_law_does_not_need_to_know_the_mass(hil_run):
+    result = hil_run(HERE / "first_circle.hil.toml", set=MINE | HEAVIER)
+    assert result.signals["error.planar_m"][-1] < 0.05
+'''
+
+
+def workflow_text(folder: str) -> str:
+    """Return a workflow for GitHub that runs the tests of a folder of the repository."""
+    return f"""\
+# Runs scenarios and tests on each push. Verdicts are in the job's summary; pages and recordings are its artifact.
+name: robot
+on: [push, pull_request]
+jobs:
+  scenarios:
+    runs-on: ubuntu-latest
+    steps:
+      - uses: actions/checkout@v4
+      - uses: actions/setup-python@v5
+        with:
+          python-version: "3.12"
+      - uses: {action()}
+        with:
+          path: {folder}
+"""
+
+
+FILES: Mapping[str, str] = {
+    "robot.toml": "your robot: mass, sizes, limits, driver, link",
+    "first_circle.hil.toml": "a scenario: a circle that it can drive",
+    "bad_day.hil.toml": "the same circle with lost commands and a push",
+    "my_law.py": "a control law of your own, to be changed",
+    "test_my_law.py": "tests of the law",
+    "first_circle.baseline.toml": "the figures of the circle today; a later run that differs fails",
+    ".github/workflows/robot.yml": "the same in GitHub's CI",
+}
+"""What each file is for."""
