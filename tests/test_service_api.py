@@ -21,6 +21,7 @@ from hil.service.messages import Action, Answer, ApiConfig, Phase
 from tests.processes import wait_for
 from tests.service_testbed import LIMITS, STATUS, ControlSide
 from tests.test_printable import EVIL, HARMFUL
+from tests.test_service_live import UPGRADE
 
 ROUTES = {
     ("GET", "/v1/status"): None,
@@ -87,10 +88,8 @@ def test_no_route_lets_anybody_in_without_the_token_or_under_a_foreign_name(
 
 
 def test_the_websocket_lets_nobody_in_without_the_token_or_under_a_foreign_name(side: ControlSide) -> None:
-    upgrade = {"Connection": "Upgrade", "Upgrade": "websocket", "Sec-WebSocket-Version": "13"}
-    upgrade["Sec-WebSocket-Key"] = "dGhlIHNhbXBsZSBub25jZQ=="
     for headers, expected in [({}, 401), (side.headers | {"Host": "robot.example.com"}, 421)]:
-        response = side.request("GET", "/v1/live", headers=upgrade | headers)
+        response = side.request("GET", "/v1/live", headers=UPGRADE | headers)
         assert (response.status_code, list(response.json())) == (expected, ["detail"])
 
 

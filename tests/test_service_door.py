@@ -1,5 +1,6 @@
 """The API under clients without a token, and under more orders than it can take: the emergency stop gets through."""
 
+import asyncio
 import contextlib
 import json
 import re
@@ -15,6 +16,9 @@ from urllib.parse import urlsplit
 
 import httpx
 import pytest
+import uvicorn
+from uvicorn.protocols.utils import ClientDisconnected
+from uvicorn.server import ServerState
 
 from hil.service.api.door import Connection, Door
 from hil.service.messages import Action
@@ -159,6 +163,19 @@ def test_whole_requests_of_strangers_crowd_out_no_request_with_the_token() -> No
         door.enter(cast(Connection, one), is_served=True)
     assert not known.aborted
     assert sum(one.aborted for one in strangers) == 400 - 256
+
+
+def test_a_websocket_that_was_closed_for_want_of_pongs_is_a_client_that_has_gone() -> None:
+    """To uvicorn what is sent then is an error of the application, and a traceback for each such client."""
+
+    async def send() -> None:
+        config = uvicorn.Config(lambda *_: None, log_config=None)  # type: ignore[arg-type]
+        live = Door(lambda headers: True).protocols()[1](config, ServerState(), {})
+        live.close_sent = True
+        await live.send({"type": "websocket.send", "text": "{}"})
+
+    with pytest.raises(ClientDisconnected):
+        asyncio.run(send())
 
 
 def test_the_websocket_has_room_for_64_and_others_are_told(side: ControlSide) -> None:

@@ -15,6 +15,7 @@ from typing import Any, cast
 
 import h11
 from uvicorn.protocols.http.h11_impl import H11Protocol
+from uvicorn.protocols.utils import ClientDisconnected
 from uvicorn.protocols.websockets.websockets_sansio_impl import WebSocketsSansIOProtocol
 
 from hil.service import logs
@@ -175,9 +176,12 @@ class Handshake(WebSocketsSansIOProtocol):
         super().connection_lost(exc)
 
     async def send(self, message: Any) -> None:
-        """Send what the application says; after its first answer nothing is waited for."""
+        """Send what the application says; after its first answer nothing is waited for. Raises ClientDisconnected."""
+        if self.close_sent:  # the client has answered no ping; to uvicorn it is an error to send to it now
+            raise ClientDisconnected
         await super().send(message)
-        if self.handshake_complete:
+        if self.handshake_complete or self.close_sent:
+            self.handshake_complete = True  # of a refusal too, which uvicorn takes for no answer
             self.door.leave(self)
 
 

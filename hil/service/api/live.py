@@ -178,5 +178,5 @@ class LiveClient:
                 await self._socket.send_json({"motion": motion})
 
     async def _close(self, code: int, reason: str) -> None:
-        with contextlib.suppress(RuntimeError):  # the client has closed it already
+        with contextlib.suppress(RuntimeError, WebSocketDisconnect):  # the client has closed it already
             await self._socket.close(code, reason)
