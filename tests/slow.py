@@ -50,6 +50,7 @@ SLOW = (
     "test_foreign_plant_runs.py::test_what_a_chatty_fmu_prints_is_recorded_in_part_and_disturbs_nothing",
     "test_foreign_plant_runs.py::test_odometry_of_a_robot_in_another_process_begins_there_too",
     "test_foreign_plant_runs.py::test_ctrl_c_stops_the_robot_while_its_plant_goes_on",
+    "test_full_disk.py::test_a_recording_says_that_the_disk_is_full_what_is_lost_and_what_is_safe",
     "test_pytest_plugin_install.py",
     "test_rearm_processes.py",
     "test_service_live.py::test_an_api_process_that_is_killed_or_hangs_is_restarted_with_its_port_and_token",

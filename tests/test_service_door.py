@@ -169,7 +169,7 @@ def test_a_websocket_that_was_closed_for_want_of_pongs_is_a_client_that_has_gone
     """To uvicorn what is sent then is an error of the application, and a traceback for each such client."""
 
     async def send() -> None:
-        config = uvicorn.Config(lambda *_: None, log_config=None)  # type: ignore[arg-type]
+        config = uvicorn.Config(lambda *_: None, log_config=None)
         live = Door(lambda headers: True).protocols()[1](config, ServerState(), {})
         live.close_sent = True
         await live.send({"type": "websocket.send", "text": "{}"})
