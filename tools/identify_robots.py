@@ -1,10 +1,10 @@
 """How well hil identify finds robots that nobody knows: ``python -m tools.identify_robots --robots 20``.
 
 Each robot is random and never a default one. It is driven over the wire as ``hil identify drive`` does, with noise of
-the gyro, encoders of 4096 counts and late, noisy pose fixes; 30 mA of noise are added to each recorded current, which
-the plant does not have. It is weighed, and fitted as ``hil identify fit`` does. Prints errors, how many true values
-are within their intervals, the prediction of a held-out drive, and the time of the fit. A file of outcomes is
-continued where it ended. ``--page`` writes the table into hil/identify/METHOD.md.
+the gyro, encoders of 4096 counts and late, noisy pose fixes; the recorded currents get noise, offsets and gains, which
+the plant does not have. It is weighed, and fitted as ``hil identify fit`` does. Prints errors, how many true values are
+within their intervals, the prediction of a held-out drive, and the time of the fit. A file of outcomes is continued
+where it ended. ``--page`` writes the table into hil/identify/METHOD.md.
 """
 
 import argparse
@@ -24,8 +24,7 @@ from hil.core.errors import HilError
 from hil.core.outputs import write_whole
 from hil.identify.drive import STEPS, Plan, plan_step
 from hil.identify.estimates import Estimate, estimates
-from hil.identify.fit import LENGTHS, Result, fit
-from hil.identify.floor import GAINS
+from hil.identify.fit import fit
 from hil.identify.recorded import Drive, drive_of
 from hil.runtime.assembly import RunOptions, run_scenario
 from hil.scenario import resolved
@@ -33,7 +32,8 @@ from tests.hidden_robots import Hidden, hidden_robot, write_scenario
 
 PAGE = Path(__file__).parents[1] / "hil" / "identify" / "METHOD.md"
 BEGIN, END = "<!-- robots: begin -->", "<!-- robots: end -->"
-CURRENT_NOISE_A = 0.03
+CURRENT_NOISE_A, CURRENT_OFFSET_A, CURRENT_GAIN = 0.03, 0.003, 0.01
+"""Standard deviations of the current sensors: of a reading, of an offset, and of the logarithm of a gain."""
 PLANTS: dict[str, dict[str, object]] = {"rigid": {"contact": "rigid"}, "slip": {"contact": "slip"}, "mujoco": {}}
 NAMES = {
     "torque_constant_n_m_a": ("torque constant", "%", 100.0),
@@ -73,27 +73,11 @@ def outcome(seed: int, plant: str) -> dict[str, Any]:
         "chosen": result.chosen.contact,
         "error": {name: _error(one, true[name]) for name, one in found.items()},
         "width": {name: _width(one, true[name]) for name, one in found.items()},
-        "shares": {
-            source: {one.name: _width(one, true[one.name]) for one in ones if one.name in found}
-            for source, ones in _shares(result, robot.true["mass_kg"])
-        },
         "held": {name: one.low <= true[name] <= one.high for name, one in found.items()},
         "before_m": result.before.rms_m,
         **{f"{model.contact}_m": model.held_out.rms_m for model in result.models},
         "fit_s": fit_s,
     }
-
-
-def _shares(result: Result, mass_kg: float) -> Iterator[tuple[str, Sequence[Estimate]]]:
-    """Yield what intervals would be if nothing but the lengths, or the gains of the currents, were uncertain."""
-    model = result.chosen
-    solution, names = model.solution, [one.name for one in model.parameters]
-    for source, of_source in (("lengths", LENGTHS), ("gains", [one.name for one in GAINS])):
-        inner = np.ix_(*[[names.index(name) for name in of_source]] * 2)
-        held = np.zeros_like(solution.covariance)
-        held[inner] = solution.covariance[inner]
-        share = solution._replace(covariance=solution.carried @ held @ solution.carried.T)
-        yield source, estimates(result._replace(chosen=model._replace(solution=share)), mass_kg)
 
 
 def _width(one: Estimate, true: float) -> float:
@@ -109,6 +93,8 @@ def _drives(folder: Path, robot: Hidden, seed: int, plant: str) -> Iterator[tupl
     if plant == "mujoco":
         scenario.write_text(mujoco_text(scenario.read_text("utf-8")), encoding="utf-8")
     noise = np.random.default_rng(seed)
+    gains, offsets_a = noise.normal(0.0, CURRENT_GAIN, 4), noise.normal(0.0, CURRENT_OFFSET_A, 4)
+    gains = np.exp(gains - gains.mean())  # what they share is in the torque constant
     for name in STEPS:
         step = plan_step(name, scenario, Plan(seed=seed))
         result = run_scenario(step.scenario, RunOptions(lenient=True))
@@ -116,10 +102,8 @@ def _drives(folder: Path, robot: Hidden, seed: int, plant: str) -> Iterator[tupl
             raise result.failure
         values = {key: value for key, value, _ in resolved(step.scenario)}
         drive = drive_of(Path(f"{name} of robot {seed}"), values, dict(result.signals))
-        yield (
-            name,
-            replace(drive, current_a=drive.current_a + noise.normal(0.0, CURRENT_NOISE_A, drive.current_a.shape)),
-        )
+        read_a = noise.normal(0.0, CURRENT_NOISE_A, drive.current_a.shape)
+        yield name, replace(drive, current_a=gains * drive.current_a + offsets_a + read_a)
 
 
 def mujoco_text(text: str) -> str:

@@ -2,5 +2,5 @@
 
 May import: `runtime`, `review`, `scenario`, `plant`, `core`.
 IDENTIFY.md is for the user, METHOD.md has equations and accuracies. To add a parameter: a row in `RIGID` or `SLIP` of
-`fit.py`.
+`before.py`.
 """

@@ -1,8 +1,9 @@
 """Wheels on blocks: inertia and friction of each, by the balance of its angular momentum over short bins.
 
-    κ ∫i dt = J Δω + b Δθ + c ∫sgn(ω) dt
+    κ ∫i dt = J Δω + b Δθ + c ∫sgn(ω) dt + o Δt
 
-for each wheel, with one J and b for all and a c for each: on blocks the load on a bearing is not that on the floor.
+for each wheel by itself, with the offset o of its current. J and b of a fit are the means of the four: the gains of
+current sensors differ. c is not used further: on blocks the load on a bearing is not that on the floor.
 The currents are means over each feedback period, so the left side is exact however the motor was driven in between.
 """
 
@@ -25,20 +26,20 @@ _LEAST_BINS = 40
 
 
 class BlocksFit(NamedTuple):
-    """Inertia [kg·m²] and viscous friction [N·m·s/rad] of a wheel, Coulomb friction of each wheel [N·m].
+    """Inertia [kg·m²] and viscous friction [N·m·s/rad] of a wheel, and the covariance (2, 2) of both.
 
-    ``covariance`` (6, 6) is of these in this order. All are for the torque constant that the fit was given.
+    They are for the torque constant that the fit was given.
     """
 
     inertia_kg_m2: float
     viscous_n_m_s_rad: float
-    coulomb_n_m: Array
     covariance: Array
 
-    def of_logarithms(self) -> tuple[Array, Array]:
-        """Return the logarithms of inertia and viscous friction, and their covariance."""
+    def covariance_of_logarithms(self) -> Array:
+        """Return the covariance (2, 2) of the logarithms of inertia and viscous friction."""
         found = np.array([self.inertia_kg_m2, self.viscous_n_m_s_rad])
-        return np.log(found), self.covariance[:2, :2] / np.outer(found, found)
+        covariance: Array = self.covariance / np.outer(found, found)
+        return covariance
 
 
 def fit_blocks(drive: Drive, torque_constant_n_m_a: float) -> BlocksFit:
@@ -65,19 +66,23 @@ def fit_blocks(drive: Drive, torque_constant_n_m_a: float) -> BlocksFit:
                 f"{_LEAST_BINS * span_s:g} s on blocks, faster than {_SLOWEST_RAD_S:g} rad/s"
             )
     bins, wheels = np.nonzero(used)
-    design = np.zeros((len(bins), 6))
-    design[:, 0], design[:, 1] = change[used], turned[used]
-    design[np.arange(len(bins)), 2 + wheels] = np.sign(turned[used]) * span_s
+    columns = np.stack([change[used], turned[used], np.sign(turned[used]) * span_s, np.full(len(bins), span_s)])
+    every, count = np.arange(len(bins)), len(WHEEL_NAMES)
+    design = np.zeros((len(bins), len(columns) * count))
+    for place, column in enumerate(columns):
+        design[every, place * count + wheels] = column
     # Speeds of other samples have the same motion and other noise: without them noise would make J smaller.
     instrument = design.copy()
-    instrument[:, 0] = np.diff(_speed(drive, half + 2)[ends], axis=0)[used]
-    found, covariance = regression(design, impulse[used], instrument, bins // _CLUSTER_BINS)
+    instrument[every, wheels] = np.diff(_speed(drive, half + 2)[ends], axis=0)[used]
+    by_wheel, of_wheels = regression(design, impulse[used], instrument, bins // _CLUSTER_BINS)
+    means = np.kron(np.eye(2, len(columns)), np.full((1, count), 1.0 / count))
+    found, covariance = means @ by_wheel, means @ of_wheels @ means.T
     if found[0] <= 0.0 or found[1] <= 0.0:
         raise BadInputError(
             f"{drive.path}: on blocks the wheels' inertia came out as {found[0]:.3g} kg m2 and their viscous friction "
             f"as {found[1]:.3g} N m s/rad; expected positive numbers: check the signs of currents and speeds"
         )
-    return BlocksFit(float(found[0]), float(found[1]), found[2:], covariance)
+    return BlocksFit(float(found[0]), float(found[1]), covariance)
 
 
 def _speed(drive: Drive, half: int) -> Array:

@@ -10,10 +10,12 @@ import numpy as np
 
 import plant_fmu
 from hil.core.model import RobotModel
+from hil.core.types import WHEEL_NAMES
+from hil.identify.before import ROLLERS, Before
 from hil.identify.blocks import BlocksFit, fit_blocks
 from hil.identify.currents import quiet
-from hil.identify.floor import GAINS, GYRO_BIAS, STRETCH, Floor, Parameter, variable, variables_of
-from hil.identify.gauss_newton import Knowledge, Solution, inverted, solve
+from hil.identify.floor import GAINS, GYRO_BIAS, Floor, Parameter, variables_of
+from hil.identify.gauss_newton import Solution, inverted, solve
 from hil.identify.held_out import Prediction, predict
 from hil.identify.identifiability import Outlook, check_excitation, outlook
 from hil.identify.kinematics import Kinematics, Tape, fit_kinematics, with_geometry
@@ -24,27 +26,10 @@ from hil.identify.trouble import check_level, check_motors
 from hil.identify.windows import Windows, cut
 from hil.plant.start import Value
 
-ROLLERS = "roller_friction_coefficient"
-"""Often next to zero, so it is not a logarithm."""
-RIGID = (
-    variable("mass_kg"),
-    variable("inertia_kg_m2"),
-    variable("wheel_inertia_kg_m2"),
-    variable("com_x_m", 0.05),
-    variable("com_y_m", 0.05),
-    variable("friction_coefficient"),
-    variable("viscous_n_m_s_rad"),
-)
-SLIP = (*RIGID, variable("grip_coefficient"), variable(ROLLERS, 0.01))
-LENGTHS = ("wheel_radius_m", "lever_m")
-_FIRST = {"friction_coefficient": 0.02, "viscous_n_m_s_rad": 0.02, "grip_coefficient": 0.7,
-          ROLLERS: 0.01, "com_x_m": 0.0, "com_y_m": 0.0, STRETCH.name: 0.0}  # fmt: skip
 _WIDEST = 6.0
 _SMALL = 1e-3
-_GRIP_SIGMA = 0.3  # of its logarithm: rubber on floors
-_ROLLER_SIGMA = 1.0  # of 0.01
-_LENGTH_SIGMA = 0.02  # of half the length and half the width, as somebody measured them
 _MOST_SLIP_WINDOWS = 60
+_NAMED_GAIN = 0.01
 WITHOUT_BLOCKS = 2.5
 """By which intervals of what mass and wheels share are widened without wheels on blocks, measured on random robots."""
 
@@ -124,7 +109,8 @@ def fit(
     robot = replace(first.robot, **with_geometry(first.robot, kinematics))
     on_blocks = None if blocks is None else fit_blocks(blocks, torque_constant)
     windows = [cut(drive, robot) for drive in floor]
-    known = _Before(robot, torque_constant, kinematics, on_blocks, measured.gain_variance)
+    usual_a = np.sqrt(np.mean(np.concatenate([drive.current_a for drive in floor]) ** 2, axis=0))
+    known = Before(robot, torque_constant, kinematics, on_blocks, measured.gain_variance, usual_a)
     seen = _prospect(known, windows)
     models: list[Fitted] = []
     notes, grip = [*measured.sentences], None
@@ -142,6 +128,10 @@ def fit(
     bias = kinematics.gyro_bias_rad_s
     prediction = predict(held_out, robot, bias, fmu, believed, torque_constant)
     chosen = min(models, key=lambda model: model.held_out.rms_m)
+    gains = [values_of(chosen)[one.name] for one in GAINS]
+    if max(abs(gain - 1.0) for gain in gains) > _NAMED_GAIN:
+        named = ", ".join(f"{wheel} {gain:.3f}" for wheel, gain in zip(WHEEL_NAMES, gains, strict=True))
+        notes.append(f"the current sensors differ; true current over measured, against the mean of the four: {named}")
     return Result(
         first.robot,
         _with_lengths(robot, chosen.start),
@@ -181,46 +171,17 @@ def _shared(contact: str) -> dict[str, Value]:
     return {"drive": "torque", "contact": contact, "longest_step_s": 0.01}
 
 
-class _Before(NamedTuple):
-    """What is known before the dynamics are fitted."""
-
-    robot: RobotModel
-    torque_constant_n_m_a: float
-    kinematics: Kinematics
-    blocks: BlocksFit | None
-    gain_variance: Array
-
-    def parameters(self, contact: str) -> tuple[Parameter, ...]:
-        """Return what is fitted, the lengths, the currents' gains, and last the gyro's bias."""
-        shares = {name: getattr(self.robot, name) / self.robot.lever_m for name in ("half_length_m", "half_width_m")}
-        lengths = (variable("wheel_radius_m"), Parameter("lever_m", shares))
-        return (*(RIGID if contact == "rigid" else SLIP), STRETCH, *lengths, *GAINS, GYRO_BIAS)
-
-    def point(self, parameters: Sequence[Parameter], fitted: Mapping[str, float]) -> Array:
-        """Return the numbers with which a fit begins; ``fitted`` are values of a simpler model."""
-        robot = self.robot
-        first = {name: getattr(robot, name) for name in ("mass_kg", "inertia_kg_m2", "wheel_inertia_kg_m2", *LENGTHS)}
-        first |= dict.fromkeys([one.name for one in GAINS], 1.0)
-        first |= {**_FIRST, GYRO_BIAS.name: self.kinematics.gyro_bias_rad_s, **fitted}
-        if self.blocks is not None:
-            first |= {
-                "wheel_inertia_kg_m2": self.blocks.inertia_kg_m2,
-                "viscous_n_m_s_rad": self.blocks.viscous_n_m_s_rad,
-            }
-        return np.array([one.internal(first[one.name]) for one in parameters])
-
-
-def _prospect(before: _Before, windows: Sequence[Windows]) -> Outlook:
+def _prospect(before: Before, windows: Sequence[Windows]) -> Outlook:
     """Return what the drives can tell. Raises BadInputError when that is not enough."""
     parameters = before.parameters("rigid")
     point = before.point(parameters, {})
     with contextlib.ExitStack() as opened:
         floors = _opened(before, "rigid", parameters, windows, opened)
-        return outlook(floors, parameters, point, _known(parameters, point, before))
+        return outlook(floors, parameters, point, before.knowledge(parameters))
 
 
 def _opened(
-    before: _Before,
+    before: Before,
     contact: str,
     parameters: Sequence[Parameter],
     windows: Sequence[Windows],
@@ -234,13 +195,13 @@ def _fit_model(
     contact: str,
     drives: Sequence[Drive],
     windows: Sequence[Windows],
-    before: _Before,
+    before: Before,
     simpler: Fitted | None,
     held_out: Drive,
 ) -> Fitted:
     parameters = before.parameters(contact)
     point = before.point(parameters, {} if simpler is None else values_of(simpler))
-    known = _known(parameters, point, before)
+    known = before.knowledge(parameters)
     if contact == "slip":  # each step takes twenty times as long
         windows = [one.thinned(_MOST_SLIP_WINDOWS // len(windows)) for one in windows]
     with contextlib.ExitStack() as opened:
@@ -257,14 +218,14 @@ def _fit_model(
 
 
 def _squeezed(
-    model: Fitted, squeeze: Drive, before: "_Before", held_out: Drive
+    model: Fitted, squeeze: Drive, before: Before, held_out: Drive
 ) -> tuple[Fitted, tuple[float, float] | None, str]:
     """Return a model with a squeeze's grip in place of the floor's, which hardly shows it; the grip; and a sentence."""
 
     def found(numbers: Array) -> Squeeze:
-        values = values_of(model._replace(solution=model.solution._replace(parameters=numbers)))
+        values = _named(model.parameters, numbers)
         robot = _with_lengths(before.robot, variables_of(model.parameters, numbers))
-        return grip_of(squeeze, robot, values, before.torque_constant_n_m_a)
+        return grip_of(_with_gains(squeeze, values), robot, values, before.torque_constant_n_m_a)
 
     numbers, covariance = model.solution.parameters.copy(), model.solution.covariance.copy()
     squeezed = found(numbers)
@@ -284,45 +245,27 @@ def _squeezed(
 
 
 def _judged(
-    contact: str, parameters: tuple[Parameter, ...], solution: Solution, before: "_Before", held_out: Drive
+    contact: str, parameters: tuple[Parameter, ...], solution: Solution, before: Before, held_out: Drive
 ) -> Fitted:
     """Return a model with its start values and its error on the held-out drive."""
     found = variables_of(parameters, solution.parameters)
     start = _shared(contact) | {name: float(value) for name, value in found.items()}
     bias = float(GYRO_BIAS.value(solution.parameters[-1]))
     constant = before.torque_constant_n_m_a
-    prediction = predict(held_out, before.robot, bias, plant_fmu.path(2), start, constant)
+    judge = _with_gains(held_out, _named(parameters, solution.parameters))
+    prediction = predict(judge, before.robot, bias, plant_fmu.path(2), start, constant)
     return Fitted(contact, parameters, solution, prediction, start)
 
 
 def values_of(model: Fitted) -> dict[str, float]:
     """Return the fitted values by the parameters' names."""
-    both = zip(model.parameters, model.solution.parameters, strict=True)
-    return {one.name: float(one.value(number)) for one, number in both}
+    return _named(model.parameters, model.solution.parameters)
 
 
-def _known(parameters: Sequence[Parameter], point: Array, before: _Before) -> Knowledge:
-    """Return what else was found: lengths and gains are held, and blocks and squeeze count as measurements."""
-    names, blocks = [one.name for one in parameters], before.blocks
-    known = Knowledge.none(len(names))._replace(mean=point.copy())
-    held = [names.index(name) for name in LENGTHS]
-    known.held[held] = True
-    known.held_covariance[np.ix_(held, held)] = before.kinematics.covariance
-    gains = [names.index(one.name) for one in GAINS]
-    known.held[gains] = True
-    known.held_covariance[gains, gains] = before.gain_variance
-    if blocks is not None:
-        places = [names.index(name) for name in ("wheel_inertia_kg_m2", "viscous_n_m_s_rad")]
-        known.mean[places], covariance = blocks.of_logarithms()
-        # Both are in proportion to the mean of the currents' gains.
-        places += gains
-        rows = np.concatenate([np.eye(2), np.full((2, len(gains)), -1.0 / len(gains))], axis=1)
-        known.information[np.ix_(places, places)] = rows.T @ inverted(covariance) @ rows
-    robot, place = before.robot, names.index(STRETCH.name)
-    sigma_m = np.sqrt(2.0) * _LENGTH_SIGMA * robot.half_length_m * robot.half_width_m / robot.lever_m
-    known.mean[place] = 0.0  # as it was believed; a simpler model may have moved the point
-    known.information[place, place] = (STRETCH.internal(1.0) * sigma_m) ** -2
-    if "grip_coefficient" in names:
-        known.information[(names.index("grip_coefficient"),) * 2] = _GRIP_SIGMA**-2
-        known.information[(names.index(ROLLERS),) * 2] = _ROLLER_SIGMA**-2
-    return known
+def _named(parameters: Sequence[Parameter], numbers: Array) -> dict[str, float]:
+    return {one.name: float(one.value(number)) for one, number in zip(parameters, numbers, strict=True)}
+
+
+def _with_gains(drive: Drive, values: Mapping[str, float]) -> Drive:
+    """Return a drive whose currents have the gains that were found."""
+    return replace(drive, current_a=drive.current_a * [values[one.name] for one in GAINS])

@@ -54,11 +54,12 @@ GYRO_BIAS = Parameter("gyro_bias_rad_s", {}, 0.01)
 
 
 GAINS = tuple(Parameter(f"current_gain.{wheel}", {}) for wheel in WHEEL_NAMES)
-"""Factors of the four measured currents; all of them are in a fit's parameters, or none."""
+OFFSETS = tuple(Parameter(f"current_offset.{wheel}_a", {}, 1e-3) for wheel in WHEEL_NAMES)
+"""True currents are gain times measured current, plus offset; all eight are in a fit's parameters, or none."""
 STRETCH = Parameter("stretch_m", {"half_length_m": 1.0, "half_width_m": -1.0}, 0.005)
 """By how much half the length is larger than its believed share of the lever, and half the width smaller."""
-NUISANCES = (GYRO_BIAS, *GAINS, STRETCH)
-"""What is fitted, or doubted, so that the intervals of the others are honest."""
+NUISANCES = (GYRO_BIAS, *GAINS, *OFFSETS, STRETCH)
+"""What is fitted so that the others are right, and is of no interest itself."""
 
 
 def variables_of(parameters: Sequence[Parameter], numbers: Array) -> dict[str, Array]:
@@ -94,8 +95,8 @@ class Floor:
     ) -> None:
         self._parameters, self._windows = parameters, windows
         self._bias = parameters.index(GYRO_BIAS) if GYRO_BIAS in parameters else None
-        self._gains = [parameters.index(one) for one in GAINS if one in parameters]
-        self._torque = windows.current_a * torque_constant_n_m_a
+        self._currents = [parameters.index(one) for one in (*GAINS, *OFFSETS) if one in parameters]
+        self._constant = torque_constant_n_m_a
         self.measured = windows.measured.reshape(len(windows.first), -1)
         count = len(TWIST) if by_twist else 0
         self.starts, self.start_steps = windows.twist[:, :count], _TWIST_STEPS[:count]
@@ -125,14 +126,16 @@ class Floor:
         return means.reshape(sets, windows, -1)
 
     def _torques(self, parameters: Array) -> tuple[Array, npt.NDArray[np.intp]]:
-        """Return windows of torques, by each different set of gains, and which of them belongs to each case."""
-        windows = np.arange(len(self._torque))
-        if not self._gains:
-            return self._torque, np.tile(windows, len(parameters))
-        gains, which = np.unique(np.exp(parameters[:, self._gains]), axis=0, return_inverse=True)
-        torque = gains[:, None, None] * self._torque
+        """Return windows of torques, by each different set of gains and offsets, and which belongs to each case."""
+        torque = self._windows.current_a * self._constant
+        windows = np.arange(len(torque))
+        if not self._currents:
+            return torque, np.tile(windows, len(parameters))
+        different, which = np.unique(parameters[:, self._currents], axis=0, return_inverse=True)
+        gains, offsets = GAINS[0].value(different[:, :4]), OFFSETS[0].value(different[:, 4:])
+        torques = gains[:, None, None] * torque + offsets[:, None, None] * self._constant
         cases = which.reshape(-1, 1) * len(windows) + windows
-        return torque.reshape(-1, *self._torque.shape[1:]), cases.ravel()
+        return torques.reshape(-1, *torque.shape[1:]), cases.ravel()
 
     def sigmas(self, residual: Array) -> Array:
         """Return robust standard deviations: one for the wheels, one for the gyro."""

@@ -33,7 +33,6 @@ class Solution(NamedTuple):
     Attributes:
         parameters: (P,) as the model takes them.
         covariance: (P, P) a sandwich, clustered by window; huge along null directions.
-        carried: (P, P) the derivatives of all parameters by those that were held; zero by the others.
         information: (P, P) the weighted normal matrix of the windows alone, from which null directions are read.
         starts: for each experiment (W, S).
         cost: mean Huber loss of a residual.
@@ -42,7 +41,6 @@ class Solution(NamedTuple):
 
     parameters: Array
     covariance: Array
-    carried: Array
     information: Array
     starts: tuple[Array, ...]
     cost: float
@@ -162,8 +160,7 @@ def _with_intervals(
     scatter = scatter * (windows / (windows - fitted) if windows > 3 * fitted else 1.0)
     count = sum(local.residual.size for local in locals_)
     cost = _cost([local.residual for local in locals_], known, point) / count
-    covariance, carried = _covariance(curvature, scatter, known)
-    return Solution(point, covariance, carried, information, tuple(starts), cost, steps)
+    return Solution(point, _covariance(curvature, scatter, known), information, tuple(starts), cost, steps)
 
 
 def information_of(experiments: Sequence[Experiment], parameters: Array) -> Array:
@@ -179,8 +176,8 @@ def information_of(experiments: Sequence[Experiment], parameters: Array) -> Arra
     return sum((np.einsum("wmp,wmq->pq", one.jacobian, one.jacobian, optimize=True) for one in locals_), np.zeros(()))
 
 
-def _covariance(information: Array, scatter: Array, known: Knowledge) -> tuple[Array, Array]:
-    """Return the sandwich of the fitted parameters, with the share of those held in it, and ``Solution.carried``."""
+def _covariance(information: Array, scatter: Array, known: Knowledge) -> Array:
+    """Return the sandwich of the fitted parameters, with the share of those held in it."""
     free = np.flatnonzero(~known.held)
     held = np.flatnonzero(known.held)
     inner = np.ix_(free, free)
@@ -190,7 +187,7 @@ def _covariance(information: Array, scatter: Array, known: Knowledge) -> tuple[A
     inverse = inverted((information + known.information)[inner])
     carried[np.ix_(free, held)] = -inverse @ (information + known.information)[np.ix_(free, held)]
     covariance += carried @ known.held_covariance @ carried.T
-    return covariance, carried
+    return covariance
 
 
 def _sandwich(curvature: Array, scatter: Array) -> Array:
