@@ -14,7 +14,7 @@ from hil.core.types import WHEEL_NAMES
 from hil.identify.before import ROLLERS, Before
 from hil.identify.blocks import BlocksFit, fit_blocks
 from hil.identify.currents import quiet
-from hil.identify.floor import GAINS, GYRO_BIAS, Floor, Parameter, variables_of
+from hil.identify.floor import GAINS, GYRO_BIAS, OFFSETS, Floor, Parameter, variables_of
 from hil.identify.gauss_newton import Solution, inverted, solve
 from hil.identify.held_out import Prediction, predict
 from hil.identify.identifiability import Outlook, check_excitation, outlook
@@ -225,7 +225,7 @@ def _squeezed(
     def found(numbers: Array) -> Squeeze:
         values = _named(model.parameters, numbers)
         robot = _with_lengths(before.robot, variables_of(model.parameters, numbers))
-        return grip_of(_with_gains(squeeze, values), robot, values, before.torque_constant_n_m_a)
+        return grip_of(_with_true_currents(squeeze, values), robot, values, before.torque_constant_n_m_a)
 
     numbers, covariance = model.solution.parameters.copy(), model.solution.covariance.copy()
     squeezed = found(numbers)
@@ -252,7 +252,7 @@ def _judged(
     start = _shared(contact) | {name: float(value) for name, value in found.items()}
     bias = float(GYRO_BIAS.value(solution.parameters[-1]))
     constant = before.torque_constant_n_m_a
-    judge = _with_gains(held_out, _named(parameters, solution.parameters))
+    judge = _with_true_currents(held_out, _named(parameters, solution.parameters))
     prediction = predict(judge, before.robot, bias, plant_fmu.path(2), start, constant)
     return Fitted(contact, parameters, solution, prediction, start)
 
@@ -266,6 +266,7 @@ def _named(parameters: Sequence[Parameter], numbers: Array) -> dict[str, float]:
     return {one.name: float(one.value(number)) for one, number in zip(parameters, numbers, strict=True)}
 
 
-def _with_gains(drive: Drive, values: Mapping[str, float]) -> Drive:
-    """Return a drive whose currents have the gains that were found."""
-    return replace(drive, current_a=drive.current_a * [values[one.name] for one in GAINS])
+def _with_true_currents(drive: Drive, values: Mapping[str, float]) -> Drive:
+    """Return a drive whose currents are corrected by the gains and offsets that were found."""
+    gains, offsets = ([values[one.name] for one in ones] for ones in (GAINS, OFFSETS))
+    return replace(drive, current_a=drive.current_a * gains + offsets)
