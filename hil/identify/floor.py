@@ -54,9 +54,9 @@ GYRO_BIAS = Parameter("gyro_bias_rad_s", {}, 0.01)
 
 
 GAINS = tuple(Parameter(f"current_gain.{wheel}", {}) for wheel in WHEEL_NAMES)
-OFFSETS = tuple(Parameter(f"current_offset.{wheel}_a", {}, 1e-3) for wheel in WHEEL_NAMES)
+OFFSETS = tuple(Parameter(f"current_offset.{wheel}_a", {}, 0.1) for wheel in WHEEL_NAMES)
 """True currents are gain times measured current, plus offset; all eight are in a fit's parameters, or none."""
-STRETCH = Parameter("stretch_m", {"half_length_m": 1.0, "half_width_m": -1.0}, 0.005)
+STRETCH = Parameter("stretch_m", {"half_length_m": 1.0, "half_width_m": -1.0}, 0.05)
 """By how much half the length is larger than its believed share of the lever, and half the width smaller."""
 NUISANCES = (GYRO_BIAS, *GAINS, *OFFSETS, STRETCH)
 """What is fitted so that the others are right, and is of no interest itself."""
