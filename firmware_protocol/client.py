@@ -9,9 +9,9 @@ from functools import partial
 from typing import Any
 
 from firmware_protocol.fast_calls import address_of, fast_call
-from firmware_protocol.framing import PackedFrames
 from firmware_protocol.generated.messages import Mode, Request
 from firmware_protocol.host import library
+from firmware_protocol.host_line import PackedFrames
 
 FourNumbers = tuple[float, float, float, float]
 

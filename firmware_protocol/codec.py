@@ -5,7 +5,7 @@ The messages are the classes of ``firmware_protocol.generated.messages``, in the
 
 from typing import Literal
 
-from firmware_protocol.framing import Frame, make_frame
+from firmware_protocol.framing import Frame
 from firmware_protocol.generated.messages import DECODERS, LENGTHS, MESSAGES, NAMES, Message
 
 __all__ = ["LENGTHS", "MESSAGES", "NAMES", "Message", "Refusal", "decode", "encode", "refusal"]
@@ -19,7 +19,7 @@ def encode(message: Message) -> Frame:
 
     Raises ValueError naming message, field, value and range when a value cannot be sent.
     """
-    return make_frame((message.ID, message.encode()))
+    return Frame(message.ID, message.encode())
 
 
 def decode(frame: Frame) -> Message | None:

@@ -9,10 +9,9 @@ code, so that it can be used to check a firmware.
 """
 
 from binascii import crc_hqx
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterable
 from struct import Struct
-from types import MethodType
-from typing import NamedTuple, overload
+from typing import NamedTuple
 
 from cobs import cobs
 
@@ -44,54 +43,13 @@ class Frame(NamedTuple):
     payload: bytes
 
 
-make_frame: Callable[[tuple[int, bytes]], Frame] = MethodType(tuple.__new__, Frame)
-"""Return the frame of a pair, in half the time of ``Frame(...)``: for code that makes thousands of them."""
-
-
-class PackedFrames(Sequence[Frame]):
-    """Frames stored one after the other in ``packed``, in C's layout: id16 LE, length8, payload.
-
-    Each becomes a ``Frame`` when it is accessed. They are counted when their number is asked for and not given.
-    """
-
-    __slots__ = ("_count", "packed")
-
-    def __init__(self, packed: bytes, count: int | None = None) -> None:
-        self.packed = packed
-        self._count = count
-
-    def __len__(self) -> int:
-        if self._count is None:
-            self._count = sum(1 for _ in self)
-        return self._count
-
-    def __bool__(self) -> bool:
-        return bool(self.packed)
-
-    def __iter__(self) -> Iterator[Frame]:
-        at, packed = 0, self.packed
-        end = len(packed)
-        while at < end:
-            number, length = packed[at] | packed[at + 1] << 8, packed[at + 2]
-            begin = at + 3
-            at = begin + length
-            yield make_frame((number, packed[begin:at]))
-
-    @overload
-    def __getitem__(self, place: int) -> Frame: ...
-    @overload
-    def __getitem__(self, place: slice) -> list[Frame]: ...
-    def __getitem__(self, place: int | slice) -> Frame | list[Frame]:
-        return list(self)[place]
-
-
 _PACKED_HEADER = Struct("<HB")
 PACKED_HEADERS = {(number, length): _PACKED_HEADER.pack(number, length) for number, length in LENGTHS.items()}
 """The bytes before the payload of a packed frame, by id and length, for all frames that can be sent."""
 
 
 def pack(frames: Iterable[Frame]) -> bytes:
-    """Return frames as ``PackedFrames`` holds them."""
+    """Return frames one after the other, in C's layout: id16 LE, length8, payload."""
     header = _PACKED_HEADER.pack
     return b"".join([header(number, len(payload)) + payload for number, payload in frames])
 
@@ -101,7 +59,7 @@ def packed_frame(packed: bytes, at: int) -> tuple[Frame, int]:
     number, length = _PACKED_HEADER.unpack_from(packed, at)
     begin = at + _PACKED_HEADER.size
     end = begin + length
-    return make_frame((number, packed[begin:end])), end
+    return Frame(number, packed[begin:end]), end
 
 
 def crc16(data: bytes) -> int:
@@ -189,7 +147,7 @@ class Deframer:
                 self._count_lost(sequence, expected)  # the CRC is right, so the sender has sent it, whatever its id
             expected = (sequence + 1) & 0xFF
             if _SIZES.get(number) == size:
-                frames.append(make_frame((number, payload)))
+                frames.append(Frame(number, payload))
             else:
                 self.rejected["length" if number in _SIZES else "unknown_id"] += 1
         self._expected_sequence = expected

@@ -98,6 +98,22 @@ def test_a_robot_is_driven_from_c(tmp_path) -> None:
     assert re.fullmatch(r"(3\.9|4\.0)\d rad/s\nat rest\n", driven.stdout)
 
 
+@pytest.mark.skipif(sys.platform != "linux", reason="it reads ELF objects")
+def test_the_client_allocates_nothing_and_has_no_statics(tmp_path) -> None:
+    elffile = pytest.importorskip("elftools.elf.elffile", reason="no pyelftools: pip install pyelftools")
+    client = ROOT / "firmware_protocol"
+    core = [client / "firmware" / f"{name}.c" for name in ("framing", "cobs", "crc")]
+    sources = [*(client / "client").glob("*.c"), *core, client / "generated" / "wheel_messages.c"]
+    subprocess.run([*compiler(), "-std=c11", "-O2", "-c", *sources], check=True, cwd=tmp_path)
+    objects = [elffile.ELFFile(path.open("rb")) for path in tmp_path.glob("*.o")]
+    assert len(objects) == len(sources)
+    symbols = [one for each in objects for one in each.get_section_by_name(".symtab").iter_symbols()]
+    defined = {one.name for one in symbols if one["st_shndx"] != "SHN_UNDEF"}
+    assert {one.name for one in symbols} - defined <= {"memcpy", "memset", "lrint", "rint", "isfinite"}
+    for each in objects:
+        assert [each.get_section_by_name(name)["sh_size"] for name in (".data", ".bss")] == [0, 0]
+
+
 @pytest.mark.skipif(shutil.which("clang") is None, reason="needs clang as a compiler of C++: apt install clang")
 def test_the_client_links_to_a_program_in_cpp(tmp_path) -> None:
     program = """

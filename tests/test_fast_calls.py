@@ -10,9 +10,9 @@ from hypothesis import strategies as st
 
 from firmware_protocol.codec import encode
 from firmware_protocol.fast_calls import RowLayout, Scaled, fast_call
-from firmware_protocol.framing import Frame, Framer, PackedFrames, pack
+from firmware_protocol.framing import Frame, Framer, pack
 from firmware_protocol.generated import messages as m
-from firmware_protocol.host_line import HostLine, each_of, packed_of
+from firmware_protocol.host_line import HostLine, PackedFrames, packed_of
 from hil.core.types import (
     Axes,
 )
@@ -208,7 +208,7 @@ def test_a_thousand_splits_leave_no_object_behind() -> None:
     before = sys.getrefcount(packed)
     tracemalloc.start()
     for _ in range(1000):
-        assert each_of(PackedFrames(packed))[1] == Frame(0x300, b"")
+        assert PackedFrames(packed)[1] == Frame(0x300, b"")
         assert fast_call("split")(packed, 0x300) == (packed[:11], packed[11:])
     kept_bytes, _ = tracemalloc.get_traced_memory()
     tracemalloc.stop()

@@ -7,10 +7,10 @@ from cobs import cobs
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from firmware_protocol.framing import CAUSES, Deframer, Frame, Framer, PackedFrames, pack
+from firmware_protocol.framing import CAUSES, Deframer, Frame, Framer, pack
 from firmware_protocol.generated import messages as m
 from firmware_protocol.host import library
-from firmware_protocol.host_line import HostLine, split
+from firmware_protocol.host_line import HostLine, PackedFrames, split
 from tests.bare_node import core
 from tests.protocol_cases import frames, rejected
 from tests.wheel_rig import WheelRig

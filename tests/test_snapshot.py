@@ -221,3 +221,14 @@ def test_without_a_log_nothing_is_due_to_be_read():
         lib.wheel_client_take(client, packed, 0, len(packed), 1)
     view = lib.wheel_client_view(client)
     assert (view.round_trips, view.log_is_due) == (300, False)
+
+
+def test_a_snapshot_is_as_old_as_its_last_part_and_one_that_is_incomplete_has_no_age() -> None:
+    client = new_client()
+    *first, last = map(codec.encode, snapshot(1))
+    take(client, first, 10)
+    take(client, [last], 20)
+    assert client.view.feedback_ns == 20
+    take(client, first[:-1], 30)
+    take(client, [codec.encode(m.Tick(10000, 2, 0, m.State.ACTIVE, 0, 2))], 40)
+    assert client.view.feedback_ns == 20

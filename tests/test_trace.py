@@ -14,8 +14,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from firmware_protocol import codec
-from firmware_protocol.framing import Frame, PackedFrames, pack
+from firmware_protocol.framing import Frame, pack
 from firmware_protocol.generated import messages as m
+from firmware_protocol.host_line import PackedFrames
 from hil.core.errors import BadInputError
 from hil.runtime.assembly import run
 from hil.wire.can_bus import CanLink

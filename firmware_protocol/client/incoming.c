@@ -26,7 +26,7 @@ static void set_wheels(const wheel_client *client, float wheels[4], const float 
     }
 }
 
-static void commit(wheel_client *client) {
+static void commit(wheel_client *client, int64_t now_ns) {
     wheel_view *view = &client->view;
     const wp_tick *tick = &client->open;
     const uint8_t parts = tick->parts;
@@ -64,6 +64,7 @@ static void commit(wheel_client *client) {
     view->command_sequence = tick->sequence;
     view->command_age_ms = tick->command_age_ms;
     view->has_feedback = true;
+    view->feedback_ns = now_ns;
     view->snapshots++;
 }
 
@@ -93,7 +94,7 @@ static void open_snapshot(wheel_client *client, const wp_tick *tick, int64_t now
     }
 }
 
-static void take_part(wheel_client *client, uint8_t part, bool belongs) {
+static void take_part(wheel_client *client, uint8_t part, bool belongs, int64_t now_ns) {
     const uint8_t missing = client->missing;
     if (missing == 0u) {
         return;
@@ -106,7 +107,7 @@ static void take_part(wheel_client *client, uint8_t part, bool belongs) {
     }
     client->missing = (uint8_t)(missing & ~part);
     if (client->missing == 0u) {
-        commit(client);
+        commit(client, now_ns);
     }
 }
 
@@ -152,7 +153,7 @@ static bool take_snapshot(wheel_client *client, const wheel_packed *frame, int64
         return false;
     }
     if (is_valid) {
-        take_part(client, part, sampled_ms == open_ms);
+        take_part(client, part, sampled_ms == open_ms, now_ns);
     }
     return is_valid;
 }

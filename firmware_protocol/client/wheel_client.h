@@ -59,6 +59,7 @@ extern "C" {
  * lower rate. */
 typedef struct {
     uint64_t robot_time_us; /* the robot's clock at that instant; does not wrap after the first snapshot */
+    int64_t feedback_ns;    /* when it was complete, by the clock of wheel_client_take: the age of feedback */
     int64_t round_trip_ns;  /* newest time from a command to the first TICK that reports it in force */
     float speed_rad_s[4];
     uint16_t encoder_count[4];

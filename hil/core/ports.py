@@ -3,7 +3,8 @@
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple, Protocol, runtime_checkable
 
-from firmware_protocol.framing import Frame, PackedFrames
+from firmware_protocol.framing import Frame
+from firmware_protocol.host_line import PackedFrames
 from hil.core.types import Applied, MeasuredPose, Pairs, PoseFix, Reference, State, WheelCommand
 
 

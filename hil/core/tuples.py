@@ -4,14 +4,12 @@ Only what is made in each tick is made so; elsewhere call the class. Where the l
 call raises BadInputError with the reason: what needs no run, such as ``hil doctor``, works without it.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import Any, TypeVar
 
 from firmware_protocol.built import BuildError
 from firmware_protocol.fast_tuples import Argument, Object, Tuple, tuple_constructor
-from firmware_protocol.framing import Frame
 from hil.core.errors import BadInputError
-from hil.core.ports import Received
 from hil.core.signals import LoopSignals
 from hil.core.types import (
     ZERO_WHEELS,
@@ -56,7 +54,6 @@ make_wheels: Callable[[float, float, float, float], Wheels] = constructor_of(Whe
 make_command: Callable[[CommandMode, Wheels, Wheels], WheelCommand] = constructor_of(WheelCommand)
 make_state: Callable[[Pose, Twist], State] = constructor_of(State)
 make_applied: Callable[[WheelCommand, bool, float], Applied] = constructor_of(Applied)
-make_received: Callable[[Sequence[Frame], int], Received] = constructor_of(Received)
 make_reference: Callable[..., Reference] = _constructor(_MOTION)
 """Of nine numbers: x, y, heading; their rates; their accelerations."""
 make_speed_command: Callable[..., WheelCommand] = _constructor(_SPEED)

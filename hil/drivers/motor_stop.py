@@ -13,7 +13,7 @@ from hil.drivers.makers_feedback import MotorsInfo
 from hil.drivers.port import Driver, DriverError, four
 from hil.robot.handshake import RETRY_NS
 from hil.robot.link_times import PollAge
-from hil.robot.wire_hash import WireHash, pack_wide
+from hil.robot.wire_hash import WireHash
 from hil.wire.conditions import ConditionedLink
 
 _MOST_A_POLL = 5000  # frames; four controllers at 1 kHz send forty in 10 ms
@@ -58,7 +58,7 @@ class MotorLine:
 
     def __init__(self, link: ConditionedLink, driver: Driver, poll_age: PollAge, *, is_lockstep: bool) -> None:
         self.link, self._driver, self._poll_age, self._is_lockstep = link, driver, poll_age, is_lockstep
-        self.hash = WireHash(pack_wide, pack_wide)
+        self.hash = WireHash()
         self._is_identified = False
         self._ask_again_ns = 0
         self.info: MotorsInfo | None = None
@@ -114,7 +114,6 @@ class MotorLine:
         self.received += count
         if not self._is_lockstep:
             self._poll_age.record_poll(clock.now_ns(), everything=count < _MOST_A_POLL)
-        self.hash.keep_up()
 
 
 class MotorStop:

@@ -7,9 +7,9 @@ from typing import Protocol, cast
 
 from firmware_protocol.client import MOST_TICKS, Client
 from firmware_protocol.fast_calls import fast_call
-from firmware_protocol.framing import PACKED_HEADERS, Frame, PackedFrames, unsendable
+from firmware_protocol.framing import PACKED_HEADERS, Frame, unsendable
 from firmware_protocol.host import HostNode, library
-from firmware_protocol.host_line import HostLine
+from firmware_protocol.host_line import HostLine, PackedFrames
 from hil.core.ports import Link, Received
 from hil.robot.virtual import VirtualStm32
 from hil.wire.framed import StreamLink

@@ -13,8 +13,8 @@ from functools import partial
 from firmware_protocol.built import BuildError
 from firmware_protocol.client import NO_TIME, Client
 from firmware_protocol.codec import Message, encode
-from firmware_protocol.framing import pack
 from firmware_protocol.generated import messages as m
+from firmware_protocol.host_line import packed_of
 from hil.core.errors import BadInputError, DeviceError, HilError, RobotStoppedError
 from hil.core.ports import Clock
 from hil.core.types import CommandMode, WheelCommand
@@ -78,7 +78,7 @@ class Stm32(LinkedDevice):
         greeting = Greeting()
         self._accept(handshake.greet(self._link, greeting))
         for page in greeting.frames:
-            self._client.take(pack([page]), 0, 0)
+            self._client.take(packed_of([page]), 0, 0)
         self._synchronise_tick()
         assert self._info is not None
         return self._info

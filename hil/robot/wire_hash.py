@@ -2,62 +2,29 @@
 
 import hashlib
 import struct
-from collections.abc import Callable
-from typing import Any
 
 from firmware_protocol.framing import Frame
 
-_WIDE_HEADER = struct.Struct("<IH")
-_AT_ONCE = 64  # pieces; hashing each by itself would take longer per tick
-
-Pack = Callable[[list[Any]], bytes]
-"""Converts the pieces that were given to a ``WireHash`` to bytes."""
+_HEADER = struct.Struct("<IH")  # 32-bit ids, and payloads of any length
 
 
 class WireHash:
-    """Hashes what is sent and received; ``pack_sent`` and ``pack_received`` convert lists of pieces to bytes.
+    """Hashes the frames that are sent to motor controllers of other makers, and those that are received.
 
-    The caller leaves out frames whose number depends on the wall clock, such as HELLO.
-
-    Attributes:
-        sent, received: add a piece of one direction. This is cheap: ``keep_up`` hashes the pieces later.
+    The caller leaves out frames whose number depends on the wall clock.
     """
 
-    def __init__(self, pack_sent: Pack, pack_received: Pack) -> None:
-        self._sent = _Way(pack_sent)
-        self._received = _Way(pack_received)
-        self.sent = self._sent.waiting.append
-        self.received = self._received.waiting.append
+    def __init__(self) -> None:
+        self._sent, self._received = hashlib.sha256(), hashlib.sha256()
 
-    def keep_up(self) -> None:
-        """Hash the waiting pieces if there are 64 or more; to be called regularly, once per tick for example."""
-        if len(self._received.waiting) >= _AT_ONCE or len(self._sent.waiting) >= _AT_ONCE:
-            self._sent.fold()
-            self._received.fold()
+    def sent(self, frame: Frame) -> None:
+        """Add a frame that was sent."""
+        self._sent.update(_HEADER.pack(frame.id, len(frame.payload)) + frame.payload)
+
+    def received(self, frame: Frame) -> None:
+        """Add a frame that was received."""
+        self._received.update(_HEADER.pack(frame.id, len(frame.payload)) + frame.payload)
 
     def hexdigest(self) -> str:
         """Return the hash so far."""
         return hashlib.sha256(self._sent.digest() + self._received.digest()).hexdigest()
-
-
-def pack_wide(frames: list[Frame]) -> bytes:
-    """Pack frames of third-party motor controllers for the hash: 32-bit ids and payloads of any length."""
-    pack = _WIDE_HEADER.pack
-    return b"".join([pack(number, len(payload)) + payload for number, payload in frames])
-
-
-class _Way:
-    """The hash of one direction."""
-
-    def __init__(self, pack: Pack) -> None:
-        self._hash = hashlib.sha256()
-        self._pack = pack
-        self.waiting: list[Any] = []
-
-    def fold(self) -> None:
-        self._hash.update(self._pack(self.waiting))
-        self.waiting.clear()
-
-    def digest(self) -> bytes:
-        self.fold()
-        return self._hash.digest()

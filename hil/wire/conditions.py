@@ -9,12 +9,11 @@ from collections import deque
 from collections.abc import Sequence
 
 from firmware_protocol.client import Client
-from firmware_protocol.framing import Frame, PackedFrames
-from firmware_protocol.host_line import each_of
+from firmware_protocol.framing import Frame
+from firmware_protocol.host_line import PackedFrames
 from hil.core.errors import LinkError
 from hil.core.link_protocol import WHEEL_DBC, LinkProtocol
 from hil.core.ports import Clock, Link, PackedLink, Received
-from hil.core.tuples import make_received
 from hil.faults.kind import NEVER_NS
 from hil.wire.direction import LATENCY, Direction
 from hil.wire.faults import BusFaults, LinkFault, ScenarioTime
@@ -233,8 +232,8 @@ class ConditionedLink:
             if type(before) is PackedFrames and type(frames) is PackedFrames:
                 frames = PackedFrames(before.packed + frames.packed)
             else:
-                frames = [*each_of(before), *each_of(frames)]
-        ready.append(make_received(frames, stamp_ns))
+                frames = [*before, *frames]
+        ready.append(Received(frames, stamp_ns))
 
     def _undamaged(self, bus: BusFaults, frames: Sequence[Frame], t_ns: int | None) -> Sequence[Frame]:
         """Return the frames that arrive over a bus with faults."""
@@ -248,13 +247,13 @@ class ConditionedLink:
         while way.due_ns <= now_ns:
             due_ns, place, _, frames = way.pop_first(t_ns)
             if place == way.latency_behind_rows:
-                self._ready.append(make_received(frames, due_ns))
+                self._ready.append(Received(frames, due_ns))
             elif not frames:  # they wait again
                 continue
             elif latency_ns:
                 way.hold(frames, now_ns + latency_ns, way.latency_behind_rows)
             else:
-                self._ready.append(make_received(frames, now_ns))
+                self._ready.append(Received(frames, now_ns))
 
     # The link itself
 

@@ -4,12 +4,11 @@ Frames that are sent or arrive together stay together as long as no row that act
 """
 
 import heapq
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import NamedTuple
 
-from firmware_protocol.framing import Frame, PackedFrames
-from firmware_protocol.host_line import each_of, split
-from hil.core.tuples import constructor_of
+from firmware_protocol.framing import Frame
+from firmware_protocol.host_line import PackedFrames, split
 from hil.faults.kind import NEVER_NS
 from hil.wire.faults import LinkFault, ScenarioTime
 
@@ -28,9 +27,6 @@ class Waiting(NamedTuple):
     place: int
     number: int
     frames: Sequence[Frame]
-
-
-_make_waiting: Callable[[int, int, int, Sequence[Frame]], Waiting] = constructor_of(Waiting)
 
 
 class _AtWork(NamedTuple):
@@ -73,7 +69,7 @@ class Direction:
         if place == self.behind_rows:
             self._delayed += 1
             self._last_ns = due_ns
-        heapq.heappush(self._queue, _make_waiting(due_ns, place, self._count, frames))
+        heapq.heappush(self._queue, Waiting(due_ns, place, self._count, frames))
         self.due_ns = self._queue[0].due_ns
 
     def apart(self, frames: Sequence[Frame]) -> tuple[Sequence[Frame] | None, Sequence[Frame] | None]:
@@ -111,7 +107,7 @@ class Direction:
             return self._delay(frames, t_ns)
         at_once: list[Frame] = []
         is_changed, exempt_from, pass_one = False, self._exempt_from, self._pass
-        for frame in each_of(frames):
+        for frame in frames:
             if frame.id >= exempt_from:
                 at_once.append(frame)
                 continue
@@ -152,7 +148,7 @@ class Direction:
         at_once: list[Frame] = []
         draws = [one.fault.delay_ns for one in self._at_work]
         clock_ns, exempt_from = t_ns + self._time.offset_ns, self._exempt_from
-        for frame in each_of(frames):
+        for frame in frames:
             if frame.id >= exempt_from:
                 at_once.append(frame)
                 continue

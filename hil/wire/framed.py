@@ -5,11 +5,10 @@ from collections import Counter
 from collections.abc import Callable, Sequence
 
 from firmware_protocol.client import Client
-from firmware_protocol.framing import Frame, PackedFrames, pack
-from firmware_protocol.host_line import HostLine
+from firmware_protocol.framing import Frame
+from firmware_protocol.host_line import HostLine, PackedFrames, packed_of
 from hil.core.link_protocol import WHEEL_DBC, LinkProtocol
 from hil.core.ports import Clock, Framing, Received
-from hil.core.tuples import make_received
 from hil.wire.streams import AT_ONCE, HostStream
 
 _MOST_AT_ONCE = 50
@@ -79,7 +78,7 @@ class StreamLink:
         if self._waiting is not None:
             (frames, stamp_ns), self._waiting = self._waiting, None
             self.received_frames += len(frames)
-            attend(pack(frames), 0, stamp_ns)
+            attend(packed_of(frames), 0, stamp_ns)
         for _ in range(_MOST_READS):
             data = self._stream.read(AT_ONCE)
             now_ns = clock.now_ns()
@@ -118,7 +117,7 @@ class StreamLink:
                     if count > _MOST_AT_ONCE:
                         return self._batch_of(frames, stamp_ns)
                     self.received_frames += count
-                    return make_received(frames, stamp_ns)
+                    return Received(frames, stamp_ns)
                 # These bytes completed no frame; the rest may come within the timeout. But a line full of noise must
                 # not hold up a tick.
                 of_no_frame += len(data)

@@ -17,7 +17,7 @@ from hil.core.ports import Link, Received
 
 if TYPE_CHECKING:
     from firmware_protocol.client import Client
-    from firmware_protocol.framing import PackedFrames
+    from firmware_protocol.host_line import PackedFrames
     from hil.wire.meters import Meter
     from hil.wire.robot_end import Wire
     from hil.wire.streams import HostStream

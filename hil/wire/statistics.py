@@ -7,9 +7,9 @@ line are below it. Time stamps are by the run's clock. STATISTICS.md explains ea
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
-from firmware_protocol.framing import Frame, PackedFrames
+from firmware_protocol.framing import Frame
+from firmware_protocol.host_line import PackedFrames
 from hil.core.ports import Clock, Link, Received
-from hil.core.tuples import make_received
 from hil.core.types import NAN
 from hil.wire.link import LinkUrl
 from hil.wire.meters import BusMeter, Meter
@@ -122,7 +122,7 @@ class LinkStatistics:
         """Count and trace packed frames, and their number, that crossed to a robot in this thread, and its answer."""
         if sent:
             self.sent(PackedFrames(sent, sent_count))
-        self.received(make_received(PackedFrames(answer, count), stamp_ns) if answer else None)
+        self.received(Received(PackedFrames(answer, count), stamp_ns) if answer else None)
 
     def overhear(self, message: Any) -> None:
         """Count and trace a ``can.Message`` that is not of this link's protocol."""

@@ -11,8 +11,9 @@ import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from firmware_protocol.framing import Deframer, Frame
+from firmware_protocol.framing import Frame
 from firmware_protocol.generated import messages as m
+from firmware_protocol.host_line import HostLine
 from firmware_protocol.stm32_flash import PARAMETER_ADDRESS, SECTOR_BYTES, flash_image
 from hil.core.errors import BadInputError, DeviceError
 from hil.plant.process import ChildProcess
@@ -42,7 +43,7 @@ class QemuBoard(EmulatedBoard):
     def __init__(self, elf: Path, exchange_address: int, context_address: int, stored: bytes | None) -> None:
         self.on_output: Callable[[], None] = lambda: None
         super().__init__(exchange_address, context_address)
-        self._from_host, self._from_board = Deframer(), Deframer()
+        self._from_host, self._from_board = HostLine(), HostLine()
         self._step_is_open = False
         self._output = bytearray()
         self._lock = threading.Lock()

@@ -2,8 +2,9 @@
 
 from pathlib import Path
 
-from firmware_protocol.framing import Deframer, Frame
+from firmware_protocol.framing import Frame
 from firmware_protocol.host import View, stored_size
+from firmware_protocol.host_line import HostLine
 from firmware_protocol.stm32_flash import PARAMETER_ADDRESS, SECTOR_BYTES, flash_image, newest_stored
 from hil.core.errors import DeviceError
 from hil.robot.targets.emulated_board import EmulatedBoard
@@ -29,7 +30,7 @@ class UnicornBoard(EmulatedBoard):
         kept = ((PARAMETER_ADDRESS, flash_image(stored)),) if stored is not None else ()
         self._elf = elf
         super().__init__(exchange_address, context_address)
-        self._deframer = Deframer()
+        self._line = HostLine()
         self._bytes = bytearray()
         self._frames: list[Frame] = []
         self.machine = Stm32f405(elf, kept)
@@ -101,5 +102,5 @@ class UnicornBoard(EmulatedBoard):
         machine.can.sent.clear()
         self._bytes += data
         self._frames += frames
-        for frame in (*self._deframer.feed(data), *frames):
+        for frame in (*self._line.feed(data), *frames):
             self.observe(frame)

@@ -8,7 +8,7 @@ import struct
 from collections.abc import Callable, Iterator
 from typing import Any
 
-from firmware_protocol.framing import PackedFrames
+from firmware_protocol.host_line import PackedFrames
 
 SENT, EXTENDED, REMOTE, ERROR, FD, SWITCHED, PACKED = (1 << place for place in range(7))
 

@@ -5,8 +5,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Self
 
-from firmware_protocol.framing import Frame, PackedFrames
-from firmware_protocol.host_line import HostLine
+from firmware_protocol.framing import Frame
+from firmware_protocol.host_line import HostLine, PackedFrames
 from hil.core.link_protocol import WHEEL_DBC, LinkProtocol
 from hil.core.outputs import Existing, claim, release
 from hil.core.ports import EXTENDED, REMOTE, Framing

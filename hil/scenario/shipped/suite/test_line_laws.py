@@ -8,8 +8,9 @@ import math
 
 import pytest
 
-from firmware_protocol.framing import Deframer, Framer, PackedFrames, pack
+from firmware_protocol.framing import Deframer, Framer, pack
 from firmware_protocol.generated import messages as m
+from firmware_protocol.host_line import PackedFrames
 from hil.faults.kind import REST_RAD_S, FaultRow, claimed_span_s
 from hil.faults.kinds import KINDS, find, is_instant
 from hil.scenario.shipped.suite import link_bench as bench
