@@ -16,6 +16,8 @@ _ROUNDING = 1e-13
 _NO_NOISE = 65.0
 # What is told of the noise counts as much as so many fixes; of those that came, so many count at most.
 _TOLD, _PAIRS = 20, 200
+# Less noise than is told may be learnt, so that what is learnt is right on average, but it is never used.
+_LEAST_NOISE = 0.5
 _Triangle = tuple[float, float, float, float, float, float]
 
 
@@ -53,7 +55,7 @@ def corrected(belief: Belief, fix: MeasuredPose, acceptance: Acceptance) -> Beli
 
 def _combined(belief: Belief, fix: MeasuredPose, gate: float) -> Belief | None:
     """Return the belief with a fix that is within the gate: x ← x + K v, P ← P - K H P; None for one beyond it."""
-    p, r = belief.covariance, _scaled(fix.covariance, belief.noise)
+    p, r = belief.covariance, _noisy(fix, belief)
     vx, vy = fix.pose.x_m - belief.x_m, fix.pose.y_m - belief.y_m
     vh = math.remainder(fix.pose.heading_rad - belief.heading_rad, math.tau)
     # L Lᵀ = P + R; W = L⁻¹ H P has one column each of x, y, heading, bias, scale. Then K v = Wᵀ L⁻¹ v, K H P = Wᵀ W.
@@ -122,7 +124,7 @@ def _rejected(belief: Belief, fix: MeasuredPose, apart: float | None, acceptance
 
 def _restarted(belief: Belief, fix: MeasuredPose, acceptance: Acceptance) -> Belief:
     """Return the belief in the pose of a fix alone, with more variance of the gyro's bias."""
-    r, p = _scaled(fix.covariance, belief.noise), belief.covariance
+    r, p = _noisy(fix, belief), belief.covariance
     bias_rad2_s2 = max(p.bb, acceptance.bias_rad2_s2)
     turned = math.remainder(fix.pose.heading_rad - belief.heading_rad, math.tau)
     return Belief(
@@ -153,13 +155,12 @@ def _learnt(belief: Belief, apart: float | None, most: float) -> Belief:
     """Return the belief with the noise of fixes learnt from how far the newest two are apart.
 
     The squared distance is 3 on average if the noise is right. Two successive fixes are compared with each other and
-    not with the belief, because an error of the belief, such as the gyro's bias, is the same in both. The factor is
-    never below 1: errors of a localisation that last longer than from one fix to the next do not show in a pair.
+    not with the belief, because an error of the belief, such as the gyro's bias, is the same in both.
     """
     if apart is None or not apart <= _NO_NOISE:
         return belief
     noise = belief.noise * math.exp((apart / 3.0 - 1.0) / (_TOLD + belief.pairs))
-    return belief._replace(noise=min(max(noise, 1.0), most), pairs=min(belief.pairs + 1, _PAIRS))
+    return belief._replace(noise=min(max(noise, _LEAST_NOISE), most), pairs=min(belief.pairs + 1, _PAIRS))
 
 
 def _apart(belief: Belief, fix: MeasuredPose) -> float | None:
@@ -172,7 +173,7 @@ def _apart(belief: Belief, fix: MeasuredPose) -> float | None:
     s = math.sin(last.pose.heading_rad - then.heading_rad)
     way_x, way_y = belief.x_m - then.x_m, belief.y_m - then.y_m
     dx, dy = c * way_x - s * way_y, s * way_x + c * way_y
-    r, q = _scaled(fix.covariance, belief.noise), _scaled(last.covariance, belief.noise)
+    r, q = _times(belief.noise, fix.covariance), _times(belief.noise, last.covariance)
     grown, before = belief.covariance, then.covariance
     a, b = -dy, dx
     together = PoseCovariance(
@@ -193,7 +194,16 @@ def _apart(belief: Belief, fix: MeasuredPose) -> float | None:
     return _dot(apart, apart)
 
 
-def _scaled(covariance: PoseCovariance, factor: float) -> PoseCovariance:
+def _noisy(fix: MeasuredPose, belief: Belief) -> PoseCovariance:
+    """Return the covariance of a fix with the noise that was learnt.
+
+    It is at least what the fix tells: errors of a localisation that last longer than from one fix to the next, such as
+    those of its map, do not show in a pair.
+    """
+    return _times(max(1.0, belief.noise), fix.covariance)
+
+
+def _times(factor: float, covariance: PoseCovariance) -> PoseCovariance:
     return PoseCovariance(*[factor * entry for entry in covariance])
 
 

@@ -29,14 +29,13 @@ class Travel(NamedTuple):
     sigma_m_s: float
 
 
-class _Gain(NamedTuple):
-    """A motion, the velocity before it, and how it changes: by the accelerometer, and by the turn of the axes."""
+class _Past(NamedTuple):
+    """A motion with its turn by the gyro, and the velocity and the accelerometer's bias before it."""
 
     motion: Motion
-    before: _Velocity
-    forward_m_s: float
-    left_m_s: float
     turned_rad: float
+    velocity: _Velocity
+    bias_m_s2: _Velocity
 
 
 class Inertial:
@@ -51,7 +50,7 @@ class Inertial:
         b = b + (v - w) dt / (0.1 s · 2 s)    so that what differs for longer than 2 s is the bias
 
     Slip is told about 0.1 s after it began, and until then the wheels spoilt v. So the last 0.1 s are done again, from
-    the v before them. Where gyro or accelerometer is missing, the wheels are all there is.
+    the v and b before them. Where gyro or accelerometer is missing, the wheels are all there is.
 
     Attributes:
         velocity: forward and left [m/s], mean over the newest motion.
@@ -67,7 +66,7 @@ class Inertial:
         self.velocity = velocity
         self.is_inertial = False
         self._slipped_s = 0.0
-        self._recent: deque[_Gain] = deque()
+        self._recent: deque[_Past] = deque()
         self._recent_s = 0.0
 
     def update(self, motion: Motion, bias_rad_s: float, slip_m_s: float) -> list[Travel]:
@@ -75,28 +74,17 @@ class Inertial:
 
         ``bias_rad_s`` is the gyro's, and ``slip_m_s`` the speed of the slip, 0 without slip.
         """
-        gain = self._gain(motion, bias_rad_s)
-        if gain is None:
+        past = _Past(motion, motion.gyro_rad - bias_rad_s * motion.dt_s, self.velocity, self._bias_m_s2)
+        if math.isnan(past.turned_rad + motion.gained_forward_m_s + motion.gained_left_m_s):
             self.restart(self._towards_wheels(self.velocity, motion))
             return [Travel(motion, is_rolled=True, sigma_m_s=slip_m_s)]
         if slip_m_s > 0.0:
-            return self._slipping(gain)
+            return self._slipping(past)
         self.is_inertial, self._slipped_s = False, 0.0
-        self.velocity = self._towards_wheels(_advanced(self.velocity, gain), motion)
+        self.velocity = self._towards_wheels(self._advanced(past), motion)
         self._learn_bias(motion)
-        self._remember(gain)
+        self._remember(past)
         return [Travel(motion, is_rolled=True, sigma_m_s=0.0)]
-
-    def _gain(self, motion: Motion, bias_rad_s: float) -> _Gain | None:
-        dt_s, (forward, left) = motion.dt_s, self._bias_m_s2
-        gain = _Gain(
-            motion,
-            self.velocity,
-            motion.gained_forward_m_s - forward * dt_s,
-            motion.gained_left_m_s - left * dt_s,
-            motion.gyro_rad - bias_rad_s * dt_s,
-        )
-        return None if math.isnan(gain.forward_m_s + gain.left_m_s + gain.turned_rad) else gain
 
     def _towards_wheels(self, velocity: _Velocity, motion: Motion) -> _Velocity:
         kept = math.exp(-motion.dt_s / _CROSSOVER_S)
@@ -111,32 +99,32 @@ class Inertial:
             bias_left + rate * (left * motion.dt_s - motion.left_m),
         )
 
-    def _remember(self, gain: _Gain) -> None:
-        self._recent.append(gain)
-        self._recent_s += gain.motion.dt_s
+    def _remember(self, past: _Past) -> None:
+        self._recent.append(past)
+        self._recent_s += past.motion.dt_s
         while self._recent_s - self._recent[0].motion.dt_s >= _REACH_S:
             self._recent_s -= self._recent.popleft().motion.dt_s
 
-    def _slipping(self, gain: _Gain) -> list[Travel]:
-        again = [*self._recent, gain]
-        self.velocity, self.is_inertial = again[0].before, True
+    def _slipping(self, past: _Past) -> list[Travel]:
+        again = [*self._recent, past]
+        self.velocity, self._bias_m_s2, self.is_inertial = again[0].velocity, again[0].bias_m_s2, True
         self._recent.clear()
         self._recent_s = 0.0
         return list(self._travels(again))
 
-    def _travels(self, gains: list[_Gain]) -> Iterator[Travel]:
-        for gain in gains:
-            dt_s = gain.motion.dt_s
-            self.velocity = forward, left = _advanced(self.velocity, gain)
+    def _travels(self, pasts: list[_Past]) -> Iterator[Travel]:
+        for past in pasts:
+            dt_s = past.motion.dt_s
+            self.velocity = forward, left = self._advanced(past)
             self._slipped_s += dt_s
-            motion = gain.motion._replace(forward_m=forward * dt_s, left_m=left * dt_s)
+            motion = past.motion._replace(forward_m=forward * dt_s, left_m=left * dt_s)
             yield Travel(motion, is_rolled=False, sigma_m_s=_BEGIN_M_S + _GROWS_M_S2 * self._slipped_s)
 
-
-def _advanced(velocity: _Velocity, gain: _Gain) -> _Velocity:
-    """Return the velocity after a motion, by the inertial sensors."""
-    forward, left = velocity
-    return (
-        forward + gain.forward_m_s + gain.turned_rad * left,
-        left + gain.left_m_s - gain.turned_rad * forward,
-    )
+    def _advanced(self, past: _Past) -> _Velocity:
+        """Return the velocity after a motion, by the inertial sensors."""
+        motion, turned_rad, _, _ = past
+        (forward, left), (bias_forward, bias_left), dt_s = self.velocity, self._bias_m_s2, motion.dt_s
+        return (
+            forward + motion.gained_forward_m_s - bias_forward * dt_s + turned_rad * left,
+            left + motion.gained_left_m_s - bias_left * dt_s - turned_rad * forward,
+        )

@@ -1,0 +1,87 @@
+"""The travel of a robot whose wheels spin, by its inertial sensors: laws of the motion, on exact sensor values."""
+
+import math
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from hil.core.types import NAN
+from hil.estimation.inertial import Inertial
+from hil.estimation.motion import Motion
+from tests.examples import share_of_examples
+
+DT_S = 0.005
+TOLD_AFTER_S = 0.08
+
+
+def motions(yaw_rate, seconds, spin_from_s, bias=(0.0, 0.0), accelerates=0.6):
+    """Yield motions of a robot that accelerates along x and turns, and its true displacement in the body frame.
+
+    The wheels say twice the speed from ``spin_from_s`` on.
+    """
+    before = 0.0, 0.0
+    for tick in range(1, round(seconds / DT_S) + 1):
+        speed, heading = accelerates * (tick - 0.5) * DT_S, yaw_rate * (tick - 0.5) * DT_S
+        now = speed * math.cos(heading), -speed * math.sin(heading)
+        turned = yaw_rate * DT_S if tick > 1 else 0.5 * yaw_rate * DT_S
+        # What an accelerometer that turns with the robot feels: the change of velocity, and the turn of its own axes.
+        gains = now[0] - before[0] - turned * before[1], now[1] - before[1] + turned * before[0]
+        size = 2.0 if tick * DT_S > spin_from_s else 1.0
+        true = now[0] * DT_S, now[1] * DT_S
+        gained = gains[0] + bias[0] * DT_S, gains[1] + bias[1] * DT_S
+        yield Motion(DT_S, size * true[0], size * true[1], turned, turned, 0.0, *gained), true
+        before = now
+
+
+@share_of_examples(0.3)
+@given(st.floats(-1.0, 1.0), st.floats(0.3, 1.0))
+def test_what_the_wheels_spoilt_before_slip_was_told_is_done_again(yaw_rate, spin_from_s):
+    """The travels that are given again and the later ones are true, whatever the wheels say from the spin on."""
+    inertial, travels, true = Inertial(), [], []
+    for motion, displacement in motions(yaw_rate, spin_from_s + 0.5, spin_from_s):
+        true.append(displacement)
+        told = len(true) * DT_S > spin_from_s + TOLD_AFTER_S
+        found = inertial.update(motion, 0.0, 1.0 if told else 0.0)
+        del travels[len(travels) + 1 - len(found) :]
+        travels += found
+        assert inertial.is_inertial == told
+    for travel, (forward_m, left_m) in zip(travels, true, strict=True):
+        assert (travel.motion.forward_m, travel.motion.left_m) == pytest.approx((forward_m, left_m), abs=2e-5)
+    rolled = [travel.is_rolled for travel in travels]
+    assert rolled == sorted(rolled, reverse=True)
+    assert rolled.count(True) * DT_S <= spin_from_s, "none of the motions with slip is the wheels'"
+
+
+def test_an_inertial_velocity_is_doubted_more_the_longer_it_lasts_and_no_more_after_it():
+    inertial, sigmas = Inertial(), []
+    for motion, _ in motions(0.0, 1.0, 0.0):
+        sigmas.append(inertial.update(motion, 0.0, 1.0)[-1].sigma_m_s)
+    assert sigmas == sorted(sigmas)
+    assert sigmas[-1] == pytest.approx(0.02 + 0.1 * 1.0)
+    (after,) = inertial.update(next(motions(0.0, 0.01, 1.0))[0], 0.0, 0.0)
+    assert (after.is_rolled, after.sigma_m_s) == (True, 0.0)
+
+
+@given(st.floats(-0.3, 0.3), st.floats(-0.3, 0.3))
+@share_of_examples(0.3)
+def test_a_bias_of_the_accelerometer_is_learnt_while_wheels_roll(forward, left):
+    """A lean of the floor too: after 10 s a second of slip is wrong by 1 % of the way that the bias would make."""
+    inertial = Inertial()
+    for motion, _ in motions(0.0, 10.0, 10.0, (forward, left), accelerates=0.05):
+        inertial.update(motion, 0.0, 0.0)
+    begun = inertial.velocity
+    rest = Motion(DT_S, 0.0, 0.0, 0.0, 0.0, 0.0, forward * DT_S, left * DT_S)
+    for _ in range(200):
+        inertial.update(rest, 0.0, 1.0)
+    assert inertial.velocity == pytest.approx(begun, abs=0.01 * (1.0 + math.hypot(forward, left)))
+
+
+@pytest.mark.parametrize("missing", ["gyro_rad", "gained_left_m_s"])
+def test_without_gyro_or_accelerometer_the_wheels_stay_and_are_doubted_by_the_speed_of_the_slip(missing):
+    inertial = Inertial()
+    for motion, _ in motions(0.0, 0.5, 0.2):
+        (travel,) = inertial.update(motion._replace(**{missing: NAN}), 0.0, 0.4)
+        assert (travel.is_rolled, travel.sigma_m_s) == (True, 0.4)
+        assert travel.motion.forward_m == motion.forward_m
+        assert not inertial.is_inertial
