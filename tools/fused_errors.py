@@ -63,7 +63,7 @@ def conditions() -> Iterator[Condition]:
                 words = f"{name}, {contact}" + (f", radius {percent:+g} %" if percent else "")
                 radius_m = RADIUS_M * (1.0 + 0.01 * percent)
                 start = {"plant.start.contact": contact, "plant.start.wheel_radius_m": radius_m}
-                yield Condition(words, scenario, start, has_oracle=contact == "rigid")
+                yield Condition(words, scenario, start, has_oracle=contact == "rigid" and not percent)
         noise = {"estimator.simulated_fix.noisier": 2.0}
         yield Condition(f"{name}, fixes twice as noisy as told", scenario, noise, has_oracle=False)
     torque = {"robot.torque_limit_n_m": 5.0, "firmware.torque_limit_n_m": 5.0, "firmware.overspeed_rad_s": 127.0}

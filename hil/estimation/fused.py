@@ -79,7 +79,7 @@ class FilterOptions:
     begin: Annotated[Literal["start", "fix"], "at the scenario's start pose, or unknown"] = "start"
     start_sigma_m: Annotated[float, Range(ge=0, le=100), "of the start pose, each axis"] = 0.01
     start_sigma_rad: Annotated[float, Range(ge=0, le=10), "of the start pose's heading"] = 0.01
-    wheels_sigma_m: Annotated[float, Range(gt=0, le=10), "of each axis after 1 m rolled"] = 0.0005
+    wheels_sigma_m: Annotated[float, Range(gt=0, le=10), "of each axis after 1 m rolled"] = 0.0003
     wheels_scale_sigma: Annotated[float, Range(ge=0, le=0.5), "of the wheels' true size over the believed one"] = 0.005
     wheels_sigma_rad: Annotated[float, Range(gt=0, le=10), "of the heading after 1 m, without gyro"] = 0.02
     gyro_noise_rad_s: Annotated[float, Range(gt=0, le=10), "of one sample of the gyro"] = 0.01
