@@ -23,6 +23,7 @@ from typing import Any
 import numpy as np
 
 import hil
+from hil.core.errors import LinkError
 from hil.core.subprocesses import child_environment, module_command
 from hil.service.client import Client, find
 from hil.service.discovery import running
@@ -117,18 +118,27 @@ def lateness(folder: Path, seconds: float, *, with_node: bool) -> dict[str, floa
             driver = subprocess.Popen(module_command("tools.bench.ros2_driver"), env=variables)
             resources.callback(driver.wait)
             resources.callback(driver.terminate)
-            while (client.status()["twist_age_s"] is None) and driver.poll() is None:
+            while (_status(client)["twist_age_s"] is None) and driver.poll() is None:
                 time.sleep(0.1)
         else:
-            while client.status()["phase"] != "disarmed":
+            while _status(client)["phase"] != "disarmed":
                 time.sleep(0.1)
             client.order(Action.ARM)
         time.sleep(1.0)
-        before = client.status()["ticks"]
+        before = _status(client)["ticks"]
         time.sleep(seconds)
-        status = client.status()
+        status = _status(client)
         figures: dict[str, float] = dict(status["lateness_us"])
         return figures | {"ticks": status["ticks"] - before, "misses": status["deadline_misses"]}
+
+
+def _status(client: Client) -> dict[str, Any]:
+    """Return the status, as soon as the service has time to tell it."""
+    for _ in range(100):
+        with contextlib.suppress(LinkError):
+            return client.status()
+        time.sleep(0.1)
+    sys.exit("the service did not tell its status within 10 s")
 
 
 def _client(pid: int) -> Client:

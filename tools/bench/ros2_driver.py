@@ -1,5 +1,7 @@
 """A ROS 2 node that arms the robot, sends cmd_vel at 100 Hz and hears odometry and joint states, until SIGTERM."""
 
+import signal
+
 from hil.service.ros2.installation import require_ros
 
 
@@ -9,11 +11,12 @@ def main() -> None:
     import rclpy
     from geometry_msgs.msg import Twist
     from nav_msgs.msg import Odometry
-    from rclpy.executors import ExternalShutdownException
+    from rclpy.signals import SignalHandlerOptions
     from sensor_msgs.msg import JointState
     from std_srvs.srv import Trigger
 
-    rclpy.init()
+    rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
     node = rclpy.create_node("driver")
     message, publisher = Twist(), node.create_publisher(Twist, "cmd_vel", 1)
     message.linear.x, message.angular.z = 0.2, 0.4
@@ -29,7 +32,7 @@ def main() -> None:
             if answer.result().success:
                 break
         rclpy.spin(node)
-    except (KeyboardInterrupt, ExternalShutdownException):
+    except KeyboardInterrupt:
         return
 
 

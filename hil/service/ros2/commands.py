@@ -94,7 +94,7 @@ class Commands:
         now_ns = self._robot.now_ns()
         if now_ns is None:
             now_ns = self._node.get_clock().now().nanoseconds
-        return 1e-9 * (now_ns - stamp.sec * 1_000_000_000 - stamp.nanosec)
+        return float(1e-9 * (now_ns - stamp.sec * 1_000_000_000 - stamp.nanosec))
 
     def _twist(self, message: Any) -> None:
         if not self._taken("cmd_vel"):

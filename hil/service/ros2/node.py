@@ -1,12 +1,14 @@
 """The managed node ``mecanum_hil``: a robot of ours as ROS 2 sees it (ROS2.md). Import it after ``require_ros``."""
 
+import signal
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from typing import Any
 
 import rclpy
-from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+from rclpy.executors import SingleThreadedExecutor
 from rclpy.lifecycle import LifecycleNode, TransitionCallbackReturn
+from rclpy.signals import SignalHandlerOptions
 from rclpy.task import Future
 from std_srvs.srv import Trigger
 
@@ -145,7 +147,10 @@ def run_simulated(load: Callable[[Sequence[str]], Scenario], ros: Sequence[str])
 
 
 def _run(scenario: Scenario, make: Callable[[RobotNode], Robot], ros: Sequence[str]) -> None:
-    rclpy.init(args=["hil", *ros])
+    # Not rclpy's handlers: they would end publishers before the robot's thread has ended.
+    rclpy.init(args=["hil", *ros], signal_handler_options=SignalHandlerOptions.NO)
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, signal.default_int_handler)
     robot: Robot | None = None
     try:
         node = RobotNode(scenario)
@@ -157,7 +162,7 @@ def _run(scenario: Scenario, make: Callable[[RobotNode], Robot], ros: Sequence[s
             executor.spin_once(timeout_sec=_LOOK_S)
             if (failure := robot.failure()) is not None:
                 raise failure
-    except (KeyboardInterrupt, ExternalShutdownException):
+    except KeyboardInterrupt:
         return
     finally:
         if robot is not None:
