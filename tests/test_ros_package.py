@@ -1,6 +1,7 @@
 """The ROS 2 package: colcon builds it, ROS's linters find nothing, and what its files name is there."""
 
 import importlib.metadata
+import itertools
 import os
 import shutil
 import subprocess
@@ -13,6 +14,7 @@ import yaml
 
 from hil.record.frames import ODOM
 from hil.record.mcap_file import ROBOT_TOPIC
+from hil.service.ros2.settings import Settings
 from tests.processes import environment, hil_process
 from tools.build import ros_package
 
@@ -84,11 +86,48 @@ def test_the_linters_of_ros_find_nothing(linter: str, package: Path) -> None:
 
 
 def test_the_parameters_are_those_of_the_node_with_its_defaults(package: Path) -> None:
-    settings = pytest.importorskip("hil.service.ros2.settings", reason="hil ros2 is not in this tree")
     given = yaml.safe_load((package / "config" / "params.yaml").read_text())["/**"]["ros__parameters"]
-    made = settings.Settings(**{name: tuple(v) if isinstance(v, list) else v for name, v in given.items()})
-    assert made == settings.Settings()
+    made = Settings(**{name: tuple(v) if isinstance(v, list) else v for name, v in given.items()})
+    assert made == Settings()
     assert set(made.__slots__) - set(given) == {"spawn_pose"}
+
+
+@pytest.mark.parametrize(
+    ("file", "given", "words"),
+    [
+        ("simulation", {"rviz": "false"}, ["circle_speed", "--mode", "lockstep"]),
+        (
+            "robot",
+            {"config": "my.toml", "allow_motion": "true", "port": "8770"},
+            ["my.toml", "--mode", "realtime", "--port", "8770", "--allow-motion"],
+        ),
+    ],
+    ids=["simulation", "robot"],
+)
+def test_the_launch_files_start_the_node_with_these_words(
+    file: str, given: dict[str, str], words: list[str], installed: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pytest.importorskip(
+        "launch_ros.actions", reason="ROS 2's launch system has no wheel; source an installation of ROS 2"
+    )
+    from launch import LaunchContext
+    from launch.actions import OpaqueFunction
+    from launch.launch_description_sources import get_launch_description_from_python_launch_file as read
+    from launch.utilities import perform_substitutions
+
+    monkeypatch.syspath_prepend(next(installed.glob("lib/python*/site-packages")))
+    monkeypatch.setenv("AMENT_PREFIX_PATH", str(installed), prepend=os.pathsep)
+    context = LaunchContext()
+    context.launch_configurations.update(given)
+    started = []
+    for entity in read(str(installed / "share" / installed.name / "launch" / f"{file}.launch.py")).entities:
+        done = entity.visit(context)
+        started += done if isinstance(entity, OpaqueFunction) else []
+    node = started[0]
+    node._perform_substitutions(context)
+    command = (perform_substitutions(context, part) for part in node.cmd)
+    assert next(command) == str(installed / "lib" / installed.name / "mecanum_hil")
+    assert list(itertools.takewhile("--ros-args".__ne__, command)) == words
 
 
 def test_the_view_shows_the_frames_and_topics_that_there_are(package: Path) -> None:

@@ -4,6 +4,8 @@ from dataclasses import dataclass, fields
 from typing import Any, Self
 
 from hil.core.errors import BadInputError
+from hil.record.frames import ODOM
+from hil.record.robot_model import BASE_LINK, WHEEL_JOINTS
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -11,15 +13,10 @@ class Settings:
     """Parameters of the node by their names; ROS2.md says what each means."""
 
     autostart: bool = True
-    base_frame_id: str = "base_link"
-    odom_frame_id: str = "odom"
+    base_frame_id: str = BASE_LINK
+    odom_frame_id: str = ODOM
     imu_frame_id: str = "imu_link"
-    joint_names: tuple[str, ...] = (
-        "front_left_wheel_joint",
-        "front_right_wheel_joint",
-        "rear_right_wheel_joint",
-        "rear_left_wheel_joint",
-    )
+    joint_names: tuple[str, ...] = WHEEL_JOINTS
     enable_odom_tf: bool = True
     publish_rate_hz: float = 200.0
     pose_sigma: tuple[float, ...] = (0.05, 0.05)

@@ -24,6 +24,9 @@ SHARED = {
 }
 """Arguments of both launch files: default and meaning."""
 
+IN_NAMESPACE = [('/tf', 'tf'), ('/tf_static', 'tf_static'), ('/clock', 'clock')]
+"""The node publishes these in its namespace; other nodes take them from there."""
+
 
 def launch_description(arguments, words_of, simulated):
     """
@@ -72,6 +75,7 @@ def _actions(values, words, simulated):
                 executable='robot_state_publisher',
                 namespace=namespace,
                 parameters=[description, clock],
+                remappings=IN_NAMESPACE,
                 output='screen',
             )
         )
@@ -86,6 +90,7 @@ def _actions(values, words, simulated):
                     namespace=namespace,
                     arguments=['-d', str(config / 'robot.rviz')],
                     parameters=[clock],
+                    remappings=IN_NAMESPACE,
                 )
             )
         else:
