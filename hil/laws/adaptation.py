@@ -7,7 +7,7 @@ Over a window the measured velocity changes by Δv and the commands that acted a
 with the share s = believed mass / true mass, and an unknown friction f [m/s²] against the motion, Δs being the time of
 the window with the sign of the velocity. Sums over a window need no derivative, and the noise of a velocity enters only
 at its two ends. Recursive least squares (K. J. Åström and B. Wittenmark, Adaptive Control, 2nd ed. 1995, section 2.2)
-with forgetting, and with the prior s = 1, f = 0, which it returns where nothing was learnt.
+with forgetting, and with what is believed as the prior, which it returns where nothing was learnt.
 """
 
 import math
@@ -15,7 +15,7 @@ import math
 _WINDOW_S = 0.03  # long against the noise of a velocity, short against the time in which a robot gets up speed
 _GATE = 1.0 / 6.0  # least Δu of a window, in units of the largest acceleration times a window
 _FORGET = 0.98  # of what was learnt, each window from which something is learnt
-_PRIOR_SHARE, _PRIOR_FRICTION = 0.02, 0.02  # weights of s = 1 and f = 0, in the units of the sums below
+_PRIOR_SHARE, _PRIOR_FRICTION = 0.02, 1.0  # weights of s = 1 and the believed f, in the units of the sums below
 _LEAST, _MOST = 0.45, 2.2  # a robot from half to twice as heavy as believed
 _TRUSTED = (
     0.4  # sum of squares of Δu, in units of the largest acceleration times a window, from which s counts as known
@@ -25,23 +25,26 @@ _TRUSTED = (
 class AccelerationShare:
     """Learns s and f of one or two axes that share them.
 
-    ``share`` is s, within 0.45 to 2.2, and ``is_known`` says whether enough was seen to rely on it.
+    ``share`` is s, within 0.45 to 2.2, ``friction`` is f [m/s² or rad/s²], at least 0, and ``is_known`` says whether
+    enough was seen to rely on them.
 
-    ``largest`` is the acceleration at full torque [m/s² or rad/s²]; windows with less than a sixth of it teach nothing:
-    what they show may be friction, a slope or noise. A window in which a limiter took torque away, as from wheels that
-    slip, teaches only that a robot is lighter: it may have had less force than the torque stands for, but not more.
+    ``largest`` is the believed acceleration at full torque, ``friction`` the believed f. Windows with less than a sixth
+    of ``largest`` teach nothing: what they show may be friction, a slope or noise. A window in which a limiter took
+    torque away, as from wheels that slip, teaches only that a robot is lighter: it may have had less force than the
+    torque stands for, but not more.
     """
 
-    __slots__ = ("_scale", "_sums", "_was_limited", "_window", "is_known", "share")
+    __slots__ = ("_believed", "_scale", "_sums", "_was_limited", "_window", "friction", "is_known", "share")
 
-    def __init__(self, largest: float) -> None:
+    def __init__(self, largest: float, friction: float = 0.0) -> None:
         self._scale = 1.0 / (largest * _WINDOW_S)
+        self._believed = friction
         self.reset()
 
     def reset(self) -> None:
         """Forget everything: a robot that was stopped may have been loaded meanwhile."""
         self._sums = 0.0, 0.0, 0.0, 0.0, 0.0
-        self.share, self.is_known = 1.0, False
+        self.share, self.friction, self.is_known = 1.0, self._believed, False
         self._was_limited = False
         self._begin(())
 
@@ -80,7 +83,10 @@ class AccelerationShare:
             s = -passed_s / _WINDOW_S * rate / speed if speed > 0.0 else 0.0
             uu, us, ss, uv, sv = uu + u * u, us + u * s, ss + s * s, uv + u * v, sv + s * v
         self._sums = uu, us, ss, uv, sv
-        a, b, y1, y2 = uu + _PRIOR_SHARE, ss + _PRIOR_FRICTION, uv + _PRIOR_SHARE, sv
-        share = (b * y1 - us * y2) / (a * b - us * us)
-        self.share = min(max(share, _LEAST), _MOST)
+        unit = _WINDOW_S * scale
+        a, b = uu + _PRIOR_SHARE, ss + _PRIOR_FRICTION
+        y1, y2 = uv + _PRIOR_SHARE, sv + _PRIOR_FRICTION * self._believed * unit
+        determinant = a * b - us * us
+        self.share = min(max((b * y1 - us * y2) / determinant, _LEAST), _MOST)
+        self.friction = max((a * y2 - us * y1) / (determinant * unit), 0.0)
         self.is_known = uu > _TRUSTED

@@ -69,8 +69,10 @@ def within(value: float, limit: float) -> float:
 # Share of the largest yaw acceleration and yaw rate that the profile plans with. Pushing has priority, so little torque
 # is certain to be left for turning, and turning may use little of the speed.
 _TURNING_SHARE = 0.3
-# The braking share where the mass is known.
+# The braking share where mass and friction are known.
 _KNOWN_BRAKING_SHARE = 0.97
+# The heading is left alone from the first distance on until the second is reached [m].
+_FAR_M, _NEAR_M = 0.1, 0.012
 # Latency and tick together up to which the gains are as configured.
 _FULL_GAIN_S = 0.015
 # How far set points may be from measured speeds, as time at full acceleration. Further away the torque limit would let
@@ -122,7 +124,7 @@ class Profile:
         push_m_s2 = model.torque_limit_n_m / self._push_n_m_per_m_s2
         turn_rad_s2 = model.torque_limit_n_m / self._turn_n_m_per_rad_s2
         self._braking_m_s2 = options.braking_share * push_m_s2
-        self._known_braking_m_s2 = max(options.braking_share, _KNOWN_BRAKING_SHARE) * push_m_s2
+        self._push_m_s2 = push_m_s2
         self._turn_braking_rad_s2 = _TURNING_SHARE * turn_rad_s2
         self._push_step_m_s = _STEP_S * push_m_s2
         self._turn_step_rad_s = _STEP_S * turn_rad_s2
@@ -134,11 +136,14 @@ class Profile:
         limits = (push_m_s2, push_m_s2, turn_rad_s2)
         observers = tuple(ExtendedStateObserver(options.observer_rad_s, limit) for limit in limits)
         self._predictor = DelayPredictor(model, observers, from_observers=True)
-        self._push_share, self._turn_share = AccelerationShare(push_m_s2), AccelerationShare(turn_rad_s2)
+        self._is_far = False
+        friction_m_s2 = model.wheel_friction_n_m / self._push_n_m_per_m_s2
+        self._push_share, self._turn_share = AccelerationShare(push_m_s2, friction_m_s2), AccelerationShare(turn_rad_s2)
 
     def reset(self, state: State, reference: Reference) -> None:
         """Start at this state, with no command sent and no disturbance."""
         self._predictor.reset(state)
+        self._is_far = False
         self._push_share.reset()
         self._turn_share.reset()
 
@@ -175,9 +180,15 @@ class Profile:
         # The bandwidth follows the latency: K1 and K2 keep their distance from its phase.
         slower = min(1.0, _FULL_GAIN_S / (latency_s + dt_s))
         k1 = slower * self._k1
-        braking = push_share * (self._known_braking_m_s2 if self._push_share.is_known else self._braking_m_s2)
+        known = self._push_share
+        braking = known.share * (_KNOWN_BRAKING_SHARE * self._push_m_s2 if known.is_known else self._braking_m_s2)
+        if known.is_known:
+            braking += known.friction
+        # Far away the heading stays where it is: to turn takes speed and torque from the way.
+        self._is_far = is_far = math.hypot(x, y) > (_NEAR_M if self._is_far else _FAR_M)
         limit = self._turn_rad_s
-        turn, turn_slope = profile(heading_error, now_turn, k1, self._turn_braking_rad_s2, -limit, limit)
+        to_turn_rad = 0.0 if is_far else heading_error
+        turn, turn_slope = profile(to_turn_rad, now_turn, k1, self._turn_braking_rad_s2, -limit, limit)
         limit = self._push_speed_m_s(yaw_rate)
         rate_1, slope_1 = profile(x * x1 + y * y1, now_1, k1, braking, -limit - along_1, limit - along_1)
         rate_2, slope_2 = profile(x * x2 + y * y2, now_2, k1, braking, -limit - along_2, limit - along_2)
