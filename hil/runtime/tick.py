@@ -71,8 +71,8 @@ class Tick:
     A tick is ``sense``, then ``drive``. If the robot must not be driven, ``record_away`` replaces ``drive``; if it is
     not connected, it replaces both.
 
-    The law is told the latency. In lockstep this is the sum of the scenario's ``[link]`` latencies, without faults. In
-    real time it is measured, so it includes faults.
+    The law is told the latency. It is measured, so it includes faults; until it is, and for robots that acknowledge no
+    command, it is the sum of the scenario's ``[link]`` latencies.
 
     Attributes:
         count: ticks that have a row.
@@ -254,7 +254,7 @@ class Tick:
                 self._parts.note(t_s, "warning", sentence)
 
     def _measure_latency(self, sequence: int, feedback: Feedback) -> None:
-        """Real time: note the age of the state behind this command, and when the command now in force took effect.
+        """Note the age of the state behind this command, and when the command now in force took effect.
 
         The state is as old as the truth if the estimate uses it, otherwise as old as the feedback.
         """
