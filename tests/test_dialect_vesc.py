@@ -295,7 +295,7 @@ STRANGE = rig_of("can"), rig_of("serial")
     [
         ({"ids": [1, 2, 3, 255]}, "expected four different ones, each 0 to 254"),
         ({"ids": [1, 2, 3]}, "expected four different ones"),
-        ({"ids": [1, 2, 3, 4.0]}, "ids.3 = 4.0; expected a whole number"),
+        ({"ids": [1, 2, 3, 4.0]}, "ids.4 = 4.0; expected a whole number"),
         ({"ids": "1234"}, "expected an array, each item a whole number"),
         ({"host_id": 3}, "expected none of device.motors.ids"),
         ({"serial_id": 255}, "from 0 to 254"),

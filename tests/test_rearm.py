@@ -265,11 +265,11 @@ def at_command(monkeypatch: pytest.MonkeyPatch) -> Callable[[int, Callable[[Benc
             info = original(bench)
             send, left = bench.device.send, [number]
 
-            def counted(command: object) -> None:
+            def counted(command: object) -> int:
                 left[0] -= 1
                 if left[0] == 0:
                     what(bench)
-                send(command)
+                return send(command)
 
             bench.device.send = counted
             return info

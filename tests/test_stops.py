@@ -109,7 +109,7 @@ def test_another_makers_motors_are_watched_too() -> None:
     coasts = {"signal": "wheel.fl.current_a", "from_s": 0.6, "equals": 0.0}
     result = run(empty, stops("under voltage", empty, 0.1), coasts, **more)
     assert result.passed, result
-    with pytest.raises(BadInputError, match=r"fault\.0\.kind.*ESTOP is a message of our firmware"):
+    with pytest.raises(BadInputError, match=r"fault\.1\.kind.*ESTOP is a message of our firmware"):
         run(PRESSED, **more)
 
 

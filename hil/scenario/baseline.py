@@ -8,7 +8,7 @@ import hashlib
 import json
 import platform
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import MISSING, dataclass, fields, is_dataclass
 from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from hil.scenario.run import Scenario
 
 SUFFIX = ".baseline.toml"
-FORMAT = 1
+FORMAT = 2
 """Version of the hash in a baseline."""
 _NOT_ASKED = (
     *("plant.", "firmware.", "device.", "realtime.", "service.", "allow.", "expect."),
@@ -135,27 +135,36 @@ def asked(scenario: "Scenario") -> dict[str, Any]:
     That is the controller with its model, the reference, the estimator, the faults, the rate and duration, and the
     latencies of the link. What stands on the other side of the wire is not part of it ([plant], [firmware], [device],
     the URL of the link), nor the code of the law: a baseline is there to notice when that changes. The seed is not
-    either, nor how the run is judged.
+    either, nor how the run is judged. A value that equals its key's default is left out: a key that comes new, or a
+    default that changes, leaves a baseline to judge what that does to the run.
     """
-    loop, link, controller = scenario.loop, scenario.link, plain(scenario.controller)
-    reference = plain(scenario.reference)
+    loop, link, controller = scenario.loop, scenario.link, _unusual(scenario.controller)
+    reference = _unusual(scenario.reference)
     if isinstance(file := reference.get("file"), str):
         reference["file"] = sha256_of(scenario.directory / file) or file
-    controller["law"] = _last_part(controller["law"])
-    controller["shadow"] = [_last_part(law) for law in controller["shadow"]]
-    # Only where it is not as usual, so that baselines made before there was a limiter stay what they are.
-    limiter = {"limiter": plain(scenario.limiter)} if scenario.limiter != type(scenario.limiter)() else {}
+    controller["law"] = _last_part(scenario.controller.law)
+    controller["shadow"] = [_last_part(law) for law in scenario.controller.shadow]
     return {
-        **limiter,
         "format": FORMAT,
-        "robot": plain(scenario.robot),
+        "limiter": _unusual(scenario.limiter),
+        "robot": _unusual(scenario.robot),
         "link": {"command_latency_s": link.command_latency_s, "feedback_latency_s": link.feedback_latency_s},
         "controller": controller,
         "reference": reference,
-        "estimator": plain(scenario.estimator),
+        "estimator": _unusual(scenario.estimator),
         "loop": {"rate_hz": loop.rate_hz, "duration_s": loop.duration_s, "rearm": loop.rearm},
-        "fault": [{name: value for name, value in plain(row).items() if name != "name"} for row in scenario.fault],
+        "fault": [{name: value for name, value in _unusual(row).items() if name != "name"} for row in scenario.fault],
     }
+
+
+def _unusual(value: Any) -> Any:
+    """Return a dataclass of options as dictionaries without what equals its default, other values as ``plain`` does."""
+    if not is_dataclass(value):
+        return plain(value)
+    usual = {
+        one.name: one.default if one.default_factory is MISSING else one.default_factory() for one in fields(value)
+    }
+    return {name: _unusual(now) for name, before in usual.items() if (now := getattr(value, name)) != before}
 
 
 def is_asked(key: str) -> bool:
