@@ -278,6 +278,26 @@ def test_orders_are_answered_while_a_link_is_slow_to_open(tmp_path: Path) -> Non
     assert not any("cannot be opened" in str(line) for line in service.lines)
 
 
+def test_a_link_that_is_lost_as_soon_as_it_is_open_is_opened_again(tmp_path: Path) -> None:
+    dropped: list[object] = []
+    with socket.create_server(("127.0.0.1", 0)) as server:
+
+        def drop_all() -> None:
+            with contextlib.suppress(OSError):  # the test is over
+                while True:
+                    server.accept()[0].close()
+                    dropped.append(None)
+
+        threading.Thread(target=drop_all, daemon=True).start()
+        link = f"serial:socket://127.0.0.1:{server.getsockname()[1]}"
+        with serving(tmp_path, "--link", link, "--set", "estimator.source=odometry") as service:
+            wait_for(lambda: len(dropped) > 2)
+            assert service.until(phase="away")["why"]
+            service.process.send_signal(signal.SIGTERM)
+            assert service.process.wait(30) == 0
+        server.shutdown(socket.SHUT_RDWR)
+
+
 def test_twists_that_end_stop_the_robot_and_an_estop_latches(tmp_path: Path) -> None:
     # An API that waits for a processor for 0.1 s longer refuses a twist.
     with serving(tmp_path, "--set", "service.twist_timeout_s=0.9") as service:

@@ -8,7 +8,7 @@ from typing import Self
 
 from firmware_protocol.host import parameter_hash
 from hil.core.clock import TICK_NS, LockstepClock, WallClock
-from hil.core.errors import BadInputError, HilError
+from hil.core.errors import BadInputError, HilError, LinkError
 from hil.core.guard import Brake, Guard
 from hil.core.ports import Clock, FixSource, Link, PoseSource
 from hil.core.signals import SIGNAL_NAMES
@@ -215,8 +215,9 @@ class Bench:
 
     def begin(self, origin_ns: int) -> None:
         """Set the start of the scenario's time: ``origin_ns`` on the clock, the first ACTIVE tick."""
-        tick = self.device.tick
-        feedback = self.device.poll()
+        tick, feedback = self.device.tick, None
+        with contextlib.suppress(LinkError):  # a lost link is found lost by the first tick, which handles that
+            feedback = self.device.poll()
         if not self._is_lockstep:
             if isinstance(self.device, MakersRobot):  # its feedback is stamped with this process's clock
                 fix = self.truth.poll() if self.truth is not None else None
