@@ -16,7 +16,7 @@ PAIRWISE := --numprocesses 3 --dist worksteal
 ALONE_TESTS := $(shell grep -l 'pytest\.mark\.alone' tests/test_*.py)
 SOCKETCAN_TESTS := tests/test_socketcan_*.py
 
-.PHONY: help demo test test-rest test-all test-socketcan catalogue check proof chaos bench nightly picture format native fmu ros clean setup
+.PHONY: help demo test test-rest test-all test-socketcan catalogue check proof chaos bench nightly picture format native fmu release ros clean setup
 
 ## what make can do here
 help:
@@ -121,7 +121,7 @@ setup: .venv/installed native
 
 # A target that needs the tools installs them with the rest, which is quicker than one after the other.
 TOOLS := [campaign,dev,mujoco,ros2,targets,teleop]
-test test-rest test-all test-socketcan check proof chaos bench nightly picture format fmu: EXTRAS := $(TOOLS)
+test test-rest test-all test-socketcan check proof chaos bench nightly picture format fmu release: EXTRAS := $(TOOLS)
 
 # The pip that comes with Python may be old and slow. Bytecode is made for what is imported, when it is imported.
 PIP_INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check --no-compile
@@ -160,6 +160,11 @@ fmu: .venv/for-tests
 ## make the package for ROS 2, into dist/ros/, for a workspace of colcon
 ros: setup
 	$(BIN)/python -m tools.build.ros_package
+
+# Wheels for all platforms with zig, which compiles a C library for each at first: some minutes.
+## make all that a release gives away, with checksums, into dist/
+release: .venv/for-tests
+	$(BIN)/python -m tools.release
 
 ## remove all that was set up, built or run
 clean:

@@ -27,6 +27,7 @@ SLOW = (
     "test_identify_trouble.py::test_the_fit_ends_in_the_same_optimum_from_two_beliefs",
     "test_install.py",
     "test_mujoco_fmu.py",
+    "test_release.py",
     "test_reset_cause.py",
     "test_ros_package.py",
     "test_mutants.py::test_every_mutant_of_the_c_sources_compiles",

@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -80,7 +81,7 @@ def test_a_machine_without_a_compiler_builds_installs_and_runs_the_wheel(tmp_pat
     }
     assert {f"hil/{page}" for page in pages} <= names
     assert "[pytest11]\nhil.cli.pytest_plugin = hil.cli.pytest_plugin" in entry_points
-    assert not wheel.name.endswith("-any.whl")
+    assert re.fullmatch(r"mecanum_hil-[\d.]+-py3-none-(?!any)\w+\.whl", wheel.name), "one for all Pythons"
 
     run(sys.executable, "-m", "venv", "--without-pip", tmp_path / "venv", cwd=tmp_path, environment=bare)
     scripts = tmp_path / "venv" / ("Scripts" if sys.platform == "win32" else "bin")

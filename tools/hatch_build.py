@@ -1,6 +1,13 @@
-"""Build hook of the wheel: makes the native parts before the files are gathered."""
+"""Build hook of the wheel: makes the native parts before the files are gathered.
 
+By default they are made for this machine. ``HIL_WHEEL_PLATFORM``, one of ``tools.build.native.WHEEL_TAGS``, makes them
+for another one with zig.
+"""
+
+import os
 import sys
+import sysconfig
+from pathlib import Path
 from typing import Any
 
 from hatchling.builders.hooks.plugin.interface import BuildHookInterface
@@ -16,17 +23,27 @@ class CustomBuildHook(BuildHookInterface[Any]):
             from tools.build.compiler import ZIG_REQUIREMENT, wants_zig
         finally:
             sys.path.remove(self.root)
-        return [ZIG_REQUIREMENT] if wants_zig() else []
+        return [ZIG_REQUIREMENT] if wants_zig() or _platform() else []
 
     def initialize(self, version: str, build_data: dict[str, Any]) -> None:
-        """Build, and mark the wheel as one for this platform; the libraries do not depend on the Python version."""
+        """Build, and mark the wheel as one for a platform and every Python: no file depends on Python's version."""
         sys.path.insert(0, self.root)
         try:
-            from tools.build import cosim, fmu, wheel_host
+            from tools.build import native
         finally:
             sys.path.remove(self.root)
-        wheel_host.build()
-        fmu.build_all()
-        cosim.build()
+        platform = _platform()
+        if platform:
+            files = native.build_for(platform, Path(self.root, "build", "wheels", platform))
+            tag = native.WHEEL_TAGS[platform]
+        else:
+            files = native.build_here()
+            tag = sysconfig.get_platform().replace("-", "_").replace(".", "_")
         build_data["pure_python"] = False
-        build_data["infer_tag"] = True
+        build_data["tag"] = f"py3-none-{tag}"
+        if version != "editable":  # there they are in the tree
+            build_data["force_include"].update({str(file): place for file, place in files.items()})
+
+
+def _platform() -> str | None:
+    return os.environ.get("HIL_WHEEL_PLATFORM")

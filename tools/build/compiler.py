@@ -81,7 +81,8 @@ def compile_shared(
     """
     command = [*zig(), "-target", zig_target] if zig_target else compiler(cc)
     command += [*(FLAGS if built is None else built.flags), *flags, "-shared"]
-    command += [f"-I{folder.absolute()}" for folder in include] + [str(source.absolute()) for source in sources]
+    # For quoted headers alone: hil/plant/windows.h would hide the <windows.h> of Windows.
+    command += [f"-iquote{folder.absolute()}" for folder in include] + [str(source.absolute()) for source in sources]
     # Before compiling: sources that change meanwhile make the library one that is not current.
     digest = None if built is None else built.digest()
     if library.suffix == ".dylib":
