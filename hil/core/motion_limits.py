@@ -125,8 +125,7 @@ class MotionLimits:
     def _give(self, torque: Wheels, now: Wheels, coming: Wheels, ahead: float) -> tuple[float, ...]:
         """Return the share of its torque that each wheel gets: it falls at once, and rises slowly."""
         shares = _shares(torque, now, coming, *self._between)
-        more = 1.0 / (_BACK * ahead) if ahead else 0.0
-        given = tuple(min(share, before + more) for share, before in zip(shares, self._given, strict=True))
+        given = _risen(shares, self._given, ahead)
         if given != self._given:
             self._given = given
             self._set_near()
@@ -149,8 +148,7 @@ class MotionLimits:
         self._slip = slip, time_ns, once, twice
         coming = _ahead(slip, before, ahead)
         shares = _shares(torque, slip, coming, _SLIP_BEGIN * self._slip_rad_s, self._slip_rad_s)
-        more = 1.0 / (_BACK * ahead) if ahead else 0.0
-        self._gripped = tuple(min(share, last + more) for share, last in zip(shares, self._gripped, strict=True))
+        self._gripped = _risen(shares, self._gripped, ahead)
         return _times(torque, slip, self._gripped)
 
     def _fade_body(self, torque: Wheels, coming: Wheels) -> Wheels:
@@ -218,6 +216,12 @@ def _shares(torque: Wheels, now: Wheels, coming: Wheels, begin: float, end: floa
         _share(math.copysign(will_be, pushes * will_be), begin, end) if pushes * is_at > 0.0 else 1.0
         for pushes, is_at, will_be in zip(torque, now, coming, strict=True)
     )
+
+
+def _risen(shares: tuple[float, ...], before: tuple[float, ...], ahead: float) -> tuple[float, ...]:
+    """Return shares of which each falls at once, and rises slowly from what it was before."""
+    more = 1.0 / (_BACK * ahead) if ahead else 0.0
+    return tuple(min(share, last + more) for share, last in zip(shares, before, strict=True))
 
 
 def _times(torque: Wheels, now: Wheels, shares: tuple[float, ...]) -> Wheels:

@@ -3,9 +3,9 @@
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
+from html import escape
 from pathlib import Path
 from string import Template
-from xml.sax.saxutils import escape
 
 import numpy as np
 import numpy.typing as npt
@@ -107,7 +107,7 @@ class RobotShape:
             for joint, link, (x, y), sideways in zip(WHEEL_JOINTS, WHEEL_LINKS, self.centres_m, SIDEWAYS, strict=True)
         )
         return _template("robot.urdf").substitute(
-            name=escape(name, {'"': "&quot;"}),
+            name=escape(name),
             body_length_m=length,
             body_width_m=width,
             body_height_m=height,
