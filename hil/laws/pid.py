@@ -55,7 +55,7 @@ class Pid:
 
     def update(self, reference: Reference, state: State, applied: Applied, dt_s: float) -> WheelCommand:
         """Return the command of this tick, not limited."""
-        predicted = extrapolate(reference, state, applied.latency_s)
+        predicted = extrapolate(reference, state, applied.latency_s, in_speed_mode=not self._torque)
         (x, y, heading, vx, vy, yaw_rate), heading_rad, (vx_d, vy_d, yaw_rate_d), _ = predicted
         options = self._options
         kp, ki, kd = options.kp_1_s, options.ki_1_s2, options.kd

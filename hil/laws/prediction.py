@@ -211,14 +211,16 @@ def speed_command(model: RobotModel, desired: Axes, predicted: Prediction, accel
     return make_speed_command(*model.wheel_speeds(desired, heading_rad), *feedforward)
 
 
-def extrapolate(reference: Reference, state: State, latency_s: float) -> Prediction:
-    """Return both ``latency_s`` [s] later, if the robot accelerates and turns as the reference does. Needs no model.
+def extrapolate(reference: Reference, state: State, latency_s: float, *, in_speed_mode: bool = True) -> Prediction:
+    """Return both ``latency_s`` [s] later, if the robot accelerates as the reference does. Needs no model.
 
-    The measured yaw rate is not used. It would close a second loop around that of the firmware, which has little
-    damping there: against yaw a wheel has a fifth of the inertia that it has against a push.
+    In SPEED mode it is taken to turn as the reference does, too. The measured yaw rate would close a second loop around
+    that of the firmware, which has little damping there: against yaw a wheel has a fifth of the inertia that it has
+    against a push.
     """
-    pose, (vx, vy, _) = state
-    state = State(pose, Twist(vx, vy, reference.twist.yaw_rate_rad_s))
+    if in_speed_mode:
+        pose, (vx, vy, _) = state
+        state = State(pose, Twist(vx, vy, reference.twist.yaw_rate_rad_s))
     ax, ay, ah = reference.acceleration
     vx, vy, vh = latency_s * ax, latency_s * ay, latency_s * ah
     half_s = 0.5 * latency_s
