@@ -54,6 +54,7 @@ SLOW = (
     "test_full_disk.py::test_a_recording_says_that_the_disk_is_full_what_is_lost_and_what_is_safe",
     "test_pytest_plugin_install.py",
     "test_rearm_processes.py",
+    "test_ros2.py::test_a_second_robot_in_its_namespace_starts_elsewhere_and_takes_stamped_twists",
     "test_service_live.py::test_an_api_process_that_is_killed_or_hangs_is_restarted_with_its_port_and_token",
     "test_tick_watch.py",
     "test_trace.py::test_a_trace_of_a_run_that_was_killed_is_readable_up_to_the_cut",
