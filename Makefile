@@ -39,7 +39,7 @@ test-rest: setup .venv/for-tests
 # Other mutants for each commit. Of 16, where the suite notices 95 %, fewer than 80 % are noticed once in 140 times.
 ## run all tests, each once, and a sample of the known defects that hil verify puts in
 test-all: setup .venv/for-tests
-	$(PYTEST) $(BESIDE) -m 'not alone' $(ARGS)
+	$(PYTEST) $(BESIDE) -m 'not alone' --durations 15 --durations-min 8 $(ARGS)
 	$(REAL_TIME)
 	$(BIN)/hil verify --sample 16 --seed $$(git rev-list --count HEAD 2>/dev/null || echo 0) --healthy 16 --least 80 --out build/verify
 
