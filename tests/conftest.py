@@ -1,6 +1,7 @@
 """In CI a skipped test is a failure, unless .ci/run names it; on a user's machine it says what to install."""
 
 import os
+import signal
 from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -17,6 +18,9 @@ if TYPE_CHECKING:
 __all__ = ["suite"]
 
 _CI = os.environ.get("HIL_CI") == "1"
+if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+    # A shell's background job begins so, and every process of a test would be deaf to the Ctrl-C that the test sends.
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 examples.load_profile()
 
 # They begin first, so that no process is left with one of them when the others have ended.
