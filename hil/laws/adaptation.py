@@ -17,18 +17,16 @@ _GATE = 1.0 / 6.0  # least Δu of a window, in units of the largest acceleration
 _FORGET = 0.98  # of what was learnt, each window from which something is learnt
 _PRIOR_SHARE, _PRIOR_FRICTION = 0.02, 1.0  # weights of s = 1 and the believed f, in the units of the sums below
 _LEAST, _MOST = 0.45, 2.2  # a robot from half to twice as heavy as believed
-_TRUSTED = (
-    0.4  # sum of squares of Δu, in units of the largest acceleration times a window, from which s counts as known
-)
+_TRUSTED = 0.4  # sum of the squares of Δu, in the units of _GATE, from which s counts as known
 
 
 class AccelerationShare:
     """Learns s and f of one or two axes that share them.
 
     ``share`` is s, within 0.45 to 2.2, ``friction`` is f [m/s² or rad/s²], at least 0, and ``is_known`` says whether
-    enough was seen to rely on them.
+    enough was seen to rely on them. They begin at 1, the believed f, and False.
 
-    ``largest`` is the believed acceleration at full torque, ``friction`` the believed f. Windows with less than a sixth
+    ``largest`` is the believed acceleration at full torque [m/s² or rad/s²]. Windows with less than a sixth
     of ``largest`` teach nothing: what they show may be friction, a slope or noise. A window in which a limiter took
     torque away, as from wheels that slip, teaches only that a robot is lighter: it may have had less force than the
     torque stands for, but not more.
