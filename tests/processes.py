@@ -3,6 +3,7 @@
 import contextlib
 import gc
 import json
+import logging
 import os
 import select
 import signal
@@ -41,6 +42,8 @@ def hil(*arguments: str | Path, cwd: Path | None = None) -> subprocess.Completed
 
     words = [HIL_FILE, *map(str, arguments)]
     threshold, handlers = gc.get_threshold(), {number: signal.getsignal(number) for number in _HANDLED}
+    root = logging.getLogger()
+    logged = root.handlers[:], root.level  # a service sets them
     with pytest.MonkeyPatch.context() as patch, contextlib.ExitStack() as stack:
         patch.setattr(sys, "argv", words)
         for name, value in environment().items():
@@ -59,6 +62,8 @@ def hil(*arguments: str | Path, cwd: Path | None = None) -> subprocess.Completed
             gc.set_threshold(*threshold)
             for number, handler in handlers.items():
                 signal.signal(number, handler)
+            root.handlers[:], level = logged
+            root.setLevel(level)
     assert code is None or isinstance(code, int), code
     return subprocess.CompletedProcess(words, code or 0, "".join(output), "".join(errors))
 
