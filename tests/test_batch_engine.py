@@ -1,8 +1,11 @@
 """The batch engine: a search goes by what came back and goes on from a store; a limit ends one job and no other."""
 
+import subprocess
+import sys
 from collections.abc import Sequence
 from pathlib import Path
 
+import psutil
 import pyarrow as pa
 import pytest
 
@@ -18,6 +21,7 @@ from hil.batch.store import Store, read_rows
 from hil.core.errors import BadInputError, LinkError
 from hil.core.subprocesses import MEMORY_IS_KNOWN, LifeLine
 from hil.scenario import Scenario, load
+from tests.processes import wait_for
 
 SHORT = {"loop.duration_s": 0.2, "loop.rate_hz": 200, "expect": []}
 LAWS = """
@@ -184,3 +188,15 @@ def test_a_life_line_of_a_child_that_cannot_be_started_is_closed() -> None:
         with pytest.raises(FileNotFoundError):
             LifeLine().start(["/nowhere/program"])
     assert descriptors() == before
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="a LifeLine does nothing there")
+def test_a_program_ends_with_a_process_that_is_killed_right_after_it_started_it() -> None:
+    """The test is in the time before the program's own code runs, which a viewer's 0.1 s of loading make long."""
+    starts = (
+        "import os, signal; from hil.core.subprocesses import LifeLine;"
+        "print(LifeLine().start_program(['/bin/sleep', '1000']).pid, flush=True); os.kill(os.getpid(), signal.SIGKILL)"
+    )
+    ended = subprocess.run([sys.executable, "-c", starts], capture_output=True, text=True, timeout=60)
+    program = int(ended.stdout)
+    wait_for(lambda: not psutil.pid_exists(program) or psutil.Process(program).status() == psutil.STATUS_ZOMBIE)

@@ -57,8 +57,8 @@ class LifeLine:
     """A pipe by which the operating system ends a child when this process ends, however it ends.
 
     Unlike a thread of the child that waits for the end of a pipe, it also ends a child whose interpreter is held up in
-    C. A child of ours is given ``token`` for ``hold_on``; one of another program is tied by ``tie``. On Windows it does
-    nothing.
+    C. A child of ours is given ``token`` for ``hold_on``; another program is started by ``start_program``. On Windows
+    it does nothing.
     """
 
     def __init__(self) -> None:
@@ -78,10 +78,15 @@ class LifeLine:
             self.close()
             raise
 
-    def tie(self, process: int) -> None:
-        """End the process of this number, which was begun by ``start``, when this process has ended."""
+    def start_program(self, command: Sequence[str], **options: Any) -> "subprocess.Popen[bytes]":
+        """Start a program that is not ours, with options of Popen. Raises OSError, and then it is closed.
+
+        Python holds on before the program takes its place: if this process ended between the start and a later call
+        that ties the program to it, the program would stay.
+        """
         if self._ends:
-            _signal_at_end(self._ends[0], process)
+            command = [sys.executable, "-P", __file__, self.token, *command]
+        return self.start(command, **options)
 
     def close(self) -> None:
         """Let go of the child, which ends if it still holds on. May be called twice."""
@@ -93,22 +98,15 @@ class LifeLine:
 def hold_on(token: str) -> None:
     """End this process when the one that made the ``LifeLine`` has ended."""
     if sys.platform != "win32" and token:
+        import fcntl
         import select
 
         end = int(token)
-        _signal_at_end(end, os.getpid())
+        fcntl.fcntl(end, fcntl.F_SETOWN, os.getpid())
+        # SIGIO, which ends a process that does not handle it. Nothing is ever written, so the end is the only event.
+        fcntl.fcntl(end, fcntl.F_SETFL, fcntl.fcntl(end, fcntl.F_GETFL) | os.O_ASYNC)
         if select.select([end], [], [], 0)[0]:  # the other process ended before
             os._exit(1)
-
-
-def _signal_at_end(end: int, process: int) -> None:
-    """Have the operating system send SIGIO to a process at the end of a pipe; it ends one that does not handle it."""
-    if sys.platform != "win32":
-        import fcntl
-
-        fcntl.fcntl(end, fcntl.F_SETOWN, process)
-        # Nothing is ever written, so the end is the only event. The flag belongs to all descriptors of this end.
-        fcntl.fcntl(end, fcntl.F_SETFL, fcntl.fcntl(end, fcntl.F_GETFL) | os.O_ASYNC)
 
 
 def wait_for_end(descriptor: int) -> None:
@@ -152,3 +150,9 @@ def excess(process: int, limit_mb: float) -> str | None:
     return (
         None if used_mb <= limit_mb else f"it took {used_mb:.0f} MB of memory, more than the limit of {limit_mb:g} MB"
     )
+
+
+if sys.platform != "win32" and __name__ == "__main__":  # for start_program
+    hold_on(sys.argv[1])
+    signal.signal(signal.SIGPIPE, signal.SIG_DFL)  # Python ignores it, and a program would inherit that
+    os.execv(sys.argv[2], sys.argv[2:])

@@ -201,10 +201,7 @@ class Window:
 
 def _start(*options: str) -> "subprocess.Popen[bytes]":
     """Start a viewer that ends with this process, also when that is killed."""
-    life_line = LifeLine()
-    viewer = life_line.start(viewer_command(*options), env=viewer_environment())
-    life_line.tie(viewer.pid)
-    return viewer
+    return LifeLine().start_program(viewer_command(*options), env=viewer_environment())
 
 
 def _check_ended(viewer: "subprocess.Popen[bytes]", remedy: str) -> None:
