@@ -12,6 +12,7 @@ from hil.core.link_protocol import WHEEL_DBC, LinkProtocol
 
 _CHUNK = 65536
 _PATIENCE_S = 2.0
+_WAITS = 40
 _AHEAD_S = 0.05  # bytes of this time may come in a burst: a robot that stalled may catch up by this much
 _BITS_PER_BYTE = 10  # start, eight data bits, stop
 _PSEUDO_TERMINAL = re.compile(r"/dev/(pts/|ttys)\d+")  # on Linux, and on macOS; one that has gone is a name only
@@ -117,10 +118,14 @@ class PtyStream:
             try:
                 return os.write(self._master, data)
             except BlockingIOError:
-                if not (self._waits and select.select([], [self._master], [], _PATIENCE_S)[1]):
+                if not (self._waits and self._has_room_soon()):
                     return 0
             except OSError as error:
                 raise LinkError(f"pseudo-terminal {self.port!r} was lost: {error.strerror}") from error
+
+    def _has_room_soon(self) -> bool:
+        """Wait for a reader. It counts waits: a time in which the machine stood still is one of them."""
+        return any(select.select([], [self._master], [], _PATIENCE_S / _WAITS)[1] for _ in range(_WAITS))
 
     def read(self, timeout_ns: int) -> bytes:
         most = _CHUNK if self._pace is None else min(_CHUNK, self._pace.left())
