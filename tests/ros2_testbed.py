@@ -32,6 +32,8 @@ TYPES = {
     "wheel_commands": "std_msgs/msg/Float64MultiArray",
     "path": "nav_msgs/msg/Path",
     "pose": "geometry_msgs/msg/PoseWithCovarianceStamped",
+    "amcl_pose": "geometry_msgs/msg/PoseWithCovarianceStamped",
+    "odometry/filtered": "nav_msgs/msg/Odometry",
 }
 TRIGGER = "std_srvs/srv/Trigger"
 

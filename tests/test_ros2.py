@@ -205,6 +205,54 @@ def test_a_path_is_followed_to_its_end(armed: Peer) -> None:
 
 
 @needs_ros
+def test_a_path_with_ascending_stamps_is_followed_at_its_times(armed: Peer) -> None:
+    at = armed.next("odom")["pose"]["pose"]["position"]
+    poses = [
+        {
+            "header": {"stamp": {"sec": 1000 + after_s}},
+            "pose": {"position": {"x": at["x"] + dx, "y": at["y"]}, "orientation": {"w": 1.0}},
+        }
+        for after_s, dx in ((0, 0.0), (2, 0.08), (4, 0.16), (6, 0.24))
+    ]
+    armed.once("path", poses=poses)
+    begin_s = stamp_of(armed.newest("odom"))
+    wait_for(lambda: armed.newest("odom")["pose"]["pose"]["position"]["x"] > at["x"] + 0.23)
+    # At the speed of the parameter it takes 1.5 s.
+    assert stamp_of(armed.newest("odom")) - begin_s > 4.0
+    assert armed.call("stop")["success"]
+
+
+@needs_ros
+def test_a_node_that_is_deactivated_stops_and_says_nothing_and_one_that_is_cleaned_up_begins_anew(armed: Peer) -> None:
+    def change(transition: int) -> bool:
+        answer = armed.call("change_state", "lifecycle_msgs/srv/ChangeState", transition={"id": transition})
+        return bool(answer["success"])
+
+    configure, cleanup, activate, deactivate = 1, 2, 3, 4  # lifecycle_msgs/msg/Transition
+    armed.publish("cmd_vel", 20.0, **twist(0.3))
+    wait_for(lambda: speed_of(armed.newest("odom")) > 0.25)
+    assert change(deactivate)
+    count = armed.count("odom")
+    armed.publish("cmd_vel", 20.0, **twist(0.3))
+    time_s = armed.next("clock")["clock"]["sec"] + 1
+    wait_for(lambda: armed.newest("clock")["clock"]["sec"] > time_s)
+    assert armed.count("odom") - count < 3  # those that were on their way
+    assert change(activate)
+    wait_for(lambda: speed_of(armed.next("odom")) > 0.25)  # the robot was stopped, and not disarmed
+    assert change(deactivate)
+    armed.publish("cmd_vel", 0.0)
+    assert not change(configure)
+    assert change(cleanup)
+    assert armed.call("estop")["success"]  # in every state
+    assert change(configure)
+    assert change(activate)
+    wait_for(lambda: armed.phase() == "estop")
+    assert speed_of(armed.next("ground_truth/odom")) < 0.01
+    assert armed.call("clear")["success"]
+    wait_for(lambda: armed.phase() == "disarmed")
+
+
+@needs_ros
 def test_an_e_stop_latches_until_it_is_cleared(armed: Peer) -> None:
     armed.publish("cmd_vel", 20.0, **twist(0.3))
     wait_for(lambda: speed_of(armed.newest("odom")) > 0.2)

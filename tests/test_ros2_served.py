@@ -2,6 +2,7 @@
 
 import signal
 import socket
+import subprocess
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -12,7 +13,7 @@ import pytest
 from hil.service.client import Client, find
 from hil.service.discovery import running
 from hil.service.messages import Action
-from tests.processes import is_running, wait_for
+from tests.processes import HIL, environment, is_running, wait_for
 from tests.ros2_testbed import Peer, needs_ros, node, twist
 from tests.service_testbed import own_state
 
@@ -97,21 +98,45 @@ def test_a_node_that_hangs_or_is_killed_stops_the_robot_and_its_service_ends_in_
     assert not running()
 
 
-def test_pose_fixes_reach_the_fused_estimator(tmp_path: Path, state_home: None) -> None:
+@pytest.mark.parametrize("topic", ["pose", "amcl_pose", "odometry/filtered"])
+def test_pose_fixes_reach_the_fused_estimator(topic: str, tmp_path: Path, state_home: None) -> None:
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as free:
         free.bind(("127.0.0.1", 0))
         port = free.getsockname()[1]
     fused = ("--set", "estimator.source=fused", "--set", f"estimator.fix=udp://127.0.0.1:{port}")
+    ros = ("-p", "publish_rate_hz:=20.0", *(("-r", "pose:=/amcl_pose") if topic == "amcl_pose" else ()))
     peer = Peer("")
     try:
         peer.listen("odom")
-        with node(tmp_path, *SERVED, *fused, ros=("-p", "publish_rate_hz:=20.0")):
+        with node(tmp_path, *SERVED, *fused, ros=ros):
             wait_for(lambda: peer.newest("odom"), 120.0)
             at = peer.newest("odom")["pose"]["pose"]["position"]
             variances = [1e-4 if place in (0, 7, 35) else 0.0 for place in range(36)]
             there = {"position": {"x": at["x"] + 0.02, "y": at["y"]}, "orientation": {"w": 1.0}}
-            peer.publish("pose", 10.0, pose={"pose": there, "covariance": variances})
+            peer.publish(topic, 10.0, pose={"pose": there, "covariance": variances})
             wait_for(lambda: peer.newest("odom")["pose"]["pose"]["position"]["x"] > at["x"] + 0.012)
             assert peer.newest("odom")["pose"]["covariance"][0] < 0.0025
     finally:
         peer.close()
+
+
+def test_a_node_uses_the_service_that_port_names_and_leaves_it_running(tmp_path: Path, state_home: None) -> None:
+    log = (tmp_path / "service.log").open("w")
+    command = [*HIL, "serve", "circle_speed", "--set", "loop.rate_hz=100", "--set", "service.port=0"]
+    peer = Peer("")
+    with subprocess.Popen(command, env=environment(), cwd=tmp_path, stderr=log) as service:
+        try:
+            wait_for(lambda: service.poll() is not None or running(), 120.0)
+            (announced,) = running()
+            peer.listen("diagnostics")
+            with node(tmp_path, *SERVED, "--port", str(announced.port)):
+                wait_for(lambda: peer.phase() == "disarmed", 120.0)
+                drive(peer, client := find(announced.url))
+            # The node has gone, and its twist has timed out.
+            wait_for(lambda: fastest(client) < 0.1)
+            assert client.status()["task"] == "hold"
+            assert service.poll() is None
+        finally:
+            peer.close()
+            service.send_signal(signal.SIGINT)
+            assert service.wait(timeout=60) == 0
