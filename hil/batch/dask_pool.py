@@ -5,6 +5,7 @@ nothing more. When a Dask worker itself is lost, Dask gives its jobs to another.
 """
 
 import contextlib
+import gc
 import ipaddress
 import itertools
 import logging
@@ -19,7 +20,7 @@ from urllib.parse import urlsplit
 
 from hil.batch.job import LOST, Job, Outcome
 from hil.batch.pool import COLLECT_S, Runner, drain
-from hil.core.errors import BadInputError, LinkError
+from hil.core.errors import BadInputError, HilError, LinkError
 
 try:
     import distributed
@@ -250,15 +251,19 @@ def _connect(address: str) -> "distributed.Client":
     logging.getLogger("distributed.client").setLevel(logging.CRITICAL)  # our own messages say what matters
     try:
         return distributed.Client(address, timeout=CONNECT_S, set_as_default=False, name="mecanum-hil")
-    except TypeError as error:  # this is how Dask reports missing certificates
-        raise BadInputError(
+    except TypeError:  # this is how Dask reports missing certificates
+        failure: HilError = BadInputError(
             f"--scheduler {address}: TLS needs certificates; name them in DASK_DISTRIBUTED__COMM__TLS__CA_FILE, "
             "..._TLS__CLIENT__CERT and ..._TLS__CLIENT__KEY, as CAMPAIGNS.md shows"
-        ) from error
+        )
     except (OSError, TimeoutError, ValueError) as error:
-        raise LinkError(
+        failure = LinkError(
             f"--scheduler {address}: no scheduler of Dask answers there ({error}); start one with: dask scheduler"
-        ) from error
+        )
+    # A Client that failed is in a cycle. Collected in the thread of the next Client's loop, it would wait for that to
+    # start, which waits for the collection.
+    gc.collect()
+    raise failure
 
 
 def check_address(address: str) -> None:
