@@ -5,7 +5,6 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-import psutil
 import pyarrow as pa
 import pytest
 
@@ -21,7 +20,7 @@ from hil.batch.store import Store, read_rows
 from hil.core.errors import BadInputError, LinkError
 from hil.core.subprocesses import MEMORY_IS_KNOWN, LifeLine
 from hil.scenario import Scenario, load
-from tests.processes import wait_for
+from tests.processes import is_running, wait_for
 
 SHORT = {"loop.duration_s": 0.2, "loop.rate_hz": 200, "expect": []}
 LAWS = """
@@ -199,4 +198,4 @@ def test_a_program_ends_with_a_process_that_is_killed_right_after_it_started_it(
     )
     ended = subprocess.run([sys.executable, "-c", starts], capture_output=True, text=True, timeout=60)
     program = int(ended.stdout)
-    wait_for(lambda: not psutil.pid_exists(program) or psutil.Process(program).status() == psutil.STATUS_ZOMBIE)
+    wait_for(lambda: not is_running(program))

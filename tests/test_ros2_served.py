@@ -121,10 +121,12 @@ def test_pose_fixes_reach_the_fused_estimator(topic: str, tmp_path: Path, state_
 
 
 def test_a_node_uses_the_service_that_port_names_and_leaves_it_running(tmp_path: Path, state_home: None) -> None:
-    log = (tmp_path / "service.log").open("w")
     command = [*HIL, "serve", "circle_speed", "--set", "loop.rate_hz=100", "--set", "service.port=0"]
     peer = Peer("")
-    with subprocess.Popen(command, env=environment(), cwd=tmp_path, stderr=log) as service:
+    with (
+        (tmp_path / "service.log").open("w") as log,
+        subprocess.Popen(command, env=environment(), cwd=tmp_path, stderr=log) as service,
+    ):
         try:
             wait_for(lambda: service.poll() is not None or running(), 120.0)
             (announced,) = running()

@@ -103,7 +103,6 @@ import os, sys
 import hil.wire.terminal
 from pathlib import Path
 from hil.core.errors import HilError
-from hil.wire import device_lock
 from hil.wire.device_lock import device_held
 from hil.wire.url import parse_link
 link, lock = sys.argv[1:]

@@ -12,7 +12,6 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
-import psutil
 import pytest
 import rerun as rr
 import rerun.chunk as rrc
@@ -28,7 +27,7 @@ from hil.review.contents import DamagedError
 from hil.review.decode import decode
 from hil.runtime.provenance import properties
 from hil.scenario import load
-from tests.processes import wait_for
+from tests.processes import is_running, wait_for
 from tests.recorded_circle import PERIOD_S, circle_rows, circle_table
 
 linux_only = pytest.mark.skipif(sys.platform != "linux", reason="needs /proc")
@@ -224,8 +223,7 @@ def test_a_viewer_ends_with_the_command_that_opened_it(empty: Path, ends: signal
         (own,) = children(viewer.pid)
         viewer.send_signal(ends)
         assert viewer.wait() == code
-    # An orphan's last state belongs to whoever runs this machine's first process.
-    wait_for(lambda: not psutil.pid_exists(own) or psutil.Process(own).status() == psutil.STATUS_ZOMBIE)
+    wait_for(lambda: not is_running(own))
 
 
 LATE_S = 40.0

@@ -199,11 +199,6 @@ class Window:
             time.sleep(_LOOK_S)
 
 
-def _start(*options: str) -> "subprocess.Popen[bytes]":
-    """Start a viewer that ends with this process, also when that is killed."""
-    return LifeLine().start_program(viewer_command(*options), env=viewer_environment())
-
-
 def _check_ended(viewer: "subprocess.Popen[bytes]", remedy: str) -> None:
     """Raise DeviceError when a viewer that has ended did so with an error."""
     if viewer.returncode != 0:
@@ -212,11 +207,11 @@ def _check_ended(viewer: "subprocess.Popen[bytes]", remedy: str) -> None:
 
 @contextlib.contextmanager
 def _listening_viewer(port: int, *options: str) -> Iterator["subprocess.Popen[bytes]"]:
-    """Start a viewer, yield it once it listens on the port, and end it."""
+    """Start a viewer, yield it once it listens on the port, and end it; it ends too when this process is killed."""
     viewer = None
     try:
         with _signals_held():
-            viewer = _start(*options)
+            viewer = LifeLine().start_program(viewer_command(*options), env=viewer_environment())
         wait_until_listening(viewer, port)
         yield viewer
     finally:
