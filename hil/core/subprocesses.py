@@ -54,7 +54,7 @@ def start_children_as_ordinary() -> None:
 
 
 class LifeLine:
-    """A pipe by which the operating system ends a child when this process ends, however it ends.
+    """A pipe that has the operating system send SIGIO to a child, which ends it, when this process ends in any way.
 
     Unlike a thread of the child that waits for the end of a pipe, it also ends a child whose interpreter is held up in
     C. A child of ours is given ``token`` for ``hold_on``; another program is started by ``start_program``. On Windows
@@ -79,10 +79,10 @@ class LifeLine:
             raise
 
     def start_program(self, command: Sequence[str], **options: Any) -> "subprocess.Popen[bytes]":
-        """Start a program that is not ours, with options of Popen. Raises OSError, and then it is closed.
+        """Start an executable that knows nothing of this pipe, with options of Popen.
 
-        Python holds on before the program takes its place: if this process ended between the start and a later call
-        that ties the program to it, the program would stay.
+        The child begins as Python, calls ``hold_on``, and only then becomes the program, by exec. So there is no moment
+        in which this process can be killed and leave the program running. Raises OSError, and then this is closed.
         """
         if self._ends:
             command = [sys.executable, "-P", __file__, self.token, *command]

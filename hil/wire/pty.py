@@ -124,7 +124,10 @@ class PtyStream:
                 raise LinkError(f"pseudo-terminal {self.port!r} was lost: {error.strerror}") from error
 
     def _has_room_soon(self) -> bool:
-        """Wait for a reader. It counts waits: a time in which the machine stood still is one of them."""
+        """Wait up to 2 s until the other side has read, and return whether there is room for more bytes.
+
+        The limit is a number of short waits, not a time: a suspended machine uses up one of them, however long it lasts.
+        """
         return any(select.select([], [self._master], [], _PATIENCE_S / _WAITS)[1] for _ in range(_WAITS))
 
     def read(self, timeout_ns: int) -> bytes:
