@@ -260,8 +260,8 @@ def _connect(address: str) -> "distributed.Client":
         failure = LinkError(
             f"--scheduler {address}: no scheduler of Dask answers there ({error}); start one with: dask scheduler"
         )
-    # The failed Client is in a reference cycle. If the collector ran its __del__ in the thread of the next Client's event
-    # loop, the two would deadlock: __del__ needs the lock that the start of the loop holds.
+    # The failed Client is in a reference cycle. If the collector ran its __del__ in the thread of the next Client's
+    # event loop, the two would deadlock: __del__ needs the lock that the start of the loop holds.
     gc.collect()
     raise failure
 

@@ -126,7 +126,7 @@ class PtyStream:
     def _has_room_soon(self) -> bool:
         """Wait up to 2 s until the other side has read, and return whether there is room for more bytes.
 
-        The limit is a number of short waits, not a time: a suspended machine uses up one of them, however long it lasts.
+        The limit is a number of short waits, not a time: a suspended machine uses up one of them, for however long.
         """
         return any(select.select([], [self._master], [], _PATIENCE_S / _WAITS)[1] for _ in range(_WAITS))
 
