@@ -16,7 +16,7 @@ PAIRWISE := --numprocesses 3 --dist worksteal
 ALONE_TESTS := $(shell grep -l 'pytest\.mark\.alone' tests/test_*.py)
 SOCKETCAN_TESTS := tests/test_socketcan_*.py
 
-.PHONY: help demo test test-rest test-all test-socketcan catalogue check proof chaos bench nightly picture format native fmu release ros clean setup
+.PHONY: help demo test test-rest test-all test-socketcan catalogue check proof chaos bench nightly docs picture format native fmu release ros clean setup
 
 ## what make can do here
 help:
@@ -102,6 +102,11 @@ bench: setup .venv/for-tests
 nightly: setup .venv/for-tests
 	$(BIN)/python -m tools.nightly $(ARGS)
 
+# Docs are Markdown beside what they describe; the reference is made from the code. A broken link fails.
+## write the documentation site into build/docs
+docs: setup .venv/for-tests
+	$(BIN)/sphinx-build --quiet --fail-on-warning --keep-going -c docs . build/docs $(ARGS)
+
 ## draw the pictures of the README, of a recording and of a review's page anew
 picture: setup .venv/for-tests
 	$(BIN)/hil run paper_circle --record runs/picture.rrd --force
@@ -121,7 +126,7 @@ setup: .venv/installed native
 
 # A target that needs the tools installs them with the rest, which is quicker than one after the other.
 TOOLS := [campaign,dev,mujoco,ros2,targets,teleop]
-test test-rest test-all test-socketcan check proof chaos bench nightly picture format fmu release: EXTRAS := $(TOOLS)
+test test-rest test-all test-socketcan check proof chaos bench nightly docs picture format fmu release: EXTRAS := $(TOOLS)
 
 # The pip that comes with Python may be old and slow. Bytecode is made for what is imported, when it is imported.
 PIP_INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check --no-compile

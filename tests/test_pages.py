@@ -1,12 +1,21 @@
-"""What the pages name is there: the targets of links, files, targets of make and commands of hil."""
+"""What the pages name is there: the targets of links, files, targets of make, commands of hil and their options."""
 
+import itertools
 import re
+import shlex
+import tomllib
+from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
+import typer
+from typer.main import get_group
 
 from hil.cli.commands import SHIPPED
+from hil.cli.main import app
 from tests.processes import ROOT
+from tools.page_blocks import blocks
 
 OUTSIDE = {"build", "dist", "node_modules", "runs"}
 
@@ -17,7 +26,7 @@ def is_ours(page: Path) -> bool:
 
 
 PAGES = sorted(filter(is_ours, ROOT.rglob("*.md")))
-GUIDES = [ROOT / name for name in ("README.md", "ARCHITECTURE.md", "CONTRIBUTING.md")]
+GUIDES = [ROOT / name for name in ("README.md", "ARCHITECTURE.md", "CONTRIBUTING.md", "docs/tour.md", "docs/proven.md")]
 # Rooms of ours in backticks. NAME stands for one's own; a file that is built is not in a fresh checkout.
 OURS = re.compile(r"`((?:hil|plant_fmu|firmware_protocol|tools|tests|docs)/[\w./-]*)`")
 
@@ -55,6 +64,62 @@ def test_commands_named_in_the_guides_exist(page: Path) -> None:
     assert set(re.findall(r"(?:^ *|`)hil ([a-z0-9]+)", shown, re.MULTILINE)) <= SHIPPED.keys()
 
 
-def test_the_readme_names_every_command() -> None:
-    text = (ROOT / "README.md").read_text(encoding="utf-8")
+def test_the_tour_names_every_command() -> None:
+    text = (ROOT / "docs" / "tour.md").read_text(encoding="utf-8")
     assert [name for name in SHIPPED if f"hil {name}" not in text] == []
+
+
+def typed(page: Path) -> Iterator[str]:
+    """Yield the commands of hil that a page shows, by indentation or in a block."""
+    text = page.read_text(encoding="utf-8").replace("\\\n", " ")
+    yield from re.findall(r"^(?:    |\$ )(hil .*)$", text, re.MULTILINE)
+
+
+PROGRAM = get_group(app)
+PLACEHOLDER = re.compile(r"[A-Z_]+|…|\.\.\.")  # what a page writes for any command
+
+
+def words_of(line: str) -> list[str]:
+    """Return the words of a command of the shell, up to a pipe, a redirection or another command."""
+    split = shlex.shlex(line, posix=True, punctuation_chars=True)
+    split.whitespace_split = True
+    return list(itertools.takewhile(lambda word: word[0] not in "|&;<>()", split))
+
+
+def problem(words: list[str]) -> str | None:
+    """Return what the command line finds wrong with words: an unknown command or option; None for none of these."""
+    context = typer.Context(PROGRAM, info_name="hil")
+    command: Any = PROGRAM
+    while words and hasattr(command, "get_command"):
+        if words[0].startswith("-"):
+            words = words[1:]
+            continue
+        name, *others = words
+        below = command.get_command(context, name)
+        if below is not None:
+            words = others
+        elif (below := command.get_command(context, "run")) is None or command is PROGRAM:  # of hil campaign
+            return f"no command {name!r}"
+        command, context = below, typer.Context(below, parent=context, info_name=name)
+    known = {one for option in command.params for one in (*option.opts, *option.secondary_opts)} | {"-h", "--help"}
+    unknown = [word for word in words if word.startswith("--") and word.partition("=")[0] not in known]
+    return f"no option {unknown[0]!r} of {context.command_path!r}" if unknown else None
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
+def test_commands_of_every_page_exist_with_their_options(page: Path) -> None:
+    wrong = []
+    for line in typed(page):
+        words = words_of(line)[1:]
+        if words and not PLACEHOLDER.fullmatch(words[0]) and (found := problem(words)) is not None:
+            wrong.append(f"{line}: {found}")
+    assert wrong == []
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
+def test_code_of_every_page_can_be_read(page: Path) -> None:
+    for block in blocks(page.read_text(encoding="utf-8")):
+        if block.language == "toml":
+            tomllib.loads(block.text)
+        elif block.language == "python":
+            compile(block.text, f"{page.name}, line {block.line}", "exec")

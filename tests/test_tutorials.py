@@ -1,0 +1,83 @@
+"""The pages that teach do what they show: every block is run, in the order of the page, by one who only types."""
+
+import json
+import os
+import shutil
+import sys
+from pathlib import Path
+
+import pytest
+
+from tests.processes import ROOT, environment
+from tools.page_blocks import NOT_RUN, PageError, blocks, commands, run_page, shows
+
+TUTORIALS = sorted((ROOT / "docs" / "tutorials").glob("*.md"))
+START = ROOT / "docs" / "start.md"
+INSTALLING = ("python3 -m venv", "pip install")
+pytestmark = pytest.mark.skipif(
+    shutil.which("bash") is None, reason="no bash: install it, as the pages are typed into it"
+)
+
+
+def variables(home: Path) -> dict[str, str]:
+    """Return the environment of a reader who has the package installed."""
+    names = {"GIT_AUTHOR_NAME", "GIT_AUTHOR_EMAIL", "GIT_COMMITTER_NAME", "GIT_COMMITTER_EMAIL"}
+    path = os.pathsep.join((str(Path(sys.executable).parent), os.environ["PATH"]))
+    return environment() | dict.fromkeys(names, "reader@localhost") | {"PATH": path, "HOME": str(home), "COLUMNS": "80"}
+
+
+@pytest.mark.parametrize("page", TUTORIALS, ids=lambda page: page.stem)
+def test_a_tutorial_shows_what_happens(page: Path, tmp_path: Path) -> None:
+    run_page(page, tmp_path, variables(tmp_path))
+
+
+def test_the_start_page_shows_what_happens(tmp_path: Path) -> None:
+    text = START.read_text(encoding="utf-8")
+    typed = tuple(f"$ {one}" for one in INSTALLING)
+    installed = "\n".join(line for line in text.splitlines() if not line.startswith(typed))
+    (page := tmp_path / "start.md").write_text(installed, encoding="utf-8")
+    assert run_page(page, tmp_path, variables(tmp_path)) == 0
+
+
+def test_the_start_page_is_short() -> None:
+    text = START.read_text(encoding="utf-8")
+    typed = [one for block in blocks(text) if block.language == "console" for one in commands(block)]
+    assert len(typed) <= 12
+    assert len(text.split()) <= 1500
+
+
+def test_what_needs_a_board_is_marked_and_counted() -> None:
+    counts = {
+        page.stem: sum(block.options.get("class") == NOT_RUN for block in blocks(page.read_text(encoding="utf-8")))
+        for page in TUTORIALS
+    }
+    assert {name: count for name, count in counts.items() if count} == {"board": 5, "motors": 1}
+
+
+def test_the_notebook_runs(tmp_path: Path) -> None:
+    import matplotlib as mpl
+
+    mpl.use("agg")
+    notebook = json.loads((ROOT / "docs" / "tutorials" / "demo.ipynb").read_text(encoding="utf-8"))
+    names: dict[str, object] = {}
+    for cell in notebook["cells"]:
+        if cell["cell_type"] == "code":
+            exec(compile("".join(cell["source"]), cell["id"], "exec"), names)
+    assert names["heavy"].metrics["t10_s"] > 0  # type: ignore[attr-defined]
+
+
+@pytest.mark.parametrize(
+    ("shown", "same"),
+    [("a\nc", True), ("…\nc", True), ("a…\nb", True), ("c\na", False), ("a b", False), ("…z…", False), ("", True)],
+)
+def test_shown_lines_are_looked_for_in_order(shown: str, same: bool) -> None:
+    assert shows(shown, "a\nb\nc\n") is same
+
+
+def test_a_command_that_fails_fails_its_page(tmp_path: Path) -> None:
+    (page := tmp_path / "page.md").write_text("```console\n$ false\n```\n", encoding="utf-8")
+    with pytest.raises(PageError, match="'false' ended with 1"):
+        run_page(page, tmp_path, variables(tmp_path))
+    page.write_text("```console\n$ echo one\ntwo\n```\n", encoding="utf-8")
+    with pytest.raises(PageError, match="where the page shows\ntwo"):
+        run_page(page, tmp_path, variables(tmp_path))
