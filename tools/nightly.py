@@ -66,6 +66,7 @@ STEPS = {
             "{out}/identify.jsonl",
         ),
     ),
+    "start": Step("the start page, typed into an empty Debian; needs root", (PYTHON, "-m", "tools.start_page")),
     "soak": Step("a service that is driven for two hours", (PYTHON, "-m", "tools.soak", "--minutes", "120")),
     "chaos": Step(
         "an hour of kills, stops, full disks and bad lines, judged by the robot's truth",

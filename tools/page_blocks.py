@@ -14,7 +14,7 @@ the eye.
 import re
 import subprocess
 import sys
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -66,10 +66,19 @@ def commands(block: Block) -> Iterator[Command]:
         yield Command(words, shown)
 
 
-def run_page(page: Path, folder: Path, variables: Mapping[str, str] | None = None) -> int:
-    """Run a page's blocks in a folder, in one shell; return how many were not run. Raises PageError."""
+def run_page(
+    page: Path,
+    folder: Path,
+    variables: Mapping[str, str] | None = None,
+    bash: Sequence[str] = ("bash",),
+    root: Path = Path("/"),
+) -> int:
+    """Run a page's blocks in a folder, in one shell; return how many were not run. Raises PageError.
+
+    ``bash`` starts the shell, perhaps with another ``root`` for its files.
+    """
     left_out = 0
-    shell = _Shell(folder, variables)
+    shell = _Shell(folder, variables, bash, root)
     try:
         for block in blocks(page.read_text(encoding="utf-8")):
             where = f"{page.name}, line {block.line}"
@@ -108,9 +117,10 @@ def shows(shown: str, output: str) -> bool:
 class _Shell:
     """A bash that keeps its folder and its variables from one command to the next."""
 
-    def __init__(self, folder: Path, variables: Mapping[str, str] | None) -> None:
+    def __init__(self, folder: Path, variables: Mapping[str, str] | None, bash: Sequence[str], root: Path) -> None:
+        self._root = root
         self._bash = subprocess.Popen(
-            ["bash"], cwd=folder, env=variables, text=True, stdin=subprocess.PIPE, stdout=subprocess.PIPE,
+            bash, cwd=folder, env=variables, text=True, stdin=subprocess.PIPE, stdout=subprocess.PIPE,
             stderr=subprocess.STDOUT,
         )  # fmt: skip
 
@@ -129,7 +139,7 @@ class _Shell:
 
     def folder(self) -> Path:
         """Return the folder in which the next command will run."""
-        return Path(self.run("pwd")[0].strip())
+        return self._root / self.run("pwd")[0].strip().lstrip("/")
 
     def close(self) -> None:
         """End it."""

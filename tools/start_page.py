@@ -1,0 +1,79 @@
+"""Types the start page into an empty Debian: ``python -m tools.start_page`` as root, in some minutes.
+
+It makes a Debian in a temporary folder with nothing but what the page's first paragraph asks for, puts a wheel into ``dist``,
+and types each command of ``docs/start.md`` into a shell whose root is that folder. What the page shows has to appear.
+Packages come from where this machine's apt and pip take theirs; ``--bind`` shows it a folder that pip's settings name.
+"""
+
+import argparse
+import os
+import shlex
+import shutil
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+from tools.page_blocks import PageError, run_page
+
+ROOT = Path(__file__).parents[1]
+PACKAGES = ("python3-venv", "git", "ca-certificates")
+_APT_SOURCES = Path("/etc/apt/sources.list.d/debian.sources")
+_BOUND = ("/dev", "/proc", "/etc/resolv.conf")
+_GIT = {f"GIT_{who}_{what}": "reader@localhost" for who in ("AUTHOR", "COMMITTER") for what in ("NAME", "EMAIL")}
+
+
+def main() -> None:
+    """Make the Debian, and run the page in it."""
+    parser = argparse.ArgumentParser(prog="tools.start_page", description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("dist", type=Path, nargs="?", help="folder with the wheel; without it one is built")
+    parser.add_argument("--bind", action="append", default=[], metavar="PATH", help="show this folder there")
+    options = parser.parse_args()
+    if shutil.which("mmdebstrap") is None:
+        raise SystemExit("mmdebstrap is not installed; on Debian: apt install mmdebstrap")
+    with tempfile.TemporaryDirectory(prefix="hil_start_", ignore_cleanup_errors=True) as folder:
+        root = Path(folder, "debian")
+        mirror = [str(_APT_SOURCES)] if _APT_SOURCES.exists() else []
+        include = f"--include={','.join(PACKAGES)}"
+        subprocess.run(["mmdebstrap", "--quiet", "--variant=apt", include, _release(), str(root), *mirror], check=True)
+        if options.dist is None:
+            wheel = [sys.executable, "-m", "pip", "wheel", "--quiet", "--no-deps", str(ROOT)]
+            subprocess.run([*wheel, "--wheel-dir", str(root / "root" / "dist")], check=True)
+        else:
+            shutil.copytree(options.dist, root / "root" / "dist")
+        print(f"{page_in(root, options.bind):.0f} s for the whole page, in an empty Debian {_release()}")
+
+
+def page_in(root: Path, bound: list[str]) -> float:
+    """Type the start page into a shell below ``root``; return how long it took. The mounts end with the shell."""
+    steps = ["mount --make-rprivate /"]
+    for path in (*_BOUND, *bound):
+        place = root / path.lstrip("/")
+        if Path(path).is_dir():
+            place.mkdir(parents=True, exist_ok=True)
+        else:
+            place.touch()
+        steps.append(f"mount --rbind {shlex.quote(path)} {shlex.quote(str(place))}")
+    steps.append(f"exec chroot {shlex.quote(str(root))} bash -c 'cd && exec bash'")
+    settings = {name: value for name, value in os.environ.items() if name.startswith("PIP_")}
+    there = {"HOME": "/root", "PATH": "/usr/sbin:/usr/bin:/sbin:/bin", "LANG": "C.UTF-8", "COLUMNS": "80"}
+    shell = ["unshare", "--mount", "sh", "-ec", "\n".join(steps)]
+    begun_s = time.monotonic()
+    try:
+        run_page(ROOT / "docs" / "start.md", Path("/"), settings | _GIT | there, shell, root)
+    except PageError as error:
+        raise SystemExit(str(error)) from None
+    return time.monotonic() - begun_s
+
+
+def _release() -> str:
+    """Return the name of this machine's Debian."""
+    words = dict(
+        line.split("=", 1) for line in Path("/etc/os-release").read_text(encoding="utf-8").splitlines() if line
+    )
+    return words.get("VERSION_CODENAME", "stable").strip('"')
+
+
+if __name__ == "__main__":
+    main()
