@@ -1,6 +1,6 @@
 """Types the start page into an empty Debian: ``python -m tools.start_page`` as root, in some minutes.
 
-It makes a Debian in a temporary folder with nothing but what the page's first paragraph asks for, puts a wheel into ``dist``,
+It makes a Debian in a temporary folder with what the page's first paragraph asks for, puts a wheel into ``dist``,
 and types each command of ``docs/start.md`` into a shell whose root is that folder. What the page shows has to appear.
 Packages come from where this machine's apt and pip take theirs; ``--bind`` shows it a folder that pip's settings name.
 """
