@@ -31,6 +31,10 @@ SLOW = (
     "test_reset_cause.py",
     "test_ros_package.py",
     "test_mutants.py::test_every_mutant_of_the_c_sources_compiles",
+    # Pages that are typed as a reader would.
+    "test_tutorials.py::test_a_tutorial_shows_what_happens",
+    "test_tutorials.py::test_the_start_page_shows_what_happens",
+    "test_tutorials.py::test_the_notebook_runs",
     # Emulators, browsers, other kernels.
     "test_qemu.py",
     "test_socketcan_inside.py",
