@@ -420,3 +420,12 @@ def test_no_baseline_is_made_of_runs_that_did_not_pass(tmp_path: Path) -> None:
     assert made.new is None
     assert [one.partition(":")[0] for one in made.failed] == ["seed 1", "seed 2"]
     assert "ticks below 9: failed, 80" in made.failed[0]
+
+
+def test_a_time_whose_band_goes_on_to_the_end_is_left_out() -> None:
+    scenario = load("circle_speed", set=["loop.duration_s=3"])
+    runs = {seed: {"wire_sha256": "0", "tracked_s": 0.5, "t10_s": t10_s} for seed, t10_s in enumerate((0.5, 1.4))}
+    assert "t10_s" not in baseline_of(scenario, runs).figure
+    longer = load("circle_speed", set=["loop.duration_s=4"])
+    assert baseline_of(longer, runs).figure["t10_s"].band == pytest.approx(2.7)
+    assert "tracked_s" in baseline_of(scenario, runs).figure

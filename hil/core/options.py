@@ -312,7 +312,9 @@ def _words(option: Option) -> str:
             return "an array of tables: write [[...]], with two brackets"
         item = _parsed(inner[0])
         if inner[-1] is not ...:
-            return "two numbers: [low, high]" if item.type is float else f"an array of {len(inner)}, each {_words(item)}"
+            return (
+                "two numbers: [low, high]" if item.type is float else f"an array of {len(inner)}, each {_words(item)}"
+            )
         example = ', as in ["first", "second"]' if item.type is str else ""
         return f"an array, each item {_words(item)}{example}"
     names = {str: "text in quotation marks", bool: "true or false", int: "a whole number", float: "a number"}

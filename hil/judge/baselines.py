@@ -36,17 +36,24 @@ def baseline_figures() -> dict[str, Figure]:
 def baseline_of(scenario: Scenario, runs: Mapping[int, Mapping[str, Any]]) -> Baseline:
     """Return the baseline of a scenario; ``runs`` has the JSON of a run for each seed, first the scenario's own.
 
-    A figure that one of the runs does not have is left out.
+    A figure that one of the runs does not have is left out, and so is a time whose band goes on to the end of the run:
+    a run that has not come there in time has no such figure, and is within the band.
     """
     known = baseline_figures()
     values = {key: [number(metrics, figure.name) for metrics in runs.values()] for key, figure in known.items()}
     whole = {key: [one for one in row if one is not None] for key, row in values.items() if None not in row}
     is_random = any(max(row) != min(row) for row in whole.values())
     tick_s = 1.0 / scenario.loop.rate_hz if is_random else 0.0
-    figures = {key: band_of(known[key], row, tick_s) for key, row in whole.items()}
+    bands = {key: band_of(known[key], row, tick_s) for key, row in whole.items()}
+    figures = {key: band for key, band in bands.items() if not _is_any_time(known[key], band, scenario.loop.duration_s)}
     wire_sha256 = next(iter(runs.values()))["wire_sha256"] if scenario.loop.mode == "lockstep" else ""
     asked, mode = asked_sha256(scenario), scenario.loop.mode
     return Baseline(scenario.name, asked, mode, this_platform(), tuple(runs), wire_sha256, figures)
+
+
+def _is_any_time(figure: Figure, band: Band, end_s: float) -> bool:
+    """Return whether a band permits every time up to the end of a run."""
+    return figure.of_end and figure.unit == "s" and band.value + band.band >= end_s
 
 
 def why_not_judged(scenario: Scenario, baseline: Baseline) -> str | None:
