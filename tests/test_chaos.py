@@ -48,3 +48,7 @@ def test_a_board_that_drives_on_without_host_and_guardian_is_seen(own_state: Non
         judge.must_stand = True
         assert until(lambda: judge.trouble, PATIENCE_S) == ["it moved though its host was dead or stopped"]
         judge.close()
+        (world.folder / "tmp" / "left").touch()
+        trouble = world.end()
+    assert "left behind in the folder for temporary files: left" in trouble
+    assert any(one.startswith("left behind in the state folder: ") and one.endswith(".token") for one in trouble)

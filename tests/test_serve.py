@@ -23,6 +23,7 @@ from hil.review import RecordedRun, read
 from hil.robot.truth import TruthClient
 from hil.scenario import load
 from hil.service.client import Client
+from hil.service.discovery import running
 from hil.service.messages import Action
 from tests.processes import HIL, READY_S, Device, device, environment, hil, is_running, wait_for
 
@@ -175,6 +176,23 @@ def test_when_the_control_process_is_killed_the_firmware_stops_the_wheels(tmp_pa
         # Nothing is left that keeps the next one away.
         with serving(tmp_path / "..", "--link", f"serial:{tmp_path / 'robot'}", "--truth", robot.truth) as next_one:
             next_one.until(phase="disarmed")
+
+
+def test_the_token_of_a_killed_service_goes_with_the_next_start_and_that_of_a_living_one_stays(tmp_path: Path) -> None:
+    with serving(tmp_path) as killed, serving(tmp_path) as living:
+        tokens = Path(token_file("services", 0)).parent
+        assert len(list(tokens.glob("*.token"))) == 2
+        (its,) = (one for one in running() if one.pid == living.process.pid)
+        killed.process.kill()
+        killed.process.wait()
+        wait_for(lambda: not is_running(killed.api_pid))
+        with serving(tmp_path):
+            left = {path.name for path in tokens.glob("*.token")}
+            names = {Path(one.token_file).name for one in running()}
+            assert left == names
+            assert len(left) == 2
+            assert Path(its.token_file).name in names
+        living.until(phase="disarmed")
 
 
 def test_when_the_api_process_is_killed_or_hangs_the_robot_ramps_down_and_the_api_comes_back(tmp_path: Path) -> None:

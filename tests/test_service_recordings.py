@@ -1,6 +1,7 @@
 """What a service does when its recording cannot be written: it says so at once, and does what is configured."""
 
 import os
+import signal
 import subprocess
 import sys
 import time
@@ -8,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import httpx
+import psutil
 import pytest
 
 from hil.core.errors import DeviceError
@@ -92,12 +94,34 @@ def test_the_oldest_recordings_give_way_without_a_gap_and_those_that_are_too_old
         assert first.exists()
         last = fill(tmp_path, "last.mcap", now_s + 3600.0, 10_000_000 - 2 * first.stat().st_size)
         wait_for(lambda: not old.exists() and not first.exists())
-        status = service.until(recording="runs/run.mcap")
+        status = wait_for(lambda: status if (status := service.status()).get("recording") else None)
+        assert int(status["recording"].removeprefix("runs/run-").removesuffix(".mcap")) > 2  # the part written now
         assert (status["recording_trouble"], status["rows_lost"], status["rows_dropped"]) == (None, 0, 0)
         end = service.client.order(Action.STOP_RECORDING)
         assert end["complete"], end
     assert thesis.exists()
     assert last.exists()
+
+
+def test_a_recorder_that_is_killed_is_told_once_and_the_status_names_the_part_that_is_written_now(
+    tmp_path: Path,
+) -> None:
+    with serving(tmp_path, "--record", "run.mcap") as service:
+        service.until(recording="runs/run.mcap", phase="disarmed")
+        (recorder,) = (
+            one for one in psutil.Process(service.process.pid).children() if "hil.record.recorder" in one.cmdline()
+        )
+        recorder.kill()
+        line = service.line("recorder ended")
+        assert (line["level"], line["path"], line["why"]) == ("warning", "runs/run.mcap", "exit status -9")
+        status = service.until(recording="runs/run-2.mcap")
+        assert (status["recording_trouble"], status["rows_lost"]) == (None, 0)
+        service.process.send_signal(signal.SIGTERM)
+        assert service.process.wait(30) == 0
+        service.line("service ends")
+    assert [line["event"] for line in service.lines].count("recorder ended") == 1
+    both = read(tmp_path / "runs/run.mcap")
+    assert "recorder ended: exit status -9" in [event.text for event in both.events]
 
 
 def use_up(filler: Path) -> None:

@@ -2,6 +2,7 @@
 
 import struct
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -27,10 +28,84 @@ def triangles(stl: bytes) -> npt.NDArray[np.float64]:
     return held["corners"].astype(float)
 
 
+def urdf_file(folder: Path) -> Path:
+    """Write the robot as rerun's own reader of URDFs takes it."""
+    text, meshes = SHAPE.drawn()
+    for name, mesh in meshes.items():
+        (folder / name).write_bytes(mesh)
+    path = folder / "robot.urdf"
+    path.write_text(text)
+    return path
+
+
+def static_components(path: Path) -> dict[tuple[str, str], list[Any]]:
+    """Return the static components of a recording, by entity and name."""
+    import rerun.chunk as rrc
+
+    found = {}
+    for chunk in rrc.RrdReader(path).stream().filter(content=["/world/**", "/tf_static"]):
+        batch = chunk.to_record_batch()
+        assert chunk.is_static
+        for name in batch.schema.names:
+            if ":" in name:
+                found[chunk.entity_path, name] = batch.column(name).to_pylist()
+    return found
+
+
+def test_the_robot_is_drawn_without_a_file_as_reruns_reader_of_urdfs_draws_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    import rerun as rr
+
+    from hil.record.robot_drawing import draw_robot
+
+    paths = tmp_path / "ours.rrd", tmp_path / "reruns.rrd"
+    ours, reruns = (rr.RecordingStream("robot", recording_id="robot") for _ in paths)
+    for recording, path in zip((ours, reruns), paths, strict=True):
+        recording.save(path)
+    rr.urdf.UrdfTree.from_file_path(urdf_file(tmp_path), entity_path_prefix="world").log_urdf_to_recording(reruns)
+    with monkeypatch.context() as patch:
+        patch.setattr("tempfile.tempdir", str(tmp_path / "there is none"))
+        draw_robot(ours, SHAPE, "/world/robot")
+    for recording in (ours, reruns):
+        recording.disconnect()
+    drawn, wanted = map(static_components, paths)
+    assert len(wanted) > 50
+    assert drawn.keys() == wanted.keys()
+    for what, values in wanted.items():
+        if isinstance(values[0][0], str | bytes | int):
+            assert drawn[what] == values, what
+        else:
+            np.testing.assert_allclose(
+                np.array(drawn[what], float), np.array(values, float), atol=1e-6, err_msg=str(what)
+            )
+
+
+def test_the_wheels_turn_as_reruns_reader_of_urdfs_turns_them(tmp_path: Path) -> None:
+    import rerun as rr
+
+    from hil.record.robot_drawing import turned_wheels
+
+    joints = {joint.name: joint for joint in rr.urdf.UrdfTree.from_file_path(urdf_file(tmp_path)).joints()}
+    angles = np.array([-7.0, 0.0, 1.0, 6.0])
+    for wheel, name in enumerate(WHEEL_JOINTS):
+        theirs = joints[name].compute_transform_columns(np.remainder(angles, 2 * np.pi))
+        found, wanted = (
+            {str(one.component_descriptor()): one.as_arrow_array().to_pylist() for one in columns}
+            for columns in (turned_wheels(SHAPE, wheel, angles), theirs)
+        )
+        assert found.keys() == wanted.keys()
+        for what, values in wanted.items():
+            if isinstance(values[0][0], str):
+                assert found[what] == values
+            else:
+                np.testing.assert_allclose(np.array(found[what], float), np.array(values, float), atol=1e-6)
+
+
 def test_the_urdf_is_read_with_each_wheel_where_the_scenario_has_it(tmp_path: Path) -> None:
     import rerun as rr
 
-    tree = rr.urdf.UrdfTree.from_file_path(SHAPE.write(tmp_path))
+    tree = rr.urdf.UrdfTree.from_file_path(urdf_file(tmp_path))
     wheels = [joint for joint in tree.joints() if joint.joint_type == "continuous"]
     places = {joint.name: joint.origin_xyz for joint in wheels}
     assert tuple(places) == WHEEL_JOINTS
@@ -53,10 +128,8 @@ def test_a_robot_of_any_size_is_drawn_with_positive_sizes(radius: float, length:
 
 
 @pytest.mark.parametrize(("side", "sideways"), [("left", 1.0), ("right", -1.0)])
-def test_the_rollers_make_a_round_wheel_and_lie_along_the_force_on_the_floor(
-    side: str, sideways: float, tmp_path: Path
-) -> None:
-    mesh = triangles((SHAPE.write(tmp_path).parent / f"rollers_{side}.stl").read_bytes())
+def test_the_rollers_make_a_round_wheel_and_lie_along_the_force_on_the_floor(side: str, sideways: float) -> None:
+    mesh = triangles(SHAPE.drawn()[1][f"rollers_{side}.stl"])
     reach = np.hypot(mesh[..., 0], mesh[..., 2])
     assert 0.97 * 0.075 < reach.max() <= 0.075
     # Closed and with its outside out: the volume by the divergence theorem is that of nine rollers, not less than 0.

@@ -11,7 +11,6 @@ import itertools
 import logging
 import queue
 import socket
-import tempfile
 import time
 import uuid
 from pathlib import Path
@@ -21,6 +20,7 @@ from urllib.parse import urlsplit
 from hil.batch.job import LOST, Job, Outcome
 from hil.batch.pool import COLLECT_S, Runner, drain
 from hil.core.errors import BadInputError, HilError, LinkError
+from hil.core.scratch import scratch_folder
 
 try:
     import distributed
@@ -75,8 +75,8 @@ class RunnersOfAWorker(distributed.WorkerPlugin):
             runner = Runner()
             self._all.append(runner)
         try:
-            with tempfile.TemporaryDirectory(prefix="hil_batch_") as folder:
-                outcome = runner.run(job._replace(recording=str(Path(folder, "run.rrd"))))
+            with scratch_folder("batch") as folder:
+                outcome = runner.run(job._replace(recording=str(folder / "run.rrd")))
                 recording = None if outcome.recording is None else Path(outcome.recording).read_bytes()
         finally:
             self._idle.put(runner)

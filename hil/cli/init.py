@@ -2,7 +2,6 @@
 
 import os
 import sys
-import tempfile
 import tomllib
 from collections.abc import Mapping
 from pathlib import Path
@@ -15,6 +14,7 @@ from hil.cli.options import Force, LinkUrl
 from hil.cli.output import say_on_stderr, table
 from hil.core.errors import BadInputError
 from hil.core.outputs import Existing, check_free, existing_files, write_whole
+from hil.core.scratch import scratch_folder
 
 if TYPE_CHECKING:
     from hil.cli.new_robot import Question, Value
@@ -155,11 +155,11 @@ def _feasible(answers: "Mapping[str, Value]") -> str:
     from hil.scenario import load
 
     slowness = 1.0
-    with tempfile.TemporaryDirectory() as trial:
-        Path(trial, ROBOT_FILE).write_text(robot_text(answers), encoding="utf-8")
+    with scratch_folder("init") as trial:
+        (trial / ROBOT_FILE).write_text(robot_text(answers), encoding="utf-8")
         for _ in range(_TRIES):
             text = scenario_text(answers, slowness)
-            path = Path(trial, SCENARIO_FILE)
+            path = trial / SCENARIO_FILE
             path.write_text(text, encoding="utf-8")
             if not check_scenario(load(path)).sentences:
                 return text

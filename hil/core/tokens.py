@@ -5,6 +5,8 @@ who may read its file. A client of the same user finds the file by the server's 
 """
 
 import secrets
+import socket
+from collections.abc import Collection
 from pathlib import Path
 
 from platformdirs import user_state_path
@@ -14,6 +16,7 @@ from hil.core.private_files import private_folder, read_private, write_private
 
 SHORTEST = 16
 """Characters that a token has at least."""
+_ANSWER_S = 1.0
 
 
 def state_folder(kind: str) -> Path:
@@ -34,6 +37,28 @@ def state_folder(kind: str) -> Path:
 def token_file(kind: str, port: int) -> Path:
     """Return the file with the token of this user's server of a kind at a port; raises as ``state_folder``."""
     return state_folder(kind) / f"{port}.token"
+
+
+def clear_tokens(kind: str, kept: Collection[int] = ()) -> None:
+    """Remove the tokens that killed servers of a kind have left: those of ports of 127.0.0.1 where nobody listens.
+
+    ``kept`` are ports that are left alone, as of a service whose API is being started again. A server listens before it
+    makes its token. Raises as ``state_folder``.
+    """
+    for path in state_folder(kind).glob("*.token"):
+        if path.stem.isdecimal() and (port := int(path.stem)) not in kept and not _listens(port):
+            path.unlink(missing_ok=True)
+
+
+def _listens(port: int) -> bool:
+    """Return whether a server may be at a port: False only where the system refuses the connection."""
+    try:
+        socket.create_connection(("127.0.0.1", port), _ANSWER_S).close()
+    except ConnectionRefusedError:
+        return False
+    except (OSError, OverflowError):
+        pass
+    return True
 
 
 def make_token(path: Path) -> None:

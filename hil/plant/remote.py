@@ -1,7 +1,6 @@
 """The plant FMU in its own process, with the same plant port: a crash or hang affects only that process."""
 
 import contextlib
-import tempfile
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict
 from functools import partial
@@ -10,6 +9,7 @@ from pathlib import Path
 from firmware_protocol.fast_tuples import fields_of
 from hil.core.clock import TICK_NS
 from hil.core.errors import BadInputError, DeviceError
+from hil.core.scratch import scratch_folder
 from hil.core.subprocesses import DEFAULT_LIMIT_MB, MEMORY_IS_KNOWN
 from hil.core.types import Wheels
 from hil.plant import shim
@@ -64,11 +64,11 @@ class RemotePlant(shim.PlantPort):
         """Start the child process and make it open the FMU."""
         self._text = ""
         with contextlib.ExitStack() as resources:
-            # Removed here, because a child that crashes cannot.
-            scratch = tempfile.TemporaryDirectory(prefix="hil_plant_", ignore_cleanup_errors=True)
-            resources.enter_context(scratch)
+            scratch = resources.enter_context(
+                scratch_folder("plant")
+            )  # of this process: a child that crashes removes none
             self.output.forget_newest()
-            self._child = child = ChildProcess("hil.plant.serve", Path(scratch.name), output=self.output)
+            self._child = child = ChildProcess("hil.plant.serve", scratch, output=self.output)
             resources.callback(child.close, self._timeout_s)
             self._context[0] = self._ffi.new("remote_plant *", {"pipes": child.pipes})[0]
             resources.callback(setattr, self._context, "failed", 1)

@@ -4,9 +4,7 @@ The reference, the estimate and the truth each leave a trail on the floor of the
 one segment for each time, so a view shows the part that its time range covers.
 """
 
-import tempfile
 from collections.abc import Mapping
-from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
@@ -27,7 +25,8 @@ from hil.record.layout import (
 )
 from hil.record.motion import SCENE_PERIOD_S, WheelAngles, pose
 from hil.record.ring import Rows
-from hil.record.robot_model import BASE_LINK, WHEEL_JOINTS, RobotShape, drive_directions
+from hil.record.robot_drawing import draw_robot, turned_wheels
+from hil.record.robot_model import BASE_LINK, RobotShape, drive_directions
 
 Times = npt.NDArray[np.float64]
 """Scenario time [s] and tick of each row, shape (n, 2)."""
@@ -211,16 +210,11 @@ class Scene:
         self._angles = WheelAngles(column)
         self._currents = [column[f"wheel.{wheel}.current_a"] for wheel in WHEEL_NAMES]
         self._decimator = Decimator(SCENE_PERIOD_S)
-        self._joints: dict[str, rr.urdf.UrdfJoint] = {}
 
     def describe(self) -> None:
         """Log what does not change: the robot's shape, colours and sizes."""
         self._rerun.log(SCENE, rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
-        with tempfile.TemporaryDirectory() as directory:
-            path = self._shape.write(Path(directory))
-            tree = rr.urdf.UrdfTree.from_file_path(path, entity_path_prefix=SCENE.strip("/"))
-            tree.log_urdf_to_recording(self._rerun)
-        self._joints = {joint.name: joint for joint in tree.joints()}
+        draw_robot(self._rerun, self._shape, f"{SCENE}/robot")
         thick = self._shape.wheel_radius_m * 0.12
         names = [wheel.upper() for wheel in WHEEL_NAMES]
         forces = rr.Arrows3D.from_fields(colors=WHEEL_COLOURS, radii=[thick], labels=names, show_labels=True)
@@ -251,9 +245,8 @@ class Scene:
             child_frame=[BASE_LINK] * len(poses),
         )
         self._rerun.send_columns(f"{SCENE}/pose", index, columns)
-        for wheel, joint, angle in zip(WHEEL_NAMES, WHEEL_JOINTS, angles_rad.T, strict=True):
-            turned_wheel = self._joints[joint].compute_transform_columns(np.remainder(angle, 2 * np.pi))
-            self._rerun.send_columns(f"{SCENE}/wheel/{wheel}", index, turned_wheel)
+        for number, (wheel, angle) in enumerate(zip(WHEEL_NAMES, angles_rad.T, strict=True)):
+            self._rerun.send_columns(f"{SCENE}/wheel/{wheel}", index, turned_wheels(self._shape, number, angle))
 
     def _forces(self, poses: Rows, rows: Rows, times: Times) -> None:
         if self._torque_constant is None:

@@ -187,6 +187,11 @@ class Recording(RingProcess):
             release(self.path, self._existing)
 
     @property
+    def part(self) -> Path | None:
+        """The file that is written now, ``path`` or a later part of it; only until ``finish``."""
+        return None if self.path is None else numbered_path(self.path, max(1, self.ring.file_number))
+
+    @property
     def report(self) -> RecordingReport | None:
         """What ``finish`` has returned; None before."""
         return self._result

@@ -77,15 +77,11 @@ class RobotShape:
         """Return the URDF, in one file with cylinders as rollers. Without inertias it is for drawing alone."""
         return self._urdf(name, solid, {side: cylinders(self.wheel_radius_m, side) for side in _SIDES})
 
-    def write(self, directory: Path) -> Path:
-        """Write the URDF with meshes as rollers (binary STL) to a folder and return the path of the URDF."""
-        visuals = {}
-        for side, word in _SIDES.items():
-            (directory / f"rollers_{word}.stl").write_bytes(mesh(self.wheel_radius_m, side))
-            visuals[side] = mesh_visual(f"rollers_{word}.stl")
-        path = directory / "robot.urdf"
-        path.write_text(self._urdf("robot", None, visuals), encoding="utf-8")
-        return path
+    def drawn(self) -> tuple[str, dict[str, bytes]]:
+        """Return the URDF with meshes as rollers, and these (binary STL) by the names of their files."""
+        files = {side: f"rollers_{word}.stl" for side, word in _SIDES.items()}
+        meshes = {file: mesh(self.wheel_radius_m, side) for side, file in files.items()}
+        return self._urdf("robot", None, {side: mesh_visual(file) for side, file in files.items()}), meshes
 
     def _urdf(self, name: str, solid: Inertias | None, rollers: Mapping[float, str]) -> str:
         """Return the URDF; ``rollers`` are the visuals of a wheel's rollers by the key of ``_SIDES``."""

@@ -5,7 +5,6 @@ A file without an end, whose recorder was killed, is read too.
 
 import json
 import subprocess
-import tempfile
 from collections.abc import Collection
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,6 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from hil.core.errors import BadInputError
+from hil.core.scratch import scratch_folder
 from hil.core.subprocesses import module_command
 from hil.judge.results import Event
 from hil.record.files import EXPECTED_FILE, check_is_recording
@@ -71,12 +71,12 @@ def read(path: Path, signals: Collection[str] | None = None) -> RecordedRun:
     selection = [] if signals is None else [json.dumps(sorted(signals))]
     # In a separate process: rerun aborts its process on some damaged files, and leaves its temporary files behind.
     with (
-        tempfile.TemporaryDirectory() as scratch,
+        scratch_folder("read") as scratch,
         subprocess.Popen(
             module_command("hil.review.decode", str(path), *selection),
             stdout=subprocess.PIPE,
             stderr=subprocess.DEVNULL,
-            env=rerun_environment() | {"TMPDIR": scratch},
+            env=rerun_environment() | {"TMPDIR": str(scratch)},
         ) as decoder,
     ):
         assert decoder.stdout is not None

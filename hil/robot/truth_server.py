@@ -12,7 +12,7 @@ from typing import Any, NamedTuple, TypeVar
 
 from firmware_protocol.host import View
 from hil.core.errors import BadInputError, DeviceError, HilError
-from hil.core.tokens import make_token, read_token, token_file
+from hil.core.tokens import clear_tokens, make_token, read_token, token_file
 from hil.core.types import PoseFix
 from hil.faults.kind import FaultRow
 from hil.robot.faults import RobotFaults
@@ -115,6 +115,7 @@ class TruthServer:
         self.url = f"tcp://{_HOST}:{port}"
         self.token_file = token_file(KIND, port)
         try:
+            clear_tokens(KIND)
             make_token(self.token_file)
         except BadInputError:
             self._listener.close()

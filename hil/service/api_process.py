@@ -14,10 +14,11 @@ from typing import Any
 
 from hil.core.errors import BadInputError
 from hil.core.json_lines import LineReader, LineWriter
-from hil.core.tokens import make_token, read_token, state_folder, token_file
+from hil.core.tokens import clear_tokens, make_token, read_token, state_folder, token_file
 from hil.service import logs
 from hil.service.api.access import Access, ClientsFile
 from hil.service.api.audit import Audit
+from hil.service.discovery import running
 from hil.service.messages import HOST, ApiConfig, Limits
 
 
@@ -36,6 +37,7 @@ def main() -> int:
     try:
         listener = _listen(config)
         port = listener.getsockname()[1]
+        clear_tokens("services", [service.port for service in running()])
         path = _token_file(config, port)
         clients = None if config.clients_file is None else ClientsFile(Path(config.clients_file))
         access = Access(read_token(path), {} if clients is None else clients.others)

@@ -23,12 +23,13 @@ class Records:
         self._recording: Recording | None = None
         self._ended: list[Recording] = []  # that are not finished yet
         self._dropped = self._lost = 0  # by those that are
+        self._deaths_told = {live: 0} if live is not None else {}
         self.trouble: str | None = None
 
     @property
     def path(self) -> Path | None:
-        """The file being written, or None."""
-        return None if self._recording is None else self._recording.path
+        """The file being written, of several the newest; None without a recording."""
+        return None if self._recording is None else self._recording.part
 
     @property
     def rows_dropped(self) -> int:
@@ -46,6 +47,7 @@ class Records:
     def begin(self, recording: Recording) -> None:
         """Record from the next row on."""
         self._recording = recording
+        self._deaths_told[recording] = 0
         self.trouble = None
         for ended in [one for one in self._ended if one.report is not None]:
             self._ended.remove(ended)
@@ -54,6 +56,7 @@ class Records:
 
     def watch(self, t_s: float) -> str | None:
         """Return why the recording cannot be written at present, and report when that begins and ends."""
+        self._tell_of_deaths(t_s)
         if self._recording is None:
             return None
         if (trouble := self._recording.failing) != self.trouble:
@@ -65,10 +68,18 @@ class Records:
                 self._tell(t_s, "error", "recording cannot be written", path=path, rows_lost=lost, why=trouble)
         return trouble
 
+    def _tell_of_deaths(self, t_s: float) -> None:
+        """Report each recorder process that has ended; another takes its place, and goes on in the next file."""
+        for recording, told in self._deaths_told.items():
+            for why in recording.troubles[told:]:
+                self._deaths_told[recording] += 1
+                self._tell(t_s, "warning", "recorder ended", path=recording.path, why=why)
+
     def end(self) -> Recording | None:
         """Stop recording; return the recording for ``finished``, or None."""
         recording, self._recording = self._recording, None
         if recording is not None:
+            del self._deaths_told[recording]
             self._ended.append(recording)
         return recording
 

@@ -204,7 +204,10 @@ class World:
             trouble.append(f"processes were left behind: {alive}")
             self.kill()
         left = sorted(path.name for path in (self.folder / "tmp").iterdir())
-        return trouble + [f"left behind in the folder for temporary files: {name}" for name in left]
+        trouble += [f"left behind in the folder for temporary files: {name}" for name in left]
+        # Locks of ended processes are files without content, and the audit log stays.
+        left = sorted(str(path) for kind in ("*.token*", "*.json*") for path in (self.folder / "state").rglob(kind))
+        return trouble + [f"left behind in the state folder: {name}" for name in left if not name.endswith(".jsonl")]
 
     def kill_viewer(self) -> None:
         """Kill `hil live`; rerun's own process has to end with it."""

@@ -2,7 +2,6 @@
 
 import dataclasses
 import itertools
-import tempfile
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -17,6 +16,7 @@ from hil.batch.keys import make_job
 from hil.batch.plan import OnProgress, run_jobs
 from hil.core.errors import BadInputError, nearest
 from hil.core.options import build
+from hil.core.scratch import scratch_folder
 from hil.core.types import WHEEL_NAMES, CommandMode
 from hil.laws.registry import SHIPPED, load_law
 from hil.runtime.robots import plant_start
@@ -72,7 +72,7 @@ def compare(
     named = entries(request.laws or list(SHIPPED), request.scenario, request.sets)
     rows = list(itertools.product(tables, named))
     done = []
-    with tempfile.TemporaryDirectory(prefix="hil_compare_") as scratch:
+    with scratch_folder("compare") as scratch:
         jobs = [
             _job(scenario, entry, table, limit_s, scratch if request.curves and number == 0 else None)
             for table, entry in rows
@@ -87,7 +87,7 @@ def compare(
     return Comparison(base.name, base.loop.seed, base.loop.duration_s, done)
 
 
-def _job(scenario: Scenario, entry: Entry, table: Condition, limit_s: float, scratch: str | None) -> Job:
+def _job(scenario: Scenario, entry: Entry, table: Condition, limit_s: float, scratch: Path | None) -> Job:
     """Return a law's job in a scenario; with a scratch folder it leaves there the signals that pictures need.
 
     The scenario's expectations are left out, because laws are judged by their figures alone.
@@ -95,7 +95,7 @@ def _job(scenario: Scenario, entry: Entry, table: Condition, limit_s: float, scr
     controller = replace(scenario.controller, law=entry.law, gains=dict(entry.gains[table.mode]))
     options = {} if scratch is None else {"signals": [*_CURVES, *_CURRENTS]}
     job = make_job(replace(scenario, controller=controller, expect=()), options=options, limit_s=limit_s)
-    return job._replace(signals_file="" if scratch is None else str(Path(scratch, f"{job.key}.npz")))
+    return job._replace(signals_file="" if scratch is None else str(scratch / f"{job.key}.npz"))
 
 
 def _curves(job: Job, torque_constant_n_m_a: float) -> Curves | None:

@@ -2,7 +2,6 @@
 
 import json
 import shutil
-import tempfile
 import time
 from collections.abc import Mapping
 from dataclasses import replace
@@ -23,6 +22,7 @@ from hil.batch.reproduction.plan import Case, Result, cases
 from hil.batch.reproduction.verdicts import Results, judge
 from hil.core.errors import BadInputError
 from hil.core.outputs import Existing, claim, write_whole
+from hil.core.scratch import scratch_folder
 from hil.core.types import WHEEL_NAMES
 from hil.judge.tracking import STEADY_WINDOW_S, TRACKED_RATIO
 from hil.review.plots import FORMATS
@@ -111,8 +111,8 @@ def reproduce(
     errors: list[BadInputError] = []
     drawn: list[str] = []
     recordings: list[str] = []
-    with tempfile.TemporaryDirectory(prefix="hil-reproduce-") as scratch:
-        jobs = [_job(case, Path(scratch), limit_s) for case in planned]
+    with scratch_folder("reproduce") as scratch:
+        jobs = [_job(case, scratch, limit_s) for case in planned]
         names = {job.key: case.name for job, case in zip(jobs, planned, strict=True)}
 
         def trouble(outcome: Outcome) -> str | None:

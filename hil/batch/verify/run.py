@@ -2,16 +2,15 @@
 
 import subprocess
 import sys
-import tempfile
 import xml.etree.ElementTree as ET
 from collections.abc import Iterator, Mapping
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from hil.batch.job import ENDED, FAILED, PASSED, REFUSED, Job, Outcome
 from hil.batch.run import attempt, kept_robot
+from hil.core.scratch import scratch_folder
 from hil.judge.baselines import baseline_figures
 from hil.judge.figures import number
 from hil.judge.measure import Series
@@ -55,8 +54,8 @@ def run(job: Job, scenario: Scenario) -> Outcome:
 
 def run_tests(job: Job, _scenario: Scenario) -> Outcome:
     """Run a file of tests by pytest until one fails. The figures are the hashes of the wire of its lockstep runs."""
-    with tempfile.TemporaryDirectory(prefix="hil_verify_") as folder:
-        report = Path(folder) / "report.xml"
+    with scratch_folder("verify") as folder:
+        report = folder / "report.xml"
         command = [sys.executable, "-m", "pytest", "-x", "-q", "--tb=line", "-p", "no:cacheprovider"]
         command += [f"--junitxml={report}", f"--basetemp={folder}/tmp", str(job.options["tests"])]
         done = subprocess.run(command, capture_output=True, text=True, errors="replace", check=False)

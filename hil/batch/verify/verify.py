@@ -2,7 +2,6 @@
 
 import json
 import os
-import tempfile
 import time
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -18,6 +17,7 @@ from hil.batch.verify.plan import Built, Healthy, Trial, VerifyPlan
 from hil.batch.verify.suggest import Suggestion, suggestion
 from hil.batch.verify.suite import Member
 from hil.core.errors import BadInputError
+from hil.core.scratch import scratch_folder
 from hil.plant import archive
 
 NOTICED, SURVIVED, UNREACHED, EQUIVALENT, NOT_EQUIVALENT, NOT_BUILT = (
@@ -140,8 +140,8 @@ def build(mutants: Sequence[Entry], folder: Path | None = None) -> dict[str, Bui
     wanted = {entry.id: entry for entry in mutants if entry.is_built}
     if not wanted or not is_checkout():
         return plain
-    with tempfile.TemporaryDirectory(prefix="hil_verify_") as scratch:
-        file = Path(scratch) / "requests.json"
+    with scratch_folder("verify") as scratch:
+        file = scratch / "requests.json"
         file.write_text(json.dumps({name: entry.mutant.patches for name, entry in wanted.items()}), encoding="utf-8")
         done = run_script(_BUILDER, str(folder), str(file))
     if done.returncode != 0:

@@ -5,7 +5,6 @@ import select
 import shutil
 import socket
 import sys
-import tempfile
 import threading
 import time
 from collections.abc import Callable, Sequence
@@ -16,6 +15,7 @@ from firmware_protocol.generated import messages as m
 from firmware_protocol.host_line import HostLine
 from firmware_protocol.stm32_flash import PARAMETER_ADDRESS, SECTOR_BYTES, flash_image
 from hil.core.errors import BadInputError, DeviceError
+from hil.core.scratch import scratch_folder
 from hil.plant.process import ChildProcess
 from hil.robot.targets.emulated_board import EmulatedBoard
 
@@ -187,15 +187,14 @@ class QemuProcess:
                 f"--target qemu needs {QEMU}, which is not installed; on Debian and Ubuntu: apt-get install {QEMU}"
             )
         with contextlib.ExitStack() as resources:
-            self._folder = tempfile.TemporaryDirectory(prefix="hil_qemu_", ignore_cleanup_errors=True)
-            resources.enter_context(self._folder)
-            flash = Path(self._folder.name) / "parameters.bin"
+            folder = resources.enter_context(scratch_folder("qemu"))
+            self._flash = flash = folder / "parameters.bin"
             flash.write_bytes(parameters)
             with contextlib.ExitStack() as theirs:
                 ours, lines = zip(*(socket.socketpair() for _ in range(2)), strict=True)
                 self.host, self.plant = (resources.enter_context(line) for line in ours)
                 numbers = [theirs.enter_context(line).fileno() for line in lines]
-                self._child = ChildProcess("hil.robot.targets.deadman", Path(self._folder.name), numbers)
+                self._child = ChildProcess("hil.robot.targets.deadman", folder, numbers)
             resources.callback(self._child.close, _END_S)
             for line in ours:
                 line.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _SEND_BUFFER)
@@ -204,7 +203,7 @@ class QemuProcess:
 
     def forget_file(self) -> None:
         """Remove the file of parameters. QEMU has read it when the firmware sends its first byte."""
-        self._folder.cleanup()
+        self._flash.unlink(missing_ok=True)
 
     def ending(self) -> str:
         """End the process if it still runs, and return a description of how it ended."""

@@ -3,7 +3,6 @@
 import functools
 import importlib.util
 import os
-import tempfile
 import time
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -16,6 +15,7 @@ from firmware_protocol.built import BuildError
 from firmware_protocol.host import stored_parameters
 from firmware_protocol.stm32_flash import HIL_BOARD
 from hil.core.errors import BadInputError, nearest
+from hil.core.scratch import scratch_folder
 from hil.robot.targets.emulated_board import EmulatedBoard
 from hil.robot.targets.qemu_board import QemuBoard
 from hil.robot.virtual import VirtualRobot, VirtualStm32
@@ -53,8 +53,8 @@ class EmulatedStm32(VirtualStm32):
             raise BadInputError(f"the virtual robot cannot start: {error}") from error
         faults = self.faults
         # The file exists only while the board reads it, so a process that is killed later leaves none behind.
-        with tempfile.TemporaryDirectory(prefix="hil_firmware_", ignore_cleanup_errors=True) as folder:
-            elf = Path(folder) / self._name
+        with scratch_folder("firmware") as folder:
+            elf = folder / self._name
             elf.write_bytes(self._elf)
             self._board = self._make_board(elf, faults.exchange_address, faults.context_address, stored)
         return self._board
@@ -129,7 +129,7 @@ def _build(link: str) -> tuple[str, bytes]:
     """Return name and content of the ELF file for an emulated board with this link."""
     firmware = next(f for f in FIRMWARES if f.variant == "hil-emulated" and f.link == link)
     try:
-        with tempfile.TemporaryDirectory(prefix="hil_firmware_", ignore_cleanup_errors=True) as folder:
+        with scratch_folder("firmware") as folder:
             return f"{firmware.name}.elf", build(firmware, Path(folder), _objects()).elf.read_bytes()
     except BuildError as error:
         raise BadInputError(f"the firmware for the emulated target was not built: {error}") from error

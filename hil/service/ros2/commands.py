@@ -1,12 +1,11 @@
 """What comes into a node: twists, wheel commands, pose fixes and paths. None of it arms the robot."""
 
+import contextlib
 import json
 import math
 import socket
-import tempfile
 import time
 from collections.abc import Callable, Mapping
-from pathlib import Path
 from typing import Any
 
 from geometry_msgs.msg import PoseWithCovarianceStamped, Twist, TwistStamped
@@ -17,6 +16,7 @@ from rclpy.qos import QoSProfile, ReliabilityPolicy
 from std_msgs.msg import Float64MultiArray
 
 from hil.core.errors import BadInputError
+from hil.core.scratch import scratch_folder
 from hil.core.tokens import read_token, token_file
 from hil.core.types import Pose
 from hil.estimation.localisation.message import VERSION, parse_address
@@ -41,7 +41,8 @@ class Commands:
         self._settings = settings
         self._scenario = scenario
         self._robot = robot
-        self._folder = tempfile.TemporaryDirectory(prefix="hil-ros2-path-")
+        self._resources = contextlib.ExitStack()
+        self._path_file = self._resources.enter_context(scratch_folder("path")) / "path.csv"
         self.figures = {"cmd_vel": 0, "wheel_commands": 0, "pose_fixes": 0, "dropped": 0}
         rate_hz = math.inf if robot.takes_all else settings.command_rate_hz
         self._twists, self._wheels = (
@@ -67,7 +68,7 @@ class Commands:
             self._node.destroy_subscription(one)
         self._twists.close()
         self._wheels.close()
-        self._folder.cleanup()
+        self._resources.close()
 
     def _order(self, action: Action) -> Callable[[Mapping[str, Any]], None]:
         return lambda arguments: self._robot.order(action, arguments, self._answered)
@@ -149,7 +150,7 @@ class Commands:
         except BadInputError as error:
             self._drop(f"path: {error}")
             return
-        file = Path(self._folder.name) / "path.csv"
+        file = self._path_file
         file.write_text(text, encoding="ascii")
         reference: dict[str, Any] = {"kind": "trajectory", "file": str(file), "ramp_s": 0.0}
         if not has_times:

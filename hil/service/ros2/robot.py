@@ -1,17 +1,17 @@
 """The robot behind a node: its orders, and what it says. A service's, or a simulation in this process."""
 
+import contextlib
 import os
 import secrets
 import subprocess
-import tempfile
 import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
-from pathlib import Path
 from typing import Any, Protocol, Self
 
 from hil.core.errors import BadInputError, DeviceError, HilError, LinkError
 from hil.core.private_files import write_private
+from hil.core.scratch import scratch_folder
 from hil.core.subprocesses import child_environment, module_command
 from hil.service.client import Client, Live
 from hil.service.discovery import running
@@ -138,8 +138,8 @@ class OwnService:
     """
 
     def __init__(self, arguments: Sequence[str]) -> None:
-        self._folder = tempfile.TemporaryDirectory(prefix="hil-ros2-")
-        folder = Path(self._folder.name)
+        self._resources = contextlib.ExitStack()
+        folder = self._resources.enter_context(scratch_folder("ros2"))
         token, clients = secrets.token_urlsafe(32), folder / "clients"
         self._token_file = folder / "token"
         write_private(self._token_file, token + "\n")
@@ -183,4 +183,4 @@ class OwnService:
         except subprocess.TimeoutExpired:
             self._process.kill()
             self._process.wait()
-        self._folder.cleanup()
+        self._resources.close()
