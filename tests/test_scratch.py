@@ -25,7 +25,7 @@ SERVE_A_NODE = """
 import sys
 from hil.service.ros2.robot import OwnService
 with OwnService(["circle_speed"]) as service:
-    print(service.client().url, flush=True)
+    print(service.client().status()["scenario"], flush=True)
     sys.stdin.read()
 """
 
@@ -83,13 +83,13 @@ def test_what_the_service_of_a_killed_ros_2_node_was_given_goes_with_the_next_no
     tmp_path: Path, state_home: None
 ) -> None:
     temporary = tmp_path / "tmp"
-    with process(SERVE_A_NODE, temporary) as (killed, url):
-        assert url.startswith("http://")
+    with process(SERVE_A_NODE, temporary) as (killed, serves):
+        assert serves == "circle_speed"
         (left,) = (path for path in temporary.iterdir() if (path / "clients").exists())
         killed.kill()
         killed.wait()
         assert (left / "token").exists()
-    with process(SERVE_A_NODE, temporary) as (_, url):
-        assert url.startswith("http://")
+    with process(SERVE_A_NODE, temporary) as (_, serves):
+        assert serves == "circle_speed"
         assert not left.exists()
     assert not any((path / "clients").exists() for path in temporary.iterdir())

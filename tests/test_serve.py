@@ -182,11 +182,13 @@ def test_the_token_of_a_killed_service_goes_with_the_next_start_and_that_of_a_li
     with serving(tmp_path) as killed, serving(tmp_path) as living:
         tokens = Path(token_file("services", 0)).parent
         assert len(list(tokens.glob("*.token"))) == 2
+        wait_for(lambda: len(running()) == 2)
         (its,) = (one for one in running() if one.pid == living.process.pid)
         killed.process.kill()
         killed.process.wait()
         wait_for(lambda: not is_running(killed.api_pid))
         with serving(tmp_path):
+            wait_for(lambda: len(running()) == 2)
             left = {path.name for path in tokens.glob("*.token")}
             names = {Path(one.token_file).name for one in running()}
             assert left == names

@@ -94,8 +94,7 @@ def test_the_oldest_recordings_give_way_without_a_gap_and_those_that_are_too_old
         assert first.exists()
         last = fill(tmp_path, "last.mcap", now_s + 3600.0, 10_000_000 - 2 * first.stat().st_size)
         wait_for(lambda: not old.exists() and not first.exists())
-        status = wait_for(lambda: status if (status := service.status()).get("recording") else None)
-        assert int(status["recording"].removeprefix("runs/run-").removesuffix(".mcap")) > 2  # the part written now
+        status = service.until(recording="runs/run-3.mcap")  # the part that is written now
         assert (status["recording_trouble"], status["rows_lost"], status["rows_dropped"]) == (None, 0, 0)
         end = service.client.order(Action.STOP_RECORDING)
         assert end["complete"], end

@@ -56,7 +56,7 @@ def _listens(port: int) -> bool:
         socket.create_connection(("127.0.0.1", port), _ANSWER_S).close()
     except ConnectionRefusedError:
         return False
-    except (OSError, OverflowError):
+    except OSError:  # it is busy
         pass
     return True
 

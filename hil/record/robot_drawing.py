@@ -66,7 +66,9 @@ def _numbers(text: str) -> list[float]:
 
 
 def _rgba(text: str) -> list[int]:
-    return [round(255 * share) for share in _numbers(text)]
+    """Return a colour as rerun has it, in sRGB. A URDF's is taken for a linear one, as rerun's reader takes it."""
+    *colour, alpha = _numbers(text)
+    return [round(255 * share) for share in (*(1.055 * one ** (1 / 2.4) - 0.055 for one in colour), alpha)]
 
 
 def _origin(element: ElementTree.Element) -> tuple[list[float], list[float]]:
