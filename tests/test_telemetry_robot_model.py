@@ -76,9 +76,7 @@ def test_the_robot_is_drawn_without_a_file_as_reruns_reader_of_urdfs_draws_it(
         if isinstance(values[0][0], str | bytes | int):
             assert drawn[what] == values, what
         else:
-            np.testing.assert_allclose(
-                np.array(drawn[what], float), np.array(values, float), atol=1e-6, err_msg=str(what)
-            )
+            np.testing.assert_allclose(drawn[what], values, atol=1e-6, err_msg=str(what))
 
 
 def test_the_wheels_turn_as_reruns_reader_of_urdfs_turns_them(tmp_path: Path) -> None:
@@ -99,7 +97,7 @@ def test_the_wheels_turn_as_reruns_reader_of_urdfs_turns_them(tmp_path: Path) ->
             if isinstance(values[0][0], str):
                 assert found[what] == values
             else:
-                np.testing.assert_allclose(np.array(found[what], float), np.array(values, float), atol=1e-6)
+                np.testing.assert_allclose(found[what], values, atol=1e-6)
 
 
 def test_the_urdf_is_read_with_each_wheel_where_the_scenario_has_it(tmp_path: Path) -> None:
