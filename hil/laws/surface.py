@@ -8,6 +8,7 @@ The filter makes the robot lag: on a circle of radius r0 at rate ω the steady e
 """
 
 import math
+from collections.abc import Callable
 
 from hil.core.model import RobotModel
 from hil.core.types import (
@@ -66,7 +67,7 @@ class SurfaceLaw:
     speed loop replaces the inner surface: the set points are ω = H Rᵀ x̄2 / r with the torque feedforward
     B⁺ (M q̈_d + C) + ξ of the reference. K2 and ς are not used there: to filter x̄2 would only add lag.
 
-    ``gains`` are K1 and K2 [1/s]; a subclass whose gains change overrides ``_gains_at``.
+    ``gains`` are K1 and K2 [1/s]; a subclass whose gains change sets ``_gains_at``.
     """
 
     def __init__(self, model: RobotModel, mode: CommandMode, filter_s: float, gains: Pairs = NO_GAINS) -> None:
@@ -74,6 +75,7 @@ class SurfaceLaw:
         self._torque = mode is CommandMode.TORQUE
         self._filter = FirstOrderFilter(filter_s)
         self._gains = gains
+        self._gains_at: Callable[[Pairs], Pairs] = lambda _: gains  # of the error and its rate
 
     @property
     def gains(self) -> Pairs:
@@ -98,10 +100,6 @@ class SurfaceLaw:
             return self._torque_command(reference, predicted, dt_s)
         desired = _virtual_control(twist_d, error, gains)
         return speed_command(self._model, desired, predicted, reference.acceleration)
-
-    def _gains_at(self, error: Pairs) -> Pairs:
-        """Return K1 and K2 [1/s] at this error and its rate."""
-        return self._gains
 
     def _predict(self, reference: Reference, state: State, applied: Applied, dt_s: float) -> Prediction:
         """Return the robot and the reference for which the command is computed: here the present ones."""

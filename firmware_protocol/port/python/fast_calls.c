@@ -19,16 +19,6 @@ void wheel_python_begin(const wheel_python *given) {
  * `self` is an int that fast_calls.py has made of an address.
  */
 
-static bool failed(void) {
-    return python.PyErr_Occurred() != NULL;
-}
-
-/* Reads a number; false with an exception. */
-static bool number(void *object, double *value) {
-    *value = python.PyFloat_AsDouble(object);
-    return *value != -1.0 || !failed();
-}
-
 /* Reads the ticks of a STEP; what is no such number becomes one that no STEP may have. */
 static uint16_t ticks_of(void *object) {
     const long long ticks = python.PyLong_AsLongLong(object);

@@ -149,6 +149,23 @@ typedef struct {
 /* layout.row(objects...): puts the numbers of nested tuples in their places, and returns a copy of all
  * numbers as bytes. Those that have no member keep their value. */
 void *wheel_python_row(void *self, void *const *arguments, ptrdiff_t count);
+/* A table of 4 by 4 cells, in which two numbers are looked up: two results, interpolated. */
+typedef struct {
+    double
+        cells_a_unit[2]; /* of each input; zero is the middle of the table, and beyond its ends they hold */
+    double cells[16][2][4]; /* row by row (second input); a result is a + b p + q (c + d p), p and q 0 to 4 */
+} wheel_python_table;
+
+typedef struct {
+    const wheel_python_table *tables;
+    ptrdiff_t count;
+    double *nearest; /* four numbers a table: both places in it, from -2 to 2, the nearest corner, 5 * row +
+                        column, and how near it is: the product of both shares, 0.25 to 1 */
+} wheel_python_tables;
+
+/* tables.look_up(inputs): a tuple of the first input of each table, then of the second; returns a tuple of
+ * the first results, then of the second, and sets `nearest`. NaN is the beginning of a table. */
+void *wheel_python_look_up(void *self, void *const *arguments, ptrdiff_t count);
 /* cffi: end */
 
 #endif

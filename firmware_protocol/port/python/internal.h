@@ -10,6 +10,16 @@
 #define python wheel_python_given
 extern wheel_python wheel_python_given;
 
+static inline bool failed(void) {
+    return python.PyErr_Occurred() != NULL;
+}
+
+/* Reads a number; false with an exception. */
+static inline bool number(void *object, double *value) {
+    *value = python.PyFloat_AsDouble(object);
+    return *value != -1.0 || !failed();
+}
+
 static inline void *new_bytes(const uint8_t *bytes, size_t length) {
     return python.PyBytes_FromStringAndSize((const char *)bytes, (ptrdiff_t)length);
 }
