@@ -43,6 +43,8 @@ TESTS = (
     "tests/test_wheel_loops.py",
     "tests/test_client.py",
     "tests/test_client_frames.py",
+    "tests/test_freshness.py",
+    "tests/test_latency.py",
     "tests/test_direct.py",
     "tests/test_line_of_the_library.py",
     "tests/test_parameters.py",

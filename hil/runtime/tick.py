@@ -92,6 +92,8 @@ class Tick:
         self._rest = WheelCommand(mode, ZERO_WHEELS, ZERO_WHEELS)
         self._nothing = WheelCommand(mode, NAN_WHEELS, NAN_WHEELS)
         self._latency = CommandLatency(timing.latency_s, timing.stale_ns)
+        self._measure_latency = self._latency.measure
+        self._latency_s = timing.latency_s
         self._applied = Applied(self._rest, False, timing.latency_s)
         self._before: int | None = None  # the law's last tick; None before its first and before a reset
         self.count = 0
@@ -141,12 +143,12 @@ class Tick:
             command, saturated = self._guard.apply(requested)
             if self._fades:
                 measured, at_ns = feedback.speed_rad_s, feedback.robot_time_ns
-                command, saturated = self._guard.fade(command, saturated, measured, at_ns, state, self._latency.s)
+                command, saturated = self._guard.fade(command, saturated, measured, at_ns, state, self._latency_s)
         sequence = self._device.send(command)
-        self._measure_latency(sequence, feedback)
+        self._latency_s = self._measure_latency(feedback, sequence, self._freshness.sampled_ns(feedback))
         if self._shadows is not None:
             self._update_shadows(self._shadows, now.t_s, reference, inputs)
-        self._applied = applied = make_applied(command, saturated, self._latency.s)
+        self._applied = applied = make_applied(command, saturated, self._latency_s)
         silent_ns, is_held = self._freshness.silent_ns, inputs is None
         self._rows.write(now, feedback, silent_ns, fix, state, reference, applied, status, is_held)
         self.count += 1
@@ -159,7 +161,7 @@ class Tick:
         self.is_stale = False
         if parts.shadows is not None:
             parts.shadows.hold()
-        applied = Applied(self._nothing, False, self._latency.s)
+        applied = Applied(self._nothing, False, self._latency_s)
         status, silent_ns = parts.estimator.status, self._freshness.silent_ns
         self._rows.write(now, parts.device.feedback, silent_ns, fix, state, reference, applied, status, True)
         self.count += 1
@@ -190,7 +192,7 @@ class Tick:
         self._before = None
         self._update_limits()
         self._latency.restart()
-        self._applied = Applied(self._rest, False, self._latency.s)
+        self._applied = Applied(self._rest, False, self._latency_s)
 
     def restart(self) -> None:
         """Start again with a robot that was lost or stopped and answers again."""
@@ -252,12 +254,3 @@ class Tick:
             state, dt_s, begins = inputs
             for sentence in shadows.update(t_s, reference, state, self._applied, dt_s, begins=begins):
                 self._parts.note(t_s, "warning", sentence)
-
-    def _measure_latency(self, sequence: int, feedback: Feedback) -> None:
-        """Note the age of the state behind this command, and when the command now in force took effect.
-
-        The state is as old as the truth if the estimate uses it, otherwise as old as the feedback.
-        """
-        truth_ns = self._freshness.truth_ns
-        self._latency.acted(feedback.command_sequence, feedback.robot_time_ns, feedback.command_age_ms)
-        self._latency.sent(sequence, feedback.robot_time_ns if truth_ns is None else truth_ns)

@@ -243,7 +243,7 @@ void *wheel_python_exchange(void *self, void *const *arguments, ptrdiff_t count)
         return NULL;
     }
     if (client != NULL && !wheel_client_step(client, ticks)) {
-        return python.Py_BuildValue("");
+        return none();
     }
     void *thread = python.PyEval_SaveThread();
     wheel_direct_exchange(direct, robot, client);

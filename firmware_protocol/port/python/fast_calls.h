@@ -31,9 +31,9 @@ typedef struct {
     int (*PyBytes_AsStringAndSize)(void *, char **, ptrdiff_t *);
     void (*Py_DecRef)(void *);
     void (*Py_IncRef)(void *);
-    void *(*Py_BuildValue)(const char *, ...);
     void *(*PyType_GenericAlloc)(void *, ptrdiff_t);
     int (*PyErr_BadArgument)(void); /* raises TypeError */
+    void *_Py_NoneStruct;           /* None itself */
 } wheel_python;
 
 void wheel_python_begin(const wheel_python *python);
@@ -89,6 +89,15 @@ void *wheel_python_exchange(void *self, void *const *arguments, ptrdiff_t count)
 /* direct.crossed(): what the newest exchange sent of the client's, and the answer, each as bytes with its
  * number of frames. */
 void *wheel_python_crossed(void *self, void *const *arguments, ptrdiff_t count);
+
+/* freshness.add_feedback(feedback, truth, age_ns, now_ns, is_driven): wheel_freshness_add with the tuples of
+ * hil: feedback (robot_time_ns, state, ...), and a truth (time_ns, pose, ...) or None, which does not count
+ * if its pose is not finite. Returns the result, `silent_ns`, `truth_ns` or None, and `is_stale`. */
+void *wheel_python_add_feedback(void *self, void *const *arguments, ptrdiff_t count);
+
+/* latency.measure_latency(feedback, sequence, sampled_ns): wheel_latency_acted by feedback (robot_time_ns,
+ * state, command_sequence, command_age_ms, ...), then wheel_latency_sent; returns `median_s`. */
+void *wheel_python_measure_latency(void *self, void *const *arguments, ptrdiff_t count);
 
 /* split(packed, limit): wheel_packed_split; returns both groups as bytes. */
 void *wheel_python_split(void *self, void *const *arguments, ptrdiff_t count);

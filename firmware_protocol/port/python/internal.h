@@ -10,6 +10,12 @@
 #define python wheel_python_given
 extern wheel_python wheel_python_given;
 
+/* Returns a new reference to None. */
+static inline void *none(void) {
+    python.Py_IncRef(python._Py_NoneStruct);
+    return python._Py_NoneStruct;
+}
+
 static inline bool failed(void) {
     return python.PyErr_Occurred() != NULL;
 }
