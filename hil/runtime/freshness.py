@@ -83,14 +83,6 @@ class Freshness:
             f"no feedback for {self.silent_ns * 1e-6:.0f} ms at t = {t_s:.3f} s: the link or the robot was lost"
         )
 
-    def sampled_ns(self, feedback: Feedback) -> int:
-        """Return the age of the state: as old as the truth if the estimate uses it, else as the feedback.
-
-        It is the robot's time [ns].
-        """
-        truth_ns = self.truth_ns
-        return feedback.robot_time_ns if truth_ns is None else truth_ns
-
     def robot_now_ns(self, feedback: Feedback) -> int:
         """Return the present robot time, in real time by TIME_SYNC once that is known, else by the newest feedback.
 

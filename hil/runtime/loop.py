@@ -244,7 +244,7 @@ class Loop:
             ticker.record_away(now, fix, self._reference_at(t_s))
         if ticker.is_held and not self._is_watching:
             self._undriven.hold(t_ns, is_stale=ticker.is_stale)
-        else:
+        elif self._undriven.is_explained:
             self._undriven.drive()
         watch.turn += 1
         self._tick_us = (perf_counter() - begin_s) * 1e6

@@ -47,6 +47,20 @@ void *wheel_python_command(void *self, void *const *arguments, ptrdiff_t count) 
     return python.PyLong_FromLongLong(wheel_client_command(client, speed_rad_s, torque_n_m, now_ns));
 }
 
+void *wheel_python_within(void *self, void *const *arguments, ptrdiff_t count) {
+    (void)self, (void)count;
+    double four[4];
+    double limit;
+    if (!numbers(arguments[0], 4, four) || !number(arguments[1], &limit)) {
+        return NULL;
+    }
+    bool is_within = true;
+    for (size_t i = 0; i < 4u; i++) {
+        is_within = is_within && four[i] >= -limit && four[i] <= limit;
+    }
+    return python.PyBool_FromLong(is_within);
+}
+
 void *wheel_python_poll(void *self, void *const *arguments, ptrdiff_t count) {
     (void)count;
     wheel_client *client = python.PyLong_AsVoidPtr(self);

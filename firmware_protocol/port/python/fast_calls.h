@@ -102,6 +102,9 @@ void *wheel_python_measure_latency(void *self, void *const *arguments, ptrdiff_t
 /* split(packed, limit): wheel_packed_split; returns both groups as bytes. */
 void *wheel_python_split(void *self, void *const *arguments, ptrdiff_t count);
 
+/* within(four, limit): whether each of four numbers is from -limit to limit; NaN is not. */
+void *wheel_python_within(void *self, void *const *arguments, ptrdiff_t count);
+
 /* pack(frames): a tuple of frames, packed, as bytes. */
 void *wheel_python_pack(void *self, void *const *arguments, ptrdiff_t count);
 
