@@ -118,7 +118,7 @@ def test_what_crossed_is_told_with_its_number() -> None:
     assert (PackedFrames(sent)[:-1], sent_count) == (list(before), 2)
     assert codec.decode(PackedFrames(sent)[-1]) == m.Step(0, 2)
     assert (heard, count) == (answer.packed, len(answer))
-    direct.step(client, _no_rest, 3)
+    direct.step(client, lambda *_: None, 3)
     assert direct.crossed()[:2] == (pack([codec.encode(m.Step(0, 3))]), 1)
 
 

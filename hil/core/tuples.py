@@ -18,6 +18,7 @@ from hil.core.types import (
     Applied,
     CommandMode,
     FourWheels,
+    Pairs,
     Pose,
     Reference,
     State,
@@ -70,5 +71,7 @@ make_reference: Callable[..., Reference] = _constructor(_MOTION)
 make_speed_command: Callable[..., WheelCommand] = _constructor(_SPEED)
 """Of eight numbers: the four speeds [rad/s], and the torques [N·m] as feedforward."""
 make_torque_command: Callable[[float, float, float, float], WheelCommand] = _constructor(_TORQUE)
+difference: Callable[[State, Reference], tuple[Pairs, float, Twist, Twist]] = _function("difference")
+"""Return state minus reference, with the heading in [-π, π]; the heading; the reference's twist, and the state's."""
 is_within: Callable[[FourWheels, float], bool] = _function("within")
 """Return whether every wheel is from minus the limit to the limit. NaN is not."""

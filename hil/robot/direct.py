@@ -129,8 +129,9 @@ class DirectLink:
         """
         if not self._is_open:
             raise closed()
-        now_ns = self.now_ns()
-        if not self._step(self._robot.node.address, client.address, ticks, now_ns):
+        read_ns, step = self.now_ns, self._step
+        now_ns = read_ns()
+        if not step(self._robot.node.address, client.address, ticks, now_ns):
             direct = self._direct
             if not direct.stepped_bytes:  # the client refused it: a step that was made is never empty
                 raise _unsendable_step(ticks)

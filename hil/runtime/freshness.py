@@ -61,7 +61,8 @@ class Freshness:
             raise RobotStoppedError("the robot sends no feedback")
         if self._faults is not None:
             feedback = self._faults.feedback(feedback)
-        result, self.silent_ns, self.truth_ns, self.is_stale = self._add(
+        add = self._add
+        result, self.silent_ns, self.truth_ns, self.is_stale = add(
             feedback, truth, age_ns, self._clock.now_ns(), active
         )
         if result:

@@ -116,10 +116,11 @@ class RowWriter:
         ``silent_ns`` is the time since new feedback last came. ``feedback`` is None after a loss; ``fix`` and ``state``
         are None if unknown. ``is_held``: the law was not called.
         """
-        device, extra = self._device, self._extra
+        device, extra, make_row = self._device, self._extra, self._row
+        link_figures = device.link_figures
         if tick.tick % _REJECTED_EVERY == 0:
             self._rejected = sum(device.rejected().values())
-        row = self._row(
+        row = make_row(
             tick,
             reference,
             _NO_STATE if state is None else state,
@@ -129,7 +130,7 @@ class RowWriter:
             _NO_FEEDBACK if feedback is None else feedback,
             device.report.health,
             estimator,
-            device.link_figures(),
+            link_figures(),
             self._wire.traffic(),
             is_held,
             self._rejected,

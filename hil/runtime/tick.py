@@ -144,11 +144,11 @@ class Tick:
                 measured, at_ns = feedback.speed_rad_s, feedback.robot_time_ns
                 command, saturated = self._guard.fade(command, saturated, measured, at_ns, state, self._latency_s)
         sequence = self._device.send(command)
-        freshness = self._freshness
+        freshness, measure_latency = self._freshness, self._measure_latency
         truth_ns = freshness.truth_ns
         # The state is as old as the truth if the estimate uses it, otherwise as old as the feedback.
         sampled_ns = feedback.robot_time_ns if truth_ns is None else truth_ns
-        self._latency_s = latency_s = self._measure_latency(feedback, sequence, sampled_ns)
+        self._latency_s = latency_s = measure_latency(feedback, sequence, sampled_ns)
         if self._shadows is not None:
             self._update_shadows(self._shadows, now.t_s, reference, inputs)
         self._applied = applied = make_applied(command, saturated, latency_s)

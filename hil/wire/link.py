@@ -44,9 +44,6 @@ class DirectTransport(Protocol):
     def exchange(self, client: "Client", ticks: int) -> "PackedFrames":
         """Send what waits in the client and a STEP; return all that the robot then sends. Raises LinkError."""
 
-    def step(self, client: "Client", ticks: int) -> Received | None:
-        """The same, but the client takes the answer; return what it left. Raises LinkError."""
-
     @property
     def crossed(self) -> Callable[[], tuple[bytes, int, bytes, int]]:
         """Returns the packed frames of the newest exchange, and their number: the client's, and the answer."""

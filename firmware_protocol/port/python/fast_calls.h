@@ -158,6 +158,11 @@ typedef struct {
     const wheel_python_member *members; /* of the tuple of the objects */
 } wheel_python_layout;
 
+/* difference(state, reference): of two motions, each a tuple that begins with pose and twist, tuples of
+ * three: the first minus the second, a tuple of pose (heading from -pi to pi) and twist in six numbers; the
+ * first's heading; the second's twist, and the first's. */
+void *wheel_python_difference(void *self, void *const *arguments, ptrdiff_t count);
+
 /* layout.row(objects...): puts the numbers of nested tuples in their places, and returns a copy of all
  * numbers as bytes. Those that have no member keep their value. */
 void *wheel_python_row(void *self, void *const *arguments, ptrdiff_t count);

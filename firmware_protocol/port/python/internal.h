@@ -26,6 +26,26 @@ static inline bool number(void *object, double *value) {
     return *value != -1.0 || !failed();
 }
 
+/* Reads the first numbers of a tuple; false with an exception. */
+static inline bool numbers(void *tuple, ptrdiff_t count, double *values) {
+    for (ptrdiff_t i = 0; i < count; i++) {
+        void *item = python.PyTuple_GetItem(tuple, i);
+        if (item == NULL || !number(item, &values[i])) {
+            return false;
+        }
+    }
+    return true;
+}
+
+/* Returns a new tuple of floats. */
+static inline void *floats(const double *values, ptrdiff_t count) {
+    void *tuple = python.PyTuple_New(count);
+    for (ptrdiff_t i = 0; tuple != NULL && i < count; i++) {
+        python.PyTuple_SetItem(tuple, i, python.PyFloat_FromDouble(values[i]));
+    }
+    return tuple;
+}
+
 static inline void *new_bytes(const uint8_t *bytes, size_t length) {
     return python.PyBytes_FromStringAndSize((const char *)bytes, (ptrdiff_t)length);
 }
