@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Literal, NamedTuple, Protocol, 
 
 from hil.core.errors import BadInputError, nearest
 from hil.core.link_protocol import WHEEL_DBC, LinkProtocol
-from hil.core.ports import Link, Received
+from hil.core.ports import Link
 
 if TYPE_CHECKING:
     from firmware_protocol.client import Client
