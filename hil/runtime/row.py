@@ -72,6 +72,7 @@ class RowWriter:
     ) -> None:
         self._device = device
         self._wire = wire
+        self._count_bytes, self._is_timed = wire.byte_counts, wire.is_timed
         self._controller = controller
         self._extra = extra
         self._puts = tuple(sink.put for sink in sinks)
@@ -90,7 +91,8 @@ class RowWriter:
             ("battery.voltage_v", "battery.current_a", _wheels("temperature_degc")),
             _group("estimator"),
             ("link.sent", "link.received", "link.lost", "link.rtt_ms"),
-            ("link.sent_bytes", "link.received_bytes", "link.load_percent"),
+            ("link.sent_bytes", "link.received_bytes"),
+            "link.load_percent",
             "guard.held",
             *_LINK,
         )
@@ -117,7 +119,8 @@ class RowWriter:
         are None if unknown. ``is_held``: the law was not called.
         """
         device, extra, make_row = self._device, self._extra, self._row
-        link_figures = device.link_figures
+        link_figures, count_bytes = device.link_figures, self._count_bytes
+        byte_counts = count_bytes()
         if tick.tick % _REJECTED_EVERY == 0:
             self._rejected = sum(device.rejected().values())
         row = make_row(
@@ -131,7 +134,8 @@ class RowWriter:
             device.report.health,
             estimator,
             link_figures(),
-            self._wire.traffic(),
+            byte_counts,
+            self._wire.load_percent(byte_counts) if self._is_timed else NAN,
             is_held,
             self._rejected,
             NAN if feedback is None else silent_ns + self._feedback_latency_ns,

@@ -82,7 +82,7 @@ REALTIME_PARTS = (
     Part("bytes from the client to the line", StreamLink, "send_from", 3),
     Part("the write: one system call", SerialStream, "write", 4),
     Part("row", RowWriter, "write", 2),
-    Part("bytes and load of the line", LinkStatistics, "traffic", 3),
+    Part("load of the line", LinkStatistics, "load_percent", 3),
     Part("figures of the run", MemorySink, "put", 3),
     Part("lateness", Lateness, "add", 1),
 )
