@@ -2,7 +2,7 @@
 
 from typing import Any
 
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from firmware_protocol.generated.messages import State
@@ -64,7 +64,14 @@ calls = st.one_of(
 )
 
 
+def driven(robot_ms: int, now_ms: int, truth_ms: int) -> tuple[object, ...]:
+    return robot_ms * MS, State.ACTIVE, 0, now_ms * MS, True, truth_ms * MS
+
+
 @given(st.lists(calls, max_size=30))
+@example([driven(0, 0, 1000), driven(1, 1, 0)])  # the truth's clock jumped back
+@example([driven(1000, 0, 0)])  # it is behind the robot
+@example([driven(0, 0, 0), driven(50, 51, 0), driven(51, 52, 1)])  # no new one came
 def test_ages_are_as_the_rules_say_whatever_comes(sequence: list[Any]) -> None:
     ffi, lib = library()
     ages, expected = ffi.new("wheel_freshness *", {"stale_ns": STALE_NS}), Ages()
