@@ -21,6 +21,7 @@ HEADERS = tuple(
         "port/host/host.h",
         "client/wheel_line.h",
         "client/wheel_client.h",
+        "client/wheel_timing.h",
         "port/host/direct.h",
         "port/python/fast_calls.h",
     )

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 from firmware_protocol.host import library
 
 _FASTCALL = 0x0080
-# The functions of the stable ABI that the library gets, in the order of ``wheel_python``.
+# What the library gets of the stable ABI, in the order of ``wheel_python``.
 _NEEDED = (
     "PyFloat_AsDouble",
     "PyLong_AsLongLong",
@@ -31,9 +31,9 @@ _NEEDED = (
     "PyBytes_AsStringAndSize",
     "Py_DecRef",
     "Py_IncRef",
-    "Py_BuildValue",
     "PyType_GenericAlloc",
     "PyErr_BadArgument",
+    "_Py_NoneStruct",
 )
 
 

@@ -54,6 +54,12 @@ def fields_of(ffi: Any, struct: Any, name: str, first: int = 0, count: int | Non
     return tuple(Number(begin + place * size, item.cname) for place in range(first, end))
 
 
+def numbers_at(ffi: Any, array: Any) -> tuple[Number, ...]:
+    """Return the doubles of an array that cffi owns."""
+    begin, size = address_of(array), ffi.sizeof("double")
+    return tuple(Number(begin + place * size, "double") for place in range(len(array)))
+
+
 def tuple_constructor(what: Tuple, memory: object = None, given: Number | None = None) -> Callable[..., Any]:
     """Return a function that makes the tuple. It takes the arguments in their order, and reads numbers as they are now.
 

@@ -13,7 +13,7 @@ from hil.core.errors import BadInputError
 from hil.core.signals import SIGNAL_NAMES
 from hil.core.types import CommandMode, State, Twist
 from hil.laws.afdsc import Afdsc
-from hil.laws.fuzzy import FuzzyBlock, FuzzyLaw
+from hil.laws.fuzzy import FuzzyBlock, FuzzyGains, FuzzyLaw
 from hil.laws.registry import SHIPPED, make_controller
 from hil.review import read
 from hil.runtime.assembly import RunOptions, run_scenario
@@ -54,7 +54,10 @@ def counting(folder, signals='("mine.count",)', telemetry="(self.count,)") -> st
 @given(st.floats(-3, 3), st.floats(-3, 3))
 def test_the_strongest_rule_is_the_product_of_the_largest_memberships(error, rate):
     """The place alone gives all memberships, so that nothing of the inference is lost."""
-    at_error, at_rate, rule, degree = FuzzyBlock.from_tables("printed", 1.0, 1.0).firing(error, rate)
+    gains = FuzzyGains(FuzzyBlock.from_tables("printed", 1.0, 1.0))
+    assert all(map(math.isnan, gains.firing()))
+    gains.at((error, rate))
+    at_error, at_rate, rule, degree = gains.firing()
     of_error, of_rate = memberships(error), memberships(rate)
     row, column = divmod(int(rule), 5)
     assert degree == pytest.approx(max(of_error) * max(of_rate))
@@ -65,8 +68,9 @@ def test_the_strongest_rule_is_the_product_of_the_largest_memberships(error, rat
 
 
 def test_firing_is_finite_for_every_input():
-    block = FuzzyBlock.from_tables("printed", 1.0, 1.0)
-    assert block.firing(math.nan, math.inf) == (-2.0, 2.0, 20.0, 1.0)
+    gains = FuzzyGains(FuzzyBlock.from_tables("printed", 1.0, 1.0))
+    gains.at((math.nan, math.inf))
+    assert gains.firing() == (-2.0, 2.0, 20.0, 1.0)
 
 
 def test_afdsc_tells_what_fires_and_nothing_before_it_was_asked():
@@ -110,7 +114,7 @@ def test_a_fault_changes_what_is_recorded_of_an_own_signal(tmp_path):
 def test_own_signals_are_asked_for_only_where_somebody_reads_them(tmp_path, monkeypatch):
     """Where they are recorded, kept, judged or spoilt by a fault: not in a run of which the figures alone are left."""
     asked = []
-    monkeypatch.setattr(FuzzyLaw, "telemetry", property(lambda law: asked.append(law) or law._tuner.telemetry))
+    monkeypatch.setattr(FuzzyLaw, "telemetry", property(lambda law: asked.append(law) or law._firing()))
 
     def ticks_asked(record=None, *, keep_signals=False, **more):
         asked.clear()

@@ -10,7 +10,7 @@ from PIL import Image
 
 from hil.cli.fuzzy import draw_gains, fuzzy
 from hil.core.errors import BadInputError
-from hil.laws.fuzzy import K1_1_S, K2_1_S, RULES, FuzzyBlock
+from hil.laws.fuzzy import K1_1_S, K2_1_S, RULES, FuzzyBlock, FuzzyGains
 from tests.processes import hil
 
 LEVELS = ["VS", "S", "M", "B", "VB"]
@@ -41,9 +41,9 @@ def inferred(which: str, error: float, rate: float) -> tuple[float, float]:
 
 @given(tables, value, value, span, span)
 def test_look_up_is_product_inference_with_weighted_average(which, error, rate, error_range, rate_range):
-    block = FuzzyBlock.from_tables(which, error_range, rate_range)
+    gains = FuzzyGains(FuzzyBlock.from_tables(which, error_range, rate_range))
     expected = inferred(which, error / error_range, rate / rate_range)
-    assert block.gains(error, rate) == pytest.approx(expected, rel=1e-9)
+    assert gains.at((error, rate)) == pytest.approx(expected, rel=1e-9)
 
 
 @given(tables, st.lists(st.tuples(any_value, any_value), min_size=1, max_size=20), span, span)
@@ -51,23 +51,43 @@ def test_batch_and_single_agree_to_the_bit(which, points, error_range, rate_rang
     block = FuzzyBlock.from_tables(which, error_range, rate_range)
     error, rate = np.array(points).T
     k1, k2 = block.gains_batch(error, rate)
-    assert list(zip(k1, k2, strict=True)) == [block.gains(e, r) for e, r in points]
+    gains = FuzzyGains(block)
+    assert list(zip(k1, k2, strict=True)) == [gains.at(point) for point in points]
+
+
+@given(st.lists(st.tuples(tables, any_value, any_value, span, span), min_size=1, max_size=5))
+def test_blocks_together_are_as_each_alone(some):
+    blocks = [FuzzyBlock.from_tables(which, *spans) for which, _, _, *spans in some]
+    inputs = [(error, rate) for _, error, rate, *_ in some]
+    together, alone = FuzzyGains(*blocks), [FuzzyGains(block) for block in blocks]
+    each = [one.at(pair) for one, pair in zip(alone, inputs, strict=True)]
+    assert together.at((*(e for e, _ in inputs), *(r for _, r in inputs))) == (
+        *(k1 for k1, _ in each),
+        *(k2 for _, k2 in each),
+    )
+    assert together.firing() == tuple(itertools.chain.from_iterable(one.firing() for one in alone))
+
+
+@pytest.mark.parametrize(("wrong", "error"), [((1.0,), IndexError), (("a", 1.0), TypeError), ([1.0, 1.0], SystemError)])
+def test_what_is_no_tuple_of_an_error_and_a_rate_raises(wrong, error):
+    with pytest.raises(error):
+        FuzzyGains(FuzzyBlock.from_tables("printed", 1.0, 1.0)).at(wrong)
 
 
 @given(tables, value, value)
 def test_signs_do_not_matter(which, error, rate):
-    block = FuzzyBlock.from_tables(which, 1.0, 2.0)
-    assert block.gains(-error, rate) == pytest.approx(block.gains(error, rate))
-    assert block.gains(error, -rate) == pytest.approx(block.gains(error, rate))
+    at = FuzzyGains(FuzzyBlock.from_tables(which, 1.0, 2.0)).at
+    assert at((-error, rate)) == pytest.approx(at((error, rate)))
+    assert at((error, -rate)) == pytest.approx(at((error, rate)))
 
 
 @pytest.mark.parametrize("which", ["printed", "corrected"])
 def test_at_the_peaks_the_output_is_the_rule_s(which):
-    block = FuzzyBlock.from_tables(which, 0.2, 0.7)
+    gains = FuzzyGains(FuzzyBlock.from_tables(which, 0.2, 0.7))
     for (j, rate), (i, error) in itertools.product(enumerate(PEAKS), enumerate(PEAKS)):
         k1_rules, k2_rules = RULES[which]
         expected = K1_1_S[k1_rules[j][i]], K2_1_S[k2_rules[j][i]]
-        assert block.gains(0.2 * error, 0.7 * rate) == pytest.approx(expected)
+        assert gains.at((0.2 * error, 0.7 * rate)) == pytest.approx(expected)
 
 
 def test_the_corrected_tables_follow_one_pattern():
@@ -87,10 +107,10 @@ def test_the_printed_tables_differ_at_a_big_error_with_rate_zero_alone():
 
 
 def test_gains_stay_finite_for_what_is_not_a_number():
-    block = FuzzyBlock.from_tables("printed", 0.2, 0.7)
+    at = FuzzyGains(FuzzyBlock.from_tables("printed", 0.2, 0.7)).at
     nan = float("nan")
-    assert block.gains(nan, nan) == block.gains(-9.0, -9.0)
-    assert block.gains(float("inf"), 0.0) == block.gains(9.0, 0.0)
+    assert at((nan, nan)) == at((-9.0, -9.0))
+    assert at((float("inf"), 0.0)) == at((9.0, 0.0))
 
 
 @pytest.fixture(scope="module")

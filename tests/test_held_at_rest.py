@@ -86,7 +86,7 @@ def test_after_a_reset_the_latency_is_measured_by_the_truth_as_before(monkeypatc
 
     def forgetful(meter: CommandLatency) -> None:
         restart(meter)
-        meter.s = 0.077
+        meter._latency.median_s = 0.077
 
     monkeypatch.setattr(CommandLatency, "restart", forgetful)
     found = run(fault=RESET, loop__rearm=True, loop__duration_s=0.9, loop__mode="realtime").signals["link.latency_ms"]

@@ -1,11 +1,15 @@
 """The latency that a law is told: as configured in lockstep, as measured in real time."""
 
+import statistics
+
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 import hil
+from firmware_protocol.generated.messages import State
 from hil.robot.link_times import CommandLatency
+from hil.robot.snapshot import Feedback
 from hil.robot.stm32 import Stm32
 
 MS = 1_000_000
@@ -14,17 +18,25 @@ LONGEST_NS = 100 * MS
 SHORT = {"loop.duration_s": 0.5, "expect": []}
 
 
+def reported(sequence, at_ms, age_ms=2):
+    """Return feedback of that robot time, by which this command was in force and so old."""
+    zeros = (0.0,) * 4
+    return Feedback(at_ms * MS, State.ACTIVE, sequence & 0xFF, age_ms, (0,) * 4, zeros, zeros, zeros[:3], 0.0)
+
+
+NOTHING = reported(255, 0)
+
+
 def told(latencies_ms, period_ms=5, start=0):
-    """Return what is told after commands that were that late, each seen in the first TICK of the next period."""
+    """Return what is told after commands that were that late, each seen in two TICKs, of which the second is none."""
     meter = CommandLatency(CONFIGURED_S, LONGEST_NS)
+    newest = reported(start - 1, 0)  # nobody's command
     for number, late_ms in enumerate(latencies_ms):
-        sampled_ms = number * period_ms
-        sequence = (start + number) & 0xFF
-        meter.sent(sequence, sampled_ms * MS)
-        seen_ms = sampled_ms + late_ms + 2
-        meter.acted(sequence, seen_ms * MS, 2)
-        meter.acted(sequence, (seen_ms + period_ms) * MS, 2 + period_ms)
-    return meter.s
+        sampled_ms, sequence = number * period_ms, (start + number) & 0xFF
+        for _ in range(2):
+            meter.measure(newest, sequence, sampled_ms * MS)
+        newest = reported(sequence, sampled_ms + late_ms + 2)
+    return meter.measure(newest, start, 0)
 
 
 @given(late_ms=st.integers(0, 100), start=st.integers(0, 255), count=st.integers(9, 400))
@@ -48,24 +60,38 @@ def test_what_cannot_be_a_latency_is_left_out():
     assert told([-1] * 50) == CONFIGURED_S
     meter = CommandLatency(CONFIGURED_S, LONGEST_NS)
     for sequence in range(50):
-        meter.acted(sequence, sequence * MS, 2)  # another host's
-        meter.sent(sequence, None)  # resting on no sample
-        meter.acted(sequence, sequence * MS, 2)
-        meter.sent(sequence, 0)
-        meter.acted(sequence, 300 * MS, 255)  # so old that the age says no more
+        meter.measure(reported(sequence, sequence), sequence, 0)  # another host's
+        meter.measure(reported(sequence, 300, 255), sequence, 0)  # so old that the age says no more
     assert meter.s == CONFIGURED_S
 
 
 def test_a_new_session_keeps_what_was_measured_and_forgets_what_was_sent():
     meter = CommandLatency(CONFIGURED_S, LONGEST_NS)
-    for sequence in range(9):
-        meter.sent(sequence, 0)
-        meter.acted(sequence, 7 * MS, 0)
-    meter.sent(9, 0)
+    newest = NOTHING
+    for sequence in range(10):
+        meter.measure(newest, sequence, 0)
+        newest = reported(sequence, 7, 0)
     meter.restart()
     for _ in range(33):
-        meter.acted(9, 50 * MS, 0)
+        meter.measure(reported(9, 50, 0), 10, 0)
     assert meter.s == pytest.approx(0.007)
+
+
+@given(st.lists(st.integers(0, 100), min_size=9, max_size=80))
+def test_it_is_the_lower_median_of_the_last_33(latencies_ms):
+    expected = statistics.median_low(latencies_ms[-33:])
+    assert told(latencies_ms) == pytest.approx(expected * 1e-3)
+
+
+@pytest.mark.parametrize("wrong", [(), (0, 1, 2, "a"), (0.5, 1, 2, 3), [0, 1, 2, 3], None])
+def test_what_is_no_feedback_raises_and_notes_nothing(wrong):
+    meter = CommandLatency(CONFIGURED_S, LONGEST_NS)
+    with pytest.raises((TypeError, IndexError, SystemError)):
+        meter.measure(wrong, 1, 0)
+    for number in ("a", None, 0.5, 1 << 70):
+        with pytest.raises((TypeError, OverflowError)):
+            meter.measure(NOTHING, 1, number)
+    assert [meter.measure(reported(1, 7, 0), 2, 0) for _ in range(20)] == [CONFIGURED_S] * 20
 
 
 @pytest.mark.parametrize(("command_ms", "feedback_ms"), [(0, 0), (3, 2), (7, 0), (0, 10), (12, 9)])

@@ -55,7 +55,7 @@ def test_every_value_of_a_row_stands_under_its_signals_name() -> None:
         rejected=lambda: {"one": 132, "other": 1},
         clock_sync=SimpleNamespace(offset_us=140.0, drift_ppm=141.0),
     )
-    wire = SimpleNamespace(traffic=lambda: (135, 136, 137.0))
+    wire = SimpleNamespace(byte_counts=lambda: (135, 136), load_percent=lambda _: 137.0, is_timed=True)
     extra = SimpleNamespace(signals=("one", "other"), telemetry=(150.0, 151.0))
     rows: list[bytes] = []
     writer = RowWriter(

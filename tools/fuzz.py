@@ -1,4 +1,4 @@
-"""Fuzzes the C decoder, both halves of the protocol, together too, and the serial line, under ASan and UBSan.
+"""Fuzzes the C decoder, both halves of the protocol, together too, the serial line, and times, under ASan and UBSan.
 
 ``python -m tools.fuzz --runs 10000000`` runs each target so often. The targets, what they check after every call, and
 the mutator that gets past CRC and COBS are in ``tests/fuzz``. An input that breaks a check is kept and named.
@@ -21,7 +21,7 @@ from firmware_protocol.built import FIRMWARE_FLAGS, SOURCES
 ROOT = Path(__file__).parent.parent
 HARNESSES = ROOT / "tests" / "fuzz"
 FRAMES = ROOT / "tests" / "vectors" / "frames.csv"
-TARGETS = ("decoder", "line", "client", "node", "direct")
+TARGETS = ("decoder", "line", "client", "node", "direct", "timing")
 COMPILERS = ("clang", *(f"clang-{version}" for version in range(22, 13, -1)))
 CORE = [source for source in SOURCES if "port" not in source.parts or source.stem in ("host", "direct")]
 # Comparisons are not traced: the mutator writes valid frames itself, and a run is 1.5 times as fast.
@@ -33,10 +33,14 @@ FUZZ = (
 )
 LONGEST = 512
 # The choices in front of the node's stream (node_fuzzer.c): IDLE, ARMED, ACTIVE in both modes, 16 bytes a tick.
-# Those of the client: 24 calls between the pieces of the stream (client_fuzzer.c): the way to ACTIVE, and others.
+# Those of the client: 24 calls between the pieces of the stream (client_fuzzer.c): the way to ACTIVE, and others. Those
+# of the timing: 40 commands, each sent and then seen in force.
 HEADERS = {
     "node": [bytes([start, 15, 0, 0, 0, 0, 255, 0]) for start in range(4)],
     "direct": [bytes([0, 1, 2, 2, 5, 8, 11, 0, 2, 20, 23, 1, repeats]) for repeats in (0, 1, 7, 15)],
+    "timing": [
+        bytes(b for s in range(40) for b in (6, s, 0, s, 0, 0, 8, s, 2, 0, 0, s + late)) for late in (2, 7, 9, 99)
+    ],
     "client": [bytes([mode, 11, 0, 1, 15] + [0, 1, 2, 7, 15] * 3 + [12, 10, 5, 4]) for mode in (16, 17, 32, 33)],
 }
 

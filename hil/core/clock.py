@@ -42,9 +42,9 @@ class LockstepClock:
         ticks = (t_ns - now_ns) // TICK_NS
         if ticks > 0:
             # Frames that the robot sends during the step get the time of the step's end.
-            self._now_ns = now_ns + ticks * TICK_NS
+            self._now_ns, step = now_ns + ticks * TICK_NS, self.step
             try:
-                self.step(ticks)
+                step(ticks)
             except BaseException:
                 # The robot did not complete the step. Once it is back, the same ticks are run.
                 self._now_ns = now_ns

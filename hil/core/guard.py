@@ -4,6 +4,7 @@ import math
 
 from hil.core.errors import BadInputError
 from hil.core.motion_limits import BodyLimits, MotionLimits
+from hil.core.tuples import is_within
 from hil.core.types import ZERO_WHEELS, CommandMode, State, WheelCommand, Wheels
 
 # Share of the gain of the firmware's own speed loop. That loop runs at 1 kHz; ours also has the link's latency.
@@ -64,14 +65,8 @@ class Guard:
         if mode is CommandMode.TORQUE and speed is not ZERO_WHEELS:
             speed = ZERO_WHEELS
             command = WheelCommand(mode, speed, torque)
-        fl, fr, rr, rl = torque
-        limit = self.torque_limit_n_m
-        if (  # a comparison with NaN is false
-            -limit <= fl <= limit
-            and -limit <= fr <= limit
-            and -limit <= rr <= limit
-            and -limit <= rl <= limit
-            and (speed is ZERO_WHEELS or _is_within(speed, self.speed_limit_rad_s))
+        if is_within(torque, self.torque_limit_n_m) and (
+            speed is ZERO_WHEELS or is_within(speed, self.speed_limit_rad_s)
         ):
             return (command, False) if not self._has_body else self._within_body(command, False)
         if not all(map(math.isfinite, speed + torque)):
@@ -96,9 +91,7 @@ class Guard:
         motion = self._motion
         if motion is None:
             return command, saturated
-        fl, fr, rr, rl = speed_rad_s
-        near = motion.near_rad_s
-        if -near < fl < near and -near < fr < near and -near < rr < near and -near < rl < near:
+        if is_within(speed_rad_s, motion.near_rad_s):
             motion.last = speed_rad_s, time_ns
             return command, saturated
         torque = motion.faded(command, speed_rad_s, time_ns, state, latency_s)
@@ -127,12 +120,6 @@ class Brake:
         fl, fr, rr, rl = speed_rad_s
         gain = -self._gain
         return self._guard.apply(self._rest._replace(torque_n_m=Wheels(gain * fl, gain * fr, gain * rr, gain * rl)))
-
-
-def _is_within(value: Wheels, limit: float) -> bool:
-    """Return whether every wheel is within the limit. NaN is not."""
-    fl, fr, rr, rl = value
-    return -limit <= fl <= limit and -limit <= fr <= limit and -limit <= rr <= limit and -limit <= rl <= limit
 
 
 def _scaled(value: Wheels, limit: float) -> Wheels:

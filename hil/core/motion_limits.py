@@ -105,7 +105,7 @@ class MotionLimits:
     def faded(self, command: WheelCommand, speed_rad_s: Wheels, time_ns: int, state: State, latency_s: float) -> Wheels:
         """Return the torques of a command; the same object if nothing is near a limit.
 
-        It need not be called while all wheels are slower than ``near_rad_s``, but ``last`` has to be set.
+        It need not be called while no wheel is faster than ``near_rad_s``, but ``last`` has to be set.
         ``speed_rad_s`` are the measured wheel speeds, ``time_ns`` the robot's time of the measurement, ``state`` is the
         robot's as far as known, ``latency_s`` that of a command.
         """
@@ -186,7 +186,7 @@ class MotionLimits:
 
     def _set_near(self) -> None:
         if self._given != _ALL:
-            self.near_rad_s = 0.0  # the shares have to rise
+            self.near_rad_s = -1.0  # no wheel is that slow: the shares have to rise
             return
         begins = [self._between[0], _SLIP_BEGIN * self._slip_rad_s]
         if self._body is not None:

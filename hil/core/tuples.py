@@ -1,4 +1,4 @@
-"""Make the named tuples of a tick in the host library: a reference in an eighth of the time of calling its classes.
+"""Makes the named tuples of a tick in the host library: a reference in an eighth of the time of calling its classes.
 
 Only what is made in each tick is made so; elsewhere call the class. Where the library cannot be built or loaded, each
 call raises BadInputError with the reason: what needs no run, such as ``hil doctor``, works without it.
@@ -8,6 +8,7 @@ from collections.abc import Callable
 from typing import Any, TypeVar
 
 from firmware_protocol.built import BuildError
+from firmware_protocol.fast_calls import fast_call
 from firmware_protocol.fast_tuples import Argument, Object, Tuple, tuple_constructor
 from hil.core.errors import BadInputError
 from hil.core.signals import LoopSignals
@@ -16,6 +17,8 @@ from hil.core.types import (
     Acceleration,
     Applied,
     CommandMode,
+    FourWheels,
+    Pairs,
     Pose,
     Reference,
     State,
@@ -31,12 +34,21 @@ def _constructor(what: Tuple) -> Callable[..., Any]:
     try:
         return tuple_constructor(what)
     except BuildError as error:
-        reason = str(error)
+        return _refusing(str(error))
 
+
+def _refusing(reason: str) -> Callable[..., Any]:
     def refuse(*_values: object) -> Any:
         raise BadInputError(reason)
 
     return refuse
+
+
+def _function(name: str) -> Callable[..., Any]:
+    try:
+        return fast_call(name)
+    except BuildError as error:
+        return _refusing(str(error))
 
 
 def constructor_of(kind: type[_Kind]) -> Callable[..., _Kind]:
@@ -59,3 +71,7 @@ make_reference: Callable[..., Reference] = _constructor(_MOTION)
 make_speed_command: Callable[..., WheelCommand] = _constructor(_SPEED)
 """Of eight numbers: the four speeds [rad/s], and the torques [N·m] as feedforward."""
 make_torque_command: Callable[[float, float, float, float], WheelCommand] = _constructor(_TORQUE)
+difference: Callable[[State, Reference], tuple[Pairs, float, Twist, Twist]] = _function("difference")
+"""Return state minus reference, with the heading in [-π, π]; the heading; the reference's twist, and the state's."""
+is_within: Callable[[FourWheels, float], bool] = _function("within")
+"""Return whether every wheel is from minus the limit to the limit. NaN is not."""

@@ -10,7 +10,7 @@ from typing import Annotated, ClassVar
 from hil.core.model import RobotModel
 from hil.core.options import RATE, Range
 from hil.core.types import CommandMode
-from hil.laws.fuzzy import FuzzyGains, FuzzyLaw, FuzzyRanges, Tables
+from hil.laws.fuzzy import FuzzyLaw, FuzzyRanges, Tables
 from hil.laws.surface import ObservedSurfaceLaw
 
 
@@ -33,7 +33,7 @@ class Afdsc(FuzzyLaw):
 
     def __init__(self, model: RobotModel, mode: CommandMode, options: Options) -> None:
         super().__init__(model, mode, options.filter_s)
-        self._tuner = FuzzyGains(self.tables, options)
+        self._tune(self.tables, options)
 
 
 class AfdscCorrected(Afdsc):
@@ -58,4 +58,4 @@ class AfdscEso(FuzzyLaw, ObservedSurfaceLaw):
 
     def __init__(self, model: RobotModel, mode: CommandMode, options: Options) -> None:
         super().__init__(model, mode, options.filter_s, options.observer_rad_s)
-        self._tuner = FuzzyGains(options.tables, options)
+        self._tune(options.tables, options)

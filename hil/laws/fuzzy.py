@@ -8,11 +8,14 @@ how it is computed.
 The paper's text does not give the ranges of the inputs: they are parameters.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated, Literal
 
+from firmware_protocol.built import BuildError
+from firmware_protocol.fast_tables import Table
+from firmware_protocol.fast_tables import Tables as HostTables
+from hil.core.errors import BadInputError
 from hil.core.options import Range
-from hil.core.types import NAN, Pairs
 from hil.laws.surface import SurfaceLaw
 
 if TYPE_CHECKING:
@@ -45,11 +48,8 @@ RULES: dict[Tables, tuple[Rules, Rules]] = {
 }
 """Rules for K1 and for K2: names of levels, [rate][error]."""
 
-Cell = tuple[float, float, float, float, float, float, float, float]
-
-
 FIRING = ("error", "rate", "rule", "degree")
-"""Names of the four values that ``FuzzyBlock.firing`` returns."""
+"""Names of the four values that ``FuzzyGains.firing`` returns for each block."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,14 +65,12 @@ class FuzzyBlock:
     k1_1_s: tuple[float, ...]
     """25 outputs for K1, row by row (rate), each row from error NB to PB."""
     k2_1_s: tuple[float, ...]
-    _sets_an_error: float = field(init=False, repr=False, compare=False)
-    _sets_a_rate: float = field(init=False, repr=False, compare=False)
-    _cells: tuple[Cell, ...] = field(init=False, repr=False, compare=False)
 
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "_sets_an_error", 2.0 / self.error_range)
-        object.__setattr__(self, "_sets_a_rate", 2.0 / self.rate_range)
-        object.__setattr__(self, "_cells", _cells_of(self.k1_1_s, self.k2_1_s))
+    @property
+    def table(self) -> Table:
+        """The block as a table: 2 cells are a range. In each cell K = a + b p + c q + d p q, p and q from 0 to 4."""
+        cells = [(*_cell(self.k1_1_s, i, j), *_cell(self.k2_1_s, i, j)) for j in range(4) for i in range(4)]
+        return (2.0 / self.error_range, 2.0 / self.rate_range), cells
 
     @classmethod
     def from_tables(cls, tables: Tables, error_range: float, rate_range: float) -> "FuzzyBlock":
@@ -85,69 +83,19 @@ class FuzzyBlock:
             tuple(K2_1_S[level] for row in k2_rules for level in row),
         )
 
-    def gains(self, error: float, rate: float) -> tuple[float, float]:
-        """Return (K1, K2) [1/s] at an error and its rate. NaN counts as NB: the gains are always finite."""
-        p = self._sets_an_error * error + 2.0
-        q = self._sets_a_rate * rate + 2.0
-        # The cell of the table, found by comparisons because they cost less than int(). PB belongs to the last cell.
-        if p >= 3.0:
-            cell = 3
-            if p > 4.0:
-                p = 4.0
-        elif p >= 2.0:
-            cell = 2
-        elif p >= 1.0:
-            cell = 1
-        else:
-            cell = 0
-            if not p > 0.0:
-                p = 0.0
-        if q >= 3.0:
-            cell += 12
-            if q > 4.0:
-                q = 4.0
-        elif q >= 2.0:
-            cell += 8
-        elif q >= 1.0:
-            cell += 4
-        elif not q > 0.0:
-            q = 0.0
-        a, b, c, d, e, f, g, h = self._cells[cell]
-        return a + b * p + q * (c + d * p), e + f * p + q * (g + h * p)
-
-    def firing(self, error: float, rate: float) -> tuple[float, float, float, float]:
-        """Return the state of the inference at an error and its rate (``FIRING``). NaN counts as NB.
-
-        The first two values locate error and rate among the sets: -2 is NB, 0 is Z, 2 is PB, and a value in between
-        belongs to both neighbours, more to the nearer one. The third is the strongest rule: 5 times the row (rate)
-        plus the column (error) of tables III and IV, 0 to 24. The fourth is that rule's degree, the product of its
-        two memberships, 0.25 to 1.
-        """
-        p = self._sets_an_error * error + 2.0
-        q = self._sets_a_rate * rate + 2.0
-        p = 4.0 if p >= 4.0 else p if p > 0.0 else 0.0
-        q = 4.0 if q >= 4.0 else q if q > 0.0 else 0.0
-        # Whole numbers as floats: mixing int and float costs twice as much.
-        column, row = (p + 0.5) // 1.0, (q + 0.5) // 1.0
-        return p - 2.0, q - 2.0, 5.0 * row + column, (1.0 - abs(p - column)) * (1.0 - abs(q - row))
-
     def gains_batch(
         self, error: "NDArray[np.float64]", rate: "NDArray[np.float64]"
     ) -> "tuple[NDArray[np.float64], NDArray[np.float64]]":
         """Return (K1, K2) [1/s] for arrays that broadcast together, for plots and sweeps. NaN counts as NB."""
         import numpy as np
 
+        (sets_an_error, sets_a_rate), cells = self.table
         # fmax comes first because it turns NaN into -2.
-        p = np.fmin(np.fmax(self._sets_an_error * np.asarray(error), -2.0), 2.0) + 2.0
-        q = np.fmin(np.fmax(self._sets_a_rate * np.asarray(rate), -2.0), 2.0) + 2.0
+        p = np.fmin(np.fmax(sets_an_error * np.asarray(error), -2.0), 2.0) + 2.0
+        q = np.fmin(np.fmax(sets_a_rate * np.asarray(rate), -2.0), 2.0) + 2.0
         i, j = np.minimum(p.astype(np.intp), 3), np.minimum(q.astype(np.intp), 3)
-        a, b, c, d, e, f, g, h = np.moveaxis(np.array(self._cells)[4 * j + i], -1, 0)
+        a, b, c, d, e, f, g, h = np.moveaxis(np.array(cells)[4 * j + i], -1, 0)
         return a + b * p + q * (c + d * p), e + f * p + q * (g + h * p)
-
-
-def _cells_of(k1_1_s: tuple[float, ...], k2_1_s: tuple[float, ...]) -> tuple[Cell, ...]:
-    """Return the 16 cells between the peaks, row by row; in each K = a + b p + c q + d p q with p and q from 0 to 4."""
-    return tuple((*_cell(k1_1_s, i, j), *_cell(k2_1_s, i, j)) for j in range(4) for i in range(4))
 
 
 def _cell(outputs: tuple[float, ...], i: int, j: int) -> tuple[float, float, float, float]:
@@ -169,46 +117,41 @@ class FuzzyRanges:
 
 
 class FuzzyGains:
-    """One fuzzy block per axis. Its own signals are those of ``hil.laws.fuzzy.FuzzyBlock.firing`` for each axis."""
+    """Fuzzy blocks, such as one per axis. They are looked up in the host library, because it costs a tenth there.
 
-    __slots__ = ("_error", "_heading", "_planar")
+    Attributes:
+        at: returns (K1, ..., K2, ...) [1/s] at the errors of all blocks, followed by their rates. NaN counts as NB: the
+            gains are always finite.
+        firing: returns ``FIRING`` of each block, at the inputs of the last gains; NaN before the first. The first two
+            values locate error and rate among the sets: -2 is NB, 0 is Z, 2 is PB, and a value in between belongs to
+            both neighbours, more to the nearer one. The third is the strongest rule: 5 times the row (rate) plus the
+            column (error) of tables III and IV, 0 to 24. The fourth is that rule's degree, the product of its two
+            memberships, 0.25 to 1.
 
-    signals = tuple(f"fuzzy.{axis}.{name}" for axis in ("x", "y", "heading") for name in FIRING)
+    Raises BadInputError when the library cannot be loaded.
+    """
 
-    def __init__(self, tables: Tables, ranges: FuzzyRanges) -> None:
-        self._planar = FuzzyBlock.from_tables(tables, ranges.error_range_m, ranges.error_rate_range_m_s)
-        self._heading = FuzzyBlock.from_tables(tables, ranges.heading_error_range_rad, ranges.heading_rate_range_rad_s)
-        self._error: Pairs | None = None
-
-    @property
-    def telemetry(self) -> tuple[float, ...]:
-        """Values of ``signals`` at the error of the last gains; NaN before the first."""
-        if self._error is None:
-            return (NAN,) * len(self.signals)
-        x, y, heading, vx, vy, yaw_rate = self._error
-        firing = self._planar.firing
-        return firing(x, vx) + firing(y, vy) + self._heading.firing(heading, yaw_rate)
-
-    def at(self, error: Pairs) -> Pairs:
-        """Return K1 and K2 [1/s] at this error and its rate."""
-        self._error = error
-        x, y, heading, vx, vy, yaw_rate = error
-        k1_x, k2_x = self._planar.gains(x, vx)
-        k1_y, k2_y = self._planar.gains(y, vy)
-        k1_heading, k2_heading = self._heading.gains(heading, yaw_rate)
-        return k1_x, k1_y, k1_heading, k2_x, k2_y, k2_heading
+    def __init__(self, *blocks: FuzzyBlock) -> None:
+        try:
+            tables = HostTables([block.table for block in blocks])
+        except BuildError as error:
+            raise BadInputError(str(error)) from error
+        self.at, self.firing = tables.look_up, tables.nearest
 
 
 class FuzzyLaw(SurfaceLaw):
-    """Base of a law whose gains come from ``FuzzyGains`` at every tick. Its signals are those of ``FuzzyGains``."""
+    """Base of a law whose gains come from one fuzzy block per axis at every tick. It records ``FIRING`` of each."""
 
-    signals = FuzzyGains.signals
-    _tuner: FuzzyGains
+    signals = tuple(f"fuzzy.{axis}.{name}" for axis in ("x", "y", "heading") for name in FIRING)
+
+    def _tune(self, tables: Tables, ranges: FuzzyRanges) -> None:
+        """Set the blocks; x and y share one."""
+        planar = FuzzyBlock.from_tables(tables, ranges.error_range_m, ranges.error_rate_range_m_s)
+        heading = FuzzyBlock.from_tables(tables, ranges.heading_error_range_rad, ranges.heading_rate_range_rad_s)
+        gains = FuzzyGains(planar, planar, heading)
+        self._gains_at, self._firing = gains.at, gains.firing
 
     @property
     def telemetry(self) -> tuple[float, ...]:
         """Values of ``signals``."""
-        return self._tuner.telemetry
-
-    def _gains_at(self, error: Pairs) -> Pairs:
-        return self._tuner.at(error)
+        return self._firing()

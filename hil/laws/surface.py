@@ -8,8 +8,10 @@ The filter makes the robot lag: on a circle of radius r0 at rate ω the steady e
 """
 
 import math
+from collections.abc import Callable
 
 from hil.core.model import RobotModel
+from hil.core.tuples import difference
 from hil.core.types import (
     NAN,
     NO_GAINS,
@@ -66,7 +68,7 @@ class SurfaceLaw:
     speed loop replaces the inner surface: the set points are ω = H Rᵀ x̄2 / r with the torque feedforward
     B⁺ (M q̈_d + C) + ξ of the reference. K2 and ς are not used there: to filter x̄2 would only add lag.
 
-    ``gains`` are K1 and K2 [1/s]; a subclass whose gains change overrides ``_gains_at``.
+    ``gains`` are K1 and K2 [1/s]; a subclass whose gains change sets ``_gains_at``.
     """
 
     def __init__(self, model: RobotModel, mode: CommandMode, filter_s: float, gains: Pairs = NO_GAINS) -> None:
@@ -74,6 +76,7 @@ class SurfaceLaw:
         self._torque = mode is CommandMode.TORQUE
         self._filter = FirstOrderFilter(filter_s)
         self._gains = gains
+        self._gains_at: Callable[[Pairs], Pairs] = lambda _: gains  # of the error and its rate
 
     @property
     def gains(self) -> Pairs:
@@ -85,7 +88,7 @@ class SurfaceLaw:
 
     def reset(self, state: State, reference: Reference) -> None:
         """Start the filter at rest on its input for this state and reference: x2d(0) = x̄2(0) (equation 17)."""
-        error, _, twist_d, _ = _present(reference, state)
+        error, _, twist_d, _ = difference(state, reference)
         self._gains = self._gains_at(error)
         self._filter.value = _virtual_control(twist_d, error, self._gains)
 
@@ -93,19 +96,16 @@ class SurfaceLaw:
         """Return the command of this tick, not limited; ``dt_s`` [s] is the time since the last tick."""
         predicted = self._predict(reference, state, applied, dt_s)
         error, _, twist_d, _ = predicted
-        self._gains = gains = self._gains_at(error)
+        gains_at = self._gains_at
+        self._gains = gains = gains_at(error)
         if self._torque:
             return self._torque_command(reference, predicted, dt_s)
         desired = _virtual_control(twist_d, error, gains)
         return speed_command(self._model, desired, predicted, reference.acceleration)
 
-    def _gains_at(self, error: Pairs) -> Pairs:
-        """Return K1 and K2 [1/s] at this error and its rate."""
-        return self._gains
-
     def _predict(self, reference: Reference, state: State, applied: Applied, dt_s: float) -> Prediction:
         """Return the robot and the reference for which the command is computed: here the present ones."""
-        return _present(reference, state)
+        return difference(state, reference)
 
     def _torque_command(self, reference: Reference, predicted: Prediction, dt_s: float) -> WheelCommand:
         error, _, twist_d, (vx, vy, yaw_rate) = predicted
@@ -143,7 +143,7 @@ class ObservedSurfaceLaw(SurfaceLaw):
 
     def reset(self, state: State, reference: Reference) -> None:
         """Start the filter at rest on its input, and the observer at this state."""
-        error, *_ = _present(reference, state)
+        error, *_ = difference(state, reference)
         self._gains = self._gains_at(error)
         self._filter.value = _virtual_control((0.0, 0.0, 0.0), error, self._gains)
         self._predictor.reset(state)
@@ -168,16 +168,6 @@ class ObservedSurfaceLaw(SurfaceLaw):
             ah + slope_heading - k2_heading * (yaw_rate - heading) - zh,
         )
         return self._predictor.command(commanded, predicted)
-
-
-def _present(reference: Reference, state: State) -> Prediction:
-    """Return robot and reference as they are now. The heading of the error S1 is in [-π, π]."""
-    (x, y, heading), twist = state
-    (x_d, y_d, heading_d), twist_d, _ = reference
-    (vx, vy, yaw_rate), (vx_d, vy_d, yaw_rate_d) = twist, twist_d
-    heading_error = math.remainder(heading - heading_d, math.tau)
-    error = x - x_d, y - y_d, heading_error, vx - vx_d, vy - vy_d, yaw_rate - yaw_rate_d
-    return error, heading, twist_d, twist
 
 
 def _virtual_control(reference_twist: Axes, error: Pairs, gains: Pairs) -> Axes:

@@ -55,7 +55,9 @@ class Channel:
         self.is_carried = self._is_plain and self._direct is not None
         self.step: Callable[[int], None] = self._step_on_link
         if self._direct is not None:
-            self.step = partial(self._step_directly if self._is_plain else self._step_under_conditions, self._direct)
+            self.step = partial(self._step_under_conditions, self._direct)
+        if self._direct is not None and self._is_plain:
+            self.step = partial(self._direct.step, client, self._take_rest)
         # A line without conditions passes bytes between stream and client, in the library.
         self._line = line = link.transport if self._is_plain and isinstance(link.transport, StreamLink) else None
         self.receive: Callable[[], int | None] = self._receive
@@ -95,12 +97,11 @@ class Channel:
         self.flush()
         self._await_step()
 
-    def _step_directly(self, direct: DirectLink, ticks: int) -> None:
-        left = direct.step(self._client, ticks)
-        if left is not None:
-            self._attend(direct.answer, left.stamp_ns)
-            self.take(left)
-            self._await_step()
+    def _take_rest(self, answer: Any, rest: Received) -> None:
+        """Go on with the answer to a step where the client has stopped."""
+        self._attend(answer, rest.stamp_ns)
+        self.take(rest)
+        self._await_step()
 
     def _step_under_conditions(self, direct: DirectLink, ticks: int) -> None:
         ready = self._link.exchange(direct, self._client, ticks)

@@ -3,7 +3,7 @@
 import time
 from collections import Counter
 from collections.abc import Callable
-from typing import Protocol, cast
+from typing import Any, Protocol, cast
 
 from firmware_protocol.client import MOST_TICKS, Client
 from firmware_protocol.fast_calls import fast_call
@@ -121,21 +121,22 @@ class DirectLink:
             raise _unsendable_step(ticks)
         return PackedFrames(answer)
 
-    def step(self, client: Client, ticks: int) -> Received | None:
+    def step(self, client: Client, take_rest: Callable[[Any, Received], None], ticks: int) -> None:
         """Send what waits in the client, and a STEP; the client takes the answer.
 
-        Return None if the client took all of it. Otherwise it stopped early: see ``client.view``, and then give it
-        the rest, which is returned. Raises ValueError for more than 1000 ticks; nothing is sent then.
+        If it stopped early, see ``client.view``: ``take_rest`` is then called with all of the answer, and the rest. It
+        must give the client the rest. Raises ValueError for more than 1000 ticks; nothing is sent then.
         """
         if not self._is_open:
             raise closed()
-        now_ns = self.now_ns()
-        if self._step(self._robot.node.address, client.address, ticks, now_ns):
-            return None
-        direct = self._direct
-        if not direct.stepped_bytes:  # the client refused it: a step that was made is never empty
-            raise _unsendable_step(ticks)
-        return Received(PackedFrames(self.answer[direct.answer_at : direct.answer_bytes], 0), now_ns)
+        read_ns, step = self.now_ns, self._step
+        now_ns = read_ns()
+        if not step(self._robot.node.address, client.address, ticks, now_ns):
+            direct = self._direct
+            if not direct.stepped_bytes:  # the client refused it: a step that was made is never empty
+                raise _unsendable_step(ticks)
+            rest = PackedFrames(self.answer[direct.answer_at : direct.answer_bytes], 0)
+            take_rest(self.answer, Received(rest, now_ns))
 
     # The counters; what waits in the client counts as sent.
 

@@ -5,24 +5,23 @@ the link are therefore included, like those of a real link.
 """
 
 import statistics
-from bisect import bisect_left, insort
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 
+from firmware_protocol.fast_calls import fast_call
+from firmware_protocol.host import library
 from hil.core.percentiles import Reservoir
 from hil.core.types import NAN
+from hil.robot.snapshot import Feedback
 
 SYNC_PERIOD_NS = 250_000_000  # PROTOCOL.md, "Time": 4 Hz
 _STAGES = 8
 _FITTED = 64
 _STEP_NS = 128_000_000
 _SHORTEST_FIT_NS = 1_000_000_000
-_COMMANDS = 33
-_FEWEST_COMMANDS = 9
-_AGE_AT_MOST_MS = 255  # TICK.command_age_ms is limited to this
 _WRAP_US = 1 << 32
 _HELD_AT_MOST_US = 0xFFFF  # TIME_SYNC_RESPONSE.held_us is limited to this
 
@@ -55,42 +54,26 @@ class CommandLatency:
     The resolution is the firmware's 1 ms. ``s`` is the median of the last 33 commands, so that single delayed commands
     do not matter; before 9 were seen it is ``configured_s``. Values that are negative or longer than ``longest_ns``
     (the age at which a command is too old to be applied) are ignored.
+
+    Attributes:
+        measure: takes feedback, the sequence number of the command that is based on it, and the robot time at which its
+            state was sampled [ns]; notes both, and returns ``s``. Raises BuildError without the host library.
     """
 
     def __init__(self, configured_s: float, longest_ns: int) -> None:
-        self._longest_ns = longest_ns
-        self._sampled_ns: list[int | None] = [None] * 256
-        self._recent_ns: deque[int] = deque()
-        self._sorted_ns: list[int] = []  # the same
-        self.s = configured_s
+        ffi, self._lib = library()
+        self._latency = ffi.new("wheel_latency *")
+        self._lib.wheel_latency_init(self._latency, configured_s, longest_ns)
+        self.measure: Callable[[Feedback, int, int], float] = fast_call("measure_latency", self._latency)
 
-    def sent(self, sequence: int, sampled_ns: int | None) -> None:
-        """Record the robot time [ns] at which the feedback behind a command was sampled; None without feedback."""
-        self._sampled_ns[sequence] = sampled_ns
-
-    def acted(self, sequence: int, at_ns: int, age_ms: int) -> None:
-        """Record that at robot time ``at_ns`` this command was applied and ``age_ms`` old."""
-        sampled_ns = self._sampled_ns[sequence]
-        if sampled_ns is None or age_ms >= _AGE_AT_MOST_MS:
-            return
-        self._sampled_ns[sequence] = None
-        latency_ns = at_ns - age_ms * 1_000_000 - sampled_ns
-        if not 0 <= latency_ns <= self._longest_ns:
-            return
-        recent, in_order = self._recent_ns, self._sorted_ns
-        recent.append(latency_ns)
-        oldest_ns = recent.popleft() if len(recent) > _COMMANDS else None
-        if oldest_ns == latency_ns:
-            return
-        insort(in_order, latency_ns)
-        if oldest_ns is not None:
-            del in_order[bisect_left(in_order, oldest_ns)]
-        if len(recent) >= _FEWEST_COMMANDS:
-            self.s = in_order[(len(in_order) - 1) // 2] * 1e-9
+    @property
+    def s(self) -> float:
+        """The latency [s]."""
+        return float(self._latency.median_s)
 
     def restart(self) -> None:
         """Start a new session, in which the robot's clock may have restarted. ``s`` keeps its value."""
-        self._sampled_ns = [None] * 256
+        self._lib.wheel_latency_restart(self._latency)
 
 
 class Exchange(NamedTuple):

@@ -218,22 +218,22 @@ class Stm32(LinkedDevice):
 
         In lockstep only ``step`` reads, because what has arrived between steps depends on the wall clock.
         """
-        clock = self._clock
+        clock, read_feedback = self._clock, self._feedback
         if self._is_lockstep:
             if clock is not None:
-                now_ns = clock.now_ns()
-                if self._client.poll(now_ns):
+                now_ns, add_due = clock.now_ns(), self._client.poll
+                if add_due(now_ns):
                     self._channel.flush()
                 if now_ns >= self._next_sync_ns:
                     self._synchronise(now_ns)
-            return self._feedback()
+            return read_feedback()
         emptied_ns = self._channel.receive()
         if clock is not None:
             now_ns = clock.now_ns() if emptied_ns is None else emptied_ns
             if now_ns >= self._next_sync_ns:
                 self._synchronise(now_ns)
             self._poll_age.record_poll(now_ns, everything=emptied_ns is not None)
-        return self._feedback()
+        return read_feedback()
 
     @property
     def feedback(self) -> Feedback | None:
@@ -241,7 +241,8 @@ class Stm32(LinkedDevice):
 
     def send(self, command: WheelCommand) -> int:
         _, speed_rad_s, torque_n_m = command
-        sequence = self._client.command(speed_rad_s, torque_n_m, self._now_ns())
+        encode, now_ns = self._client.command, self._now_ns
+        sequence = encode(speed_rad_s, torque_n_m, now_ns())
         if sequence < 0:
             sequence = self._send_behind_the_rest(command)
         if not self._channel.is_carried:

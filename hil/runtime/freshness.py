@@ -1,9 +1,14 @@
-"""The age of the robot's newest feedback and of the newest truth, and whether they are fresh enough to drive by."""
+"""The age of the robot's newest feedback and of the newest truth, and whether they are fresh enough to drive by.
 
-from math import isfinite
+``client/wheel_timing.h`` has the rules; this gives them the device's feedback, and says for a person what is wrong.
+"""
 
+from collections.abc import Callable
+
+from firmware_protocol.fast_calls import fast_call
 from firmware_protocol.generated.messages import State as RobotState
-from hil.core.errors import LinkError, RobotLatchedError, RobotStoppedError
+from firmware_protocol.host import library
+from hil.core.errors import HilError, LinkError, RobotLatchedError, RobotStoppedError
 from hil.core.ports import Clock
 from hil.core.types import PoseFix
 from hil.robot.port import Device
@@ -11,16 +16,11 @@ from hil.robot.snapshot import Feedback
 from hil.runtime.sampling import Timing
 from hil.runtime.signal_faults import SignalFaults
 
-_ACTIVE = RobotState.ACTIVE
-_LOST_NS = 250_000_000  # silence that ends the run, and the greatest age of unread feedback while driving
 # Tolerance between a robot's clock and its expected time, beyond which it counts as reset: feedback in transit, and the
 # HSI oscillator's accuracy.
 _CLOCK_PERIODS = 4
 _CLOCKS_APART_NS = 50_000_000
 _CLOCK_SHARE = 50
-# A jump of the clock by more than this is a reset: no stall of this machine or of a virtual robot lasts that long with
-# the link intact.
-_LEAP_NS = 1_000_000_000
 
 
 class Freshness:
@@ -34,17 +34,15 @@ class Freshness:
     """
 
     def __init__(self, clock: Clock, device: Device, faults: SignalFaults | None, timing: Timing) -> None:
+        ffi, self._lib = library()
         self._clock = clock
         self._device = device
         self._is_lockstep = device.is_lockstep
         self._faults = faults
         self._timing = timing
         self._stale_ns = timing.stale_ns
-        self._newest_ns = 0
-        self._received_ns: int | None = None
-        self._stamp_ns: int | None = None  # of the newest truth, by its own clock
-        self._truth_received_ns = 0
-        self._ahead_ns: int | None = 0  # the robot's clock minus the truth's; None until both are received again
+        self._ages = ffi.new("wheel_freshness *", {"stale_ns": timing.stale_ns})
+        self._add: Callable[..., tuple[int, int, int | None, bool]] = fast_call("add_feedback", self._ages)
         self.silent_ns = 0
         self.truth_ns: int | None = None
         self.is_stale = False
@@ -52,65 +50,39 @@ class Freshness:
     def poll(self, t_s: float, truth: PoseFix | None = None, active: bool = True) -> Feedback:
         """Return the newest feedback. ``t_s`` is the tick's time, for messages.
 
-        ``truth`` is the true pose, if the state estimate uses it. Raises RobotStoppedError or RobotLatchedError if the
-        robot is not ACTIVE, LinkError if it was silent for long or this process stalled. With ``active=False`` the
-        robot may be in any state; RobotStoppedError then means that it was reset or sends no feedback.
+        ``truth`` is the true pose, if the state estimate uses it; one that is not finite does not count. Raises
+        RobotStoppedError or RobotLatchedError if the robot is not ACTIVE, LinkError if it was silent for long or this
+        process stalled. With ``active=False`` the robot may be in any state; RobotStoppedError then means that it was
+        reset or sends no feedback.
         """
         feedback = self._device.poll()
         age_ns = 0 if self._is_lockstep else self._device.poll_age_ns
-        now_ns = self._clock.now_ns()
         if feedback is None:
             raise RobotStoppedError("the robot sends no feedback")
         if self._faults is not None:
             feedback = self._faults.feedback(feedback)
-        robot_time_ns, stale_ns = feedback.robot_time_ns, self._stale_ns
-        # After a stall of this process, the feedback may be as old as the stall. It does not count as new, and the
-        # robot's clock is not judged by it; the next feedback is fresh.
-        if self._received_ns is None or (robot_time_ns != self._newest_ns and age_ns <= stale_ns):
-            if not active and self._received_ns is not None and self._began_anew(feedback, now_ns - self._received_ns):
-                raise RobotStoppedError(f"the robot was reset at t = {t_s:.3f} s")
-            self._newest_ns, self._received_ns = robot_time_ns, now_ns
-        self.silent_ns = silent_ns = now_ns - self._received_ns
-        if active and feedback.state is not _ACTIVE:
-            raise self._stop(feedback.state, t_s)
-        if age_ns > stale_ns or silent_ns > _LOST_NS:
-            self._check_not_lost(age_ns, _LOST_NS if active else _LEAP_NS, t_s)
-        if truth is not None:
-            self._update_truth(truth, robot_time_ns, now_ns)
-        truth_ns = self.truth_ns
-        self.is_stale = silent_ns > stale_ns or (
-            truth_ns is not None
-            and (robot_time_ns - truth_ns > stale_ns or now_ns - self._truth_received_ns > stale_ns)
+        add = self._add
+        result, self.silent_ns, self.truth_ns, self.is_stale = add(
+            feedback, truth, age_ns, self._clock.now_ns(), active
         )
+        if result:
+            raise self._problem(result, feedback.state, age_ns, t_s)
         return feedback
 
-    def _check_not_lost(self, age_ns: int, longest_ns: int, t_s: float) -> None:
-        """Raise LinkError after a long silence: a stall of this process, or no feedback from the robot."""
-        if age_ns > longest_ns:
-            raise LinkError(
+    def _problem(self, result: int, state: RobotState, age_ns: int, t_s: float) -> HilError:
+        """Return the error for a robot that cannot be driven, by ``WHEEL_FRESHNESS_...``."""
+        if result == self._lib.WHEEL_FRESHNESS_STATE:
+            return self._stop(state, t_s)
+        if result == self._lib.WHEEL_FRESHNESS_RESET:
+            return RobotStoppedError(f"the robot was reset at t = {t_s:.3f} s")
+        if result == self._lib.WHEEL_FRESHNESS_UNREAD:
+            return LinkError(
                 f"feedback lay unread for {age_ns * 1e-6:.0f} ms at t = {t_s:.3f} s: this process stood still "
                 "or is slower than the robot; what the link holds is too old to drive by"
             )
-        if age_ns <= self._stale_ns:
-            raise LinkError(
-                f"no feedback for {self.silent_ns * 1e-6:.0f} ms at t = {t_s:.3f} s: the link or the robot was lost"
-            )
-
-    def _update_truth(self, truth: PoseFix, robot_time_ns: int, now_ns: int) -> None:
-        """Note when a truth was sampled and received; a pose with NaN or infinity does not count as new.
-
-        The truth has the plant's clock, which a reset of the robot does not change. The first sample after a reset, or
-        after the truth's own clock jumped back, is taken to be as old as the feedback.
-        """
-        time_ns, (x, y, heading), _ = truth
-        if not isfinite(x + y + heading):
-            return
-        stamp_ns = self._stamp_ns
-        if self._ahead_ns is None or (stamp_ns is not None and time_ns < stamp_ns - self._stale_ns):
-            self._ahead_ns = robot_time_ns - time_ns
-        if time_ns != stamp_ns:
-            self._stamp_ns, self._truth_received_ns = time_ns, now_ns
-        self.truth_ns = time_ns + self._ahead_ns
+        return LinkError(
+            f"no feedback for {self.silent_ns * 1e-6:.0f} ms at t = {t_s:.3f} s: the link or the robot was lost"
+        )
 
     def robot_now_ns(self, feedback: Feedback) -> int:
         """Return the present robot time, in real time by TIME_SYNC once that is known, else by the newest feedback.
@@ -131,7 +103,7 @@ class Freshness:
 
     def has_aged(self) -> bool:
         """Real time: whether the truth has become too old since ``poll``, because this process stalled."""
-        return self.truth_ns is not None and self._clock.now_ns() - self._truth_received_ns > self._stale_ns
+        return self.truth_ns is not None and self._clock.now_ns() - int(self._ages.truth_received_ns) > self._stale_ns
 
     def restart(self) -> bool:
         """Start again with a robot that came back; return whether it was reset.
@@ -139,21 +111,17 @@ class Freshness:
         After a reset its clock and its encoder counts start again from zero.
         """
         was_reset = self._was_reset()
-        self._received_ns = None
+        self._lib.wheel_freshness_restart(self._ages, was_reset)
         if was_reset:
-            self._ahead_ns = self.truth_ns = None
+            self.truth_ns = None
         return was_reset
 
-    def _began_anew(self, feedback: Feedback, passed_ns: int) -> bool:
-        """Whether the robot's clock jumped by 1 s or more since the last feedback. A restart looks like that."""
-        return not -_LEAP_NS < feedback.robot_time_ns - self._newest_ns - passed_ns < _LEAP_NS
-
     def _was_reset(self) -> bool:
-        feedback = self._device.feedback
-        if feedback is None or self._received_ns is None:
+        feedback, ages = self._device.feedback, self._ages
+        if feedback is None or not ages.has_received:
             return True
-        passed_ns = self._clock.now_ns() - self._received_ns
-        robot_passed_ns = feedback.robot_time_ns - self._newest_ns
+        passed_ns = self._clock.now_ns() - int(ages.received_ns)
+        robot_passed_ns = feedback.robot_time_ns - int(ages.newest_ns)
         apart_ns = _CLOCK_PERIODS * self._timing.period_ns + passed_ns // _CLOCK_SHARE
         return robot_passed_ns < 0 or abs(robot_passed_ns - passed_ns) > apart_ns
 

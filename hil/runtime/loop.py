@@ -218,7 +218,7 @@ class Loop:
         begin_s = perf_counter()
         watch = self._watch
         watch.turn += 1
-        ticker, faults, t_ns = self._ticker, self._faults, number * self._period_ns
+        ticker, faults, reference_at, t_ns = self._ticker, self._faults, self._reference_at, number * self._period_ns
         self.t_s = t_s = t_ns * 1e-9
         now = make_loop_signals(t_s, number, late_ns * 1e-3, self._tick_us, self._misses)
         fix = self._sampling.fix_of(number)
@@ -229,22 +229,22 @@ class Loop:
             ticker.raise_robot_failure()
             ticker.skip_fixes()
             self._parts.device.poll()
-            ticker.record_away(now, fix, self._reference_at(t_s))
+            ticker.record_away(now, fix, reference_at(t_s))
         elif self._recovery is None:
             count = ticker.count
             try:
-                ticker.drive(now, fix, ticker.sense(t_s, fix), self._reference_at(t_s))
+                ticker.drive(now, fix, ticker.sense(t_s, fix), reference_at(t_s))
             except (LinkError, RobotStoppedError, RobotLatchedError) as error:
                 self._leave(error)
                 if ticker.count == count:
-                    ticker.record_away(now, fix, self._reference_at(t_s))
+                    ticker.record_away(now, fix, reference_at(t_s))
         else:
             ticker.skip_fixes()
             self._come_back(self._recovery)
-            ticker.record_away(now, fix, self._reference_at(t_s))
+            ticker.record_away(now, fix, reference_at(t_s))
         if ticker.is_held and not self._is_watching:
             self._undriven.hold(t_ns, is_stale=ticker.is_stale)
-        else:
+        elif self._undriven.is_explained:
             self._undriven.drive()
         watch.turn += 1
         self._tick_us = (perf_counter() - begin_s) * 1e6

@@ -72,6 +72,7 @@ class RowWriter:
     ) -> None:
         self._device = device
         self._wire = wire
+        self._count_bytes, self._is_timed = wire.byte_counts, wire.is_timed
         self._controller = controller
         self._extra = extra
         self._puts = tuple(sink.put for sink in sinks)
@@ -90,7 +91,8 @@ class RowWriter:
             ("battery.voltage_v", "battery.current_a", _wheels("temperature_degc")),
             _group("estimator"),
             ("link.sent", "link.received", "link.lost", "link.rtt_ms"),
-            ("link.sent_bytes", "link.received_bytes", "link.load_percent"),
+            ("link.sent_bytes", "link.received_bytes"),
+            "link.load_percent",
             "guard.held",
             *_LINK,
         )
@@ -116,10 +118,12 @@ class RowWriter:
         ``silent_ns`` is the time since new feedback last came. ``feedback`` is None after a loss; ``fix`` and ``state``
         are None if unknown. ``is_held``: the law was not called.
         """
-        device, extra = self._device, self._extra
+        device, extra, make_row = self._device, self._extra, self._row
+        link_figures, count_bytes = device.link_figures, self._count_bytes
+        byte_counts = count_bytes()
         if tick.tick % _REJECTED_EVERY == 0:
             self._rejected = sum(device.rejected().values())
-        row = self._row(
+        row = make_row(
             tick,
             reference,
             _NO_STATE if state is None else state,
@@ -129,8 +133,9 @@ class RowWriter:
             _NO_FEEDBACK if feedback is None else feedback,
             device.report.health,
             estimator,
-            device.link_figures(),
-            self._wire.traffic(),
+            link_figures(),
+            byte_counts,
+            self._wire.load_percent(byte_counts) if self._is_timed else NAN,
             is_held,
             self._rejected,
             NAN if feedback is None else silent_ns + self._feedback_latency_ns,

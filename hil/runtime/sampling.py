@@ -34,7 +34,7 @@ class Sampling:
     def __init__(self, clock: Clock, device: Device, truth: PoseSource | None, timing: Timing) -> None:
         self._clock = clock
         self._device = device
-        self._truth = truth
+        self._poll_truth = None if truth is None else truth.poll
         self._period_ns = timing.period_ns
         self._latency_ns = timing.feedback_latency_ns
         # The feedback latency in whole periods, and the rest of it.
@@ -55,7 +55,8 @@ class Sampling:
         """
         instant = number + self._late_periods
         late_ns = self._device.wait_until(self._origin_ns + instant * self._period_ns)
-        fix = self._truth.poll() if self._truth is not None else None
+        poll_truth = self._poll_truth
+        fix = poll_truth() if poll_truth is not None else None
         if self._late_periods:
             self._fixes.append((instant, fix))
         else:

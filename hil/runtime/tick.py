@@ -79,23 +79,27 @@ class Tick:
         is_stale: whether the last tick stopped the robot because its feedback was too old, or the true pose that the
             estimate uses. In TORQUE mode the brake then needs the wheel speeds; if these are too old as well, no torque
             is commanded and the robot coasts.
+        is_held: whether the last tick did not call the law: the robot was stopped, or only recorded.
     """
 
     def __init__(self, parts: TickParts, mode: CommandMode, timing: Timing) -> None:
         self._mode = mode
         self._set_parts(parts)
         self._timing = timing
-        self._period_ns = timing.period_ns
+        self._period_s = timing.period_ns * 1e-9
         self._is_lockstep = parts.device.is_lockstep
         self._rows = self._make_rows()
         self._freshness = Freshness(parts.clock, parts.device, parts.faults, timing)
         self._rest = WheelCommand(mode, ZERO_WHEELS, ZERO_WHEELS)
         self._nothing = WheelCommand(mode, NAN_WHEELS, NAN_WHEELS)
         self._latency = CommandLatency(timing.latency_s, timing.stale_ns)
+        self._measure_latency = self._latency.measure
+        self._latency_s = timing.latency_s
         self._applied = Applied(self._rest, False, timing.latency_s)
         self._before: int | None = None  # the law's last tick; None before its first and before a reset
         self.count = 0
         self.is_stale = False
+        self.is_held = True
 
     def sense(self, t_s: float, fix: PoseFix | None, active: bool = True) -> Sensed:
         """Read the newest feedback and update the estimate; ``fix`` is the true pose when sampled, or None.
@@ -125,14 +129,11 @@ class Tick:
             command, saturated = self._parts.brake.command(measured)
             self._before = None  # the law is reset after a stop: its integrated state is out of date
         else:
-            before = self._before
-            if before is not None and (tick - before) * self._period_ns > self._timing.stale_ns:
-                before = None  # no command for so long: the law must not integrate over the gap
-            begins = before is None
-            if before is None:
-                self._controller.reset(state, reference)
-                self._before = before = tick - 1
-            dt_s = (tick - before) * self._period_ns * 1e-9
+            dt_s, begins = self._period_s, False
+            if self._before != tick - 1:
+                dt_s, begins = self._since_the_law(tick)
+                if begins:
+                    self._controller.reset(state, reference)
             inputs = state, dt_s, begins
             requested = self._controller.update(reference, state, self._applied, dt_s)
             self._before = tick
@@ -141,25 +142,36 @@ class Tick:
             command, saturated = self._guard.apply(requested)
             if self._fades:
                 measured, at_ns = feedback.speed_rad_s, feedback.robot_time_ns
-                command, saturated = self._guard.fade(command, saturated, measured, at_ns, state, self._latency.s)
+                command, saturated = self._guard.fade(command, saturated, measured, at_ns, state, self._latency_s)
         sequence = self._device.send(command)
-        self._measure_latency(sequence, feedback)
+        freshness, measure_latency = self._freshness, self._measure_latency
+        truth_ns = freshness.truth_ns
+        # The state is as old as the truth if the estimate uses it, otherwise as old as the feedback.
+        sampled_ns = feedback.robot_time_ns if truth_ns is None else truth_ns
+        self._latency_s = latency_s = measure_latency(feedback, sequence, sampled_ns)
         if self._shadows is not None:
             self._update_shadows(self._shadows, now.t_s, reference, inputs)
-        self._applied = applied = make_applied(command, saturated, self._latency.s)
-        silent_ns, is_held = self._freshness.silent_ns, inputs is None
-        self._rows.write(now, feedback, silent_ns, fix, state, reference, applied, status, is_held)
+        self._applied = applied = make_applied(command, saturated, latency_s)
+        self.is_held = is_held = inputs is None
+        self._rows.write(now, feedback, freshness.silent_ns, fix, state, reference, applied, status, is_held)
         self.count += 1
+
+    def _since_the_law(self, tick: int) -> tuple[float, bool]:
+        """Return the time since the law's last tick [s], and whether it begins: it is to be reset then."""
+        before = self._before
+        if before is None or (tick - before) * self._timing.period_ns > self._timing.stale_ns:
+            return self._period_s, True  # after no command for so long the law must not integrate over the gap
+        return (tick - before) * self._timing.period_ns * 1e-9, False
 
     def record_away(
         self, now: LoopSignals, fix: PoseFix | None, reference: Reference, state: State | None = None
     ) -> None:
         """Write the row of a tick in which nothing is commanded, with the newest feedback, if any."""
         parts = self._parts
-        self.is_stale = False
+        self.is_stale, self.is_held = False, True
         if parts.shadows is not None:
             parts.shadows.hold()
-        applied = Applied(self._nothing, False, self._latency.s)
+        applied = Applied(self._nothing, False, self._latency_s)
         status, silent_ns = parts.estimator.status, self._freshness.silent_ns
         self._rows.write(now, parts.device.feedback, silent_ns, fix, state, reference, applied, status, True)
         self.count += 1
@@ -169,11 +181,6 @@ class Tick:
     def parts(self) -> TickParts:
         """The parts that the ticks use."""
         return self._parts
-
-    @property
-    def is_held(self) -> bool:
-        """Whether the last tick did not call the law: the robot was stopped, or only recorded."""
-        return self._before is None
 
     @property
     def feedback_age_ms(self) -> float:
@@ -190,7 +197,7 @@ class Tick:
         self._before = None
         self._update_limits()
         self._latency.restart()
-        self._applied = Applied(self._rest, False, self._latency.s)
+        self._applied = Applied(self._rest, False, self._latency_s)
 
     def restart(self) -> None:
         """Start again with a robot that was lost or stopped and answers again."""
@@ -252,12 +259,3 @@ class Tick:
             state, dt_s, begins = inputs
             for sentence in shadows.update(t_s, reference, state, self._applied, dt_s, begins=begins):
                 self._parts.note(t_s, "warning", sentence)
-
-    def _measure_latency(self, sequence: int, feedback: Feedback) -> None:
-        """Note the age of the state behind this command, and when the command now in force took effect.
-
-        The state is as old as the truth if the estimate uses it, otherwise as old as the feedback.
-        """
-        truth_ns = self._freshness.truth_ns
-        self._latency.acted(feedback.command_sequence, feedback.robot_time_ns, feedback.command_age_ms)
-        self._latency.sent(sequence, feedback.robot_time_ns if truth_ns is None else truth_ns)

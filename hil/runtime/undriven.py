@@ -31,28 +31,31 @@ class Undriven:
     latencies, the age at which feedback is too old, two periods and, for a fault that delays frames, its delay.
 
     If no tick of the whole run was driven, no fault explains any: such a run does not test the law.
+
+    Attributes:
+        is_explained: whether a fault explains the present streak.
     """
 
     def __init__(self, faults: Sequence[FaultRow], timing: Timing) -> None:
         self._windows = [_window(row, timing) for row in faults if can_hold(row)]
-        self._is_explained = False
+        self.is_explained = False
         self._stale = self._stale_explained = 0
         self._held = self._held_explained = 0
 
     def drive(self) -> None:
         """Record a tick that was driven. It ends the streak."""
-        self._is_explained = False
+        self.is_explained = False
 
     def hold(self, t_ns: int, *, is_stale: bool) -> None:
         """Record a tick that was not driven; ``t_ns`` is its time in the scenario."""
-        if not self._is_explained:
-            self._is_explained = any(start <= t_ns <= end for start, end in self._windows)
+        if not self.is_explained:
+            self.is_explained = any(start <= t_ns <= end for start, end in self._windows)
         if is_stale:
             self._stale += 1
-            self._stale_explained += self._is_explained
+            self._stale_explained += self.is_explained
         else:
             self._held += 1
-            self._held_explained += self._is_explained
+            self._held_explained += self.is_explained
 
     def counts(self, ticks: int) -> dict[str, Count]:
         """Return all and the unexplained ticks of each kind, by its key in ``[allow]``; ``ticks`` is all of the run."""

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Literal, NamedTuple, Protocol, 
 
 from hil.core.errors import BadInputError, nearest
 from hil.core.link_protocol import WHEEL_DBC, LinkProtocol
-from hil.core.ports import Link, Received
+from hil.core.ports import Link
 
 if TYPE_CHECKING:
     from firmware_protocol.client import Client
@@ -43,9 +43,6 @@ class DirectTransport(Protocol):
 
     def exchange(self, client: "Client", ticks: int) -> "PackedFrames":
         """Send what waits in the client and a STEP; return all that the robot then sends. Raises LinkError."""
-
-    def step(self, client: "Client", ticks: int) -> Received | None:
-        """The same, but the client takes the answer; return what it left. Raises LinkError."""
 
     @property
     def crossed(self) -> Callable[[], tuple[bytes, int, bytes, int]]:

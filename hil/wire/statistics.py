@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Any
 from firmware_protocol.framing import Frame
 from firmware_protocol.host_line import PackedFrames
 from hil.core.ports import Clock, Link, Received
-from hil.core.types import NAN
 from hil.wire.link import LinkUrl
 from hil.wire.meters import BusMeter, Meter
 
@@ -75,6 +74,8 @@ class LinkStatistics:
     """Counts what a transport sends and receives, with the ``meter`` of its kind, and traces it.
 
     Attributes:
+        byte_counts: returns the bytes sent and received since ``begin``.
+        is_timed: whether the link has a bit rate, and so a load.
         is_needed: whether ``sent`` and ``received`` must be called: they are for a bus, and for a trace.
     """
 
@@ -86,7 +87,7 @@ class LinkStatistics:
         self._bus = meter if isinstance(meter, BusMeter) else None
         self.is_needed = self._bus is not None or trace is not None
         self._noise_seen = meter.noise()
-        self._byte_counts, self._is_timed = meter.byte_counts, meter.timed
+        self.byte_counts, self.is_timed = meter.byte_counts, meter.timed
         self.begin()
 
     def begin(self) -> None:
@@ -138,20 +139,17 @@ class LinkStatistics:
             trace.rejected(self._clock.now_ns(), count - self._noise_seen)
             self._noise_seen = count
 
-    def traffic(self) -> tuple[float, float, float]:
-        """Return the bytes sent and received since ``begin``, and the load of the last 100 ms [%].
+    def load_percent(self, byte_counts: tuple[float, float]) -> float:
+        """Return the load of the last 100 ms [%] of a link with a bit rate; ``byte_counts`` are the present ones.
 
-        The load of a serial line is that of its busier direction; it is NaN without a bit rate. A line is observed only
-        here: call it in every tick.
+        The load of a serial line is that of its busier direction. A line is observed only here: call it in every tick.
         """
-        sent, received = self._byte_counts()
-        if not self._is_timed:
-            return sent, received, NAN
         now_ns = self._clock.now_ns()
         if self._bus is not None:
-            return sent, received, self._down.percent(now_ns)
+            return self._down.percent(now_ns)
+        sent, received = byte_counts
         down, up = self._down.count(now_ns, sent), self._up.count(now_ns, received)
-        return sent, received, down if down > up else up
+        return down if down > up else up
 
     @property
     def counts_frames(self) -> bool:

@@ -81,9 +81,8 @@ REALTIME_PARTS = (
     Part("command", Stm32, "send", 2),
     Part("bytes from the client to the line", StreamLink, "send_from", 3),
     Part("the write: one system call", SerialStream, "write", 4),
-    Part("latency for the law", Tick, "_measure_latency", 2),
     Part("row", RowWriter, "write", 2),
-    Part("bytes and load of the line", LinkStatistics, "traffic", 3),
+    Part("load of the line", LinkStatistics, "load_percent", 3),
     Part("figures of the run", MemorySink, "put", 3),
     Part("lateness", Lateness, "add", 1),
 )

@@ -6,8 +6,6 @@
 
 #include <math.h>
 
-#define TURN_RAD 6.283185307179586
-
 wheel_python python;
 
 void wheel_python_begin(const wheel_python *given) {
@@ -19,30 +17,10 @@ void wheel_python_begin(const wheel_python *given) {
  * `self` is an int that fast_calls.py has made of an address.
  */
 
-static bool failed(void) {
-    return python.PyErr_Occurred() != NULL;
-}
-
-/* Reads a number; false with an exception. */
-static bool number(void *object, double *value) {
-    *value = python.PyFloat_AsDouble(object);
-    return *value != -1.0 || !failed();
-}
-
 /* Reads the ticks of a STEP; what is no such number becomes one that no STEP may have. */
 static uint16_t ticks_of(void *object) {
     const long long ticks = python.PyLong_AsLongLong(object);
     return ticks < 0 || ticks > UINT16_MAX ? UINT16_MAX : (uint16_t)ticks;
-}
-
-static bool numbers(void *tuple, ptrdiff_t count, double *values) {
-    for (ptrdiff_t i = 0; i < count; i++) {
-        void *item = python.PyTuple_GetItem(tuple, i);
-        if (item == NULL || !number(item, &values[i])) {
-            return false;
-        }
-    }
-    return true;
 }
 
 void *wheel_python_command(void *self, void *const *arguments, ptrdiff_t count) {
@@ -55,6 +33,20 @@ void *wheel_python_command(void *self, void *const *arguments, ptrdiff_t count) 
         return NULL;
     }
     return python.PyLong_FromLongLong(wheel_client_command(client, speed_rad_s, torque_n_m, now_ns));
+}
+
+void *wheel_python_within(void *self, void *const *arguments, ptrdiff_t count) {
+    (void)self, (void)count;
+    double four[4];
+    double limit;
+    if (!numbers(arguments[0], 4, four) || !number(arguments[1], &limit)) {
+        return NULL;
+    }
+    bool is_within = true;
+    for (size_t i = 0; i < 4u; i++) {
+        is_within = is_within && four[i] >= -limit && four[i] <= limit;
+    }
+    return python.PyBool_FromLong(is_within);
 }
 
 void *wheel_python_poll(void *self, void *const *arguments, ptrdiff_t count) {
@@ -81,15 +73,6 @@ void *wheel_python_step(void *self, void *const *arguments, ptrdiff_t count) {
     return python.PyBool_FromLong(is_whole);
 }
 
-/* Returns a new tuple of floats. */
-static void *floats(const double *values, ptrdiff_t count) {
-    void *tuple = python.PyTuple_New(count);
-    for (ptrdiff_t i = 0; tuple != NULL && i < count; i++) {
-        python.PyTuple_SetItem(tuple, i, python.PyFloat_FromDouble(values[i]));
-    }
-    return tuple;
-}
-
 void *wheel_python_link_figures(void *self, void *const *arguments, ptrdiff_t count) {
     (void)arguments, (void)count;
     const wheel_view *view = wheel_client_view(python.PyLong_AsVoidPtr(self));
@@ -105,49 +88,6 @@ void *wheel_python_line_bytes(void *self, void *const *arguments, ptrdiff_t coun
     const uint64_t sent = direct->sent_bytes + waiting - direct->sent_bytes_before;
     const uint64_t received = direct->received_bytes - direct->received_bytes_before;
     return floats((double[]){(double)sent, (double)received}, 2);
-}
-
-/* Puts the numbers of a tuple in their places; returns the member behind its own, or NULL with an exception.
- */
-static const wheel_python_member *put(const wheel_python_member *member, void *const *objects, void *tuple,
-                                      ptrdiff_t length, double *row) {
-    for (ptrdiff_t i = 0; i < length; i++) {
-        void *object = objects != NULL ? objects[i] : python.PyTuple_GetItem(tuple, i);
-        if (object == NULL) {
-            return NULL;
-        }
-        if (member->place == WHEEL_PYTHON_NESTED) {
-            member = put(member + 1, NULL, object, member->length, row);
-            if (member == NULL) {
-                return NULL;
-            }
-            continue;
-        }
-        if (member->place != WHEEL_PYTHON_LEFT_OUT) {
-            double value;
-            if (!number(object, &value)) {
-                return NULL;
-            }
-            row[member->place] = value * member->unit;
-        }
-        member++;
-    }
-    return member;
-}
-
-void *wheel_python_row(void *self, void *const *arguments, ptrdiff_t count) {
-    const wheel_python_layout *layout = python.PyLong_AsVoidPtr(self);
-    if (put(layout->members, arguments, NULL, count, layout->numbers) == NULL) {
-        return NULL;
-    }
-    const double *pose = layout->numbers + layout->pose;
-    const double *other = layout->numbers + layout->other_pose;
-    double *difference = layout->numbers + layout->difference;
-    difference[0] = pose[0] - other[0];
-    difference[1] = pose[1] - other[1];
-    difference[2] = remainder(pose[2] - other[2], TURN_RAD);
-    difference[3] = hypot(difference[0], difference[1]);
-    return new_bytes((const uint8_t *)layout->numbers, sizeof(double) * layout->count);
 }
 
 void *wheel_python_out(void *self, void *const *arguments, ptrdiff_t count) {
@@ -253,7 +193,7 @@ void *wheel_python_exchange(void *self, void *const *arguments, ptrdiff_t count)
         return NULL;
     }
     if (client != NULL && !wheel_client_step(client, ticks)) {
-        return python.Py_BuildValue("");
+        return none();
     }
     void *thread = python.PyEval_SaveThread();
     wheel_direct_exchange(direct, robot, client);

@@ -31,9 +31,9 @@ typedef struct {
     int (*PyBytes_AsStringAndSize)(void *, char **, ptrdiff_t *);
     void (*Py_DecRef)(void *);
     void (*Py_IncRef)(void *);
-    void *(*Py_BuildValue)(const char *, ...);
     void *(*PyType_GenericAlloc)(void *, ptrdiff_t);
     int (*PyErr_BadArgument)(void); /* raises TypeError */
+    void *_Py_NoneStruct;           /* None itself */
 } wheel_python;
 
 void wheel_python_begin(const wheel_python *python);
@@ -90,8 +90,20 @@ void *wheel_python_exchange(void *self, void *const *arguments, ptrdiff_t count)
  * number of frames. */
 void *wheel_python_crossed(void *self, void *const *arguments, ptrdiff_t count);
 
+/* freshness.add_feedback(feedback, truth, age_ns, now_ns, is_driven): wheel_freshness_add with the tuples of
+ * hil: feedback (robot_time_ns, state, ...), and a truth (time_ns, pose, ...) or None, which does not count
+ * if its pose is not finite. Returns the result, `silent_ns`, `truth_ns` or None, and `is_stale`. */
+void *wheel_python_add_feedback(void *self, void *const *arguments, ptrdiff_t count);
+
+/* latency.measure_latency(feedback, sequence, sampled_ns): wheel_latency_acted by feedback (robot_time_ns,
+ * state, command_sequence, command_age_ms, ...), then wheel_latency_sent; returns `median_s`. */
+void *wheel_python_measure_latency(void *self, void *const *arguments, ptrdiff_t count);
+
 /* split(packed, limit): wheel_packed_split; returns both groups as bytes. */
 void *wheel_python_split(void *self, void *const *arguments, ptrdiff_t count);
+
+/* within(four, limit): whether each of four numbers is from -limit to limit; NaN is not. */
+void *wheel_python_within(void *self, void *const *arguments, ptrdiff_t count);
 
 /* pack(frames): a tuple of frames, packed, as bytes. */
 void *wheel_python_pack(void *self, void *const *arguments, ptrdiff_t count);
@@ -146,9 +158,31 @@ typedef struct {
     const wheel_python_member *members; /* of the tuple of the objects */
 } wheel_python_layout;
 
+/* difference(state, reference): of two motions, each a tuple that begins with pose and twist, tuples of
+ * three: the first minus the second, a tuple of pose (heading from -pi to pi) and twist in six numbers; the
+ * first's heading; the second's twist, and the first's. */
+void *wheel_python_difference(void *self, void *const *arguments, ptrdiff_t count);
+
 /* layout.row(objects...): puts the numbers of nested tuples in their places, and returns a copy of all
  * numbers as bytes. Those that have no member keep their value. */
 void *wheel_python_row(void *self, void *const *arguments, ptrdiff_t count);
+/* A table of 4 by 4 cells, in which two numbers are looked up: two results, interpolated. */
+typedef struct {
+    double
+        cells_a_unit[2]; /* of each input; zero is the middle of the table, and beyond its ends they hold */
+    double cells[16][2][4]; /* row by row (second input); a result is a + b p + q (c + d p), p and q 0 to 4 */
+} wheel_python_table;
+
+typedef struct {
+    const wheel_python_table *tables;
+    ptrdiff_t count;
+    double *nearest; /* four numbers a table: both places in it, from -2 to 2, the nearest corner, 5 * row +
+                        column, and how near it is: the product of both shares, 0.25 to 1 */
+} wheel_python_tables;
+
+/* tables.look_up(inputs): a tuple of the first input of each table, then of the second; returns a tuple of
+ * the first results, then of the second, and sets `nearest`. NaN is the beginning of a table. */
+void *wheel_python_look_up(void *self, void *const *arguments, ptrdiff_t count);
 /* cffi: end */
 
 #endif

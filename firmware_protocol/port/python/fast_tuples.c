@@ -57,7 +57,7 @@ void *wheel_python_make(void *self, void *const *arguments, ptrdiff_t count) {
         python.PyErr_BadArgument();
         return NULL;
     }
-    return is_given != NULL && !*is_given ? python.Py_BuildValue("") : value_of(&next, &arguments);
+    return is_given != NULL && !*is_given ? none() : value_of(&next, &arguments);
 }
 
 void *wheel_python_frames(void *self, void *const *arguments, ptrdiff_t count) {

@@ -10,6 +10,42 @@
 #define python wheel_python_given
 extern wheel_python wheel_python_given;
 
+/* Returns a new reference to None. */
+static inline void *none(void) {
+    python.Py_IncRef(python._Py_NoneStruct);
+    return python._Py_NoneStruct;
+}
+
+static inline bool failed(void) {
+    return python.PyErr_Occurred() != NULL;
+}
+
+/* Reads a number; false with an exception. */
+static inline bool number(void *object, double *value) {
+    *value = python.PyFloat_AsDouble(object);
+    return *value != -1.0 || !failed();
+}
+
+/* Reads the first numbers of a tuple; false with an exception. */
+static inline bool numbers(void *tuple, ptrdiff_t count, double *values) {
+    for (ptrdiff_t i = 0; i < count; i++) {
+        void *item = python.PyTuple_GetItem(tuple, i);
+        if (item == NULL || !number(item, &values[i])) {
+            return false;
+        }
+    }
+    return true;
+}
+
+/* Returns a new tuple of floats. */
+static inline void *floats(const double *values, ptrdiff_t count) {
+    void *tuple = python.PyTuple_New(count);
+    for (ptrdiff_t i = 0; tuple != NULL && i < count; i++) {
+        python.PyTuple_SetItem(tuple, i, python.PyFloat_FromDouble(values[i]));
+    }
+    return tuple;
+}
+
 static inline void *new_bytes(const uint8_t *bytes, size_t length) {
     return python.PyBytes_FromStringAndSize((const char *)bytes, (ptrdiff_t)length);
 }

@@ -15,6 +15,7 @@ from hil.core.kinematics import BodyTwist, body_twist, to_body, to_world, wheel_
 from hil.core.types import ZERO_WHEELS, CommandMode, Twist, WheelCommand, Wheels
 from hil.robot.link_times import ClockSync, CommandLatency, PollAge, RoundTrip
 from hil.robot.robot_report import ProcessorFault, RobotReport
+from hil.robot.snapshot import Feedback
 from hil.robot.wheel_map import ImuMount, WheelMap, Wiring
 
 MS = 1_000_000
@@ -173,30 +174,34 @@ def test_drift_jump_and_wrap_of_the_robots_clock_are_told_apart() -> None:
     assert wrapped.offset_us == pytest.approx(500_000)
 
 
+def reported(sequence: int, at_ns: int, age_ms: int) -> Feedback:
+    """Return feedback of a robot time, by which a command was in force and so old."""
+    zeros = Wheels(0.0, 0.0, 0.0, 0.0)
+    return Feedback(at_ns, m.State.ACTIVE, sequence & 0xFF, age_ms, (0,) * 4, zeros, zeros, (0.0, 0.0, 0.0), 0.0)
+
+
 def test_the_latency_of_commands_is_the_median_of_those_of_late() -> None:
     latency = CommandLatency(0.02, 100 * MS)
-    at_ns, took = 0, itertools.cycle((4, 9, 5, 30, 6))
-    for number in range(60):
+    at_ns, took, newest = 0, itertools.cycle((4, 9, 5, 30, 6)), reported(255, 0, 0)
+    for number in range(61):
         at_ns += 10 * MS
-        sequence = number % 256
-        latency.sent(sequence, at_ns)
+        for _ in range(2):  # a second report of a command does not count
+            told_s = latency.measure(newest, number, at_ns)
         took_ms = next(took) if number < 30 else 12
-        latency.acted(sequence, at_ns + (took_ms + 3) * MS, 3)
-        latency.acted(sequence, at_ns + 90 * MS, 3)  # a second report of it does not count
-        if number < 8:
-            assert latency.s == 0.02
-        elif number == 29:
-            assert latency.s == pytest.approx(0.006)
+        newest = reported(number, at_ns + (took_ms + 3) * MS, 3)
+        if number < 9:
+            assert told_s == 0.02
+        elif number == 30:
+            assert told_s == pytest.approx(0.006)
     assert latency.s == pytest.approx(0.012)
     for age_ms, late_ms in ((255, 20), (0, 101), (50, 40)):
         for number in range(40):
-            latency.sent(number, at_ns)
-            latency.acted(number, at_ns + late_ms * MS, age_ms)
+            latency.measure(reported(number - 1, at_ns + late_ms * MS, age_ms), number, at_ns)
     assert latency.s == pytest.approx(0.012), "old ones, too long ones, negative ones"
-    latency.sent(7, at_ns)
+    latency.measure(newest, 7, at_ns)
     latency.restart()
     for _ in range(40):
-        latency.acted(7, at_ns + 30 * MS, 0)
+        latency.measure(reported(7, at_ns + 30 * MS, 0), 8, at_ns)
     assert latency.s == pytest.approx(0.012)
     trips = RoundTrip()
     assert trips.figures() is None

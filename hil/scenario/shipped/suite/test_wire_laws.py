@@ -103,9 +103,9 @@ def test_a_serial_line_has_ten_bits_a_byte_and_each_direction_its_own_load() -> 
         there.write(data)
         received += len(data)
         assert len(heard(link)) == 3
-        load = statistics.traffic()
-        assert load[:2] == (sent, received)
-        assert load[2] == pytest.approx(100.0 * received * 10 / 100_000 / 0.1)
+        counts = statistics.byte_counts()
+        assert counts == (sent, received)
+        assert statistics.load_percent(counts) == pytest.approx(100.0 * received * 10 / 100_000 / 0.1)
     clock.now = 200 * MS
     figures = statistics.figures()
     assert figures["sent"] == {"frames": 20, "bytes": sent, "bits": 10 * sent}
@@ -114,7 +114,7 @@ def test_a_serial_line_has_ten_bits_a_byte_and_each_direction_its_own_load() -> 
     assert figures["load"]["received"]["worst_100_ms_percent"] == pytest.approx(100.0 * received * 10 / 100_000 / 0.1)
     assert (figures["lasted_s"], figures["foreign"]) == (0.2, None)
     statistics.begin()
-    assert statistics.traffic()[:2] == (0, 0)
+    assert statistics.byte_counts() == (0, 0)
     assert statistics.figures()["sent"]["frames"] == 0
     assert link.rejected()["lost"] == 0
     assert sum(link.rejected().values()) == 20, "the noise between the frames"
@@ -148,7 +148,9 @@ def test_a_can_bus_carries_both_directions_and_strangers(settings: str) -> None:
         assert figures["foreign"] == {"frames": 3, "bytes": 8, "bits": foreign}
         busy_s = (sum(ns) + 2000 * foreign) * 1e-9
         assert figures["load"]["bus"]["mean_percent"] == pytest.approx(100.0 * busy_s / 0.05)
-        assert statistics.traffic() == pytest.approx((16.0, len(answer.payload), 100.0 * busy_s / 0.1))
+        counts = statistics.byte_counts()
+        assert counts == (16, len(answer.payload))
+        assert statistics.load_percent(counts) == pytest.approx(100.0 * busy_s / 0.1)
         assert link.rejected()["foreign"] == 2
         assert link.rejected()["error_other"] == 1
     finally:

@@ -1,0 +1,80 @@
+/* The age of feedback, and the latency of commands, of the tuples of a tick. */
+#include "../../client/wheel_timing.h"
+
+#include <math.h>
+
+#include "internal.h"
+
+/* Reads an int of a tuple; false with an exception. */
+static bool int_at(void *tuple, ptrdiff_t place, int64_t *value) {
+    void *item = python.PyTuple_GetItem(tuple, place);
+    if (item == NULL) {
+        return false;
+    }
+    *value = python.PyLong_AsLongLong(item);
+    return *value != -1 || !failed();
+}
+
+/* Reads whether a pose, a tuple of three, is finite; false with an exception. */
+static bool is_finite(void *pose, bool *result) {
+    double sum = 0.0;
+    for (ptrdiff_t i = 0; i < 3; i++) {
+        void *item = python.PyTuple_GetItem(pose, i);
+        double value;
+        if (item == NULL || !number(item, &value)) {
+            return false;
+        }
+        sum += value;
+    }
+    *result = isfinite(sum);
+    return true;
+}
+
+void *wheel_python_add_feedback(void *self, void *const *arguments, ptrdiff_t count) {
+    (void)count;
+    wheel_freshness *freshness = python.PyLong_AsVoidPtr(self);
+    const int64_t age_ns = python.PyLong_AsLongLong(arguments[2]);
+    const int64_t now_ns = python.PyLong_AsLongLong(arguments[3]);
+    const bool is_driven = python.PyLong_AsLongLong(arguments[4]) != 0;
+    int64_t robot_ns;
+    int64_t state;
+    int64_t truth_ns = 0;
+    bool has_truth = false;
+    if (failed() || !int_at(arguments[0], 0, &robot_ns) || !int_at(arguments[0], 1, &state)) {
+        return NULL;
+    }
+    if (arguments[1] != python._Py_NoneStruct) {
+        void *pose = python.PyTuple_GetItem(arguments[1], 1);
+        if (pose == NULL || !int_at(arguments[1], 0, &truth_ns) || !is_finite(pose, &has_truth)) {
+            return NULL;
+        }
+    }
+    const uint8_t result = wheel_freshness_add(freshness, robot_ns, (uint8_t)state, age_ns, now_ns, is_driven,
+                                               has_truth ? &truth_ns : NULL);
+    void *all = python.PyTuple_New(4);
+    if (all != NULL) {
+        python.PyTuple_SetItem(all, 0, python.PyLong_FromLongLong(result));
+        python.PyTuple_SetItem(all, 1, python.PyLong_FromLongLong(freshness->silent_ns));
+        python.PyTuple_SetItem(
+            all, 2, freshness->has_truth ? python.PyLong_FromLongLong(freshness->truth_ns) : none());
+        python.PyTuple_SetItem(all, 3, python.PyBool_FromLong(freshness->is_stale));
+    }
+    return all;
+}
+
+void *wheel_python_measure_latency(void *self, void *const *arguments, ptrdiff_t count) {
+    (void)count;
+    wheel_latency *latency = python.PyLong_AsVoidPtr(self);
+    const long long sequence = python.PyLong_AsLongLong(arguments[1]);
+    const int64_t sampled_ns = python.PyLong_AsLongLong(arguments[2]);
+    int64_t robot_ns;
+    int64_t in_force;
+    int64_t age_ms;
+    if (failed() || !int_at(arguments[0], 0, &robot_ns) || !int_at(arguments[0], 2, &in_force) ||
+        !int_at(arguments[0], 3, &age_ms)) {
+        return NULL;
+    }
+    wheel_latency_acted(latency, (uint8_t)in_force, robot_ns, (uint8_t)age_ms);
+    wheel_latency_sent(latency, (uint8_t)sequence, sampled_ns);
+    return python.PyFloat_FromDouble(latency->median_s);
+}
