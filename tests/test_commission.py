@@ -70,6 +70,7 @@ def test_counts_radius_and_lever_are_found_by_pushing_and_written_with_the_rest(
     text = file.read_text(encoding="utf-8")
     written = tomllib.loads(text)
     assert done.table.state == written["commission"]["state"] == "done"
+    assert written["commission"]["virtual"], "the real robot is not commissioned by that"
     assert written["commission"]["steps"] == ["blocks", "floor", "check", "push"]
     assert written["device"]["wheels"] == ["rl", "fl", "fr", "rr"]
     assert written["device"]["reversed"] == ["fl"]
@@ -400,6 +401,8 @@ def test_a_real_robot_that_nobody_has_commissioned_is_warned_of() -> None:
     assert warning is not None
     assert "nobody has commissioned this robot" in warning
     assert require_commissioned(CommissionTable("done")) is None
+    for state in ("begun", "rewire", "done"):
+        assert "only a virtual one in its place" in (require_commissioned(CommissionTable(state, virtual=True)) or "")
 
 
 # The robot's file

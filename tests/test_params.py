@@ -109,3 +109,17 @@ def test_a_change_that_is_refused_before_others_says_that_nothing_was_changed() 
     client = ParameterClient(RigLink(writes=0))
     with pytest.raises(DeviceError, match=r"; nothing was changed$"):
         client.write(client.check({"ramp_s": 0.3}))
+
+
+def test_a_robots_file_is_written_into_its_firmware_which_then_arms(tmp_path: Path) -> None:
+    file = tmp_path / "robot.toml"
+    file.write_text("[firmware]\ntorque_limit_n_m = 1.5\n[robot]\nwheel_radius_m = 0.06\n")
+    with device("circle_speed", "--mode", "realtime", "--link", f"serial:pty?symlink={tmp_path}/robot") as robot:
+        run = ("run", "circle_speed", "--robot", file, "--link", robot.link, "--mode", "realtime", "--record", "none")
+        run += ("--set", "loop.duration_s=0.2", "--set", "expect=[]", "--set", "estimator.source=odometry")
+        refused = hil(*run)
+        assert refused.returncode == 2
+        assert "the robot's firmware parameters" in refused.stderr
+        held = json.loads(hil("params", robot.link, "--robot", file, "ramp_s=0.2", "--json").stdout)
+        assert (held["torque_limit_n_m"], held["wheel_radius_m"]) == (1.5, pytest.approx(0.06))
+        assert hil(*run).returncode in (0, 1)

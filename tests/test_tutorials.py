@@ -51,7 +51,7 @@ def test_what_needs_a_board_is_marked_and_counted() -> None:
         page.stem: sum(block.options.get("class") == NOT_RUN for block in blocks(page.read_text(encoding="utf-8")))
         for page in TUTORIALS
     }
-    assert {name: count for name, count in counts.items() if count} == {"board": 5, "motors": 1}
+    assert {name: count for name, count in counts.items() if count} == {"board": 6, "motors": 1}
 
 
 def test_the_notebook_runs(tmp_path: Path) -> None:

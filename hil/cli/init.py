@@ -108,7 +108,7 @@ def begin(folder: Path, answers: "Mapping[str, Value]", existing: Existing = "re
     when a file exists and may not be replaced, when values contradict each other, or when the robot cannot follow the
     scenario's circle at any speed that is tried.
     """
-    from hil.cli.new_project import FILES, bad_day_text, law_text, tests_text, workflow_text
+    from hil.cli.new_project import FILES, IGNORED, bad_day_text, law_text, tests_text, workflow_text
     from hil.cli.new_robot import robot_text
 
     top = next((one for one in (folder.absolute(), *folder.absolute().parents) if (one / ".git").exists()), folder)
@@ -123,6 +123,7 @@ def begin(folder: Path, answers: "Mapping[str, Value]", existing: Existing = "re
         "bad_day.hil.toml": bad_day_text(mass_kg, duration_s),
         "my_law.py": law_text(),
         "test_my_law.py": tests_text(mass_kg),
+        ".gitignore": IGNORED,
         WORKFLOW: workflow_text(os.path.relpath(folder, top)),
     }
     for name, text in texts.items():

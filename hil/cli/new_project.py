@@ -141,6 +141,13 @@ jobs:
 """
 
 
+IGNORED = """\
+# What runs and tests leave behind
+runs/
+__pycache__/
+.pytest_cache/
+"""
+
 FILES: Mapping[str, str] = {
     "robot.toml": "your robot: mass, sizes, limits, driver, link",
     "first_circle.hil.toml": "a scenario: a circle that it can drive",
@@ -148,6 +155,7 @@ FILES: Mapping[str, str] = {
     "my_law.py": "a control law of your own, to be changed",
     "test_my_law.py": "tests of the law",
     "first_circle.baseline.toml": "the figures of the circle today; a later run that differs fails",
+    ".gitignore": "keeps recordings out of the repository",
     ".github/workflows/robot.yml": "the same in GitHub's CI",
 }
 """What each file is for."""

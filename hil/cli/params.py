@@ -2,19 +2,25 @@
 
 import contextlib
 from dataclasses import MISSING
+from pathlib import Path
 from typing import Annotated
 
 from typer import Argument, Option
 
-from hil.cli.options import Json, PortOrBus
+from hil.cli.options import Json, PortOrBus, RobotFile
 from hil.cli.output import print_result, table
 from hil.core.errors import BadInputError
 from hil.core.options import options_of
+
+_ANY = "circle_speed"
+"""The scenario that lends what a robot's file does not have, as for `hil jog` and `hil commission`."""
 
 
 def params(
     link: PortOrBus,
     changes: Annotated[list[str] | None, Argument(metavar="[NAME=VALUE]...", help="change these first")] = None,
+    scenario: Annotated[str | None, Option(metavar="SCENARIO", help="first take all values of this one")] = None,
+    robot: RobotFile = None,
     store: Annotated[bool, Option("--store", help="keep them across a reset")] = False,
     restore: Annotated[bool, Option("--restore", help="first go back to the values of the build")] = False,
     as_json: Json = False,
@@ -30,7 +36,7 @@ def params(
             f"link {link!r} reaches no robot outside this process, and a robot made for it would only have the "
             "built-in values; name the robot's port, such as serial:/dev/ttyACM0, or the link that 'hil device' prints"
         )
-    values = assignments(changes or [])
+    values = _of_scenario(scenario, robot) | assignments(changes or [])
     with device_held(url, f"hil params {link}"), contextlib.closing(url.open_host()) as opened:
         client = ParameterClient(opened)
         checked = client.check(values)  # check all before changing any
@@ -54,6 +60,16 @@ def params(
     ]
     lines = [*table([head, *rows]), info.describe()]
     print_result(as_json, {row.name: row.value for row in held}, lines)
+
+
+def _of_scenario(scenario: str | None, robot: Path | None) -> dict[str, float]:
+    """Return what a scenario, or any scenario with a robot's file, has of the firmware's parameters; else nothing."""
+    if scenario is None and robot is None:
+        return {}
+    from hil.runtime.robots import firmware_values
+    from hil.scenario import load
+
+    return dict(firmware_values(load(scenario or _ANY, robot=robot)))
 
 
 def _default(parameter: str) -> str:

@@ -54,10 +54,12 @@ def commission(
     LinkError for a robot that is lost, RunInterruptedError when the person stops; what was found before is in the file.
     """
     told, session_scenario = _scenarios(file, sets, link)
+    url = link_of(session_scenario)
+    # What a virtual robot has shown is nothing that a real one can go on with, nor the other way round.
+    anew = anew or told.commission.virtual != url.is_within_process
     if told.commission.state == "done" and not anew:
         raise BadInputError(f"{file}: this robot is commissioned ({told.commission.date}); do it again with --anew")
     findings = Findings() if anew else Findings.kept(told.commission, told.device)
-    url = link_of(session_scenario)
     with (
         device_held(url, f"hil commission {file}"),
         _without_speed_loop(session_scenario),
@@ -72,7 +74,7 @@ def commission(
             robot_file.write(file, findings.document())
             say(f"{step}: done, and written into {file}")
 
-        robot_file.write(file, findings.begin())
+        robot_file.write(file, findings.begin(virtual=url.is_within_process))
         Procedure(session, person or _person(session), findings, say, save).run()
         say(
             f"the furthest way of a wheel's rim in a pulse was {session.furthest_m * 100:.1f} cm, the largest speed "

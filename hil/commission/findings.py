@@ -56,9 +56,9 @@ class Findings:
             return Encoders()
         return Encoders([place - 1 for place in self.table.encoders], self.table.encoder_signs)
 
-    def begin(self) -> Mapping[str, object]:
+    def begin(self, *, virtual: bool) -> Mapping[str, object]:
         """Note that commissioning has begun: until it is done, real motors are refused. Return what to write."""
-        self.table = replace(self.table, state="begun")
+        self.table = replace(self.table, state="begun", virtual=virtual)
         return self.document()
 
     def saw(self, encoders: Encoders, wheel: Wheel, way: Way) -> None:
@@ -111,7 +111,8 @@ class Findings:
     def document(self) -> Mapping[str, object]:
         """Return the keys of the robot's file to write."""
         table: dict[str, Any] = {
-            f"commission.{name}": None if value in (None, ()) else value for name, value in vars(self.table).items()
+            f"commission.{name}": None if value in (None, (), False) else value
+            for name, value in vars(self.table).items()
         }
         return {**self.values, **table}
 

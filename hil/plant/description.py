@@ -1,7 +1,6 @@
 """Reads an FMU's modelDescription.xml without running the FMU; also the data for ``hil fmu info``."""
 
 import functools
-import shutil
 from collections.abc import Mapping
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
@@ -23,14 +22,12 @@ def read_description(fmu: Path) -> Any:
     archive.read_header(fmu)
     from fmpy import read_model_description
 
-    folder = archive.extract(fmu, only=archive.DESCRIPTIONS.__contains__)
-    try:
-        return read_model_description(folder, validate=False)
-    except Exception as error:  # FMPy raises whatever its parser meets, down to plain Exception
-        reason = one_line(str(error)) or type(error).__name__
-        raise archive.BrokenFmuError(f"FMU {fmu}: its modelDescription.xml cannot be used ({reason})") from error
-    finally:
-        shutil.rmtree(folder, ignore_errors=True)
+    with archive.extracted(fmu, only=archive.DESCRIPTIONS.__contains__) as folder:
+        try:
+            return read_model_description(folder, validate=False)
+        except Exception as error:  # FMPy raises whatever its parser meets, down to plain Exception
+            reason = one_line(str(error)) or type(error).__name__
+            raise archive.BrokenFmuError(f"FMU {fmu}: its modelDescription.xml cannot be used ({reason})") from error
 
 
 def variables_of(description: Any) -> dict[str, Any]:

@@ -4,7 +4,6 @@ A foreign FMU may crash or hang. That ends one part of the run; the next part ru
 """
 
 import contextlib
-import shutil
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -66,8 +65,7 @@ def check(fmu: Path, longest_s: float = _LONGEST_CALL_S) -> CheckResult:
     archive.read_header(fmu)
     shim.load()  # the child needs it: raise here what is missing
     archive.check_may_load(fmu)
-    folder = archive.extract(fmu)
-    try:
+    with archive.extracted(fmu) as folder:
         found = [violation(one_line(problem)) for problem in validate_fmu(str(folder))]
         description = Part("model description", tuple(found))
         try:
@@ -87,8 +85,6 @@ def check(fmu: Path, longest_s: float = _LONGEST_CALL_S) -> CheckResult:
             "parts": [title(part) for part in PARTS],
         }
         return CheckResult((Part("archive"), description, *_run(job, folder, longest_s)))
-    finally:
-        shutil.rmtree(folder, ignore_errors=True)
 
 
 def _run(job: Mapping[str, Any], folder: Path, longest_s: float) -> list[Part]:

@@ -223,5 +223,6 @@ def check(info: RobotInfo, expected: Expected) -> None:
     if info.parameter_hash != expected.parameter_hash:
         raise BadInputError(
             f"the robot's firmware parameters (hash {info.parameter_hash:08x}) are not the scenario's [firmware] "
-            f"(hash {expected.parameter_hash:08x}); start both from the same scenario and overrides"
+            f"(hash {expected.parameter_hash:08x}); start both from the same scenario and overrides, or write them "
+            "into the robot: hil params LINK --scenario SCENARIO, or --robot FILE"
         )

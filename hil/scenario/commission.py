@@ -16,6 +16,7 @@ class CommissionTable:
     """``[commission]``, written by `hil commission`. In the states "begun" and "rewire" real motors are refused."""
 
     state: Annotated[State, "none: never commissioned"] = "none"
+    virtual: Annotated[bool, "whether a virtual robot answered, which says nothing of the real one"] = False
     steps: Annotated[tuple[Text, ...], "the steps that are done"] = ()
     date: Annotated[Text | None, "of the newest step"] = None
     firmware: Annotated[Text | None, "what answered then"] = None
@@ -35,13 +36,14 @@ def require_commissioned(table: CommissionTable) -> str | None:
 
     Raises BadInputError for one whose commissioning was begun and is not done.
     """
+    if table.state == "none" or table.virtual:
+        rehearsed = ", only a virtual one in its place" if table.virtual else ""
+        return (
+            f"nobody has commissioned this robot{rehearsed}: a wheel that is wired to another place, or the wrong way "
+            "round, would drive it anywhere; `hil commission ROBOT` finds out how it is wired"
+        )
     if table.state == "done":
         return None
-    if table.state == "none":
-        return (
-            "nobody has commissioned this robot: a wheel that is wired to another place, or the wrong way round, would "
-            "drive it anywhere; `hil commission ROBOT` finds out how it is wired"
-        )
     todo = f" ({'; '.join(table.todo)})" if table.todo else ""
     raise BadInputError(
         f'commission.state = "{table.state}": the commissioning of this robot is not done{todo}, and --allow-motion is '
