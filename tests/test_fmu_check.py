@@ -1,7 +1,6 @@
 """``check`` finds nothing in good FMUs, and each fault of a broken one in its part and of its kind."""
 
 import re
-import shutil
 import signal
 import subprocess
 import sys
@@ -120,13 +119,10 @@ NEEDS_A_CHILD = re.compile("CRASH|REAL_TIME_SIGNAL|EXIT_IN|HANG|LEAK")  # faults
 def run_here(fmu: Path) -> CheckResult:
     """Run the parts of ``check`` in this process: those that need no process of their own."""
     progress = _Progress()
-    folder = archive.extract(fmu)
-    try:
+    with archive.extract(fmu) as folder:
         library = archive.library_of(fmu)
         model = Model(fmu, folder, folder / library.member, library.fmi_version, lambda **entry: progress.add(entry))
         run_parts(model, [title(part) for part in PARTS if part is not many_instances], model.report)
-    finally:
-        shutil.rmtree(folder, ignore_errors=True)
     return CheckResult(tuple(progress.parts))
 
 

@@ -6,10 +6,8 @@ operating system must be able to unpack the archive. Every refusal is a BadInput
 
 import contextlib
 import re
-import shutil
 import stat
 import struct
-import tempfile
 import unicodedata
 import zipfile
 import zlib
@@ -17,6 +15,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path, PurePosixPath
 
 from hil.core.errors import BadInputError
+from hil.core.scratch import scratch_folder
 
 _MOST_BYTES = 512 * 1024 * 1024  # unpacked; large FMUs with resources stay below
 _MOST_ENTRIES = 20_000
@@ -69,19 +68,15 @@ def pieces(fmu: Path, archive: zipfile.ZipFile, entry: zipfile.ZipInfo) -> Itera
         raise BadInputError(f"FMU {fmu}: its entry {entry.filename!r} cannot be unpacked ({error})") from error
 
 
-def extract(fmu: Path, only: Callable[[str], bool] = lambda _: True) -> Path:
-    """Unpack the entries, of these names ``only``, into a new temporary folder; the caller removes it.
-
-    Raises BadInputError.
-    """
-    with opened(fmu) as archive, contextlib.ExitStack() as undo:
-        folder = Path(tempfile.mkdtemp(prefix="hil_fmu_"))
-        undo.callback(shutil.rmtree, folder, ignore_errors=True)
-        for entry in archive.infolist():
-            if only(entry.filename):
-                _write(fmu, archive, entry, folder / entry.filename)
-        undo.pop_all()
-    return folder
+@contextlib.contextmanager
+def extract(fmu: Path, only: Callable[[str], bool] = lambda _: True) -> Iterator[Path]:
+    """Yield a temporary folder with the entries, of these names ``only``. Raises BadInputError."""
+    with scratch_folder("fmu") as folder:
+        with opened(fmu) as archive:
+            for entry in archive.infolist():
+                if only(entry.filename):
+                    _write(fmu, archive, entry, folder / entry.filename)
+        yield folder
 
 
 def _write(fmu: Path, archive: zipfile.ZipFile, entry: zipfile.ZipInfo, target: Path) -> None:
