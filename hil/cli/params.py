@@ -14,7 +14,7 @@ from hil.core.options import options_of
 
 def params(
     link: PortOrBus,
-    changes: Annotated[list[str] | None, Argument(metavar="[NAME=VALUE]...", help="change these first")] = None,
+    changes: Annotated[list[str] | None, Argument(metavar="NAME=VALUE", help="change these first")] = None,
     store: Annotated[bool, Option("--store", help="keep them across a reset")] = False,
     restore: Annotated[bool, Option("--restore", help="first go back to the values of the build")] = False,
     as_json: Json = False,
