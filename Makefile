@@ -125,7 +125,7 @@ format: .venv/for-tests
 setup: .venv/installed native
 
 # A target that needs the tools installs them with the rest, which is quicker than one after the other.
-TOOLS := [campaign,dev,mujoco,ros2,targets,teleop]
+TOOLS := [dev,ros2]
 test test-rest test-all test-socketcan check proof chaos bench nightly docs picture format fmu release: EXTRAS := $(TOOLS)
 
 # The pip that comes with Python may be old and slow. Bytecode is made for what is imported, when it is imported.

@@ -119,7 +119,7 @@ NEEDS_A_CHILD = re.compile("CRASH|REAL_TIME_SIGNAL|EXIT_IN|HANG|LEAK")  # faults
 def run_here(fmu: Path) -> CheckResult:
     """Run the parts of ``check`` in this process: those that need no process of their own."""
     progress = _Progress()
-    with archive.extracted(fmu) as folder:
+    with archive.extract(fmu) as folder:
         library = archive.library_of(fmu)
         model = Model(fmu, folder, folder / library.member, library.fmi_version, lambda **entry: progress.add(entry))
         run_parts(model, [title(part) for part in PARTS if part is not many_instances], model.report)

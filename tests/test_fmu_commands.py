@@ -1,10 +1,12 @@
 """``hil fmu info`` and ``hil fmu check`` as a user types them."""
 
 import json
+import subprocess
+import sys
 from pathlib import Path
 
 from tests.broken_fmu import lag, pack
-from tests.processes import hil
+from tests.processes import environment, hil
 
 
 def test_info_prints_a_table_of_the_variables_that_were_asked_for(tmp_path: Path) -> None:
@@ -92,3 +94,15 @@ def test_check_of_a_good_fmu_exits_with_0(tmp_path: Path) -> None:
     assert done.returncode == 0
     assert done.stdout.splitlines()[-1] == f"{fmu}: no violations of the standard"
     assert json.loads(hil("fmu", "check", fmu, "--json").stdout)["passed"] is True
+
+
+def test_the_json_of_a_run_is_alone_on_stdout_where_fmpy_lacks_its_own_library() -> None:
+    """As on ARM64. FMPy says so on stdout when it is imported."""
+    without = (
+        "import sys; sys.modules['fmpy.logging'] = None; from hil.cli.main import main; sys.argv[0] = 'hil'; main()"
+    )
+    words = ["run", "circle_speed", "--set", "loop.duration_s=0.1", "--set", "expect=[]", "--record", "none", "--json"]
+    done = subprocess.run(
+        [sys.executable, "-c", without, *words], capture_output=True, text=True, check=False, env=environment()
+    )
+    assert json.loads(done.stdout)["scenario"] == "circle_speed", done.stderr

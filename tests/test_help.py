@@ -18,8 +18,14 @@ from hil.cli.output import folded, table
 from tests.processes import environment
 from tests.processes import hil as call
 
-SHARED = {"--robot", "--json", "--set", "--force", "--jobs", "--mode", "--truth", "--allow-motion", "--token-file"}
-ANOTHER_MEANING = {("--json", "hil decode"), ("--set", "hil ctl track"), ("--token-file", "hil serve")}
+SHARED = {"--robot", "--json", "--set", "--force", "--jobs", "--mode", "--truth", "--allow-motion", "--token-file",
+          "--link", "--limit", "--url", "--live-port"}  # fmt: skip
+ANOTHER_MEANING = {
+    ("--json", "hil decode"),
+    ("--set", "hil ctl track"),
+    ("--token-file", "hil serve"),
+    ("--link", "hil catalogue"),  # which of three it takes
+}
 
 
 def commands(command: Any, name: str = "hil") -> Iterator[tuple[str, Any]]:
@@ -52,6 +58,15 @@ def test_every_help_fits_and_is_not_cut(columns: int, monkeypatch: pytest.Monkey
         assert cut == [], name
 
 
+def test_usage_brackets_an_argument_once() -> None:
+    """typer adds the brackets of what may be left out, and the dots of what may be repeated."""
+    for name, command in ALL.items():
+        for one in command.params:
+            if one.param_type_name == "argument":
+                assert not set(one.metavar) & set("[]{}"), name
+                assert not one.metavar.endswith("."), name
+
+
 def test_help_shows_the_commands_by_task() -> None:
     text = call("--help").stdout
     places = [text.index(f"\n{task}:\n") for task in GROUPS]
@@ -66,6 +81,17 @@ def test_an_option_that_commands_share_has_one_form_in_all() -> None:
             forms[flag].add((option.metavar, option.help))
     assert forms.keys() == SHARED
     assert [flag for flag, found in forms.items() if len(found) > 1] == []
+
+
+def test_an_output_is_a_folder_or_a_file_by_its_endings() -> None:
+    forms = {option.metavar for _, flag, option in options() if flag in ("--out", "--html", "--export", "--overlay")}
+    assert all(form == "DIR" or form.startswith("FILE.") for form in forms), forms
+
+
+def test_pictures_come_in_three_formats_wherever_there_are_some() -> None:
+    forms = {(name, option.metavar) for name, flag, option in options() if flag == "--pictures"}
+    commands_with_pictures = {"hil compare", "hil reproduce", "hil campaign report", "hil identify fit"}
+    assert forms == {(name, "png|svg|pdf") for name in commands_with_pictures}
 
 
 def test_every_option_that_takes_a_value_names_it_and_is_explained() -> None:

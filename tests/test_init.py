@@ -162,14 +162,15 @@ def test_all_that_it_writes_passes_at_once_and_the_action_shows_it(tmp_path: Pat
 
 def _package(folder: Path) -> Path:
     """Return a wheel that pip can install without a network: it stands for ours, which test_install.py builds."""
-    wheel = folder / "robot_package-1-py3-none-any.whl"
+    wheel = folder / "mecanum_hil-1-py3-none-any.whl"
     with zipfile.ZipFile(wheel, "w") as archive:
         archive.writestr("robot_package.py", "")
         archive.writestr(
-            "robot_package-1.dist-info/METADATA", "Metadata-Version: 2.1\nName: robot-package\nVersion: 1\n"
+            "mecanum_hil-1.dist-info/METADATA",
+            "Metadata-Version: 2.1\nName: mecanum-hil\nVersion: 1\nProvides-Extra: plots\n",
         )
         archive.writestr(
-            "robot_package-1.dist-info/WHEEL", "Wheel-Version: 1.0\nRoot-Is-Purelib: true\nTag: py3-none-any\n"
+            "mecanum_hil-1.dist-info/WHEEL", "Wheel-Version: 1.0\nRoot-Is-Purelib: true\nTag: py3-none-any\n"
         )
-        archive.writestr("robot_package-1.dist-info/RECORD", "")
+        archive.writestr("mecanum_hil-1.dist-info/RECORD", "")
     return wheel

@@ -1,5 +1,9 @@
-"""The wheel on a machine without a C compiler: built, installed into a fresh environment, and run from there."""
+"""The wheel on a machine without a C compiler: built, installed into a fresh environment, and run from there.
 
+No extra is installed at first, so what runs here needs none.
+"""
+
+import email
 import json
 import os
 import re
@@ -8,7 +12,8 @@ import subprocess
 import sys
 import zipfile
 from collections.abc import Iterable
-from importlib.metadata import Distribution, distribution
+from functools import partial
+from importlib.metadata import distribution
 from pathlib import Path
 
 from packaging.requirements import Requirement
@@ -28,9 +33,48 @@ def run(*command: str | Path, cwd: Path, environment: dict[str, str]) -> str:
     return done.stdout
 
 
-def link_packages(site: Path, requirements: Iterable[str]) -> None:
+NEED_AN_EXTRA = {
+    "service": [["serve", "paper_circle"], ["ctl", "status"], ["doctor", "--service"]],
+    "plots": [
+        ["review", "run.rrd", "--html", "run.html"],
+        ["compare", "pid", "paper_circle", "--out", "compared"],
+        ["reproduce", "--quick"],
+        ["campaign", "report", "campaign"],
+        ["fuzzy"],
+        ["identify", "fit", "run.rrd"],
+    ],
+    "hunt": [["hunt", "paper_circle"]],
+    "campaign": [["campaign", "plan.toml", "--scheduler", "tcp://127.0.0.1:1"]],
+    "targets": [["device", "paper_circle", "--link", "serial:pty", "--target", "unicorn"]],
+}
+
+
+def over_a_line(hil: Path, circle: Iterable[str], folder: Path, environment: dict[str, str]) -> None:
+    """Run the circle on a virtual robot in another process, over a pseudo terminal."""
+    with subprocess.Popen(
+        [hil, "device", "paper_circle", "--link", "serial:pty"],
+        cwd=folder,
+        env=environment,
+        stdout=subprocess.PIPE,
+        text=True,
+    ) as device:
+        assert device.stdout is not None
+        facts = dict(word.partition("=")[::2] for word in device.stdout.readline().split())
+        try:
+            said = run(
+                hil,
+                *(*circle, "--record", "none", "--link", facts["link"], "--truth", facts["truth"]),
+                cwd=folder,
+                environment=environment,
+            )
+        finally:
+            device.terminate()
+    assert json.loads(said)["passed"] is True
+
+
+def link_packages(site: Path, requirements: Iterable[str], extra: str = "") -> None:
     """Put links to packages of this environment into another one: those required, and what they declare to need."""
-    waiting, seen = [(Requirement(words), ("",)) for words in requirements], set[str]()
+    waiting, seen = [(Requirement(words), (extra,)) for words in requirements], set[str]()
     while waiting:
         required, extras_of_asker = waiting.pop()
         applies = required.marker is None or any(required.marker.evaluate({"extra": one}) for one in extras_of_asker)
@@ -87,21 +131,41 @@ def test_a_machine_without_a_compiler_builds_installs_and_runs_the_wheel(tmp_pat
     scripts = tmp_path / "venv" / ("Scripts" if sys.platform == "win32" else "bin")
     python, hil = scripts / "python", scripts / "hil"
     there = [*pip, "--python", python]
-    run(*there, "install", "--no-deps", "--no-index", "--no-compile", wheel, cwd=tmp_path, environment=bare)
     # Nothing but what the wheel declares to need: make has fetched it for this environment, by the same declaration.
-    [installed] = (tmp_path / "venv").rglob("mecanum_hil-*.dist-info")
-    link_packages(installed.parent, Distribution.at(installed).requires or ())
+    [site] = (tmp_path / "venv").rglob("site-packages")
+    with zipfile.ZipFile(wheel) as archive:
+        [about] = [archive.read(name) for name in names if name.endswith(".dist-info/METADATA")]
+    requirements = email.message_from_bytes(about).get_all("Requires-Dist", [])
+    link_packages(site, requirements)
+    install = (*there, "install", "--no-index", "--no-compile", "--find-links", wheels)
+    run(*install, "mecanum-hil", cwd=tmp_path, environment=bare)
     assert "No broken requirements" in run(*there, "check", cwd=tmp_path, environment=bare)
     short = ("--set", "loop.duration_s=2", "--set", "expect.1.from_s=1", "--set", "expect.1.to_s=2")
-    said = run(hil, "run", "paper_circle", *short, "--record", "none", "--json", cwd=tmp_path, environment=bare)
-    assert json.loads(said)["passed"] is True
+    circle = ("run", "paper_circle", *short, "--json")
+    run_here = partial(run, hil, cwd=tmp_path, environment=bare)
+    assert json.loads(run_here(*circle, "--record", "run.rrd"))["passed"] is True
+    assert run_here("review", "run.rrd").startswith("PASSED")
+    over_a_line(hil, circle, tmp_path, bare)
     for fmu in sorted(Path(name).stem for name in fmus):
         assert "no violations" in run(hil, "fmu", "check", fmu, cwd=tmp_path, environment=bare)
 
-    # pytest is the user's own, and finds the plugin by itself.
-    link_packages(installed.parent, ["pytest"])
+    # pytest is a dependency, and finds the plugin by itself.
     (tmp_path / "suite").mkdir()
     (tmp_path / "suite" / "circle.hil.toml").write_text(
         'extends = "paper_circle"\nloop.duration_s = 0.2\nexpect = []\n'
     )
     assert "1 passed" in run(python, "-m", "pytest", "suite", cwd=tmp_path, environment=bare)
+
+    for extra, commands in NEED_AN_EXTRA.items():
+        for words in commands:
+            done = subprocess.run([hil, *words], cwd=tmp_path, env=bare, capture_output=True, text=True, check=False)
+            assert done.returncode == 2, done.stdout + done.stderr
+            told = r"hil: .+ needs .+ not installed; run: venv/bin/python3? -m pip install 'mecanum-hil\[(.+)\]'\n"
+            assert (found := re.fullmatch(told, done.stderr)), done.stderr
+            assert found[1] == extra
+        # The command that it names finds our package without an index; make has fetched what the extra brings.
+        link_packages(site, [text for text in requirements if f"extra == '{extra}'" in text], extra)
+        again = run(*there, "install", "--no-index", f"mecanum-hil[{extra}]", cwd=tmp_path, environment=bare)
+        assert "Successfully" not in again
+    run_here("review", "run.rrd", "--html", "run.html")
+    run_here("fuzzy")

@@ -6,6 +6,7 @@ from pathlib import Path
 import pytest
 
 from tools.build.native import WHEEL_TAGS, libraries_for
+from tools.elsewhere import differences
 from tools.release import faults, newest_changes
 
 
@@ -25,3 +26,15 @@ def test_the_changes_of_a_release_are_the_newest_section() -> None:
     text = newest_changes()
     assert text.startswith("# ")
     assert "\n## " not in text
+
+
+def test_figures_elsewhere_may_differ_in_their_last_places_alone() -> None:
+    here = {"effort": 8.848486328125, "figures": [1.0, {"law": "afdsc"}], "tick_us": {"p50": 1.0}}
+    there = {"effort": 8.848486328124999, "figures": [1.0, {"law": "afdsc"}], "tick_us": {"p50": 9.0}}
+    assert list(differences(here, there)) == []
+    there["effort"] = 8.8485
+    assert list(differences(here, there)) == ["effort is 8.8485, and here 8.848486328125"]
+    assert list(differences(here, here | {"figures": [1.0, {"law": "pid"}]})) == [
+        "figures.2.law is 'pid', and here 'afdsc'"
+    ]
+    assert list(differences(here, here | {"figures": []})) != []

@@ -72,6 +72,14 @@ STEPS = {
         "an hour of kills, stops, full disks and bad lines, judged by the robot's truth",
         (PYTHON, "-m", "tools.chaos", "--minutes", "60"),
     ),
+    "container": Step(
+        "the steps of the Dockerfile, in a folder of Debian's; needs root", (PYTHON, "-m", "tools.container")
+    ),
+    "release": Step("the wheels of a release", (PYTHON, "-m", "tools.release", "--out", "{out}/dist")),
+    "elsewhere": Step(
+        "the wheels of that release on ARM64, on another Python and under wine",
+        (PYTHON, "-m", "tools.elsewhere", "--wheels", "{out}/dist"),
+    ),
     "bench": Step("all benchmarks", (PYTHON, "-m", "tools.bench", "--json", "{out}/bench.json")),
 }
 

@@ -26,7 +26,7 @@ from tools.build.native import WHEEL_TAGS
 
 ROOT = Path(__file__).parents[1]
 _FORMATS = {"linux": lief.ELF.Binary, "windows": lief.PE.Binary, "darwin": lief.MachO.Binary}
-_EXPORTS = {
+EXPORTS = {
     "libwheel_host": ("wheel_host_init", "wheel_client_poll", "wheel_python_begin", "built_from_sources"),
     "libcosim": ("cosim_start", "cosim_exchange", "built_from_sources"),
 }
@@ -59,7 +59,7 @@ def faults(wheel: Path, platform: str) -> Iterator[str]:
         libraries = {
             name: archive.read(name) for name in archive.namelist() if name.endswith((".so", ".dll", ".dylib"))
         }
-    if {Path(name).stem for name in libraries} != _EXPORTS.keys() or len(libraries) != len(_EXPORTS):
+    if {Path(name).stem for name in libraries} != EXPORTS.keys() or len(libraries) != len(EXPORTS):
         yield f"it has the libraries {', '.join(sorted(libraries))}"
     for name, content in libraries.items():
         parsed: Any = lief.parse(content)
@@ -71,7 +71,7 @@ def faults(wheel: Path, platform: str) -> Iterator[str]:
             yield f"{name} is for {found}"
         entries = parsed.abstract.exported_functions if system == "windows" else parsed.symbols
         exported = {str(one.name).removeprefix("_") for one in entries}
-        yield from (f"{name} does not export {one}" for one in _EXPORTS.get(Path(name).stem, ()) if one not in exported)
+        yield from (f"{name} does not export {one}" for one in EXPORTS.get(Path(name).stem, ()) if one not in exported)
 
 
 def sbom(wheel: Path) -> dict[str, Any]:
@@ -82,6 +82,8 @@ def sbom(wheel: Path) -> dict[str, Any]:
     parts = []
     for text in about.get_all("Requires-Dist", ()):
         needed = Requirement(text)
+        if needed.name == about["Name"]:  # an extra that is made of others
+            continue
         is_extra = "extra" in str(needed.marker or "")
         parts.append({
             "type": "library",

@@ -17,18 +17,13 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import urlsplit
 
+import distributed
+from distributed.client import FutureCancelledError
+
 from hil.batch.job import LOST, Job, Outcome
 from hil.batch.pool import COLLECT_S, Runner, drain
 from hil.core.errors import BadInputError, HilError, LinkError
 from hil.core.scratch import scratch_folder
-
-try:
-    import distributed
-    from distributed.client import FutureCancelledError
-except ImportError as error:
-    raise BadInputError(
-        "--scheduler needs Dask, which is not installed; install it with: pip install 'mecanum-hil[campaign]'"
-    ) from error
 
 BENCH = "bench"
 """The Dask resource of a worker that may use the one hardware bench."""

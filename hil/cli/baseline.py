@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 
 def baseline(
-    scenarios: Annotated[list[str], Argument(metavar="SCENARIO...", help="shipped names or paths to .toml files")],
+    scenarios: Annotated[list[str], Argument(metavar="SCENARIO", help="shipped names or paths to .toml files")],
     accept: Annotated[bool, Option("--accept", help="write also where something has moved")] = False,
     seeds: Annotated[int, Option(metavar="N", help="runs of each, with seeds from the scenario's own on", min=2)] = 10,
     mode: o.Mode = None,

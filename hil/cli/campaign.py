@@ -14,6 +14,7 @@ from hil.cli.commands import Group
 from hil.cli.options import AllowMotion, Force, Jobs, Json
 from hil.cli.output import RunsProgress, duration_words, end_in_order, on_signals, print_result
 from hil.core.errors import BadInputError, RunInterruptedError, nearest
+from hil.core.extras import need
 
 if TYPE_CHECKING:
     from hil.batch.campaign.campaign import Campaign, Place
@@ -63,6 +64,7 @@ def run(
 
         outcomes = _outcomes(redo)
         if scheduler is not None:
+            need("campaign", "--scheduler")
             from hil.batch.dask_pool import check_address
 
             check_address(scheduler)
@@ -87,7 +89,7 @@ def run(
 @app.command("report")
 def report(
     folder: Annotated[Path, Argument(metavar="DIR", help="the results of a campaign")],
-    html: Annotated[Path | None, Option(metavar="FILE", help="the page; by default DIR/report.html")] = None,
+    html: Annotated[Path | None, Option(metavar="FILE.html", help="the page; by default DIR/report.html")] = None,
     pictures: Annotated[
         str | None, Option(metavar="png|svg|pdf", help="write each picture as a file beside the page too")
     ] = None,
@@ -104,6 +106,7 @@ def report(
     existing = existing_files(force=force)
     path = html if html is not None else folder / "report.html"
     check_free("page", path, existing)
+    need("plots", "the page of a campaign")
     judged = judge(folder)
     write_page(path, judged, existing)
     files = [] if kind is None else [str(file) for file in write_pictures(path, judged, kind, existing)]

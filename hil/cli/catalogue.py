@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 
 def catalogue(
-    scenario: Annotated[str, Argument(metavar="[SCENARIO]", help="gets the faults; 1.3 s of it run")] = "circle_speed",
+    scenario: Annotated[str, Argument(metavar="SCENARIO", help="gets the faults; 1.3 s of it run")] = "circle_speed",
     law: Annotated[str | None, Option(metavar="LAW", help="the law to test instead, with its default gains")] = None,
     link: Annotated[list[str] | None, Option(metavar="memory|serial|can", help="by default all; repeatable")] = None,
     kind: Annotated[list[str] | None, Option(metavar="KIND", help="only faults of this kind; repeatable")] = None,

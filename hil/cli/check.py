@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 
 def check(
-    scenarios: Annotated[list[str], Argument(metavar="SCENARIO...", help="shipped names or paths to .toml files")],
+    scenarios: Annotated[list[str], Argument(metavar="SCENARIO", help="shipped names or paths to .toml files")],
     robot: RobotFile = None,
     mode: Mode = None,
     link: LinkUrl = None,

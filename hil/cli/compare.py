@@ -12,6 +12,7 @@ from typer import Argument, Option
 from hil.cli.options import LAW, LAW_HELP, Force, Jobs, Json, Limit, PictureFormat, Seed, Sets
 from hil.cli.output import batch, print_result, table
 from hil.core.errors import BadInputError
+from hil.core.extras import need
 from hil.core.outputs import Existing, check_free, existing_files
 
 if TYPE_CHECKING:
@@ -23,8 +24,8 @@ def compare(
     laws_and_scenario: Annotated[
         list[str],
         Argument(
-            metavar="[LAW]... SCENARIO",
-            help=f"each {LAW}: {LAW_HELP}; by default all that are shipped",
+            metavar="LAW|SCENARIO",
+            help=f"laws, then the scenario; each law {LAW}: {LAW_HELP}; by default all that are shipped",
         ),
     ],
     torque: Annotated[
@@ -76,6 +77,7 @@ def compare(
     existing = existing_files(force=force)
     kind = check_format("--pictures", pictures)
     if out is not None:
+        need("plots", "--out")
         prepare_folder(out, page.older, "comparison", existing)
     if markdown is not None:
         check_free("page", markdown, existing)

@@ -13,6 +13,7 @@ from hil.cli.commands import Group
 from hil.cli.options import Json, ServicePort, ServiceUrl, TokenFile
 from hil.cli.output import end_in_order, print_json, print_result, rows
 from hil.core.errors import BadInputError, RunInterruptedError
+from hil.core.extras import need
 from hil.core.printable import printable, raw_stream
 from hil.service.messages import Action
 
@@ -34,6 +35,7 @@ def choose_service(
 
 
 def _client(context: typer.Context) -> "Client":
+    need("service", "hil ctl")
     from hil.service.client import find
 
     return find(*context.obj)
@@ -89,7 +91,7 @@ for _action in (Action.ARM, Action.DISARM, Action.ESTOP, Action.CLEAR, Action.ST
 @app.command(help=Action.TRACK.summary)
 def track(
     context: typer.Context,
-    kind: Annotated[str | None, Argument(metavar="[KIND]", help="by default the configuration's")] = None,
+    kind: Annotated[str | None, Argument(metavar="KIND", help="by default the configuration's")] = None,
     sets: Annotated[list[str] | None, Option("--set", metavar="KEY=VALUE", help="an option: radius_m=0.5")] = None,
     here: Annotated[bool, Option("--here", help="begin where the robot stands, not at the path's begin")] = False,
 ) -> None:
@@ -131,9 +133,7 @@ def twist(
 
 
 @app.command(help=Action.GAINS.summary)
-def gains(
-    context: typer.Context, changes: Annotated[list[str] | None, Argument(metavar="[NAME=VALUE]...")] = None
-) -> None:
+def gains(context: typer.Context, changes: Annotated[list[str] | None, Argument(metavar="NAME=VALUE")] = None) -> None:
     _order(context, Action.GAINS, {"gains": _assignments(changes) if changes else None})
 
 
@@ -141,7 +141,7 @@ def gains(
 def record(
     context: typer.Context,
     name: Annotated[
-        str | None, Argument(metavar="[NAME]", help=".rrd or .mcap in the service's folder; by default a new one")
+        str | None, Argument(metavar="NAME", help=".rrd or .mcap in the service's folder; by default a new one")
     ] = None,
 ) -> None:
     _order(context, Action.RECORD, {"name": name})

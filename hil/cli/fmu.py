@@ -53,7 +53,7 @@ FmuName = Annotated[str, Argument(metavar="FMU", help="a path, or the shipped na
 @app.command("info")
 def show_info(
     fmu: FmuName = "mecanum",
-    names: Annotated[str, Argument(metavar="[PATTERN]", help="only variables like this, as in 'wheel.*'")] = "*",
+    names: Annotated[str, Argument(metavar="PATTERN", help="only variables like this, as in 'wheel.*'")] = "*",
     as_json: Json = False,
 ) -> None:
     """Show an FMU's description of itself, and its variables with units. Runs none of its code."""

@@ -12,6 +12,7 @@ from hil.cli import options as o
 from hil.cli.commands import Group
 from hil.cli.output import end_in_order, print_result, rows, say, table, warn
 from hil.core.errors import BadInputError, RunInterruptedError
+from hil.core.extras import need
 from hil.core.outputs import existing_files
 
 if TYPE_CHECKING:
@@ -100,7 +101,7 @@ def drive(
 
 @app.command("fit")
 def fit(
-    recordings: Annotated[list[Path], Argument(metavar="RUN...", help="drives on the floor")],
+    recordings: Annotated[list[Path], Argument(metavar="RUN", help="drives on the floor")],
     blocks: Annotated[_Recording, Option(metavar="RUN", help="a drive on blocks")] = None,
     squeeze: Annotated[_Recording, Option(metavar="RUN", help="wheels turned against one another")] = None,
     held_out: Annotated[
@@ -119,6 +120,7 @@ def fit(
     out: Annotated[Path, Option(metavar="DIR", help="robot.toml, plant.toml, fit.json and a picture")] = Path(
         "identified"
     ),
+    pictures: o.PictureFormat = "png",
     force: o.Force = False,
     as_json: o.Json = False,
 ) -> None:
@@ -128,18 +130,21 @@ def fit(
     is 1, and nothing is written, when the fitted plant predicts the held-out drive no better than what was believed.
     """
     from hil.identify.estimates import estimates
-    from hil.identify.files import PICTURE_FILE, check_files, write_figures, write_files
+    from hil.identify.files import PICTURE, check_files, write_figures, write_files
     from hil.identify.fit import fit as fit_drives
     from hil.identify.kinematics import Tape
     from hil.identify.page import draw
     from hil.identify.recorded import read_drive
+    from hil.review.plots import check_format
 
     if contact not in ("rigid", "both"):
         raise BadInputError(f"--contact {contact}: expected rigid or both")
     if contact == "rigid" and squeeze is not None:
         raise BadInputError("--squeeze: a model without slip has no grip; leave out --contact rigid, or the squeeze")
     existing = existing_files(force=force)
-    check_files(out, existing)
+    kind = check_format("--pictures", pictures)
+    check_files(out, kind, existing)
+    need("plots", "hil identify fit")
     floor, judged_by = _read(recordings, held_out)
     others = {name: read_drive(path) for name, path in (("blocks", blocks), ("squeeze", squeeze)) if path is not None}
     contacts = ("rigid",) if contact == "rigid" else ("rigid", "slip")
@@ -151,7 +156,7 @@ def fit(
     made_from = [*floor, *others.values(), judged_by]
     if better:
         figures["files"] = [str(path) for path in write_files(out, result, found, made_from, existing)]
-        draw(result, out / PICTURE_FILE, existing)
+        draw(result, out / f"{PICTURE}.{kind}", existing)
         write_figures(out, figures, existing)
     print_result(as_json, figures, _lines(result, found, out if better else None))
     raise typer.Exit(0 if better else 1)
@@ -160,7 +165,7 @@ def fit(
 @app.command("fmu")
 def fit_fmu(
     scenario: o.ScenarioName,
-    recordings: Annotated[list[Path], Argument(metavar="RUN...", help="drives of the robot")],
+    recordings: Annotated[list[Path], Argument(metavar="RUN", help="drives of the robot")],
     parameter: Annotated[list[str], Option(metavar="NAME", help="of the FMU, to be fitted; repeatable")],
     held_out: Annotated[
         _Recording, Option(metavar="RUN", help="the drive to judge by; by default the last third of the first")

@@ -29,7 +29,7 @@ _Number = float | None
 
 
 def init(
-    directory: Annotated[Path, Argument(metavar="[DIR]", help="by default this one")] = Path(),
+    directory: Annotated[Path, Argument(metavar="DIR", help="by default this one")] = Path(),
     mass_kg: Annotated[_Number, Option(metavar="KG", help="with everything on it")] = None,
     wheel_radius_m: Annotated[_Number, Option(metavar="M", help="to where a roller touches the floor")] = None,
     half_length_m: Annotated[_Number, Option(metavar="M", help="half the distance of front and rear axle")] = None,

@@ -33,7 +33,7 @@ def jog(
     link: LinkUrl = None,
     robot: RobotFile = None,
     speed_rad_s: Annotated[float, Option("--speed", metavar="RAD/S", help="at most 3, either way")] = 1.0,
-    seconds: Annotated[float, Option(metavar="S", help="at most 10")] = 3.0,
+    seconds: Annotated[float, Option("--for", metavar="S", help="at most 10")] = 3.0,
     sets: Sets = None,
     as_json: Json = False,
 ) -> None:

@@ -18,7 +18,7 @@ _ANY = "circle_speed"
 
 def params(
     link: PortOrBus,
-    changes: Annotated[list[str] | None, Argument(metavar="[NAME=VALUE]...", help="change these first")] = None,
+    changes: Annotated[list[str] | None, Argument(metavar="NAME=VALUE", help="change these first")] = None,
     scenario: Annotated[str | None, Option(metavar="SCENARIO", help="first take all values of this one")] = None,
     robot: RobotFile = None,
     store: Annotated[bool, Option("--store", help="keep them across a reset")] = False,

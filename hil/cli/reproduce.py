@@ -3,17 +3,15 @@
 import sys
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import typer
 from typer import Option
 
 from hil.cli.options import Force, Jobs, Json, PictureFormat
 from hil.cli.output import batch, print_result, table
+from hil.core.extras import need
 from hil.core.outputs import existing_files
-
-if TYPE_CHECKING:
-    pass
 
 
 def reproduce(
@@ -41,6 +39,7 @@ def reproduce(
     out = out or Path("runs/reproduction-quick" if quick else "runs/reproduction")
     not_written: NotWrittenError | None = None
     existing = existing_files(force=force)
+    need("plots", "hil reproduce")
     try:
         with batch(as_json=as_json) as progress:
             summary = run_reproduction(

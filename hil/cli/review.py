@@ -10,11 +10,12 @@ from typer import Argument, Option
 from hil.cli.options import Force, Json
 from hil.cli.output import print_result, table
 from hil.core.errors import BadInputError
+from hil.core.extras import need
 from hil.core.outputs import Existing, existing_files
 
 
 def review(
-    recordings: Annotated[list[Path], Argument(metavar="RUN [OTHER]", help="one recording, or two to compare")],
+    recordings: Annotated[list[Path], Argument(metavar="RUN", help="one recording, or two to compare")],
     html: Annotated[Path | None, Option(metavar="FILE.html", help="a page with plots, in one file")] = None,
     overlay: Annotated[Path | None, Option(metavar="FILE.rrd", help="both runs on one time axis, for hil view")] = None,
     export: Annotated[Path | None, Option(metavar="FILE.csv|.parquet|.mcap", help="signals for other tools")] = None,
@@ -52,6 +53,7 @@ def review(
     _check(recordings, existing, {"page": html, "overlay": overlay, "export": export, "trajectory": trajectory})
     read_run = read_for_figures
     if html is not None:
+        need("plots", "--html")
         from hil.review.html_page import write_document
         from hil.review.page import page
         from hil.review.panels import read_for_page

@@ -19,6 +19,7 @@ from hil.cli.options import (
     TruthUrl,
 )
 from hil.core.errors import BadInputError
+from hil.core.extras import need
 
 if TYPE_CHECKING:
     from hil.scenario import Scenario
@@ -64,6 +65,7 @@ def ros2(
         run_simulated(loaded, ros)
         return
     with contextlib.ExitStack() as resources:
+        need("service", "hil ros2 with a service")
 
         def service() -> tuple[Any, Any]:
             from hil.service.client import find

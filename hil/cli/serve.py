@@ -7,6 +7,7 @@ from typing import Annotated, Literal
 from typer import Option
 
 from hil.cli.options import LIVE_PORT, AllowMotion, LinkUrl, LivePort, RobotFile, ScenarioName, Sets, TruthUrl
+from hil.core.extras import need
 
 
 def serve(
@@ -48,6 +49,7 @@ def serve(
 
         print(unit(config, _without_print_unit(sys.argv, config)), end="")
         return
+    need("service", "hil serve")
     from hil.scenario import Scenario, load
     from hil.service import logs
     from hil.service.serve import Options

@@ -7,6 +7,7 @@ from typer import Option
 
 from hil.cli.options import ServicePort, ServiceUrl, TokenFile
 from hil.core.errors import BadInputError
+from hil.core.extras import need
 
 
 def teleop(
@@ -30,6 +31,7 @@ def teleop(
     """Drive the robot that hil serve runs, by hand: it moves while a key or the gamepad's button is held."""
     if sys.platform == "win32":
         raise BadInputError("teleop needs a terminal of Linux or macOS; on Windows, run it in WSL")
+    need("service", "hil teleop")
     from hil.service.client import find
     from hil.service.teleop.drive import teleop as drive  # it needs a terminal that Windows does not have
     from hil.service.teleop.operator import Speeds

@@ -15,7 +15,7 @@ from hil.core.printable import printable
 def verify(
     suite: Annotated[
         list[str] | None,
-        Argument(metavar="[SUITE]...", help="scenarios, pytest files or folders; by default the shipped ones"),
+        Argument(metavar="SUITE", help="scenarios, pytest files or folders; by default the shipped ones"),
     ] = None,
     mutants: Annotated[
         list[Path] | None, Option("--mutants", metavar="FILE", help="further mutants and variations; repeatable")

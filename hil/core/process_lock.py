@@ -7,6 +7,7 @@ its place.
 """
 
 import json
+import sys
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
@@ -66,6 +67,31 @@ def held(folder: Path) -> Iterator[dict[str, Any]]:
             continue
         record.unlink(missing_ok=True)
         lock.release()
+
+
+def free_locks(folder: Path) -> Iterator[Path]:
+    """Yield the lock files in a folder that no process holds."""
+    for path in sorted(folder.glob("*.lock")):
+        lock = _lock(folder, path.stem)
+        try:
+            lock.acquire(blocking=False)
+        except Timeout:
+            continue
+        lock.release()
+        yield path
+
+
+def remove_lock(path: Path) -> None:
+    """Remove a lock file, unless a process holds it. Who waits for it opens a new one: filelock sees to it."""
+    lock = _lock(path.parent, path.stem)
+    try:
+        lock.acquire(blocking=False)
+    except Timeout:
+        return
+    if sys.platform == "win32":  # where an open file stays
+        lock.release()
+    path.unlink(missing_ok=True)
+    lock.release()
 
 
 def _lock(folder: Path, name: str) -> FileLock:

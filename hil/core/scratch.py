@@ -35,14 +35,24 @@ def scratch_folder(what: str) -> Iterator[Path]:
 @functools.cache
 def _remove_left() -> None:
     """Remove the folders of processes of this user that were killed; one that cannot be removed stays."""
+    for folder in left_folders():
+        remove_left(folder)
+
+
+def left_folders() -> list[Path]:
+    """Return the folders of processes of this user that were killed; none on Windows, which cannot tell."""
     if sys.platform == "win32":
-        return
+        return []
     with os.scandir(tempfile.gettempdir()) as entries:
-        names = [entry.path for entry in entries if entry.name.startswith(_PREFIX)]
-    for name in names:
-        if (holder := _hold(Path(name))) is not None:
-            shutil.rmtree(name, ignore_errors=True)
-            os.close(holder)
+        folders = [Path(entry.path) for entry in entries if entry.name.startswith(_PREFIX)]
+    return [folder for folder in folders if _is_free(folder)]
+
+
+def remove_left(folder: Path) -> None:
+    """Remove one of ``left_folders``, unless a process holds it by now."""
+    if sys.platform != "win32" and (holder := _hold(folder)) is not None:
+        shutil.rmtree(folder, ignore_errors=True)
+        os.close(holder)
 
 
 def _made(what: str) -> tuple[Path, int | None]:
@@ -59,6 +69,12 @@ def _made(what: str) -> tuple[Path, int | None]:
 
 if sys.platform != "win32":
     import fcntl
+
+    def _is_free(folder: Path) -> bool:
+        if (holder := _hold(folder)) is None:
+            return False
+        os.close(holder)
+        return True
 
     def _hold(folder: Path) -> int | None:
         """Lock a folder of this user, and return the descriptor that holds it; None when that is not possible."""

@@ -6,7 +6,7 @@ who may read its file. A client of the same user finds the file by the server's 
 
 import secrets
 import socket
-from collections.abc import Collection
+from collections.abc import Collection, Iterator
 from pathlib import Path
 
 from platformdirs import user_state_path
@@ -45,9 +45,15 @@ def clear_tokens(kind: str, kept: Collection[int] = ()) -> None:
     ``kept`` are ports that are left alone, as of a service whose API is being started again. A server listens before it
     makes its token. Raises as ``state_folder``.
     """
+    for path in left_tokens(kind, kept):
+        path.unlink(missing_ok=True)
+
+
+def left_tokens(kind: str, kept: Collection[int] = ()) -> Iterator[Path]:
+    """Yield the files that ``clear_tokens`` removes. Raises as ``state_folder``."""
     for path in state_folder(kind).glob("*.token"):
         if path.stem.isdecimal() and (port := int(path.stem)) not in kept and not _listens(port):
-            path.unlink(missing_ok=True)
+            yield path
 
 
 def _listens(port: int) -> bool:

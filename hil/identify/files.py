@@ -19,16 +19,20 @@ from hil.scenario import Scenario
 ROBOT_FILE = "robot.toml"
 PLANT_FILE = "plant.toml"
 FIGURES_FILE = "fit.json"
-PICTURE_FILE = "held_out.png"
+PICTURE = "held_out"
+"""Name of the picture, without the ending of its format."""
 _ROBOT = ("mass_kg", "inertia_kg_m2", "wheel_radius_m", "half_length_m", "half_width_m", "wheel_inertia_kg_m2",
           "friction_coefficient", "torque_limit_n_m", "speed_limit_rad_s")  # fmt: skip
 _PLANT_ONLY = ("com_x_m", "com_y_m", "viscous_n_m_s_rad", "grip_coefficient", "roller_friction_coefficient")
 _COMMENT_COLUMN = 46
 
 
-def check_files(folder: Path, existing: Existing) -> None:
-    """Raise BadInputError when a file of a result is there already and must not be replaced."""
-    for name in (ROBOT_FILE, PLANT_FILE, FIGURES_FILE, PICTURE_FILE):
+def check_files(folder: Path, kind: str, existing: Existing) -> None:
+    """Raise BadInputError when a file of a result is there already and must not be replaced.
+
+    ``kind`` is the format of the picture.
+    """
+    for name in (ROBOT_FILE, PLANT_FILE, FIGURES_FILE, f"{PICTURE}.{kind}"):
         check_free("file", folder / name, existing)
 
 
@@ -65,11 +69,12 @@ def plant_text(result: Result, found: Sequence[Estimate], made_from: Sequence[Dr
 def write_files(
     folder: Path, result: Result, found: Sequence[Estimate], made_from: Sequence[Drive], existing: Existing
 ) -> tuple[Path, Path]:
-    """Write both files and return their paths. Raises BadInputError as ``check_files``, and when one cannot be written.
+    """Write both files and return their paths. Raises BadInputError when one is there or cannot be written.
 
     ``made_from`` are all drives of the fit, that of the first scenario first.
     """
-    check_files(folder, existing)
+    for name in (ROBOT_FILE, PLANT_FILE):
+        check_free("file", folder / name, existing)
     folder.mkdir(parents=True, exist_ok=True)
     robot, plant = folder / ROBOT_FILE, folder / PLANT_FILE
     write_whole(robot, robot_text(result, found, made_from).encode(), "file", existing)

@@ -16,7 +16,7 @@ _LEAST_MM = 0.01
 
 
 def draw(result: Result, path: Path, existing: Existing) -> None:
-    """Write a PNG of the errors before and after over the held-out drive, and of their distribution.
+    """Write a picture of the errors before and after over the held-out drive, and of their distribution.
 
     Raises BadInputError when the file cannot be written.
     """

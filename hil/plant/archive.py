@@ -16,7 +16,7 @@ from hil.core.errors import BadInputError, nearest
 from hil.core.mutant import in_force
 from hil.core.strangers import check_may_run, code_is_refused
 from hil.plant.built import FMUS
-from hil.plant.unpacking import extracted as extracted
+from hil.plant.unpacking import extract as extract
 from hil.plant.unpacking import opened, pieces, refuse_folder
 from plant_fmu import SHIPPED
 from plant_fmu import path as plant_path

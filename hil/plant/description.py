@@ -1,6 +1,8 @@
 """Reads an FMU's modelDescription.xml without running the FMU; also the data for ``hil fmu info``."""
 
+import contextlib
 import functools
+import io
 from collections.abc import Mapping
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
@@ -20,14 +22,25 @@ def read_description(fmu: Path) -> Any:
     FMPy gets only the XML that was checked here, because FMPy itself does not check files.
     """
     archive.read_header(fmu)
+    import_fmpy()
     from fmpy import read_model_description
 
-    with archive.extracted(fmu, only=archive.DESCRIPTIONS.__contains__) as folder:
+    with archive.extract(fmu, only=archive.DESCRIPTIONS.__contains__) as folder:
         try:
             return read_model_description(folder, validate=False)
         except Exception as error:  # FMPy raises whatever its parser meets, down to plain Exception
             reason = one_line(str(error)) or type(error).__name__
             raise archive.BrokenFmuError(f"FMU {fmu}: its modelDescription.xml cannot be used ({reason})") from error
+
+
+def import_fmpy() -> None:
+    """Import FMPy. Where it has no library for the FMU's messages, as on ARM64, it would say so on stdout.
+
+    We pass messages on by ourselves, and stdout may be the JSON of a run.
+    """
+    with contextlib.redirect_stdout(io.StringIO()):
+        import fmpy.fmi1
+        import fmpy.fmi2  # noqa: F401
 
 
 def variables_of(description: Any) -> dict[str, Any]:

@@ -59,7 +59,7 @@ class FmuPlant(shim.PlantPort):
         self.wire((0, 1, 2, 3), (1, 1, 1, 1))
         with contextlib.ExitStack() as resources:
             archive.check_may_load(fmu)
-            folder = resources.enter_context(archive.extracted(fmu, only=_may_be_read))
+            folder = resources.enter_context(archive.extract(fmu, only=_may_be_read))
             self.instance = instance = Instance(fmu, folder, library, self._context)
             resources.callback(instance.unload)
             if not _is_needed(folder, library.member):

@@ -15,7 +15,7 @@ from hil.core.errors import BadInputError, DeviceError, HilError
 from hil.plant import archive
 from hil.plant.archive import Library
 from hil.plant.child_output import one_line
-from hil.plant.description import read_description, variables_of
+from hil.plant.description import import_fmpy, read_description, variables_of
 from hil.plant.shim import address, load
 from hil.plant.solver import Solver
 from hil.plant.start import Start
@@ -194,6 +194,7 @@ class Instance:
         self._context.text = b""
 
     def _load(self, library: Library) -> Any:
+        import_fmpy()
         from fmpy import freeLibrary
         from fmpy.fmi2 import FMU2Model, FMU2Slave
         from fmpy.fmi3 import FMU3Model, FMU3Slave

@@ -9,15 +9,13 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from fmpy.validation import validate_fmu
-
 from hil.core.errors import BadInputError
 from hil.core.subprocesses import DEFAULT_LIMIT_MB
 from hil.plant import archive, shim
 from hil.plant.child_output import one_line
 from hil.plant.conformance import Finding, Kind, advice, violation
 from hil.plant.conformance.parts import ADVISORY, GATES, PARTS, title
-from hil.plant.description import read_description
+from hil.plant.description import import_fmpy, read_description
 from hil.plant.process import THERE_S, ChildProcess, Watch
 
 _LONGEST_CALL_S = 30.0
@@ -65,7 +63,10 @@ def check(fmu: Path, longest_s: float = _LONGEST_CALL_S) -> CheckResult:
     archive.read_header(fmu)
     shim.load()  # the child needs it: raise here what is missing
     archive.check_may_load(fmu)
-    with archive.extracted(fmu) as folder:
+    with archive.extract(fmu) as folder:
+        import_fmpy()
+        from fmpy.validation import validate_fmu
+
         found = [violation(one_line(problem)) for problem in validate_fmu(str(folder))]
         description = Part("model description", tuple(found))
         try:

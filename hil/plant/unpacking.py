@@ -69,11 +69,8 @@ def pieces(fmu: Path, archive: zipfile.ZipFile, entry: zipfile.ZipInfo) -> Itera
 
 
 @contextlib.contextmanager
-def extracted(fmu: Path, only: Callable[[str], bool] = lambda _: True) -> Iterator[Path]:
-    """Yield a temporary folder with the entries, of these names ``only``; it may be removed earlier.
-
-    Raises BadInputError.
-    """
+def extract(fmu: Path, only: Callable[[str], bool] = lambda _: True) -> Iterator[Path]:
+    """Yield a temporary folder with the entries, of these names ``only``. Raises BadInputError."""
     with scratch_folder("fmu") as folder:
         with opened(fmu) as archive:
             for entry in archive.infolist():

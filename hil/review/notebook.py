@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from hil.core.errors import BadInputError
 from hil.core.printable import printable
 from hil.judge.measure import Series
 from hil.judge.verdict import happenings, head_rows
@@ -43,9 +44,12 @@ def _parts(metrics: Mapping[str, Any], signals: Mapping[str, Series]) -> Iterato
         yield f"<p>{len(happened) - _SHOWN} more; print the result to see them all</p>"
     yield from _table(row for row in figure_rows(metrics, machine=False) if not row[1].startswith("-  "))
     if _ERROR in signals and np.isfinite(signals[_ERROR]).any():
-        yield f'<img alt="position error over time" src="data:image/svg+xml;base64,{_picture(metrics, signals)}"></div>'
-    else:
-        yield "</div>"
+        try:
+            picture = _picture(metrics, signals)
+            yield f'<img alt="position error over time" src="data:image/svg+xml;base64,{picture}">'
+        except BadInputError as error:  # without matplotlib the rest is still worth reading
+            yield f"<p>{escape(str(error))}</p>"
+    yield "</div>"
 
 
 def _table(rows: Iterable[Iterable[str]]) -> Iterator[str]:

@@ -18,6 +18,7 @@ import numpy as np
 import numpy.typing as npt
 
 from hil.core.errors import BadInputError
+from hil.core.extras import need
 from hil.core.outputs import Existing, write_whole
 from hil.core.types import WHEEL_NAMES
 from hil.record.layout import ALARM_COLOUR, REFERENCE_COLOUR, WHEEL_COLOURS, Colour
@@ -107,6 +108,7 @@ def drawing(
     when the file has another ending or cannot be written. If the caller raises, nothing is written.
     """
     kind = "svg" if isinstance(file, BytesIO) else picture_format(file)
+    need("plots", "a picture")
     import matplotlib
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure

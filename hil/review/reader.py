@@ -14,6 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from hil.core.errors import BadInputError
+from hil.core.extras import need
 from hil.core.scratch import scratch_folder
 from hil.core.subprocesses import module_command
 from hil.judge.results import Event
@@ -112,6 +113,7 @@ def _read_into(stream: IO[bytes], table: npt.NDArray[np.float64]) -> None:
 
 def to_frame(run: RecordedRun) -> "pd.DataFrame":
     """Return the signals as a frame: one column each, indexed by the scenario time ``loop.t_s``."""
+    need("plots", "a table of pandas")
     import pandas as pd
 
     return pd.DataFrame(run.signals).set_index("loop.t_s", drop=False)

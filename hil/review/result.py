@@ -7,6 +7,7 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 from hil.core.errors import HilError
+from hil.core.extras import need
 from hil.judge.results import Event, Signals
 from hil.judge.verdict import run_lines, verdict_word
 from hil.judge.words import why_not_passed
@@ -78,6 +79,7 @@ class RunResult:
 
     @cached_property
     def _frame(self) -> "pd.DataFrame":
+        need("plots", "a table of pandas")
         import pandas as pd
 
         return pd.DataFrame(dict(self.signals)).set_index("loop.t_s", drop=False)

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 
 from hil.batch.hunt.cases import Cases, Request
 from hil.batch.hunt.saved import scenario_text
-from hil.batch.hunt.search import Shares, require_optuna, search
+from hil.batch.hunt.search import Shares, search
 from hil.batch.hunt.shrink import shrink
 from hil.batch.hunt.space import Case, Params
 from hil.batch.job import ENDED, LOST, REFUSED, Job, Outcome
@@ -16,6 +16,7 @@ from hil.batch.keys import make_job
 from hil.batch.plan import run_jobs
 from hil.batch.resumable import run_resumable
 from hil.core.errors import BadInputError
+from hil.core.extras import need
 from hil.core.outputs import existing_files, write_whole
 from hil.scenario import Scenario, read
 from hil.scenario.trial import span_s
@@ -66,7 +67,7 @@ class Hunt:
     """
 
     def __init__(self, request: Request) -> None:
-        require_optuna()
+        need("hunt", "hil hunt")
         self._request = request
         self.cases = Cases(request)
         self.base, self.tables = self.cases.base, self.cases.tables

@@ -6,7 +6,6 @@ for each claim in turn changes of the run that came closest to breaking it, as i
 defects of which no margin says anything (boundary values, Kuhn et al. 2004: most defects need few conditions).
 """
 
-import importlib.util
 import itertools
 import math
 import random
@@ -15,7 +14,6 @@ from collections.abc import Generator, Mapping, Sequence
 from typing import TYPE_CHECKING
 
 from hil.batch.hunt.space import Params, Space
-from hil.core.errors import BadInputError
 
 if TYPE_CHECKING:
     import optuna
@@ -33,14 +31,6 @@ Shares = Mapping[int, float]
 """What a run left of the scenario's own margins, by the places of the claims."""
 Search = Generator[list[Params], Sequence[Shares | None], None]
 """Yields cases to run and is sent their shares in the same order, None for a run that was refused."""
-
-
-def require_optuna() -> None:
-    """Raise BadInputError where Optuna is not installed."""
-    if importlib.util.find_spec("optuna") is None:
-        raise BadInputError(
-            "hil hunt needs Optuna, which is not installed; install it with: pip install 'mecanum-hil[hunt]'"
-        )
 
 
 def search(space: Space, seed: int) -> Search:

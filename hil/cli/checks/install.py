@@ -10,6 +10,7 @@ from firmware_protocol.built import WHEEL_HOST, is_checkout, run_script
 from hil.cli.checks import Finding, ok, ok_or_note, problem
 from hil.core.errors import BadInputError
 from hil.core.extensions import OUR_PACKAGE
+from hil.core.extras import EXTRAS, missing_of
 from hil.plant import archive
 from hil.plant.built import COSIM, FMUS, MUJOCO
 
@@ -37,6 +38,9 @@ def check_versions() -> Iterator[Finding]:
     if not unmet:
         yield ok("packages", f"all {len(packages)} are installed, in suitable versions")
     yield from unmet
+    missing = [extra for extra in EXTRAS if missing_of(extra)]
+    there = ", ".join(extra for extra in EXTRAS if extra not in missing) or "none"
+    yield ok("extras", there + (f"; not installed: {', '.join(missing)}" if missing else ""))
 
 
 def _unmet(requirement: Requirement) -> Finding | None:

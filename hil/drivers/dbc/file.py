@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from hil.core.errors import nearest
+from hil.core.extras import need
 from hil.drivers.port import EXTENDED, clamp
 
 _CLASSIC_BYTES = 8
@@ -155,12 +156,9 @@ def load(file: str) -> Dbc:
 
 @lru_cache(maxsize=8)  # a scenario is checked, then run: a maker's DBC may take a second to parse
 def _parse(file: str, data: bytes) -> Dbc:
-    try:
-        import cantools  # not at the top: it is an optional package, and its import takes 0.2 s
-    except ImportError as error:
-        raise ValueError(
-            f"cantools, which reads DBC files, is not installed ({error}); pip install 'mecanum-hil[dbc]'"
-        ) from error
+    need("dbc", "a DBC file")
+    import cantools  # not at the top: its import takes 0.2 s
+
     try:
         text = data.decode("utf-8-sig")
     except UnicodeDecodeError:

@@ -1,7 +1,6 @@
 """The virtual robot with an emulated board in place of the host library: its firmware, its emulator, its server."""
 
 import functools
-import importlib.util
 import os
 import time
 from collections.abc import Callable, Mapping
@@ -15,6 +14,7 @@ from firmware_protocol.built import BuildError
 from firmware_protocol.host import stored_parameters
 from firmware_protocol.stm32_flash import HIL_BOARD
 from hil.core.errors import BadInputError, nearest
+from hil.core.extras import need
 from hil.core.scratch import scratch_folder
 from hil.robot.targets.emulated_board import EmulatedBoard
 from hil.robot.targets.qemu_board import QemuBoard
@@ -110,8 +110,7 @@ def open_target(target: str, made_of: VirtualRobot, url: LinkUrl) -> VirtualStm3
         if link == "can":
             raise BadInputError("--target qemu has no CAN controller; use --link serial:..., or --target unicorn")
         return EmulatedStm32(made_of, QemuBoard, link)
-    if importlib.util.find_spec("unicorn") is None:
-        raise BadInputError("--target unicorn needs the package unicorn; run: pip install 'mecanum-hil[targets]'")
+    need("targets", "--target unicorn")
     from hil.robot.targets.unicorn_board import UnicornBoard
 
     return EmulatedStm32(made_of, UnicornBoard, link)

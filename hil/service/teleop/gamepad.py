@@ -7,6 +7,7 @@ import warnings
 from typing import Any, NamedTuple
 
 from hil.core.errors import BadInputError
+from hil.core.extras import install_command, need
 
 _FULL = 32767.0
 
@@ -77,13 +78,14 @@ class Gamepads:
 
 def _sdl() -> Any:
     """Return SDL, ready for gamepads only."""
+    need("teleop", "a gamepad")
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # it warns with the name of the library that it found
             import sdl2
     except ImportError as error:
         raise BadInputError(
-            f"a gamepad needs SDL, and it is not installed ({error}); pip install 'mecanum-hil[teleop]'"
+            f"a gamepad needs SDL, whose library is not found ({error}); run: {install_command('teleop')}"
         ) from error
     # Teleop handles signals itself, and has no window that could have the focus.
     sdl2.SDL_SetHint(sdl2.SDL_HINT_NO_SIGNAL_HANDLERS, b"1")

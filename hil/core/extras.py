@@ -1,0 +1,53 @@
+"""Packages that not every installation has: an extra brings them, and a message names it where one is missing."""
+
+import importlib.util
+import os
+import shlex
+import sys
+from pathlib import Path
+
+from hil.core.errors import BadInputError
+from hil.core.extensions import OUR_PACKAGE
+
+EXTRAS = {
+    "service": ("fastapi", "httpx", "prometheus_client", "pydantic", "uvicorn", "websockets"),
+    "plots": ("matplotlib", "pandas", "plotly"),
+    "campaign": ("distributed",),
+    "hunt": ("optuna",),
+    "dbc": ("cantools",),
+    "teleop": ("sdl2",),
+    "targets": ("unicorn",),
+}
+"""What is imported of each extra of pyproject.toml that a command may need."""
+
+
+def need(extra: str, subject: str) -> None:
+    """Raise BadInputError if a package of an extra is missing. Imports none of them.
+
+    ``subject`` begins the message and is what needs the package, for example ``hil serve``. Call it before the first
+    import, and before work that would be lost.
+    """
+    if missing := missing_of(extra):
+        verb = "is" if len(missing) == 1 else "are"
+        raise BadInputError(
+            f"{subject} needs {', '.join(missing)}, which {verb} not installed; run: {install_command(extra)}"
+        )
+
+
+def missing_of(extra: str) -> list[str]:
+    """Return the modules of an extra that are not installed."""
+    return [name for name in EXTRAS[extra] if importlib.util.find_spec(name) is None]
+
+
+def install_command(extra: str) -> str:
+    """Return the command that adds an extra to this installation. No index has to know our package: it is there."""
+    python = Path(sys.executable)
+    if os.environ.get("VIRTUAL_ENV") == sys.prefix:
+        pip = "pip"
+    else:
+        pip = f"{shlex.quote(str(_seen_from_here(python)))} -m pip"
+    return f"{pip} install '{OUR_PACKAGE}[{extra}]'"
+
+
+def _seen_from_here(path: Path) -> Path:
+    return path.relative_to(Path.cwd()) if path.is_relative_to(Path.cwd()) else path
