@@ -18,4 +18,6 @@ def test_a_short_run_breaks_no_check(target: str, tmp_path: Path) -> None:
         pytest.skip(str(error))
     assert outcome.failure is None, outcome.failure
     assert outcome.runs >= runs
-    assert outcome.features > 500, "the mutator gets past the checks of the line"
+    # The arithmetic of times has no line, and is little code.
+    least = 300 if target == "timing" else 500
+    assert outcome.features > least, "the mutator gets past the checks of the line"

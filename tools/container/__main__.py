@@ -5,6 +5,7 @@ health is asked for, pytest runs a scenario, and the service is stopped. It need
 some minutes and 3 GB. What only an engine does is not run: images and layers, compose.yaml, limits and capabilities.
 """
 
+import argparse
 import json
 import os
 import re
@@ -161,11 +162,15 @@ def try_it(image: Image) -> None:
 
 def main() -> int:
     """Build and try the image in mounts of a process of its own, which end with it; return its exit code."""
+    parser = argparse.ArgumentParser(prog="tools.container", description=(__doc__ or "").partition(":")[0])
+    parser.add_argument("folder", type=Path, nargs="?", help="given by itself to its inner process")
+    folder_of_mounts = parser.parse_args().folder
     if os.geteuid() != 0:
-        print("tools.container: chroot needs root", file=sys.stderr)
-        return 2
-    if len(sys.argv) > 1:
-        image = build(Path(sys.argv[1]))
+        raise SystemExit("tools.container: chroot needs root")
+    if shutil.which("mmdebstrap") is None:
+        raise SystemExit("tools.container: mmdebstrap is not installed; on Debian: apt install mmdebstrap")
+    if folder_of_mounts is not None:
+        image = build(folder_of_mounts)
         usage = subprocess.run(["du", "-smx", str(image.root)], capture_output=True, text=True, check=True).stdout
         print(f"{usage.split()[0]} MB, with Debian's Python and pip")
         try_it(image)
