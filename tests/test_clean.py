@@ -25,6 +25,8 @@ from pathlib import Path
 from hil.core.process_lock import ProcessLock
 from hil.core.scratch import scratch_folder
 from hil.core.tokens import state_folder
+from hil.service.discovery import Service, announce
+claim = announce(Service("http://127.0.0.1:2", 1, "mine", "memory:", "2.token"))  # whose API is being started again
 lock = ProcessLock(state_folder("locks"), "held", {})
 with scratch_folder("test") as folder:
     print(folder, flush=True)
@@ -52,7 +54,7 @@ def user(tmp_path: Path) -> dict[str, str]:
 @pytest.mark.skipif(sys.platform != "linux", reason="the folders are those of Linux")
 def test_what_nothing_uses_is_listed_and_removed_and_all_else_stays(tmp_path: Path, user: dict[str, str]) -> None:
     state, cache = state_of(tmp_path), tmp_path / ".cache" / "mecanum-hil"
-    for folder in (state / "services", state / "locks", state / "audit", cache / "stm32f4"):
+    for folder in (state / "services", state / "fixes", state / "locks", state / "audit", cache / "stm32f4"):
         folder.mkdir(parents=True, mode=0o700)
     killed = subprocess.run([sys.executable, "-c", LEAVE], env=user, capture_output=True, text=True, check=False)
     assert killed.returncode == -signal.SIGKILL
@@ -67,10 +69,11 @@ def test_what_nothing_uses_is_listed_and_removed_and_all_else_stays(tmp_path: Pa
         assert holder.stdout is not None
         in_use = Path(holder.stdout.readline().strip())
         left.mkdir(exist_ok=True)  # the holder's first folder has removed it, as a run's does
-        alive, dead = (state / "services" / f"{port}.token" for port in (server.getsockname()[1], 1))
+        alive, dead, restarts = (state / "services" / f"{port}.token" for port in (server.getsockname()[1], 1, 2))
+        of_fixes = state / "fixes" / "1.token"  # kept for the next run, and its port is one of UDP
         free = state / "locks" / "free.lock"
         audit = state / "audit" / "8770.jsonl"
-        for file in (alive, dead, free, audit, cache / "stm32f4" / "hil.elf"):
+        for file in (alive, dead, restarts, of_fixes, free, audit, cache / "stm32f4" / "hil.elf"):
             file.write_text("x" * 20)
         gone = {cache, left, dead, free}
 
@@ -86,7 +89,7 @@ def test_what_nothing_uses_is_listed_and_removed_and_all_else_stays(tmp_path: Pa
         assert found["removed"]
         assert {Path(one["path"]) for one in found["leftovers"]} == gone
         assert not any(path.exists() for path in gone)
-        assert all(path.exists() for path in (alive, audit, in_use, state / "locks" / "held.lock"))
+        assert all(path.exists() for path in (alive, restarts, of_fixes, audit, in_use, state / "locks" / "held.lock"))
     assert doctor(user, "--clean").returncode == 2  # those of the holder that has ended now
 
 

@@ -15,8 +15,7 @@ from hil.core.errors import BadInputError
 from hil.core.process_lock import free_locks, remove_lock
 from hil.core.scratch import left_folders, remove_left
 from hil.core.tokens import left_tokens, state_folder
-
-_SERVERS = ("services", "truth", "fixes")
+from hil.service.discovery import running
 
 
 class Leftover(NamedTuple):
@@ -34,8 +33,9 @@ def leftovers() -> Iterator[Leftover]:
             yield Leftover(cache, "cache of what was built for this machine; made again when needed", shutil.rmtree)
     for folder in left_folders():
         yield Leftover(folder, "temporary folder of a killed process", remove_left)
-    for kind in _SERVERS:
-        for path in left_tokens(kind):
+    # Those of receivers of pose fixes are kept from one run to the next.
+    for kind, kept in (("services", [service.port for service in running()]), ("truth", [])):
+        for path in left_tokens(kind, kept):
             yield Leftover(path, "token of a killed server", Path.unlink)
     for kind in ("locks", "services"):
         for path in free_locks(state_folder(kind)):
