@@ -127,8 +127,11 @@ def test_a_recording_without_an_end_has_no_verdict_but_what_was_violated_is_told
 ) -> None:
     whole = failed[1].read_bytes()
     cut = tmp_path / "cut.rrd"
-    cut.write_bytes(whole[: len(whole) // 2])  # the rows are in the first half, the summary is not
-    lines = list(run_lines(review(cut)))
+    for tenths in range(9, 0, -1):  # how much stands behind the rows differs with how fast they were written
+        cut.write_bytes(whole[: len(whole) * tenths // 10])
+        lines = list(run_lines(review(cut)))
+        if not lines[0].startswith("FAILED"):
+            break
     assert lines[0].startswith("NO VERDICT  circle_speed: ")
     text = " ".join(" ".join(lines).split())
     assert "cut.rrd has no end" in text
