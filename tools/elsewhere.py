@@ -19,6 +19,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from tools.build.compiler import zig
+from tools.debian import make_debian
 from tools.release import EXPORTS
 
 ROOT = Path(__file__).parents[1]
@@ -71,8 +72,7 @@ def figures_here() -> dict[str, Any]:
 def figures_on(machine: Machine, wheels: Path, folder: Path) -> dict[str, Any]:
     """Return the figures of the demo on another machine: the wheel with all it needs, as pip chooses it for there."""
     root, site = folder / "root", folder / "root" / "site"
-    include = "--include=base-files,python3,libstdc++6"
-    _run(["mmdebstrap", "--variant=extract", f"--architectures={machine.debian}", include, machine.suite, str(root)])
+    make_debian(root, "base-files,python3,libstdc++6", suite=machine.suite, variant="extract", machine=machine.debian)
     tags = [f"manylinux_2_{minor}_{machine.linux}" for minor in range(5, 40)] + [f"manylinux2014_{machine.linux}"]
     chosen = ["--only-binary=:all:", "--python-version", machine.python, "--implementation", "cp"]
     chosen += [word for tag in tags for word in ("--platform", tag)]
@@ -127,7 +127,7 @@ def _run(command: list[str], environment: Mapping[str, str] | None = None, folde
     try:
         done = subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True, check=False)
     except FileNotFoundError:
-        raise SystemExit(f"{command[0]} is not installed; apt install mmdebstrap qemu-user wine") from None
+        raise SystemExit(f"{command[0]} is not installed; apt install qemu-user wine") from None
     if done.returncode != 0:
         raise SystemExit(f"{' '.join(command[:4])} ... failed:\n{done.stdout[-2000:]}{done.stderr[-2000:]}")
     return done.stdout

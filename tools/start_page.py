@@ -2,7 +2,7 @@
 
 It makes a Debian in a temporary folder with what the page's first paragraph asks for, puts a wheel into ``dist``,
 and types each command of ``docs/start.md`` into a shell whose root is that folder. What the page shows has to appear.
-Packages come from where this machine's apt and pip take theirs; ``--bind`` shows it a folder that pip's settings name.
+Python's packages come from where this machine's pip takes them; ``--bind`` shows it a folder that pip's settings name.
 """
 
 import argparse
@@ -15,11 +15,11 @@ import tempfile
 import time
 from pathlib import Path
 
+from tools.debian import make_debian
 from tools.page_blocks import PageError, run_page
 
 ROOT = Path(__file__).parents[1]
-PACKAGES = ("python3-venv", "git", "ca-certificates")
-_APT_SOURCES = Path("/etc/apt/sources.list.d/debian.sources")
+_SUITE, _PACKAGES = "bookworm", "python3-venv,git,ca-certificates"
 _BOUND = ("/dev", "/proc", "/etc/resolv.conf")
 _GIT = {f"GIT_{who}_{what}": "reader@localhost" for who in ("AUTHOR", "COMMITTER") for what in ("NAME", "EMAIL")}
 
@@ -30,19 +30,14 @@ def main() -> None:
     parser.add_argument("dist", type=Path, nargs="?", help="folder with the wheel; without it one is built")
     parser.add_argument("--bind", action="append", default=[], metavar="PATH", help="show this folder there")
     options = parser.parse_args()
-    if shutil.which("mmdebstrap") is None:
-        raise SystemExit("mmdebstrap is not installed; on Debian: apt install mmdebstrap")
     with tempfile.TemporaryDirectory(prefix="hil_start_", ignore_cleanup_errors=True) as folder:
-        root = Path(folder, "debian")
-        mirror = [str(_APT_SOURCES)] if _APT_SOURCES.exists() else []
-        include = f"--include={','.join(PACKAGES)}"
-        subprocess.run(["mmdebstrap", "--quiet", "--variant=apt", include, _release(), str(root), *mirror], check=True)
+        root = make_debian(Path(folder, "debian"), _PACKAGES, suite=_SUITE, variant="apt")
         if options.dist is None:
             wheel = [sys.executable, "-m", "pip", "wheel", "--quiet", "--no-deps", str(ROOT)]
             subprocess.run([*wheel, "--wheel-dir", str(root / "root" / "dist")], check=True)
         else:
             shutil.copytree(options.dist, root / "root" / "dist")
-        print(f"{page_in(root, options.bind):.0f} s for the whole page, in an empty Debian {_release()}")
+        print(f"{page_in(root, options.bind):.0f} s for the whole page, in an empty Debian {_SUITE}")
 
 
 def page_in(root: Path, bound: list[str]) -> float:
@@ -65,14 +60,6 @@ def page_in(root: Path, bound: list[str]) -> float:
     except PageError as error:
         raise SystemExit(str(error)) from None
     return time.monotonic() - begun_s
-
-
-def _release() -> str:
-    """Return the name of this machine's Debian."""
-    words = dict(
-        line.split("=", 1) for line in Path("/etc/os-release").read_text(encoding="utf-8").splitlines() if line
-    )
-    return words.get("VERSION_CODENAME", "stable").strip('"')
 
 
 if __name__ == "__main__":

@@ -21,9 +21,11 @@ from pathlib import Path
 
 import psutil
 
+from tools.debian import make_debian
+
 ROOT = Path(__file__).parents[2]
 DOCKERFILE = Path(__file__).with_name("Dockerfile")
-_SUITE, _PACKAGES = "bookworm", "python3,python3-pip,python-is-python3,libstdc++6,ca-certificates,passwd"
+_PACKAGES = "python3,python3-pip,python-is-python3,libstdc++6,ca-certificates,passwd"
 _HEALTHY_S, _ENDED_S = 60.0, 20.0
 _SCENARIO = 'extends = "paper_circle"\nloop.duration_s = 0.5\nexpect = []\n'
 
@@ -104,8 +106,7 @@ def build(folder: Path) -> Image:
 
 
 def _debian(root: Path) -> Path:
-    command = ["mmdebstrap", "--variant=minbase", f"--include={_PACKAGES}", _SUITE, str(root)]
-    subprocess.run(command, check=True, capture_output=True)
+    make_debian(root, _PACKAGES)
     shutil.copy("/etc/resolv.conf", root / "etc" / "resolv.conf")
     certificates = "/etc/ssl/certs/ca-certificates.crt"
     shutil.copy(certificates, root / certificates.lstrip("/"))
@@ -167,8 +168,6 @@ def main() -> int:
     folder_of_mounts = parser.parse_args().folder
     if os.geteuid() != 0:
         raise SystemExit("tools.container: chroot needs root")
-    if shutil.which("mmdebstrap") is None:
-        raise SystemExit("tools.container: mmdebstrap is not installed; on Debian: apt install mmdebstrap")
     if folder_of_mounts is not None:
         image = build(folder_of_mounts)
         usage = subprocess.run(["du", "-smx", str(image.root)], capture_output=True, text=True, check=True).stdout
