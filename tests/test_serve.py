@@ -42,11 +42,12 @@ class Serving:
             stderr=subprocess.PIPE,
             text=True,
             cwd=folder,
-            env=environment(),
+            env=environment() | {"PYTHONFAULTHANDLER": "1"},
         )
         self._come: queue.SimpleQueue[dict[str, Any]] = queue.SimpleQueue()
         self.lines: list[dict[str, Any]] = []
-        threading.Thread(target=self._read, daemon=True).start()
+        self._reader = threading.Thread(target=self._read, daemon=True)
+        self._reader.start()
         listens = self.line("API listens")
         self.api_pid = int(listens["pid"])
         port = int(listens["url"].rpartition(":")[2])
@@ -82,6 +83,16 @@ class Serving:
             lambda: status if (status := self.status()).items() >= wanted.items() else None
         )
         return status
+
+    def exit_code(self) -> int:
+        """Wait for its end. If it does not end, say what it logged since, and where its threads are."""
+        try:
+            return self.process.wait(READY_S)
+        except subprocess.TimeoutExpired:
+            self.process.send_signal(signal.SIGABRT)  # faulthandler writes where the threads are
+            self._reader.join(READY_S)
+            lines = [str(self._come.get()) for _ in range(self._come.qsize())]
+            pytest.fail("\n".join(["the service does not end:", *lines]))
 
     def drive(self) -> None:
         """Arm, and follow the circle."""
@@ -132,7 +143,7 @@ def test_sigterm_ramps_down_disarms_closes_the_recording_and_exits_0(tmp_path: P
     with serving(tmp_path, "--record", "run.mcap") as service:
         service.drive()
         service.process.send_signal(signal.SIGTERM)
-        assert service.process.wait(30) == 0
+        assert service.exit_code() == 0
         service.line("phase", phase="disarmed")
         assert service.line("recording finished")["lost"] == 0
         assert not is_running(service.api_pid)
@@ -280,7 +291,7 @@ def test_a_service_waits_for_a_robot_that_is_not_there_yet(tmp_path: Path) -> No
             service.until(phase="disarmed")
             service.drive()
         service.process.send_signal(signal.SIGINT)
-        assert service.process.wait(30) == 0
+        assert service.exit_code() == 0
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="elsewhere a server is refused that takes nobody in")
@@ -294,7 +305,7 @@ def test_orders_are_answered_while_a_link_is_slow_to_open(tmp_path: Path) -> Non
                 assert service.until(phase="away")["why"] == "its link is being opened"
                 service.client.order(Action.ESTOP)
                 service.process.send_signal(signal.SIGTERM)
-                assert service.process.wait(30) == 0
+                assert service.exit_code() == 0
     assert not any("cannot be opened" in str(line) for line in service.lines)
 
 
@@ -314,7 +325,7 @@ def test_a_link_that_is_lost_as_soon_as_it_is_open_is_opened_again(tmp_path: Pat
             wait_for(lambda: len(dropped) > 2)
             assert service.until(phase="away")["why"]
             service.process.send_signal(signal.SIGTERM)
-            assert service.process.wait(30) == 0
+            assert service.exit_code() == 0
         server.shutdown(socket.SHUT_RDWR)
 
 
@@ -357,7 +368,7 @@ def test_gains_are_read_again_and_recordings_come_and_go(tmp_path: Path) -> None
         assert begun["from_s"] > 0.0
         for _ in range(2):  # as a window that is closed does it
             service.process.send_signal(signal.SIGHUP)
-        assert service.process.wait(30) == 0
+        assert service.exit_code() == 0
         service.line("phase", phase="disarmed")
 
 
