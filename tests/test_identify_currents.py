@@ -1,14 +1,19 @@
 """Currents of hil identify without their sensors' noise: only where the motors did what they were told."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from hil.identify.currents import quiet
+from hil.identify.lags import Regression, fewest_lags
 from hil.identify.recorded import Drive
 from hil.scenario import load
+from tests.examples import share_of_examples
 
 ROWS, NOISE_A, CONSTANT = 6000, 0.03, 1.3
 GAINS = np.array([1.0, 1.02, 0.97, 1.01])
@@ -69,3 +74,47 @@ def test_a_drive_without_torque_commands_is_silently_as_measured() -> None:
     found = quiet([by_speed], by_speed)
     assert np.array_equal(found.drives[0].current_a, first.current_a)
     assert found.sentences == ()
+
+
+def regressions_of(delays_rows: Sequence[float], seed: int) -> list[Regression]:
+    """Return regressions of motors with these delays, on commands with the noise of a loop, over two minutes."""
+    random = np.random.default_rng(seed)
+    found = []
+    for gain, delay in zip(GAINS, delays_rows, strict=True):
+        smooth = np.convolve(random.normal(0.0, 0.3, 24_000), np.hanning(80), "same") / 6.0
+        command = smooth + random.normal(0.0, 0.02, smooth.shape)
+        lagged = np.stack([np.roll(command, lag) for lag in range(6)], axis=1)
+        whole, share = int(delay), delay - int(delay)
+        # A command is held until the next one, so a delay of part of a row mixes two of them in its mean.
+        current = gain / CONSTANT * ((1.0 - share) * lagged[:, whole] + share * lagged[:, whole + 1])
+        measured = current + random.normal(0.0, NOISE_A, current.shape)
+        factors = np.linalg.lstsq(lagged, measured, rcond=None)[0]
+        left = measured - lagged @ factors
+        found.append(Regression(factors, lagged.T @ lagged, float(left.var()), len(left)))
+    return found
+
+
+def delays_of(factors: Sequence[np.ndarray]) -> np.ndarray:
+    return np.array([one @ np.arange(len(one)) / one.sum() for one in factors])
+
+
+@share_of_examples(0.2)
+@given(st.floats(0.0, 4.0), st.integers(0, 2**32))
+def test_motors_on_one_board_are_late_by_the_same(delay: float, seed: int) -> None:
+    found = fewest_lags(regressions_of([delay] * 4, seed))
+    delays = delays_of(found)
+    assert np.ptp(delays) < 1e-9, "delays that differ would look like a centre of mass that is off"
+    assert delays[0] == pytest.approx(delay, abs=0.05)
+    gains = np.array([one.sum() for one in found]) * CONSTANT
+    assert gains == pytest.approx(GAINS, rel=0.01)
+
+
+@share_of_examples(0.2)
+@given(st.integers(0, 2**32))
+def test_motors_that_are_late_by_different_times_are_told_apart(seed: int) -> None:
+    delays = [1.0, 1.3, 1.6, 2.0]
+    assert delays_of(fewest_lags(regressions_of(delays, seed))) == pytest.approx(delays, abs=0.12)
+
+
+def test_without_any_motor_that_follows_there_are_no_lags() -> None:
+    assert fewest_lags([]) == []

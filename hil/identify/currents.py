@@ -7,8 +7,9 @@ regressed on the newest commands before them:
     i_k = c + Σ g_j T_{k-j},  j = 0 to 5
 
 with an offset c for each drive. Gain and offset are thus the sensor's own, and the link's delay is found. If what is
-left is white noise, it is the sensor's, and a fit takes what the regression predicts. If anything else is left (a
-limit, a motor that follows slowly or is dead), it takes the measured currents.
+left is white noise, it is the sensor's, and a fit takes what the commands predict, with the fewest lags and the same
+ones for all wheels (``lags``). If anything else is left (a limit, a motor that follows slowly or is dead), it takes the
+measured currents.
 """
 
 from collections.abc import Sequence
@@ -19,6 +20,7 @@ import numpy as np
 import numpy.typing as npt
 
 from hil.core.types import WHEEL_NAMES
+from hil.identify.lags import Regression, fewest_lags
 from hil.identify.recorded import Array, Drive
 
 _LAGS = 6
@@ -51,7 +53,15 @@ def quiet(drives: Sequence[Drive], judge: Drive) -> Quiet:
     The judge is the drive by which a fit is judged, so the regression is not made from it.
     """
     both = (*drives, judge)
-    by_wheel = [_of_wheel(drives, judge, wheel) for wheel in range(len(WHEEL_NAMES))]
+    lagged = [[_lagged(drive, wheel) for drive in both] for wheel in range(len(WHEEL_NAMES))]
+    regressions = [_regression(ones[: len(drives)]) for ones in lagged]
+    factors = iter(fewest_lags([one for one in regressions if one is not None]))
+    by_wheel = [
+        _Wheel((None,) * len(both), 0.0)
+        if one is None
+        else _by_commands(both, wheel, lagged[wheel], one, next(factors))
+        for wheel, one in enumerate(regressions)
+    ]
     taken, sentences = [], []
     for place, drive in enumerate(both):
         found = [one.currents[place] for one in by_wheel]
@@ -73,35 +83,42 @@ class _Wheel(NamedTuple):
     gain_variance: float
 
 
-def _of_wheel(drives: Sequence[Drive], judge: Drive, wheel: int) -> _Wheel:
-    both = (*drives, judge)
-    lagged = [_lagged(drive, wheel) for drive in both]
-    used = [one for one in lagged[: len(drives)] if one is not None]
+def _regression(lagged: Sequence["_Lagged | None"]) -> Regression | None:
+    """Return the regression of a wheel's currents over the drives in which it leaves white noise, None without any."""
+    used = [one for one in lagged if one is not None]
     while used:
         designs = [design - design.mean(axis=0) for design, _, _ in used]
         values = [current - current.mean() for _, current, _ in used]
-        factors = np.linalg.lstsq(np.concatenate(designs), np.concatenate(values), rcond=None)[0]
+        design, value = np.concatenate(designs), np.concatenate(values)
+        factors = np.linalg.lstsq(design, value, rcond=None)[0]
         left = [value - design @ factors for design, value in zip(designs, values, strict=True)]
         white = [one for one, rest in zip(used, left, strict=True) if _is_white(rest)]
         if len(white) == len(used):
-            variance = _gain_variance(designs, factors, float(np.var(np.concatenate(left))))
-            found = [_by_command(drive, wheel, one, factors) for drive, one in zip(both, lagged, strict=True)]
-            return _Wheel(tuple(found), variance)
+            return Regression(factors, design.T @ design, float(np.var(np.concatenate(left))), len(value))
         used = white
-    return _Wheel((None,) * len(both), 0.0)
+    return None
 
 
-def _gain_variance(designs: Sequence[Array], factors: Array, noise: float) -> float:
-    """Return the variance of the gain's logarithm, for means over ``_BIN_ROWS``, from that of the noise [A²].
+def _by_commands(
+    drives: Sequence[Drive], wheel: int, lagged: Sequence["_Lagged | None"], found: Regression, factors: Array
+) -> _Wheel:
+    currents = [_by_command(drive, wheel, one, factors) for drive, one in zip(drives, lagged, strict=True)]
+    designs = [one[0] - one[0].mean(axis=0) for one in lagged[:-1] if one is not None]  # without the judge
+    return _Wheel(tuple(currents), _gain_variance(designs, found, factors))
+
+
+def _gain_variance(designs: Sequence[Array], found: Regression, factors: Array) -> float:
+    """Return the variance of the gain's logarithm, for means over ``_BIN_ROWS``, from that of the noise.
 
     A robot answers to means of its currents. Much of a command may be fast noise of the loops, which tells the factors
     and hardly the gain of their means.
     """
-    means = np.concatenate([_means(design, _BIN_ROWS) for design in designs])
-    explained = means @ factors
+    places = np.flatnonzero(factors)
+    means = np.concatenate([_means(design[:, places], _BIN_ROWS) for design in designs])
+    explained = means @ factors[places]
     gain_of = means.T @ explained / max(float(explained @ explained), 1e-12)
-    design = np.concatenate(designs)
-    return noise * float(gain_of @ np.linalg.pinv(design.T @ design, hermitian=True) @ gain_of)
+    squares = found.squares[np.ix_(places, places)]
+    return found.noise_a2 * float(gain_of @ np.linalg.pinv(squares, hermitian=True) @ gain_of)
 
 
 def _means(series: Array, rows: int) -> Array:
