@@ -163,7 +163,10 @@ def settle(viewer: ViewerClient, picture: Path, at_least_s: float) -> None:
         shot = Path(directory) / "shot.png"
         before = b""
         for _ in range(MOST_SHOTS):
-            viewer.save_screenshot(str(shot))
+            try:
+                viewer.save_screenshot(str(shot))
+            except TimeoutError:  # on a busy machine a picture may take longer than rerun waits for it
+                continue
             now = shot.read_bytes()
             if now == before and time.monotonic() >= earliest and not viewer.get_state().loading:
                 _without_bar(shot, picture)
