@@ -40,7 +40,9 @@ def test_the_start_page_shows_what_happens(tmp_path: Path) -> None:
     run_page(page, tmp_path, reader(tmp_path))
 
 
-@pytest.mark.parametrize("page", [page for page in other_pages() if runs(page)], ids=lambda page: str(page.relative_to(ROOT)))
+@pytest.mark.parametrize(
+    "page", [page for page in other_pages() if runs(page)], ids=lambda page: str(page.relative_to(ROOT))
+)
 def test_the_commands_of_a_page_run(page: Path, tmp_path: Path) -> None:
     run_among_examples(page, tmp_path)
 
