@@ -33,6 +33,7 @@ SLOW = (
     "test_mutants.py::test_every_mutant_of_the_c_sources_compiles",
     # Pages that are typed as a reader would.
     "test_tutorials.py::test_a_tutorial_shows_what_happens",
+    "test_tutorials.py::test_the_commands_of_a_page_run",
     "test_tutorials.py::test_the_start_page_shows_what_happens",
     "test_tutorials.py::test_the_notebook_runs",
     # Emulators, browsers, other kernels.

@@ -216,7 +216,7 @@ def test_a_law_s_code_that_changes_fails_the_run(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("more", "why"),
     [
-        ({"set": {"loop.duration_s": 0.5}}, "the run asks for something else, by loop.duration_s"),
+        ({"set": {"loop.duration_s": 0.5}}, "the run differs from those that made it, in loop.duration_s"),
         ({"set": {"loop.duration_s": 0.2}, "mode": "realtime"}, "made in lockstep, and the run is in real time"),
     ],
 )

@@ -6,6 +6,7 @@ import subprocess
 import sys
 import tomllib
 import zipfile
+from dataclasses import MISSING
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +20,8 @@ from hil.cli.init import ROBOT_FILE, SCENARIO_FILE, WORKFLOW, begin, init
 from hil.cli.new_project import FILES
 from hil.cli.new_robot import PROJECT_QUESTIONS
 from hil.core.errors import BadInputError
+from hil.core.options import options_of
+from hil.drivers.registry import OUR_DRIVER, dialect, driver_names
 from hil.runtime.assembly import check_scenario
 from hil.scenario import load
 from tests.examples import share_of_examples
@@ -92,6 +95,20 @@ def test_a_wrong_flag_is_answered_as_the_scenario_answers_it(tmp_path: Path) -> 
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.parametrize("driver", driver_names())
+def test_what_it_writes_for_a_driver_passes_or_it_says_why_not(tmp_path: Path, driver: str) -> None:
+    folder = tmp_path / "robot"
+    required = [] if driver == OUR_DRIVER else list(options_of(dialect(driver).settings).values())
+    if any(option.default is MISSING for option in required):
+        with pytest.raises(BadInputError, match=f"cannot write a robot for '{driver}', because .*device.motors.file"):
+            init(folder, driver=driver, defaults=True)
+        assert not folder.exists()
+        return
+    init(folder, driver=driver, defaults=True)
+    assert hil.run(folder / SCENARIO_FILE).passed
+    assert hil.run(folder / "bad_day.hil.toml").passed
+
+
 @pytest.mark.skipif(sys.platform == "win32", reason="a pseudo-terminal stands for the person")
 def test_a_person_is_asked_again_until_the_answer_is_one(tmp_path: Path) -> None:
     import pty
@@ -109,7 +126,7 @@ def test_a_person_is_asked_again_until_the_answer_is_one(tmp_path: Path) -> None
     os.close(terminal)
     assert os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1]) == 0, said.decode()
     text = said.decode()
-    assert "robot.wheel_radius_m: r [0.075]" in text
+    assert "robot.wheel_radius_m: to where a roller touches the floor [0.075]" in text
     assert "robot.wheel_radius_m = 75.0; expected a number from 0.001 to 1" in text
     assert "'wide' is not a number" in text
     robot = tomllib.loads((tmp_path / ROBOT_FILE).read_text("utf-8"))["robot"]

@@ -1,8 +1,10 @@
 """What the pages name is there: the targets of links, files, targets of make, commands of hil and their options."""
 
 import itertools
+import json
 import re
 import shlex
+import shutil
 import tomllib
 from collections.abc import Iterator
 from pathlib import Path
@@ -10,12 +12,18 @@ from typing import Any
 
 import pytest
 import typer
+import yaml
 from typer.main import get_group
 
+from hil.batch.campaign.load import load_plan
+from hil.batch.hunt.hunt import Hunt, Request
+from hil.batch.verify.catalogue import read_catalogue
 from hil.cli.commands import SHIPPED
 from hil.cli.main import app
+from hil.commission.person import Answers
+from hil.scenario.load import load
 from tests.processes import ROOT
-from tools.page_blocks import blocks
+from tools.page_blocks import REASONS, RUN, Block, blocks
 
 OUTSIDE = {"build", "dist", "node_modules", "runs"}
 
@@ -27,6 +35,8 @@ def is_ours(page: Path) -> bool:
 
 PAGES = sorted(filter(is_ours, ROOT.rglob("*.md")))
 GUIDES = [ROOT / name for name in ("README.md", "ARCHITECTURE.md", "CONTRIBUTING.md", "docs/tour.md", "docs/proven.md")]
+EXTENDS = 'extends = "paper_circle"\n'
+GROUPS = {f"hil.{kind}" for kind in ("laws", "references", "drivers", "links", "faults", "figures", "commands")}
 # Rooms of ours in backticks. NAME stands for one's own; a file that is built is not in a fresh checkout.
 OURS = re.compile(r"`((?:hil|plant_fmu|firmware_protocol|tools|tests|docs)/[\w./-]*)`")
 
@@ -58,7 +68,7 @@ def test_files_named_in_the_guides_exist(page: Path) -> None:
 @pytest.mark.parametrize("page", GUIDES, ids=lambda page: page.name)
 def test_commands_named_in_the_guides_exist(page: Path) -> None:
     text = page.read_text(encoding="utf-8")
-    shown = "\n".join(re.findall(r"^    .*$|`[^`\n]+`", text, re.MULTILINE))
+    shown = "\n".join([*(block.text for block in blocks(text)), *re.findall(r"`[^`\n]+`", text)])
     targets = set(re.findall(r"^([a-z-]+):", (ROOT / "Makefile").read_text(encoding="utf-8"), re.MULTILINE))
     assert set(re.findall(r"(?:^ *|`)make ([a-z-]+)", shown, re.MULTILINE)) <= targets
     assert set(re.findall(r"(?:^ *|`)hil ([a-z0-9]+)", shown, re.MULTILINE)) <= SHIPPED.keys()
@@ -70,9 +80,11 @@ def test_the_tour_names_every_command() -> None:
 
 
 def typed(page: Path) -> Iterator[str]:
-    """Yield the commands of hil that a page shows, by indentation or in a block."""
-    text = page.read_text(encoding="utf-8").replace("\\\n", " ")
-    yield from re.findall(r"^(?:    |\$ )(hil .*)$", text, re.MULTILINE)
+    """Yield the commands of hil that a page shows."""
+    for block in blocks(page.read_text(encoding="utf-8")):
+        if block.language not in RUN:
+            continue
+        yield from re.findall(r"^(?:\$ )?(hil .*)$", block.text.replace("\\\n", " "), re.MULTILINE)
 
 
 PROGRAM = get_group(app)
@@ -116,10 +128,51 @@ def test_commands_of_every_page_exist_with_their_options(page: Path) -> None:
     assert wrong == []
 
 
+def read_toml(block: Block, folder: Path) -> None:
+    """Read a block as what it is for would: a campaign, a hunt, mutants, an entry point, answers, or a scenario."""
+    tables = tomllib.loads(block.text)
+    file = folder / block.options.get("caption", "block.toml")
+    file.parent.mkdir(exist_ok=True)
+    file.write_text(block.text, encoding="utf-8")
+    if "axes" in tables:
+        load_plan(file)
+    elif "range" in tables:
+        assert Hunt(Request("circle_speed", file)).next_jobs([], 1)
+    elif "mutant" in tables:
+        assert read_catalogue([file], shipped=False).mutants != []
+    elif "project" in tables:
+        assert tables["project"]["entry-points"].keys() <= GROUPS
+    elif block.word == "answers":
+        Answers(file).confirm("floor", "")
+    elif block.word != "form":
+        file.write_text(block.text if "extends" in tables else EXTENDS + block.text, encoding="utf-8")
+        load(file)
+
+
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
-def test_code_of_every_page_can_be_read(page: Path) -> None:
+def test_code_of_every_page_can_be_read(page: Path, tmp_path: Path) -> None:
+    shutil.copytree(ROOT / "hil" / "drivers" / "dbc" / "examples", tmp_path, dirs_exist_ok=True)
     for block in blocks(page.read_text(encoding="utf-8")):
         if block.language == "toml":
-            tomllib.loads(block.text)
+            read_toml(block, tmp_path)
         elif block.language == "python":
             compile(block.text, f"{page.name}, line {block.line}", "exec")
+        elif block.language == "json":
+            [json.loads(line) for line in block.text.splitlines()]
+        elif block.language == "yaml":
+            assert yaml.safe_load(block.text)
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
+def test_a_block_says_what_it_is_and_why_it_is_not_run(page: Path) -> None:
+    for block in blocks(page.read_text(encoding="utf-8")):
+        assert block.language in (*RUN, "toml", "json", "yaml", "c", "text", "{toctree}", "{eval-rst}"), (
+            f"{page}, line {block.line}"
+        )
+        assert block.language not in RUN or block.word in ("", *REASONS), f"{page}, line {block.line}"
+
+
+def test_what_is_not_run_is_counted() -> None:
+    words = [one.word for page in PAGES for one in blocks(page.read_text(encoding="utf-8")) if one.language in RUN]
+    rows = [f"| {words.count(word)} | {why} |" for word, why in {"": "run by the tests", **REASONS}.items()]
+    assert "\n".join(rows) in (ROOT / "docs" / "proven.md").read_text(encoding="utf-8")

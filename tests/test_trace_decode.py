@@ -98,6 +98,34 @@ def test_decode_raw_takes_no_frame_for_ours(tmp_path):
     assert not any("signals" in record or record["sender"] for record in records)
 
 
+@pytest.mark.parametrize("driver", ["odrive", "wheeltec"])
+def test_decode_says_that_another_maker_s_trace_is_not_ours(tmp_path, driver):
+    path = tmp_path / "bus.log"
+    short = (
+        "--set",
+        "loop.duration_s=0.5",
+        "--set",
+        "expect=[]",
+        "--record",
+        "none",
+        "--link",
+        f"can:virtual/{driver}",
+    )
+    run = hil("run", "circle_speed", "--lenient", "--set", f"device.driver={driver}", *short, "--trace", path)
+    assert run.returncode == 0, run.stderr
+    done = hil("decode", path)
+    assert {line.split()[2] for line in done.stdout.splitlines()} == {"foreign"}
+    assert done.stderr.startswith(f"hil: note: {path} has no TICK of our firmware")
+    assert hil("decode", path, "--raw").stderr == ""
+
+
+def test_decode_takes_what_a_host_alone_has_sent_for_ours(tmp_path):
+    path = tmp_path / "host.log"
+    path.write_text("(1700000000.0) can0 040#6000EE038A001051\n(1700000000.1) can0 123#00\n")
+    done = hil("decode", path)
+    assert (done.stdout.split()[2], done.stderr) == ("WHEEL_COMMAND", "")
+
+
 def test_decode_gives_each_frame_as_json(tmp_path):
     path = written(tmp_path / "bus.blf")
     records = [json.loads(line) for line in hil("decode", path, "--json").stdout.splitlines()]

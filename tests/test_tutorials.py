@@ -1,15 +1,23 @@
 """The pages that teach do what they show: every block is run, in the order of the page, by one who only types."""
 
 import json
-import os
 import shutil
-import sys
 from pathlib import Path
 
 import pytest
 
-from tests.processes import ROOT, environment
-from tools.page_blocks import NOT_RUN, PageError, blocks, commands, run_page, shows
+from tests.processes import ROOT
+from tools.page_blocks import (
+    PageError,
+    blocks,
+    commands,
+    other_pages,
+    reader,
+    run_among_examples,
+    run_page,
+    runs,
+    shows,
+)
 
 TUTORIALS = sorted((ROOT / "docs" / "tutorials").glob("*.md"))
 START = ROOT / "docs" / "start.md"
@@ -19,16 +27,9 @@ pytestmark = pytest.mark.skipif(
 )
 
 
-def variables(home: Path) -> dict[str, str]:
-    """Return the environment of a reader who has the package installed."""
-    names = {"GIT_AUTHOR_NAME", "GIT_AUTHOR_EMAIL", "GIT_COMMITTER_NAME", "GIT_COMMITTER_EMAIL"}
-    path = os.pathsep.join((str(Path(sys.executable).parent), os.environ["PATH"]))
-    return environment() | dict.fromkeys(names, "reader@localhost") | {"PATH": path, "HOME": str(home), "COLUMNS": "80"}
-
-
 @pytest.mark.parametrize("page", TUTORIALS, ids=lambda page: page.stem)
 def test_a_tutorial_shows_what_happens(page: Path, tmp_path: Path) -> None:
-    run_page(page, tmp_path, variables(tmp_path))
+    run_page(page, tmp_path, reader(tmp_path))
 
 
 def test_the_start_page_shows_what_happens(tmp_path: Path) -> None:
@@ -36,7 +37,14 @@ def test_the_start_page_shows_what_happens(tmp_path: Path) -> None:
     typed = tuple(f"$ {one}" for one in INSTALLING)
     installed = "\n".join(line for line in text.splitlines() if not line.startswith(typed))
     (page := tmp_path / "start.md").write_text(installed, encoding="utf-8")
-    assert run_page(page, tmp_path, variables(tmp_path)) == 0
+    run_page(page, tmp_path, reader(tmp_path))
+
+
+@pytest.mark.parametrize(
+    "page", [page for page in other_pages() if runs(page)], ids=lambda page: str(page.relative_to(ROOT))
+)
+def test_the_commands_of_a_page_run(page: Path, tmp_path: Path) -> None:
+    run_among_examples(page, tmp_path)
 
 
 def test_the_start_page_is_short() -> None:
@@ -44,14 +52,6 @@ def test_the_start_page_is_short() -> None:
     typed = [one for block in blocks(text) if block.language == "console" for one in commands(block)]
     assert len(typed) <= 12
     assert len(text.split()) <= 1500
-
-
-def test_what_needs_a_board_is_marked_and_counted() -> None:
-    counts = {
-        page.stem: sum(block.options.get("class") == NOT_RUN for block in blocks(page.read_text(encoding="utf-8")))
-        for page in TUTORIALS
-    }
-    assert {name: count for name, count in counts.items() if count} == {"board": 6, "motors": 1}
 
 
 def test_the_notebook_runs(tmp_path: Path) -> None:
@@ -77,7 +77,7 @@ def test_shown_lines_are_looked_for_in_order(shown: str, same: bool) -> None:
 def test_a_command_that_fails_fails_its_page(tmp_path: Path) -> None:
     (page := tmp_path / "page.md").write_text("```console\n$ false\n```\n", encoding="utf-8")
     with pytest.raises(PageError, match="'false' ended with 1"):
-        run_page(page, tmp_path, variables(tmp_path))
+        run_page(page, tmp_path, reader(tmp_path))
     page.write_text("```console\n$ echo one\ntwo\n```\n", encoding="utf-8")
     with pytest.raises(PageError, match="where the page shows\ntwo"):
-        run_page(page, tmp_path, variables(tmp_path))
+        run_page(page, tmp_path, reader(tmp_path))

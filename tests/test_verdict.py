@@ -85,7 +85,7 @@ def test_a_green_run_is_short_and_says_how_much_room_is_left() -> None:
     assert lines[0].startswith("PASSED  circle_speed: ")
     assert len(lines) <= 16
     text = "\n".join(lines)
-    assert "% of its room left" in text
+    assert "% to spare" in text
     for noise in ("times real time", "tick p50", "deadline", "round trip", "frames  "):
         assert noise not in text
         assert noise in "\n".join(run_lines(found, everything=True))

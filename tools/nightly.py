@@ -66,6 +66,7 @@ STEPS = {
             "{out}/identify.jsonl",
         ),
     ),
+    "pages": Step("the blocks of the pages that take minutes", (PYTHON, "-m", "tools.page_blocks")),
     "start": Step("the start page, typed into an empty Debian; needs root", (PYTHON, "-m", "tools.start_page")),
     "soak": Step("a service that is driven for two hours", (PYTHON, "-m", "tools.soak", "--minutes", "120")),
     "chaos": Step(

@@ -7,7 +7,7 @@ from hil.core.model import RobotModel
 from hil.core.types import ZERO_WHEELS, Applied, CommandMode, Reference, State, WheelCommand
 
 
-class Proportional:
+class MyLaw:
     """Wheel speeds for the twist q̇_d - k (q - q_d). It sees no clock, no link and no plant."""
 
     def __init__(self, model: RobotModel, mode: CommandMode) -> None:
@@ -32,7 +32,7 @@ def main(duration_s: float = 15.0) -> None:
     short = {"loop.duration_s": duration_s, "expect": []}
     for name, result in (
         ("dsc", hil.run("circle_speed", set=short)),
-        ("mine", hil.run("circle_speed", law=Proportional, set=short)),
+        ("mine", hil.run("circle_speed", law=MyLaw, set=short)),
     ):
         print(f"{name:5} to 10 mm after {result.metrics['t10_s']} s, then {result.metrics['steady_rms_m']} m rms")
 

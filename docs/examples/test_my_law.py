@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-LAW = {"controller.law": "./my_law.py:Proportional", "controller.gains": {}, "loop.duration_s": 4.0, "expect": []}
+LAW = {"controller.law": "./my_law.py:MyLaw", "controller.gains": {}, "loop.duration_s": 4.0, "expect": []}
 
 
 def test_the_law_reaches_the_circle_and_stays_there(hil_run):

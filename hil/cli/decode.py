@@ -19,12 +19,17 @@ def decode(
     from_s: Annotated[float, Option("--from", metavar="S", help="seconds after the first frame")] = 0.0,
     to_s: Annotated[float, Option("--to", metavar="S", help="the last second; by default the end")] = math.inf,
     counts: Annotated[bool, Option("--counts", help="how many frames of each message instead")] = False,
-    raw: Annotated[bool, Option("--raw", help="bare frames of third-party motor controllers")] = False,
+    raw: Annotated[bool, Option("--raw", help="decode no frame: they are of other makers' motors")] = False,
     as_json: Annotated[bool, Option("--json", help="one JSON object a line: for each frame, or for all")] = False,
 ) -> None:
     """Print a trace of the bus in the terms of the wheel-command protocol."""
     read = decoder.read(trace, decoder.Selection.of(message or [], from_s, to_s, raw=raw))
     try:
+        if not read.is_ours:
+            say_on_stderr(
+                f"hil: note: {trace} has no TICK of our firmware, and most of its frames are not ours; other makers "
+                "use the same identifiers, so all frames are printed as they are"
+            )
         if not counts:
             for entry in read:
                 print_json(entry.record()) if as_json else print(entry.text())

@@ -5,10 +5,11 @@ import sys
 import tomllib
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, get_type_hints
 
 import typer
 from typer import Argument, Option
+from typer.models import OptionInfo
 
 from hil.cli.options import Force, LinkUrl
 from hil.cli.output import say_on_stderr, table
@@ -42,7 +43,7 @@ def init(
     torque_constant_n_m_a: Annotated[_Number, Option(metavar="N·M/A", help="torque of a wheel for each ampere")] = None,
     link: LinkUrl = None,
     driver: Annotated[
-        str | None, Option(metavar="NAME", help="who talks to the motors: one of hil list drivers")
+        str | None, Option(metavar="NAME", help="who talks to the motors: one of hil list drivers, but for dbc")
     ] = None,
     rate_hz: Annotated[int | None, Option(metavar="HZ", help="of the commands")] = None,
     defaults: Annotated[bool, Option("--defaults", help="take the proposed value where no flag gives one")] = False,
@@ -89,7 +90,7 @@ def _prompt(question: "Question", proposed: "Value") -> "Value":
     from hil.cli.new_robot import problem_with
 
     while True:
-        text = typer.prompt(f"{question.key}: {question.description}", default=str(proposed))
+        text = typer.prompt(f"{question.key}: {_meaning(question)}", default=str(proposed))
         try:
             value = question.read(text)
         except ValueError:
@@ -99,6 +100,12 @@ def _prompt(question: "Question", proposed: "Value") -> "Value":
         if problem is None:
             return value
         print(problem)
+
+
+def _meaning(question: "Question") -> str:
+    """Return what a question asks for, in the words of its option."""
+    hint = get_type_hints(init, include_extras=True)[question.parameter]
+    return str(next(one.help for one in hint.__metadata__ if isinstance(one, OptionInfo)))
 
 
 def begin(folder: Path, answers: "Mapping[str, Value]", existing: Existing = "refuse") -> dict[str, Path]:

@@ -48,10 +48,10 @@ def driver_rows() -> Sequence[tuple[str, ...]]:
     For a driver that cannot be loaded the last column says why, and the other columns are empty.
     """
     from hil.drivers.registry import EXTENSIONS, OUR_DRIVER, SHIPPED
-    from hil.scenario import load
+    from hil.scenario import BASE, load
     from hil.scenario.motors import robot_facts
 
-    facts = robot_facts(load("circle_speed", set={"device.driver": next(iter(SHIPPED)), "loop.rate_hz": _RATE_HZ}))
+    facts = robot_facts(load(BASE, set={"device.driver": next(iter(SHIPPED)), "loop.rate_hz": _RATE_HZ}))
     rows: list[tuple[str, ...]] = [(OUR_DRIVER, *_OURS, "latched", "our own firmware")]
     rows += [(name, *_abilities(name, facts), what) for name, what in SHIPPED.items()]
     for name, package, line in EXTENSIONS.lines():

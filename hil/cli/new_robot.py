@@ -5,14 +5,15 @@ Proposed answers come from the paper's robot and from earlier answers. In the fi
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from typing import NamedTuple
+from dataclasses import MISSING
+from typing import Any, NamedTuple
 
-from hil.core.errors import BadInputError
+from hil.core.errors import BadInputError, nearest
 from hil.core.model import GRAVITY_M_S2
 from hil.core.options import Option, OptionsError, build, options_of
 from hil.drivers.port import Found
-from hil.drivers.registry import OUR_DRIVER
-from hil.scenario import format_value, load
+from hil.drivers.registry import OUR_DRIVER, dialect, driver_names
+from hil.scenario import BASE, format_value, load
 from hil.scenario.tables import Tables
 
 Value = float | int | str
@@ -33,6 +34,10 @@ _LOOP_RAD_S = 33.0
 _INTEGRAL_1_S = 23.0
 _OVERSPEED = 2.0
 _COMMENT_COLUMN = 40
+_BATTERY_V = 24.0
+"""The battery of the shipped plant, where a scenario names no other."""
+_BATTERY_LIMITS = ("battery_low_v", "battery_high_v")
+"""Settings of a driver whose motors are switched off outside."""
 
 
 class Question(NamedTuple):
@@ -50,11 +55,6 @@ class Question(NamedTuple):
     def flag(self) -> str:
         """The option of the command line."""
         return f"--{self.parameter.replace('_', '-')}"
-
-    @property
-    def description(self) -> str:
-        """The key's meaning in the scenario's table."""
-        return option_of(self.key).meaning
 
     def proposed(self, answers: Answers) -> Value:
         """Return the proposed value, which may follow from the earlier answers."""
@@ -113,7 +113,7 @@ def _fastest(driver: str) -> int:
         watchdog_s = min(max(5.0 / rate_hz, 0.02), 0.1)  # as the first circle has by default
         try:
             load(
-                "circle_speed",
+                BASE,
                 set={"device.driver": driver, "loop.rate_hz": rate_hz, "firmware.watchdog_s": watchdog_s},
             )
         except BadInputError as error:
@@ -131,12 +131,46 @@ def option_of(key: str) -> Option:
 
 def problem_with(question: Question, value: Value) -> str | None:
     """Return the scenario's error sentence for a bad answer; None for a good one."""
+    if question.key == "device.driver":
+        return _problem_with_driver(str(value))
     table, _, name = question.key.partition(".")
     try:
         build(options_of(Tables)[table].type, {name: value}, table)
     except OptionsError as error:
         return next((problem.sentence for problem in error.problems if problem.kind == "value"), None)
     return None
+
+
+def _settings(driver: str) -> Mapping[str, Option]:
+    """Return the options of [device.motors] for another maker's driver, by name."""
+    kind: Any = dialect(driver).settings
+    return options_of(kind)
+
+
+def _problem_with_driver(name: str) -> str | None:
+    """Return why a robot's file cannot be written for a driver; None if it can."""
+    if name == OUR_DRIVER:
+        return None
+    if name not in driver_names():
+        return f"there is no driver {name!r}{nearest(name, driver_names())}"
+    missing = [f"device.motors.{option.name}" for option in _settings(name).values() if option.default is MISSING]
+    if not missing:
+        return None
+    return (
+        f"hil init cannot write a robot for {name!r}, because nothing can be proposed for {', '.join(missing)}; write "
+        f"the robot's file by the driver's page (hil/drivers/DRIVERS.md) and try hil run {BASE} --lenient --robot FILE"
+    )
+
+
+def _battery_text(driver: str) -> str:
+    """Return a line with the plant's battery, if the driver's motors stand no such voltage as it has by default."""
+    if driver == OUR_DRIVER:
+        return ""
+    settings = _settings(driver)
+    low_v, high_v = (settings[name].default if name in settings else None for name in _BATTERY_LIMITS)
+    if low_v is None or high_v is None or low_v < _BATTERY_V < high_v:
+        return ""
+    return f"{f'battery_voltage_v = {(low_v + high_v) / 2:.3g}':<{_COMMENT_COLUMN - 1}} # what its controllers stand\n"
 
 
 def robot_text(answers: Answers, driver: str | None = None, found: Found | None = None) -> str:
@@ -178,7 +212,7 @@ extends = "robot.toml"
 start_x_m = {_RADIUS_M - _OFF_M:g}
 start_y_m = 0.0
 start_heading_rad = 0.0
-
+{_battery_text(str(answers["device.driver"]))}
 [controller]
 law = "pid"                             # `hil list laws` prints them all
 command = "speed"

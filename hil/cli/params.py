@@ -12,9 +12,6 @@ from hil.cli.output import print_result, table
 from hil.core.errors import BadInputError
 from hil.core.options import options_of
 
-_ANY = "circle_speed"
-"""The scenario that lends what a robot's file does not have, as for `hil jog` and `hil commission`."""
-
 
 def params(
     link: PortOrBus,
@@ -67,9 +64,9 @@ def _of_scenario(scenario: str | None, robot: Path | None) -> dict[str, float]:
     if scenario is None and robot is None:
         return {}
     from hil.runtime.robots import firmware_values
-    from hil.scenario import load
+    from hil.scenario import BASE, load
 
-    return dict(firmware_values(load(scenario or _ANY, robot=robot)))
+    return dict(firmware_values(load(scenario or BASE, robot=robot)))
 
 
 def _default(parameter: str) -> str:

@@ -28,7 +28,7 @@ from hil.drivers.port import Found, Probe
 from hil.drivers.registry import OUR_DRIVER, dialect, driver_names
 from hil.robot import handshake
 from hil.robot.handshake import Greeting, RobotInfo
-from hil.scenario import load
+from hil.scenario import BASE, load
 from hil.scenario.motors import make_driver, wire_of
 from hil.wire.device_lock import device_held
 from hil.wire.framed import StreamLink
@@ -78,7 +78,7 @@ class Answer:
     @property
     def wiring(self) -> str:
         """A sentence on which motor turns which wheel."""
-        scenario = load("circle_speed", set={"device.driver": self.driver})
+        scenario = load(BASE, set={"device.driver": self.driver})
         if scenario.device.is_makers and make_driver(scenario).capabilities.is_twist:
             return (
                 "The controller knows which wheel each motor turns; put the wheels off the ground and drive it slowly, "

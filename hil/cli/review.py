@@ -8,7 +8,7 @@ from typing import Annotated, Any
 from typer import Argument, Option
 
 from hil.cli.options import Force, Json
-from hil.cli.output import print_result, table
+from hil.cli.output import print_result, say_on_stderr, table
 from hil.core.errors import BadInputError
 from hil.core.extras import need
 from hil.core.outputs import Existing, existing_files
@@ -75,6 +75,9 @@ def review(
         from hil.review.export import write_export
 
         write_export(runs[0], export, existing)
+    for file in (html, trajectory, overlay, export):
+        if file is not None:
+            say_on_stderr(f"hil: {file} is written")
     if together is None:
         print_result(as_json, found[0], _one(found[0], everything=everything))
         return

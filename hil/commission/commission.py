@@ -18,13 +18,11 @@ from hil.core.types import WHEEL_NAMES
 from hil.robot.parameters import ParameterClient
 from hil.robot.wheel_map import IMU_AXES
 from hil.runtime.robots import link_of, wiring
-from hil.scenario import Scenario, load
+from hil.scenario import BASE, Scenario, load
 from hil.scenario.commission import CommissionTable
 from hil.scenario.motors import make_driver
 from hil.wire.device_lock import device_held
 
-_BASE = "circle_speed"
-"""The scenario that lends what a robot's file does not have; nothing of its law, path or start is used."""
 _MEANWHILE = {"speed_kp_n_m_s_rad": 0.0, "speed_ki_n_m_rad": 0.0, "encoder_fault_s": 1.0}
 """Of the firmware while a robot is commissioned: no loop is closed, and no encoder is judged by the other three."""
 
@@ -85,7 +83,7 @@ def commission(
 
 def _scenarios(file: Path, sets: Sequence[str], link: str | None) -> tuple[Scenario, Scenario]:
     """Return the scenario as the robot's file tells it, and the one in which every output is just a number."""
-    told = load(_BASE, robot=file, set=[*sets, "expect=[]", "fault=[]"], link=link)
+    told = load(BASE, robot=file, set=[*sets, "expect=[]", "fault=[]"], link=link)
     is_base = told.device.is_makers and make_driver(told).capabilities.is_twist
     if any(text.partition("=")[0].removeprefix("firmware.") in _MEANWHILE for text in sets):
         raise BadInputError(
@@ -118,7 +116,7 @@ def _scenarios(file: Path, sets: Sequence[str], link: str | None) -> tuple[Scena
             "plant.wiring.imu": told.plant.wiring.imu or told.device.imu,
         }
     texts = [f"{key}={format_value(value)}" for key, value in plain.items()]
-    session = load(_BASE, robot=file, set=[*sets, "expect=[]", "fault=[]", *texts], link=link, mode=mode)
+    session = load(BASE, robot=file, set=[*sets, "expect=[]", "fault=[]", *texts], link=link, mode=mode)
     return told, session
 
 

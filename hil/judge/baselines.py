@@ -66,7 +66,7 @@ def why_not_judged(scenario: Scenario, baseline: Baseline) -> str | None:
     keys = list(dict.fromkeys(key.split(".")[0] if key.startswith("fault.") else key for key in given))
     if keys:
         more = f" and {len(keys) - _NAMED} more" if len(keys) > _NAMED else ""
-        return f"the run asks for something else, by {', '.join(keys[:_NAMED])}{more}"
+        return f"the run differs from those that made it, in {', '.join(keys[:_NAMED])}{more}"
     return "its scenario was another one; if the change is meant, accept it with `hil baseline --accept`"
 
 

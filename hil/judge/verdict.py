@@ -255,7 +255,7 @@ def _judged(metrics: Mapping[str, Any], *, everything: bool) -> Iterator[Row]:
         tightest = min(held, key=lambda row: _end(row.get("margin")))
         claim = tightest["text"].partition(": ")[0]
         room = tightest.get("margin")
-        left = "" if room is None or room >= 1.0 else f", {100 * room:.3g} % of its room left"
+        left = "" if room is None or room >= 1.0 else f", with {100 * room:.3g} % to spare"
         count = "1 held: " if len(held) == 1 else f"{len(held)} held; the tightest: "
         yield "expectations", f"{count}{claim}{left}"
     if not everything and len(rows) > len(held):

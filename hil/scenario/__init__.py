@@ -10,6 +10,7 @@ came from, ``shipped_scenarios()`` and ``suite_scenarios()`` the names that ``lo
 
 from hil.core.options import format_value
 from hil.scenario.load import (
+    BASE,
     Sources,
     from_values,
     load,
@@ -26,7 +27,7 @@ from hil.scenario.trial import ExpectTable, FaultTable
 from hil.scenario.values import StartValue
 
 __all__ = [
-    "SHIPPED_FMUS", "DeviceTable", "ExpectTable", "FaultTable", "FirmwareTable", "RealtimeTable", "Scenario",
+    "BASE", "SHIPPED_FMUS", "DeviceTable", "ExpectTable", "FaultTable", "FirmwareTable", "RealtimeTable", "Scenario",
     "ServiceTable", "Sources", "StartValue", "format_value", "from_plain", "from_values", "load", "read",
     "resolved", "robot_model", "set_texts", "shipped_scenarios", "suite_scenarios", "to_plain",
 ]  # fmt: skip

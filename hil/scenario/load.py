@@ -27,6 +27,8 @@ from hil.scenario.tables import Tables
 from hil.scenario.toml_text import key_lines, parse, parse_value
 from hil.scenario.values import is_path
 
+BASE = "circle_speed"
+"""The scenario that lends what a robot's own file does not have, where a command needs a whole one."""
 SHIPPED_DIRECTORY = Path(__file__).parent / "shipped"
 SUITE_DIRECTORY = SHIPPED_DIRECTORY / "suite"
 """Short scenarios that go where defects are: what ``hil verify`` runs."""

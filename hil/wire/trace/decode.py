@@ -12,7 +12,7 @@ from typing import Any, NamedTuple, Self
 
 from firmware_protocol import codec
 from firmware_protocol.framing import Frame
-from firmware_protocol.generated.messages import NAMED_VALUES, NAMES, SENDERS, UNITS
+from firmware_protocol.generated.messages import NAMED_VALUES, NAMES, SENDERS, UNITS, Tick
 from hil.core.errors import BadInputError, nearest
 from hil.wire.trace import damage
 
@@ -124,7 +124,8 @@ def _signals(message: codec.Message) -> Iterator[str]:
 class Reading:
     """Iterates over the selected frames of a file, and counts all frames and the ``selected`` ones.
 
-    If reading stopped early, ``trouble`` then says where and why.
+    If reading stopped early, ``trouble`` then says where and why. ``is_ours`` is false when the frames are taken for
+    those of another maker's motors: then none is decoded.
     """
 
     def __init__(self, path: Path, selection: Selection) -> None:
@@ -135,6 +136,7 @@ class Reading:
         self._last_s = 0.0
         self.frames = self.selected = 0
         self.trouble: str | None = None
+        self.is_ours = True
 
     def __iter__(self) -> Iterator[Entry]:
         kinds, from_s, to_s, _ = self._selection
@@ -230,7 +232,9 @@ class Reading:
 def read(path: Path, selection: Selection) -> Reading:
     """Return an iterator over the frames of a trace file that ``selection`` asks for.
 
-    Raises BadInputError when the file cannot be opened or its extension is not one of ``READABLE``.
+    No frame is decoded if the file has no valid TICK and fewer valid messages of ours than other frames: other makers
+    use the same identifiers. Raises BadInputError when the file cannot be opened or its extension is not one of
+    ``READABLE``.
     """
     if path.suffix.lower() not in READABLE:
         raise BadInputError(f"{path}: unknown file extension{nearest(path.suffix.lower(), READABLE)}")
@@ -239,7 +243,21 @@ def read(path: Path, selection: Selection) -> Reading:
             pass
     except OSError as error:
         raise BadInputError(f"{path}: {error.strerror}; expected a trace, one of {', '.join(READABLE)}") from error
-    return Reading(path, selection)
+    is_ours = selection.raw or _is_ours(Reading(path, Selection(frozenset(), 0.0, math.inf)))
+    reading = Reading(path, selection if is_ours else selection._replace(raw=True))
+    reading.is_ours = is_ours
+    return reading
+
+
+def _is_ours(frames: Reading) -> bool:
+    """Return whether frames are ours: at the first TICK that is valid, and without one by what most of them are."""
+    ours = others = 0
+    for entry in frames:
+        if isinstance(entry.message, Tick):
+            return True
+        ours += entry.message is not None
+        others += entry.message is None and entry.kind != ERROR
+    return ours >= others or ours == 0
 
 
 class Tally(NamedTuple):
