@@ -2,10 +2,10 @@
 
 Each robot is random and never a default one. It is driven over the wire as ``hil identify drive`` does, with noise of
 the gyro, encoders of 4096 counts and late, noisy pose fixes; the recorded currents get noise, offsets and gains, which
-the plant does not have. It is weighed and fitted as ``hil identify fit`` does (``--contact rigid`` where nothing slips).
-Prints errors, how many true values are within their intervals, the prediction of a held-out drive, and the time of the
-fit. A file of outcomes is continued where it ended. ``--page`` writes the table into hil/identify/METHOD.md. The exit
-code is 1 when a figure falls short of what is aimed at: ``REACH``, ``PREDICTED_MM`` and ``COVERAGE``.
+the plant does not have. It is weighed, and fitted as ``hil identify fit`` does, with ``--contact rigid`` where nothing
+slips. Prints errors, how many true values are within their intervals, the prediction of a held-out drive, and the time
+of the fit. A file of outcomes is continued where it ended. ``--page`` writes the table into hil/identify/METHOD.md. The
+exit code is 1 when a figure falls short of what is aimed at: ``REACH``, ``PREDICTED_MM`` and ``COVERAGE``.
 """
 
 import argparse
