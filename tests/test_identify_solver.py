@@ -15,7 +15,7 @@ from hil.identify.robust import HUBER
 from hil.plant.description import start_defaults
 from hil.scenario import load
 from tests.hidden_robots import hidden_robot, write_scenario
-from tools.identify_robots import mujoco_text, table
+from tools.identify_robots import NAMES, mujoco_text, shortfalls, table
 
 WINDOWS, MEASURED, PARAMETERS = 60, 12, 3
 SIGMA = 0.05
@@ -168,6 +168,36 @@ def test_the_tool_s_table_has_errors_intervals_and_predictions_by_plant() -> Non
     assert "| centre of mass, x, mm | 2 \\| 2.9, 100% | 1 \\| 1, 100% |" in lines
     assert "| grip, % |  |  |" in lines
     assert "| held-out drive, before the fit, mm | 1e+02 \\| 1e+02 | 1e+02 \\| 1e+02 |" in lines
+
+
+def robots(count: int, held: int, error: float = 1e-4, off_m: float = 0.001) -> list[dict[str, Any]]:
+    """Return rows of as many robots without slip, of which in so many cases the intervals hold the true values."""
+    return [
+        {
+            "seed": place, "plant": "rigid", "rigid_m": off_m, "slip_m": 0.02,
+            "error": dict.fromkeys(NAMES, error), "held": dict.fromkeys(NAMES, place < held),
+        }
+        for place in range(count)
+    ]  # fmt: skip
+
+
+def test_the_tool_says_which_figure_falls_short() -> None:
+    assert list(shortfalls(robots(300, 285))) == []
+    assert list(shortfalls(robots(40, 35))) == [], "88 % of so few is no news"
+    narrow = list(shortfalls(robots(300, 255)))
+    assert len(narrow) == len(NAMES)
+    assert "rigid, inertia: 85% of 300 intervals hold the true value; expected 90% to 98%" in narrow
+    assert len(list(shortfalls(robots(300, 300)))) == len(NAMES), "intervals that always hold are too wide"
+    wrong = list(shortfalls(robots(300, 285, error=0.0045)))
+    assert wrong == [
+        "rigid, centre of mass, x: the 95th percentile is 4.5 mm; expected at most 1 mm",
+        "rigid, centre of mass, y: the 95th percentile is 4.5 mm; expected at most 1 mm",
+        "rigid, wheel radius: the 95th percentile is 0.45 %; expected at most 0.4 %",
+        "rigid, lever: the 95th percentile is 0.45 %; expected at most 0.4 %",
+    ]
+    assert list(shortfalls(robots(300, 285, off_m=0.002))) == [
+        "rigid: the held-out drive is predicted to 2 mm; expected at most 1.5 mm"
+    ]
 
 
 def test_hidden_robots_are_never_default_and_mujoco_s_scenario_loads(tmp_path: Path) -> None:
