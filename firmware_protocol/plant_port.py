@@ -37,6 +37,8 @@ class PlantId(IntEnum):
 
 
 _LENGTHS = {PlantId.SAMPLE: _SAMPLE.size, PlantId.DRIVE: _DRIVE.size, PlantId.SENSE: _SENSE.size}
+BAUD = 2_000_000
+"""Of the line, as the boards have it (``port/stm32f4``): at 921,600 the bytes of a tick would take longer than it."""
 MAX_ENCODED = _HEADER.size + _SENSE.size + _CRC + 1
 """Bytes of the longest frame on the wire without its zero."""
 

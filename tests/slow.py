@@ -37,6 +37,7 @@ SLOW = (
     "test_tutorials.py::test_the_start_page_shows_what_happens",
     "test_tutorials.py::test_the_notebook_runs",
     # Emulators, browsers, other kernels.
+    "test_board_line.py::test_a_board_drives_the_plant_over_its_second_line_with_the_host_librarys_bytes",
     "test_qemu.py",
     "test_socketcan_inside.py",
     "test_targets.py",

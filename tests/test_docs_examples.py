@@ -10,6 +10,8 @@ from pathlib import Path
 
 import pytest
 
+from hil import run as hil_run
+from hil.cli.new_project import law_text
 from tests.plugin_suites import run
 from tests.processes import HIL, ROOT, environment, hil, wait_for
 from tools.build.compiler import compiler
@@ -43,10 +45,10 @@ def test_a_run_from_python_prints_figures_and_signals(capsys) -> None:
     assert "pose.x_m  pose.y_m  error.planar_m" in shown
 
 
-def test_a_law_of_ones_own_drives_as_well_as_ours(capsys) -> None:
-    script("my_law.py", "3")
-    own, mine = re.findall(r"^(?:dsc|mine) +to 10 mm after (\S+) s", capsys.readouterr().out, re.MULTILINE)
-    assert max(float(own), float(mine)) < 2.0
+def test_a_law_of_ones_own_is_the_one_that_init_writes_and_drives() -> None:
+    assert (EXAMPLES / "my_law.py").read_text(encoding="utf-8") == law_text()
+    run = hil_run("circle_speed", law=f"{EXAMPLES / 'my_law.py'}:MyLaw", set={"loop.duration_s": 3.0, "expect": []})
+    assert run.metrics["t10_s"] < 2.0
 
 
 def test_a_motion_of_ones_own_is_followed(tmp_path, capsys) -> None:

@@ -17,9 +17,13 @@ from hil.core.errors import BadInputError
 from hil.core.outputs import existing_files
 from hil.core.subprocesses import wait_for_end
 
+BOARD = "board"
+"""The value of --target for a real board."""
+
 if TYPE_CHECKING:
     from hil.robot.virtual import VirtualStm32
     from hil.scenario import Scenario
+    from hil.wire.link import LinkUrl as Url
     from hil.wire.trace import Trace
 
 
@@ -29,7 +33,13 @@ def device(
     mode: Mode = None,
     robot: RobotFile = None,
     truth_port: Annotated[int, Option(metavar="PORT", help="for the truth; 0 takes a free one", min=0, max=65535)] = 0,
-    target: Annotated[str, Option(metavar="host|qemu|unicorn", help="this machine, or an emulated STM32")] = "host",
+    target: Annotated[
+        str,
+        Option(
+            metavar="host|qemu|unicorn|board",
+            help="where the firmware runs; of a real board --link is the plant's line",
+        ),
+    ] = "host",
     dialect: Annotated[str | None, Option(metavar="NAME", help="as --set device.driver=NAME")] = None,
     seed: Seed = None,
     sets: Sets = None,
@@ -48,15 +58,20 @@ def device(
     if trace is not None:
         check_output_path("trace", trace, existing)
     with contextlib.ExitStack() as resources:
+        if trace is not None and target == BOARD:
+            raise BadInputError(
+                "--trace with --target board: its line carries no messages of the bus; trace in hil run"
+            )
         virtual = _robot(resolved, target)
         resources.callback(virtual.close)
         file = None if trace is None else resources.enter_context(open_trace(resolved, trace, existing))
-        _serve(resolved, virtual, truth_port, file, sys.stdin.fileno() if until_eof else None, resources)
+        _serve(resolved, virtual, target, truth_port, file, sys.stdin.fileno() if until_eof else None, resources)
 
 
 def _serve(
     scenario: "Scenario",
     robot: "VirtualStm32",
+    target: str,
     truth_port: int,
     trace: "Trace | None",
     lifeline: int | None,
@@ -72,11 +87,12 @@ def _serve(
     from hil.robot.targets.robot import open_server
     from hil.robot.truth_server import TruthServer
     from hil.runtime.realtime import real_time
-    from hil.runtime.robots import link_of, protocol_of
+    from hil.runtime.robots import protocol_of
     from hil.wire.trace import TracedWire
 
-    lockstep, protocol = scenario.loop.mode == "lockstep", protocol_of(scenario.device)
-    wire, reach = link_of(scenario).open_robot(say, lockstep=lockstep, protocol=protocol)
+    # A board on its plant's line: time passes there, with each question that comes from it.
+    lockstep, protocol = scenario.loop.mode == "lockstep" or target == BOARD, protocol_of(scenario.device)
+    wire, reach = _line(scenario, target).open_robot(say, lockstep=lockstep, protocol=protocol)
     resources.callback(wire.close)
     if trace is not None:
         clock = _RobotTime(robot) if lockstep else WallClock()
@@ -85,7 +101,7 @@ def _serve(
     truth = TruthServer(scenario.hash, truth_port)
     resources.callback(truth.close)
     # Before robot time begins, because locking memory takes a tenth of a second.
-    granted = None if lockstep else resources.enter_context(real_time(scenario.realtime))
+    granted = None if scenario.loop.mode == "lockstep" else resources.enter_context(real_time(scenario.realtime))
     server = open_server(robot, wire, truth, lockstep=lockstep)
     truth.request_reset = server.request_reset
     truth.run_on_faults = server.run_on_faults
@@ -93,7 +109,8 @@ def _serve(
         signal.signal(number, lambda *_: server.stop())
     if lifeline is not None:
         threading.Thread(target=_stop_at_the_end, args=(lifeline, server.stop), name="lifeline", daemon=True).start()
-    say(f"ready link={reach} truth={truth.url} mode={scenario.loop.mode} scenario={scenario.name}")
+    end = "plant" if target == BOARD else "link"
+    say(f"ready {end}={reach} truth={truth.url} mode={scenario.loop.mode} scenario={scenario.name}")
     for sentence in granted.figures()["refused"].values() if granted is not None else ():
         say(f"not granted: {sentence}")
     try:
@@ -109,19 +126,30 @@ def _serve(
 
 def _robot(scenario: "Scenario", target: str) -> "VirtualStm32":
     """Make the scenario's robot. Raises BadInputError when it cannot run in its own process."""
+    from hil.robot.targets.board import open_board
     from hil.robot.targets.robot import open_target
     from hil.robot.virtual import VirtualStm32
     from hil.runtime.mutation.mutation import mutation
-    from hil.runtime.robots import link_of, no_lockstep, node_maker, virtual_robot
+    from hil.runtime.robots import no_lockstep, node_maker, virtual_robot
 
     made_of, driver = mutation().made_of(virtual_robot(scenario)), scenario.device.driver
     if not scenario.device.is_makers:
-        return open_target(target, made_of, link_of(scenario))
+        url = _line(scenario, target)
+        return open_board(made_of, url) if target == BOARD else open_target(target, made_of, url)
     if target != "host":
         raise BadInputError(f"--target {target} runs this project's firmware, not {driver!r}; leave --target out")
     if made_of.lockstep:
         raise no_lockstep(scenario.device.driver)
     return VirtualStm32(made_of, node_maker(scenario.device))
+
+
+def _line(scenario: "Scenario", target: str) -> "Url":
+    """Return the link that the robot is behind, or that a board's plant port is."""
+    from firmware_protocol.plant_port import BAUD
+    from hil.runtime.robots import link_of
+    from hil.wire.url import parse_link
+
+    return parse_link(scenario.link.url, baud=BAUD) if target == BOARD else link_of(scenario)
 
 
 class _RobotTime:

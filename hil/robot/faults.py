@@ -39,6 +39,8 @@ class RobotFaults:
 
     Attributes:
         can_reset: whether a fault may switch the firmware off.
+        has_switch: whether the firmware can be switched off from here at all.
+        ahead: ticks by which the firmware's count is ahead of the plant's: 0 where both are switched on together.
     """
 
     def __init__(self, plant: FmuPlant | RemotePlant, body: Body) -> None:
@@ -48,6 +50,7 @@ class RobotFaults:
         self._faults = self._ffi.new("robot_faults *")
         self._memory: tuple[Any, ...] = ()
         self._accounts = 0
+        self.has_switch, self.ahead = True, 0
         self.clear()
 
     @property
@@ -104,7 +107,7 @@ class RobotFaults:
 
     def begin(self, tick: int) -> None:
         """Set the firmware tick at which the scenario's time starts."""
-        self._lib.robot_faults_begin(self._faults, tick)
+        self._lib.robot_faults_begin(self._faults, max(0, tick - self.ahead))
 
     def power_on(self) -> None:
         """Count the firmware's ticks from 0 again, because it was powered on."""
@@ -129,6 +132,8 @@ class RobotFaults:
         lib = self._lib
         match row.kind:
             case "reset":
+                if not self.has_switch:
+                    raise BadInputError("nothing here can reset a real board; leave the fault out")
                 yield {"kind": lib.ROBOT_FAULT_RESET}
             case "gyro_bias":
                 yield {"kind": lib.ROBOT_FAULT_GYRO_BIAS, "value": row.value}

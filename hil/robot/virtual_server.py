@@ -164,7 +164,10 @@ class VirtualServer:
 
     def _publish(self) -> None:
         view = self._robot.node.look() if self._truth.needs_view else None
-        self._truth.publish(self._robot.plant.truth(), view)
+        fix = self._robot.plant.truth()
+        if ahead := self._robot.faults.ahead:  # times are those of the firmware
+            fix = fix._replace(time_ns=fix.time_ns + ahead * TICK_NS)
+        self._truth.publish(fix, view)
         if view is not None and view.plant_failed and (failure := self._robot.failure()) is not None:
             raise failure
 

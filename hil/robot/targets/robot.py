@@ -100,7 +100,7 @@ def open_target(target: str, made_of: VirtualRobot, url: LinkUrl) -> VirtualStm3
     Raises BadInputError for an unknown target, one that lacks the link or the mode, and one without its tools here.
     """
     if target not in TARGETS:
-        raise BadInputError(f"--target {target!r}: there is no such target{nearest(target, TARGETS)}")
+        raise BadInputError(f"--target {target!r}: there is no such target{nearest(target, (*TARGETS, 'board'))}")
     if target == "host":
         return VirtualStm32(made_of)
     if not made_of.lockstep:
