@@ -158,6 +158,23 @@ def test_wheels_on_blocks_give_inertia_and_friction_over_the_torque_constant(dri
         fit_blocks(read_drive(drives / "squeeze.rrd"), 1.0)
 
 
+def test_bearings_with_next_to_no_friction_are_no_error_and_a_wrong_sign_is(drives: Path) -> None:
+    drive, constant = read_drive(drives / "blocks.rrd"), ROBOT.believed["motor_constant_n_m_a"]
+    sound = fit_blocks(drive, constant)
+    error = float(np.sqrt(sound.covariance[1, 1]))
+
+    def found(viscous_n_m_s_rad: float) -> float:
+        """Return what is found where the currents are those of this friction."""
+        less = (sound.viscous_n_m_s_rad - viscous_n_m_s_rad) / constant
+        return fit_blocks(
+            replace(drive, current_a=drive.current_a - less * drive.speed_rad_s), constant
+        ).viscous_n_m_s_rad
+
+    assert found(-error) == pytest.approx(error, rel=0.2)
+    with pytest.raises(BadInputError, match="expected positive numbers: check the signs of currents and speeds"):
+        found(-20.0 * error)
+
+
 def test_a_squeeze_gives_the_grip_and_a_robot_that_cannot_slide_says_so(drives: Path) -> None:
     scale = ROBOT.believed["motor_constant_n_m_a"] / ROBOT.true["motor_constant_n_m_a"]
     values = {"roller_friction_coefficient": 0.01} | {

@@ -23,6 +23,7 @@ _HALF_S = 0.02  # a speed is the mean over this time before and after
 _SLOWEST_RAD_S = 0.3
 _CLUSTER_BINS = 10
 _LEAST_BINS = 40
+_SIGMAS = 3.0  # a friction that is negative by no more standard errors is none
 
 
 class BlocksFit(NamedTuple):
@@ -77,6 +78,9 @@ def fit_blocks(drive: Drive, torque_constant_n_m_a: float) -> BlocksFit:
     by_wheel, of_wheels = regression(design, impulse[used], instrument, bins // _CLUSTER_BINS)
     means = np.kron(np.eye(2, len(columns)), np.full((1, count), 1.0 / count))
     found, covariance = means @ by_wheel, means @ of_wheels @ means.T
+    error = float(np.sqrt(covariance[1, 1]))
+    if -_SIGMAS * error < found[1] <= 0.0:  # bearings with next to no friction; the fit takes its logarithm
+        found[1] = error
     if found[0] <= 0.0 or found[1] <= 0.0:
         raise BadInputError(
             f"{drive.path}: on blocks the wheels' inertia came out as {found[0]:.3g} kg m2 and their viscous friction "
