@@ -5,6 +5,7 @@ key without a default must be given: facts about the robot, its firmware and the
 values in a wrong unit: a wheel radius of 75 is in millimetres.
 """
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Annotated, Any, Literal
@@ -277,6 +278,17 @@ class LimiterTable:
     slip_m_s: Annotated[
         float, Range(gt=0, infinite=True), "how much faster than the floor a rim may be driven; inf for no limit"
     ] = SLIP_M_S
+
+    @property
+    def words(self) -> str:
+        """What the limiter keeps in TORQUE mode, and where it is off, as a sentence for tables and pages."""
+        kept = {
+            "protection": "torques fade before the robot's overspeed",
+            "limit": "torques fade before robot.speed_limit_rad_s",
+            "off": "no wheel speed is kept (limiter.torque_speed is off)",
+        }[self.torque_speed]
+        slip = f"wheels slip at most {self.slip_m_s:g} m/s" if math.isfinite(self.slip_m_s) else "slip is not limited"
+        return f"The limiter between law and wheels: {kept}, and {slip}."
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -12,11 +12,14 @@ from typing import Any, NamedTuple
 
 from hil.core.model import GRAVITY_M_S2, RobotModel
 from hil.core.types import Pose
+from hil.drivers.registry import OUR_DRIVER
 from hil.references import feasibility, make_reference
 from hil.scenario import Scenario
 
 RATES_HZ = (100, 200, 250, 500, 1000)
 CURRENT_DRIVES = ("current", "voltage")
+MAKERS = ("odrive", "vesc")
+"""Motors of other makers, half of the cases: each does its speed loop by itself, and acknowledges no command."""
 _TORQUE_N_M = 1.5, 5.0
 _MASS = 0.5, 2.0
 _FRICTION = 0.2, 4.0
@@ -80,6 +83,7 @@ def _case(base: Scenario, number: int, draw: _Draw, given: Sequence[str]) -> Cas
     slips, grip = draw.half(), draw.within(*_GRIP, 2)
     is_hidden, hidden_s = draw.half(), draw.within(*_HIDDEN_S, 3)
     rate_hz = draw.one_of(RATES_HZ)
+    driver = draw.one_of((OUR_DRIVER, OUR_DRIVER, *MAKERS))
     told_s = draw.within(0.0, _LATENCY_S, 3), draw.within(0.0, _LATENCY_S, 3)
     reference = _reference(draw)
     robot = base.robot
@@ -97,6 +101,8 @@ def _case(base: Scenario, number: int, draw: _Draw, given: Sequence[str]) -> Cas
         "link.feedback_latency_s": told_s[1],
         "reference": reference,
     }
+    if driver != OUR_DRIVER:
+        sets["device.driver"] = driver
     if slips:
         sets["plant.start.grip_coefficient"] = grip
     if drive in CURRENT_DRIVES:
