@@ -111,6 +111,7 @@ def test_the_command_gives_and_writes_the_figures_of_the_runs_the_same_every_tim
         assert row["nominal"] == {name: metrics[name] for name in FIGURES}
         assert row["nominal"]["effort_n_m_s"] > 0.0
     page = (tmp_path / "PAGE.md").read_text(encoding="utf-8")
+    assert "wheels slip at most 0.3 m/s" in page, "what limits torques beyond the law is named"
     assert f"{rows[1]['nominal']['effort_n_m_s']:.1f}" in page.partition("| afdsc")[2].partition("\n")[0]
     pictures = sorted((tmp_path / "pictures").glob("*.svg"))
     assert len(pictures) == 3

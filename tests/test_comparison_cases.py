@@ -47,6 +47,9 @@ def test_cases_go_where_they_say_and_each_is_a_scenario() -> None:
     assert max(hidden) <= 0.02
     assert {one.controller.mode.name for one in scenarios} == {"SPEED", "TORQUE"}
     assert {one.reference.kind for one in scenarios} == {"circle", "figure_eight", "rounded_square", "spin"}
+    assert {one.device.driver for one in scenarios} == {"stm32", "odrive", "vesc"}
+    ideal = [one["drive"] == "torque" for one in start]
+    assert [one.robot.speed_limit_rad_s for one in scenarios] == [20.0 if is_ideal else 17.28 for is_ideal in ideal]
     assert 100 <= sum(case.can_follow for case in drawn) < 200
 
 

@@ -39,8 +39,10 @@ SLIPPERY = {
     "expect": [],
 }
 
+OFF = {"limiter.torque_speed": "off", "limiter.slip_m_s": math.inf}
 
-def guard(torque_speed: TorqueSpeed = "protection", slip_m_s: float | None = None) -> Guard:
+
+def guard(torque_speed: TorqueSpeed = "protection", slip_m_s: float = math.inf) -> Guard:
     made = Guard(20.0, 5.0, MotionLimits(MODEL, PERIOD_S, slip_m_s, torque_speed))
     made.limit_to(32.0, 40.0)
     return made
@@ -59,7 +61,7 @@ def faded(made: Guard, torque: Wheels, *measured: Wheels, state: State = AT_REST
 def test_what_is_taken_away_is_drive_and_braking_is_free(along: tuple[int, int, int], size: float, torque: Wheels):
     twist = size * along[0], size * along[1], size * along[2]
     now = Wheels(*wheel_speeds(twist, MODEL.wheel_radius_m, MODEL.lever_m))
-    for slip_m_s in (None, 0.3):
+    for slip_m_s in (math.inf, 0.3):
         left = faded(guard("limit", slip_m_s), torque, now, now)
         assert max(map(abs, left)) <= 5.0
         power, kept = (sum(map(operator.mul, one, now)) for one in (torque, left))
@@ -90,6 +92,28 @@ def test_a_wheel_that_slips_is_faded_and_those_that_roll_are_not():
     left = faded(guard(slip_m_s=0.3), push, measured, measured, state=rolling)
     assert left == (pytest.approx(0.5), 1.0, 1.0, 1.0), "0.225 m/s of 0.3, faded from 0.15 on"
     assert faded(guard(), push, measured, measured, state=rolling) == push
+
+
+def test_a_robot_that_was_reset_while_it_rolled_does_not_count_as_slipping():
+    """Its clock and its estimate of the wheels' speed begin at zero, while the floor goes by as before."""
+    rolling = State(Pose(0.0, 0.0, 0.0), Twist(0.75, 0.0, 0.0))  # 10 rad/s each
+    push, lag_s = Wheels(1.0, 1.0, 1.0, 1.0), 0.0133
+    made = guard(slip_m_s=0.3)
+    assert faded(made, push, *[Wheels(10.0, 10.0, 10.0, 10.0)] * 4, state=rolling) == push
+    begins = [10.0 * (1.0 - math.exp(-2.0 * t) * (1.0 + 2.0 * t)) for t in np.arange(20) * PERIOD_S / lag_s]
+    assert faded(made, push, *[Wheels(one, one, one, one) for one in begins], state=rolling) == push
+
+
+@given(st.floats(1.0, 20.0), st.floats(-5.0, 5.0))
+def test_a_wheel_that_slips_far_beyond_the_limit_is_not_braked_either_for_a_while(slips: float, torque: float):
+    """Nothing but its own inertia is braked: the torque that is on its way would make it slip the other way."""
+    made = guard(slip_m_s=0.3)
+    at_once = Wheels(4.0 + slips, 0.0, 0.0, 0.0)
+    faded(made, Wheels(5.0, 5.0, 5.0, 5.0), at_once, at_once)
+    command = WheelCommand(CommandMode.TORQUE, ZERO_WHEELS, Wheels(torque, torque, torque, torque))
+    left = made.fade(command, False, at_once, round(2 * PERIOD_S * 1e9), AT_REST, 0.005)[0].torque_n_m
+    assert abs(left.fl) <= 0.05 * abs(torque)
+    assert left[1:] == command.torque_n_m[1:]
 
 
 @example(Wheels(5.0, 5.0, 5.0, 5.0), Wheels(1.0, 1.0, 1.0, 1.0))  # below both limits
@@ -131,7 +155,7 @@ def test_set_points_of_a_body_with_limits_are_scaled_together(asked: Wheels):
 @pytest.mark.parametrize("law", ["profile", "pid", "dsc", "afdsc"])
 def test_no_law_drives_the_robot_into_its_overspeed_on_a_floor_that_gives_half_of_the_grip(law: str):
     sets = {**SLIPPERY, "controller.law": law}
-    free = hil.run("compare_circle", set={**sets, "limiter.torque_speed": "off"})
+    free = hil.run("compare_circle", set={**sets, **OFF})
     assert "OVERSPEED" in str(free.failure), "the case is hard enough"
     kept = hil.run("compare_circle", set=sets)
     assert kept.failure is None
@@ -167,17 +191,14 @@ def test_wheels_that_were_let_go_do_not_spin_again_with_torque_that_was_on_its_w
 def test_with_a_limit_of_slip_a_law_is_on_the_path_where_it_was_not_in_4_s():
     kept, gripping = (
         hil.run("compare_circle", set={**SLIPPERY, "controller.law": "lqi", **more})
-        for more in ({}, {"limiter.slip_m_s": 0.3})
+        for more in ({"limiter.slip_m_s": math.inf}, {})
     )
     assert kept.metrics["t10_s"] is None
     assert gripping.metrics["t10_s"] < 3.7
 
 
 def test_where_nothing_is_near_a_limit_not_a_byte_changes():
-    runs = [
-        hil.run("compare_circle", set={"limiter.torque_speed": kept, "loop.duration_s": 1.0, "expect": []})
-        for kept in ("off", "protection")
-    ]
+    runs = [hil.run("compare_circle", set={**limiter, "loop.duration_s": 1.0, "expect": []}) for limiter in (OFF, {})]
     assert runs[0].metrics["wire_sha256"] == runs[1].metrics["wire_sha256"]
 
 

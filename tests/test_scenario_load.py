@@ -321,7 +321,7 @@ def test_the_hash_is_that_of_the_canonical_text(here: Path) -> None:
         '{"device":{"reversed":["fl","rr"],"wheels":["fl","fr","rr","rl"]},'
         '"firmware":{"counts_per_revolution":4096,"current_bandwidth_rad_s":1000.0,"current_limit_a":20.0,'
         '"encoder_fault_s":0.1,"motor_inductance_h":0.0005,"motor_resistance_ohm":0.6,"overspeed_rad_s":100.0,'
-        '"ramp_s":0.2,"speed_ki_n_m_rad":25.0,"speed_kp_n_m_s_rad":1.1,"temperature_limit_degc":120.0,'
+        '"ramp_s":0.2,"speed_ki_n_m_rad":12.0,"speed_kp_n_m_s_rad":1.1,"temperature_limit_degc":120.0,'
         '"torque_constant_n_m_a":1.25,"torque_limit_n_m":5.0,"tracking_bandwidth_rad_s":150.0,'
         '"undervoltage_v":0.0,"watchdog_s":0.025},'
         '"format":3,"loop":{"rate_hz":200,"seed":1},'

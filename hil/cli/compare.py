@@ -158,5 +158,6 @@ def _lines(comparison: "Comparison") -> Iterator[str]:
         yield title if number == 0 else f"\n{title}"
         yield from table(rows)
         yield from (f"  {note}" for note in notes)
+    yield f"\n{comparison.limiter}"
     if len(comparison.rows[0].runs) > 1:
-        yield "\nnominal / worst over mass and friction of the plant; less is better in every column"
+        yield "nominal / worst over mass and friction of the plant; less is better in every column"

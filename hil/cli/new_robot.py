@@ -31,7 +31,7 @@ _SHORTEST_S = 5.0
 _OFF_M = 0.1
 _LOOP_RAD_S = 33.0
 """Bandwidth of the firmware's speed loop on the paper's robot; its gains were chosen for it."""
-_INTEGRAL_1_S = 23.0
+_INTEGRAL_1_S = 11.0
 _OVERSPEED = 2.0
 _COMMENT_COLUMN = 40
 _BATTERY_V = 24.0

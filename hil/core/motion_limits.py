@@ -17,6 +17,8 @@ from hil.core.model import RobotModel
 from hil.core.types import State, WheelCommand, Wheels
 
 TorqueSpeed = Literal["protection", "limit", "off"]
+SLIP_M_S = 0.3
+"""How much faster than the floor a rim may be driven, unless a scenario says otherwise."""
 BAND = 0.05
 """The law may go beyond the limits of the body by this share, or it could not make up for what it has lost."""
 _LAG_S = 0.0133  # of a measured wheel speed: 2 / tracking_bandwidth_rad_s, with its default
@@ -39,8 +41,8 @@ class BodyLimits(NamedTuple):
 class MotionLimits:
     """What a ``Guard`` does beyond scaling set points to what a wheel may have.
 
-    ``body`` are the limits of the body, if any; in SPEED mode they scale the set points. ``slip_m_s``, if given, is how
-    much faster than the floor a rim may move. ``torque_speed`` is which wheel speed torques keep below: one at which
+    ``body`` are the limits of the body, if any; in SPEED mode they scale the set points. ``slip_m_s`` is how much
+    faster than the floor a rim may move. ``torque_speed`` is which wheel speed torques keep below: one at which
     the robot's ``protection`` does not stop it, the ``limit`` of the scenario, or, with ``off``, none. ``near_rad_s``
     is the wheel speed below which no limit can be near, ``last`` are the newest wheel speeds and their robot's time.
     """
@@ -49,13 +51,13 @@ class MotionLimits:
         self,
         model: RobotModel,
         period_s: float,
-        slip_m_s: float | None = None,
+        slip_m_s: float = math.inf,
         torque_speed: TorqueSpeed = "protection",
     ) -> None:
         self._model = model
         self._torque_speed = torque_speed
         self._ahead_s = period_s + _LAG_S
-        self._slip_rad_s = math.inf if slip_m_s is None else slip_m_s / model.wheel_radius_m
+        self._slip_rad_s = slip_m_s / model.wheel_radius_m
         self.last: tuple[Wheels | None, int] = None, 0
         nothing: tuple[float, ...] = ()
         self._slip: tuple[Wheels | None, int, tuple[float, ...], tuple[float, ...]] = None, -1, nothing, nothing
@@ -137,7 +139,10 @@ class MotionLimits:
         (_, _, heading_rad), twist = state
         rolling = self._model.wheel_speeds(twist, heading_rad)
         before, at_ns, once, twice = self._slip
-        if at_ns == before_ns:
+        if time_ns < before_ns:
+            # The robot was reset. Its filters begin at rest, whatever its wheels do, and so must these.
+            before, once, twice = None, now, now
+        elif at_ns == before_ns:
             # The measured speeds lag behind by two filters in a row, so what they are compared with must do so too.
             follows = -math.expm1(-2e-9 * (time_ns - before_ns) / _LAG_S)
             once = tuple(old + follows * (new - old) for old, new in zip(once, rolling, strict=True))
@@ -149,7 +154,10 @@ class MotionLimits:
         coming = _ahead(slip, before, ahead)
         shares = _shares(torque, slip, coming, _SLIP_BEGIN * self._slip_rad_s, self._slip_rad_s)
         self._gripped = _risen(shares, self._gripped, ahead)
-        return _times(torque, slip, self._gripped)
+        if self._gripped == _ALL:
+            return torque
+        # Either way: a wheel without grip that is braked with all of its torque slips the other way a latency later.
+        return Wheels(*(share * one for share, one in zip(self._gripped, torque, strict=True)))
 
     def _fade_body(self, torque: Wheels, coming: Wheels) -> Wheels:
         """Take away from the force what pushes the way that the robot moves, and from the torque what turns it on.

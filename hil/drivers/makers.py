@@ -36,6 +36,7 @@ class MakersRobot(LinkedDevice):
     ``watch`` stops the robot when this process dies or hangs. Nothing is sent before ``connect``.
     """
 
+    acknowledges = False
     keeps_counts = False  # a controller that was reset counts from zero, and does not report the reset
     _clock: Clock
     _line: MotorLine

@@ -27,9 +27,9 @@ class AccelerationShare:
     enough was seen to rely on them. They begin at 1, the believed f, and False.
 
     ``largest`` is the believed acceleration at full torque [m/s² or rad/s²]. Windows with less than a sixth
-    of ``largest`` teach nothing: what they show may be friction, a slope or noise. A window in which a limiter took
-    torque away, as from wheels that slip, teaches only that a robot is lighter: it may have had less force than the
-    torque stands for, but not more.
+    of ``largest`` teach nothing: what they show may be friction, a slope or noise. Once a limiter took torque away, as
+    from wheels that slip, a window teaches only that a robot is lighter, and that it is heavier is forgotten: it may
+    have had less force than the torque stands for, before and after too, but not more.
     """
 
     __slots__ = ("_believed", "_scale", "_sums", "_was_limited", "_window", "friction", "is_known", "share")
@@ -41,10 +41,13 @@ class AccelerationShare:
 
     def reset(self) -> None:
         """Forget everything: a robot that was stopped may have been loaded meanwhile."""
-        self._sums = 0.0, 0.0, 0.0, 0.0, 0.0
-        self.share, self.friction, self.is_known = 1.0, self._believed, False
+        self._forget()
         self._was_limited = False
         self._begin(())
+
+    def _forget(self) -> None:
+        self._sums = 0.0, 0.0, 0.0, 0.0, 0.0
+        self.share, self.friction, self.is_known = 1.0, self._believed, False
 
     def _begin(self, rates: tuple[float, ...]) -> None:
         self._window = 0.0, rates, (0.0,) * len(rates)
@@ -55,7 +58,10 @@ class AccelerationShare:
         if not first:
             self._begin(rates)
             return
-        self._was_limited = self._was_limited or is_limited
+        if is_limited and not self._was_limited:
+            self._was_limited = True
+            if self.share < 1.0:
+                self._forget()
         passed_s += dt_s
         moved = tuple(map(float.__add__, moved, changes))
         if passed_s < _WINDOW_S:
@@ -65,7 +71,6 @@ class AccelerationShare:
         gained = sum(u * (end - begin - u) for u, begin, end in zip(moved, first, rates, strict=True))
         if gained > 0.0 or not self._was_limited:
             self._learn(first, rates, moved, passed_s)
-        self._was_limited = False
 
     def _learn(
         self, first: tuple[float, ...], last: tuple[float, ...], moved: tuple[float, ...], passed_s: float

@@ -112,6 +112,10 @@ class Device(Protocol):
     # Reconnection after a loss, in steps that do not wait
 
     @property
+    def acknowledges(self) -> bool:
+        """Whether feedback says which command is applied, and since when: the latency is then measured by that."""
+
+    @property
     def keeps_counts(self) -> bool:
         """Whether encoders keep counting while the link is lost, unless the robot was reset."""
 

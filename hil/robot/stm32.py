@@ -120,6 +120,11 @@ class Stm32(LinkedDevice):
     # Reconnection after a loss, in steps that do not wait, because the control loop keeps running
 
     @property
+    def acknowledges(self) -> bool:
+        """True: TICK has the sequence number and the age of the command."""
+        return True
+
+    @property
     def keeps_counts(self) -> bool:
         """True: the encoders keep counting while the link is lost, unless the robot is reset."""
         return True

@@ -6,6 +6,7 @@ from typing import Any, NamedTuple
 
 from hil.core.errors import HilError
 from hil.core.guard import Brake, Guard
+from hil.core.model import RobotModel
 from hil.core.ports import Clock, Controller, FixSource, Note, OwnSignals, PoseSource, Sink
 from hil.core.signals import LoopSignals
 from hil.core.tuples import make_applied
@@ -23,6 +24,7 @@ from hil.estimation.measurement import LOST, Estimator
 from hil.laws.shadows import Shadows
 from hil.references import ReferenceSource
 from hil.robot.link_times import CommandLatency
+from hil.robot.motion_echo import MotionEcho
 from hil.robot.port import Device
 from hil.robot.snapshot import Feedback
 from hil.runtime.freshness import Freshness
@@ -53,6 +55,7 @@ class TickParts(NamedTuple):
     brake: Brake
     sinks: Sequence[Sink]
     note: Note
+    model: RobotModel
     robot_failure: Callable[[], HilError | None]
     faults: SignalFaults | None = None
     shadows: Shadows | None = None
@@ -71,8 +74,9 @@ class Tick:
     A tick is ``sense``, then ``drive``. If the robot must not be driven, ``record_away`` replaces ``drive``; if it is
     not connected, it replaces both.
 
-    The law is told the latency. It is measured, so it includes faults; until it is, and for robots that acknowledge no
-    command, it is the sum of the scenario's ``[link]`` latencies.
+    The law is told the latency. It is measured, so it includes faults: by the robot's word on commands or, in TORQUE
+    mode of a robot that acknowledges none, by its motion. Until it is, it is the sum of the scenario's ``[link]``
+    latencies.
 
     Attributes:
         count: ticks that have a row.
@@ -95,6 +99,9 @@ class Tick:
         self._latency = CommandLatency(timing.latency_s, timing.stale_ns)
         self._measure_latency = self._latency.measure
         self._latency_s = timing.latency_s
+        self._echo: MotionEcho | None = None
+        if mode is CommandMode.TORQUE and not parts.device.acknowledges:
+            self._echo = MotionEcho(parts.model, timing.latency_s)
         self._applied = Applied(self._rest, False, timing.latency_s)
         self._before: int | None = None  # the law's last tick; None before its first and before a reset
         self.count = 0
@@ -148,7 +155,10 @@ class Tick:
         truth_ns = freshness.truth_ns
         # The state is as old as the truth if the estimate uses it, otherwise as old as the feedback.
         sampled_ns = feedback.robot_time_ns if truth_ns is None else truth_ns
-        self._latency_s = latency_s = measure_latency(feedback, sequence, sampled_ns)
+        latency_s = measure_latency(feedback, sequence, sampled_ns)
+        if self._echo is not None and inputs is not None:
+            latency_s = self._echo.update(command.torque_n_m, inputs[0], sampled_ns, is_limited=saturated)
+        self._latency_s = latency_s
         if self._shadows is not None:
             self._update_shadows(self._shadows, now.t_s, reference, inputs)
         self._applied = applied = make_applied(command, saturated, latency_s)
@@ -197,6 +207,8 @@ class Tick:
         self._before = None
         self._update_limits()
         self._latency.restart()
+        if self._echo is not None:
+            self._echo.restart()
         self._applied = Applied(self._rest, False, self._latency_s)
 
     def restart(self) -> None:

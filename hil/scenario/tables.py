@@ -5,13 +5,14 @@ key without a default must be given: facts about the robot, its firmware and the
 values in a wrong unit: a wheel radius of 75 is in millimetres.
 """
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Annotated, Any, Literal
 
 from hil.core.errors import BadInputError, nearest
 from hil.core.model import RobotModel
-from hil.core.motion_limits import TorqueSpeed
+from hil.core.motion_limits import SLIP_M_S, TorqueSpeed
 from hil.core.options import OTHERS, OptionsError, Problem, Range
 from hil.core.types import WHEEL_NAMES, CommandMode
 from hil.drivers.registry import OUR_DRIVER, driver_names, make_settings
@@ -100,7 +101,7 @@ class FirmwareTable:
     undervoltage_v: Annotated[float, Range(ge=0, le=200), "a battery voltage below this is a fault; 0 for never"] = 0.0
     tracking_bandwidth_rad_s: Annotated[float, Range(ge=1, le=500), "of the filter that estimates speed"] = 150.0
     speed_kp_n_m_s_rad: Annotated[float, Range(ge=0, le=100), "speed loop, proportional"] = 1.1
-    speed_ki_n_m_rad: Annotated[float, Range(ge=0, le=10000), "speed loop, integral"] = 25.0
+    speed_ki_n_m_rad: Annotated[float, Range(ge=0, le=10000), "speed loop, integral"] = 12.0
     watchdog_s: Annotated[
         Milliseconds, Range(ge=0.02, le=0.1), "silence that stops the wheels; by default 5 command periods"
     ] = 0.1
@@ -274,7 +275,20 @@ class LimiterTable:
     torque_speed: Annotated[
         TorqueSpeed, "wheel speed below which torques keep: the robot's overspeed, robot.speed_limit_rad_s, or none"
     ] = "protection"
-    slip_m_s: Annotated[float | None, Range(gt=0, le=20), "how much faster than the floor a rim may be driven"] = None
+    slip_m_s: Annotated[
+        float, Range(gt=0, infinite=True), "how much faster than the floor a rim may be driven; inf for no limit"
+    ] = SLIP_M_S
+
+    @property
+    def words(self) -> str:
+        """What the limiter keeps in TORQUE mode, and where it is off, as a sentence for tables and pages."""
+        kept = {
+            "protection": "torques fade before the robot's overspeed",
+            "limit": "torques fade before robot.speed_limit_rad_s",
+            "off": "no wheel speed is kept (limiter.torque_speed is off)",
+        }[self.torque_speed]
+        slip = f"wheels slip at most {self.slip_m_s:g} m/s" if math.isfinite(self.slip_m_s) else "slip is not limited"
+        return f"The limiter between law and wheels: {kept}, and {slip}."
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -12,11 +12,14 @@ from typing import Any, NamedTuple
 
 from hil.core.model import GRAVITY_M_S2, RobotModel
 from hil.core.types import Pose
+from hil.drivers.registry import OUR_DRIVER
 from hil.references import feasibility, make_reference
 from hil.scenario import Scenario
 
 RATES_HZ = (100, 200, 250, 500, 1000)
 CURRENT_DRIVES = ("current", "voltage")
+MAKERS = ("odrive", "vesc")
+"""Motors of other makers, half of the cases: each does its speed loop by itself, and acknowledges no command."""
 _TORQUE_N_M = 1.5, 5.0
 _MASS = 0.5, 2.0
 _FRICTION = 0.2, 4.0
@@ -26,6 +29,8 @@ _HIDDEN_S = 0.001, 0.02
 _SPEED_M_S = 0.1, 0.6
 _SIZE_M = 0.5, 1.5
 _YAW_RATE_RAD_S = 0.8
+_BATTERY_V = 24.0  # of the plant, unless a scenario says otherwise
+_OF_NO_LOAD = 0.9
 _SHARE = 0.8
 """Of torque, speed and grip: a reference that needs no more of the true robot can be followed."""
 
@@ -78,6 +83,7 @@ def _case(base: Scenario, number: int, draw: _Draw, given: Sequence[str]) -> Cas
     slips, grip = draw.half(), draw.within(*_GRIP, 2)
     is_hidden, hidden_s = draw.half(), draw.within(*_HIDDEN_S, 3)
     rate_hz = draw.one_of(RATES_HZ)
+    driver = draw.one_of((OUR_DRIVER, OUR_DRIVER, *MAKERS))
     told_s = draw.within(0.0, _LATENCY_S, 3), draw.within(0.0, _LATENCY_S, 3)
     reference = _reference(draw)
     robot = base.robot
@@ -95,11 +101,14 @@ def _case(base: Scenario, number: int, draw: _Draw, given: Sequence[str]) -> Cas
         "link.feedback_latency_s": told_s[1],
         "reference": reference,
     }
+    if driver != OUR_DRIVER:
+        sets["device.driver"] = driver
     if slips:
         sets["plant.start.grip_coefficient"] = grip
     if drive in CURRENT_DRIVES:
         limit_a = round(torque_n_m / base.firmware.torque_constant_n_m_a, 3)
         sets |= {"plant.start.current_limit_a": limit_a, "firmware.current_limit_a": limit_a}
+        sets["robot.speed_limit_rad_s"] = _motor_speed_rad_s(base)
     if is_hidden:
         sets["fault"] = [{"kind": "delay", "target": "command", "value": hidden_s}]
     if any(_covers(key, "reference") for key in given):
@@ -111,6 +120,13 @@ def _case(base: Scenario, number: int, draw: _Draw, given: Sequence[str]) -> Cas
     true = _true_robot(base, sets)
     needs = feasibility(source, true, base.loop.duration_s, base.loop.period_ns * 1e-9)
     return Case(number, sets, not needs.sentences)
+
+
+def _motor_speed_rad_s(base: Scenario) -> float:
+    """Return the speed limit of a robot whose motors have a battery: beyond their no-load speed they only brake."""
+    battery_v = float(base.plant.start.get("battery_voltage_v", _BATTERY_V))
+    no_load_rad_s = battery_v / base.firmware.torque_constant_n_m_a
+    return min(base.robot.speed_limit_rad_s, round(_OF_NO_LOAD * no_load_rad_s, 2))
 
 
 def _covers(given: str, key: str) -> bool:
@@ -161,5 +177,5 @@ def _true_robot(base: Scenario, sets: Mapping[str, Any]) -> RobotModel:
         inertia_kg_m2=float(start.get("inertia_kg_m2", robot.inertia_kg_m2)),
         friction_coefficient=float(start.get("friction_coefficient", robot.friction_coefficient)),
         torque_limit_n_m=_SHARE * torque_n_m,
-        speed_limit_rad_s=_SHARE * robot.speed_limit_rad_s,
+        speed_limit_rad_s=_SHARE * float(sets.get("robot.speed_limit_rad_s", robot.speed_limit_rad_s)),
     )

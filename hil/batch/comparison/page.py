@@ -94,7 +94,8 @@ def _preface(comparison: Comparison, command: str) -> Iterator[str]:
     masses, frictions = (" and ".join(f"{value:g}" for value in values) for values in (MASS_FACTORS, FRICTIONS))
     made = _MADE.format(command=command, scenario=comparison.scenario, seed=comparison.seed)
     cells = _VARIED.format(masses=masses, frictions=frictions) if len(comparison.rows[0].runs) > 1 else _NOMINAL
-    yield from ["# Laws compared", "", *made.splitlines(), "", *cells.splitlines(), ""]
+    limiter = [comparison.limiter] if comparison.limiter else []
+    yield from ["# Laws compared", "", *made.splitlines(), *limiter, "", *cells.splitlines(), ""]
     for column in shown_columns():
         yield f"- {column.head} [{column.unit}]: {column.meaning}."
 

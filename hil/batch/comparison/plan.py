@@ -84,7 +84,7 @@ def compare(
             runs = [Run(robot, outcome) for robot, (_, outcome) in zip(robots, some, strict=True)]
             curves = None if runs[0].figures is None else _curves(some[0][0], base.firmware.torque_constant_n_m_a)
             done.append(Row(entry, table, runs, curves))
-    return Comparison(base.name, base.loop.seed, base.loop.duration_s, done)
+    return Comparison(base.name, base.loop.seed, base.loop.duration_s, done, base.limiter.words)
 
 
 def _job(scenario: Scenario, entry: Entry, table: Condition, limit_s: float, scratch: Path | None) -> Job:

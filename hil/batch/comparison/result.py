@@ -122,12 +122,16 @@ class Row(NamedTuple):
 
 
 class Comparison(NamedTuple):
-    """All rows, condition by condition, the laws in the order in which they were named, of runs of this duration."""
+    """All rows, condition by condition, the laws in the order in which they were named, of runs of this duration.
+
+    ``limiter`` says what limits torques beyond the law, and where that is off.
+    """
 
     scenario: str
     seed: int
     duration_s: float
     rows: Sequence[Row]
+    limiter: str = ""
 
     def tables(self) -> dict[Condition, list[Row]]:
         """Return the rows of each condition, in order."""
@@ -144,4 +148,10 @@ class Comparison(NamedTuple):
     def plain(self) -> dict[str, Any]:
         """Return everything but the curves as plain values, for JSON."""
         rows = [row.plain() for row in self.rows]
-        return {"scenario": self.scenario, "seed": self.seed, "passed": not self.has_failed, "rows": rows}
+        return {
+            "scenario": self.scenario,
+            "seed": self.seed,
+            "limiter": self.limiter,
+            "passed": not self.has_failed,
+            "rows": rows,
+        }

@@ -38,6 +38,12 @@ _CIRCLE = (
         "to keep the direction of the force; run too with each motor limited by itself",
         "the guard scales all four wheels together",
     ),
+    _Row(
+        "a limiter of the wheels' speed and slip",
+        (),
+        "ours would keep the robot from its overspeed and from slip; it is off in section IV.B too",
+        'off: limiter.torque_speed = "off", limiter.slip_m_s = inf',
+    ),
     _Row("the wheels' inertia", ("robot.wheel_inertia_kg_m2",), "a wheel of 1.8 kg with its rollers"),
     _Row("friction", ("robot.friction_coefficient",), "the simulation's errors show none"),
     _Row("the top speed", ("robot.speed_limit_rad_s",), "none: this is what a command can carry"),

@@ -1,5 +1,6 @@
 """Which runs reproduce section IV: shipped scenarios, with settings as data."""
 
+import math
 from collections.abc import Iterator, Mapping
 from typing import NamedTuple
 
@@ -100,6 +101,8 @@ QUICK_DELAY_S = 18.0
 """Duration of the experiment without its silent time: a lap after AFDSC is on the path; DSC takes longer."""
 TRANSITION_S = 17.0
 """Duration of runs that only show how long the robot takes to the path: 10 s from the first command on."""
+_NO_LIMITER: Settings = {"limiter.torque_speed": "off", "limiter.slip_m_s": math.inf}
+"""The paper has no limiter between law and wheels."""
 _UNJUDGED: Settings = {"expect": []}
 """A scenario's own expectations do not apply to its variants."""
 _RECORDED = ("dsc common together", "afdsc common together", "afdsc short together")
@@ -107,7 +110,8 @@ _RECORDED = ("dsc common together", "afdsc common together", "afdsc short togeth
 
 def cases(*, quick: bool = False) -> list[Case]:
     """Return the runs in the order of the tables; with ``quick`` only a few for each table."""
-    found = [*circle(quick=quick), *experiment(quick=quick)]
+    each = (*circle(quick=quick), *experiment(quick=quick))
+    found = [case._replace(sets={**_NO_LIMITER, **case.sets}) for case in each]
     assert len({case.name for case in found}) == len(found)
     return found
 

@@ -24,7 +24,7 @@ AT_REST = State(Pose(0.0, 0.0, 0.0), Twist(0.0, 0.0, 0.0))
 PUSH = Wheels(1.0, 1.0, 1.0, 1.0)
 
 
-def guard(kept: TorqueSpeed = "protection", slip_m_s: float | None = None) -> Guard:
+def guard(kept: TorqueSpeed = "protection", slip_m_s: float = math.inf) -> Guard:
     made = Guard(64.0, 5.0, MotionLimits(MODEL, PERIOD_S, slip_m_s, kept))
     made.limit_to(32.0, 40.0)
     return made
@@ -50,7 +50,7 @@ def even(speed_rad_s: float) -> Wheels:
 def test_torque_fades_over_its_band_and_braking_passes(kept: TorqueSpeed, begin: float, end: float, way: float) -> None:
     model = RobotModel(20.0, 0.56, 0.075, 0.3, 0.3, 0.005, torque_limit_n_m=5.0, speed_limit_rad_s=50.0)
     for part in (-0.1, 0.25, 0.75, 1.1):
-        made = Guard(64.0, 5.0, MotionLimits(model, PERIOD_S, None, kept))
+        made = Guard(64.0, 5.0, MotionLimits(model, PERIOD_S, math.inf, kept))
         made.limit_to(32.0, 40.0)
         now = even(way * (begin + part * (end - begin)))
         push, brake = Wheels(*(way * one for one in PUSH)), Wheels(*(-way * one for one in PUSH))
