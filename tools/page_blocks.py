@@ -13,6 +13,7 @@ A word after the language says why a block is not run: ``sh board``; ``REASONS``
 for the eye, or for the tests of the pages.
 """
 
+import argparse
 import os
 import re
 import shutil
@@ -207,10 +208,11 @@ def run_among_examples(page: Path, home: Path, reasons: Container[str] = REASONS
 
 def main() -> int:
     """Run the pages that are named, or all that have blocks that take minutes, with these."""
+    parser = argparse.ArgumentParser(prog="tools.page_blocks", description=(__doc__ or "").partition("\n")[0])
+    parser.add_argument("pages", nargs="*", type=Path, metavar="PAGE", help="by default all with blocks of minutes")
+    named = [page.resolve() for page in parser.parse_args().pages]
     code = 0
-    for page in [Path(name).resolve() for name in sys.argv[1:]] or [
-        one for one in other_pages() if runs(one, "minutes")
-    ]:
+    for page in named or [one for one in other_pages() if runs(one, "minutes")]:
         begun_s = time.monotonic()
         with tempfile.TemporaryDirectory() as home:
             try:

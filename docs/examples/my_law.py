@@ -13,6 +13,8 @@ class MyLaw:
     """Drives with the twist of the reference, minus the gain times the error."""
 
     def __init__(self, model: RobotModel, mode: CommandMode) -> None:
+        if mode is not CommandMode.SPEED:
+            raise ValueError("it commands wheel speeds; set controller.command to speed")
         self._model = model  # mass, lengths and limits, as robot.toml has them
 
     def reset(self, state: State, reference: Reference) -> None:
