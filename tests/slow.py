@@ -12,6 +12,7 @@ SLOW = (
     "test_arm_motors.py",
     "test_arm_real_time.py",
     "test_catalogue.py::test_an_unsafe_firmware_is_caught",
+    "test_fastest.py",
     "test_fmi3_calls.py::test_a_life_passes_the_sanitizers",
     "test_fmu_build.py",
     "test_fmu_check.py::test_a_fault_is_found_by_its_part_and_is_of_its_kind",

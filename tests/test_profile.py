@@ -222,3 +222,23 @@ def test_the_robots_speed_limit_holds_in_torque_mode_unless_it_is_given_up(keeps
     signals = circle(5.0, 20.0, 1.0, controller__gains__keeps_speed_limit=keeps).signals
     fastest = max(np.abs(signals[f"wheel.{wheel}.speed_rad_s"]).max() for wheel in Wheels._fields)
     assert (fastest > 1.1 * ROBOT.speed_limit_rad_s) == is_beyond
+
+
+def test_a_robot_that_is_turned_round_does_not_lose_a_fast_reference_while_it_turns_back():
+    """Turning had 0.3 of the wheels' speed whatever the reference took: it was lost and regained for 10 s."""
+    limits = {"robot.torque_limit_n_m": 4.99, "firmware.torque_limit_n_m": 4.99, "robot.speed_limit_rad_s": 17.28}
+    place = {"start_x_m": 1.3234, "start_y_m": 1.2314, "start_heading_rad": 2.6794}
+    sets = {
+        **limits,
+        **{f"plant.start.{name}": value for name, value in place.items()},
+        "plant.start.drive": "voltage",
+        "plant.start.contact": "slip",
+        "plant.start.grip_coefficient": 0.45,
+        "controller.gains.keeps_speed_limit": True,
+        "reference": {"kind": "circle", "radius_m": 0.88, "period_s": 10.24, "heading": "path", "heading_rad": -3.08},
+        "loop.duration_s": 9.0,
+        "expect": [],
+    }
+    result = hil.run("compare_circle", set=sets, lenient=True)
+    late = result.signals["loop.t_s"] > 7.0
+    assert result.signals["error.planar_m"][late].max() < 0.003

@@ -7,6 +7,7 @@ it knows all noises) and a smoother that knows the whole run (Rauch, Tung and St
 
 import argparse
 import itertools
+import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -66,7 +67,12 @@ def conditions() -> Iterator[Condition]:
                 yield Condition(words, scenario, start, has_oracle=contact == "rigid" and not percent)
         noise = {"estimator.simulated_fix.noisier": 2.0}
         yield Condition(f"{name}, fixes twice as noisy as told", scenario, noise, has_oracle=False)
-    torque = {"robot.torque_limit_n_m": 5.0, "firmware.torque_limit_n_m": 5.0, "firmware.overspeed_rad_s": 127.0}
+    torque = {
+        "robot.torque_limit_n_m": 5.0,
+        "firmware.torque_limit_n_m": 5.0,
+        "firmware.overspeed_rad_s": 127.0,
+        "limiter.slip_m_s": math.inf,
+    }
     leans = {"plant.start.accelerometer_bias_x_m_s2": 0.05, "plant.start.accelerometer_bias_y_m_s2": 0.05}
     for rate_hz in (200, 1000):
         words = f"heavy slip, {rate_hz} Hz, whole run"

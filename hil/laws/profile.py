@@ -69,6 +69,8 @@ def within(value: float, limit: float) -> float:
 # Share of the largest yaw acceleration and yaw rate that the profile plans with. Pushing has priority, so little torque
 # is certain to be left for turning, and turning may use little of the speed.
 _TURNING_SHARE = 0.3
+# Share of the wheels' speed that turning leaves for the way, and the share that it has in any case.
+_KEPT_SHARE, _LEAST_TURNING_SHARE = 0.9, 0.05
 # The braking share where mass and friction are known.
 _KNOWN_BRAKING_SHARE = 0.97
 # The heading is left alone from the first distance on until the second is reached [m].
@@ -186,7 +188,7 @@ class Profile:
             braking += known.friction
         # Far away the heading stays where it is: to turn takes speed and torque from the way.
         self._is_far = is_far = math.hypot(x, y) > (_NEAR_M if self._is_far else _FAR_M)
-        limit = self._turn_rad_s
+        limit = self._turn_speed_rad_s(vx_d, vy_d, yaw_rate_d)
         to_turn_rad = 0.0 if is_far else heading_error
         turn, turn_slope = profile(to_turn_rad, now_turn, k1, self._turn_braking_rad_s2, -limit, limit)
         limit = self._push_speed_m_s(yaw_rate)
@@ -227,7 +229,7 @@ class Profile:
         x1, y1, x2, y2 = directions(heading)
         along_1, along_2 = vx_d * x1 + vy_d * y1, vx_d * x2 + vy_d * y2
         k1, braking = self._k1, self._braking_m_s2
-        limit, step = self._turn_rad_s, self._turn_step_rad_s
+        limit, step = self._turn_speed_rad_s(vx_d, vy_d, yaw_rate_d), self._turn_step_rad_s
         low, high = _range(-limit, limit, state.twist.yaw_rate_rad_s - reference.twist.yaw_rate_rad_s, step)
         turn, _ = profile(heading_error, 0.0, self._turn_k1, self._turn_braking_rad_s2, low, high)
         limit, step = self._push_speed_m_s(yaw_rate_d + turn), self._push_step_m_s
@@ -248,6 +250,16 @@ class Profile:
         push_2 = within(along_2 + rate_2 + lead_s * (ax * x2 + ay * y2), limit)
         desired = push_1 * x1 + push_2 * x2, push_1 * y1 + push_2 * y2, turn
         return speed_command(model, desired, predicted, (ax, ay, yaw_acceleration))
+
+    def _turn_speed_rad_s(self, vx_m_s: float, vy_m_s: float, yaw_rate_rad_s: float) -> float:
+        """Return the limit of the yaw rate towards a reference with this twist.
+
+        What the reference itself takes of the wheels' speed, at whatever heading, has priority: a robot that turns back
+        and loses the reference for it would leave its heading alone again.
+        """
+        lever_m, rim_m_s = self._model.lever_m, self._rim_speed_m_s
+        left_m_s = _KEPT_SHARE * rim_m_s - SQRT2 * math.hypot(vx_m_s, vy_m_s) - lever_m * abs(yaw_rate_rad_s)
+        return min(max(left_m_s, _LEAST_TURNING_SHARE * rim_m_s) / lever_m, self._turn_rad_s)
 
     def _push_speed_m_s(self, yaw_rate_rad_s: float) -> float:
         """Return the speed limit [m/s] along a diagonal. A wheel's rim moves at √2 of it, plus L times the yaw rate."""

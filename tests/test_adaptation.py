@@ -1,0 +1,69 @@
+"""How much of the commanded acceleration a robot has: learnt from motion, and not from wheels that may slip."""
+
+import math
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from hil.laws.adaptation import AccelerationShare
+
+LARGEST_M_S2, TICK_S = 8.0, 0.005
+BELIEVED_M_S2 = 0.3
+
+
+def driven(share: float, friction_m_s2: float, *, limited_to_s: float = 0.0, seconds: float = 0.6) -> AccelerationShare:
+    """Push to and fro with half of the largest acceleration; a limiter acts until ``limited_to_s``."""
+    learns, speed = AccelerationShare(LARGEST_M_S2, BELIEVED_M_S2), 0.0
+    learns.update((speed,), (0.0,), TICK_S, is_limited=False)
+    for tick in range(round(seconds / TICK_S)):
+        # Longer one way than the other, so that friction shows at a speed and not at rest.
+        change = TICK_S * 0.5 * LARGEST_M_S2 * (1.0 if tick % 60 < 40 else -1.0)
+        drag = TICK_S * friction_m_s2 * (math.copysign(1.0, speed) if speed else 0.0)
+        speed += share * change - drag
+        learns.update((speed,), (change,), TICK_S, is_limited=tick * TICK_S < limited_to_s)
+    return learns
+
+
+@given(st.floats(0.5, 2.0), st.floats(0.0, 1.0))
+def test_mass_and_friction_of_a_robot_that_rolls_are_learnt(share: float, friction_m_s2: float):
+    learns = driven(share, friction_m_s2)
+    assert learns.is_known
+    assert learns.share == pytest.approx(share, rel=0.1)
+    assert learns.friction == pytest.approx(friction_m_s2, abs=0.25)
+
+
+@given(st.floats(0.01, 20.0), st.booleans())
+def test_share_and_friction_stay_within_their_bounds_whatever_the_robot_does(share: float, is_limited: bool):
+    learns = driven(share, 0.0, limited_to_s=1.0 if is_limited else 0.0)
+    assert 0.45 <= learns.share <= 2.2
+    assert learns.friction >= 0.0
+
+
+@given(st.floats(-1.0, 1.0))
+def test_what_little_torque_does_teaches_nothing(gained: float):
+    learns = AccelerationShare(LARGEST_M_S2, BELIEVED_M_S2)
+    for tick in range(200):
+        learns.update((gained * tick,), (TICK_S * LARGEST_M_S2 / 7.0,), TICK_S, is_limited=False)
+    assert (learns.share, learns.friction, learns.is_known) == (1.0, BELIEVED_M_S2, False)
+
+
+@given(st.floats(0.5, 0.9))
+def test_from_wheels_that_may_slip_no_heavier_robot_is_learnt_before_or_after(share: float):
+    """Wheels that slip give less force than their torque stands for, and the limiter notices only some of it."""
+    assert driven(share, 0.0, limited_to_s=0.01).share == 1.0
+    heavy = driven(share, 0.0)
+    assert heavy.share < 0.95
+    heavy.update((0.0,), (0.0,), TICK_S, is_limited=True)
+    assert (heavy.share, heavy.is_known) == (1.0, False)
+
+
+@given(st.floats(1.2, 2.0))
+def test_a_lighter_robot_is_learnt_even_while_a_limiter_acts(share: float):
+    assert driven(share, 0.0, limited_to_s=1.0).share > 1.1
+
+
+def test_a_robot_that_was_stopped_begins_anew():
+    learns = driven(0.6, 0.5, limited_to_s=0.01)
+    learns.reset()
+    assert (learns.share, learns.friction, learns.is_known) == (1.0, BELIEVED_M_S2, False)
