@@ -1,5 +1,6 @@
 """Whole runs with fused estimation: every measurement over the wire, every fix late; and fixes of another process."""
 
+import math
 import socket
 import subprocess
 import sys
@@ -49,7 +50,7 @@ def test_one_seed_is_one_run():
 
 def test_wheels_that_spin_are_slip_and_the_estimate_says_so():
     """3.5 N·m a wheel, where the floor carries 1.8: with the detector the fixes go on to be accepted."""
-    torque = {"robot__torque_limit_n_m": 3.5, "firmware__torque_limit_n_m": 3.5}
+    torque = {"robot__torque_limit_n_m": 3.5, "firmware__torque_limit_n_m": 3.5, "limiter__slip_m_s": math.inf}
     result = run("circle_slip", **torque)
     slip, sigma_m = result.signals["estimator.slip"], result.signals["estimator.sigma_position_m"]
     assert 0.1 < slip.mean() < 0.5

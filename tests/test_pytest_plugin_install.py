@@ -11,6 +11,7 @@ import pytest
 
 from tests.plugin_suites import HOLDING, PLUGIN, environment, run, write
 from tests.processes import ROOT
+from tools.page_blocks import blocks
 
 EVERYDAY_TEST = """\
 from firmware_protocol.framing import Frame
@@ -117,7 +118,7 @@ def test_a_users_test_is_typed(tmp_path: Path):
 def test_the_page_is_true(suite: pytest.Pytester):
     """Its files run as they stand there, and its failure is what a failure looks like."""
     page = (ROOT / "hil" / "cli" / "testing" / "PYTEST.md").read_text()
-    files = re.findall(r"```\w+\n# (tests/\S+)\n(.*?)```", page, re.DOTALL)
+    files = [(name, block.text) for block in blocks(page) if (name := block.options.get("caption")) is not None]
     assert len(files) == 2
     (suite.path / "tests").mkdir()
     for name, text in files:
