@@ -2,6 +2,7 @@
 
 import os
 import signal
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -18,9 +19,11 @@ if TYPE_CHECKING:
 __all__ = ["suite"]
 
 _CI = os.environ.get("HIL_CI") == "1"
+# A shell's background job begins deaf to the first, and one of nohup to the second; so would every process of a test.
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
-    # A shell's background job begins so, and every process of a test would be deaf to the Ctrl-C that the test sends.
     signal.signal(signal.SIGINT, signal.default_int_handler)
+if sys.platform != "win32" and signal.getsignal(signal.SIGHUP) is signal.SIG_IGN:
+    signal.signal(signal.SIGHUP, signal.SIG_DFL)
 examples.load_profile()
 
 # They begin first, so that no process is left with one of them when the others have ended.
