@@ -3,6 +3,7 @@
 import json
 import math
 import shlex
+import tomllib
 from pathlib import Path
 
 import numpy as np
@@ -17,7 +18,9 @@ from hil.batch.job import ENDED, LOST, PASSED, REFUSED, Outcome
 from hil.batch.keys import make_job
 from hil.cli.main import app
 from hil.core.errors import BadInputError
+from hil.faults.kinds import BATTERY_V, BATTERY_VARIABLE
 from hil.scenario import load, set_texts
+from tests.processes import ROOT
 
 SCENARIO = "compare_circle"
 SHORT = "loop.duration_s=1.5"
@@ -51,6 +54,12 @@ def test_cases_go_where_they_say_and_each_is_a_scenario() -> None:
     ideal = [one["drive"] == "torque" for one in start]
     assert [one.robot.speed_limit_rad_s for one in scenarios] == [20.0 if is_ideal else 17.28 for is_ideal in ideal]
     assert 100 <= sum(case.can_follow for case in drawn) < 200
+
+
+def test_the_battery_that_is_believed_is_that_of_the_shipped_plant() -> None:
+    tables = tomllib.loads((ROOT / "plant_fmu" / "variables.toml").read_text(encoding="utf-8"))
+    [start] = [one["start"] for one in tables["variable"] if one["name"] == BATTERY_VARIABLE]
+    assert start == BATTERY_V
 
 
 def test_what_is_given_is_not_drawn() -> None:

@@ -39,6 +39,8 @@ REASONS = {
     "form": "is a form to fill in, or a part of a file",
 }
 RUN = ("console", "sh", "python")
+GIT = {f"GIT_{who}_{what}": "reader@localhost" for who in ("AUTHOR", "COMMITTER") for what in ("NAME", "EMAIL")}
+"""Who commits, for git in the shell of a page."""
 ROOT = Path(__file__).parents[1]
 _DIRECTIVE = re.compile(r"\{code-block\} (\w+)")
 
@@ -194,10 +196,9 @@ def other_pages() -> list[Path]:
 
 def reader(home: Path) -> dict[str, str]:
     """Return the environment of a reader who has the package installed."""
-    names = ("GIT_AUTHOR_NAME", "GIT_AUTHOR_EMAIL", "GIT_COMMITTER_NAME", "GIT_COMMITTER_EMAIL")
     path = os.pathsep.join((str(Path(sys.executable).parent), os.environ["PATH"]))
     settings = {"PYTHONPATH": str(ROOT), "PATH": path, "HOME": str(home), "COLUMNS": "80", "NO_COLOR": "1"}
-    return os.environ | dict.fromkeys(names, "reader@localhost") | settings
+    return os.environ | GIT | settings
 
 
 def run_among_examples(page: Path, home: Path, reasons: Container[str] = REASONS) -> None:

@@ -16,12 +16,11 @@ import time
 from pathlib import Path
 
 from tools.debian import make_debian
-from tools.page_blocks import PageError, run_page
+from tools.page_blocks import GIT, PageError, run_page
 
 ROOT = Path(__file__).parents[1]
 _SUITE, _PACKAGES = "bookworm", "python3-venv,git,ca-certificates"
 _BOUND = ("/dev", "/proc", "/etc/resolv.conf")
-_GIT = {f"GIT_{who}_{what}": "reader@localhost" for who in ("AUTHOR", "COMMITTER") for what in ("NAME", "EMAIL")}
 
 
 def main() -> None:
@@ -56,7 +55,7 @@ def page_in(root: Path, bound: list[str]) -> float:
     shell = ["unshare", "--mount", "sh", "-ec", "\n".join(steps)]
     begun_s = time.monotonic()
     try:
-        run_page(ROOT / "docs" / "start.md", Path("/"), settings | _GIT | there, shell, root)
+        run_page(ROOT / "docs" / "start.md", Path("/"), settings | GIT | there, shell, root)
     except PageError as error:
         raise SystemExit(str(error)) from None
     return time.monotonic() - begun_s

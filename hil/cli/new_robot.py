@@ -13,6 +13,7 @@ from hil.core.model import GRAVITY_M_S2
 from hil.core.options import Option, OptionsError, build, options_of
 from hil.drivers.port import Found
 from hil.drivers.registry import OUR_DRIVER, dialect, driver_names
+from hil.faults.kinds import BATTERY_V, BATTERY_VARIABLE
 from hil.scenario import BASE, format_value, load
 from hil.scenario.tables import Tables
 
@@ -34,8 +35,6 @@ _LOOP_RAD_S = 33.0
 _INTEGRAL_1_S = 11.0
 _OVERSPEED = 2.0
 _COMMENT_COLUMN = 40
-_BATTERY_V = 24.0
-"""The battery of the shipped plant, where a scenario names no other."""
 _BATTERY_LIMITS = ("battery_low_v", "battery_high_v")
 """Settings of a driver whose motors are switched off outside."""
 
@@ -168,9 +167,9 @@ def _battery_text(driver: str) -> str:
         return ""
     settings = _settings(driver)
     low_v, high_v = (settings[name].default if name in settings else None for name in _BATTERY_LIMITS)
-    if low_v is None or high_v is None or low_v < _BATTERY_V < high_v:
+    if low_v is None or high_v is None or low_v < BATTERY_V < high_v:
         return ""
-    return f"{f'battery_voltage_v = {(low_v + high_v) / 2:.3g}':<{_COMMENT_COLUMN - 1}} # what its controllers stand\n"
+    return f"{f'{BATTERY_VARIABLE} = {(low_v + high_v) / 2:.3g}':<{_COMMENT_COLUMN - 1}} # what its controllers stand\n"
 
 
 def robot_text(answers: Answers, driver: str | None = None, found: Found | None = None) -> str:

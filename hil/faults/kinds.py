@@ -23,6 +23,8 @@ PUSHES = ("force_x_n", "force_y_n", "moment_n_m")
 # loop.t_s is the time axis by which faults and expectations are placed, so no fault may change it.
 FAULTY_SIGNALS = tuple(name for name in SIGNAL_NAMES if name != "loop.t_s")
 BATTERY_VARIABLE = "battery_voltage_v"
+BATTERY_V = 24.0
+"""What the shipped plant's battery has where a scenario names no other."""
 GRIP_VARIABLES = tuple(f"wheel.{wheel}.grip_factor" for wheel in WHEEL_NAMES)
 
 

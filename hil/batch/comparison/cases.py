@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 from hil.core.model import GRAVITY_M_S2, RobotModel
 from hil.core.types import Pose
 from hil.drivers.registry import OUR_DRIVER
+from hil.faults.kinds import BATTERY_V, BATTERY_VARIABLE
 from hil.references import feasibility, make_reference
 from hil.scenario import Scenario
 
@@ -29,7 +30,6 @@ _HIDDEN_S = 0.001, 0.02
 _SPEED_M_S = 0.1, 0.6
 _SIZE_M = 0.5, 1.5
 _YAW_RATE_RAD_S = 0.8
-_BATTERY_V = 24.0  # of the plant, unless a scenario says otherwise
 _OF_NO_LOAD = 0.9
 _SHARE = 0.8
 """Of torque, speed and grip: a reference that needs no more of the true robot can be followed."""
@@ -124,7 +124,7 @@ def _case(base: Scenario, number: int, draw: _Draw, given: Sequence[str]) -> Cas
 
 def _motor_speed_rad_s(base: Scenario) -> float:
     """Return the speed limit of a robot whose motors have a battery: beyond their no-load speed they only brake."""
-    battery_v = float(base.plant.start.get("battery_voltage_v", _BATTERY_V))
+    battery_v = float(base.plant.start.get(BATTERY_VARIABLE, BATTERY_V))
     no_load_rad_s = battery_v / base.firmware.torque_constant_n_m_a
     return min(base.robot.speed_limit_rad_s, round(_OF_NO_LOAD * no_load_rad_s, 2))
 
