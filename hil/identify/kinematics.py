@@ -1,6 +1,6 @@
 """Radius of the wheels, lever and scale of sideways motion, from wheel angles against gyro and pose fixes.
 
-The heading between two fixes is the gyro's; the wheels give the way. Fixes are compared in windows of 12 s, each with
+The heading between two fixes is the gyro's; the wheels give the way. Fixes are compared in windows of 24 s, each with
 a start pose of its own, so that drift and a poor start do no harm.
 """
 
@@ -15,7 +15,7 @@ from hil.identify.gauss_newton import Knowledge, Solution, inverted, solve
 from hil.identify.recorded import Array, Drive, integral
 from hil.identify.windows import rolled
 
-WINDOW_S = 30.0
+WINDOW_S = 24.0
 _PAIR_S = 1.0
 _LEAST_FIXES = 40
 _LEAST_TURN_RAD = 1.0

@@ -26,6 +26,8 @@ from hil.review.reader import read
 Array = npt.NDArray[np.float64]
 
 _TICK_S = 1e-3
+_TORQUE_UNIT_N_M = 1 / 256
+"""By which TORQUE_COMMAND of wheel.dbc counts a torque."""
 _POSE = ("x_m", "y_m", "heading_rad")
 _CURRENTS = tuple(f"wheel.{wheel}.current_a" for wheel in WHEEL_NAMES)
 _COMMANDS = tuple(f"wheel.{wheel}.torque_command_n_m" for wheel in WHEEL_NAMES)
@@ -51,7 +53,7 @@ class Drive:
         time_s: (n,) sampling instants.
         angle_rad: (n, 4) wheel angles since the first, FL, FR, RR, RL.
         current_a: (n, 4) motor currents; a row is the mean since the row before.
-        torque_command_n_m: (n, 4) torques that were commanded; NaN where none was.
+        torque_command_n_m: (n, 4) torques that were commanded, as the wire carried them; NaN where none was.
         yaw_rate_rad_s: (n,) gyro; NaN where the robot has none.
         fixes: (k, 4) pose fixes in the order of their stamps: stamp [s], x, y [m], heading [rad].
         truth: (n, 3) true poses; NaN without a source of them.
@@ -137,7 +139,7 @@ def drive_of(path: Path, values: Mapping[str, Any], signals: Mapping[str, Array]
         whole(time_s),
         _angles(whole(table(WHEEL_SPEEDS)), period_s, bandwidth),
         whole(table(_CURRENTS)),
-        whole(table(_COMMANDS)),
+        whole(as_sent(table(_COMMANDS)) if _is_ours(values) else table(_COMMANDS)),
         whole(signals.get("robot.yaw_rate_rad_s", nothing)),
         fixes[np.argsort(fixes[:, 0], kind="stable")],
         whole(table(TRUE_POSE)),
@@ -203,9 +205,21 @@ def _angles(speed_rad_s: Array, period_s: float, bandwidth_rad_s: float | None) 
     return angle + delay_s * speed_rad_s + (1.0 / bandwidth_rad_s - 2.0 * _TICK_S) / bandwidth_rad_s * rate
 
 
+def as_sent(torque_n_m: Array) -> Array:
+    """Return torques as TORQUE_COMMAND carries them: the nearest count, halves away from zero."""
+    counts = np.floor(np.abs(torque_n_m) / _TORQUE_UNIT_N_M + 0.5)
+    sent: Array = np.copysign(counts * _TORQUE_UNIT_N_M, torque_n_m)
+    return sent
+
+
+def _is_ours(values: Mapping[str, Any]) -> bool:
+    """Return whether our firmware moved the robot, and not motor controllers of other makers."""
+    return bool(values.get("device.driver", "stm32") == "stm32")
+
+
 def _bandwidth_rad_s(values: Mapping[str, Any]) -> float | None:
     """Return the bandwidth of our firmware's filter; None with motor controllers of other makers."""
-    if values.get("device.driver", "stm32") != "stm32":
+    if not _is_ours(values):
         return None
     bandwidth = values.get("firmware.tracking_bandwidth_rad_s")
     return None if bandwidth is None else float(bandwidth)
