@@ -79,11 +79,11 @@ def test_parameters_and_starts_end_at_one_optimum_of_huber_s_loss_from_any_start
 
 def test_intervals_hold_the_truth_as_often_as_they_say() -> None:
     held = []
-    for seed in range(60):
+    for seed in range(150):
         one = Linear(seed)
         found = solve([one], one.true, bounds=WIDE)
         held.append(np.abs(found.parameters - one.true) < 1.96 * np.sqrt(np.diag(found.covariance)))
-    assert 0.89 < np.mean(held) < 0.99
+    assert 0.92 < np.mean(held) < 0.98
 
 
 class Bent(Linear):
