@@ -99,6 +99,10 @@ void *wheel_python_add_feedback(void *self, void *const *arguments, ptrdiff_t co
  * state, command_sequence, command_age_ms, ...), then wheel_latency_sent; returns `median_s`. */
 void *wheel_python_measure_latency(void *self, void *const *arguments, ptrdiff_t count);
 
+/* motion.add_motion(speeds, time_ns, state, latency_s): wheel_motion_add with a tuple of four and a motion, a
+ * tuple that begins with pose and twist, tuples of three. */
+void *wheel_python_add_motion(void *self, void *const *arguments, ptrdiff_t count);
+
 /* split(packed, limit): wheel_packed_split; returns both groups as bytes. */
 void *wheel_python_split(void *self, void *const *arguments, ptrdiff_t count);
 
