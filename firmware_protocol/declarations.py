@@ -22,6 +22,7 @@ HEADERS = tuple(
         "client/wheel_line.h",
         "client/wheel_client.h",
         "client/wheel_timing.h",
+        "client/wheel_motion.h",
         "port/host/direct.h",
         "port/python/fast_calls.h",
     )

@@ -19,6 +19,7 @@ _NEEDED = (
     "PyLong_AsVoidPtr",
     "PyErr_Occurred",
     "PyTuple_GetItem",
+    "PySequence_GetItem",
     "PyTuple_New",
     "PyTuple_Size",
     "PyTuple_SetItem",

@@ -50,6 +50,18 @@ def test_torques_balance_the_platform_and_each_wheel(a, v, heading):
     assert torques == pytest.approx(expected, rel=1e-9, abs=1e-9)
 
 
+@given(triple, triple, st.floats(-7.0, 7.0), st.sampled_from([tuple, list, np.array]))
+def test_torques_are_to_the_bit_those_of_the_formula_and_take_any_sequence(a, v, heading, kind):
+    mass, coupling = ROBOT.effective_mass_kg, ROBOT.wheels_mass_kg * v[2]
+    fx, fy = mass * a[0] + coupling * v[1], mass * a[1] - coupling * v[0]
+    c, s, quarter = math.cos(heading), math.sin(heading), ROBOT.wheel_radius_m / 4.0
+    forward, left = quarter * (c * fx + s * fy), quarter * (c * fy - s * fx)
+    turn = quarter * (ROBOT.effective_inertia_kg_m2 * a[2]) / ROBOT.lever_m
+    minus, plus = forward - left, forward + left
+    found = ROBOT.wheel_torques(kind(a), kind(v), heading, (0.0, 0.0, 0.0))
+    assert found == (minus - turn, plus + turn, minus + turn, plus - turn)
+
+
 @given(triple, st.floats(-7.0, 7.0))
 def test_wheel_speeds_and_twist_are_inverse(v, heading):
     back = ROBOT.twist(ROBOT.wheel_speeds(Twist(*v), heading), heading)

@@ -2,10 +2,14 @@
 
 ``python -m tools.fuzz --runs 10000000`` runs each target so often. The targets, what they check after every call, and
 the mutator that gets past CRC and COBS are in ``tests/fuzz``. An input that breaks a check is kept and named.
+
+The target ``python`` is what CPython calls of the library as its own. It needs CPython for that, and hypothesis makes
+the calls (``tests/fuzz/python_calls.py``). That is slower by far: it makes one sequence of calls for 10,000 runs.
 """
 
 import argparse
 import csv
+import os
 import re
 import shutil
 import subprocess
@@ -17,6 +21,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from firmware_protocol.built import FIRMWARE_FLAGS, SOURCES
+from tools.build.compiler import compiler
 
 ROOT = Path(__file__).parent.parent
 HARNESSES = ROOT / "tests" / "fuzz"
@@ -31,6 +36,8 @@ FUZZ = (
     "-fno-sanitize-recover=all",
     "-fno-sanitize-coverage=trace-cmp",
 )
+PYTHON = "python"
+SANITIZE = ("-g", "-fsanitize=address,undefined,float-cast-overflow", "-fno-sanitize-recover=all")
 LONGEST = 512
 # The choices in front of the node's stream (node_fuzzer.c): IDLE, ARMED, ACTIVE in both modes, 16 bytes a tick.
 # Those of the client: 24 calls between the pieces of the stream (client_fuzzer.c): the way to ACTIVE, and others. Those
@@ -119,21 +126,66 @@ def fuzz(target: str, runs: int, seed: int, keep_in: Path, shared: Sequence[Path
     )
 
 
+def build_sanitised(folder: Path) -> Path:
+    """Build the host library under ASan and UBSan. Raises UnavailableError where the compiler has no ASan to load."""
+    library = folder / "libwheel_sanitised.so"
+    command = [
+        *compiler(),
+        *FIRMWARE_FLAGS,
+        *SANITIZE,
+        "-fPIC",
+        "-shared",
+        "-o",
+        str(library),
+        *map(str, SOURCES),
+        "-lm",
+    ]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    if done.returncode != 0 or not _runtime().is_file():
+        raise UnavailableError(f"{command[0]} makes no library under ASan that CPython can load: {done.stderr[-500:]}")
+    return library
+
+
+def _runtime() -> Path:
+    """Return ASan's own library, which has to be there before CPython allocates anything."""
+    asked = [*compiler(), "-print-file-name=libasan.so"]
+    return Path(subprocess.run(asked, capture_output=True, text=True, check=False).stdout.strip())
+
+
+def fuzz_python(sequences: int, seed: int, library: Path) -> Outcome:
+    """Make so many sequences of calls from CPython to a library of ``build_sanitised``; the report has what failed."""
+    # Without CPython's own allocator each object has its own memory, whose bounds ASan knows. CPython leaks by design.
+    sanitised = {"WHEEL_HOST_LIBRARY": str(library), "LD_PRELOAD": str(_runtime()), "PYTHONMALLOC": "malloc"}
+    environment = os.environ | sanitised | {"ASAN_OPTIONS": "detect_leaks=0"}
+    command = [sys.executable, "-m", "tests.fuzz.python_calls", "--runs", str(sequences), "--seed", str(seed)]
+    began = time.monotonic()
+    done = subprocess.run(command, cwd=ROOT, env=environment, capture_output=True, text=True, check=False)
+    seconds = time.monotonic() - began
+    calls = re.search(r"(\d+) calls", done.stdout)
+    failure = None if done.returncode == 0 else (done.stdout + done.stderr)[-4000:]
+    return Outcome(int(calls[1]) if calls else 0, seconds, 0, failure, None)
+
+
 def main() -> int:
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("--runs", type=int, default=100_000, help="runs of each target")
-    parser.add_argument("--target", choices=TARGETS, action="append", help="default: all")
+    parser.add_argument("--target", choices=(*TARGETS, PYTHON), action="append", help="default: all")
     parser.add_argument("--seed", type=int, default=1)
     arguments = parser.parse_args()
     failed = False
+    targets = arguments.target or (*TARGETS, PYTHON)
     with tempfile.TemporaryDirectory() as folder:
         try:
-            shared = compile_shared_part(Path(folder))
+            shared = compile_shared_part(Path(folder)) if targets != [PYTHON] else []
+            library = build_sanitised(Path(folder)) if PYTHON in targets else None
         except UnavailableError as error:
             print(f"tools.fuzz: {error}", file=sys.stderr)
             return 2
-        for target in arguments.target or TARGETS:
-            outcome = fuzz(target, arguments.runs, arguments.seed, Path.cwd(), shared)
+        for target in targets:
+            if target == PYTHON and library is not None:
+                outcome = fuzz_python(max(arguments.runs // 10_000, 100), arguments.seed, library)
+            else:
+                outcome = fuzz(target, arguments.runs, arguments.seed, Path.cwd(), shared)
             failed = _report(target, outcome) or failed
     return int(failed)
 
@@ -141,13 +193,12 @@ def main() -> int:
 def _report(target: str, outcome: Outcome) -> bool:
     """Print what a target went through; return whether a check broke."""
     rate = outcome.runs / max(outcome.seconds, 1e-9)
-    print(
-        f"{target}: {outcome.runs} runs in {outcome.seconds:.0f} s ({rate:.0f}/s), "
-        f"{outcome.features} features reached, {'a check broke' if outcome.failure else 'no failure'}",
-        flush=True,
-    )
+    reached = f", {outcome.features} features reached" if outcome.features else ""
+    verdict = "a check broke" if outcome.failure else "no failure"
+    print(f"{target}: {outcome.runs} runs in {outcome.seconds:.0f} s ({rate:.0f}/s){reached}, {verdict}", flush=True)
     if outcome.failure is not None:
-        print(f"{outcome.failure}\nthe input is {outcome.reproducer}", file=sys.stderr)
+        where = "" if outcome.reproducer is None else f"\nthe input is {outcome.reproducer}"
+        print(f"{outcome.failure}{where}", file=sys.stderr)
     return outcome.failure is not None
 
 

@@ -36,7 +36,7 @@ STEPS = {
     "alone": Step("the tests of real time", (PYTHON, "-m", "pytest", "-m", "alone")),
     "mutation": Step("every mutant of the firmware's checks and of the host's half", (PYTHON, "-m", "tools.mutate")),
     "fuzz": Step(
-        "fuzzing of the firmware, of the decoder and of the host's line",
+        "fuzzing of the firmware, of the decoder, of the host's line and of its calls from Python",
         (PYTHON, "-m", "tools.fuzz", "--runs", "10000000"),
     ),
     "catalogue": Step(

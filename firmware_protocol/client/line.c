@@ -20,11 +20,9 @@ void wheel_line_init(wheel_line *line) {
 size_t wheel_line_feed(wheel_line *line, const uint8_t *bytes, size_t length, uint8_t *packed, size_t *used) {
     wheel_frame frame;
     size_t count = 0;
+    size_t at = 0;
     uint8_t *out = packed;
-    for (size_t i = 0; i < length; i++) {
-        if (!wheel_deframer_feed(&line->deframer, bytes[i], &frame)) {
-            continue;
-        }
+    while (wheel_deframer_take(&line->deframer, bytes, length, &at, &frame)) {
         out[0] = (uint8_t)(frame.id & 0xFFu);
         out[1] = (uint8_t)(frame.id >> 8);
         out[2] = frame.length;

@@ -63,24 +63,54 @@ static bool parse(wheel_deframer *deframer, size_t length, wheel_frame *frame) {
     return true;
 }
 
-bool wheel_deframer_feed(wheel_deframer *deframer, uint8_t byte, wheel_frame *frame) {
-    if (byte != 0) {
-        if (deframer->overrun) {
-            return false;
-        }
-        if (deframer->length == sizeof deframer->buffer) {
-            deframer->overrun = true;
-            deframer->overruns++;
-            return false;
-        }
-        deframer->buffer[deframer->length++] = byte;
-        return false;
+/* Adds bytes that are not zero to the open frame. */
+static void add(wheel_deframer *deframer, const uint8_t *bytes, size_t count) {
+    const size_t room = sizeof deframer->buffer - deframer->length;
+    if (deframer->overrun) {
+        return;
     }
+    if (count > room) {
+        deframer->overrun = true;
+        deframer->overruns++;
+        return;
+    }
+    memcpy(deframer->buffer + deframer->length, bytes, count);
+    deframer->length = (uint8_t)(deframer->length + count);
+}
+
+/* Ends the open frame; true when it is valid. */
+static bool end(wheel_deframer *deframer, wheel_frame *frame) {
     const size_t length = deframer->overrun ? 0 : deframer->length;
     deframer->length = 0;
     deframer->overrun = false;
     /* Two zeros in a row are no error: a sender may begin with one to clear the line. */
     return length > 0 && parse(deframer, length, frame);
+}
+
+bool wheel_deframer_feed(wheel_deframer *deframer, uint8_t byte, wheel_frame *frame) {
+    if (byte != 0) {
+        add(deframer, &byte, 1);
+        return false;
+    }
+    return end(deframer, frame);
+}
+
+bool wheel_deframer_take(wheel_deframer *deframer, const uint8_t *bytes, size_t length, size_t *at,
+                         wheel_frame *frame) {
+    while (*at < length) {
+        const size_t begin = *at;
+        while (*at < length && bytes[*at] != 0) {
+            ++*at;
+        }
+        add(deframer, bytes + begin, *at - begin);
+        if (*at < length) {
+            ++*at;
+            if (end(deframer, frame)) {
+                return true;
+            }
+        }
+    }
+    return false;
 }
 
 size_t wheel_frame_encode(const wheel_frame *frame, uint8_t sequence, uint8_t *out) {

@@ -49,6 +49,11 @@ void wheel_deframer_init(wheel_deframer *deframer);
 /* Takes one byte, whatever it is; true when it completes a valid frame. */
 bool wheel_deframer_feed(wheel_deframer *deframer, uint8_t byte, wheel_frame *frame);
 
+/* Takes bytes from `*at` on, up to the end of the first valid frame, or all; `*at` is then behind them. True
+ * when there was such a frame. */
+bool wheel_deframer_take(wheel_deframer *deframer, const uint8_t *bytes, size_t length, size_t *at,
+                         wheel_frame *frame);
+
 /* Writes a frame with its zero and returns the number of bytes; 0 when the length is not the id's.
  * `sequence` counts the frames that this line has sent, wrapping. `out` holds WHEEL_FRAME_MAX bytes. */
 size_t wheel_frame_encode(const wheel_frame *frame, uint8_t sequence, uint8_t *out);

@@ -86,15 +86,12 @@ class Guard:
     ) -> tuple[WheelCommand, bool]:
         """Return a command in TORQUE mode as it may act on the moving robot, and whether it was limited at all.
 
-        ``command`` and ``saturated`` are what ``apply`` returned; the others are as in ``MotionLimits.faded``.
+        ``command`` and ``saturated`` are what ``apply`` returned; the others are as in ``MotionLimits.is_near``.
         """
         motion = self._motion
-        if motion is None:
+        if motion is None or not motion.is_near(speed_rad_s, time_ns, state, latency_s):
             return command, saturated
-        if is_within(speed_rad_s, motion.near_rad_s):
-            motion.last = speed_rad_s, time_ns
-            return command, saturated
-        torque = motion.faded(command, speed_rad_s, time_ns, state, latency_s)
+        torque = motion.faded(command.torque_n_m)
         if torque is command.torque_n_m:
             return command, saturated
         torque = _scaled(torque, self.torque_limit_n_m)

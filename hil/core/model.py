@@ -15,6 +15,7 @@ from typing import Annotated
 
 from hil.core.kinematics import body_twist, to_world, wheel_speeds
 from hil.core.options import Range, require_ranges
+from hil.core.tuples import wheel_torques
 from hil.core.types import Axes, FourWheels, Twist, Wheels
 
 GRAVITY_M_S2 = 9.81
@@ -51,17 +52,21 @@ class RobotModel:
     """I + k L² [kg·m²]."""
     wheel_friction_n_m: float = field(init=False, repr=False, compare=False)
     """μ m g r / 4 [N·m]: friction torque of one wheel."""
+    inverse: tuple[float, ...] = field(init=False, repr=False, compare=False)
+    """m + k, k, I + k L², r and L: what the inverse dynamics of the library take."""
 
     def __post_init__(self) -> None:
         require_ranges(self, "robot")
         lever = self.half_length_m + self.half_width_m
-        k = 4.0 * self.wheel_inertia_kg_m2 / self.wheel_radius_m**2
+        r = self.wheel_radius_m
+        k = 4.0 * self.wheel_inertia_kg_m2 / r**2
         friction = self.friction_coefficient * self.mass_kg * GRAVITY_M_S2 * self.wheel_radius_m / 4.0
         object.__setattr__(self, "lever_m", lever)
         object.__setattr__(self, "wheels_mass_kg", k)
         object.__setattr__(self, "effective_mass_kg", self.mass_kg + k)
         object.__setattr__(self, "effective_inertia_kg_m2", self.inertia_kg_m2 + k * lever**2)
         object.__setattr__(self, "wheel_friction_n_m", friction)
+        object.__setattr__(self, "inverse", (self.mass_kg + k, k, self.inertia_kg_m2 + k * lever**2, r, lever))
 
     def wheel_speeds(self, twist: Axes, heading_rad: float) -> FourWheels:
         """Return the wheel speeds [rad/s] of a world twist at this heading: ω = H Rᵀ q̇ / r."""
@@ -80,24 +85,11 @@ class RobotModel:
         ``twist`` is the world twist in C. Friction ξ (``friction_torques``) is computed for the wheel speeds of the
         world twist ``moving``: pass the intended twist, because a measured one would feed its noise back.
         """
-        ax, ay, yaw_acceleration = acceleration
-        vx, vy, yaw_rate = twist
-        mass, coupling = self.effective_mass_kg, self.wheels_mass_kg * yaw_rate
-        fx = mass * ax + coupling * vy
-        fy = mass * ay - coupling * vx
-        # B⁺ gives the torques of least norm: rotate into the body frame, then apply (r / 4) H diag(1, 1, 1 / L²).
-        c, s = cos(heading_rad), sin(heading_rad)
-        quarter = self.wheel_radius_m / 4.0
-        forward, left = quarter * (c * fx + s * fy), quarter * (c * fy - s * fx)
-        turn = quarter * (self.effective_inertia_kg_m2 * yaw_acceleration) / self.lever_m
-        minus, plus = forward - left, forward + left
-        torque = minus - turn, plus + turn, minus + turn, plus - turn
+        torque = wheel_torques(self.inverse, acceleration, twist, heading_rad)
         if self.wheel_friction_n_m == 0.0:
             return torque
         to_fl, to_fr, to_rr, to_rl = torque
-        vx, vy, yaw_rate = moving
-        speeds = wheel_speeds((c * vx + s * vy, c * vy - s * vx, yaw_rate), self.wheel_radius_m, self.lever_m)
-        fl, fr, rr, rl = self.friction_torques(speeds)
+        fl, fr, rr, rl = self.friction_torques(self.wheel_speeds(moving, heading_rad))
         return to_fl + fl, to_fr + fr, to_rr + rr, to_rl + rl
 
     def friction_torques(self, speed_rad_s: FourWheels) -> FourWheels:

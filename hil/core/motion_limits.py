@@ -7,14 +7,23 @@ plus its present rate of change times the sum of latency, tick and lag of the me
 little in that time. One without grip has nothing but its own inertia to gain against, and is faded tens of rad/s before
 its limit. It gets its torque back slowly: what was commanded during the last latency and lag is not in its measured
 speed yet, and would make it spin again.
+
+What the wheels do and will do, and how much they slip, has to be known in each tick and is worked out in C
+(``client/wheel_motion.h``); what follows for the torques is here.
 """
 
 import math
+from collections.abc import Callable
 from typing import Literal, NamedTuple
 
+from firmware_protocol.built import BuildError
+from firmware_protocol.fast_calls import fast_call
+from firmware_protocol.fast_tuples import Tuple, fields_of, tuple_constructor
+from firmware_protocol.host import library
+from hil.core.errors import BadInputError
 from hil.core.kinematics import body_twist, body_wrench
 from hil.core.model import RobotModel
-from hil.core.types import State, WheelCommand, Wheels
+from hil.core.types import State, Wheels
 
 TorqueSpeed = Literal["protection", "limit", "off"]
 SLIP_M_S = 0.3
@@ -22,7 +31,6 @@ SLIP_M_S = 0.3
 BAND = 0.05
 """The law may go beyond the limits of the body by this share, or it could not make up for what it has lost."""
 _LAG_S = 0.0133  # of a measured wheel speed: 2 / tracking_bandwidth_rad_s, with its default
-_OLD_S = 0.05  # speeds further apart than this say nothing of the acceleration now
 _WHEEL_END = 0.9  # share of the overspeed at which the torque is gone
 _SLIP_BEGIN = 0.5  # share of the limit of slip from which the torque is faded
 _TURNS_S = 0.25  # how far ahead a turning robot's wheels are looked at
@@ -38,13 +46,27 @@ class BodyLimits(NamedTuple):
     yaw_rate_rad_s: float
 
 
+class _Seen(NamedTuple):
+    """What the wheels do, and will do when a command acts [rad/s]; ``ahead`` is that time, in measurements."""
+
+    speed: Wheels
+    coming: Wheels
+    slip: Wheels
+    coming_slip: Wheels
+    ahead: float
+
+
 class MotionLimits:
     """What a ``Guard`` does beyond scaling set points to what a wheel may have.
 
     ``body`` are the limits of the body, if any; in SPEED mode they scale the set points. ``slip_m_s`` is how much
     faster than the floor a rim may move. ``torque_speed`` is which wheel speed torques keep below: one at which
-    the robot's ``protection`` does not stop it, the ``limit`` of the scenario, or, with ``off``, none. ``near_rad_s``
-    is the wheel speed below which no limit can be near, ``last`` are the newest wheel speeds and their robot's time.
+    the robot's ``protection`` does not stop it, the ``limit`` of the scenario, or, with ``off``, none. Raises
+    BadInputError when the host library cannot be loaded.
+
+    Attributes:
+        is_near: takes each tick's measured wheel speeds, the robot's time of the measurement [ns], the robot's state as
+            far as known, and the latency of a command [s]; returns whether ``faded`` has to be called.
     """
 
     def __init__(
@@ -56,21 +78,37 @@ class MotionLimits:
     ) -> None:
         self._model = model
         self._torque_speed = torque_speed
-        self._ahead_s = period_s + _LAG_S
         self._slip_rad_s = slip_m_s / model.wheel_radius_m
-        self.last: tuple[Wheels | None, int] = None, 0
-        nothing: tuple[float, ...] = ()
-        self._slip: tuple[Wheels | None, int, tuple[float, ...], tuple[float, ...]] = None, -1, nothing, nothing
+        self._begin(period_s + _LAG_S)
         self._gripped: tuple[float, ...] = _ALL
         self._given: tuple[float, ...] = _ALL  # share of its torque that each wheel may have at most
         self._body: BodyLimits | None = None
         self._between = math.inf, math.inf
         self._set_near()
 
+    def _begin(self, ahead_s: float) -> None:
+        """Set up what C works out."""
+        try:
+            ffi, _ = library()
+        except BuildError as error:
+            raise BadInputError(str(error)) from error
+        wheels = {"wheel_radius_m": self._model.wheel_radius_m, "lever_m": self._model.lever_m}
+        self._motion = ffi.new("wheel_motion *", {**wheels, "ahead_s": ahead_s, "lag_s": _LAG_S})
+        self._motion.most_slip_rad_s = _SLIP_BEGIN * self._slip_rad_s
+        self.is_near: Callable[[Wheels, int, State, float], bool] = fast_call("add_motion", self._motion)
+        names = ("speed_rad_s", "coming_rad_s", "slip_rad_s", "coming_slip_rad_s")
+        four = [Tuple(Wheels, fields_of(ffi, self._motion, name)) for name in names]
+        self._seen = tuple_constructor(Tuple(_Seen, (*four, *fields_of(ffi, self._motion, "steps"))), self._motion)
+
     @property
     def acts(self) -> bool:
         """Whether there is any limit to keep in TORQUE mode."""
-        return self.near_rad_s < math.inf
+        return bool(self._motion.still_rad_s < math.inf)
+
+    @property
+    def time_ns(self) -> int:
+        """The robot's time of the newest measurement [ns]; 0 before any."""
+        return int(self._motion.time_ns)
 
     @property
     def body(self) -> BodyLimits | None:
@@ -104,60 +142,33 @@ class MotionLimits:
         most = max(math.hypot(forward, left) / body.speed_m_s, abs(yaw_rate) / body.yaw_rate_rad_s) / (1.0 + BAND)
         return Wheels(*(one / most for one in speed_rad_s)) if most > 1.0 else speed_rad_s
 
-    def faded(self, command: WheelCommand, speed_rad_s: Wheels, time_ns: int, state: State, latency_s: float) -> Wheels:
-        """Return the torques of a command; the same object if nothing is near a limit.
-
-        It need not be called while no wheel is faster than ``near_rad_s``, but ``last`` has to be set.
-        ``speed_rad_s`` are the measured wheel speeds, ``time_ns`` the robot's time of the measurement, ``state`` is the
-        robot's as far as known, ``latency_s`` that of a command.
-        """
-        before, before_ns = self.last
-        self.last = speed_rad_s, time_ns
-        torque = command.torque_n_m
-        if not math.isfinite(sum(speed_rad_s)):
-            return torque
-        dt_s = (time_ns - before_ns) * 1e-9
-        ahead = (self._ahead_s + latency_s) / dt_s if 0.0 < dt_s < _OLD_S else 0.0
-        coming = _ahead(speed_rad_s, before, ahead)
-        torque = _times(torque, speed_rad_s, self._give(torque, speed_rad_s, coming, ahead))
+    def faded(self, torque: Wheels) -> Wheels:
+        """Return the torques [N·m] of a command by the newest ``is_near``; the same object if none is to be faded."""
+        seen: _Seen = self._seen()
+        torque = _times(torque, seen.speed, self._give(torque, seen))
         if self._slip_rad_s < math.inf:
-            torque = self._fade_slip(torque, speed_rad_s, time_ns, before_ns, ahead, state)
-        return self._fade_body(torque, coming)
+            torque = self._fade_slip(torque, seen)
+        return self._fade_body(torque, seen.coming)
 
-    def _give(self, torque: Wheels, now: Wheels, coming: Wheels, ahead: float) -> tuple[float, ...]:
+    def _give(self, torque: Wheels, seen: _Seen) -> tuple[float, ...]:
         """Return the share of its torque that each wheel gets: it falls at once, and rises slowly."""
-        shares = _shares(torque, now, coming, *self._between)
-        given = _risen(shares, self._given, ahead)
+        shares = _shares(torque, seen.speed, seen.coming, *self._between)
+        given = _risen(shares, self._given, seen.ahead)
         if given != self._given:
             self._given = given
             self._set_near()
         return given
 
-    def _fade_slip(
-        self, torque: Wheels, now: Wheels, time_ns: int, before_ns: int, ahead: float, state: State
-    ) -> Wheels:
-        (_, _, heading_rad), twist = state
-        rolling = self._model.wheel_speeds(twist, heading_rad)
-        before, at_ns, once, twice = self._slip
-        if time_ns < before_ns:
-            # The robot was reset. Its filters begin at rest, whatever its wheels do, and so must these.
-            before, once, twice = None, now, now
-        elif at_ns == before_ns:
-            # The measured speeds lag behind by two filters in a row, so what they are compared with must do so too.
-            follows = -math.expm1(-2e-9 * (time_ns - before_ns) / _LAG_S)
-            once = tuple(old + follows * (new - old) for old, new in zip(once, rolling, strict=True))
-            twice = tuple(old + follows * (new - old) for old, new in zip(twice, once, strict=True))
-        else:
-            before, once, twice = None, rolling, rolling
-        slip = Wheels(*(one - rolls for one, rolls in zip(now, twice, strict=True)))
-        self._slip = slip, time_ns, once, twice
-        coming = _ahead(slip, before, ahead)
-        shares = _shares(torque, slip, coming, _SLIP_BEGIN * self._slip_rad_s, self._slip_rad_s)
-        self._gripped = _risen(shares, self._gripped, ahead)
-        if self._gripped == _ALL:
+    def _fade_slip(self, torque: Wheels, seen: _Seen) -> Wheels:
+        shares = _shares(torque, seen.slip, seen.coming_slip, _SLIP_BEGIN * self._slip_rad_s, self._slip_rad_s)
+        gripped = _risen(shares, self._gripped, seen.ahead)
+        if gripped != self._gripped:
+            self._gripped = gripped
+            self._set_near()
+        if gripped == _ALL:
             return torque
         # Either way: a wheel without grip that is braked with all of its torque slips the other way a latency later.
-        return Wheels(*(share * one for share, one in zip(self._gripped, torque, strict=True)))
+        return Wheels(*(share * one for share, one in zip(gripped, torque, strict=True)))
 
     def _fade_body(self, torque: Wheels, coming: Wheels) -> Wheels:
         """Take away from the force what pushes the way that the robot moves, and from the torque what turns it on.
@@ -192,30 +203,20 @@ class MotionLimits:
         push = math.sqrt(2.0) * math.hypot(forward, left) * along
         return (push + self._model.lever_m * abs(yaw_rate)) / self._model.wheel_radius_m
 
-    def _set_near(self) -> None:
-        if self._given != _ALL:
-            self.near_rad_s = -1.0  # no wheel is that slow: the shares have to rise
-            return
-        begins = [self._between[0], _SLIP_BEGIN * self._slip_rad_s]
+    def _most_rad_s(self) -> float:
+        """Return a wheel speed below which no limit of wheels or body can be near."""
+        begins = [self._between[0]]
         if self._body is not None:
             model = self._model
             begins.append(min(self._body.speed_m_s, model.lever_m * self._body.yaw_rate_rad_s) / model.wheel_radius_m)
-        self.near_rad_s = _NEAR * min(begins)
+        return _NEAR * min(begins)
 
-
-def _ahead(now: Wheels, before: Wheels | None, steps: float) -> Wheels:
-    """Return what the values will be after so many steps like the last one, but none nearer to zero than it is now.
-
-    A wheel that was let go slows down fast; to give it all of its torque back for that would make it spin again.
-    """
-    if before is None or steps == 0.0:
-        return now
-    return Wheels(
-        *(
-            one + steps * (one - then) if (one - then) * one > 0.0 else one
-            for one, then in zip(now, before, strict=True)
-        )
-    )
+    def _set_near(self) -> None:
+        motion, most_rad_s = self._motion, self._most_rad_s()
+        motion.most_rad_s = most_rad_s
+        # Shares that have to rise do so at rest too, but for those of slip, which is not known there.
+        motion.still_rad_s = min(most_rad_s, _NEAR * motion.most_slip_rad_s) if self._given == _ALL else -1.0
+        motion.is_near = self._given != _ALL or self._gripped != _ALL
 
 
 def _shares(torque: Wheels, now: Wheels, coming: Wheels, begin: float, end: float) -> tuple[float, ...]:

@@ -106,21 +106,25 @@ static void take(wheel_host *host, const wheel_frame *frame) {
     }
 }
 
+static void count_dropped(wheel_host *host) {
+    const wheel_deframer *deframer = &host->deframer;
+    wheel_transport_counters *counts = &host->node.transport;
+    counts->cobs = deframer->cobs;
+    counts->crc = deframer->crc;
+    counts->length = deframer->length_errors;
+    counts->overrun = deframer->overruns;
+    counts->serial_lost = deframer->lost;
+    counts->unknown_id = deframer->unknown_id;
+}
+
 void wheel_host_feed(wheel_host *host, const uint8_t *bytes, size_t length) {
     wheel_frame frame;
-    wheel_transport_counters *counts = &host->node.transport;
-    for (size_t i = 0; i < length; i++) {
-        const bool complete = wheel_deframer_feed(&host->deframer, bytes[i], &frame);
-        counts->cobs = host->deframer.cobs;
-        counts->crc = host->deframer.crc;
-        counts->length = host->deframer.length_errors;
-        counts->overrun = host->deframer.overruns;
-        counts->serial_lost = host->deframer.lost;
-        counts->unknown_id = host->deframer.unknown_id;
-        if (complete) {
-            take(host, &frame);
-        }
+    size_t at = 0;
+    while (wheel_deframer_take(&host->deframer, bytes, length, &at, &frame)) {
+        count_dropped(host); /* the frame may be answered with the counts */
+        take(host, &frame);
     }
+    count_dropped(host);
 }
 
 void wheel_host_receive(wheel_host *host, uint16_t id, const uint8_t *payload, size_t length) {

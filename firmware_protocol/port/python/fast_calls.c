@@ -124,6 +124,10 @@ void *wheel_python_take(void *self, void *const *arguments, ptrdiff_t count) {
     if (failed() || !bytes_of(arguments[0], &packed, &length)) {
         return NULL;
     }
+    if (begin < 0 || (size_t)begin > length) {
+        python.PyErr_BadArgument();
+        return NULL;
+    }
     return python.PyLong_FromLongLong(
         (long long)wheel_client_take(client, packed, (size_t)begin, length, now_ns));
 }

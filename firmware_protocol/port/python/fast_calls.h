@@ -18,7 +18,8 @@ typedef struct {
     long long (*PyLong_AsLongLong)(void *);
     void *(*PyLong_AsVoidPtr)(void *);
     void *(*PyErr_Occurred)(void);
-    void *(*PyTuple_GetItem)(void *, ptrdiff_t); /* borrowed */
+    void *(*PyTuple_GetItem)(void *, ptrdiff_t);    /* borrowed */
+    void *(*PySequence_GetItem)(void *, ptrdiff_t); /* a new reference */
     void *(*PyTuple_New)(ptrdiff_t);
     ptrdiff_t (*PyTuple_Size)(void *);
     int (*PyTuple_SetItem)(void *, ptrdiff_t, void *); /* steals the reference */
@@ -99,6 +100,10 @@ void *wheel_python_add_feedback(void *self, void *const *arguments, ptrdiff_t co
  * state, command_sequence, command_age_ms, ...), then wheel_latency_sent; returns `median_s`. */
 void *wheel_python_measure_latency(void *self, void *const *arguments, ptrdiff_t count);
 
+/* motion.add_motion(speeds, time_ns, state, latency_s): wheel_motion_add with a tuple of four and a motion, a
+ * tuple that begins with pose and twist, tuples of three. */
+void *wheel_python_add_motion(void *self, void *const *arguments, ptrdiff_t count);
+
 /* split(packed, limit): wheel_packed_split; returns both groups as bytes. */
 void *wheel_python_split(void *self, void *const *arguments, ptrdiff_t count);
 
@@ -162,6 +167,12 @@ typedef struct {
  * three: the first minus the second, a tuple of pose (heading from -pi to pi) and twist in six numbers; the
  * first's heading; the second's twist, and the first's. */
 void *wheel_python_difference(void *self, void *const *arguments, ptrdiff_t count);
+
+/* wheel_torques(model, acceleration, twist, heading): the torques of four wheels, FL, FR, RR, RL, for a world
+ * acceleration without friction, as a tuple: B+ (M a + C). Acceleration and twist are sequences of three. The
+ * model is a tuple of effective mass [kg], the wheels' part of it [kg], effective yaw inertia [kg m2], wheel
+ * radius and lever [m]; hil/core/model.py explains it. */
+void *wheel_python_wheel_torques(void *self, void *const *arguments, ptrdiff_t count);
 
 /* layout.row(objects...): puts the numbers of nested tuples in their places, and returns a copy of all
  * numbers as bytes. Those that have no member keep their value. */

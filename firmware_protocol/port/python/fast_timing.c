@@ -1,4 +1,5 @@
-/* The age of feedback, and the latency of commands, of the tuples of a tick. */
+/* The age of feedback, the latency of commands, and the motion of wheels, of the tuples of a tick. */
+#include "../../client/wheel_motion.h"
 #include "../../client/wheel_timing.h"
 
 #include <math.h>
@@ -77,4 +78,23 @@ void *wheel_python_measure_latency(void *self, void *const *arguments, ptrdiff_t
     wheel_latency_acted(latency, (uint8_t)in_force, robot_ns, (uint8_t)age_ms);
     wheel_latency_sent(latency, (uint8_t)sequence, sampled_ns);
     return python.PyFloat_FromDouble(latency->median_s);
+}
+
+void *wheel_python_add_motion(void *self, void *const *arguments, ptrdiff_t count) {
+    (void)count;
+    wheel_motion *motion = python.PyLong_AsVoidPtr(self);
+    const int64_t time_ns = python.PyLong_AsLongLong(arguments[1]);
+    double speed_rad_s[4];
+    double pose[3];
+    double twist[3];
+    double latency_s;
+    if (failed() || !numbers(arguments[0], 4, speed_rad_s) || !number(arguments[3], &latency_s)) {
+        return NULL;
+    }
+    void *at = python.PyTuple_GetItem(arguments[2], 0);
+    void *moves = at == NULL ? NULL : python.PyTuple_GetItem(arguments[2], 1);
+    if (moves == NULL || !numbers(at, 3, pose) || !numbers(moves, 3, twist)) {
+        return NULL;
+    }
+    return python.PyBool_FromLong(wheel_motion_add(motion, speed_rad_s, time_ns, twist, pose[2], latency_s));
 }

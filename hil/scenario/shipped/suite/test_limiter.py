@@ -32,11 +32,11 @@ def guard(kept: TorqueSpeed = "protection", slip_m_s: float = math.inf) -> Guard
 
 def left_of(made: Guard, torque: Wheels, *measured: Wheels, state: State = AT_REST) -> Wheels:
     """Return what is left of the torques when these speeds were measured, a tick apart."""
+    begin_ns = 0 if made._motion is None else made._motion.time_ns
+    command = WheelCommand(CommandMode.TORQUE, ZERO_WHEELS, torque)
     left = torque
-    for speed in measured:
-        before, at_ns = made._motion.last if made._motion is not None else (None, 0)
-        at_ns = 0 if before is None else at_ns + round(PERIOD_S * 1e9)
-        command = WheelCommand(CommandMode.TORQUE, ZERO_WHEELS, torque)
+    for tick, speed in enumerate(measured, start=1):
+        at_ns = begin_ns + tick * round(PERIOD_S * 1e9)
         left = made.fade(command, False, speed, at_ns, state, LATENCY_S)[0].torque_n_m
     return left
 

@@ -1,0 +1,52 @@
+/* What the wheels of a robot do, and will do by the time a command acts: their speeds, and how much faster
+ * than the floor they turn. For a limiter of torques; no I/O, allocation or static data. Times are [ns] of
+ * the robot's clock.
+ */
+#ifndef WHEEL_MOTION_H
+#define WHEEL_MOTION_H
+
+#include <stdbool.h>
+#include <stdint.h>
+
+#ifdef __cplusplus
+extern "C" {
+#endif
+
+/* cffi: begin */
+/* Begin with zeros, and set the first eight. The rest is only to be read. Wheels are FL, FR, RR, RL. */
+typedef struct {
+    double wheel_radius_m;
+    double lever_m;     /* half the length plus half the width between the wheel centres */
+    double ahead_s;     /* from a measurement to the next one, plus lag_s */
+    double lag_s;       /* of a measured speed: two filters in a row, each of half of it */
+    double still_rad_s; /* while no wheel is faster, only speeds are noted, and nothing is near */
+    double most_rad_s;  /* the greatest speed, now or when a command acts, that is not near a limit */
+    double
+        most_slip_rad_s; /* the same of slip; infinity if it does not matter, which is then not worked out */
+    bool is_near;        /* set while something has to be looked at whatever the wheels do */
+    bool has_speed;
+    bool has_slip;
+    int64_t time_ns; /* of the newest measurement */
+    int64_t slip_ns; /* of the newest one that slip was worked out of */
+    double steps;    /* until a command acts, of the time between the last two; 0 if that says nothing */
+    double speed_rad_s[4];   /* as measured */
+    double coming_rad_s[4];  /* the same when a command acts */
+    double rolling_rad_s[4]; /* of wheels that roll, behind the first filter */
+    double lagging_rad_s[4]; /* the same behind the second */
+    double slip_rad_s[4];    /* speed_rad_s - lagging_rad_s */
+    double coming_slip_rad_s[4];
+} wheel_motion;
+
+/* Adds measured wheel speeds, and the twist (vx, vy [m/s] in the world frame, yaw rate [rad/s]) and heading
+ * [rad] that the robot is known to have. Returns whether a speed or a slip is near its limit, or will be: by
+ * its present rate of change, `ahead_s + latency_s` from now, but never nearer to zero than it is. A
+ * measurement that is not finite is noted, and near nothing. */
+bool wheel_motion_add(wheel_motion *motion, const double speed_rad_s[4], int64_t time_ns,
+                      const double twist[3], double heading_rad, double latency_s);
+/* cffi: end */
+
+#ifdef __cplusplus
+}
+#endif
+
+#endif
