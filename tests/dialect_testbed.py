@@ -31,6 +31,7 @@ class Rig:
         period_ticks: int = 5,
         emulated_settings: Mapping[str, Any] | None = None,
         wire: Wire | None = None,
+        turning_share: float = 1.0,
         **changes: Any,
     ) -> None:
         scenario = load("paper_circle", mode="lockstep", set=changes)
@@ -49,6 +50,7 @@ class Rig:
             period_ticks * 1e-3,
             mode,
             wire or ("serial" if made.make_framing else min(made.wires)),
+            turning_share,
         )
         options = build(made.settings, settings or {}, "device.motors")
         self.driver: Driver = made.make(options, self.facts)

@@ -144,3 +144,30 @@ def test_no_loop_is_closed_on_a_speed_of_long_ago_and_a_stall_winds_nothing_up()
     rig.now_ns += 200_000_000
     [frame] = rig.driver.command(STILL, STILL, rig.now_ns)
     assert frame.payload == bytes(8)
+
+
+@given(*[st.floats(-3.0, 3.0)] * 3, st.floats(0.1, 1.0))
+def test_what_turns_the_robot_gets_its_share_of_the_gain(
+    forward: float, left: float, turn: float, share: float
+) -> None:
+    """From rest: FL, FR, RR and RL turn as forward - left - turn and so on; ids and wheels are in the same order."""
+    rig = Rig("c620", turning_share=share)
+    rig.step()
+    rig.arm()
+    signs = ((1, -1, -1), (1, 1, 1), (1, -1, 1), (1, 1, -1))
+    targets = [a * forward + b * left + c * turn for a, b, c in signs]
+    expected = [0.6 * (a * forward + b * left + share * c * turn) for a, b, c in signs]
+    fl, fr, rr, rl = targets
+    [frame] = rig.driver.command((fl, fr, rr, rl), STILL, rig.now_ns)
+    limit = rig.facts.torque_limit_n_m
+    counts = [min(max(t, -limit), limit) / rig.facts.torque_constant_n_m_a * 16384 / 20.0 for t in expected]
+    assert struct.unpack(">4h", frame.payload) == pytest.approx(counts, abs=0.51)
+
+
+def test_a_wheel_on_blocks_is_by_itself() -> None:
+    """As `hil jog` turns one: no robot moves so, and the loop of its opposite is not told of it."""
+    rig = Rig("c620", turning_share=0.2)
+    rig.step()
+    rig.arm()
+    [frame] = rig.driver.command((1.0, 0.0, 0.0, 0.0), STILL, rig.now_ns)
+    assert struct.unpack(">4h", frame.payload) == (round(0.6 / rig.facts.torque_constant_n_m_a * 16384 / 20.0), 0, 0, 0)

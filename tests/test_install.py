@@ -44,6 +44,7 @@ NEED_AN_EXTRA = {
         ["identify", "fit", "run.rrd"],
     ],
     "hunt": [["hunt", "paper_circle"]],
+    "mpc": [["run", "paper_circle", "--set", "controller.law=mpc"]],
     "campaign": [["campaign", "plan.toml", "--scheduler", "tcp://127.0.0.1:1"]],
     "targets": [["device", "paper_circle", "--link", "serial:pty", "--target", "unicorn"]],
 }

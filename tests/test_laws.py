@@ -34,8 +34,9 @@ from tests.closed_loop import AT_REST, PAPER_CIRCLE, PAPER_ROBOT, after, derivat
 from tests.examples import share_of_examples
 
 DT_S = 0.005
-TORQUE_LAWS = ["pid", "computed_torque", "lqi", "dsc_eso", "afdsc_eso"]
+TORQUE_LAWS = ["pid", "computed_torque", "lqi", "dsc_eso", "afdsc_eso", "mpc"]
 MODEL_LAWS = TORQUE_LAWS[1:]
+TORQUE_ALONE = ["computed_torque", "mpc"]
 SPEED_LAWS = ["pid", "lqi", "dsc_eso", "afdsc_eso"]
 NO_SETPOINT = Applied(WheelCommand(CommandMode.SPEED, ZERO_WHEELS, ZERO_WHEELS), False, 0.0)
 
@@ -126,7 +127,7 @@ def test_the_latency_is_compensated_when_the_guard_limits_too(name):
     assert np.array(late[2:]) == pytest.approx(np.array(prompt), abs=1e-9)
 
 
-@pytest.mark.parametrize("name", ["lqi", "dsc_eso", "afdsc_eso", "pid"])
+@pytest.mark.parametrize("name", ["lqi", "dsc_eso", "afdsc_eso", "mpc", "pid"])
 def test_a_constant_push_leaves_no_error(name):
     goal = Hold(0.0, 0.0, 0.3)
     at_rest = drive(made(name), goal.at, Pose(0.0, 0.0, 0.3), 1000, push=Wheels(0.3, 0.2, 0.1, 0.3))[-1]
@@ -146,7 +147,7 @@ def test_the_circle_is_tracked_without_the_filter_s_lag(name):
 @given(state=states, reference=references, before=states)
 @share_of_examples(0.2)
 def test_reset_forgets_whatever_was_before(name, mode, state, reference, before):
-    if (name, mode) == ("computed_torque", CommandMode.SPEED):
+    if name in TORQUE_ALONE and mode is CommandMode.SPEED:
         return
     fresh, used = made(name, mode), made(name, mode)
     command = WheelCommand(mode, ZERO_WHEELS, ZERO_WHEELS)
@@ -162,9 +163,10 @@ def test_reset_forgets_whatever_was_before(name, mode, state, reference, before)
     assert commands[0] == commands[1]
 
 
-def test_computed_torque_refuses_speed_commands():
+@pytest.mark.parametrize("name", TORQUE_ALONE)
+def test_a_law_that_computes_torques_refuses_speed_commands(name):
     with pytest.raises(BadInputError, match=r"set controller\.command = 'torque'"):
-        made("computed_torque", CommandMode.SPEED)
+        made(name, CommandMode.SPEED)
 
 
 @pytest.mark.parametrize(

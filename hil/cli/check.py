@@ -1,5 +1,6 @@
 """``hil check`` and ``hil show``: a scenario is checked and printed without running it."""
 
+import math
 from collections.abc import Iterator
 from typing import TYPE_CHECKING, Annotated
 
@@ -11,6 +12,7 @@ from hil.cli.output import print_result, rows, table
 
 if TYPE_CHECKING:
     from hil.references import Feasibility
+    from hil.scenario import Scenario
 
 
 def check(
@@ -36,9 +38,10 @@ def check(
         feasible &= not feasibility.sentences
         baseline = baseline_words(resolved)
         reference = {"kind": resolved.reference.kind, **feasibility.figures()}
-        found.append({"scenario": resolved.name, "reference": reference, "baseline": baseline})
+        loop = _speed_loop(resolved)
+        found.append({"scenario": resolved.name, "reference": reference, "baseline": baseline, "speed_loop": loop})
         lines += [name] if len(names) > 1 else []
-        lines += rows([*_rows(feasibility), ("baseline", baseline)])
+        lines += rows([*_rows(feasibility), *([("speed loop", loop)] if loop else []), ("baseline", baseline)])
     print_result(as_json, found[0] if len(names) == 1 else {"scenarios": found}, lines)
     raise typer.Exit(0 if feasible else 1)
 
@@ -72,3 +75,21 @@ def _rows(feasibility: "Feasibility") -> Iterator[tuple[str, str]]:
         yield label, f"{most}; the limit is {needed.limit:g} {needed.unit}"
     yield from (("not feasible", sentence) for sentence in feasibility.sentences)
     yield from (("note", sentence) for sentence in feasibility.notes)
+
+
+def _speed_loop(scenario: "Scenario") -> str | None:
+    """Return how near our firmware's speed loop is to a limit cycle; None where a scenario does not use it."""
+    from hil.core.types import CommandMode
+    from hil.drivers.registry import OUR_DRIVER
+    from hil.scenario.speed_loop import LEAST_MARGIN_RAD, yaw_margin
+
+    if scenario.controller.mode is not CommandMode.SPEED or scenario.device.driver != OUR_DRIVER:
+        return None
+    margin = yaw_margin(scenario.robot, scenario.firmware)
+    words = f"around yaw {math.degrees(margin.phase_rad):.1f}° of phase are left at {margin.crossover_rad_s:.0f} rad/s"
+    if margin.phase_rad < LEAST_MARGIN_RAD:
+        words += (
+            "; only friction keeps it from a limit cycle: lower firmware.speed_ki_n_m_rad = "
+            f"{scenario.firmware.speed_ki_n_m_rad:g}, or firmware.speed_kp_n_m_s_rad too"
+        )
+    return words

@@ -17,6 +17,7 @@ EXTRAS = {
     "dbc": ("cantools",),
     "teleop": ("sdl2",),
     "targets": ("unicorn",),
+    "mpc": ("osqp",),
 }
 """What is imported of each extra of pyproject.toml that a command may need."""
 

@@ -50,7 +50,8 @@ class Capabilities(NamedTuple):
 class RobotFacts(NamedTuple):
     """The robot's data that a driver gets beside its own settings: of [robot], [firmware], [loop] and the link.
 
-    ``wire`` is the kind of the link, one of ``Dialect.wires``.
+    ``wire`` is the kind of the link, one of ``Dialect.wires``. ``turning_share`` is the inertia that a wheel
+    accelerates when the robot turns, over that when it is pushed.
     """
 
     wheel_radius_m: float
@@ -64,6 +65,7 @@ class RobotFacts(NamedTuple):
     period_s: float
     mode: CommandMode
     wire: Wire = "can"
+    turning_share: float = 1.0
 
 
 class Sample(NamedTuple):

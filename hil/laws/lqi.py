@@ -17,12 +17,12 @@ if TYPE_CHECKING:
 _DOUBLINGS = 60
 
 
-def lqr_gain(
+def lqr_cost(
     a: "NDArray[np.float64]", b: "NDArray[np.float64]", q: "NDArray[np.float64]", r: "NDArray[np.float64]"
 ) -> "NDArray[np.float64]":
-    """Return K of u = -K x, which minimises the sum of xᵀ Q x + uᵀ R u over all ticks of x⁺ = A x + B u.
+    """Return S of xᵀ S x, the least sum of xᵀ Q x + uᵀ R u over all ticks of x⁺ = A x + B u.
 
-    ``a`` is n by n, ``b`` n by m, ``q`` n by n, ``r`` m by m and invertible; K is m by n. The Riccati equation is
+    ``a`` is n by n, ``b`` n by m, ``q`` n by n, ``r`` m by m and invertible; S is n by n. The Riccati equation is
     solved by structured doubling, which squares the closed loop at every step (E. K.-W. Chu et al., "A structure
     preserving doubling algorithm for periodic discrete-time algebraic Riccati equations", Int. J. Control 77,
     2004). Raises ValueError where it does not converge: the pair (A, B) cannot be stabilised.
@@ -44,8 +44,18 @@ def lqr_gain(
             if not np.isfinite(cost).all():
                 break
             if np.abs(step).max() <= 1e-14 * np.abs(cost).max():
-                return np.asarray(np.linalg.solve(r + b.T @ cost @ b, b.T @ cost @ a), dtype=np.float64)
+                return np.asarray(cost, dtype=np.float64)
     raise ValueError("the Riccati equation has no stabilising solution for these weights")
+
+
+def lqr_gain(
+    a: "NDArray[np.float64]", b: "NDArray[np.float64]", q: "NDArray[np.float64]", r: "NDArray[np.float64]"
+) -> "NDArray[np.float64]":
+    """Return K, m by n, of the input u = -K x that has the cost of ``lqr_cost``. Raises as that does."""
+    import numpy as np
+
+    cost = lqr_cost(a, b, q, r)
+    return np.asarray(np.linalg.solve(r + b.T @ cost @ b, b.T @ cost @ a), dtype=np.float64)
 
 
 class Lqi:

@@ -18,6 +18,7 @@ from hil.laws.code import code_of_file, code_of_module, forget
 from hil.laws.computed_torque import ComputedTorque
 from hil.laws.dsc import Dsc, DscEso
 from hil.laws.lqi import Lqi
+from hil.laws.mpc import Mpc
 from hil.laws.pid import Pid
 from hil.laws.profile import Profile
 from hil.laws.user import UserLaw, check_class, find_class
@@ -33,6 +34,7 @@ SHIPPED: dict[str, type] = {
     "dsc": Dsc,
     "dsc_eso": DscEso,
     "lqi": Lqi,
+    "mpc": Mpc,
     "pid": Pid,
     "profile": Profile,
 }

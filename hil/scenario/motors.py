@@ -45,6 +45,7 @@ def robot_facts(tables: Tables) -> RobotFacts:
         tables.loop.period_ns * 1e-9,
         tables.controller.mode,
         wire_of(parse_link(tables.link.url), dialect(device.driver).wires),
+        robot.effective_inertia_kg_m2 / (robot.lever_m**2 * robot.effective_mass_kg),
     )
 
 

@@ -175,6 +175,10 @@ def of_numpy(references: list[Reference], states: list[State]) -> Callable[[], N
     return steps
 
 
+def _ratio(times: float) -> str:
+    return f"1/{1.0 / times:.0f}" if times < 1.0 else f"{times:.1f}"
+
+
 def main() -> None:
     """Measure and print."""
     parser = argparse.ArgumentParser(prog="tools.bench.controller_step", description=(__doc__ or "").partition("\n")[0])
@@ -204,7 +208,7 @@ def main() -> None:
     for (name, mode_name), values in taken.items():
         median = statistics.median(values)
         figures[f"{name}, {mode_name}"] = {"cpu_us": median, "numpy_times": measure / median}
-        table.add_row(name, mode_name, f"{median:.2f}", f"{min(values):.2f}", f"1/{measure / median:.0f}")
+        table.add_row(name, mode_name, f"{median:.2f}", f"{min(values):.2f}", _ratio(median / measure))
     Console().print(table)
     if options.json is not None:
         options.json.write_text(json.dumps(figures, indent=2) + "\n", encoding="utf-8")

@@ -26,6 +26,8 @@ _LOW, _HIGH = 0x200, 0x1FF
 _ANGLES = 8192
 _RPM = math.tau / 60.0
 _FEEDBACK_NS = 1_000_000
+_FRONT = (1.0, 1.0, -1.0, -1.0)
+_AGREE = 1e-6  # Wheels of a robot that moves turn as much at the front as at the rear, but for rounding.
 
 
 class Motor(NamedTuple):
@@ -51,7 +53,7 @@ class Settings:
     ids: Annotated[tuple[int, ...], four_ids(1, 8)] = (1, 2, 3, 4)
     gear_ratio: Annotated[float, NOT_NEGATIVE] = 0.0
     kp_n_m_s_rad: Annotated[float, NOT_NEGATIVE] = 0.6
-    ki_n_m_rad: Annotated[float, NOT_NEGATIVE] = 8.0
+    ki_n_m_rad: Annotated[float, NOT_NEGATIVE] = 3.0
     temperature_limit_degc: Annotated[float, POSITIVE] = 100.0
 
 
@@ -108,6 +110,9 @@ class C620(FourMotors[Settings, _Channel]):
         self._counts_per_n_m = 1.0 / (robot.torque_constant_n_m_a * motor.amperes)
         self._max_count = motor.max_count
         self._commanded_ns: int | None = None
+        wheels = robot.wheel_of_channel
+        opposite = [wheels.index((wheel + 2) % 4) for wheel in wheels]
+        self._places = list(zip(wheels, robot.sign_of_channel, opposite, strict=True))
         self._warnings = (
             f"it is not known what a {self._title} does when commands end: keep an e-stop that cuts the motors' power "
             "within reach",
@@ -143,19 +148,44 @@ class C620(FourMotors[Settings, _Channel]):
         settings, limit = self._settings, self._robot.torque_limit_n_m
         dt_s = self._robot.period_s if self._commanded_ns is None else (now_ns - self._commanded_ns) * 1e-9
         dt_s = min(dt_s, 2.0 * self._robot.period_s)  # the loop was open during a stall: do not integrate over it
+        outdated_ns = self._robot.watchdog_s * 1e9
+        heard = [one.stamp_ns is not None and now_ns - one.stamp_ns < outdated_ns for one in self._channels]
+        errors = [
+            target - channel.speed * self._to_rad_s if is_heard else 0.0
+            for channel, target, is_heard in zip(self._channels, speed_rad_s, heard, strict=True)
+        ]
         torques = []
-        for channel, target, feedforward in zip(self._channels, speed_rad_s, torque_n_m, strict=True):
-            if channel.stamp_ns is None or now_ns - channel.stamp_ns >= self._robot.watchdog_s * 1e9:
+        for channel, error, feedforward, is_heard in zip(
+            self._channels, self._weighted(errors, speed_rad_s), torque_n_m, heard, strict=True
+        ):
+            if not is_heard:
                 channel.integral_n_m = 0.0
                 torques.append(0.0)  # no torque on an outdated speed
                 continue
-            error = target - channel.speed * self._to_rad_s
             torque = feedforward + settings.kp_n_m_s_rad * error + channel.integral_n_m
             limited = clamp(torque, limit)
             if torque == limited or error * torque < 0.0:  # no windup at the limit
                 channel.integral_n_m = clamp(channel.integral_n_m + settings.ki_n_m_rad * error * dt_s, limit)
             torques.append(limited)
         return four(torques)
+
+    def _weighted(self, errors: Sequence[float], targets: FourWheels) -> Sequence[float]:
+        """Return the speed errors of the channels, with less weight on what turns the robot than on what pushes it.
+
+        FL and RR, and FR and RL, push with what they have in common and turn with the difference. A wheel has less to
+        accelerate when the robot turns. So with one gain the loop around yaw would be as many times faster, and
+        unstable by the delays of wire and host. Wheels that no motion of the robot turns like this are on blocks: each
+        is by itself then.
+        """
+        places = zip(self._places, targets, strict=True)
+        against = sum(sign * _FRONT[wheel] * target for (wheel, sign, _), target in places)
+        if abs(against) > _AGREE * sum(map(abs, targets)):
+            return errors
+        share = self._robot.turning_share
+        return [
+            share * error + 0.5 * (1.0 - share) * (error + sign * errors[opposite] * self._places[opposite][1])
+            for error, (_, sign, opposite) in zip(errors, self._places, strict=True)
+        ]
 
     def _currents(self, counts: Sequence[int]) -> Sequence[Frame]:
         """Return the one or two frames that carry the currents. The other motors of these frames get no current."""
