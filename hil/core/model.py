@@ -52,21 +52,17 @@ class RobotModel:
     """I + k L² [kg·m²]."""
     wheel_friction_n_m: float = field(init=False, repr=False, compare=False)
     """μ m g r / 4 [N·m]: friction torque of one wheel."""
-    inverse: tuple[float, ...] = field(init=False, repr=False, compare=False)
-    """m + k, k, I + k L², r and L: what the inverse dynamics of the library take."""
 
     def __post_init__(self) -> None:
         require_ranges(self, "robot")
         lever = self.half_length_m + self.half_width_m
-        r = self.wheel_radius_m
-        k = 4.0 * self.wheel_inertia_kg_m2 / r**2
+        k = 4.0 * self.wheel_inertia_kg_m2 / self.wheel_radius_m**2
         friction = self.friction_coefficient * self.mass_kg * GRAVITY_M_S2 * self.wheel_radius_m / 4.0
         object.__setattr__(self, "lever_m", lever)
         object.__setattr__(self, "wheels_mass_kg", k)
         object.__setattr__(self, "effective_mass_kg", self.mass_kg + k)
         object.__setattr__(self, "effective_inertia_kg_m2", self.inertia_kg_m2 + k * lever**2)
         object.__setattr__(self, "wheel_friction_n_m", friction)
-        object.__setattr__(self, "inverse", (self.mass_kg + k, k, self.inertia_kg_m2 + k * lever**2, r, lever))
 
     def wheel_speeds(self, twist: Axes, heading_rad: float) -> FourWheels:
         """Return the wheel speeds [rad/s] of a world twist at this heading: ω = H Rᵀ q̇ / r."""
@@ -85,7 +81,9 @@ class RobotModel:
         ``twist`` is the world twist in C. Friction ξ (``friction_torques``) is computed for the wheel speeds of the
         world twist ``moving``: pass the intended twist, because a measured one would feed its noise back.
         """
-        torque = wheel_torques(self.inverse, acceleration, twist, heading_rad)
+        inertia = self.effective_mass_kg, self.wheels_mass_kg, self.effective_inertia_kg_m2
+        geometry = self.wheel_radius_m, self.lever_m
+        torque = wheel_torques(inertia, geometry, acceleration, twist, heading_rad)
         if self.wheel_friction_n_m == 0.0:
             return torque
         to_fl, to_fr, to_rr, to_rl = torque

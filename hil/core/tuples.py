@@ -74,7 +74,7 @@ make_speed_command: Callable[..., WheelCommand] = _constructor(_SPEED)
 make_torque_command: Callable[[float, float, float, float], WheelCommand] = _constructor(_TORQUE)
 difference: Callable[[State, Reference], tuple[Pairs, float, Twist, Twist]] = _function("difference")
 """Return state minus reference, with the heading in [-π, π]; the heading; the reference's twist, and the state's."""
-wheel_torques: Callable[[tuple[float, ...], Axes, Axes, float], FourWheels] = _function("wheel_torques")
-"""Return the wheel torques of ``RobotModel.wheel_torques`` without friction, by ``RobotModel.inverse``."""
+wheel_torques: Callable[[Axes, tuple[float, float], Axes, Axes, float], FourWheels] = _function("wheel_torques")
+"""Return ``RobotModel.wheel_torques`` without friction: of m + k, k and I + k L²; r and L; the rest as there."""
 is_within: Callable[[FourWheels, float], bool] = _function("within")
 """Return whether every wheel is from minus the limit to the limit. NaN is not."""

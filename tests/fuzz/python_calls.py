@@ -22,7 +22,6 @@ from firmware_protocol.generated import messages as m
 from firmware_protocol.host import library
 from firmware_protocol.host_line import HostLine
 from hil.core import tuples
-from hil.core.model import RobotModel
 from hil.core.types import ZERO_WHEELS, CommandMode, Pose, Reference, State, Twist, Wheels
 from hil.robot.channel import feedback_reader
 from hil.robot.direct import DirectLink, LibraryRobot
@@ -30,7 +29,6 @@ from hil.wire.streams import DirectStream
 from tests.protocol_cases import frames as some_frame
 from tests.wheel_rig import WheelRig
 
-MODEL = RobotModel(20.0, 0.56, 0.075, 0.3, 0.3, 0.005, torque_limit_n_m=5.0, speed_limit_rad_s=20.0)
 RAISED = (TypeError, IndexError, OverflowError, ValueError, SystemError)
 _DAY_NS = 86_400_000_000_000
 
@@ -124,7 +122,7 @@ calls = st.one_of(
     call("pack", st.lists(frame, max_size=5).map(tuple)),
     call("frames", any_bytes),
     call("difference", motion, motion),
-    call("wheel_torques", axes, axes, any_number),
+    call("wheel_torques", axes, st.tuples(any_number, any_number), axes, axes, any_number),
     call("row", axes, motion, any_number),
     call("look_up", st.tuples(*[any_number] * 4)),
     call("make_state", axes, axes),
@@ -178,7 +176,7 @@ class Rig:
             "pack": fast_call("pack"),
             "frames": lambda data: fast_call("frames")(data, Frame),
             "difference": tuples.difference,
-            "wheel_torques": lambda *given: tuples.wheel_torques(MODEL.inverse, *given),
+            "wheel_torques": tuples.wheel_torques,
             "row": layout.row,
             "look_up": tables.look_up,
             "make_state": tuples.make_state,

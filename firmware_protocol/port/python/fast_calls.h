@@ -168,10 +168,10 @@ typedef struct {
  * first's heading; the second's twist, and the first's. */
 void *wheel_python_difference(void *self, void *const *arguments, ptrdiff_t count);
 
-/* wheel_torques(model, acceleration, twist, heading): the torques of four wheels, FL, FR, RR, RL, for a world
- * acceleration without friction, as a tuple: B+ (M a + C). Acceleration and twist are sequences of three. The
- * model is a tuple of effective mass [kg], the wheels' part of it [kg], effective yaw inertia [kg m2], wheel
- * radius and lever [m]; hil/core/model.py explains it. */
+/* wheel_torques(inertia, geometry, acceleration, twist, heading): the torques of four wheels, FL, FR, RR, RL,
+ * for a world acceleration without friction, as a tuple: B+ (M a + C). Inertia is a tuple of effective mass
+ * [kg], the wheels' part of it [kg] and effective yaw inertia [kg m2], geometry one of wheel radius and lever
+ * [m]; hil/core/model.py explains them. Acceleration and twist are sequences of three. */
 void *wheel_python_wheel_torques(void *self, void *const *arguments, ptrdiff_t count);
 
 /* layout.row(objects...): puts the numbers of nested tuples in their places, and returns a copy of all

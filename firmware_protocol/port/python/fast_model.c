@@ -21,27 +21,28 @@ static bool axes(void *sequence, double values[3]) {
 
 void *wheel_python_wheel_torques(void *self, void *const *arguments, ptrdiff_t count) {
     (void)self, (void)count;
-    double model[5];
+    double inertia[3];
+    double geometry[2];
     double acceleration[3];
     double twist[3];
     double heading_rad;
-    if (!numbers(arguments[0], 5, model) || !axes(arguments[1], acceleration) || !axes(arguments[2], twist) ||
-        !number(arguments[3], &heading_rad)) {
+    if (!numbers(arguments[0], 3, inertia) || !numbers(arguments[1], 2, geometry) ||
+        !axes(arguments[2], acceleration) || !axes(arguments[3], twist) ||
+        !number(arguments[4], &heading_rad)) {
         return NULL;
     }
-    const double mass_kg = model[0];
-    const double coupling = model[1] * twist[2];
-    const double radius_m = model[3];
+    const double mass_kg = inertia[0];
+    const double coupling = inertia[1] * twist[2];
     const double force_x = mass_kg * acceleration[0] + coupling * twist[1];
     const double force_y = mass_kg * acceleration[1] - coupling * twist[0];
-    /* B+ gives the torques of least norm: rotate into the body frame, then apply (r / 4) H diag(1, 1, 1 /
-     * L2). */
+    /* B+ gives the torques of least norm: rotate into the body frame, then apply (r / 4) H diag(1, 1, 1/L2).
+     */
     const double c = cos(heading_rad);
     const double s = sin(heading_rad);
-    const double quarter_m = radius_m / 4.0;
+    const double quarter_m = geometry[0] / 4.0;
     const double forward = quarter_m * (c * force_x + s * force_y);
     const double left = quarter_m * (c * force_y - s * force_x);
-    const double turn = quarter_m * (model[2] * acceleration[2]) / model[4];
+    const double turn = quarter_m * (inertia[2] * acceleration[2]) / geometry[1];
     const double minus = forward - left;
     const double plus = forward + left;
     return floats((double[]){minus - turn, plus + turn, minus + turn, plus - turn}, 4);
