@@ -156,7 +156,7 @@ def test_what_turns_the_robot_gets_its_share_of_the_gain(
     rig.arm()
     signs = ((1, -1, -1), (1, 1, 1), (1, -1, 1), (1, 1, -1))
     targets = [a * forward + b * left + c * turn for a, b, c in signs]
-    expected = [0.6 * (a * forward + b * left + share * c * turn) for a, b, c in signs]
+    expected = [0.4 * (a * forward + b * left + share * c * turn) for a, b, c in signs]
     fl, fr, rr, rl = targets
     [frame] = rig.driver.command((fl, fr, rr, rl), STILL, rig.now_ns)
     limit = rig.facts.torque_limit_n_m
@@ -170,4 +170,4 @@ def test_a_wheel_on_blocks_is_by_itself() -> None:
     rig.step()
     rig.arm()
     [frame] = rig.driver.command((1.0, 0.0, 0.0, 0.0), STILL, rig.now_ns)
-    assert struct.unpack(">4h", frame.payload) == (round(0.6 / rig.facts.torque_constant_n_m_a * 16384 / 20.0), 0, 0, 0)
+    assert struct.unpack(">4h", frame.payload) == (round(0.4 / rig.facts.torque_constant_n_m_a * 16384 / 20.0), 0, 0, 0)

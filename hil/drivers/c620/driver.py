@@ -52,8 +52,8 @@ class Settings:
     controller: Literal["c620", "c610"] = "c620"
     ids: Annotated[tuple[int, ...], four_ids(1, 8)] = (1, 2, 3, 4)
     gear_ratio: Annotated[float, NOT_NEGATIVE] = 0.0
-    kp_n_m_s_rad: Annotated[float, NOT_NEGATIVE] = 0.6
-    ki_n_m_rad: Annotated[float, NOT_NEGATIVE] = 3.0
+    kp_n_m_s_rad: Annotated[float, NOT_NEGATIVE] = 0.4
+    ki_n_m_rad: Annotated[float, NOT_NEGATIVE] = 2.0
     temperature_limit_degc: Annotated[float, POSITIVE] = 100.0
 
 
