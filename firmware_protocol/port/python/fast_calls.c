@@ -124,7 +124,7 @@ void *wheel_python_take(void *self, void *const *arguments, ptrdiff_t count) {
     if (failed() || !bytes_of(arguments[0], &packed, &length)) {
         return NULL;
     }
-    if (begin < 0 || (size_t)begin > length) {
+    if (begin < 0) {
         python.PyErr_BadArgument();
         return NULL;
     }
