@@ -14,7 +14,9 @@ from hil.core.errors import BadInputError
 from hil.core.kinematics import body_wrench, to_body
 from hil.core.options import build
 from hil.core.types import Acceleration, Applied, CommandMode, Pose, Reference, State, Twist, WheelCommand, Wheels
-from hil.laws.profile import Profile, allocate, directions, profile
+from hil.laws.approach import profile
+from hil.laws.pairs import allocate, directions
+from hil.laws.profile import Profile
 from tests.closed_loop import AT_REST, PAPER_ROBOT, after
 from tests.examples import share_of_examples
 

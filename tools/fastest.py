@@ -6,9 +6,13 @@ the error below 10 mm from T on, and 0.2 s later with the reference, its heading
 of linear programs (SciPy, HiGHS) looks for torques that get there, each linearised about the motion that the torques of
 the last one really cause, and a bisection looks for the least T. A motion counts if that, and not the program's own,
 is there.
+
+An optimum takes some seconds and does not depend on the law, so those that were found are kept in a file of the tree,
+one a line, which is continued. Remove it to find them again.
 """
 
 import argparse
+import json
 import math
 import random
 from collections.abc import Iterator, Sequence
@@ -30,6 +34,7 @@ from hil.scenario import load
 Array = npt.NDArray[np.float64]
 SCENARIO = "compare_circle"
 PAGE = Path("hil/laws/PROFILE.md")
+OPTIMA = Path("tools/fastest_optima.jsonl")
 BEGIN, END = "<!-- fastest begin -->\n", "<!-- fastest end -->\n"
 MASSES_KG, TORQUES_N_M = (16.0, 20.0, 24.0), (5.0, 1.8)
 WITHIN_M, AFTER_S, HEADING_RAD = 0.01, 0.2, 0.005
@@ -214,6 +219,24 @@ def least_time_s(model: RobotModel, reference: ReferenceSource, start: Start) ->
     return high
 
 
+class Optima:
+    """The least times that are known, in a file that is continued: for each robot and start one JSON object a line."""
+
+    def __init__(self, file: Path) -> None:
+        self._file = file
+        lines = file.read_text(encoding="utf-8").splitlines() if file.exists() else []
+        self._known = {tuple(row["key"]): float(row["least_s"]) for row in map(json.loads, lines)}
+
+    def least_time_s(self, model: RobotModel, reference: ReferenceSource, start: Start) -> float:
+        """Return the least time to the reference [s] from the file, or find it and add it there."""
+        key = (model.torque_limit_n_m, model.mass_kg, *(round(one, 6) for one in start))
+        if key not in self._known:
+            self._known[key] = least_time_s(model, reference, start)
+            with self._file.open("a", encoding="utf-8") as file:
+                file.write(json.dumps({"key": key, "least_s": self._known[key]}) + "\n")
+        return self._known[key]
+
+
 def taken_s(start: Start, mass_kg: float, torque_n_m: float) -> float | None:
     """Return the time that ``profile`` takes to 10 mm, through wire and plant; None if it is not there in 4 s."""
     sets = {
@@ -243,7 +266,7 @@ def random_starts(reference: ReferenceSource, count: int) -> list[Start]:
     return starts
 
 
-def rows(starts: int) -> Iterator[tuple[str, ...]]:
+def rows(starts: int, optima: Optima) -> Iterator[tuple[str, ...]]:
     """Yield the table: times from compare_circle's start, then what is taken over the optimum from random starts."""
     scenario = load(SCENARIO)
     kind = scenario.reference
@@ -258,10 +281,10 @@ def rows(starts: int) -> Iterator[tuple[str, ...]]:
             ratios = []
             for start in around:
                 took_s = taken_s(start, mass_kg, torque_n_m)
-                ratios.append(math.inf if took_s is None else took_s / least_time_s(model, reference, start))
+                ratios.append(math.inf if took_s is None else took_s / optima.least_time_s(model, reference, start))
             took_s = taken_s(own, mass_kg, torque_n_m)
             spread = (f"{np.median(ratios):.2f}", f"{max(ratios):.2f}") if ratios else ("-", "-")
-            best, took = f"{least_time_s(model, reference, own):.3f}", "-" if took_s is None else f"{took_s:.3f}"
+            best, took = f"{optima.least_time_s(model, reference, own):.3f}", "-" if took_s is None else f"{took_s:.3f}"
             yield f"{torque_n_m:g}", f"{mass_kg:g}", best, took, *spread
 
 
@@ -270,7 +293,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--starts", type=int, default=50, help="random starts for each mass and torque; 0 for none")
     parser.add_argument("--write", action="store_true", help=f"put the table into {PAGE}")
     given = parser.parse_args(arguments)
-    text = markdown_table(list(rows(given.starts)))
+    text = markdown_table(list(rows(given.starts, Optima(OPTIMA))))
     print(text, end="")
     if given.write:
         before, _, rest = PAGE.read_text(encoding="utf-8").partition(BEGIN)

@@ -24,7 +24,8 @@ class AccelerationShare:
     """Learns s and f of one or two axes that share them.
 
     ``share`` is s, within 0.45 to 2.2, ``friction`` is f [m/s² or rad/s²], at least 0, and ``is_known`` says whether
-    enough was seen to rely on them. They begin at 1, the believed f, and False.
+    enough was seen to rely on them. They begin at 1, the believed f, and False. ``was_limited`` says whether a limiter
+    took torque away since the reset.
 
     ``largest`` is the believed acceleration at full torque [m/s² or rad/s²]. Windows with less than a sixth
     of ``largest`` teach nothing: what they show may be friction, a slope or noise. Once a limiter took torque away, as
@@ -32,7 +33,7 @@ class AccelerationShare:
     have had less force than the torque stands for, before and after too, but not more.
     """
 
-    __slots__ = ("_believed", "_scale", "_sums", "_was_limited", "_window", "friction", "is_known", "share")
+    __slots__ = ("_believed", "_scale", "_sums", "_window", "friction", "is_known", "share", "was_limited")
 
     def __init__(self, largest: float, friction: float = 0.0) -> None:
         self._scale = 1.0 / (largest * _WINDOW_S)
@@ -42,7 +43,7 @@ class AccelerationShare:
     def reset(self) -> None:
         """Forget everything: a robot that was stopped may have been loaded meanwhile."""
         self._forget()
-        self._was_limited = False
+        self.was_limited = False
         self._begin(())
 
     def _forget(self) -> None:
@@ -58,8 +59,8 @@ class AccelerationShare:
         if not first:
             self._begin(rates)
             return
-        if is_limited and not self._was_limited:
-            self._was_limited = True
+        if is_limited and not self.was_limited:
+            self.was_limited = True
             if self.share < 1.0:
                 self._forget()
         passed_s += dt_s
@@ -69,7 +70,7 @@ class AccelerationShare:
             return
         self._begin(rates)
         gained = sum(u * (end - begin - u) for u, begin, end in zip(moved, first, rates, strict=True))
-        if gained > 0.0 or not self._was_limited:
+        if gained > 0.0 or not self.was_limited:
             self._learn(first, rates, moved, passed_s)
 
     def _learn(

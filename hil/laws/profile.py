@@ -1,10 +1,7 @@
 """Time-optimal square-root profile with observer and delay prediction, one axis for each diagonal pair of wheels.
 
-PROFILE.md beside this file has the derivation, the options and figures. Pair 1 is FL and RR, pair 2 is FR and RL. Equal
-torques τ_1 and τ_2 of the pairs push the robot along the body's directions (1, -1) / √2 and (1, 1) / √2, independently
-of each other. A difference within a pair turns the robot and does not push it:
-
-    τ_FL = τ_1 - a    τ_RR = τ_1 + a    τ_FR = τ_2 + b    τ_RL = τ_2 - b    yaw torque 2 L (a + b) / r
+PROFILE.md beside this file has the derivation, the options and figures. ``pairs.py`` has the pairs, ``approach.py`` the
+way to a reference that is far.
 """
 
 import math
@@ -24,47 +21,11 @@ from hil.core.types import (
     Reference,
     State,
     WheelCommand,
-    Wheels,
 )
 from hil.laws.adaptation import AccelerationShare
+from hil.laws.approach import even_turn, friction_share, profile, time_to_go
+from hil.laws.pairs import SQRT2, allocate, directions, within
 from hil.laws.prediction import DelayPredictor, ExtendedStateObserver, Prediction, extrapolate, speed_command
-
-SQRT2 = math.sqrt(2.0)
-
-
-def directions(heading_rad: float) -> tuple[float, float, float, float]:
-    """Return the unit vectors in the world frame along which the pairs FL, RR and FR, RL push: x1, y1, x2, y2."""
-    c, s = math.cos(heading_rad) / SQRT2, math.sin(heading_rad) / SQRT2
-    plus, minus = c + s, c - s
-    return plus, -minus, minus, plus
-
-
-def allocate(
-    push_1_n_m: float, push_2_n_m: float, turn_n_m: float, friction_n_m: FourWheels, limit_n_m: float
-) -> tuple[Wheels, float, float, float]:
-    """Return wheel torques within the limit, and the τ_1, τ_2 and (a + b) / 2 that they achieve.
-
-    Pushing has priority, for each pair by itself. Turning gets the torque that is left, from whichever pair has some.
-    ``friction_n_m`` is the loss of each wheel and is added. A loss that differs within a pair turns the robot, so the
-    part of it that cannot be compensated lowers the achieved turning torque. All are in N·m per wheel.
-    """
-    fl, fr, rr, rl = friction_n_m
-    loss_1, loss_2 = 0.5 * (fl + rr), 0.5 * (fr + rl)
-    uneven = 0.5 * (fl - rr - fr + rl)
-    push_1 = within(push_1_n_m + loss_1, limit_n_m)
-    push_2 = within(push_2_n_m + loss_2, limit_n_m)
-    room_1, room_2 = limit_n_m - abs(push_1), limit_n_m - abs(push_2)
-    desired = 2.0 * turn_n_m - uneven
-    turn_2 = within(desired - within(0.5 * desired, room_1), room_2)
-    turn_1 = within(desired - turn_2, room_1)
-    torque = Wheels(push_1 - turn_1, push_2 + turn_2, push_1 + turn_1, push_2 - turn_2)
-    return torque, push_1 - loss_1, push_2 - loss_2, 0.5 * (turn_1 + turn_2 + uneven)
-
-
-def within(value: float, limit: float) -> float:
-    """Return the value limited to ±``limit``. NaN stays NaN."""
-    return limit if value > limit else -limit if value < -limit else value
-
 
 # Share of the largest yaw acceleration and yaw rate that the profile plans with. Pushing has priority, so little torque
 # is certain to be left for turning, and turning may use little of the speed.
@@ -73,8 +34,21 @@ _TURNING_SHARE = 0.3
 _KEPT_SHARE, _LEAST_TURNING_SHARE = 0.9, 0.05
 # The braking share where mass and friction are known.
 _KNOWN_BRAKING_SHARE = 0.97
-# The heading is left alone from the first distance on until the second is reached [m].
-_FAR_M, _NEAR_M = 0.1, 0.012
+# The reference is far from the first distance on until the second is reached [m]; K1 is so many times larger then, as
+# an axis may go on to brake with all of its torque to its last few millimetres.
+_FAR_M, _NEAR_M, _FAR_K1 = 0.1, 0.012, 2.0
+# Largest yaw rate on the way [rad/s]. The share of the turn that torque and time allow which is made: the first axis
+# to reach its largest speed should find no turn there that takes a part of it.
+_SWING_RAD_S, _SWING_SHARE = 2.0, 0.7
+# The most that the yaw rate changes by, in units of what the profile brakes with: measured wheel speeds are late, and a
+# wheel that changes its speed faster looks to the limiter like one that slips.
+_SWING_BRAKING = 1.2
+# By how much one pair must be there earlier, so that turning has priority over its push [s].
+_SPARE_S = 0.05
+# Share of the believed friction that may be there in addition, as the prior of what is learnt.
+_UNKNOWN_FRICTION = 0.5
+# Least share of the torque to brake with, whatever reference and friction need of it.
+_LEAST_BRAKING_SHARE = 0.2
 # Latency and tick together up to which the gains are as configured.
 _FULL_GAIN_S = 0.015
 # How far set points may be from measured speeds, as time at full acceleration. Further away the torque limit would let
@@ -138,9 +112,10 @@ class Profile:
         limits = (push_m_s2, push_m_s2, turn_rad_s2)
         observers = tuple(ExtendedStateObserver(options.observer_rad_s, limit) for limit in limits)
         self._predictor = DelayPredictor(model, observers, from_observers=True)
-        self._is_far = False
-        friction_m_s2 = model.wheel_friction_n_m / self._push_n_m_per_m_s2
-        self._push_share, self._turn_share = AccelerationShare(push_m_s2, friction_m_s2), AccelerationShare(turn_rad_s2)
+        self._is_far, self._aim_rad = False, 0.0
+        self._friction_m_s2 = model.wheel_friction_n_m / self._push_n_m_per_m_s2
+        self._push_share = AccelerationShare(push_m_s2, _UNKNOWN_FRICTION * self._friction_m_s2)
+        self._turn_share = AccelerationShare(turn_rad_s2)
 
     def reset(self, state: State, reference: Reference) -> None:
         """Start at this state, with no command sent and no disturbance."""
@@ -182,39 +157,81 @@ class Profile:
         # The bandwidth follows the latency: K1 and K2 keep their distance from its phase.
         slower = min(1.0, _FULL_GAIN_S / (latency_s + dt_s))
         k1 = slower * self._k1
+        away_1, away_2 = x * x1 + y * y1, x * x2 + y * y2
+        ax, ay, yaw_acceleration = acceleration
         known = self._push_share
-        braking = known.share * (_KNOWN_BRAKING_SHARE * self._push_m_s2 if known.is_known else self._braking_m_s2)
-        if known.is_known:
-            braking += known.friction
-        # Far away the heading stays where it is: to turn takes speed and torque from the way.
-        self._is_far = is_far = math.hypot(x, y) > (_NEAR_M if self._is_far else _FAR_M)
-        limit = self._turn_speed_rad_s(vx_d, vy_d, yaw_rate_d)
-        to_turn_rad = 0.0 if is_far else heading_error
-        turn, turn_slope = profile(to_turn_rad, now_turn, k1, self._turn_braking_rad_s2, -limit, limit)
-        limit = self._push_speed_m_s(yaw_rate)
-        rate_1, slope_1 = profile(x * x1 + y * y1, now_1, k1, braking, -limit - along_1, limit - along_1)
-        rate_2, slope_2 = profile(x * x2 + y * y2, now_2, k1, braking, -limit - along_2, limit - along_2)
+        braking_1 = self._braking(away_1, now_1, along_1, ax * x1 + ay * y1)
+        braking_2 = self._braking(away_2, now_2, along_2, ax * x2 + ay * y2)
+        was_far = self._is_far
+        self._is_far = is_far = math.hypot(x, y) > (_NEAR_M if was_far else _FAR_M)
+        limit, spare = self._push_speed_m_s(yaw_rate), 0
+        # Wheels that slip get no more to do than the way itself: the heading stays where it is.
+        if is_far and not known.was_limited:
+            k1 *= _FAR_K1
+            pushed_1, pushed_2 = along_1 + now_1, along_2 + now_2
+            if not was_far:
+                error, rate, reference_rate = (x, y), (vx_e, vy_e), (vx_d, vy_d)
+                even_rad = even_turn(heading, error, rate, reference_rate, self._push_m_s2, limit)
+                self._aim_rad = heading_error + within(even_rad, self._swing_rad(math.hypot(x, y), pushed_1, pushed_2))
+            to_turn_rad = math.remainder(heading_error - self._aim_rad, math.tau)
+            used_m_s, most_rad_s = SQRT2 * max(abs(pushed_1), abs(pushed_2)), _SWING_RAD_S
+            friction_n_m = self._friction(pushed_1, pushed_2, yaw_rate)
+            later_s = time_to_go(away_1, now_1, braking_1, -limit - along_1, limit - along_1)
+            later_s -= time_to_go(away_2, now_2, braking_2, -limit - along_2, limit - along_2)
+            if abs(later_s) > _SPARE_S:
+                spare = 2 if later_s > 0.0 else 1
+        else:
+            to_turn_rad = 0.0 if is_far else heading_error
+            used_m_s, most_rad_s = SQRT2 * math.hypot(vx_d, vy_d), self._turn_rad_s
+            friction_n_m = self._friction(along_1, along_2, yaw_rate_d)
+        most_rad_s = self._turn_speed_rad_s(used_m_s, yaw_rate_d, most_rad_s)
+        turn, turn_slope = profile(to_turn_rad, now_turn, k1, self._turn_braking_rad_s2, -most_rad_s, most_rad_s)
+        rate_1, slope_1 = profile(away_1, now_1, k1, braking_1, -limit - along_1, limit - along_1)
+        rate_2, slope_2 = profile(away_2, now_2, k1, braking_2, -limit - along_2, limit - along_2)
         # The gain that moves ė towards w as a pole at K2 does, exact for an acceleration held over the tick.
         k2 = -math.expm1(-slower * self._k2 * dt_s) / dt_s
         coupling = model.wheels_mass_kg / model.effective_mass_kg * yaw_rate
-        ax, ay, yaw_acceleration = acceleration
         zx, zy, zh = self._predictor.disturbance
         known_x = ax - zx + coupling * vy
         known_y = ay - zy - coupling * vx
         to_push, to_turn = self._push_n_m_per_m_s2, self._turn_n_m_per_rad_s2
+        turning = turn_slope + k2 * (turn - now_turn)
+        if is_far:
+            turning = within(turning, _SWING_BRAKING * self._turn_braking_rad_s2)
         # What is known in advance takes the estimated mass. The gains do not grow by it: it may be wrong.
         gain = max(push_share, 1.0)
         torque, push_1, push_2, turn = allocate(
-            to_push * ((known_x * x1 + known_y * y1) / push_share + (slope_1 + k2 * (rate_1 - now_1)) / gain),
-            to_push * ((known_x * x2 + known_y * y2) / push_share + (slope_2 + k2 * (rate_2 - now_2)) / gain),
-            to_turn / turn_share * (yaw_acceleration - zh + turn_slope + k2 * (turn - now_turn)),
-            self._friction(along_1, along_2, yaw_rate_d),
+            to_push * ((known_x * x1 + known_y * y1 + slope_1) / push_share + k2 * (rate_1 - now_1) / gain),
+            to_push * ((known_x * x2 + known_y * y2 + slope_2) / push_share + k2 * (rate_2 - now_2) / gain),
+            to_turn / turn_share * (yaw_acceleration - zh + turning),
+            friction_n_m,
             self._torque_limit_n_m,
+            spare,
         )
         push_1, push_2 = push_1 / to_push, push_2 / to_push
         pushed = push_1 * x1 + push_2 * x2 - coupling * vy, push_1 * y1 + push_2 * y2 + coupling * vx, turn / to_turn
         self._predictor.remember(torque, pushed)
         return WheelCommand(CommandMode.TORQUE, ZERO_WHEELS, torque)
+
+    def _braking(self, away_m: float, rate_m_s: float, along_m_s: float, needed_m_s2: float) -> float:
+        """Return the acceleration [m/s²] that an axis can brake with on the rest of its way.
+
+        ``away_m`` and ``rate_m_s`` are e and ė, ``along_m_s`` is the reference's own rate, and ``needed_m_s2`` what the
+        reference takes of the torque by its acceleration.
+        """
+        known = self._push_share
+        own = _KNOWN_BRAKING_SHARE * self._push_m_s2 if known.is_known else self._braking_m_s2
+        helps = friction_share(away_m, rate_m_s, along_m_s)
+        braking = known.share * (own + helps * self._friction_m_s2) - math.copysign(1.0, away_m) * needed_m_s2
+        if known.is_known:
+            braking += helps * known.friction
+        return max(braking, _LEAST_BRAKING_SHARE * self._push_m_s2)
+
+    def _swing_rad(self, away_m: float, pushed_1_m_s: float, pushed_2_m_s: float) -> float:
+        """Return how far to turn from rest to rest before an axis is at its largest speed, or half the way is made."""
+        left_m_s = max(self._push_speed_m_s(0.0) - max(abs(pushed_1_m_s), abs(pushed_2_m_s)), 0.0)
+        lasts_s = min(left_m_s / self._push_m_s2, math.sqrt(away_m / self._push_m_s2))
+        return _SWING_SHARE * 0.25 * self._turn_braking_rad_s2 * lasts_s * lasts_s
 
     def _speed_command(self, reference: Reference, state: State, latency_s: float, dt_s: float) -> WheelCommand:
         """Return ω for q̇ = q̇_d + w(e), with the feedforward torque for the reference and the slope of the profile.
@@ -229,7 +246,8 @@ class Profile:
         x1, y1, x2, y2 = directions(heading)
         along_1, along_2 = vx_d * x1 + vy_d * y1, vx_d * x2 + vy_d * y2
         k1, braking = self._k1, self._braking_m_s2
-        limit, step = self._turn_speed_rad_s(vx_d, vy_d, yaw_rate_d), self._turn_step_rad_s
+        limit = self._turn_speed_rad_s(SQRT2 * math.hypot(vx_d, vy_d), yaw_rate_d, self._turn_rad_s)
+        step = self._turn_step_rad_s
         low, high = _range(-limit, limit, state.twist.yaw_rate_rad_s - reference.twist.yaw_rate_rad_s, step)
         turn, _ = profile(heading_error, 0.0, self._turn_k1, self._turn_braking_rad_s2, low, high)
         limit, step = self._push_speed_m_s(yaw_rate_d + turn), self._push_step_m_s
@@ -251,15 +269,16 @@ class Profile:
         desired = push_1 * x1 + push_2 * x2, push_1 * y1 + push_2 * y2, turn
         return speed_command(model, desired, predicted, (ax, ay, yaw_acceleration))
 
-    def _turn_speed_rad_s(self, vx_m_s: float, vy_m_s: float, yaw_rate_rad_s: float) -> float:
-        """Return the limit of the yaw rate towards a reference with this twist.
+    def _turn_speed_rad_s(self, used_m_s: float, yaw_rate_rad_s: float, most_rad_s: float) -> float:
+        """Return the limit of the yaw rate towards a reference with this yaw rate, at most ``most_rad_s``.
 
-        What the reference itself takes of the wheels' speed, at whatever heading, has priority: a robot that turns back
-        and loses the reference for it would leave its heading alone again.
+        ``used_m_s`` is what the way takes of the wheels' speed at the rim: far away the robot's own, and near what the
+        reference takes at whatever heading. It has priority: a robot that turns back and loses the reference for it
+        would be far away again.
         """
         lever_m, rim_m_s = self._model.lever_m, self._rim_speed_m_s
-        left_m_s = _KEPT_SHARE * rim_m_s - SQRT2 * math.hypot(vx_m_s, vy_m_s) - lever_m * abs(yaw_rate_rad_s)
-        return min(max(left_m_s, _LEAST_TURNING_SHARE * rim_m_s) / lever_m, self._turn_rad_s)
+        left_m_s = _KEPT_SHARE * rim_m_s - used_m_s - lever_m * abs(yaw_rate_rad_s)
+        return min(max(left_m_s, _LEAST_TURNING_SHARE * rim_m_s) / lever_m, most_rad_s)
 
     def _push_speed_m_s(self, yaw_rate_rad_s: float) -> float:
         """Return the speed limit [m/s] along a diagonal. A wheel's rim moves at √2 of it, plus L times the yaw rate."""
@@ -271,24 +290,6 @@ class Profile:
         push_1, push_2 = SQRT2 * scale * along_1_m_s, SQRT2 * scale * along_2_m_s
         turn = scale * self._model.lever_m * yaw_rate_rad_s
         return self._model.friction_torques((push_1 - turn, push_2 + turn, push_1 + turn, push_2 - turn))
-
-
-def profile(error: float, rate: float, k1: float, braking: float, low: float, high: float) -> tuple[float, float]:
-    """Return w(e) = -sign(e) min(K1 ρ, √(2 a (ρ - ρl/2))) with ρ = abs(e), ρl = a / K1², and ẇ = w'(e) ė.
-
-    ``rate`` is ė and ``braking`` is a. Far away, w is the rate from which braking with a ends in the linear part. That
-    part begins at ρl with the same rate and slope. w is limited to ``low`` ... ``high``, with slope 0 at a limit.
-    """
-    distance = abs(error)
-    linear = braking / (k1 * k1)
-    if distance <= linear:
-        desired, slope = -k1 * error, -k1 * rate
-    else:
-        fast = math.sqrt(2.0 * braking * (distance - 0.5 * linear))
-        desired, slope = -math.copysign(fast, error), -braking / fast * rate
-    if desired > high:
-        return high, 0.0
-    return (low, 0.0) if desired < low else (desired, slope)
 
 
 def _range(low: float, high: float, now: float, step: float) -> tuple[float, float]:

@@ -2,6 +2,7 @@
 
 import dataclasses
 import itertools
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -84,7 +85,12 @@ def compare(
             runs = [Run(robot, outcome) for robot, (_, outcome) in zip(robots, some, strict=True)]
             curves = None if runs[0].figures is None else _curves(some[0][0], base.firmware.torque_constant_n_m_a)
             done.append(Row(entry, table, runs, curves))
-    return Comparison(base.name, base.loop.seed, base.loop.duration_s, done, base.limiter.words)
+    limiter = base.limiter.words
+    if math.isfinite(base.limiter.slip_m_s) and "odometry" in {
+        table.estimator or base.estimator.source for table in tables
+    }:
+        limiter += " With odometry, which takes the wheels' word, slip is not limited."
+    return Comparison(base.name, base.loop.seed, base.loop.duration_s, done, limiter)
 
 
 def _job(scenario: Scenario, entry: Entry, table: Condition, limit_s: float, scratch: Path | None) -> Job:

@@ -1,0 +1,88 @@
+"""The way to a reference: each axis brakes as late as it can, at a heading at which both arrive at once.
+
+PROFILE.md beside this file has the equations and the reasons. An axis is the direction along which a pair of wheels
+pushes; all rates are relative to the reference.
+"""
+
+import math
+
+from hil.laws.pairs import directions
+
+_HALVINGS = 8  # of a quarter turn: the heading to 6 mrad
+_LEAST_M_S = 0.05  # so that an axis without speed left takes long, and not for ever
+
+
+def profile(error: float, rate: float, k1: float, braking: float, low: float, high: float) -> tuple[float, float]:
+    """Return w(e) = -sign(e) min(K1 ρ, √(2 a (ρ - ρl/2))) with ρ = abs(e), ρl = a / K1², and ẇ = w'(e) ė.
+
+    ``rate`` is ė and ``braking`` is a. Far away, w is the rate from which braking with a ends in the linear part. That
+    part begins at ρl with the same rate and slope. w is limited to ``low`` ... ``high``, with slope 0 at a limit.
+    """
+    distance = abs(error)
+    linear = braking / (k1 * k1)
+    if distance <= linear:
+        desired, slope = -k1 * error, -k1 * rate
+    else:
+        fast = math.sqrt(2.0 * braking * (distance - 0.5 * linear))
+        desired, slope = -math.copysign(fast, error), -braking / fast * rate
+    if desired > high:
+        return high, 0.0
+    return (low, 0.0) if desired < low else (desired, slope)
+
+
+def time_to_go(error: float, rate: float, acceleration: float, low: float, high: float) -> float:
+    """Return the least time [s] to error and rate zero with this acceleration and with rates of ``low`` to ``high``.
+
+    Full acceleration, the largest rate if that is reached, and full braking: from a distance d and a rate w towards the
+    reference the peak is p = √(a d + w²/2), and the time (2 p - w) / a.
+    """
+    ends_at = error + 0.5 * rate * abs(rate) / acceleration  # where braking at once would end
+    distance, towards, most = (error, -rate, -low) if ends_at > 0.0 else (-error, rate, high)
+    most = max(most, _LEAST_M_S)
+    peak = math.sqrt(max(acceleration * distance + 0.5 * towards * towards, 0.0))
+    if peak <= most:
+        return (2.0 * peak - towards) / acceleration
+    changing = distance - (most * most - 0.5 * towards * towards) / acceleration
+    return abs(most - towards) / acceleration + changing / most + most / acceleration
+
+
+def friction_share(error: float, rate: float, along: float) -> float:
+    """Return the share of friction that helps to brake on the rest of the way, from 1 to -1.
+
+    ``along`` is the rate of the reference itself. If it goes against the approach, wheels turn round before they are
+    with it, and on that part, (along / rate)² of the way, friction hinders.
+    """
+    if along * error <= 0.0:
+        return 1.0
+    return -1.0 if abs(rate) <= abs(along) else 1.0 - 2.0 * (along / rate) ** 2
+
+
+def even_turn(
+    heading: float,
+    error: tuple[float, float],
+    rate: tuple[float, float],
+    reference_rate: tuple[float, float],
+    acceleration: float,
+    limit: float,
+) -> float:
+    """Return the turn [rad], within ±π/4, to the heading at which both axes need the same time.
+
+    The later axis alone decides about the time, so it is least where none is later. A quarter turn exchanges the axes,
+    and with them the sign of the difference of their times: there is a zero within any quarter turn, which bisection
+    finds. ``limit`` is the largest speed along an axis [m/s]; vectors are (x, y) in the world frame.
+    """
+    (x, y), (vx, vy), (vx_d, vy_d) = error, rate, reference_rate
+
+    def first_is_later_by(at: float) -> float:
+        x1, y1, x2, y2 = directions(at)
+        along_1, along_2 = vx_d * x1 + vy_d * y1, vx_d * x2 + vy_d * y2
+        time_1 = time_to_go(x * x1 + y * y1, vx * x1 + vy * y1, acceleration, -limit - along_1, limit - along_1)
+        time_2 = time_to_go(x * x2 + y * y2, vx * x2 + vy * y2, acceleration, -limit - along_2, limit - along_2)
+        return time_1 - time_2
+
+    low, high = heading - 0.25 * math.pi, heading + 0.25 * math.pi
+    sign = math.copysign(1.0, first_is_later_by(high))
+    for _ in range(_HALVINGS):
+        middle = 0.5 * (low + high)
+        low, high = (low, middle) if sign * first_is_later_by(middle) > 0.0 else (middle, high)
+    return 0.5 * (low + high) - heading

@@ -1,0 +1,52 @@
+"""The way to a reference that is far: times, the heading at which both axes need the same, friction on the way."""
+
+import math
+
+import pytest
+from hypothesis import assume, given
+from hypothesis import strategies as st
+
+from hil.laws.approach import even_turn, friction_share, time_to_go
+from hil.laws.pairs import directions
+
+ERRORS = st.floats(-1.0, 1.0)
+RATES = st.floats(-0.8, 0.8)
+ACCELERATIONS = st.floats(2.0, 9.0)
+
+
+def integrated_s(error: float, rate: float, acceleration: float, most: float) -> float:
+    """Return the time until rest at the reference, in small steps: it brakes where it has to."""
+    step, passed = 2e-4, 0.0
+    while (abs(error) > 1e-3 or abs(rate) > 2e-2) and passed < 10.0:
+        ends_at = error + 0.5 * rate * abs(rate) / acceleration
+        aimed = rate - math.copysign(acceleration * step, ends_at)
+        rate = min(max(aimed, -max(most, abs(rate) - acceleration * step)), max(most, abs(rate) - acceleration * step))
+        error, passed = error + step * rate, passed + step
+    return passed
+
+
+@given(ERRORS, RATES, ACCELERATIONS, st.floats(0.3, 1.5))
+def test_the_time_to_go_is_that_of_accelerating_and_braking_in_small_steps(error, rate, acceleration, most):
+    assume(abs(rate) < most)
+    expected = integrated_s(error, rate, acceleration, most)
+    assert time_to_go(error, rate, acceleration, -most, most) == pytest.approx(expected, abs=0.025)
+
+
+@given(st.floats(-math.pi, math.pi), st.floats(-math.pi, math.pi), st.floats(0.1, 1.5), ACCELERATIONS)
+def test_after_the_turn_both_axes_need_the_same_time(heading, way, distance, acceleration):
+    error = distance * math.cos(way), distance * math.sin(way)
+    turn = even_turn(heading, error, (0.0, 0.0), (0.0, 0.0), acceleration, 1.06)
+    assert abs(turn) <= 0.25 * math.pi
+    x1, y1, x2, y2 = directions(heading + turn)
+    first, second = (abs(error[0] * x + error[1] * y) for x, y in ((x1, y1), (x2, y2)))
+    assert first == pytest.approx(second, abs=0.01 * distance)
+
+
+@given(st.floats(0.1, 2.0), st.floats(0.0, 1.0), st.floats(0.0, 0.3))
+def test_friction_over_the_way_is_what_its_share_says(rate, part, friction):
+    """Work against friction until the wheel turns round helps, work after it hinders; braking is 1 m/s² throughout."""
+    along = part * rate
+    before, after = (rate**2 - along**2) / 2.0, along**2 / 2.0  # way before and after the wheel stands [m]
+    share = friction_share(1.0, -rate, along)
+    assert friction * (before - after) == pytest.approx(friction * share * (before + after), abs=1e-9)
+    assert friction_share(1.0, -rate, -along) == 1.0
