@@ -7,10 +7,12 @@ its middle, and its moments have the ratios of a uniform box.
 """
 
 from math import hypot
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 from hil.core.errors import BadInputError
-from hil.core.model import RobotModel
+
+if TYPE_CHECKING:
+    from hil.core.model import RobotModel  # see robot_model.py
 
 _MOST = 0.5
 """The share of m and of I that the four wheels have at most."""
@@ -40,7 +42,7 @@ class Inertias(NamedTuple):
     wheel: Inertia
 
 
-def inertias(robot: RobotModel, body_m: tuple[float, float, float], wheel_width_m: float) -> Inertias:
+def inertias(robot: "RobotModel", body_m: tuple[float, float, float], wheel_width_m: float) -> Inertias:
     """Return the inertias of a robot whose body has this length, width and height.
 
     Raises BadInputError for a robot whose wheels leave nothing for the body, or have no inertia.

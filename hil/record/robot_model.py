@@ -6,15 +6,18 @@ from dataclasses import dataclass
 from html import escape
 from pathlib import Path
 from string import Template
+from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
 
 from hil.core.kinematics import BodyTwist, wheel_speeds
-from hil.core.model import RobotModel
 from hil.core.types import Wheels
 from hil.record.inertias import Inertia, Inertias, inertias
 from hil.record.rollers import ROLLER_RADIUS, cylinders, mesh, mesh_visual
+
+if TYPE_CHECKING:
+    from hil.core.model import RobotModel  # it loads the library of the wire, which a recorder does not need
 
 Points = npt.NDArray[np.float64]
 
@@ -118,7 +121,7 @@ class RobotShape:
         )
 
 
-def robot_description(robot: RobotModel, name: str) -> str:
+def robot_description(robot: "RobotModel", name: str) -> str:
     """Return the URDF of a robot with its masses and inertias. Raises BadInputError as ``inertias``."""
     shape = RobotShape(robot.mass_kg, robot.wheel_radius_m, robot.half_length_m, robot.half_width_m)
     return shape.urdf(name, inertias(robot, shape.body_m, shape.wheel_width_m))
