@@ -37,10 +37,13 @@ typedef struct {
     double coming_slip_rad_s[4];
 } wheel_motion;
 
-/* Adds measured wheel speeds, and the twist (vx, vy [m/s] in the world frame, yaw rate [rad/s]) and heading
- * [rad] that the robot is known to have. Returns whether a speed or a slip is near its limit, or will be: by
- * its present rate of change, `ahead_s + latency_s` from now, but never nearer to zero than it is. A
- * measurement that is not finite is noted, and near nothing. */
+/* Takes the wheel speeds measured at `time_ns`, and the estimate of twist (vx, vy [m/s] in the world frame,
+ * yaw rate [rad/s]) and heading [rad] at that time. `latency_s` is from the measurement to the effect of a
+ * command. Returns false while no wheel is faster than `still_rad_s`, or if a speed is not finite. Else
+ * returns whether `is_near` is set, or a wheel's speed is above `most_rad_s` or its slip above
+ * `most_slip_rad_s`, or will be `ahead_s + latency_s` later if it goes on to change as it did since the last
+ * measurement. What falls counts as constant: a wheel that slows down is near its limit until it is below it.
+ */
 bool wheel_motion_add(wheel_motion *motion, const double speed_rad_s[4], int64_t time_ns,
                       const double twist[3], double heading_rad, double latency_s);
 /* cffi: end */

@@ -65,11 +65,15 @@ def even_turn(
     acceleration: float,
     limit: float,
 ) -> float:
-    """Return the turn [rad], within ±π/4, to the heading at which both axes need the same time.
+    """Return how far to turn from ``heading`` [rad], within ±π/4, so that both axes need the same ``time_to_go``.
 
-    The later axis alone decides about the time, so it is least where none is later. A quarter turn exchanges the axes,
-    and with them the sign of the difference of their times: there is a zero within any quarter turn, which bisection
-    finds. ``limit`` is the largest speed along an axis [m/s]; vectors are (x, y) in the world frame.
+    The later axis decides when the robot is there, and what one axis gains by a turn the other one loses, so their
+    times should be equal. The axes are a quarter turn apart: turned by that they change places, and the difference of
+    their times changes its sign. Bisection finds where it is zero in between. The time of the turn does not count.
+
+    ``heading`` is the robot's. ``error`` [m] and ``rate`` [m/s] are the robot's minus the reference's,
+    ``reference_rate`` [m/s] is the reference's own, each (x, y) in the world frame. ``acceleration`` [m/s²] is that of
+    an axis to either side, and ``limit`` [m/s] its largest speed over the floor.
     """
     (x, y), (vx, vy), (vx_d, vy_d) = error, rate, reference_rate
 
