@@ -94,8 +94,7 @@ def solve(
             linearised(*args, by="guess" if steps == 1 else "start")
             for args in zip(experiments, predicted, slopes, sigmas, strict=True)
         ]
-        scores, pieces = _by_window(locals_)
-        gradient, information = scores.sum(axis=0), pieces.sum(axis=0)
+        gradient, information = _scores(locals_).sum(axis=0), _pieces(locals_).sum(axis=0)
         gradient = gradient + known.information @ (known.mean - point)
         information = information + known.information
         cost = _cost([local.residual for local in locals_], known, point)
@@ -152,25 +151,27 @@ def _with_intervals(
         smooth(*(linearised(experiment, seen, slope, sigma) for slope in both))
         for experiment, seen, sigma, *both in zip(experiments, predicted, sigmas, *sides, strict=True)
     ]
-    scores, pieces = _by_window(locals_)
     # The curvature of Huber's loss itself: its weights would make intervals a tenth too narrow.
     curved = [local._replace(jacobian=local.jacobian * local.inside[..., None]) for local in locals_]
-    curved_pieces = _by_window(curved)[1]
-    curvature = curved_pieces.sum(axis=0)
-    scatter = _scatter(scores, curved_pieces, curvature + known.information, ~known.held)
+    pieces = _pieces(curved)
+    curvature = pieces.sum(axis=0)
+    scatter = _scatter(_scores(locals_), pieces, curvature + known.information, ~known.held)
     count = sum(local.residual.size for local in locals_)
     cost = _cost([local.residual for local in locals_], known, point) / count
     covariance = _covariance(curvature, scatter, known)
-    return Solution(point, covariance, pieces.sum(axis=0), tuple(starts), cost, steps)
+    return Solution(point, covariance, _pieces(locals_).sum(axis=0), tuple(starts), cost, steps)
 
 
 def _scatter(scores: Array, pieces: Array, curvature: Array, free: npt.NDArray[np.bool_]) -> Array:
-    """Return the scatter (P, P) of the windows' scores (W, P), each as if the fit had not seen its window.
+    """Return the sum (P, P) of the outer products of the windows' scores, each as if the fit had not seen its window.
 
-    Parameters follow the windows that they are fitted to, most of all those that tell most: what is left in them is too
-    small. Without window g the optimum moves by (H - H_g)⁻¹ s_g, with its ``pieces`` H_g of the curvature H. So this is
-    the jackknife: CR3 of J. G. MacKinnon, M. Ø. Nielsen and M. D. Webb, "Cluster-robust inference: a guide to empirical
-    practice", Journal of Econometrics 232, 2023.
+    A fit follows its windows, most of all those that tell most, so the residuals in these are too small. Without window
+    g the optimum would move by (H - H_g)⁻¹ s_g, to which the score H (H - H_g)⁻¹ s_g belongs. This is the jackknife CR3
+    of J. G. MacKinnon, M. Ø. Nielsen and M. D. Webb, "Cluster-robust inference: a guide to empirical practice", Journal
+    of Econometrics 232, 2023, without its factor (W - 1) / W.
+
+    ``scores`` (W, P) are the gradients s_g, ``pieces`` (W, P, P) the parts H_g that the windows have in the
+    ``curvature`` H (P, P). Parameters that are not ``free`` (P,) are not fitted; their rows and columns are zero.
     """
     scale = np.sqrt(np.maximum(np.diag(curvature), _NOTHING))
     inner = np.ix_(free, free)
@@ -193,7 +194,8 @@ def information_of(experiments: Sequence[Experiment], parameters: Array) -> Arra
         linearised(one, seen, slope, one.least_sigmas, by="nothing")
         for one, seen, slope in zip(experiments, predicted, slopes, strict=True)
     ]
-    return sum((np.einsum("wmp,wmq->pq", one.jacobian, one.jacobian, optimize=True) for one in locals_), np.zeros(()))
+    information: Array = _pieces(locals_).sum(axis=0)
+    return information
 
 
 def _covariance(information: Array, scatter: Array, known: Knowledge) -> Array:
@@ -243,11 +245,14 @@ def _sigmas(experiments: Sequence[Experiment], predicted: Sequence[Array]) -> li
     return [one.sigmas(one.measured - seen) for one, seen in zip(experiments, predicted, strict=True)]
 
 
-def _by_window(locals_: Sequence[Local]) -> tuple[Array, Array]:
-    """Return what each window adds to the gradient (W, P), and to the normal matrix (W, P, P)."""
-    scores = [np.einsum("wmp,wm->wp", one.jacobian, one.reduced) for one in locals_]
-    pieces = [np.swapaxes(one.jacobian, 1, 2) @ one.jacobian for one in locals_]
-    return np.concatenate(scores), np.concatenate(pieces)
+def _scores(locals_: Sequence[Local]) -> Array:
+    """Return what each window adds to the gradient, of shape (W, P)."""
+    return np.concatenate([np.einsum("wmp,wm->wp", one.jacobian, one.reduced) for one in locals_])
+
+
+def _pieces(locals_: Sequence[Local]) -> Array:
+    """Return what each window adds to the normal matrix, of shape (W, P, P)."""
+    return np.concatenate([np.swapaxes(one.jacobian, 1, 2) @ one.jacobian for one in locals_])
 
 
 def _cost(residuals: Sequence[Array], known: Knowledge, point: Array) -> float:

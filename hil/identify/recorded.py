@@ -20,6 +20,7 @@ from hil.core.errors import BadInputError
 from hil.core.model import RobotModel
 from hil.core.signals import TRUE_POSE, WHEEL_SPEEDS
 from hil.core.types import WHEEL_NAMES
+from hil.drivers.registry import OUR_DRIVER
 from hil.record.properties import scenario_values
 from hil.review.reader import read
 
@@ -214,7 +215,7 @@ def as_sent(torque_n_m: Array) -> Array:
 
 def _is_ours(values: Mapping[str, Any]) -> bool:
     """Return whether our firmware moved the robot, and not motor controllers of other makers."""
-    return bool(values.get("device.driver", "stm32") == "stm32")
+    return bool(values.get("device.driver", OUR_DRIVER) == OUR_DRIVER)
 
 
 def _bandwidth_rad_s(values: Mapping[str, Any]) -> float | None:

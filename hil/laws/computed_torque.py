@@ -3,11 +3,10 @@
 from dataclasses import dataclass
 from typing import Annotated
 
-from hil.core.errors import BadInputError
 from hil.core.model import RobotModel
 from hil.core.options import RATE, Range
 from hil.core.types import NO_GAINS, Applied, CommandMode, Reference, State, WheelCommand
-from hil.laws.prediction import DelayPredictor
+from hil.laws.prediction import DelayPredictor, require_torque
 
 
 class ComputedTorque:
@@ -28,11 +27,7 @@ class ComputedTorque:
     gains = NO_GAINS
 
     def __init__(self, model: RobotModel, mode: CommandMode, options: Options) -> None:
-        if mode is not CommandMode.TORQUE:
-            raise BadInputError(
-                "controller.law = 'computed_torque': it computes torques, which controller.command = 'speed' does not "
-                "carry; set controller.command = 'torque', or take a law that has speed commands, such as 'lqi'"
-            )
+        require_torque("computed_torque", mode, "lqi")
         self._to_error = options.frequency_rad_s**2
         self._to_rate = 2.0 * options.damping * options.frequency_rad_s
         self._predictor = DelayPredictor(model)

@@ -18,7 +18,6 @@ from dataclasses import dataclass
 from itertools import pairwise
 from typing import TYPE_CHECKING, Annotated, Any
 
-from hil.core.errors import BadInputError
 from hil.core.extras import need
 from hil.core.kinematics import BodyTwist, to_body, to_world
 from hil.core.model import RobotModel
@@ -35,7 +34,7 @@ from hil.core.types import (
     WheelCommand,
 )
 from hil.laws.lqi import lqr_cost, lqr_gain
-from hil.laws.prediction import DelayPredictor, ExtendedStateObserver
+from hil.laws.prediction import DelayPredictor, ExtendedStateObserver, require_torque
 
 if TYPE_CHECKING:
     import numpy as np
@@ -79,11 +78,7 @@ class Mpc:
 
     def __init__(self, model: RobotModel, mode: CommandMode, options: Options) -> None:
         need("mpc", "controller.law = 'mpc'")
-        if mode is not CommandMode.TORQUE:
-            raise BadInputError(
-                "controller.law = 'mpc': it computes torques, which controller.command = 'speed' does not carry; set "
-                "controller.command = 'torque', or take a law that has speed commands, such as 'profile'"
-            )
+        require_torque("mpc", mode, "profile")
         self._model = model
         self._options = options
         observers = tuple(ExtendedStateObserver(options.observer_rad_s, limit) for limit in _DISTURBANCE_LIMITS)

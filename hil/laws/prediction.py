@@ -11,6 +11,7 @@ import math
 import operator
 from collections import deque
 
+from hil.core.errors import BadInputError
 from hil.core.kinematics import body_wrench
 from hil.core.model import RobotModel
 from hil.core.tuples import make_speed_command, make_torque_command
@@ -190,6 +191,15 @@ Prediction = tuple[Pairs, float, Axes, Axes]
 In order: error, which is state minus reference in the world frame [m, rad], and its rate; heading [rad]; twist of the
 reference, and of the robot, in the world frame.
 """
+
+
+def require_torque(law: str, mode: CommandMode, other: str) -> None:
+    """Raise BadInputError for SPEED mode with a law that computes torques; the ``other`` law has speed commands."""
+    if mode is not CommandMode.TORQUE:
+        raise BadInputError(
+            f"controller.law = {law!r}: it computes torques, which controller.command = 'speed' does not carry; set "
+            f"controller.command = 'torque', or take a law that has speed commands, such as {other!r}"
+        )
 
 
 def torque_command(model: RobotModel, acceleration: Axes, predicted: Prediction) -> WheelCommand:

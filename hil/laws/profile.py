@@ -165,6 +165,7 @@ class Profile:
         was_far = self._is_far
         self._is_far = is_far = math.hypot(x, y) > (_NEAR_M if was_far else _FAR_M)
         limit, spare = self._push_speed_m_s(yaw_rate), 0
+        range_1, range_2 = (-limit - along_1, limit - along_1), (-limit - along_2, limit - along_2)
         # Wheels that slip get no more to do than the way itself: the heading stays where it is.
         if is_far and not known.was_limited:
             k1 *= _FAR_K1
@@ -176,8 +177,8 @@ class Profile:
             to_turn_rad = math.remainder(heading_error - self._aim_rad, math.tau)
             used_m_s, most_rad_s = SQRT2 * max(abs(pushed_1), abs(pushed_2)), _SWING_RAD_S
             friction_n_m = self._friction(pushed_1, pushed_2, yaw_rate)
-            later_s = time_to_go(away_1, now_1, braking_1, -limit - along_1, limit - along_1)
-            later_s -= time_to_go(away_2, now_2, braking_2, -limit - along_2, limit - along_2)
+            later_s = time_to_go(away_1, now_1, braking_1, *range_1)
+            later_s -= time_to_go(away_2, now_2, braking_2, *range_2)
             if abs(later_s) > _SPARE_S:
                 spare = 2 if later_s > 0.0 else 1
         else:
@@ -186,8 +187,8 @@ class Profile:
             friction_n_m = self._friction(along_1, along_2, yaw_rate_d)
         most_rad_s = self._turn_speed_rad_s(used_m_s, yaw_rate_d, most_rad_s)
         turn, turn_slope = profile(to_turn_rad, now_turn, k1, self._turn_braking_rad_s2, -most_rad_s, most_rad_s)
-        rate_1, slope_1 = profile(away_1, now_1, k1, braking_1, -limit - along_1, limit - along_1)
-        rate_2, slope_2 = profile(away_2, now_2, k1, braking_2, -limit - along_2, limit - along_2)
+        rate_1, slope_1 = profile(away_1, now_1, k1, braking_1, *range_1)
+        rate_2, slope_2 = profile(away_2, now_2, k1, braking_2, *range_2)
         # The gain that moves ė towards w as a pole at K2 does, exact for an acceleration held over the tick.
         k2 = -math.expm1(-slower * self._k2 * dt_s) / dt_s
         coupling = model.wheels_mass_kg / model.effective_mass_kg * yaw_rate

@@ -1,6 +1,5 @@
 """Makes the parts of a tick from a scenario. The robot and its link come from the bench (``bench.py``)."""
 
-import math
 from collections.abc import Sequence
 
 from hil.core.guard import Brake, Guard
@@ -35,8 +34,7 @@ class RunParts:
             round(scenario.firmware.watchdog_s * NS),
         )
         limiter, period_s = scenario.limiter, scenario.loop.period_ns / NS
-        # Odometry takes the wheels' word for the floor's speed: what is left between them is lag.
-        slip_m_s = math.inf if scenario.estimator.source == "odometry" else limiter.slip_m_s
+        slip_m_s = limiter.most_slip_m_s(scenario.estimator.source)
         motion = MotionLimits(self.model, period_s, slip_m_s, limiter.torque_speed)
         self._guard = Guard(self.model.speed_limit_rad_s, self.model.torque_limit_n_m, motion)
         self._brake = Brake(scenario.controller.mode, self._guard, scenario.firmware.speed_kp_n_m_s_rad)

@@ -279,6 +279,13 @@ class LimiterTable:
         float, Range(gt=0, infinite=True), "how much faster than the floor a rim may be driven; inf for no limit"
     ] = SLIP_M_S
 
+    def most_slip_m_s(self, source: str) -> float:
+        """Return the limit of slip [m/s] with an estimate of this ``estimator.source``.
+
+        Odometry takes the wheels' word for the floor's speed: what is left between them is lag, and is not limited.
+        """
+        return math.inf if source == "odometry" else self.slip_m_s
+
     @property
     def words(self) -> str:
         """What the limiter keeps in TORQUE mode, and where it is off, as a sentence for tables and pages."""

@@ -2,7 +2,6 @@
 
 import dataclasses
 import itertools
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -86,9 +85,8 @@ def compare(
             curves = None if runs[0].figures is None else _curves(some[0][0], base.firmware.torque_constant_n_m_a)
             done.append(Row(entry, table, runs, curves))
     limiter = base.limiter.words
-    if math.isfinite(base.limiter.slip_m_s) and "odometry" in {
-        table.estimator or base.estimator.source for table in tables
-    }:
+    sources = [table.estimator or base.estimator.source for table in tables]
+    if any(base.limiter.most_slip_m_s(source) != base.limiter.slip_m_s for source in sources):
         limiter += " With odometry, which takes the wheels' word, slip is not limited."
     return Comparison(base.name, base.loop.seed, base.loop.duration_s, done, limiter)
 
