@@ -177,15 +177,16 @@ def test_bearings_with_next_to_no_friction_are_no_error_and_a_wrong_sign_is(driv
 
 def test_a_squeeze_gives_the_grip_and_a_robot_that_cannot_slide_says_so(drives: Path) -> None:
     scale = ROBOT.believed["motor_constant_n_m_a"] / ROBOT.true["motor_constant_n_m_a"]
-    values = {"roller_friction_coefficient": 0.01} | {
+    values = {
         name: value * (scale if name in ("mass_kg", "viscous_n_m_s_rad") else 1.0) for name, value in ROBOT.true.items()
     }
     constant = ROBOT.believed["motor_constant_n_m_a"]
     squeeze = read_drive(drives / "squeeze.rrd")
-    found = grip_of(squeeze, squeeze.robot, values, constant)
+    robot = replace(squeeze.robot, **{name: ROBOT.true[name] for name in ("half_length_m", "half_width_m")})
+    found = grip_of(squeeze, robot, values, constant)
     assert found.grip is not None, found.sentence
-    assert found.grip[0] == pytest.approx(ROBOT.true["grip_coefficient"], rel=0.02)
-    stood = grip_of(read_drive(drives / "blocks.rrd"), squeeze.robot, values, constant)
+    assert found.grip[0] == pytest.approx(ROBOT.true["grip_coefficient"], rel=0.005)
+    stood = grip_of(read_drive(drives / "blocks.rrd"), robot, values, constant)
     assert stood.grip is None
     assert "not found" in stood.sentence
 

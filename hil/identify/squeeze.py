@@ -1,11 +1,12 @@
 """The grip of the floor from a squeeze: wheels turned against one another until one of them slides.
 
-Speeds +, +, -, - on FL, FR, RR, RL are no motion of the body, so a wheel must slide: the one with the least load N. The
-others hold it: all four rollers then push with the same force, as any other forces would move the robot. So
+Speeds +, +, -, - on FL, FR, RR, RL are no motion of the body, so a wheel must slide: k, the one with the least load.
+The other three roll, and take the body along. What the motors give is then spent by friction alone:
 
-    Σ |κ i| = 4 r N (μ_grip + μ_roller) / √2 + μ_Coulomb m g r + b Σ |ω|
+    Σ κ i ω = μ_grip N_k |v_k| + Σ μ_roller N_j v_j tanh(v_j / 0.01 m/s) + μ_Coulomb m g r / 4 Σ |ω| + b Σ ω²
 
-with N = m g / 4 (1 - |com_x| / l1 - |com_y| / l2).
+with v_k the speed at which k slides along its roller's axis, v_j the one at which roller j turns, and
+N = m g / 4 (1 + com_x x / l1² + com_y y / l2²) for a wheel at (x, y).
 """
 
 import math
@@ -15,13 +16,15 @@ from typing import NamedTuple
 import numpy as np
 
 from hil.core.model import GRAVITY_M_S2, RobotModel
-from hil.identify.recorded import Drive
+from hil.identify.recorded import Array, Drive
 
 PATTERN = (1.0, 1.0, -1.0, -1.0)
 _SLOWEST_RAD_S = 0.1
 _FASTEST_RAD_S = 1.5
 _LEAST_S = 1.0
-_SHARE_SIGMA = 0.008  # of the grip: the wheels' loads shift a little while they slide
+_ROLLERS = np.array([-1.0, 1.0, -1.0, 1.0])  # rolling, r ω = v_x + s v_y + (s x - y) yaw rate
+_ROLLER_SPEED_M_S = 0.01  # below it a roller of the plant resists less: MECANUM_RESISTANCE_SPEED_M_S
+_SHARE_SIGMA = 0.002  # of the grip: where two wheels have nearly the least load, they slide in turns
 _LEAST_GRIP = 0.02
 _LEAST_LOAD = 0.2  # of a quarter of the weight
 
@@ -39,7 +42,9 @@ def grip_of(drive: Drive, robot: RobotModel, values: Mapping[str, float], torque
     count = int(sliding.sum())
     if count * drive.period_s < _LEAST_S:
         most = torque_constant_n_m_a * float(np.abs(drive.current_a).sum(axis=1).max())
-        least = _grip(most, 0.0, values, robot)
+        weight_n_m = values["mass_kg"] * GRAVITY_M_S2 * values["wheel_radius_m"]
+        push = most / weight_n_m - values["friction_coefficient"]
+        least = math.sqrt(2.0) * push / (4.0 * _load_shares(values, robot).min())
         return Squeeze(
             None,
             f"{drive.path.name}: the wheels slid for {count * drive.period_s:.1f} s; expected {_LEAST_S:g} s. The "
@@ -52,9 +57,8 @@ def grip_of(drive: Drive, robot: RobotModel, values: Mapping[str, float], torque
             f"{drive.path.name}: the wheels swung at up to {fastest:.1f} rad/s; expected at most {_FASTEST_RAD_S:g}. "
             "Lower firmware.speed_kp_n_m_s_rad and speed_ki_n_m_rad for the squeeze; the grip was not found",
         )
-    torque = torque_constant_n_m_a * float(np.abs(drive.current_a[sliding]).sum(axis=1).mean())
-    speed = float(np.abs(drive.speed_rad_s[sliding]).sum(axis=1).mean())
-    grip = _grip(torque, speed, values, robot)
+    torque_n_m = torque_constant_n_m_a * drive.current_a[sliding].mean(axis=0)
+    grip = _grip(torque_n_m, drive.speed_rad_s[sliding], values, robot)
     if grip <= _LEAST_GRIP:
         return Squeeze(None, f"{drive.path.name}: the wheels turned without grip; the robot was not on the floor")
     return Squeeze(
@@ -62,9 +66,36 @@ def grip_of(drive: Drive, robot: RobotModel, values: Mapping[str, float], torque
     )
 
 
-def _grip(torque_n_m: float, speed_rad_s: float, values: Mapping[str, float], robot: RobotModel) -> float:
-    weight_n_m = values["mass_kg"] * GRAVITY_M_S2 * values["wheel_radius_m"]
-    least = 1.0 - abs(values["com_x_m"]) / robot.half_length_m - abs(values["com_y_m"]) / robot.half_width_m
-    net = torque_n_m - values["viscous_n_m_s_rad"] * speed_rad_s
-    push = net / weight_n_m - values["friction_coefficient"]
-    return math.sqrt(2.0) * push / max(least, _LEAST_LOAD) - values["roller_friction_coefficient"]
+def _load_shares(values: Mapping[str, float], robot: RobotModel) -> Array:
+    """Return the part of the weight on each wheel."""
+    x, y = _places(robot)
+    shares = (
+        1.0 + values["com_x_m"] * x / robot.half_length_m**2 + values["com_y_m"] * y / robot.half_width_m**2
+    ) / 4.0
+    return np.maximum(shares, _LEAST_LOAD / 4.0)
+
+
+def _places(robot: RobotModel) -> tuple[Array, Array]:
+    x, y = np.array([1.0, 1.0, -1.0, -1.0]), np.array([1.0, -1.0, -1.0, 1.0])
+    return robot.half_length_m * x, robot.half_width_m * y
+
+
+def _grip(torque_n_m: Array, speed_rad_s: Array, values: Mapping[str, float], robot: RobotModel) -> float:
+    """Return the grip for mean torques (4,) and speeds (n, 4) while a wheel slides."""
+    radius_m, (x, y) = values["wheel_radius_m"], _places(robot)
+    load_n = values["mass_kg"] * GRAVITY_M_S2 * _load_shares(values, robot)
+    slides = int(np.argmin(load_n))
+    rolls = np.arange(4) != slides
+    rolling = np.column_stack([np.ones(4), _ROLLERS, _ROLLERS * x - y])
+    forward, left, yaw_rate = np.linalg.solve(rolling[rolls], radius_m * speed_rad_s[:, rolls].T)[:, :, None]
+    ahead_m_s = forward - yaw_rate * y - radius_m * speed_rad_s
+    aside_m_s = left + yaw_rate * x
+    sliding_m_s = np.abs(ahead_m_s + _ROLLERS * aside_m_s)[:, slides] / math.sqrt(2.0)
+    turning_m_s = (aside_m_s - _ROLLERS * ahead_m_s) / math.sqrt(2.0)
+    resisted_n = values["roller_friction_coefficient"] * load_n * np.tanh(turning_m_s / _ROLLER_SPEED_M_S)
+    coulomb_n_m = values["friction_coefficient"] * load_n.sum() * radius_m / 4.0
+    spent_w = (
+        resisted_n * turning_m_s + coulomb_n_m * np.abs(speed_rad_s) + values["viscous_n_m_s_rad"] * speed_rad_s**2
+    )
+    given_w = torque_n_m @ speed_rad_s.mean(axis=0)  # a mean of products would have the sensors' noise in it
+    return float((given_w - spent_w.sum(axis=1).mean()) / (load_n[slides] * sliding_m_s.mean()))
