@@ -214,7 +214,7 @@ def test_rollers_bend_before_the_bins_that_are_compared(drives: Path, settling_b
     torque = constant * windows.current_a[:, : windows.rows_a_bin].mean(axis=1).ravel()
     by_torque = (torque @ first) / (torque @ torque)
     sigma = float(np.std(first - by_torque * torque) / np.sqrt(torque @ torque))
-    assert (abs(by_torque) > 3.5 * sigma) is (settling_bins == 0), (by_torque, sigma)
+    assert bool(abs(by_torque) > 3.5 * sigma) is (settling_bins == 0), (by_torque, sigma)
 
 
 def test_the_angles_of_the_wheels_have_no_delay(drives: Path) -> None:
