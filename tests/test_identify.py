@@ -184,6 +184,7 @@ def test_a_squeeze_gives_the_grip_and_a_robot_that_cannot_slide_says_so(drives: 
     values = {
         name: value * (scale if name in ("mass_kg", "viscous_n_m_s_rad") else 1.0) for name, value in ROBOT.true.items()
     }
+    values["gyro_bias_rad_s"] = ROBOT.gyro_bias_rad_s
     constant = ROBOT.believed["motor_constant_n_m_a"]
     squeeze = read_drive(drives / "squeeze.rrd")
     robot = replace(squeeze.robot, **{name: ROBOT.true[name] for name in HALVES})
