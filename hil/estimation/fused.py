@@ -266,7 +266,7 @@ class FusedEstimator(Estimator):
             belief.accepted,
             belief.rejected,
             age_ns * 1e-6,
-            float(self._slip.is_slipping),
+            float(self._slip.is_slipping or self._inertial.is_inertial),
             health,
             *(_NO_FIX if fix is None else (fix.time_ns / _NS, *fix.pose)),
         )

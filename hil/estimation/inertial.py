@@ -19,6 +19,8 @@ _REACH_S = 0.1
 # the accelerometer's bias (a floor that leans by 0.6 degrees).
 _BEGIN_M_S = 0.02
 _GROWS_M_S2 = 0.1
+# Wheels whose speed is further from the inertial one than so many deviations of that still slip.
+_APART = 3.0
 
 
 class Travel(NamedTuple):
@@ -52,6 +54,9 @@ class Inertial:
     Slip is told about 0.1 s after it began, and until then the wheels spoilt v. So the last 0.1 s are done again, from
     the v and b before them. Where gyro or accelerometer is missing, the wheels are all there is.
 
+    Wheels that spin at a constant speed contradict no sensor of accelerations, so slip that is told no more goes on
+    until the wheels' speed, as a mean over 0.1 s, is within three deviations of v. The deviation grows, so it ends.
+
     Attributes:
         velocity: forward and left [m/s], mean over the newest motion.
         is_inertial: whether the newest motion is the inertial sensors'.
@@ -66,6 +71,7 @@ class Inertial:
         self.velocity = velocity
         self.is_inertial = False
         self._slipped_s = 0.0
+        self._apart_m_s: _Velocity = (0.0, 0.0)
         self._recent: deque[_Past] = deque()
         self._recent_s = 0.0
 
@@ -76,20 +82,19 @@ class Inertial:
         """
         past = _Past(motion, motion.gyro_rad - bias_rad_s * motion.dt_s, self.velocity, self._bias_m_s2)
         if math.isnan(past.turned_rad + motion.gained_forward_m_s + motion.gained_left_m_s):
-            self.restart(self._towards_wheels(self.velocity, motion))
+            self.restart(_towards(self.velocity, _by_wheels(motion), motion.dt_s))
             return [Travel(motion, is_rolled=True, sigma_m_s=slip_m_s)]
-        if slip_m_s > 0.0:
+        if slip_m_s > 0.0 or (self.is_inertial and math.hypot(*self._apart_m_s) > _APART * self._sigma_m_s):
             return self._slipping(past)
-        self.is_inertial, self._slipped_s = False, 0.0
-        self.velocity = self._towards_wheels(self._advanced(past), motion)
+        self.is_inertial, self._slipped_s, self._apart_m_s = False, 0.0, (0.0, 0.0)
+        self.velocity = _towards(self._advanced(past), _by_wheels(motion), motion.dt_s)
         self._learn_bias(motion)
         self._remember(past)
         return [Travel(motion, is_rolled=True, sigma_m_s=0.0)]
 
-    def _towards_wheels(self, velocity: _Velocity, motion: Motion) -> _Velocity:
-        kept = math.exp(-motion.dt_s / _CROSSOVER_S)
-        forward, left = motion.forward_m / motion.dt_s, motion.left_m / motion.dt_s
-        return forward + kept * (velocity[0] - forward), left + kept * (velocity[1] - left)
+    @property
+    def _sigma_m_s(self) -> float:
+        return _BEGIN_M_S + _GROWS_M_S2 * self._slipped_s
 
     def _learn_bias(self, motion: Motion) -> None:
         (forward, left), (bias_forward, bias_left) = self.velocity, self._bias_m_s2
@@ -118,7 +123,9 @@ class Inertial:
             self.velocity = forward, left = self._advanced(past)
             self._slipped_s += dt_s
             motion = past.motion._replace(forward_m=forward * dt_s, left_m=left * dt_s)
-            yield Travel(motion, is_rolled=False, sigma_m_s=_BEGIN_M_S + _GROWS_M_S2 * self._slipped_s)
+            wheels_forward, wheels_left = _by_wheels(past.motion)
+            self._apart_m_s = _towards(self._apart_m_s, (wheels_forward - forward, wheels_left - left), dt_s)
+            yield Travel(motion, is_rolled=False, sigma_m_s=self._sigma_m_s)
 
     def _advanced(self, past: _Past) -> _Velocity:
         """Return the velocity after a motion, by the inertial sensors."""
@@ -128,3 +135,13 @@ class Inertial:
             forward + motion.gained_forward_m_s - bias_forward * dt_s + turned_rad * left,
             left + motion.gained_left_m_s - bias_left * dt_s - turned_rad * forward,
         )
+
+
+def _by_wheels(motion: Motion) -> _Velocity:
+    return motion.forward_m / motion.dt_s, motion.left_m / motion.dt_s
+
+
+def _towards(velocity: _Velocity, other: _Velocity, dt_s: float) -> _Velocity:
+    """Return a velocity that follows the other one with the time constant of the crossover."""
+    kept = math.exp(-dt_s / _CROSSOVER_S)
+    return other[0] + kept * (velocity[0] - other[0]), other[1] + kept * (velocity[1] - other[1])
