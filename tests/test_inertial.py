@@ -118,3 +118,22 @@ def test_without_gyro_or_accelerometer_the_wheels_stay_and_are_doubted_by_the_sp
         assert (travel.is_rolled, travel.sigma_m_s) == (True, 0.4)
         assert travel.motion.forward_m == motion.forward_m
         assert not inertial.is_inertial
+
+
+def test_what_fixes_refute_is_not_believed_until_slip_is_told_no_more_and_the_bias_is_learnt_meanwhile():
+    inertial, off_m_s2 = Inertial(), 3.0
+    wrong = Motion(DT_S, 0.0, 0.0, 0.0, 0.0, 0.0, off_m_s2 * DT_S, 0.0)
+    for _ in range(100):
+        inertial.update(wrong, 0.0, 0.6)
+    assert inertial.is_inertial
+    assert inertial.velocity[0] == pytest.approx(off_m_s2 * 100 * DT_S, rel=0.01)
+    inertial.refute()
+    for _ in range(2000):
+        (travel,) = inertial.update(wrong, 0.0, 0.6)
+        assert (travel.is_rolled, travel.sigma_m_s, travel.motion) == (True, 0.6, wrong)
+        assert not inertial.is_inertial
+    assert inertial.velocity[0] == pytest.approx(0.0, abs=0.01)
+    assert inertial.bias_m_s2[0] == pytest.approx(off_m_s2, rel=0.02)
+    inertial.update(wrong, 0.0, 0.0)
+    inertial.update(wrong, 0.0, 0.6)
+    assert inertial.is_inertial, "the next slip is a new one"

@@ -57,19 +57,24 @@ class Inertial:
     Wheels that spin at a constant speed contradict no sensor of accelerations, so slip that is told no more goes on
     until the wheels' speed, as a mean over 0.1 s, is within three deviations of v. The deviation grows, so it ends.
 
+    An accelerometer that is suddenly wrong, or a ramp, contradicts wheels that roll. What fixes refute is not believed
+    until slip is told no more, and until then the difference is learnt as the bias.
+
     Attributes:
         velocity: forward and left [m/s], mean over the newest motion.
+        bias_m_s2: what the accelerometer says too much, forward and left [m/s²].
         is_inertial: whether the newest motion is the inertial sensors'.
     """
 
     def __init__(self) -> None:
-        self._bias_m_s2: _Velocity = (0.0, 0.0)
+        self.bias_m_s2: _Velocity = (0.0, 0.0)
         self.restart((0.0, 0.0))
 
     def restart(self, velocity: _Velocity) -> None:
         """Start again with this velocity; the bias stays."""
         self.velocity = velocity
         self.is_inertial = False
+        self._is_refuted = False
         self._slipped_s = 0.0
         self._apart_m_s: _Velocity = (0.0, 0.0)
         self._recent: deque[_Past] = deque()
@@ -80,26 +85,32 @@ class Inertial:
 
         ``bias_rad_s`` is the gyro's, and ``slip_m_s`` the speed of the slip, 0 without slip.
         """
-        past = _Past(motion, motion.gyro_rad - bias_rad_s * motion.dt_s, self.velocity, self._bias_m_s2)
+        past = _Past(motion, motion.gyro_rad - bias_rad_s * motion.dt_s, self.velocity, self.bias_m_s2)
         if math.isnan(past.turned_rad + motion.gained_forward_m_s + motion.gained_left_m_s):
             self.restart(_towards(self.velocity, _by_wheels(motion), motion.dt_s))
             return [Travel(motion, is_rolled=True, sigma_m_s=slip_m_s)]
-        if slip_m_s > 0.0 or (self.is_inertial and math.hypot(*self._apart_m_s) > _APART * self._sigma_m_s):
+        slips = slip_m_s > 0.0 or (self.is_inertial and math.hypot(*self._apart_m_s) > _APART * self._sigma_m_s)
+        self._is_refuted = self._is_refuted and slips
+        if slips and not self._is_refuted:
             return self._slipping(past)
         self.is_inertial, self._slipped_s, self._apart_m_s = False, 0.0, (0.0, 0.0)
         self.velocity = _towards(self._advanced(past), _by_wheels(motion), motion.dt_s)
         self._learn_bias(motion)
         self._remember(past)
-        return [Travel(motion, is_rolled=True, sigma_m_s=0.0)]
+        return [Travel(motion, is_rolled=True, sigma_m_s=slip_m_s)]
+
+    def refute(self) -> None:
+        """Believe the wheels until slip is told no more: fixes agree that the inertial sensors are wrong."""
+        self._is_refuted = True
 
     @property
     def _sigma_m_s(self) -> float:
         return _BEGIN_M_S + _GROWS_M_S2 * self._slipped_s
 
     def _learn_bias(self, motion: Motion) -> None:
-        (forward, left), (bias_forward, bias_left) = self.velocity, self._bias_m_s2
+        (forward, left), (bias_forward, bias_left) = self.velocity, self.bias_m_s2
         rate = 1.0 / (_CROSSOVER_S * _BIAS_S)
-        self._bias_m_s2 = (
+        self.bias_m_s2 = (
             bias_forward + rate * (forward * motion.dt_s - motion.forward_m),
             bias_left + rate * (left * motion.dt_s - motion.left_m),
         )
@@ -112,7 +123,7 @@ class Inertial:
 
     def _slipping(self, past: _Past) -> list[Travel]:
         again = [*self._recent, past]
-        self.velocity, self._bias_m_s2, self.is_inertial = again[0].velocity, again[0].bias_m_s2, True
+        self.velocity, self.bias_m_s2, self.is_inertial = again[0].velocity, again[0].bias_m_s2, True
         self._recent.clear()
         self._recent_s = 0.0
         return list(self._travels(again))
@@ -130,7 +141,7 @@ class Inertial:
     def _advanced(self, past: _Past) -> _Velocity:
         """Return the velocity after a motion, by the inertial sensors."""
         motion, turned_rad, _, _ = past
-        (forward, left), (bias_forward, bias_left), dt_s = self.velocity, self._bias_m_s2, motion.dt_s
+        (forward, left), (bias_forward, bias_left), dt_s = self.velocity, self.bias_m_s2, motion.dt_s
         return (
             forward + motion.gained_forward_m_s - bias_forward * dt_s + turned_rad * left,
             left + motion.gained_left_m_s - bias_left * dt_s - turned_rad * forward,
