@@ -151,7 +151,8 @@ def _write_baseline(scenario: Path) -> None:
     from hil.batch.baselines import make_baselines
     from hil.scenario import load
 
-    [made] = make_baselines([load(scenario)], _SEEDS)
+    # One process: to start another takes longer than these few short runs.
+    [made] = make_baselines([load(scenario)], _SEEDS, workers=1)
     if made.new is None:
         raise BadInputError(
             f"{scenario}: the virtual robot does not pass it: {'; '.join(made.failed)}; check the limits"
