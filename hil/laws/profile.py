@@ -8,7 +8,7 @@ import math
 from dataclasses import dataclass
 from typing import Annotated
 
-from hil.core.model import RobotModel
+from hil.core.model import FRICTION_SPEED_RAD_S, RobotModel
 from hil.core.options import RATE, Range
 from hil.core.types import (
     NAN,
@@ -32,8 +32,6 @@ from hil.laws.prediction import DelayPredictor, ExtendedStateObserver, Predictio
 _TURNING_SHARE = 0.3
 # Share of the wheels' speed that turning leaves for the way, and the share that it has in any case.
 _KEPT_SHARE, _LEAST_TURNING_SHARE = 0.9, 0.05
-# The braking share where mass and friction are known.
-_KNOWN_BRAKING_SHARE = 0.97
 # The reference is far from the first distance on until the second is reached [m]; K1 is so many times larger then, as
 # an axis may go on to brake with all of its torque to its last few millimetres.
 _FAR_M, _NEAR_M, _FAR_K1 = 0.1, 0.012, 2.0
@@ -44,7 +42,7 @@ _SWING_RAD_S, _SWING_SHARE = 2.0, 0.7
 # wheel that changes its speed faster looks to the limiter like one that slips.
 _SWING_BRAKING = 1.2
 # By how much one pair must be there earlier, so that turning has priority over its push [s].
-_SPARE_S = 0.05
+_SPARE_S = 0.1
 # Share of the believed friction that may be there in addition, as the prior of what is learnt.
 _UNKNOWN_FRICTION = 0.5
 # Least share of the torque to brake with, whatever reference and friction need of it.
@@ -114,6 +112,9 @@ class Profile:
         self._predictor = DelayPredictor(model, observers, from_observers=True)
         self._is_far, self._aim_rad = False, 0.0
         self._friction_m_s2 = model.wheel_friction_n_m / self._push_n_m_per_m_s2
+        # Wheel speed in units of that at which friction has three quarters of its size, for a push and for a turn.
+        self._friction_per_m_s = SQRT2 / (model.wheel_radius_m * FRICTION_SPEED_RAD_S)
+        self._friction_per_rad_s = model.lever_m / (model.wheel_radius_m * FRICTION_SPEED_RAD_S)
         self._push_share = AccelerationShare(push_m_s2, _UNKNOWN_FRICTION * self._friction_m_s2)
         self._turn_share = AccelerationShare(turn_rad_s2)
 
@@ -137,10 +138,16 @@ class Profile:
 
         Around the heading only a robot that turns more easily than believed counts: pushes leave little torque there.
         """
-        (_, (vx, vy, yaw_rate)), (*_, dvx, dvy, dvh) = state, self._predictor.moved
+        ((_, _, heading), (vx, vy, yaw_rate)), (*_, dvx, dvy, dvh) = state, self._predictor.moved
         push, turn, is_limited = self._push_share, self._turn_share, applied.saturated
-        push.update((vx, vy), (dvx, dvy), dt_s, is_limited=is_limited)
-        turn.update((yaw_rate,), (dvh,), dt_s, is_limited=is_limited)
+        # Friction acts on wheels, and so along the directions of both pairs, and not against the motion of the whole.
+        x1, y1, x2, y2 = directions(heading)
+        rubs_1 = -math.tanh(self._friction_per_m_s * (vx * x1 + vy * y1))
+        rubs_2 = -math.tanh(self._friction_per_m_s * (vx * x2 + vy * y2))
+        against = rubs_1 * x1 + rubs_2 * x2, rubs_1 * y1 + rubs_2 * y2
+        push.update((vx, vy), (dvx, dvy), against, dt_s, is_limited=is_limited)
+        rubs = -math.tanh(self._friction_per_rad_s * yaw_rate)
+        turn.update((yaw_rate,), (dvh,), (rubs,), dt_s, is_limited=is_limited)
         self._predictor.shares = push.share, max(turn.share, 1.0)
 
     def _torque_command(
@@ -221,7 +228,7 @@ class Profile:
         reference takes of the torque by its acceleration.
         """
         known = self._push_share
-        own = _KNOWN_BRAKING_SHARE * self._push_m_s2 if known.is_known else self._braking_m_s2
+        own = self._push_m_s2 if known.is_known else self._braking_m_s2
         helps = friction_share(away_m, rate_m_s, along_m_s)
         braking = known.share * (own + helps * self._friction_m_s2) - math.copysign(1.0, away_m) * needed_m_s2
         if known.is_known:
