@@ -36,7 +36,7 @@ def test_mass_and_friction_of_a_robot_that_rolls_are_learnt(share: float, fricti
 @given(st.floats(0.7, 1.4), st.floats(0.8, 1.2), st.floats(0.0, math.tau))
 def test_friction_of_pairs_of_wheels_is_learnt_whatever_way_the_robot_goes(
     share: float, friction_m_s2: float, way: float
-):
+) -> None:
     """Each pair has its own friction: on the way along one pair the whole has it once, between both √2 times."""
     learns, push = AccelerationShare(LARGEST_M_S2, BELIEVED_M_S2), (math.cos(way), math.sin(way))
     speeds = [0.0, 0.0]

@@ -78,7 +78,7 @@ class Plain:
         self.slip_ns = time_ns
         return near or max(map(abs, self.coming_slip)) > self.slip_rad_s
 
-    def _beyond(self, speed: Wheels, rolling: Wheels, time_ns: int) -> tuple[float, ...]:
+    def _beyond(self, speed: Wheels, rolling: tuple[float, ...], time_ns: int) -> tuple[float, ...]:
         """Return how far each speed is outside all that its wheel had since ``older_s`` and a lag, if it rolls."""
         since = [self.twice, rolling]
         for at_ns, rolled in reversed(self.past):

@@ -6,9 +6,10 @@ Over a window the measured velocity changes by Δv and the commands that acted a
 
 with the share s = believed mass / true mass, and an unknown friction f [m/s²], Δs being what a friction of 1 m/s² would
 do to the velocity in the window's time: it rubs at wheels, so against what each pair of them does and not against the
-motion of the whole, which has it √2 times where both pairs move. Sums over a window need no derivative, and the noise of a velocity enters only
-at its two ends. Recursive least squares (K. J. Åström and B. Wittenmark, Adaptive Control, 2nd ed. 1995, section 2.2)
-with forgetting, and with what is believed as the prior, which it returns where nothing was learnt.
+motion of the whole, which has it √2 times where both pairs move. Sums over a window need no derivative, and the noise
+of a velocity enters only at its two ends. Recursive least squares (K. J. Åström and B. Wittenmark, Adaptive Control,
+2nd ed. 1995, section 2.2) with forgetting, and with what is believed as the prior, which it returns where nothing was
+learnt.
 """
 
 import math
