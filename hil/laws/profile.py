@@ -56,6 +56,10 @@ _STEP_S = 0.05
 _ROUNDING = 1e-12
 
 
+# One axis: e [m], ė, the reference's own rate [m/s], the acceleration to brake with [m/s²], and the limits of w [m/s].
+_Axis = tuple[float, float, float, float, float, float]
+
+
 class Profile:
     """Time-optimal square-root profile: brakes as late as the torque allows, whatever the latency.
 
@@ -154,64 +158,47 @@ class Profile:
         self, acceleration: Acceleration, predicted: Prediction, latency_s: float, dt_s: float
     ) -> WheelCommand:
         """Return τ for q̈ = q̈_d + ẇ(e) + K2 (w(e) - ė) - d, with one axis for each pair and one for the heading."""
-        model = self._model
         (x, y, heading_error, vx_e, vy_e, now_turn), heading, (vx_d, vy_d, yaw_rate_d), (vx, vy, yaw_rate) = predicted
         # The torque is held for a tick, so the directions are those at its middle.
         x1, y1, x2, y2 = directions(heading + 0.5 * dt_s * yaw_rate)
-        along_1, along_2 = vx_d * x1 + vy_d * y1, vx_d * x2 + vy_d * y2
-        now_1, now_2 = vx_e * x1 + vy_e * y1, vx_e * x2 + vy_e * y2
-        push_share, turn_share = self._predictor.shares
+        ax, ay, yaw_acceleration = acceleration
+        limit = self._push_speed_m_s(yaw_rate)
+        away, now, along = x * x1 + y * y1, vx_e * x1 + vy_e * y1, vx_d * x1 + vy_d * y1
+        first = away, now, along, self._braking(away, now, along, ax * x1 + ay * y1), -limit - along, limit - along
+        away, now, along = x * x2 + y * y2, vx_e * x2 + vy_e * y2, vx_d * x2 + vy_d * y2
+        second = away, now, along, self._braking(away, now, along, ax * x2 + ay * y2), -limit - along, limit - along
         # The bandwidth follows the latency: K1 and K2 keep their distance from its phase.
         slower = min(1.0, _FULL_GAIN_S / (latency_s + dt_s))
-        k1 = slower * self._k1
-        away_1, away_2 = x * x1 + y * y1, x * x2 + y * y2
-        ax, ay, yaw_acceleration = acceleration
-        known = self._push_share
-        braking_1 = self._braking(away_1, now_1, along_1, ax * x1 + ay * y1)
-        braking_2 = self._braking(away_2, now_2, along_2, ax * x2 + ay * y2)
+        # The gain that moves ė towards w as a pole at K2 does, exact for an acceleration held over the tick.
+        k1, k2 = slower * self._k1, -math.expm1(-slower * self._k2 * dt_s) / dt_s
         was_far = self._is_far
         self._is_far = is_far = math.hypot(x, y) > (_NEAR_M if was_far else _FAR_M)
-        limit, spare = self._push_speed_m_s(yaw_rate), 0
-        range_1, range_2 = (-limit - along_1, limit - along_1), (-limit - along_2, limit - along_2)
         # Wheels that slip get no more to do than the way itself: the heading stays where it is.
-        if is_far and not known.was_limited:
+        if is_far and not self._push_share.was_limited:
             k1 *= _FAR_K1
-            pushed_1, pushed_2 = along_1 + now_1, along_2 + now_2
             if not was_far:
-                error, rate, reference_rate = (x, y), (vx_e, vy_e), (vx_d, vy_d)
-                even_rad = even_turn(heading, error, rate, reference_rate, self._push_m_s2, limit)
-                self._aim_rad = heading_error + within(even_rad, self._swing_rad(math.hypot(x, y), pushed_1, pushed_2))
+                self._aim_rad = self._aim(predicted, first, second, limit)
             to_turn_rad = math.remainder(heading_error - self._aim_rad, math.tau)
+            pushed_1, pushed_2 = first[2] + first[1], second[2] + second[1]
             used_m_s, most_rad_s = SQRT2 * max(abs(pushed_1), abs(pushed_2)), _SWING_RAD_S
             friction_n_m = self._friction(pushed_1, pushed_2, yaw_rate)
-            later_s = time_to_go(away_1, now_1, braking_1, *range_1)
-            later_s -= time_to_go(away_2, now_2, braking_2, *range_2)
-            if abs(later_s) > _SPARE_S:
-                spare = 2 if later_s > 0.0 else 1
+            spare = _pair_to_spare(first, second)
         else:
             to_turn_rad = 0.0 if is_far else heading_error
             used_m_s, most_rad_s = SQRT2 * math.hypot(vx_d, vy_d), self._turn_rad_s
-            friction_n_m = self._friction(along_1, along_2, yaw_rate_d)
+            friction_n_m = self._friction(first[2], second[2], yaw_rate_d)
+            spare = 0
         most_rad_s = self._turn_speed_rad_s(used_m_s, yaw_rate_d, most_rad_s)
-        turn, turn_slope = profile(to_turn_rad, now_turn, k1, self._turn_braking_rad_s2, -most_rad_s, most_rad_s)
-        rate_1, slope_1 = profile(away_1, now_1, k1, braking_1, *range_1)
-        rate_2, slope_2 = profile(away_2, now_2, k1, braking_2, *range_2)
-        # The gain that moves ė towards w as a pole at K2 does, exact for an acceleration held over the tick.
-        k2 = -math.expm1(-slower * self._k2 * dt_s) / dt_s
-        coupling = model.wheels_mass_kg / model.effective_mass_kg * yaw_rate
+        turning = self._turning(to_turn_rad, now_turn, k1, k2, most_rad_s)
+        coupling = self._model.wheels_mass_kg / self._model.effective_mass_kg * yaw_rate
         zx, zy, zh = self._predictor.disturbance
         known_x = ax - zx + coupling * vy
         known_y = ay - zy - coupling * vx
         to_push, to_turn = self._push_n_m_per_m_s2, self._turn_n_m_per_rad_s2
-        turning = turn_slope + k2 * (turn - now_turn)
-        if is_far:
-            turning = within(turning, _SWING_BRAKING * self._turn_braking_rad_s2)
-        # What is known in advance takes the estimated mass. The gains do not grow by it: it may be wrong.
-        gain = max(push_share, 1.0)
         torque, push_1, push_2, turn = allocate(
-            to_push * ((known_x * x1 + known_y * y1 + slope_1) / push_share + k2 * (rate_1 - now_1) / gain),
-            to_push * ((known_x * x2 + known_y * y2 + slope_2) / push_share + k2 * (rate_2 - now_2) / gain),
-            to_turn / turn_share * (yaw_acceleration - zh + turning),
+            to_push * self._push(first, k1, k2, known_x * x1 + known_y * y1),
+            to_push * self._push(second, k1, k2, known_x * x2 + known_y * y2),
+            to_turn / self._predictor.shares[1] * (yaw_acceleration - zh + turning),
             friction_n_m,
             self._torque_limit_n_m,
             spare,
@@ -220,6 +207,31 @@ class Profile:
         pushed = push_1 * x1 + push_2 * x2 - coupling * vy, push_1 * y1 + push_2 * y2 + coupling * vx, turn / to_turn
         self._predictor.remember(torque, pushed)
         return WheelCommand(CommandMode.TORQUE, ZERO_WHEELS, torque)
+
+    def _push(self, axis: _Axis, k1: float, k2: float, known_m_s2: float) -> float:
+        """Return the acceleration [m/s²] to command along an axis, which the believed mass would have.
+
+        ``known_m_s2`` is what reference, disturbance and turning need. What is known in advance takes the estimated
+        mass. The gains do not grow by it: it may be wrong.
+        """
+        away, now, _, braking, low, high = axis
+        rate, slope = profile(away, now, k1, braking, low, high)
+        share = self._predictor.shares[0]
+        return (known_m_s2 + slope) / share + k2 * (rate - now) / max(share, 1.0)
+
+    def _turning(self, error_rad: float, rate_rad_s: float, k1: float, k2: float, most_rad_s: float) -> float:
+        """Return the yaw acceleration [rad/s²] that takes away this error and rate, beside the reference's."""
+        turn, slope = profile(error_rad, rate_rad_s, k1, self._turn_braking_rad_s2, -most_rad_s, most_rad_s)
+        turning = slope + k2 * (turn - rate_rad_s)
+        return within(turning, _SWING_BRAKING * self._turn_braking_rad_s2) if self._is_far else turning
+
+    def _aim(self, predicted: Prediction, first: _Axis, second: _Axis, limit_m_s: float) -> float:
+        """Return the heading error to turn to on the way: towards that at which both axes arrive at once."""
+        (x, y, heading_error, vx, vy, _), heading, (vx_d, vy_d, _), _ = predicted
+        even_rad = even_turn(heading, (x, y), (vx, vy), (vx_d, vy_d), self._push_m_s2, limit_m_s)
+        return heading_error + within(
+            even_rad, self._swing_rad(math.hypot(x, y), first[2] + first[1], second[2] + second[1])
+        )
 
     def _braking(self, away_m: float, rate_m_s: float, along_m_s: float, needed_m_s2: float) -> float:
         """Return the acceleration [m/s²] that an axis can brake with on the rest of its way.
@@ -298,6 +310,15 @@ class Profile:
         push_1, push_2 = SQRT2 * scale * along_1_m_s, SQRT2 * scale * along_2_m_s
         turn = scale * self._model.lever_m * yaw_rate_rad_s
         return self._model.friction_torques((push_1 - turn, push_2 + turn, push_1 + turn, push_2 - turn))
+
+
+def _pair_to_spare(first: _Axis, second: _Axis) -> int:
+    """Return which pair would be there so much earlier that turning may have its torque, 1 or 2; 0 for none."""
+    away, now, _, braking, low, high = first
+    later_s = time_to_go(away, now, braking, low, high)
+    away, now, _, braking, low, high = second
+    later_s -= time_to_go(away, now, braking, low, high)
+    return 0 if abs(later_s) <= _SPARE_S else 2 if later_s > 0.0 else 1
 
 
 def _range(low: float, high: float, now: float, step: float) -> tuple[float, float]:
