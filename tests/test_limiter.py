@@ -221,6 +221,7 @@ def test_wheels_that_roll_keep_their_torque_whatever_the_age_of_each_measured_sp
     }
     rolls = hil.run("compare_circle", law="profile", set=sets, lenient=True)
     assert rolls.failure is None
+    assert not rolls.signals["guard.saturated"].any()
     assert rolls.metrics["t10_s"] < 1.0
     assert rolls.metrics["overshoot_m"] < 0.05
     floor = {"plant.start.contact": "slip", "plant.start.grip_coefficient": 0.35}
