@@ -21,7 +21,7 @@ def driven(share: float, friction_m_s2: float, *, limited_to_s: float = 0.0, sec
         change = TICK_S * 0.5 * LARGEST_M_S2 * (1.0 if tick % 60 < 40 else -1.0)
         against = -math.copysign(1.0, speed) if speed else 0.0
         speed += share * change + TICK_S * friction_m_s2 * against
-        learns.update((speed,), (change,), (against,), TICK_S, is_limited=tick * TICK_S < limited_to_s)
+        learns.update((speed,), (change,), (TICK_S * against,), TICK_S, is_limited=tick * TICK_S < limited_to_s)
     return learns
 
 
@@ -43,10 +43,10 @@ def test_friction_of_pairs_of_wheels_is_learnt_whatever_way_the_robot_goes(
     for tick in range(240):
         size = TICK_S * 0.5 * LARGEST_M_S2 * (1.0 if tick % 60 < 40 else -1.0)
         changes = tuple(size * one for one in push)
-        against = tuple(-math.tanh(one / 0.02) for one in speeds)
-        learns.update((speeds[0], speeds[1]), changes, against, TICK_S, is_limited=False)
+        rubbed = tuple(-TICK_S * math.tanh(one / 0.02) for one in speeds)
+        learns.update((speeds[0], speeds[1]), changes, rubbed, TICK_S, is_limited=False)
         for axis, change in enumerate(changes):
-            speeds[axis] += share * change + TICK_S * friction_m_s2 * against[axis]
+            speeds[axis] += share * change + friction_m_s2 * rubbed[axis]
     assert learns.share == pytest.approx(share, rel=0.1)
     assert learns.friction == pytest.approx(friction_m_s2, abs=0.3)
 

@@ -59,14 +59,14 @@ class AccelerationShare:
         self,
         rates: tuple[float, ...],
         changes: tuple[float, ...],
-        against: tuple[float, ...],
+        rubbed: tuple[float, ...],
         dt_s: float,
         *,
         is_limited: bool,
     ) -> None:
         """Add a tick of ``dt_s`` [s]: the measured ``rates`` now, and the ``changes`` that the commands account for.
 
-        ``against`` is what a friction of 1 m/s² or rad/s² causes at these rates [m/s² or rad/s²].
+        ``rubbed`` is how a friction of 1 m/s² or rad/s² would have changed the rates in this tick.
         """
         passed_s, first, moved, slowed = self._window
         if not first:
@@ -78,7 +78,7 @@ class AccelerationShare:
                 self._forget()
         passed_s += dt_s
         moved = tuple(map(float.__add__, moved, changes))
-        slowed = tuple(one + dt_s * more for one, more in zip(slowed, against, strict=True))
+        slowed = tuple(map(float.__add__, slowed, rubbed))
         if passed_s < _WINDOW_S:
             self._window = passed_s, first, moved, slowed
             return

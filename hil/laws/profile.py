@@ -148,10 +148,10 @@ class Profile:
         x1, y1, x2, y2 = directions(heading)
         rubs_1 = -math.tanh(self._friction_per_m_s * (vx * x1 + vy * y1))
         rubs_2 = -math.tanh(self._friction_per_m_s * (vx * x2 + vy * y2))
-        against = rubs_1 * x1 + rubs_2 * x2, rubs_1 * y1 + rubs_2 * y2
-        push.update((vx, vy), (dvx, dvy), against, dt_s, is_limited=is_limited)
+        rubbed = dt_s * (rubs_1 * x1 + rubs_2 * x2), dt_s * (rubs_1 * y1 + rubs_2 * y2)
+        push.update((vx, vy), (dvx, dvy), rubbed, dt_s, is_limited=is_limited)
         rubs = -math.tanh(self._friction_per_rad_s * yaw_rate)
-        turn.update((yaw_rate,), (dvh,), (rubs,), dt_s, is_limited=is_limited)
+        turn.update((yaw_rate,), (dvh,), (dt_s * rubs,), dt_s, is_limited=is_limited)
         self._predictor.shares = push.share, max(turn.share, 1.0)
 
     def _torque_command(
