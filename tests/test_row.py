@@ -59,6 +59,7 @@ def test_every_value_of_a_row_stands_under_its_signals_name() -> None:
     extra = SimpleNamespace(signals=("one", "other"), telemetry=(150.0, 151.0))
     rows: list[bytes] = []
     writer = RowWriter(
+        (*SIGNAL_NAMES, *extra.signals),
         device,
         wire,
         SimpleNamespace(gains=gains),

@@ -10,7 +10,7 @@ from hil.core.ports import Note
 from hil.faults.kinds import find
 from hil.judge.claims import Watch
 from hil.judge.expectations import outcome_figures
-from hil.judge.state import state_words
+from hil.judge.state import STATE_SIGNALS, state_words
 from hil.plant.child_output import ChildOutput, log_lines
 from hil.scenario import Scenario
 
@@ -21,9 +21,12 @@ _LEVELS = {True: "info", None: "warning", False: "error"}
 class RunEvents:
     """A sink that looks at each row and writes a line of the event log when something happens.
 
-    A tick costs two comparisons, and one more per expectation about signals in its time. ``names`` are the signals
-    of the run, which must include ``loop.t_s``; ``output`` is the output of a plant that runs in its own process.
+    A tick costs two comparisons, and one more per expectation about signals in its time. ``names`` are those of a row,
+    ``needs`` and those of the scenario's expectations among them; ``output`` is the output of a plant that runs in
+    its own process.
     """
+
+    needs = ("loop.t_s", *STATE_SIGNALS)
 
     def __init__(
         self,

@@ -40,7 +40,8 @@ class TickParts(NamedTuple):
     Attributes:
         note: writes a line of the event log, such as a loss.
         robot_failure: returns the error that ended the robot in this process, or None.
-        extra: parts with signals of their own, recorded after those of ``hil.core.signals``.
+        signals: the names of what a row has, in their order.
+        extra: parts with signals of their own, besides those of ``hil.core.signals``.
     """
 
     clock: Clock
@@ -56,6 +57,7 @@ class TickParts(NamedTuple):
     sinks: Sequence[Sink]
     note: Note
     model: RobotModel
+    signals: Sequence[str]
     robot_failure: Callable[[], HilError | None]
     faults: SignalFaults | None = None
     shadows: Shadows | None = None
@@ -260,8 +262,17 @@ class Tick:
     def _make_rows(self) -> RowWriter:
         parts = self._parts
         latency_ns = self._timing.feedback_latency_ns
-        controller, mode = parts.controller, self._mode
-        return RowWriter(parts.device, parts.wire, controller, mode, parts.extra, parts.sinks, latency_ns, parts.faults)
+        return RowWriter(
+            parts.signals,
+            parts.device,
+            parts.wire,
+            parts.controller,
+            self._mode,
+            parts.extra,
+            parts.sinks,
+            latency_ns,
+            parts.faults,
+        )
 
     def _update_shadows(self, shadows: Shadows, t_s: float, reference: Reference, inputs: _LawInputs | None) -> None:
         """Compute the shadow laws from the same arguments, after the command was sent."""

@@ -16,8 +16,10 @@
 typedef struct {
     double (*PyFloat_AsDouble)(void *);
     long long (*PyLong_AsLongLong)(void *);
-    void *(*PyLong_AsVoidPtr)(void *);
+    long long (*PyLong_AsLongLongAndOverflow)(void *, int *);
+    unsigned long long (*PyLong_AsUnsignedLongLongMask)(void *); /* modulo 2^64 */
     void *(*PyErr_Occurred)(void);
+    void (*PyErr_Clear)(void);
     void *(*PyTuple_GetItem)(void *, ptrdiff_t);    /* borrowed */
     void *(*PySequence_GetItem)(void *, ptrdiff_t); /* a new reference */
     void *(*PyTuple_New)(ptrdiff_t);

@@ -66,7 +66,7 @@ void *wheel_python_difference(void *self, void *const *arguments, ptrdiff_t coun
 }
 
 void *wheel_python_row(void *self, void *const *arguments, ptrdiff_t count) {
-    const wheel_python_layout *layout = python.PyLong_AsVoidPtr(self);
+    const wheel_python_layout *layout = address(self);
     if (put(layout->members, arguments, NULL, count, layout->numbers) == NULL) {
         return NULL;
     }

@@ -12,7 +12,7 @@ static bool int_at(void *tuple, ptrdiff_t place, int64_t *value) {
     if (item == NULL) {
         return false;
     }
-    *value = python.PyLong_AsLongLong(item);
+    *value = integer(item);
     return *value != -1 || !failed();
 }
 
@@ -33,10 +33,10 @@ static bool is_finite(void *pose, bool *result) {
 
 void *wheel_python_add_feedback(void *self, void *const *arguments, ptrdiff_t count) {
     (void)count;
-    wheel_freshness *freshness = python.PyLong_AsVoidPtr(self);
-    const int64_t age_ns = python.PyLong_AsLongLong(arguments[2]);
-    const int64_t now_ns = python.PyLong_AsLongLong(arguments[3]);
-    const bool is_driven = python.PyLong_AsLongLong(arguments[4]) != 0;
+    wheel_freshness *freshness = address(self);
+    const int64_t age_ns = integer(arguments[2]);
+    const int64_t now_ns = integer(arguments[3]);
+    const bool is_driven = integer(arguments[4]) != 0;
     int64_t robot_ns;
     int64_t state;
     int64_t truth_ns = 0;
@@ -65,9 +65,9 @@ void *wheel_python_add_feedback(void *self, void *const *arguments, ptrdiff_t co
 
 void *wheel_python_measure_latency(void *self, void *const *arguments, ptrdiff_t count) {
     (void)count;
-    wheel_latency *latency = python.PyLong_AsVoidPtr(self);
-    const long long sequence = python.PyLong_AsLongLong(arguments[1]);
-    const int64_t sampled_ns = python.PyLong_AsLongLong(arguments[2]);
+    wheel_latency *latency = address(self);
+    const long long sequence = integer(arguments[1]);
+    const int64_t sampled_ns = integer(arguments[2]);
     int64_t robot_ns;
     int64_t in_force;
     int64_t age_ms;
@@ -82,8 +82,8 @@ void *wheel_python_measure_latency(void *self, void *const *arguments, ptrdiff_t
 
 void *wheel_python_add_motion(void *self, void *const *arguments, ptrdiff_t count) {
     (void)count;
-    wheel_motion *motion = python.PyLong_AsVoidPtr(self);
-    const int64_t time_ns = python.PyLong_AsLongLong(arguments[1]);
+    wheel_motion *motion = address(self);
+    const int64_t time_ns = integer(arguments[1]);
     double speed_rad_s[4];
     double pose[3];
     double twist[3];

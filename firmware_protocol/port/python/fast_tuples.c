@@ -51,7 +51,7 @@ static void *value_of(const wheel_python_value **next, void *const **arguments) 
 }
 
 void *wheel_python_make(void *self, void *const *arguments, ptrdiff_t count) {
-    const wheel_python_value *next = python.PyLong_AsVoidPtr(self);
+    const wheel_python_value *next = address(self);
     const bool *is_given = next->at;
     if (count != next->factor) {
         python.PyErr_BadArgument();
@@ -97,7 +97,7 @@ static bool frame_at(void *frames, ptrdiff_t place, long long *id, uint8_t **pay
     if (content == NULL || !bytes_of(content, payload, length)) {
         return false;
     }
-    *id = python.PyLong_AsLongLong(number);
+    *id = integer(number);
     if (*id < 0 || *id > UINT16_MAX || *length > UINT8_MAX) {
         python.PyErr_BadArgument();
         return false;
