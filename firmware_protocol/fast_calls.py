@@ -25,6 +25,7 @@ _NEEDED = (
     "PyTuple_New",
     "PyTuple_Size",
     "PyTuple_SetItem",
+    "PyList_SetItem",
     "PyFloat_FromDouble",
     "PyLong_FromLongLong",
     "PyBool_FromLong",

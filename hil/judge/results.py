@@ -1,6 +1,5 @@
 """What a run leaves: its figures, its signals as arrays, and its events."""
 
-import struct
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
 
@@ -66,24 +65,13 @@ class MemorySink:
         self._places = [names.index(name) for name in self._columns]
         self._age_ms = Reservoir()
         self._blocks: list[Series] = []
-        self._row_bytes = 8 * len(names)
-        self._store = struct.Struct(f"{self._row_bytes}s").pack_into
-        self._block_bytes = BLOCK_ROWS * self._row_bytes
+        self._rows: list[bytes] = []  # since the last block
         self._steps: Iterator[None] = iter(())
-        self._new_block()
-
-    def _new_block(self) -> None:
-        # Not zeroed: its memory pages are touched one by one as rows come, not all in one tick.
-        self._block: Series = np.empty((BLOCK_ROWS, len(self._names)))
-        self._bytes = self._block.data.cast("B")
-        self._filled = 0  # bytes
 
     def put(self, row: bytes) -> None:
         """Take one row."""
-        store, begin = self._store, self._filled
-        store(self._bytes, begin, row)
-        self._filled = end = begin + self._row_bytes
-        if end >= self._block_bytes:
+        self._rows.append(row)
+        if len(self._rows) == BLOCK_ROWS:
             self._begin_block()
         else:
             next(self._steps, None)
@@ -110,19 +98,18 @@ class MemorySink:
         """Return every signal by name, each of shape (ticks,); empty when no rows are kept."""
         if not self._keep:
             return {}
-        self._blocks = [np.concatenate([*self._blocks, self._rest()])]
-        self._filled = 0
+        self._blocks = [np.concatenate([*self._blocks, self._taken()])]
         return {name: self._blocks[0][:, i] for i, name in enumerate(self._names)}
 
-    def _rest(self) -> Series:
-        """Return the rows since the last block, without a copy."""
-        return self._block[: self._filled // self._row_bytes]
+    def _taken(self) -> Series:
+        """Take the rows since the last block."""
+        rows, self._rows = b"".join(self._rows), []
+        return np.frombuffer(rows).reshape(-1, len(self._names))
 
     def _begin_block(self) -> None:
         """Begin the work on the rows since the last block."""
         self._finish_block()
-        rows = self._rest()
-        self._new_block()
+        rows = self._taken()
         if self._keep:
             self._blocks.append(rows)
         self._steps = self._work(rows)

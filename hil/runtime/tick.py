@@ -1,7 +1,6 @@
 """One tick: sense, estimate, control, guard, command, and write the row. The caller decides when it is due."""
 
 from collections.abc import Callable, Sequence
-from math import dist, isfinite
 from typing import Any, NamedTuple
 
 from hil.core.errors import HilError
@@ -9,7 +8,7 @@ from hil.core.guard import Brake, Guard
 from hil.core.model import RobotModel
 from hil.core.ports import Clock, Controller, FixSource, Note, OwnSignals, PoseSource, Sink
 from hil.core.signals import LoopSignals
-from hil.core.tuples import make_applied
+from hil.core.tuples import is_finite, make_applied
 from hil.core.types import (
     NAN_WHEELS,
     ZERO_WHEELS,
@@ -127,10 +126,8 @@ class Tick:
         faults, status, tick = self._faults, self._estimator.status, now.tick
         if faults is not None:
             state, reference = faults.state(state), faults.reference(reference)
-        if state is not None:
-            pose, twist = state
-            if not isfinite(dist(pose, twist)):  # one call checks all six numbers
-                state = None  # a law that integrates it would return NaN from then on
+        if state is not None and not is_finite(state):
+            state = None  # a law that integrates it would return NaN from then on
         self.is_stale = is_stale = self._freshness.is_stale or (not self._is_lockstep and self._freshness.has_aged())
         if state is None or status.health == LOST or is_stale:
             inputs = None

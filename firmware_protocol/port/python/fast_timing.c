@@ -16,19 +16,28 @@ static bool int_at(void *tuple, ptrdiff_t place, int64_t *value) {
     return *value != -1 || !failed();
 }
 
-/* Reads whether a pose, a tuple of three, is finite; false with an exception. */
-static bool is_finite(void *pose, bool *result) {
-    double sum = 0.0;
-    for (ptrdiff_t i = 0; i < 3; i++) {
-        void *item = python.PyTuple_GetItem(pose, i);
-        double value;
-        if (item == NULL || !number(item, &value)) {
-            return false;
-        }
-        sum += value;
+/* Reads whether a tuple of three is finite; false with an exception. */
+static bool is_finite(void *three, bool *result) {
+    double values[3];
+    if (!numbers(three, 3, values)) {
+        return false;
     }
-    *result = isfinite(sum);
+    *result = isfinite(values[0]) && isfinite(values[1]) && isfinite(values[2]);
     return true;
+}
+
+void *wheel_python_finite(void *self, void *const *arguments, ptrdiff_t count) {
+    (void)self, (void)count;
+    bool is_all = true;
+    for (ptrdiff_t i = 0; i < 2; i++) {
+        void *three = python.PyTuple_GetItem(arguments[0], i);
+        bool is_one;
+        if (three == NULL || !is_finite(three, &is_one)) {
+            return NULL;
+        }
+        is_all = is_all && is_one;
+    }
+    return python.PyBool_FromLong(is_all);
 }
 
 void *wheel_python_add_feedback(void *self, void *const *arguments, ptrdiff_t count) {

@@ -25,7 +25,8 @@ static inline void *address(void *object) {
     return (void *)(uintptr_t)python.PyLong_AsUnsignedLongLongMask(object);
 }
 
-/* Returns an int as a number; -1 with an exception. PyLong_AsLongLong takes four times as long for a time [ns]. */
+/* Returns an int as a number; -1 with an exception. PyLong_AsLongLong takes four times as long for a time
+ * [ns]. */
 static inline int64_t integer(void *object) {
     int overflow;
     const long long value = python.PyLong_AsLongLongAndOverflow(object, &overflow);
