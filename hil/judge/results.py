@@ -66,6 +66,7 @@ class MemorySink:
         self._age_ms = Reservoir()
         self._blocks: list[Series] = []
         self._rows: list[bytes] = []  # since the last block
+        self._before: bytes | None = None  # the last row of that block
         self._steps: Iterator[None] = iter(())
 
     def put(self, row: bytes) -> None:
@@ -75,6 +76,11 @@ class MemorySink:
             self._begin_block()
         else:
             next(self._steps, None)
+
+    def newest(self) -> bytes | None:
+        """Return the newest row, None before the first."""
+        rows = self._rows  # another thread may ask, whose tick is stuck
+        return rows[-1] if rows else self._before
 
     def figures(self, cut: str | None = None) -> tuple[dict[str, Any], dict[str, str]]:
         """Return the figures and reasons of the run so far, as ``RunFigures``."""
@@ -103,6 +109,7 @@ class MemorySink:
 
     def _taken(self) -> Series:
         """Take the rows since the last block."""
+        self._before = self.newest()
         rows, self._rows = b"".join(self._rows), []
         return np.frombuffer(rows).reshape(-1, len(self._names))
 

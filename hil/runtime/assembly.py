@@ -189,12 +189,12 @@ class _Run:
         self._memory = MemorySink(names, figures, keep=self._options.keep_signals)
         self._log = EventLog(self._recording.event if self._recording is not None else _ignore)
         note = self._log.note
-        self._events = RunEvents(scenario, names, note, self._bench.plant_output)
+        self._events = RunEvents(scenario, names, note, self._memory.newest, self._bench.plant_output)
         faults = [table.row for table in scenario.fault]
         watches = any(row.stops is not None for row in scenario.expect)
         self._rejections = Rejections(self._bench.device, faults, self._parts.timing, names, watches=watches)
-        counting = self._rejections if self._rejections.needs_rows else None
-        sinks: list[Sink | None] = [self._memory, self._recording, self._stream, self._events, counting]
+        sinks: list[Sink | None] = [self._memory, self._recording, self._stream]
+        sinks += [sink for sink in (self._events, self._rejections) if sink.needs_rows]
         parts = self._parts.make(self._bench, [sink for sink in sinks if sink is not None], note)
         parts = mutation().parts(scenario, parts)
         return Loop(

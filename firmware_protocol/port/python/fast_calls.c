@@ -66,10 +66,13 @@ void *wheel_python_step(void *self, void *const *arguments, ptrdiff_t count) {
     if (failed()) {
         return NULL;
     }
-    /* A plant in a process of its own may take long, or hang: others must be able to end it. */
-    void *thread = python.PyEval_SaveThread();
+    /* Other threads must be able to end a plant that hangs. To let them run takes a thirtieth of a plain
+     * tick. */
+    void *thread = direct->may_hang ? python.PyEval_SaveThread() : NULL;
     const bool is_whole = wheel_direct_step(direct, robot, client, ticks, now_ns);
-    python.PyEval_RestoreThread(thread);
+    if (thread != NULL) {
+        python.PyEval_RestoreThread(thread);
+    }
     return python.PyBool_FromLong(is_whole);
 }
 
