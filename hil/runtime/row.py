@@ -106,8 +106,8 @@ class RowWriter:
         )
         self._layout = RowLayout(names, objects, ("truth.x_m", "reference.x_m", "error.x_m"))
         self._row = self._layout.row
-        # A line with a bit rate is observed only here, for the load of the run.
-        self._has_standing = wire.is_timed or not _names_in(standing).isdisjoint(names)
+        self._has_standing = not _names_in(standing).isdisjoint(names)
+        self._observes = wire.is_timed and not self._has_standing
 
     def write(
         self,
@@ -126,6 +126,8 @@ class RowWriter:
         ``silent_ns`` is the time since new feedback last came. ``feedback`` is None after a loss; ``fix`` and ``state``
         are None if unknown. ``is_held``: the law was not called.
         """
+        if self._observes:  # a line with a bit rate is observed only here, for its load in the run
+            self._wire.load_percent(self._wire.byte_counts())
         make_row = self._row
         row = make_row(
             tick,
