@@ -69,9 +69,9 @@ def test_what_is_given_is_not_drawn() -> None:
 
 
 def test_the_command_of_a_run_repeats_it() -> None:
-    tried = try_laws(["pid,speed.kp_1_s=6", "dsc"], SCENARIO, 3, [SHORT], seed=5, workers=1)
-    assert [trial.case.number for trial in tried.trials] == [0, 1, 2, 0, 1, 2]
-    for trial in tried.trials[1:5:3]:
+    tried = try_laws(["pid,speed.kp_1_s=6", "dsc"], SCENARIO, 2, [SHORT], seed=5, workers=1)
+    assert [trial.case.number for trial in tried.trials] == [0, 1, 0, 1]
+    for trial in tried.trials[1::2]:
         words = list(trial.command)
         assert words[:4] == ["hil", "run", SCENARIO, "--lenient"]
         sets = [words[at + 1] for at, word in enumerate(words) if word == "--set"]

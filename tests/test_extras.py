@@ -14,6 +14,7 @@ from packaging.utils import canonicalize_name
 
 from hil.core import extras
 from hil.core.errors import BadInputError
+from tests.processes import hil
 
 ROOT = Path(__file__).parents[1]
 OF_OTHERS = {"mujoco", "ros2", "dev", "all"}
@@ -61,6 +62,20 @@ def test_a_missing_package_is_named_with_the_command_that_installs_it(monkeypatc
     done = subprocess.run([python, *words, "--no-index"], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     assert "mecanum-hil[hunt]" in done.stdout
+
+
+def test_of_several_extras_those_that_are_missing_are_named_in_one_command(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(extras.EXTRAS, "hunt", ("no_such_module",))
+    monkeypatch.setitem(extras.EXTRAS, "mpc", ("nor_this_one", "json"))
+    with pytest.raises(BadInputError, match=r"a test needs no_such_module, nor_this_one, which are .*\[hunt,mpc\]'$"):
+        extras.need("hunt,dbc,mpc", "a test")
+
+
+def test_the_shipped_suite_is_not_begun_without_what_it_needs(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(extras.EXTRAS, "mpc", ("no_such_module",))
+    done = hil("verify")
+    assert done.returncode == 2
+    assert done.stderr.startswith("hil: the shipped suite needs no_such_module, which is not installed; run: ")
 
 
 def test_a_package_that_is_there_is_not_needed() -> None:

@@ -40,6 +40,7 @@ class Drive:
         self.estimator = FusedEstimator(ROBOT, START, COUNTS, slip_m_s, FilterOptions(**options))
         self.speed = wheel_speeds(body, ROBOT.wheel_radius_m, ROBOT.lever_m)
         self.yaw_rate = body.yaw_rate_rad_s + bias if gyro else NAN
+        self.acceleration = NO_ACCELERATION
         self.tick, self.epoch_ns = -1, 0
         self.state: State | None = None
 
@@ -60,7 +61,7 @@ class Drive:
             fixes = []
             if fix_every and self.tick % fix_every == 0:
                 fixes.append(MeasuredPose(self.now_ns - late_ns, at or START, COVARIANCE))
-            measured = Measured(self.now_ns, (fl, fr, rr, rl), self.speed, self.yaw_rate)
+            measured = Measured(self.now_ns, (fl, fr, rr, rl), self.speed, self.yaw_rate, self.acceleration)
             self.state = self.estimator.update(measured, None, fixes)
 
     def fix(self, time_ns: int, pose: Pose = START) -> None:
@@ -176,6 +177,24 @@ def test_fixes_that_go_on_to_disagree_are_believed_after_the_streak():
     drive.go(80, fix_every=20, at=elsewhere)
     assert drive.estimator.fix_figures()["restarts"] == 1
     assert drive.state.pose == pytest.approx(elsewhere, abs=1e-6)
+
+
+@pytest.mark.parametrize("off_m_s2", [1.0, 3.0, -30.0])
+def test_an_accelerometer_that_is_suddenly_wrong_is_believed_until_fixes_refute_it(off_m_s2):
+    """It contradicts wheels that hold, as it does when they slip: half a second later fixes have decided."""
+    drive = Drive()
+    drive.acceleration = 0.0, 0.0, 9.81
+    drive.go(400, fix_every=20)
+    drive.acceleration = off_m_s2, 0.0, 9.81
+    drive.go(100, fix_every=20)
+    assert drive.status.slip == 1.0
+    drive.go(800, fix_every=20)
+    for _ in range(1000):
+        drive.go(1, fix_every=20)
+        assert drive.state.pose == pytest.approx(START, abs=0.02)
+        assert drive.state.twist == pytest.approx((0.0, 0.0, 0.0), abs=0.01)
+    drive.go(2000, fix_every=20)
+    assert drive.status.slip == 0.0, "it is learnt as a bias, or a floor that leans"
 
 
 def test_fixes_out_of_reach_are_counted_by_cause():

@@ -110,6 +110,23 @@ def test_windows_that_went_wrong_do_no_harm() -> None:
     assert solve([one], np.zeros(PARAMETERS), bounds=WIDE).parameters == pytest.approx(clean, abs=0.03)
 
 
+class Jumping(Linear):
+    """A first window that jumps wherever the first parameter goes, by a standard deviation."""
+
+    def predict(self, parameters: np.ndarray, starts: np.ndarray) -> np.ndarray:
+        seen = super().predict(parameters, starts)
+        seen[:, 0] += SIGMA * np.sin(13.0 * np.floor(parameters[:, :1] / 5e-4))
+        return seen
+
+
+def test_a_window_that_jumps_does_not_hold_the_others_back() -> None:
+    """Its derivative is huge by chance: each step was too short, and the fit ended on the way."""
+    for seed in range(20):
+        found, clean = (solve([one], one.true + 0.05, bounds=WIDE) for one in (Jumping(seed), Linear(seed)))
+        off = (found.parameters - clean.parameters) / np.sqrt(np.diag(clean.covariance))
+        assert np.abs(off).max() < 0.5, seed
+
+
 def test_another_measurement_settles_what_the_windows_leave_open() -> None:
     one = Linear(3, blind=True)
     open_ = solve([one], np.zeros(PARAMETERS), bounds=WIDE)

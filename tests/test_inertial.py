@@ -34,6 +34,13 @@ def motions(yaw_rate, seconds, spin_from_s, bias=(0.0, 0.0), accelerates=0.6):
         before = now
 
 
+def held(velocity, seconds):
+    """Yield motions, and displacements by wheels at this velocity, of a robot that feels no acceleration."""
+    way = velocity[0] * DT_S, velocity[1] * DT_S
+    for _ in range(round(seconds / DT_S)):
+        yield Motion(DT_S, *way, 0.0, 0.0, 0.0, 0.0, 0.0), way
+
+
 @share_of_examples(0.3)
 @given(st.floats(-1.0, 1.0), st.floats(0.3, 1.0))
 def test_what_the_wheels_spoilt_before_slip_was_told_is_done_again(yaw_rate, spin_from_s):
@@ -59,8 +66,34 @@ def test_an_inertial_velocity_is_doubted_more_the_longer_it_lasts_and_no_more_af
         sigmas.append(inertial.update(motion, 0.0, 1.0)[-1].sigma_m_s)
     assert sigmas == sorted(sigmas)
     assert sigmas[-1] == pytest.approx(0.02 + 0.1 * 1.0)
-    (after,) = inertial.update(next(motions(0.0, 0.01, 1.0))[0], 0.0, 0.0)
+    for motion, _ in held(inertial.velocity, 1.0):
+        (after,) = inertial.update(motion, 0.0, 0.0)
     assert (after.is_rolled, after.sigma_m_s) == (True, 0.0)
+
+
+@share_of_examples(0.3)
+@given(st.floats(-2.0, 2.0), st.floats(-2.0, 2.0), st.floats(0.5, 5.0))
+def test_wheels_that_spin_on_at_a_constant_speed_still_slip_until_they_agree_or_the_inertial_velocity_is_no_better(
+    forward, left, faster_m_s
+):
+    """No sensor of accelerations contradicts them, so slip is told no more while the robot goes at another speed."""
+    inertial = Inertial()
+    inertial.restart((forward, left))
+    wheels = forward + faster_m_s, left
+    for motion, _ in held(wheels, 0.2):
+        inertial.update(motion, 0.0, 1.0)
+    *_, (motion, _) = held(wheels, 1.0)
+    seconds = 0.2
+    while inertial.update(motion, 0.0, 0.0)[-1].is_rolled is False:
+        assert inertial.velocity == pytest.approx((forward, left), abs=1e-9)
+        seconds += DT_S
+    # Within three deviations: 0.02 m/s, and 0.1 m/s a second.
+    assert seconds == pytest.approx(max(0.2, (faster_m_s / 3.0 - 0.02) / 0.1), abs=0.02)
+    inertial.restart((forward, left))
+    for motion, _ in held(wheels, 0.2):
+        inertial.update(motion, 0.0, 1.0)
+    again = sum(not inertial.update(motion, 0.0, 0.0)[-1].is_rolled for motion, _ in held((forward, left), 1.0))
+    assert again * DT_S < 0.6, "wheels that hold again are believed"
 
 
 @given(st.floats(-0.3, 0.3), st.floats(-0.3, 0.3))
@@ -85,3 +118,22 @@ def test_without_gyro_or_accelerometer_the_wheels_stay_and_are_doubted_by_the_sp
         assert (travel.is_rolled, travel.sigma_m_s) == (True, 0.4)
         assert travel.motion.forward_m == motion.forward_m
         assert not inertial.is_inertial
+
+
+def test_what_fixes_refute_is_not_believed_until_slip_is_told_no_more_and_the_bias_is_learnt_meanwhile():
+    inertial, off_m_s2 = Inertial(), 3.0
+    wrong = Motion(DT_S, 0.0, 0.0, 0.0, 0.0, 0.0, off_m_s2 * DT_S, 0.0)
+    for _ in range(100):
+        inertial.update(wrong, 0.0, 0.6)
+    assert inertial.is_inertial
+    assert inertial.velocity[0] == pytest.approx(off_m_s2 * 100 * DT_S, rel=0.01)
+    inertial.refute()
+    for _ in range(2000):
+        (travel,) = inertial.update(wrong, 0.0, 0.6)
+        assert (travel.is_rolled, travel.sigma_m_s, travel.motion) == (True, 0.6, wrong)
+        assert not inertial.is_inertial
+    assert inertial.velocity[0] == pytest.approx(0.0, abs=0.01)
+    assert inertial.bias_m_s2[0] == pytest.approx(off_m_s2, rel=0.02)
+    inertial.update(wrong, 0.0, 0.0)
+    inertial.update(wrong, 0.0, 0.6)
+    assert inertial.is_inertial, "the next slip is a new one"

@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 
 import hil
 from hil.cli.init import ROBOT_FILE, SCENARIO_FILE, WORKFLOW, begin, init
-from hil.cli.new_project import FILES
+from hil.cli.new_project import FILES, TESTS_FILE
 from hil.cli.new_robot import PROJECT_QUESTIONS
 from hil.core.errors import BadInputError
 from hil.core.options import options_of
@@ -25,6 +25,7 @@ from hil.drivers.registry import OUR_DRIVER, dialect, driver_names
 from hil.runtime.assembly import check_scenario
 from hil.scenario import load
 from tests.examples import share_of_examples
+from tests.plugin_suites import run as run_suite
 from tests.processes import HIL, ROOT, environment
 
 
@@ -139,7 +140,8 @@ def test_all_that_it_writes_passes_at_once_and_the_action_shows_it(tmp_path: Pat
     (tmp_path / ".git").mkdir()
     mine = tmp_path / "robots" / "mine"
     init(mine, speed_limit_rad_s=40.0, driver="wheeltec", link="serial:/dev/ttyACM0", defaults=True)
-    assert {path.name for path in mine.iterdir()} == {Path(name).name for name in FILES} - {"robot.yml"}
+    names = {Path(name).name for name in FILES} - {"robot.yml", TESTS_FILE} | {"test_mine.py"}
+    assert {path.name for path in mine.iterdir()} == names
     workflow = yaml.safe_load((tmp_path / WORKFLOW).read_text("utf-8"))
     *_, step = workflow["jobs"]["scenarios"]["steps"]
     assert step["with"] == {"path": "robots/mine"}
@@ -175,6 +177,14 @@ def test_all_that_it_writes_passes_at_once_and_the_action_shows_it(tmp_path: Pat
     pages = {path.name for path in (tmp_path / "hil-results").rglob("*.html")}
     assert pages
     assert all(f"`{name}`" in text for name in pages)
+
+
+def test_pytest_takes_two_robots_that_are_side_by_side(suite: pytest.Pytester) -> None:
+    for name in ("robot-1", "robot-2"):
+        begin(suite.path / name, _answers())
+    found = run_suite(suite, "--collect-only", "-q").stdout.str()
+    assert "10 tests collected" in found
+    assert "robot-2/test_robot_2.py::test_my_law_survives_a_bad_day" in found
 
 
 def _package(folder: Path) -> Path:

@@ -10,9 +10,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import hil
+from hil.cli.check import LEAST_MARGIN_RAD, yaw_margin
 from hil.core.types import WHEEL_NAMES
 from hil.scenario import load
-from hil.scenario.speed_loop import LEAST_MARGIN_RAD, yaw_margin
 from tests.examples import share_of_examples
 from tests.processes import hil as typed
 

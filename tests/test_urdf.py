@@ -110,7 +110,7 @@ def test_the_parser_of_ros_reads_it_as_a_tree_from_base_link(tmp_path: Path) -> 
         pytest.skip("check_urdf is not installed; on Debian: apt install liburdfdom-tools")
     file = tmp_path / "circle.urdf"
     done = hil("export", "urdf", "paper_circle", "--out", file)
-    assert (done.returncode, done.stdout) == (0, "")
+    assert (done.returncode, done.stdout) == (0, f"{file}\n")
     checked = subprocess.run(["check_urdf", file], capture_output=True, text=True, check=True).stdout
     assert "root Link: base_link has 6 child(ren)" in checked
     assert all(link in checked for link in (*WHEEL_LINKS, "imu_link", "body_link"))

@@ -33,8 +33,9 @@ ticks = st.lists(st.tuples(apart_ms, speeds | slow | odd, states, torques), max_
 class Plain:
     """The rules of ``wheel_motion.h`` as one would write them first."""
 
-    def __init__(self, slip_rad_s: float) -> None:
-        self.slip_rad_s = slip_rad_s
+    def __init__(self, slip_rad_s: float, older_s: float = 0.0) -> None:
+        self.slip_rad_s, self.older_s = slip_rad_s, older_s
+        self.past: list[tuple[int, tuple[float, ...]]] = []
         self.time_ns, self.slip_ns = 0, -1
         self.before: Wheels | None = None
         self.slip: tuple[float, ...] | None = None
@@ -66,10 +67,29 @@ class Plain:
             follows = -math.expm1(-2e-9 * (time_ns - before_ns) / LAG_S)
             self.once = tuple(old + follows * (new - old) for old, new in zip(self.once, rolling, strict=True))
             self.twice = tuple(old + follows * (new - old) for old, new in zip(self.twice, self.once, strict=True))
-        self.slip = tuple(one - rolls for one, rolls in zip(speed, self.twice, strict=True))
+        if slip_before is None:
+            self.past.clear()
+        if self.older_s > 0.0:
+            self.slip = self.coming_slip = self._beyond(speed, rolling, time_ns)
+        else:
+            self.slip = tuple(one - rolls for one, rolls in zip(speed, self.twice, strict=True))
+            self.coming_slip = self._ahead(self.slip, slip_before)
+        self.past.append((time_ns, self.twice))
         self.slip_ns = time_ns
-        self.coming_slip = self._ahead(self.slip, slip_before)
         return near or max(map(abs, self.coming_slip)) > self.slip_rad_s
+
+    def _beyond(self, speed: Wheels, rolling: tuple[float, ...], time_ns: int) -> tuple[float, ...]:
+        """Return how far each speed is outside all that its wheel had since ``older_s`` and a lag, if it rolls."""
+        since = [self.twice, rolling]
+        for at_ns, rolled in reversed(self.past):
+            since.append(rolled)
+            if (time_ns - at_ns) * 1e-9 >= self.older_s + LAG_S:
+                break
+        else:
+            since.append((0.0,) * 4)
+        return tuple(
+            one - min(max(one, min(had)), max(had)) for one, had in zip(speed, zip(*since, strict=True), strict=True)
+        )
 
     def _ahead(self, now: tuple[float, ...], before: tuple[float, ...] | None) -> tuple[float, ...]:
         if before is None or not self.steps:
@@ -87,15 +107,18 @@ def tick(apart_ms: int, fl: float, vx_m_s: float = 0.75) -> tuple[object, ...]:
     return apart_ms, Wheels(fl, 10.0, 10.0, 10.0), state, Wheels(1.0, -1.0, 1.0, 1.0)
 
 
-@given(ticks, st.sampled_from([SLIP, math.inf]))
-@example([tick(0, 5.0), tick(5, 6.0), tick(5, 7.0)], math.inf)  # only its speed
-@example([tick(0, 5.0), tick(5, 5.0, math.nan), tick(5, 5.0)], SLIP)
-def test_what_wheels_will_do_is_as_the_rules_say_whatever_they_did(sequence: list[Any], slip_rad_s: float) -> None:
+@given(ticks, st.sampled_from([SLIP, math.inf]), st.sampled_from([0.0, 0.0, 0.011, 0.0223]))
+@example([tick(0, 5.0), tick(5, 6.0), tick(5, 7.0)], math.inf, 0.0)  # only its speed
+@example([tick(0, 5.0), tick(5, 5.0, math.nan), tick(5, 5.0)], SLIP, 0.0)
+@example([tick(0, 5.0), tick(5, 6.0), tick(5, 1.0), tick(5, 3.0), tick(5, 30.0)], SLIP, 0.011)
+def test_what_wheels_will_do_is_as_the_rules_say_whatever_they_did(
+    sequence: list[Any], slip_rad_s: float, older_s: float
+) -> None:
     ffi, _ = library()
     wheels = {"wheel_radius_m": MODEL.wheel_radius_m, "lever_m": MODEL.lever_m, "ahead_s": AHEAD_S, "lag_s": LAG_S}
-    limits = {"still_rad_s": STILL, "most_rad_s": MOST, "most_slip_rad_s": slip_rad_s}
+    limits = {"still_rad_s": STILL, "most_rad_s": MOST, "most_slip_rad_s": slip_rad_s, "older_s": older_s}
     motion = ffi.new("wheel_motion *", wheels | limits)
-    add, expected = fast_call("add_motion", motion), Plain(slip_rad_s)
+    add, expected = fast_call("add_motion", motion), Plain(slip_rad_s, older_s)
     for (_, speed, state, _), time_ns in zip(sequence, times_ns(sequence), strict=True):
         near = expected.add(speed, time_ns, state)
         found = add(speed, time_ns, state, LATENCY_S)

@@ -35,6 +35,37 @@ static void roll(const wheel_motion *motion, const double twist[3], double headi
     rolling_rad_s[3] = (forward + left - turn) / motion->wheel_radius_m;
 }
 
+/* Notes lagging_rad_s, of a twist at `twist_ns`. */
+static void note_past(wheel_motion *m, int64_t twist_ns) {
+    m->newest = (m->newest + 1u) % WHEEL_MOTION_PAST;
+    memcpy(m->past_rad_s[m->newest], m->lagging_rad_s, sizeof m->lagging_rad_s);
+    m->past_ns[m->newest] = twist_ns;
+    if (m->count < WHEEL_MOTION_PAST) {
+        m->count++;
+    }
+}
+
+/* How far the speed of a wheel is from all that it may have had since `older_s`, if it rolls at `now_rad_s`.
+ */
+static double beyond(const wheel_motion *m, unsigned wheel, double now_rad_s, int64_t twist_ns) {
+    double low = fmin(m->lagging_rad_s[wheel], now_rad_s);
+    double high = fmax(m->lagging_rad_s[wheel], now_rad_s);
+    bool reaches_back = false;
+    for (unsigned back = 0; back < m->count && !reaches_back; back++) {
+        const unsigned at = (m->newest + WHEEL_MOTION_PAST - back) % WHEEL_MOTION_PAST;
+        low = fmin(low, m->past_rad_s[at][wheel]);
+        high = fmax(high, m->past_rad_s[at][wheel]);
+        /* The first one that is older still counts: the speed may be of a time in between. */
+        reaches_back = (double)(twist_ns - m->past_ns[at]) * 1e-9 >= m->older_s + m->lag_s;
+    }
+    if (!reaches_back) {
+        low = fmin(low, 0.0); /* a wheel of which nothing is noted stood still */
+        high = fmax(high, 0.0);
+    }
+    const double speed_rad_s = m->speed_rad_s[wheel];
+    return speed_rad_s > high ? speed_rad_s - high : speed_rad_s < low ? speed_rad_s - low : 0.0;
+}
+
 /* Works out slip. `before_ns` is the time of the measurement before. */
 static void add_slip(wheel_motion *m, const double twist[3], double heading_rad, int64_t before_ns) {
     double now_rad_s[4];
@@ -44,6 +75,11 @@ static void add_slip(wheel_motion *m, const double twist[3], double heading_rad,
     /* The measured speeds lag behind by two filters in a row, so what they are compared with must do so too.
      */
     const double follows = goes_on ? -expm1(-2e-9 * (double)(m->time_ns - before_ns) / m->lag_s) : 1.0;
+    const bool is_old = m->older_s > 0.0;
+    const int64_t twist_ns = m->time_ns + (is_old ? (int64_t)(m->older_s * 1e9) : 0);
+    if (!goes_on) {
+        m->count = 0;
+    }
     for (unsigned i = 0; i < 4u; i++) {
         if (goes_on) {
             m->rolling_rad_s[i] += follows * (now_rad_s[i] - m->rolling_rad_s[i]);
@@ -53,10 +89,12 @@ static void add_slip(wheel_motion *m, const double twist[3], double heading_rad,
              */
             m->rolling_rad_s[i] = m->lagging_rad_s[i] = was_reset ? m->speed_rad_s[i] : now_rad_s[i];
         }
-        const double slip = m->speed_rad_s[i] - m->lagging_rad_s[i];
-        m->coming_slip_rad_s[i] = goes_on ? coming(slip, m->slip_rad_s[i], m->steps) : slip;
+        const double slip =
+            is_old ? beyond(m, i, now_rad_s[i], twist_ns) : m->speed_rad_s[i] - m->lagging_rad_s[i];
+        m->coming_slip_rad_s[i] = goes_on && !is_old ? coming(slip, m->slip_rad_s[i], m->steps) : slip;
         m->slip_rad_s[i] = slip;
     }
+    note_past(m, twist_ns);
     m->has_slip = true;
     m->slip_ns = m->time_ns;
 }

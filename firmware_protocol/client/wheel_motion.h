@@ -13,12 +13,15 @@ extern "C" {
 #endif
 
 /* cffi: begin */
-/* Begin with zeros, and set the first eight. The rest is only to be read. Wheels are FL, FR, RR, RL. */
+enum { WHEEL_MOTION_PAST = 32 }; /* measurements that a range of speeds is made of, at most */
+/* Begin with zeros, and set the first nine. The rest is only to be read. Wheels are FL, FR, RR, RL. */
 typedef struct {
     double wheel_radius_m;
-    double lever_m;     /* half the length plus half the width between the wheel centres */
-    double ahead_s;     /* from a measurement to the next one, plus lag_s */
-    double lag_s;       /* of a measured speed: two filters in a row, each of half of it */
+    double lever_m; /* half the length plus half the width between the wheel centres */
+    double ahead_s; /* from a measurement to the next one, plus lag_s */
+    double lag_s;   /* of a measured speed: two filters in a row, each of half of it */
+    double older_s; /* by which the oldest of the four speeds may be older than the twist; 0 if all are of its
+                       time */
     double still_rad_s; /* while no wheel is faster, only speeds are noted, and nothing is near */
     double most_rad_s;  /* the greatest speed, now or when a command acts, that is not near a limit */
     double
@@ -29,20 +32,27 @@ typedef struct {
     int64_t time_ns; /* of the newest measurement */
     int64_t slip_ns; /* of the newest one that slip was worked out of */
     double steps;    /* until a command acts, of the time between the last two; 0 if that says nothing */
-    double speed_rad_s[4];   /* as measured */
-    double coming_rad_s[4];  /* the same when a command acts */
-    double rolling_rad_s[4]; /* of wheels that roll, behind the first filter */
-    double lagging_rad_s[4]; /* the same behind the second */
-    double slip_rad_s[4];    /* speed_rad_s - lagging_rad_s */
+    double speed_rad_s[4];                   /* as measured */
+    double coming_rad_s[4];                  /* the same when a command acts */
+    double rolling_rad_s[4];                 /* of wheels that roll, behind the first filter */
+    double lagging_rad_s[4];                 /* the same behind the second */
+    double past_rad_s[WHEEL_MOTION_PAST][4]; /* the newest lagging_rad_s, in turn */
+    int64_t past_ns[WHEEL_MOTION_PAST];      /* the time of the twist of each */
+    unsigned newest;                         /* which one is that */
+    unsigned count;                          /* how many there are */
+    double slip_rad_s[4]; /* how far speed_rad_s is from what a wheel that rolls may have */
     double coming_slip_rad_s[4];
 } wheel_motion;
 
 /* Takes the wheel speeds measured at `time_ns`, and the estimate of twist (vx, vy [m/s] in the world frame,
- * yaw rate [rad/s]) and heading [rad] at that time. `latency_s` is from the measurement to the effect of a
- * command. Returns false while no wheel is faster than `still_rad_s`, or if a speed is not finite. Else
- * returns whether `is_near` is set, or a wheel's speed is above `most_rad_s` or its slip above
- * `most_slip_rad_s`, or will be `ahead_s + latency_s` later if it goes on to change as it did since the last
- * measurement. What falls counts as constant: a wheel that slows down is near its limit until it is below it.
+ * yaw rate [rad/s]) and heading [rad] `older_s` later. `latency_s` is from the measurement to the effect of a
+ * command. A wheel that rolls has lagging_rad_s. With an `older_s`, each speed is of some time since, or up
+ * to `lag_s` before, for what the wire and a maker's filter add: it slips only beyond all that lagging_rad_s
+ * was in that time, and the twist's own speed. Returns false while no wheel is faster than `still_rad_s`, or
+ * if a speed is not finite. Else returns whether `is_near` is set, or a wheel's speed is above `most_rad_s`
+ * or its slip above `most_slip_rad_s`, or will be `ahead_s + latency_s` later if it goes on to change as it
+ * did since the last measurement. What falls counts as constant: a wheel that slows down is near its limit
+ * until it is below it.
  */
 bool wheel_motion_add(wheel_motion *motion, const double speed_rad_s[4], int64_t time_ns,
                       const double twist[3], double heading_rad, double latency_s);

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Iterator
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, NamedTuple
 
 import typer
 from typer import Argument
@@ -11,8 +11,15 @@ from hil.cli.options import Json, LinkUrl, Mode, RobotFile, ScenarioName, Seed, 
 from hil.cli.output import print_result, rows, table
 
 if TYPE_CHECKING:
+    from hil.core.model import RobotModel
     from hil.references import Feasibility
     from hil.scenario import Scenario
+    from hil.scenario.tables import FirmwareTable
+
+_DELAY_S = 1.5e-3
+"""A tick of 1 ms until the torque acts, and half a tick that it is held."""
+LEAST_MARGIN_RAD = math.radians(3.0)
+"""Below it only friction keeps the loop from a limit cycle; the defaults have 6 degrees."""
 
 
 def check(
@@ -81,7 +88,6 @@ def _speed_loop(scenario: "Scenario") -> str | None:
     """Return how near our firmware's speed loop is to a limit cycle; None where a scenario does not use it."""
     from hil.core.types import CommandMode
     from hil.drivers.registry import OUR_DRIVER
-    from hil.scenario.speed_loop import LEAST_MARGIN_RAD, yaw_margin
 
     if scenario.controller.mode is not CommandMode.SPEED or scenario.device.driver != OUR_DRIVER:
         return None
@@ -93,3 +99,30 @@ def _speed_loop(scenario: "Scenario") -> str | None:
             f"{scenario.firmware.speed_ki_n_m_rad:g}, or firmware.speed_kp_n_m_s_rad too"
         )
     return words
+
+
+class Margin(NamedTuple):
+    """Where our firmware's speed loop crosses over [rad/s], and how much phase is left there [rad]."""
+
+    crossover_rad_s: float
+    phase_rad: float
+
+
+def yaw_margin(robot: "RobotModel", firmware: "FirmwareTable") -> Margin:
+    """Return the margin around yaw, where a wheel has least to accelerate, from the gains and the robot alone.
+
+    The open loop is (kp + ki / s) / (J s) · b² / (s + b)² · exp(-s 1.5 ms), with the filter's bandwidth b and
+    J = r² (I + k L²) / (4 L²). Its gain falls with the frequency, so there is one crossover.
+    """
+    inertia = robot.effective_inertia_kg_m2 * (robot.wheel_radius_m / (2.0 * robot.lever_m)) ** 2
+    kp, ki, band = firmware.speed_kp_n_m_s_rad, firmware.speed_ki_n_m_rad, firmware.tracking_bandwidth_rad_s
+
+    def gain(w: float) -> float:
+        return math.hypot(kp, ki / w) / (inertia * w * (1.0 + (w / band) ** 2))
+
+    low, high = 1e-6, 1e6
+    for _ in range(100):
+        middle = math.sqrt(low * high)
+        low, high = (middle, high) if gain(middle) > 1.0 else (low, middle)
+    phase = 0.5 * math.pi - math.atan2(ki, kp * low) - 2.0 * math.atan(low / band) - _DELAY_S * low
+    return Margin(low, phase)

@@ -41,3 +41,4 @@ def urdf(
         print(text, end="")
     else:
         write_whole(out, text.encode(), "urdf", existing)
+        print(out)

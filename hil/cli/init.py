@@ -1,6 +1,7 @@
 """``hil init``: the files that test a user's own robot, from answers or flags."""
 
 import os
+import re
 import sys
 import tomllib
 from collections.abc import Mapping
@@ -115,11 +116,13 @@ def begin(folder: Path, answers: "Mapping[str, Value]", existing: Existing = "re
     when a file exists and may not be replaced, when values contradict each other, or when the robot cannot follow the
     scenario's circle at any speed that is tried.
     """
-    from hil.cli.new_project import FILES, IGNORED, bad_day_text, law_text, tests_text, workflow_text
+    from hil.cli.new_project import FILES, IGNORED, TESTS_FILE, bad_day_text, law_text, tests_text, workflow_text
     from hil.cli.new_robot import robot_text
 
     top = next((one for one in (folder.absolute(), *folder.absolute().parents) if (one / ".git").exists()), folder)
     written = {name: (top if name == WORKFLOW else folder) / name for name in FILES}
+    # pytest takes files of one name in two folders for one module, so each robot's tests have its folder's name.
+    written[TESTS_FILE] = folder / f"test_{re.sub(r'[^a-z0-9]+', '_', folder.resolve().name.lower())}.py"
     for path in written.values():
         check_free("file", path, existing)
     circle = _feasible(answers)
@@ -129,7 +132,7 @@ def begin(folder: Path, answers: "Mapping[str, Value]", existing: Existing = "re
         SCENARIO_FILE: circle,
         "bad_day.hil.toml": bad_day_text(mass_kg, duration_s),
         "my_law.py": law_text(),
-        "test_my_law.py": tests_text(mass_kg),
+        TESTS_FILE: tests_text(mass_kg),
         ".gitignore": IGNORED,
         WORKFLOW: workflow_text(os.path.relpath(folder, top)),
     }
@@ -148,7 +151,8 @@ def _write_baseline(scenario: Path) -> None:
     from hil.batch.baselines import make_baselines
     from hil.scenario import load
 
-    [made] = make_baselines([load(scenario)], _SEEDS)
+    # One process: to start another takes longer than these few short runs.
+    [made] = make_baselines([load(scenario)], _SEEDS, workers=1)
     if made.new is None:
         raise BadInputError(
             f"{scenario}: the virtual robot does not pass it: {'; '.join(made.failed)}; check the limits"

@@ -116,12 +116,14 @@ __pycache__/
 .pytest_cache/
 """
 
+TESTS_FILE = "tests"
+"""The tests' place in FILES: their file is called after the folder."""
 FILES: Mapping[str, str] = {
     "robot.toml": "your robot: mass, sizes, limits, driver, link",
     "first_circle.hil.toml": "a scenario: a circle that it can drive",
     "bad_day.hil.toml": "the same circle with lost commands and a push",
     "my_law.py": "a control law of your own, to be changed",
-    "test_my_law.py": "tests of the law",
+    TESTS_FILE: "tests of the law",
     "first_circle.baseline.toml": "the figures of the circle today; a later run that differs fails",
     ".gitignore": "keeps recordings out of the repository",
     ".github/workflows/robot.yml": "the same in GitHub's CI",

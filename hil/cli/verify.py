@@ -49,7 +49,10 @@ def verify(
     from hil.batch.verify import verify as engine
     from hil.batch.verify.catalogue import chosen, read_catalogue
     from hil.batch.verify.suite import read_suite
+    from hil.core.extras import need
 
+    if not suite:
+        need("dbc,mpc", "the shipped suite")
     catalogue = read_catalogue(mutants or [])
     wanted = chosen(catalogue.mutants, room or [], mutant or [], sample, seed)
     members = read_suite(suite or [], baselines=not no_baseline)

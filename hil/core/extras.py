@@ -25,14 +25,14 @@ EXTRAS = {
 def need(extra: str, subject: str) -> None:
     """Raise BadInputError if a package of an extra is missing. Imports none of them.
 
-    ``subject`` begins the message and is what needs the package, for example ``hil serve``. Call it before the first
-    import, and before work that would be lost.
+    ``extra`` may be several, with commas. ``subject`` begins the message and is what needs the package, for example
+    ``hil serve``. Call it before the first import, and before work that would be lost.
     """
-    if missing := missing_of(extra):
+    lacking = {one: found for one in extra.split(",") if (found := missing_of(one))}
+    if missing := [name for found in lacking.values() for name in found]:
         verb = "is" if len(missing) == 1 else "are"
-        raise BadInputError(
-            f"{subject} needs {', '.join(missing)}, which {verb} not installed; run: {install_command(extra)}"
-        )
+        command = install_command(",".join(lacking))
+        raise BadInputError(f"{subject} needs {', '.join(missing)}, which {verb} not installed; run: {command}")
 
 
 def missing_of(extra: str) -> list[str]:

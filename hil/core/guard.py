@@ -82,14 +82,25 @@ class Guard:
         return WheelCommand(mode, scaled, torque), True
 
     def fade(
-        self, command: WheelCommand, saturated: bool, speed_rad_s: Wheels, time_ns: int, state: State, latency_s: float
+        self,
+        command: WheelCommand,
+        saturated: bool,
+        speed_rad_s: Wheels,
+        time_ns: int,
+        state: State,
+        latency_s: float,
+        older_s: float = 0.0,
     ) -> tuple[WheelCommand, bool]:
         """Return a command in TORQUE mode as it may act on the moving robot, and whether it was limited at all.
 
-        ``command`` and ``saturated`` are what ``apply`` returned; the others are as in ``MotionLimits.is_near``.
+        ``command`` and ``saturated`` are what ``apply`` returned; the others are as in ``MotionLimits``.
         """
         motion = self._motion
-        if motion is None or not motion.is_near(speed_rad_s, time_ns, state, latency_s):
+        if motion is None:
+            return command, saturated
+        if older_s != motion.older_s:
+            motion.older_s = older_s
+        if not motion.is_near(speed_rad_s, time_ns, state, latency_s):
             return command, saturated
         torque = motion.faded(command.torque_n_m)
         if torque is command.torque_n_m:

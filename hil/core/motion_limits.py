@@ -80,6 +80,7 @@ class MotionLimits:
         self._torque_speed = torque_speed
         self._slip_rad_s = slip_m_s / model.wheel_radius_m
         self._begin(period_s + _LAG_S)
+        self._older_s = 0.0
         self._gripped: tuple[float, ...] = _ALL
         self._given: tuple[float, ...] = _ALL  # share of its torque that each wheel may have at most
         self._body: BodyLimits | None = None
@@ -109,6 +110,15 @@ class MotionLimits:
     def time_ns(self) -> int:
         """The robot's time of the newest measurement [ns]; 0 before any."""
         return int(self._motion.time_ns)
+
+    @property
+    def older_s(self) -> float:
+        """By how much the oldest of the four measured speeds is older than the state [s]; 0 if all are of its time."""
+        return self._older_s
+
+    @older_s.setter
+    def older_s(self, value: float) -> None:
+        self._older_s = self._motion.older_s = value
 
     @property
     def body(self) -> BodyLimits | None:

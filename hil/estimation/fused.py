@@ -68,6 +68,8 @@ _WAITING_AT_MOST = 32
 # Unmeasured motion around a reset of the robot: the shipped ramp of 0.2 s, from 1.5 m/s and 2 rad/s.
 _UNSEEN_M = 0.15
 _UNSEEN_RAD = 0.2
+# Fixes that are all rejected for so long refute the inertial sensors; one may be an outlier.
+_REFUTED_NS = 250_000_000
 # Slip keeps its direction for about this time: within it errors add up, beyond it their variances do.
 _SLIP_LASTS_S = 0.2
 
@@ -197,7 +199,9 @@ class FusedEstimator(Estimator):
 
     def _move(self, history: History, motion: Motion, time_ns: int) -> None:
         bias_rad_s = history.newest.bias_rad_s
-        slip_m_s = self._slip.update(motion, bias_rad_s)
+        if self._inertial.is_inertial and _rejects(history.newest):
+            self._inertial.refute()
+        slip_m_s = self._slip.update(motion, bias_rad_s, self._inertial.bias_m_s2)
         *again, newest = [self._step(travel) for travel in self._inertial.update(motion, bias_rad_s, slip_m_s)]
         before = history.newest
         history.replace(again)
@@ -266,10 +270,14 @@ class FusedEstimator(Estimator):
             belief.accepted,
             belief.rejected,
             age_ns * 1e-6,
-            float(self._slip.is_slipping),
+            float(self._slip.is_slipping or self._inertial.is_inertial),
             health,
             *(_NO_FIX if fix is None else (fix.time_ns / _NS, *fix.pose)),
         )
+
+
+def _rejects(belief: Belief) -> bool:
+    return belief.last_fix is not None and belief.last_fix.time_ns - belief.fixed_ns >= _REFUTED_NS
 
 
 def _unsure(belief: Belief) -> Belief:

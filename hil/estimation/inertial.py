@@ -19,6 +19,8 @@ _REACH_S = 0.1
 # the accelerometer's bias (a floor that leans by 0.6 degrees).
 _BEGIN_M_S = 0.02
 _GROWS_M_S2 = 0.1
+# Wheels whose speed is further from the inertial one than so many deviations of that still slip.
+_APART = 3.0
 
 
 class Travel(NamedTuple):
@@ -52,20 +54,29 @@ class Inertial:
     Slip is told about 0.1 s after it began, and until then the wheels spoilt v. So the last 0.1 s are done again, from
     the v and b before them. Where gyro or accelerometer is missing, the wheels are all there is.
 
+    Wheels that spin at a constant speed contradict no sensor of accelerations, so slip that is told no more goes on
+    until the wheels' speed, as a mean over 0.1 s, is within three deviations of v. The deviation grows, so it ends.
+
+    An accelerometer that is suddenly wrong, or a ramp, contradicts wheels that roll. What fixes refute is not believed
+    until slip is told no more, and until then the difference is learnt as the bias.
+
     Attributes:
         velocity: forward and left [m/s], mean over the newest motion.
+        bias_m_s2: what the accelerometer says too much, forward and left [m/s²].
         is_inertial: whether the newest motion is the inertial sensors'.
     """
 
     def __init__(self) -> None:
-        self._bias_m_s2: _Velocity = (0.0, 0.0)
+        self.bias_m_s2: _Velocity = (0.0, 0.0)
         self.restart((0.0, 0.0))
 
     def restart(self, velocity: _Velocity) -> None:
         """Start again with this velocity; the bias stays."""
         self.velocity = velocity
         self.is_inertial = False
+        self._is_refuted = False
         self._slipped_s = 0.0
+        self._apart_m_s: _Velocity = (0.0, 0.0)
         self._recent: deque[_Past] = deque()
         self._recent_s = 0.0
 
@@ -74,27 +85,32 @@ class Inertial:
 
         ``bias_rad_s`` is the gyro's, and ``slip_m_s`` the speed of the slip, 0 without slip.
         """
-        past = _Past(motion, motion.gyro_rad - bias_rad_s * motion.dt_s, self.velocity, self._bias_m_s2)
+        past = _Past(motion, motion.gyro_rad - bias_rad_s * motion.dt_s, self.velocity, self.bias_m_s2)
         if math.isnan(past.turned_rad + motion.gained_forward_m_s + motion.gained_left_m_s):
-            self.restart(self._towards_wheels(self.velocity, motion))
+            self.restart(_towards(self.velocity, _by_wheels(motion), motion.dt_s))
             return [Travel(motion, is_rolled=True, sigma_m_s=slip_m_s)]
-        if slip_m_s > 0.0:
+        slips = slip_m_s > 0.0 or (self.is_inertial and math.hypot(*self._apart_m_s) > _APART * self._sigma_m_s)
+        self._is_refuted = self._is_refuted and slips
+        if slips and not self._is_refuted:
             return self._slipping(past)
-        self.is_inertial, self._slipped_s = False, 0.0
-        self.velocity = self._towards_wheels(self._advanced(past), motion)
+        self.is_inertial, self._slipped_s, self._apart_m_s = False, 0.0, (0.0, 0.0)
+        self.velocity = _towards(self._advanced(past), _by_wheels(motion), motion.dt_s)
         self._learn_bias(motion)
         self._remember(past)
-        return [Travel(motion, is_rolled=True, sigma_m_s=0.0)]
+        return [Travel(motion, is_rolled=True, sigma_m_s=slip_m_s)]
 
-    def _towards_wheels(self, velocity: _Velocity, motion: Motion) -> _Velocity:
-        kept = math.exp(-motion.dt_s / _CROSSOVER_S)
-        forward, left = motion.forward_m / motion.dt_s, motion.left_m / motion.dt_s
-        return forward + kept * (velocity[0] - forward), left + kept * (velocity[1] - left)
+    def refute(self) -> None:
+        """Believe the wheels until slip is told no more: fixes agree that the inertial sensors are wrong."""
+        self._is_refuted = True
+
+    @property
+    def _sigma_m_s(self) -> float:
+        return _BEGIN_M_S + _GROWS_M_S2 * self._slipped_s
 
     def _learn_bias(self, motion: Motion) -> None:
-        (forward, left), (bias_forward, bias_left) = self.velocity, self._bias_m_s2
+        (forward, left), (bias_forward, bias_left) = self.velocity, self.bias_m_s2
         rate = 1.0 / (_CROSSOVER_S * _BIAS_S)
-        self._bias_m_s2 = (
+        self.bias_m_s2 = (
             bias_forward + rate * (forward * motion.dt_s - motion.forward_m),
             bias_left + rate * (left * motion.dt_s - motion.left_m),
         )
@@ -107,7 +123,7 @@ class Inertial:
 
     def _slipping(self, past: _Past) -> list[Travel]:
         again = [*self._recent, past]
-        self.velocity, self._bias_m_s2, self.is_inertial = again[0].velocity, again[0].bias_m_s2, True
+        self.velocity, self.bias_m_s2, self.is_inertial = again[0].velocity, again[0].bias_m_s2, True
         self._recent.clear()
         self._recent_s = 0.0
         return list(self._travels(again))
@@ -118,13 +134,25 @@ class Inertial:
             self.velocity = forward, left = self._advanced(past)
             self._slipped_s += dt_s
             motion = past.motion._replace(forward_m=forward * dt_s, left_m=left * dt_s)
-            yield Travel(motion, is_rolled=False, sigma_m_s=_BEGIN_M_S + _GROWS_M_S2 * self._slipped_s)
+            wheels_forward, wheels_left = _by_wheels(past.motion)
+            self._apart_m_s = _towards(self._apart_m_s, (wheels_forward - forward, wheels_left - left), dt_s)
+            yield Travel(motion, is_rolled=False, sigma_m_s=self._sigma_m_s)
 
     def _advanced(self, past: _Past) -> _Velocity:
         """Return the velocity after a motion, by the inertial sensors."""
         motion, turned_rad, _, _ = past
-        (forward, left), (bias_forward, bias_left), dt_s = self.velocity, self._bias_m_s2, motion.dt_s
+        (forward, left), (bias_forward, bias_left), dt_s = self.velocity, self.bias_m_s2, motion.dt_s
         return (
             forward + motion.gained_forward_m_s - bias_forward * dt_s + turned_rad * left,
             left + motion.gained_left_m_s - bias_left * dt_s - turned_rad * forward,
         )
+
+
+def _by_wheels(motion: Motion) -> _Velocity:
+    return motion.forward_m / motion.dt_s, motion.left_m / motion.dt_s
+
+
+def _towards(velocity: _Velocity, other: _Velocity, dt_s: float) -> _Velocity:
+    """Return a velocity that follows the other one with the time constant of the crossover."""
+    kept = math.exp(-dt_s / _CROSSOVER_S)
+    return other[0] + kept * (velocity[0] - other[0]), other[1] + kept * (velocity[1] - other[1])

@@ -18,8 +18,8 @@ class SlipDetector:
     - Wheels and accelerometer: the difference of the changes of velocity; only this shows four wheels that spin alike.
 
     Each difference goes through a leaky integrator of 0.1 s (0.2 s for the accelerometer), in which quantisation
-    cancels out. Slip begins when one exceeds ``threshold_m_s`` and ends when all are below half of it. A bias of the
-    gyro enters times L, one of the accelerometer times 0.2 s.
+    cancels out. Slip begins when one exceeds ``threshold_m_s`` and ends when all are below half of it. What is not
+    known of the gyro's bias enters times L, of the accelerometer's times 0.2 s.
     """
 
     def __init__(self, lever_m: float, threshold_m_s: float) -> None:
@@ -38,18 +38,23 @@ class SlipDetector:
         self._left_m_s = 0.0
         self._last_m_s: tuple[float, float] | None = None
 
-    def update(self, motion: Motion, gyro_bias_rad_s: float = 0.0) -> float:
-        """Add the next motion; return the speed of the slip [m/s], 0 without slip."""
+    def update(
+        self, motion: Motion, gyro_bias_rad_s: float = 0.0, bias_m_s2: tuple[float, float] = (0.0, 0.0)
+    ) -> float:
+        """Add the next motion, of which gyro and accelerometer have these biases; return the speed of the slip [m/s].
+
+        It is 0 without slip.
+        """
         if self._together is not None:
             motion = self._together.and_then(motion)
         if motion.dt_s < _SHORTEST_S:
             self._together = motion
         else:
             self._together = None
-            self._compare(motion, gyro_bias_rad_s)
+            self._compare(motion, gyro_bias_rad_s, bias_m_s2)
         return self._found_m_s if self.is_slipping else 0.0
 
-    def _compare(self, motion: Motion, gyro_bias_rad_s: float) -> None:
+    def _compare(self, motion: Motion, gyro_bias_rad_s: float, bias_m_s2: tuple[float, float]) -> None:
         dt_s, gyro_rad, turned_rad = motion.dt_s, motion.gyro_rad, motion.turned_rad
         kept = math.exp(-dt_s / _WINDOW_S)
         self._disagreement_m = kept * (self._disagreement_m + motion.disagreement_m)
@@ -58,11 +63,11 @@ class SlipDetector:
             self._yaw_m = kept * (self._yaw_m + self._lever_m * (gyro_rad - turned_rad))
             turned_rad = gyro_rad
         found_m_s = max(abs(self._disagreement_m), abs(self._yaw_m)) / _WINDOW_S
-        self._found_m_s = max(found_m_s, self._against_accelerometer(motion, turned_rad))
+        self._found_m_s = max(found_m_s, self._against_accelerometer(motion, turned_rad, bias_m_s2))
         limit_m_s = 0.5 * self._threshold_m_s if self.is_slipping else self._threshold_m_s
         self.is_slipping = self._found_m_s > limit_m_s
 
-    def _against_accelerometer(self, motion: Motion, turned_rad: float) -> float:
+    def _against_accelerometer(self, motion: Motion, turned_rad: float, bias_m_s2: tuple[float, float]) -> float:
         dt_s = motion.dt_s
         forward_m_s, left_m_s = motion.forward_m / dt_s, motion.left_m / dt_s
         if math.isnan(motion.gained_forward_m_s + motion.gained_left_m_s):
@@ -73,8 +78,10 @@ class SlipDetector:
         if last is None:
             return 0.0
         kept = math.exp(-dt_s / _ACCELEROMETER_WINDOW_S)
+        gained_forward = motion.gained_forward_m_s - bias_m_s2[0] * dt_s
+        gained_left = motion.gained_left_m_s - bias_m_s2[1] * dt_s
         # In the turning body frame the velocity changes by the acceleration minus the yaw rate crossed with it.
-        forward = self._forward_m_s + motion.gained_forward_m_s + turned_rad * left_m_s - (forward_m_s - last[0])
-        left = self._left_m_s + motion.gained_left_m_s - turned_rad * forward_m_s - (left_m_s - last[1])
+        forward = self._forward_m_s + gained_forward + turned_rad * left_m_s - (forward_m_s - last[0])
+        left = self._left_m_s + gained_left - turned_rad * forward_m_s - (left_m_s - last[1])
         self._forward_m_s, self._left_m_s = kept * forward, kept * left
         return math.hypot(self._forward_m_s, self._left_m_s)

@@ -23,13 +23,16 @@ RIGID = (
     variable("friction_coefficient"),
     variable("viscous_n_m_s_rad"),
 )
-SLIP = (*RIGID, variable("grip_coefficient"), variable(ROLLERS, 0.01))
+STIFFNESS = "roller_stiffness_n_m"
+"""It is one of forces, so what is right for it depends on the torque constant that is believed."""
+SLIP = (*RIGID, variable("grip_coefficient"), variable(ROLLERS, 0.01), variable(STIFFNESS))
 LENGTHS = ("wheel_radius_m", "lever_m")
 """They are found by the kinematics, and held in the dynamics."""
 _FIRST = {"friction_coefficient": 0.02, "viscous_n_m_s_rad": 0.02, "grip_coefficient": 0.7,
-          ROLLERS: 0.01, "com_x_m": 0.0, "com_y_m": 0.0, STRETCH.name: 0.0}  # fmt: skip
+          ROLLERS: 0.01, STIFFNESS: 2e5, "com_x_m": 0.0, "com_y_m": 0.0, STRETCH.name: 0.0}  # fmt: skip
 _GRIP_SIGMA = 0.3  # of its logarithm: rubber on floors
 _ROLLER_SIGMA = 1.0  # of 0.01
+_STIFFNESS_SIGMA = 0.7  # of its logarithm: hard and soft rubber
 _LENGTH_SIGMA = 0.02  # of half the length and half the width, as somebody measured them
 _GAIN_SIGMA = 0.02  # by which the current sensors of the four wheels differ
 _LEAST_GAIN_SIGMA = 1e-4  # of what they share: it is in the torque constant
@@ -101,4 +104,5 @@ class Before(NamedTuple):
         if "grip_coefficient" in names:
             known.information[(names.index("grip_coefficient"),) * 2] = _GRIP_SIGMA**-2
             known.information[(names.index(ROLLERS),) * 2] = _ROLLER_SIGMA**-2
+            known.information[(names.index(STIFFNESS),) * 2] = _STIFFNESS_SIGMA**-2
         return known

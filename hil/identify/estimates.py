@@ -4,13 +4,14 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
+from hil.identify.before import STIFFNESS
 from hil.identify.fit import WITHOUT_BLOCKS, Result, values_of
 from hil.identify.floor import NUISANCES
 from hil.identify.robust import Z_95
 
-SCALED = ("mass_kg", "inertia_kg_m2", "wheel_inertia_kg_m2", "viscous_n_m_s_rad")
+SCALED = ("mass_kg", "inertia_kg_m2", "wheel_inertia_kg_m2", "viscous_n_m_s_rad", STIFFNESS)
 """What drives tell only over the torque constant: all of them in proportion to it."""
-SHARED = (*SCALED, "friction_coefficient")
+SHARED = (*(name for name in SCALED if name != STIFFNESS), "friction_coefficient")
 """What mass and wheels share, and drives on the floor hardly tell apart."""
 TORQUE_CONSTANT = "torque_constant_n_m_a"
 Status = Literal["identified", "effective", "weighed", "believed"]

@@ -10,6 +10,7 @@ from typing import Any
 
 from hil.core.options import format_value
 from hil.core.outputs import Existing, check_free, write_whole
+from hil.identify.before import ROLLERS, STIFFNESS
 from hil.identify.estimates import TORQUE_CONSTANT, Estimate
 from hil.identify.fit import Result
 from hil.identify.mapped import MappedFit
@@ -23,7 +24,7 @@ PICTURE = "held_out"
 """Name of the picture, without the ending of its format."""
 _ROBOT = ("mass_kg", "inertia_kg_m2", "wheel_radius_m", "half_length_m", "half_width_m", "wheel_inertia_kg_m2",
           "friction_coefficient", "torque_limit_n_m", "speed_limit_rad_s")  # fmt: skip
-_PLANT_ONLY = ("com_x_m", "com_y_m", "viscous_n_m_s_rad", "grip_coefficient", "roller_friction_coefficient")
+_PLANT_ONLY = ("com_x_m", "com_y_m", "viscous_n_m_s_rad", "grip_coefficient", ROLLERS, STIFFNESS)
 _COMMENT_COLUMN = 46
 
 

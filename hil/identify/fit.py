@@ -11,7 +11,7 @@ import numpy as np
 import plant_fmu
 from hil.core.model import RobotModel
 from hil.core.types import WHEEL_NAMES
-from hil.identify.before import ROLLERS, Before
+from hil.identify.before import ROLLERS, STIFFNESS, Before
 from hil.identify.blocks import BlocksFit, fit_blocks
 from hil.identify.currents import quiet
 from hil.identify.floor import GAINS, GYRO_BIAS, OFFSETS, Floor, Parameter, variables_of
@@ -23,10 +23,11 @@ from hil.identify.linearised import STEP
 from hil.identify.recorded import Array, Drive
 from hil.identify.squeeze import Squeeze, grip_of
 from hil.identify.trouble import check_level, check_motors
-from hil.identify.windows import Windows, cut
+from hil.identify.windows import SETTLING_BINS, Windows, cut, settling
 from hil.plant.start import Value
 
 _WIDEST = 6.0
+_SOFTEST = 2.0  # of the logarithm of the stiffness: softer rollers would be no rollers
 _SMALL = 1e-3
 _MOST_SLIP_WINDOWS = 60
 _NAMED_GAIN = 0.01
@@ -188,7 +189,9 @@ def _opened(
     opened: contextlib.ExitStack,
 ) -> list[Floor]:
     constant, shared = before.torque_constant_n_m_a, _shared(contact)
-    return [opened.enter_context(Floor(plant_fmu.path(2), shared, parameters, one, constant)) for one in windows]
+    bins = SETTLING_BINS if contact == "slip" else 0
+    floors = (Floor(plant_fmu.path(2), shared, parameters, one, constant, settling_bins=bins) for one in windows)
+    return [opened.enter_context(floor) for floor in floors]
 
 
 def _fit_model(
@@ -203,13 +206,15 @@ def _fit_model(
     point = before.point(parameters, {} if simpler is None else values_of(simpler))
     known = before.knowledge(parameters)
     if contact == "slip":  # each step takes twenty times as long
-        windows = [one.thinned(_MOST_SLIP_WINDOWS // len(windows)) for one in windows]
+        windows = [settling(drive, before.robot).thinned(_MOST_SLIP_WINDOWS // len(drives)) for drive in drives]
     with contextlib.ExitStack() as opened:
         floors = _opened(before, contact, parameters, windows, opened)
-        least = point - _WIDEST
-        if contact == "slip":  # it is not negative, and derivatives look to both sides
-            least[[one.name for one in parameters].index(ROLLERS)] = STEP
-        solution = solve(floors, point, bounds=(least, point + _WIDEST), known=known)
+        least, most = point - _WIDEST, point + _WIDEST
+        if contact == "slip":
+            rollers, stiffness = ([one.name for one in parameters].index(name) for name in (ROLLERS, STIFFNESS))
+            least[rollers] = STEP  # it is not negative, and derivatives look to both sides
+            least[stiffness], most[stiffness] = point[stiffness] - _SOFTEST, point[stiffness] + _SOFTEST
+        solution = solve(floors, point, bounds=(least, most), known=known)
         if simpler is None:
             for drive, one, seen, starts in zip(drives, windows, floors, solution.starts, strict=True):
                 left = seen.measured - seen.predict(solution.parameters[None], starts[None])[0]

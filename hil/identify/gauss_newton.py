@@ -10,11 +10,12 @@ from typing import NamedTuple, Self
 import numpy as np
 import numpy.typing as npt
 
-from hil.identify.linearised import Experiment, Local, Slopes, all_slopes, linearised, smooth
+from hil.identify.linearised import Experiment, Local, Slopes, agreeing, all_slopes, linearised
 from hil.identify.recorded import Array
 from hil.identify.robust import huber_loss
 
-_MOST_STEPS = 20
+_MOST_STEPS = 30
+_DAMPING = 1e-4
 _DONE = 2e-4
 _NEAR = 0.02  # so near derivatives are good enough for another step; they are most of the work
 _FLAT = 0.01  # of the cost, of which 0.5 is one standard deviation
@@ -84,12 +85,12 @@ def solve(
     starts = [experiment.starts.copy() for experiment in experiments]
     predicted = _predicted(experiments, point, starts)
     sigmas = _sigmas(experiments, predicted)
-    damping, steps, has_settled = 1e-4, 0, False
+    damping, steps, has_settled = _DAMPING, 0, False
     slopes: list[Slopes] = []
-    are_new = False
+    are_new, trusted = False, None
     for steps in range(1, _MOST_STEPS + 1):
         if not slopes:
-            slopes, are_new = all_slopes(experiments, predicted, starts, point, free), True
+            slopes, are_new, trusted = all_slopes(experiments, predicted, starts, point, free), True, None
         locals_ = [
             linearised(*args, by="guess" if steps == 1 else "start")
             for args in zip(experiments, predicted, slopes, sigmas, strict=True)
@@ -129,10 +130,14 @@ def solve(
             damping = max(damping / 10.0, 1e-6)
         if done and has_settled:
             break
-        has_settled = has_settled or (done and steps > _NEW_SIGMAS)
-        if steps <= _NEW_SIGMAS or done:  # the last were those of a poorer model
+        if done and steps > _NEW_SIGMAS:
+            has_settled, are_new, damping = True, True, _DAMPING
+            slopes, sigmas = trusted = _trusted(experiments, predicted, starts, point)
+        elif done or steps <= _NEW_SIGMAS:  # the last were those of a poorer model
             sigmas = _sigmas(experiments, predicted)
-    return _with_intervals(experiments, point, starts, predicted, known, steps)
+    if trusted is None or not slopes:
+        trusted = _trusted(experiments, predicted, starts, point)
+    return _with_intervals(experiments, point, starts, predicted, known, steps, trusted)
 
 
 def _with_intervals(
@@ -142,15 +147,10 @@ def _with_intervals(
     predicted: Sequence[Array],
     known: Knowledge,
     steps: int,
+    trusted: tuple[list[Slopes], list[Array]],
 ) -> Solution:
-    """Return an optimum with its covariance, from derivatives to both sides."""
-    sigmas = _sigmas(experiments, predicted)
-    every = np.ones(len(point), dtype=bool)
-    sides = [all_slopes(experiments, predicted, starts, point, every, way=way) for way in (1.0, -1.0)]
-    locals_ = [
-        smooth(*(linearised(experiment, seen, slope, sigma) for slope in both))
-        for experiment, seen, sigma, *both in zip(experiments, predicted, sigmas, *sides, strict=True)
-    ]
+    """Return an optimum with its covariance, by derivatives and standard deviations of windows that are ``trusted``."""
+    locals_ = [linearised(*args) for args in zip(experiments, predicted, *trusted, strict=True)]
     # The curvature of Huber's loss itself: its weights would make intervals a tenth too narrow.
     curved = [local._replace(jacobian=local.jacobian * local.inside[..., None]) for local in locals_]
     pieces = _pieces(curved)
@@ -243,6 +243,26 @@ def _residuals(experiments: Sequence[Experiment], predicted: Sequence[Array], si
 
 def _sigmas(experiments: Sequence[Experiment], predicted: Sequence[Array]) -> list[Array]:
     return [one.sigmas(one.measured - seen) for one, seen in zip(experiments, predicted, strict=True)]
+
+
+def _trusted(
+    experiments: Sequence[Experiment], predicted: Sequence[Array], starts: Sequence[Array], point: Array
+) -> tuple[list[Slopes], list[Array]]:
+    """Return derivatives to both sides, and standard deviations (W, M), infinite where these sides do not agree.
+
+    A wheel that just sticks or not makes a prediction jump. Over a small step that looks like a huge derivative, and
+    one such window would claim to know a parameter better than all the others together: in an interval, and in each
+    step, which is then too short.
+    """
+    every, slopes, sigmas = np.ones(len(point), dtype=bool), [], []
+    sides = [all_slopes(experiments, predicted, starts, point, every, way=way) for way in (1.0, -1.0)]
+    for experiment, seen, sigma, *both in zip(
+        experiments, predicted, _sigmas(experiments, predicted), *sides, strict=True
+    ):
+        agree = agreeing(*(linearised(experiment, seen, slope, sigma) for slope in both))
+        slopes.append(Slopes(*(0.5 * (one + other) for one, other in zip(*both, strict=True))))
+        sigmas.append(np.where(agree[:, None], sigma, np.inf))
+    return slopes, sigmas
 
 
 def _scores(locals_: Sequence[Local]) -> Array:

@@ -31,6 +31,7 @@ _LEAST_CHANGE = {
 _SHARE = 0.3
 _REMEDIES = (
     ("grip_coefficient", "squeeze the wheels against one another until they slip (hil identify drive)"),
+    ("roller_stiffness_n_m", "drive to and fro faster; it matters little elsewhere"),
     ("roller_friction_coefficient", "coast along the rollers; it matters little elsewhere"),
     ("wheel_inertia_kg_m2", "spin the wheels on blocks (hil identify drive, --blocks)"),
     ("viscous_n_m_s_rad", "spin the wheels on blocks (hil identify drive, --blocks)"),

@@ -97,11 +97,13 @@ def linearised(
 ) -> Local:
     """Return an experiment linearised where it predicts this.
 
+    ``sigma`` are standard deviations (M,) or (W, M); a window in which they are infinite says nothing.
+
     Residuals from the starts say what are outliers, or where these are a guess, what is left by the best starts; or no
     residual is one.
     """
     residual = (experiment.measured - predicted) / sigma
-    jacobian, by_start = (slope / sigma[:, None] for slope in slopes)
+    jacobian, by_start = (slope / sigma[..., None] for slope in slopes)
     left = residual if by == "start" else _projected(by_start, residual[..., None])[..., 0]
     weights = np.ones_like(left) if by == "nothing" else huber_weights(left)
     roots = np.sqrt(weights)
@@ -110,17 +112,14 @@ def linearised(
     return Local(residual, weighted, reduced[..., 0], reduced[..., 1:], jacobian, by_start, weights == 1.0)
 
 
-def smooth(forward: Local, backward: Local) -> Local:
-    """Return the mean of both sides' derivatives, without the windows in which they do not agree.
-
-    A wheel that just sticks or not makes a prediction jump. Over a small step that looks like a huge derivative, and
-    one such window would claim to know a parameter better than all the others together.
-    """
+def agreeing(forward: Local, backward: Local) -> npt.NDArray[np.bool_]:
+    """Return in which windows (W,) the derivatives to both sides are the same, or differ by less than a usual one."""
     sizes = [np.einsum("wmp->wp", one.jacobian**2) for one in (forward, backward)]
     usual = np.mean(np.minimum(*sizes), axis=0)
-    agree = (np.einsum("wmp->wp", (forward.jacobian - backward.jacobian) ** 2) <= usual).all(axis=1)
-    mean = 0.5 * (forward.jacobian + backward.jacobian) * agree[:, None, None]
-    return forward._replace(jacobian=mean)
+    agree: npt.NDArray[np.bool_] = np.all(
+        np.einsum("wmp->wp", (forward.jacobian - backward.jacobian) ** 2) <= usual, axis=1
+    )
+    return agree
 
 
 def _projected(by_start: Array, columns: Array) -> Array:

@@ -1,11 +1,13 @@
 """The grip of the floor from a squeeze: wheels turned against one another until one of them slides.
 
-Speeds +, +, -, - on FL, FR, RR, RL are no motion of the body, so a wheel must slide: the one with the least load N. The
-others hold it: all four rollers then push with the same force, as any other forces would move the robot. So
+Speeds +, +, -, - on FL, FR, RR, RL are no motion of the body, so a wheel must slide: the one with the least load, or in
+turns with it another that has hardly more. The other three roll, and take the body along. What the motors give is then
+spent by friction alone:
 
-    Σ |κ i| = 4 r N (μ_grip + μ_roller) / √2 + μ_Coulomb m g r + b Σ |ω|
+    Σ κ i ω = μ_grip N |v| + Σ μ_roller N_j v_j tanh(v_j / 0.01 m/s) + μ_Coulomb m g r / 4 Σ |ω| + b Σ ω²
 
-with N = m g / 4 (1 - |com_x| / l1 - |com_y| / l2).
+N_j = m g / 4 (1 + com_x x / l1² + com_y y / l2²) is the load of a wheel at (x, y), N that of the one that slides with v
+along its roller's axis, and v_j the speed at which a roller turns.
 """
 
 import math
@@ -13,15 +15,19 @@ from collections.abc import Mapping
 from typing import NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 
 from hil.core.model import GRAVITY_M_S2, RobotModel
-from hil.identify.recorded import Drive
+from hil.identify.floor import GYRO_BIAS
+from hil.identify.recorded import Array, Drive
 
 PATTERN = (1.0, 1.0, -1.0, -1.0)
 _SLOWEST_RAD_S = 0.1
 _FASTEST_RAD_S = 1.5
 _LEAST_S = 1.0
-_SHARE_SIGMA = 0.008  # of the grip: the wheels' loads shift a little while they slide
+_ROLLERS = np.array([-1.0, 1.0, -1.0, 1.0])  # rolling, r ω = v_x + s v_y + (s x - y) yaw rate
+_ROLLER_SPEED_M_S = 0.01  # below it a roller of the plant resists less: MECANUM_RESISTANCE_SPEED_M_S
+_SHARE_SIGMA = 0.001  # of the grip, on 40 random robots with known values
 _LEAST_GRIP = 0.02
 _LEAST_LOAD = 0.2  # of a quarter of the weight
 
@@ -39,7 +45,9 @@ def grip_of(drive: Drive, robot: RobotModel, values: Mapping[str, float], torque
     count = int(sliding.sum())
     if count * drive.period_s < _LEAST_S:
         most = torque_constant_n_m_a * float(np.abs(drive.current_a).sum(axis=1).max())
-        least = _grip(most, 0.0, values, robot)
+        weight_n_m = values["mass_kg"] * GRAVITY_M_S2 * values["wheel_radius_m"]
+        push = most / weight_n_m - values["friction_coefficient"]
+        least = math.sqrt(2.0) * push / (4.0 * _load_shares(values, robot).min())
         return Squeeze(
             None,
             f"{drive.path.name}: the wheels slid for {count * drive.period_s:.1f} s; expected {_LEAST_S:g} s. The "
@@ -52,9 +60,7 @@ def grip_of(drive: Drive, robot: RobotModel, values: Mapping[str, float], torque
             f"{drive.path.name}: the wheels swung at up to {fastest:.1f} rad/s; expected at most {_FASTEST_RAD_S:g}. "
             "Lower firmware.speed_kp_n_m_s_rad and speed_ki_n_m_rad for the squeeze; the grip was not found",
         )
-    torque = torque_constant_n_m_a * float(np.abs(drive.current_a[sliding]).sum(axis=1).mean())
-    speed = float(np.abs(drive.speed_rad_s[sliding]).sum(axis=1).mean())
-    grip = _grip(torque, speed, values, robot)
+    grip = _grip(drive, sliding, robot, values, torque_constant_n_m_a)
     if grip <= _LEAST_GRIP:
         return Squeeze(None, f"{drive.path.name}: the wheels turned without grip; the robot was not on the floor")
     return Squeeze(
@@ -62,9 +68,48 @@ def grip_of(drive: Drive, robot: RobotModel, values: Mapping[str, float], torque
     )
 
 
-def _grip(torque_n_m: float, speed_rad_s: float, values: Mapping[str, float], robot: RobotModel) -> float:
-    weight_n_m = values["mass_kg"] * GRAVITY_M_S2 * values["wheel_radius_m"]
-    least = 1.0 - abs(values["com_x_m"]) / robot.half_length_m - abs(values["com_y_m"]) / robot.half_width_m
-    net = torque_n_m - values["viscous_n_m_s_rad"] * speed_rad_s
-    push = net / weight_n_m - values["friction_coefficient"]
-    return math.sqrt(2.0) * push / max(least, _LEAST_LOAD) - values["roller_friction_coefficient"]
+def _load_shares(values: Mapping[str, float], robot: RobotModel) -> Array:
+    """Return the part of the weight on each wheel."""
+    x, y = _places(robot)
+    shares = (
+        1.0 + values["com_x_m"] * x / robot.half_length_m**2 + values["com_y_m"] * y / robot.half_width_m**2
+    ) / 4.0
+    return np.maximum(shares, _LEAST_LOAD / 4.0)
+
+
+def _places(robot: RobotModel) -> tuple[Array, Array]:
+    x, y = np.array([1.0, 1.0, -1.0, -1.0]), np.array([1.0, -1.0, -1.0, 1.0])
+    return robot.half_length_m * x, robot.half_width_m * y
+
+
+def _grip(
+    drive: Drive,
+    sliding: npt.NDArray[np.bool_],
+    robot: RobotModel,
+    values: Mapping[str, float],
+    torque_constant_n_m_a: float,
+) -> float:
+    """Return the grip by the mean powers while wheels are ``sliding`` (n,)."""
+    # Means first: products of single samples would have the sensors' noise in them.
+    speed_rad_s, current_a = drive.speed_rad_s[sliding].mean(axis=0), drive.current_a[sliding].mean(axis=0)
+    radius_m, (x, y) = values["wheel_radius_m"], _places(robot)
+    load_n = values["mass_kg"] * GRAVITY_M_S2 * _load_shares(values, robot)
+    rolling = np.column_stack([np.ones(4), _ROLLERS, _ROLLERS * x - y])
+    lightest = np.argsort(load_n)[:2]
+    # The motion of the body while one of the two lightest wheels slides alone; the gyro says how they take turns.
+    one, other = (np.linalg.solve(np.delete(rolling, k, 0), radius_m * np.delete(speed_rad_s, k)) for k in lightest)
+    share = 0.0
+    if drive.has_gyro:
+        yaw_rate_rad_s = float(drive.yaw_rate_rad_s[sliding].mean()) - values[GYRO_BIAS.name]
+        share = float(np.clip((yaw_rate_rad_s - one[2]) / (other[2] - one[2]), 0.0, 1.0))
+    forward_m_s, left_m_s, yaw_rate_rad_s = one + share * (other - one)
+    ahead_m_s, aside_m_s = forward_m_s - yaw_rate_rad_s * y - radius_m * speed_rad_s, left_m_s + yaw_rate_rad_s * x
+    turning_m_s = (aside_m_s - _ROLLERS * ahead_m_s) / math.sqrt(2.0)
+    sliding_m_s = radius_m * abs(float(speed_rad_s @ np.array(PATTERN))) / math.sqrt(2.0)
+    resisted_n = values["roller_friction_coefficient"] * load_n * np.tanh(turning_m_s / _ROLLER_SPEED_M_S)
+    coulomb_n_m = values["friction_coefficient"] * load_n.sum() * radius_m / 4.0
+    spent_w = (
+        resisted_n * turning_m_s + coulomb_n_m * np.abs(speed_rad_s) + values["viscous_n_m_s_rad"] * speed_rad_s**2
+    )
+    given_w = torque_constant_n_m_a * float(current_a @ speed_rad_s)
+    return float((given_w - spent_w.sum()) / (sliding_m_s * ([1.0 - share, share] @ load_n[lightest])))

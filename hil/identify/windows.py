@@ -16,6 +16,8 @@ from hil.identify.recorded import Array, Drive, integral
 
 WINDOW_S = 0.5
 BIN_S = 0.05
+SETTLING_BINS = 1
+"""Where contacts bend, so many more bins begin a window: a model begins with contacts that are not bent yet."""
 MEASURED = 5
 """What a bin has: the mean speeds of the four wheels [rad/s], and the mean yaw rate [rad/s]."""
 
@@ -46,6 +48,11 @@ class Windows(NamedTuple):
         kept = np.linspace(0, len(self.first) - 1, count).round().astype(np.intp)
         four = (self.current_a[kept], self.measured[kept], self.twist[kept], self.first[kept])
         return Windows(*four, self.rows_a_bin, self.period_s)
+
+
+def settling(drive: Drive, robot: RobotModel) -> Windows:
+    """Cut a drive into windows whose ``SETTLING_BINS`` come before the half second that is compared."""
+    return cut(drive, robot, WINDOW_S + SETTLING_BINS * BIN_S)
 
 
 def cut(drive: Drive, robot: RobotModel, window_s: float = WINDOW_S, bin_s: float = BIN_S) -> Windows:

@@ -4,10 +4,12 @@ Over a window the measured velocity changes by Δv and the commands that acted a
 
     Δv = s Δu - f Δs
 
-with the share s = believed mass / true mass, and an unknown friction f [m/s²] against the motion, Δs being the time of
-the window with the sign of the velocity. Sums over a window need no derivative, and the noise of a velocity enters only
-at its two ends. Recursive least squares (K. J. Åström and B. Wittenmark, Adaptive Control, 2nd ed. 1995, section 2.2)
-with forgetting, and with what is believed as the prior, which it returns where nothing was learnt.
+with the share s = believed mass / true mass, and an unknown friction f [m/s²], Δs being what a friction of 1 m/s² would
+do to the velocity in the window's time: it rubs at wheels, so against what each pair of them does and not against the
+motion of the whole, which has it √2 times where both pairs move. Sums over a window need no derivative, and the noise
+of a velocity enters only at its two ends. Recursive least squares (K. J. Åström and B. Wittenmark, Adaptive Control,
+2nd ed. 1995, section 2.2) with forgetting, and with what is believed as the prior, which it returns where nothing was
+learnt.
 """
 
 import math
@@ -51,11 +53,22 @@ class AccelerationShare:
         self.share, self.friction, self.is_known = 1.0, self._believed, False
 
     def _begin(self, rates: tuple[float, ...]) -> None:
-        self._window = 0.0, rates, (0.0,) * len(rates)
+        self._window = 0.0, rates, (0.0,) * len(rates), (0.0,) * len(rates)
 
-    def update(self, rates: tuple[float, ...], changes: tuple[float, ...], dt_s: float, *, is_limited: bool) -> None:
-        """Add a tick of ``dt_s`` [s]: the measured ``rates`` now, and the ``changes`` that the commands account for."""
-        passed_s, first, moved = self._window
+    def update(
+        self,
+        rates: tuple[float, ...],
+        changes: tuple[float, ...],
+        rubbed: tuple[float, ...],
+        dt_s: float,
+        *,
+        is_limited: bool,
+    ) -> None:
+        """Add a tick of ``dt_s`` [s]: the measured ``rates`` now, and the ``changes`` that the commands account for.
+
+        ``rubbed`` is how a friction of 1 m/s² or rad/s² would have changed the rates in this tick.
+        """
+        passed_s, first, moved, slowed = self._window
         if not first:
             self._begin(rates)
             return
@@ -65,26 +78,24 @@ class AccelerationShare:
                 self._forget()
         passed_s += dt_s
         moved = tuple(map(float.__add__, moved, changes))
+        slowed = tuple(map(float.__add__, slowed, rubbed))
         if passed_s < _WINDOW_S:
-            self._window = passed_s, first, moved
+            self._window = passed_s, first, moved, slowed
             return
         self._begin(rates)
         gained = sum(u * (end - begin - u) for u, begin, end in zip(moved, first, rates, strict=True))
         if gained > 0.0 or not self.was_limited:
-            self._learn(first, rates, moved, passed_s)
+            self._learn(first, rates, moved, slowed)
 
     def _learn(
-        self, first: tuple[float, ...], last: tuple[float, ...], moved: tuple[float, ...], passed_s: float
+        self, first: tuple[float, ...], last: tuple[float, ...], moved: tuple[float, ...], slowed: tuple[float, ...]
     ) -> None:
         scale = self._scale
         if math.hypot(*moved) * scale < _GATE:
             return
-        middle = [0.5 * (one + two) for one, two in zip(first, last, strict=True)]
-        speed = math.hypot(*middle)
         uu, us, ss, uv, sv = (_FORGET * one for one in self._sums)
-        for begin, end, change, rate in zip(first, last, moved, middle, strict=True):
-            u, v = scale * change, scale * (end - begin)
-            s = -passed_s / _WINDOW_S * rate / speed if speed > 0.0 else 0.0
+        for begin, end, change, slower in zip(first, last, moved, slowed, strict=True):
+            u, v, s = scale * change, scale * (end - begin), slower / _WINDOW_S
             uu, us, ss, uv, sv = uu + u * u, us + u * s, ss + s * s, uv + u * v, sv + s * v
         self._sums = uu, us, ss, uv, sv
         unit = _WINDOW_S * scale

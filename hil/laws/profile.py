@@ -8,7 +8,7 @@ import math
 from dataclasses import dataclass
 from typing import Annotated
 
-from hil.core.model import RobotModel
+from hil.core.model import FRICTION_SPEED_RAD_S, RobotModel
 from hil.core.options import RATE, Range
 from hil.core.types import (
     NAN,
@@ -32,8 +32,6 @@ from hil.laws.prediction import DelayPredictor, ExtendedStateObserver, Predictio
 _TURNING_SHARE = 0.3
 # Share of the wheels' speed that turning leaves for the way, and the share that it has in any case.
 _KEPT_SHARE, _LEAST_TURNING_SHARE = 0.9, 0.05
-# The braking share where mass and friction are known.
-_KNOWN_BRAKING_SHARE = 0.97
 # The reference is far from the first distance on until the second is reached [m]; K1 is so many times larger then, as
 # an axis may go on to brake with all of its torque to its last few millimetres.
 _FAR_M, _NEAR_M, _FAR_K1 = 0.1, 0.012, 2.0
@@ -44,7 +42,7 @@ _SWING_RAD_S, _SWING_SHARE = 2.0, 0.7
 # wheel that changes its speed faster looks to the limiter like one that slips.
 _SWING_BRAKING = 1.2
 # By how much one pair must be there earlier, so that turning has priority over its push [s].
-_SPARE_S = 0.05
+_SPARE_S = 0.1
 # Share of the believed friction that may be there in addition, as the prior of what is learnt.
 _UNKNOWN_FRICTION = 0.5
 # Least share of the torque to brake with, whatever reference and friction need of it.
@@ -56,6 +54,10 @@ _FULL_GAIN_S = 0.015
 _STEP_S = 0.05
 # Margin below the limits of torque and speed, so that rounding does not take a wheel beyond them.
 _ROUNDING = 1e-12
+
+
+# One axis: e [m], ė, the reference's own rate [m/s], the acceleration to brake with [m/s²], and the limits of w [m/s].
+_Axis = tuple[float, float, float, float, float, float]
 
 
 class Profile:
@@ -114,6 +116,9 @@ class Profile:
         self._predictor = DelayPredictor(model, observers, from_observers=True)
         self._is_far, self._aim_rad = False, 0.0
         self._friction_m_s2 = model.wheel_friction_n_m / self._push_n_m_per_m_s2
+        # Wheel speed in units of that at which friction has three quarters of its size, for a push and for a turn.
+        self._friction_per_m_s = SQRT2 / (model.wheel_radius_m * FRICTION_SPEED_RAD_S)
+        self._friction_per_rad_s = model.lever_m / (model.wheel_radius_m * FRICTION_SPEED_RAD_S)
         self._push_share = AccelerationShare(push_m_s2, _UNKNOWN_FRICTION * self._friction_m_s2)
         self._turn_share = AccelerationShare(turn_rad_s2)
 
@@ -137,74 +142,63 @@ class Profile:
 
         Around the heading only a robot that turns more easily than believed counts: pushes leave little torque there.
         """
-        (_, (vx, vy, yaw_rate)), (*_, dvx, dvy, dvh) = state, self._predictor.moved
+        ((_, _, heading), (vx, vy, yaw_rate)), (*_, dvx, dvy, dvh) = state, self._predictor.moved
         push, turn, is_limited = self._push_share, self._turn_share, applied.saturated
-        push.update((vx, vy), (dvx, dvy), dt_s, is_limited=is_limited)
-        turn.update((yaw_rate,), (dvh,), dt_s, is_limited=is_limited)
+        # Friction acts on wheels, and so along the directions of both pairs, and not against the motion of the whole.
+        x1, y1, x2, y2 = directions(heading)
+        rubs_1 = -math.tanh(self._friction_per_m_s * (vx * x1 + vy * y1))
+        rubs_2 = -math.tanh(self._friction_per_m_s * (vx * x2 + vy * y2))
+        rubbed = dt_s * (rubs_1 * x1 + rubs_2 * x2), dt_s * (rubs_1 * y1 + rubs_2 * y2)
+        push.update((vx, vy), (dvx, dvy), rubbed, dt_s, is_limited=is_limited)
+        rubs = -math.tanh(self._friction_per_rad_s * yaw_rate)
+        turn.update((yaw_rate,), (dvh,), (dt_s * rubs,), dt_s, is_limited=is_limited)
         self._predictor.shares = push.share, max(turn.share, 1.0)
 
     def _torque_command(
         self, acceleration: Acceleration, predicted: Prediction, latency_s: float, dt_s: float
     ) -> WheelCommand:
         """Return τ for q̈ = q̈_d + ẇ(e) + K2 (w(e) - ė) - d, with one axis for each pair and one for the heading."""
-        model = self._model
         (x, y, heading_error, vx_e, vy_e, now_turn), heading, (vx_d, vy_d, yaw_rate_d), (vx, vy, yaw_rate) = predicted
         # The torque is held for a tick, so the directions are those at its middle.
         x1, y1, x2, y2 = directions(heading + 0.5 * dt_s * yaw_rate)
-        along_1, along_2 = vx_d * x1 + vy_d * y1, vx_d * x2 + vy_d * y2
-        now_1, now_2 = vx_e * x1 + vy_e * y1, vx_e * x2 + vy_e * y2
-        push_share, turn_share = self._predictor.shares
+        ax, ay, yaw_acceleration = acceleration
+        limit = self._push_speed_m_s(yaw_rate)
+        away, now, along = x * x1 + y * y1, vx_e * x1 + vy_e * y1, vx_d * x1 + vy_d * y1
+        first = away, now, along, self._braking(away, now, along, ax * x1 + ay * y1), -limit - along, limit - along
+        away, now, along = x * x2 + y * y2, vx_e * x2 + vy_e * y2, vx_d * x2 + vy_d * y2
+        second = away, now, along, self._braking(away, now, along, ax * x2 + ay * y2), -limit - along, limit - along
         # The bandwidth follows the latency: K1 and K2 keep their distance from its phase.
         slower = min(1.0, _FULL_GAIN_S / (latency_s + dt_s))
-        k1 = slower * self._k1
-        away_1, away_2 = x * x1 + y * y1, x * x2 + y * y2
-        ax, ay, yaw_acceleration = acceleration
-        known = self._push_share
-        braking_1 = self._braking(away_1, now_1, along_1, ax * x1 + ay * y1)
-        braking_2 = self._braking(away_2, now_2, along_2, ax * x2 + ay * y2)
+        # The gain that moves ė towards w as a pole at K2 does, exact for an acceleration held over the tick.
+        k1, k2 = slower * self._k1, -math.expm1(-slower * self._k2 * dt_s) / dt_s
         was_far = self._is_far
         self._is_far = is_far = math.hypot(x, y) > (_NEAR_M if was_far else _FAR_M)
-        limit, spare = self._push_speed_m_s(yaw_rate), 0
-        range_1, range_2 = (-limit - along_1, limit - along_1), (-limit - along_2, limit - along_2)
         # Wheels that slip get no more to do than the way itself: the heading stays where it is.
-        if is_far and not known.was_limited:
+        if is_far and not self._push_share.was_limited:
             k1 *= _FAR_K1
-            pushed_1, pushed_2 = along_1 + now_1, along_2 + now_2
             if not was_far:
-                error, rate, reference_rate = (x, y), (vx_e, vy_e), (vx_d, vy_d)
-                even_rad = even_turn(heading, error, rate, reference_rate, self._push_m_s2, limit)
-                self._aim_rad = heading_error + within(even_rad, self._swing_rad(math.hypot(x, y), pushed_1, pushed_2))
+                self._aim_rad = self._aim(predicted, first, second, limit)
             to_turn_rad = math.remainder(heading_error - self._aim_rad, math.tau)
+            pushed_1, pushed_2 = first[2] + first[1], second[2] + second[1]
             used_m_s, most_rad_s = SQRT2 * max(abs(pushed_1), abs(pushed_2)), _SWING_RAD_S
             friction_n_m = self._friction(pushed_1, pushed_2, yaw_rate)
-            later_s = time_to_go(away_1, now_1, braking_1, *range_1)
-            later_s -= time_to_go(away_2, now_2, braking_2, *range_2)
-            if abs(later_s) > _SPARE_S:
-                spare = 2 if later_s > 0.0 else 1
+            spare = _pair_to_spare(first, second)
         else:
             to_turn_rad = 0.0 if is_far else heading_error
             used_m_s, most_rad_s = SQRT2 * math.hypot(vx_d, vy_d), self._turn_rad_s
-            friction_n_m = self._friction(along_1, along_2, yaw_rate_d)
+            friction_n_m = self._friction(first[2], second[2], yaw_rate_d)
+            spare = 0
         most_rad_s = self._turn_speed_rad_s(used_m_s, yaw_rate_d, most_rad_s)
-        turn, turn_slope = profile(to_turn_rad, now_turn, k1, self._turn_braking_rad_s2, -most_rad_s, most_rad_s)
-        rate_1, slope_1 = profile(away_1, now_1, k1, braking_1, *range_1)
-        rate_2, slope_2 = profile(away_2, now_2, k1, braking_2, *range_2)
-        # The gain that moves ė towards w as a pole at K2 does, exact for an acceleration held over the tick.
-        k2 = -math.expm1(-slower * self._k2 * dt_s) / dt_s
-        coupling = model.wheels_mass_kg / model.effective_mass_kg * yaw_rate
+        turning = self._turning(to_turn_rad, now_turn, k1, k2, most_rad_s)
+        coupling = self._model.wheels_mass_kg / self._model.effective_mass_kg * yaw_rate
         zx, zy, zh = self._predictor.disturbance
         known_x = ax - zx + coupling * vy
         known_y = ay - zy - coupling * vx
         to_push, to_turn = self._push_n_m_per_m_s2, self._turn_n_m_per_rad_s2
-        turning = turn_slope + k2 * (turn - now_turn)
-        if is_far:
-            turning = within(turning, _SWING_BRAKING * self._turn_braking_rad_s2)
-        # What is known in advance takes the estimated mass. The gains do not grow by it: it may be wrong.
-        gain = max(push_share, 1.0)
         torque, push_1, push_2, turn = allocate(
-            to_push * ((known_x * x1 + known_y * y1 + slope_1) / push_share + k2 * (rate_1 - now_1) / gain),
-            to_push * ((known_x * x2 + known_y * y2 + slope_2) / push_share + k2 * (rate_2 - now_2) / gain),
-            to_turn / turn_share * (yaw_acceleration - zh + turning),
+            to_push * self._push(first, k1, k2, known_x * x1 + known_y * y1),
+            to_push * self._push(second, k1, k2, known_x * x2 + known_y * y2),
+            to_turn / self._predictor.shares[1] * (yaw_acceleration - zh + turning),
             friction_n_m,
             self._torque_limit_n_m,
             spare,
@@ -214,6 +208,31 @@ class Profile:
         self._predictor.remember(torque, pushed)
         return WheelCommand(CommandMode.TORQUE, ZERO_WHEELS, torque)
 
+    def _push(self, axis: _Axis, k1: float, k2: float, known_m_s2: float) -> float:
+        """Return the acceleration [m/s²] to command along an axis, which the believed mass would have.
+
+        ``known_m_s2`` is what reference, disturbance and turning need. What is known in advance takes the estimated
+        mass. The gains do not grow by it: it may be wrong.
+        """
+        away, now, _, braking, low, high = axis
+        rate, slope = profile(away, now, k1, braking, low, high)
+        share = self._predictor.shares[0]
+        return (known_m_s2 + slope) / share + k2 * (rate - now) / max(share, 1.0)
+
+    def _turning(self, error_rad: float, rate_rad_s: float, k1: float, k2: float, most_rad_s: float) -> float:
+        """Return the yaw acceleration [rad/s²] that takes away this error and rate, beside the reference's."""
+        turn, slope = profile(error_rad, rate_rad_s, k1, self._turn_braking_rad_s2, -most_rad_s, most_rad_s)
+        turning = slope + k2 * (turn - rate_rad_s)
+        return within(turning, _SWING_BRAKING * self._turn_braking_rad_s2) if self._is_far else turning
+
+    def _aim(self, predicted: Prediction, first: _Axis, second: _Axis, limit_m_s: float) -> float:
+        """Return the heading error to turn to on the way: towards that at which both axes arrive at once."""
+        (x, y, heading_error, vx, vy, _), heading, (vx_d, vy_d, _), _ = predicted
+        even_rad = even_turn(heading, (x, y), (vx, vy), (vx_d, vy_d), self._push_m_s2, limit_m_s)
+        return heading_error + within(
+            even_rad, self._swing_rad(math.hypot(x, y), first[2] + first[1], second[2] + second[1])
+        )
+
     def _braking(self, away_m: float, rate_m_s: float, along_m_s: float, needed_m_s2: float) -> float:
         """Return the acceleration [m/s²] that an axis can brake with on the rest of its way.
 
@@ -221,7 +240,7 @@ class Profile:
         reference takes of the torque by its acceleration.
         """
         known = self._push_share
-        own = _KNOWN_BRAKING_SHARE * self._push_m_s2 if known.is_known else self._braking_m_s2
+        own = self._push_m_s2 if known.is_known else self._braking_m_s2
         helps = friction_share(away_m, rate_m_s, along_m_s)
         braking = known.share * (own + helps * self._friction_m_s2) - math.copysign(1.0, away_m) * needed_m_s2
         if known.is_known:
@@ -291,6 +310,15 @@ class Profile:
         push_1, push_2 = SQRT2 * scale * along_1_m_s, SQRT2 * scale * along_2_m_s
         turn = scale * self._model.lever_m * yaw_rate_rad_s
         return self._model.friction_torques((push_1 - turn, push_2 + turn, push_1 + turn, push_2 - turn))
+
+
+def _pair_to_spare(first: _Axis, second: _Axis) -> int:
+    """Return which pair would be there so much earlier that turning may have its torque, 1 or 2; 0 for none."""
+    away, now, _, braking, low, high = first
+    later_s = time_to_go(away, now, braking, low, high)
+    away, now, _, braking, low, high = second
+    later_s -= time_to_go(away, now, braking, low, high)
+    return 0 if abs(later_s) <= _SPARE_S else 2 if later_s > 0.0 else 1
 
 
 def _range(low: float, high: float, now: float, step: float) -> tuple[float, float]:

@@ -128,10 +128,14 @@ class Tick:
             state, reference = faults.state(state), faults.reference(reference)
         if state is not None and not is_finite(state):
             state = None  # a law that integrates it would return NaN from then on
-        self.is_stale = is_stale = self._freshness.is_stale or (not self._is_lockstep and self._freshness.has_aged())
+        freshness, measure_latency = self._freshness, self._measure_latency
+        self.is_stale = is_stale = freshness.is_stale or (not self._is_lockstep and freshness.has_aged())
+        # The state is as old as the truth if the estimate uses it, otherwise as old as the feedback.
+        truth_ns, at_ns = freshness.truth_ns, feedback.robot_time_ns
+        sampled_ns = at_ns if truth_ns is None else truth_ns
         if state is None or status.health == LOST or is_stale:
             inputs = None
-            measured = None if self._freshness.is_silent() else feedback.speed_rad_s
+            measured = None if freshness.is_silent() else feedback.speed_rad_s
             command, saturated = self._parts.brake.command(measured)
             self._before = None  # the law is reset after a stop: its integrated state is out of date
         else:
@@ -147,13 +151,11 @@ class Tick:
                 requested = faults.command(requested)
             command, saturated = self._guard.apply(requested)
             if self._fades:
-                measured, at_ns = feedback.speed_rad_s, feedback.robot_time_ns
-                command, saturated = self._guard.fade(command, saturated, measured, at_ns, state, self._latency_s)
+                measured, older_s = feedback.speed_rad_s, max(1e-9 * (sampled_ns - at_ns), 0.0)
+                command, saturated = self._guard.fade(
+                    command, saturated, measured, at_ns, state, self._latency_s, older_s
+                )
         sequence = self._device.send(command)
-        freshness, measure_latency = self._freshness, self._measure_latency
-        truth_ns = freshness.truth_ns
-        # The state is as old as the truth if the estimate uses it, otherwise as old as the feedback.
-        sampled_ns = feedback.robot_time_ns if truth_ns is None else truth_ns
         latency_s = measure_latency(feedback, sequence, sampled_ns)
         if self._echo is not None and inputs is not None:
             latency_s = self._echo.update(command.torque_n_m, inputs[0], sampled_ns, is_limited=saturated)
