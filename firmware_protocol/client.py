@@ -49,6 +49,7 @@ class Client:
         self.handle = ffi.cast("wheel_client *", self._memory)
         lib.wheel_client_init(self.handle, mode, parameter_check, nonce)
         self.view: Any = lib.wheel_client_view(self.handle)
+        self._round_trips_ns = memoryview(ffi.buffer(self.view.round_trips_ns)).cast("q")
         self._logs = ffi.new("uint8_t[]", _LOG_BYTES), ffi.new("uint8_t[]", _LOG_BYTES)
         lib.wheel_client_log(self.handle, *self._logs, _LOG_BYTES)
         self._logged = ffi.new("size_t[2]")
@@ -75,8 +76,10 @@ class Client:
 
     def round_trips_ns(self, begin: int) -> list[int]:
         """Return the round trips from this number on, oldest first, of the newest 256."""
-        count, newest = self.view.round_trips, self._ffi.unpack(self.view.round_trips_ns, 256)
-        return [newest[number % 256] for number in range(max(begin, count - 256), count)]
+        count, newest = self.view.round_trips, self._round_trips_ns
+        begin = max(begin, count - 256)
+        first, end = begin % 256, begin % 256 + count - begin
+        return newest[first:end].tolist() + newest[: max(0, end - 256)].tolist()
 
     # What is sent to the robot
 

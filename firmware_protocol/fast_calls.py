@@ -16,13 +16,16 @@ _FASTCALL = 0x0080
 _NEEDED = (
     "PyFloat_AsDouble",
     "PyLong_AsLongLong",
-    "PyLong_AsVoidPtr",
+    "PyLong_AsLongLongAndOverflow",
+    "PyLong_AsUnsignedLongLongMask",
     "PyErr_Occurred",
+    "PyErr_Clear",
     "PyTuple_GetItem",
     "PySequence_GetItem",
     "PyTuple_New",
     "PyTuple_Size",
     "PyTuple_SetItem",
+    "PyList_SetItem",
     "PyFloat_FromDouble",
     "PyLong_FromLongLong",
     "PyBool_FromLong",
@@ -65,7 +68,8 @@ class RowLayout:
     """Makes rows of numbers from nested tuples, in the host library.
 
     ``names`` are the columns of a row, in order. ``objects`` has the form of the arguments of ``row``: nested tuples
-    with a column's name at the place of each number, or None for what is left out. ``difference`` names three columns,
+    with a column's name at the place of each number, or None for what is left out, as is a name that is no column of
+    these rows: a tuple without any is not looked at, and may be None. ``difference`` names three columns,
     each the first of a group: two poses A and B (x, y, heading), and A minus B, computed here (x, y, heading in
     [-π, π], distance). A column that no argument has is NaN. Raises BuildError when the library cannot be loaded.
 
@@ -88,12 +92,16 @@ def _members(objects: Objects, places: Mapping[str, int]) -> Iterator[tuple[int,
         if member is None:
             yield _LEFT_OUT, 0, 1.0
         elif isinstance(member, str):
-            yield places[member], 0, 1.0
+            yield places.get(member, _LEFT_OUT), 0, 1.0
         elif isinstance(member, Scaled):
-            yield places[member.name], 0, member.unit
+            yield places.get(member.name, _LEFT_OUT), 0, member.unit
         else:
-            yield _NESTED, len(member), 1.0
-            yield from _members(member, places)
+            inner = list(_members(member, places))
+            if all(place == _LEFT_OUT for place, _, _ in inner):
+                yield _LEFT_OUT, 0, 1.0
+            else:
+                yield _NESTED, len(member), 1.0
+                yield from inner
 
 
 def address_of(pointer: Any) -> int:

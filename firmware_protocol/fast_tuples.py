@@ -41,7 +41,16 @@ class Tuple(NamedTuple):
     """A tuple of values: of a class of named tuples, or a plain one."""
 
     kind: type | None
-    values: "tuple[Argument | Object | Number | Choice | Tuple, ...]"
+    values: "tuple[Argument | Object | Number | Choice | Kept | Tuple, ...]"
+
+
+class Kept(NamedTuple):
+    """A tuple of numbers that lie one behind the other in memory, 16 bytes at most.
+
+    While they stay the same it is the same tuple: for what changes in few of the calls.
+    """
+
+    tuple: Tuple
 
 
 def fields_of(ffi: Any, struct: Any, name: str, first: int = 0, count: int | None = None) -> tuple[Number, ...]:
@@ -67,14 +76,16 @@ def tuple_constructor(what: Tuple, memory: object = None, given: Number | None =
     another number of arguments it raises TypeError. Raises BuildError when the library cannot be loaded.
     """
     ffi, lib = library()
-    values = ffi.new("wheel_python_value[]", list(_flat(what)))
+    kept: list[object] = []
+    values = ffi.new("wheel_python_value[]", list(_flat(what, kept)))
     values[0].factor = sum(value.kind == lib.WHEEL_PYTHON_ARGUMENT for value in values)
     if given is not None:
         values[0].at = ffi.cast("void *", given.address)
-    return fast_call("make", values, (what, memory))
+    return fast_call("make", values, (what, memory, kept))
 
 
-def _flat(value: Argument | Object | Number | Choice | Tuple) -> Iterator[tuple[Any, ...]]:
+def _flat(value: Argument | Object | Number | Choice | Kept | Tuple, kept: list[object]) -> Iterator[tuple[Any, ...]]:
+    """Yield the rows of a value; ``kept`` gets the memory that they refer to."""
     ffi, lib = library()
 
     def row(kind: str, *, at: int = 0, named: object = None, length: int = 0, factor: int = 1) -> tuple[Any, ...]:
@@ -90,7 +101,17 @@ def _flat(value: Argument | Object | Number | Choice | Tuple) -> Iterator[tuple[
             yield row(_NUMBERS[c_type], at=address, factor=factor)
         case Choice(address, objects):
             yield row("CHOICE", at=address, named=objects)
+        case Kept(made):
+            first = made.values[0]
+            assert isinstance(first, Number)
+            holder = [None]
+            memory = ffi.new("wheel_python_kept *", {"holder": ffi.cast("void *", id(holder))})
+            kept += (holder, memory)
+            at, length = first.address, len(made.values) * ffi.sizeof(first.c_type)
+            rows = list(_flat(made, kept))
+            yield (*row("KEPT", at=at, length=length, factor=len(rows))[:-1], ffi.cast("void *", memory))
+            yield from rows
         case Tuple(kind, values):
             yield row("TUPLE", named=kind, length=len(values))
             for one in values:
-                yield from _flat(one)
+                yield from _flat(one, kept)

@@ -291,7 +291,7 @@ bool plant_step(plant_instance *plant, double from_s, double step_s) {
             "%.0f, take shorter ones, or look at the inertias, stiffness and inductance",
             step_s, steps, MOST_INTERNAL_STEPS);
     }
-    if (!physics_advance(plant, step_s)) {
+    if (!physics_advance(plant, step_s, steps)) {
         return false;
     }
     now->time_s = from_s + step_s; /* the importer's time, which it does not accumulate */

@@ -232,12 +232,11 @@ void mecanum_integrate(const mecanum_model *model, const mecanum_inputs *u, cons
 }
 
 void mecanum_advance(const mecanum_parameters *p, const mecanum_inputs *u, double step_s,
-                     mecanum_state *state) {
+                     double internal_steps, mecanum_state *state) {
     mecanum_model model;
     mecanum_prepare(&model, p);
-    const double steps = mecanum_internal_steps(p, step_s);
-    for (long i = 0; i < (long)steps; i++) {
-        mecanum_step(&model, u, step_s / steps, state);
+    for (long i = 0; i < (long)internal_steps; i++) {
+        mecanum_step(&model, u, step_s / internal_steps, state);
     }
     if (p->contact != MECANUM_CONTACT_SLIP) {
         roll_on(&model, state);

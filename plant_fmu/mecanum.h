@@ -42,9 +42,9 @@ void mecanum_start(const mecanum_parameters *p, mecanum_state *state);
  * fastest of motors and contacts allows. */
 double mecanum_internal_steps(const mecanum_parameters *p, double step_s);
 
-/* Advances the state by `step_s`, in that many equal steps, with the inputs held. */
+/* Advances the state by `step_s`, in so many equal steps, with the inputs held. */
 void mecanum_advance(const mecanum_parameters *p, const mecanum_inputs *u, double step_s,
-                     mecanum_state *state);
+                     double internal_steps, mecanum_state *state);
 
 /* Writes what follows from the state, the inputs and the time. */
 void mecanum_output(const mecanum_parameters *p, const mecanum_inputs *u, const mecanum_state *state,

@@ -43,20 +43,19 @@ static bool is_finite(const mecanum_state *state) {
     return true;
 }
 
-bool physics_advance(plant_instance *plant, double step_s) {
+bool physics_advance(plant_instance *plant, double step_s, double internal_steps) {
     const char *const problem = problem_of(&plant->now.parameters); /* tunable ones may have changed */
     if (problem != NULL) {
         return plant_discard(plant, "doStep: %s", problem);
     }
     mecanum_state state = plant->now.state;
-    mecanum_advance(&plant->now.parameters, &plant->now.inputs, step_s, &state);
+    mecanum_advance(&plant->now.parameters, &plant->now.inputs, step_s, internal_steps, &state);
     if (!is_finite(&state)) {
         return plant_discard_extreme(
             plant, "doStep: the state is no longer finite after %.10g s; look at the inputs",
             plant->now.time_s);
     }
-    const double turn_rad =
-        fabs(state.x[MECANUM_YAW_RATE_RAD_S]) * step_s / physics_internal_steps(plant, step_s);
+    const double turn_rad = fabs(state.x[MECANUM_YAW_RATE_RAD_S]) * step_s / internal_steps;
     if (turn_rad > 1.0) {
         return plant_discard_extreme(
             plant,

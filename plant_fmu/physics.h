@@ -16,9 +16,9 @@ bool physics_start(plant_instance *plant);
 /* Number of equal internal steps in a communication step. */
 double physics_internal_steps(const plant_instance *plant, double step_s);
 
-/* Advances the state with the inputs held. After a failure the state is as it was, so that it may be
- * discarded. */
-bool physics_advance(plant_instance *plant, double step_s);
+/* Advances the state in that many internal steps, with the inputs held. After a failure the state is as it
+ * was, so that it may be discarded. */
+bool physics_advance(plant_instance *plant, double step_s, double internal_steps);
 
 /* Makes the outputs from the state, the inputs and the parameters. */
 bool physics_output(plant_instance *plant);

@@ -1,5 +1,6 @@
 """Named tuples that the host library makes: what their classes make, of arguments, of memory and of packed frames."""
 
+import math
 import os
 import subprocess
 import sys
@@ -14,7 +15,7 @@ from hypothesis import strategies as st
 from firmware_protocol.client import Client
 from firmware_protocol.codec import encode
 from firmware_protocol.fast_calls import RowLayout, Scaled
-from firmware_protocol.fast_tuples import Choice, Tuple, fields_of, tuple_constructor
+from firmware_protocol.fast_tuples import Choice, Kept, Tuple, fields_of, tuple_constructor
 from firmware_protocol.framing import Frame, pack
 from firmware_protocol.generated import messages as m
 from firmware_protocol.host import library
@@ -71,6 +72,32 @@ def test_feedback_is_a_named_tuple_with_what_the_view_has() -> None:
     assert found == feedback(client)
     assert type(found) is Feedback
     assert (type(found.speed_rad_s), type(found.current_a), found.state) == (Wheels, Wheels, m.State.ACTIVE)
+
+
+@given(st.lists(st.sampled_from([0.0, -0.0, 1.5, float("nan"), float("inf")]), min_size=1, max_size=20))
+def test_a_kept_tuple_has_the_numbers_of_now_and_is_the_same_while_they_are(values: list[float]) -> None:
+    ffi, _ = library()
+    numbers = ffi.new("wheel_view *")
+    make = tuple_constructor(Tuple(None, (Kept(Tuple(Wheels, fields_of(ffi, numbers, "current_a"))),)), numbers)
+    before, (held,) = bytes(16), make()
+    for place, value in enumerate(values):
+        numbers.current_a[place % 4] = value
+        now = bytes(ffi.buffer(numbers.current_a))
+        (made,) = make()
+        assert type(made) is Wheels
+        assert list(map(repr, made)) == list(map(repr, numbers.current_a))
+        assert (made is held) == (now == before)
+        before, held = now, made
+    references = sys.getrefcount(held)
+    for _ in range(100):
+        make()
+    assert sys.getrefcount(held) == references
+
+
+@given(st.tuples(*[st.floats()] * 6))
+def test_a_state_is_finite_when_each_of_its_numbers_is(six: tuple[float, ...]) -> None:
+    state = State(Pose(*six[:3]), Twist(*six[3:]))
+    assert tuples.is_finite(state) == all(map(math.isfinite, six))
 
 
 def test_without_a_snapshot_there_is_no_feedback() -> None:

@@ -144,7 +144,7 @@ class Sink(Protocol):
     """Receives samples. In real time it does not block; it drops and counts what it cannot accept."""
 
     def put(self, row: bytes) -> None:
-        """Accept one row of doubles: the values of ``hil.core.signals.SIGNALS`` in order, then the run's other ones."""
+        """Accept one row of doubles: one for each signal of the run that somebody reads, in their order."""
 
 
 Note = Callable[[float, str, str], None]

@@ -76,5 +76,7 @@ difference: Callable[[State, Reference], tuple[Pairs, float, Twist, Twist]] = _f
 """Return state minus reference, with the heading in [-π, π]; the heading; the reference's twist, and the state's."""
 wheel_torques: Callable[[Axes, tuple[float, float], Axes, Axes, float], FourWheels] = _function("wheel_torques")
 """Return ``RobotModel.wheel_torques`` without friction: of m + k, k and I + k L²; r and L; the rest as there."""
+is_finite: Callable[[State], bool] = _function("finite")
+"""Return whether all six numbers of a pose and its twist are finite."""
 is_within: Callable[[FourWheels, float], bool] = _function("within")
 """Return whether every wheel is from minus the limit to the limit. NaN is not."""

@@ -49,9 +49,9 @@ class Estimator(ABC):
     """Whether the state depends on the true pose, and is too old when the true pose is."""
 
     @property
+    @abstractmethod
     def status(self) -> EstimatorSignals:
         """Uncertainty and health of the last update; NaN for what an estimator does not know."""
-        return NO_STATUS
 
     @abstractmethod
     def update(

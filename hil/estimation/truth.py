@@ -7,7 +7,7 @@ from hil.core.kinematics import to_world
 from hil.core.model import RobotModel
 from hil.core.tuples import make_state
 from hil.core.types import MeasuredPose, PoseFix, State
-from hil.estimation.measurement import Estimator, Measurement, measured_twist
+from hil.estimation.measurement import NO_STATUS, Estimator, Measurement, measured_twist
 
 
 class TruthEstimator(Estimator):
@@ -18,6 +18,7 @@ class TruthEstimator(Estimator):
     """
 
     uses_truth = True
+    status = NO_STATUS
 
     def __init__(self, model: RobotModel, twist: str = "source") -> None:
         self._model = model

@@ -14,6 +14,7 @@ from hil.judge.measure import Series
 from hil.judge.shadows import CommandDifference, ShadowDifferences
 
 _EVENTS_KEPT = 10_000
+_AGE = "link.feedback_age_ms"
 
 
 class Event(NamedTuple):
@@ -46,42 +47,40 @@ class EventLog:
 class MemorySink:
     """Computes the figures of a run from its rows, and keeps the rows on request.
 
-    A block of rows is processed in small steps, one in each tick, so that no tick takes long. ``names`` are the run's
-    signals; with ``keep`` every row stays in memory: 0.8 MB a second at 1 kHz.
+    A block of rows is processed in small steps, one in each tick, so that no tick takes long. ``names`` are those of a
+    row, ``needs`` and those of ``figures`` among them; with ``keep`` every row stays in memory: 0.8 MB a second at
+    1 kHz.
     """
+
+    needs = (_AGE, *ErrorCourse.signals)
 
     def __init__(self, names: Sequence[str], figures: RunFigures, *, keep: bool) -> None:
         self._names = names
         self._figures = figures
         self._keep = keep
-        self._age_place = names.index("link.feedback_age_ms")
+        self._age_place = names.index(_AGE)
         self._shadows = ShadowDifferences(names)
         self._course = ErrorCourse()
         self._columns = list(dict.fromkeys([*figures.signals, *self._course.signals, *self._shadows.signals]))
         self._places = [names.index(name) for name in self._columns]
         self._age_ms = Reservoir()
         self._blocks: list[Series] = []
-        self._row_bytes = 8 * len(names)
-        self._block_bytes = BLOCK_ROWS * self._row_bytes
+        self._rows: list[bytes] = []  # since the last block
+        self._before: bytes | None = None  # the last row of that block
         self._steps: Iterator[None] = iter(())
-        self._new_block()
-
-    def _new_block(self) -> None:
-        # Not zeroed: its memory pages are touched one by one as rows come, not all in one tick.
-        self._block: Series = np.empty((BLOCK_ROWS, len(self._names)))
-        self._bytes = self._block.data.cast("B")
-        self._filled = 0  # bytes
 
     def put(self, row: bytes) -> None:
         """Take one row."""
-        begin = self._filled
-        end = begin + self._row_bytes
-        self._bytes[begin:end] = row
-        self._filled = end
-        if end >= self._block_bytes:
+        self._rows.append(row)
+        if len(self._rows) == BLOCK_ROWS:
             self._begin_block()
         else:
             next(self._steps, None)
+
+    def newest(self) -> bytes | None:
+        """Return the newest row, None before the first."""
+        rows = self._rows  # another thread may ask, whose tick is stuck
+        return rows[-1] if rows else self._before
 
     def figures(self, cut: str | None = None) -> tuple[dict[str, Any], dict[str, str]]:
         """Return the figures and reasons of the run so far, as ``RunFigures``."""
@@ -105,19 +104,19 @@ class MemorySink:
         """Return every signal by name, each of shape (ticks,); empty when no rows are kept."""
         if not self._keep:
             return {}
-        self._blocks = [np.concatenate([*self._blocks, self._rest()])]
-        self._filled = 0
+        self._blocks = [np.concatenate([*self._blocks, self._taken()])]
         return {name: self._blocks[0][:, i] for i, name in enumerate(self._names)}
 
-    def _rest(self) -> Series:
-        """Return the rows since the last block, without a copy."""
-        return self._block[: self._filled // self._row_bytes]
+    def _taken(self) -> Series:
+        """Take the rows since the last block."""
+        self._before = self.newest()
+        rows, self._rows = b"".join(self._rows), []
+        return np.frombuffer(rows).reshape(-1, len(self._names))
 
     def _begin_block(self) -> None:
         """Begin the work on the rows since the last block."""
         self._finish_block()
-        rows = self._rest()
-        self._new_block()
+        rows = self._taken()
         if self._keep:
             self._blocks.append(rows)
         self._steps = self._work(rows)

@@ -9,6 +9,14 @@ STATE_BEGINS = "the robot then: "
 """How the event begins that tells how the robot was when a run first failed."""
 
 
+_WHEELS = ("speed_command_rad_s", "torque_command_n_m", "speed_rad_s", "current_a")
+STATE_SIGNALS = (
+    *("error.x_m", "error.y_m", "error.heading_rad", "error.planar_m", "guard.held"),
+    *(f"wheel.{wheel}.{quantity}" for quantity in _WHEELS for wheel in WHEEL_NAMES),
+)
+"""What ``state_words`` needs."""
+
+
 def state_words(row: Mapping[str, float]) -> str:
     """Return where the robot was and what its wheels did, from the signals of a tick, for the event log."""
 

@@ -58,7 +58,7 @@ class UserLaw:
     The law is made with the first of the argument lists ``choices`` that its constructor accepts. It need not have
     ``gains``, nor ``signals`` and ``telemetry`` (``hil.core.ports.OwnSignals``). Error messages begin with ``named``.
     Raises BadInputError, with file and line, for every exception of the law, and when its update does not return a
-    command in the mode of the run.
+    command in the mode of the run. ``has_gains`` says whether the law has gains.
     """
 
     def __init__(self, named: str, law: type, mode: CommandMode, choices: list[tuple[object, ...]]) -> None:
@@ -67,13 +67,13 @@ class UserLaw:
         arguments = _constructor_arguments(named, law, choices)
         with failures_of(named, "making it"):
             self._law: Any = law(*arguments)
-        self._has_gains = inspect.getattr_static(self._law, "gains", None) is not None
+        self.has_gains = inspect.getattr_static(self._law, "gains", None) is not None
         self.signals = self._own_names()
 
     @property
     def gains(self) -> Gains:
         """The law's gains, or NO_GAINS."""
-        if not self._has_gains:
+        if not self.has_gains:
             return NO_GAINS
         with failures_of(self._named, "gains"):
             return Gains(*map(float, self._law.gains))

@@ -7,7 +7,7 @@ from typing import Any
 
 from firmware_protocol.client import Client
 from firmware_protocol.codec import Message, decode
-from firmware_protocol.fast_tuples import Choice, Tuple, fields_of, tuple_constructor
+from firmware_protocol.fast_tuples import Choice, Kept, Tuple, fields_of, tuple_constructor
 from firmware_protocol.framing import packed_frame
 from firmware_protocol.generated import messages as m
 from firmware_protocol.host import library
@@ -209,8 +209,8 @@ def feedback_reader(client: Client) -> Callable[[], Feedback | None]:
                 *field("command_age_ms"),
                 Tuple(None, field("encoder_count")),
                 Tuple(Wheels, field("speed_rad_s")),
-                Tuple(Wheels, field("current_a")),
-                Tuple(None, field("acceleration_m_s2")),
+                Kept(Tuple(Wheels, field("current_a"))),  # these come at a lower rate
+                Kept(Tuple(None, field("acceleration_m_s2"))),
                 *field("yaw_rate_rad_s"),
             ),
         ),

@@ -41,7 +41,8 @@ def open_direct(robot: VirtualStm32, line: Line) -> Link:
     # DirectLink bypasses the bytes, so it cannot be used with faults on the line, with a watched firmware, or with a
     # reset fault, after which the robot is silent.
     if stream is direct and type(robot.node) is HostNode and not robot.faults.can_reset:
-        return DirectLink(cast(LibraryRobot, robot), direct)
+        # Only a plant in a process of its own may hang.
+        return DirectLink(cast(LibraryRobot, robot), direct, may_hang=robot.output is not None)
     return StreamLink(stream)
 
 
@@ -54,6 +55,8 @@ class LibraryRobot(Protocol):
 class DirectLink:
     """A ``StreamLink`` whose bytes stay in the host library. ``step`` makes a whole exchange in one call.
 
+    While a plant steps that ``may_hang`` other threads run, which can end it.
+
     Attributes:
         now_ns: the clock that stamps received frames.
         answer: the packed frames of the newest exchange.
@@ -64,12 +67,12 @@ class DirectLink:
 
     counts_frames = True
 
-    def __init__(self, robot: LibraryRobot, stream: DirectStream) -> None:
+    def __init__(self, robot: LibraryRobot, stream: DirectStream, *, may_hang: bool = True) -> None:
         ffi, _ = library()
         self._robot = robot
         self._stream = stream
         self._there = HostLine()
-        self._direct = ffi.new("wheel_direct *", {"there": self._there.handle})
+        self._direct = ffi.new("wheel_direct *", {"there": self._there.handle, "may_hang": may_hang})
         self.answer = ffi.buffer(self._direct.answer)
         self._earlier: Counter[str] = Counter()  # rejected before the link was reopened
         self._earlier_noise = 0

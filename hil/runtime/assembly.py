@@ -9,7 +9,6 @@ from typing import Any, TypeVar
 from hil.core.errors import DeviceError, HilError, LinkError, OverdueError
 from hil.core.outputs import Existing, existing_files
 from hil.core.ports import Sink
-from hil.core.signals import SIGNAL_NAMES
 from hil.judge.claims import signals_of
 from hil.judge.figures import RunFigures, figure_signals
 from hil.judge.measure import CommandLimits, RunSetup
@@ -29,6 +28,7 @@ from hil.runtime.provenance import ingredients, properties
 from hil.runtime.realtime import RealTime, real_time
 from hil.runtime.report import close_recording, close_unfinished, is_cut, run_figures
 from hil.runtime.robots import open_trace
+from hil.runtime.row import DIFFERENCE_SIGNALS
 from hil.runtime.undriven import Rejections
 from hil.scenario import Scenario, load, set_texts
 from hil.wire.device_lock import device_held
@@ -189,16 +189,16 @@ class _Run:
         self._memory = MemorySink(names, figures, keep=self._options.keep_signals)
         self._log = EventLog(self._recording.event if self._recording is not None else _ignore)
         note = self._log.note
-        self._events = RunEvents(scenario, names, note, self._bench.plant_output)
+        self._events = RunEvents(scenario, names, note, self._memory.newest, self._bench.plant_output)
         faults = [table.row for table in scenario.fault]
         watches = any(row.stops is not None for row in scenario.expect)
         self._rejections = Rejections(self._bench.device, faults, self._parts.timing, names, watches=watches)
-        counting = self._rejections if self._rejections.needs_rows else None
-        sinks: list[Sink | None] = [self._memory, self._recording, self._stream, self._events, counting]
+        sinks: list[Sink | None] = [self._memory, self._recording, self._stream]
+        sinks += [sink for sink in (self._events, self._rejections) if sink.needs_rows]
         parts = self._parts.make(self._bench, [sink for sink in sinks if sink is not None], note)
         parts = mutation().parts(scenario, parts)
         return Loop(
-            parts._replace(extra=()) if names is SIGNAL_NAMES else parts,
+            parts._replace(signals=names),
             scenario.controller.mode,
             self._parts.timing,
             faults=faults,
@@ -210,19 +210,19 @@ class _Run:
         )
 
     def _names(self) -> Sequence[str]:
-        """Return the names of the signals in a row.
+        """Return the names of the signals in a row: when only this run reads the rows, those that it reads.
 
-        When only this run reads the rows, a law's extra signals are left out, unless the scenario names one, computing
-        them can fail (a failure must be noticed), or there are shadows, whose differences are figures.
+        All are in it where computing one can fail (a failure must be noticed), where there are shadows, whose
+        differences are figures, and where a fault acts on a signal.
         """
         scenario, laws, options = self._scenario, self._parts.laws, self._options
         is_read = options.keep_signals or options.is_recorded or self._destination is not None
-        if is_read or laws.extra_may_fail or laws.shadows is not None:
+        if is_read or laws.signals_may_fail or laws.shadows is not None or self._bench.faults.signals is not None:
             return laws.signals
-        named = {name for row in scenario.expect for name in signals_of(row)} | figure_signals()
-        named |= {row.target for row in scenario.fault}
-        is_named = any(name in named for own in laws.extra for name in own.signals)
-        return laws.signals if is_named else SIGNAL_NAMES
+        judged = {name for row in scenario.expect for name in signals_of(row)}
+        own = {*MemorySink.needs, *RunEvents.needs, *Rejections.needs, *DIFFERENCE_SIGNALS}
+        read = figure_signals() | judged | own
+        return [name for name in laws.signals if name in read]
 
     def _end_stuck(self, sentence: str) -> None:
         """Stop the robot and close the files, in another thread: a law that does not return blocks the main one."""

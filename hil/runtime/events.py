@@ -10,7 +10,7 @@ from hil.core.ports import Note
 from hil.faults.kinds import find
 from hil.judge.claims import Watch
 from hil.judge.expectations import outcome_figures
-from hil.judge.state import state_words
+from hil.judge.state import STATE_SIGNALS, state_words
 from hil.plant.child_output import ChildOutput, log_lines
 from hil.scenario import Scenario
 
@@ -21,15 +21,20 @@ _LEVELS = {True: "info", None: "warning", False: "error"}
 class RunEvents:
     """A sink that looks at each row and writes a line of the event log when something happens.
 
-    A tick costs two comparisons, and one more per expectation about signals in its time. ``names`` are the signals
-    of the run, which must include ``loop.t_s``; ``output`` is the output of a plant that runs in its own process.
+    A tick costs two comparisons, and one more per expectation about signals in its time. ``names`` are those of a row,
+    ``needs`` and those of the scenario's expectations among them; ``newest`` returns the newest row, None before the
+    first; ``output`` is the output of a plant that runs in its own process. If ``needs_rows`` is false, there is
+    nothing to look for, and ``put`` need not be called.
     """
+
+    needs = ("loop.t_s", *STATE_SIGNALS)
 
     def __init__(
         self,
         scenario: Scenario,
         names: Sequence[str],
         note: Note,
+        newest: Callable[[], bytes | None],
         output: ChildOutput | None = None,
     ) -> None:
         self._note = note
@@ -37,7 +42,7 @@ class RunEvents:
         self._t_at = 8 * names.index("loop.t_s")
         self._expect = scenario.expect
         self._places = {name: 8 * place for place, name in enumerate(names)}
-        self._row: bytes | None = None  # the newest
+        self._newest = newest
         self._is_state_noted = False
         self._watches = {
             i: Watch(row, scenario.fault, scenario.robot) for i, row in enumerate(self._expect) if row.is_of_signals
@@ -57,10 +62,10 @@ class RunEvents:
             edges.append((math.nextafter(watch.to_s, math.inf), partial(self._decide, watch, watch.to_s, None)))
         self._edges = sorted(edges, key=lambda edge: edge[0], reverse=True)
         self._next_s = self._edges[-1][0] if edges else math.inf
+        self.needs_rows = bool(edges) or output is not None
 
     def put(self, row: bytes) -> None:
         """Process the row of a tick."""
-        self._row = row
         (t_s,) = _value_at(row, self._t_at)
         if t_s >= self._next_s:
             self._cross(t_s)
@@ -113,10 +118,10 @@ class RunEvents:
 
     def _note_state(self, t_s: float) -> None:
         """Log how the robot was, when a run has failed for the first time."""
-        if self._row is None or self._is_state_noted:
+        row = self._newest()
+        if row is None or self._is_state_noted:
             return
         self._is_state_noted = True
-        row = self._row
         self._note(t_s, "info", state_words({name: _value_at(row, at)[0] for name, at in self._places.items()}))
 
     def _decide(self, watch: Watch, t_s: float, cut_s: float | None) -> None:

@@ -170,7 +170,8 @@ class Loop:
             except (LinkError, RobotStoppedError) as error:
                 self._wait_again(error, in_vain)
                 continue
-            in_vain.clear()
+            if in_vain:
+                in_vain.clear()
             if number < 0:
                 self._keep_armed()
             else:

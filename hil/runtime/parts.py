@@ -45,7 +45,10 @@ class RunParts:
         return feasibility(self.reference, self.model, loop.duration_s, loop.period_ns / NS)
 
     def make(self, bench: Bench, sinks: Sequence[Sink], note: Note) -> TickParts:
-        """Return the parts of a tick. The bench's robot must be connected: it is asked for its start pose."""
+        """Return the parts of a tick, with all signals in its row.
+
+        The bench's robot must be connected: it is asked for its start pose.
+        """
         counts = self._scenario.firmware.counts_per_revolution
         return TickParts(
             bench.clock,
@@ -61,6 +64,7 @@ class RunParts:
             sinks,
             note,
             self.model,
+            self.laws.signals,
             bench.robot_failure,
             bench.faults.signals,
             self.laws.shadows,

@@ -1,7 +1,6 @@
 """One tick: sense, estimate, control, guard, command, and write the row. The caller decides when it is due."""
 
 from collections.abc import Callable, Sequence
-from math import dist, isfinite
 from typing import Any, NamedTuple
 
 from hil.core.errors import HilError
@@ -9,7 +8,7 @@ from hil.core.guard import Brake, Guard
 from hil.core.model import RobotModel
 from hil.core.ports import Clock, Controller, FixSource, Note, OwnSignals, PoseSource, Sink
 from hil.core.signals import LoopSignals
-from hil.core.tuples import make_applied
+from hil.core.tuples import is_finite, make_applied
 from hil.core.types import (
     NAN_WHEELS,
     ZERO_WHEELS,
@@ -40,7 +39,8 @@ class TickParts(NamedTuple):
     Attributes:
         note: writes a line of the event log, such as a loss.
         robot_failure: returns the error that ended the robot in this process, or None.
-        extra: parts with signals of their own, recorded after those of ``hil.core.signals``.
+        signals: the names of what a row has, in their order.
+        extra: parts with signals of their own, besides those of ``hil.core.signals``.
     """
 
     clock: Clock
@@ -56,6 +56,7 @@ class TickParts(NamedTuple):
     sinks: Sequence[Sink]
     note: Note
     model: RobotModel
+    signals: Sequence[str]
     robot_failure: Callable[[], HilError | None]
     faults: SignalFaults | None = None
     shadows: Shadows | None = None
@@ -125,10 +126,8 @@ class Tick:
         faults, status, tick = self._faults, self._estimator.status, now.tick
         if faults is not None:
             state, reference = faults.state(state), faults.reference(reference)
-        if state is not None:
-            pose, twist = state
-            if not isfinite(dist(pose, twist)):  # one call checks all six numbers
-                state = None  # a law that integrates it would return NaN from then on
+        if state is not None and not is_finite(state):
+            state = None  # a law that integrates it would return NaN from then on
         freshness, measure_latency = self._freshness, self._measure_latency
         self.is_stale = is_stale = freshness.is_stale or (not self._is_lockstep and freshness.has_aged())
         # The state is as old as the truth if the estimate uses it, otherwise as old as the feedback.
@@ -262,8 +261,17 @@ class Tick:
     def _make_rows(self) -> RowWriter:
         parts = self._parts
         latency_ns = self._timing.feedback_latency_ns
-        controller, mode = parts.controller, self._mode
-        return RowWriter(parts.device, parts.wire, controller, mode, parts.extra, parts.sinks, latency_ns, parts.faults)
+        return RowWriter(
+            parts.signals,
+            parts.device,
+            parts.wire,
+            parts.controller,
+            self._mode,
+            parts.extra,
+            parts.sinks,
+            latency_ns,
+            parts.faults,
+        )
 
     def _update_shadows(self, shadows: Shadows, t_s: float, reference: Reference, inputs: _LawInputs | None) -> None:
         """Compute the shadow laws from the same arguments, after the command was sent."""

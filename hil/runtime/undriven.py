@@ -75,15 +75,17 @@ class Rejections:
     robot is driven again, and the robot has reported its counters. Nothing before t = 0 is counted; ``counts`` returns
     the result. With ``watches``, for a run that is to show that the robot stops by itself, the robot's leaving of the
     state ACTIVE begins an explained time as a fault does: commands that are still on their way to it are rejected then.
-    It is a sink: if ``needs_rows`` is true, ``put`` has to get the row of each tick.
+    It is a sink: if ``needs_rows`` is true, ``put`` has to get the row of each tick, with ``needs`` among its
+    ``names``.
     """
+
+    needs = ("loop.t_s", "guard.held", "robot.state")
 
     def __init__(
         self, device: Device, faults: Sequence[FaultRow], timing: Timing, names: Sequence[str], *, watches: bool = False
     ) -> None:
         self._device = device
-        signals = ("loop.t_s", "guard.held", "robot.state")
-        self._t_at, self._held_at, self._state_at = (8 * names.index(name) for name in signals)
+        self._t_at, self._held_at, self._state_at = (8 * names.index(name) for name in self.needs)
         self._watches = watches
         windows = sorted(_window(row, timing) for row in faults if can_hold(row))
         # From the row before: what is counted in the first tick of a window is already in its row.

@@ -178,6 +178,7 @@ def asked_sha256(scenario: "Scenario") -> str:
     return hashlib.sha256(text.encode("ascii")).hexdigest()
 
 
+@functools.cache
 def this_platform() -> str:
     """Return what the last bit of a run depends on besides the sources: system, processor, libraries."""
     libc = " ".join(platform.libc_ver()).strip() or "libc of the system"

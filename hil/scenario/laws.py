@@ -24,9 +24,10 @@ class Laws(NamedTuple):
         return own if self.shadows is None else (*own, self.shadows)
 
     @property
-    def extra_may_fail(self) -> bool:
-        """Whether a third-party law has signals, because reading them may fail."""
-        return any(isinstance(own, UserLaw) for own in self.extra)
+    def signals_may_fail(self) -> bool:
+        """Whether the law is a third party's with gains or signals of its own, because reading them may fail."""
+        law = self.controller
+        return isinstance(law, UserLaw) and (law.has_gains or bool(law.signals))
 
     @property
     def signals(self) -> tuple[str, ...]:

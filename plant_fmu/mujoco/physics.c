@@ -184,20 +184,19 @@ double physics_internal_steps(const plant_instance *plant, double step_s) {
     return fmax(1.0, ceil(step_s / plant->now.parameters.longest_step_s - 1e-9));
 }
 
-bool physics_advance(plant_instance *plant, double step_s) {
-    const double steps = physics_internal_steps(plant, step_s);
+bool physics_advance(plant_instance *plant, double step_s, double internal_steps) {
     const workshop *const w = prepared(plant);
     if (w == NULL) {
         return false;
     }
     mecanum_state state = plant->now.state;
-    w->model->opt.timestep = step_s / steps;
+    w->model->opt.timestep = step_s / internal_steps;
     mj_setState(w->model, w->data, state.x, STATE);
     if (is_held(&plant->now.parameters)) {
         mju_zero(w->data->qvel, wheel_velocity(0));
     }
     apply(&plant->now.inputs, w->data);
-    for (long i = 0; i < (long)steps; i++) {
+    for (long i = 0; i < (long)internal_steps; i++) {
         if (!stepped(plant, w)) {
             mj_resetData(w->model, w->data);
             return false;

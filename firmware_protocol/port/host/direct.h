@@ -28,6 +28,7 @@ typedef struct {
     uint32_t held_bytes;
     uint32_t held_frames;
     uint64_t held_line_bytes;
+    bool may_hang;          /* whether the robot's plant may take for ever: wheel_python_step */
     uint32_t stepped_bytes; /* of `stepped` */
     uint32_t stepped_frames;
     uint8_t held[WHEEL_DIRECT_HELD];

@@ -19,14 +19,14 @@ void wheel_python_begin(const wheel_python *given) {
 
 /* Reads the ticks of a STEP; what is no such number becomes one that no STEP may have. */
 static uint16_t ticks_of(void *object) {
-    const long long ticks = python.PyLong_AsLongLong(object);
+    const long long ticks = integer(object);
     return ticks < 0 || ticks > UINT16_MAX ? UINT16_MAX : (uint16_t)ticks;
 }
 
 void *wheel_python_command(void *self, void *const *arguments, ptrdiff_t count) {
     (void)count;
-    wheel_client *client = python.PyLong_AsVoidPtr(self);
-    const int64_t now_ns = python.PyLong_AsLongLong(arguments[2]);
+    wheel_client *client = address(self);
+    const int64_t now_ns = integer(arguments[2]);
     double speed_rad_s[4];
     double torque_n_m[4];
     if (!numbers(arguments[0], 4, speed_rad_s) || !numbers(arguments[1], 4, torque_n_m) || failed()) {
@@ -51,31 +51,34 @@ void *wheel_python_within(void *self, void *const *arguments, ptrdiff_t count) {
 
 void *wheel_python_poll(void *self, void *const *arguments, ptrdiff_t count) {
     (void)count;
-    wheel_client *client = python.PyLong_AsVoidPtr(self);
-    const int64_t now_ns = python.PyLong_AsLongLong(arguments[0]);
+    wheel_client *client = address(self);
+    const int64_t now_ns = integer(arguments[0]);
     return failed() ? NULL : python.PyBool_FromLong(wheel_client_poll(client, now_ns));
 }
 
 void *wheel_python_step(void *self, void *const *arguments, ptrdiff_t count) {
     (void)count;
-    wheel_direct *direct = python.PyLong_AsVoidPtr(self);
-    wheel_host *robot = python.PyLong_AsVoidPtr(arguments[0]);
-    wheel_client *client = python.PyLong_AsVoidPtr(arguments[1]);
+    wheel_direct *direct = address(self);
+    wheel_host *robot = address(arguments[0]);
+    wheel_client *client = address(arguments[1]);
     const uint16_t ticks = ticks_of(arguments[2]);
-    const int64_t now_ns = python.PyLong_AsLongLong(arguments[3]);
+    const int64_t now_ns = integer(arguments[3]);
     if (failed()) {
         return NULL;
     }
-    /* A plant in a process of its own may take long, or hang: others must be able to end it. */
-    void *thread = python.PyEval_SaveThread();
+    /* Other threads must be able to end a plant that hangs. To let them run takes a thirtieth of a plain
+     * tick. */
+    void *thread = direct->may_hang ? python.PyEval_SaveThread() : NULL;
     const bool is_whole = wheel_direct_step(direct, robot, client, ticks, now_ns);
-    python.PyEval_RestoreThread(thread);
+    if (thread != NULL) {
+        python.PyEval_RestoreThread(thread);
+    }
     return python.PyBool_FromLong(is_whole);
 }
 
 void *wheel_python_link_figures(void *self, void *const *arguments, ptrdiff_t count) {
     (void)arguments, (void)count;
-    const wheel_view *view = wheel_client_view(python.PyLong_AsVoidPtr(self));
+    const wheel_view *view = wheel_client_view(address(self));
     const double lost = (double)view->lost + view->incomplete;
     const double round_trip_ms = view->round_trips == 0u ? (double)NAN : (double)view->round_trip_ns * 1e-6;
     return floats((double[]){(double)view->sent, (double)view->received, lost, round_trip_ms}, 4);
@@ -83,7 +86,7 @@ void *wheel_python_link_figures(void *self, void *const *arguments, ptrdiff_t co
 
 void *wheel_python_line_bytes(void *self, void *const *arguments, ptrdiff_t count) {
     (void)arguments, (void)count;
-    const wheel_direct *direct = python.PyLong_AsVoidPtr(self);
+    const wheel_direct *direct = address(self);
     const uint64_t waiting = direct->waiting->out_serial_bytes + direct->held_line_bytes;
     const uint64_t sent = direct->sent_bytes + waiting - direct->sent_bytes_before;
     const uint64_t received = direct->received_bytes - direct->received_bytes_before;
@@ -92,13 +95,13 @@ void *wheel_python_line_bytes(void *self, void *const *arguments, ptrdiff_t coun
 
 void *wheel_python_out(void *self, void *const *arguments, ptrdiff_t count) {
     (void)arguments, (void)count;
-    const wheel_client *client = python.PyLong_AsVoidPtr(self);
+    const wheel_client *client = address(self);
     return new_bytes(wheel_client_out(client), wheel_client_view(client)->out_bytes);
 }
 
 void *wheel_python_sent(void *self, void *const *arguments, ptrdiff_t count) {
     (void)arguments, (void)count;
-    wheel_client *client = python.PyLong_AsVoidPtr(self);
+    wheel_client *client = address(self);
     const long long frames = wheel_client_view(client)->out_frames;
     wheel_client_sent(client);
     return python.PyLong_FromLongLong(frames);
@@ -106,7 +109,7 @@ void *wheel_python_sent(void *self, void *const *arguments, ptrdiff_t count) {
 
 void *wheel_python_ask(void *self, void *const *arguments, ptrdiff_t count) {
     (void)count;
-    wheel_client *client = python.PyLong_AsVoidPtr(self);
+    wheel_client *client = address(self);
     const uint16_t ticks = ticks_of(arguments[0]);
     if (failed()) {
         return NULL;
@@ -116,9 +119,9 @@ void *wheel_python_ask(void *self, void *const *arguments, ptrdiff_t count) {
 
 void *wheel_python_take(void *self, void *const *arguments, ptrdiff_t count) {
     (void)count;
-    wheel_client *client = python.PyLong_AsVoidPtr(self);
-    const long long begin = python.PyLong_AsLongLong(arguments[1]);
-    const int64_t now_ns = python.PyLong_AsLongLong(arguments[2]);
+    wheel_client *client = address(self);
+    const long long begin = integer(arguments[1]);
+    const int64_t now_ns = integer(arguments[2]);
     uint8_t *packed;
     size_t length;
     if (failed() || !bytes_of(arguments[0], &packed, &length)) {
@@ -134,9 +137,9 @@ void *wheel_python_take(void *self, void *const *arguments, ptrdiff_t count) {
 
 void *wheel_python_receive(void *self, void *const *arguments, ptrdiff_t count) {
     (void)count;
-    wheel_line *line = python.PyLong_AsVoidPtr(self);
-    wheel_client *client = python.PyLong_AsVoidPtr(arguments[0]);
-    const int64_t now_ns = python.PyLong_AsLongLong(arguments[2]);
+    wheel_line *line = address(self);
+    wheel_client *client = address(arguments[0]);
+    const int64_t now_ns = integer(arguments[2]);
     uint8_t *bytes;
     uint8_t *packed;
     size_t length;
@@ -165,8 +168,8 @@ void *wheel_python_receive(void *self, void *const *arguments, ptrdiff_t count) 
 
 void *wheel_python_encode(void *self, void *const *arguments, ptrdiff_t count) {
     (void)count;
-    wheel_line *line = python.PyLong_AsVoidPtr(self);
-    const wheel_client *client = python.PyLong_AsVoidPtr(arguments[0]);
+    wheel_line *line = address(self);
+    const wheel_client *client = address(arguments[0]);
     uint8_t bytes[WHEEL_LINE_GROWTH * WHEEL_CLIENT_OUT];
     const size_t length = wheel_client_view(client)->out_bytes;
     return new_bytes(bytes, wheel_line_encode(line, wheel_client_out(client), length, bytes));
@@ -174,8 +177,8 @@ void *wheel_python_encode(void *self, void *const *arguments, ptrdiff_t count) {
 
 void *wheel_python_hold(void *self, void *const *arguments, ptrdiff_t count) {
     (void)count;
-    wheel_direct *direct = python.PyLong_AsVoidPtr(self);
-    wheel_host *robot = python.PyLong_AsVoidPtr(arguments[0]);
+    wheel_direct *direct = address(self);
+    wheel_host *robot = address(arguments[0]);
     uint8_t *packed;
     size_t length;
     if (!bytes_of(arguments[1], &packed, &length)) {
@@ -189,9 +192,9 @@ void *wheel_python_hold(void *self, void *const *arguments, ptrdiff_t count) {
 
 void *wheel_python_exchange(void *self, void *const *arguments, ptrdiff_t count) {
     (void)count;
-    wheel_direct *direct = python.PyLong_AsVoidPtr(self);
-    wheel_host *robot = python.PyLong_AsVoidPtr(arguments[0]);
-    wheel_client *client = python.PyLong_AsVoidPtr(arguments[1]);
+    wheel_direct *direct = address(self);
+    wheel_host *robot = address(arguments[0]);
+    wheel_client *client = address(arguments[1]);
     const uint16_t ticks = ticks_of(arguments[2]);
     if (failed()) {
         return NULL;
@@ -207,7 +210,7 @@ void *wheel_python_exchange(void *self, void *const *arguments, ptrdiff_t count)
 
 void *wheel_python_crossed(void *self, void *const *arguments, ptrdiff_t count) {
     (void)arguments, (void)count;
-    const wheel_direct *direct = python.PyLong_AsVoidPtr(self);
+    const wheel_direct *direct = address(self);
     void *all = python.PyTuple_New(4);
     if (all != NULL) {
         python.PyTuple_SetItem(all, 0, new_bytes(direct->stepped, direct->stepped_bytes));
@@ -220,7 +223,7 @@ void *wheel_python_crossed(void *self, void *const *arguments, ptrdiff_t count) 
 
 void *wheel_python_split(void *self, void *const *arguments, ptrdiff_t count) {
     (void)self, (void)count;
-    const long long limit = python.PyLong_AsLongLong(arguments[1]);
+    const long long limit = integer(arguments[1]);
     uint8_t *packed;
     uint8_t *sorted;
     size_t length;
@@ -242,7 +245,7 @@ void *wheel_python_split(void *self, void *const *arguments, ptrdiff_t count) {
 void *wheel_python_noise(void *self, void *const *arguments, ptrdiff_t count) {
     (void)arguments, (void)count;
     wheel_line_counts counts;
-    wheel_line_count(python.PyLong_AsVoidPtr(self), &counts);
+    wheel_line_count(address(self), &counts);
     return python.PyLong_FromLongLong((long long)counts.cobs + counts.crc + counts.length +
                                       counts.unknown_id + counts.overrun);
 }

@@ -16,13 +16,16 @@
 typedef struct {
     double (*PyFloat_AsDouble)(void *);
     long long (*PyLong_AsLongLong)(void *);
-    void *(*PyLong_AsVoidPtr)(void *);
+    long long (*PyLong_AsLongLongAndOverflow)(void *, int *);
+    unsigned long long (*PyLong_AsUnsignedLongLongMask)(void *); /* modulo 2^64 */
     void *(*PyErr_Occurred)(void);
+    void (*PyErr_Clear)(void);
     void *(*PyTuple_GetItem)(void *, ptrdiff_t);    /* borrowed */
     void *(*PySequence_GetItem)(void *, ptrdiff_t); /* a new reference */
     void *(*PyTuple_New)(ptrdiff_t);
     ptrdiff_t (*PyTuple_Size)(void *);
     int (*PyTuple_SetItem)(void *, ptrdiff_t, void *); /* steals the reference */
+    int (*PyList_SetItem)(void *, ptrdiff_t, void *);  /* steals the reference */
     void *(*PyFloat_FromDouble)(double);
     void *(*PyLong_FromLongLong)(long long);
     void *(*PyBool_FromLong)(long);
@@ -104,6 +107,9 @@ void *wheel_python_measure_latency(void *self, void *const *arguments, ptrdiff_t
  * tuple that begins with pose and twist, tuples of three. */
 void *wheel_python_add_motion(void *self, void *const *arguments, ptrdiff_t count);
 
+/* finite(motion): whether pose and twist, the two tuples of three that a motion begins with, are finite. */
+void *wheel_python_finite(void *self, void *const *arguments, ptrdiff_t count);
+
 /* split(packed, limit): wheel_packed_split; returns both groups as bytes. */
 void *wheel_python_split(void *self, void *const *arguments, ptrdiff_t count);
 
@@ -125,7 +131,8 @@ typedef struct {
     int32_t length;
     int64_t factor; /* by which a WHEEL_PYTHON_UINT64 is multiplied; of the outermost tuple the arguments */
     const void *at; /* where the number is in memory */
-    void *object; /* the class of a named tuple, NULL for a plain one; the objects of a choice; the object */
+    void *object;   /* the class of a named tuple, NULL for a plain one; the objects of a choice; the object;
+                       the wheel_python_kept */
 } wheel_python_value;
 enum {
     WHEEL_PYTHON_TUPLE,
@@ -137,7 +144,16 @@ enum {
     WHEEL_PYTHON_UINT8,
     WHEEL_PYTHON_UINT16,
     WHEEL_PYTHON_UINT64,
+    WHEEL_PYTHON_KEPT, /* the tuple that follows, made anew only when the `length` bytes at `at` have changed;
+                          `factor` values describe it */
 };
+
+/* A tuple that is used again. */
+typedef struct {
+    void *holder; /* a list, whose first item it is */
+    void *made;   /* NULL before the first */
+    uint8_t numbers[16];
+} wheel_python_kept;
 
 /* tuple.make(arguments...): the tuple, of arguments and of what is in memory now; None while the bool that
  * its `at` points to is false. */

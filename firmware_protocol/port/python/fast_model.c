@@ -5,6 +5,10 @@
 
 /* Reads three numbers of a sequence of any kind, because a law may be a user's; false with an exception. */
 static bool axes(void *sequence, double values[3]) {
+    if (python.PyTuple_Size(sequence) >= 3) {
+        return numbers(sequence, 3, values);
+    }
+    python.PyErr_Clear();
     for (ptrdiff_t i = 0; i < 3; i++) {
         void *item = python.PySequence_GetItem(sequence, i);
         if (item == NULL) {

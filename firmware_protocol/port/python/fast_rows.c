@@ -10,6 +10,10 @@
 static const wheel_python_member *put(const wheel_python_member *member, void *const *objects, void *tuple,
                                       ptrdiff_t length, double *row) {
     for (ptrdiff_t i = 0; i < length; i++) {
+        if (member->place == WHEEL_PYTHON_LEFT_OUT) {
+            member++;
+            continue;
+        }
         void *object = objects != NULL ? objects[i] : python.PyTuple_GetItem(tuple, i);
         if (object == NULL) {
             return NULL;
@@ -21,13 +25,11 @@ static const wheel_python_member *put(const wheel_python_member *member, void *c
             }
             continue;
         }
-        if (member->place != WHEEL_PYTHON_LEFT_OUT) {
-            double value;
-            if (!number(object, &value)) {
-                return NULL;
-            }
-            row[member->place] = value * member->unit;
+        double value;
+        if (!number(object, &value)) {
+            return NULL;
         }
+        row[member->place] = value * member->unit;
         member++;
     }
     return member;
@@ -66,7 +68,7 @@ void *wheel_python_difference(void *self, void *const *arguments, ptrdiff_t coun
 }
 
 void *wheel_python_row(void *self, void *const *arguments, ptrdiff_t count) {
-    const wheel_python_layout *layout = python.PyLong_AsVoidPtr(self);
+    const wheel_python_layout *layout = address(self);
     if (put(layout->members, arguments, NULL, count, layout->numbers) == NULL) {
         return NULL;
     }

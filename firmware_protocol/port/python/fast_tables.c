@@ -21,7 +21,7 @@ static bool input_of(void *inputs, ptrdiff_t at, double *value) {
 
 void *wheel_python_look_up(void *self, void *const *arguments, ptrdiff_t count) {
     (void)count;
-    const wheel_python_tables *all = python.PyLong_AsVoidPtr(self);
+    const wheel_python_tables *all = address(self);
     void *results = python.PyTuple_New(2 * all->count);
     for (ptrdiff_t i = 0; results != NULL && i < all->count; i++) {
         const wheel_python_table *table = &all->tables[i];

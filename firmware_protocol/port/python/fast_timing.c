@@ -12,31 +12,40 @@ static bool int_at(void *tuple, ptrdiff_t place, int64_t *value) {
     if (item == NULL) {
         return false;
     }
-    *value = python.PyLong_AsLongLong(item);
+    *value = integer(item);
     return *value != -1 || !failed();
 }
 
-/* Reads whether a pose, a tuple of three, is finite; false with an exception. */
-static bool is_finite(void *pose, bool *result) {
-    double sum = 0.0;
-    for (ptrdiff_t i = 0; i < 3; i++) {
-        void *item = python.PyTuple_GetItem(pose, i);
-        double value;
-        if (item == NULL || !number(item, &value)) {
-            return false;
-        }
-        sum += value;
+/* Reads whether a tuple of three is finite; false with an exception. */
+static bool is_finite(void *three, bool *result) {
+    double values[3];
+    if (!numbers(three, 3, values)) {
+        return false;
     }
-    *result = isfinite(sum);
+    *result = isfinite(values[0]) && isfinite(values[1]) && isfinite(values[2]);
     return true;
+}
+
+void *wheel_python_finite(void *self, void *const *arguments, ptrdiff_t count) {
+    (void)self, (void)count;
+    bool is_all = true;
+    for (ptrdiff_t i = 0; i < 2; i++) {
+        void *three = python.PyTuple_GetItem(arguments[0], i);
+        bool is_one;
+        if (three == NULL || !is_finite(three, &is_one)) {
+            return NULL;
+        }
+        is_all = is_all && is_one;
+    }
+    return python.PyBool_FromLong(is_all);
 }
 
 void *wheel_python_add_feedback(void *self, void *const *arguments, ptrdiff_t count) {
     (void)count;
-    wheel_freshness *freshness = python.PyLong_AsVoidPtr(self);
-    const int64_t age_ns = python.PyLong_AsLongLong(arguments[2]);
-    const int64_t now_ns = python.PyLong_AsLongLong(arguments[3]);
-    const bool is_driven = python.PyLong_AsLongLong(arguments[4]) != 0;
+    wheel_freshness *freshness = address(self);
+    const int64_t age_ns = integer(arguments[2]);
+    const int64_t now_ns = integer(arguments[3]);
+    const bool is_driven = integer(arguments[4]) != 0;
     int64_t robot_ns;
     int64_t state;
     int64_t truth_ns = 0;
@@ -65,9 +74,9 @@ void *wheel_python_add_feedback(void *self, void *const *arguments, ptrdiff_t co
 
 void *wheel_python_measure_latency(void *self, void *const *arguments, ptrdiff_t count) {
     (void)count;
-    wheel_latency *latency = python.PyLong_AsVoidPtr(self);
-    const long long sequence = python.PyLong_AsLongLong(arguments[1]);
-    const int64_t sampled_ns = python.PyLong_AsLongLong(arguments[2]);
+    wheel_latency *latency = address(self);
+    const long long sequence = integer(arguments[1]);
+    const int64_t sampled_ns = integer(arguments[2]);
     int64_t robot_ns;
     int64_t in_force;
     int64_t age_ms;
@@ -82,8 +91,8 @@ void *wheel_python_measure_latency(void *self, void *const *arguments, ptrdiff_t
 
 void *wheel_python_add_motion(void *self, void *const *arguments, ptrdiff_t count) {
     (void)count;
-    wheel_motion *motion = python.PyLong_AsVoidPtr(self);
-    const int64_t time_ns = python.PyLong_AsLongLong(arguments[1]);
+    wheel_motion *motion = address(self);
+    const int64_t time_ns = integer(arguments[1]);
     double speed_rad_s[4];
     double pose[3];
     double twist[3];

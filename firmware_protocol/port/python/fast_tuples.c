@@ -12,18 +12,36 @@ static void *again(void *object) {
     return object;
 }
 
-/* Returns the value that `*next` describes, and moves on behind all that belongs to it, and behind the
- * arguments that it takes; NULL with an exception. */
-static void *value_of(const wheel_python_value **next, void *const **arguments) {
-    const wheel_python_value *value = (*next)++;
+/* Where in the description of a tuple the next value is, and the next argument. */
+typedef struct {
+    const wheel_python_value *value;
+    void *const *argument;
+} cursor;
+
+static void *tuple_at(cursor *at);
+
+/* Returns the tuple that was made the last time, if its numbers are the same, or else a new one. */
+static void *kept_at(cursor *at) {
+    const wheel_python_value *value = at->value++;
+    wheel_python_kept *kept = value->object;
+    const size_t bytes = (size_t)value->length;
+    if (kept->made != NULL && memcmp(kept->numbers, value->at, bytes) == 0) {
+        at->value += value->factor;
+        return again(kept->made);
+    }
+    void *made = tuple_at(at);
+    if (made != NULL) {
+        python.PyList_SetItem(kept->holder, 0, again(made));
+        memcpy(kept->numbers, value->at, bytes);
+        kept->made = made;
+    }
+    return made;
+}
+
+/* Returns what a value that is no tuple and no argument describes; NULL with an exception. */
+static inline void *object_of(const wheel_python_value *value) {
     const void *at = value->at;
     switch (value->kind) {
-    case WHEEL_PYTHON_ARGUMENT:
-        return again(*(*arguments)++);
-    case WHEEL_PYTHON_OBJECT:
-        return again(value->object);
-    case WHEEL_PYTHON_CHOICE:
-        return again(python.PyTuple_GetItem(value->object, *(const uint8_t *)at));
     case WHEEL_PYTHON_FLOAT:
         return python.PyFloat_FromDouble((double)*(const float *)at);
     case WHEEL_PYTHON_DOUBLE:
@@ -34,13 +52,25 @@ static void *value_of(const wheel_python_value **next, void *const **arguments) 
         return python.PyLong_FromLongLong(*(const uint16_t *)at);
     case WHEEL_PYTHON_UINT64:
         return python.PyLong_FromLongLong((long long)*(const uint64_t *)at * value->factor);
-    default: /* a tuple */
-        break;
+    case WHEEL_PYTHON_CHOICE:
+        return again(python.PyTuple_GetItem(value->object, *(const uint8_t *)at));
+    default: /* WHEEL_PYTHON_OBJECT */
+        return again(value->object);
     }
+}
+
+/* Returns the tuple that is described at a cursor, and moves it on behind all that belongs to it; NULL with
+ * an exception. */
+static void *tuple_at(cursor *at) {
+    const wheel_python_value *value = at->value++;
     void *tuple = value->object == NULL ? python.PyTuple_New(value->length)
                                         : python.PyType_GenericAlloc(value->object, value->length);
     for (ptrdiff_t i = 0; tuple != NULL && i < value->length; i++) {
-        void *item = value_of(next, arguments);
+        const int32_t kind = at->value->kind;
+        void *item = kind == WHEEL_PYTHON_ARGUMENT ? (at->value++, again(*at->argument++))
+                     : kind == WHEEL_PYTHON_TUPLE  ? tuple_at(at)
+                     : kind == WHEEL_PYTHON_KEPT   ? kept_at(at)
+                                                   : object_of(at->value++);
         if (item == NULL) {
             python.Py_DecRef(tuple);
             return NULL;
@@ -51,13 +81,13 @@ static void *value_of(const wheel_python_value **next, void *const **arguments) 
 }
 
 void *wheel_python_make(void *self, void *const *arguments, ptrdiff_t count) {
-    const wheel_python_value *next = python.PyLong_AsVoidPtr(self);
-    const bool *is_given = next->at;
-    if (count != next->factor) {
+    cursor at = {address(self), arguments};
+    const bool *is_given = at.value->at;
+    if (count != at.value->factor) {
         python.PyErr_BadArgument();
         return NULL;
     }
-    return is_given != NULL && !*is_given ? none() : value_of(&next, &arguments);
+    return is_given != NULL && !*is_given ? none() : tuple_at(&at);
 }
 
 void *wheel_python_frames(void *self, void *const *arguments, ptrdiff_t count) {
@@ -97,7 +127,7 @@ static bool frame_at(void *frames, ptrdiff_t place, long long *id, uint8_t **pay
     if (content == NULL || !bytes_of(content, payload, length)) {
         return false;
     }
-    *id = python.PyLong_AsLongLong(number);
+    *id = integer(number);
     if (*id < 0 || *id > UINT16_MAX || *length > UINT8_MAX) {
         python.PyErr_BadArgument();
         return false;
