@@ -25,6 +25,7 @@ from hil.identify.mapped import fit_mapped
 from hil.identify.recorded import Drive, split
 from hil.identify.squeeze import grip_of
 from hil.identify.windows import MEASURED, SETTLING_BINS, settling
+from hil.plant.description import start_defaults
 from hil.plant.fmu import FmuPlant
 from hil.plant.signals import OUTPUTS
 from hil.runtime.assembly import RunOptions
@@ -67,12 +68,13 @@ def test_a_robot_that_nobody_knows_is_found_and_its_plant_predicts(drives: Path,
     true = ROBOT.true | {
         "torque_constant_n_m_a": ROBOT.true["motor_constant_n_m_a"],
         "lever_m": ROBOT.true["half_length_m"] + ROBOT.true["half_width_m"],
+        "roller_stiffness_n_m": start_defaults(plant_fmu.path(2))["roller_stiffness_n_m"],
     }
     off = {one["name"]: one["value"] / true[one["name"]] - 1.0 for one in found["estimates"] if one["name"] in true}
     for name, most in (
         ("torque_constant_n_m_a", 0.02), ("inertia_kg_m2", 0.04), ("wheel_inertia_kg_m2", 0.03),
         ("friction_coefficient", 0.04), ("viscous_n_m_s_rad", 0.05), ("wheel_radius_m", 0.015), ("lever_m", 0.015),
-        ("grip_coefficient", 0.12),
+        ("grip_coefficient", 0.02), ("roller_stiffness_n_m", 0.1),
     ):  # fmt: skip
         assert abs(off[name]) < most, (name, off[name])
     com_m = {one["name"]: one["value"] for one in found["estimates"]}
