@@ -111,7 +111,7 @@ def test_the_client_allocates_nothing_and_has_no_statics(tmp_path) -> None:
     assert len(objects) == len(sources)
     symbols = [one for each in objects for one in each.get_section_by_name(".symtab").iter_symbols()]
     defined = {one.name for one in symbols if one["st_shndx"] != "SHN_UNDEF"}
-    mathematics = {"lrint", "rint", "isfinite", "sin", "cos", "sincos", "expm1", "fabs"}
+    mathematics = {"lrint", "rint", "isfinite", "sin", "cos", "sincos", "expm1", "fabs", "fmin", "fmax"}
     assert {one.name for one in symbols} - defined <= {"memcpy", "memset"} | mathematics
     for each in objects:
         assert [each.get_section_by_name(name)["sh_size"] for name in (".data", ".bss")] == [0, 0]
