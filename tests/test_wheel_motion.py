@@ -111,6 +111,7 @@ def tick(apart_ms: int, fl: float, vx_m_s: float = 0.75) -> tuple[object, ...]:
 @example([tick(0, 5.0), tick(5, 6.0), tick(5, 7.0)], math.inf, 0.0)  # only its speed
 @example([tick(0, 5.0), tick(5, 5.0, math.nan), tick(5, 5.0)], SLIP, 0.0)
 @example([tick(0, 5.0), tick(5, 6.0), tick(5, 1.0), tick(5, 3.0), tick(5, 30.0)], SLIP, 0.011)
+@example([tick(0, 5.0), *[tick(40, one) for one in (6.0, 1.0, 3.0, 30.0, 12.0)]], SLIP, 0.011)
 def test_what_wheels_will_do_is_as_the_rules_say_whatever_they_did(
     sequence: list[Any], slip_rad_s: float, older_s: float
 ) -> None:
