@@ -24,7 +24,7 @@ from hil.identify.kinematics import Tape, fit_kinematics
 from hil.identify.mapped import fit_mapped
 from hil.identify.recorded import Drive, split
 from hil.identify.squeeze import grip_of
-from hil.identify.windows import MEASURED, SETTLING_BINS, settling
+from hil.identify.windows import BIN_S, MEASURED, SETTLING_BINS, WINDOW_S, cut
 from hil.plant.description import start_defaults
 from hil.plant.fmu import FmuPlant
 from hil.plant.signals import OUTPUTS
@@ -203,14 +203,15 @@ def test_rollers_bend_before_the_bins_that_are_compared(drives: Path, settling_b
     """A window begins with rollers that are not bent yet: by the true values, what is left then follows the torque."""
     drive = read_drive(drives / "floor.rrd")
     robot = replace(drive.robot, **{name: ROBOT.true[name] for name in ("wheel_radius_m", *HALVES)})
-    windows = settling(drive, robot).thinned(40)
+    compared_s = WINDOW_S + (SETTLING_BINS - settling_bins) * BIN_S  # of the same windows
+    windows = cut(drive, robot, compared_s, settling_bins).thinned(40)
     start = {"drive": "torque", "contact": "slip"} | {
         k: v for k, v in ROBOT.true.items() if k != "motor_constant_n_m_a"
     }
     constant = ROBOT.true["motor_constant_n_m_a"]
     parameters = [variable("mass_kg"), GYRO_BIAS]
     true = np.array([np.log(ROBOT.true["mass_kg"]), GYRO_BIAS.internal(ROBOT.gyro_bias_rad_s)])
-    with Floor(plant_fmu.path(2), start, parameters, windows, constant, settling_bins=settling_bins) as floor:
+    with Floor(plant_fmu.path(2), start, parameters, windows, constant) as floor:
         found = solve([floor], true, bounds=(true, true))
         left = floor.measured - floor.predict(found.parameters[None], found.starts[0][None])[0]
     first = left.reshape(len(windows.first), -1, MEASURED)[:, 0, :4].ravel()

@@ -9,9 +9,10 @@ from hil.identify.fit import WITHOUT_BLOCKS, Result, values_of
 from hil.identify.floor import NUISANCES
 from hil.identify.robust import Z_95
 
-SCALED = ("mass_kg", "inertia_kg_m2", "wheel_inertia_kg_m2", "viscous_n_m_s_rad", STIFFNESS)
+_MASSES = ("mass_kg", "inertia_kg_m2", "wheel_inertia_kg_m2", "viscous_n_m_s_rad")
+SCALED = (*_MASSES, STIFFNESS)
 """What drives tell only over the torque constant: all of them in proportion to it."""
-SHARED = (*(name for name in SCALED if name != STIFFNESS), "friction_coefficient")
+SHARED = (*_MASSES, "friction_coefficient")
 """What mass and wheels share, and drives on the floor hardly tell apart."""
 TORQUE_CONSTANT = "torque_constant_n_m_a"
 Status = Literal["identified", "effective", "weighed", "believed"]

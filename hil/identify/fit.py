@@ -23,7 +23,7 @@ from hil.identify.linearised import STEP
 from hil.identify.recorded import Array, Drive
 from hil.identify.squeeze import Squeeze, grip_of
 from hil.identify.trouble import check_level, check_motors
-from hil.identify.windows import SETTLING_BINS, Windows, cut, settling
+from hil.identify.windows import SETTLING_BINS, Windows, cut
 from hil.plant.start import Value
 
 _WIDEST = 6.0
@@ -189,9 +189,7 @@ def _opened(
     opened: contextlib.ExitStack,
 ) -> list[Floor]:
     constant, shared = before.torque_constant_n_m_a, _shared(contact)
-    bins = SETTLING_BINS if contact == "slip" else 0
-    floors = (Floor(plant_fmu.path(2), shared, parameters, one, constant, settling_bins=bins) for one in windows)
-    return [opened.enter_context(floor) for floor in floors]
+    return [opened.enter_context(Floor(plant_fmu.path(2), shared, parameters, one, constant)) for one in windows]
 
 
 def _fit_model(
@@ -206,7 +204,8 @@ def _fit_model(
     point = before.point(parameters, {} if simpler is None else values_of(simpler))
     known = before.knowledge(parameters)
     if contact == "slip":  # each step takes twenty times as long
-        windows = [settling(drive, before.robot).thinned(_MOST_SLIP_WINDOWS // len(drives)) for drive in drives]
+        whole = (cut(drive, before.robot, settling_bins=SETTLING_BINS) for drive in drives)
+        windows = [one.thinned(_MOST_SLIP_WINDOWS // len(drives)) for one in whole]
     with contextlib.ExitStack() as opened:
         floors = _opened(before, contact, parameters, windows, opened)
         least, most = point - _WIDEST, point + _WIDEST

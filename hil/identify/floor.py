@@ -92,13 +92,12 @@ class Floor:
         *,
         by_twist: bool = True,
         step_ns: int | None = None,
-        settling_bins: int = 0,
     ) -> None:
-        self._parameters, self._windows, self._settling = parameters, windows, settling_bins
+        self._parameters, self._windows = parameters, windows
         self._bias = parameters.index(GYRO_BIAS) if GYRO_BIAS in parameters else None
         self._currents = [parameters.index(one) for one in (*GAINS, *OFFSETS) if one in parameters]
         self._constant = torque_constant_n_m_a
-        self.measured = windows.measured[:, settling_bins:].reshape(len(windows.first), -1)
+        self.measured = windows.measured.reshape(len(windows.first), -1)
         count = len(TWIST) if by_twist else 0
         self.starts, self.start_steps = windows.twist[:, :count], _TWIST_STEPS[:count]
         self.least_sigmas = np.tile(_SENSORS, self.measured.shape[1] // MEASURED)
@@ -124,7 +123,7 @@ class Floor:
         means = mean_of_samples(seen, self._windows.rows_a_bin).reshape(sets, windows, -1, MEASURED)
         if self._bias is not None:
             means[..., -1] += GYRO_BIAS.value(parameters[:, self._bias])[:, None, None]
-        return means[:, :, self._settling :].reshape(sets, windows, -1)
+        return means[:, :, -self._windows.measured.shape[1] :].reshape(sets, windows, -1)
 
     def _torques(self, parameters: Array) -> tuple[Array, npt.NDArray[np.intp]]:
         """Return windows of torques, by each different set of gains and offsets, and which belongs to each case."""

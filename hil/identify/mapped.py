@@ -19,7 +19,7 @@ from hil.identify.floor import TWIST, Floor, Parameter
 from hil.identify.gauss_newton import Knowledge, solve
 from hil.identify.recorded import Array, Drive
 from hil.identify.robust import Z_95
-from hil.identify.windows import BIN_S, MEASURED, SETTLING_BINS, Windows, cut, settling
+from hil.identify.windows import BIN_S, MEASURED, SETTLING_BINS, Windows, cut
 from hil.plant import archive
 from hil.plant.description import read_description, variables_of
 from hil.plant.mapping import SignalMap
@@ -52,18 +52,10 @@ class _Model(NamedTuple):
 
     def experiment(self, parameters: Sequence[Parameter], drive: Drive) -> Floor:
         """Return the windows of a drive with this FMU as their model."""
-        windows = settling(drive, drive.robot) if self.by_twist else _from_rest(drive)
+        windows = cut(drive, drive.robot, settling_bins=SETTLING_BINS) if self.by_twist else _from_rest(drive)
         constant = self.torque_constant_n_m_a
         return Floor(
-            self.fmu,
-            self.start,
-            parameters,
-            windows,
-            constant,
-            self.mapping,
-            by_twist=self.by_twist,
-            step_ns=TICK_NS,
-            settling_bins=SETTLING_BINS if self.by_twist else 0,
+            self.fmu, self.start, parameters, windows, constant, self.mapping, by_twist=self.by_twist, step_ns=TICK_NS
         )
 
 

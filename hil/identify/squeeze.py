@@ -17,7 +17,9 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from hil.core.kinematics import body_twist
 from hil.core.model import GRAVITY_M_S2, RobotModel
+from hil.core.types import Wheels
 from hil.identify.floor import GYRO_BIAS
 from hil.identify.recorded import Array, Drive
 
@@ -25,7 +27,7 @@ PATTERN = (1.0, 1.0, -1.0, -1.0)
 _SLOWEST_RAD_S = 0.1
 _FASTEST_RAD_S = 1.5
 _LEAST_S = 1.0
-_ROLLERS = np.array([-1.0, 1.0, -1.0, 1.0])  # rolling, r ω = v_x + s v_y + (s x - y) yaw rate
+_ROLLERS = np.array([-1.0, 1.0, -1.0, 1.0])  # s: a roller's axis is (1, s) / √2
 _ROLLER_SPEED_M_S = 0.01  # below it a roller of the plant resists less: MECANUM_RESISTANCE_SPEED_M_S
 _SHARE_SIGMA = 0.001  # of the grip, on 40 random robots with known values
 _LEAST_GRIP = 0.02
@@ -41,7 +43,7 @@ class Squeeze(NamedTuple):
 
 def grip_of(drive: Drive, robot: RobotModel, values: Mapping[str, float], torque_constant_n_m_a: float) -> Squeeze:
     """Return the grip; ``values`` are those of a fitted model with slip, ``robot`` has the lengths."""
-    sliding = drive.speed_rad_s @ np.array(PATTERN) / 4.0 > _SLOWEST_RAD_S
+    sliding = drive.speed_rad_s @ PATTERN / 4.0 > _SLOWEST_RAD_S
     count = int(sliding.sum())
     if count * drive.period_s < _LEAST_S:
         most = torque_constant_n_m_a * float(np.abs(drive.current_a).sum(axis=1).max())
@@ -94,18 +96,19 @@ def _grip(
     speed_rad_s, current_a = drive.speed_rad_s[sliding].mean(axis=0), drive.current_a[sliding].mean(axis=0)
     radius_m, (x, y) = values["wheel_radius_m"], _places(robot)
     load_n = values["mass_kg"] * GRAVITY_M_S2 * _load_shares(values, robot)
-    rolling = np.column_stack([np.ones(4), _ROLLERS, _ROLLERS * x - y])
+    apart_rad_s = float(speed_rad_s @ PATTERN)
     lightest = np.argsort(load_n)[:2]
-    # The motion of the body while one of the two lightest wheels slides alone; the gyro says how they take turns.
-    one, other = (np.linalg.solve(np.delete(rolling, k, 0), radius_m * np.delete(speed_rad_s, k)) for k in lightest)
+    # The motion of the body while one of the two lightest wheels slides alone: as if it rolled with the other three.
+    rolling_rad_s = speed_rad_s - apart_rad_s * np.diag(PATTERN)[lightest]
+    one, other = np.stack(body_twist(Wheels(*rolling_rad_s.T), radius_m, robot.lever_m), axis=1)
     share = 0.0
-    if drive.has_gyro:
+    if drive.has_gyro:  # it says how they take turns
         yaw_rate_rad_s = float(drive.yaw_rate_rad_s[sliding].mean()) - values[GYRO_BIAS.name]
         share = float(np.clip((yaw_rate_rad_s - one[2]) / (other[2] - one[2]), 0.0, 1.0))
     forward_m_s, left_m_s, yaw_rate_rad_s = one + share * (other - one)
     ahead_m_s, aside_m_s = forward_m_s - yaw_rate_rad_s * y - radius_m * speed_rad_s, left_m_s + yaw_rate_rad_s * x
     turning_m_s = (aside_m_s - _ROLLERS * ahead_m_s) / math.sqrt(2.0)
-    sliding_m_s = radius_m * abs(float(speed_rad_s @ np.array(PATTERN))) / math.sqrt(2.0)
+    sliding_m_s = radius_m * abs(apart_rad_s) / math.sqrt(2.0)
     resisted_n = values["roller_friction_coefficient"] * load_n * np.tanh(turning_m_s / _ROLLER_SPEED_M_S)
     coulomb_n_m = values["friction_coefficient"] * load_n.sum() * radius_m / 4.0
     spent_w = (

@@ -17,13 +17,13 @@ from hil.identify.recorded import Array, Drive, integral
 WINDOW_S = 0.5
 BIN_S = 0.05
 SETTLING_BINS = 1
-"""Where contacts bend, so many more bins begin a window: a model begins with contacts that are not bent yet."""
+"""By how many bins a model begins earlier whose contacts bend: at first they are not bent yet."""
 MEASURED = 5
 """What a bin has: the mean speeds of the four wheels [rad/s], and the mean yaw rate [rad/s]."""
 
 
 class Windows(NamedTuple):
-    """W windows of R rows and B bins.
+    """W windows of R rows, of which the last are compared, in B bins.
 
     Attributes:
         current_a: (W, R, 4), the mean over each row.
@@ -50,15 +50,13 @@ class Windows(NamedTuple):
         return Windows(*four, self.rows_a_bin, self.period_s)
 
 
-def settling(drive: Drive, robot: RobotModel) -> Windows:
-    """Cut a drive into windows whose ``SETTLING_BINS`` come before the half second that is compared."""
-    return cut(drive, robot, WINDOW_S + SETTLING_BINS * BIN_S)
+def cut(drive: Drive, robot: RobotModel, window_s: float = WINDOW_S, settling_bins: int = 0) -> Windows:
+    """Cut a drive into windows, one after the other; ``robot`` gives radius and lever for the first guess.
 
-
-def cut(drive: Drive, robot: RobotModel, window_s: float = WINDOW_S, bin_s: float = BIN_S) -> Windows:
-    """Cut a drive into windows, one after the other; ``robot`` gives radius and lever for the first guess."""
-    rows_a_bin = max(1, round(bin_s / drive.period_s))
-    rows = rows_a_bin * max(1, round(window_s / drive.period_s / rows_a_bin))
+    Each begins ``settling_bins`` before the ``window_s`` that are compared.
+    """
+    rows_a_bin = max(1, round(BIN_S / drive.period_s))
+    rows = rows_a_bin * (settling_bins + max(1, round(window_s / drive.period_s / rows_a_bin)))
     # One row at either end has no speed on both of its sides.
     first = np.arange(1, len(drive.time_s) - rows - 1, rows)
     places = first[:, None] + np.arange(rows + 1)
@@ -67,7 +65,7 @@ def cut(drive: Drive, robot: RobotModel, window_s: float = WINDOW_S, bin_s: floa
     yaw_rate = mean_of_samples(drive.yaw_rate_rad_s[places][..., None], rows_a_bin)
     return Windows(
         drive.current_a[places[:, 1:]],
-        np.concatenate([speeds, yaw_rate], axis=2),
+        np.concatenate([speeds, yaw_rate], axis=2)[:, settling_bins:],
         twists(drive.speed_rad_s[first], robot),
         first,
         rows_a_bin,
