@@ -248,11 +248,12 @@ def _sigmas(experiments: Sequence[Experiment], predicted: Sequence[Array]) -> li
 def _trusted(
     experiments: Sequence[Experiment], predicted: Sequence[Array], starts: Sequence[Array], point: Array
 ) -> tuple[list[Slopes], list[Array]]:
-    """Return derivatives to both sides, and standard deviations (W, M), infinite where these sides do not agree.
+    """Return the derivatives at ``point`` (P,) as means of those to either side, and the measurements' deviations.
 
-    A wheel that just sticks or not makes a prediction jump. Over a small step that looks like a huge derivative, and
-    one such window would claim to know a parameter better than all the others together: in an interval, and in each
-    step, which is then too short.
+    Of each experiment these are its ``Slopes``, and standard deviations (W, M) that are infinite in windows of which
+    the derivatives to the two sides do not agree (``agreeing``). A wheel on the verge of sticking makes a prediction
+    jump. A finite difference takes the jump for a huge derivative, so that one such window would tell a parameter
+    better than all the others together: its interval would be too narrow, and each Gauss-Newton step too short.
     """
     every, slopes, sigmas = np.ones(len(point), dtype=bool), [], []
     sides = [all_slopes(experiments, predicted, starts, point, every, way=way) for way in (1.0, -1.0)]

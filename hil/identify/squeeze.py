@@ -1,13 +1,14 @@
 """The grip of the floor from a squeeze: wheels turned against one another until one of them slides.
 
-Speeds +, +, -, - on FL, FR, RR, RL are no motion of the body, so a wheel must slide: the one with the least load, or in
-turns with it another that has hardly more. The other three roll, and take the body along. What the motors give is then
-spent by friction alone:
+Speeds +, +, -, - on FL, FR, RR, RL are no motion of the body, so a wheel must slide: the one with the least load. Where
+two have nearly the least they slide in turns, and N below is the mean over the time of each. The other three roll, and
+their speeds give the motion of the body. It is steady, so what the motors give is spent by friction alone:
 
     Σ κ i ω = μ_grip N |v| + Σ μ_roller N_j v_j tanh(v_j / 0.01 m/s) + μ_Coulomb m g r / 4 Σ |ω| + b Σ ω²
 
-N_j = m g / 4 (1 + com_x x / l1² + com_y y / l2²) is the load of a wheel at (x, y), N that of the one that slides with v
-along its roller's axis, and v_j the speed at which a roller turns.
+κ is the torque constant, b the viscous friction of a wheel, r its radius; sums are over all four wheels. N_j = m g / 4
+(1 + com_x x / l1² + com_y y / l2²) is the load of a wheel at (x, y) = (±l1, ±l2), N that of the one that slides, v its
+speed over the floor along its roller's axis, and v_j that across it, at which a roller turns. All but μ_grip is known.
 """
 
 import math

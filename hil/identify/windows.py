@@ -17,13 +17,13 @@ from hil.identify.recorded import Array, Drive, integral
 WINDOW_S = 0.5
 BIN_S = 0.05
 SETTLING_BINS = 1
-"""By how many bins a model begins earlier whose contacts bend: at first they are not bent yet."""
+"""How many bins a model with elastic contacts is stepped before it is compared: it begins with contacts unbent."""
 MEASURED = 5
 """What a bin has: the mean speeds of the four wheels [rad/s], and the mean yaw rate [rad/s]."""
 
 
 class Windows(NamedTuple):
-    """W windows of R rows, of which the last are compared, in B bins.
+    """W windows of R rows, of which those of the last B bins are compared.
 
     Attributes:
         current_a: (W, R, 4), the mean over each row.
@@ -51,9 +51,10 @@ class Windows(NamedTuple):
 
 
 def cut(drive: Drive, robot: RobotModel, window_s: float = WINDOW_S, settling_bins: int = 0) -> Windows:
-    """Cut a drive into windows, one after the other; ``robot`` gives radius and lever for the first guess.
+    """Cut a drive into windows, each beginning where the one before ends; what is left at the end is not used.
 
-    Each begins ``settling_bins`` before the ``window_s`` that are compared.
+    A window has ``settling_bins`` bins that are only stepped through, and then ``window_s`` [s] that are compared.
+    ``robot`` gives radius and lever, by which the twist at the start of each is guessed from the wheels.
     """
     rows_a_bin = max(1, round(BIN_S / drive.period_s))
     rows = rows_a_bin * (settling_bins + max(1, round(window_s / drive.period_s / rows_a_bin)))
