@@ -307,6 +307,17 @@ def test_each_contradiction_is_slip_within_a_window_and_over_after_it(fault, dt_
     assert not detector.is_slipping
 
 
+def test_an_accelerometer_that_shakes_is_no_slip_and_four_wheels_that_spin_are_still_told():
+    """Its contradiction has the size of the threshold: told at first, and no more once that is known to be usual."""
+    detector, noise = SlipDetector(ROBOT.lever_m, 0.05), np.random.default_rng(1)
+    shaken = noise.normal(0.0, 0.015, (4000, 2))  # m/s within 5 ms, a deviation of 3 m/s²
+    told = [detector.update(rolling(AT_REST, 0.005, gained)) > 0.0 for gained in shaken.tolist()]
+    assert any(told[:400])
+    assert sum(told[1000:]) < 10
+    spinning = [detector.update(rolling(BodyTwist(1.5, 0.0, 0.0), 0.005, gained)) for gained in shaken[:40].tolist()]
+    assert max(spinning) > 1.0
+
+
 def test_a_gap_in_the_measurements_is_no_slip():
     """Before it the robot drove, after it the robot drives again: nobody knows how its velocity changed."""
     detector = SlipDetector(ROBOT.lever_m, 0.1)

@@ -36,7 +36,7 @@ class EstimatorOptions:
     ] = "source"
     slip_threshold_m_s: Annotated[
         float, Range(gt=0, le=100), "contradiction of wheels, gyro and accelerometer that is slip"
-    ] = 0.1
+    ] = 0.05
     fix: Annotated[str, _reachable, 'pose fixes of "fused": simulated, or udp://127.0.0.1:PORT'] = "simulated"
     filter: FilterOptions = field(default_factory=FilterOptions)
     simulated_fix: SimulatedOptions = field(default_factory=SimulatedOptions)

@@ -8,6 +8,11 @@ from hil.estimation.motion import Motion
 _SHORTEST_S = 0.0049
 _WINDOW_S = 0.1
 _ACCELEROMETER_WINDOW_S = 0.2
+# Contradictions of the accelerometer up to so many times their usual size are noise. What is usual is learnt over so
+# long, and one beyond twice of it counts as twice: slip that lasts is not soon usual.
+_USUAL_TIMES = 4.0
+_USUAL_S = 5.0
+_MOST_UNUSUAL = 2.0
 
 
 class SlipDetector:
@@ -19,12 +24,14 @@ class SlipDetector:
 
     Each difference goes through a leaky integrator of 0.1 s (0.2 s for the accelerometer), in which quantisation
     cancels out. Slip begins when one exceeds ``threshold_m_s`` and ends when all are below half of it. What is not
-    known of the gyro's bias enters times L, of the accelerometer's times 0.2 s.
+    known of the gyro's bias enters times L, of the accelerometer's times 0.2 s. An accelerometer that shakes raises its
+    threshold: to four times the root mean square of its difference.
     """
 
     def __init__(self, lever_m: float, threshold_m_s: float) -> None:
         self._lever_m = lever_m
         self._threshold_m_s = threshold_m_s
+        self._usual_m2_s2 = (threshold_m_s / _USUAL_TIMES) ** 2
         self.restart()
 
     def restart(self) -> None:
@@ -63,9 +70,12 @@ class SlipDetector:
             self._yaw_m = kept * (self._yaw_m + self._lever_m * (gyro_rad - turned_rad))
             turned_rad = gyro_rad
         found_m_s = max(abs(self._disagreement_m), abs(self._yaw_m)) / _WINDOW_S
-        self._found_m_s = max(found_m_s, self._against_accelerometer(motion, turned_rad, bias_m_s2))
-        limit_m_s = 0.5 * self._threshold_m_s if self.is_slipping else self._threshold_m_s
-        self.is_slipping = self._found_m_s > limit_m_s
+        shaken_m_s = self._against_accelerometer(motion, turned_rad, bias_m_s2)
+        self._found_m_s = max(found_m_s, shaken_m_s)
+        share = 0.5 if self.is_slipping else 1.0
+        noise_m_s = _USUAL_TIMES * math.sqrt(self._usual_m2_s2)
+        threshold_m_s = self._threshold_m_s
+        self.is_slipping = found_m_s > share * threshold_m_s or shaken_m_s > share * max(threshold_m_s, noise_m_s)
 
     def _against_accelerometer(self, motion: Motion, turned_rad: float, bias_m_s2: tuple[float, float]) -> float:
         dt_s = motion.dt_s
@@ -84,4 +94,7 @@ class SlipDetector:
         forward = self._forward_m_s + gained_forward + turned_rad * left_m_s - (forward_m_s - last[0])
         left = self._left_m_s + gained_left - turned_rad * forward_m_s - (left_m_s - last[1])
         self._forward_m_s, self._left_m_s = kept * forward, kept * left
-        return math.hypot(self._forward_m_s, self._left_m_s)
+        found_m_s = math.hypot(self._forward_m_s, self._left_m_s)
+        unusual_m2_s2 = min(found_m_s**2, _MOST_UNUSUAL**2 * self._usual_m2_s2)
+        self._usual_m2_s2 += min(dt_s / _USUAL_S, 1.0) * (unusual_m2_s2 - self._usual_m2_s2)
+        return found_m_s

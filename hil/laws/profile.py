@@ -30,7 +30,7 @@ from hil.laws.prediction import DelayPredictor, ExtendedStateObserver, Predictio
 # Share of the largest yaw acceleration and yaw rate that the profile plans with. Pushing has priority, so little torque
 # is certain to be left for turning, and turning may use little of the speed.
 _TURNING_SHARE = 0.3
-# Share of the wheels' speed that turning leaves for the way, and the share that it has in any case.
+# Share of the wheels' speed that turning leaves for the way, and the share that it has in any case near the reference.
 _KEPT_SHARE, _LEAST_TURNING_SHARE = 0.9, 0.05
 # The reference is far from the first distance on until the second is reached [m]; K1 is so many times larger then, as
 # an axis may go on to brake with all of its torque to its last few millimetres.
@@ -42,7 +42,7 @@ _SWING_RAD_S, _SWING_SHARE = 2.0, 0.7
 # wheel that changes its speed faster looks to the limiter like one that slips.
 _SWING_BRAKING = 1.2
 # By how much one pair must be there earlier, so that turning has priority over its push [s].
-_SPARE_S = 0.1
+_SPARE_S = 0.095
 # Share of the believed friction that may be there in addition, as the prior of what is learnt.
 _UNKNOWN_FRICTION = 0.5
 # Least share of the torque to brake with, whatever reference and friction need of it.
@@ -298,7 +298,8 @@ class Profile:
         """
         lever_m, rim_m_s = self._model.lever_m, self._rim_speed_m_s
         left_m_s = _KEPT_SHARE * rim_m_s - used_m_s - lever_m * abs(yaw_rate_rad_s)
-        return min(max(left_m_s, _LEAST_TURNING_SHARE * rim_m_s) / lever_m, most_rad_s)
+        least_m_s = 0.0 if self._is_far else _LEAST_TURNING_SHARE * rim_m_s
+        return min(max(left_m_s, least_m_s) / lever_m, most_rad_s)
 
     def _push_speed_m_s(self, yaw_rate_rad_s: float) -> float:
         """Return the speed limit [m/s] along a diagonal. A wheel's rim moves at √2 of it, plus L times the yaw rate."""
