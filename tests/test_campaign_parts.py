@@ -26,7 +26,7 @@ from hil.batch.campaign.statistics import (
     wilson,
 )
 from hil.batch.figures import KEY, MACHINE, run_columns
-from hil.batch.keys import key_of
+from hil.batch.keys import is_current, key_of
 from hil.batch.run import run
 from hil.batch.store import ROWS, Store, read_rows
 from hil.core.errors import BadInputError
@@ -168,6 +168,22 @@ def test_what_a_law_left_in_its_module_is_gone_in_the_next_run(tmp_path: Path, m
         first, second = (run(job, from_plain(job.scenario)).figures for _ in range(2))
         assert first["wire_sha256"] == second["wire_sha256"]
         assert first["effort_n_m_s"] > 0.0
+
+
+def test_the_job_of_a_run_has_the_scenario_that_was_checked(tmp_path: Path) -> None:
+    axes = (
+        "[axes]\nplant.start.mass_kg = { uniform = [16, 24] }\nlink.command_latency_ms = { grid = [0, 5] }\n"
+        "loop.tick_limit_s = { grid = [1, 2] }"
+    )
+    campaign = Campaign(write_plan(tmp_path, 'laws = ["afdsc", "pid"]\nsamples = 4\nkeep = "none"', axes))
+    assert len({run.scenario for run in campaign.runs}) == len(campaign.runs) == 32
+    for run_of_plan in campaign.runs:
+        job = campaign.job(run_of_plan)
+        scenario = campaign.plan.scenario(run_of_plan.point.sets)
+        assert json.dumps(job.scenario) == json.dumps(to_plain(scenario))
+        assert from_plain(job.scenario) == scenario
+        assert is_current(job, from_plain(job.scenario))
+        assert len(run_of_plan.scenario) < 0.2 * len(json.dumps(job.scenario))
 
 
 CLOCKED = {f"{MACHINE}tick_p50_us": None}
