@@ -172,8 +172,8 @@ def test_what_a_law_left_in_its_module_is_gone_in_the_next_run(tmp_path: Path, m
 
 def test_the_job_of_a_run_has_the_scenario_that_was_checked(tmp_path: Path) -> None:
     axes = (
-        "[axes]\nplant.start.mass_kg = { uniform = [16, 24] }\nlink.command_latency_ms = { grid = [0, 5] }\n"
-        "loop.tick_limit_s = { grid = [1, 2] }"
+        "[axes]\nplant.start.mass_kg = { uniform = [16, 24] }\nlink.command_latency_s = { grid = [0.0, 0.005] }\n"
+        "loop.tick_limit_s = { grid = [1.0, 2.0] }"
     )
     campaign = Campaign(write_plan(tmp_path, 'laws = ["afdsc", "pid"]\nsamples = 4\nkeep = "none"', axes))
     assert len({run.scenario for run in campaign.runs}) == len(campaign.runs) == 32

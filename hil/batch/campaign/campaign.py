@@ -87,7 +87,8 @@ class Campaign:
                 check_run(scenario, made, allow_motion=allow_motion)
             if key in runs:
                 raise BadInputError(
-                    f"campaign {file}: two runs are the same: {runs[key].point.words}; and {point.words}. Remove one of them"
+                    f"campaign {file}: two runs are the same: {runs[key].point.words}; and {point.words}. Remove one "
+                    "of them"
                 )
             # The key is of this scenario. To make it again for the job would take longer than all else about a run.
             runs[key] = Run(key, point, self._scenarios.pack(scenario))
