@@ -4,6 +4,7 @@ import itertools
 import json
 import shutil
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pyarrow as pa
@@ -32,7 +33,7 @@ from hil.batch.store import ROWS, Store, read_rows
 from hil.core.errors import BadInputError
 from hil.robot.virtual import KeptRobot
 from hil.runtime.assembly import RunOptions, run_scenario
-from hil.scenario import from_plain, load, shipped_scenarios, to_plain
+from hil.scenario import Unpacked, from_plain, load, shipped_scenarios, to_plain
 from tests.campaigns import write_plan
 
 RANDOM = "[axes]\nplant.start.mass_kg = {{ uniform = [16, 24] }}\n{more}"
@@ -102,6 +103,25 @@ def test_a_scenario_is_the_same_after_a_way_as_json(name: str) -> None:
     again = from_plain(json.loads(json.dumps(to_plain(scenario))))
     assert again == scenario
     assert key_of(again) == key_of(scenario)
+
+
+DRAWN = {
+    "plant.start.mass_kg": st.sampled_from([16.0, 24.0]),
+    "robot.mass_kg": st.sampled_from([20.0, 21.0]),
+    "controller.law": st.sampled_from(["afdsc", "pid"]),
+    "fault": st.sampled_from([[], [{"kind": "drop", "target": "command", "value": 0.1}]]),
+    "loop.seed": st.integers(0, 2),
+}
+
+
+@given(st.fixed_dictionaries(DRAWN), st.fixed_dictionaries(DRAWN))
+def test_a_scenario_is_the_same_whichever_one_was_unpacked_before(one: dict[str, Any], other: dict[str, Any]) -> None:
+    before, scenario = (load("paper_circle", set=values) for values in (one, other))
+    given_before, given = (json.loads(json.dumps(to_plain(made))) for made in (before, scenario))
+    again = from_plain(given, Unpacked(given_before, before))
+    assert again == scenario
+    assert key_of(again) == key_of(scenario)
+    assert json.dumps(to_plain(again)) == json.dumps(to_plain(scenario))
 
 
 def test_a_key_follows_from_what_a_run_is_made_of_and_not_from_where_that_is(tmp_path: Path) -> None:
