@@ -4,6 +4,7 @@ import itertools
 import json
 import shutil
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pyarrow as pa
@@ -26,13 +27,13 @@ from hil.batch.campaign.statistics import (
     wilson,
 )
 from hil.batch.figures import KEY, MACHINE, run_columns
-from hil.batch.keys import key_of
+from hil.batch.keys import is_current, key_of
 from hil.batch.run import run
 from hil.batch.store import ROWS, Store, read_rows
 from hil.core.errors import BadInputError
 from hil.robot.virtual import KeptRobot
 from hil.runtime.assembly import RunOptions, run_scenario
-from hil.scenario import from_plain, load, shipped_scenarios, to_plain
+from hil.scenario import Unpacked, from_plain, load, shipped_scenarios, to_plain
 from tests.campaigns import write_plan
 
 RANDOM = "[axes]\nplant.start.mass_kg = {{ uniform = [16, 24] }}\n{more}"
@@ -104,6 +105,25 @@ def test_a_scenario_is_the_same_after_a_way_as_json(name: str) -> None:
     assert key_of(again) == key_of(scenario)
 
 
+DRAWN = {
+    "plant.start.mass_kg": st.sampled_from([16.0, 24.0]),
+    "robot.mass_kg": st.sampled_from([20.0, 21.0]),
+    "controller.law": st.sampled_from(["afdsc", "pid"]),
+    "fault": st.sampled_from([[], [{"kind": "drop", "target": "command", "value": 0.1}]]),
+    "loop.seed": st.integers(0, 2),
+}
+
+
+@given(st.fixed_dictionaries(DRAWN), st.fixed_dictionaries(DRAWN))
+def test_a_scenario_is_the_same_whichever_one_was_unpacked_before(one: dict[str, Any], other: dict[str, Any]) -> None:
+    before, scenario = (load("paper_circle", set=values) for values in (one, other))
+    given_before, given = (json.loads(json.dumps(to_plain(made))) for made in (before, scenario))
+    again = from_plain(given, Unpacked(given_before, before))
+    assert again == scenario
+    assert key_of(again) == key_of(scenario)
+    assert json.dumps(to_plain(again)) == json.dumps(to_plain(scenario))
+
+
 def test_a_key_follows_from_what_a_run_is_made_of_and_not_from_where_that_is(tmp_path: Path) -> None:
     law = "class Law:\n    def reset(self, state, reference): ...\n"
     law += "    def update(self, reference, state, applied, dt_s): ..."
@@ -168,6 +188,22 @@ def test_what_a_law_left_in_its_module_is_gone_in_the_next_run(tmp_path: Path, m
         first, second = (run(job, from_plain(job.scenario)).figures for _ in range(2))
         assert first["wire_sha256"] == second["wire_sha256"]
         assert first["effort_n_m_s"] > 0.0
+
+
+def test_the_job_of_a_run_has_the_scenario_that_was_checked(tmp_path: Path) -> None:
+    axes = (
+        "[axes]\nplant.start.mass_kg = { uniform = [16, 24] }\nlink.command_latency_s = { grid = [0.0, 0.005] }\n"
+        "loop.tick_limit_s = { grid = [1.0, 2.0] }"
+    )
+    campaign = Campaign(write_plan(tmp_path, 'laws = ["afdsc", "pid"]\nsamples = 4\nkeep = "none"', axes))
+    assert len({run.scenario for run in campaign.runs}) == len(campaign.runs) == 32
+    for run_of_plan in campaign.runs:
+        job = campaign.job(run_of_plan)
+        scenario = campaign.plan.scenario(run_of_plan.point.sets)
+        assert json.dumps(job.scenario) == json.dumps(to_plain(scenario))
+        assert from_plain(job.scenario) == scenario
+        assert is_current(job, from_plain(job.scenario))
+        assert len(run_of_plan.scenario) < 0.2 * len(json.dumps(job.scenario))
 
 
 CLOCKED = {f"{MACHINE}tick_p50_us": None}

@@ -118,7 +118,8 @@ def test_what_crossed_is_told_with_its_number() -> None:
     assert (PackedFrames(sent)[:-1], sent_count) == (list(before), 2)
     assert codec.decode(PackedFrames(sent)[-1]) == m.Step(0, 2)
     assert (heard, count) == (answer.packed, len(answer))
-    direct.step(client, lambda *_: None, 3)
+    direct.serve(client, lambda *_: None)
+    direct.step(3)
     assert direct.crossed()[:2] == (pack([codec.encode(m.Step(0, 3))]), 1)
 
 
@@ -173,9 +174,10 @@ def test_the_library_sends_what_is_whole_and_stops_there(rest: bytes) -> None:
 def test_a_step_that_cannot_be_sent_is_none(ticks: int) -> None:
     link, *_ = both()
     client = new_client()
-    for call in (lambda client, ticks: link.step(client, lambda *_: None, ticks), link.exchange):
+    link.serve(client, lambda *_: None)
+    for call in (link.step, lambda ticks: link.exchange(client, ticks)):
         with pytest.raises(ValueError, match=f"a step of {ticks} ticks; expected at most 1000"):
-            call(client, ticks)
+            call(ticks)
     assert (client.view.out_bytes, client.view.step) == (0, 0)
 
 

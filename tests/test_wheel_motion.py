@@ -117,12 +117,12 @@ def test_what_wheels_will_do_is_as_the_rules_say_whatever_they_did(
 ) -> None:
     ffi, _ = library()
     wheels = {"wheel_radius_m": MODEL.wheel_radius_m, "lever_m": MODEL.lever_m, "ahead_s": AHEAD_S, "lag_s": LAG_S}
-    limits = {"still_rad_s": STILL, "most_rad_s": MOST, "most_slip_rad_s": slip_rad_s, "older_s": older_s}
+    limits = {"still_rad_s": STILL, "most_rad_s": MOST, "most_slip_rad_s": slip_rad_s}
     motion = ffi.new("wheel_motion *", wheels | limits)
     add, expected = fast_call("add_motion", motion), Plain(slip_rad_s, older_s)
     for (_, speed, state, _), time_ns in zip(sequence, times_ns(sequence), strict=True):
         near = expected.add(speed, time_ns, state)
-        found = add(speed, time_ns, state, LATENCY_S)
+        found = add(speed, time_ns, state, LATENCY_S, older_s)
         if not any(map(math.isnan, (*expected.coming, *expected.coming_slip))):  # NaN is not within
             assert found == near
         assert repr(motion.steps) == repr(expected.steps)
@@ -141,7 +141,7 @@ def test_torques_are_the_same_where_the_limiter_is_asked_in_every_tick(
         made.body = BodyLimits(0.5, 1.0) if has_body else None
         made.limit_to(32.0, 40.0)
     for (_, speed, state, torque), time_ns in zip(sequence, times_ns(sequence), strict=True):
-        left = asked.faded(torque) if asked.is_near(speed, time_ns, state, LATENCY_S) else torque
+        left = asked.faded(torque) if asked.is_near(speed, time_ns, state, LATENCY_S, 0.0) else torque
         is_still = max(map(abs, speed)) <= always._motion.still_rad_s  # nothing is worked out then
-        always.is_near(speed, time_ns, state, LATENCY_S)
+        always.is_near(speed, time_ns, state, LATENCY_S, 0.0)
         assert left == (torque if is_still or not math.isfinite(sum(speed)) else always.faded(torque))

@@ -22,7 +22,7 @@ from hil.batch.keys import is_current
 from hil.batch.pool import READY
 from hil.core.errors import BadInputError
 from hil.core.subprocesses import hold_on
-from hil.scenario import from_plain
+from hil.scenario import Unpacked, from_plain
 
 
 def main(kind: str) -> int:
@@ -40,10 +40,12 @@ def main(kind: str) -> int:
     threading.excepthook = sys.unraisablehook = keep
     answers.write(READY)
     answers.flush()
+    before: Unpacked | None = None
     for line in _lines():
         job = Job(**json.loads(line))
         began = time.monotonic()
-        scenario = from_plain(job.scenario)
+        scenario = from_plain(job.scenario, before)
+        before = Unpacked(job.scenario, scenario)
         try:
             outcome: Outcome = work(job, scenario) if is_current(job, scenario) else Outcome(job.key, FOREIGN)
         except BadInputError as error:

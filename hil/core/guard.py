@@ -62,7 +62,7 @@ class Guard:
         gives a stop (all zero) in the same mode.
         """
         mode, speed, torque = command
-        if mode is CommandMode.TORQUE and speed is not ZERO_WHEELS:
+        if speed is not ZERO_WHEELS and mode is CommandMode.TORQUE:
             speed = ZERO_WHEELS
             command = WheelCommand(mode, speed, torque)
         if is_within(torque, self.torque_limit_n_m) and (
@@ -98,9 +98,8 @@ class Guard:
         motion = self._motion
         if motion is None:
             return command, saturated
-        if older_s != motion.older_s:
-            motion.older_s = older_s
-        if not motion.is_near(speed_rad_s, time_ns, state, latency_s):
+        is_near = motion.is_near
+        if not is_near(speed_rad_s, time_ns, state, latency_s, older_s):
             return command, saturated
         torque = motion.faded(command.torque_n_m)
         if torque is command.torque_n_m:

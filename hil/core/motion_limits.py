@@ -66,7 +66,8 @@ class MotionLimits:
 
     Attributes:
         is_near: takes each tick's measured wheel speeds, the robot's time of the measurement [ns], the robot's state as
-            far as known, and the latency of a command [s]; returns whether ``faded`` has to be called.
+            far as known, the latency of a command [s], and by how much the oldest of the four speeds is older than the
+            state [s], 0 if all are of its time; returns whether ``faded`` has to be called.
     """
 
     def __init__(
@@ -80,7 +81,6 @@ class MotionLimits:
         self._torque_speed = torque_speed
         self._slip_rad_s = slip_m_s / model.wheel_radius_m
         self._begin(period_s + _LAG_S)
-        self._older_s = 0.0
         self._gripped: tuple[float, ...] = _ALL
         self._given: tuple[float, ...] = _ALL  # share of its torque that each wheel may have at most
         self._body: BodyLimits | None = None
@@ -96,7 +96,7 @@ class MotionLimits:
         wheels = {"wheel_radius_m": self._model.wheel_radius_m, "lever_m": self._model.lever_m}
         self._motion = ffi.new("wheel_motion *", {**wheels, "ahead_s": ahead_s, "lag_s": _LAG_S})
         self._motion.most_slip_rad_s = _SLIP_BEGIN * self._slip_rad_s
-        self.is_near: Callable[[Wheels, int, State, float], bool] = fast_call("add_motion", self._motion)
+        self.is_near: Callable[[Wheels, int, State, float, float], bool] = fast_call("add_motion", self._motion)
         names = ("speed_rad_s", "coming_rad_s", "slip_rad_s", "coming_slip_rad_s")
         four = [Tuple(Wheels, fields_of(ffi, self._motion, name)) for name in names]
         self._seen = tuple_constructor(Tuple(_Seen, (*four, *fields_of(ffi, self._motion, "steps"))), self._motion)
@@ -110,15 +110,6 @@ class MotionLimits:
     def time_ns(self) -> int:
         """The robot's time of the newest measurement [ns]; 0 before any."""
         return int(self._motion.time_ns)
-
-    @property
-    def older_s(self) -> float:
-        """By how much the oldest of the four measured speeds is older than the state [s]; 0 if all are of its time."""
-        return self._older_s
-
-    @older_s.setter
-    def older_s(self, value: float) -> None:
-        self._older_s = self._motion.older_s = value
 
     @property
     def body(self) -> BodyLimits | None:

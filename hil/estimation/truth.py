@@ -1,11 +1,11 @@
 """The pose by ground truth, for reference: a real robot has none."""
 
 from collections.abc import Sequence
-from math import dist, isfinite
+from math import isfinite
 
 from hil.core.kinematics import to_world
 from hil.core.model import RobotModel
-from hil.core.tuples import make_state
+from hil.core.tuples import is_finite, make_state
 from hil.core.types import MeasuredPose, PoseFix, State
 from hil.estimation.measurement import NO_STATUS, Estimator, Measurement, measured_twist
 
@@ -31,9 +31,10 @@ class TruthEstimator(Estimator):
         """Return the newest true pose, and the twist."""
         if truth is not None:
             _, pose, twist = truth
-            if isfinite(dist(pose, twist)) and not self._uses_wheels:  # one call looks at all six numbers
+            state = make_state(pose, twist)
+            if is_finite(state) and not self._uses_wheels:
                 self._truth = truth
-                return make_state(pose, twist)
+                return state
             if isfinite(sum(pose)):
                 self._truth = truth
         if self._truth is None:

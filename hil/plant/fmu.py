@@ -135,9 +135,10 @@ class FmuPlant(shim.PlantPort):
                 raise BadInputError(f"plant.start.{value.variable.name} shapes the FMU; open it anew")
         self._start = values
         self.reset()
-        self.settable = {
-            name: row._replace(start=self.instance.value_of(variables[name])) for name, row in self.settable.items()
-        }
+        now = zip(
+            self.settable.items(), self.instance.values_of([variables[name] for name in self.settable]), strict=True
+        )
+        self.settable = {name: row._replace(start=value) for (name, row), value in now}
 
     def close(self) -> None:
         """Free the instance, unload the library and remove the unpacked files. Closing twice is allowed."""
@@ -169,9 +170,10 @@ class FmuPlant(shim.PlantPort):
         memory = self._ffi.new("cosim_variable[]", rows)
         self._wiring_memory.append(memory)
         self._context.settable, self._context.settables = memory, len(rows)
+        starts = self.instance.values_of(list(offered.values()))
         return {
-            name: Settable(place, self.instance.value_of(variable), *limits(variable))
-            for place, (name, variable) in enumerate(offered.items())
+            name: Settable(place, start, *limits(offered[name]))
+            for place, (name, start) in enumerate(zip(offered, starts, strict=True))
         }
 
     def _initialise(self) -> None:

@@ -63,10 +63,17 @@ class Instance:
         address = ctypes.cast(getattr(self.fmu.dll, name), ctypes.c_void_p).value
         return load()[0].cast("cosim_function", address)
 
-    def value_of(self, variable: Any) -> float:
-        """Return the value of a floating-point variable. Raises DeviceError when the FMU refuses to give it."""
-        with self._answering(DeviceError, f"FMU {self._file}: {variable.name} cannot be read"):
-            return float(getattr(self.fmu, f"get{variable.type}")([variable.valueReference])[0])
+    def values_of(self, variables: Sequence[Any]) -> list[float]:
+        """Return the values of floating-point scalars. Raises DeviceError when the FMU refuses to give one."""
+        found: dict[int, float] = {}
+        for kind in dict.fromkeys(variable.type for variable in variables):
+            some = [variable for variable in variables if variable.type == kind]
+            references = [variable.valueReference for variable in some]
+            names = ", ".join(variable.name for variable in some)
+            with self._answering(DeviceError, f"FMU {self._file}: one of {names} cannot be read"):
+                values = getattr(self.fmu, f"get{kind}")(references)
+            found |= zip(references, map(float, values), strict=True)
+        return [found[variable.valueReference] for variable in variables]
 
     def instantiate(self) -> None:
         """Make the instance. Raises BadInputError when only one is allowed per process, or the FMU refuses."""

@@ -50,14 +50,14 @@ class Channel:
         # To a robot in this thread a step without conditions is one call into the library.
         self._direct = link.transport if isinstance(link.transport, DirectLink) else None
         if self._direct is not None:
-            self._direct.serve(client)
+            self._direct.serve(client, self._take_rest)
         self._is_plain = link.is_plain
         self.is_carried = self._is_plain and self._direct is not None
         self.step: Callable[[int], None] = self._step_on_link
         if self._direct is not None:
             self.step = partial(self._step_under_conditions, self._direct)
         if self._direct is not None and self._is_plain:
-            self.step = partial(self._direct.step, client, self._take_rest)
+            self.step = self._direct.step
         # A line without conditions passes bytes between stream and client, in the library.
         self._line = line = link.transport if self._is_plain and isinstance(link.transport, StreamLink) else None
         self.receive: Callable[[], int | None] = self._receive

@@ -66,6 +66,8 @@ class DirectLink:
     """
 
     counts_frames = True
+    _client: Client
+    _take_rest: Callable[[Any, Received], None]
 
     def __init__(self, robot: LibraryRobot, stream: DirectStream, *, may_hang: bool = True) -> None:
         ffi, _ = library()
@@ -108,8 +110,13 @@ class DirectLink:
         answer = self._exchange(self._robot.node.address, _NO_CLIENT, 0)
         return Received(PackedFrames(answer), self.now_ns()) if answer else None
 
-    def serve(self, client: Client) -> None:
-        """Set the client whose frames ``step`` and ``exchange`` send."""
+    def serve(self, client: Client, take_rest: Callable[[Any, Received], None]) -> None:
+        """Set the client whose frames ``step`` and ``exchange`` send.
+
+        Where it stops early in the answer to a step, ``take_rest`` is called with all of the answer, and the rest. It
+        must give the client the rest. ``client.view`` says why the client has stopped.
+        """
+        self._client, self._take_rest = client, take_rest
         self._view = self._direct.waiting = client.view
 
     def exchange(self, client: Client, ticks: int) -> PackedFrames:
@@ -124,22 +131,21 @@ class DirectLink:
             raise _unsendable_step(ticks)
         return PackedFrames(answer)
 
-    def step(self, client: Client, take_rest: Callable[[Any, Received], None], ticks: int) -> None:
+    def step(self, ticks: int) -> None:
         """Send what waits in the client, and a STEP; the client takes the answer.
 
-        If it stopped early, see ``client.view``: ``take_rest`` is then called with all of the answer, and the rest. It
-        must give the client the rest. Raises ValueError for more than 1000 ticks; nothing is sent then.
+        Raises ValueError for more than 1000 ticks; nothing is sent then.
         """
         if not self._is_open:
             raise closed()
         read_ns, step = self.now_ns, self._step
         now_ns = read_ns()
-        if not step(self._robot.node.address, client.address, ticks, now_ns):
+        if not step(self._robot.node.address, self._client.address, ticks, now_ns):
             direct = self._direct
             if not direct.stepped_bytes:  # the client refused it: a step that was made is never empty
                 raise _unsendable_step(ticks)
             rest = PackedFrames(self.answer[direct.answer_at : direct.answer_bytes], 0)
-            take_rest(self.answer, Received(rest, now_ns))
+            self._take_rest(self.answer, Received(rest, now_ns))
 
     # The counters; what waits in the client counts as sent.
 

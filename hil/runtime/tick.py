@@ -151,9 +151,9 @@ class Tick:
                 requested = faults.command(requested)
             command, saturated = self._guard.apply(requested)
             if self._fades:
-                measured, older_s = feedback.speed_rad_s, max(1e-9 * (sampled_ns - at_ns), 0.0)
+                older_s = 1e-9 * (sampled_ns - at_ns) if sampled_ns > at_ns else 0.0
                 command, saturated = self._guard.fade(
-                    command, saturated, measured, at_ns, state, self._latency_s, older_s
+                    command, saturated, feedback.speed_rad_s, at_ns, state, self._latency_s, older_s
                 )
         sequence = self._device.send(command)
         latency_s = measure_latency(feedback, sequence, sampled_ns)

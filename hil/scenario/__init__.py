@@ -21,13 +21,13 @@ from hil.scenario.load import (
     suite_scenarios,
 )  # fmt: skip
 from hil.scenario.plant import SHIPPED_FMUS
-from hil.scenario.run import Scenario, from_plain, resolved, to_plain
+from hil.scenario.run import Scenario, Unpacked, from_plain, resolved, to_plain
 from hil.scenario.tables import DeviceTable, FirmwareTable, RealtimeTable, ServiceTable
 from hil.scenario.trial import ExpectTable, FaultTable
 from hil.scenario.values import StartValue
 
 __all__ = [
     "BASE", "SHIPPED_FMUS", "DeviceTable", "ExpectTable", "FaultTable", "FirmwareTable", "RealtimeTable", "Scenario",
-    "ServiceTable", "Sources", "StartValue", "format_value", "from_plain", "from_values", "load", "read",
+    "ServiceTable", "Sources", "StartValue", "Unpacked", "format_value", "from_plain", "from_values", "load", "read",
     "resolved", "robot_model", "set_texts", "shipped_scenarios", "suite_scenarios", "to_plain",
 ]  # fmt: skip

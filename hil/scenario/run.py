@@ -5,7 +5,7 @@ import json
 from collections.abc import Mapping
 from dataclasses import dataclass, is_dataclass
 from pathlib import Path, PurePath
-from typing import Annotated, Any
+from typing import Annotated, Any, NamedTuple
 
 from hil.core.options import build, items, options_of, plain
 from hil.scenario.baseline import Baseline
@@ -116,10 +116,24 @@ def to_plain(scenario: Scenario) -> dict[str, Any]:
     }
 
 
-def from_plain(given: Mapping[str, Any]) -> Scenario:
-    """Return the scenario from the values that ``to_plain`` returned."""
+class Unpacked(NamedTuple):
+    """A scenario, and the values that ``to_plain`` returned of it."""
+
+    given: Mapping[str, Any]
+    scenario: Scenario
+
+
+def from_plain(given: Mapping[str, Any], like: Unpacked | None = None) -> Scenario:
+    """Return the scenario from the values that ``to_plain`` returned.
+
+    Tables that are those of another scenario, ``like``, are taken from there: most of a scenario in a batch are.
+    """
     path = None if given["path"] is None else Path(given["path"])
-    tables, directory = build(Tables, given["tables"]), Path(given["directory"])
+    values = given["tables"]
+    if like is not None:
+        same = {name for name, table in values.items() if table == like.given["tables"][name]}
+        values = values | {name: getattr(like.scenario, name) for name in same}
+    tables, directory = build(Tables, values), Path(given["directory"])
     baseline = None if given["baseline"] is None else build(Baseline, given["baseline"])
     own = {"name": given["name"], "provenance": given["provenance"]}
     return Scenario(**vars(tables), **own, path=path, directory=directory, baseline=baseline)

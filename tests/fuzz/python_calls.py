@@ -116,7 +116,7 @@ calls = st.one_of(
     call("noise"),
     call("add_feedback", feedback, truth, times, times, st.booleans()),
     call("measure_latency", feedback, ints, times),
-    call("add_motion", four_of(any_number), times, motion, any_number),
+    call("add_motion", four_of(any_number), times, motion, any_number, any_number),
     call("split", any_bytes, ints),
     call("finite", motion),
     call("within", four_of(any_number), any_number),
@@ -141,7 +141,7 @@ class Rig:
         self.rig = WheelRig(lockstep=True)
         self.line = line = HostLine()
         self.direct = DirectLink(cast(LibraryRobot, self.rig), DirectStream(lambda _: b""))
-        self.direct.serve(client)
+        self.direct.serve(client, lambda *_: None)
         ages, latency = ffi.new("wheel_freshness *", {"stale_ns": 50_000_000}), ffi.new("wheel_latency *")
         lib.wheel_latency_init(latency, 0.0, 100_000_000)
         wheels = {"wheel_radius_m": 0.075, "lever_m": 0.6, "ahead_s": 0.01, "lag_s": 0.01, "most_slip_rad_s": 2.0}

@@ -103,8 +103,8 @@ void *wheel_python_add_feedback(void *self, void *const *arguments, ptrdiff_t co
  * state, command_sequence, command_age_ms, ...), then wheel_latency_sent; returns `median_s`. */
 void *wheel_python_measure_latency(void *self, void *const *arguments, ptrdiff_t count);
 
-/* motion.add_motion(speeds, time_ns, state, latency_s): wheel_motion_add with a tuple of four and a motion, a
- * tuple that begins with pose and twist, tuples of three. */
+/* motion.add_motion(speeds, time_ns, state, latency_s, older_s): sets `older_s`, then wheel_motion_add with a
+ * tuple of four and a motion, a tuple that begins with pose and twist, tuples of three. */
 void *wheel_python_add_motion(void *self, void *const *arguments, ptrdiff_t count);
 
 /* finite(motion): whether pose and twist, the two tuples of three that a motion begins with, are finite. */

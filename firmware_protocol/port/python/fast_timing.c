@@ -97,7 +97,8 @@ void *wheel_python_add_motion(void *self, void *const *arguments, ptrdiff_t coun
     double pose[3];
     double twist[3];
     double latency_s;
-    if (failed() || !numbers(arguments[0], 4, speed_rad_s) || !number(arguments[3], &latency_s)) {
+    if (failed() || !numbers(arguments[0], 4, speed_rad_s) || !number(arguments[3], &latency_s) ||
+        !number(arguments[4], &motion->older_s)) {
         return NULL;
     }
     void *at = python.PyTuple_GetItem(arguments[2], 0);

@@ -15,6 +15,7 @@ from typing import Any, NamedTuple
 import pyarrow as pa
 
 from hil.batch.campaign.load import load_plan
+from hil.batch.campaign.packed import PackedScenarios
 from hil.batch.campaign.points import Point, check_run, needs_bench, points
 from hil.batch.campaign.tables import KeepTable
 from hil.batch.figures import KEY, MACHINE, as_judged, check_figure, row_columns, row_of
@@ -27,7 +28,7 @@ from hil.batch.store import OTHER_ROWS, ROWS, Row, Store, check_folder, read_row
 from hil.core.errors import BadInputError
 from hil.core.options import plain
 from hil.runtime.provenance import versions
-from hil.scenario import format_value, set_texts, to_plain
+from hil.scenario import format_value, set_texts
 
 _ARROW = {str: pa.string(), int: pa.int64(), float: pa.float64(), bool: pa.bool_()}
 _TIMED = 3
@@ -36,10 +37,11 @@ _BETWEEN_S = 1.0
 
 
 class Run(NamedTuple):
-    """A run of a campaign: the key of its job, and its place among the axes."""
+    """A run of a campaign: the key of its job, its place among the axes, and its scenario as it was checked, packed."""
 
     key: str
     point: Point
+    scenario: bytes
 
 
 class Place(NamedTuple):
@@ -73,7 +75,8 @@ class Campaign:
         keep = plan.tables.keep
         if isinstance(keep, KeepTable):
             check_figure(keep.by, f"campaign {plan.file.place('keep')}: keep.by")
-        runs: dict[str, Point] = {}
+        self._scenarios = PackedScenarios()
+        runs: dict[str, Run] = {}
         made: set[tuple[str, ...]] = set()
         self.on_bench = self.in_real_time = False
         self.longest_s = 0.0
@@ -84,13 +87,15 @@ class Campaign:
                 check_run(scenario, made, allow_motion=allow_motion)
             if key in runs:
                 raise BadInputError(
-                    f"campaign {file}: two runs are the same: {runs[key].words}; and {point.words}. Remove one of them"
+                    f"campaign {file}: two runs are the same: {runs[key].point.words}; and {point.words}. Remove one "
+                    "of them"
                 )
-            runs[key] = point
+            # The key is of this scenario. To make it again for the job would take longer than all else about a run.
+            runs[key] = Run(key, point, self._scenarios.pack(scenario))
             self.on_bench = self.on_bench or needs_bench(scenario)
             self.in_real_time = self.in_real_time or scenario.loop.mode == "realtime"
             self.longest_s = max(self.longest_s, scenario.loop.duration_s)
-        self.runs = [Run(key, point) for key, point in runs.items()]
+        self.runs = list(runs.values())
         if isinstance(keep, KeepTable) and self.in_real_time:
             raise BadInputError(
                 f"campaign {plan.file.place('keep')}: keep.worst runs the worst once more to record them, and in real "
@@ -99,7 +104,7 @@ class Campaign:
 
     def job(self, run: Run, **how: Any) -> Job:
         """Return the job of a run; ``how`` are further fields of Job."""
-        scenario = to_plain(self.plan.scenario(run.point.sets))
+        scenario = self._scenarios.unpack(run.scenario)
         return Job(run.key, SCENARIO_RUN, scenario, {}, allow_motion=self._allow_motion, **how)
 
     @cached_property
