@@ -11,7 +11,7 @@ wheels", ZAMM 99 (2019).
 
 from dataclasses import dataclass, field
 from math import cos, sin, tanh
-from typing import Annotated
+from typing import Annotated, Any
 
 from hil.core.kinematics import body_twist, to_world, wheel_speeds
 from hil.core.options import Range, require_ranges
@@ -52,6 +52,8 @@ class RobotModel:
     """I + k L² [kg·m²]."""
     wheel_friction_n_m: float = field(init=False, repr=False, compare=False)
     """μ m g r / 4 [N·m]: friction torque of one wheel."""
+    _for_torques: Any = field(init=False, repr=False, compare=False)
+    """What ``wheel_torques`` in C takes of the robot: m + k, k and I + k L²; r and L."""
 
     def __post_init__(self) -> None:
         require_ranges(self, "robot")
@@ -63,6 +65,8 @@ class RobotModel:
         object.__setattr__(self, "effective_mass_kg", self.mass_kg + k)
         object.__setattr__(self, "effective_inertia_kg_m2", self.inertia_kg_m2 + k * lever**2)
         object.__setattr__(self, "wheel_friction_n_m", friction)
+        inertia = self.effective_mass_kg, k, self.effective_inertia_kg_m2
+        object.__setattr__(self, "_for_torques", (inertia, (self.wheel_radius_m, lever)))
 
     def wheel_speeds(self, twist: Axes, heading_rad: float) -> FourWheels:
         """Return the wheel speeds [rad/s] of a world twist at this heading: ω = H Rᵀ q̇ / r."""
@@ -81,8 +85,7 @@ class RobotModel:
         ``twist`` is the world twist in C. Friction ξ (``friction_torques``) is computed for the wheel speeds of the
         world twist ``moving``: pass the intended twist, because a measured one would feed its noise back.
         """
-        inertia = self.effective_mass_kg, self.wheels_mass_kg, self.effective_inertia_kg_m2
-        geometry = self.wheel_radius_m, self.lever_m
+        inertia, geometry = self._for_torques
         torque = wheel_torques(inertia, geometry, acceleration, twist, heading_rad)
         if self.wheel_friction_n_m == 0.0:
             return torque

@@ -135,10 +135,9 @@ class FmuPlant(shim.PlantPort):
                 raise BadInputError(f"plant.start.{value.variable.name} shapes the FMU; open it anew")
         self._start = values
         self.reset()
-        now = zip(
-            self.settable.items(), self.instance.values_of([variables[name] for name in self.settable]), strict=True
-        )
-        self.settable = {name: row._replace(start=value) for (name, row), value in now}
+        starts = self.instance.values_of([variables[name] for name in self.settable])
+        rows = zip(self.settable.items(), starts, strict=True)
+        self.settable = {name: row._replace(start=value) for (name, row), value in rows}
 
     def close(self) -> None:
         """Free the instance, unload the library and remove the unpacked files. Closing twice is allowed."""
