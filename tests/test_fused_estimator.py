@@ -318,6 +318,16 @@ def test_an_accelerometer_that_shakes_is_no_slip_and_four_wheels_that_spin_are_s
     assert max(spinning) > 1.0
 
 
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_lost_measurements_are_no_slip(seed):
+    """One in twenty comes 40 ms late. By what was felt in the last 5 ms of them the robot would jump by 0.02 m/s."""
+    detector, rng = SlipDetector(ROBOT.lever_m, 0.05), np.random.default_rng(seed)
+    durations_s, felt_m_s2 = 0.005 * (1 + 8 * (rng.random(2000) < 0.05)), rng.normal(0.0, 0.7, 2001)
+    means_m_s2 = 0.5 * (felt_m_s2[1:] + felt_m_s2[:-1])
+    for dt_s, mean_m_s2 in zip(durations_s.tolist(), means_m_s2.tolist(), strict=True):
+        assert detector.update(rolling(AT_REST, dt_s, (mean_m_s2 * dt_s, 0.0))) == 0.0
+
+
 def test_a_gap_in_the_measurements_is_no_slip():
     """Before it the robot drove, after it the robot drives again: nobody knows how its velocity changed."""
     detector = SlipDetector(ROBOT.lever_m, 0.1)

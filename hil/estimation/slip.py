@@ -13,6 +13,9 @@ _ACCELEROMETER_WINDOW_S = 0.2
 _USUAL_TIMES = 4.0
 _USUAL_S = 5.0
 _MOST_UNUSUAL = 2.0
+# A measurement that comes so many times later than usual says what was felt in the last period and not since the one
+# before it. The period may grow by this factor each time.
+_LATE, _SLOWER = 1.5, 1.1
 
 
 class SlipDetector:
@@ -44,6 +47,7 @@ class SlipDetector:
         self._forward_m_s = 0.0
         self._left_m_s = 0.0
         self._last_m_s: tuple[float, float] | None = None
+        self._period_s = math.inf
 
     def update(
         self, motion: Motion, gyro_bias_rad_s: float = 0.0, bias_m_s2: tuple[float, float] = (0.0, 0.0)
@@ -80,20 +84,17 @@ class SlipDetector:
     def _against_accelerometer(self, motion: Motion, turned_rad: float, bias_m_s2: tuple[float, float]) -> float:
         dt_s = motion.dt_s
         forward_m_s, left_m_s = motion.forward_m / dt_s, motion.left_m / dt_s
-        if math.isnan(motion.gained_forward_m_s + motion.gained_left_m_s):
-            # The change of velocity is unknown, so the comparison starts again.
-            self._last_m_s, self._forward_m_s, self._left_m_s = None, 0.0, 0.0
-            return 0.0
         last, self._last_m_s = self._last_m_s, (forward_m_s, left_m_s)
-        if last is None:
-            return 0.0
+        forward = left = 0.0
+        is_late, self._period_s = dt_s > _LATE * self._period_s, min(dt_s, _SLOWER * self._period_s)
+        if is_late or math.isnan(motion.gained_forward_m_s + motion.gained_left_m_s):
+            self._last_m_s = None
+        elif last is not None:
+            # In the turning body frame the velocity changes by the acceleration minus the yaw rate crossed with it.
+            forward = motion.gained_forward_m_s - bias_m_s2[0] * dt_s + turned_rad * left_m_s - (forward_m_s - last[0])
+            left = motion.gained_left_m_s - bias_m_s2[1] * dt_s - turned_rad * forward_m_s - (left_m_s - last[1])
         kept = math.exp(-dt_s / _ACCELEROMETER_WINDOW_S)
-        gained_forward = motion.gained_forward_m_s - bias_m_s2[0] * dt_s
-        gained_left = motion.gained_left_m_s - bias_m_s2[1] * dt_s
-        # In the turning body frame the velocity changes by the acceleration minus the yaw rate crossed with it.
-        forward = self._forward_m_s + gained_forward + turned_rad * left_m_s - (forward_m_s - last[0])
-        left = self._left_m_s + gained_left - turned_rad * forward_m_s - (left_m_s - last[1])
-        self._forward_m_s, self._left_m_s = kept * forward, kept * left
+        self._forward_m_s, self._left_m_s = kept * (self._forward_m_s + forward), kept * (self._left_m_s + left)
         found_m_s = math.hypot(self._forward_m_s, self._left_m_s)
         unusual_m2_s2 = min(found_m_s**2, _MOST_UNUSUAL**2 * self._usual_m2_s2)
         self._usual_m2_s2 += min(dt_s / _USUAL_S, 1.0) * (unusual_m2_s2 - self._usual_m2_s2)
