@@ -107,6 +107,16 @@ void *wheel_python_measure_latency(void *self, void *const *arguments, ptrdiff_t
  * tuple of four and a motion, a tuple that begins with pose and twist, tuples of three. */
 void *wheel_python_add_motion(void *self, void *const *arguments, ptrdiff_t count);
 
+/* load.count_load(now_ns, total): wheel_load_count. */
+void *wheel_python_count_load(void *self, void *const *arguments, ptrdiff_t count);
+
+/* loads.count_loads(now_ns, totals): wheel_load_count of two in a row with a tuple of two; returns the
+ * greater load. */
+void *wheel_python_count_loads(void *self, void *const *arguments, ptrdiff_t count);
+
+/* freshness.has_aged(now_ns): whether a truth has become too old since `add_feedback`. */
+void *wheel_python_has_aged(void *self, void *const *arguments, ptrdiff_t count);
+
 /* finite(motion): whether pose and twist, the two tuples of three that a motion begins with, are finite. */
 void *wheel_python_finite(void *self, void *const *arguments, ptrdiff_t count);
 
