@@ -7,10 +7,12 @@ line are below it. Time stamps are by the run's clock. STATISTICS.md explains ea
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any
 
+from firmware_protocol.built import BuildError
 from firmware_protocol.fast_calls import fast_call
 from firmware_protocol.framing import Frame
 from firmware_protocol.host import library
 from firmware_protocol.host_line import PackedFrames
+from hil.core.errors import BadInputError
 from hil.core.ports import Clock, Link, Received
 from hil.wire.link import LinkUrl
 from hil.wire.meters import BusMeter, Meter
@@ -166,8 +168,14 @@ class LinkStatistics:
 
 
 def observe(link: Any, url: LinkUrl, clock: Clock, trace: "Trace | None" = None) -> LinkStatistics:
-    """Return the statistics of a transport opened from ``url``. Its time stamps are from now on by the run's clock."""
-    statistics = LinkStatistics(link, url.meter(link), clock, trace)
+    """Return the statistics of a transport opened from ``url``. Its time stamps are from now on by the run's clock.
+
+    Raises BadInputError when the host library cannot be loaded.
+    """
+    try:
+        statistics = LinkStatistics(link, url.meter(link), clock, trace)
+    except BuildError as error:
+        raise BadInputError(str(error)) from error
     link.now_ns = clock.now_ns
     if url.is_bus:
         link.on_foreign = statistics.overhear

@@ -3,7 +3,9 @@
 import time
 from collections.abc import Callable
 
+from firmware_protocol.built import BuildError
 from firmware_protocol.fast_calls import fast_call
+from hil.core.errors import BadInputError
 
 _QUIET_NS = 20_000_000
 
@@ -14,12 +16,17 @@ class Terminal:
     Linux passes on what has come in a thread of the kernel, without real-time priority. While there is nothing to read,
     ``select`` and ``read`` wait for that thread, on a busy machine for milliseconds. So this asks first whether there
     is. Both calls are made in the host library, without letting other threads run: they do not wait.
+
+    Raises BadInputError when the library cannot be loaded.
     """
 
     def __init__(self, descriptor: int) -> None:
         self._descriptor = descriptor
-        self._read: Callable[[int], bytes | None] = fast_call("terminal_read")
-        self._write: Callable[[int, bytes], int] = fast_call("terminal_write")
+        try:
+            self._read: Callable[[int], bytes | None] = fast_call("terminal_read")
+            self._write: Callable[[int, bytes], int] = fast_call("terminal_write")
+        except BuildError as error:
+            raise BadInputError(str(error)) from error
         self._quiet_until_ns = 0
 
     def write(self, data: bytes) -> int:
