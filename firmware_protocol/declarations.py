@@ -23,6 +23,7 @@ HEADERS = tuple(
         "client/wheel_client.h",
         "client/wheel_timing.h",
         "client/wheel_motion.h",
+        "client/wheel_load.h",
         "port/host/direct.h",
         "port/python/fast_calls.h",
     )

@@ -46,6 +46,7 @@ TESTS = (
     "tests/test_freshness.py",
     "tests/test_wheel_timing.py",
     "tests/test_wheel_motion.py",
+    "tests/test_statistics.py",
     "tests/test_latency.py",
     "tests/test_direct.py",
     "tests/test_line_of_the_library.py",

@@ -62,7 +62,8 @@ class Channel:
         self._line = line = link.transport if self._is_plain and isinstance(link.transport, StreamLink) else None
         self.receive: Callable[[], int | None] = self._receive
         if line is not None:
-            self.receive = partial(line.receive_for, client, link.clock, self._attend_from)
+            line.serve(client, link.clock, self._attend_from)
+            self.receive = line.receive_waiting
         self.feedback = feedback_reader(client)
         self._round_trips_seen = 0
         self._round_trip = RoundTrip()
@@ -78,7 +79,7 @@ class Channel:
         view = client.view
         try:
             if self._line is not None:
-                self._line.send_from(client)
+                self._line.send_waiting()
             elif view.out_bytes and not self._may_wait(everything):
                 self._link.send_all(client.out())
                 client.sent()

@@ -42,6 +42,7 @@ class Freshness:
         self._timing = timing
         self._stale_ns = timing.stale_ns
         self._ages = ffi.new("wheel_freshness *", {"stale_ns": timing.stale_ns})
+        self._has_aged: Callable[[int], bool] = fast_call("has_aged", self._ages)
         self._add: Callable[..., tuple[int, int, int | None, bool]] = fast_call("add_feedback", self._ages)
         self.silent_ns = 0
         self.truth_ns: int | None = None
@@ -103,7 +104,8 @@ class Freshness:
 
     def has_aged(self) -> bool:
         """Real time: whether the truth has become too old since ``poll``, because this process stalled."""
-        return self.truth_ns is not None and self._clock.now_ns() - int(self._ages.truth_received_ns) > self._stale_ns
+        has_aged = self._has_aged
+        return self.truth_ns is not None and has_aged(self._clock.now_ns())
 
     def restart(self) -> bool:
         """Start again with a robot that came back; return whether it was reset.

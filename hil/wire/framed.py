@@ -15,8 +15,8 @@ _MOST_AT_ONCE = 50
 """The most frames that one call returns: those of a few ticks. The caller decides how often it calls."""
 
 _MOST_READS = 2
-"""The most reads of one ``receive_for``. The rest is read in the next tick: a host that is slower than its robot would
-never finish.
+"""The most reads of one ``receive_waiting``. The rest is read in the next tick: a host that is slower than its robot
+would never finish.
 """
 _SHORT = 2048  # bytes; a read of fewer has emptied the line (HostStream)
 
@@ -30,6 +30,11 @@ def noise_of(framing: Framing) -> int:
     return sum(count for cause, count in framing.rejected.items() if cause != "lost")
 
 
+def _own(framing: Framing) -> HostLine:
+    assert isinstance(framing, HostLine), "a client speaks our own protocol"
+    return framing
+
+
 class StreamLink:
     """Frames over a byte stream. Wrong bytes are dropped and counted by cause; they raise no error.
 
@@ -39,7 +44,14 @@ class StreamLink:
             ``receive`` returned, received_bytes all bytes.
     """
 
+    _client: Client  # these are set by ``serve``
+    _clock: Clock
+    _attend: Callable[[bytes, int, int], None]
+    _encode: Callable[[int], bytes]
+    _take: Callable[[int, bytes, int], int | tuple[bytes, int]]
+
     def __init__(self, stream: HostStream, protocol: LinkProtocol = WHEEL_DBC) -> None:
+        self._is_serving = False
         self._stream = stream
         assert protocol.make_framing is not None, "a protocol of buses only"
         self._make_framing = protocol.make_framing
@@ -58,38 +70,45 @@ class StreamLink:
     def send(self, frame: Frame) -> None:
         self._write(self._sender.encode(frame), 1)
 
-    def send_from(self, client: Client) -> None:
-        """Send what waits in ``client``. Raises LinkError when the link is lost; then it still waits."""
-        assert isinstance(self._sender, HostLine), "a client speaks our own protocol"
-        data = self._sender.encode_for(client.address)
+    def serve(self, client: Client, clock: Clock, attend: Callable[[bytes, int, int], None]) -> None:
+        """Set the client for which ``send_waiting`` and ``receive_waiting`` are; ``clock`` is that of the run.
+
+        Where the client needs attention, ``attend`` is called with packed frames, how far the client took them, and the
+        time of their arrival.
+        """
+        self._client, self._clock, self._attend, self._is_serving = client, clock, attend, True
+        self._encode, self._take = _own(self._sender).encode_for, _own(self._framing).receive_for
+
+    def send_waiting(self) -> None:
+        """Send what waits in the client. Raises LinkError when the link is lost; then it still waits."""
+        client, encode = self._client, self._encode
+        data = encode(client.address)
         if data:
             self._stream.write(data)
             self.sent_frames += client.sent()
             self.sent_bytes += len(data)
 
-    def receive_for(self, client: Client, clock: Clock, attend: Callable[[bytes, int, int], None]) -> int | None:
-        """Have ``client`` take what has arrived, without waiting, and add what is due to be sent.
+    def receive_waiting(self) -> int | None:
+        """Have the client take what has arrived, without waiting, and add what is due to be sent.
 
-        If the client needs attention, ``attend`` is called with packed frames, how far the client took them, and the
-        time of their arrival. Return the time at which nothing was left to be read; None if there may be more.
+        Return the time at which nothing was left to be read; None if there may be more.
         """
-        framing = self._framing
-        assert isinstance(framing, HostLine), "a client speaks our own protocol"
         if self._waiting is not None:
             (frames, stamp_ns), self._waiting = self._waiting, None
             self.received_frames += len(frames)
-            attend(packed_of(frames), 0, stamp_ns)
+            self._attend(packed_of(frames), 0, stamp_ns)
+        address, take = self._client.address, self._take
         for _ in range(_MOST_READS):
             data = self._stream.read(AT_ONCE)
-            now_ns = clock.now_ns()
-            taken = framing.receive_for(client.address, data, now_ns)
+            now_ns = self._clock.now_ns()
+            taken = take(address, data, now_ns)
             self.received_bytes += len(data)
             if isinstance(taken, int):
                 self.received_frames += taken
             else:
                 packed, at = taken
                 self.received_frames += len(PackedFrames(packed))
-                attend(packed, at, now_ns)
+                self._attend(packed, at, now_ns)
             if len(data) < _SHORT:
                 return now_ns
         return None
@@ -162,6 +181,8 @@ class StreamLink:
         self._earlier_noise = self.noise()
         self._earlier = Counter(self.rejected())
         self._framing = self._make_framing()
+        if self._is_serving:
+            self._take = _own(self._framing).receive_for
         self._waiting = None
 
     def describe(self) -> str:

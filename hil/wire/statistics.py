@@ -4,11 +4,15 @@ It observes the transport itself, below latency and faults of frames. Only the f
 line are below it. Time stamps are by the run's clock. STATISTICS.md explains each figure.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any
 
+from firmware_protocol.built import BuildError
+from firmware_protocol.fast_calls import fast_call
 from firmware_protocol.framing import Frame
+from firmware_protocol.host import library
 from firmware_protocol.host_line import PackedFrames
+from hil.core.errors import BadInputError
 from hil.core.ports import Clock, Link, Received
 from hil.wire.link import LinkUrl
 from hil.wire.meters import BusMeter, Meter
@@ -16,49 +20,37 @@ from hil.wire.meters import BusMeter, Meter
 if TYPE_CHECKING:
     from hil.wire.trace import Trace
 
-_BUCKET_NS = 10_000_000
-_BUCKETS = 10
-WINDOW_NS = _BUCKET_NS * _BUCKETS
+WINDOW_NS = 100_000_000
 
 
 class LoadWindow:
-    """The load of a line: in the newest window of 100 ms, in the worst one, and in total.
+    """The load of a line: in the newest window of 100 ms, in the worst one, and in total (``client/wheel_load.h``).
 
-    What occupies the line is counted in units of ``unit_ns``. Windows begin at multiples of 10 ms on the clock.
+    What occupies the line is counted in units of ``unit_ns``. Windows begin at multiples of 10 ms on the clock. ``at``
+    is memory for it, by default its own. Raises BuildError without the host library.
 
     Attributes:
-        total: how much there was so far.
+        count: takes the time [ns] and how much there was so far; returns the load of the window that ends now [%].
     """
 
-    def __init__(self, unit_ns: float = 1.0) -> None:
+    def __init__(self, unit_ns: float = 1.0, at: Any = None) -> None:
         self._unit_ns = unit_ns
-        self._unit_percent = 100.0 * unit_ns / WINDOW_NS
-        self._totals: list[float] = [0] * _BUCKETS  # at the ends of the newest buckets: of number n at n modulo 10
-        self._next_ns = 0  # when the next bucket begins
-        self.total: float = 0
-        self._before: float = 0  # the total before the window
-        self._most: float = 0
+        self._load = library()[0].new("wheel_load *") if at is None else at
+        self._load.unit_percent = 100.0 * unit_ns / WINDOW_NS
+        self.count: Callable[[int, float], float] = fast_call("count_load", self._load)
+
+    @property
+    def total(self) -> float:
+        """How much there was so far."""
+        return float(self._load.total)
+
+    @total.setter
+    def total(self, units: float) -> None:
+        self._load.total = units
 
     def add(self, now_ns: int, units: float) -> None:
         """Count a frame."""
         self.count(now_ns, self.total + units)
-
-    def count(self, now_ns: int, total: float) -> float:
-        """Set how much there was so far; return the load of the window that ends now [%]."""
-        if now_ns >= self._next_ns:
-            self._advance(now_ns // _BUCKET_NS)
-        self.total = total
-        units = total - self._before
-        if units > self._most:
-            self._most = units
-        return units * self._unit_percent
-
-    def _advance(self, bucket: int) -> None:
-        last = self._next_ns // _BUCKET_NS - 1
-        for number in range(last, min(bucket, last + _BUCKETS)):
-            self._totals[number % _BUCKETS] = self.total
-        self._before = self._totals[bucket % _BUCKETS]
-        self._next_ns = (bucket + 1) * _BUCKET_NS
 
     def percent(self, now_ns: int) -> float:
         """Return the load of the window that ends now [%]."""
@@ -67,7 +59,7 @@ class LoadWindow:
     def figures(self, lasted_ns: int) -> dict[str, float | None]:
         """Return the mean load over ``lasted_ns`` and that of the worst window [%]."""
         mean = 100.0 * self.total * self._unit_ns / lasted_ns if lasted_ns > 0 else None
-        return {"mean_percent": mean, "worst_100_ms_percent": self._most * self._unit_percent}
+        return {"mean_percent": mean, "worst_100_ms_percent": self._load.most * self._load.unit_percent}
 
 
 class LinkStatistics:
@@ -95,8 +87,10 @@ class LinkStatistics:
         self._since_ns = self._clock.now_ns()
         self._meter.begin()
         unit_ns = self._meter.byte_ns if self._bus is None else 1.0
-        self._down = LoadWindow(unit_ns)
-        self._up = LoadWindow(unit_ns) if self._meter.duplex else self._down
+        loads = library()[0].new("wheel_load[2]")  # kept by count_loads
+        self._down = LoadWindow(unit_ns, loads + 0)
+        self._up = LoadWindow(unit_ns, loads + 1) if self._meter.duplex else self._down
+        self._count_loads: Callable[[int, tuple[float, float]], float] = fast_call("count_loads", loads)
 
     def sent(self, frames: Sequence[Frame]) -> None:
         """Count and trace frames that were just sent."""
@@ -147,9 +141,8 @@ class LinkStatistics:
         now_ns = self._clock.now_ns()
         if self._bus is not None:
             return self._down.percent(now_ns)
-        sent, received = byte_counts
-        down, up = self._down.count(now_ns, sent), self._up.count(now_ns, received)
-        return down if down > up else up
+        count_loads = self._count_loads
+        return count_loads(now_ns, byte_counts)
 
     @property
     def counts_frames(self) -> bool:
@@ -175,8 +168,14 @@ class LinkStatistics:
 
 
 def observe(link: Any, url: LinkUrl, clock: Clock, trace: "Trace | None" = None) -> LinkStatistics:
-    """Return the statistics of a transport opened from ``url``. Its time stamps are from now on by the run's clock."""
-    statistics = LinkStatistics(link, url.meter(link), clock, trace)
+    """Return the statistics of a transport opened from ``url``. Its time stamps are from now on by the run's clock.
+
+    Raises BadInputError when the host library cannot be loaded.
+    """
+    try:
+        statistics = LinkStatistics(link, url.meter(link), clock, trace)
+    except BuildError as error:
+        raise BadInputError(str(error)) from error
     link.now_ns = clock.now_ns
     if url.is_bus:
         link.on_foreign = statistics.overhear

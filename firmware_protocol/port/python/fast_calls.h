@@ -107,6 +107,16 @@ void *wheel_python_measure_latency(void *self, void *const *arguments, ptrdiff_t
  * tuple of four and a motion, a tuple that begins with pose and twist, tuples of three. */
 void *wheel_python_add_motion(void *self, void *const *arguments, ptrdiff_t count);
 
+/* load.count_load(now_ns, total): wheel_load_count. */
+void *wheel_python_count_load(void *self, void *const *arguments, ptrdiff_t count);
+
+/* loads.count_loads(now_ns, totals): wheel_load_count of two in a row with a tuple of two; returns the
+ * greater load. */
+void *wheel_python_count_loads(void *self, void *const *arguments, ptrdiff_t count);
+
+/* freshness.has_aged(now_ns): whether a truth has become too old since `add_feedback`. */
+void *wheel_python_has_aged(void *self, void *const *arguments, ptrdiff_t count);
+
 /* finite(motion): whether pose and twist, the two tuples of three that a motion begins with, are finite. */
 void *wheel_python_finite(void *self, void *const *arguments, ptrdiff_t count);
 
@@ -210,6 +220,16 @@ typedef struct {
 /* tables.look_up(inputs): a tuple of the first input of each table, then of the second; returns a tuple of
  * the first results, then of the second, and sets `nearest`. NaN is the beginning of a table. */
 void *wheel_python_look_up(void *self, void *const *arguments, ptrdiff_t count);
+
+/* terminal_read(descriptor), POSIX: what waits at a terminal, as bytes; empty if nothing does, None where it
+ * cannot be read. A read that finds nothing may wait for a thread of the kernel, so this asks first whether
+ * there is. */
+void *wheel_python_terminal_read(void *self, void *const *arguments, ptrdiff_t count);
+enum { WHEEL_PYTHON_TERMINAL = 4096 }; /* bytes at once: as many as Linux keeps for a reader of a terminal */
+
+/* terminal_write(descriptor, bytes), POSIX: how many of them a terminal that does not block has taken; 0 also
+ * where it cannot be written to. */
+void *wheel_python_terminal_write(void *self, void *const *arguments, ptrdiff_t count);
 /* cffi: end */
 
 #endif

@@ -1,4 +1,6 @@
-/* The age of feedback, the latency of commands, and the motion of wheels, of the tuples of a tick. */
+/* The age of feedback, the latency of commands, the load of a line and the motion of wheels, of the tuples of
+ * a tick. */
+#include "../../client/wheel_load.h"
 #include "../../client/wheel_motion.h"
 #include "../../client/wheel_timing.h"
 
@@ -107,4 +109,38 @@ void *wheel_python_add_motion(void *self, void *const *arguments, ptrdiff_t coun
         return NULL;
     }
     return python.PyBool_FromLong(wheel_motion_add(motion, speed_rad_s, time_ns, twist, pose[2], latency_s));
+}
+
+void *wheel_python_has_aged(void *self, void *const *arguments, ptrdiff_t count) {
+    (void)count;
+    const wheel_freshness *freshness = address(self);
+    const int64_t now_ns = integer(arguments[0]);
+    if (failed()) {
+        return NULL;
+    }
+    return python.PyBool_FromLong(freshness->has_truth &&
+                                  now_ns - freshness->truth_received_ns > freshness->stale_ns);
+}
+
+void *wheel_python_count_load(void *self, void *const *arguments, ptrdiff_t count) {
+    (void)count;
+    const int64_t now_ns = integer(arguments[0]);
+    double total;
+    if (failed() || !number(arguments[1], &total)) {
+        return NULL;
+    }
+    return python.PyFloat_FromDouble(wheel_load_count(address(self), now_ns, total));
+}
+
+void *wheel_python_count_loads(void *self, void *const *arguments, ptrdiff_t count) {
+    (void)count;
+    wheel_load *loads = address(self);
+    const int64_t now_ns = integer(arguments[0]);
+    double totals[2];
+    if (failed() || !numbers(arguments[1], 2, totals)) {
+        return NULL;
+    }
+    const double first = wheel_load_count(&loads[0], now_ns, totals[0]);
+    const double second = wheel_load_count(&loads[1], now_ns, totals[1]);
+    return python.PyFloat_FromDouble(first > second ? first : second);
 }

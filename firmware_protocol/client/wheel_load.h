@@ -1,0 +1,37 @@
+/* The load of a line: in the newest window of 100 ms, in the worst one, and in total. No I/O, allocation or
+ * static data.
+ */
+#ifndef WHEEL_LOAD_H
+#define WHEEL_LOAD_H
+
+#include <stdint.h>
+
+#ifdef __cplusplus
+extern "C" {
+#endif
+
+/* cffi: begin */
+#define WHEEL_LOAD_BUCKET_NS 10000000 /* windows begin at multiples of this on the clock */
+#define WHEEL_LOAD_BUCKETS 10         /* of a window */
+
+/* Begin with zeros, and `unit_percent`, the load of a window in which there is one unit [%]. The rest is only
+ * to be read. What occupies the line may be counted in any unit, such as bytes. */
+typedef struct {
+    double unit_percent;
+    double total;                      /* how much there was so far */
+    double most;                       /* in the worst window */
+    double before;                     /* the total before the newest window */
+    int64_t next_ns;                   /* when the next bucket begins */
+    double totals[WHEEL_LOAD_BUCKETS]; /* at the ends of the newest buckets: of number n at n modulo 10 */
+} wheel_load;
+
+/* Sets how much there was so far, at a time that is not before that of the last call; returns the load of the
+ * window that ends now [%]. */
+double wheel_load_count(wheel_load *load, int64_t now_ns, double total);
+/* cffi: end */
+
+#ifdef __cplusplus
+}
+#endif
+
+#endif
