@@ -14,8 +14,8 @@ from hil.wire.streams import AT_ONCE, HostStream
 _MOST_AT_ONCE = 50
 """The most frames that one call returns: those of a few ticks. The caller decides how often it calls."""
 
-_MOST_READS = 2
-"""The most reads of one ``receive_waiting``. The rest is read in the next tick: a host that is slower than its robot
+_READS = range(2)
+"""The reads of one ``receive_waiting`` at most. The rest is read in the next tick: a host that is slower than its robot
 would never finish.
 """
 _SHORT = 2048  # bytes; a read of fewer has emptied the line (HostStream)
@@ -98,7 +98,7 @@ class StreamLink:
             self.received_frames += len(frames)
             self._attend(packed_of(frames), 0, stamp_ns)
         address, take = self._client.address, self._take
-        for _ in range(_MOST_READS):
+        for _ in _READS:
             data = self._stream.read(AT_ONCE)
             now_ns = self._clock.now_ns()
             taken = take(address, data, now_ns)

@@ -243,12 +243,12 @@ class SerialStream:
 
     def read(self, timeout_ns: int) -> bytes:
         try:
+            if timeout_ns < 0 and self._terminal is not None and (data := self._terminal.read()) is not None:
+                return data
             if self._reader is not None:
                 return self._reader.read(timeout_ns)
             if timeout_ns > 0:
                 select.select([self._port.fileno()], [], [], timeout_ns * 1e-9)
-            elif timeout_ns < 0 and self._terminal is not None and (data := self._terminal.read()) is not None:
-                return data
             return bytes(self._port.read(_CHUNK))
         except _LOSSES as error:
             raise self._lost(error) from error
