@@ -15,8 +15,7 @@ from typing import Any, NamedTuple
 import pyarrow as pa
 
 from hil.batch.campaign.load import load_plan
-from hil.batch.campaign.packed import PackedScenarios
-from hil.batch.campaign.points import Point, check_run, needs_bench, points
+from hil.batch.campaign.points import PackedScenarios, Point, check_run, needs_bench, points
 from hil.batch.campaign.tables import KeepTable
 from hil.batch.figures import KEY, MACHINE, as_judged, check_figure, row_columns, row_of
 from hil.batch.job import ALWAYS, ENDED, FAILED, IF_FAILED, NEVER, PASSED, Job, Outcome
