@@ -8,14 +8,16 @@ from hil.estimation.motion import Motion
 _SHORTEST_S = 0.0049
 _WINDOW_S = 0.1
 _ACCELEROMETER_WINDOW_S = 0.2
-# Contradictions of the accelerometer up to so many times their usual size are noise. What is usual is learnt over so
-# long, and one beyond twice of it counts as twice: slip that lasts is not soon usual.
+# A contradiction of the accelerometer up to this many times its usual size is noise.
 _USUAL_TIMES = 4.0
+# What is usual is learnt over this time.
 _USUAL_S = 5.0
+# A contradiction counts as at most this many times the usual one: slip that lasts is not soon usual.
 _MOST_UNUSUAL = 2.0
-# A measurement that comes so many times later than usual says what was felt in the last period and not since the one
-# before it. The period may grow by this factor each time.
-_LATE, _SLOWER = 1.5, 1.1
+# After more than this many usual intervals, measurements were lost.
+_LOST = 1.5
+# The usual interval is the mean of this many, fewer at the start. One counts as at most this many usual ones.
+_USUAL_OF, _MOST_INTERVALS = 100, 4.0
 
 
 class SlipDetector:
@@ -27,14 +29,16 @@ class SlipDetector:
 
     Each difference goes through a leaky integrator of 0.1 s (0.2 s for the accelerometer), in which quantisation
     cancels out. Slip begins when one exceeds ``threshold_m_s`` and ends when all are below half of it. What is not
-    known of the gyro's bias enters times L, of the accelerometer's times 0.2 s. An accelerometer that shakes raises its
-    threshold: to four times the root mean square of its difference.
+    known of the gyro's bias enters times L, of the accelerometer's times 0.2 s.
+
+    Where an accelerometer shakes, its threshold is four times the root mean square of its difference, if that is more.
+    It tells the mean of the last interval alone, so nothing is compared over lost measurements.
     """
 
     def __init__(self, lever_m: float, threshold_m_s: float) -> None:
         self._lever_m = lever_m
         self._threshold_m_s = threshold_m_s
-        self._usual_m2_s2 = (threshold_m_s / _USUAL_TIMES) ** 2
+        self._least_m2_s2 = self._usual_m2_s2 = (threshold_m_s / _USUAL_TIMES) ** 2
         self.restart()
 
     def restart(self) -> None:
@@ -47,7 +51,8 @@ class SlipDetector:
         self._forward_m_s = 0.0
         self._left_m_s = 0.0
         self._last_m_s: tuple[float, float] | None = None
-        self._period_s = math.inf
+        self._usual_dt_s = 0.0
+        self._intervals = 0
 
     def update(
         self, motion: Motion, gyro_bias_rad_s: float = 0.0, bias_m_s2: tuple[float, float] = (0.0, 0.0)
@@ -78,24 +83,36 @@ class SlipDetector:
         self._found_m_s = max(found_m_s, shaken_m_s)
         share = 0.5 if self.is_slipping else 1.0
         noise_m_s = _USUAL_TIMES * math.sqrt(self._usual_m2_s2)
-        threshold_m_s = self._threshold_m_s
-        self.is_slipping = found_m_s > share * threshold_m_s or shaken_m_s > share * max(threshold_m_s, noise_m_s)
+        self.is_slipping = found_m_s > share * self._threshold_m_s or shaken_m_s > share * noise_m_s
 
     def _against_accelerometer(self, motion: Motion, turned_rad: float, bias_m_s2: tuple[float, float]) -> float:
         dt_s = motion.dt_s
         forward_m_s, left_m_s = motion.forward_m / dt_s, motion.left_m / dt_s
         last, self._last_m_s = self._last_m_s, (forward_m_s, left_m_s)
-        forward = left = 0.0
-        is_late, self._period_s = dt_s > _LATE * self._period_s, min(dt_s, _SLOWER * self._period_s)
-        if is_late or math.isnan(motion.gained_forward_m_s + motion.gained_left_m_s):
+        kept = math.exp(-dt_s / _ACCELEROMETER_WINDOW_S)
+        self._forward_m_s *= kept
+        self._left_m_s *= kept
+        if self._has_lost(dt_s) or math.isnan(motion.gained_forward_m_s + motion.gained_left_m_s):
+            # How the velocity changed is not known, and not how it will change from this interval's mean to the next.
             self._last_m_s = None
         elif last is not None:
             # In the turning body frame the velocity changes by the acceleration minus the yaw rate crossed with it.
             forward = motion.gained_forward_m_s - bias_m_s2[0] * dt_s + turned_rad * left_m_s - (forward_m_s - last[0])
             left = motion.gained_left_m_s - bias_m_s2[1] * dt_s - turned_rad * forward_m_s - (left_m_s - last[1])
-        kept = math.exp(-dt_s / _ACCELEROMETER_WINDOW_S)
-        self._forward_m_s, self._left_m_s = kept * (self._forward_m_s + forward), kept * (self._left_m_s + left)
-        found_m_s = math.hypot(self._forward_m_s, self._left_m_s)
-        unusual_m2_s2 = min(found_m_s**2, _MOST_UNUSUAL**2 * self._usual_m2_s2)
-        self._usual_m2_s2 += min(dt_s / _USUAL_S, 1.0) * (unusual_m2_s2 - self._usual_m2_s2)
-        return found_m_s
+            self._forward_m_s += kept * forward
+            self._left_m_s += kept * left
+        self._learn_usual(dt_s)
+        return math.hypot(self._forward_m_s, self._left_m_s)
+
+    def _has_lost(self, dt_s: float) -> bool:
+        """Return whether measurements were lost in an interval, and learn from it which are usual."""
+        usual_dt_s = self._usual_dt_s or dt_s
+        self._intervals = min(self._intervals + 1, _USUAL_OF)
+        self._usual_dt_s = usual_dt_s + (min(dt_s, _MOST_INTERVALS * usual_dt_s) - usual_dt_s) / self._intervals
+        return dt_s > _LOST * usual_dt_s
+
+    def _learn_usual(self, dt_s: float) -> None:
+        usual_m2_s2 = self._usual_m2_s2
+        found_m2_s2 = min(self._forward_m_s**2 + self._left_m_s**2, _MOST_UNUSUAL**2 * usual_m2_s2)
+        learnt_m2_s2 = usual_m2_s2 + min(dt_s / _USUAL_S, 1.0) * (found_m2_s2 - usual_m2_s2)
+        self._usual_m2_s2 = max(learnt_m2_s2, self._least_m2_s2)
