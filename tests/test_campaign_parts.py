@@ -106,7 +106,8 @@ def test_a_scenario_is_the_same_after_a_way_as_json(name: str) -> None:
 
 
 DRAWN = {
-    "plant.start.mass_kg": st.sampled_from([16.0, 24.0]),
+    "plant.start.mass_kg": st.sampled_from([16.0, 24.0, 1, 1.0, True]),
+    "link.command_latency_s": st.sampled_from([0.0, -0.0]),
     "robot.mass_kg": st.sampled_from([20.0, 21.0]),
     "controller.law": st.sampled_from(["afdsc", "pid"]),
     "fault": st.sampled_from([[], [{"kind": "drop", "target": "command", "value": 0.1}]]),

@@ -111,14 +111,14 @@ def test_what_has_no_room_to_wait_reaches_the_robot_in_its_order(sizes: tuple[in
 def test_what_crossed_is_told_with_its_number() -> None:
     direct, *_ = both()
     client = new_client()
+    direct.serve(client, lambda *_: None)
     client.request(m.Request.IDLE, 0)
     before = client.out()
-    answer = direct.exchange(client, 2)
+    answer = direct.exchange(2)
     sent, sent_count, heard, count = direct.crossed()
     assert (PackedFrames(sent)[:-1], sent_count) == (list(before), 2)
     assert codec.decode(PackedFrames(sent)[-1]) == m.Step(0, 2)
     assert (heard, count) == (answer.packed, len(answer))
-    direct.serve(client, lambda *_: None)
     direct.step(3)
     assert direct.crossed()[:2] == (pack([codec.encode(m.Step(0, 3))]), 1)
 
@@ -175,7 +175,7 @@ def test_a_step_that_cannot_be_sent_is_none(ticks: int) -> None:
     link, *_ = both()
     client = new_client()
     link.serve(client, lambda *_: None)
-    for call in (link.step, lambda ticks: link.exchange(client, ticks)):
+    for call in (link.step, link.exchange):
         with pytest.raises(ValueError, match=f"a step of {ticks} ticks; expected at most 1000"):
             call(ticks)
     assert (client.view.out_bytes, client.view.step) == (0, 0)

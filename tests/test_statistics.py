@@ -1,7 +1,9 @@
 """What is on the wire, counted: against the bytes at the other end, and against loads worked out the slow way."""
 
+import gc
 import itertools
 import math
+import weakref
 
 import can
 import pytest
@@ -11,19 +13,21 @@ from hypothesis import strategies as st
 from firmware_protocol import codec
 from firmware_protocol.framing import Frame, Framer
 from firmware_protocol.generated import messages as m
+from firmware_protocol.host import library
 from hil.core.signals import SIGNAL_NAMES
 from hil.runtime.assembly import run
 from hil.wire.can_bus import CanLink
 from hil.wire.can_frame import classic_bits, fd_bits
 from hil.wire.conditions import ConditionedLink
 from hil.wire.framed import StreamLink
-from hil.wire.statistics import WINDOW_NS, LoadWindow, observe
+from hil.wire.statistics import LoadWindow, observe
 from hil.wire.streams import memory_pair
 from hil.wire.url import SerialUrl, parse_link
 from tests.client_rig import feed, new_client
 from tests.heard import everything
 
 MS = 1_000_000
+WINDOW_NS = 100 * MS
 MESSAGES = [m.TimeSyncRequest(3), m.Step(7, 5), m.WheelCommand(1.5, -2.25, 10.0, 0.0, 17, 5), m.Estop(1, 2)]
 some_frames = st.lists(st.sampled_from(MESSAGES).map(codec.encode), max_size=30)
 
@@ -63,6 +67,29 @@ def test_the_load_is_that_of_the_worst_window_and_of_the_last(frames, silence):
     assert figures["worst_100_ms_percent"] == pytest.approx(100 * worst_ns / WINDOW_NS)
     if end_ns:
         assert figures["mean_percent"] == pytest.approx(100 * sum(busy for _, busy in heard) / end_ns)
+
+
+def test_a_time_before_that_of_the_last_count_is_of_the_present_bucket():
+    """A bus counts what came when it came, and what is sent now: either may be told first."""
+    late, in_order = LoadWindow(), LoadWindow()
+    for window, times in ((late, (50, 0)), (in_order, (50, 50))):
+        for ms in times:
+            window.add(ms * MS, MS)
+    for ms in (59, 100, 149):
+        assert late.percent(ms * MS) == in_order.percent(ms * MS) == pytest.approx(2.0)
+    assert late.percent(150 * MS) == in_order.percent(150 * MS) == 0.0
+    assert late.figures(150 * MS) == in_order.figures(150 * MS)
+
+
+def test_a_window_keeps_the_memory_that_it_counts_in():
+    loads = library()[0].new("wheel_load[2]")
+    window, kept = LoadWindow(1.0, loads, 1), weakref.ref(loads)
+    del loads
+    gc.collect()
+    assert kept() is not None
+    del window
+    gc.collect()
+    assert kept() is None
 
 
 @given(sent=some_frames, received=some_frames, noise=st.binary(max_size=40))

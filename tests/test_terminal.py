@@ -4,6 +4,7 @@ import contextlib
 import os
 import select
 from collections.abc import Iterator
+from types import SimpleNamespace
 
 import pytest
 from hypothesis import given
@@ -46,7 +47,7 @@ def test_what_is_written_at_one_end_is_read_at_the_other(pieces: list[bytes]) ->
 
 def test_a_quiet_terminal_is_told_apart_from_one_with_bytes(monkeypatch: pytest.MonkeyPatch) -> None:
     times_ns = iter((1, 20_000_000, 20_000_001, 30_000_000))
-    monkeypatch.setattr(terminal.time, "monotonic_ns", lambda: next(times_ns))
+    monkeypatch.setattr(terminal, "time", SimpleNamespace(monotonic_ns=lambda: next(times_ns)))
     with line() as (made, other):
         assert [made.read() for _ in range(3)] == [b"", b"", None]
         os.write(other, b"x")
@@ -76,7 +77,15 @@ def test_a_terminal_that_was_closed_is_lost_and_takes_nothing() -> None:
 
 
 def test_what_is_no_descriptor_and_no_bytes_is_a_type_error() -> None:
-    with line() as (made, _):
+    with line() as (made, other):
+        os.write(other, b"x")
+        waits(made._descriptor)
+        for number in (-1, 1 << 31, made._descriptor + (1 << 32)):
+            with pytest.raises(TypeError):
+                made._read(number)
+            with pytest.raises(TypeError):
+                made._write(number, b"x")
+        assert made.read() == b"x", "it was left there"
         with pytest.raises(TypeError):
             made._read(None)  # type: ignore[arg-type]
         with pytest.raises(TypeError):

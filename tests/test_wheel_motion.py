@@ -4,6 +4,7 @@ import math
 from itertools import accumulate
 from typing import Any
 
+import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
@@ -129,6 +130,25 @@ def test_what_wheels_will_do_is_as_the_rules_say_whatever_they_did(
         for name, four in (("coming_rad_s", expected.coming), ("coming_slip_rad_s", expected.coming_slip)):
             assert list(map(repr, getattr(motion, name))) == list(map(repr, map(float, four))), name
         assert list(map(repr, motion.slip_rad_s)) == list(map(repr, map(float, expected.slip or (0.0,) * 4)))
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [{0: (1.0, None)}, {1: None}, {2: (("x", 0.0, 0.0), ())}, {2: ((0.0,) * 3,)}, {3: None}, {4: "old"}],
+    ids=str,
+)
+def test_what_raises_leaves_all_as_it_was(wrong: dict[int, object]) -> None:
+    ffi, _ = library()
+    motion = ffi.new("wheel_motion *", {"wheel_radius_m": MODEL.wheel_radius_m, "lever_m": MODEL.lever_m})
+    add = fast_call("add_motion", motion)
+    _, speed, state, _ = tick(0, 5.0)
+    good = [speed, 500_000_000, state, LATENCY_S, 0.011]
+    add(*good)
+    before = bytes(ffi.buffer(motion))
+    bad = dict(enumerate(good)) | {1: 505_000_000, 4: 0.02} | wrong
+    with pytest.raises((TypeError, IndexError)):
+        add(*bad.values())
+    assert bytes(ffi.buffer(motion)) == before
 
 
 @given(ticks, st.sampled_from([0.3, math.inf]), st.sampled_from(["protection", "limit", "off"]), st.booleans())

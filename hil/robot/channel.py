@@ -105,7 +105,7 @@ class Channel:
         self._await_step()
 
     def _step_under_conditions(self, direct: DirectLink, ticks: int) -> None:
-        ready = self._link.exchange(direct, self._client, ticks)
+        ready = self._link.exchange(direct, ticks)
         view = self._client.view
         while ready and view.step == _STEP_AWAITED:
             self.take(ready.popleft())

@@ -113,20 +113,20 @@ class DirectLink:
     def serve(self, client: Client, take_rest: Callable[[Any, Received], None]) -> None:
         """Set the client whose frames ``step`` and ``exchange`` send.
 
-        Where it stops early in the answer to a step, ``take_rest`` is called with all of the answer, and the rest. It
-        must give the client the rest. ``client.view`` says why the client has stopped.
+        Where the client stops early in the answer to a step, ``take_rest`` is called with all of the answer, and the
+        rest. It must give the client the rest. ``client.view`` says why the client has stopped.
         """
         self._client, self._take_rest = client, take_rest
         self._view = self._direct.waiting = client.view
 
-    def exchange(self, client: Client, ticks: int) -> PackedFrames:
+    def exchange(self, ticks: int) -> PackedFrames:
         """Send what waits in the client, and a STEP; return all that the robot then sends.
 
         Raises ValueError for more than 1000 ticks; nothing is sent then.
         """
         if not self._is_open:
             raise closed()
-        answer = self._exchange(self._robot.node.address, client.address, ticks)
+        answer = self._exchange(self._robot.node.address, self._client.address, ticks)
         if answer is None:
             raise _unsendable_step(ticks)
         return PackedFrames(answer)

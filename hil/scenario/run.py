@@ -126,12 +126,14 @@ class Unpacked(NamedTuple):
 def from_plain(given: Mapping[str, Any], like: Unpacked | None = None) -> Scenario:
     """Return the scenario from the values that ``to_plain`` returned.
 
-    Tables that are those of another scenario, ``like``, are taken from there: most of a scenario in a batch are.
+    Tables that read as those of another scenario, ``like``, are taken from there: most of a scenario in a batch do.
     """
     path = None if given["path"] is None else Path(given["path"])
     values = given["tables"]
     if like is not None:
-        same = {name for name, table in values.items() if table == like.given["tables"][name]}
+        before = like.given["tables"]
+        # As text, because -0.0 equals 0.0 and true equals 1, but the keys of their jobs differ.
+        same = {name for name, table in values.items() if repr(table) == repr(before[name])}
         values = values | {name: getattr(like.scenario, name) for name in same}
     tables, directory = build(Tables, values), Path(given["directory"])
     baseline = None if given["baseline"] is None else build(Baseline, given["baseline"])

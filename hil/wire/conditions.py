@@ -8,7 +8,6 @@ import time
 from collections import deque
 from collections.abc import Sequence
 
-from firmware_protocol.client import Client
 from firmware_protocol.framing import Frame
 from firmware_protocol.host_line import PackedFrames
 from hil.core.errors import LinkError
@@ -171,7 +170,7 @@ class ConditionedLink:
 
     # Feedback
 
-    def exchange(self, transport: DirectTransport, client: Client, ticks: int) -> deque[Received]:
+    def exchange(self, transport: DirectTransport, ticks: int) -> deque[Received]:
         """Have a robot that answers at once make a STEP; return what ``receive`` would return now.
 
         The client's other frames must have been sent. ``receive`` returns later what the caller leaves in the result.
@@ -179,7 +178,7 @@ class ConditionedLink:
         now_ns = self.clock.now_ns()
         if self._in.due_ns <= now_ns:
             self._let_in(now_ns)
-        answer = transport.exchange(client, ticks)
+        answer = transport.exchange(ticks)
         if self._observer is not None:
             self._observer.exchanged(*transport.crossed(), now_ns)
         if answer.packed:

@@ -14,8 +14,8 @@ from hil.wire.streams import AT_ONCE, HostStream
 _MOST_AT_ONCE = 50
 """The most frames that one call returns: those of a few ticks. The caller decides how often it calls."""
 
-_READS = range(2)
-"""The reads of one ``receive_waiting`` at most. The rest is read in the next tick: a host that is slower than its robot
+_MOST_READS = 2
+"""The most reads of one ``receive_waiting``. The rest is read in the next tick: a host that is slower than its robot
 would never finish.
 """
 _SHORT = 2048  # bytes; a read of fewer has emptied the line (HostStream)
@@ -44,14 +44,14 @@ class StreamLink:
             ``receive`` returned, received_bytes all bytes.
     """
 
-    _client: Client  # these are set by ``serve``
+    # These are set by ``serve``.
+    _client: Client
     _clock: Clock
     _attend: Callable[[bytes, int, int], None]
     _encode: Callable[[int], bytes]
     _take: Callable[[int, bytes, int], int | tuple[bytes, int]]
 
     def __init__(self, stream: HostStream, protocol: LinkProtocol = WHEEL_DBC) -> None:
-        self._is_serving = False
         self._stream = stream
         assert protocol.make_framing is not None, "a protocol of buses only"
         self._make_framing = protocol.make_framing
@@ -76,7 +76,7 @@ class StreamLink:
         Where the client needs attention, ``attend`` is called with packed frames, how far the client took them, and the
         time of their arrival.
         """
-        self._client, self._clock, self._attend, self._is_serving = client, clock, attend, True
+        self._client, self._clock, self._attend = client, clock, attend
         self._encode, self._take = _own(self._sender).encode_for, _own(self._framing).receive_for
 
     def send_waiting(self) -> None:
@@ -98,7 +98,7 @@ class StreamLink:
             self.received_frames += len(frames)
             self._attend(packed_of(frames), 0, stamp_ns)
         address, take = self._client.address, self._take
-        for _ in _READS:
+        for _ in range(_MOST_READS):
             data = self._stream.read(AT_ONCE)
             now_ns = self._clock.now_ns()
             taken = take(address, data, now_ns)
@@ -181,8 +181,8 @@ class StreamLink:
         self._earlier_noise = self.noise()
         self._earlier = Counter(self.rejected())
         self._framing = self._make_framing()
-        if self._is_serving:
-            self._take = _own(self._framing).receive_for
+        if isinstance(self._framing, HostLine):
+            self._take = self._framing.receive_for
         self._waiting = None
 
     def describe(self) -> str:

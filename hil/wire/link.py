@@ -16,7 +16,6 @@ from hil.core.link_protocol import WHEEL_DBC, LinkProtocol
 from hil.core.ports import Link
 
 if TYPE_CHECKING:
-    from firmware_protocol.client import Client
     from firmware_protocol.host_line import PackedFrames
     from hil.wire.meters import Meter
     from hil.wire.robot_end import Wire
@@ -41,8 +40,8 @@ def unchanged(stream: "HostStream") -> "HostStream":
 class DirectTransport(Protocol):
     """A link to a robot in this thread."""
 
-    def exchange(self, client: "Client", ticks: int) -> "PackedFrames":
-        """Send what waits in the client and a STEP; return all that the robot then sends. Raises LinkError."""
+    def exchange(self, ticks: int) -> "PackedFrames":
+        """Send what waits in its client, and a STEP; return all that the robot then sends. Raises LinkError."""
 
     @property
     def crossed(self) -> Callable[[], tuple[bytes, int, bytes, int]]:

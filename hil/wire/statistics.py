@@ -20,24 +20,26 @@ from hil.wire.meters import BusMeter, Meter
 if TYPE_CHECKING:
     from hil.wire.trace import Trace
 
-WINDOW_NS = 100_000_000
-
 
 class LoadWindow:
     """The load of a line: in the newest window of 100 ms, in the worst one, and in total (``client/wheel_load.h``).
 
-    What occupies the line is counted in units of ``unit_ns``. Windows begin at multiples of 10 ms on the clock. ``at``
-    is memory for it, by default its own. Raises BuildError without the host library.
+    What occupies the line is counted in units of ``unit_ns``. Windows begin at multiples of 10 ms on the clock. The
+    count is at ``place`` in ``loads``, an array of wheel_load, by default one of its own; it keeps the array alive.
+    Raises BuildError without the host library.
 
     Attributes:
         count: takes the time [ns] and how much there was so far; returns the load of the window that ends now [%].
     """
 
-    def __init__(self, unit_ns: float = 1.0, at: Any = None) -> None:
+    def __init__(self, unit_ns: float = 1.0, loads: Any = None, place: int = 0) -> None:
+        ffi, lib = library()
+        if loads is None:
+            loads = ffi.new("wheel_load[1]")
         self._unit_ns = unit_ns
-        self._load = library()[0].new("wheel_load *") if at is None else at
-        self._load.unit_percent = 100.0 * unit_ns / WINDOW_NS
-        self.count: Callable[[int, float], float] = fast_call("count_load", self._load)
+        self._load = loads + place  # owns no memory: ``count`` keeps what does
+        self._load.unit_percent = 100.0 * unit_ns / (lib.WHEEL_LOAD_BUCKET_NS * lib.WHEEL_LOAD_BUCKETS)
+        self.count: Callable[[int, float], float] = fast_call("count_load", self._load, loads)
 
     @property
     def total(self) -> float:
@@ -87,9 +89,9 @@ class LinkStatistics:
         self._since_ns = self._clock.now_ns()
         self._meter.begin()
         unit_ns = self._meter.byte_ns if self._bus is None else 1.0
-        loads = library()[0].new("wheel_load[2]")  # kept by count_loads
-        self._down = LoadWindow(unit_ns, loads + 0)
-        self._up = LoadWindow(unit_ns, loads + 1) if self._meter.duplex else self._down
+        loads = library()[0].new("wheel_load[2]")
+        self._down = LoadWindow(unit_ns, loads, 0)
+        self._up = LoadWindow(unit_ns, loads, 1) if self._meter.duplex else self._down
         self._count_loads: Callable[[int, tuple[float, float]], float] = fast_call("count_loads", loads)
 
     def sent(self, frames: Sequence[Frame]) -> None:

@@ -7,6 +7,8 @@ the arguments are is not. A call returns or raises, and keeps no reference to wh
 
 import argparse
 import contextlib
+import functools
+import os
 import sys
 from collections.abc import Callable
 from typing import Any, NamedTuple, cast
@@ -94,6 +96,16 @@ def call(name: str, *arguments: st.SearchStrategy[Any]) -> st.SearchStrategy[Cal
     return st.tuples(*map(mostly, arguments)).map(lambda given: Call(name, given))
 
 
+@functools.cache
+def descriptors() -> tuple[Any, ...]:
+    """Return both ends of a pipe, and what is no descriptor: any other number may be one that this process has."""
+    ends = os.pipe()
+    for end in ends:
+        os.set_blocking(end, False)
+    return (*ends, *(end + (1 << 32) for end in ends), -1, 1 << 31, -1 << 70, None, "1", 1.0, Number(None))
+
+
+descriptor = st.integers(0, 10).map(lambda place: descriptors()[place])
 feedback = st.tuples(times, st.integers(0, 8), st.integers(0, 255), st.integers(0, 255))
 truth = st.none() | st.tuples(times, axes, axes)
 frame = st.builds(Frame, st.integers(-1, 1 << 16), any_bytes)
@@ -132,6 +144,8 @@ calls = st.one_of(
     call("make_state", axes, axes),
     call("make_reference", *[any_number] * 9),
     call("hash_log"),
+    st.builds(Call, st.just("terminal_read"), st.tuples(descriptor)),
+    st.builds(Call, st.just("terminal_write"), st.tuples(descriptor, mostly(any_bytes))),
 )
 
 
@@ -190,6 +204,8 @@ class Rig:
             "make_state": tuples.make_state,
             "make_reference": tuples.make_reference,
             "hash_log": client.hash_log,
+            "terminal_read": fast_call("terminal_read"),
+            "terminal_write": fast_call("terminal_write"),
         }
 
 

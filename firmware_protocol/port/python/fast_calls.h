@@ -222,13 +222,13 @@ typedef struct {
 void *wheel_python_look_up(void *self, void *const *arguments, ptrdiff_t count);
 
 /* terminal_read(descriptor), POSIX: what waits at a terminal, as bytes; empty if nothing does, None where it
- * cannot be read. A read that finds nothing may wait for a thread of the kernel, so this asks first whether
- * there is. */
+ * cannot be read. A number below 0 or above INT_MAX raises TypeError. A read that finds nothing may wait for
+ * a thread of the kernel, so this asks first whether there is something. */
 void *wheel_python_terminal_read(void *self, void *const *arguments, ptrdiff_t count);
 enum { WHEEL_PYTHON_TERMINAL = 4096 }; /* bytes at once: as many as Linux keeps for a reader of a terminal */
 
 /* terminal_write(descriptor, bytes), POSIX: how many of them a terminal that does not block has taken; 0 also
- * where it cannot be written to. */
+ * where it cannot be written to. It raises as terminal_read. */
 void *wheel_python_terminal_write(void *self, void *const *arguments, ptrdiff_t count);
 /* cffi: end */
 

@@ -3,15 +3,30 @@
 
 #ifndef _WIN32
 
+#include <limits.h>
 #include <sys/ioctl.h>
 #include <unistd.h>
+
+/* Reads a descriptor; false with an exception. A number cut to an int might be another one's descriptor. */
+static bool descriptor_of(void *object, int *descriptor) {
+    const int64_t value = integer(object);
+    if (failed()) {
+        return false;
+    }
+    if (value < 0 || value > INT_MAX) {
+        python.PyErr_BadArgument();
+        return false;
+    }
+    *descriptor = (int)value;
+    return true;
+}
 
 void *wheel_python_terminal_read(void *self, void *const *arguments, ptrdiff_t count) {
     (void)self, (void)count;
     uint8_t bytes[WHEEL_PYTHON_TERMINAL];
     int waiting = 0;
-    const int descriptor = (int)integer(arguments[0]);
-    if (failed()) {
+    int descriptor;
+    if (!descriptor_of(arguments[0], &descriptor)) {
         return NULL;
     }
     if (ioctl(descriptor, FIONREAD, &waiting) != 0) {
@@ -28,8 +43,8 @@ void *wheel_python_terminal_write(void *self, void *const *arguments, ptrdiff_t 
     (void)self, (void)count;
     uint8_t *bytes;
     size_t length;
-    const int descriptor = (int)integer(arguments[0]);
-    if (failed() || !bytes_of(arguments[1], &bytes, &length)) {
+    int descriptor;
+    if (!descriptor_of(arguments[0], &descriptor) || !bytes_of(arguments[1], &bytes, &length)) {
         return NULL;
     }
     const ssize_t written = write(descriptor, bytes, length);

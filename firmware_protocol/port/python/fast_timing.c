@@ -99,8 +99,9 @@ void *wheel_python_add_motion(void *self, void *const *arguments, ptrdiff_t coun
     double pose[3];
     double twist[3];
     double latency_s;
+    double older_s;
     if (failed() || !numbers(arguments[0], 4, speed_rad_s) || !number(arguments[3], &latency_s) ||
-        !number(arguments[4], &motion->older_s)) {
+        !number(arguments[4], &older_s)) {
         return NULL;
     }
     void *at = python.PyTuple_GetItem(arguments[2], 0);
@@ -108,6 +109,7 @@ void *wheel_python_add_motion(void *self, void *const *arguments, ptrdiff_t coun
     if (moves == NULL || !numbers(at, 3, pose) || !numbers(moves, 3, twist)) {
         return NULL;
     }
+    motion->older_s = older_s;
     return python.PyBool_FromLong(wheel_motion_add(motion, speed_rad_s, time_ns, twist, pose[2], latency_s));
 }
 
