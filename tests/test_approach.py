@@ -16,8 +16,8 @@ ACCELERATIONS = st.floats(2.0, 9.0)
 
 def integrated_s(error: float, rate: float, acceleration: float, most: float) -> float:
     """Return the time until rest at the reference, in small steps: it brakes where it has to."""
-    step, passed = 2e-4, 0.0
-    while (abs(error) > 1e-3 or abs(rate) > 2e-2) and passed < 10.0:
+    step, passed, left = 1e-4, 0.0, 0.008  # s: from where it ends, about as much as ``left`` is left
+    while (abs(error) > acceleration * left**2 or abs(rate) > acceleration * left) and passed < 10.0:
         ends_at = error + 0.5 * rate * abs(rate) / acceleration
         aimed = rate - math.copysign(acceleration * step, ends_at)
         rate = min(max(aimed, -max(most, abs(rate) - acceleration * step)), max(most, abs(rate) - acceleration * step))
