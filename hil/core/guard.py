@@ -98,8 +98,7 @@ class Guard:
         motion = self._motion
         if motion is None:
             return command, saturated
-        is_near = motion.is_near
-        if not is_near(speed_rad_s, time_ns, state, latency_s, older_s):
+        if not motion.is_near(speed_rad_s, time_ns, state, latency_s, older_s):
             return command, saturated
         torque = motion.faded(command.torque_n_m)
         if torque is command.torque_n_m:

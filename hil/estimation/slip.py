@@ -12,27 +12,28 @@ _ACCELEROMETER_WINDOW_S = 0.2
 _USUAL_TIMES = 4.0
 # What is usual is learnt over this time.
 _USUAL_S = 5.0
-# A contradiction counts as at most this many times the usual one: slip that lasts is not soon usual.
+# A contradiction counts as at most this many times the usual one, so lasting slip raises the usual one only slowly.
 _MOST_UNUSUAL = 2.0
 # After more than this many usual intervals, measurements were lost.
 _LOST = 1.5
-# The usual interval is the mean of this many, fewer at the start. One counts as at most this many usual ones.
+# The usual interval is the mean of this many, fewer at the start. A longer one than 4 usual ones enters it as 4.
 _USUAL_OF, _MOST_INTERVALS = 100, 4.0
 
 
 class SlipDetector:
     """Compares, as speeds [m/s] over a short window, three pairs that agree while the wheels roll.
 
-    - Front and rear wheels: the one combination of four wheel speeds that no motion of a rigid robot has.
-    - Wheels and gyro: the difference of the yaw rates times the lever L.
+    - Front and rear wheels: the one combination of the four speeds that is 0 whenever a rigid robot rolls.
+    - Wheels and gyro: the difference of the yaw rates times ``lever_m``, half the length plus half the width.
     - Wheels and accelerometer: the difference of the changes of velocity; only this shows four wheels that spin alike.
 
     Each difference goes through a leaky integrator of 0.1 s (0.2 s for the accelerometer), in which quantisation
-    cancels out. Slip begins when one exceeds ``threshold_m_s`` and ends when all are below half of it. What is not
-    known of the gyro's bias enters times L, of the accelerometer's times 0.2 s.
+    cancels out. Slip begins when one exceeds its threshold and ends when each is below half of its own. An unknown bias
+    of the gyro adds to its difference, times ``lever_m``, and one of the accelerometer times 0.2 s.
 
-    Where an accelerometer shakes, its threshold is four times the root mean square of its difference, if that is more.
-    It tells the mean of the last interval alone, so nothing is compared over lost measurements.
+    The threshold is ``threshold_m_s``. That of the accelerometer is four times the usual root mean square of its
+    difference, if that is larger: it may shake. Its value is the mean of the last interval alone, so over lost
+    measurements the accelerometer is not compared.
     """
 
     def __init__(self, lever_m: float, threshold_m_s: float) -> None:

@@ -104,9 +104,8 @@ class Freshness:
 
     def has_aged(self) -> bool:
         """Real time: whether the truth has become too old since ``poll``, because this process stalled."""
-        has_aged = self._has_aged
         # The library asks for a truth too; where none is used, this saves reading the clock in each tick.
-        return self.truth_ns is not None and has_aged(self._clock.now_ns())
+        return self.truth_ns is not None and self._has_aged(self._clock.now_ns())
 
     def restart(self) -> bool:
         """Start again with a robot that came back; return whether it was reset.

@@ -54,15 +54,15 @@ class Sampling:
         In lockstep it raises LinkError or RobotStoppedError when the robot is lost or stopped: its time stands still.
         """
         instant = number + self._late_periods
-        wait_until, poll_truth = self._device.wait_until, self._poll_truth
-        late_ns = wait_until(self._origin_ns + instant * self._period_ns)
+        late_ns = self._device.wait_until(self._origin_ns + instant * self._period_ns)
+        poll_truth = self._poll_truth
         fix = poll_truth() if poll_truth is not None else None
         if self._late_periods:
             self._fixes.append((instant, fix))
         else:
             self._fix = fix
         if self._late_rest_ns:
-            late_ns = wait_until(self._origin_ns + number * self._period_ns + self._latency_ns)
+            late_ns = self._device.wait_until(self._origin_ns + number * self._period_ns + self._latency_ns)
         return late_ns
 
     def fix_of(self, number: int) -> PoseFix | None:

@@ -117,7 +117,7 @@ def to_plain(scenario: Scenario) -> dict[str, Any]:
 
 
 class Unpacked(NamedTuple):
-    """A scenario, and the values that ``to_plain`` returned of it."""
+    """A scenario, and the values from which it was built."""
 
     given: Mapping[str, Any]
     scenario: Scenario
@@ -126,13 +126,13 @@ class Unpacked(NamedTuple):
 def from_plain(given: Mapping[str, Any], like: Unpacked | None = None) -> Scenario:
     """Return the scenario from the values that ``to_plain`` returned.
 
-    Tables that read as those of another scenario, ``like``, are taken from there: most of a scenario in a batch do.
+    Tables whose text equals that of ``like`` are not built again but shared: scenarios of a batch differ in few.
     """
     path = None if given["path"] is None else Path(given["path"])
     values = given["tables"]
     if like is not None:
         before = like.given["tables"]
-        # As text, because -0.0 equals 0.0 and true equals 1, but the keys of their jobs differ.
+        # As text: -0.0 equals 0.0 and True equals 1, but scenarios with either have different keys (hil/batch/keys.py).
         same = {name for name, table in values.items() if repr(table) == repr(before[name])}
         values = values | {name: getattr(like.scenario, name) for name in same}
     tables, directory = build(Tables, values), Path(given["directory"])

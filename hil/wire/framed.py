@@ -71,37 +71,38 @@ class StreamLink:
         self._write(self._sender.encode(frame), 1)
 
     def serve(self, client: Client, clock: Clock, attend: Callable[[bytes, int, int], None]) -> None:
-        """Set the client for which ``send_waiting`` and ``receive_waiting`` are; ``clock`` is that of the run.
+        """Set the client whose frames ``send_waiting`` sends and to which ``receive_waiting`` gives what arrives.
 
-        Where the client needs attention, ``attend`` is called with packed frames, how far the client took them, and the
-        time of their arrival.
+        Call it before either. ``clock`` is that of the run. Where the client stops, as its view says, ``attend`` is
+        called with packed frames, the byte of the first that the client has not taken, and the time of their arrival
+        [ns]. It must give the client that frame and all after it.
         """
         self._client, self._clock, self._attend = client, clock, attend
         self._encode, self._take = _own(self._sender).encode_for, _own(self._framing).receive_for
 
     def send_waiting(self) -> None:
-        """Send what waits in the client. Raises LinkError when the link is lost; then it still waits."""
-        client, encode = self._client, self._encode
-        data = encode(client.address)
+        """Send what the client has queued. Raises LinkError when the link is lost; it stays queued then."""
+        client = self._client
+        data = self._encode(client.address)
         if data:
             self._stream.write(data)
             self.sent_frames += client.sent()
             self.sent_bytes += len(data)
 
     def receive_waiting(self) -> int | None:
-        """Have the client take what has arrived, without waiting, and add what is due to be sent.
+        """Have the client take what has arrived, without waiting, and queue what is due.
 
-        Return the time at which nothing was left to be read; None if there may be more.
+        Return the time [ns] just after the read that emptied the line; None if there may be more. Raises LinkError when
+        the link is lost.
         """
         if self._waiting is not None:
             (frames, stamp_ns), self._waiting = self._waiting, None
             self.received_frames += len(frames)
             self._attend(packed_of(frames), 0, stamp_ns)
-        address, take = self._client.address, self._take
         for _ in range(_MOST_READS):
             data = self._stream.read(AT_ONCE)
             now_ns = self._clock.now_ns()
-            taken = take(address, data, now_ns)
+            taken = self._take(self._client.address, data, now_ns)
             self.received_bytes += len(data)
             if isinstance(taken, int):
                 self.received_frames += taken

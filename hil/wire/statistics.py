@@ -143,8 +143,7 @@ class LinkStatistics:
         now_ns = self._clock.now_ns()
         if self._bus is not None:
             return self._down.percent(now_ns)
-        count_loads = self._count_loads
-        return count_loads(now_ns, byte_counts)
+        return self._count_loads(now_ns, byte_counts)
 
     @property
     def counts_frames(self) -> bool:

@@ -175,7 +175,10 @@ def needs_bench(scenario: Scenario) -> bool:
 
 
 class PackedScenarios:
-    """Packs scenarios as JSON, compressed by what they share with the first: 0.1 kB each in place of 8."""
+    """Packs scenarios as JSON, compressed by what they share with the first: 0.1 kB each in place of 8.
+
+    Only the object that packed a scenario can unpack it.
+    """
 
     def __init__(self) -> None:
         self._first = b""
@@ -188,6 +191,6 @@ class PackedScenarios:
         return compressor.compress(text) + compressor.flush()
 
     def unpack(self, packed: bytes) -> dict[str, Any]:
-        """Return the JSON values that ``hil.scenario.to_plain`` gave of a packed scenario; tuples are lists."""
+        """Return what ``to_plain`` returned for the scenario, with lists in place of tuples, for ``from_plain``."""
         values: dict[str, Any] = json.loads(zlib.decompressobj(zdict=self._first).decompress(packed))
         return values
