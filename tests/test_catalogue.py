@@ -145,6 +145,7 @@ def test_a_sound_robot_passes_over_every_link(tmp_path) -> None:
     assert not list((tmp_path / "runs").iterdir()), "recordings of good runs are not kept"
 
 
+@pytest.mark.alone
 def test_a_pair_in_torque_mode_and_a_run_in_real_time_are_judged_too(tmp_path) -> None:
     changes = ("--set", "controller.command=torque", "--set", "controller.gains.k1_1_s=4.0")
     few = ("--pairs", "--sample", "4", "--seed", "1", "--jobs", "1")

@@ -160,6 +160,7 @@ class Law:
 """
 
 
+@pytest.mark.alone
 @pytest.mark.usefixtures("state_home")
 def test_another_process_says_where_the_robot_is(tmp_path):
     """The client of the documents, in real time: it says so on and on, until the run is over."""

@@ -81,6 +81,7 @@ def test_a_truth_that_stops_is_noticed_after_a_reset_too(frozen_s, monkeypatch):
     assert not commands(result)[t_s > held_s + PERIOD_S].any()
 
 
+@pytest.mark.alone
 def test_after_a_reset_the_latency_is_measured_by_the_truth_as_before(monkeypatch):
     restart = CommandLatency.restart
 

@@ -117,6 +117,7 @@ def test_in_lockstep_the_law_is_told_what_the_scenario_says():
     assert len(set(found)) == 1
 
 
+@pytest.mark.alone
 @pytest.mark.parametrize("source", ["truth", "odometry"])
 def test_in_real_time_the_latency_lies_between_the_scenarios_and_the_watchdog(source):
     keys = {"estimator.source": source}

@@ -111,6 +111,7 @@ def test_a_change_that_is_refused_before_others_says_that_nothing_was_changed() 
         client.write(client.check({"ramp_s": 0.3}))
 
 
+@pytest.mark.alone
 def test_a_robots_file_is_written_into_its_firmware_which_then_arms(tmp_path: Path) -> None:
     file = tmp_path / "robot.toml"
     file.write_text("[firmware]\ntorque_limit_n_m = 1.5\n[robot]\nwheel_radius_m = 0.06\n")

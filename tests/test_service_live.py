@@ -39,10 +39,18 @@ def next_answer(live: ClientConnection) -> dict[str, Any]:
     return answer
 
 
-def flood(live: ClientConnection) -> None:
-    """Give more orders than may be unanswered, and then read what comes, until the connection is closed."""
-    for number in range(1000):
-        order(live, number, "twist", TWIST)
+def flood(side: ControlSide, live: ClientConnection) -> None:
+    """Give orders and read no answers, until the service counts no client any more; then read all that had come."""
+    # The library reads 16 frames by itself, and then waits; what follows fills the buffers of both ends.
+    deadline = time.monotonic() + 60.0
+    while "hil_api_live_clients 0.0" not in side.request("GET", "/metrics").text:
+        assert time.monotonic() < deadline, "the client is still served"
+        for number in range(500):
+            order(live, number, "twist", TWIST)
+    read_to_the_end(live)
+
+
+def read_to_the_end(live: ClientConnection) -> None:
     while True:
         live.recv(timeout=30.0)
 
@@ -187,7 +195,7 @@ def test_a_client_that_sends_more_than_it_reads_is_closed_and_drives_no_longer(
 ) -> None:
     with own_state(tmp_path), served() as side:
         with side.turn, side.live() as live, pytest.raises(ConnectionClosed) as closed:  # the control side is slow
-            flood(live)
+            flood(side, live)
         assert closed.value.rcvd is not None
         assert closed.value.rcvd.code == 1008
         wait_for(lambda: "hil_api_live_clients 0.0" in side.request("GET", "/metrics").text)
@@ -199,6 +207,16 @@ def test_a_client_that_sends_more_than_it_reads_is_closed_and_drives_no_longer(
     said = capfd.readouterr().err
     assert "it does not read its answers" in said
     assert " error " not in said, "what could not be sent any more, and a handshake that is refused, is no failure"
+
+
+@pytest.mark.slow
+def test_a_client_that_neither_reads_nor_answers_a_ping_is_ended(side: ControlSide) -> None:
+    side.status = replace(STATUS, why="x" * 60_000)  # so that all buffers are soon full
+    with side.live() as live:
+        wait_for(lambda: "hil_api_live_clients 1.0" in side.request("GET", "/metrics").text)
+        wait_for(lambda: "hil_api_live_clients 0.0" in side.request("GET", "/metrics").text)
+        with pytest.raises(ConnectionClosed):
+            read_to_the_end(live)
 
 
 def test_emergency_stops_come_before_other_waiting_orders(side: ControlSide) -> None:

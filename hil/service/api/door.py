@@ -7,6 +7,7 @@ counted by ``server.Gate``.
 """
 
 import asyncio
+import socket
 import sys
 import time
 from collections import Counter
@@ -26,6 +27,8 @@ BATCH = 64
 
 _FILES = 640  # the rooms, 64 WebSockets, and what the process itself has open
 _SWEEP_S = 0.25
+_UNSENT_BYTES = 64 * 1024  # for each WebSocket, in the system's buffer
+_CLOSE_S = 10.0  # for a client that is closed to read what came before
 _SAY_S = 10.0
 
 
@@ -165,10 +168,23 @@ class Connection(H11Protocol):
 
 
 class Handshake(WebSocketsSansIOProtocol):
-    """A WebSocket of uvicorn that tells the door when its handshake is answered; uvicorn answers some of them never."""
+    """A WebSocket of uvicorn that tells the door when its handshake is answered; uvicorn answers some of them never.
+
+    It also ends a client that does not read, for which uvicorn would keep the connection and what is unsent.
+    """
 
     door: Door
     is_known = False
+
+    def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
+        """Begin, with a short buffer in the system: what waits in it grows old, and a newer status cannot pass it."""
+        super().connection_made(transport)
+        transport.get_extra_info("socket").setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _UNSENT_BYTES)
+
+    def keepalive_timeout(self) -> None:
+        """End a client that has answered no ping, whether it reads or not."""
+        super().keepalive_timeout()
+        self.transport.abort()
 
     def connection_lost(self, exc: Exception | None) -> None:
         """Forget the connection."""
@@ -179,6 +195,10 @@ class Handshake(WebSocketsSansIOProtocol):
         """Send what the application says; after its first answer nothing is waited for. Raises ClientDisconnected."""
         if self.close_sent:  # the client has answered no ping; to uvicorn it is an error to send to it now
             raise ClientDisconnected
+        if message["type"] == "websocket.close":
+            # Behind what is unsent, now: a client that does not read would never be told, nor ended.
+            self.writable.set()
+            self.loop.call_later(_CLOSE_S, self.transport.abort)
         await super().send(message)
         if self.handshake_complete or self.close_sent:
             self.handshake_complete = True  # of a refusal too, which uvicorn takes for no answer
