@@ -209,7 +209,6 @@ def test_a_client_that_sends_more_than_it_reads_is_closed_and_drives_no_longer(
     assert " error " not in said, "what could not be sent any more, and a handshake that is refused, is no failure"
 
 
-@pytest.mark.slow
 def test_a_client_that_neither_reads_nor_answers_a_ping_is_ended(side: ControlSide) -> None:
     side.status = replace(STATUS, why="x" * 60_000)  # so that all buffers are soon full
     with side.live() as live:
