@@ -74,8 +74,10 @@ def test_a_run_that_was_killed_is_loaded_with_a_note(tmp_path: Path) -> None:
     with subprocess.Popen(
         [*words, "--set", "loop.duration_s=3600"], env=environment(), stderr=subprocess.DEVNULL, start_new_session=True
     ) as running:
-        wait_for(lambda: path.exists() and path.stat().st_size > 200_000)
-        os.killpg(running.pid, signal.SIGKILL)
+        try:
+            wait_for(lambda: path.exists() and path.stat().st_size > 200_000)
+        finally:
+            os.killpg(running.pid, signal.SIGKILL)
     loaded = hil.load(path)
     assert isinstance(loaded.failure, RunInterruptedError)
     assert not loaded.passed

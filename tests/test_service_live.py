@@ -25,6 +25,9 @@ from tests.service_testbed import LIMITS, STATUS, ControlSide, own_state, served
 CONFIG = ApiConfig(title="paper_circle", device="a test", limits=LIMITS, port=0)
 TWIST = {"vx_m_s": 0.5, "vy_m_s": 0.0, "yaw_rate_rad_s": 0.0}
 UPGRADE = {"Connection": "Upgrade", "Upgrade": "websocket", "Sec-WebSocket-Version": "13"}
+CLOSE = b"\x88\x80" + bytes(4)
+"""A client's Close, which its library would send only while it reads (RFC 6455, 5.5.1)."""
+DROPPED = 'hil_api_connections_dropped_total{{cause="late"}} {}'
 UPGRADE["Sec-WebSocket-Key"] = "dGhlIHNhbXBsZSBub25jZQ=="
 
 
@@ -190,6 +193,7 @@ def test_a_burst_held_up_by_a_stalled_api_moves_nothing_but_its_estop_is_done(
         wait_for(is_taken)
 
 
+@pytest.mark.alone  # it answers no ping meanwhile, and would be closed for that first
 def test_a_client_that_sends_more_than_it_reads_is_closed_and_drives_no_longer(
     tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
@@ -209,13 +213,48 @@ def test_a_client_that_sends_more_than_it_reads_is_closed_and_drives_no_longer(
     assert " error " not in said, "what could not be sent any more, and a handshake that is refused, is no failure"
 
 
-def test_a_client_that_neither_reads_nor_answers_a_ping_is_ended(side: ControlSide) -> None:
-    side.status = replace(STATUS, why="x" * 60_000)  # so that all buffers are soon full
-    with side.live() as live:
-        wait_for(lambda: "hil_api_live_clients 1.0" in side.request("GET", "/metrics").text)
+def fill(side: ControlSide) -> None:
+    """Send so much that nothing more can be sent to clients that do not read."""
+    side.status = replace(STATUS, why="x" * 60_000)
+    with side.live() as reads:
+        for _ in range(60):
+            reads.recv(timeout=30.0)
+
+
+def test_clients_that_read_nothing_are_ended_however_they_leave(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    with (
+        own_state(tmp_path),
+        served() as side,
+        side.live() as stays,
+        side.live() as closes,
+        side.live() as hangs_up,
+    ):
+        fill(side)
+        closes.socket.sendall(CLOSE)
+        hangs_up.socket.shutdown(socket.SHUT_WR)
+        wait_for(lambda: DROPPED.format("3.0") in side.request("GET", "/metrics").text, 60.0)
+        assert "hil_api_live_clients 0.0" in side.request("GET", "/metrics").text
+        for live in (stays, closes, hangs_up):
+            with pytest.raises(ConnectionClosed):
+                read_to_the_end(live)
+    assert " error " not in capfd.readouterr().err
+
+
+def test_the_api_ends_in_order_while_a_client_that_reads_nothing_closes(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    with own_state(tmp_path), served() as side, side.live() as live:
+        fill(side)
+        live.socket.sendall(CLOSE)
         wait_for(lambda: "hil_api_live_clients 0.0" in side.request("GET", "/metrics").text)
+        side.child.close()
         with pytest.raises(ConnectionClosed):
             read_to_the_end(live)
+    said = capfd.readouterr().err
+    assert "API ends" in said
+    assert "Traceback" not in said
 
 
 def test_emergency_stops_come_before_other_waiting_orders(side: ControlSide) -> None:

@@ -3,10 +3,11 @@
 A connection is in one of three rooms. Each has a limit of connections, beyond which the oldest is dropped, and of time.
 So clients that open connections and send nothing, or half a header, take room from each other, and never from a client
 whose requests have the token. A WebSocket is in a room until its handshake is answered; those that are accepted are
-counted by ``server.Gate``.
+counted by ``server.Gate``. In a fourth room they have some seconds for what is unsent when they are closed.
 """
 
 import asyncio
+import contextlib
 import socket
 import sys
 import time
@@ -25,10 +26,9 @@ from hil.service.api.access import Headers
 BATCH = 64
 """Connections accepted in one turn of the event loop; a new one is read two turns later, while it is still young."""
 
-_FILES = 640  # the rooms, 64 WebSockets, and what the process itself has open
+_FILES = 704  # the rooms, 64 WebSockets, and what the process itself has open
 _SWEEP_S = 0.25
 _UNSENT_BYTES = 64 * 1024  # for each WebSocket, in the system's buffer
-_CLOSE_S = 10.0  # for a client that is closed to read what came before
 _SAY_S = 10.0
 
 
@@ -79,6 +79,10 @@ class Door:
         self._guests = _Room(round(128 * share), 10.0)
         # Longer than the longest order takes; beyond it a client does not read.
         self._served = _Room(round(128 * share), 40.0)
+        # WebSockets that are being closed: uvicorn waits for ever for a client that does not read what is unsent.
+        self._closing = _Room(round(64 * share), 10.0)
+        self._let_in: set[Handshake] = set()
+        self._rooms = (self._strangers, self._guests, self._served, self._closing)
         self._said: Counter[str] = Counter()
         self._say_s = 0.0
 
@@ -90,16 +94,24 @@ class Door:
     def enter(self, connection: "Guest", *, is_served: bool) -> None:
         """Put a connection into the room for its state; drop the oldest of a full room. One that is there stays."""
         room = self._strangers if not connection.is_known else self._served if is_served else self._guests
-        if connection in room.since_s:
-            return
+        if connection not in room.since_s:
+            self._put(connection, room)
+
+    def _put(self, connection: "Guest", room: _Room) -> None:
         self.leave(connection)
         if len(room.since_s) >= room.most:
             self._drop(room.oldest(), "crowded")
         room.since_s[connection] = time.monotonic()
 
+    def let_in(self, connection: "Handshake") -> None:
+        """Take a WebSocket whose handshake is answered out of its room, and wait for the beginning of its end."""
+        self.leave(connection)
+        self._let_in.add(connection)
+
     def leave(self, connection: "Guest") -> None:
         """Forget a connection that has ended or changes its room."""
-        for room in (self._strangers, self._guests, self._served):
+        self._let_in.discard(cast(Handshake, connection))
+        for room in self._rooms:
             room.since_s.pop(connection, None)
 
     async def sweep(self) -> None:
@@ -108,7 +120,9 @@ class Door:
         while True:
             await asyncio.sleep(_SWEEP_S)
             now_s = time.monotonic()
-            for room in (self._strangers, self._guests, self._served):
+            for ending in [one for one in self._let_in if one.transport.is_closing()]:
+                self._put(ending, self._closing)
+            for room in self._rooms:
                 for connection in room.overdue(now_s):
                     self._drop(connection, "late")
             if self.dropped != self._said and now_s >= self._say_s:
@@ -168,41 +182,38 @@ class Connection(H11Protocol):
 
 
 class Handshake(WebSocketsSansIOProtocol):
-    """A WebSocket of uvicorn that tells the door when its handshake is answered; uvicorn answers some of them never.
-
-    It also ends a client that does not read, for which uvicorn would keep the connection and what is unsent.
-    """
+    """A WebSocket of uvicorn that tells the door when its handshake is answered; uvicorn answers some of them never."""
 
     door: Door
     is_known = False
+    is_answered = False
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
         """Begin, with a short buffer in the system: what waits in it grows old, and a newer status cannot pass it."""
         super().connection_made(transport)
-        transport.get_extra_info("socket").setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _UNSENT_BYTES)
-
-    def keepalive_timeout(self) -> None:
-        """End a client that has answered no ping, whether it reads or not."""
-        super().keepalive_timeout()
-        self.transport.abort()
+        with contextlib.suppress(OSError):  # it has gone already
+            transport.get_extra_info("socket").setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _UNSENT_BYTES)
 
     def connection_lost(self, exc: Exception | None) -> None:
         """Forget the connection."""
         self.door.leave(self)
         super().connection_lost(exc)
 
+    def shutdown(self) -> None:
+        """Close, or end at once what is being closed: to uvicorn it is an error to close that again."""
+        if self.transport.is_closing():
+            self.transport.abort()
+        else:
+            super().shutdown()
+
     async def send(self, message: Any) -> None:
         """Send what the application says; after its first answer nothing is waited for. Raises ClientDisconnected."""
         if self.close_sent:  # the client has answered no ping; to uvicorn it is an error to send to it now
             raise ClientDisconnected
-        if message["type"] == "websocket.close":
-            # Behind what is unsent, now: a client that does not read would never be told, nor ended.
-            self.writable.set()
-            self.loop.call_later(_CLOSE_S, self.transport.abort)
         await super().send(message)
-        if self.handshake_complete or self.close_sent:
-            self.handshake_complete = True  # of a refusal too, which uvicorn takes for no answer
-            self.door.leave(self)
+        if not self.is_answered and (self.handshake_complete or self.close_sent):
+            self.is_answered = self.handshake_complete = True  # of a refusal too, which uvicorn takes for no answer
+            self.door.let_in(self)
 
 
 Guest = Connection | Handshake
