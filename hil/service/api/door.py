@@ -3,11 +3,12 @@
 A connection is in one of three rooms. Each has a limit of connections, beyond which the oldest is dropped, and of time.
 So clients that open connections and send nothing, or half a header, take room from each other, and never from a client
 whose requests have the token. A WebSocket is in a room until its handshake is answered; those that are accepted are
-counted by ``server.Gate``. In a fourth room they have some seconds for what is unsent when they are closed.
+counted by ``server.Gate``. In a fourth room those that are being closed have some seconds for what is unsent.
 """
 
 import asyncio
 import contextlib
+import math
 import socket
 import sys
 import time
@@ -81,8 +82,8 @@ class Door:
         self._served = _Room(round(128 * share), 40.0)
         # WebSockets that are being closed: uvicorn waits for ever for a client that does not read what is unsent.
         self._closing = _Room(round(64 * share), 10.0)
-        self._let_in: set[Handshake] = set()
-        self._rooms = (self._strangers, self._guests, self._served, self._closing)
+        self._let_in = _Room(_FILES, math.inf)
+        self._rooms = (self._strangers, self._guests, self._served, self._closing, self._let_in)
         self._said: Counter[str] = Counter()
         self._say_s = 0.0
 
@@ -104,13 +105,11 @@ class Door:
         room.since_s[connection] = time.monotonic()
 
     def let_in(self, connection: "Handshake") -> None:
-        """Take a WebSocket whose handshake is answered out of its room, and wait for the beginning of its end."""
-        self.leave(connection)
-        self._let_in.add(connection)
+        """Put a WebSocket whose handshake is answered where it may stay until it is being closed."""
+        self._put(connection, self._let_in)
 
     def leave(self, connection: "Guest") -> None:
         """Forget a connection that has ended or changes its room."""
-        self._let_in.discard(cast(Handshake, connection))
         for room in self._rooms:
             room.since_s.pop(connection, None)
 
@@ -120,7 +119,7 @@ class Door:
         while True:
             await asyncio.sleep(_SWEEP_S)
             now_s = time.monotonic()
-            for ending in [one for one in self._let_in if one.transport.is_closing()]:
+            for ending in [one for one in self._let_in.since_s if one.transport.is_closing()]:
                 self._put(ending, self._closing)
             for room in self._rooms:
                 for connection in room.overdue(now_s):
