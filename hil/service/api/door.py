@@ -3,7 +3,7 @@
 A connection is in one of three rooms. Each has a limit of connections, beyond which the oldest is dropped, and of time.
 So clients that open connections and send nothing, or half a header, take room from each other, and never from a client
 whose requests have the token. A WebSocket is in a room until its handshake is answered; those that are accepted are
-counted by ``server.Gate``. In a fourth room those that are being closed have some seconds for what is unsent.
+limited by ``server.Gate``. While one is closed, a fourth room gives it 10 s to send what is unsent.
 """
 
 import asyncio
@@ -29,7 +29,7 @@ BATCH = 64
 
 _FILES = 704  # the rooms, 64 WebSockets, and what the process itself has open
 _SWEEP_S = 0.25
-_UNSENT_BYTES = 64 * 1024  # for each WebSocket, in the system's buffer
+_UNSENT_BYTES = 64 * 1024  # for each WebSocket, in the kernel's send buffer
 _SAY_S = 10.0
 
 
@@ -105,7 +105,7 @@ class Door:
         room.since_s[connection] = time.monotonic()
 
     def let_in(self, connection: "Handshake") -> None:
-        """Put a WebSocket whose handshake is answered where it may stay until it is being closed."""
+        """Take a WebSocket whose handshake is answered out of its room: it has no limit of time until it is closed."""
         self._put(connection, self._let_in)
 
     def leave(self, connection: "Guest") -> None:
@@ -188,7 +188,7 @@ class Handshake(WebSocketsSansIOProtocol):
     is_answered = False
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
-        """Begin, with a short buffer in the system: what waits in it grows old, and a newer status cannot pass it."""
+        """Begin with a small send buffer in the kernel: what waits there grows old, and no newer status can pass it."""
         super().connection_made(transport)
         with contextlib.suppress(OSError):  # it has gone already
             transport.get_extra_info("socket").setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _UNSENT_BYTES)
@@ -199,7 +199,7 @@ class Handshake(WebSocketsSansIOProtocol):
         super().connection_lost(exc)
 
     def shutdown(self) -> None:
-        """Close, or end at once what is being closed: to uvicorn it is an error to close that again."""
+        """Close as the server ends. What is being closed already is aborted: uvicorn raises on a second close."""
         if self.transport.is_closing():
             self.transport.abort()
         else:
