@@ -80,6 +80,17 @@ def _made_once(tmp_path_factory: pytest.TempPathFactory) -> None:
     once.share(folder.parent if "PYTEST_XDIST_WORKER" in os.environ else folder)
 
 
+@pytest.fixture(scope="session", autouse=True)
+def _own_state(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+    """Keep tokens and locks apart from the user's, and from those of other workers of xdist.
+
+    A server removes the tokens of ports where nobody listens. In a network namespace that is all ports of the others.
+    """
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("XDG_STATE_HOME", str(tmp_path_factory.mktemp("state")))
+        yield
+
+
 @pytest.fixture
 def state_home(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Keep tokens and locks of a test in its folder, for all its processes."""
