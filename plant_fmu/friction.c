@@ -246,9 +246,10 @@ static double step_to_rest(const mecanum_model *model, const mecanum_inputs *u, 
         early = try_step(model, u, modes, &before, s, state);
     }
     if (early <= REST_RAD_S) {
-        /* It turns back at once: the next step sees its true direction. */
-        try_step(model, u, modes, &before, step_s, state);
-        return step_s;
+        /* It turns back at once, as a wheel may when another has just come to rest. A step as short as can
+         * be, and the next one sees its true direction. */
+        try_step(model, u, modes, &before, step_s / MOST_HALVINGS, state);
+        return step_s / MOST_HALVINGS;
     }
     /* Regula falsi with the Illinois rule. */
     for (int i = 0; i < MOST_SEARCHES; i++) {

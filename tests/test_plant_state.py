@@ -5,7 +5,7 @@ from itertools import product
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from tests.examples import share_of_examples
@@ -106,7 +106,21 @@ def test_many_steps_equal_one_where_internal_steps_coincide(contact: int, drives
         np.testing.assert_allclose(long.read(names), short.read(names), rtol=1e-10, atol=1e-12)
 
 
+TWO_REST_AT_ONCE = {
+    "friction_coefficient": 0.02,
+    "gear_ratio": 20.0,
+    "rotor_inertia_kg_m2": 5e-6,
+    "wheel_inertia_kg_m2": 0.002,
+    "wheel_radius_m": 0.12,
+    "mass_kg": 26.0,
+    "start_heading_rad": -0.65,
+    "start_vy_m_s": 1e-5,
+}
+"""Two wheels come to rest within 4 us, and the rest of the first lets the other turn back."""
+
+
 @share_of_examples(0.15)
+@example(TWO_REST_AT_ONCE, [1e-5, 0.06])
 @given(robots(friction_coefficient=0.02), st.lists(st.floats(1e-5, 3e-2), min_size=3, max_size=20))
 def test_steps_of_any_length_lead_to_the_same_place(parameters: dict[str, float], steps_s: list[float]) -> None:
     """Irregular communication steps and a single one differ by the integrator's error, a micrometre with slip."""
