@@ -2,7 +2,6 @@
 
 import math
 import sys
-import tracemalloc
 
 import pytest
 from hypothesis import given
@@ -16,7 +15,7 @@ from firmware_protocol.host_line import HostLine, PackedFrames, packed_of
 from hil.core.types import (
     Axes,
 )
-from tests.client_rig import new_client, sent
+from tests.client_rig import kept_bytes, new_client, sent
 
 FOUR = (1.0, -2.0, 3, 4.5)
 
@@ -193,24 +192,22 @@ def test_a_thousand_receptions_leave_no_object_behind() -> None:
     line, client, framer = HostLine(), new_client(), Framer()
     data = framer.encode(encode(m.TimeSyncResponse(1, 2, 3)))
     before = sys.getrefcount(data)
-    tracemalloc.start()
-    for _ in range(1000):
+
+    def receive() -> None:
         assert not isinstance(line.receive_for(client.address, data, 0), int)
         client.hash_log()
-    kept_bytes, _ = tracemalloc.get_traced_memory()
-    tracemalloc.stop()
+
+    assert kept_bytes(receive) < 10_000
     assert sys.getrefcount(data) == before
-    assert kept_bytes < 10_000
 
 
 def test_a_thousand_splits_leave_no_object_behind() -> None:
     packed = pack([Frame(0x100, bytes(8)), Frame(0x300, b"")])
     before = sys.getrefcount(packed)
-    tracemalloc.start()
-    for _ in range(1000):
+
+    def split() -> None:
         assert PackedFrames(packed)[1] == Frame(0x300, b"")
         assert fast_call("split")(packed, 0x300) == (packed[:11], packed[11:])
-    kept_bytes, _ = tracemalloc.get_traced_memory()
-    tracemalloc.stop()
+
+    assert kept_bytes(split) < 10_000
     assert sys.getrefcount(packed) == before
-    assert kept_bytes < 10_000

@@ -4,7 +4,6 @@ import math
 import os
 import subprocess
 import sys
-import tracemalloc
 from collections.abc import Callable
 from pathlib import Path
 
@@ -35,7 +34,7 @@ from hil.core.types import (
 )
 from hil.robot.channel import feedback_reader
 from hil.robot.snapshot import Feedback
-from tests.client_rig import feed, feedback, new_client
+from tests.client_rig import feed, feedback, kept_bytes, new_client
 
 FOUR = (1.0, -2.0, 3, 4.5)
 
@@ -109,15 +108,14 @@ def test_feedback_and_rows_leave_no_object_behind() -> None:
     states, read = tuple(m.State), feedback_reader(client)
     layout = RowLayout(("a", "b", "x", "y", "h", "d"), ("a", (None, Scaled("b", 2.0))), ("a", "a", "x"))
     references = [sys.getrefcount(one) for one in (*states, None, Feedback, Wheels)]
-    tracemalloc.start()
-    for _ in range(1000):
+
+    def make() -> None:
         assert read().command_age_ms == 7
         assert layout.row(1, (0, 3)) == layout.row(1.0, ("left out", True + 2))
-    kept_bytes, _ = tracemalloc.get_traced_memory()
-    tracemalloc.stop()
+
+    assert kept_bytes(make) < 10_000
     grown = [sys.getrefcount(one) for one in (*states, None, Feedback, Wheels)]
     assert all(abs(now - before) < 100 for now, before in zip(grown, references, strict=True))
-    assert kept_bytes < 10_000
 
 
 def test_feedback_in_a_state_that_nobody_named_raises() -> None:

@@ -7,7 +7,7 @@ import subprocess
 import sys
 import threading
 import traceback
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
@@ -84,6 +84,13 @@ def descendants(pid: int) -> list[int]:
     return found
 
 
+@pytest.fixture
+def begun() -> Callable[[], list[int]]:
+    """Return a function that returns the processes of this test that live."""
+    others = descendants(os.getpid())
+    return lambda: [number for number in descendants(os.getpid()) if number not in others]
+
+
 def qemu_of(pid: int) -> int:
     """Return the QEMU process among the descendants of a process."""
     (found,) = [n for n in descendants(pid) if QEMU in Path(f"/proc/{n}/cmdline").read_text()]
@@ -111,13 +118,13 @@ def test_every_frame_is_the_host_librarys():
 
 
 @on_linux
-def test_killed_qemu_is_told_in_a_sentence():
+def test_killed_qemu_is_told_in_a_sentence(begun: Callable[[], list[int]]):
     with open_board() as board:
         os.kill(qemu_of(os.getpid()), signal.SIGKILL)
         told = wait_for(lambda: _failure(board))
         assert str(told).startswith("QEMU is gone: its process exited with code 1; its last words: ")
         assert "was ended by signal 9" in str(told)
-    wait_for(lambda: descendants(os.getpid()) == [])
+    wait_for(lambda: begun() == [])
 
 
 def deadman_of(pid: int) -> int:
@@ -166,7 +173,7 @@ def test_no_other_process_can_reach_the_lines_of_qemu():
 
 
 @on_linux
-def test_a_board_that_is_interrupted_while_it_boots_leaves_no_process(tmp_path: Path):
+def test_a_board_that_is_interrupted_while_it_boots_leaves_no_process(begun: Callable[[], list[int]], tmp_path: Path):
     idle = compile_program(tmp_path, "int main(void) { for (;;) WAIT(); }")
     rig, main = WheelRig(lockstep=True), threading.main_thread().ident
     assert main is not None
@@ -184,7 +191,7 @@ def test_a_board_that_is_interrupted_while_it_boots_leaves_no_process(tmp_path: 
     with pytest.raises(KeyboardInterrupt) as kept:
         QemuBoard(idle, *plant_of(rig), None)
     thread.join()
-    assert descendants(os.getpid()) == []
+    assert begun() == []
     assert kept.value is not None
 
 
@@ -209,7 +216,9 @@ def test_qemu_that_takes_nothing_does_not_hold_its_host_for_ever(monkeypatch: py
 
 
 @on_linux
-def test_silent_qemu_is_noticed_in_the_middle_of_a_step(monkeypatch: pytest.MonkeyPatch):
+def test_silent_qemu_is_noticed_in_the_middle_of_a_step(
+    begun: Callable[[], list[int]], monkeypatch: pytest.MonkeyPatch
+):
     monkeypatch.setattr(qemu_board, "SILENCE_S", 0.3)
     with open_board() as board:
         host = Host(Patient(board), "serial")
@@ -217,7 +226,7 @@ def test_silent_qemu_is_noticed_in_the_middle_of_a_step(monkeypatch: pytest.Monk
         os.kill(qemu_of(os.getpid()), signal.SIGSTOP)
         with pytest.raises(DeviceError, match=r"QEMU has been silent for 0\.3 s in the middle of a STEP"):
             host.step(3, 3)
-    wait_for(lambda: descendants(os.getpid()) == [])
+    wait_for(lambda: begun() == [])
 
 
 @on_linux
