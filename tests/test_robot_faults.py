@@ -1,5 +1,6 @@
 """Faults of the robot and its plant, between firmware and FMU: exact to the tick, and none arms it."""
 
+import contextlib
 import itertools
 from pathlib import Path
 
@@ -122,24 +123,24 @@ def test_a_slow_clock_misses_what_it_says() -> None:
     assert bridge.faults.applied() == [20] == [bridge.faults.extra_ticks]
 
 
-def plants():
-    fmu = archive.locate("mecanum", Path())
-    yield FmuPlant(fmu, SLIP)
-    yield FmuPlant(archive.locate("mecanum_fmi3", Path()), SLIP)
-    yield RemotePlant(fmu, SLIP)
+PLANTS = {
+    "FMI 2.0": lambda: FmuPlant(archive.locate("mecanum", Path()), SLIP),
+    "FMI 3.0": lambda: FmuPlant(archive.locate("mecanum_fmi3", Path()), SLIP),
+    "in a process of its own": lambda: RemotePlant(archive.locate("mecanum", Path()), SLIP),
+}
 
 
-@pytest.mark.parametrize("place", range(3), ids=["FMI 2.0", "FMI 3.0", "in a process of its own"])
-def test_a_push_moves_the_robot_from_its_tick_on_and_is_over_at_the_end(place) -> None:
-    plant = list(plants())[place]
-    bridge = Bridge(row("push", "force_y_n", value=100.0), plant=plant)
+@pytest.mark.parametrize("kind", PLANTS)
+def test_a_push_moves_the_robot_from_its_tick_on_and_is_over_at_the_end(kind: str) -> None:
     zero = (0.0, 0.0, 0.0, 0.0)
-    y_m = [s["pose"].y_m for s in bridge.run(21, zero)]
-    assert y_m[19] == 0.0
-    assert y_m[20] > 0.0
-    assert bridge.faults.applied() == [1]
-    bridge.run(60, zero)
-    assert bridge.faults.applied() == [20]
+    with contextlib.closing(PLANTS[kind]()) as plant:
+        bridge = Bridge(row("push", "force_y_n", value=100.0), plant=plant)
+        y_m = [s["pose"].y_m for s in bridge.run(21, zero)]
+        assert y_m[19] == 0.0
+        assert y_m[20] > 0.0
+        assert bridge.faults.applied() == [1]
+        bridge.run(60, zero)
+        assert bridge.faults.applied() == [20]
 
 
 def test_of_rows_for_one_variable_the_last_in_force_counts_and_all_ends_as_before() -> None:
