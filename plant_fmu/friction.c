@@ -246,8 +246,8 @@ static double step_to_rest(const mecanum_model *model, const mecanum_inputs *u, 
         early = try_step(model, u, modes, &before, s, state);
     }
     if (early <= REST_RAD_S) {
-        /* It turns back at once, as a wheel may when another has just come to rest. A step as short as can
-         * be, and the next one sees its true direction. */
+        /* One only begins to turn, and it or another turns back before the shortest step. The old signs hold
+         * for a little; the next step has the new ones. */
         try_step(model, u, modes, &before, step_s / MOST_HALVINGS, state);
         return step_s / MOST_HALVINGS;
     }

@@ -87,9 +87,11 @@ def digest(to_robot: Iterable[Message], to_host: Iterable[Message]) -> str:
 def kept_bytes(call: Callable[[], object]) -> int:
     """Return how much memory a thousand calls leave behind, without what other threads take meanwhile."""
     tracemalloc.start(10)
-    for _ in range(1000):
-        call()
-    snapshot = tracemalloc.take_snapshot()
-    tracemalloc.stop()
+    try:
+        for _ in range(1000):
+            call()
+        snapshot = tracemalloc.take_snapshot()
+    finally:
+        tracemalloc.stop()
     ours = tracemalloc.Filter(True, __file__, all_frames=True)
     return sum(trace.size for trace in snapshot.filter_traces([ours]).traces)

@@ -20,6 +20,7 @@ from firmware_protocol.plant_port import Drive, PlantDeframer, PlantFramer, Samp
 from firmware_protocol.stm32_flash import HIL_BOARD, SECTOR_BYTES, flash_image
 from hil.core.errors import BadInputError
 from hil.faults.kind import FaultRow
+from hil.robot import channel
 from hil.robot.targets.board import BoardRobot, open_board
 from hil.robot.targets.qemu_board import QemuProcess
 from hil.runtime.robots import firmware_values, virtual_robot
@@ -106,7 +107,10 @@ def plant_behind(terminal: str, *settings: str) -> Iterator[str]:
 
 @needs_compiler
 @needs_qemu
-def test_a_board_drives_the_plant_over_its_second_line_with_the_host_librarys_bytes() -> None:
+def test_a_board_drives_the_plant_over_its_second_line_with_the_host_librarys_bytes(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(channel, "RETRY_NS", 1_000_000)  # most STEPs are sent several times
     expected = run_json("paper_circle", *LOCKSTEP, "--link", "memory:", "--record", "none", *SHORT)
     # The plant is there first: a board that waits for it longer than 2 s of its own faults.
     with terminals() as lines, plant_behind(lines.plant, *SHORT) as truth, board_on(lines, *SHORT[1::2]):

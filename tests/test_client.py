@@ -2,6 +2,7 @@
 
 import itertools
 import math
+from collections import deque
 from typing import Any
 
 import pytest
@@ -297,6 +298,41 @@ def test_a_step_is_done_by_its_answer_alone_and_a_second_answer_is_not_logged() 
     assert (client.view.step, client.view.tick) == (DONE, 45)
     assert (client.view.sent, client.view.received) == (2, 4)
     assert client.hexdigest() == digest([m.Step(0, 0), m.Step(40, 5)], [m.StepDone(40), m.StepDone(45)])
+
+
+@given(st.lists(st.tuples(st.integers(0, 2), st.integers(0, 3)), max_size=12))
+def test_steps_that_a_slow_robot_gets_several_times_change_nothing(steps: list[tuple[int, int]]) -> None:
+    """It answers each, and what else it says comes before the first answer, also of a step of no ticks."""
+    client, arriving, tick = new_client(), deque[codec.Message](), 0
+    asked: list[codec.Message] = []
+    told: list[codec.Message] = []
+    for number, (ticks, repeats) in enumerate(steps):
+        asked.append(m.Step(tick, ticks))
+        tick += ticks
+        told += [m.TimeSyncResponse(number, 0, 0), m.StepDone(tick)]
+        arriving += [*told[-2:], *[m.StepDone(tick)] * repeats]
+        client.step(ticks)
+        for _ in range(repeats):
+            client.step_again()
+        assert sent(client) == [asked[-1]] * (1 + repeats)
+        while client.view.step == AWAITED:
+            take(client, [codec.encode(arriving.popleft())])
+        assert (client.view.step, client.view.tick) == (DONE, tick)
+    assert client.hexdigest() == digest(asked, told)
+
+
+def test_a_second_answer_that_never_comes_is_waited_for_once() -> None:
+    client = new_client()
+    for ticks, tick, is_waited_for in ((1, 1, False), (0, 1, True), (1, 2, False), (0, 2, False)):
+        client.step(ticks)
+        if ticks and tick == 1:
+            client.step_again()
+        take(client, [codec.encode(m.StepDone(tick))])
+        assert client.view.step == (AWAITED if is_waited_for else DONE)
+        if is_waited_for:
+            client.step_again()
+            take(client, [codec.encode(m.StepDone(tick))])
+        assert client.view.step == DONE
 
 
 def test_an_answer_ends_a_step_or_is_that_of_the_step_before_or_tells_of_another_tick() -> None:

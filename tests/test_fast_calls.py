@@ -211,3 +211,8 @@ def test_a_thousand_splits_leave_no_object_behind() -> None:
 
     assert kept_bytes(split) < 10_000
     assert sys.getrefcount(packed) == before
+
+
+def test_what_calls_leave_behind_is_seen() -> None:
+    left: list[bytes] = []
+    assert kept_bytes(lambda: left.append(bytes(len(left)))) > 500_000

@@ -1,7 +1,6 @@
 """Rules of PROTOCOL.md that no test of one part proves: in every state, whatever a field says, at an exact rate."""
 
 from collections import Counter
-from types import SimpleNamespace
 
 import pytest
 
@@ -12,9 +11,7 @@ from firmware_protocol.generated import messages as m
 from firmware_protocol.generated.messages import State
 from firmware_protocol.host import parameter_hash, parameters
 from hil.core.errors import BadInputError
-from hil.core.ports import Received
 from hil.core.types import ZERO_WHEELS, CommandMode, WheelCommand
-from hil.robot import handshake
 from hil.robot.handshake import Greeting
 from tests.bare_node import ALL, BareNode
 from tests.client_rig import new_client, take
@@ -59,23 +56,6 @@ def test_a_page_that_the_host_does_not_know_is_ignored() -> None:
     greeting = Greeting()
     found = [greeting.feed(codec.decode(frame)) for frame in (stranger, *known, stranger)]
     assert [info is not None for info in found] == [False] * len(known) + [True, False]
-
-
-@pytest.mark.parametrize("is_lost", [False, True])
-def test_a_slow_robots_second_answer_is_no_part_of_the_session(is_lost: bool, monkeypatch: pytest.MonkeyPatch) -> None:
-    """In lockstep it would be a part of its hash."""
-    answer = Received([codec.encode(page) for page in hello_pages()], 0)
-    arrives, sent, now_ns = [None, answer, None if is_lost else answer], [], [0]
-
-    def receive(timeout_ns: int) -> Received | None:
-        received = arrives.pop(0)
-        now_ns[0] += timeout_ns if received is None else 1
-        return received
-
-    monkeypatch.setattr(handshake.time, "monotonic_ns", lambda: now_ns[0])
-    link = SimpleNamespace(send=sent.append, receive=receive, rejected=dict)
-    assert handshake.greet(link, Greeting()).watchdog_ms
-    assert (len(sent), arrives) == (2, [])
 
 
 @pytest.mark.proves("R-HELLO-6")

@@ -90,7 +90,7 @@ class Inside:
             folder = tempfile.TemporaryDirectory(prefix="hil_socketcan_", ignore_cleanup_errors=True)
             self._folder = Path(resources.enter_context(folder))
             namespace = _namespace()
-            own = {"TMPDIR": "/run/tmp", "HOME": "/run/home"}
+            own = {"TMPDIR": "/run/tmp", "HOME": "/run/home", "XDG_STATE_HOME": "/run/home/.local/state"}
             if namespace:  # a server in there would remove the tokens of servers out here: their ports refuse it
                 own = {"XDG_STATE_HOME": str(self._folder / "state")}
             variables = os.environ | {"PATH": _path()} | own | dict(environment)

@@ -160,11 +160,14 @@ static bool take_snapshot(wheel_client *client, const wheel_packed *frame, int64
 
 /* Other messages */
 
-/* Whether this answer ended the step; if not, it is a second answer to a STEP that was sent twice. */
+/* Whether this answer ended the step; if not, it is a second answer to a STEP that was sent twice. That has
+ * the tick at which the next STEP begins, and which a STEP of no ticks ends with: there they are counted. */
 static bool ends_step(wheel_client *client, uint32_t tick) {
     wheel_view *view = &client->view;
     view->step_done_tick = tick;
-    if (view->step != WHEEL_STEP_AWAITED || (client->step_ticks != 0u && tick == client->step_from)) {
+    if (view->step != WHEEL_STEP_AWAITED ||
+        (client->step_ticks == 0u ? client->steps_owed != 0u : tick == client->step_from)) {
+        client->steps_owed -= client->steps_owed != 0u;
         return false;
     }
     if (client->step_ticks != 0u && tick != view->step_target) {
@@ -173,6 +176,8 @@ static bool ends_step(wheel_client *client, uint32_t tick) {
     }
     view->tick = tick;
     view->step = WHEEL_STEP_DONE;
+    client->steps_owed =
+        client->steps_sent - 1u; /* those to earlier ones have come before this, or never will */
     return true;
 }
 

@@ -191,13 +191,18 @@ bool wheel_client_step(wheel_client *client, uint16_t ticks) {
     }
     client->step_from = view->tick;
     client->step_ticks = ticks;
+    client->steps_sent = 1;
     view->step_target = view->tick + ticks;
     view->step = WHEEL_STEP_AWAITED;
     return true;
 }
 
 bool wheel_client_step_again(wheel_client *client) {
-    return add_step(client, client->step_from, client->step_ticks, false);
+    if (!add_step(client, client->step_from, client->step_ticks, false)) {
+        return false;
+    }
+    client->steps_sent++;
+    return true;
 }
 
 /* The session */
@@ -247,6 +252,7 @@ void wheel_client_leave(wheel_client *client) {
     client->view.is_greeted = client->view.has_feedback = false;
     client->has_heartbeat = client->has_status = client->is_asking = false;
     client->pages = 0;
+    client->steps_owed = 0;
     client->view.step = WHEEL_STEP_NONE;
     wheel_client_unsent(client); /* a command from before must not follow a new arming */
 }

@@ -246,6 +246,8 @@ struct wheel_client {
     int64_t hello_ns;
     uint32_t step_from;
     uint16_t step_ticks;
+    uint32_t steps_sent; /* how often the newest STEP was sent */
+    uint32_t steps_owed; /* answers to repeated STEPs before it that may still come */
 
     /* The snapshot whose parts are coming. */
     wp_tick open;

@@ -148,33 +148,25 @@ class Greeting:
 
 
 def greet(link: Link, greeting: Greeting, *, status: bool = False) -> RobotInfo:
-    """Request the HELLO pages until all have come.
-
-    Wait up to 0.2 s longer for the answers to earlier requests, and with ``status`` for a STATUS too.
+    """Request the HELLO pages until all have come. With ``status`` wait for a STATUS too, up to 0.2 s longer.
 
     Raises DeviceError when the robot does not answer within 2 s, BadInputError when it uses another version.
     """
     before = link.rejected()
-    requests = pages = received_frames = 0
+    received_frames = 0
     deadline_ns = time.monotonic_ns() + SILENCE_NS
     retry_ns = 0
     found: RobotInfo | None = None
     while (now_ns := time.monotonic_ns()) <= deadline_ns:
-        # A slow robot answers each request. What came of that later would be a part of the session.
-        is_answered = pages >= requests * len(_PAGES)
-        if found is not None:
-            if now_ns >= retry_ns or (is_answered and (found.reset_cause is not None or not status)):
-                return found
-        elif now_ns >= retry_ns:
+        if found is not None and (found.reset_cause is not None or not status or now_ns >= retry_ns):
+            return found
+        if now_ns >= retry_ns:
             link.send(codec.encode(m.HelloRequest(m.PROTOCOL_VERSION)))
-            requests += 1
             retry_ns = now_ns + RETRY_NS
         received = link.receive(RETRY_NS)
         for frame in received.frames if received is not None else ():
             received_frames += 1
-            message = codec.decode(frame)
-            pages += isinstance(message, _PAGES)
-            found = greeting.feed(message) or found
+            found = greeting.feed(codec.decode(frame)) or found
     rejected = {cause: count - before.get(cause, 0) for cause, count in link.rejected().items()}
     raise DeviceError(
         f"the robot did not answer HELLO within 2 s ({link.describe()}); {_why_silent(received_frames, rejected)}"
