@@ -9,6 +9,7 @@ from firmware_protocol.host import parameter_hash
 from hil.core.errors import LinkError, RobotStoppedError
 from hil.core.types import NAN_POSE, ZERO_WHEELS, CommandMode, Pose, PoseFix, Twist, WheelCommand
 from hil.robot.handshake import Expected
+from hil.robot.snapshot import Feedback
 from hil.robot.stm32 import Stm32
 from hil.robot.wheel_map import WheelMap
 from hil.runtime.freshness import Freshness
@@ -115,6 +116,23 @@ def test_a_long_standstill_is_a_lost_link_and_no_reset_of_the_robot() -> None:
     assert not [idle.tick(active=False) for _ in range(8)][-1]
     with pytest.raises(LinkError, match="lay unread for 1100 ms"):
         idle.tick(1100, active=False)
+
+
+def test_of_a_host_that_stands_still_just_after_it_has_read_the_robots_reason_is_told() -> None:
+    robot = Robot(watchdog_s=0.1, feedback_period_s=0.02).armed()
+    while robot.tick() or robot.freshness.silent_ns:
+        pass  # until there is news, so that the next tick has none
+    poll = robot.device.poll
+
+    def stall() -> Feedback | None:
+        robot.device.poll = poll
+        feedback = poll()
+        robot.wait_until(robot.now_ns() + 260 * TICK_NS)
+        return feedback
+
+    robot.device.poll = stall
+    with pytest.raises(RobotStoppedError, match=r"it is \w+ because of COMMAND_TIMEOUT"):
+        robot.tick()
 
 
 def test_a_robot_that_was_reset_while_it_was_driven_says_why() -> None:

@@ -67,10 +67,10 @@ class Freshness:
             feedback, truth, age_ns, self._clock.now_ns(), active
         )
         if result:
-            raise self._problem(result, feedback.state, age_ns, t_s)
+            raise self._problem(result, feedback.state, age_ns, t_s, active)
         return feedback
 
-    def _problem(self, result: int, state: RobotState, age_ns: int, t_s: float) -> HilError:
+    def _problem(self, result: int, state: RobotState, age_ns: int, t_s: float, active: bool) -> HilError:
         """Return the error for a robot that cannot be driven, by ``WHEEL_FRESHNESS_...``."""
         if result == self._lib.WHEEL_FRESHNESS_STATE:
             return self._stop(state, t_s)
@@ -81,6 +81,10 @@ class Freshness:
                 f"feedback lay unread for {age_ns * 1e-6:.0f} ms at t = {t_s:.3f} s: this process stood still "
                 "or is slower than the robot; what the link holds is too old to drive by"
             )
+        # If this process stood still since it has read, the robot has not, nor has a guardian: what do they say?
+        newest = self._device.poll()
+        if active and newest is not None and newest.state is not RobotState.ACTIVE:
+            return self._stop(newest.state, t_s)
         return LinkError(
             f"no feedback for {self.silent_ns * 1e-6:.0f} ms at t = {t_s:.3f} s: the link or the robot was lost"
         )
