@@ -20,7 +20,6 @@ from firmware_protocol.plant_port import Drive, PlantDeframer, PlantFramer, Samp
 from firmware_protocol.stm32_flash import HIL_BOARD, SECTOR_BYTES, flash_image
 from hil.core.errors import BadInputError
 from hil.faults.kind import FaultRow
-from hil.robot import channel
 from hil.robot.targets.board import BoardRobot, open_board
 from hil.robot.targets.qemu_board import QemuProcess
 from hil.runtime.robots import firmware_values, virtual_robot
@@ -70,11 +69,16 @@ def board_on(lines: Terminals, *settings: str) -> Iterator[None]:
     sockets = (process.host.fileno(), process.plant.fileno())
     other = dict(zip((*sockets, *lines.ends), (*lines.ends, *sockets), strict=True))
 
+    for end in other:
+        os.set_blocking(end, False)
+
     def carry() -> None:
         while stop not in (readable := select.select([*other, stop], [], [])[0]):
             for end in readable:
                 left = memoryview(os.read(end, 65536))
                 while left:
+                    if stop in select.select([stop], [other[end]], [])[0]:  # nobody reads any more
+                        return
                     left = left[os.write(other[end], left) :]
 
     thread = threading.Thread(target=carry)
@@ -107,10 +111,7 @@ def plant_behind(terminal: str, *settings: str) -> Iterator[str]:
 
 @needs_compiler
 @needs_qemu
-def test_a_board_drives_the_plant_over_its_second_line_with_the_host_librarys_bytes(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    monkeypatch.setattr(channel, "RETRY_NS", 1_000_000)  # most STEPs are sent several times
+def test_a_board_drives_the_plant_over_its_second_line_with_the_host_librarys_bytes() -> None:
     expected = run_json("paper_circle", *LOCKSTEP, "--link", "memory:", "--record", "none", *SHORT)
     # The plant is there first: a board that waits for it longer than 2 s of its own faults.
     with terminals() as lines, plant_behind(lines.plant, *SHORT) as truth, board_on(lines, *SHORT[1::2]):
