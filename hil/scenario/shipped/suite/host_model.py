@@ -62,6 +62,7 @@ class HostModel:
         self.tick = self.step_target = self.step_done_tick = 0
         self.step = NONE
         self._step = m.Step(0, 0)
+        self._asked = self._owed = 0  # how often the newest STEP was sent; answers to earlier ones that may still come
         self.round_trips_ns: list[int] = []
         self._sequence = 0
         self._commanded: dict[int, int] = {}  # time of each sequence that no TICK has told yet
@@ -185,13 +186,16 @@ class HostModel:
         step = m.Step(self.tick, ticks)
         if ticks > 1000 or not self._add(encode(step)):
             return False
-        self._step, self.step = step, AWAITED
+        self._step, self.step, self._asked = step, AWAITED, 1
         self.step_target = (self.tick + ticks) & 0xFFFF_FFFF
         return True
 
     def ask_again(self) -> bool:
         """Add the same STEP again."""
-        return self._add(encode(self._step), counted=False)
+        if not self._add(encode(self._step), counted=False):
+            return False
+        self._asked += 1
+        return True
 
     def arm(self, now_ns: int) -> int:
         """Take the next step towards ACTIVE, and return it."""
@@ -229,7 +233,7 @@ class HostModel:
 
     def leave(self) -> None:
         """Leave the robot."""
-        self.request, self.step = Request.IDLE, NONE
+        self.request, self.step, self._owed = Request.IDLE, NONE, 0
         self.is_greeted = self.snapshots.has_feedback = self._is_asking = False
         self._heartbeat_ns = self._status = None
         self._pages.clear()
@@ -295,10 +299,12 @@ class HostModel:
 
     def _ends_step(self, tick: int) -> bool:
         self.step_done_tick = tick
-        if self.step != AWAITED or (self._step.substeps and tick == self._step.tick):
+        is_second = tick == self._step.tick if self._step.substeps else self._owed > 0
+        if self.step != AWAITED or is_second:
+            self._owed = max(0, self._owed - 1)
             return False
         if self._step.substeps and tick != self.step_target:
             self.step = ELSEWHERE
             return False
-        self.tick, self.step = tick, ANSWERED
+        self.tick, self.step, self._owed = tick, ANSWERED, self._asked - 1
         return True
