@@ -86,23 +86,23 @@ def _own_state(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
 
     A server removes the tokens of ports where nobody listens. In a network namespace that is all ports of the others.
     """
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("XDG_STATE_HOME", str(tmp_path_factory.mktemp("state")))
+    with processes.own_state(tmp_path_factory.mktemp("state")):
         yield
 
 
 @pytest.fixture
-def state_home(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def state_home(tmp_path: Path) -> Iterator[None]:
     """Keep tokens and locks of a test in its folder, for all its processes."""
-    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
+    with processes.own_state(tmp_path / "state"):
+        yield
 
 
 @pytest.fixture(scope="module")
 def service(tmp_path_factory: pytest.TempPathFactory) -> "Iterator[ControlSide]":
     """A real API process, for all tests of a module."""
-    from tests.service_testbed import own_state, served  # most tests do without what it imports
+    from tests.service_testbed import served  # most tests do without what it imports
 
-    with own_state(tmp_path_factory.mktemp("state")), served() as side:
+    with processes.own_state(tmp_path_factory.mktemp("state")), served() as side:
         yield side
 
 

@@ -168,3 +168,11 @@ def wait_for(condition: Any, limit_s: float = 30.0) -> Any:
         assert time.monotonic() < deadline, "waited in vain"
         time.sleep(0.005)
     return value
+
+
+@contextlib.contextmanager
+def own_state(folder: Path) -> Iterator[None]:
+    """Keep tokens, locks and audit logs in ``folder``, apart from the user's and from other tests'."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("XDG_STATE_HOME", str(folder))
+        yield

@@ -1,17 +1,14 @@
 """A real API process, against a control side that answers as it is told to: no robot, but real pipes and messages."""
 
 import contextlib
-import os
 import threading
 import time
 from collections import deque
 from collections.abc import Callable, Iterator
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import httpx
-import pytest
 from websockets.sync.client import ClientConnection, connect
 
 from hil.service.api_child import ApiChild
@@ -140,11 +137,3 @@ def served(**options: Any) -> Iterator[ControlSide]:
         yield side
     finally:
         side.close()
-
-
-@contextlib.contextmanager
-def own_state(folder: Path) -> Iterator[None]:
-    """Keep what services say of themselves apart from the user's, and from other tests'."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setitem(os.environ, "XDG_STATE_HOME", str(folder))
-        yield

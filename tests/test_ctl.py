@@ -22,8 +22,8 @@ from hil.core.errors import BadInputError, LinkError
 from hil.service.client import Client, find
 from hil.service.discovery import announce, running
 from hil.service.messages import Action, Answer, Phase
-from tests.processes import HIL, environment, hil, is_running, wait_for
-from tests.service_testbed import STATUS, ControlSide, own_state, served
+from tests.processes import HIL, environment, hil, is_running, own_state, wait_for
+from tests.service_testbed import STATUS, ControlSide, served
 
 
 @pytest.mark.parametrize(

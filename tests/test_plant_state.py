@@ -116,7 +116,7 @@ TWO_REST_AT_ONCE = {
     "start_heading_rad": -0.65,
     "start_vy_m_s": 1e-5,
 }
-"""Two wheels come to rest within 4 us, and the rest of the first lets the other turn back."""
+"""Two wheels come to rest within 4 us. Once the first is at rest, the other turns back."""
 
 
 @share_of_examples(0.15)

@@ -13,9 +13,8 @@ import pytest
 from hil.service.client import Client, find
 from hil.service.discovery import running
 from hil.service.messages import Action
-from tests.processes import HIL, environment, is_running, wait_for
+from tests.processes import HIL, environment, is_running, own_state, wait_for
 from tests.ros2_testbed import Peer, needs_ros, node, twist
-from tests.service_testbed import own_state
 
 pytestmark = [pytest.mark.alone, needs_ros]
 SERVED = ("circle_speed", "--mode", "realtime", "--set", "loop.rate_hz=100")

@@ -19,8 +19,8 @@ from hil.core.errors import BadInputError
 from hil.service.api.access import NEEDED, OWNER, TOO_MANY, Access, Client, Role, read_clients
 from hil.service.api.audit import Audit
 from hil.service.messages import ORDERS, Action, Answer, route
-from tests.processes import hil, wait_for
-from tests.service_testbed import ControlSide, own_state, served
+from tests.processes import hil, own_state, wait_for
+from tests.service_testbed import ControlSide, served
 from tests.test_service_api import BODIES
 
 if sys.platform != "win32":

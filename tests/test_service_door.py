@@ -22,8 +22,8 @@ from uvicorn.server import ServerState
 
 from hil.service.api.door import Connection, Door
 from hil.service.messages import Action
-from tests.processes import wait_for
-from tests.service_testbed import ControlSide, own_state, served
+from tests.processes import own_state, wait_for
+from tests.service_testbed import ControlSide, served
 
 if sys.platform != "win32":
     import resource

@@ -19,8 +19,8 @@ from hil.core.errors import BadInputError
 from hil.core.subprocesses import module_command
 from hil.service.api_child import ApiChild
 from hil.service.messages import Action, Answer, ApiConfig, Motion, Phase
-from tests.processes import environment, is_running, wait_for
-from tests.service_testbed import LIMITS, STATUS, ControlSide, own_state, served
+from tests.processes import environment, is_running, own_state, wait_for
+from tests.service_testbed import LIMITS, STATUS, ControlSide, served
 
 CONFIG = ApiConfig(title="paper_circle", device="a test", limits=LIMITS, port=0)
 TWIST = {"vx_m_s": 0.5, "vy_m_s": 0.0, "yaw_rate_rad_s": 0.0}

@@ -20,8 +20,7 @@ from hil.wire.device_lock import _file_name, _folders, claim_file, device_held
 from hil.wire.url import SerialUrl, parse_link
 from tests import slcan_adapters
 from tests.examples import share_of_examples
-from tests.processes import environment, hil, hil_process
-from tests.service_testbed import own_state
+from tests.processes import environment, hil, hil_process, own_state
 
 HOLDER = (
     "import sys, time\nfrom hil.wire.url import parse_link\nfrom hil.wire.device_lock import device_held\n"

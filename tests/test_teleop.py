@@ -16,8 +16,7 @@ if sys.platform == "win32":
 
 from hil.service.client import Client, find
 from hil.service.messages import Action
-from tests.processes import HIL, environment, wait_for
-from tests.service_testbed import own_state
+from tests.processes import HIL, environment, own_state, wait_for
 from tests.terminal_window import Window
 
 pytestmark = pytest.mark.alone

@@ -160,8 +160,9 @@ static bool take_snapshot(wheel_client *client, const wheel_packed *frame, int64
 
 /* Other messages */
 
-/* Whether this answer ended the step; if not, it is a second answer to a STEP that was sent twice. That has
- * the tick at which the next STEP begins, and which a STEP of no ticks ends with: there they are counted. */
+/* Whether this answer ended the step; if not, it is a duplicate: one more to an earlier STEP that was sent
+ * again. A duplicate has the tick at which this step begins. A step of no ticks ends with that tick too, so
+ * duplicates are counted. One that never comes costs the step its own answer, and it is sent again. */
 static bool ends_step(wheel_client *client, uint32_t tick) {
     wheel_view *view = &client->view;
     view->step_done_tick = tick;
@@ -176,8 +177,8 @@ static bool ends_step(wheel_client *client, uint32_t tick) {
     }
     view->tick = tick;
     view->step = WHEEL_STEP_DONE;
-    client->steps_owed =
-        client->steps_sent - 1u; /* those to earlier ones have come before this, or never will */
+    /* Duplicates of earlier answers have come before this one, or never will. */
+    client->steps_owed = client->steps_sent - 1u;
     return true;
 }
 

@@ -247,7 +247,7 @@ struct wheel_client {
     uint32_t step_from;
     uint16_t step_ticks;
     uint32_t steps_sent; /* how often the newest STEP was sent */
-    uint32_t steps_owed; /* answers to repeated STEPs before it that may still come */
+    uint32_t steps_owed; /* duplicate answers to earlier STEPs that may still come */
 
     /* The snapshot whose parts are coming. */
     wp_tick open;

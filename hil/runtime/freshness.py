@@ -81,7 +81,7 @@ class Freshness:
                 f"feedback lay unread for {age_ns * 1e-6:.0f} ms at t = {t_s:.3f} s: this process stood still "
                 "or is slower than the robot; what the link holds is too old to drive by"
             )
-        # If this process stood still since it has read, the robot has not, nor has a guardian: what do they say?
+        # This process may have been suspended since it read. If the robot has been stopped meanwhile, report why.
         newest = self._device.poll()
         if active and newest is not None and newest.state is not RobotState.ACTIVE:
             return self._stop(newest.state, t_s)
