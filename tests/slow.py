@@ -61,6 +61,7 @@ SLOW = (
     "test_ros2.py",
     "test_service_access.py::test_a_changed_clients_file_is_read_again_and_a_token_that_is_gone_ends",
     "test_service_access.py::test_a_killed_api_process_has_written_every_order_that_it_gave",
+    "test_service_api.py::test_any_bytes_under_any_content_type_are_answered_and_in_the_audit_log",
     "test_service_door.py::test_a_handshake_that_the_websocket_never_answers_is_dropped",
     "test_service_door.py::test_connections_that_cannot_be_accepted_are_one_line_of_the_log",
     "test_service_live.py::test_clients_that_read_nothing_are_ended_however_they_leave",

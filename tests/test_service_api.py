@@ -4,8 +4,10 @@ import json
 import stat
 import subprocess
 import sys
+from collections import Counter
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, replace
+from pathlib import Path
 from urllib.parse import urlsplit
 
 import httpx
@@ -18,8 +20,8 @@ from prometheus_client.parser import text_string_to_metric_families
 
 from hil.core.printable import printable
 from hil.service.messages import Action, Answer, ApiConfig, Phase
-from tests.processes import wait_for
-from tests.service_testbed import LIMITS, STATUS, ControlSide
+from tests.processes import own_state, wait_for
+from tests.service_testbed import LIMITS, STATUS, ControlSide, served
 from tests.test_printable import EVIL, HARMFUL
 from tests.test_service_live import UPGRADE
 
@@ -168,13 +170,51 @@ def test_whatever_the_body_is_it_is_an_order_or_refused_with_a_sentence(
         assert response.json()["detail"]
 
 
-@pytest.mark.parametrize("text", [30_000 * "[", '{"gains": {"kp": 1' + 5000 * "0" + "}}"])
-def test_a_body_that_cannot_be_read_is_refused(side: ControlSide, text: str) -> None:
+UNREAD = [30_000 * b"[", b'{"gains": {"kp": 1' + 5000 * b"0" + b"}}", b"\xff\xfe\x00"]
+
+
+@pytest.mark.parametrize("text", UNREAD)
+def test_a_body_that_cannot_be_read_is_refused(side: ControlSide, text: bytes) -> None:
     response = side.request(
         "POST", "/v1/gains", content=text, headers=side.headers | {"Content-Type": "application/json"}
     )
-    assert (response.status_code, list(response.json())) == (400, ["detail"])
+    assert response.status_code == 400
+    assert "the body cannot be read" in response.json()["detail"]
     assert side.orders == []
+
+
+CONTENTS = (
+    st.binary(max_size=40)
+    | ANYTHING.map(lambda value: json.dumps(value).encode())
+    | st.integers(1, 1100).map(lambda depth: depth * b"[" + depth * b"]")
+    | st.sampled_from([*UNREAD, 70_000 * b"x", json.dumps(TWIST).encode()])
+)
+CONTENT_TYPES = st.sampled_from(
+    [b"application/json", b"application/json; charset=\xff", b"application/x-www-form-urlencoded"]
+) | st.from_regex(rb"[!-~][ -~\x80-\xff]{,20}", fullmatch=True).map(bytes.strip)
+
+
+def test_any_bytes_under_any_content_type_are_answered_and_in_the_audit_log(tmp_path: Path) -> None:
+    file, given_orders = tmp_path / "audit.jsonl", Counter[str]()
+    with own_state(tmp_path), served(audit=str(file)) as side:
+
+        @settings(max_examples=100)
+        @given(
+            st.sampled_from([route for route, action in ROUTES.items() if action]),
+            CONTENTS,
+            CONTENT_TYPES,
+            st.sampled_from([f"127.0.0.1:{urlsplit(side.child.url).port}", "robot.example.com"]),
+        )
+        def give(route: tuple[str, str], content: bytes, content_type: bytes, host: str) -> None:
+            headers = {"Authorization": side.headers["Authorization"], "Host": host, "Content-Type": content_type}
+            response = side.request(*route, content=content, headers=headers)
+            assert response.status_code < 500, response.text
+            assert response.is_success or response.json()["detail"]
+            given_orders[ROUTES[route]] += 1
+
+        give()
+    ended = [one for one in map(json.loads, file.read_text().splitlines()) if one["outcome"] != "given"]
+    assert sum((Counter({one["action"]: one.get("count", 1)}) for one in ended), Counter()) == given_orders
 
 
 def test_a_body_that_is_too_long_or_of_unknown_length_is_refused_unread(side: ControlSide) -> None:

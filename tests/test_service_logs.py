@@ -69,6 +69,27 @@ def test_what_libraries_say_and_tracebacks_are_lines_too(pipe: tuple[int, Read])
     assert line["traceback"].endswith("ValueError: bad")
 
 
+@pytest.mark.parametrize("style", ["text", "json"])
+def test_of_a_traceback_that_is_too_long_the_end_stays(pipe: tuple[int, Read], style: LogStyle) -> None:
+    read = configured(style, pipe)
+
+    def fail(depth: int) -> None:
+        if not depth:
+            raise ValueError("é" * 50 + "the cause")
+        try:
+            fail(depth - 1)
+        except ValueError as error:
+            raise ValueError(depth) from error
+
+    try:
+        fail(30)
+    except ValueError:
+        logging.getLogger("uvicorn.error").exception("it failed")
+    (text,) = read().splitlines()
+    assert "ValueError: 30" in text
+    assert "… (cut)" in text or json.loads(text)["event"] == "it failed… (cut)"
+
+
 @pytest.mark.skipif(sys.platform == "win32", reason="Windows waits")
 def test_a_reader_that_stands_still_holds_nobody_up_and_learns_what_it_missed(pipe: tuple[int, Read]) -> None:
     read = configured("json", pipe)

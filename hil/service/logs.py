@@ -89,16 +89,29 @@ class _Handler(logging.Handler):
             return
         if self._dropped:
             record.dropped = self._dropped
-        line = self.format(record).encode("utf-8", "backslashreplace")
+        line = self._line(record)
         if len(line) >= _LONGEST_LINE_BYTES:
-            record.exc_info, record.msg, record.args = None, f"{record.getMessage()[:200]}… (cut)", ()
-            record.fields = {}
-            line = self.format(record).encode("utf-8", "backslashreplace")
+            line = self._cut(record)
         try:
             os.write(self._descriptor, line + b"\n")
             self._dropped = 0
         except OSError:  # the reader is gone, or the disk is full
             self._dropped += 1 + getattr(record, "left_out", 0)
+
+    def _line(self, record: logging.LogRecord) -> bytes:
+        return self.format(record).encode("utf-8", "backslashreplace")
+
+    def _cut(self, record: logging.LogRecord) -> bytes:
+        """Return a line that is short enough: no fields, and of a traceback the end, which has the cause."""
+        trace = "" if not record.exc_info else logging.Formatter().formatException(record.exc_info)
+        record.exc_info, record.msg, record.args = None, f"{record.getMessage()[:200]}… (cut)", ()
+        characters = min(len(trace), _LONGEST_LINE_BYTES)
+        while True:
+            record.fields = {"traceback": f"…{trace[-characters:]}"} if characters else {}
+            line = self._line(record)
+            if len(line) < _LONGEST_LINE_BYTES or not characters:
+                return line
+            characters //= 2
 
     def _may_write_line(self) -> bool:
         if sys.platform == "win32":

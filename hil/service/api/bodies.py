@@ -35,11 +35,15 @@ class Body(BaseModel, extra="forbid", strict=True, allow_inf_nan=False):
     @model_validator(mode="before")
     @classmethod
     def _of_characters(cls, values: object) -> object:
-        """Refuse a lone surrogate: JSON can carry it, but no file, log or answer can."""
+        """Refuse bytes, and a lone surrogate: JSON can carry it, but no file, log or answer can."""
         try:
             json.dumps(values, ensure_ascii=False).encode()
         except UnicodeEncodeError:
             raise ValueError("a text in it is not Unicode: it has a lone surrogate") from None
+        except TypeError:
+            raise ValueError("it was not sent as JSON") from None
+        except RecursionError:
+            raise ValueError("it is nested too deeply") from None
         return values
 
 

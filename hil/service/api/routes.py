@@ -9,6 +9,7 @@ from fastapi.exceptions import RequestValidationError
 from fastapi.responses import JSONResponse
 from fastapi.security import HTTPBearer
 from pydantic import BaseModel, Field
+from starlette.exceptions import HTTPException
 
 from hil.core.printable import printable
 from hil.service.api.access import Access
@@ -32,15 +33,20 @@ class Done(BaseModel):
 
 
 _REFUSALS: dict[int | str, dict[str, Any]] = {
-    400: {"model": Refusal, "description": "The body cannot be read: nested too deeply, or a number too long"},
+    400: {"model": Refusal, "description": "The body cannot be read"},
     401: {"model": Refusal, "description": "The token is missing or wrong"},
     403: {"model": Refusal, "description": "The token lacks the role that the order needs"},
     409: {"model": Refusal, "description": "The control process refuses: the order is not possible now"},
+    415: {"model": Refusal, "description": "The body was not sent as JSON"},
     422: {"model": Refusal, "description": "The body is not valid"},
     429: {"model": Refusal, "description": "Too many orders a second were given with this token"},
     503: {"model": Refusal, "description": "The control process has too many orders to answer, or is ending"},
     504: {"model": Refusal, "description": "The control process does not answer within a second"},
 }
+
+
+_UNREAD = "the body cannot be read: it is nested too deeply, has a number that is too long, is no text, or ended early"
+_LONGEST_ECHO = 80
 
 
 def make_app(config: ApiConfig, control: Control, access: Access, dropped: Mapping[str, int]) -> FastAPI:
@@ -88,12 +94,21 @@ def make_app(config: ApiConfig, control: Control, access: Access, dropped: Mappi
             tags=["orders"],
         )
 
-    @app.exception_handler(RequestValidationError)
-    async def invalid(request: Request, error: RequestValidationError) -> Response:
-        why = sentence(error.errors())
+    def refused(request: Request, status: int, why: str, headers: Mapping[str, str] | None = None) -> Response:
         if (action := ORDERS.get((request.method, request.url.path))) is not None:
             control.not_sent(request.state.client, action, "invalid", why)
-        return JSONResponse({"detail": why}, 422)
+        return JSONResponse({"detail": why}, status, headers)
+
+    @app.exception_handler(RequestValidationError)
+    async def invalid(request: Request, error: RequestValidationError) -> Response:
+        if not isinstance(error.body, bytes):
+            return refused(request, 422, sentence(error.errors()))
+        given = printable(repr(request.headers.get("content-type", ""))[:_LONGEST_ECHO])
+        return refused(request, 415, f"Content-Type = {given}: send the body as JSON, with application/json")
+
+    @app.exception_handler(HTTPException)
+    async def not_read(request: Request, error: HTTPException) -> Response:
+        return refused(request, error.status_code, _UNREAD if error.status_code == 400 else error.detail, error.headers)
 
     app.exception_handler(NotDoneError)(_not_done)
     return app

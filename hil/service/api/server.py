@@ -5,6 +5,7 @@ to 127.0.0.1 (DNS rebinding), the Host header shows it; otherwise the token stop
 """
 
 import asyncio
+import json
 import socket
 from collections import Counter
 from collections.abc import Mapping
@@ -20,7 +21,7 @@ from hil.service.api.audit import Audit
 from hil.service.api.control import Control
 from hil.service.api.door import BATCH, Door
 from hil.service.api.routes import make_app
-from hil.service.messages import HOST, ORDERS, ApiConfig
+from hil.service.messages import HOST, ORDERS, Action, ApiConfig
 
 _PING_S = 5.0
 _LONGEST_BYTES = 64 * 1024  # of a body or a WebSocket message
@@ -51,7 +52,13 @@ class Gate:
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Refuse a request or a handshake, or pass it on."""
         client = self._access.client(scope["headers"])
+        if client is not None:
+            host, port = scope["client"]
+            scope["state"]["client"] = client = client._replace(address=f"{host}:{port}")
         refusal = self._refusal(scope, client)
+        if refusal is not None and client is not None and (action := _action(scope)) is not None:
+            outcome = "too_many" if refusal.status_code == _TOO_MANY_STATUS else "invalid"
+            self._control.not_sent(client, action, outcome, json.loads(bytes(refusal.body))["detail"])
         if refusal is not None and refusal.status_code == _TOO_MANY_STATUS:
             # The connection is not read meanwhile, so that a flood leaves time for other clients.
             await asyncio.sleep(_TOO_MANY_PAUSE_S)
@@ -69,8 +76,6 @@ class Gate:
             self._dropped["unknown"] += 1
             sentence = "the header 'Authorization: Bearer TOKEN' with the token of this start is missing or wrong"
             return _refuse(401, sentence, {"www-authenticate": "Bearer"})
-        host, port = scope["client"]
-        scope["state"]["client"] = client = client._replace(address=f"{host}:{port}")
         if scope["type"] != "http":
             if len(self._control.watchers) >= _MOST_LIVE:
                 return _refuse(503, f"{_MOST_LIVE} clients are on the WebSocket; end one of them")
@@ -80,11 +85,14 @@ class Gate:
         size = int((length or [b"0"])[0])  # the server has checked that it is a number
         if size > _LONGEST_BYTES:
             return _refuse(413, f"a body of {size} bytes is too long; expected at most {_LONGEST_BYTES}")
-        action = ORDERS.get((scope["method"], scope["path"]))
+        action = _action(scope)
         if action is not None and not self._access.is_in_time(client, action):
-            self._control.not_sent(client, action, "too_many", TOO_MANY)
             return JSONResponse({"detail": TOO_MANY}, _TOO_MANY_STATUS, {"retry-after": "1"})
         return None
+
+
+def _action(scope: Scope) -> Action | None:
+    return ORDERS.get((scope.get("method", ""), scope["path"]))  # a WebSocket has no method
 
 
 def _refuse(status: int, sentence: str, headers: Mapping[str, str] | None = None) -> JSONResponse:
