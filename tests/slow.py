@@ -27,6 +27,7 @@ SLOW = (
     "test_identify_trouble.py",
     "test_install.py",
     "test_mujoco_fmu.py",
+    "test_printed_commands.py::test_what_is_printed_next_can_be_typed",
     "test_release.py",
     "test_reset_cause.py",
     "test_ros_package.py",

@@ -260,7 +260,7 @@ def test_a_law_that_fails_while_it_runs(write, parts, message):
     ("spec", "options", "message"),
     [
         ("dsc", {"k1": 8.0}, "unknown key controller.gains.k1; "),
-        ("dsc", {"k1_1s": 8.0}, "unknown key controller.gains.k1_1s; did you mean 'k1_1_s'?"),
+        ("dsc", {"k1_1s": 8.0}, "unknown key controller.gains.k1_1s; did you mean 'controller.gains.k1_1_s'?"),
         ("dsc", {"k1_1_s": -1}, "controller.gains.k1_1_s = -1; expected a number greater than 0"),
         (
             "dsc",

@@ -95,7 +95,7 @@ WRONG = [
     ("file", str(EXAMPLES), "cannot be read"),
     ("file", __file__, "is no DBC that can be read"),
     ("file", "zero\0byte", "cannot be read"),
-    ("fil", "x", "unknown key device.motors.fil; did you mean 'file'?"),
+    ("fil", "x", "unknown key device.motors.fil; did you mean 'device.motors.file'?"),
 ]  # fmt: skip
 
 

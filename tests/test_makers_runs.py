@@ -184,7 +184,10 @@ def test_controllers_that_do_not_answer_are_named(built: Any) -> None:
     [
         ({"link": "serial:pty"}, "expected for RoboMaster C620 and C610 a CAN bus"),
         ({"driver": "c260"}, "expected the name of a driver; did you mean 'c620'"),
-        ({"device.motors.gear_ration": 3.0}, "unknown key device.motors.gear_ration; did you mean 'gear_ratio'"),
+        (
+            {"device.motors.gear_ration": 3.0},
+            "unknown key device.motors.gear_ration; did you mean 'device.motors.gear_ratio'",
+        ),
         ({"device.motors.gear_ratio": -3.0}, "device.motors.gear_ratio = -3.0; expected a number of at least 0"),
         ({"driver": "stm32", "device.motors.gear_ratio": 3.0}, "only for third-party motor controllers"),
     ],

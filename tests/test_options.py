@@ -72,7 +72,7 @@ def test_values_become_the_dataclass_and_plain_values_again() -> None:
         ({"numbers": [1, "2"]}, 't.numbers.2 = "2"; expected a whole number'),
         ({"rows": [{"name": "x"}, {"name": "y", "scale": 0}]}, "t.rows.2.scale = 0; expected a number greater than 0"),
         ({"rows": [{"scale": 2}]}, "t.rows.1.name is missing; expected the name of a thing"),
-        ({"rows": [{"name": "x", "scalle": 2}]}, "unknown key t.rows.1.scalle; did you mean 'scale'?"),
+        ({"rows": [{"name": "x", "scalle": 2}]}, "unknown key t.rows.1.scalle; did you mean 't.rows.1.scale'?"),
         ({"rows": [{"name": "both", "scale": 2}]}, "t.rows.1: both has no scale; remove it"),
         ({"rows": {}}, "t.rows: expected an array of tables: write [[...]], with two brackets"),
     ],
@@ -90,7 +90,7 @@ def test_each_problem_has_a_line_and_a_misspelt_key_is_not_missing_too() -> None
     assert len(str(caught.value).splitlines()) == 2
     with pytest.raises(OptionsError) as caught:
         build(Row, {"nam": "x"}, "row")
-    assert str(caught.value) == "unknown key row.nam; did you mean 'name'?"
+    assert str(caught.value) == "unknown key row.nam; did you mean 'row.name'?"
     with pytest.raises(OptionsError, match=r"t\.row = 3; expected a table"):
         build(Closed, {"row": 3}, "t")
 

@@ -119,7 +119,7 @@ def test_a_link_that_cannot_be_opened_is_a_sentence(suite: pytest.Pytester):
 @pytest.mark.parametrize(
     ("text", "options", "words"),
     [
-        (BAD_KEY, (), "scenario bad.hil.toml:3: unknown key robot.mas_kg; did you mean 'mass_kg'?"),
+        (BAD_KEY, (), "scenario bad.hil.toml:3: unknown key robot.mas_kg; did you mean 'robot.mass_kg'?"),
         ("[robot\n", (), "*bad.hil.toml*not valid TOML*line 1*"),
         (PASSING, ("--hil-mode", "lockstpe"), "*lockstpe*lockstep*"),
         (PASSING, ("--hil-set", "robot.mas_kg=3"), "--set*mas_kg*mass_kg*"),

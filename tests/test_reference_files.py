@@ -97,7 +97,9 @@ def test_a_file_that_cannot_be_read_is_named(tmp_path):
     assert "is not UTF-8 (byte 0xF6 at offset 29); save it as UTF-8" in complaint("latin.csv")
     assert "cannot be read" in complaint("zero\0.csv") or "there is no file" in complaint("zero\0.csv")
     assert complaint("points.txt").endswith("expected a file that ends in .csv")
-    assert complaint("run.rrd").endswith("write its poses first: hil review run.rrd --trajectory FILE.csv")
+    assert complaint("run.rrd").endswith(
+        f"write its poses first: hil review {tmp_path / 'run.rrd'} --trajectory FILE.csv"
+    )
     with (tmp_path / "huge.csv").open("wb") as file:
         file.truncate(LARGEST_BYTES + 1_000_000)
     assert complaint("huge.csv").endswith("51 MB; expected at most 50 MB")

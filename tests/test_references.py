@@ -280,7 +280,7 @@ def test_the_page_and_the_list_name_every_kind_and_option(name, kind):
             "reference.kind = 'zigzag!': unknown; "
             "known: circle, figure_eight, hold, multisine, rounded_square, spin, trajectory, waypoints",
         ),
-        ("circle", {"radus_m": 1.0}, "unknown key reference.radus_m; did you mean 'radius_m'?"),
+        ("circle", {"radus_m": 1.0}, "unknown key reference.radus_m; did you mean 'reference.radius_m'?"),
         ("circle", {"radius_m": "1"}, 'reference.radius_m = "1"; expected a number'),
         ("circle", {"radius_m": True}, "reference.radius_m = true; expected a number"),
         ("circle", {"radius_m": math.nan}, "reference.radius_m = nan; expected a finite number"),

@@ -84,11 +84,11 @@ def test_its_options_are_checked_like_those_of_shipped_references(install):
     install()
     assert make_reference("sway", {"reach_m": 2}).at(0.0).pose.x_m == 2.0
     assert "reach_m" in refusal({"rech_m": 1.0})
-    assert "did you mean 'reach_m'?" in refusal({"rech_m": 1.0})
+    assert "did you mean 'reference.reach_m'?" in refusal({"rech_m": 1.0})
     assert "reference.reach_m is missing" in refusal({})
     assert "expected a number" in refusal({"reach_m": "far"})
     assert "reach_m = -1.0: expected more than 0" in refusal({"reach_m": -1.0})
-    with pytest.raises(BadInputError, match=r"--set: .*rech_m.*did you mean 'reach_m'"):
+    with pytest.raises(BadInputError, match=r"--set: .*rech_m.*did you mean 'reference.reach_m'"):
         load("circle_speed", set={"reference.kind": "sway", "reference.rech_m": 1.0})
 
 

@@ -32,14 +32,14 @@ def message_of(text: str) -> str:
 @pytest.mark.parametrize(
     ("text", "sentence"),
     [
-        ("[robot]\nmas_kg = 3", "my.toml:3: unknown key robot.mas_kg; did you mean 'mass_kg'?"),
-        ("[robot]\nmass_g = 3", "my.toml:3: unknown key robot.mass_g; did you mean 'mass_kg'?"),
+        ("[robot]\nmas_kg = 3", "my.toml:3: unknown key robot.mas_kg; did you mean 'robot.mass_kg'?"),
+        ("[robot]\nmass_g = 3", "my.toml:3: unknown key robot.mass_g; did you mean 'robot.mass_kg'?"),
         ("mass = 3", "my.toml:2: unknown key mass; did you mean 'robot.mass_kg'?"),
         ("mass_kg = 3", "my.toml:2: unknown key mass_kg; did you mean 'robot.mass_kg'?"),
         ("[robot]\nrate_hz = 3", "unknown key robot.rate_hz; did you mean 'loop.rate_hz'?"),
         ("[robto]\nmass_kg = 3", "my.toml:3: unknown key robto; did you mean 'robot'?"),
         ("[controller]\nk1_1_s = 3", "unknown key controller.k1_1_s; known: command, gains, law"),
-        (EXPECT + "belwo = 1", "my.toml:4: unknown key expect.1.belwo; did you mean 'below'?"),
+        (EXPECT + "belwo = 1", "my.toml:4: unknown key expect.1.belwo; did you mean 'expect.1.below'?"),
     ],
 )
 def test_a_key_that_is_unknown(text: str, sentence: str) -> None:
@@ -96,7 +96,7 @@ def test_a_key_that_is_unknown(text: str, sentence: str) -> None:
         ),
         (
             "[reference]\nradus_m = 3",
-            "my.toml:3: unknown key reference.radus_m; did you mean 'radius_m'?",
+            "my.toml:3: unknown key reference.radus_m; did you mean 'reference.radius_m'?",
         ),
         ("[reference]\nradius_m = -3", "my.toml:3: reference.radius_m = -3; expected a number greater than 0"),
         ("[loop]\nrate_hz = 300", "loop.rate_hz = 300; expected one of 20, 25,"),
@@ -179,7 +179,7 @@ def test_each_problem_has_a_line() -> None:
 
 def test_a_misspelt_key_is_not_missing_too() -> None:
     sentence = message_of(BASE + EXPECT.replace("signal", "signl") + "below = 1")
-    assert sentence == "scenario my.toml:3: unknown key expect.1.signl; did you mean 'signal'?"
+    assert sentence == "scenario my.toml:3: unknown key expect.1.signl; did you mean 'expect.1.signal'?"
 
 
 @pytest.mark.parametrize(
@@ -213,9 +213,28 @@ def test_a_scenario_that_is_not_there(name: str, sentence: str) -> None:
     assert sentence in message(name)
 
 
-def test_a_file_named_without_its_ending() -> None:
-    Path("mine.toml").write_text(BASE, "utf-8")
-    assert "for the file write mine.toml" in message("mine")
+@pytest.mark.parametrize(
+    ("name", "hint"),
+    [
+        ("mine", "this name; did you mean the file mine.toml?"),
+        ("first_circle", "this name; did you mean the file first_circle.hil.toml?"),
+        ("first-circl", "this name; did you mean the file first_circle.hil.toml?"),
+        ("frist_circle.hil.toml", "did you mean the file first_circle.hil.toml?"),
+        ("my robot/bad_dya.toml", "did you mean the file 'my robot/bad_day.hil.toml'?"),
+        ("my robot", "this is a folder, which has 'my robot/bad_day.hil.toml';"),
+        ("my robot/", "this is a folder, which has 'my robot/bad_day.hil.toml'"),
+    ],
+)
+def test_a_file_that_is_named_nearly(name: str, hint: str) -> None:
+    Path("my robot").mkdir()
+    for file in ("mine.toml", "first_circle.hil.toml", "first_circle.baseline.toml", "my robot/bad_day.hil.toml"):
+        Path(file).write_text(BASE, "utf-8")
+    assert hint in message(name)
+
+
+def test_a_key_of_two_tables_is_named_with_both() -> None:
+    sentence = message_of(BASE + "torque_limit_n_m = 3")
+    assert "did you mean 'robot.torque_limit_n_m' or 'firmware.torque_limit_n_m'?" in sentence
 
 
 def test_a_file_that_is_not_text() -> None:
@@ -245,14 +264,14 @@ def test_a_base_that_cannot_be(extends: str, sentence: str) -> None:
 @pytest.mark.parametrize(
     ("assignment", "sentence"),
     [
-        ("robot.mas_kg=3", "--set: unknown key robot.mas_kg; did you mean 'mass_kg'?"),
+        ("robot.mas_kg=3", "--set: unknown key robot.mas_kg; did you mean 'robot.mass_kg'?"),
         ("robot.mass_kg=-1", "--set: robot.mass_kg = -1; expected a number greater than 0"),
         ("robot.mass_kg=24 kg", '--set: robot.mass_kg = "24 kg"; expected a number'),
         ("robot.mass_kg.x=1", "--set: robot.mass_kg: expected a number"),
         ("robot.mass_kg", "--set robot.mass_kg: expected key=value, such as robot.mass_kg=24"),
         ("=3", "--set =3: expected key=value"),
         ("robot..mass_kg=3", "expected a dotted key such as robot.mass_kg"),
-        ("reference.radus_m=3", "--set: unknown key reference.radus_m; did you mean 'radius_m'?"),
+        ("reference.radus_m=3", "--set: unknown key reference.radus_m; did you mean 'reference.radius_m'?"),
         ("expect.2.below=3", "--set expect.2.below: expected expect.N.KEY with the row N from 1 to 1"),
         ("expect.first.below=3", "expected expect.N.KEY"),
         ("expect.1=3", "--set: expect.1 = 3; expected a table"),
@@ -295,4 +314,4 @@ def test_a_table_from_two_places_is_told_with_both() -> None:
     contradiction = message(set=['device.motors.firmware="0.5"', "device.motors.watchdog_endpoints=[419, 420]"])
     assert contradiction.startswith("scenario my.toml:4 and --set: device.motors: watchdog_endpoints: firmware 0.5")
     alone = message("paper_circle", set=["device.driver=odrive", "device.motors.nod_ids=[1]"])
-    assert alone.startswith("--set: unknown key device.motors.nod_ids; did you mean 'node_ids'?")
+    assert alone.startswith("--set: unknown key device.motors.nod_ids; did you mean 'device.motors.node_ids'?")

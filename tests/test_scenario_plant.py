@@ -111,7 +111,10 @@ def test_start_values_without_a_named_fmu_are_the_shipped_ones() -> None:
         ('"pose.x_m" = ["x"]', 'plant.map.pose.x_m.name = ["x"]; expected text in quotation marks'),
         ('"pose.x_m" = ""', 'plant.map.pose.x_m.name = ""; expected text of one line, not empty'),
         ('"pose.x_m" = { sign = true }', "plant.map.pose.x_m.sign = true; expected 1 or -1"),
-        ('"pose.x_m" = { name = "x", scal = 2 }', "unknown key plant.map.pose.x_m.scal; did you mean 'scale'?"),
+        (
+            '"pose.x_m" = { name = "x", scal = 2 }',
+            "unknown key plant.map.pose.x_m.scal; did you mean 'plant.map.pose.x_m.scale'?",
+        ),
         ('"pose.x_m" = { name = "x", scale = 0 }', "plant.map.pose.x_m.scale = 0; expected a number greater than 0"),
         ('"pose.x_m" = { name = "x", offset = inf }', "pose.x_m.offset = inf; expected a finite number"),
         ('"pose.x_m" = { name = "x", sign = 2 }', "plant.map.pose.x_m.sign = 2; expected 1 or -1"),

@@ -121,7 +121,7 @@ def test_a_shadow_is_not_asked_while_the_law_in_command_is_not():
         ({"controller.shadow_gains.dsc": {"k1_1_s": 1.0}}, "no shadow has this name"),
         (
             {"controller.shadow": ["dsc"], "controller.shadow_gains.dsc": {"k1": 1.0}},
-            "unknown key controller.shadow_gains.dsc.k1; did you mean 'k1_1_s'?",
+            "unknown key controller.shadow_gains.dsc.k1; did you mean 'controller.shadow_gains.dsc.k1_1_s'?",
         ),
         ({"controller.shadow": ["./no.py:Law"]}, "no file"),
         ({"controller.shadow": "dsc"}, "controller.shadow = "),

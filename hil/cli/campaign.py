@@ -12,7 +12,7 @@ from typer import Argument, Option
 
 from hil.cli.commands import Group
 from hil.cli.options import AllowMotion, Force, Jobs, Json
-from hil.cli.output import RunsProgress, duration_words, end_in_order, on_signals, print_result
+from hil.cli.output import RunsProgress, duration_words, end_in_order, next_command, on_signals, print_result
 from hil.core.errors import BadInputError, RunInterruptedError, nearest
 from hil.core.extras import need
 
@@ -155,7 +155,7 @@ def _perform(campaign: "Campaign", folder: Path, place: "Place", redo: frozenset
     passed = outcomes["passed"] == total
     counts = ", ".join(f"{count} {outcome}" for outcome, count in outcomes.most_common())
     found = {"passed": passed, "folder": str(folder), "runs": total, "outcomes": dict(outcomes)}
-    print_result(as_json, found, [f"{total} runs: {counts}", f"hil campaign report {folder}"])
+    print_result(as_json, found, [f"{total} runs: {counts}", next_command("hil", "campaign", "report", folder)])
     raise typer.Exit(0 if passed else 1)
 
 

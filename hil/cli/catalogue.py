@@ -1,13 +1,14 @@
 """``hil catalogue``."""
 
 from collections.abc import Iterator, Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 from typer import Argument, Option
 
 from hil.cli.options import Jobs, Json, Limit, Sets
-from hil.cli.output import batch, print_result, table
+from hil.cli.output import batch, next_command, print_result, table
 
 if TYPE_CHECKING:
     from hil.batch.catalogue import Verdict
@@ -52,7 +53,7 @@ def _lines(verdicts: "Sequence[Verdict]") -> Iterator[str]:
     wall_s = sum(verdict.wall_s for verdict in verdicts)
     yield f"\n{len(verdicts) - len(failed)} of {len(verdicts)} runs are as they should be, {wall_s:.0f} s of runs"
     for verdict in failed:
-        where = "" if verdict.recording is None else f" (hil view {verdict.recording})"
+        where = "" if verdict.recording is None else f" ({next_command('hil', 'view', Path(verdict.recording))})"
         yield f"  {verdict.fault} over {verdict.link}: {verdict.verdict}{where}"
 
 

@@ -1,6 +1,5 @@
 """``hil compare``."""
 
-import shlex
 import sys
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
@@ -10,14 +9,27 @@ import typer
 from typer import Argument, Option
 
 from hil.cli.options import LAW, LAW_HELP, Force, Jobs, Json, Limit, PictureFormat, Seed, Sets
-from hil.cli.output import batch, print_result, table
+from hil.cli.output import batch, next_command, print_result, table
 from hil.core.errors import BadInputError
 from hil.core.extras import need
 from hil.core.outputs import Existing, check_free, existing_files
+from hil.core.printable import command
 
 if TYPE_CHECKING:
     from hil.batch.comparison import Comparison
     from hil.batch.comparison.robust import Robustness
+
+
+_BESIDE_ROBUST = {
+    "--torque": ", or fix it for all: --set robot.torque_limit_n_m=N·M --set firmware.torque_limit_n_m=N·M",
+    "--drive": ", or fix it for all: --set plant.start.drive=torque (or current, voltage)",
+    "--estimator": ", or fix it for all: --set estimator.source=NAME",
+    "--contact": ", or fix it for all: --set plant.start.contact=NAME",
+    "--quick": "; fewer cases are quicker",
+    "--out": ": it draws no pictures; --json has every run",
+    "--markdown": ": it writes no page; its table is printed, and --json has every run",
+}
+"""What to do in the place of an option that --robust does not take."""
 
 
 def compare(
@@ -93,9 +105,7 @@ def compare(
 def _refuse_beside_robust(others: Mapping[str, object]) -> None:
     for name, value in others.items():
         if value:
-            raise BadInputError(
-                f"{name}: --robust draws its own conditions, and prints; leave {name} out, or use --set"
-            )
+            raise BadInputError(f"{name}: --robust draws its own cases; leave {name} out{_BESIDE_ROBUST[name]}")
 
 
 def _try_in_cases(
@@ -126,7 +136,7 @@ def _case_lines(tried: "Robustness") -> Iterator[str]:
             reason = f": {trial.outcome.reason}" if trial.outcome.reason else ""
             follows = "" if trial.case.can_follow else " (which wheels cannot follow)"
             yield f"\n{trial.entry.label}, case {trial.case.number}{follows}, {trial.verdict}{reason}"
-            yield f"  {shlex.join(trial.command)}"
+            yield f"  {next_command(*trial.command)}"
 
 
 def _write(comparison: "Comparison", out: Path | None, kind: str, markdown: Path | None, existing: Existing) -> None:
@@ -145,7 +155,7 @@ def _write(comparison: "Comparison", out: Path | None, kind: str, markdown: Path
             draw(comparison, out, kind, pictures)
     if markdown is not None:
         with deferred(errors):
-            page.write_markdown(comparison, markdown, f"hil {shlex.join(sys.argv[1:])}", pictures, existing)
+            page.write_markdown(comparison, markdown, command("hil", *sys.argv[1:]), pictures, existing)
     if errors:
         raise errors[0]
 

@@ -7,7 +7,7 @@ import typer
 from typer import Option
 
 from hil.cli import options as o
-from hil.cli.output import batch, print_result, rows
+from hil.cli.output import batch, next_command, print_result, rows
 
 if TYPE_CHECKING:
     from hil.batch.hunt.hunt import Hunt
@@ -61,5 +61,5 @@ def _rows(hunt: "Hunt", saved: Path | None) -> list[tuple[str, str]]:
         ("found", hunt.reason()),
         ("runs", f"{hunt.found.found_after} until found, {hunt.shrinking_runs} to make it smaller"),
         ("saved", str(saved)),
-        ("again", f"hil run {saved}"),
+        ("again", next_command("hil", "run", saved)),
     ]

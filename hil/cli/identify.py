@@ -10,7 +10,7 @@ from typer import Argument, Option
 
 from hil.cli import options as o
 from hil.cli.commands import Group
-from hil.cli.output import end_in_order, print_result, rows, say, table, warn
+from hil.cli.output import end_in_order, next_command, print_result, rows, say, table, warn
 from hil.core.errors import BadInputError, RunInterruptedError
 from hil.core.extras import need
 from hil.core.outputs import existing_files
@@ -89,14 +89,14 @@ def drive(
                 say(f"  recorded {files[one.name]}")
     except KeyboardInterrupt:
         raise RunInterruptedError("interrupted; the robot was told to stop") from None
-    named = " ".join(
-        f"--{name.replace('_', '-')} {files[name]}" for name in ("blocks", "squeeze", "held_out") if name in files
-    )
-    print_result(
-        as_json,
-        {"schema": DRIVE_SCHEMA, "recordings": done},
-        [f"Next: hil identify fit {files.get('floor', 'RECORDING')} {named} --mass KG".replace("  ", " ")],
-    )
+    named = [
+        word
+        for name in ("blocks", "squeeze", "held_out")
+        if name in files
+        for word in (f"--{name.replace('_', '-')}", files[name])
+    ]
+    fitted = next_command("hil", "identify", "fit", files.get("floor", "RECORDING"), *named, "--mass", "KG")
+    print_result(as_json, {"schema": DRIVE_SCHEMA, "recordings": done}, ["Next:", f"  {fitted}"])
 
 
 @app.command("fit")

@@ -13,7 +13,7 @@ from typer import Argument, Option
 from typer.models import OptionInfo
 
 from hil.cli.options import Force, LinkUrl
-from hil.cli.output import say_on_stderr, table
+from hil.cli.output import next_command, say_on_stderr, table
 from hil.core.errors import BadInputError
 from hil.core.outputs import Existing, check_free, existing_files, write_whole
 from hil.core.scratch import scratch_folder
@@ -83,7 +83,7 @@ def init(
         say_on_stderr(
             f"hil: note: the address in {WORKFLOW} is not set yet; put the owner of mecanum-hil's repository there"
         )
-    print(f"Next:\n  hil run {directory / SCENARIO_FILE}\n  pytest {directory}")
+    print(f"Next:\n  {next_command('hil', 'run', directory / SCENARIO_FILE)}\n  {next_command('pytest', directory)}")
 
 
 def _prompt(question: "Question", proposed: "Value") -> "Value":

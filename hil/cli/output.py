@@ -11,17 +11,20 @@ import sys
 import textwrap
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from pathlib import Path, PurePath
 from types import FrameType
 from typing import Any, TextIO
 
 from hil.core.errors import RunInterruptedError
 from hil.core.json_lines import json_safe
+from hil.core.printable import command
 
 WIDEST = 120
 """Columns of the widest help."""
 _NARROWEST = 40
 _GAP = 2
 _READABLE = 20
+_COMMAND = re.compile(r"""\s*(['"]?)(?:.*[/\\])?(?:hil|pytest)(?:\.exe)?\1 """)
 
 
 def print_json(value: Any) -> None:
@@ -37,6 +40,17 @@ def print_result(as_json: bool, value: Any, lines: Iterable[str]) -> None:
         for line in lines:
             for part in folded(line):
                 print(part)
+
+
+def next_command(program: str, *words: str | PurePath) -> str:
+    """Return a command of this installation, to be typed next in this folder and this shell.
+
+    ``program`` is hil or pytest. It is named with its folder where hil itself was called so, as from a virtual
+    environment that is not activated.
+    """
+    called = Path(sys.argv[0])
+    beside = called.stem == "hil" and not shutil.which("hil")
+    return command(called.with_name(f"{program}{called.suffix}") if beside else program, *words)
 
 
 def say(line: str) -> None:
@@ -85,7 +99,7 @@ def terminal_width(stream: TextIO | None = None) -> int | None:
 def folded(line: str, stream: TextIO | None = None) -> list[str]:
     """Return a line as lines that fit the terminal, indented to its text. A command stays whole, to be copied."""
     limit = terminal_width(stream)
-    if limit is None or len(line) <= limit or re.match(r"\s*(?:\S*/)?hil ", line):
+    if limit is None or len(line) <= limit or _COMMAND.match(line):
         return [line]
     texts = [found.end() for found in re.finditer(r"\S\s{2,}(?=\S)", line) if found.end() <= limit // 2]
     indent = texts[-1] if texts else min(len(line) - len(line.lstrip()) + 2, limit // 2)

@@ -1,7 +1,6 @@
 """``hil run``."""
 
 import contextlib
-import shutil
 import sys
 import threading
 from collections.abc import Iterator
@@ -12,7 +11,7 @@ import typer
 from typer import Option
 
 from hil.cli import options as o
-from hil.cli.output import end_in_order, flush_output, print_json, print_result, warn
+from hil.cli.output import end_in_order, flush_output, next_command, print_json, print_result, warn
 from hil.core.errors import DeviceError, LinkError, RunInterruptedError
 
 if TYPE_CHECKING:
@@ -105,7 +104,7 @@ def run(
         if as_json:
             _print_failure(str(error))
         raise
-    print_result(as_json, result.metrics, _lines(result, Path(sys.argv[0])))
+    print_result(as_json, result.metrics, _lines(result))
     if result.failure is not None:
         print(f"hil: {result.failure}", file=sys.stderr)
     raise typer.Exit(result.exit_code)
@@ -165,19 +164,17 @@ def _linger() -> None:
         threading.Event().wait()
 
 
-def _lines(result: "RunResult", called: Path) -> Iterator[str]:
+def _lines(result: "RunResult") -> Iterator[str]:
     """Yield how a run went, and the next commands to use."""
     from hil.judge.words import recorded_at
 
     yield from result.lines()
-    # The command as this user can call it: its path if it is in a virtual environment that is not activated.
-    hil = "hil" if shutil.which("hil") or called.name != "hil" else called
     scenario = result.metrics["scenario"] if result.scenario is None else result.scenario.path or result.scenario.name
-    hints = [f"{hil} show {scenario}"]
+    hints = [next_command("hil", "show", scenario)]
     recorded = result.metrics.get("recorded")
     path = None if recorded is None else recorded_at(recorded, result.metrics["recording"])
     if path is not None:
-        hints.insert(0, f"{hil} review {path}")
+        hints.insert(0, next_command("hil", "review", Path(path)))
         if path.endswith(".rrd"):
-            hints.insert(0, f"{hil} view {path}")
+            hints.insert(0, next_command("hil", "view", Path(path)))
     yield from ("", "Next:", *(f"  {hint}" for hint in hints))

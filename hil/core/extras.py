@@ -2,12 +2,12 @@
 
 import importlib.util
 import os
-import shlex
 import sys
 from pathlib import Path
 
 from hil.core.errors import BadInputError
 from hil.core.extensions import OUR_PACKAGE
+from hil.core.printable import command
 
 EXTRAS = {
     "service": ("fastapi", "httpx", "prometheus_client", "pydantic", "uvicorn", "websockets"),
@@ -31,8 +31,8 @@ def need(extra: str, subject: str) -> None:
     lacking = {one: found for one in extra.split(",") if (found := missing_of(one))}
     if missing := [name for found in lacking.values() for name in found]:
         verb = "is" if len(missing) == 1 else "are"
-        command = install_command(",".join(lacking))
-        raise BadInputError(f"{subject} needs {', '.join(missing)}, which {verb} not installed; run: {command}")
+        install = install_command(",".join(lacking))
+        raise BadInputError(f"{subject} needs {', '.join(missing)}, which {verb} not installed; run: {install}")
 
 
 def missing_of(extra: str) -> list[str]:
@@ -43,11 +43,8 @@ def missing_of(extra: str) -> list[str]:
 def install_command(extra: str) -> str:
     """Return the command that adds an extra to this installation. No index has to know our package: it is there."""
     python = Path(sys.executable)
-    if os.environ.get("VIRTUAL_ENV") == sys.prefix:
-        pip = "pip"
-    else:
-        pip = f"{shlex.quote(str(_seen_from_here(python)))} -m pip"
-    return f"{pip} install '{OUR_PACKAGE}[{extra}]'"
+    pip = ["pip"] if os.environ.get("VIRTUAL_ENV") == sys.prefix else [str(_seen_from_here(python)), "-m", "pip"]
+    return command(*pip, "install", f"{OUR_PACKAGE}[{extra}]")
 
 
 def _seen_from_here(path: Path) -> Path:

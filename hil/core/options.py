@@ -19,7 +19,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import MISSING, dataclass, fields, is_dataclass
 from typing import Annotated, Any, Literal, NamedTuple, TypeVar, get_args, get_origin, get_type_hints
 
-from hil.core.errors import BadInputError, nearest
+from hil.core.errors import BadInputError, near
 
 T = TypeVar("T")
 Path = tuple[str, ...]
@@ -93,13 +93,17 @@ class Problem(NamedTuple):
     kind: Literal["unknown", "missing", "value"]
     words: str
     value: object = ABSENT
+    meant: tuple[str, ...] = ()
+    """Keys of the same table that may be meant by an unknown one."""
 
     @property
     def sentence(self) -> str:
         """The problem as one sentence, with the value unless it is a table."""
         key = ".".join(self.path)
         if self.kind == "unknown":
-            return f"unknown key {key}{self.words}"
+            table = "" if " " in key else key.removesuffix(self.path[-1])  # as in --law dsc, whose gains have no table
+            meant = " or ".join(repr(table + one) for one in self.meant)
+            return f"unknown key {key}; did you mean {meant}?" if meant else f"unknown key {key}{self.words}"
         if self.kind == "missing":
             return f"{key} is missing; {self.words}"
         if self.value is ABSENT or isinstance(self.value, Mapping) or is_dataclass(self.value):
@@ -210,7 +214,8 @@ def _table(kind: type, given: Mapping[str, object], path: Path, problems: list[P
     if rest is not None:
         values[rest.name] = _read(rest, others, path, problems)
     else:
-        problems += [Problem((*path, key), "unknown", nearest(key, options) or "; it takes none") for key in others]
+        known = f"; known: {', '.join(sorted(options))}" if options else "; it takes none"
+        problems += [Problem((*path, key), "unknown", known, meant=tuple(near(key, options))) for key in others]
     for name, option in options.items():
         if name not in values and option.default is MISSING:
             problems.append(Problem((*path, name), "missing", option.expected))

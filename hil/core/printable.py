@@ -2,10 +2,15 @@
 
 A terminal obeys control characters: it moves its cursor, changes its title, or types what it was told. Each door by
 which text leaves calls ``printable``: the streams of a command, the log of a service, pages, and what a viewer shows.
+A shell obeys more characters: a command that is shown to be typed comes from ``command``.
 """
 
 import re
+import shlex
+import subprocess
+import sys
 from collections.abc import Iterable
+from pathlib import PurePath
 from typing import TextIO
 
 # Control characters but tab and line feed; marks that turn the direction of text (all that Unicode has, Bidi_Control)
@@ -20,6 +25,25 @@ def printable(text: str) -> str:
     'red: \\x1b[31m\n'
     """
     return _HARMFUL.sub(lambda found: found[0].encode("unicode_escape").decode("ascii"), text)
+
+
+_PLAIN_ON_WINDOWS = re.compile(r"[\w\-+./\\:=@~]+")
+
+
+def command(*words: str | PurePath) -> str:
+    """Return a command line whose words a shell reads as they are: sh and its kin, on Windows cmd and PowerShell.
+
+    A path that begins with a hyphen is written so that no program takes it for an option.
+
+    >>> command("hil", "view", PurePath("my runs/first circle.rrd"))
+    "hil view 'my runs/first circle.rrd'"
+    """
+    texts = [f"./{word}" if isinstance(word, PurePath) and str(word).startswith("-") else str(word) for word in words]
+    if sys.platform != "win32":
+        return shlex.join(texts)
+    quoted = ((text, subprocess.list2cmdline([text])) for text in texts)
+    # list2cmdline quotes for the program that reads the line; the shell before it has characters of its own.
+    return " ".join(word if word != text or _PLAIN_ON_WINDOWS.fullmatch(text) else f'"{text}"' for text, word in quoted)
 
 
 class PrintableStream:

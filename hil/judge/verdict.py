@@ -19,6 +19,7 @@ from hil.judge.state import STATE_BEGINS
 from hil.judge.words import (
     LENIENT,
     Row,
+    accept_words,
     applied_words,
     belief_rows,
     figure_rows,
@@ -269,7 +270,7 @@ def _judged(metrics: Mapping[str, Any], *, everything: bool) -> Iterator[Row]:
             count = baseline["judged"] - len(baseline["figures"])
             yield "baseline", f"{count} of {baseline['judged']} figures as accepted{same}"
         if baseline["figures"] or (baseline["frames"] is not None and baseline["frames"]["passed"] is False):
-            yield "", "find what changed; accept it with `hil baseline --accept`, or explore with --lenient"
+            yield "", accept_words(metrics)
     if metrics.get("lenient"):
         yield "lenient", LENIENT
 

@@ -182,7 +182,13 @@ def baseline_rows(metrics: Mapping[str, Any]) -> Iterator[Row]:
     held = baseline["judged"] - len(baseline["figures"])
     yield "baseline", f"{held} of {baseline['judged']} figures as accepted{same}"
     if baseline["figures"] or (frames is not None and frames["passed"] is False):
-        yield "baseline", "find what changed; accept it with `hil baseline --accept`, or explore with --lenient"
+        yield "baseline", accept_words(metrics)
+
+
+def accept_words(metrics: Mapping[str, Any]) -> str:
+    """Return what to do where a run is not as its baseline has it."""
+    explore = "" if metrics.get("lenient") else ", or explore with --lenient"
+    return f"find what changed; accept it with `hil baseline --accept`{explore}"
 
 
 def judged(metrics: dict[str, Any]) -> dict[str, Any]:

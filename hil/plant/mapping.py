@@ -19,6 +19,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from hil.core.errors import BadInputError, nearest
+from hil.core.printable import command
 from hil.plant.signals import ANGLES, COUNTS, CURRENTS, DERIVABLE, DUTIES, ENABLED, INPUTS, OUTPUTS, SPEEDS, TORQUES
 
 FLOATS = frozenset({"Real", "Float64", "Float32"})
@@ -163,7 +164,7 @@ class _Resolver:
         if missing:
             self._problems.append(
                 f"{self._fmu.name} has no variable of the name of {', '.join(missing)}; name one in a row of "
-                f"[plant.map] each, hil fmu info {self._fmu} lists what it has"
+                f"[plant.map] each, {command('hil', 'fmu', 'info', self._fmu)} lists what it has"
             )
 
     def _require_numbers(self, derived: set[str]) -> None:
@@ -184,7 +185,8 @@ class _Resolver:
 
 def nearest_of(name: str, known: list[str], fmu: Path) -> str:
     """Return a hint after an unknown name: similar names, the known ones, or for a long list where to find it."""
-    return nearest(name, known, f"; hil fmu info {fmu} lists what it has" if len(known) > _LONGEST_LIST else None)
+    listed = f"; {command('hil', 'fmu', 'info', fmu)} lists what it has"
+    return nearest(name, known, listed if len(known) > _LONGEST_LIST else None)
 
 
 def _element(places: list[int], name: str, shape: tuple[int, ...]) -> int:

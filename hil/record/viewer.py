@@ -19,6 +19,7 @@ from pathlib import Path
 from urllib.parse import quote
 
 from hil.core.errors import BadInputError, DeviceError
+from hil.core.printable import command
 from hil.core.subprocesses import LifeLine
 from hil.record.files import check_is_recording
 from hil.record.web import HOST, guarded, live_page
@@ -36,7 +37,7 @@ def view(path: Path, *, web: bool, say: Callable[[str], None] = print) -> None:
     """
     check_is_recording(path)
     if not web and not has_display():
-        raise BadInputError(f"no display to show {path} on; use 'hil view {path} --web' and a browser")
+        raise BadInputError(f"no display to show {path} on; use {_on_the_web(path)} and a browser")
     with contextlib.suppress(KeyboardInterrupt):  # Ctrl-C is the normal end
         if web:
             with _web_viewer(str(path)) as (viewer, data_port, page_port):
@@ -47,7 +48,7 @@ def view(path: Path, *, web: bool, say: Callable[[str], None] = print) -> None:
             with _listening_viewer(port, "--port", str(port), str(path)) as viewer:
                 Window(port).point_at_violation(is_open=lambda: viewer.poll() is None)
                 viewer.wait()
-        _check_ended(viewer, f"; try 'hil view {path} --web'")
+        _check_ended(viewer, "" if web else f"; try {_on_the_web(path)}")
 
 
 def live(port: int, *, web: bool, say: Callable[[str], None]) -> None:
@@ -109,6 +110,10 @@ def show_live(port: int) -> bool:
 def has_display() -> bool:
     """Whether a window can be opened."""
     return sys.platform in ("win32", "darwin") or bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
+
+
+def _on_the_web(path: Path) -> str:
+    return command("hil", "view", path, "--web")
 
 
 def viewer_executable() -> Path:

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from hil.core.errors import BadInputError, nearest
+from hil.core.printable import command
 
 LARGEST_BYTES = 50_000_000
 LARGEST_NUMBER = 1e6
@@ -35,7 +36,8 @@ def read_table(directory: Path, file: str, form: Format) -> list[tuple[int, tupl
     name = f"reference.file = {file!r}"
     path = directory / file
     if path.suffix.lower() != ".csv":
-        hint = f"; write its poses first: hil review {file} --trajectory FILE.csv" if path.suffix == ".rrd" else ""
+        written = command("hil", "review", path, "--trajectory", "FILE.csv")
+        hint = f"; write its poses first: {written}" if path.suffix == ".rrd" else ""
         raise BadInputError(f"{name}: expected a file that ends in .csv{hint}")
     try:
         if not path.is_file():

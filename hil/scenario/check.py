@@ -72,8 +72,9 @@ def describe(problems: Sequence[Problem], tree: Tree, scenario: str) -> list[str
                 continue
         else:
             where = place(tree, path, scenario)
-            if problem.kind == "unknown" and path[0] != "reference" and path[:2] != ("device", "motors"):
-                worded = problem._replace(words=_did_you_mean(path))
+            is_ours = path[0] != "reference" and path[:2] != ("device", "motors")
+            if problem.kind == "unknown" and is_ours and (elsewhere := _elsewhere(path)):
+                worded = problem._replace(words=f"; did you mean {' or '.join(map(repr, elsewhere))}?", meant=())
         sentences.append(f"{where}: {worded.sentence}")
     return sentences
 
@@ -97,19 +98,19 @@ def place(tree: Tree, path: Path, scenario: str) -> str:
     return f"{where} and --set" if "--set" in places and where != "--set" else where
 
 
-def _did_you_mean(path: Path) -> str:
-    """Return the hint for an unknown key: its name in another table, or the nearest one here or anywhere."""
+def _elsewhere(path: Path) -> list[str]:
+    """Return the keys of other tables that may be meant by an unknown key; none where its own has one."""
     if path[:2] == _MAP:  # every row of [plant.map] has the same keys
         path = (*_MAP, *path[3:])
     table, name = tuple(part for part in path[:-1] if not part.isdigit()), path[-1]
-    others = {other: names for other, names in _TABLES.items() if other not in ((), _MAP)}
-    elsewhere = {key: layers.dotted((*other, key)) for other, names in others.items() for key in names}
-    here = _TABLES.get(table, ())
-    if name in elsewhere:
-        return f"; did you mean {elsewhere[name]!r}?"
-    if not near(name, here) and (found := near(name, elsewhere)):
-        return f"; did you mean {' or '.join(repr(elsewhere[one]) for one in found)}?"
-    return nearest(name, here)
+    places: dict[str, list[str]] = {}  # of each key; not a table within one that has it too
+    for other, names in sorted(_TABLES.items(), key=lambda item: len(item[0])):
+        if other not in ((), _MAP):
+            for key in names:
+                if len(other) == 1 or key not in places:
+                    places.setdefault(key, []).append(layers.dotted((*other, key)))
+    found = [name] if name in places else [] if near(name, _TABLES.get(table, ())) else near(name, places)
+    return [place for one in found for place in places[one]]
 
 
 def _keys(kind: Any, path: Path = ()) -> Iterator[tuple[Path, tuple[str, ...]]]:

@@ -7,15 +7,16 @@ file (--robot), the options of the command line (--mode, --link, --seed), --set.
 import functools
 import numbers
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple, cast
 
 from hil.core import TEST_SUFFIX
-from hil.core.errors import BadInputError, nearest
+from hil.core.errors import BadInputError, near, nearest
 from hil.core.model import RobotModel
 from hil.core.options import OptionsError, build, format_value
+from hil.core.printable import command
 from hil.laws.registry import give_law
 from hil.scenario import layers
 from hil.scenario.baseline import find as find_baseline
@@ -142,7 +143,7 @@ class Sources(NamedTuple):
         where = {layers.dotted(path): given.where for path, given in layers.leaves(tree)}
         return Scenario(
             **vars(tables),
-            name=self.file.path.name.removesuffix(TEST_SUFFIX).removesuffix(_SUFFIX),
+            name=_stem(self.file.path),
             path=None if directory in (SHIPPED_DIRECTORY, SUITE_DIRECTORY) else self.file.path,
             directory=directory,
             provenance={key: where.get(key, "default") for key, _ in values(tables)},
@@ -212,17 +213,38 @@ def _open_scenario(name: str | Path, extended_by: _File | None) -> _File:
     if isinstance(name, str) and not is_path(name):
         known = shipped_scenarios() | suite_scenarios()
         if name not in known:
-            beside = f"; for the file write {name}{_SUFFIX}" if Path(f"{name}{_SUFFIX}").is_file() else ""
-            hint = (
-                beside
-                or f"{nearest(name, known, nearest(name, shipped_scenarios()))}; the path of a file ends in {_SUFFIX}"
+            folder = Path.cwd() if extended_by is None else extended_by.path.parent
+            hint = _meant(folder / name, known) or nearest(name, shipped_scenarios())
+            raise BadInputError(
+                f"{prefix}: no shipped scenario has this name{hint}; the path of a file ends in {_SUFFIX}"
             )
-            raise BadInputError(f"{prefix}: no shipped scenario has this name{hint}")
         folder = SHIPPED_DIRECTORY if name in shipped_scenarios() else SUITE_DIRECTORY
         return _read(folder / f"{name}{_SUFFIX}", f"{name}{_SUFFIX}", prefix)
     if extended_by is None:
         return _read(Path.cwd() / text, text, prefix)
     return _read(extended_by.path.parent / text, str(Path(extended_by.display).parent / text), prefix)
+
+
+def _meant(path: Path, shipped: Iterable[str] = ()) -> str:
+    """Return a hint for a scenario that is not there: files beside it or in the folder of its name, or a shipped one.
+
+    Returns an empty text where none is similar.
+    """
+    if path.is_dir():
+        within = [command(_from_here(file)) for file in sorted(path.glob(f"*{TEST_SUFFIX}"))]
+        return f"; this is a folder, which has {', '.join(within)}" if within else ""
+    files = {_stem(file): file for file in path.parent.glob(f"*{_SUFFIX}") if not is_baseline(file)}
+    found = near(_stem(path), [*files, *shipped])
+    named = [f"the file {command(_from_here(files[one]))}" if one in files else repr(one) for one in found]
+    return f"; did you mean {' or '.join(named)}?" if named else ""
+
+
+def _stem(path: Path) -> str:
+    return path.name.removesuffix(_SUFFIX).removesuffix(TEST_SUFFIX.removesuffix(_SUFFIX))
+
+
+def _from_here(path: Path) -> Path:
+    return path.relative_to(Path.cwd()) if path.is_relative_to(Path.cwd()) else path
 
 
 def _extends(file: _File, name: object) -> str:
@@ -262,9 +284,9 @@ def _read(path: Path, display: str, prefix: str) -> _File:
     try:
         text = path.read_text("utf-8-sig")
     except FileNotFoundError:
-        raise BadInputError(f"{prefix}: there is no file {str(path)!r}") from None
+        raise BadInputError(f"{prefix}: there is no file {str(path)!r}{_meant(path)}") from None
     except OSError as error:
-        raise BadInputError(f"{prefix}: {str(path)!r} cannot be read: {error.strerror}") from error
+        raise BadInputError(f"{prefix}: {str(path)!r} cannot be read: {error.strerror}{_meant(path)}") from error
     except ValueError as error:  # not UTF-8, or a zero byte in the path
         raise BadInputError(f"{prefix}: {str(path)!r} cannot be read as TOML text in UTF-8: {error}") from error
     return _File(path, display, parse(text, prefix), key_lines(text))

@@ -6,7 +6,6 @@ campaign = Campaign(Path("mass.toml")) for rows in campaign.perform(Path("runs/m
 
 import contextlib
 import math
-import shlex
 from collections.abc import Callable, Collection, Iterator, Sequence
 from functools import cached_property, partial
 from pathlib import Path
@@ -26,6 +25,7 @@ from hil.batch.pool import LocalPool, Pool, Runner
 from hil.batch.store import OTHER_ROWS, ROWS, Row, Store, check_folder, read_rows
 from hil.core.errors import BadInputError
 from hil.core.options import plain
+from hil.core.printable import command
 from hil.runtime.provenance import versions
 from hil.scenario import format_value, set_texts
 
@@ -253,7 +253,7 @@ class Campaign:
     def _begin(self, store: Store) -> None:
         names = [KEY, "law", "fault", "seed", "sample", *self._axes]
         of_plan = pa.schema([*(self._schema.field(name) for name in names), ("repeat", pa.string())])
-        runs = [self.row(run) | {"repeat": shlex.join(self.repeat(run.point))} for run in self.runs]
+        runs = [self.row(run) | {"repeat": command(*self.repeat(run.point))} for run in self.runs]
         store.begin(pa.Table.from_pylist(runs, schema=of_plan), self.about())
 
     def repeat(self, point: Point) -> list[str]:

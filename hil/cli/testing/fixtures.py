@@ -1,7 +1,6 @@
 """The three fixtures of the pytest plugin, as callables. The plugin cleans up after them."""
 
 import contextlib
-import shlex
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,6 +11,7 @@ from hil.cli.testing.overrides import Overrides
 from hil.cli.testing.robot import RobotLink, RobotProcess
 from hil.cli.testing.verdict import run_as_test
 from hil.core.errors import HilError
+from hil.core.printable import command
 from hil.review.result import RunResult
 from hil.scenario.values import is_path
 
@@ -127,7 +127,7 @@ class RunScenario:
         number = "" if self.runs == 1 else f"-{self.runs}"
         recording = self.recording(f"{loaded.name}{number}") if record else None
         # A robot that the test started ends with the test, so only the test can be repeated.
-        repeat = overrides.command(loaded) if on is None else shlex.join(["pytest", self.item.nodeid])
+        repeat = overrides.command(loaded) if on is None else command("pytest", self.item.nodeid)
         verdict = run_as_test(loaded, overrides.truth, recording, repeat, self.item.config)
         self.item.user_properties += [(f"hil{number}.{name}", value) for name, value in verdict.properties()]
         if not verdict.passed:

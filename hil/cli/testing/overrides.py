@@ -1,12 +1,12 @@
 """Changes to scenarios, by the options of a pytest run and by the arguments of a test."""
 
 import os
-import shlex
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Self
 
+from hil.core.printable import command
 from hil.scenario import Scenario, load, set_texts
 
 
@@ -53,7 +53,7 @@ class Overrides:
         """Return the command that repeats a run of the scenario, for a shell in the current folder."""
         seeded = replace(self, seed=scenario.loop.seed)
         truth = [] if self.truth is None else ["--truth", self.truth]
-        return shlex.join(["hil", "run", shown(scenario.path or scenario.name), *seeded.arguments(), *truth])
+        return command("hil", "run", shown(scenario.path or scenario.name), *seeded.arguments(), *truth)
 
 
 def shown(path: str | Path) -> str:

@@ -1,15 +1,15 @@
 """The outcome of a scenario that was run as a test: whether it passed, its text, and its entries in a report."""
 
-import shlex
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from pathlib import Path
+from pathlib import Path, PurePath
 from typing import Any
 
 import pytest
 
 from hil.cli.testing.overrides import shown
 from hil.core.errors import DeviceError, HilError, LinkError
+from hil.core.printable import command
 from hil.judge.words import applied_words, why_incomplete, why_not_passed
 from hil.review.result import RunResult
 from hil.scenario import Scenario
@@ -77,8 +77,8 @@ class Verdict:
         if self.recording is None:
             return [("recording", "none was kept")]
         path = shown(self.recording)
-        command = shlex.quote(path)
-        rows = [("recording", path), ("look at it", f"hil view {command}"), ("", f"hil review {command}")]
+        look, tell = (command("hil", verb, PurePath(path)) for verb in ("view", "review"))
+        rows = [("recording", path), ("look at it", look), ("", tell)]
         recorded = None if self.result is None else self.result.metrics.get("recorded")
         if recorded is not None and (why := why_incomplete(recorded)) is not None:
             rows[0] = ("recording", f"{path}, incomplete: {why}")
