@@ -1,12 +1,14 @@
 """What is wrong in a mapping or its DBC is refused when the settings are built, in a sentence with the way out."""
 
 import re
+import struct
 import sys
 from collections.abc import Mapping
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
+import cantools
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -77,6 +79,14 @@ WRONG = [
     ("counters", ["DRIVE_FL.Alife"], "counters: 'DRIVE_FL.Alife': the message DRIVE_FL"),
     ("constants.DRIVE_FL.Alive", 3, "constants: DRIVE_FL.Alive is already used in counters"),
     ("enable.DRIVES_CONTROL.State", [], "expected at least one value"),
+    *((f"{table}.NO_SUCH_MESSAGE", {}, f"device.motors: {table}.NO_SUCH_MESSAGE: wheel_drives.dbc has no message")
+      for table in ("ask", "enable", "disable", "estop", "clear", "constants", "armed_when", "identity")),
+    *((f"{table}.DRIVES_CONTROL", {}, f"{table}.DRIVES_CONTROL: names no signal; give at least one of State, Timeout")
+      for table in ("ask", "enable", "disable", "estop", "clear", "constants")),
+    ("armed_when.DRIVES_INFO", {}, "armed_when.DRIVES_INFO: names no signal; give at least one of Protocol"),
+    ("errors.fl", [], "errors.fl = []: expected a signal"),
+    ("errors.none", [], "errors.none = [] for STATUS_FL.Error: expected at least one value"),
+    ("errors", {"none": 0}, "errors.none: no signal of errors is named; give one for fl, fr, rr, rl or robot"),
     ("enable.DRIVES_CONTROL.State", ["ready", "runn"], "did you mean 'run'?"),
     ("enable.DRIVES_CONTROL.Timeout", 5, "enable: DRIVES_CONTROL.Timeout is already used in watchdog.set"),
     ("enable.DRIVE_FL.Mode", ["off", "torque", "speed"], "enable.DRIVE_FL.Mode: 3 values, but "
@@ -154,6 +164,109 @@ def test_a_flaw_in_a_message_that_nobody_uses_is_no_matter(tmp_path: Path) -> No
     file = edited_dbc(tmp_path, "wheel_drives", ("BO_ 272 DRIVE_FL", f"{flaw}BO_ 272 DRIVE_FL"))
     assert settings_of("wheel_drives", {"file": file}).plan.feedback_hz == 200.0
     assert "has in A a factor" in refusal({"file": file, "armed_when.OTHER.B": 1})
+
+
+BARE = ("BO_ 256 DRIVES_CONTROL", "BO_ 2 STOP: 0 HOST\n\nBO_ 256 DRIVES_CONTROL")
+
+
+@pytest.mark.parametrize("table", ["constants", "armed_when", "identity"])
+def test_a_message_without_signals_is_no_constant_and_no_condition(table: str, tmp_path: Path) -> None:
+    file = edited_dbc(tmp_path, "wheel_drives", BARE)
+    assert f"{table}.STOP: it has no signals" in refusal({"file": file, table: {"STOP": {}}})
+
+
+def test_a_gear_that_no_signal_is_behind_is_refused() -> None:
+    assert "gear_ratio = 20: it would change nothing" in refusal({"gear_ratio": 20.0}, "twist_base")
+
+
+# What a signal carries that no table names
+
+
+@given(
+    st.sampled_from([(1.0, 0.0), (0.1, -3276.8), (0.5, -125.0), (-0.25, 64.0), (0.3, -1.0), (1.0, 40.0)]),
+    st.one_of(st.none(), st.tuples(st.integers(-400, 400), st.integers(0, 400))),
+    st.one_of(st.none(), st.integers(0, 65535)),
+)
+def test_a_field_that_no_table_names_is_sent_as_start_value_or_zero_or_is_refused(
+    damaged: Path, conversion: tuple[float, float], limits: tuple[int, int] | None, start: int | None
+) -> None:
+    """The oracle is cantools, which decodes the sent frame."""
+    low, size = limits or (0, 0)
+    given = f'BA_DEF_ SG_ "GenSigStartValue" INT 0 65535;\nBA_ "GenSigStartValue" SG_ 272 Extra {start};\n'
+    factor, offset = conversion
+    file = edited_dbc(
+        damaged.parent,
+        "wheel_drives",
+        (' SG_ Feedforward : 24|16@1- (0.001,0) [-20|20] "Nm" DRIVES\n\nBO_ 273',
+         f' SG_ Extra : 24|16@1+ ({factor},{offset}) [{low}|{low + size}] "%" DRIVES\n\nBO_ 273'),
+        ("VAL_ 256", (given if start is not None else "") + "VAL_ 256"),
+    )  # fmt: skip
+    settings = settings_of("wheel_drives", {"file": file, "command.feedforward": None})
+    codec = cantools.database.load_file(file).get_message_by_name("DRIVE_FL")
+    assert isinstance(codec, cantools.database.Message)
+    least, most = sorted((offset, offset + 65535 * factor))
+    is_limited = limits not in (None, (0, 0)) and low <= most and low + size >= least  # limits beyond the bits are none
+    zero = -offset / factor
+    has_zero = zero == round(zero) and 0 <= zero <= 65535 and (not is_limited or low <= 0 <= low + size)
+    if start is None and not has_zero:
+        with pytest.raises(BadInputError, match=r"constants.DRIVE_FL.Extra is missing: no table names this signal"):
+            DIALECT.make(settings, ROBOT)
+        return
+    frames = DIALECT.make(settings, ROBOT).disarm()
+    [payload] = [frame.payload for frame in frames if frame.id == 272]
+    sent = codec.decode(payload, decode_choices=False)
+    assert isinstance(sent, dict)
+    assert sent["Extra"] == pytest.approx(0.0 if start is None else factor * start + offset, abs=1e-9)
+
+
+def test_a_constant_is_what_is_asked_for(tmp_path: Path) -> None:
+    edit = ('Timeout : 8|12@1+ (1,0) [0|2000] "ms" DRIVES', 'Timeout : 8|12@1+ (1,0) [10|2000] "ms" DRIVES')
+    changes = {"file": edited_dbc(tmp_path, "wheel_drives", edit), "watchdog": None}
+    assert refused_robot(ROBOT, changes=changes) == (
+        "device.motors.constants.DRIVES_CONTROL.Timeout is missing: no table names this signal of a message that is "
+        "sent, its DBC has no start value, and 0 is none of its values (10 to 2000 ms); give the value that it shall "
+        "have in every frame"
+    )
+    frames = DIALECT.make(
+        settings_of("wheel_drives", changes | {"constants.DRIVES_CONTROL.Timeout": 70}), ROBOT
+    ).estop()
+    assert [frame.payload.hex() for frame in frames] == ["03460000"]
+
+
+# Texts and numbers
+
+
+def test_a_text_of_two_numbers_is_met_by_both_and_sent_as_neither(tmp_path: Path) -> None:
+    edits = [
+        (f'VAL_ {n} State 0 "off" 1 "ready" 2 "run"', f'VAL_ {n} State 0 "off" 1 "run" 2 "run"') for n in (256, 288)
+    ]
+    file = edited_dbc(tmp_path, "wheel_drives", *edits)
+    changes = {"file": file, "enable.DRIVES_CONTROL.State": 2}
+    [condition, *_] = settings_of("wheel_drives", changes).plan.armed_when
+    assert condition.raws == {1, 2}
+    assert "enable.DRIVES_CONTROL.State = 'run': this text stands for 1 and 2; give one of these numbers" in refusal(
+        changes | {"enable.DRIVES_CONTROL.State": "run"}
+    )
+
+
+def test_a_condition_of_a_float_is_met_by_the_number_that_its_bits_hold(tmp_path: Path) -> None:
+    file = edited_dbc(
+        tmp_path,
+        "wheel_drives",
+        (' SG_ BatteryVoltage : 24|16@1+ (0.01,0) [0|100] "V" HOST\n', ""),
+        (
+            ' SG_ BatteryCurrent : 40|16@1- (0.01,0) [-200|200] "A" HOST\n',
+            ' SG_ Share : 32|32@1- (1,0) [0|1] "" HOST\n',
+        ),
+        ("VAL_ 256", "SIG_VALTYPE_ 304 Share : 1;\nVAL_ 256"),
+    )
+    changes = {"file": file, "feedback.battery_voltage": None, "feedback.battery_current": None}
+    settings = settings_of("wheel_drives", changes | {"identity": {"DRIVES_INFO": {"Share": 0.1}}})
+    driver = DIALECT.make(settings, ROBOT)
+    for number in (288, 289, 290, 291):
+        driver.feed(Frame(number, bytes(8)), 0)
+    driver.feed(Frame(304, struct.pack("<4xf", 0.1)), 0)
+    assert driver.identity == "controllers of wheel_drives.dbc with DRIVES_INFO.Share 0.1"
 
 
 def test_two_messages_of_one_identifier_are_not_told_apart(tmp_path: Path) -> None:

@@ -6,19 +6,24 @@ import struct
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
+import can
 import cantools
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from firmware_protocol.framing import Frame
+from firmware_protocol.generated.messages import State
 from hil.core.errors import BadInputError
+from hil.core.kinematics import BodyTwist
 from hil.core.options import build
 from hil.core.types import CommandMode, FourWheels
 from hil.drivers.dbc.driver import DIALECT
 from hil.drivers.port import EXTENDED, Driver, Sample
+from hil.service.messages import Phase
 from tests.dbc_mappings import EXAMPLES, edited_dbc, motors
 from tests.dialect_testbed import STILL, Rig, assert_near, ramp_to
+from tests.pilot_bench import PilotBench
 
 MOTION, IMU = EXTENDED | 0x18FF0200, EXTENDED | 0x18FF0300
 DBC = cantools.database.load_file(EXAMPLES / "wheel_drives.dbc")
@@ -119,6 +124,57 @@ def test_an_angle_of_one_motor_turn_becomes_a_position_that_goes_on() -> None:
     expected = [shaft.position_rad - a for shaft, a in zip(rig.node.shafts, true, strict=True)]
     assert expected[0] > 10.0
     assert_near(turned, expected, 0.02)
+
+
+ANGLE = ' Angle : 16|16@1+ (1,0) [0|4095] ""'
+
+
+@pytest.mark.parametrize(
+    ("field", "changes", "turn"),
+    [
+        ('16|16@1+ (1,0) [0|360] "deg"', {}, 360.0),
+        ('16|16@1+ (1,0) [0|359] "deg"', {}, 360.0),
+        ('16|16@1- (0.1,0) [-180|180] "deg"', {}, 360.0),
+        ('16|16@1+ (0.1,-180) [-180|179.9] "deg"', {}, 360.0),
+        ('16|16@1+ (0.01,0) [0|6.28] "rad"', {}, math.tau),
+        ('16|16@1+ (0.001,0) [0|1] "rev"', {}, 1.0),
+        ('16|8@1+ (1.411764705882353,0) [0|360] "deg"', {}, 360.0),
+        ('16|16@1+ (0.0054931640625,0) [0|360] "deg"', {}, 360.0),
+        ('16|16@1+ (1,0) [0|0] ""', {"scale": math.tau / 65536 / 20.0}, 65536.0),
+        ('16|16@1+ (1,0) [0|4095] ""', {"scale": math.tau / 4096 / 20.0}, 4096.0),
+        ('16|16@1+ (1,0) [0|3600] ""', {"scale": math.tau / 3600 / 20.0, "wraps_at": 3600}, 3600.0),
+    ],
+)
+def test_a_position_that_begins_again_does_not_drift(
+    field: str, changes: dict[str, float], turn: float, tmp_path: Path
+) -> None:
+    """A motor that turns by 0.3 of a turn a frame: a hundred turns of the motor are five of the wheel."""
+    file = edited_dbc(tmp_path, "wheel_drives", (ANGLE, f" Angle : {field}"))
+    scale: dict[str, object] = {"feedback.position.scale": None}
+    driver = driver_of(
+        "wheel_drives", {"file": file} | scale | {f"feedback.position.{k}": v for k, v in changes.items()}
+    )
+    database, begin = cantools.database.load_file(file), 0.0
+    for n in range(1000):
+        for wheel in ("FL", "FR", "RR", "RL"):
+            message = database.get_message_by_name(f"STATUS_{wheel}")
+            angle = message.get_signal_by_name("Angle")
+            physical = (0.3 * n % 1.0) * turn + (angle.minimum or 0.0)
+            raw = round((physical - angle.offset) / angle.scale)
+            values = {one.name: 0 for one in message.signals} | {"Angle": raw, "Speed": 2 * 0.3 * 60.0 / 0.005}
+            payload = message.encode(values, scaling=False, strict=False)
+            driver.feed(Frame(message.frame_id, payload), n * 5_000_000)
+        assert driver.sample is not None
+        begin = driver.sample.position_rad[0] if n == 0 else begin
+    assert_near(driver.sample.position_rad, (begin + 999 * 0.3 / 20.0 * math.tau,) * 4, 0.005)
+
+
+def test_a_position_that_may_begin_again_after_one_of_two_numbers_is_asked_for(tmp_path: Path) -> None:
+    file = edited_dbc(tmp_path, "wheel_drives", (ANGLE, ' Angle : 16|16@1+ (1,0) [0|3600] ""'))
+    with pytest.raises(
+        BadInputError, match=r"STATUS_FL.Angle goes from 0 to 3600, .* after 3600 or 3601; give wraps_at"
+    ):
+        driver_of("wheel_drives", {"file": file})
 
 
 def test_torques_are_currents_by_the_torque_constant_where_the_dbc_says_ampere(tmp_path: Path) -> None:
@@ -253,6 +309,41 @@ def test_an_estop_that_latches_is_ended_by_clear_alone() -> None:
     assert not rig.node.is_on
     rig.step(rig.driver.clear())
     rig.arm()
+
+
+def test_an_estop_without_signals_goes_out_on_the_bus_and_stops_the_wheels(tmp_path: Path) -> None:
+    """As ODrive's own DBC has it. python-can listens; what it hears are frames of no bytes."""
+    file = edited_dbc(tmp_path, "wheel_drives", ("BO_ 256 ", "BO_ 2 STOP: 0 HOST\n\nBO_ 256 "))
+    table = motors("wheel_drives", {"file": file, "estop": {"STOP": {}}})
+    link = "can:virtual/dbc-estop"
+    overrides = {"device.driver": "dbc", "device.motors": table, "link.url": link}
+    with (
+        can.Bus(interface="virtual", channel="dbc-estop") as bus,
+        PilotBench(**overrides).armed() as bench,
+    ):
+        bench.pilot.active().twist(BodyTwist(0.3, 0.0, 0.0))
+        bench.run(0.3)
+        assert not [message for message in iter(lambda: bus.recv(0), None) if message.arbitration_id == 2]
+        bench.pilot.estop()
+        bench.run_until(Phase.ESTOP)
+        [first, *_] = [message for message in iter(lambda: bus.recv(0), None) if message.arbitration_id == 2]
+        assert (first.dlc, bytes(first.data), first.is_extended_id, first.is_remote_frame) == (0, b"", False, False)
+        bench.run(1.0)
+        assert bench.last("robot.state") == State.ESTOP
+
+
+@pytest.mark.parametrize("phase", ["ask", "enable", "disable", "estop", "clear"])
+def test_a_message_without_signals_is_sent_in_each_phase(phase: str, tmp_path: Path) -> None:
+    file = edited_dbc(tmp_path, "wheel_drives", ("BO_ 256 ", "BO_ 2 BARE: 0 HOST\n\nBO_ 256 "))
+    driver = driver_of("wheel_drives", {"file": file, "watchdog": None, f"{phase}.BARE": {}})
+    sent = {
+        "ask": lambda: driver.ask(),
+        "enable": lambda: [*driver.arm(0), *driver.arm(0)],
+        "disable": lambda: driver.disarm(),
+        "estop": lambda: driver.estop(),
+        "clear": lambda: driver.clear(),
+    }[phase]()
+    assert sent.count(Frame(2, b"")) == (2 if phase == "enable" else 1)  # an array of two steps is beside it
 
 
 def test_disarming_asks_for_standstill_switches_off_and_may_be_said_twice() -> None:

@@ -90,6 +90,46 @@ def test_the_watchdog_is_set_by_the_makers_parameter_messages() -> None:
     ]  # fmt: skip
 
 
+def test_the_makers_dbc_drives_them_without_this_driver() -> None:
+    """By the driver ``dbc`` and a mapping. Their Estop is a message without signals."""
+
+    def of_all(name: str, **fields: object) -> dict[str, object]:
+        return {f"Axis{node}_{name}": fields for node in range(4)}
+
+    def wheels(signal: str) -> dict[str, str]:
+        return {wheel: f"Axis{node}_{signal}" for node, wheel in enumerate(("fl", "fr", "rr", "rl"))}
+
+    mapping: dict[str, object] = {
+        "file": str(DBC_FILES.locate_file("odrive_can/dbc/odrive-cansimple-0.6.10.dbc")),
+        "command": {"speed": wheels("Set_Input_Vel.Input_Vel"), "feedforward": wheels("Set_Input_Vel.Input_Torque_FF")},
+        "feedback": {
+            "rate_hz": 100,
+            "speed": wheels("Get_Encoder_Estimates.Vel_Estimate"),
+            "position": wheels("Get_Encoder_Estimates.Pos_Estimate"),
+        },
+        "enable": of_all("Set_Controller_Mode", Control_Mode=2, Input_Mode=1)
+        | of_all("Set_Axis_State", Axis_Requested_State="CLOSED_LOOP_CONTROL"),
+        "armed_when": of_all("Heartbeat", Axis_State="CLOSED_LOOP_CONTROL"),
+        "disable": of_all("Set_Axis_State", Axis_Requested_State="IDLE"),
+        "estop": of_all("Estop"),
+        "estop_latches": True,
+        "clear": of_all("Clear_Errors", Identify=0),
+    }
+    rig = Rig("dbc", mapping)
+    rig.greet()
+    rig.arm()
+    rig.drive(1.0, ramp_to((6.0, -6.0, 6.0, -6.0)))
+    assert_near(rig.speeds(), (6.0, -6.0, 6.0, -6.0), 0.2)
+    rig.step(rig.driver.estop(), ticks=600)
+    assert rig.sent[-4:] == [Frame(node << 5 | 0x02, b"") for node in range(4)]
+    assert rig.is_still()
+    for _ in range(60):
+        rig.step(rig.driver.arm(rig.now_ns))
+    assert not rig.driver.is_armed
+    rig.step(rig.driver.clear())
+    rig.arm()
+
+
 @pytest.mark.parametrize("firmware", FIRMWARES)
 def test_what_the_makers_say_is_understood(firmware: str) -> None:
     rig = Rig("odrive", {"firmware": firmware, "gear_ratio": 2.0})

@@ -5,6 +5,7 @@ from itertools import chain, count
 from typing import get_args
 
 from firmware_protocol.framing import Frame
+from hil.core.errors import BadInputError
 from hil.core.kinematics import body_twist, wheel_speeds
 from hil.core.types import NAN, CommandMode, FourWheels
 from hil.drivers.dbc.file import Message, Signal
@@ -20,7 +21,7 @@ _MEASURES = {"gyro": "yaw_rate", "accelerometer": "acceleration"}
 
 
 class _Packer:
-    """Makes the frames of one message.
+    """Makes the frames of one message. Raises BadInputError if one of its signals has no value.
 
     ``fixed``: raw values by signal, in place of the DBC's initial ones. ``moving``: signals that carry a value of the
     command, each with the value's index, gain and bias: raw = gain × value + bias. ``counters``: signals that count the
@@ -35,7 +36,16 @@ class _Packer:
         counters: Sequence[tuple[Signal, Iterator[int]]],
     ) -> None:
         self._message, self._moving, self._counters = message, moving, counters
-        self._raws = {name: fixed.get(name, signal.initial) for name, signal in message.signals.items()}
+        self._raws = {name: one.initial for name, one in message.signals.items() if one.initial is not None}
+        self._raws.update(fixed)
+        changing = {one[0].name for one in moving} | {one[0].name for one in counters}
+        if lacking := [one for name, one in message.signals.items() if name not in self._raws and name not in changing]:
+            others = f", and so for {', '.join(one.name for one in lacking[1:])}" if lacking[1:] else ""
+            raise BadInputError(
+                f"device.motors.constants.{lacking[0]} is missing: no table names this signal of a message that is "
+                f"sent, its DBC has no start value, and 0 is none of its values ({lacking[0].limits()}); give the "
+                f"value that it shall have in every frame{others}"
+            )
 
     def frame(self, values: Sequence[float]) -> Frame:
         """Return a frame with these values; each is limited to the range of its signal."""

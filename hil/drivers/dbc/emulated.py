@@ -175,7 +175,7 @@ class EmulatedDbc(EmulatedMotors[Settings]):
             return
         values = {str(signal): raw for signal, raw in self._values()} | self.overrides
         for message in due:
-            raws = {name: values.get(str(signal), signal.initial) for name, signal in message.signals.items()}
+            raws = {name: values.get(str(one), _at_rest(one)) for name, one in message.signals.items()}
             self.send(Frame(message.id, message.codec.encode(raws, scaling=False, strict=False)))
 
     def _values(self) -> Iterator[tuple[Signal, float]]:
@@ -193,8 +193,9 @@ class EmulatedDbc(EmulatedMotors[Settings]):
             "acceleration": self.acceleration_m_s2,
         }
         for name, quantity in self._plan.feedback.items():
-            for bound, value in zip(quantity.bounds, measured[name], strict=True):
-                yield bound.signal, self._raw(bound, value, quantity.wraps_at if name == "position" else None)
+            spans = quantity.spans or (None,) * len(quantity.bounds)
+            for bound, value, span in zip(quantity.bounds, measured[name], spans, strict=True):
+                yield bound.signal, self._raw(bound, value, span)
         for condition in self._plan.identity + self._plan.errors:
             yield condition.signal, min(condition.raws)
         for condition in self._plan.armed_when:
@@ -203,16 +204,15 @@ class EmulatedDbc(EmulatedMotors[Settings]):
         if read is not None and self._timeout_s is not None:
             yield read.signal, self._raw(read, self._timeout_s)
 
-    def _raw(self, bound: Bound, value: float, wraps_at: float | None = None) -> float:
-        """Return the raw number of a value. A position wraps: at ``wraps_at``, if not 0, and at the signal's limits."""
+    def _raw(self, bound: Bound, value: float, span: float | None = None) -> float:
+        """Return the raw number of a value. A position begins again after ``span``: at 0 if that fits, else lower."""
         signal = bound.signal
-        physical = value / self._gain(bound)
-        raw = ((physical % wraps_at if wraps_at else physical) - signal.offset) / signal.factor
-        if signal.is_float:
-            return raw
-        if wraps_at is None:
-            return round(clamp(raw, signal.high, signal.low))
-        return (round(raw) - int(signal.low)) % int(signal.high - signal.low + 1) + int(signal.low)
+        raw = (value / self._gain(bound) - signal.offset) / signal.factor
+        if span:
+            steps = span / abs(signal.factor)
+            begin = 0.0 if signal.low <= 0.0 and steps - 1.0 <= signal.high else signal.low
+            raw = begin + (raw - begin) % steps
+        return raw if signal.is_float else round(clamp(raw, signal.high, signal.low))
 
 
 def _asks(step: Step, message: str, raw: Mapping[str, float]) -> bool:
@@ -222,6 +222,11 @@ def _asks(step: Step, message: str, raw: Mapping[str, float]) -> bool:
 
 def _agrees(raw: Mapping[str, float], expected: Mapping[str, float]) -> bool:
     return all(raw[name] == value for name, value in expected.items())
+
+
+def _at_rest(signal: Signal) -> float:
+    """Return the raw number that is sent of a signal which the mapping does not read."""
+    return signal.low if signal.initial is None else signal.initial
 
 
 def _another(condition: Condition) -> float:

@@ -1,7 +1,9 @@
 """Reads a user's DBC file with cantools, and keeps its messages as plain data."""
 
 import math
+import struct
 from collections.abc import Iterable
+from contextlib import suppress
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -11,15 +13,16 @@ from hil.core.extras import need
 from hil.drivers.port import EXTENDED, clamp
 
 _CLASSIC_BYTES = 8
+_FLOATS = {16: "<e", 32: "<f", 64: "<d"}
 _FLOAT_HIGHEST = {16: 65504.0, 32: 3.4028234663852886e38, 64: 1.7976931348623157e308}
 
 
 class Signal:
     """A signal of a DBC. Its value in its ``unit`` is ``factor`` × raw + ``offset``.
 
-    ``low`` and ``high``: raw limits, from the DBC's minimum and maximum and from the number of bits. ``texts``: the
-    value table. ``initial``: the raw value that is sent where nothing else is given. ``span``: number of units after
-    which a position in this signal wraps; 0 for floats, which do not wrap.
+    ``low`` and ``high``: raw limits, from the DBC's minimum and maximum and from the number of bits. ``has_limits``:
+    whether the DBC's are the narrower ones. ``texts``: the value table. ``initial``: the raw value that is sent where
+    nothing else is given, which is the DBC's start value or zero in the signal's unit; None if it has neither.
     """
 
     def __init__(self, message: str, signal: Any) -> None:
@@ -32,12 +35,17 @@ class Signal:
         self.offset: float = conversion.offset
         low, high = _limits_of_bits(signal)
         choices = (conversion.choices or {}).items()
-        self.texts = {int(raw): str(text) for raw, text in choices if low <= raw <= high}
+        self.texts: dict[float, str] = {int(raw): str(text) for raw, text in choices if low <= raw <= high}
         self.low, self.high = self._limits(signal, low, high)
-        self.span: float = 0.0 if self.is_float else abs(self.factor) * (self.high - self.low + 1)
-        given = signal.raw_initial
-        initial = clamp(0, self.high, self.low) if given is None else clamp(given, high, low)
-        self.initial: float = initial if self.is_float else int(initial)
+        self.has_limits = (self.low, self.high) != (low, high)
+        self._float = struct.Struct(_FLOATS[signal.length]) if self.is_float else None
+        self.initial: float | None = None
+        if (given := signal.raw_initial) is not None and math.isfinite(given):
+            initial = clamp(given, high, low)
+            self.initial = initial if self.is_float else int(initial)
+        else:
+            with suppress(ValueError):
+                self.initial = self.raw(0)
 
     def _limits(self, signal: Any, low: float, high: float) -> tuple[float, float]:
         """Return the raw limits: the DBC's minimum and maximum if it has both, within ``low`` and ``high``."""
@@ -53,25 +61,37 @@ class Signal:
     def __str__(self) -> str:
         return f"{self.message}.{self.name}"
 
-    def raw(self, value: object) -> float:
-        """Return the raw number of a value: a number in the signal's unit, or a text of its value table.
+    def raws(self, value: object) -> list[float]:
+        """Return the raw numbers of a value: of a number in the signal's unit, or of a text of its value table.
 
-        Raises ValueError if the signal cannot carry it; the sentence continues after the signal's name.
+        Only a text may have several. Raises ValueError if the signal cannot carry it; the sentence continues after the
+        signal's name.
         """
-        if isinstance(value, str):
-            if value in self.texts.values():
-                return next(number for number, text in self.texts.items() if text == value)
+        if not isinstance(value, str):
+            return [self.raw(value)]
+        if not (found := [number for number, text in self.texts.items() if text == value]):
             known = nearest(value, self.texts.values()) or "; its DBC has no value table for it, give a number"
             raise ValueError(f"no value of this signal has this text{known}")
+        return found
+
+    def raw(self, value: object) -> float:
+        """Return the one raw number of a value, to be sent. Raises ValueError as ``raws`` does, and for several."""
+        if isinstance(value, str):
+            number, *others = self.raws(value)
+            if others:
+                numbers = " and ".join(f"{self.physical(one):g}" for one in (number, *others))
+                raise ValueError(f"this text stands for {numbers}; give one of these numbers")
+            return number
         if not isinstance(value, bool | int | float) or not abs(value) <= _FLOAT_HIGHEST[64]:
             raise ValueError("expected a finite number or a text of the signal's value table")
         exact = (value - self.offset) / self.factor
-        raw = exact if self.is_float else round(exact)
-        if not self.is_float and not math.isclose(raw, exact, rel_tol=1e-9, abs_tol=1e-6):
+        raw = exact if self.is_float or not math.isfinite(exact) else round(exact)
+        if not math.isclose(raw, exact, rel_tol=1e-9, abs_tol=1e-6):
             raise ValueError(f"the signal has steps of {self.factor:g}; the nearest is {self.physical(raw):.9g}")
         if raw not in self.texts and not self.low <= raw <= self.high:
             raise ValueError(f"outside the signal's limits, {self.limits()}")
-        return raw
+        # Rounded as the bits hold it, so that it equals the one that is received.
+        return raw if self._float is None else float(self._float.unpack(self._float.pack(raw))[0])
 
     def physical(self, raw: float) -> float:
         """Return a raw number in the signal's unit."""
@@ -84,7 +104,7 @@ class Signal:
 
     def word(self, raw: float) -> str:
         """Return the text of a raw number in the value table, or else its value in the signal's unit."""
-        text = self.texts.get(int(raw)) if math.isfinite(raw) else None
+        text = self.texts.get(raw)
         return f"{self.physical(raw):g}" if text is None else repr(text)
 
 

@@ -4,7 +4,7 @@ All functions raise ValueError with a sentence that begins with ``key``, the key
 """
 
 import math
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from typing import Literal, NamedTuple
 
@@ -75,10 +75,13 @@ class Bound(NamedTuple):
 
 
 class Quantity(NamedTuple):
-    """A quantity and its signals: one per wheel, per axis, or one. ``wraps_at``: of positions, in the signal's unit."""
+    """A quantity and its signals: one per wheel, per axis, or one.
+
+    ``spans``: for positions, the number of units after which each signal begins again; 0 for one that never does.
+    """
 
     bounds: tuple[Bound, ...]
-    wraps_at: float = 0.0
+    spans: tuple[float, ...] = ()
 
 
 class Condition(NamedTuple):
@@ -112,6 +115,10 @@ FEEDBACK = {name: _WHEELS[name] for name in ("speed", "position", "current", "te
     "acceleration": dict.fromkeys(("x", "y", "z"), "acceleration"),
 }
 """The dimension of each signal of the measured quantities."""
+
+
+_SO_MANY_STEPS = 10_000
+"""From so many on, one step more or less in each turn of a position does not matter: a wheel's radius is less exact."""
 
 
 @contextmanager
@@ -155,7 +162,40 @@ def _quantity(dbc: Dbc, given: object, key: str, dimensions: Mapping[str, str], 
     signals = [str(bound.signal) for bound in bounds]
     if twice := [signal for signal in signals if signals.count(signal) > 1]:
         raise ValueError(f"{key}: {twice[0]} is named twice; each has a signal of its own")
-    return Quantity(bounds, positive(given["wraps_at"], f"{key}.wraps_at") if "wraps_at" in given else 0.0)
+    if not wraps:
+        return Quantity(bounds)
+    if "wraps_at" in given:
+        return Quantity(bounds, (positive(given["wraps_at"], f"{key}.wraps_at"),) * len(bounds))
+    return Quantity(bounds, tuple(_span(bound, key) for bound in bounds))
+
+
+def _span(bound: Bound, key: str) -> float:
+    """Return the number of units after which a position begins again, as its DBC tells; 0 for floats.
+
+    The DBC has the lowest and the highest number. Whether these are the same angle (0 to 360) or one step apart (0 to
+    359) follows from the unit, if one of the two is whole turns. Otherwise the bits, or a power of two, are a number of
+    steps.
+    """
+    signal = bound.signal
+    if signal.is_float:
+        return 0.0
+    step, steps = abs(signal.factor), int(signal.high - signal.low)
+    candidates = steps * step, (steps + 1) * step
+    turn = math.inf if bound.unit.place == "ground" else math.tau / bound.unit.factor
+    for span in candidates if step < turn else ():
+        turns = round(span / turn)
+        if turns and abs(turns * turn - span) <= step / 2:
+            return turns * turn
+    if not signal.has_limits or steps >= _SO_MANY_STEPS:
+        return candidates[1]
+    for number, span in zip((steps, steps + 1), candidates, strict=True):
+        if number.bit_count() == 1:
+            return span
+    a, b = candidates
+    raise ValueError(
+        f"{key}: {signal} goes from {signal.limits()}, and the DBC does not tell whether it begins again after "
+        f"{a:g} or {b:g}; give wraps_at, or for one that never begins again a number above its range"
+    )
 
 
 def _bound(dbc: Dbc, given: Table, name: str, key: str, dimension: str) -> Bound:
@@ -190,22 +230,32 @@ def _unit(dimension: str, text: str) -> Unit:
     )
 
 
-def _raw_values(dbc: Dbc, fields: Fields, key: str) -> Iterator[tuple[str, Signal, list[float]]]:
-    """Yield the key of each field, its signal, and its raw values."""
+def _raw_values(
+    dbc: Dbc, fields: Fields, key: str, raws_of: Callable[[Signal, object], list[float]]
+) -> Iterator[tuple[str, Signal, list[float]]]:
+    """Yield the key of each field, its signal, and the raw values of its items."""
     for message, values in fields.items():
+        if not values:
+            with _named(f"{key}.{message}"):
+                names = ", ".join(dbc.message(message).signals)
+                raise ValueError(f"names no signal; give at least one of {names}" if names else "it has no signals")
         for name, given in values.items():
             where = f"{key}.{message}.{name}"
             with _named(f"{where} = {given!r}"):
                 signal = dbc.signal(f"{message}.{name}")
-                if not (raws := [signal.raw(one) for one in _array(given)]):
+                if not (raws := [raw for one in _array(given) for raw in raws_of(signal, one)]):
                     raise ValueError("expected at least one value")
             yield where, signal, raws
+
+
+def _sent(signal: Signal, value: object) -> list[float]:
+    return [signal.raw(value)]
 
 
 def constants(dbc: Dbc, fields: Fields, key: str) -> dict[str, dict[str, float]]:
     """Return the raw values that are the same in every frame, by message and signal."""
     fixed: dict[str, dict[str, float]] = {}
-    for where, signal, raws in _raw_values(dbc, fields, key):
+    for where, signal, raws in _raw_values(dbc, fields, key, _sent):
         if len(raws) > 1:
             raise ValueError(f"{where}: expected one value, as it is the same in every frame")
         fixed.setdefault(signal.message, {})[signal.name] = raws[0]
@@ -213,13 +263,22 @@ def constants(dbc: Dbc, fields: Fields, key: str) -> dict[str, dict[str, float]]
 
 
 def steps(dbc: Dbc, fields: Fields, key: str) -> tuple[Step, ...]:
-    """Return the steps of a phase. Arrays have a value for each step, and all have the same length."""
-    found = list(_raw_values(dbc, fields, key))
+    """Return the steps of a phase. Arrays have a value for each step, and all have the same length.
+
+    A message without signals is sent as it is, in each step.
+    """
+    bare = []
+    for name in (name for name, values in fields.items() if not values):
+        with _named(f"{key}.{name}"):
+            if not dbc.message(name).signals:
+                bare.append(name)
+    found = list(_raw_values(dbc, {name: one for name, one in fields.items() if name not in bare}, key, _sent))
     lengths = {len(raws): where for where, _, raws in found if len(raws) > 1}
     if len(lengths) > 1:
         (a, first), (b, second) = sorted(lengths.items())[:2]
         raise ValueError(f"{second}: {b} values, but {first} has {a}; each is one step, give as many to each")
-    made: list[dict[str, dict[str, float]]] = [{} for _ in range(max((*lengths, 1)) if found else 0)]
+    number_of_steps = max((*lengths, 1)) if fields else 0
+    made: list[dict[str, dict[str, float]]] = [{name: {} for name in bare} for _ in range(number_of_steps)]
     for _, signal, raws in found:
         for number, step in enumerate(made):
             step.setdefault(signal.message, {})[signal.name] = raws[number if len(raws) > 1 else 0]
@@ -228,7 +287,8 @@ def steps(dbc: Dbc, fields: Fields, key: str) -> tuple[Step, ...]:
 
 def conditions(dbc: Dbc, fields: Fields, key: str) -> tuple[Condition, ...]:
     """Return the conditions; any value of an array meets one."""
-    return tuple(Condition(signal, frozenset(raws)) for _, signal, raws in _raw_values(dbc, fields, key))
+    found = _raw_values(dbc, fields, key, Signal.raws)
+    return tuple(Condition(signal, frozenset(raws)) for _, signal, raws in found)
 
 
 def errors(dbc: Dbc, given: Table, key: str) -> tuple[Condition, ...]:
@@ -237,11 +297,20 @@ def errors(dbc: Dbc, given: Table, key: str) -> tuple[Condition, ...]:
     none = given.get("none", 0)
     found = []
     for where, specs in given.items():
-        for spec in () if where == "none" else _array(specs):
+        if where == "none":
+            continue
+        if not _array(specs):
+            raise ValueError(f"{key}.{where} = []: expected a signal, or an array of them")
+        for spec in _array(specs):
             with _named(f"{key}.{where} = {spec!r}"):
                 signal = dbc.signal(spec)
             with _named(f"{key}.none = {none!r} for {signal}"):
-                found.append(Condition(signal, frozenset(map(signal.raw, _array(none))), where))
+                raws = frozenset(raw for one in _array(none) for raw in signal.raws(one))
+                if not raws:
+                    raise ValueError("expected at least one value")
+            found.append(Condition(signal, raws, where))
+    if given and not found:
+        raise ValueError(f"{key}.none: no signal of errors is named; give one for {', '.join(WHEEL_NAMES)} or robot")
     return tuple(found)
 
 

@@ -105,7 +105,7 @@ class Received:
             for name, quantity in plan.feedback.items()
         }
         if positions := plan.feedback.get("position"):
-            spans = [abs(gain(one)) * (positions.wraps_at or one.signal.span) for one in positions.bounds]
+            spans = [abs(gain(one)) * span for one, span in zip(positions.bounds, positions.spans, strict=True)]
             speeds = self._quantities.get("speed", [None] * 4)
             self._quantities["position"] = [
                 _WrappingPosition(reading, speed, span) if span else reading

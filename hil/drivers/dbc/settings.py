@@ -93,9 +93,16 @@ class Plan:
         self._cycle_time_s = settings.cycle_time_s
         self._check_messages()
         self._check_roles({"command": commanded, "counters": self.counters, "watchdog.set": written})
-        if settings.estop_latches and not settings.estop:
+        if settings.estop_latches and not self.phases["estop"]:
             raise ValueError("estop_latches = true: nothing is sent for an e-stop; give [device.motors.estop] too")
         self.feedback_hz = self._feedback_hz(settings.feedback)
+        quantities = (*self.commands.values(), *self.feedback.values())
+        places = {bound.unit.place for quantity in quantities for bound in quantity.bounds}
+        if settings.gear_ratio != 1.0 and not places & {"shaft", "shaft torque"}:
+            raise ValueError(
+                f"gear_ratio = {settings.gear_ratio:g}: it would change nothing, as no signal has a unit of the "
+                "motor's shaft, and a scale is of the wheel; leave it out, or give unit"
+            )
 
     def late_ns(self, message: Message) -> int | None:
         """Return the age at which the values of a message are too old; None if they are valid until the next ones.
