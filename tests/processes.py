@@ -6,6 +6,7 @@ import json
 import logging
 import os
 import select
+import shutil
 import signal
 import subprocess
 import sys
@@ -168,6 +169,18 @@ def wait_for(condition: Any, limit_s: float = 30.0) -> Any:
         assert time.monotonic() < deadline, "waited in vain"
         time.sleep(0.005)
     return value
+
+
+def network_of_its_own() -> list[str]:
+    """Return the words before a command that give it a network namespace with a loopback interface and multicast."""
+    if shutil.which("unshare") is None or shutil.which("ip") is None:
+        pytest.skip("needs unshare and ip: apt install util-linux iproute2")
+    # A user namespace where root is not given: its owner may set up its own network.
+    rights = [] if os.geteuid() == 0 else ["--map-root-user"]
+    if subprocess.run(["unshare", *rights, "-n", "true"], capture_output=True, check=False).returncode:
+        pytest.skip("needs a network namespace: run as root, or allow unprivileged user namespaces")
+    up = 'ip link set lo up multicast on && ip route add 224.0.0.0/4 dev lo && exec "$@"'
+    return ["unshare", *rights, "-n", "sh", "-c", up, "sh"]
 
 
 @contextlib.contextmanager

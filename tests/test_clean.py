@@ -10,6 +10,8 @@ from pathlib import Path
 
 import pytest
 
+from hil.core.private_files import write_private
+from hil.core.tokens import make_token
 from tests.processes import HIL, environment, hil
 
 LEAVE = """
@@ -75,6 +77,10 @@ def test_what_nothing_uses_is_listed_and_removed_and_all_else_stays(tmp_path: Pa
         audit = state / "audit" / "8770.jsonl"
         for file in (alive, dead, restarts, of_fixes, free, audit, cache / "stm32f4" / "hil.elf"):
             file.write_text("x" * 20)
+        elsewhere = alive.with_name("3.token")  # of a container that has this state folder too
+        write_private(elsewhere, "0123abcd.of-another-machine")
+        for token in (dead, restarts):
+            make_token(token)
         gone = {cache, left, dead, free}
 
         refused = doctor(user, "--clean")
@@ -89,7 +95,10 @@ def test_what_nothing_uses_is_listed_and_removed_and_all_else_stays(tmp_path: Pa
         assert found["removed"]
         assert {Path(one["path"]) for one in found["leftovers"]} == gone
         assert not any(path.exists() for path in gone)
-        assert all(path.exists() for path in (alive, restarts, of_fixes, audit, in_use, state / "locks" / "held.lock"))
+        assert all(
+            path.exists()
+            for path in (alive, restarts, elsewhere, of_fixes, audit, in_use, state / "locks" / "held.lock")
+        )
     assert doctor(user, "--clean").returncode == 2  # those of the holder that has ended now
 
 

@@ -26,7 +26,7 @@ from hil.wire.serial_port import SerialStream
 from hil.wire.streams import DirectStream, memory_pair
 from hil.wire.url import CanUrl, parse_link
 from tests.heard import the_next
-from tests.processes import environment, wait_for
+from tests.processes import environment, network_of_its_own, wait_for
 from tests.wheel_rig import WheelRig
 
 pty = pytest.importorskip("hil.wire.pty", reason="pseudo-terminals need a POSIX system")
@@ -293,9 +293,7 @@ print(rig.node.look().rejected["unknown_id"], rig.node.look().rejected["length"]
 
 @pytest.mark.skipif(sys.platform != "linux", reason="network namespaces are Linux's")
 def test_what_a_robot_sends_comes_back_over_multicast_and_is_not_counted():
-    lone = ["unshare", "--net", "--map-root-user", "sh", "-c"]
-    up = "ip link set lo up multicast on && ip route add 224.0.0.0/4 dev lo && exec "
-    command = [*lone, f'{up}"$0" -c "$1"', sys.executable, ALONE]
+    command = [*network_of_its_own(), sys.executable, "-c", ALONE]
     done = subprocess.run(command, capture_output=True, text=True, check=False, env=environment())
     assert done.stdout == "0 0\n", done.stderr
 

@@ -2,8 +2,6 @@
 
 import contextlib
 import json
-import os
-import shutil
 import signal
 import subprocess
 import sys
@@ -19,7 +17,7 @@ from hil.robot.truth import TruthClient, TruthRecord
 from hil.runtime.assembly import RunOptions, run_scenario
 from hil.runtime.loop import Loop
 from hil.scenario import load
-from tests.processes import HIL, ROOT, device, environment, wait_for
+from tests.processes import HIL, ROOT, device, environment, network_of_its_own, wait_for
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="pseudo-terminals need a POSIX system")
 
@@ -142,15 +140,7 @@ print(json.dumps(figures))
 
 
 def in_a_network_of_its_own(*arguments: str) -> dict:
-    if shutil.which("unshare") is None or shutil.which("ip") is None:
-        pytest.skip("needs unshare and ip: apt install util-linux iproute2")
-    own = 'ip link set lo up multicast on && ip route add 224.0.0.0/4 dev lo && exec "$@"'
-    # A user namespace where root is not given: its owner may set up its own network.
-    rights = [] if os.geteuid() == 0 else ["--map-root-user"]
-    probe = subprocess.run(["unshare", *rights, "-n", "true"], capture_output=True, check=False)
-    if probe.returncode:
-        pytest.skip("needs a network namespace: run as root, or allow unprivileged user namespaces")
-    command = ["unshare", *rights, "-n", "sh", "-c", own, "sh", sys.executable, "-c", NETWORK, *arguments]
+    command = [*network_of_its_own(), sys.executable, "-c", NETWORK, *arguments]
     done = subprocess.run(
         command, cwd=ROOT, env=environment(), capture_output=True, text=True, timeout=180, check=False
     )

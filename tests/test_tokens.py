@@ -1,13 +1,20 @@
 """The tokens of servers that were killed are removed, and no others."""
 
+import signal
 import socket
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
 
+from hil.core.errors import BadInputError
+from hil.core.private_files import write_private
 from hil.core.tokens import clear_tokens, make_token, token_file
 from hil.robot.truth import KIND
 from hil.robot.truth_server import TruthServer
+from hil.service.discovery import Service, announce
+from tests.processes import environment, hil, network_of_its_own
 
 pytestmark = pytest.mark.usefixtures("state_home")
 
@@ -48,3 +55,49 @@ def test_a_truth_server_removes_the_tokens_of_killed_ones_of_its_kind() -> None:
         assert server.token_file.exists()
     finally:
         server.close()
+
+
+ELSEWHERE = """
+import os, signal
+from hil.robot.truth_server import TruthServer
+print(TruthServer("hash").url, flush=True)
+os.kill(os.getpid(), signal.SIGKILL)
+"""
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="network namespaces are Linux's")
+def test_servers_in_two_network_namespaces_leave_the_tokens_of_each_other() -> None:
+    ours = TruthServer("hash")
+    try:
+        command = [*network_of_its_own(), sys.executable, "-c", ELSEWHERE]
+        done = subprocess.run(command, env=environment(), capture_output=True, text=True, check=False)
+        assert done.returncode == -signal.SIGKILL, done.stderr
+        theirs = int(done.stdout.rpartition(":")[2])
+        assert ours.token_file.exists()
+        TruthServer("hash").close()
+        assert token_file(KIND, theirs).exists(), "nobody listens there, here; and so it is for a living one"
+        with pytest.raises(BadInputError, match="in another network namespace"):
+            TruthServer("hash", theirs)
+    finally:
+        ours.close()
+
+
+@pytest.mark.parametrize("text", ["0123abcd.of-another-machine", 43 * "x", ""], ids=["elsewhere", "older", "empty"])
+def test_a_token_that_was_not_made_here_stays(text: str) -> None:
+    path = token_file("services", free_port())
+    write_private(path, text)
+    clear_tokens("services")
+    assert path.read_text() == text
+
+
+def test_a_service_replaces_no_token_of_one_that_has_its_port_in_another_namespace() -> None:
+    port = free_port()
+    path = made("services", port)
+    text = path.read_text()
+    claim = announce(Service(f"http://127.0.0.1:{port}", 1, "theirs", "memory:", str(path)))
+    try:
+        done = hil("serve", "circle_speed", "--set", f"service.port={port}")
+        assert (done.returncode, path.read_text()) == (2, text)
+        assert f"hil: port {port}: a service in another network namespace" in done.stderr
+    finally:
+        claim.release()

@@ -2,8 +2,15 @@
 
 Every user of a machine can connect to its loopback sockets. So each server of ours has a token, which only those know
 who may read its file. A client of the same user finds the file by the server's port.
+
+One state folder may serve several machines, or several network namespaces of one, as where containers share a home. A
+port is one of a namespace. So each token begins with a mark of where its server runs, and a server judges only those
+with its own mark.
 """
 
+import functools
+import hashlib
+import platform
 import secrets
 import socket
 from collections.abc import Collection, Iterator
@@ -40,10 +47,11 @@ def token_file(kind: str, port: int) -> Path:
 
 
 def clear_tokens(kind: str, kept: Collection[int] = ()) -> None:
-    """Remove the tokens that killed servers of a kind have left: those of ports of 127.0.0.1 where nobody listens.
+    """Remove the tokens that killed servers of a kind have left: those of here and of ports where nobody listens.
 
-    ``kept`` are ports that are left alone, as of a service whose API is being started again. A server listens before it
-    makes its token. Raises as ``state_folder``.
+    A token of another machine or network namespace stays: whether its server lives cannot be known here. ``kept`` are
+    ports that are left alone, as of a service whose API is being started again. A server listens before it makes its
+    token. Raises as ``state_folder``.
     """
     for path in left_tokens(kind, kept):
         path.unlink(missing_ok=True)
@@ -52,8 +60,30 @@ def clear_tokens(kind: str, kept: Collection[int] = ()) -> None:
 def left_tokens(kind: str, kept: Collection[int] = ()) -> Iterator[Path]:
     """Yield the files that ``clear_tokens`` removes. Raises as ``state_folder``."""
     for path in state_folder(kind).glob("*.token"):
-        if path.stem.isdecimal() and (port := int(path.stem)) not in kept and not _listens(port):
+        if path.stem.isdecimal() and (port := int(path.stem)) not in kept and _is_ours(path) and not _listens(port):
             yield path
+
+
+def is_of_elsewhere(path: Path) -> bool:
+    """Return whether a token is there that was made on another machine or in another network namespace."""
+    return path.exists() and not _is_ours(path)
+
+
+def _is_ours(path: Path) -> bool:
+    try:
+        return path.read_text(encoding="ascii").startswith(_mark())
+    except (OSError, ValueError):  # it is gone, or no token
+        return False
+
+
+@functools.cache
+def _mark() -> str:
+    """Return what the tokens begin with that are made on this machine and in this network namespace."""
+    try:
+        namespace = str(Path("/proc/self/ns/net").readlink())
+    except OSError:  # not Linux
+        namespace = ""
+    return hashlib.sha256(f"{platform.node()}/{namespace}".encode()).hexdigest()[:8] + "."
 
 
 def _listens(port: int) -> bool:
@@ -70,7 +100,7 @@ def _listens(port: int) -> bool:
 def make_token(path: Path) -> None:
     """Write a new token to a file that only this user may read. Raises BadInputError."""
     try:
-        write_private(path, secrets.token_urlsafe(32) + "\n")
+        write_private(path, f"{_mark()}{secrets.token_urlsafe(32)}\n")
     except OSError as error:
         raise BadInputError(
             f"token file {path}: it cannot be written ({error.strerror}); "

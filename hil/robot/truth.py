@@ -31,6 +31,8 @@ ANSWER_S = 2.0
 LONGEST_ANSWER = 65536
 KIND = "truth"
 """Of the servers, in the state folder with their tokens."""
+NO_TOKEN = "the token is missing or wrong"
+"""The refusal of a client without it."""
 _CHUNK = 65536
 
 
@@ -149,14 +151,20 @@ def _greet(url: str, request: Mapping[str, object]) -> tuple[socket.socket, dict
     """
     host, port, named = _address(url)
     file = token_file(KIND, port) if named is None else named
-    # Without a token the server's refusal names the file, and another program shows that it is another.
+    # Without a token the server's refusal shows that it is a hil device.
     token = read_token(file) if named is not None or file.exists() else ""
     connection = None
     try:
         connection = socket.create_connection((host, port), timeout=2 * ANSWER_S)
         connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         connection.sendall(json.dumps({"token": token, **request}).encode() + b"\n")
-        return connection, *_read_answer(connection)
+        answer, rest = _read_answer(connection)
+        if answer.get("error") == NO_TOKEN:
+            answer["error"] = (
+                f"{NO_TOKEN}; expected it in {file}. The hil device of another user, or of a container, has it in its "
+                "own state folder: name a copy by ?token_file=FILE after the port"
+            )
+        return connection, answer, rest
     except (OSError, ValueError) as error:
         if connection is not None:
             connection.close()

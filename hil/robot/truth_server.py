@@ -12,11 +12,11 @@ from typing import Any, NamedTuple, TypeVar
 
 from firmware_protocol.host import View
 from hil.core.errors import BadInputError, DeviceError, HilError
-from hil.core.tokens import clear_tokens, make_token, read_token, token_file
+from hil.core.tokens import clear_tokens, is_of_elsewhere, make_token, read_token, token_file
 from hil.core.types import PoseFix
 from hil.faults.kind import FaultRow
 from hil.robot.faults import RobotFaults
-from hil.robot.truth import ANSWER_S, KIND, LONGEST_ANSWER, RECORD
+from hil.robot.truth import ANSWER_S, KIND, LONGEST_ANSWER, NO_TOKEN, RECORD
 
 _HOST = "127.0.0.1"
 _MOST_SILENT = 64
@@ -116,6 +116,11 @@ class TruthServer:
         self.token_file = token_file(KIND, port)
         try:
             clear_tokens(KIND)
+            if is_of_elsewhere(self.token_file):
+                raise BadInputError(
+                    f"truth port {port}: {self.token_file} has the token of a robot on another machine, or in another "
+                    "network namespace (a container); choose another port, or remove the file when that has ended"
+                )
             make_token(self.token_file)
         except BadInputError:
             self._listener.close()
@@ -192,10 +197,7 @@ class TruthServer:
     def _grant(self, request: _Request) -> None:
         """Check token and scenario, and do a requested reset. Raises DeviceError with the reason when it is refused."""
         if not secrets.compare_digest(request.token.encode(errors="replace"), self._token.encode()):
-            raise DeviceError(
-                f"the token is missing or wrong; it is in {self.token_file}, for the user of hil device alone: another "
-                "gives the name of a copy, ?token_file=FILE after the port"
-            )
+            raise DeviceError(NO_TOKEN)  # and nothing more: every user of the machine may ask
         if request.scenario != self._hash:
             raise DeviceError(
                 f"the robot runs another scenario (hash {self._hash[:12]}, asked for {request.scenario[:12]}); start "

@@ -9,6 +9,7 @@ import os
 import signal
 import socket
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +19,7 @@ from hil.core.tokens import clear_tokens, make_token, read_token, state_folder, 
 from hil.service import logs
 from hil.service.api.access import Access, ClientsFile
 from hil.service.api.audit import Audit
-from hil.service.discovery import running
+from hil.service.discovery import Service, running
 from hil.service.messages import HOST, ApiConfig, Limits
 
 
@@ -37,8 +38,9 @@ def main() -> int:
     try:
         listener = _listen(config)
         port = listener.getsockname()[1]
-        clear_tokens("services", [service.port for service in running()])
-        path = _token_file(config, port)
+        services = running()
+        clear_tokens("services", [service.port for service in services])
+        path = _token_file(config, port, services)
         clients = None if config.clients_file is None else ClientsFile(Path(config.clients_file))
         access = Access(read_token(path), {} if clients is None else clients.others)
         audit_file = state_folder("audit") / f"{port}.jsonl" if config.audit is None else Path(config.audit).absolute()
@@ -69,9 +71,17 @@ def _listen(config: ApiConfig) -> socket.socket:
     return listener
 
 
-def _token_file(config: ApiConfig, port: int) -> Path:
-    """Return the file with the token. Make it if it does not exist, or if each start has a new token."""
+def _token_file(config: ApiConfig, port: int, services: Sequence[Service]) -> Path:
+    """Return the file with the token. Make it if it does not exist, or if each start has a new token.
+
+    Raises BadInputError when one of the running services has the port elsewhere, whose token this one would replace.
+    """
     path = token_file("services", port) if config.token_file is None else Path(config.token_file).absolute()
+    if config.token_file is None and any(service.port == port for service in services):
+        raise BadInputError(
+            f"port {port}: a service in another network namespace (a container) has it, and its token in {path}; "
+            "choose another service.port, or a state folder of its own (XDG_STATE_HOME)"
+        )
     if config.token_file is None or not path.exists():
         make_token(path)
     return path
