@@ -43,6 +43,7 @@ def hil(*arguments: str | Path, cwd: Path | None = None) -> subprocess.Completed
 
     words = [HIL_FILE, *map(str, arguments)]
     threshold, handlers = gc.get_threshold(), {number: signal.getsignal(number) for number in _HANDLED}
+    os.umask(umask := os.umask(0o077))
     root = logging.getLogger()
     logged = root.handlers[:], root.level  # a service sets them
     with pytest.MonkeyPatch.context() as patch, contextlib.ExitStack() as stack:
@@ -59,6 +60,7 @@ def hil(*arguments: str | Path, cwd: Path | None = None) -> subprocess.Completed
         except SystemExit as end:
             code = end.code
         finally:
+            os.umask(umask)  # a service sets it
             gc.unfreeze()
             gc.set_threshold(*threshold)
             for number, handler in handlers.items():

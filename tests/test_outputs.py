@@ -1,6 +1,7 @@
 """A file that is there is never replaced unless ``--force`` says so: by any command, and by a service at all."""
 
 import os
+import shlex
 import socket
 from collections.abc import Callable
 from datetime import datetime, tzinfo
@@ -8,6 +9,8 @@ from multiprocessing.pool import ThreadPool
 from pathlib import Path
 
 import pytest
+from hypothesis import example, given
+from hypothesis import strategies as st
 from typer.testing import CliRunner
 
 import hil
@@ -18,7 +21,7 @@ from hil.core.errors import BadInputError
 from hil.core.outputs import claim, free_name, write_whole
 from hil.core.signals import pack_row
 from hil.record import Recording
-from hil.record.files import check_output_path, new_in_runs, numbered_path
+from hil.record.files import check_output_path, named_in, new_in_runs, numbered_path
 from hil.review import read
 from hil.wire.trace import Trace
 from tests import processes
@@ -27,6 +30,38 @@ from tests.recorded_circle import circle_rows
 OLD = Path(__file__).parent / "recordings" / "circle_speed_ca92b7a.rrd"
 SHORT = ("--set", "loop.duration_s=0.1", "--set", "expect=[]")
 KEPT = b"evidence of another day"
+
+
+def test_none_is_a_word_for_no_recording_in_every_command(tmp_path: Path) -> None:
+    run, replay = tmp_path / "run.rrd", ("replay", "run.rrd", "--law", "dsc")
+    for words in (("run", "circle_speed", *SHORT, "--rotate", "none", "--record", run), (*replay, "--record", "none")):
+        done = processes.hil(*words, cwd=tmp_path)
+        assert done.returncode == 0, done.stderr
+        assert list(tmp_path.iterdir()) == [run]
+
+
+@given(st.text(min_size=1, max_size=12).map(lambda stem: f"{stem}.rrd"))
+@example("-rf.rrd")
+@example("$(id).rrd")
+@example(" x.rrd")
+@example("~.rrd")
+@example("x\u00a0y.rrd")
+@example("\udcff.rrd")
+@example("Müller_2025-11-02+a@b.rrd")
+def test_a_client_s_name_for_a_recording_is_for_any_shell_and_command_a_name_alone(tmp_path_factory, name: str) -> None:
+    folder = tmp_path_factory.getbasetemp()
+    try:
+        path = named_in(folder, name)
+    except BadInputError:
+        may = name.isascii() and name[0].isalnum() and shlex.quote(name) == name and not set(name) & set("%:/")
+        assert not may
+        return
+    assert path == folder / name
+    letters = "".join(one if one.isascii() else "x" for one in name)  # quote() knows no others
+    assert shlex.quote(letters) == letters
+    assert letters[0] not in "-.~"
+    assert name.isprintable()
+    assert not any(one.isspace() for one in name)
 
 
 @pytest.mark.parametrize("name", ["a\x1b[31m.rrd", "two\nlines.rrd", "two\u2028lines.rrd", "del\x7f.rrd"])

@@ -347,7 +347,7 @@ def test_twists_that_end_stop_the_robot_and_an_estop_latches(tmp_path: Path) -> 
 def test_gains_are_read_again_and_recordings_come_and_go(tmp_path: Path) -> None:
     config = tmp_path / "mine.toml"
     config.write_text('extends = "circle_speed"\ncontroller.gains.k1_1_s = 5.0\n')
-    with serving(tmp_path) as service:
+    with serving(tmp_path, "--record", "none") as service:
         service.drive()
         gains = service.client.order(Action.GAINS, {"gains": {"k1_1_s": 6.0}})
         assert gains["gains"]["k1_1_s"] == 6.0
@@ -362,6 +362,7 @@ def test_gains_are_read_again_and_recordings_come_and_go(tmp_path: Path) -> None
         assert service.until(recording=path)["phase"] == "active"
         report = service.client.order(Action.STOP_RECORDING)
         assert report["complete"]
+        assert (tmp_path / "runs/one.mcap").stat().st_mode & 0o007 == 0, "whatever the umask gives to other users"
         t_s = read(tmp_path / "runs/one.mcap").signals["loop.t_s"]
         assert len(t_s) == report["rows"] > 0
         assert t_s[0] == pytest.approx(begun["from_s"], abs=1e-6)

@@ -17,7 +17,9 @@ if TYPE_CHECKING:
 def replay(
     recording: Annotated[Path, Argument(metavar="RUN", help="recording of a run")],
     law: Annotated[str, Option(metavar=LAW, help=LAW_HELP)],
-    record: Annotated[Path | None, Option(metavar="FILE.rrd", help="record the run with the replayed commands")] = None,
+    record: Annotated[
+        str, Option(metavar="FILE.rrd|none", help="record the run with the replayed commands; by default none")
+    ] = "none",
     force: Force = False,
     as_json: Json = False,
 ) -> None:
@@ -27,14 +29,14 @@ def replay(
     from hil.review.replay import replay as replay_run
     from hil.review.replay import write_replay
 
-    existing = existing_files(force=force)
-    if record is not None and record.resolve() != recording.resolve():
-        check_output_path("recording", record, existing)
+    existing, out = existing_files(force=force), None if record == "none" else Path(record)
+    if out is not None and out.resolve() != recording.resolve():
+        check_output_path("recording", out, existing)
     run = read(recording)
     replayed = replay_run(run, law)
-    if record is not None:
-        write_replay(run, replayed, record, existing)
-    found = {**replayed.figures(), "recorded": None if record is None else str(record)}
+    if out is not None:
+        write_replay(run, replayed, out, existing)
+    found = {**replayed.figures(), "recorded": None if out is None else str(out)}
     print_result(as_json, found, _lines(replayed))
 
 

@@ -33,9 +33,9 @@ def run(
         str | None, Option(metavar="FILE|none", help="recording (.rrd, .mcap); by default runs/SCENARIO-TIME.rrd")
     ] = None,
     rotate: Annotated[
-        str | None,
-        Option(metavar="SIZE|TIME", help="begin a new file after this size or time: 1GB, 10min or '1GB|10min'"),
-    ] = None,
+        str,
+        Option(metavar="SIZE|TIME|none", help="begin a new file after this size or time: 1GB, 10min or '1GB|10min'"),
+    ] = "none",
     trace: o.TraceFile = None,
     live: Annotated[bool, Option("--live", help="serve live viewers on 127.0.0.1 while it runs")] = False,
     live_port: o.LivePort = o.LIVE_PORT,
@@ -55,7 +55,7 @@ def run(
     as_json: o.Json = False,
 ) -> None:
     """Run a scenario and judge it."""
-    from hil.record import Rotation, early_recorder, rotation
+    from hil.record import early_recorder, rotation
 
     end_in_order()
     suffix = ".rrd" if record is None else None if record == "none" else Path(record).suffix
@@ -68,7 +68,7 @@ def run(
     from hil.scenario import load
 
     resolved = load(scenario, set=sets or [], robot=robot, mode=mode, link=link, seed=seed)
-    parts = rotation(rotate) if rotate is not None else Rotation()
+    parts = rotation(rotate)
     if record is None:
         path: Path | None = new_in_runs(resolved.name, ".rrd", "name a file with --record, or --record none")
     else:

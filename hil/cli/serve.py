@@ -16,13 +16,13 @@ def serve(
     truth: TruthUrl = None,
     robot: RobotFile = None,
     record: Annotated[
-        str | None,
+        str,
         Option(
-            metavar="NAME",
+            metavar="NAME|none",
             help="record from the start (.rrd, .mcap) in service.recordings, to the next free NAME_2, NAME_3 where it "
-            "is there already; hil ctl record does later",
+            "is there already; by default none, and hil ctl record does later",
         ),
-    ] = None,
+    ] = "none",
     live: Annotated[bool, Option("--live", help="serve live viewers on 127.0.0.1, for hil live")] = False,
     live_port: LivePort = LIVE_PORT,
     token_file: Annotated[Path | None, Option(metavar="FILE", help="the API's token; by default a new one")] = None,
@@ -60,7 +60,8 @@ def serve(
 
     logs.configure(log, "control")
     token, others, trail = (None if file is None else str(file.absolute()) for file in (token_file, clients, audit))
-    options = Options(record, live_port if live else None, token, others, trail, truth, allow_motion, log)
+    name = None if record == "none" else record
+    options = Options(name, live_port if live else None, token, others, trail, truth, allow_motion, log)
     if lifeline is not None:
         from hil.core.subprocesses import terminate_at_end
 

@@ -149,18 +149,20 @@ class Rotation(NamedTuple):
 
 
 def rotation(text: str) -> Rotation:
-    """Read a rotation as a user writes it: ``1GB``, ``10min``, or both as ``1GB|10min``.
+    """Read a rotation as a user writes it: ``1GB``, ``10min``, both as ``1GB|10min``, or ``none``.
 
     Raises BadInputError for anything else, and for parts of less than 1 MB or 1 s.
     """
     sizes, times = {"kb": 1e3, "mb": 1e6, "gb": 1e9}, {"s": 1.0, "min": 60.0, "h": 3600.0}
     found: dict[str, float] = {}
-    for part in text.split("|"):
+    for part in () if text == "none" else text.split("|"):
         match = re.fullmatch(r"\s*(\d+(?:\.\d+)?)\s*([a-z]+)\s*", part.lower())
         unit = match[2] if match else ""
         kind = "size" if unit in sizes else "time" if unit in times else ""
         if match is None or not kind or kind in found:
-            raise BadInputError(f"rotate {text!r}: expected a size, a time or both, as in 1GB, 10min or 1GB|10min")
+            raise BadInputError(
+                f"rotate {text!r}: expected a size, a time or both, or none, as in 1GB, 10min or 1GB|10min"
+            )
         found[kind] = float(match[1]) * (sizes | times)[unit]
     if found.get("size", _SMALLEST_BYTES) < _SMALLEST_BYTES or found.get("time", 1.0) < 1.0:
         raise BadInputError(f"rotate {text!r}: expected at least 1MB or 1s for a part")
@@ -170,17 +172,24 @@ def rotation(text: str) -> Rotation:
 RUNS = Path("runs")
 """The folder of recordings for which no other is named."""
 _LONGEST_NAME = 200  # bytes; a file's name may have 255, and that of a later part is longer
+# All of ASCII that a shell leaves alone, and the letters of all scripts.
+_PLAIN_NAME = re.compile(r"[^\x00-/:-@\[-^`{-\x7f][^\x00-*/:-<>?\[-^`{-\x7f]*")
 
 
 def named_in(folder: Path, name: str) -> Path:
     """Return the path of a recording ``name`` in a service's folder, which is made if missing.
 
-    Raises BadInputError for a name that leads elsewhere or is too long, and when the folder cannot be made.
+    Clients choose the name, and scripts of whoever looks after the folder meet it: one that a shell or a command takes
+    for more than a file's name is refused.
+
+    Raises BadInputError for a name that is not plain or too long, and when the folder cannot be made.
     """
-    if name != Path(name).name or len(os.fsencode(name)) > _LONGEST_NAME:
+    is_plain = _PLAIN_NAME.fullmatch(name) is not None and name.isprintable()  # no space is, but the one of ASCII
+    if not is_plain or len(name.encode()) > _LONGEST_NAME:
         raise BadInputError(
-            f"recording {name[:_LONGEST_NAME]!r}: expected a file's name of at most {_LONGEST_NAME} bytes without a "
-            f"folder; this service records to {folder} (service.recordings)"
+            f"recording {name[:_LONGEST_NAME]!r}: expected a file's name of at most {_LONGEST_NAME} bytes that begins "
+            "with a letter, a digit or _ and has only these and . , - + = @ in it; this service records to "
+            f"{folder} (service.recordings)"
         )
     _make(folder, "set service.recordings")
     return folder / name

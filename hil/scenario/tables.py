@@ -67,11 +67,10 @@ _tick_limit = check(
 
 
 def _rotate(text: str) -> str:
-    if text != "none":
-        try:
-            rotation(text)
-        except BadInputError as error:
-            raise ValueError(str(error)) from error
+    try:
+        rotation(text)
+    except BadInputError as error:
+        raise ValueError(str(error)) from error
     return text
 
 
@@ -259,7 +258,7 @@ class ServiceTable:
     @property
     def rotation(self) -> Rotation:
         """``rotate`` as the recorder takes it."""
-        return Rotation() if self.rotate == "none" else rotation(self.rotate)
+        return rotation(self.rotate)
 
     @property
     def keeping(self) -> Keeping:

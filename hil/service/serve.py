@@ -1,6 +1,7 @@
 """``hil serve``: the control process. It runs the ticks, owns link, robot and recording, and starts the API process."""
 
 import contextlib
+import os
 import signal
 import time
 from collections.abc import Callable, Iterator, Mapping
@@ -37,6 +38,7 @@ from hil.wire.device_lock import device_held
 from hil.wire.reopening import BackOff, OpeningBeside
 from hil.wire.url import parse_link
 
+_OTHERS = 0o007
 _STATUS_HZ = 20
 _FARTHEST_M = 1000.0  # limit for target poses; beyond it a float32 loses millimetres
 _POLL_S = 0.02
@@ -91,6 +93,9 @@ def serve(scenario: Scenario, options: Options, reload: Callable[[], Scenario]) 
         raise BadInputError("a service runs in real time; leave loop.mode out, or set it to 'realtime'")
     parts = RunParts(scenario)
     ending = _Ending()
+    # Clients give orders to record, and a machine has several users: no file is for them. The group's part is the
+    # umask's: 022 lets a lab's group read, 002 write, 077 neither.
+    os.umask(os.umask(_OTHERS) | _OTHERS)
     with contextlib.ExitStack() as resources:
         resources.enter_context(device_held(parse_link(scenario.link.url), f"hil serve {scenario.name}"))
         notifier = Notifier()
