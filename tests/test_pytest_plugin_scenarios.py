@@ -171,6 +171,29 @@ def test_junit_keeps_figures_seed_hash_and_recording(suite: pytest.Pytester):
     assert "hil review" in (failure.text or "")
 
 
+TWO_RUNS = """
+import pytest
+@pytest.mark.parametrize("attempts", [[]])
+def test_of_runs(hil_run, attempts):
+    attempts.append(0)
+    hil_run("paper_circle", set=["loop.duration_s=0.1", "expect=[]"])
+    if len(attempts) == 1:
+        hil_run("paper_circle", set=["loop.duration_s=0.1", "expect=[]"])
+        pytest.fail("the first attempt")
+"""
+
+
+def test_junit_has_the_last_attempt_of_a_test_that_is_run_again(suite: pytest.Pytester):
+    pytest.importorskip("pytest_rerunfailures")
+    write(suite, strict=TOO_STRICT)
+    suite.makepyfile(TWO_RUNS)
+    run(suite, "-p", "rerunfailures", "--reruns", "2", "--junit-xml", "report.xml", "--hil-record", "none")
+    for case in cases(suite.path / "report.xml").values():
+        names = [row.attrib["name"] for row in case.iterfind("properties/property")]
+        assert len(names) == len(set(names)) > 10
+        assert not any(name.startswith("hil-2") for name in names)
+
+
 @pytest.mark.skipif(sys.platform == "win32", reason="pseudo-terminals need a POSIX system")
 def test_scenarios_run_on_a_robot_elsewhere(suite: pytest.Pytester):
     write(suite, good=HOLDING)

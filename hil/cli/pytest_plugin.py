@@ -105,9 +105,10 @@ class ScenarioTest(pytest.Item):
         self._overrides = overrides
 
     def runtest(self) -> None:
-        from hil.cli.testing.verdict import run_as_test
+        from hil.cli.testing.verdict import add_to_report, forget_runs, run_as_test
         from hil.core.outputs import free_name
 
+        forget_runs(self)
         folder = _folder(self, None)
         record = None if folder is None else free_name(folder / f"{self.name}.rrd")
         repeat = self._overrides.command(self._scenario)
@@ -115,7 +116,7 @@ class ScenarioTest(pytest.Item):
         if verdict.passed and verdict.recording is not None and not self.config.getoption("hil_record"):
             verdict.recording.unlink()
             verdict = dataclasses.replace(verdict, recording=None)
-        self.user_properties += [(f"hil.{name}", value) for name, value in verdict.properties()]
+        add_to_report(self, verdict)
         if not verdict.passed:
             pytest.fail(verdict.text(), pytrace=False)
 
@@ -157,7 +158,10 @@ def hil_run(request: pytest.FixtureRequest) -> "RunScenario":
     the test, except with ``check=False``.
     """
     from hil.cli.testing import RunScenario
+    from hil.cli.testing.verdict import forget_runs
     from hil.core.outputs import free_name
+
+    forget_runs(request.node)
 
     def recording(name: str) -> Path | None:
         folder = _folder(request.node, request)

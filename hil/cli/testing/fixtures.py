@@ -9,7 +9,7 @@ import pytest
 
 from hil.cli.testing.overrides import Overrides
 from hil.cli.testing.robot import RobotLink, RobotProcess
-from hil.cli.testing.verdict import run_as_test
+from hil.cli.testing.verdict import add_to_report, run_as_test
 from hil.core.errors import HilError
 from hil.core.printable import command
 from hil.review.result import RunResult
@@ -129,7 +129,7 @@ class RunScenario:
         # A robot that the test started ends with the test, so only the test can be repeated.
         repeat = overrides.command(loaded) if on is None else command("pytest", self.item.nodeid)
         verdict = run_as_test(loaded, overrides.truth, recording, repeat, self.item.config)
-        self.item.user_properties += [(f"hil{number}.{name}", value) for name, value in verdict.properties()]
+        add_to_report(self.item, verdict, number)
         if not verdict.passed:
             if check:
                 pytest.fail(verdict.text())

@@ -1,5 +1,6 @@
 """The outcome of a scenario that was run as a test: whether it passed, its text, and its entries in a report."""
 
+import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path, PurePath
@@ -83,6 +84,16 @@ class Verdict:
         if recorded is not None and (why := why_incomplete(recorded)) is not None:
             rows[0] = ("recording", f"{path}, incomplete: {why}")
         return rows
+
+
+def add_to_report(item: pytest.Item, verdict: Verdict, number: str = "") -> None:
+    """Add a run's entries to the test's properties; ``number`` tells several runs of one test apart."""
+    item.user_properties += [(f"hil{number}.{name}", value) for name, value in verdict.properties()]
+
+
+def forget_runs(item: pytest.Item) -> None:
+    """Remove the entries of an earlier attempt, as of --reruns: the report is about the last one."""
+    item.user_properties[:] = [one for one in item.user_properties if not re.match(r"hil(-\d+)?\.", one[0])]
 
 
 def run_as_test(
