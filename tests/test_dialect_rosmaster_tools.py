@@ -1,7 +1,7 @@
 """Yahboom Rosmaster: what the maker's library sends, and what the emulated board does.
 
 The bytes are those that Rosmaster_Lib 3.3.9 writes. It is in no package registry, so it was run by hand, before
-`hil device --dialect rosmaster` on a pseudo-terminal: every function named here, and what it reads back.
+`hil device --driver rosmaster` on a pseudo-terminal: every function named here, and what it reads back.
 """
 
 import math

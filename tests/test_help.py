@@ -18,14 +18,28 @@ from hil.cli.output import folded, table
 from tests.processes import environment
 from tests.processes import hil as call
 
-SHARED = {"--robot", "--json", "--set", "--force", "--jobs", "--mode", "--truth", "--allow-motion", "--token-file",
-          "--link", "--limit", "--url", "--live-port"}  # fmt: skip
 ANOTHER_MEANING = {
-    ("--json", "hil decode"),
-    ("--set", "hil ctl track"),
-    ("--token-file", "hil serve"),
+    ("--driver", "hil device"),  # sets it for the run; hil probe looks for one
+    ("--driver", "hil probe"),
+    ("--html", "hil campaign report"),  # which makes it always
+    ("--json", "hil decode"),  # an object a line
+    ("--law", "hil catalogue"),  # with its default gains
     ("--link", "hil catalogue"),  # which of three it takes
+    ("--live", "hil serve"),  # which is no run
+    ("--mass-kg", "hil identify fit"),  # weighed, not proposed
+    ("--pictures", "hil campaign report"),  # beside the page
+    ("--port", "hil live"),  # of viewers
+    ("--record", "hil serve"),  # a name in its folder; none by default
+    ("--record", "hil replay"),  # .rrd alone; none by default
+    *(("--seed", f"hil {name}") for name in ("catalogue", "verify", "identify drive")),  # of their own choices
+    ("--set", "hil ctl track"),  # an option of the reference
+    ("--target", "hil hunt"),  # two of the four
+    ("--token-file", "hil serve"),  # which makes the token
+    ("--yes", "hil doctor"),  # the other question
 }
+"""Options by whose name a command means something of its own."""
+OF_EACH_COMMAND = {"--contact", "--for", "--out", "--quick", "--room", "--sample", "--speed"}
+"""Options by whose name each command means something of its own."""
 
 
 def commands(command: Any, name: str = "hil") -> Iterator[tuple[str, Any]]:
@@ -75,12 +89,24 @@ def test_help_shows_the_commands_by_task() -> None:
 
 
 def test_an_option_that_commands_share_has_one_form_in_all() -> None:
-    forms = defaultdict(set)
+    """The same name is the same meaning, type and range, but for those that are listed."""
+    forms: dict[tuple[str, str], set[tuple[object, ...]]] = defaultdict(set)
     for name, flag, option in options():
-        if flag in SHARED and (flag, name) not in ANOTHER_MEANING:
-            forms[flag].add((option.metavar, option.help))
-    assert forms.keys() == SHARED
-    assert [flag for flag, found in forms.items() if len(found) > 1] == []
+        kind = option.type_descriptor.annotation, option.is_flag, option.multiple
+        limits = [getattr(option, end, None) for end in ("min", "max")]
+        own = name if (flag, name) in ANOTHER_MEANING or flag in OF_EACH_COMMAND else ""
+        forms[flag, own].add((option.metavar, option.help, *kind, *limits))
+    assert [place for place, found in forms.items() if len(found) > 1] == []
+    listed = {(flag, own) for flag, own in forms if own and flag not in OF_EACH_COMMAND}
+    assert listed == ANOTHER_MEANING
+    needless = [place for place, found in forms.items() if place[1] and found == forms.get((place[0], ""))]
+    assert needless == []
+
+
+def test_an_option_takes_a_value_in_all_commands_or_in_none() -> None:
+    assert {flag for _, flag, option in options() if option.is_flag} & {
+        flag for _, flag, option in options() if not option.is_flag
+    } == set()
 
 
 def test_an_output_is_a_folder_or_a_file_by_its_endings() -> None:

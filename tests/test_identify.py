@@ -59,7 +59,7 @@ def arguments(drives: Path) -> list[str | Path]:
 
 def test_a_robot_that_nobody_knows_is_found_and_its_plant_predicts(drives: Path, tmp_path: Path) -> None:
     weighed = str(ROBOT.true["mass_kg"])
-    done = hil("identify", "fit", *arguments(drives), "--mass", weighed, "--out", tmp_path / "mine", "--json")
+    done = hil("identify", "fit", *arguments(drives), "--mass-kg", weighed, "--out", tmp_path / "mine", "--json")
     assert done.returncode == 0, done.stderr
     found = json.loads(done.stdout)
     jsonschema.validate(found, json.loads(Path(recorded.__file__).with_name("identify.schema.json").read_text()))
@@ -105,7 +105,7 @@ def test_without_scale_blocks_and_squeeze_the_values_are_called_effective(drives
     found = {one["name"]: one for one in json.loads(done.stdout)["estimates"]}
     for name in ("mass_kg", "inertia_kg_m2", "wheel_inertia_kg_m2", "viscous_n_m_s_rad"):
         assert found[name]["status"] == "effective"
-        assert "--mass" in found[name]["why"]
+        assert "--mass-kg" in found[name]["why"]
     assert found["torque_constant_n_m_a"]["status"] == "believed"
     assert found["wheel_radius_m"]["status"] == "identified", "there were pose fixes"
 

@@ -48,19 +48,19 @@ def assert_drove(figures: dict[str, Any]) -> None:
 def test_a_base_that_takes_twists_is_driven_over_a_pseudo_terminal() -> None:
     """A fault of its plant begins by the plant's clock, and not by ours."""
     push = 'fault=[{kind="push",target="force_x_n",start_s=0.2,end_s=0.3,value=1.0}]'
-    with device(*ROSMASTER, "--dialect", "rosmaster", "--link", "serial:pty") as robot:
+    with device(*ROSMASTER, "--driver", "rosmaster", "--link", "serial:pty") as robot:
         figures = run_json(*ROSMASTER, *short("rosmaster", robot, push), by=hil_process)
     assert_drove(figures)
     assert figures["fault"][0]["applied"] == 100
 
 
 def test_four_vescs_behind_one_line_are_driven_over_a_pseudo_terminal() -> None:
-    with device(*REAL, "--dialect", "vesc", "--link", "serial:pty") as robot:
+    with device(*REAL, "--driver", "vesc", "--link", "serial:pty") as robot:
         assert_drove(run_json(*REAL, *short("vesc", robot), by=hil_process))
 
 
 def test_odrives_are_driven_over_slcan(slcan: list[str]) -> None:
-    with device(*REAL, "--dialect", "odrive", "--link", f"can:slcan/{slcan[0]}") as robot:
+    with device(*REAL, "--driver", "odrive", "--link", f"can:slcan/{slcan[0]}") as robot:
         there = robot._replace(link=f"can:slcan/{slcan[1]}")
         assert_drove(run_json(*REAL, *short("odrive", there), by=hil_process))
 
@@ -78,7 +78,7 @@ def speed_m_s(watcher: TruthClient) -> float:
 
 def test_a_base_without_a_watchdog_is_stopped_when_the_host_is_killed(tmp_path: Path) -> None:
     """The guardian does it: the firmware would drive on for ever. Then it ends, and so does the recorder."""
-    with device(*ROSMASTER, "--dialect", "rosmaster", "--link", "serial:pty") as robot:
+    with device(*ROSMASTER, "--driver", "rosmaster", "--link", "serial:pty") as robot:
         long = *short("rosmaster", robot, "loop.duration_s=60"), "--record", str(tmp_path / "run.mcap")
         host = subprocess.Popen([*HIL, "run", *ROSMASTER, *long], env=environment())
         scenario = load("circle_speed", set=[ROSMASTER[-1], "loop.rate_hz=100", "device.driver=rosmaster"])
@@ -97,7 +97,7 @@ def test_a_base_without_a_watchdog_is_stopped_when_the_host_is_killed(tmp_path: 
 
 def test_a_base_without_a_watchdog_is_stopped_when_the_host_hangs_and_the_host_then_ends() -> None:
     """It is stopped for long enough to have the guardian, and not itself, stop the base; then it has to know."""
-    with device(*ROSMASTER, "--dialect", "rosmaster", "--link", "serial:pty") as robot:
+    with device(*ROSMASTER, "--driver", "rosmaster", "--link", "serial:pty") as robot:
         long = short("rosmaster", robot, "loop.duration_s=60", "loop.rearm=false")
         host = subprocess.Popen(
             [*HIL, "run", *ROSMASTER, *long, "--json"],
@@ -123,7 +123,7 @@ def test_a_base_without_a_watchdog_is_stopped_when_the_host_hangs_and_the_host_t
 
 def test_vescs_as_delivered_are_braked_when_the_host_is_killed() -> None:
     """Their timeout would let them roll, at less than 0.5 m/s² on this circle; the brake makes it 4."""
-    with device(*REAL, "--dialect", "vesc", "--link", "serial:pty") as robot:
+    with device(*REAL, "--driver", "vesc", "--link", "serial:pty") as robot:
         host = subprocess.Popen([*HIL, "run", *REAL, *short("vesc", robot, "loop.duration_s=60")], env=environment())
         scenario = load("circle_speed", set=[*REAL[4::2], "device.driver=vesc"])
         watcher = TruthClient(robot.truth, scenario.hash, reset=False)

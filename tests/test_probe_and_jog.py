@@ -68,7 +68,7 @@ def typed(text: str, *arguments: str) -> subprocess.CompletedProcess[str]:
 
 def test_a_probe_finds_four_motors_asks_them_only_and_prints_a_robot_file_for_them(bus: Bus, tmp_path: Path) -> None:
     nodes = "device.motors.node_ids=[3, 4, 7, 8]"
-    with device("circle_speed", "--mode", "realtime", "--dialect", "odrive", "--link", bus.robot, "--set", nodes):
+    with device("circle_speed", "--mode", "realtime", "--driver", "odrive", "--link", bus.robot, "--set", nodes):
         done = hil("probe", bus.host)
     assert done.returncode == 0, done.stderr
     # What moves an axis or changes it: set state, modes, input, limits, gains, stop, restart (CANSimple, 0x02 to 0x1A).
@@ -135,9 +135,7 @@ def test_our_own_robot_on_a_bus_is_asked_for_hello_alone_and_is_no_odrive(bus: B
 def test_vescs_behind_a_line_are_waited_for(tmp_path: Path) -> None:
     """The one at the line takes 10 ms for each id at which nobody is: more than 2.5 s."""
     motors = "device.motors={ids=[2, 5, 7, 9], serial_id=7}"
-    with device(
-        "circle_speed", "--mode", "realtime", "--dialect", "vesc", "--link", "serial:pty", "--set", motors
-    ) as v:
+    with device("circle_speed", "--mode", "realtime", "--driver", "vesc", "--link", "serial:pty", "--set", motors) as v:
         [answer] = find_motors(v.link, "vesc").answers
     assert answer.found.motors == {"ids": [2, 5, 7, 9], "serial_id": 7}
     assert answer.robot_file is not None
@@ -154,7 +152,7 @@ def test_vescs_behind_a_line_are_waited_for(tmp_path: Path) -> None:
 
 def test_a_board_that_speaks_is_the_only_one_asked_and_its_geometry_is_in_the_file(tmp_path: Path) -> None:
     sentences: list[str] = []
-    with device("circle_speed", "--mode", "realtime", "--dialect", "rosmaster", "--link", "serial:pty") as board:
+    with device("circle_speed", "--mode", "realtime", "--driver", "rosmaster", "--link", "serial:pty") as board:
         [answer] = find_motors(board.link, say=sentences.append).answers
     assert [sentence for sentence in sentences if sentence.startswith("asking")] == ["asking for Yahboom Rosmaster"]
     assert answer.link == board.link

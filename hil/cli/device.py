@@ -40,7 +40,7 @@ def device(
             help="where the firmware runs; of a real board --link is the plant's line",
         ),
     ] = "host",
-    dialect: Annotated[str | None, Option(metavar="NAME", help="as --set device.driver=NAME")] = None,
+    driver: Annotated[str | None, Option(metavar="NAME", help="as --set device.driver=NAME")] = None,
     seed: Seed = None,
     sets: Sets = None,
     trace: TraceFile = None,
@@ -52,7 +52,7 @@ def device(
     from hil.runtime.robots import open_trace
     from hil.scenario import load
 
-    changes = [*(sets or []), *([] if dialect is None else [f"device.driver={dialect}"])]
+    changes = [*(sets or []), *([] if driver is None else [f"device.driver={driver}"])]
     resolved = load(scenario, set=changes, robot=robot, mode=mode, link=link, seed=seed)
     existing = existing_files(force=force)
     if trace is not None:

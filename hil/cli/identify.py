@@ -95,7 +95,7 @@ def drive(
         if name in files
         for word in (f"--{name.replace('_', '-')}", files[name])
     ]
-    fitted = next_command("hil", "identify", "fit", files.get("floor", "RECORDING"), *named, "--mass", "KG")
+    fitted = next_command("hil", "identify", "fit", files.get("floor", "RECORDING"), *named, "--mass-kg", "KG")
     print_result(as_json, {"schema": DRIVE_SCHEMA, "recordings": done}, ["Next:", f"  {fitted}"])
 
 
@@ -107,7 +107,7 @@ def fit(
     held_out: Annotated[
         _Recording, Option(metavar="RUN", help="the drive to judge by; by default the last third of the first")
     ] = None,
-    mass: Annotated[float | None, Option(metavar="KG", help="the robot's weight on a scale", min=0.01)] = None,
+    mass_kg: Annotated[float | None, Option(metavar="KG", help="the robot's weight on a scale", min=0.01)] = None,
     tape: Annotated[
         float | None, Option(metavar="M", help="distance from the first recording's start to its end", min=0.1)
     ] = None,
@@ -150,7 +150,7 @@ def fit(
     contacts = ("rigid",) if contact == "rigid" else ("rigid", "slip")
     measured = None if tape is None else Tape(tape, tape_sigma)
     result = fit_drives(floor, judged_by, tape=measured, contacts=contacts, **others)
-    found = estimates(result, mass)
+    found = estimates(result, mass_kg)
     figures = {"schema": SCHEMA, **_figures(result, found)}
     better = figures["passed"]
     made_from = [*floor, *others.values(), judged_by]

@@ -71,7 +71,7 @@ def estimates(result: Result, weighed_kg: float | None = None) -> tuple[Estimate
         found.append(Estimate(name, float(value), float(low), float(high), status, why))
     half = Z_95 * without * float(np.sqrt(covariance[mass, mass]))
     if weighed_kg is None:
-        words = "weigh the robot (--mass): it settles the scale of mass, inertias and friction"
+        words = "weigh the robot (--mass-kg): it settles the scale of mass, inertias and friction"
         found.append(Estimate(TORQUE_CONSTANT, constant, constant, constant, "believed", words))
     else:
         kappa = constant * factor
@@ -90,7 +90,7 @@ def _judged(name: str, result: Result, *, weighed: bool, wide: bool) -> tuple[St
     if name == "grip_coefficient" and result.grip is None:
         return "effective", "squeeze the wheels (--squeeze)"
     if name in SCALED and not weighed:
-        return "effective", "over the torque constant; weigh the robot (--mass)"
+        return "effective", "over the torque constant; weigh the robot (--mass-kg)"
     if name in ("mass_kg", "inertia_kg_m2", "wheel_inertia_kg_m2", TORQUE_CONSTANT) and result.blocks is None:
         return "effective", "mass and wheels are hardly told apart; spin the wheels on blocks (--blocks)"
     if wide:
