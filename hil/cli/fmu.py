@@ -10,7 +10,7 @@ from typer import Argument, Option
 
 from hil.cli.commands import Group
 from hil.cli.options import Json
-from hil.cli.output import print_result, rows, table
+from hil.cli.output import print_result, rows, slowly, table
 from hil.core.errors import BadInputError
 
 if TYPE_CHECKING:
@@ -71,7 +71,8 @@ def check_fmu(fmu: FmuName = "mecanum", as_json: Json = False) -> None:
     from hil.plant.tools import check
 
     path = archive.locate(fmu, Path())
-    result = check(path)
+    with slowly(f"checking {path.name}") as say:
+        result = check(path, say=lambda part: say(f"checking {path.name}: {part}"))
     found = {"fmu": str(path), "passed": not result.violations, **asdict(result)}
     print_result(as_json, found, _check_lines(path, result))
     raise typer.Exit(1 if result.violations else 0)

@@ -9,6 +9,7 @@ import shutil
 import signal
 import sys
 import textwrap
+import threading
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path, PurePath
@@ -210,6 +211,40 @@ def batch(*, as_json: bool) -> Iterator[RunsProgress | None]:
     finally:
         if progress is not None:
             progress.end()
+
+
+_SILENT_S = 2.0
+
+
+@contextlib.contextmanager
+def slowly(text: str) -> Iterator[Callable[[str], None]]:
+    """Tell on the terminal of stderr what a command does, once it has taken 2 s: a line that is overwritten.
+
+    Yield a function that changes the text. Where stderr is no terminal nothing is printed.
+    """
+    if not sys.stderr.isatty():
+        yield lambda _: None
+        return
+    now, ended, width, began_s = [text], threading.Event(), 0, time.monotonic()
+
+    def show() -> None:
+        nonlocal width
+        wait_s = _SILENT_S
+        while not ended.wait(wait_s):
+            wait_s = 1.0
+            line = f"{now[0]}, {time.monotonic() - began_s:.0f} s"[: terminal_width(sys.stderr)]
+            print("\r", f"{line:<{width}}", sep="", end="", file=sys.stderr, flush=True)
+            width = len(line)
+
+    thread = threading.Thread(target=show, name="progress", daemon=True)
+    thread.start()
+    try:
+        yield lambda new: now.__setitem__(0, new)
+    finally:
+        ended.set()
+        thread.join()
+        if width:  # what is printed next begins on an empty line
+            print("\r", " " * width, "\r", sep="", end="", file=sys.stderr, flush=True)
 
 
 def duration_words(seconds: float) -> str:

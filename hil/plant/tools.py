@@ -4,7 +4,7 @@ A foreign FMU may crash or hang. That ends one part of the run; the next part ru
 """
 
 import contextlib
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -51,55 +51,70 @@ class CheckResult:
         return [f"{part.name}: {one.text}" for part in self.parts for one in part.findings if one.kind == kind]
 
 
-def check(fmu: Path, longest_s: float = _LONGEST_CALL_S) -> CheckResult:
+def check(fmu: Path, longest_s: float = _LONGEST_CALL_S, say: Callable[[str], object] = lambda _: None) -> CheckResult:
     """Check the archive, the description, and how the FMU behaves when it is run.
 
     The run is that of ``hil.plant.conformance``. A call of the FMU that takes longer than ``longest_s`` is a hang.
-    Its process is ended at 2000 MB.
+    Its process is ended at 2000 MB. ``say`` is given the name of each part before it begins.
 
     Raises BadInputError when the file is no readable FMU or cannot be run here: it is of another version, or without
-    co-simulation or a library for this platform. Raises DeviceError when no process can be started.
+    co-simulation, a library for this platform or a library that this one needs. Raises DeviceError when no process can
+    be started.
     """
     archive.read_header(fmu)
     shim.load()  # the child needs it: raise here what is missing
     archive.check_may_load(fmu)
-    with archive.extract(fmu) as folder:
-        import_fmpy()
-        from fmpy.validation import validate_fmu
-
-        found = [violation(one_line(problem)) for problem in validate_fmu(str(folder))]
-        description = Part("model description", tuple(found))
-        try:
-            library = archive.library_of(fmu)
-            read_description(fmu)
-        except archive.BrokenFmuError as error:
-            rest = [Part(title(part), skipped=_NOT_RUN.format("archive")) for part in PARTS]
-            return CheckResult((Part("archive", (violation(str(error)),)), description, *rest))
+    say("archive")
+    library: archive.Library | archive.BrokenFmuError
+    try:
+        library = archive.library_of(fmu)
+    except archive.BrokenFmuError as error:
+        library = error
+    else:
         if library.interface != "co_simulation":
             raise BadInputError(
                 f"FMU {fmu}: it is for model exchange only; a check runs co-simulation, export it for that"
             )
+    with archive.extract(fmu) as folder:
+        say("model description")
+        description = _validated(folder)
+        if not isinstance(library, archive.BrokenFmuError):
+            try:
+                read_description(fmu)
+            except archive.BrokenFmuError as error:
+                library = error
+        if isinstance(library, archive.BrokenFmuError):
+            rest = [Part(title(part), skipped=_NOT_RUN.format("archive")) for part in PARTS]
+            return CheckResult((Part("archive", (violation(str(library)),)), description, *rest))
         job = {
             "fmu": str(fmu.absolute()),
             "library": str(folder / library.member),
             "version": library.fmi_version,
             "parts": [title(part) for part in PARTS],
         }
-        return CheckResult((Part("archive"), description, *_run(job, folder, longest_s)))
+        return CheckResult((Part("archive"), description, *_run(job, folder, longest_s, say)))
 
 
-def _run(job: Mapping[str, Any], folder: Path, longest_s: float) -> list[Part]:
+def _validated(folder: Path) -> Part:
+    """Return the findings of FMPy's validator."""
+    import_fmpy()
+    from fmpy.validation import validate_fmu
+
+    return Part("model description", tuple(violation(one_line(problem)) for problem in validate_fmu(str(folder))))
+
+
+def _run(job: Mapping[str, Any], folder: Path, longest_s: float, say: Callable[[str], object]) -> list[Part]:
     """Run the parts in child processes, a new one after each crash."""
     parts: list[Part] = []
     while todo := job["parts"][len(parts) :]:
-        parts += _run_child({**job, "parts": todo}, folder, longest_s)
+        parts += _run_child({**job, "parts": todo}, folder, longest_s, say)
         if parts[-1].name in map(title, GATES) and parts[-1].findings:
             reason = _NOT_RUN.format(parts[-1].name)
             parts += [Part(name, skipped=reason) for name in job["parts"][len(parts) :]]
     return parts
 
 
-def _run_child(job: Mapping[str, Any], folder: Path, longest_s: float) -> list[Part]:
+def _run_child(job: Mapping[str, Any], folder: Path, longest_s: float, say: Callable[[str], object]) -> list[Part]:
     """Run the parts of a job until one ends the process; return those that began, at least one."""
     progress = _Progress()
     received = 0
@@ -111,8 +126,12 @@ def _run_child(job: Mapping[str, Any], folder: Path, longest_s: float) -> list[P
         watch.limit_s = THERE_S
         child.send(job)
         for entry in child.receive_all():
+            if "refused" in entry:
+                raise BadInputError(f"FMU {job['fmu']}: {entry['refused']}")
             received += 1
             progress.add(entry)
+            if "part" in entry:
+                say(entry["part"])
             watch.limit_s = longest_s if progress.parts else THERE_S
         if child.wait() == 0 and progress.is_done:
             return progress.parts
