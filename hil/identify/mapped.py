@@ -23,7 +23,7 @@ from hil.identify.windows import BIN_S, MEASURED, SETTLING_BINS, Windows, cut
 from hil.plant import archive
 from hil.plant.description import read_description, variables_of
 from hil.plant.mapping import SignalMap
-from hil.plant.start import Value, limits, start_values
+from hil.plant.start import Value, limits, start_of, start_values
 from hil.runtime.robots import plant_start, signal_map
 from hil.scenario import Scenario
 
@@ -101,9 +101,8 @@ def _parameter(
 ) -> tuple[Parameter, float]:
     """Return a parameter and the value with which its fit begins."""
     variable = variables.get(name)
-    given = start.get(
-        name, float(variable.start) if variable is not None and variable.start and not variable.shape else 0.0
-    )
+    usual = None if variable is None else start_of(variable)
+    given = start.get(name, 0.0 if usual is None else usual)
     start_values({name: given}, fmu, variables)  # refuses what cannot be set
     if isinstance(given, bool | str):
         raise BadInputError(f"--parameter {name}: it is {given!r}; expected a number")

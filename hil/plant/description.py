@@ -12,7 +12,7 @@ from typing import Any
 from hil.core.errors import BadInputError, nearest
 from hil.plant import archive
 from hil.plant.child_output import one_line
-from hil.plant.start import Value, start_values
+from hil.plant.start import Value, start_of, start_values
 from plant_fmu import SHIPPED
 
 
@@ -53,11 +53,15 @@ def variables_of(description: Any) -> dict[str, Any]:
 
 
 def start_defaults(fmu: Path) -> dict[str, Value]:
-    """Return the FMU's own start value of each parameter that has one, by name. Raises BadInputError."""
-    found: dict[str, Value] = {}
+    """Return the FMU's own start value of each scalar parameter that has one, by name and in its type.
+
+    Those of arrays and of binaries are left out, as [plant.start] cannot set them. Raises BadInputError.
+    """
+    found = {}
     for name, variable in _variables(fmu).items():
-        if variable.causality == "parameter" and name == variable.name and variable.start is not None:
-            found[name] = variable.start if variable.type == "String" else float(variable.start)
+        is_ours = variable.causality == "parameter" and name == variable.name and variable.type != "Binary"
+        if is_ours and (start := start_of(variable)) is not None:
+            found[name] = start
     return found
 
 

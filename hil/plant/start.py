@@ -17,23 +17,56 @@ def count(variable: Any) -> int:
 
 
 def limits(variable: Any) -> tuple[float, float]:
-    """Return the range of a variable, its own or its type's; infinite where there is none."""
-    declared = variable.declaredType
-    low = variable.min or (declared and declared.min)
-    high = variable.max or (declared and declared.max)
-    return float(low or -math.inf), float(high or math.inf)
+    """Return the range of a variable, its own or its type's; infinite where there is none. Integers stay integers.
+
+    Raises BadInputError when the description gives a text that is no number.
+    """
+    texts = (getattr(variable, name) or getattr(variable.declaredType, name, None) for name in ("min", "max"))
+    low, high = (_typed(variable, name, text) for name, text in zip(("min", "max"), texts, strict=True))
+    return -math.inf if low is None else low, math.inf if high is None else high
 
 
-def elements_at_start(variable: Any) -> list[float | int | bool] | None:
-    """Return the start of a numeric variable, all elements of it; None when its description gives none."""
+def elements_at_start(variable: Any) -> list[Any] | None:
+    """Return the start of a variable in its type, all elements of it; None when its description gives none.
+
+    Raises BadInputError when the description gives a text that is not of this type.
+    """
     if variable.start is None:
         return None
-    values: list[float | int | bool]
-    if variable.type == "Boolean":
-        values = [word in ("true", "1") for word in variable.start.split()]
-    else:
-        values = [float(word) if variable.type in FLOATS else int(word) for word in variable.start.split()]
+    words = (
+        variable.start.split() if variable.type in FLOATS | INTEGERS | {"Boolean", "Enumeration"} else [variable.start]
+    )
+    values = [_typed(variable, "start", word) for word in words]
     return values * count(variable) if len(values) == 1 else values
+
+
+def start_of(variable: Any) -> Value | None:
+    """Return the start of a scalar in its type; None when its description gives none, and for an array.
+
+    Raises BadInputError as ``elements_at_start``.
+    """
+    return None if variable.shape else next(iter(elements_at_start(variable) or ()), None)
+
+
+_BOOLEANS = {"true": True, "1": True, "false": False, "0": False}  # xs:boolean
+
+
+def _typed(variable: Any, attribute: str, text: str | None) -> Any:
+    """Return a text of the description in the type of its variable; Binary stays hexadecimal digits, None is None."""
+    kind = variable.type
+    if text is None:
+        return None
+    try:
+        if kind == "Boolean":
+            return _BOOLEANS[text]
+        if kind in FLOATS:
+            return float(text)
+        return int(text) if kind in INTEGERS | {"Enumeration"} else text
+    except (KeyError, ValueError):
+        expected = {"Boolean": "true or false"}.get(kind, "a number" if kind in FLOATS else "a whole number")
+        raise BadInputError(
+            f"its modelDescription.xml gives {variable.name} of type {kind} {attribute} = {text!r}; expected {expected}"
+        ) from None
 
 
 class Start(NamedTuple):

@@ -19,7 +19,7 @@ from hil.plant import shim
 from hil.plant.fmu import FmuPlant
 from hil.plant.mapping import FLOATS, SignalMap
 from hil.plant.signals import OUTPUTS
-from hil.plant.start import Start, Value, start_values
+from hil.plant.start import Start, Value, start_of, start_values
 
 _C_TYPES = {"Boolean": ("int", "bool"), "String": ("char *", "char *"), "Enumeration": ("int", "int64_t")}
 _SHOWN = 4  # start values in a message
@@ -158,7 +158,7 @@ class WindowStepper:
             if variable is not None and variable.type not in FLOATS:
                 raise BadInputError(f"{name!r} of {self._fmu.name} is of type {variable.type}; expected a float")
             # It is a start value like any other, so the same words refuse it.
-            usual = float(variable.start or 0.0) if variable is not None and not variable.shape else 0.0
+            usual = 0.0 if variable is None else start_of(variable) or 0.0
             start_values({name: usual}, self._fmu, variables)
             assert variable is not None
             rows.append((variable.valueReference, *shim.setter(self._plant.instance.access, variable.type)))

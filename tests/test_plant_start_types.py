@@ -1,0 +1,71 @@
+"""Texts of a description are read in the types of their variables: start values, ranges and defaults."""
+
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from hil.core.errors import BadInputError
+from hil.plant.description import check_start, start_defaults
+from tests.broken_fmu import pack
+
+NAMES = {2: ("Real", "Integer"), 3: ("Float64", "Int64")}
+
+
+def fmu_with(folder: Path, fmi: int, *parameters: tuple[str, str, str]) -> Path:
+    """Make an FMU with these parameters: name, type and further XML attributes, or elements."""
+    rows = []
+    for place, (name, kind, more) in enumerate(parameters):
+        inner, _, element = more.partition(">")
+        common = f'name="{name}" valueReference="{100 + place}" causality="parameter" variability="fixed"'
+        rows.append(
+            f"<ScalarVariable {common}><{kind} {inner}/></ScalarVariable>"
+            if fmi == 2
+            else f"<{kind} {common} {inner}>{element}</{kind}>"
+        )
+    end = b"</ModelVariables>"
+    return pack(folder / "a.fmu", fmi, lambda _, data: data.replace(end, "".join(rows).encode() + end))
+
+
+def test_every_type_of_start_is_read_and_what_a_scenario_cannot_set_is_left_out(tmp_path: Path) -> None:
+    two = fmu_with(tmp_path, 2, ("on", "Boolean", 'start="false"'), ("off", "Boolean", 'start="1"'))
+    assert start_defaults(two) == {"gain": 2.0, "shape": 1, "on": False, "off": True}
+    assert [type(value) for value in start_defaults(two).values()] == [float, int, bool, bool]
+    three = fmu_with(
+        tmp_path,
+        3,
+        ("row", "Float64", 'start="1 2"><Dimension start="2"/>'),
+        ("bits", "Boolean", 'start="true false"><Dimension start="2"/>'),
+        ("blob", "Binary", '><Start value="00ff"/>'),
+        ("text", "String", '><Start value="1 2"/>'),
+        ("large", "UInt64", 'start="18446744073709551615"'),
+    )
+    assert start_defaults(three) == {"gain": 2.0, "shape": 1, "text": "1 2", "large": 2**64 - 1}
+
+
+@given(st.integers(-(2**63), 2**63 - 1))
+def test_no_bit_of_an_integer_is_lost(tmp_path_factory: pytest.TempPathFactory, number: int) -> None:
+    fmu = fmu_with(tmp_path_factory.getbasetemp(), 3, ("n", "Int64", f'start="{number}" min="{number}"'))
+    assert start_defaults(fmu)["n"] == number
+    check_start(fmu, {"n": number})
+    if number > -(2**63):
+        with pytest.raises(BadInputError, match="expected at least"):
+            check_start(fmu, {"n": number - 1})
+
+
+@pytest.mark.parametrize("fmi", [2, 3])
+@pytest.mark.parametrize(
+    ("place", "attributes", "words"),
+    [
+        (1, 'start="2.5"', "= '2.5'; expected a whole number"),
+        (0, 'start="2,5"', "= '2,5'; expected a number"),
+        (None, 'start="True"', "= 'True'; expected true or false"),
+    ],
+)
+def test_a_start_that_is_not_of_its_type_is_refused_by_name(
+    fmi: int, place: int | None, attributes: str, words: str, tmp_path: Path
+) -> None:
+    fmu = fmu_with(tmp_path, fmi, ("odd", "Boolean" if place is None else NAMES[fmi][place], attributes))
+    with pytest.raises(BadInputError, match=f"gives odd of type .* start {words}"):
+        start_defaults(fmu)
