@@ -104,14 +104,28 @@ class ChildProcess:
             self._stdin.write(json.dumps(record).encode() + b"\n")
 
     def receive(self) -> dict[str, Any] | None:
-        """Wait for a line; None when the process has ended instead."""
-        return _record(self._stdout.readline())
+        """Wait for a line; None when the process has ended instead, or was ended because it is none of ours."""
+        return self._record(self._stdout.readline())
 
     def receive_all(self) -> Iterator[dict[str, Any]]:
         """Yield every further line until the process has ended."""
         with open(self._stdout.fileno(), "rb", closefd=False) as lines:  # with a buffer: there are many
-            while (record := _record(lines.readline())) is not None:
+            while (record := self._record(lines.readline())) is not None:
                 yield record
+
+    def _record(self, line: bytes) -> dict[str, Any] | None:
+        if not line.endswith(b"\n"):
+            return None
+        with contextlib.suppress(ValueError):
+            if isinstance(record := json.loads(line), dict):
+                return record
+        self.refuse_bytes(line)
+        return None
+
+    def refuse_bytes(self, received: bytes) -> None:
+        """Kill the process, because these bytes came through its pipe, and our module sends no such bytes."""
+        words = received.partition(b"\n")[0][:_LAST_WORDS].decode(errors="replace")
+        self._end_because(f"it wrote into the pipe of its process: {words!r}")
 
     def kill(self) -> None:
         """Kill the process and every process that it started, without waiting."""
@@ -125,15 +139,27 @@ class ChildProcess:
 
     def give_up(self, waited_s: float) -> None:
         """Kill the process, because it has not answered for ``waited_s`` [s]."""
+        if self._is_left_behind():
+            return
         self._end_because(f"it gave no answer within {waited_s:g} s and was ended")
 
     def limit_memory(self, limit_mb: float, setting: str = "") -> None:
         """Kill the process if it uses more memory than the limit. No effect if the system does not report memory.
 
-        ``setting`` names the option that sets the limit, for the message.
+        ``setting`` names the option that sets the limit, for the message. Whatever a process that has ended by itself
+        left running is killed: it holds the pipes open, so that nobody else would notice its end.
         """
+        if self._is_left_behind():
+            return
         if self._process.returncode is None and (words := excess(self.pid, limit_mb)) is not None:
             self._end_because(f"{words}{setting and f' ({setting})'}, and was ended")
+
+    def _is_left_behind(self) -> bool:
+        """Return whether the process has ended by itself, and kill what it has started."""
+        if sys.platform != "linux" or self._why_ended is not None or not self._has_ended():
+            return False  # elsewhere it would lose its number by being asked
+        self.kill()
+        return True
 
     def _end_because(self, why: str) -> None:
         self._why_ended = self._why_ended or why
@@ -190,10 +216,6 @@ def pipes(read_end: int, write_end: int) -> dict[str, int]:
 
         return {name: msvcrt.get_osfhandle(end) for name, end in ends.items()}
     return ends
-
-
-def _record(line: bytes) -> dict[str, Any] | None:
-    return json.loads(line) if line.endswith(b"\n") else None
 
 
 def _how(status: int) -> str:

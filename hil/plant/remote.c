@@ -70,6 +70,11 @@ int remote_ask(remote_plant *plant, const remote_request *request) {
     plant->lost = write_whole(plant->pipes.write_end, request, sizeof *request) != 0 ||
                   read_whole(plant->pipes.read_end, &plant->reply, sizeof plant->reply) != 0;
     plant->answered++;
+    plant->foreign = !plant->lost && (plant->reply.begin != REMOTE_MARK || plant->reply.end != REMOTE_MARK);
+    if (plant->foreign) {
+        plant->failed = 1;
+        return 1;
+    }
     if (plant->lost || plant->reply.status != REMOTE_DONE) {
         plant->failed = plant->lost || plant->reply.status != REMOTE_REFUSED;
         return 1;

@@ -35,7 +35,10 @@ enum {
     REMOTE_REFUSED, /* the request was wrong, and nothing came of it; `text` says why */
 };
 
+#define REMOTE_MARK 0x7E09E51AU
+
 typedef struct {
+    uint32_t begin; /* REMOTE_MARK, as is `end`: an FMU may write into the pipe */
     int32_t status;
     wheel_sense sense;
     uint64_t time_ns;      /* since the start */
@@ -43,6 +46,7 @@ typedef struct {
     double twist[3];       /* vx_m_s, vy_m_s, yaw_rate_rad_s, world frame */
     double wheel_speed[4]; /* rad/s, FL, FR, RR, RL */
     char text[512];
+    uint32_t end;
 } remote_reply;
 
 /* File descriptors; on Windows handles, because descriptors belong to one C library and there may be two. */
@@ -58,6 +62,7 @@ typedef struct {
     volatile uint32_t asked;
     volatile uint32_t answered;
     int lost;            /* the pipes broke: the process has ended, or was ended */
+    int foreign;         /* `reply` has bytes that are no reply */
     int failed;          /* once set, every request fails */
     remote_reply reply;  /* the newest that came whole */
     remote_reply newest; /* the newest good one */

@@ -139,7 +139,10 @@ class RemotePlant(shim.PlantPort):
         if not self._context.failed:
             return ""
         if not self._text:
-            self._text = self._child.ending() if self._context.lost else self._last_reply()
+            if self._context.foreign:
+                self._child.refuse_bytes(bytes(self._ffi.buffer(self._ffi.addressof(self._context, "reply"))))
+            is_ended = self._context.lost or self._context.foreign
+            self._text = self._child.ending() if is_ended else self._last_reply()
         return self._text
 
     def reset(self) -> None:

@@ -6,6 +6,9 @@
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
+#ifndef _WIN32
+#include <unistd.h>
+#endif
 
 #ifdef _WIN32
 #define EXPORT __declspec(dllexport)
@@ -37,7 +40,17 @@ static void crash(double after_s) {
         printf("the last words of a crash\n");
         *(volatile int *)NULL = 1;
     }
-    if (has("abort", after_s)) {
+#ifndef _WIN32
+    if (has("fork", after_s) && fork() == 0) {
+        pause(); /* it holds the pipes open */
+    }
+    for (int end = 3; has("write", after_s) && end < 64; end++) {
+        char bytes[2048];
+        memset(bytes, '\033', sizeof bytes);
+        (void)!write(end, bytes, sizeof bytes);
+    }
+#endif
+    if (has("abort", after_s) || has("fork", after_s)) {
         abort();
     }
     if (has("exit", after_s)) {
