@@ -1,5 +1,6 @@
 """``check`` finds nothing in good FMUs, and each fault of a broken one in its part and of its kind."""
 
+import math
 import re
 import signal
 import subprocess
@@ -9,23 +10,28 @@ from pathlib import Path
 import pytest
 from fmpy.fmi2 import FMU2Slave
 from fmpy.fmi3 import FMU3Slave
+from hypothesis import given
+from hypothesis import strategies as st
 
+from hil.core.errors import BadInputError
 from hil.plant import archive
 from hil.plant.conformance import Kind
 from hil.plant.conformance.__main__ import run_parts
 from hil.plant.conformance.parts import PARTS, many_instances, title
-from hil.plant.conformance.slave import Model
+from hil.plant.conformance.slave import Model, close
+from hil.plant.fmu import FmuPlant
 from hil.plant.tools import CheckResult, _Progress, check
 from tests import broken_fmu
-from tests.broken_fmu import HEADERS, Change, lag
+from tests.broken_fmu import HEADERS, Change, lag, pack
 from tests.plant_testbed import FMU
 from tests.processes import ROOT, environment, is_running, wait_for
+from tools.build.compiler import compile_shared
 
 # Every fault of lag.h: the part that has to find it, and words of the problem.
 FAULTS = {
     "CRASH_WHEN_LOADED": ("functions", "while its library is loaded, its process was ended by SIGABRT"),
-    "CRASH_IN_GET_VERSION": ("functions", "GetVersion, its process was ended by SIGABRT"),
-    "WRONG_VERSION": ("functions", "GetVersion gives '1.9'"),
+    "CRASH_IN_GET_VERSION": ("version", "GetVersion, its process was ended by SIGABRT"),
+    "WRONG_VERSION": ("version", "GetVersion gives '1.9'"),
     "NO_INSTANCE": ("life cycle", "returns no instance"),
     "CRASH_IN_STEP": ("life cycle", "DoStep, its process was ended by SIGABRT (Aborted)"),
     "CHATTY_CRASH": ("life cycle", "(Aborted); its last words: 'the last word'"),
@@ -33,6 +39,10 @@ FAULTS = {
     "REAL_TIME_SIGNAL": ("life cycle", "DoStep, its process was ended by signal 40 (Real-time signal 6)"),
     "EXIT_IN_STEP": ("life cycle", "DoStep, its process exited with code 0"),
     "HANG_IN_STEP": ("life cycle", "DoStep, it gave no answer within 1 s and was ended"),
+    "FORKED_CRASH": ("life cycle", "DoStep, its process was ended by SIGABRT (Aborted)"),
+    "FATAL_IN_STEP": ("life cycle", "DoStep returns fatal (the lag says no, for once)"),
+    "BYTES_IN_PIPES": ("life cycle", "DoStep, it wrote into the pipe of its process: '\\x1b[31mno record'"),
+    "NO_DEBUG_LOGGING": ("debug logging", "SetDebugLogging returns error (the lag says no, for once)"),
     "ERROR_IN_STEP": ("life cycle", "DoStep returns error (the lag says no, for once)"),
     "WRONG_START": ("start values", "gain reads 3.0 at the start; modelDescription.xml says 2.0"),
     "LOST_INPUT": ("variables", "input u reads -0.1 after it was set to -0.2"),
@@ -80,7 +90,7 @@ ADVICE = {"DISCARDED_STEP"}
 NEEDS = {"NOT_A_NUMBER", "WRONG_LAST_TIME", "ENDS_SIMULATION", "DISCARDED_STEPS"}
 FMI_2_ONLY = {"SETUP_LATE"}
 FMI_3_ONLY = {"WRONG_LAST_TIME", "ENDS_SIMULATION", "RETURNS_EARLY", "ASKS_FOR_EVENT_MODE", "NO_ROOM"}
-NOT_HERE = set() if sys.platform == "linux" else {"REAL_TIME_SIGNAL"}
+NOT_HERE = set() if sys.platform == "linux" else {"REAL_TIME_SIGNAL", "FORKED_CRASH", "BYTES_IN_PIPES"}
 CASES = [
     (fmi, fault)
     for fmi, others in ((2, FMI_3_ONLY | NOT_HERE), (3, FMI_2_ONLY | NOT_HERE))
@@ -113,7 +123,9 @@ def test_a_good_fmu_passes_every_part(fmi: int, tmp_path: Path) -> None:
     ]
 
 
-NEEDS_A_CHILD = re.compile("CRASH|REAL_TIME_SIGNAL|EXIT_IN|HANG|LEAK")  # faults that end a process, or fill it
+NEEDS_A_CHILD = re.compile(
+    "CRASH|REAL_TIME_SIGNAL|EXIT_IN|HANG|LEAK|FATAL|BYTES_IN_PIPES"
+)  # faults that end a process, or fill it
 
 
 def run_here(fmu: Path) -> CheckResult:
@@ -142,7 +154,7 @@ def test_a_fault_is_found_by_its_part_and_is_of_its_kind(fmi: int, fault: str, t
 
 
 def test_every_fault_of_the_header_has_a_case() -> None:
-    assert set(broken_fmu.FAULTS) - {"NO_FAULT", "SLOW_STEP"} == set(FAULTS)
+    assert set(broken_fmu.FAULTS) - {"NO_FAULT", "SLOW_STEP", "ROUNDED_START"} == set(FAULTS)
 
 
 def renamed(function: str) -> Change:
@@ -199,7 +211,7 @@ DESCRIPTIONS = [
     (3, 'unit="s"', 'unit="lb"', 'model description: The unit "lb" of variable "time"'),
     (3, 'start="2" min', 'start="4" min', "start values: gain reads 2.0 at the start; modelDescription.xml says 4.0"),
     (2, 'gain" valueReference="2"', 'gain" valueReference="9"', "start values: fmi2GetReal returns error"),
-    (3, '<Dimension start="2"', '<Dimension start="3"', "life cycle: fmi3GetFloat64 returns error"),
+    (3, '<Dimension start="2"', '<Dimension start="3"', "variables: fmi3GetFloat64 returns error"),
 ]
 
 
@@ -222,6 +234,40 @@ def test_what_is_not_claimed_is_not_tested(fmi: int, tmp_path: Path) -> None:
         result = check(lag(tmp_path, fmi, fault, text(f'{claim}="true"', "")))
         assert found(result) == []
         assert [p.name for p in result.parts if p.skipped] == [part]
+
+
+@pytest.mark.parametrize("fmi", [2, 3])
+def test_a_start_value_may_differ_by_rounding(fmi: int, tmp_path: Path) -> None:
+    assert found(run_here(lag(tmp_path, fmi, "ROUNDED_START"))) == []
+
+
+@given(st.floats(-1e300, 1e300), st.sampled_from([math.inf, -math.inf, 0.0]))
+def test_rounding_is_no_difference_and_a_thousandth_is(value: float, towards: float) -> None:
+    assert close([math.nextafter(value, towards)], [value]) or abs(value) < 1e-300
+    assert not close([value * 1.001 + math.copysign(1e-9, value)], [value])
+    assert not close([int(value) + 1], [int(value)])
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="the words of glibc's loader")
+def test_a_library_of_the_system_that_is_missing_is_named_and_no_fault_of_the_fmu(tmp_path: Path) -> None:
+    """In a check as in a run; an FMU whose own library lies beside it is told how to find it."""
+    other = tmp_path / "libneeded_by_lag.so.3"
+    source = tmp_path / "other.c"
+    source.write_text("int other(void) { return 1; }\n")
+    user = tmp_path / "user.c"
+    user.write_text("int other(void);\nint fmi2GetVersion(void) { return other(); }\n")
+    compile_shared([source], other, flags=("-Wl,-soname,libneeded_by_lag.so.3",))
+    compile_shared([user], tmp_path / "lag.so", flags=("-Wl,--no-as-needed", str(other)))
+    library = (tmp_path / "lag.so").read_bytes()
+    name = f"binaries/{archive.binary_folders('2.0')[-1]}/{other.name}"
+    for added, words in (
+        ([], "its library needs libneeded_by_lag.so.3, which is not on this machine; install it"),
+        ([(name, other.read_bytes())], "which lies beside it, where the system does not look"),
+    ):
+        fmu = pack(tmp_path / "a.fmu", 2, added=added, library=library)
+        for use in (check, lambda path: FmuPlant(path, {})):
+            with pytest.raises(BadInputError, match=re.escape(words)):
+                use(fmu)
 
 
 def test_a_library_that_cannot_be_loaded_is_a_problem(tmp_path: Path) -> None:

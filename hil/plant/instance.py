@@ -6,6 +6,8 @@ All differences between FMI 2.0 and 3.0 on the Python side are handled here.
 import contextlib
 import ctypes
 import os
+import re
+import sys
 import threading
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
@@ -25,6 +27,26 @@ _ALIVE: set[str] = set()  # GUIDs of those FMUs of which a process may hold but 
 _NAME = "plant"
 _FATAL = 4  # fmi2Fatal and fmi3Fatal: no function of the FMU may be called any more
 _LONGEST_TEXT = 511  # of cosim.text
+
+
+_LACKING = (  # as the loaders of glibc, musl and macOS say it
+    (r"([^/\s:]+): cannot open shared object file", "which is not on this machine; install it"),
+    (r"Error loading shared library ([^/\s:]+): No such file", "which is not on this machine; install it"),
+    (r"Library not loaded: (\S+)", "which is not on this machine; install it"),
+    (r"version `([A-Z]+_[\d.]+)' not found", "which is newer than this machine's; export the FMU on an older system"),
+)
+
+
+def lacking_here(error: OSError, library: Path) -> str | None:
+    """Return what this machine lacks for a library that cannot be loaded; None when the fault is the library's own."""
+    for pattern, end in _LACKING:
+        if (found := re.search(pattern, str(error))) and found[1] != library.name:
+            if (library.parent / found[1]).exists():
+                end = "which lies beside it, where the system does not look; link it with the run path $ORIGIN"
+            return f"its library needs {found[1]}, {end}"
+    if sys.platform == "win32" and "or one of its dependencies" in str(error):
+        return "its library needs another one that is not on this machine; install it"
+    return None
 
 
 class Instance:
@@ -210,7 +232,8 @@ class Instance:
         try:
             probe = ctypes.CDLL(path)  # FMPy raises a plain Exception without the reason
         except OSError as error:
-            raise BadInputError(f"FMU {self._file}: its library cannot be loaded ({error}); build it anew") from error
+            why = lacking_here(error, Path(path)) or f"its library cannot be loaded ({error}); export the FMU again"
+            raise BadInputError(f"FMU {self._file}: {why}") from error
         classes = (FMU2Slave, FMU2Model) if self.version == 2 else (FMU3Slave, FMU3Model)
         try:
             with _LOADING:

@@ -6,6 +6,9 @@
 #include <stdlib.h>
 #include <string.h>
 #include <time.h>
+#ifndef _WIN32
+#include <unistd.h>
+#endif
 
 const volatile lag_break lag_breaks = {"lag breaks:", NO_FAULT};
 
@@ -34,6 +37,7 @@ static void start(lag *m) {
     const lag_state old = m->now;
     m->now = (lag_state){
         .mode = INSTANTIATED, .stale = true, .shape = LINEAR, .gain = BROKEN(WRONG_START) ? 3.0 : 2.0};
+    m->now.gain += BROKEN(ROUNDED_START) ? 4.4e-16 : 0.0;
     *x_of(m) = 0.0;
     if (old.mode != 0 && BROKEN(RESET_KEEPS_STATE)) {
         m->now.x = old.x;
@@ -61,7 +65,14 @@ lag *lag_new(void *environment, void *logger) {
     return m;
 }
 
+bool lag_logs(size_t categories) {
+    return categories <= 1 && !BROKEN(NO_DEBUG_LOGGING);
+}
+
 void lag_free(lag *m) {
+    if (BROKEN(FATAL_IN_STEP)) {
+        abort();
+    }
     if (!BROKEN(LEAK)) {
         free(m->memory);
     }
@@ -207,7 +218,7 @@ bool lag_step(lag *m, double size_s) {
     modes |= BROKEN(STEP_WITHOUT_INITIALIZATION) ? INSTANTIATED : 0U;
     modes |= BROKEN(STEP_IN_INITIALIZATION) ? INITIALIZATION : 0U;
     modes |= BROKEN(STEP_AFTER_TERMINATE) ? TERMINATED : 0U;
-    if (!lag_legal(m, modes) || BROKEN(ERROR_IN_STEP)) {
+    if (!lag_legal(m, modes) || BROKEN(ERROR_IN_STEP) || BROKEN(FATAL_IN_STEP)) {
         return lag_fail(m);
     }
     if (BROKEN(CHATTY_CRASH)) {
@@ -220,6 +231,18 @@ bool lag_step(lag *m, double size_s) {
     if (BROKEN(RUDE_CRASH)) {
         puts("\033[31mred\a \302\2332J");
     }
+#ifndef _WIN32
+    if (BROKEN(FORKED_CRASH)) {
+        if (fork() == 0) {
+            pause(); /* it holds the pipes open */
+        }
+        abort();
+    }
+    for (int pipe_end = 3; BROKEN(BYTES_IN_PIPES) && pipe_end < 64; pipe_end++) {
+        const char bytes[] = "\033[31mno record\n";
+        (void)!write(pipe_end, bytes, sizeof bytes - 1);
+    }
+#endif
     if (BROKEN(CRASH_IN_STEP) || BROKEN(CHATTY_CRASH) || BROKEN(RUDE_CRASH)) {
         abort();
     }

@@ -11,6 +11,7 @@
 enum {
     NO_FAULT,
     SLOW_STEP,
+    ROUNDED_START,
     CRASH_WHEN_LOADED,
     CRASH_IN_GET_VERSION,
     WRONG_VERSION,
@@ -21,7 +22,11 @@ enum {
     REAL_TIME_SIGNAL,
     EXIT_IN_STEP,
     HANG_IN_STEP,
+    FORKED_CRASH,
     ERROR_IN_STEP,
+    FATAL_IN_STEP,
+    BYTES_IN_PIPES,
+    NO_DEBUG_LOGGING,
     WRONG_START,
     LOST_INPUT,
     NOT_A_NUMBER,
@@ -96,6 +101,7 @@ typedef struct {
 } lag;
 
 const char *lag_version(const char *right);
+bool lag_logs(size_t categories);
 lag *lag_new(void *environment, void *logger);
 void lag_free(lag *m);
 void lag_reset(lag *m);

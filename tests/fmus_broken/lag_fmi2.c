@@ -27,7 +27,7 @@ static fmi2Status status(lag *m, bool done) {
         const fmi2CallbackFunctions *const callbacks = m->logger;
         callbacks->logger(m->environment, "lag", fmi2Error, "error", "the lag says %s, for once", "no");
     }
-    return done ? fmi2OK : fmi2Error;
+    return done ? fmi2OK : BROKEN(FATAL_IN_STEP) ? fmi2Fatal : fmi2Error;
 }
 
 FUNCTION(const char *, fmi2GetTypesPlatform, void) {
@@ -51,13 +51,16 @@ FUNCTION(fmi2Component, fmi2Instantiate, fmi2String name, fmi2Type type, fmi2Str
 }
 
 FUNCTION(void, fmi2FreeInstance, fmi2Component c) {
+    const lag *const m = c;
+    const fmi2CallbackFunctions *const callbacks = m->logger;
+    callbacks->logger(m->environment, "lag", fmi2OK, "error", "the lag is freed");
     lag_free(c);
 }
 
 FUNCTION(fmi2Status, fmi2SetDebugLogging, fmi2Component c, fmi2Boolean on, size_t count,
          const fmi2String names[]) {
     (void)on, (void)names;
-    return status(c, count <= 1);
+    return status(c, lag_logs(count));
 }
 
 FUNCTION(fmi2Status, fmi2SetupExperiment, fmi2Component c, fmi2Boolean tolerant, fmi2Real tolerance,

@@ -32,7 +32,7 @@ static fmi3Status status(lag *m, bool done) {
         const fmi3LogMessageCallback log = (fmi3LogMessageCallback)m->logger;
         log(m->environment, fmi3Error, "error", "the lag says no, for once");
     }
-    return done ? fmi3OK : fmi3Error;
+    return done ? fmi3OK : BROKEN(FATAL_IN_STEP) ? fmi3Fatal : fmi3Error;
 }
 
 FUNCTION(const char *, fmi3GetVersion, void) {
@@ -53,13 +53,15 @@ FUNCTION(fmi3Instance, fmi3InstantiateCoSimulation, fmi3String name, fmi3String 
 }
 
 FUNCTION(void, fmi3FreeInstance, fmi3Instance c) {
+    const lag *const m = c;
+    ((fmi3LogMessageCallback)m->logger)(m->environment, fmi3OK, "error", "the lag is freed");
     lag_free(c);
 }
 
 FUNCTION(fmi3Status, fmi3SetDebugLogging, fmi3Instance c, fmi3Boolean on, size_t count,
          const fmi3String names[]) {
     (void)on, (void)names;
-    return status(c, count <= 1);
+    return status(c, lag_logs(count));
 }
 
 FUNCTION(fmi3Status, fmi3EnterInitializationMode, fmi3Instance c, fmi3Boolean tolerant, fmi3Float64 tolerance,

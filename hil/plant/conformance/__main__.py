@@ -10,8 +10,9 @@ from pathlib import Path
 
 from fmpy.fmi1 import FMICallException
 
+from hil.core.errors import BadInputError
 from hil.plant.conformance import Kind
-from hil.plant.conformance.parts import GATES, PARTS, title
+from hil.plant.conformance.parts import GATES, PARTS, functions, title
 from hil.plant.conformance.slave import DISCARD, InstantiationError, Model, NotTestedError
 from hil.plant.process import Parent
 
@@ -28,7 +29,7 @@ def main() -> None:
 
 
 def run_parts(model: Model, titles: Sequence[str], report: Callable[..., None]) -> None:
-    """Run the parts with these titles. When one of GATES fails, the later ones are not run."""
+    """Run the parts with these titles. After a failure of one of GATES, or an answer fatal, no more are run."""
     for part in PARTS:
         if title(part) not in titles:
             continue
@@ -47,9 +48,14 @@ def run_parts(model: Model, titles: Sequence[str], report: Callable[..., None]) 
             # The standard lets an FMU discard a call, but a run would not try another one.
             report(kind=Kind.NEED if error.status == DISCARD else Kind.VIOLATION, found=model.explain(error))
         except InstantiationError as error:
+            report(kind=Kind.NEED if error.is_need else Kind.VIOLATION, found=str(error))
+        except BadInputError as error:
+            if part is functions:  # it cannot be run here, so it is not judged
+                report(refused=str(error))
+                return
             report(kind=Kind.VIOLATION, found=str(error))
         report(done=True)
-        if failed and part in GATES:
+        if model.is_fatal or (failed and part in GATES):
             break
 
 

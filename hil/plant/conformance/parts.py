@@ -9,9 +9,22 @@ from collections.abc import Callable, Generator, Iterator
 
 from fmpy.fmi1 import FMICallException
 
+from hil.core.errors import BadInputError
 from hil.core.subprocesses import MEMORY_IS_KNOWN, resident_bytes
 from hil.plant.conformance import Finding, advice, misuse, need, violation
-from hil.plant.conformance.slave import DISCARD, Model, NotTestedError, Outputs, Slave, is_float, near, same, start
+from hil.plant.conformance.slave import (
+    DISCARD,
+    Model,
+    NotTestedError,
+    Outputs,
+    Slave,
+    close,
+    is_float,
+    near,
+    same,
+    start,
+)
+from hil.plant.instance import lacking_here
 from hil.plant.start import count
 
 _STEPS = 20
@@ -28,31 +41,40 @@ def functions(model: Model) -> Iterator[Finding]:
     try:
         library = ctypes.CDLL(str(model.library_path))
     except OSError as error:
+        if (lacking := lacking_here(error, model.library_path)) is not None:
+            raise BadInputError(lacking) from error
         yield violation(f"the library cannot be loaded ({error})")
         return
-    prefix = model.prefix
-    missing = [n for n in dir(model.fmpy_class) if n.startswith(prefix) and not hasattr(library, n)]
+    missing = [n for n in dir(model.fmpy_class) if n.startswith(model.prefix) and not hasattr(library, n)]
     yield from (violation(f"{name} is not exported") for name in missing)
-    if f"{prefix}GetVersion" in missing:
-        return
-    get_version = library[f"{prefix}GetVersion"]
-    get_version.restype = ctypes.c_char_p
-    model.report(doing=f"in {prefix}GetVersion")
-    version = (get_version() or b"").decode(errors="replace")
-    if not version.startswith(expected := "2.0" if model.is_fmi2 else "3."):
-        yield violation(f"{prefix}GetVersion gives {version!r}; expected {expected}")
 
 
 def life_cycle(model: Model) -> Iterator[Finding]:
-    """Two instances, one after another, go from their beginning to their end."""
-    categories = [category.name for category in model.description.logCategories]
+    """Two instances, one after another, can be stepped: only what each run does."""
     for _ in range(2):
-        with model.instance(initialised=False) as slave:
-            slave.fmu.setDebugLogging(True, categories)
-            slave.initialise()
-            slave.sample()
-            slave.simulate(0, _STEPS)
-            slave.fmu.terminate()
+        with model.instance() as slave:
+            for step in range(_STEPS):
+                slave.drive(step)
+                slave.step(model.time_s(step), model.step_s)
+    yield from ()
+
+
+def version(model: Model) -> Iterator[Finding]:
+    """GetVersion gives the version of the description: FMI 2.0 section 2.1.4, FMI 3.0 section 2.3.2."""
+    name, expected = f"{model.prefix}GetVersion", "2.0" if model.is_fmi2 else "3."
+    given = (getattr(model.library, name)() or b"").decode(errors="replace")
+    if not given.startswith(expected):
+        yield violation(f"{name} gives {given!r}; expected {expected}")
+
+
+def debug_logging(model: Model) -> Iterator[Finding]:
+    """Logging is switched on for all categories of the description, and off: FMI 2.0 section 2.1.5, 3.0 2.3.1."""
+    categories = [category.name for category in model.description.logCategories]
+    with model.instance(initialised=False) as slave:
+        slave.fmu.setDebugLogging(True, categories)
+        slave.initialise()
+        slave.step(model.start_s, model.step_s)
+        slave.fmu.setDebugLogging(False, [])
     yield from ()
 
 
@@ -62,7 +84,7 @@ def start_values(model: Model) -> Iterator[Finding]:
         for variable in model.variables:
             has_start = variable.causality in ("parameter", "input") or variable.variability == "constant"
             expected = start(variable) if has_start else None
-            if expected is not None and (values := slave.get(variable)) != expected:
+            if expected is not None and not close(values := slave.get(variable), expected):
                 yield violation(
                     f"{variable.name} reads {_text(values)} at the start; modelDescription.xml says {_text(expected)}"
                 )
@@ -77,7 +99,7 @@ def variables(model: Model) -> Iterator[Finding]:
             slave.step(model.time_s(step), model.step_s)
             for place, variable in enumerate(model.inputs):
                 expected = [model.input_value(variable, step, place)] * count(variable)
-                if (values := slave.get(variable)) != expected:
+                if not close(values := slave.get(variable), expected):
                     yield violation(
                         f"input {variable.name} reads {_text(values)} after it was set to {_text(expected)}"
                     )
@@ -101,7 +123,7 @@ def initialization(model: Model) -> Iterator[Finding]:
         slave.sample()
         slave.drive(1)
         for name, value, expected in zip(_output_names(model), slave.sample(), direct, strict=True):
-            if not same(value, expected):
+            if not close([value], [expected]):
                 yield violation(
                     f"output {name} is {value!r} after inputs were set twice; set once, they give {expected!r}"
                 )
@@ -232,8 +254,8 @@ def many_instances(model: Model) -> Iterator[Finding]:
 GATES = (functions, life_cycle)  # where these fail, no other part can run
 ADVISORY = (misuse.values_out_of_range, misuse.illegal_calls)  # all that is found there is advice, also a crash
 PARTS: tuple[Callable[[Model], Iterator[Finding]], ...] = (
-    *(*GATES, start_values, variables, initialization, time, step_size, saved_state, termination, reset),
-    *(two_instances, many_instances, *ADVISORY),
+    *(*GATES, version, debug_logging, start_values, variables, initialization, time, step_size, saved_state),
+    *(termination, reset, two_instances, many_instances, *ADVISORY),
 )
 """The parts in their order: those that may crash an FMU are the last."""
 

@@ -24,7 +24,8 @@ Outputs = list[Value]
 
 _NOT_NUMERIC = ("String", "Binary", "Clock")
 _STATUS = ("ok", "warning", "discard", "error", "fatal", "pending")
-DISCARD = _STATUS.index("discard")
+DISCARD, FATAL = _STATUS.index("discard"), _STATUS.index("fatal")
+_CLOSE = 1e-6  # relative, as of numbers that an FMU holds in single precision
 _ROUNDING = 1e-9  # relative to the time, at least to 1 s
 
 # FMPy's proxy has the address of the logger that it was given last, and gives it the messages of all instances.
@@ -32,7 +33,11 @@ _NEWEST_LOGGER: list[fmi2CallbackFunctions] = []
 
 
 class InstantiationError(Exception):
-    """The FMU gave no instance."""
+    """The FMU gave no instance. ``is_need``: it says that it needs the tool which made it."""
+
+    def __init__(self, sentence: str, *, is_need: bool) -> None:
+        super().__init__(sentence)
+        self.is_need = is_need
 
 
 class NotTestedError(Exception):
@@ -55,7 +60,10 @@ class Slave:
                 self.fmu.instantiate(loggingOn=True, logMessage=model.log)
         except Exception as error:  # FMPy raises a plain Exception
             name = "fmi2Instantiate" if model.is_fmi2 else "fmi3InstantiateCoSimulation"
-            raise InstantiationError(f"{name} returns no instance{model.last_message()}") from error
+            tool = " without its tool" if (needs_tool := bool(model.claims.needsExecutionTool)) else ""
+            raise InstantiationError(
+                f"{name} returns no instance{tool}{model.last_message()}", is_need=needs_tool
+            ) from error
 
     def call(self, name: str, *arguments: Any) -> None:
         """Call a C function of the FMU, given its name without the prefix."""
@@ -145,7 +153,8 @@ class Model:
         self.fmpy_class: type = FMU2Slave if self.is_fmi2 else FMU3Slave
         self.description: ModelDescription = read_description(fmu)
         self.claims = self.description.coSimulation
-        self._message = ""  # the FMU's newest message
+        self.is_fatal = False  # then no function of the library may be called
+        self._message, self._severity = "", 0  # the newest of the FMU's most severe messages in a call
         experiment = self.description.defaultExperiment
         suggested_s, begin = (None, None) if experiment is None else (experiment.stepSize, experiment.startTime)
         self.step_s = float(self.claims.fixedInternalStepSize or suggested_s or 1e-3)
@@ -168,7 +177,13 @@ class Model:
 
         def report_and_call(name: str, *arguments: Any) -> Any:
             self.report(doing=f"in {name}")
-            return call(name, *arguments)
+            self._message, self._severity = "", 0
+            try:
+                return call(name, *arguments)
+            except FMICallException as error:
+                error.add_note(self.last_message())  # now: whoever handles it calls other functions first
+                self.is_fatal = self.is_fatal or error.status == FATAL
+                raise
 
         library._call = report_and_call
         return library
@@ -186,21 +201,24 @@ class Model:
             _NEWEST_LOGGER[:] = [callbacks]
         return callbacks
 
-    def log(self, _environment: Any, _status: int, _category: bytes, message: bytes | None) -> None:
+    def log(self, _environment: Any, status: int, _category: bytes, message: bytes | None) -> None:
         """Keep a message of the FMU: the logger of FMI 3.0."""
-        self._message = (message or b"").decode(errors="replace")
+        if message and status >= self._severity:
+            self._message, self._severity = message.decode(errors="replace"), status
 
     @contextlib.contextmanager
     def instance(self, *, initialised: bool = True) -> Iterator[Slave]:
         """Yield an instance, and free it at the end; the library stays loaded. Raises InstantiationError."""
-        self._message = ""
+        if self.is_fatal:
+            raise NotTestedError("the rest: the FMU has answered fatal, after which no function may be called")
         slave = Slave(self)
         try:
             if initialised:
                 slave.initialise()
             yield slave
         finally:
-            slave.call("FreeInstance")
+            if not self.is_fatal:
+                slave.call("FreeInstance")
 
     def kind(self, variable: ModelVariable) -> str:
         """Return the name of the variable's getters and setters: an enumeration is Integer, or Int64 in FMI 3.0."""
@@ -221,7 +239,7 @@ class Model:
     def explain(self, error: FMICallException) -> str:
         """Return a failed call in words, with the FMU's message."""
         status = _STATUS[error.status] if error.status in range(len(_STATUS)) else f"the unknown status {error.status}"
-        return f"{error.function} returns {status}{self.last_message()}"
+        return f"{error.function} returns {status}{''.join(error.__notes__)}"
 
     def last_message(self) -> str:
         """Return the FMU's newest message in parentheses, as the end of a sentence; empty without one."""
@@ -239,6 +257,17 @@ def start(variable: ModelVariable) -> list[Value] | None:
 def is_float(variable: ModelVariable) -> bool:
     """Return whether the variable is of a floating-point type."""
     return variable.type in FLOATS
+
+
+def close(values: Sequence[Value], expected: Sequence[Value]) -> bool:
+    """Return whether values are equal, floating-point numbers but for rounding. Those of NaN are not."""
+
+    def is_close(one: Value, other: Value) -> bool:
+        if isinstance(one, float) and isinstance(other, float):
+            return one == other or abs(one - other) <= _CLOSE * abs(other)
+        return one == other
+
+    return len(values) == len(expected) and all(map(is_close, values, expected))
 
 
 def near(time_s: float, expected_s: float) -> bool:
