@@ -26,13 +26,14 @@ FAULTS = (
     "give_nan",
     "end",
     "return_early",
-    "return_early_for_ever",
+    "reach_elsewhere",
     "say_warning",
     "return_pending",
     "fail_at_initialization",
     "fail_to_reset",
     "fail_to_read",
     "never_settle",
+    "ask_for_event_mode",
 )
 
 
@@ -60,6 +61,7 @@ def _common(integer: str, real: str, enumeration_type: str) -> list[Var]:
         Var("gear", 35, "Enumeration", "parameter", {**PARAMETER, "start": "1", "declaredType": enumeration_type}),
         Var("reversed", 40, "Boolean", "parameter", {**PARAMETER, "start": "false"}),
         Var("label", 50, "String", "parameter", {**PARAMETER, "start": ""}),
+        Var("grain", 25, real, "parameter", {**PARAMETER, "start": "0"}),
         Var("fixed_at", 24, real, "parameter", {"variability": "fixed", "initial": "calculated"}),
     ]
 
@@ -163,15 +165,17 @@ def foreign_fmu(
     variables: list[Var] | None = None,
     guid: str = "{wheels}",
     library: bytes | None = None,
+    more: str = "",
     **attributes: str,
 ) -> Path:
-    """Write an FMU of the foreign robot; ``attributes`` are those of its interface in the XML."""
+    """Write an FMU of the foreign robot; ``attributes`` are those of its interface in the XML, ``more`` are further
+    elements of its description."""
     describe, default = (description2, variables2) if version == 2 else (description3, variables3)
     place = fmpy.platform if version == 2 else fmpy.platform_tuple
     path = folder / f"wheels{version}.fmu"
     with zipfile.ZipFile(path, "w") as archive:
         description = describe(default() if variables is None else variables, interface, guid, attributes)
-        archive.writestr("modelDescription.xml", description)
+        archive.writestr("modelDescription.xml", description.replace("<ModelVariables>", f"{more}<ModelVariables>"))
         archive.writestr(f"binaries/{place}/wheels{SUFFIX}", _library(version) if library is None else library)
     return path
 

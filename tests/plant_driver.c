@@ -122,13 +122,14 @@ int main(void) {
         .outputs = 2,
         .wheel_of_channel = {3, 2, 1, 0},
         .sign_of_channel = {1, -1, 1, -1},
+        .tick_ns = 1000000,
         .step_ns = 1000000,
     };
     CHECK(cosim_start(&shim) == 0);
 
     const float torque_n_m[4] = {1.0F, -1.0F, 0.5F, 0.25F};
     CHECK(cosim_run(&shim, torque_n_m, 500) == 0);
-    CHECK(shim.steps == 500);
+    CHECK(shim.ticks == 500);
 
     void *state = NULL;
     size_t size = 0;

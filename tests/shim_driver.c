@@ -67,6 +67,7 @@ int main(void) {
         .torque_constant_n_m_a = 0.5,
         .wheel_of_channel = {0, 1, 2, 3},
         .sign_of_channel = {1, 1, 1, 1},
+        .tick_ns = 1000000,
         .step_ns = 1000000,
     };
     for (size_t i = 0; i < COSIM_SIGNALS; i++) {
@@ -78,16 +79,16 @@ int main(void) {
     CHECK(c.component != NULL);
 
     CHECK(run_with(&c, NO_FAULT, 1000) == 0);
-    CHECK(c.steps == 1000);
+    CHECK(c.ticks == 1000);
     CHECK(fabs(c.signal[COSIM_WHEEL_ANGLE + 3] - 25.0) < 1e-4);   /* 1 N m / 0.02 kg m2, for a second */
     CHECK(fabs(c.signal[COSIM_WHEEL_SPEED + 3] - 49.975) < 1e-4); /* in the middle of the last tick */
     CHECK(fabs(c.signal[COSIM_CURRENT + 3] - 2.0) < 1e-9);
     CHECK(fabs(c.signal[COSIM_POSE + 1] - c.output[1].row->offset - (double)y_m) < 1e-12);
     CHECK(c.signal[COSIM_COUNT] == -59.0); /* 1989 of 12.5 rad, in 8 bits */
 
-    CHECK(run_with(&c, RETURN_EARLY, 20) == 0 && c.steps == 20);
-    CHECK(run_with(&c, RETURN_EARLY_FOR_EVER, 20) != 0 && strstr(c.text, "got no further") != NULL);
-    CHECK(run_with(&c, END, 20) != 0 && strstr(c.text, "asked to end") != NULL && c.steps == 9);
+    CHECK(run_with(&c, RETURN_EARLY, 20) != 0 && strstr(c.text, "returned early at") != NULL);
+    CHECK(run_with(&c, REACH_ELSEWHERE, 20) != 0 && strstr(c.text, "says that it reached") != NULL);
+    CHECK(run_with(&c, END, 20) != 0 && strstr(c.text, "asked to end") != NULL && c.ticks == 9);
     CHECK(run_with(&c, GIVE_NAN, 20) != 0 && strstr(c.text, "a signal is not a number") != NULL);
     CHECK(run_with(&c, SAY_DISCARD, 20) != 0 && strcmp(c.text, "wheel 1 fell off") == 0);
     CHECK(run_with(&c, SAY_WARNING, 20) == 0 && c.text_status == WARNING);

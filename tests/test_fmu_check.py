@@ -107,8 +107,8 @@ def kind_of(fault: str) -> Kind:
 
 
 def found(result: CheckResult) -> list[str]:
-    """Return all that was found, of whatever kind."""
-    return [words for kind in Kind for words in result.texts(kind)]
+    """Return all that was found, but for notes."""
+    return [words for kind in Kind if kind != Kind.NOTE for words in result.texts(kind)]
 
 
 def test_nothing_is_found_in_the_shipped_fmu() -> None:
@@ -118,9 +118,12 @@ def test_nothing_is_found_in_the_shipped_fmu() -> None:
 @pytest.mark.parametrize("fmi", [2, 3])
 def test_a_good_fmu_passes_every_part(fmi: int, tmp_path: Path) -> None:
     result = check(lag(tmp_path, fmi))
-    assert [(part.name, part.findings, part.skipped) for part in result.parts] == [
-        (name, (), None) for name in ("archive", "model description", *map(title, PARTS))
+    assert [(part.name, part.skipped) for part in result.parts] == [
+        (name, None) for name in ("archive", "model description", *map(title, PARTS))
     ]
+    assert found(result) == []
+    (told,) = result.texts(Kind.NOTE)
+    assert told.startswith("bridge step: stepped by the tick of 0.001 s, which it claims to handle")
 
 
 NEEDS_A_CHILD = re.compile(
@@ -227,12 +230,13 @@ def test_a_description_that_does_not_fit_the_library_is_found(
 def test_what_is_not_claimed_is_not_tested(fmi: int, tmp_path: Path) -> None:
     """Faults in what an FMU does not claim are no faults."""
     state = "state" if fmi == 2 else "State"
-    for fault, claim, part in (
-        ("STATE_LOST", f"canGetAndSetFMU{state}", "saved state"),
-        ("REFUSED_STEP", "canHandleVariableCommunicationStepSize", "step size"),
+    for fault, claim, part, needs in (
+        ("STATE_LOST", f"canGetAndSetFMU{state}", "saved state", []),
+        ("REFUSED_STEP", "canHandleVariableCommunicationStepSize", "step size", ["bridge step: stepped by 0.01 s, 10"]),
     ):
         result = check(lag(tmp_path, fmi, fault, text(f'{claim}="true"', "")))
-        assert found(result) == []
+        assert [one[:34] for one in found(result)] == needs
+        assert result.violations == []
         assert [p.name for p in result.parts if p.skipped] == [part]
 
 
@@ -268,6 +272,21 @@ def test_a_library_of_the_system_that_is_missing_is_named_and_no_fault_of_the_fm
         for use in (check, lambda path: FmuPlant(path, {})):
             with pytest.raises(BadInputError, match=re.escape(words)):
                 use(fmu)
+
+
+@pytest.mark.parametrize(
+    ("declared", "words"),
+    [
+        ('fixedInternalStepSize="0.005"', ["stepped by 0.005 s, 5 ticks"]),
+        ('fixedInternalStepSize="0.0015"', ["FMU lag_fmi3.fmu: its communication step is 0.0015 s"]),
+    ],
+)
+def test_a_step_that_is_not_the_bridges_is_a_need(declared: str, words: list[str], tmp_path: Path) -> None:
+    claim = text('canHandleVariableCommunicationStepSize="true"', declared)
+    result = run_here(lag(tmp_path, 3, change=claim))
+    assert result.violations == []
+    told = [one.removeprefix("bridge step: ").replace(f"{tmp_path}/", "") for one in result.texts(Kind.NEED)]
+    assert [one[: len(expected)] for one, expected in zip(told, words, strict=True)] == words
 
 
 def test_a_library_that_cannot_be_loaded_is_a_problem(tmp_path: Path) -> None:

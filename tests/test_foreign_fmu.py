@@ -3,6 +3,7 @@
 import math
 import struct
 import subprocess
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -236,18 +237,101 @@ def test_after_a_fatal_status_nothing_of_the_fmu_is_called(version: int, tmp_pat
             plant.reset()
 
 
-def test_a_step_that_returns_early_is_taken_to_its_end(tmp_path: Path) -> None:
-    fmu, signals = foreign_fmu(tmp_path, 3), foreign_map(3)
-    with FmuPlant(fmu, fault("return_early"), mapping=signals) as early, FmuPlant(fmu, {}, mapping=signals) as plain:
-        early.step(TORQUE, 200)
-        plain.step(TORQUE, 200)
-        assert np.allclose(early.truth().pose, plain.truth().pose, rtol=1e-12)
-        assert early.truth().time_ns == plain.truth().time_ns
+@pytest.mark.parametrize(
+    ("name", "words"),
+    [
+        ("return_early", "the FMU was stepped from 0.01 to 0.011 s and returned early at 0.0105 s"),
+        ("reach_elsewhere", "the FMU was stepped from 0.01 to 0.011 s and says that it reached 0.0105 s"),
+        ("ask_for_event_mode", "the FMU asked for event mode, which was not agreed on"),
+    ],
+)
+def test_an_fmu_that_does_not_reach_the_end_of_its_step_fails(name: str, words: str, tmp_path: Path) -> None:
     with (
-        FmuPlant(fmu, fault("return_early_for_ever"), mapping=signals) as stuck,
-        pytest.raises(DeviceError, match=r"returned early from a step at 0\.01 s and got no further"),
+        FmuPlant(foreign_fmu(tmp_path, 3), fault(name), mapping=foreign_map(3)) as plant,
+        pytest.raises(DeviceError, match=f"at 0.0{'09' if name.startswith('ask') else '1'} s: {words}"),
     ):
-        stuck.step(TORQUE, 20)
+        plant.step(TORQUE, 20)
+
+
+FIXED = "fixedInternalStepSize"
+VARIABLE = {"canHandleVariableCommunicationStepSize": "true"}
+
+
+def prefers(step: str) -> str:
+    return f'<DefaultExperiment stepSize="{step}"/>'
+
+
+@pytest.mark.parametrize(("version", "size_ms"), [(2, 10.0), (3, 10.0), (2, 3.0), (3, 0.2), (2, 0.125), (2, 1.0)])
+def test_an_fmu_is_stepped_by_its_own_size(version: int, size_ms: float, tmp_path: Path) -> None:
+    """An FMU that takes no other: the torque that begins a step is held for all of it, and its end shows at its end."""
+    fmu = foreign_fmu(tmp_path, version, more=prefers(str(size_ms / 1000)))
+    ticks = max(1, round(size_ms))
+    rng, robot, told = np.random.default_rng(5), Robot(), Robot().pose()
+    with FmuPlant(fmu, {"grain": size_ms / 1000}, mapping=foreign_map(version)) as plant:
+        for tick in range(60):
+            torque = Wheels(*rng.uniform(-0.5, 0.5, 4))
+            if tick % ticks == 0:
+                robot.hold(torque, ticks * TICK_S)
+            before = told
+            if tick % ticks == ticks - 1:
+                told = robot.pose()
+            sense(plant, torque)
+            assert np.allclose(plant.truth().pose, told, rtol=2e-6, atol=1e-9)
+            if tick % ticks == ticks - 1:
+                speed = (told - before) / (ticks * TICK_S)
+                assert np.allclose(plant.truth().twist, speed, rtol=1e-4, atol=1e-6)
+            assert plant.truth().time_ns == (tick + 1) * 1_000_000
+        if ticks > 1:
+            (notice,) = plant.notices
+            assert notice.startswith(f"stepped by {size_ms / 1000:g} s, {ticks} ticks")
+            assert notice.endswith(f"acts up to {ticks - 1} ms late, and an output is up to {ticks - 1} ms old")
+
+
+STEPS = [  # version, what it declares, plant.step_s, and its step in ms or the words that refuse it; words of a notice
+    (2, {}, "", None, 1.0, ""),
+    (3, {}, "", None, 1.0, ""),
+    (2, {}, prefers("0.001"), None, 1.0, ""),
+    (2, {}, prefers("0.0010000000474974513"), None, 1.0, ""),
+    (2, {}, prefers("0.01"), None, 10.0, "stepped by 0.01 s, 10 ticks"),
+    (2, {}, prefers("0.01"), 0.001, 1.0, "as plant.step_s says; its DefaultExperiment prefers 0.01 s"),
+    (2, VARIABLE, prefers("0.01"), None, 1.0, "stepped by the tick of 0.001 s, which it claims to handle"),
+    (2, VARIABLE, prefers("0.01"), 0.01, 10.0, "as plant.step_s says"),
+    (3, {}, prefers("0.0001"), None, 0.1, "10 times a tick"),
+    (3, {}, prefers("0.0015"), None, "communication step is 0.0015 s .*tick 0.001 s; .*set plant.step_s if it", ""),
+    (3, {}, prefers("0.5"), None, "communication step is 0.5 s .*tick 0.001 s; expected at most 0.02 s", ""),
+    (2, {}, prefers("1e-9"), None, "communication step is 1e-09 s .*tick 0.001 s", ""),
+    (2, {}, prefers("-1"), None, "DefaultExperiment stepSize is '-1'; expected a positive number", ""),
+    (2, {}, prefers("fast"), None, "DefaultExperiment stepSize is 'fast'; expected a positive number", ""),
+    (3, {FIXED: "0.01"}, "", None, 10.0, "for its fixedInternalStepSize"),
+    (3, {FIXED: "0.01", **VARIABLE}, prefers("0.001"), None, 10.0, "for its fixedInternalStepSize"),
+    (3, {FIXED: "0.0005"}, "", None, 1.0, ""),
+    (3, {FIXED: "0.0015"}, "", None, "is 0.0015 s .*fixedInternal.*set plant.step_s = 0.003, a multiple of both", ""),
+    (3, {FIXED: "0.0015"}, "", 0.003, 3.0, "as plant.step_s says"),
+    (3, {FIXED: "0.01"}, "", 0.001, "plant.step_s = 0.001; .*fixedInternalStepSize of 0.01 s", ""),
+    (2, {}, "", 0.0015, "communication step is 0.0015 s .as plant.step_s says", ""),
+]
+
+
+@pytest.mark.parametrize(("version", "declared", "more", "wanted_s", "expected", "words"), STEPS)
+def test_what_an_fmu_declares_decides_its_step(
+    version: int,
+    declared: dict[str, str],
+    more: str,
+    wanted_s: float | None,
+    expected: float | str,
+    words: str,
+    tmp_path: Path,
+) -> None:
+    fmu = foreign_fmu(tmp_path, version, more=more, **declared)
+    mapping = replace(foreign_map(version), step_s=wanted_s)
+    if isinstance(expected, str):
+        with pytest.raises(BadInputError, match=expected):
+            FmuPlant(fmu, {}, mapping)
+    else:
+        with FmuPlant(fmu, {"grain": expected / 1000}, mapping) as plant:
+            plant.step(TORQUE, 60)
+            assert words in "".join(plant.notices)
+            assert bool(words) == bool(plant.notices)
 
 
 @pytest.mark.parametrize(("version", "interface"), KINDS)

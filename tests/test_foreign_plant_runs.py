@@ -61,6 +61,22 @@ def test_a_sound_foreign_fmu_gives_the_bytes_of_the_shipped_one(flawed: Path) ->
         assert np.array_equal(there.signals[name], shipped.signals[name])
 
 
+def test_a_longer_step_is_the_same_in_both_processes_and_is_told(flawed: Path, tmp_path: Path) -> None:
+    short = {"loop.duration_s": 1.0, "expect": []}
+    by_tick = bridge.run("paper_circle", set=short)
+    start = {f"plant.start.{key}": value for key, value in by_tick.scenario.plant.start.items()}
+    wires = {by_tick.metrics["wire_sha256"]}
+    for fmu in ({}, {"plant.fmu": flawed} | start):
+        recording = tmp_path / f"{len(fmu)}.mcap"
+        run = bridge.run("paper_circle", set=short | {"plant.step_s": 0.005} | fmu, record=recording)
+        assert run.failure is None
+        wires.add(run.metrics["wire_sha256"])
+        told = [event.text for event in read(recording).events if event.text.startswith("the plant says: ")]
+        late = "an input acts up to 4 ms late, and an output is up to 4 ms old"
+        assert told == [f"the plant says: stepped by 0.005 s, 5 ticks (as plant.step_s says): {late}"]
+    assert len(wires) == 2
+
+
 def test_the_example_of_the_page_runs_as_written(tmp_path: Path) -> None:
     page = (ROOT / "plant_fmu" / "FOREIGN.md").read_text("utf-8")
     (example,) = re.findall(r"```toml\n(.*?)```", page, re.DOTALL)

@@ -6,13 +6,16 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
+from fmpy import simulate_fmu
 
 from hil.core.errors import DeviceError
 from hil.core.types import WHEEL_NAMES, Wheels
 from hil.plant.fmu import FmuPlant
 from hil.plant.mapping import Row, SignalMap
 from hil.plant.remote import RemotePlant
+from hil.plant.signals import ANGLES, OUTPUTS
 
 SLAVE = """
 from {package} import {base}, {causality}, {real}
@@ -53,23 +56,30 @@ MAP = SignalMap(
 )
 
 
-@pytest.mark.parametrize(
+EXPORTERS = pytest.mark.parametrize(
     ("package", "base", "causality", "real"),
     [
         ("pythonfmu", "Fmi2Slave", "Fmi2Causality", "Real"),
         ("pythonfmu3", "Fmi3Slave", "Fmi3Causality", "Float64"),
     ],
 )
+
+
+def export(folder: Path, name: str, text: str, package: str, *options: str) -> Path:
+    """Export a slave. Its module is imported into this interpreter, where a name can be taken once."""
+    if importlib.util.find_spec(package) is None:
+        pytest.skip(f"{package} is missing: pip install {package}")
+    (folder / f"{name}_of_{package}.py").write_text(text)
+    command = [sys.executable, "-m", package, "build", "-f", f"{name}_of_{package}.py", *options]
+    subprocess.run(command, cwd=folder, check=True, capture_output=True)
+    return folder / "Wheels.fmu"
+
+
+@EXPORTERS
 def test_an_fmu_of_another_exporter_is_the_plant(
     package: str, base: str, causality: str, real: str, tmp_path: Path
 ) -> None:
-    if importlib.util.find_spec(package) is None:
-        pytest.skip(f"{package} is missing: pip install {package}")
-    text = SLAVE.format(package=package, base=base, causality=causality, real=real)
-    # The FMU imports its module into this interpreter, where a name can be taken once.
-    (tmp_path / f"robot_of_{package}.py").write_text(text)
-    command = [sys.executable, "-m", package, "build", "-f", f"robot_of_{package}.py"]
-    subprocess.run(command, cwd=tmp_path, check=True, capture_output=True)
+    export(tmp_path, "robot", SLAVE.format(package=package, base=base, causality=causality, real=real), package)
     with FmuPlant(tmp_path / "Wheels.fmu", {}, mapping=MAP) as plant:
         torque = Wheels(1.0, 2.0, 3.0, 4.0)
         plant.step(torque, 100)
@@ -83,3 +93,32 @@ def test_an_fmu_of_another_exporter_is_the_plant(
         printed, logged = plant.output.end()
         assert printed == "it is getting hot"
         assert re.fullmatch(r"log \(fatal\): .*RuntimeError\('the gearbox is on fire'\)", logged)
+
+
+@EXPORTERS
+def test_an_fmu_that_steps_by_its_own_size_agrees_with_fmpy(
+    package: str, base: str, causality: str, real: str, tmp_path: Path
+) -> None:
+    """It goes 10 ms forward whatever it is asked, as fixed-step exports do, and declares that."""
+    text = SLAVE.format(package=package, base=base, causality=causality, real=real)
+    text = text.replace(
+        "arguments)\n", "arguments)\n        self.default_experiment = DefaultExperiment(step_size=0.01)\n", 1
+    )
+    text = text.replace("do_step(self, from_s, step_s):", "do_step(self, from_s, _):\n        step_s = 0.01", 1)
+    text = text.replace("import ", "import DefaultExperiment, ", 1)
+    fmu = export(tmp_path, "fixed", text, package, "--no-variable-step")
+    torque = np.random.default_rng(2).uniform(-1.0, 1.0, (14, 4)).astype(np.float32).astype(float)
+    names = ["time", *(f"tau{i}" for i in range(1, 5))]
+    held = np.array([(t, *row) for n, row in enumerate(torque) for t in (n * 0.01, n * 0.01 + 0.0099)])
+    signals = np.array([tuple(row) for row in held], dtype=[(name, float) for name in names])
+    output = ["phi1", "phi2", "phi3", "phi4", "x"]
+    expected = simulate_fmu(
+        str(fmu), stop_time=0.14, step_size=0.01, output_interval=0.01, input=signals, output=output, validate=False
+    )
+    with FmuPlant(fmu, {}, mapping=MAP) as plant:
+        for tick in range(140):
+            plant.step(Wheels(*torque[tick // 10] if tick % 10 == 0 else (9.0, 9.0, 9.0, 9.0)))
+            row = expected[(tick + 1) // 10]
+            assert plant.truth().pose.x_m == pytest.approx(2.0 * row["x"], rel=1e-12)
+        angles = plant.context.signal[OUTPUTS.index(ANGLES[0]) : OUTPUTS.index(ANGLES[3]) + 1]
+        assert list(angles) == pytest.approx([row[name] for name in output[:4]], rel=1e-12)

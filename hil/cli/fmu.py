@@ -89,7 +89,7 @@ def _info_lines(info: "FmuInfo") -> Iterator[str]:
         facts.append((interface, f"{identifier}: {claims}"))
     experiment = ", ".join(f"{name} {value}" for name, value in info.experiment.items())
     facts += [("platforms", ", ".join(info.platforms) or "none"), ("default experiment", experiment or "none")]
-    facts.append(("sha256", info.sha256))
+    facts += [("communication step", info.step), ("sha256", info.sha256)]
     yield from rows((name, one_line(value)) for name, value in facts)
     yield ""
     head = ("name", "causality", "variability", "type", "unit", "start", "range", "description")

@@ -8,9 +8,9 @@
 #include <stdio.h>
 #include <string.h>
 
-enum { FMI2_TERMINATED = 3 };       /* fmi2StatusKind */
-enum { MOST_EARLY_RETURNS = 1000 }; /* within one tick */
+enum { FMI2_TERMINATED = 3 }; /* fmi2StatusKind */
 
+static const double TIME_TOLERANCE = 1e-9; /* relative, at least to 1 s: an FMU may accumulate its time */
 static const double LARGEST_COUNT = 9007199254740992.0; /* 2^53: a double tells no further counts apart */
 
 /* Keeps our own reason, and the FMU's words with it. */
@@ -39,13 +39,9 @@ static int refused(cosim *c, int status, const char *what) {
     return 1;
 }
 
-static double step_s(const cosim *c) {
-    return (double)c->step_ns / 1e9;
-}
-
-/* start + n step, never accumulated; the division rounds once, the product not at all. */
-static double time_s(const cosim *c, uint64_t steps) {
-    return (double)(steps * c->step_ns) / 1e9;
+/* Of a whole number of nanoseconds, never accumulated: the division rounds once. */
+static double seconds(uint64_t ns) {
+    return (double)ns / 1e9;
 }
 
 /* Calls a setter or getter of the FMU as what it is. FMI 3.0 says the number of values too. */
@@ -126,9 +122,9 @@ static int read_outputs(cosim *c) {
     return 0;
 }
 
-static int step2(cosim *c, double from_s) {
+static int step2(cosim *c, uint64_t from_ns) {
     int (*const do_step)(void *, double, double, int) = (int (*)(void *, double, double, int))c->do_step;
-    const int status = do_step(c->component, from_s, step_s(c), 1);
+    const int status = do_step(c->component, seconds(from_ns), seconds(c->step_ns), 1);
     if (status == COSIM_DISCARD) {
         int (*const get)(void *, int, int *) = (int (*)(void *, int, int *))c->get_boolean_status;
         int terminated = 0;
@@ -139,42 +135,42 @@ static int step2(cosim *c, double from_s) {
     return status > COSIM_WARNING ? refused(c, status, "failed to step") : 0;
 }
 
-/* An FMU that returns early is stepped on from where it got to: the tick ends where all ticks end. */
-static int step3(cosim *c, double from_s) {
+/* Neither event mode nor early return was agreed on, so the FMU has to reach the end of the step. */
+static int step3(cosim *c, uint64_t from_ns) {
     int (*const do_step)(void *, double, double, bool, bool *, bool *, bool *, double *) =
         (int (*)(void *, double, double, bool, bool *, bool *, bool *, double *))c->do_step;
-    const double to_s = time_s(c, c->steps + 1);
-    double at_s = from_s, length_s = step_s(c);
-    for (int i = 0; i < MOST_EARLY_RETURNS; i++) {
-        bool event_handling_needed = false, terminate = false, early = false;
-        double reached_s = at_s;
-        const int status = do_step(c->component, at_s, length_s, true, &event_handling_needed, &terminate,
-                                   &early, &reached_s);
-        if (status > COSIM_WARNING) {
-            return refused(c, status, "failed to step");
-        }
-        if (terminate) {
-            return fail(c, "the FMU asked to end the simulation");
-        }
-        if (!early || reached_s >= to_s) {
-            return 0;
-        }
-        if (!(reached_s > at_s)) {
-            return fail(c, "the FMU returned early from a step at %.10g s and got no further", at_s);
-        }
-        at_s = reached_s;
-        length_s = to_s - at_s;
+    const double from_s = seconds(from_ns), to_s = seconds(from_ns + c->step_ns);
+    bool needs_event_mode = false, terminate = false, early = false;
+    double reached_s = to_s; /* where the FMU leaves it alone */
+    const int status = do_step(c->component, from_s, seconds(c->step_ns), true, &needs_event_mode, &terminate,
+                               &early, &reached_s);
+    if (status > COSIM_WARNING) {
+        return refused(c, status, "failed to step");
     }
-    return fail(c, "the FMU returned early from a step %d times within one tick", MOST_EARLY_RETURNS);
+    if (terminate) {
+        return fail(c, "the FMU asked to end the simulation");
+    }
+    if (!(fabs(reached_s - to_s) <= TIME_TOLERANCE * (to_s > 1.0 ? to_s : 1.0))) {
+        return fail(c, "the FMU was stepped from %.10g to %.10g s and %s %.10g s", from_s, to_s,
+                    early ? "returned early at" : "says that it reached", reached_s);
+    }
+    return needs_event_mode ? fail(c, "the FMU asked for event mode, which was not agreed on") : 0;
 }
 
+/* Steps until the drive that is held may change. */
 static int step(cosim *c) {
-    const double from_s = time_s(c, c->steps);
+    const uint64_t held_ns = c->step_ns > c->tick_ns ? c->step_ns : c->tick_ns;
+    const uint64_t begin_ns = c->ticks * c->tick_ns, end_ns = begin_ns + held_ns;
     if (c->solve != NULL) {
-        c->failed = c->solve(from_s, time_s(c, c->steps + 1));
+        c->failed = c->solve(seconds(begin_ns), seconds(end_ns));
         return c->failed;
     }
-    return c->fmi_version == 2 ? step2(c, from_s) : step3(c, from_s);
+    for (uint64_t at_ns = begin_ns; at_ns < end_ns; at_ns += c->step_ns) {
+        if ((c->fmi_version == 2 ? step2(c, at_ns) : step3(c, at_ns)) != 0) {
+            return 1;
+        }
+    }
+    return 0;
 }
 
 static int sample(cosim *c, bool passed) {
@@ -192,8 +188,27 @@ static int sample(cosim *c, bool passed) {
             return fail(c, "%s is %s; expected a finite number", c->name[i], kind);
         }
     }
-    memcpy(c->signal, c->fresh, sizeof c->signal);
     return 0;
+}
+
+static void show(cosim *c) {
+    memcpy(c->signal, c->fresh, sizeof c->signal);
+}
+
+/* Takes the drive, and goes to the end of the step that begins in this tick. */
+static int begin_step(cosim *c, const wheel_drive *drive) {
+    for (int i = 0; i < 4; i++) {
+        const int wheel = c->wheel_of_channel[i];
+        const int sign = c->sign_of_channel[i];
+        c->input_value[COSIM_TORQUE + wheel] = sign * (double)drive->torque_n_m[i];
+        c->input_value[COSIM_DUTY + wheel] = sign * (double)drive->duty[i];
+    }
+    c->input_value[COSIM_ENABLED] = drive->enabled != 0 ? 1.0 : 0.0;
+    return write_inputs(c) != 0 || step(c) != 0 || sample(c, true) != 0;
+}
+
+static bool is_between_steps(const cosim *c) {
+    return c->ticks * c->tick_ns % c->step_ns == 0;
 }
 
 /* Rounds down; past the largest count the counter stands still. */
@@ -206,7 +221,7 @@ static int64_t whole(double count) {
 }
 
 int cosim_start(cosim *c) {
-    c->steps = 0;
+    c->ticks = 0;
     c->failed = 0;
     c->text[0] = '\0';
     c->text_status = 0;
@@ -217,7 +232,11 @@ int cosim_start(cosim *c) {
         return 1;
     }
     cosim_start_winding(c);
-    return sample(c, false);
+    if (sample(c, false) != 0) {
+        return 1;
+    }
+    show(c);
+    return 0;
 }
 
 int cosim_exchange(void *context, const wheel_drive *drive, wheel_sense *sense) {
@@ -231,23 +250,16 @@ int cosim_exchange(void *context, const wheel_drive *drive, wheel_sense *sense) 
         return fail(c, "the FMU is closed");
     }
     if (drive != NULL) {
-        for (int i = 0; i < 4; i++) {
-            const int wheel = c->wheel_of_channel[i];
-            const int sign = c->sign_of_channel[i];
-            c->input_value[COSIM_TORQUE + wheel] = sign * (double)drive->torque_n_m[i];
-            c->input_value[COSIM_DUTY + wheel] = sign * (double)drive->duty[i];
-        }
-        c->input_value[COSIM_ENABLED] = drive->enabled != 0 ? 1.0 : 0.0;
-        if (write_inputs(c) != 0 || step(c) != 0) {
+        if (is_between_steps(c) && begin_step(c, drive) != 0) {
             return 1;
         }
+        c->ticks++;
+        if (is_between_steps(c)) {
+            show(c);
+        }
     }
-    if (sample(c, drive != NULL) != 0) {
-        return 1;
-    }
-    c->steps += drive != NULL;
     /* What holds after tick n is what tick n + 1 samples at its beginning. */
-    sense->tick = drive != NULL ? drive->tick + 1 : (uint32_t)c->steps;
+    sense->tick = drive != NULL ? drive->tick + 1 : (uint32_t)c->ticks;
     for (int i = 0; i < 4; i++) {
         const int wheel = c->wheel_of_channel[i];
         const int sign = c->sign_of_channel[i];
@@ -290,7 +302,7 @@ int cosim_run(void *context, const float *torque_n_m, uint32_t ticks) {
     cosim *const c = context;
     wheel_sense sense;
     for (uint32_t i = 0; i < ticks; i++) {
-        wheel_drive drive = {.tick = (uint32_t)c->steps, .enabled = 1};
+        wheel_drive drive = {.tick = (uint32_t)c->ticks, .enabled = 1};
         memcpy(drive.torque_n_m, torque_n_m, sizeof drive.torque_n_m);
         if (cosim_exchange(c, &drive, &sense) != 0) {
             return 1;

@@ -106,13 +106,16 @@ typedef struct {
     int wheel_of_channel[4];
     int sign_of_channel[4]; /* 1 or -1 */
 
-    uint64_t step_ns;
-    uint64_t steps;                   /* taken since the start: the time of the newest outputs */
+    /* One of both is a whole multiple of the other. Where a step is longer than a tick, the drive that begins
+     * it is held until its end, and its outputs show then. */
+    uint64_t tick_ns;
+    uint64_t step_ns;                 /* a communication step of the FMU */
+    uint64_t ticks;                   /* since the start */
     int failed;                       /* once set, every exchange fails and `text` keeps the first reason */
     int fatal;                        /* the FMU said that nothing of it may be called any more */
     double input_value[COSIM_INPUTS]; /* the newest inputs, by wheel */
-    double fresh[COSIM_SIGNALS];      /* the outputs while they are read */
-    double signal[COSIM_SIGNALS];     /* the newest outputs */
+    double fresh[COSIM_SIGNALS];      /* the outputs at the end of the newest step */
+    double signal[COSIM_SIGNALS];     /* the outputs that show */
     cosim_winding winding[5];         /* heading, wheel angles */
     char text[512];                   /* the FMU's words since the last good exchange, or why that failed */
     int text_status;                  /* the worst fmi2Status or fmi3Status that those words came with */

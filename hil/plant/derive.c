@@ -31,10 +31,11 @@ void cosim_unwind(cosim *c) {
     }
 }
 
-/* The speed of what is at `from`. Where no tick has passed, the newest one stays: at the start 0. */
-static double rate(const cosim *c, size_t of, size_t from, bool passed) {
-    const double step_s = (double)c->step_ns / 1e9;
-    return passed ? (c->fresh[from] - c->signal[from]) / step_s : c->signal[of];
+/* The speed of what is at `from`, since the outputs that show. Where no time has passed, 0: that is the
+ * start. */
+static double rate(const cosim *c, size_t from, bool passed) {
+    const double since_s = (double)(c->step_ns > c->tick_ns ? c->step_ns : c->tick_ns) / 1e9;
+    return passed ? (c->fresh[from] - c->signal[from]) / since_s : 0.0;
 }
 
 void cosim_derive(cosim *c, bool passed) {
@@ -44,9 +45,9 @@ void cosim_derive(cosim *c, bool passed) {
             continue;
         }
         if (i < COSIM_WHEEL_SPEED) { /* a component of the twist */
-            fresh[i] = rate(c, i, i - COSIM_TWIST + COSIM_POSE, passed);
+            fresh[i] = rate(c, i - COSIM_TWIST + COSIM_POSE, passed);
         } else if (i < COSIM_CURRENT) {
-            fresh[i] = rate(c, i, i - COSIM_WHEEL_SPEED + COSIM_WHEEL_ANGLE, passed);
+            fresh[i] = rate(c, i - COSIM_WHEEL_SPEED + COSIM_WHEEL_ANGLE, passed);
         } else if (i < COSIM_GYRO) {
             fresh[i] = c->input_value[COSIM_TORQUE + i - COSIM_CURRENT] / c->torque_constant_n_m_a;
         } else if (i < COSIM_ACCELERATION) {

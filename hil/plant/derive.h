@@ -14,7 +14,7 @@ void cosim_start_winding(cosim *c);
  * them. */
 void cosim_unwind(cosim *c);
 
-/* Fills in what the FMU has no variable for. `passed` tells whether a tick has since `signal` was read. */
+/* Fills in what the FMU has no variable for. `passed` tells whether a step has since `signal`. */
 void cosim_derive(cosim *c, bool passed);
 
 #endif

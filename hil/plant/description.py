@@ -12,6 +12,7 @@ from typing import Any
 from hil.core.errors import BadInputError, nearest
 from hil.plant import archive
 from hil.plant.child_output import one_line
+from hil.plant.communication import communication_step
 from hil.plant.start import Value, start_of, start_values
 from plant_fmu import SHIPPED
 
@@ -110,7 +111,8 @@ class FmuInfo:
 
     ``about`` has description, author, version, license, copyright and tool, as far as given; ``experiment`` likewise
     start, stop, step and tolerance. ``interfaces`` has the model identifier of each interface, ``capabilities`` its
-    declared capabilities. ``platforms`` are the folders with binaries.
+    declared capabilities. ``step`` says by which communication step a run steps it, or why by none. ``platforms`` are
+    the folders with binaries.
     """
 
     path: Path
@@ -122,6 +124,7 @@ class FmuInfo:
     experiment: Mapping[str, str]
     interfaces: Mapping[str, str]
     capabilities: Mapping[str, tuple[str, ...]]
+    step: str
     platforms: tuple[str, ...]
     variables: tuple[VariableInfo, ...]
 
@@ -151,9 +154,20 @@ def info(fmu: Path, names: str = "*") -> FmuInfo:
         experiment=_given(experiment, "tolerance", start="startTime", stop="stopTime", step="stepSize"),
         interfaces={name: attributes.get("modelIdentifier", "") for name, attributes in header.interfaces.items()},
         capabilities={name: _capabilities(attributes) for name, attributes in header.interfaces.items()},
+        step=_step(fmu, description),
         platforms=archive.platforms(fmu),
         variables=tuple(_variable(v) for v in fitting),
     )
+
+
+def _step(fmu: Path, description: Any) -> str:
+    if description.coSimulation is None:
+        return "none: it is for model exchange, which is integrated here"
+    try:
+        step = communication_step(fmu, description)
+    except BadInputError as error:
+        return str(error)
+    return step.notice or f"stepped by the tick of {step.size_ns / 1e9:g} s"
 
 
 def _variable(v: Any) -> VariableInfo:

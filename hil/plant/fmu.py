@@ -16,6 +16,7 @@ from hil.core.clock import TICK_NS
 from hil.core.errors import BadInputError, DeviceError
 from hil.core.types import Wheels
 from hil.plant import archive, shim
+from hil.plant.communication import communication_step
 from hil.plant.instance import Instance
 from hil.plant.mapping import SignalMap, resolve
 from hil.plant.signals import OUTPUTS, SENSORS
@@ -30,9 +31,10 @@ class FmuPlant(shim.PlantPort):
 
     ``settable`` are the variables that may be set between two ticks, by name.
 
-    With ``prints_log`` every log message of the FMU is printed on stderr, one per line.
+    With ``prints_log`` every log message of the FMU is printed on stderr, one per line. A tick lasts ``tick_ns``.
 
-    ``lacks`` names the sensors (keys of ``signals.SENSORS``) that the FMU does not have.
+    ``lacks`` names the sensors (keys of ``signals.SENSORS``) that the FMU does not have. ``notices`` say how the FMU is
+    used where that is worth telling.
 
     The FMU's code runs in this process: if it crashes or hangs, so does this process.
 
@@ -43,16 +45,23 @@ class FmuPlant(shim.PlantPort):
     _functions = "cosim"
 
     def __init__(
-        self, fmu: Path, start: Mapping[str, Value], mapping: SignalMap | None = None, *, prints_log: bool = False
+        self,
+        fmu: Path,
+        start: Mapping[str, Value],
+        mapping: SignalMap | None = None,
+        *,
+        prints_log: bool = False,
+        tick_ns: int = TICK_NS,
     ) -> None:
+        mapping = mapping or SignalMap()
         library = archive.library_of(fmu)
         self._ffi, self._lib = shim.load()
-        self._context = self._ffi.new("cosim *", {"step_ns": TICK_NS, "prints_log": prints_log})
+        self._context = self._ffi.new("cosim *", {"tick_ns": tick_ns, "prints_log": prints_log})
         # Looked up once: a look-up takes longer than a call.
         self._run = self._lib.cosim_run
         field = functools.partial(fields_of, self._ffi, self._context)
-        (steps,), pose = field("steps"), field("signal", self._lib.COSIM_POSE, 3)
-        self._read_truth(steps._replace(factor=TICK_NS), pose, field("signal", self._lib.COSIM_TWIST, 3))
+        (ticks,), pose = field("ticks"), field("signal", self._lib.COSIM_POSE, 3)
+        self._read_truth(ticks._replace(factor=tick_ns), pose, field("signal", self._lib.COSIM_TWIST, 3))
         self._torque = self._ffi.new("float[4]")
         self._speeds = self._context.signal + self._lib.COSIM_WHEEL_SPEED
         self._solve: Any = None  # the solver as a C function, for model exchange
@@ -66,8 +75,11 @@ class FmuPlant(shim.PlantPort):
                 # Where the system allows it: a killed run then leaves no files behind.
                 shutil.rmtree(folder, ignore_errors=True)
             self._fmu = fmu
+            step = communication_step(fmu, instance.description, wanted_s=mapping.step_s, tick_ns=tick_ns)
+            self._context.step_ns = step.size_ns
+            self.notices = tuple(notice for notice in (step.notice,) if notice)
             self._start = start_values(start, fmu, instance.variables)
-            self._wiring_memory = self._connect(fmu, mapping or SignalMap())
+            self._wiring_memory = self._connect(fmu, mapping)
             instance.instantiate()
             resources.callback(instance.free)
             self._initialise()

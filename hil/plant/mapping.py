@@ -45,11 +45,15 @@ class Row(NamedTuple):
 
 @dataclass(frozen=True)
 class SignalMap:
-    """Rows by signal, and the constants that derived signals need; None if no signal needs them."""
+    """Rows by signal, and the constants that derived signals need; None if no signal needs them.
+
+    ``step_s`` is the communication step in place of the one that the FMU's description leads to (``communication.py``).
+    """
 
     rows: Mapping[str, Row] = field(default_factory=dict)
     counts_per_revolution: float | None = None
     torque_constant_n_m_a: float | None = None
+    step_s: float | None = None
 
 
 class Connection(NamedTuple):

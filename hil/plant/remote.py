@@ -97,6 +97,7 @@ class RemotePlant(shim.PlantPort):
         if "refused" in answer:
             raise BadInputError(self._with_last_words(str(answer["refused"])))
         self.lacks = frozenset(map(str, answer["lacks"]))
+        self.notices = tuple(map(str, answer["notices"]))
         self.settable = {name: Settable(*row) for name, row in answer["settable"].items()}
 
     @property

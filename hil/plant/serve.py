@@ -29,7 +29,7 @@ def main() -> None:
     except HilError as error:
         parent.send(**{"refused" if isinstance(error, BadInputError) else "failed": str(error)})
         parent.end()
-    parent.send(open=True, lacks=sorted(plant.lacks), settable=plant.settable)
+    parent.send(open=True, lacks=sorted(plant.lacks), settable=plant.settable, notices=plant.notices)
     to_parent = ffi.new("remote_pipes *", pipes(parent.requests, parent.replies))
     request, reply = ffi.new("remote_request *"), ffi.new("remote_reply *")
     reply.begin = reply.end = lib.REMOTE_MARK

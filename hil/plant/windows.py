@@ -30,7 +30,7 @@ class WindowStepper:
 
     ``start`` gives start values that all cases share, ``varied`` names the floating-point variables whose start
     differs from case to case, and ``outputs`` the signals to return (``hil.plant.signals.OUTPUTS``). Each row of a
-    window lasts ``steps_a_row`` communication steps of ``step_ns``. A context manager.
+    window lasts ``steps_a_row`` ticks of ``step_ns``, in which the FMU is stepped as in a run. A context manager.
 
     The FMU's code runs in this process: if it crashes or hangs, so does this process.
 
@@ -54,13 +54,12 @@ class WindowStepper:
                 raise BadInputError(f"{name!r}: the plant has no such signal{nearest(name, OUTPUTS)}")
         self._ffi, self._lib = shim.load()
         self._fmu, self.varied, self.outputs = fmu, tuple(varied), tuple(outputs)
-        self._plant = plant = FmuPlant(fmu, start, mapping)
+        self._plant = plant = FmuPlant(fmu, start, mapping, tick_ns=step_ns)
         try:
             instance = plant.instance
             if instance.is_model_exchange:
                 raise BadInputError(f"FMU {fmu}: it is for model exchange only; expected one for co-simulation")
             self._memory: list[Any] = []
-            plant.context.step_ns = step_ns
             self._batch = self._ffi.new("cosim_windows *", {"steps_a_row": steps_a_row})
             self._take_functions()
             self._take_settings(start_values(start, fmu, instance.variables))

@@ -76,9 +76,13 @@ class VirtualStm32:
     The shipped FMU runs in this process; any other FMU may crash or hang, so it runs in its own process. ``make_node``
     makes the firmware, again at every power-on.
 
+    ``output`` is that of a plant in its own process, with notices of how it is used; None where there are neither.
+
     Raises BadInputError when the FMU cannot be used or a firmware parameter is out of range; DeviceError when the FMU
     fails while it is opened.
     """
+
+    output: ChildOutput | None
 
     def __init__(self, made_of: VirtualRobot, make_node: MakeNode = HostNode) -> None:
         self._made_of = made_of
@@ -86,11 +90,20 @@ class VirtualStm32:
         with contextlib.ExitStack() as resources:
             self.plant = _open(made_of.plant)
             resources.callback(self.plant.close)
+            self._tell()
             self._wire(made_of)
             self._stored: bytes | None = None
             self.faults = RobotFaults(self.plant, made_of.body)
             self.node = self._power_on()
             resources.pop_all()
+
+    def _tell(self) -> None:
+        """Put the plant's notices before its output."""
+        plant = self.plant
+        self.output = plant.output if isinstance(plant, RemotePlant) else ChildOutput() if plant.notices else None
+        if self.output is not None:
+            self.output.feed("".join(f"{notice}\n" for notice in plant.notices).encode())
+            self.output.forget_newest()
 
     def _wire(self, made_of: VirtualRobot) -> None:
         motors = made_of.body.wiring.motors
@@ -126,6 +139,7 @@ class VirtualStm32:
             self.plant.restart(made_of.plant.start)
         else:
             self.plant.reset()
+        self._tell()
         self._wire(made_of)
         self._made_of, self._make_node, self._stored = made_of, make_node, None
         self.faults = RobotFaults(self.plant, made_of.body)
@@ -163,11 +177,6 @@ class VirtualStm32:
             return None
         at_s = self.plant.truth().time_ns * 1e-9
         return DeviceError(f"the plant {self._made_of.plant.fmu.name} failed at {at_s:g} s: {self.plant.message}")
-
-    @property
-    def output(self) -> ChildOutput | None:
-        """The output of a plant that runs in its own process; None for one in this process."""
-        return self.plant.output if isinstance(self.plant, RemotePlant) else None
 
     def close(self) -> None:
         """Free the plant."""

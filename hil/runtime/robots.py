@@ -80,6 +80,7 @@ def signal_map(scenario: Scenario) -> SignalMap:
         {signal: Row(row.name, row.scale, row.offset, row.sign) for signal, row in scenario.plant.map.items()},
         float(firmware.counts_per_revolution),
         firmware.torque_constant_n_m_a,
+        scenario.plant.step_s,
     )
 
 

@@ -7,6 +7,7 @@ from typing import Annotated, Literal
 
 from hil.core.errors import nearest
 from hil.core.options import Range
+from hil.plant.communication import LONGEST_STEP_S
 from hil.plant.signals import INPUTS, OUTPUTS
 from hil.scenario.values import Axes3, Start, Text, Wheel, at_most_once, each_once, is_path, right_handed
 from plant_fmu import SHIPPED
@@ -62,6 +63,9 @@ class PlantTable:
     fmu: Annotated[Text, _fmu, "a shipped name, or a path relative to this file"] = "mecanum"
     timeout_s: Annotated[float, Range(ge=0.05, le=3600), "silence after which a foreign FMU counts as hung"] = 2.0
     memory_limit_mb: Annotated[float, Range(ge=50, le=1e6), "memory above which a foreign FMU is ended"] = 2000.0
+    step_s: Annotated[
+        float | None, Range(gt=0, le=LONGEST_STEP_S), "communication step in place of the one that the FMU declares"
+    ] = None
     map: Annotated[
         Mapping[Annotated[str, _signal_of_plant], MapRow],
         "the FMU's variables for signals whose names it does not have",

@@ -42,13 +42,14 @@ enum { /* fault */
        GIVE_NAN,
        END,
        RETURN_EARLY,
-       RETURN_EARLY_FOR_EVER,
+       REACH_ELSEWHERE,
        SAY_WARNING,
        RETURN_PENDING,
        FAIL_AT_INITIALIZATION,
        FAIL_TO_RESET,
        FAIL_TO_READ,
        NEVER_SETTLE, /* a time event follows every time event at once */
+       ASK_FOR_EVENT_MODE,
 };
 
 typedef struct {
@@ -57,6 +58,7 @@ typedef struct {
     double kick_rad_s; /* added to every wheel's speed at 0.05 s, a time event */
     double wall_rad;   /* the first wheel bounces back there, a state event */
     double fault_time_s;
+    double grain_s; /* the one communication step that it takes; 0 for any */
     int fault;
     int gear; /* an enumeration: 1 direct, 3 geared */
     bool reversed;
@@ -92,6 +94,10 @@ static inline void wheels_step(wheels *w, double step_s) {
         w->speed_rad_s[i] += a * step_s;
     }
     w->time_s += step_s;
+}
+
+static inline bool takes(const wheels *w, double step_s) {
+    return w->grain_s == 0.0 || fabs(step_s - w->grain_s) < 1e-12;
 }
 
 static inline double x_m(const wheels *w) {

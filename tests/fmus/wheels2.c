@@ -97,6 +97,8 @@ static double *real(slave *s, unsigned reference) {
         return &w->wall_rad;
     case 23:
         return &w->fault_time_s;
+    case 25:
+        return &w->grain_s;
     default:
         return reference < 4 ? &w->torque_n_cm[reference] : NULL;
     }
@@ -178,7 +180,7 @@ EXPORT int fmi2GetString(void *c, const unsigned *reference, size_t n, const cha
 EXPORT int fmi2DoStep(void *c, double from_s, double step_s, int no_set_state) {
     slave *const s = c;
     (void)no_set_state;
-    if (fabs(from_s - s->now.time_s) > 1e-9) {
+    if (fabs(from_s - s->now.time_s) > 1e-9 || !takes(&s->now, step_s)) {
         return ERROR;
     }
     wheels_step(&s->now, step_s);

@@ -120,9 +120,10 @@ EXPORT int fmi3SetFloat64(void *c, const unsigned reference[], size_t n, const d
                           size_t values) {
     instance *const s = c;
     wheels *const w = &s->now;
-    double *const parameter[] = {&w->inertia_kg_m2, &w->kick_rad_s, &w->wall_rad, &w->fault_time_s};
+    double *const parameter[] = {&w->inertia_kg_m2, &w->kick_rad_s, &w->wall_rad,
+                                 &w->fault_time_s,  NULL,           &w->grain_s};
     for (size_t i = 0; i < n; i++) {
-        if (reference[i] < 20 || reference[i] > 23 || n != values || w->initialised) {
+        if (reference[i] < 20 || reference[i] > 25 || n != values || w->initialised) {
             return say(s, ERROR);
         }
         *parameter[reference[i] - 20] = value[i];
@@ -221,18 +222,13 @@ EXPORT int fmi3DoStep(void *c, double from_s, double step_s, bool no_set_state, 
     instance *const s = c;
     wheels *const w = &s->now;
     *event_handling_needed = *terminate = *early_return = false;
-    if (fabs(from_s - w->time_s) > 1e-9) {
+    if (fabs(from_s - w->time_s) > 1e-9 || !takes(w, step_s)) {
         return say(s, ERROR);
     }
-    if (is_faulty(w, RETURN_EARLY_FOR_EVER)) {
-        *early_return = true;
-        *last_successful_time_s = from_s;
-        return OK;
-    }
-    /* Early three times in a tick, once less than half the way each time. */
-    *early_return = is_faulty(w, RETURN_EARLY) && step_s > 0.0002;
-    wheels_step(w, *early_return ? step_s / 2.0 : step_s);
+    *early_return = is_faulty(w, RETURN_EARLY);
+    wheels_step(w, *early_return || is_faulty(w, REACH_ELSEWHERE) ? step_s / 2.0 : step_s);
     *last_successful_time_s = w->time_s;
+    *event_handling_needed = is_faulty(w, ASK_FOR_EVENT_MODE);
     static const int FAULTS[][2] = {
         {SAY_ERROR, ERROR}, {SAY_DISCARD, DISCARD}, {SAY_FATAL, FATAL}, {SAY_WARNING, WARNING}};
     for (size_t i = 0; i < sizeof FAULTS / sizeof *FAULTS; i++) {

@@ -15,7 +15,8 @@ class Kind(StrEnum):
 
     VIOLATION = "violation"  # the standard demands otherwise
     ADVICE = "advice"  # the importer should not have done this: the standard does not say what the FMU must do then
-    NEED = "need"  # the standard allows it, but a run of this importer ends with it
+    NEED = "need"  # the standard allows it, but a run of this importer ends with it, or steps the FMU otherwise
+    NOTE = "note"  # a choice of this importer, which costs the FMU nothing that it declares
 
 
 @dataclass(frozen=True)
@@ -26,4 +27,4 @@ class Finding:
     text: str
 
 
-violation, advice, need = (partial(Finding, kind) for kind in Kind)
+violation, advice, need, note = (partial(Finding, kind) for kind in Kind)

@@ -9,9 +9,11 @@ from collections.abc import Callable, Generator, Iterator
 
 from fmpy.fmi1 import FMICallException
 
+from hil.core.clock import TICK_NS
 from hil.core.errors import BadInputError
 from hil.core.subprocesses import MEMORY_IS_KNOWN, resident_bytes
-from hil.plant.conformance import Finding, advice, misuse, need, violation
+from hil.plant.communication import communication_step
+from hil.plant.conformance import Finding, advice, misuse, need, note, violation
 from hil.plant.conformance.slave import (
     DISCARD,
     Model,
@@ -157,20 +159,42 @@ def step_size(model: Model) -> Iterator[Finding]:
     _require(model.claims.canHandleVariableCommunicationStepSize, "variable communication step sizes are not claimed")
     with model.instance() as slave:
         time_s = model.start_s
-        for factor in (1.0, 0.5, 3.0, 0.1, 1.7):
+        for size_s in (*(factor * model.step_s for factor in (1.0, 0.5, 3.0, 0.1, 1.7)), TICK_NS / 1e9):
             try:
-                slave.step(time_s, factor * model.step_s)
+                slave.step(time_s, size_s)
             except FMICallException as error:
                 if error.status != DISCARD:
                     raise
-                yield advice(f"a step of {factor * model.step_s:g} s is not done: {model.explain(error)}")
+                yield advice(f"a step of {size_s:g} s is not done: {model.explain(error)}")
                 return
-            time_s += factor * model.step_s
+            time_s += size_s
         yield from _not_finite(model, slave, "after steps of various sizes")
     half = _held(model, 1.0, _STEPS // 2)
     whole = _held(model, 1.0, _STEPS)
     if same(_held(model, 0.5, _STEPS), whole) and not same(half, whole):
         yield violation(f"{_STEPS} steps of half the size bring the outputs as far as {_STEPS} whole ones")
+
+
+def bridge_step(model: Model) -> Iterator[Finding]:
+    """The FMU is stepped as a run does, which another part tests where any size is claimed."""
+    try:
+        step = communication_step(model.fmu, model.description)
+    except BadInputError as error:
+        yield need(str(error))
+        return
+    if step.notice:
+        yield (note if step.size_ns == TICK_NS else need)(step.notice)
+    if model.claims.canHandleVariableCommunicationStepSize:
+        return
+    size_s = step.size_ns / 1e9
+    with model.instance() as slave:
+        for number in range(_STEPS):
+            slave.drive(number)
+            try:
+                slave.step(model.start_s + number * size_s, size_s)
+            except FMICallException as error:
+                yield need(f"a step of {size_s:g} s, which a run does, is not done: {model.explain(error)}")
+                return
 
 
 def saved_state(model: Model) -> Iterator[Finding]:
@@ -254,8 +278,8 @@ def many_instances(model: Model) -> Iterator[Finding]:
 GATES = (functions, life_cycle)  # where these fail, no other part can run
 ADVISORY = (misuse.values_out_of_range, misuse.illegal_calls)  # all that is found there is advice, also a crash
 PARTS: tuple[Callable[[Model], Iterator[Finding]], ...] = (
-    *(*GATES, version, debug_logging, start_values, variables, initialization, time, step_size, saved_state),
-    *(termination, reset, two_instances, many_instances, *ADVISORY),
+    *(*GATES, version, debug_logging, start_values, variables, initialization, time, step_size),
+    *(bridge_step, saved_state, termination, reset, two_instances, many_instances, *ADVISORY),
 )
 """The parts in their order: those that may crash an FMU are the last."""
 

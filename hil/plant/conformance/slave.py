@@ -147,7 +147,7 @@ class Model:
     """
 
     def __init__(self, fmu: Path, folder: Path, library: Path, version: str, report: Callable[..., None]) -> None:
-        self.folder, self.library_path, self.report = folder, library, report
+        self.fmu, self.folder, self.library_path, self.report = fmu, folder, library, report
         self.is_fmi2 = version == "2.0"
         self.prefix = "fmi2" if self.is_fmi2 else "fmi3"  # of the names of the C functions
         self.fmpy_class: type = FMU2Slave if self.is_fmi2 else FMU3Slave

@@ -1,0 +1,123 @@
+"""Decides by which communication step a co-simulation FMU is stepped, from what it declares.
+
+The bridge ticks once a millisecond. An FMU with a ``fixedInternalStepSize`` (FMI 3.0) takes multiples of that. One that
+does not claim ``canHandleVariableCommunicationStepSize`` is stepped by the ``stepSize`` of its DefaultExperiment, which
+is the preferred communication step. One that claims it is stepped by the tick: its preference alone is no need.
+"""
+
+import math
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from hil.core.clock import TICK_NS
+from hil.core.errors import BadInputError
+
+LONGEST_STEP_S = 0.02  # in it a wheel at 157 rad/s turns by half a turn, which a wrapped angle still tells
+_MOST_STEPS = 1000  # a tick
+_ROUNDING = 1e-6  # relative: a step size may have been a number in single precision
+
+
+class CommunicationStep(NamedTuple):
+    """A communication step: a whole number of ticks, or a tick divided by a whole number.
+
+    ``notice`` says what is worth telling: another step than the tick with the latency that it adds, or a preference
+    that is not followed; empty where there is nothing.
+    """
+
+    size_ns: int
+    notice: str = ""
+
+
+def communication_step(
+    fmu: Path, description: Any, *, wanted_s: float | None = None, tick_ns: int = TICK_NS
+) -> CommunicationStep:
+    """Return the communication step of an FMU (FMPy's description), which a solver of ours needs not: then the tick.
+
+    ``wanted_s`` is ``plant.step_s``. Raises BadInputError with both sizes when there is no step that fits the tick.
+    """
+    interface, experiment = description.coSimulation, description.defaultExperiment
+    if interface is None:
+        if wanted_s is not None:
+            raise BadInputError(f"plant.step_s = {wanted_s:g}; FMU {fmu} is for model exchange, leave it out")
+        return CommunicationStep(tick_ns)
+    fixed_s = _size(fmu, "fixedInternalStepSize", interface.fixedInternalStepSize)
+    preferred_s = _size(fmu, "DefaultExperiment stepSize", experiment and experiment.stepSize)
+    tick_s = tick_ns / 1e9
+    if wanted_s is not None:
+        if fixed_s is not None and _times(wanted_s, fixed_s) is None:
+            raise BadInputError(
+                f"plant.step_s = {wanted_s:g}; FMU {fmu} has a fixedInternalStepSize of {fixed_s:g} s, expected a "
+                "whole multiple of that"
+            )
+        size_s, why = wanted_s, "as plant.step_s says"
+    elif fixed_s is not None:
+        is_free = _times(tick_s, fixed_s) is not None
+        size_s, why = (tick_s if is_free else fixed_s), "for its fixedInternalStepSize"
+    elif preferred_s is not None and not interface.canHandleVariableCommunicationStepSize:
+        size_s = preferred_s
+        why = "the stepSize of its DefaultExperiment, since canHandleVariableCommunicationStepSize is not true"
+    else:
+        size_s, why = tick_s, ""
+    ticks, steps = _times(size_s, tick_s), _times(tick_s, size_s)
+    if ticks is None and (steps is None or steps > _MOST_STEPS or tick_ns % steps):
+        raise BadInputError(
+            f"FMU {fmu}: its communication step is {size_s:g} s ({why}), and the bridge's tick {tick_s:g} s; expected "
+            f"a whole number of ticks, or a tick divided by a whole number: {_way_out(fixed_s, tick_s)}"
+        )
+    if ticks is not None and ticks > 1 and size_s > LONGEST_STEP_S * (1 + _ROUNDING):
+        raise BadInputError(
+            f"FMU {fmu}: its communication step is {size_s:g} s ({why}), and the bridge's tick {tick_s:g} s; expected "
+            f"at most {LONGEST_STEP_S:g} s, in which no wheel turns by half a turn: {_way_out(fixed_s, tick_s)}"
+        )
+    return CommunicationStep(
+        ticks * tick_ns if ticks is not None else tick_ns // (steps or 1),
+        _notice(size_s, why, ticks, steps, tick_s) or _ignored(preferred_s, tick_s, wanted_s),
+    )
+
+
+def _notice(size_s: float, why: str, ticks: int | None, steps: int | None, tick_s: float) -> str:
+    if ticks is not None and ticks > 1:
+        late_ms = (ticks - 1) * tick_s * 1e3
+        return (
+            f"stepped by {size_s:g} s, {ticks} ticks ({why}): an input acts up to {late_ms:g} ms late, and an output "
+            f"is up to {late_ms:g} ms old"
+        )
+    return f"stepped by {size_s:g} s, {steps} times a tick ({why})" if steps is not None and steps > 1 else ""
+
+
+def _ignored(preferred_s: float | None, tick_s: float, wanted_s: float | None) -> str:
+    if preferred_s is None or _times(preferred_s, tick_s) == 1:
+        return ""
+    why = ", as plant.step_s says" if wanted_s is not None else ", which it claims to handle"
+    return f"stepped by the tick of {tick_s:g} s{why}; its DefaultExperiment prefers {preferred_s:g} s"
+
+
+def _way_out(fixed_s: float | None, tick_s: float) -> str:
+    if fixed_s is None:
+        return (
+            "export it so, or set plant.step_s if it keeps another constant step (the standard leaves the size to the "
+            "importer)"
+        )
+    most = round(LONGEST_STEP_S / tick_s)
+    common = next((n * tick_s for n in range(1, most + 1) if _times(n * tick_s, fixed_s) is not None), None)
+    return "export it so" if common is None else f"export it so, or set plant.step_s = {common:g}, a multiple of both"
+
+
+def _times(whole_s: float, part_s: float) -> int | None:
+    """Return how many times a part is in a whole; None unless that is a whole number."""
+    ratio = whole_s / part_s
+    times = round(ratio)
+    return times if times >= 1 and abs(ratio - times) <= _ROUNDING * times else None
+
+
+def _size(fmu: Path, name: str, declared: object) -> float | None:
+    """Return a declared step size [s], None where there is none. Raises BadInputError unless it is positive."""
+    if declared is None:
+        return None
+    try:
+        size_s = float(str(declared))
+    except ValueError:
+        size_s = math.nan
+    if not 0.0 < size_s < math.inf:
+        raise BadInputError(f"FMU {fmu}: its {name} is {declared!r}; expected a positive number of seconds")
+    return size_s
