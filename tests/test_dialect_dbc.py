@@ -480,8 +480,11 @@ def test_a_state_and_an_error_that_are_told_no_longer_stop_the_robot(table: str)
         assert rig.driver.is_armed is (table == "errors" or late_ns < 500_000_000)
     [error] = rig.driver.errors
     assert error.startswith(
-        "nothing received of DRIVES_INFO (0x130), which reports errors or states, for more than 0.5 s"
+        "nothing received of DRIVES_INFO (0x130), which reports errors or states, for more than 0.5 s (its period is"
     )
+    rig.driver.feed(Frame(0x130, bytes(5)), end_ns + 660_000_000)
+    [error] = rig.driver.errors
+    assert error.endswith("for more than 0.5 s (but 5 bytes, and DRIVES_INFO has 8 in the DBC)")
 
 
 def test_a_cycle_time_is_of_a_message_that_is_awaited() -> None:

@@ -15,9 +15,12 @@ from firmware_protocol.generated.messages import State
 from hil.core.errors import BadInputError, DeviceError, LinkError
 from hil.core.kinematics import BodyTwist
 from hil.drivers.c620.emulated import EmulatedC620
+from hil.drivers.port import EXTENDED
+from hil.drivers.registry import emulated
 from hil.runtime.assembly import run_scenario
 from hil.scenario import Scenario, load
 from hil.service.messages import Phase
+from tests.dbc_mappings import motors
 from tests.pilot_bench import PilotBench
 
 BUS = "can:virtual/makers"
@@ -177,6 +180,63 @@ def test_controllers_that_do_not_answer_are_named(built: Any) -> None:
     built(OnlyTwo)
     with pytest.raises(DeviceError, match="no feedback of the motors 3, 4; check their power"):
         run_scenario(scenario())
+
+
+def short(frame: Frame) -> Frame:
+    return frame._replace(payload=frame.payload[: 5 if len(frame.payload) > 8 else -1])
+
+
+def with_id(frame: Frame, change: int) -> Frame:
+    return frame._replace(id=frame.id ^ change)
+
+
+BASE = {**SPEED, "device.motors": motors("twist_base"), "robot.speed_limit_rad_s": 39.0}
+FD = "can:virtual/makers?fd=1&data_bitrate=5000000"
+UNFIT: list[tuple[str, str, dict[str, Any], Callable[[Frame], Frame], str]] = [
+    ("c620", BUS, {}, short, r"no feedback of the motors 1, 2, 3, 4, but frames that do not fit: 7 bytes, expected 8 "
+     r"\(\d+ of 0x201, 0x202, 0x203, 0x204\); correct the controllers' settings, or device.motors"),
+    ("c620", BUS, {}, lambda one: with_id(one, 0x40), r"motors.ids\); other identifiers were received: 0x241, 0x242, "),
+    ("odrive", BUS, {}, short, r"from the nodes 0, 1, 2, 3, but .*: 7 bytes, expected 8 \(\d+ of 0x.* and 12 more\)"),
+    ("odrive", BUS, {}, lambda one: with_id(one, EXTENDED), r"29 bits, expected one of 11 \(\d+ of 0x00000000, 0x0"),
+    ("vesc", BUS, SPEED, short, r"7 bytes, expected 8 \(\d+ of 0x00000901, "),
+    ("moteus", FD, SPEED, short, r"from the moteus 1, 2, 3, 4, but .* bytes that are no answer of a moteus \(\d+ of"),
+    ("wheeltec", BUS, SPEED, short, r"from a WHEELTEC base, but .*: 7 bytes, expected 8 \(\d+ of 0x101, 0x102,"),
+    ("dbc", BUS, BASE, short, r"nothing received of BASE_MOTION \(0x18ff0200\), but frames that do not fit: 7 bytes, "
+     r"and BASE_MOTION has 8 in the DBC \(\d+ of 0x18ff0200\), 7 bytes, and BASE_IMU"),
+    ("dbc", BUS, BASE, lambda one: with_id(one, 0xFE), r"like BASE_MOTION, but with the source address 0xfe, not 0x0, "
+     r"in the terms of J1939 \(\d+ of 0x18ff02fe\)"),
+    ("dbc", BUS, BASE, lambda one: with_id(one, 7 << 26), r"like BASE_MOTION, but with the priority 0x1, not 0x6, in"),
+    ("dbc", BUS, {**SPEED, "device.motors": motors("wheel_drives")}, lambda one: with_id(one, EXTENDED),
+     r"an identifier of 29 bits, and that of STATUS_FL has 11 in the DBC \(\d+ of 0x00000120\)"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("driver", "link", "changes", "change", "sentence"), UNFIT)
+def test_frames_that_arrive_and_do_not_fit_are_the_reason(
+    built: Any, driver: str, link: str, changes: dict[str, Any], change: Callable[[Frame], Frame], sentence: str
+) -> None:
+    """What the devices send reaches the host over a bus, with another length or identifier than it should have."""
+    kind: Any = emulated(driver)
+
+    class Unfit(kind):  # type: ignore[misc]
+        def send(self, frame: Frame) -> None:
+            super().send(change(frame))
+
+    built(Unfit)
+    with pytest.raises(DeviceError, match=sentence):
+        run_scenario(scenario(driver, link, **changes))
+
+
+def test_bytes_that_arrive_and_are_no_frames_are_the_reason(built: Any) -> None:
+    """As with another baud rate."""
+
+    class Garbled(emulated("wheeltec")):  # type: ignore[misc]
+        def take_bytes(self) -> bytes:
+            return bytes(byte ^ 0x55 for byte in super().take_bytes())
+
+    built(Garbled)
+    with pytest.raises(DeviceError, match=r"at 1 Mbit/s; what arrived is no frame \(.*stray \d+"):
+        run_scenario(scenario("wheeltec", "memory:", **SPEED))
 
 
 @pytest.mark.parametrize(

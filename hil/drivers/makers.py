@@ -71,7 +71,8 @@ class MakersRobot(LinkedDevice):
             self.wait_until(t_ns)
             if self.greeted() and self._line.info is not None:
                 return self._line.info
-        raise DeviceError(f"{self._driver.missing} ({self.describe_link()})")
+        missing = self._line.explain(self._driver.missing, self._clock.now_ns())
+        raise DeviceError(f"{missing} ({self.describe_link()})")
 
     @property
     def info(self) -> MotorsInfo | None:
@@ -150,7 +151,7 @@ class MakersRobot(LinkedDevice):
     def why_not_active(self) -> str:
         if self._awaits_watch:
             return "the guardian, without which nothing is armed, has not answered within 4 s (GUARDIAN.md)"
-        return self.report.why_not_active(self._state, self._clock.now_ns())
+        return self.report.why_not_active(self._state, self._clock.now_ns(), self._line.explain)
 
     def disarm(self) -> None:
         self._awaits_watch = False

@@ -1,6 +1,7 @@
 """Feedback and report of a robot with makers' motors, made of the samples of their driver."""
 
 import math
+from collections.abc import Callable
 from typing import NamedTuple
 
 from firmware_protocol.generated.messages import State
@@ -140,8 +141,8 @@ class MakersReport:
         """Return why the robot last stopped, in words that follow on "because of"."""
         return f"this: {self.why}" if self.why else "no error that it reports"
 
-    def why_not_active(self, state: State, now_ns: int) -> str:
-        """Return what keeps the robot from being driven, and what to do."""
+    def why_not_active(self, state: State, now_ns: int, explain: Callable[[str, int], str]) -> str:
+        """Return what keeps the robot from being driven, and what to do; ``explain`` is that of ``MotorLine``."""
         if state is State.ESTOP:
             return "an e-stop is latched; clear it when the robot may be armed again"
         if state is State.FAULT:
@@ -150,10 +151,11 @@ class MakersReport:
                 "tool, or with hil serve and hil ctl clear"
             )
         if not self.is_fresh(now_ns):
-            return self._driver.missing or (
+            silent = (
                 "the motor controllers send no feedback of all four wheels that is younger than the "
                 f"{self._stale_s:g} s of firmware.watchdog_s; look at its rate, and whether all four send it"
             )
+            return explain(self._driver.missing or silent, now_ns)
         return "the motor controllers did not go into closed loop within 4 s; look at them with their maker's tool"
 
     def explains(self, state: State) -> bool:

@@ -10,7 +10,7 @@ from hil.core.guard import Brake
 from hil.core.ports import Clock
 from hil.core.types import CommandMode, FourWheels, Wheels
 from hil.drivers.makers_feedback import MotorsInfo
-from hil.drivers.port import Driver, DriverError, four
+from hil.drivers.port import EXTENDED, REMOTE, Driver, DriverError, four
 from hil.robot.handshake import RETRY_NS
 from hil.robot.link_times import PollAge
 from hil.robot.wire_hash import WireHash
@@ -24,6 +24,9 @@ _TIMES_AT_REST = 2  # one may be lost, and wheels at rest may still be under con
 _AT_REST_RAD_S = 0.2  # PROTOCOL.md, "States"
 _ROLLS_OUT_NS = 1_000_000_000
 _LOST_NS = 1_000_000_000
+_NEW_NS = 2_000_000_000
+_MOST_UNUSED = 64  # identifiers and reasons
+_MOST_LISTED = 4
 
 
 class Terms(NamedTuple):
@@ -56,6 +59,8 @@ class MotorLine:
         info: the controllers' identity; None before all have answered. It stays after ``restart``.
     """
 
+    _unused: dict[tuple[int, str], tuple[int, int]]
+
     def __init__(self, link: ConditionedLink, driver: Driver, poll_age: PollAge, *, is_lockstep: bool) -> None:
         self.link, self._driver, self._poll_age, self._is_lockstep = link, driver, poll_age, is_lockstep
         self.hash = WireHash()
@@ -63,9 +68,11 @@ class MotorLine:
         self._ask_again_ns = 0
         self.info: MotorsInfo | None = None
         self.sent = self.received = 0
+        self._unused = {}  # how many frames of an identifier were not used for a reason, and when the newest came
 
     def restart(self, now_ns: int) -> None:
         """Ask for the identity again."""
+        self._unused.clear()
         self._is_identified = False
         self._ask_again_ns = now_ns
 
@@ -109,11 +116,50 @@ class MotorLine:
             frames, stamp_ns = received
             for frame in frames:
                 self.hash.received(frame)
-                self._driver.feed(frame, stamp_ns)
+                why = self._driver.feed(frame, stamp_ns)
+                if isinstance(why, str):  # an older driver of another package may return anything
+                    self._count_unused(frame.id, why, stamp_ns)
             count += len(frames)
         self.received += count
         if not self._is_lockstep:
             self._poll_age.record_poll(clock.now_ns(), everything=count < _MOST_A_POLL)
+
+    def _count_unused(self, number: int, why: str, stamp_ns: int) -> None:
+        count, _ = self._unused.get((number, why), (0, 0))
+        if count or len(self._unused) < (_MOST_UNUSED if why else _MOST_UNUSED // 2):
+            self._unused[number, why] = (count + 1, stamp_ns)
+
+    def explain(self, missing: str, now_ns: int) -> str:
+        """Return what is missing, as ``Driver.missing``, with the cause: frames that came lately and were not used."""
+        found: dict[str, dict[str, int]] = {}
+        for (number, why), (count, stamp_ns) in self._unused.items():
+            if now_ns - stamp_ns <= _NEW_NS:
+                found.setdefault(why, {})[_identifier(number)] = count
+        others = found.pop("", {})
+        if found:
+            what, _, _ = missing.partition(";")
+            causes = [f"{why} ({sum(ids.values())} of {_listed([*ids])})" for why, ids in found.items()]
+            return (
+                f"{what}, but frames that do not fit: {_listed(causes)}; correct the controllers' settings, or "
+                "device.motors"
+            )
+        if others:
+            return f"{missing}; other identifiers were received: {_listed([*others])}"
+        if rejected := {cause: count for cause, count in self.link.rejected().items() if count}:
+            words = ", ".join(f"{cause} {count}" for cause, count in rejected.items())
+            return f"{missing}; what arrived is no frame ({words})"
+        return missing
+
+
+def _identifier(number: int) -> str:
+    """Return the identifier of a frame in words; one of 29 bits has eight digits."""
+    bare = number & ~(EXTENDED | REMOTE)
+    return f"{bare:#010x}" if number & EXTENDED else f"{bare:#05x}"
+
+
+def _listed(words: Sequence[str]) -> str:
+    rest = len(words) - _MOST_LISTED
+    return ", ".join(words[:_MOST_LISTED]) + (f" and {rest} more" if rest > 0 else "")
 
 
 class MotorStop:

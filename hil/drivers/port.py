@@ -129,7 +129,10 @@ class Driver(ABC):
 
     @property
     def missing(self) -> str:
-        """What has not answered ``ask`` yet, and what to check; empty when nothing is missing."""
+        """What has not answered ``ask`` yet; then after a semicolon what to check. Empty when nothing is missing.
+
+        If frames arrived that do not fit, the user reads these in place of what to check.
+        """
         return ""
 
     @abstractmethod
@@ -168,8 +171,12 @@ class Driver(ABC):
         return ()
 
     @abstractmethod
-    def feed(self, frame: Frame, stamp_ns: int) -> None:
-        """Take a frame that arrived at ``stamp_ns``. A foreign or damaged frame changes nothing."""
+    def feed(self, frame: Frame, stamp_ns: int) -> str | None:
+        """Take a frame that arrived at ``stamp_ns``. A foreign or damaged frame changes nothing.
+
+        Return why it was not used, in words such as "7 bytes, expected 8"; empty words for a frame of somebody else,
+        and None for one that was used. The user reads them where something is ``missing``.
+        """
 
     @property
     @abstractmethod
@@ -277,6 +284,11 @@ def four(values: Iterable[_Any]) -> tuple[_Any, _Any, _Any, _Any]:
 def clamp(value: _Number, most: _Number, least: _Number | None = None) -> _Number:
     """Return a value limited to the range from ``least``, by default -``most``, to ``most``. NaN stays NaN."""
     return min(max(value, -most if least is None else least), most)
+
+
+def expected_length(frame: Frame, length: int) -> str | None:
+    """Return for ``Driver.feed`` that a frame has another length; None if it has this one."""
+    return None if len(frame.payload) == length else f"{len(frame.payload)} bytes, expected {length}"
 
 
 def four_ids(low: int, high: int) -> Callable[[tuple[int, ...]], tuple[int, ...]]:

@@ -17,7 +17,18 @@ from firmware_protocol.framing import Frame
 from hil.core.options import NOT_NEGATIVE, POSITIVE
 from hil.core.types import CommandMode, FourWheels
 from hil.drivers.four_motors import Channel, FourMotors, found_by_id
-from hil.drivers.port import Capabilities, Dialect, Found, Probe, RobotFacts, Sample, clamp, four, four_ids
+from hil.drivers.port import (
+    Capabilities,
+    Dialect,
+    Found,
+    Probe,
+    RobotFacts,
+    Sample,
+    clamp,
+    expected_length,
+    four,
+    four_ids,
+)
 
 _CURRENTS = Struct(">4h")
 _FEEDBACK = Struct(">HhhB")
@@ -198,10 +209,13 @@ class C620(FourMotors[Settings, _Channel]):
         self._is_armed = False
         return self._currents(_NO_CURRENT)
 
-    def feed(self, frame: Frame, stamp_ns: int) -> None:
+    def feed(self, frame: Frame, stamp_ns: int) -> str | None:
         channel = self._by_id.get(frame.id - _FEEDBACK_BASE)
-        if channel is not None and len(frame.payload) == 8:
+        if channel is None:
+            return ""
+        if (why := expected_length(frame, 8)) is None:
             channel.feed(frame.payload, stamp_ns)
+        return why
 
     @property
     def sample(self) -> Sample | None:

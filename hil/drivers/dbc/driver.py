@@ -202,11 +202,13 @@ class DbcDriver(Driver):
 
     # Received frames
 
-    def feed(self, frame: Frame, stamp_ns: int) -> None:
-        is_healthy = self._received.feed(frame.id, frame.payload, stamp_ns)
-        if self._is_armed and not is_healthy:  # checked here, as the next frame may already report that all is well
+    def feed(self, frame: Frame, stamp_ns: int) -> str | None:
+        why = self._received.feed(frame, stamp_ns)
+        # Checked here, as the next frame may already report that all is well.
+        if self._is_armed and not self._received.is_healthy:
             self._ended_by = self._received.errors()
             self._is_armed = False
+        return why
 
     @property
     def sample(self) -> Sample | None:

@@ -4,11 +4,26 @@ import math
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 
+from firmware_protocol.framing import Frame
 from hil.core.errors import BadInputError
 from hil.core.types import NAN
 from hil.drivers.dbc.file import Message, Signal
 from hil.drivers.dbc.settings import Gain, Plan
-from hil.drivers.port import holds_back, oldest
+from hil.drivers.port import EXTENDED, REMOTE, holds_back, oldest
+
+_MOST_STRANGERS = 1000
+_J1939 = ("priority", "destination address", "source address")
+
+
+def _fields(identifier: int) -> tuple[int, int, int]:
+    """Return priority, destination address (or group extension) and source address of a J1939 identifier."""
+    return identifier >> 26 & 7, identifier >> 8 & 0xFF, identifier & 0xFF
+
+
+def _group(identifier: int) -> int:
+    """Return the parameter group of a J1939 identifier. Below PDU format 240 the byte after it is the destination."""
+    group = identifier >> 8 & 0x3FFFF
+    return group if group >> 8 & 0xFF >= 240 else group & ~0xFF
 
 
 class _Source:
@@ -21,6 +36,7 @@ class _Source:
         floats: the names of its floating-point signals that are read. A frame with one that is not finite is ignored.
         good: name and good raw values of each signal that reports an error, or a state of ``armed_when``.
         positions: its positions that wrap.
+        unfit: why its newest frame was not used; None if it was.
     """
 
     def __init__(self, message: Message, late_ns: int | None) -> None:
@@ -31,22 +47,31 @@ class _Source:
         self.floats: set[str] = set()
         self.good: list[tuple[str, Collection[float]]] = []
         self.positions: list[_WrappingPosition] = []
+        self.unfit: str | None = None
 
     def is_silent(self, now_ns: int) -> bool:
         """Return whether the message came at least once, and its values are too old now."""
         return self.late_ns is not None and self.stamp_ns is not None and now_ns - self.stamp_ns > self.late_ns
 
-    def feed(self, payload: bytes, stamp_ns: int) -> None:
-        """Take a payload. It changes nothing if it is too short or has a value that is not finite."""
+    @property
+    def is_healthy(self) -> bool:
+        """Whether it reports no error, and no state that ``armed_when`` excludes; also before the first frame."""
+        return self.stamp_ns is None or all(self.raws[name] in good for name, good in self.good)
+
+    def feed(self, payload: bytes, stamp_ns: int) -> str | None:
+        """Take a payload. It changes nothing if it is too short or has a value that is not finite; return why not."""
         length = self.message.length
         if len(payload) < length:
-            return
+            return f"{len(payload)} bytes, and {self.message.name} has {length} in the DBC"
         # cantools' own scaling, checks and value-table texts would double the time.
         raws = self.message.codec.decode_simple(payload[:length], decode_choices=False, scaling=False)
-        if all(math.isfinite(raws[name]) for name in self.floats):
-            self.raws, self.stamp_ns = raws, stamp_ns
-            for position in self.positions:
-                position.follow(stamp_ns)
+        for name in self.floats:
+            if not math.isfinite(raws[name]):
+                return f"{self.message.name}.{name} is {raws[name]}"
+        self.raws, self.stamp_ns = raws, stamp_ns
+        for position in self.positions:
+            position.follow(stamp_ns)
+        return None
 
 
 @dataclass(slots=True)
@@ -94,11 +119,16 @@ class _WrappingPosition(_Reading):
 
 
 class Received:
-    """All messages of a mapping that the controllers send."""
+    """All messages of a mapping that the controllers send.
+
+    ``is_healthy``: whether the message of the newest frame reports no error, and no state that ``armed_when`` excludes.
+    """
 
     def __init__(self, plan: Plan, gain: Gain) -> None:
         self._sources = {name: _Source(message, plan.late_ns(message)) for name, message in plan.received.items()}
         self._by_id = {source.message.id: source for source in self._sources.values()}
+        self._strangers: dict[int, str] = {}  # other identifiers, and what is like a message of the mapping in them
+        self.is_healthy = True
         self._now_ns = 0  # stamp of the newest frame
         self._quantities: dict[str, Sequence[_Reading]] = {
             name: [self._read(bound.signal, gain(bound)) for bound in quantity.bounds]
@@ -134,17 +164,40 @@ class Received:
             return _Reading(source, signal.name, 1, 0)
         return _Reading(source, signal.name, gain * signal.factor, gain * signal.offset)
 
-    def feed(self, identifier: int, payload: bytes, stamp_ns: int) -> bool:
-        """Take a frame's payload. Return False if its message reports an error or a state that ``armed_when`` excludes.
-
-        A frame that belongs to no message of the mapping changes nothing.
-        """
-        source = self._by_id.get(identifier)
+    def feed(self, frame: Frame, stamp_ns: int) -> str | None:
+        """Take a frame. Return why it was not used, as ``Driver.feed``."""
+        source = self._by_id.get(frame.id)
         if source is None:
-            return True
+            self.is_healthy = True
+            if frame.id not in self._strangers:
+                if len(self._strangers) >= _MOST_STRANGERS:
+                    return ""
+                self._strangers[frame.id] = self._likeness(frame.id)
+            return self._strangers[frame.id]
         self._now_ns = max(self._now_ns, stamp_ns)
-        source.feed(payload, stamp_ns)
-        return source.stamp_ns is None or all(source.raws[name] in good for name, good in source.good)
+        why = source.unfit = source.feed(frame.payload, stamp_ns)
+        self.is_healthy = source.is_healthy
+        return why
+
+    def _likeness(self, identifier: int) -> str:
+        """Return how an identifier differs from that of a message that has not come; empty if it is like none."""
+        for source in self._sources.values():
+            message = source.message
+            if source.stamp_ns is not None:
+                continue
+            if identifier == message.id ^ EXTENDED:
+                bits = (29, 11) if identifier & EXTENDED else (11, 29)
+                return f"an identifier of {bits[0]} bits, and that of {message.name} has {bits[1]} in the DBC"
+            if identifier == message.id | REMOTE:
+                return f"a remote frame of {message.name}, which has no data"
+            if identifier & message.id & EXTENDED and _group(identifier) == _group(message.id):
+                parts = [
+                    f"{name} {there:#x}, not {here:#x}"
+                    for name, there, here in zip(_J1939, _fields(identifier), _fields(message.id), strict=True)
+                    if there != here
+                ]
+                return f"like {message.name}, but with the {' and the '.join(parts)}, in the terms of J1939"
+        return ""
 
     def quantity(self, name: str) -> Sequence[float] | None:
         """Return the newest values of a quantity [SI], NaN for what did not come, or is too old; None if not mapped."""
@@ -202,7 +255,8 @@ class Received:
         """Return the messages with states and errors that are too old, in words."""
         return [
             f"nothing received of {source.message}, which reports errors or states, for more than "
-            f"{(source.late_ns or 0) * 1e-9:g} s (its period is device.motors.cycle_time_s)"
+            f"{(source.late_ns or 0) * 1e-9:g} s ("
+            + (f"but {source.unfit})" if source.unfit else "its period is device.motors.cycle_time_s)")
             for source in self._sources.values()
             if source.good and source.is_silent(self._now_ns)
         ]

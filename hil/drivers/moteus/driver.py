@@ -193,15 +193,18 @@ class Moteus(FourMotors[Settings, _Channel]):
         for channel in self._channels:
             channel.timeout_s = NAN
 
-    def feed(self, frame: Frame, stamp_ns: int) -> None:
+    def feed(self, frame: Frame, stamp_ns: int) -> str | None:
         number = (frame.id & ~EXTENDED) - (self._settings.can_prefix << 16)
         channel = self._by_id.get(number >> 8) if not number & 0xFF else None
-        if channel is None or (values := frames.parse_reply(frame.payload)) is None:
-            return
+        if channel is None:
+            return ""
+        if (values := frames.parse_reply(frame.payload)) is None:
+            return f"{len(frame.payload)} bytes that are no answer of a moteus"
         channel.feed(values, stamp_ns)
         self._is_armed = self._is_armed and channel.mode == _POSITION
         if self._is_ending and all(channel.mode == _STOPPED for channel in self._channels):
             self._has_armed = self._is_ending = self._was_lost = False
+        return None
 
     def _problems(self, channel: _Channel) -> Iterable[str]:
         if channel.mode == _FAULT:

@@ -97,18 +97,22 @@ class Axis(Channel):
 
     # Received frames
 
-    def feed(self, command: int, payload: bytes, stamp_ns: int) -> None:
-        """Take a frame of this node. A frame of a wrong length, or with an impossible content, changes nothing."""
+    def feed(self, command: int, payload: bytes, stamp_ns: int) -> str | None:
+        """Take a frame of this node. A frame of a wrong length, or with an impossible content, changes nothing.
+
+        Return why not, as ``Driver.feed``.
+        """
         if command == can.READ_SDO:
             if len(payload) > can.SDO.size and self.firmware is FIRMWARE_06:
                 self._feed_sdo(payload)
         elif len(payload) != 8:
-            return
+            return f"{len(payload)} bytes, expected 8"
         elif command == can.GET_ESTIMATES:
             position, speed = can.TWO_FLOATS.unpack(payload)
-            if math.isfinite(position) and math.isfinite(speed):
-                self.position, self.speed, self.stamp_ns = position, speed, stamp_ns
-                self._forget_late(stamp_ns)
+            if not (math.isfinite(position) and math.isfinite(speed)):
+                return "a position or speed that is not finite"
+            self.position, self.speed, self.stamp_ns = position, speed, stamp_ns
+            self._forget_late(stamp_ns)
         elif command == can.HEARTBEAT:
             self._feed_heartbeat(payload, stamp_ns)
         elif command == can.GET_VERSION:
@@ -118,6 +122,7 @@ class Axis(Channel):
             self._set_firmware(FIRMWARE_06 if self.version[:2] == (0, 6) else None)
         else:
             self._feed_polled(command, payload, stamp_ns)
+        return None
 
     def _forget_late(self, now_ns: int) -> None:
         begin_ns = now_ns - self._late_ns

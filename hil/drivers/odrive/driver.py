@@ -245,13 +245,15 @@ class ODrive(FourMotors[Settings, Axis]):
 
     # Received frames
 
-    def feed(self, frame: Frame, stamp_ns: int) -> None:
-        if frame.id & (EXTENDED | REMOTE):
-            return
-        axis = self._by_id.get(frame.id >> can.NODE_SHIFT)
-        if axis is not None:
-            axis.feed(frame.id & can.COMMAND_MASK, frame.payload, stamp_ns)
-            self._is_armed = self._is_armed and axis.is_closed_loop
+    def feed(self, frame: Frame, stamp_ns: int) -> str | None:
+        axis = self._by_id.get((frame.id & ~EXTENDED) >> can.NODE_SHIFT)
+        if axis is None:  # a remote frame is a question, and so of somebody else
+            return ""
+        if frame.id & EXTENDED:
+            return "an identifier of 29 bits, expected one of 11"
+        why = axis.feed(frame.id & can.COMMAND_MASK, frame.payload, stamp_ns)
+        self._is_armed = self._is_armed and axis.is_closed_loop
+        return why
 
     @property
     def errors(self) -> Sequence[str]:

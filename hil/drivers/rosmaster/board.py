@@ -7,7 +7,7 @@ from typing import Annotated, Literal, NamedTuple
 
 from firmware_protocol.framing import Frame
 from hil.core.options import NOT_NEGATIVE, POSITIVE
-from hil.drivers.port import ANSWER_S, Found, Probe
+from hil.drivers.port import ANSWER_S, Found, Probe, expected_length
 
 BAUD = 115_200
 CAR_TYPE, REQUEST, VERSION = 0x15, 0x50, 0x51
@@ -79,14 +79,17 @@ class Identity:
         self._turn += 1
         return (Frame(REQUEST, bytes([VERSION if self._turn % 2 else CAR_TYPE, 0])),)
 
-    def feed(self, frame: Frame) -> None:
-        """Take a frame. It changes nothing unless it answers one of the questions."""
-        if len(frame.payload) != 2:
-            return
+    def feed(self, frame: Frame) -> str | None:
+        """Take a frame. It changes nothing unless it answers one of the questions. Return as ``Driver.feed``."""
+        if frame.id not in (VERSION, CAR_TYPE):
+            return ""
+        if (why := expected_length(frame, 2)) is not None:
+            return why
         if frame.id == VERSION:
             self.version = frame.payload[0], frame.payload[1]
-        elif frame.id == CAR_TYPE:
+        else:
             self.car_number = frame.payload[0]
+        return None
 
     def describe(self) -> str:
         """Return firmware version and car in words."""

@@ -16,7 +16,7 @@ from struct import Struct
 from firmware_protocol.framing import Frame
 from hil.core.errors import BadInputError
 from hil.core.types import NAN
-from hil.drivers.port import Capabilities, Dialect, RobotFacts, Sample, four, holds_back
+from hil.drivers.port import Capabilities, Dialect, RobotFacts, Sample, expected_length, four, holds_back
 from hil.drivers.rosmaster.board import BAUD, CARS, KNOWN_MAJOR, Identity, RosmasterProbe, Settings, car_name
 from hil.drivers.twist_base import LATE_NS, Counts, PacketFraming, TwistBase
 
@@ -72,6 +72,9 @@ _BATTERY_NS = 1_500_000_000  # the firmware switches off after 2 s: this leaves 
 
 _IMUS = {MPU_REPORT: (-3754.9, 1671.84), ICM_REPORT: (1000.0, 1000.0)}
 """Counts per rad/s about the vertical, negative where the maker's library inverts the rate, and per m/s²."""
+
+
+_REPORT_BYTES = {TWIST_REPORT: _TWIST.size, ENCODER_REPORT: _COUNTS.size} | dict.fromkeys(_IMUS, _IMU.size)
 
 
 class Rosmaster(TwistBase):
@@ -150,23 +153,26 @@ class Rosmaster(TwistBase):
     def _second_stop(self) -> Frame:
         return Frame(RESET_STATE, bytes([_CONFIRM]))
 
-    def feed(self, frame: Frame, stamp_ns: int) -> None:
+    def feed(self, frame: Frame, stamp_ns: int) -> str | None:
         number, payload = frame
-        if number == TWIST_REPORT and len(payload) == _TWIST.size:
+        if number in _REPORT_BYTES and (why := expected_length(frame, _REPORT_BYTES[number])) is not None:
+            return why
+        if number == TWIST_REPORT:
             x, y, turn, battery = _TWIST.unpack(payload)
             self._twist, self._twist_ns = (x, y, turn), stamp_ns
             self._feed_battery(battery / 10.0, stamp_ns)
-        elif number == ENCODER_REPORT and len(payload) == _COUNTS.size:
+        elif number == ENCODER_REPORT:
             self._feed_counts(_COUNTS.unpack(payload))
             self._counts_ns = stamp_ns
-        elif number in _IMUS and len(payload) == _IMU.size:
+        elif number in _IMUS:
             per_rad_s, per_m_s2 = _IMUS[number]
             self._imu_ns = stamp_ns
             _, _, yaw, x, y, z, *_ = _IMU.unpack(payload)
             self._yaw_rate_rad_s = yaw / per_rad_s
             self._acceleration_m_s2 = (x / per_m_s2, y / per_m_s2, z / per_m_s2)
         else:
-            self._identity.feed(frame)
+            return self._identity.feed(frame)
+        return None
 
     def _feed_battery(self, battery_v: float, stamp_ns: int) -> None:
         self._battery_v = battery_v

@@ -70,8 +70,8 @@ class Channel(four_motors.Channel):
         """Whether it has reported that it has no fault, and has not reported a pressed kill switch."""
         return self.fault == 0 and not (self.status or 0) & frames.KILL_SWITCH
 
-    def feed_status(self, command: int, payload: bytes, stamp_ns: int) -> None:
-        """Take a status message from CAN."""
+    def feed_status(self, command: int, payload: bytes, stamp_ns: int) -> str | None:
+        """Take a status message from CAN. Return why it was not used, as ``Driver.feed``."""
         if command == frames.CAN_STATUS and len(payload) == frames.STATUS.size:
             erpm, current, duty = frames.STATUS.unpack(payload)
             self._feed_motion(erpm, current * 0.1, (erpm or duty) < 0, stamp_ns)
@@ -82,6 +82,11 @@ class Channel(four_motors.Channel):
             steps, voltage = frames.STATUS_5.unpack_from(payload)
             self._feed_tachometer(steps, stamp_ns)
             self.supply_v = voltage * 0.1
+        elif command in frames.STATUS_BYTES:
+            return f"{len(payload)} bytes, expected {frames.STATUS_BYTES[command]}"
+        else:
+            return ""
+        return None
 
     def feed_values(self, values: Mapping[str, float], stamp_ns: int, has_commanded: bool) -> None:
         """Take the values of an answer."""

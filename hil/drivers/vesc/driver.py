@@ -238,15 +238,19 @@ class Vesc(FourMotors[Settings, Channel]):
         self._forget_faults()
         return ()
 
-    def feed(self, frame: Frame, stamp_ns: int) -> None:
+    def feed(self, frame: Frame, stamp_ns: int) -> str | None:
         if not self._is_bus:
             self._may_wait = False
             self._feed_message(None, bytes((frame.id & 0xFF,)) + frame.payload, stamp_ns)
         elif (received := self._messages.feed(frame)) is not None:
             self._feed_message(*received, stamp_ns)
         elif frame.id & EXTENDED and (channel := self._by_id.get(frame.id & 0xFF)) is not None:
-            channel.feed_status((frame.id & ~EXTENDED) >> 8, frame.payload, stamp_ns)
+            why = channel.feed_status((frame.id & ~EXTENDED) >> 8, frame.payload, stamp_ns)
             channel.forget_late(stamp_ns, self._late_ns)
+            return why
+        elif frame.id & 0xFF != self._settings.host_id:
+            return ""
+        return None
 
     def _feed_message(self, sender: int | None, message: bytes, stamp_ns: int) -> None:
         """Take a message. On a serial line (``sender`` None) only messages with values contain the sender's id.

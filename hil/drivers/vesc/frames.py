@@ -25,6 +25,7 @@ CAN_STATUS, CAN_STATUS_4, CAN_STATUS_5 = 9, 16, 27
 STATUS = Struct(">ihh")  # ERPM, current [0.1 A], duty [0.001]
 STATUS_4 = Struct(">hhhh")  # temperatures of FET and motor [0.1 °C], input current [0.1 A], position of the PID
 STATUS_5 = Struct(">ih")  # tachometer [a sixth of an electrical turn], input voltage [0.1 V]
+STATUS_BYTES = {CAN_STATUS: STATUS.size, CAN_STATUS_4: STATUS_4.size, CAN_STATUS_5: STATUS_5.size}
 STEPS = 6  # of the tachometer in an electrical turn
 _MAX_BYTES = 512  # of a message
 LONGEST_PACKET = _MAX_BYTES + 6  # bytes on a serial line

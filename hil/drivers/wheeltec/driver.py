@@ -21,7 +21,7 @@ from typing import Annotated
 from firmware_protocol.framing import Frame
 from hil.core.options import NOT_NEGATIVE, POSITIVE
 from hil.core.types import NAN
-from hil.drivers.port import Capabilities, Dialect, Found, Probe, RobotFacts, Sample
+from hil.drivers.port import Capabilities, Dialect, Found, Probe, RobotFacts, Sample, expected_length
 from hil.drivers.twist_base import Counts, PacketFraming, TwistBase
 
 COMMAND = 0x181
@@ -177,9 +177,14 @@ class Wheeltec(TwistBase):
     def _motion(self, counts: Counts) -> Frame:
         return Frame(COMMAND, COMMAND_NUMBERS.pack(*counts))
 
-    def feed(self, frame: Frame, stamp_ns: int) -> None:
-        if self._report.feed(frame, stamp_ns) and self._report.is_stopped:
-            self._is_armed = False
+    def feed(self, frame: Frame, stamp_ns: int) -> str | None:
+        if frame.id not in REPORTS:
+            return ""
+        if self._report.feed(frame, stamp_ns):
+            self._is_armed = self._is_armed and not self._report.is_stopped
+        elif frame.id == REPORTS[-1]:
+            return expected_length(frame, 8) or "the end of a report that is not whole, or has a wrong checksum"
+        return expected_length(frame, 8)
 
     @property
     def sample(self) -> Sample | None:
