@@ -18,18 +18,19 @@ EVERYTHING = decode.Selection.of([], 0, 10)
 
 NOISE = random.Random(5).randbytes(2000)
 GOLDEN = """\
-   0.000000  Tx  WHEEL_COMMAND       fl_rad_s 1.5 rad/s  fr_rad_s -2.25 rad/s  rr_rad_s 10.0 rad/s  \
-rl_rad_s 0.015625 rad/s  sequence 17  session 5
-   0.005000  Rx  TICK                time_us 1234567 µs  sequence 17  command_age_ms 3 ms  state ACTIVE  parts 3  \
-snapshot 200
-   0.006000  Rx  foreign             18FF1234 [3] 01 02 03
-   0.007000  Rx  foreign             123 [0]
-   0.008000  Rx  TICK                080 not valid: length [2] 01 02
-   0.009000  Rx  STATUS              100 not valid: range [8] 0f 0f 0f 0f 0f 0f 0f 0f
-   0.010000  Rx  foreign             080 remote [0]
-   0.011000  Rx  error               error frame, or bytes that are no frame
-   1.000000  Rx  STATUS              state FAULT  mode SPEED  fault OVERCURRENT  fault_wheel RR  stop_reason FAULT  \
-reset_cause POWER_ON  nonce 4661  arm_refusal NONE  limited 12
+   0.000000  1      Tx  WHEEL_COMMAND       fl_rad_s 1.5 rad/s  fr_rad_s -2.25 rad/s  rr_rad_s 10.0 rad/s \
+ rl_rad_s 0.015625 rad/s  sequence 17 \
+ session 5
+   0.005000  1      Rx  TICK                time_us 1234567 µs  sequence 17  command_age_ms 3 ms  state ACTIVE \
+ parts 3  snapshot 200
+   0.006000  1      Rx  foreign             18FF1234 [3] 01 02 03
+   0.007000  1      Rx  foreign             123 [0]
+   0.008000  1      Rx  TICK                080 not valid: length [2] 01 02
+   0.009000  1      Rx  STATUS              100 not valid: range [8] 0f 0f 0f 0f 0f 0f 0f 0f
+   0.010000  1      Rx  foreign             080 remote [0]
+   0.011000  1      Rx  error               error frame, or bytes that are no frame
+   1.000000  1      Rx  STATUS              state FAULT  mode SPEED  fault OVERCURRENT  fault_wheel RR \
+ stop_reason FAULT  reset_cause POWER_ON  nonce 4661  arm_refusal NONE  limited 12
 """
 
 
@@ -43,7 +44,8 @@ def written(path):
 @pytest.mark.parametrize("ending", ["blf", "asc", "log"])
 def test_decode_prints_a_foreign_tool_s_trace_in_our_terms(tmp_path, ending):
     done = hil("decode", written(tmp_path / f"bus.{ending}"))
-    assert (done.stdout, done.stderr, done.returncode) == (GOLDEN, "", 0)
+    expected = GOLDEN.replace("  1      ", "  vcan0  ") if ending == "log" else GOLDEN
+    assert (done.stdout, done.stderr, done.returncode) == (expected, "", 0)
 
 
 def test_decode_reads_what_peak_writes(tmp_path):
@@ -51,15 +53,15 @@ def test_decode_reads_what_peak_writes(tmp_path):
     written(path)
     read = [line for line in hil("decode", path).stdout.splitlines() if "error" not in line and "remote" not in line]
     expected = [line for line in GOLDEN.splitlines() if "error" not in line and "remote" not in line]
-    assert [line.split()[2:] for line in read] == [line.split()[2:] for line in expected]
+    assert [line.split()[1:] for line in read] == [line.split()[1:] for line in expected]
 
 
 def test_decode_reads_candump_s_log_without_directions(tmp_path):
     path = tmp_path / "candump.log"
     path.write_text("(1700000000.000000) vcan0 040#6000EE038A001051\n(1700000000.005000) vcan0 1FFFFFFF#R\n")
     lines = hil("decode", path).stdout.splitlines()
-    assert lines[0].split()[:4] == ["0.000000", "Rx", "WHEEL_COMMAND", "fl_rad_s"]
-    assert lines[1].split()[:4] == ["0.005000", "Rx", "foreign", "1FFFFFFF"]
+    assert lines[0].split()[:5] == ["0.000000", "vcan0", "Rx", "WHEEL_COMMAND", "fl_rad_s"]
+    assert lines[1].split()[:5] == ["0.005000", "vcan0", "Rx", "foreign", "1FFFFFFF"]
 
 
 def test_decode_takes_what_is_asked_for(tmp_path):
@@ -71,12 +73,12 @@ def test_decode_takes_what_is_asked_for(tmp_path):
     assert hil("decode", path, "--from", "0.005", "--to", "0.007").stdout.splitlines() == lines[1:4]
     counted = [line.split() for line in hil("decode", path, "--counts").stdout.splitlines()]
     assert counted == [
-        ["message", "id", "frames", "per", "s"],
-        ["WHEEL_COMMAND", "040", "1", "1"],
-        ["TICK", "080", "2", "2"],
-        ["STATUS", "100", "2", "2"],
-        ["foreign", "3", "3"],
-        ["error", "1", "1"],
+        ["message", "id", "frames", "per", "s", "channel"],
+        ["WHEEL_COMMAND", "040", "1", "1", "1"],
+        ["TICK", "080", "2", "2", "1"],
+        ["STATUS", "100", "2", "2", "1"],
+        ["foreign", "3", "3", "1"],
+        ["error", "1", "1", "1"],
     ]
 
 
@@ -84,7 +86,7 @@ def test_decode_that_finds_nothing_says_what_there_is(tmp_path):
     path = written(tmp_path / "bus.log")
     done = hil("decode", path, "--message", "HELLO_IDENTITY")
     assert (done.returncode, done.stdout) == (0, "")
-    assert done.stderr.startswith(f"hil: no frame is what was asked for: {path} has 9 frames of 1.000 s: ")
+    assert done.stderr.startswith(f"hil: no frame is what was asked for: {path} has 9 frames of 1.000 s on vcan0: ")
     assert "TICK" in done.stderr
 
 
@@ -92,8 +94,8 @@ def test_decode_raw_takes_no_frame_for_ours(tmp_path):
     """As in a trace of other makers' motors, whose identifiers are those of our messages."""
     path = written(tmp_path / "bus.blf")
     lines = hil("decode", path, "--raw").stdout.splitlines()
-    assert [line.split()[2] for line in lines] == ["foreign"] * 7 + ["error", "foreign"]
-    assert lines[4].split()[3:] == ["080", "[2]", "01", "02"]
+    assert [line.split()[3] for line in lines] == ["foreign"] * 7 + ["error", "foreign"]
+    assert lines[4].split()[4:] == ["080", "[2]", "01", "02"]
     records = [json.loads(line) for line in hil("decode", path, "--raw", "--json").stdout.splitlines()]
     assert not any("signals" in record or record["sender"] for record in records)
 
@@ -114,7 +116,7 @@ def test_decode_says_that_another_maker_s_trace_is_not_ours(tmp_path, driver):
     run = hil("run", "circle_speed", "--lenient", "--set", f"device.driver={driver}", *short, "--trace", path)
     assert run.returncode == 0, run.stderr
     done = hil("decode", path)
-    assert {line.split()[2] for line in done.stdout.splitlines()} == {"foreign"}
+    assert {line.split()[3] for line in done.stdout.splitlines()} == {"foreign"}
     assert done.stderr.startswith(f"hil: note: {path} has no TICK of our firmware")
     assert hil("decode", path, "--raw").stderr == ""
 
@@ -123,7 +125,7 @@ def test_decode_takes_what_a_host_alone_has_sent_for_ours(tmp_path):
     path = tmp_path / "host.log"
     path.write_text("(1700000000.0) can0 040#6000EE038A001051\n(1700000000.1) can0 123#00\n")
     done = hil("decode", path)
-    assert (done.stdout.split()[2], done.stderr) == ("WHEEL_COMMAND", "")
+    assert (done.stdout.split()[3], done.stderr) == ("WHEEL_COMMAND", "")
 
 
 def test_decode_gives_each_frame_as_json(tmp_path):
@@ -133,6 +135,7 @@ def test_decode_gives_each_frame_as_json(tmp_path):
     assert records[1]["signals"]["time_us"] == 1_234_567
     assert (records[1]["names"], records[1]["sender"]) == ({"state": "ACTIVE"}, "ROBOT")
     assert (records[2]["id"], records[2]["extended"], records[2]["sender"]) == (0x18FF1234, True, None)
+    assert {record["channel"] for record in records} == {"1"}
     assert records[4]["refusal"] == "not valid: length"
     tally = json.loads(hil("decode", path, "--counts", "--json").stdout)
     assert {row["message"]: row["frames"] for row in tally} == {
