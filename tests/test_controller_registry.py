@@ -1,6 +1,7 @@
 """Laws by name, from files and from modules; and the sentence that each mistake gets."""
 
 import dataclasses
+import itertools
 import sys
 from pathlib import Path
 from textwrap import dedent
@@ -220,6 +221,38 @@ def test_a_file_that_fails_on_import(write, text, place_and_error):
 )
 def test_a_class_that_is_no_law(write, text, message):
     assert f"controller.law = 'my_law.py:Law': {message}" in message_of(load_law, "my_law.py:Law", write(text))
+
+
+ARGUMENTS = ("reference", "state", "applied", "dt_s")
+
+
+@pytest.mark.parametrize(
+    ("names", "told"),
+    [
+        (ARGUMENTS, {0, 1, 2, 3}),
+        (("ref", "state_now", "applied_last", "dt"), {0, 1, 2, 3}),
+        (("r", "s", "a", "h"), {0, 1}),
+        (("a: 'Reference'", "b: 'types.State'", "c: 'Applied'", "d: float"), {0, 1, 2}),
+        (("desired_state", "measured_state", "u", "dt"), {3}),  # the same word twice tells nothing
+    ],
+    ids=["own", "similar", "letters", "types", "twice"],
+)
+@pytest.mark.parametrize("order", [*itertools.permutations(range(4))], ids=str)
+def test_arguments_in_another_order_are_noticed_at_load(write, names, told, order):
+    given = ", ".join(names[i] for i in order)
+    base = write(f"class Law:\n    def reset(self, state, reference): ...\n    def update(self, {given}): ...")
+    if any(i in told and i != place for place, i in enumerate(order)):
+        message = message_of(load_law, "my_law.py:Law", base)
+        assert "expected update(self, reference, state, applied, dt_s)" in message
+        assert "put them in this order" in message
+    else:
+        assert load_law("my_law.py:Law", base)
+
+
+@pytest.mark.parametrize("constructor", ["mode, model", "m: 'CommandMode', model"])
+def test_a_constructor_in_another_order_is_noticed(write, constructor):
+    base = write(bare(f"def __init__(self, {constructor}): pass"))
+    assert "put them in this order" in message_of(make, "my_law.py:Law", base)
 
 
 def test_a_constructor_that_takes_something_else(write):

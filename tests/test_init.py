@@ -90,7 +90,8 @@ def test_by_flags_the_files_are_written_and_never_over_others(
 def test_a_wrong_flag_is_answered_as_the_scenario_answers_it(tmp_path: Path) -> None:
     with pytest.raises(BadInputError) as wrong:
         init(tmp_path, wheel_radius_m=75.0, defaults=True)
-    assert str(wrong.value) == "--wheel-radius-m: robot.wheel_radius_m = 75.0; expected a number from 0.001 to 1"
+    expected = "expected a number from 0.001 to 1; 75 m? if you mean millimetres, write 0.075"
+    assert str(wrong.value) == f"--wheel-radius-m: robot.wheel_radius_m = 75.0; {expected}"
     with pytest.raises(BadInputError, match="stdin is not a terminal; give --wheel-radius-m, "):
         init(tmp_path, mass_kg=12.0)
     assert list(tmp_path.iterdir()) == []

@@ -15,6 +15,7 @@ and dataclasses; fields of other types are not checked. A function does not see 
 import functools
 import json
 import math
+import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import MISSING, dataclass, fields, is_dataclass
 from typing import Annotated, Any, Literal, NamedTuple, TypeVar, get_args, get_origin, get_type_hints
@@ -66,6 +67,51 @@ class Expected(str):
 POSITIVE, NOT_NEGATIVE = Range(gt=0), Range(ge=0)
 RATE = Range(gt=0, le=1000)
 """A gain [1/s] or a bandwidth [rad/s] of a loop with ticks of 1 ms and more: above it nothing is stable."""
+
+
+_UNIT_PART = re.compile(r"(?:1|n|m|s|rad|a|v|kg|ohm|h)\d?")
+_OTHER_UNITS = {
+    "m": ("m", {"millimetres": 1e-3, "centimetres": 1e-2}),
+    "m_s": ("m/s", {"millimetres a second": 1e-3}),
+    "m_s2": ("m/s²", {"millimetres a second squared": 1e-3}),
+    "rad": ("rad", {"degrees": math.pi / 180.0}),
+    "rad_s": ("rad/s", {"turns a minute": math.tau / 60.0, "degrees a second": math.pi / 180.0}),
+    "s": ("s", {"milliseconds": 1e-3, "microseconds": 1e-6}),
+    "kg": ("kg", {"grams": 1e-3}),
+    "kg_m2": ("kg·m²", {"kg·cm²": 1e-4, "g·cm²": 1e-7}),
+    "n_m": ("N·m", {"N·mm": 1e-3, "N·cm": 1e-2}),
+    "a": ("A", {"milliamperes": 1e-3}),
+    "v": ("V", {"millivolts": 1e-3}),
+    "ohm": ("Ω", {"milliohms": 1e-3}),
+    "h": ("H", {"millihenries": 1e-3, "microhenries": 1e-6}),
+}
+"""For the unit at the end of a name: the unit as written, and others in which people have such numbers."""
+
+
+def _unit_of(name: str) -> str:
+    """Return the unit at the end of an option's name, such as "m" or "n_m_s_rad"."""
+    parts = name.split("_")
+    begin = next((i for i in range(len(parts), 1, -1) if not _UNIT_PART.fullmatch(parts[i - 1])), 1)
+    return "_".join(parts[begin:])
+
+
+def plausible(name: str, turns: int = 1) -> Range:
+    """Return the range of an option that gives no bounds: an angle is at most so many turns."""
+    return Range(ge=-turns * math.tau, le=turns * math.tau) if _unit_of(name) == "rad" else Range()
+
+
+def in_another_unit(name: str, value: float, within: Range) -> str:
+    """Return a question for a value beyond its range that would be within it in another unit; else an empty text.
+
+    >>> in_another_unit("wheel_radius_m", 76.0, Range(ge=0.001, le=1.0))
+    '; 76 m? if you mean millimetres, write 0.076'
+    """
+    unit, others = _OTHER_UNITS.get(_unit_of(name), ("", {}))
+    is_larger = within.le is not None and abs(value) > within.le
+    meant = next(((word, value * size) for word, size in others.items() if within.holds(value * size)), None)
+    if meant is None or not is_larger:
+        return ""
+    return f"; {value:.12g} {unit}? if you mean {meant[0]}, write {meant[1]:.5g}"
 
 
 class Option(NamedTuple):
@@ -150,13 +196,15 @@ def require_ranges(options: Any, where: str) -> None:
 def options_of(kind: Any) -> Mapping[str, Option]:
     """Return the options of a dataclass type, by name."""
     hints = get_type_hints(kind, include_extras=True)
-    return {
-        f.name: _parsed(hints[f.name], f.name)._replace(
-            default=f.default if f.default_factory is MISSING else f.default_factory()
-        )
-        for f in fields(kind)
-        if f.init
-    }
+    found = {}
+    for f in fields(kind):
+        if f.init:
+            option = _parsed(hints[f.name], f.name)
+            if option.range == Range() and kind.__module__.partition(".")[0] == __name__.partition(".")[0]:
+                option = option._replace(range=plausible(f.name))  # others say themselves how large theirs may be
+            default = f.default if f.default_factory is MISSING else f.default_factory()
+            found[f.name] = option._replace(default=default)
+    return found
 
 
 def items(options: Any) -> Iterator[tuple[str, Any]]:
@@ -300,7 +348,7 @@ def _float(option: Option, value: object) -> float:
     if not math.isfinite(number) and not option.range.infinite:
         raise ValueError(option.expected.replace("a number", "a finite number"))
     if not option.range.holds(number):
-        raise ValueError(option.expected)
+        raise ValueError(option.expected + in_another_unit(option.name, number, option.range))
     return number
 
 

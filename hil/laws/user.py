@@ -18,6 +18,18 @@ from hil.core.tuples import make_command, make_wheels
 from hil.core.types import NO_GAINS, Applied, CommandMode, Gains, Reference, State, WheelCommand
 
 _METHODS = {"reset": ("self", "state", "reference"), "update": ("self", "reference", "state", "applied", "dt_s")}
+_BY_PLACE = (inspect.Parameter.POSITIONAL_ONLY, inspect.Parameter.POSITIONAL_OR_KEYWORD)
+_OF_TYPE = {
+    "State": "state",
+    "Reference": "reference",
+    "Applied": "applied",
+    "RobotModel": "model",
+    "CommandMode": "mode",
+    "Options": "options",
+}
+_OF_WORD = {"ref": "reference", "dt": "dt_s"}
+_OF_LETTER = {"r": "reference", "s": "state"}
+"""Arguments of the protocol, for the types and the parts of names by which a law's parameters are recognized."""
 _SIGNAL = re.compile(r"[a-z][a-z0-9_]*(\.[a-z0-9_]+)+")
 _RESERVED = GROUPS | {"shadow", "replay", "timestamp", "sequence"}
 
@@ -46,10 +58,33 @@ def check_class(law: type, named: str) -> type:
         function = getattr(law, method, None)
         if not callable(function):
             raise BadInputError(f"{named}: the class has no {method}; expected {expected}")
+        found = f"{method}{inspect.signature(function)}"
         if not _accepts(function, arguments):
-            found = f"{method}{inspect.signature(function)}"
             raise BadInputError(f"{named}: found {found}, expected {expected}")
+        _check_order(named, found, function, arguments, expected)
     return law
+
+
+def _check_order(named: str, found: str, function: Any, arguments: Sequence[str], expected: str) -> None:
+    """Raise BadInputError where a parameter, by its type or a word in its name, is an argument of another place.
+
+    Arguments are given by their place, so names are the user's own: two that have the same word tell nothing.
+    """
+    parameters = list(inspect.signature(function).parameters.values())[: len(arguments)]
+    meant = [_argument(one, arguments) for one in parameters]
+    for place, (parameter, word) in enumerate(zip(parameters, meant, strict=True)):
+        if word is not None and meant.count(word) == 1 and arguments.index(word) != place:
+            there = f"{parameter.name!r} stands where {arguments[place]} is given"
+            raise BadInputError(f"{named}: found {found}, expected {expected}: {there}; put them in this order")
+
+
+def _argument(parameter: inspect.Parameter, arguments: Sequence[str]) -> str | None:
+    """Return which of the arguments a parameter is meant for; None where neither its type nor its name tells."""
+    type_name = getattr(parameter.annotation, "__name__", str(parameter.annotation)).rpartition(".")[2]
+    name = parameter.name.lower()
+    parts = {_OF_WORD.get(part, part) for part in name.split("_")} if len(name) > 1 else {_OF_LETTER.get(name)}
+    words = {_OF_TYPE.get(type_name)} & {*arguments} or parts & {*arguments}
+    return words.pop() if len(words) == 1 and parameter.kind in _BY_PLACE else None
 
 
 class UserLaw:
@@ -188,10 +223,12 @@ def _import_module(named: str, name: str) -> ModuleType:
 
 
 def _constructor_arguments(named: str, law: type, choices: list[tuple[object, ...]]) -> tuple[object, ...]:
+    names = ", ".join(("self", "model", "mode", "options")[: 1 + len(choices[0])])
     for arguments in choices:
         if _accepts(law, arguments):
+            given = ("model", "mode", "options")[: len(arguments)]
+            _check_order(named, f"{law.__name__}{inspect.signature(law)}", law, given, f"__init__({names})")
             return arguments
-    names = ", ".join(("self", "model", "mode", "options")[: 1 + len(choices[0])])
     hint = "" if len(choices[0]) == 3 else "; for options, define a dataclass Options in the class"
     raise BadInputError(f"{named}: found {law.__name__}{inspect.signature(law)}, expected __init__({names}){hint}")
 

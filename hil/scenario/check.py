@@ -1,5 +1,6 @@
 """Checks a stacked scenario: each table by itself, then the tables against each other. Words the messages."""
 
+import math
 import re
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
@@ -8,12 +9,14 @@ from pathlib import Path as FilePath
 from typing import Any, cast, get_args
 
 from hil.core.errors import SEE_SIGNALS, BadInputError, near, nearest
-from hil.core.options import ABSENT, OptionsError, Problem, build, options_of
+from hil.core.model import RobotModel
+from hil.core.options import ABSENT, OptionsError, Problem, Range, build, in_another_unit, options_of, plausible
 from hil.core.signals import INDEX, unit_of
 from hil.references import make_reference
 from hil.scenario import layers, motors
 from hil.scenario.laws import make_laws
 from hil.scenario.layers import Given, Node, Path, Tree, leaves
+from hil.scenario.plant import SHIPPED_FMUS
 from hil.scenario.run import values
 from hil.scenario.tables import RATES_HZ, Tables
 from hil.scenario.trial import REALTIME_ALLOW, span_s
@@ -21,6 +24,8 @@ from hil.scenario.trial import REALTIME_ALLOW, span_s
 WATCHDOG_PERIODS = 5
 _WATCHDOG_RULE = f"default: {WATCHDOG_PERIODS} command periods, within 0.02 to 0.1 s"
 _ALLOW_RULE = "default in real time"
+_TICK_SHARE = 1e-6
+"""Of a tick: a time that is nearer to one is that tick's."""
 
 
 def derived(tree: Tree) -> Tree:
@@ -155,6 +160,54 @@ def _unknown_signals(tables: Tables, directory: FilePath) -> Iterator[tuple[str,
             yield key, f"expected the name of a signal{nearest(name, known, SEE_SIGNALS)}"
 
 
+def beyond_the_end(tables: Tables) -> Iterator[tuple[str, str]]:
+    """Yield key and message of each row that no tick of the run reaches: a run fails by it, or never does it.
+
+    It is no error of the tables: a run may be shortened to look at its beginning.
+    """
+    ticks = math.ceil(tables.loop.duration_s * tables.loop.rate_hz - _TICK_SHARE)
+    ends = f"the run ends at loop.duration_s = {tables.loop.duration_s:g}"
+    for i, row in enumerate(tables.expect, start=1):
+        if row.figure is not None:
+            continue
+        key = f"expect.{i}.from_s" if row.after_fault is None else f"expect.{i}.within_s"
+        try:
+            from_s, to_s = span_s(row, tables.fault)
+        except ValueError:  # refused by ``check``
+            continue
+        first = math.ceil(from_s * tables.loop.rate_hz - _TICK_SHARE)
+        if first >= ticks:
+            yield key, f"it is judged from {from_s:g} s on, but {ends}; expected an earlier time, or a longer run"
+        elif row.is_of_signals and first > to_s * tables.loop.rate_hz + _TICK_SHARE:
+            yield f"expect.{i}.to_s", f"no tick of {tables.loop.rate_hz} Hz is from {from_s:g} s to {to_s:g} s"
+    for i, fault in enumerate(tables.fault, start=1):
+        if fault.start_s * tables.loop.rate_hz > ticks - 1 + _TICK_SHARE:
+            yield f"fault.{i}.start_s", f"{ends}, so that it would never act; expected an earlier time, or a longer run"
+    estimator, fix = tables.estimator, tables.estimator.simulated_fix
+    is_simulated = estimator.source == "fused" and estimator.fix == "simulated"
+    if is_simulated and fix.gap_end_s > fix.gap_start_s >= tables.loop.duration_s:
+        yield "estimator.simulated_fix.gap_start_s", f"{ends}, before this gap; expected an earlier time"
+    rest_s = tables.reference.options.get("rest_s", 0.0)
+    if isinstance(rest_s, int | float) and rest_s >= tables.loop.duration_s:
+        yield "reference.rest_s", f"{ends}, so that the robot would never move; expected less"
+
+
+def _implausible(tables: Tables) -> Iterator[tuple[str, str]]:
+    """Yield key and message of numbers whose table has no range for them, and that are of another unit."""
+    robot = options_of(RobotModel)
+    for name, value in tables.plant.start.items() if tables.plant.fmu in SHIPPED_FMUS else ():
+        within = robot[name].range if name in robot else plausible(name, turns=2)  # a start may be a turn ahead
+        if isinstance(value, float) and "." not in name and (hint := in_another_unit(name, value, within)):
+            yield f"plant.start.{name}", f"expected a number{within}{hint}"
+    for i, row in enumerate(tables.expect, start=1):
+        is_wrapped = row.signal == "error.heading_rad" or (row.of is not None and unit_of(str(row.signal)) == "rad")
+        for key in ("below", "above", "within", "equals", "settles_to", "tolerance") if is_wrapped else ():
+            given = getattr(row, key)
+            for value in given if isinstance(given, tuple) else (given,) if given is not None else ():
+                if hint := in_another_unit("difference_rad", value, Range(ge=-math.pi, le=math.pi)):
+                    yield f"expect.{i}.{key}", f"a difference of headings is at most half a turn{hint}"
+
+
 def _contradictions(tables: Tables) -> Iterator[tuple[str, str]]:
     """Yield key and message of values that contradict each other."""
     estimator, firmware, loop, robot = tables.estimator, tables.firmware, tables.loop, tables.robot
@@ -187,6 +240,7 @@ def _contradictions(tables: Tables) -> Iterator[tuple[str, str]]:
     for name in sorted(name for name, count in Counter(row.name for row in tables.fault).items() if name and count > 1):
         at = next(i for i, row in reversed(list(enumerate(tables.fault, start=1))) if row.name == name)
         yield f"fault.{at}.name", "another fault has this name; expected one of its own"
+    yield from _implausible(tables)
     if tables.device.is_makers:
         yield from motors.contradictions(tables)
     if estimator.source == "fused" and estimator.fix != "simulated" and loop.mode == "lockstep":

@@ -1,0 +1,102 @@
+"""Values that no run can hold: times after its end, and numbers in another unit."""
+
+import math
+from dataclasses import dataclass, replace
+from fractions import Fraction
+from pathlib import Path
+from typing import Annotated
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+import hil
+from hil.core.errors import BadInputError
+from hil.core.options import OptionsError, Range, build
+from hil.scenario import load
+from hil.scenario.check import beyond_the_end
+from hil.scenario.trial import ExpectTable, FaultTable
+from tests.processes import hil as command
+
+BASE = load("circle_speed")
+MILLISECONDS = st.integers(0, 3000).map(lambda ms: ms / 1000.0)
+
+
+@given(
+    MILLISECONDS, MILLISECONDS.filter(bool), MILLISECONDS.filter(bool), st.sampled_from([20, 40, 50, 125, 200, 1000])
+)
+def test_a_claim_is_told_as_late_when_no_tick_is_within_it(
+    from_s: float, span_s: float, end_s: float, rate: int
+) -> None:
+    row = ExpectTable(signal="error.planar_m", below=1.0, from_s=from_s, to_s=from_s + span_s)
+    fault = FaultTable("drop", "command", start_s=from_s, value=0.1)
+    tables = replace(BASE, loop=replace(BASE.loop, duration_s=end_s, rate_hz=rate), expect=(row,), fault=(fault,))
+    low, high, end = (Fraction(round(1000 * value), 1000) for value in (from_s, from_s + span_s, end_s))
+    ticks = [Fraction(k, rate) for k in range(math.ceil(end * rate))]
+    told = {key.partition(".")[0] for key, _ in beyond_the_end(tables)}
+    assert ("expect" in told) == (not any(low <= tick <= high for tick in ticks))
+    assert ("fault" in told) == (not any(low <= tick for tick in ticks))
+
+
+@pytest.mark.parametrize("from_s", [0.05, 0.095, 0.0951, 0.1, 3.0])
+def test_it_is_told_exactly_when_the_run_has_no_samples_there(from_s: float) -> None:
+    claim = {"signal": "error.planar_m", "below": 9.0, "from_s": from_s}
+    given = {"loop.duration_s": 0.1, "expect": [claim]}
+    [row] = hil.run("circle_speed", set=given).metrics["expect"]
+    late = list(beyond_the_end(load("circle_speed", set=given)))
+    assert ("no samples" in row["text"]) == bool(late)
+
+
+LATE = {
+    "[[expect]]\nsignal = 'error.planar_m'\nbelow = 1\nfrom_s = 25": "expect.1.from_s: it is judged from 25 s on",
+    "[[expect]]\nat_rest = true\nfrom_s = 20": "expect.1.from_s",
+    "[[expect]]\nstops = 'OVERSPEED'\nfrom_s = 21": "expect.1.from_s",
+    "[[fault]]\nkind = 'estop'\nstart_s = 20": "fault.1.start_s: the run ends at loop.duration_s = 20, so that it",
+    "[[fault]]\nkind = 'drop'\ntarget = 'command'\nvalue = 0.1\nstart_s = 19\n"
+    "[[expect]]\nat_rest = true\nafter_fault = 'drop'\nwithin_s = 2": "expect.1.within_s: it is judged from 21 s on",
+    "[estimator]\nsource = 'fused'\nsimulated_fix.gap_start_s = 30\nsimulated_fix.gap_end_s = 40": "gap_start_s: the",
+    "[reference]\nkind = 'multisine'\nrest_s = 30": "reference.rest_s: the run ends",
+}
+
+
+@pytest.mark.parametrize("text", LATE)
+def test_a_time_after_the_end_is_no_good_scenario(tmp_path: Path, text: str) -> None:
+    path = tmp_path / "my.toml"
+    path.write_text(f"extends = 'circle_speed'\nloop.duration_s = 20\n{text}\n")
+    done = command("check", path)
+    assert done.returncode == 1
+    [told] = [line for line in done.stdout.splitlines() if "after the end" in line]
+    assert "my.toml:" in told
+    assert LATE[text] in told
+
+
+WRONG_UNITS = {
+    "robot.wheel_radius_m=76": "76 m? if you mean millimetres, write 0.076",
+    "robot.mass_kg=24000": "24000 kg? if you mean grams, write 24",
+    "robot.speed_limit_rad_s=300": "300 rad/s? if you mean turns a minute, write 31.416",
+    "robot.torque_limit_n_m=1500": "1500 N·m? if you mean N·mm, write 1.5",
+    "firmware.watchdog_s=50": "50 s? if you mean milliseconds, write 0.05",
+    "reference.heading_rad=90": "90 rad? if you mean degrees, write 1.5708",
+    "plant.start.start_heading_rad=-90": "-90 rad? if you mean degrees, write -1.5708",
+    "plant.start.wheel_radius_m=76": "76 m? if you mean millimetres, write 0.076",
+    "expect=[{signal='error.heading_rad', below=5}]": "5 rad? if you mean degrees, write 0.087266",
+    "expect=[{signal='error.heading_rad', within=[-5, 5]}]": "-5 rad? if you mean degrees, write -0.087266",
+}
+
+
+@pytest.mark.parametrize("text", WRONG_UNITS)
+def test_a_number_in_another_unit_is_refused_with_the_right_one(text: str) -> None:
+    with pytest.raises(BadInputError) as refused:
+        load("paper_circle", set=[text])
+    assert WRONG_UNITS[text] in str(refused.value)
+
+
+def test_an_angle_of_somebody_elses_options_may_be_of_many_turns() -> None:
+    @dataclass
+    class Own:
+        lead_rad: float = 0.0
+        size_m: Annotated[float, Range(gt=0, le=2)] = 1.0
+
+    assert build(Own, {"lead_rad": 100.0}).lead_rad == 100.0
+    with pytest.raises(OptionsError, match=r"if you mean millimetres, write 0\.3"):
+        build(Own, {"size_m": 300.0})
