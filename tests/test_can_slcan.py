@@ -127,6 +127,18 @@ def test_an_adapter_that_is_unplugged_is_lost_and_not_there_when_it_is_opened_ag
     assert str(missing.value).startswith(f"{where} does not exist; list the ports with: ")
 
 
+@pytest.mark.parametrize("call", [lambda host: host.send(COMMANDS[0]), lambda host: host.receive(0), CanLink.reopen])
+def test_an_adapter_that_has_vanished_is_lost_at_whichever_call(call):
+    """A port whose other end is closed fails in termios too, whose error is no OSError."""
+    master, slave = os.openpty()
+    with contextlib.closing(CanLink(parse_link(f"can:slcan/{os.ttyname(slave)}"), "ROBOT")) as host:
+        os.close(slave)
+        os.close(master)
+        for _ in range(3):
+            with pytest.raises(LinkError, match=r"was lost \(it is gone\)|does not exist|is closed; reopen it"):
+                call(host)
+
+
 def test_an_adapter_whose_port_another_program_reads_too_is_busy(monkeypatch):
     bus = adapters.SlcanBus(1)
     try:

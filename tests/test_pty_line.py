@@ -5,6 +5,7 @@ import itertools
 import os
 import threading
 import time
+from pathlib import Path
 
 import pytest
 
@@ -16,6 +17,7 @@ from hil.core.errors import LinkError
 from hil.robot.channel import Channel
 from hil.wire.conditions import ConditionedLink
 from hil.wire.framed import StreamLink
+from hil.wire.pty import PtyStream
 from hil.wire.robot_end import SerialWire
 from hil.wire.streams import memory_pair
 from hil.wire.url import parse_link
@@ -147,6 +149,18 @@ def reads(host, enough: int):
         data = host.read(0)
         enough -= len(data)
         yield data
+
+
+def test_a_system_without_a_free_pseudo_terminal_is_one_sentence():
+    resource = pytest.importorskip("resource", reason="limits of files need a POSIX system")
+    limits = resource.getrlimit(resource.RLIMIT_NOFILE)
+    with Path(os.devnull).open() as newest:  # no file beyond it may be opened
+        resource.setrlimit(resource.RLIMIT_NOFILE, (newest.fileno() + 1, limits[1]))
+        try:
+            with pytest.raises(LinkError, match=r"no pseudo-terminal can be made \(Too many open files\)"):
+                PtyStream()
+        finally:
+            resource.setrlimit(resource.RLIMIT_NOFILE, limits)
 
 
 def test_a_read_that_does_not_wait_gets_what_is_there_and_notices_a_loss():

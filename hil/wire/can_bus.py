@@ -12,7 +12,7 @@ from firmware_protocol.framing import Frame
 from hil.core.errors import BadInputError, LinkError, nearest
 from hil.core.link_protocol import WHEEL_DBC, LinkProtocol, Side
 from hil.core.ports import Received
-from hil.wire.can_errors import BUS_OFF, CAUSES, causes_of, failure
+from hil.wire.can_errors import BUS_OFF, CAUSES, causes_of, failure, failures
 from hil.wire.can_ports import PythonCan, SocketCan
 from hil.wire.device_lock import claim_file
 from hil.wire.url import CanUrl
@@ -54,7 +54,7 @@ class CanLink:
         self._url = url
         self._sender = sender
         self._protocol = protocol
-        self._failures = (can.CanError, OSError, ValueError)
+        self._failures = failures()
         self._rejected = dict.fromkeys(("foreign", "garbled", "unknown_id", "length", *CAUSES), 0)
         self._bus: Any = None
         self._port: PythonCan | SocketCan | None = None
@@ -78,7 +78,7 @@ class CanLink:
         try:
             self._bus = self._can.Bus(interface=self._url.interface, **options)
         # NameError, AttributeError: raised by python-can itself when a vendor's library is missing.
-        except (*self._failures, TypeError, ImportError, NotImplementedError, NameError, AttributeError) as error:
+        except failures(TypeError, ImportError, NotImplementedError, NameError, AttributeError) as error:
             self.close()
             raise failure(self._url, error) from error
         if self._url.fd and self._bus.protocol is self._can.CanProtocol.CAN_20:

@@ -8,7 +8,7 @@ import re
 from collections.abc import Iterator
 
 from hil.core.errors import LinkError
-from hil.wire.serial_failures import LIST_PORTS, SHARED, is_gone, is_shared, opening_problem, words_of
+from hil.wire.serial_failures import LIST_PORTS, PORT_ERRORS, SHARED, is_gone, is_shared, opening_problem, words_of
 from hil.wire.url import CanUrl
 
 # Classes are bits of the identifier, details bits of data bytes.
@@ -66,6 +66,16 @@ _LIBRARIES = {
 # Error numbers in the messages of the system and of python-can, to be removed.
 _NUMBERS = re.compile(r"\[(Errno|Error Code) -?\d+\] ?")
 _SERIAL_INTERFACES = ("slcan", "serial", "robotell", "seeedstudio")
+
+
+def failures(*others: type[Exception]) -> tuple[type[Exception], ...]:
+    """Return what python-can raises for a bus, and ``others``: its errors, those of a serial port below it, ValueError.
+
+    It lets errors of the port pass where it sets the port's time-out, and so does whoever calls the port itself.
+    """
+    import can
+
+    return (can.CanError, ValueError, *PORT_ERRORS, *others)
 
 
 def failure(url: CanUrl, error: Exception) -> LinkError:

@@ -14,6 +14,7 @@ from typing import Any
 
 from firmware_protocol.framing import Frame
 from hil.core.ports import EXTENDED, REMOTE
+from hil.wire.can_errors import failures
 from hil.wire.url import CanUrl
 
 # Interfaces on which select is used: python-can's own wait polls (slcan), or ends early after a message that is no
@@ -39,7 +40,7 @@ class PythonCan:
         self._bus = bus
         self._url = url
         self._rejected = rejected
-        self._failures = (can.CanError, OSError, ValueError)
+        self._failures = failures()
         self._descriptor = self._find_descriptor()
         # Without it an adapter that accepts no more bytes would block the sender for ever.
         self._send_timeout_s = _WRITE_TIMEOUT_S if url.interface in _TEXT_INTERFACES else None
@@ -50,7 +51,7 @@ class PythonCan:
             return None
         try:
             return int(self._bus.fileno())
-        except (*self._failures, NotImplementedError):
+        except failures(NotImplementedError):
             return None  # slcan over a URL, or on Windows
 
     def send(self, frame: Frame) -> None:
@@ -88,7 +89,7 @@ class PythonCan:
         """Return python-can's next frame; None if there is none, or if what came was no frame."""
         try:
             return self._bus.recv(timeout_s)
-        except (IndexError, *self._failures) as error:
+        except failures(IndexError) as error:
             is_not_text = isinstance(error.__cause__, UnicodeDecodeError)
             if self._url.interface not in _TEXT_INTERFACES or not (is_not_text or isinstance(error, _NO_FRAME)):
                 raise

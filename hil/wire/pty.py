@@ -9,6 +9,7 @@ from pathlib import Path
 
 from hil.core.errors import BadInputError, LinkError
 from hil.core.link_protocol import WHEEL_DBC, LinkProtocol
+from hil.wire.serial_failures import PORT_ERRORS, words_of
 
 _CHUNK = 65536
 _PATIENCE_S = 2.0
@@ -53,7 +54,7 @@ class PtyStream:
     bit rate, except for a burst of up to 50 ms' worth; the rest stays in the buffer. With ``symlink`` the port also has
     a fixed name; a symlink to a pseudo-terminal, which an earlier process left, is replaced, and nothing else.
 
-    Raises BadInputError when the symlink cannot be made.
+    Raises BadInputError when the symlink cannot be made, LinkError when the system has no pseudo-terminal left.
     """
 
     def __init__(
@@ -64,12 +65,18 @@ class PtyStream:
         baud: int | None = None,
         protocol: LinkProtocol = WHEEL_DBC,
     ) -> None:
-        self._master, slave = os.openpty()
-        # Held open, so that the line stays up when a client closes it.
-        self._slave = slave
-        tty.setraw(slave)
-        os.set_blocking(self._master, False)
-        self.port = os.ttyname(slave)
+        try:
+            self._master, slave = os.openpty()
+            # Held open, so that the line stays up when a client closes it.
+            self._slave = slave
+            tty.setraw(slave)
+            os.set_blocking(self._master, False)
+            self.port = os.ttyname(slave)
+        except PORT_ERRORS as error:
+            raise LinkError(
+                f"no pseudo-terminal can be made ({words_of(error)}); close programs that use some, and see "
+                "ulimit -n and, on Linux, /proc/sys/kernel/pty"
+            ) from error
         self.lost_frames = 0
         self._waits = waits
         self._pace = _Pace(baud) if baud is not None else None

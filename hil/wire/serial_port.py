@@ -191,15 +191,15 @@ class SerialStream:
 
     def _use(self, port: Any) -> None:
         self._port = port
+        has_descriptor = self._has_descriptor()
         try:
             # Bytes sent before the port was opened are not for this run.
             port.reset_input_buffer()
+            self._check_baud()
+            self._reader = None if has_descriptor else Reader(port)
         except _OPENING_FAILURES as error:
             self._release()
             raise _open_failure(self._name, self._baud, error) from error
-        self._check_baud()
-        has_descriptor = self._has_descriptor()
-        self._reader = None if has_descriptor else Reader(self._port)
         self._terminal = _terminal(self._port) if has_descriptor and "://" not in self._name else None
         self._low_latency = self._set_low_latency()
 
