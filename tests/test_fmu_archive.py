@@ -4,6 +4,8 @@ import contextlib
 import os
 import stat
 import struct
+import subprocess
+import sys
 import tracemalloc
 import zipfile
 from collections.abc import Callable
@@ -15,7 +17,7 @@ from hypothesis import strategies as st
 
 import plant_fmu
 from hil.core.errors import BadInputError
-from hil.plant import archive
+from hil.plant import archive, unpacking
 from hil.plant.description import info
 from hil.plant.fmu import FmuPlant
 from hil.plant.tools import check
@@ -73,6 +75,17 @@ def added(*names: str) -> Make:
     return lambda path: pack(path, 2, added=[(name, b"") for name in names])
 
 
+def inside(*names: str) -> Make:
+    """Make an archive that has these alone."""
+
+    def make(path: Path) -> None:
+        with zipfile.ZipFile(path, "w") as packed:
+            for name in names:
+                packed.writestr(name, b"")
+
+    return make
+
+
 def changed(change: Change, fmi: int = 2) -> Make:
     return lambda path: pack(path, fmi, change)
 
@@ -107,12 +120,14 @@ NOT_AN_FMU: list[tuple[str, Make, str]] = [
     ("an absolute path", added("/etc/outside"), "its entry '/etc/outside' leads out"),
     ("a backslash", added("a\\..\\outside"), "leads out of the archive"),
     ("a drive", added("C:/outside"), "leads out of the archive"),
-    ("a terminal's escape", added("resources/\x1b[2J"), "has no printable name"),
-    ("a device", added("resources/aux.c"), "cannot be unpacked on Windows because of 'aux.c'"),
-    ("a last dot", added("resources./a"), "cannot be unpacked on Windows because of 'resources.'"),
-    ("twice the same", added("resources/a", "resources/a"), "'resources/a' and 'resources/a' would be one file"),
-    ("another case", added("resources/a", "Resources/A"), "would be one file"),
-    ("another form", added("resources/\u00e9", "resources/e\u0301"), "would be one file"),
+    ("a terminal's escape", added("resources/\x1b[2J"), "has a character in its name that cannot be printed"),
+    ("twice, differently", lambda path: pack(path, 2, added=[("a", b"1"), ("a", b"2")]), "'a' is there twice, with"),
+    ("an SSP", inside("SystemStructure.ssd", "resources/a.fmu"), "it is an SSP, a system of FMUs (resources/a.fmu)"),
+    ("FMUs", inside("a.fmu", "b.fmu", "c.fmu", "d.FMU"), "an archive of some (a.fmu, b.fmu, c.fmu and 1 more); unzip"),
+    ("in a folder", inside("robot/modelDescription.xml"), "it has 'robot/modelDescription.xml'; expected 'modelDes"),
+    ("below a dot", inside("./modelDescription.xml"), "it has './modelDescription.xml'; expected 'modelDescription"),
+    ("a pointer", lambda path: path.write_text("version https://git-lfs.github.com/spec/v1"), "run git lfs pull"),
+    ("cut", lambda path: path.write_bytes(pack(path, 2).read_bytes()[:-9]), "a zip archive without its end; copy it"),
     ("a link", altered(link), "its entry 'resources/link' is a symbolic link"),
     ("encrypted", altered(lambda p: written(p, 8, 6, b"\1\0")), "its entry 'resources/last' is encrypted"),
     ("bzip2", altered(lambda p: written(p, 10, 8, b"\x0c\0")), "is packed by method 12; expected 0 (stored) or 8"),
@@ -266,6 +281,55 @@ def test_nothing_is_written_outside_or_left_behind(tmp_path: Path, monkeypatch: 
         refusal(extract, fmu)
     assert list(scratch.iterdir()) == []
     assert not (tmp_path / "outside").exists()
+
+
+# Names that other systems cannot hold, and what is said of them here.
+ODD: list[tuple[tuple[str, ...], str]] = [
+    (
+        ("resources/log 12:30.csv",),
+        "'resources/log 12:30.csv' cannot be unpacked on Windows because of 'log 12:30.csv'",
+    ),
+    (("resources/aux.c",), "cannot be unpacked on Windows because of 'aux.c'"),
+    (("resources./a",), "cannot be unpacked on Windows because of 'resources.'"),
+    (("binaries\\win64\\x.dll",), "has a backslash, which is no separator of folders"),
+    (("resources/a", "Resources/A"), "'Resources/A' and 'resources/a' would be one file on macOS and Windows"),
+    (("resources/\u00e9", "resources/e\u0301"), "would be one file on macOS and Windows"),
+    (("resources/a", "resources/a"), "'resources/a' is there twice"),
+    (("resources/\u4e2d\u3000\u6587.csv",), ""),
+]
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="the names of Linux")
+@pytest.mark.filterwarnings("ignore:Duplicate name")
+@pytest.mark.parametrize(("names", "words"), ODD)
+def test_a_name_that_another_system_cannot_hold_is_said_and_not_refused(
+    names: tuple[str, ...], words: str, tmp_path: Path
+) -> None:
+    fmu = tmp_path / "odd.fmu"
+    added(*names)(fmu)
+    told = archive.odd_names(fmu)
+    assert [words in one for one in told] == [True] * bool(words)
+    with archive.extract(fmu) as folder:
+        assert {path.relative_to(folder).as_posix() for path in folder.rglob("*")} >= set(names)
+    for system in ("win32", "darwin"):
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(sys, "platform", system)
+            patch.setattr(unpacking, "_FOLDS_NAMES", True)
+            is_refused = "one file" in words or (system == "win32" and "Windows because" in words)
+            with pytest.raises(BadInputError) if is_refused else contextlib.nullcontext():
+                archive.platforms(fmu)
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="Windows has no executable bits")
+def test_a_program_in_resources_can_be_run(tmp_path: Path) -> None:
+    fmu = pack(tmp_path / "a.fmu", 2)
+    entry = zipfile.ZipInfo("resources/tool")
+    entry.create_system, entry.external_attr = 3, (stat.S_IFREG | 0o755) << 16
+    with zipfile.ZipFile(fmu, "a") as packed:
+        packed.writestr(entry, "#!/bin/sh\necho it runs\n")
+    with archive.extract(fmu) as folder:
+        assert subprocess.run([folder / "resources/tool"], capture_output=True, check=True).stdout == b"it runs\n"
+        assert not os.access(folder / "modelDescription.xml", os.X_OK)
 
 
 def test_a_file_where_a_folder_has_to_be_is_refused(tmp_path: Path) -> None:

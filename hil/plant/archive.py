@@ -8,6 +8,7 @@ import hashlib
 import re
 import xml.etree.ElementTree as ET
 import zipfile
+from collections.abc import Sequence
 from pathlib import Path, PurePosixPath
 from typing import NamedTuple
 
@@ -17,6 +18,7 @@ from hil.core.mutant import in_force
 from hil.core.strangers import check_may_run, code_is_refused
 from hil.plant.built import FMUS
 from hil.plant.unpacking import extract as extract
+from hil.plant.unpacking import odd_names as odd_names
 from hil.plant.unpacking import opened, pieces, refuse_folder
 from plant_fmu import SHIPPED
 from plant_fmu import path as plant_path
@@ -132,7 +134,7 @@ def _header(fmu: Path, _state: tuple[int, int] | None) -> Header:
     """Read the header, cached until the file changes."""
     with opened(fmu) as archive:
         if DESCRIPTIONS[0] not in archive.namelist():
-            raise BadInputError(f"FMU {fmu}: it has no modelDescription.xml, so it is no FMU")
+            raise BadInputError(f"FMU {fmu}: {_what_instead(archive.namelist())}")
         root = _read_xml(fmu, archive, DESCRIPTIONS[0])
         if root.tag != "fmiModelDescription":
             raise BadInputError(f"FMU {fmu}: its modelDescription.xml has the root {root.tag!r}; it is no description")
@@ -148,6 +150,21 @@ def _header(fmu: Path, _state: tuple[int, int] | None) -> Header:
     interfaces = {child.tag: child.attrib for child in root if child.tag in known}
     parameters = (variable.get("name", "") for variable in root.iterfind("ModelVariables/*[@causality='parameter']"))
     return Header(version[:3], interfaces, frozenset(parameters))
+
+
+def _what_instead(names: Sequence[str]) -> str:
+    """Return what an archive without modelDescription.xml at its top is."""
+    inner = [name for name in names if name.lower().endswith(".fmu")]
+    some = ", ".join(inner[:3]) + (f" and {len(inner) - 3} more" if len(inner) > 3 else "")
+    if "SystemStructure.ssd" in names:
+        return f"it is an SSP, a system of FMUs{f' ({some})' if inner else ''}; unzip it and give one FMU"
+    if inner:
+        return f"it is no FMU but an archive of some ({some}); unzip it and give one FMU"
+    for name in names:
+        path = PurePosixPath(name)
+        if path.name.casefold() == DESCRIPTIONS[0].casefold():
+            return f"it has {name!r}; expected {DESCRIPTIONS[0]!r}: zip what is in the folder, not the folder itself"
+    return "it has no modelDescription.xml, so it is no FMU"
 
 
 def library_of(fmu: Path) -> Library:
@@ -176,6 +193,9 @@ def library_of(fmu: Path) -> Library:
             raise BrokenFmuError(
                 f"FMU {fmu}: no {members[-1]} for this platform, but {name}; its name is to be the modelIdentifier"
             )
+    for name in names:
+        if name.replace("\\", "/") in members:
+            raise BrokenFmuError(f"FMU {fmu}: its library is the entry {name!r}; expected '/' in place of a backslash")
     there = f"it has binaries for {', '.join(folders)}" if folders else "it has no binaries"
     raise BadInputError(f"FMU {fmu}: no {members[-1]} for this platform; {there}")
 

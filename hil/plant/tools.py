@@ -92,7 +92,8 @@ def check(fmu: Path, longest_s: float = _LONGEST_CALL_S, say: Callable[[str], ob
             "version": library.fmi_version,
             "parts": [title(part) for part in PARTS],
         }
-        return CheckResult((Part("archive"), description, *_run(job, folder, longest_s, say)))
+        names = Part("archive", tuple(map(advice, archive.odd_names(fmu))))
+        return CheckResult((names, description, *_run(job, folder, longest_s, say)))
 
 
 def _validated(folder: Path) -> Part:
