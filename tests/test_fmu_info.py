@@ -3,6 +3,8 @@
 from pathlib import Path
 
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from hil.core.errors import BadInputError
 from hil.plant.archive import library_of
@@ -41,12 +43,55 @@ def test_info_of_some_variables(tmp_path: Path) -> None:
         info(fmu, "gian")
 
 
-def test_an_unusable_description_is_refused_in_the_same_words_by_all_who_read_it(tmp_path: Path) -> None:
+BRACKETS = ["motor[1].tau", "motor1.tau", "phi[1]", "phi1", "a*", "ab", "a?", "[x]", "x", "[!x]"]
+
+
+@given(st.sampled_from(BRACKETS), st.lists(st.sampled_from(BRACKETS), unique=True))
+def test_a_name_is_that_variable_and_only_star_and_question_mark_are_patterns(
+    tmp_path_factory: pytest.TempPathFactory, asked: str, names: list[str]
+) -> None:
+    there = dict.fromkeys([asked, *names, "motor[2].tau"])
+    rows = "".join(f'<ScalarVariable name="{n}" valueReference="9"><Real/></ScalarVariable>' for n in there)
+    end = b"</ModelVariables>"
+    fmu = pack(tmp_path_factory.getbasetemp() / "names.fmu", 2, lambda _, d: d.replace(end, rows.encode() + end))
+    assert [v.name for v in info(fmu, asked).variables] == [asked]
+    assert [v.name for v in info(fmu, "m*r?2?.t*").variables] == ["motor[2].tau"]
+
+
+WRONG = [
+    (2, 'valueReference="1"', 'valueReference="one"', ["u"], "invalid literal for int()"),
+    (3, 'Type="shape" start="1"', 'Type="no" start="1"', ["shape"], 'has declaredType="no" which has not been defined'),
+    (
+        3,
+        '"parameter" variability="fixed" start',
+        '"parameter" variability="continuous" start',
+        ["gain"],
+        "illegal comb",
+    ),
+    (3, '<Dimension start="2"', '<Dimension valueReference="77"', ["w"], "77"),
+    (2, '<Unknown index="5"', '<Unknown index="500"', [], "its modelDescription.xml cannot be used (list index out of"),
+]
+
+
+@pytest.mark.parametrize(("fmi", "old", "new", "names", "words"), WRONG)
+def test_the_rest_is_shown_where_a_variable_is_wrong_and_a_run_is_refused(
+    fmi: int, old: str, new: str, names: list[str], words: str, tmp_path: Path
+) -> None:
+    whole = [v.name for v in info(pack(tmp_path / "a.fmu", fmi)).variables]
+    fmu = pack(tmp_path / "b.fmu", fmi, lambda _, data: data.replace(old.encode(), new.encode()))
+    about = info(fmu)
+    assert [v.name for v in about.variables] == [name for name in whole if name not in names]
+    (sentence,) = about.wrong
+    assert words in sentence
+    assert all(f"the variable {name!r} is left out: " in sentence for name in names)
+    for read in (lambda path: check_start(path, {}), lambda path: FmuPlant(path, {})):
+        with pytest.raises(BadInputError, match=r"its modelDescription\.xml cannot be used \("):
+            read(fmu)
+
+
+def test_what_is_wrong_of_an_fmu_is_one_line_of_text(tmp_path: Path) -> None:
     fmu = pack(tmp_path / "a.fmu", 2, lambda _, data: data.replace(b'valueReference="1"', b'valueReference="&#10;one"'))
     assert library_of(fmu).fmi_version == "2.0"
-    words = set()
-    for read in (info, lambda path: check_start(path, {}), lambda path: FmuPlant(path, {})):
-        with pytest.raises(BadInputError, match=r"its modelDescription\.xml cannot be used \(.*one") as caught:
-            read(fmu)
-        words.add(str(caught.value))
-    assert [text.isprintable() for text in words] == [True]
+    with pytest.raises(BadInputError) as caught:
+        check_start(fmu, {})
+    assert [text.isprintable() for text in (str(caught.value), *info(fmu).wrong)] == [True, True]

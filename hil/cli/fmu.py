@@ -10,7 +10,7 @@ from typer import Argument, Option
 
 from hil.cli.commands import Group
 from hil.cli.options import Json
-from hil.cli.output import print_result, rows, slowly, table
+from hil.cli.output import print_result, rows, slowly, table, warn
 from hil.core.errors import BadInputError
 
 if TYPE_CHECKING:
@@ -53,7 +53,7 @@ FmuName = Annotated[str, Argument(metavar="FMU", help="a path, or the shipped na
 @app.command("info")
 def show_info(
     fmu: FmuName = "mecanum",
-    names: Annotated[str, Argument(metavar="PATTERN", help="only variables like this, as in 'wheel.*'")] = "*",
+    names: Annotated[str, Argument(metavar="PATTERN", help="a variable, or several, as in 'wheel.*'")] = "*",
     as_json: Json = False,
 ) -> None:
     """Show an FMU's description of itself, and its variables with units. Runs none of its code."""
@@ -61,6 +61,8 @@ def show_info(
     from hil.plant.description import info
 
     about = info(archive.locate(fmu, Path()), names)
+    for sentence in about.wrong:
+        warn(sentence)
     print_result(as_json, asdict(about), _info_lines(about))
 
 

@@ -203,7 +203,7 @@ def library_of(fmu: Path) -> Library:
 def platforms(fmu: Path) -> tuple[str, ...]:
     """Return the platforms for which the FMU has binaries, by the names of their folders. Raises BadInputError."""
     with opened(fmu) as archive:
-        paths = [PurePosixPath(name) for name in archive.namelist() if not name.endswith("/")]
+        paths = [PurePosixPath(name.replace("\\", "/")) for name in archive.namelist() if not name.endswith("/")]
     return tuple(sorted({path.parts[1] for path in paths if path.parts[0] == "binaries" and len(path.parts) > 2}))
 
 

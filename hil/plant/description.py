@@ -3,9 +3,11 @@
 import contextlib
 import functools
 import io
-from collections.abc import Mapping
+import itertools
+import re
+import xml.etree.ElementTree as ET
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +18,8 @@ from hil.plant.communication import communication_step
 from hil.plant.start import Value, start_of, start_values
 from plant_fmu import SHIPPED
 
+_MOST_WRONG = 20
+
 
 def read_description(fmu: Path) -> Any:
     """Return FMPy's model description. Raises BadInputError when the file is no FMU that can be read.
@@ -23,15 +27,76 @@ def read_description(fmu: Path) -> Any:
     FMPy gets only the XML that was checked here, because FMPy itself does not check files.
     """
     archive.read_header(fmu)
+    with archive.extract(fmu, only=archive.DESCRIPTIONS.__contains__) as folder:
+        try:
+            return _read(folder)
+        except _UnusableError as error:
+            raise archive.BrokenFmuError(f"FMU {fmu}: its modelDescription.xml cannot be used ({error})") from error
+
+
+class _UnusableError(Exception):
+    """FMPy cannot read a description; says why."""
+
+
+def _read(folder: Path) -> Any:
+    """Return FMPy's model description of an unpacked FMU. Raises _UnusableError."""
     import_fmpy()
     from fmpy import read_model_description
 
+    try:
+        return read_model_description(folder, validate=False)
+    except Exception as error:  # FMPy raises whatever its parser meets, down to plain Exception
+        raise _UnusableError(one_line(str(error)) or type(error).__name__) from error
+
+
+def _read_the_rest(fmu: Path) -> tuple[Any, tuple[str, ...]]:
+    """Return FMPy's model description without what cannot be read of it, and a sentence for each variable left out.
+
+    Raises BadInputError as ``read_description`` does, when that is more than some variables.
+    """
+    try:
+        return read_description(fmu), ()
+    except archive.BrokenFmuError as error:
+        whole = error
     with archive.extract(fmu, only=archive.DESCRIPTIONS.__contains__) as folder:
-        try:
-            return read_model_description(folder, validate=False)
-        except Exception as error:  # FMPy raises whatever its parser meets, down to plain Exception
-            reason = one_line(str(error)) or type(error).__name__
-            raise archive.BrokenFmuError(f"FMU {fmu}: its modelDescription.xml cannot be used ({reason})") from error
+        file = folder / archive.DESCRIPTIONS[0]
+        tree = ET.parse(file)
+        variables, structure = (tree.getroot().find(name) for name in ("ModelVariables", "ModelStructure"))
+        if variables is None:
+            raise whole
+        every = list(variables)
+        # What refers to other variables: these may be among those left out.
+        if structure is not None:
+            structure.clear()
+        for element in variables.iter():
+            for name in ("derivative", "clocks"):
+                element.attrib.pop(name, None)
+
+        def read(some: Sequence[ET.Element]) -> Any:
+            variables[:] = list(some)
+            tree.write(file)
+            return _read(folder)
+
+        def wrong(some: Sequence[ET.Element], beside: Sequence[ET.Element] = ()) -> Iterator[tuple[ET.Element, str]]:
+            try:
+                read([*beside, *some])
+            except _UnusableError as error:
+                if len(some) == 1:
+                    yield some[0], re.sub(r" \(line \d+\)", "", str(error))  # the line is that of our copy
+                    return
+                middle = len(some) // 2
+                yield from wrong(some[:middle], beside)
+                yield from wrong(some[middle:], beside)
+
+        sizes = [one for one in every if one.get("causality") == "structuralParameter"]  # of the others' arrays
+        bad = dict(wrong(sizes)) if sizes else {}
+        sizes = [one for one in sizes if one not in bad]
+        others = [one for one in every if one.get("causality") != "structuralParameter"]
+        bad |= dict(itertools.islice(wrong(others, sizes), _MOST_WRONG + 1)) if others else {}
+        if len(bad) > _MOST_WRONG:
+            raise whole
+        sentences = [f"the variable {one.get('name')!r} is left out: {reason}" for one, reason in bad.items()]
+        return read([one for one in every if one not in bad]), tuple(sentences or [str(whole)])
 
 
 def import_fmpy() -> None:
@@ -112,7 +177,8 @@ class FmuInfo:
     ``about`` has description, author, version, license, copyright and tool, as far as given; ``experiment`` likewise
     start, stop, step and tolerance. ``interfaces`` has the model identifier of each interface, ``capabilities`` its
     declared capabilities. ``step`` says by which communication step a run steps it, or why by none. ``platforms`` are
-    the folders with binaries.
+    the folders with binaries. ``wrong`` has a sentence for each variable that cannot be read and is left out, or for
+    what else of the description cannot be.
     """
 
     path: Path
@@ -127,20 +193,23 @@ class FmuInfo:
     step: str
     platforms: tuple[str, ...]
     variables: tuple[VariableInfo, ...]
+    wrong: tuple[str, ...]
 
 
 def info(fmu: Path, names: str = "*") -> FmuInfo:
-    """Return the FMU's description, with the variables whose names match the pattern ``names``.
+    """Return the FMU's description, with the variable of this name, or those that match it with ``*`` and ``?``.
 
     Raises BadInputError when the file is not a readable FMU, and when no variable matches.
     """
     header = archive.read_header(fmu)
     digest = archive.sha256(fmu)
-    description = read_description(fmu)
+    description, wrong = _read_the_rest(fmu)
     variables = description.modelVariables
-    fitting = [v for v in variables if fnmatchcase(v.name, names)]
+    pattern = re.compile(re.escape(names).replace(r"\*", ".*").replace(r"\?", "."), re.DOTALL)
+    exact = [v for v in variables if v.name == names]  # brackets are those of an array's element
+    fitting = exact or [v for v in variables if pattern.fullmatch(v.name)]
     if variables and not fitting:
-        hint = "" if any(sign in names for sign in "*?[") else nearest(names, [v.name for v in variables])
+        hint = "" if any(sign in names for sign in "*?") else nearest(names, [v.name for v in variables])
         raise BadInputError(f"FMU {fmu}: no variable fits {names!r}{hint}")
     experiment = description.defaultExperiment
     shipped = (name for name, path in SHIPPED.items() if path.is_file() and archive.sha256(path) == digest)
@@ -157,6 +226,7 @@ def info(fmu: Path, names: str = "*") -> FmuInfo:
         step=_step(fmu, description),
         platforms=archive.platforms(fmu),
         variables=tuple(_variable(v) for v in fitting),
+        wrong=wrong,
     )
 
 
