@@ -12,9 +12,10 @@ from typer import Argument, Option
 
 from hil.cli.commands import Group
 from hil.cli.options import AllowMotion, Force, Jobs, Json
-from hil.cli.output import RunsProgress, duration_words, end_in_order, next_command, on_signals, print_result
+from hil.cli.output import RunsProgress, duration_words, end_in_order, next_command, print_result
 from hil.core.errors import BadInputError, RunInterruptedError, nearest
 from hil.core.extras import need
+from hil.core.subprocesses import on_signals
 
 if TYPE_CHECKING:
     from hil.batch.campaign.campaign import Campaign, Place

@@ -11,11 +11,11 @@ from typing import TYPE_CHECKING, Annotated
 from typer import Option
 
 from hil.cli.options import Force, LinkUrl, Mode, RobotFile, ScenarioName, Seed, Sets, TraceFile
-from hil.cli.output import say
+from hil.cli.output import end_in_order, say
 from hil.core.clock import TICK_NS
 from hil.core.errors import BadInputError
 from hil.core.outputs import existing_files
-from hil.core.subprocesses import wait_for_end
+from hil.core.subprocesses import on_signals, wait_for_end
 
 BOARD = "board"
 """The value of --target for a real board."""
@@ -48,6 +48,7 @@ def device(
     until_eof: Annotated[bool, Option("--until-eof", help="end when stdin ends, as when the parent has ended")] = False,
 ) -> None:
     """Run the scenario's virtual robot in a process of its own; print one line when ready."""
+    end_in_order()  # until the robot is served
     from hil.record import check_output_path
     from hil.runtime.robots import open_trace
     from hil.scenario import load
@@ -77,7 +78,7 @@ def _serve(
     lifeline: int | None,
     resources: contextlib.ExitStack,
 ) -> None:
-    """Serve the robot until SIGTERM or SIGINT, or until ``lifeline``, the descriptor of a pipe, ends.
+    """Serve the robot until SIGTERM, SIGINT or SIGHUP, or until ``lifeline``, the descriptor of a pipe, ends.
 
     Prints one line when the robot is ready, with its link and truth, and one for each setting of ``[realtime]`` that
     was not granted; at the end the last output of a foreign FMU, and a line if robot time was lost or the trace is
@@ -107,6 +108,7 @@ def _serve(
     truth.run_on_faults = server.run_on_faults
     for number in (signal.SIGTERM, signal.SIGINT):
         signal.signal(number, lambda *_: server.stop())
+    on_signals(lambda *_: server.stop(), "SIGHUP")
     if lifeline is not None:
         threading.Thread(target=_stop_at_the_end, args=(lifeline, server.stop), name="lifeline", daemon=True).start()
     end = "plant" if target == BOARD else "link"

@@ -6,12 +6,11 @@ import json
 import os
 import re
 import shutil
-import signal
 import sys
 import textwrap
 import threading
 import time
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path, PurePath
 from types import FrameType
 from typing import Any, TextIO
@@ -19,6 +18,7 @@ from typing import Any, TextIO
 from hil.core.errors import RunInterruptedError
 from hil.core.json_lines import json_safe
 from hil.core.printable import command
+from hil.core.subprocesses import on_signals
 
 WIDEST = 120
 """Columns of the widest help."""
@@ -128,15 +128,15 @@ def _wrapped(text: str, width: int, indent: int = 0) -> list[str]:
 
 
 def say_on_stderr(text: str) -> None:
-    """Print lines on stderr, folded to its terminal."""
-    for line in text.splitlines():
-        print(*folded(line, sys.stderr), sep="\n", file=sys.stderr)
+    """Print lines on stderr, folded to its terminal. A stderr that is closed changes neither run nor exit code."""
+    with contextlib.suppress(OSError):
+        for line in text.splitlines():
+            print(*folded(line, sys.stderr), sep="\n", file=sys.stderr)
 
 
 def warn(sentence: str) -> None:
-    """Print a warning on stderr."""
-    with contextlib.suppress(OSError):  # a closed stderr must not end a run; the recording has the sentence too
-        say_on_stderr(f"hil: warning: {sentence}")
+    """Print a warning on stderr. The recording has the sentence too."""
+    say_on_stderr(f"hil: warning: {sentence}")
 
 
 def drop_output() -> None:
@@ -153,14 +153,6 @@ def flush_output() -> None:
         sys.stdout.flush()
     except BrokenPipeError:
         drop_output()
-
-
-def on_signals(handler: Callable[[int, FrameType | None], None], *names: str) -> None:
-    """Handle these signals; one that is ignored, as SIGHUP under nohup, stays ignored."""
-    for name in names:
-        number = getattr(signal, name, None)  # Windows has no SIGHUP
-        if number is not None and signal.getsignal(number) is not signal.SIG_IGN:
-            signal.signal(number, handler)
 
 
 def end_in_order() -> None:

@@ -18,6 +18,7 @@ from hil.cli.options import (
     TokenFile,
     TruthUrl,
 )
+from hil.cli.output import end_in_order
 from hil.core.errors import BadInputError
 from hil.core.extras import need
 
@@ -45,6 +46,7 @@ def ros2(
     In lockstep within this process it is a simulator with /clock; otherwise the node starts hil serve, or uses the one
     that --port or --url names. What follows --ros-args is ROS 2's own: -r, -p, --params-file.
     """
+    end_in_order()
     ros = _ros_arguments(context.args)
     from hil.runtime.robots import link_of
     from hil.scenario import load

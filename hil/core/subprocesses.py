@@ -1,4 +1,4 @@
-"""Starts Python processes of this project, and reads the memory that a process uses."""
+"""Starts Python processes of this project, ends them in order, and reads the memory that a process uses."""
 
 import mmap
 import os
@@ -6,8 +6,9 @@ import signal
 import subprocess
 import sys
 import threading
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
+from types import FrameType
 from typing import Any
 
 
@@ -116,6 +117,28 @@ def wait_for_end(descriptor: int) -> None:
     """
     while os.read(descriptor, 4096):
         pass
+
+
+def on_signals(handler: Callable[[int, FrameType | None], None], *names: str) -> None:
+    """Handle these signals; one that is ignored, as SIGHUP under nohup, stays ignored.
+
+    SIGHUP comes when a terminal's window is closed. It is handled once, because kernel and shell both send it, and
+    output that would go to a terminal that is gone is dropped from then on: to write there is an error.
+    """
+
+    def hung_up(number: int, frame: FrameType | None) -> None:
+        signal.signal(number, signal.SIG_IGN)
+        for descriptor in (1, 2):
+            try:
+                os.write(descriptor, b"")
+            except OSError:
+                os.dup2(os.open(os.devnull, os.O_WRONLY), descriptor)
+        handler(number, frame)
+
+    for name in names:
+        number = getattr(signal, name, None)  # Windows has no SIGHUP
+        if number is not None and signal.getsignal(number) is not signal.SIG_IGN:
+            signal.signal(number, hung_up if name == "SIGHUP" else handler)
 
 
 def terminate_at_end(descriptor: int) -> None:

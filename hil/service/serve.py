@@ -12,6 +12,7 @@ from typing import Any
 
 from hil.core.errors import BadInputError, HilError, LinkError
 from hil.core.signals import LoopSignals
+from hil.core.subprocesses import on_signals
 from hil.core.tick_watch import TickWatch
 from hil.core.types import NAN
 from hil.plant.child_output import log_lines
@@ -69,12 +70,9 @@ class _Ending:
 
     def __init__(self) -> None:
         self.requests = 0
-        numbers = [signal.SIGTERM, signal.SIGINT]
-        # SIGHUP: the window in which the service was started was closed. nohup makes the process ignore it.
-        if hasattr(signal, "SIGHUP") and signal.getsignal(signal.SIGHUP) is not signal.SIG_IGN:
-            numbers.append(signal.SIGHUP)
-        for number in numbers:
+        for number in (signal.SIGTERM, signal.SIGINT):
             signal.signal(number, self)
+        on_signals(self, "SIGHUP")  # the window in which the service was started was closed
 
     def __call__(self, number: int, _frame: object) -> None:
         # Kernel and shell both send SIGHUP when a window is closed, so a second signal of this kind is not counted.

@@ -149,8 +149,7 @@ def run_simulated(load: Callable[[Sequence[str]], Scenario], ros: Sequence[str])
 def _run(scenario: Scenario, make: Callable[[RobotNode], Robot], ros: Sequence[str]) -> None:
     # Not rclpy's handlers: they would end publishers before the robot's thread has ended.
     rclpy.init(args=["hil", *ros], signal_handler_options=SignalHandlerOptions.NO)
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, signal.default_int_handler)
+    signal.signal(signal.SIGINT, signal.default_int_handler)
     robot: Robot | None = None
     try:
         node = RobotNode(scenario)

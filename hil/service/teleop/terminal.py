@@ -161,7 +161,8 @@ class Signals:
         for end in (self.fd, self._write_fd):
             os.set_blocking(end, False)
         # A handler is needed, but does nothing: Python writes the signal's number to the wakeup pipe.
-        self._handlers = {number: signal.signal(number, lambda *_: None) for number in self.NOTED}
+        noted = [number for number in self.NOTED if signal.getsignal(number) is not signal.SIG_IGN]  # as under nohup
+        self._handlers = {number: signal.signal(number, lambda *_: None) for number in noted}
         self._wakeup = signal.set_wakeup_fd(self._write_fd, warn_on_full_buffer=False)
         return self
 
