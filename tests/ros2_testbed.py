@@ -103,6 +103,7 @@ class Peer:
         wait_for(lambda: self.phase() == "active")
 
     def close(self) -> None:
+        """End it. Calling twice is allowed."""
         assert self._process.stdin is not None
         self._process.stdin.close()
         self._process.wait(timeout=30)

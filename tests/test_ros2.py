@@ -1,7 +1,9 @@
 """A simulated robot as a ROS 2 node: every topic and service, with real nodes; and what is pure of it, by laws."""
 
+import contextlib
 import math
 import os
+import signal
 import subprocess
 from collections.abc import Iterator
 from itertools import pairwise
@@ -325,3 +327,34 @@ def test_a_second_robot_in_its_namespace_starts_elsewhere_and_takes_stamped_twis
             wait_for(lambda: speed_of(two.newest("odom")) < 0.01)
         finally:
             two.close()
+
+
+@needs_ros
+def test_what_is_refused_and_who_publishes_amiss_is_told_once_and_stays_in_diagnostics(tmp_path: Path) -> None:
+    with contextlib.ExitStack() as stack:
+        process = stack.enter_context(node(tmp_path, *SIMULATED, namespace="/three"))
+        first, second, stamped = (stack.enter_context(contextlib.closing(Peer("/three"))) for _ in range(3))
+        first.listen("diagnostics")
+
+        def diagnosed(key: str) -> str:
+            values = first.next("diagnostics")["status"][0]["values"]
+            return str({one["key"]: one["value"] for one in values}[key])
+
+        wait_for(lambda: first.phase() == "disarmed", 120.0)
+        first.publish("cmd_vel", 50.0, **twist(0.1))
+        wait_for(lambda: int(diagnosed("dropped")) > 50)
+        second.publish("cmd_vel", 1.0, **twist(0.1))
+        stamped.publish("cmd_vel", 1.0, kind="geometry_msgs/msg/TwistStamped")
+        wait_for(lambda: "twist_mux" in diagnosed("trouble") and "use_stamped_vel to true" in diagnosed("trouble"))
+        assert first.next("diagnostics")["status"][0]["level"] == 1
+        for one in (second, stamped):
+            one.close()
+        wait_for(lambda: not diagnosed("trouble"))
+        for _ in range(2):  # as a window that is closed does it
+            process.send_signal(signal.SIGHUP)
+        assert process.wait(timeout=60) == 0
+    said = (tmp_path / "node.log").read_text()
+    assert said.count("twist refused: the robot is disarmed; arm it first") == 1
+    assert "order refused" not in said, "of the service's log, without which one and why"
+    assert said.count("geometry_msgs/msg/TwistStamped, and geometry_msgs/msg/Twist is taken") == 1
+    assert said.count("2 publishers") == 1

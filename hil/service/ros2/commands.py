@@ -3,9 +3,11 @@
 import contextlib
 import json
 import math
+import re
 import socket
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
+from functools import partial
 from typing import Any
 
 from geometry_msgs.msg import PoseWithCovarianceStamped, Twist, TwistStamped
@@ -29,12 +31,19 @@ from hil.service.ros2.settings import Settings
 _NEWEST = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
 """Of commands only the newest counts, and none is sent again. It matches publishers of every reliability."""
 
-_WARN_S = 1.0
+_WARN_S = 30.0
+_LOOK_S = 1.0
 _SHORTEST_S = 1e-3
+_NUMBER = re.compile(r"[-+]?\d[\d.]*")
 
 
 class Commands:
-    """The topics into a node. Attributes: ``figures``, the number of what came and was dropped, for diagnostics."""
+    """The topics into a node.
+
+    Attributes:
+        figures: for diagnostics, the number of what came and was dropped, and as ``trouble`` what is wrong with those
+            who publish on the topics.
+    """
 
     def __init__(self, node: Any, settings: Settings, scenario: Scenario, robot: Robot) -> None:
         self._node = node
@@ -43,7 +52,9 @@ class Commands:
         self._robot = robot
         self._resources = contextlib.ExitStack()
         self._path_file = self._resources.enter_context(scratch_folder("path")) / "path.csv"
-        self.figures = {"cmd_vel": 0, "wheel_commands": 0, "pose_fixes": 0, "dropped": 0}
+        self.figures: dict[str, Any] = {"cmd_vel": 0, "wheel_commands": 0, "pose_fixes": 0, "dropped": 0, "trouble": ""}
+        self._said: dict[str, tuple[float, int]] = {}
+        self._troubles: list[str] = []
         rate_hz = math.inf if robot.takes_all else settings.command_rate_hz
         self._twists, self._wheels = (
             _Newest(node, rate_hz, self._order(action)) for action in (Action.TWIST, Action.WHEELS)
@@ -54,6 +65,7 @@ class Commands:
             node.create_subscription(Float64MultiArray, "wheel_commands", self._wheel_command, _NEWEST),
             node.create_subscription(PathMessage, "path", self._path, 1),
         ]
+        self._streams = self._subscriptions[:2]
         estimator = scenario.estimator
         if estimator.source == "fused" and estimator.fix != "simulated":
             self._fixes = _FixSender(estimator.fix)
@@ -62,8 +74,12 @@ class Commands:
                 node.create_subscription(Odometry, "odometry/filtered", self._fix, _NEWEST),
             ]
 
+        steady = Clock(clock_type=ClockType.STEADY_TIME)
+        self._timer = node.create_timer(_LOOK_S, self._look_at_publishers, clock=steady)
+
     def close(self) -> None:
         """Take nothing in any more."""
+        self._node.destroy_timer(self._timer)
         for one in self._subscriptions:
             self._node.destroy_subscription(one)
         self._twists.close()
@@ -71,15 +87,46 @@ class Commands:
         self._resources.close()
 
     def _order(self, action: Action) -> Callable[[Mapping[str, Any]], None]:
-        return lambda arguments: self._robot.order(action, arguments, self._answered)
+        return lambda arguments: self._robot.order(action, arguments, partial(self._answered, action))
 
-    def _answered(self, refused: str | None) -> None:
+    def _answered(self, action: Action, refused: str | None) -> None:
         if refused is not None:
-            self._drop(f"refused: {refused}")
+            self._drop(f"{action.value} refused: {refused}")
 
     def _drop(self, sentence: str) -> None:
+        """Count what was dropped, and say why: at once where that is new, and again with the number after a while."""
         self.figures["dropped"] += 1
-        self._node.get_logger().warning(sentence, throttle_duration_sec=_WARN_S)
+        kind, now_s = _NUMBER.sub("", sentence), time.monotonic()
+        said_s, count = self._said.get(kind, (-math.inf, 0))
+        if now_s - said_s < _WARN_S:
+            self._said[kind] = said_s, count + 1
+            return
+        self._said[kind] = now_s, 0
+        self._node.get_logger().warning(sentence + (f" ({count} more since this was said)" if count else ""))
+
+    def _look_at_publishers(self) -> None:
+        """Compare who publishes on the topics with what is taken: ROS 2 itself drops other types without a word."""
+        found = []
+        for one in self._subscriptions:
+            topic, taken = one.topic_name, _type_name(one.msg_type)
+            publishers = self._node.get_publishers_info_by_topic(topic)
+            for other in sorted({each.topic_type for each in publishers} - {taken}):
+                advice = f"let it publish {taken}"
+                if {taken, other} == {_type_name(Twist), _type_name(TwistStamped)}:
+                    advice = f"set the parameter use_stamped_vel to {str(other == _type_name(TwistStamped)).lower()}"
+                who = _names(each for each in publishers if each.topic_type == other)
+                found.append(f"{topic}: {who} publishes {other}, and {taken} is taken: nothing of it arrives; {advice}")
+            ours = [each for each in publishers if each.topic_type == taken]
+            if len(ours) > 1 and one in self._streams:
+                found.append(
+                    f"{topic}: {len(ours)} publishers ({_names(ours)}), and the robot follows whichever was last; "
+                    "leave one, or put a multiplexer such as twist_mux between"
+                )
+        for sentence in found:
+            if sentence not in self._troubles:
+                self._node.get_logger().warning(sentence)
+        self._troubles = found
+        self.figures["trouble"] = "; ".join(found)
 
     def _taken(self, figure: str) -> bool:
         self.figures[figure] += 1
@@ -164,7 +211,15 @@ class Commands:
                 "max_acceleration_m_s2": min(0.5, service.acceleration_m_s2),
                 "max_yaw_acceleration_rad_s2": min(2.0, service.yaw_acceleration_rad_s2),
             }
-        self._robot.order(Action.TRACK, {"reference": reference, "here": False}, self._answered)
+        self._robot.order(Action.TRACK, {"reference": reference, "here": False}, partial(self._answered, Action.TRACK))
+
+
+def _type_name(kind: Any) -> str:
+    return f"{kind.__module__.partition('.')[0]}/msg/{kind.__name__}"
+
+
+def _names(publishers: Iterable[Any]) -> str:
+    return ", ".join(sorted({f"{one.node_namespace.rstrip('/')}/{one.node_name}" for one in publishers}))
 
 
 class _Newest:

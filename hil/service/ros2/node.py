@@ -1,5 +1,6 @@
 """The managed node ``mecanum_hil``: a robot of ours as ROS 2 sees it (ROS2.md). Import it after ``require_ros``."""
 
+import logging
 import signal
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
@@ -14,6 +15,7 @@ from std_srvs.srv import Trigger
 
 from hil.core.types import Pose
 from hil.scenario import Scenario
+from hil.service import logs
 from hil.service.messages import Action
 from hil.service.ros2.commands import Commands
 from hil.service.ros2.publishers import Publishers
@@ -133,6 +135,10 @@ def run_simulated(load: Callable[[Sequence[str]], Scenario], ros: Sequence[str])
 
     ``load`` loads the scenario with further ``--set``. Raises HilError when the plant fails.
     """
+
+    # The node says to whom it concerns which order was refused; the log would repeat it.
+    logs.configure("text", "simulation")
+    logging.getLogger(logs.__name__.rpartition(".")[0]).addFilter(lambda line: line.getMessage() != "order refused")
 
     def make(node: RobotNode) -> Robot:
         settings = node.settings

@@ -124,10 +124,12 @@ class Publishers:
             _stamp(self._battery, sec, nanosec)
             self._battery.voltage = status["battery_v"]
             self._battery_to.publish(self._battery)
-        level = DiagnosticStatus.WARN if status["why"] or status["recording_trouble"] else DiagnosticStatus.OK
+        trouble = figures["trouble"]
+        is_well = not (status["why"] or status["recording_trouble"] or trouble)
+        level = DiagnosticStatus.OK if is_well else DiagnosticStatus.WARN
         if status["phase"] in _TROUBLED:
             level = DiagnosticStatus.ERROR
-        self._diagnose(level, status["why"] or status["phase"], sec, nanosec, {**_flat(status), **figures})
+        self._diagnose(level, status["why"] or trouble or status["phase"], sec, nanosec, {**_flat(status), **figures})
 
     def lost(self, why: str, sec: int, nanosec: int) -> None:
         """Publish that the service is away."""
