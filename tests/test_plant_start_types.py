@@ -1,5 +1,7 @@
 """Texts of a description are read in the types of their variables: start values, ranges and defaults."""
 
+import contextlib
+import re
 from pathlib import Path
 
 import pytest
@@ -7,8 +9,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hil.core.errors import BadInputError
-from hil.plant.description import check_start, start_defaults
-from tests.broken_fmu import pack
+from hil.plant import archive
+from hil.plant.conformance.misuse import _outside as outside
+from hil.plant.conformance.slave import Model
+from hil.plant.description import check_start, info, start_defaults
+from hil.plant.start import elements_at_start, limits
+from tests.broken_fmu import HERE, pack
 
 NAMES = {2: ("Real", "Integer"), 3: ("Float64", "Int64")}
 
@@ -69,3 +75,34 @@ def test_a_start_that_is_not_of_its_type_is_refused_by_name(
     fmu = fmu_with(tmp_path, fmi, ("odd", "Boolean" if place is None else NAMES[fmi][place], attributes))
     with pytest.raises(BadInputError, match=f"gives odd of type .* start {words}"):
         start_defaults(fmu)
+
+
+DESCRIPTIONS = {fmi: (HERE / f"lag_fmi{fmi}.xml").read_text(encoding="utf-8") for fmi in (2, 3)}
+PLACES = [(fmi, *found.span(1)) for fmi, text in DESCRIPTIONS.items() for found in re.finditer(r' \w+="([^"]*)"', text)]
+ODD = ["", "abc", "1.5", "-1", "true", "1e400", "9" * 30, "0x10", "\u0663", "1 2", "shape", "NaN"]
+
+
+@given(st.sampled_from(PLACES), st.sampled_from(ODD))
+def test_no_text_of_an_attribute_is_anything_but_read_or_refused(
+    tmp_path_factory: pytest.TempPathFactory, place: tuple[int, int, int], odd: str
+) -> None:
+    fmi, begin, end = place
+    text = DESCRIPTIONS[fmi]
+    changed = (text[:begin] + odd + text[end:]).encode()
+    fmu = pack(tmp_path_factory.getbasetemp() / "odd.fmu", fmi, lambda name, d: changed if name.endswith(".xml") else d)
+    start = {"gain": 1.0, "shape": "linear", "u": 0.0}
+    for read in (info, start_defaults, lambda path: check_start(path, start), ranges_and_values):
+        with contextlib.suppress(BadInputError):
+            read(fmu)
+
+
+def ranges_and_values(fmu: Path) -> None:
+    """Read what a check reads of a description."""
+    library = archive.library_of(fmu)
+    model = Model(fmu, fmu.parent, fmu.parent / library.member, library.fmi_version, lambda **_: None)
+    for variable in model.variables:
+        outside(variable)
+        for read in (limits, elements_at_start):
+            read(variable)
+    for place, variable in enumerate(model.inputs):
+        model.input_value(variable, 1, place)

@@ -69,6 +69,12 @@ def _typed(variable: Any, attribute: str, text: str | None) -> Any:
         ) from None
 
 
+def items_of(variable: Any) -> dict[str, int]:
+    """Return the items of an enumeration, by name. Raises BadInputError for one whose value is no number."""
+    items = variable.declaredType.items if variable.declaredType else ()
+    return {item.name: _typed(variable, f"the item {item.name}", item.value) for item in items}
+
+
 class Start(NamedTuple):
     """A variable and its start value in the type of the variable."""
 
@@ -159,7 +165,7 @@ def _whole(given: str, value: float | int, kind: str) -> int:
 
 
 def _item(given: str, value: Value, variable: Any) -> int:
-    items = {item.name: int(item.value) for item in variable.declaredType.items} if variable.declaredType else {}
+    items = items_of(variable)
     if isinstance(value, str):
         if value in items:
             return items[value]

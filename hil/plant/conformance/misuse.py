@@ -14,7 +14,7 @@ from fmpy.model_description import ModelVariable
 
 from hil.plant.conformance import Finding, advice
 from hil.plant.conformance.slave import Model, Slave, is_float, start
-from hil.plant.start import count, limits
+from hil.plant.start import count, items_of, limits
 
 _UNUSED_REFERENCE = 0xFFFFFFF0
 
@@ -127,8 +127,7 @@ def _read_nothing(slave: Slave, variable: ModelVariable) -> None:
 def _outside(variable: ModelVariable) -> list[float | int]:
     """Return a value on either side of the range, where there is one."""
     if variable.type == "Enumeration":
-        declared = variable.declaredType
-        values = [int(item.value) for item in declared.items] if declared is not None else []
+        values = items_of(variable).values()
         return [min(values) - 1, max(values) + 1] if values else []
     if variable.type == "Boolean":
         return []

@@ -4,6 +4,7 @@ import contextlib
 import copy
 import ctypes
 import functools
+import math
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
@@ -156,9 +157,10 @@ class Model:
         self.is_fatal = False  # then no function of the library may be called
         self._message, self._severity = "", 0  # the newest of the FMU's most severe messages in a call
         experiment = self.description.defaultExperiment
-        suggested_s, begin = (None, None) if experiment is None else (experiment.stepSize, experiment.startTime)
-        self.step_s = float(self.claims.fixedInternalStepSize or suggested_s or 1e-3)
-        self.start_s = float(begin or 0.0)
+        suggested, begin = (None, None) if experiment is None else (experiment.stepSize, experiment.startTime)
+        sizes_s = map(_number, (self.claims.fixedInternalStepSize, suggested, 1e-3))
+        self.step_s = next(size_s for size_s in sizes_s if size_s > 0.0)
+        self.start_s = _number(begin)
         self.variables = [v for v in self.description.modelVariables if v.type not in _NOT_NUMERIC and not v.clocks]
         self.inputs = [v for v in self.variables if v.causality == "input" and v.type in FLOATS]
         self.outputs = [v for v in self.variables if v.causality == "output"]
@@ -244,6 +246,15 @@ class Model:
     def last_message(self) -> str:
         """Return the FMU's newest message in parentheses, as the end of a sentence; empty without one."""
         return f" ({one_line(self._message)[:300]})" if self._message else ""
+
+
+def _number(declared: object) -> float:
+    """Return a declared number; 0 for one that is not there, or that FMPy's validator complains about."""
+    try:
+        number = float(str(declared))
+    except ValueError:
+        return 0.0
+    return number if math.isfinite(number) else 0.0
 
 
 def start(variable: ModelVariable) -> list[Value] | None:
