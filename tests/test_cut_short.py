@@ -1,5 +1,6 @@
 """A run that ended before its time: what it did not come to is neither judged nor a figure."""
 
+import json
 import math
 from dataclasses import replace
 from typing import Any
@@ -61,6 +62,17 @@ def test_what_its_expectations_did_not_come_to_is_not_judged(ran: tuple[RunResul
     assert texts[1].endswith("before there was a sample of it")
     assert run_columns(result.metrics)["failed_expectation"] == texts[3]
     assert "not judged</span>" in page([run], [figures(run)])
+
+
+def test_expectations_that_a_killed_run_cannot_be_judged_by_are_counted(ran: tuple[RunResult, RecordedRun]) -> None:
+    """The recording has no baseline, may lack a signal, and may be of a version that has other keys."""
+    _, run = ran
+    scenario = json.loads(run.properties["scenario"])
+    rows = {"expect.1.a_key_of_old": 1, "expect.5.figure": "effort_n_m_s", "expect.5.baseline": "10%"}
+    found = figures(replace(died(run), properties={**run.properties, "scenario": json.dumps(scenario | rows)}))
+    assert len(found["expect"]) == len(EXPECT) - 1
+    assert [note.partition(" ")[0] for note in found["notes"] if "cannot be judged" in note] == ["2"]
+    assert not any("cannot be judged" in note for note in figures(died(run))["notes"])
 
 
 def test_a_killed_run_that_had_come_to_its_last_tick_has_all_its_figures(ran: tuple[RunResult, RecordedRun]) -> None:

@@ -61,6 +61,8 @@ def test_feedbacks_that_a_line_lost_are_interpolated_and_a_long_gap_ends_a_drive
     kept[2000:2010] = False
     later = drive_of(drives, values, {name: series[kept] for name, series in run.signals.items()})
     assert later.time_s[0] == pytest.approx(run.signals["robot.time_s"][2010])
+    missing_s = run.signals["robot.time_s"][2010] - whole.time_s[0]
+    assert (whole.unused_s, few.unused_s, later.unused_s) == pytest.approx((0.0, 0.0, missing_s), abs=1e-6)
 
 
 @pytest.mark.parametrize("driver", ["rosmaster", "wheeltec"])

@@ -10,7 +10,7 @@ from typer import Argument, Option
 
 from hil.cli import options as o
 from hil.cli.commands import Group
-from hil.cli.output import end_in_order, next_command, print_result, rows, say, table, warn
+from hil.cli.output import end_in_order, next_command, print_result, rows, say, say_on_stderr, table, warn
 from hil.core.errors import BadInputError, RunInterruptedError
 from hil.core.extras import need
 from hil.core.outputs import existing_files
@@ -134,7 +134,6 @@ def fit(
     from hil.identify.fit import fit as fit_drives
     from hil.identify.kinematics import Tape
     from hil.identify.page import draw
-    from hil.identify.recorded import read_drive
     from hil.review.plots import check_format
 
     if contact not in ("rigid", "both"):
@@ -146,7 +145,7 @@ def fit(
     check_files(out, kind, existing)
     need("plots", "hil identify fit")
     floor, judged_by = _read(recordings, held_out)
-    others = {name: read_drive(path) for name, path in (("blocks", blocks), ("squeeze", squeeze)) if path is not None}
+    others = {name: _drive(path) for name, path in (("blocks", blocks), ("squeeze", squeeze)) if path is not None}
     contacts = ("rigid",) if contact == "rigid" else ("rigid", "slip")
     measured = None if tape is None else Tape(tape, tape_sigma)
     result = fit_drives(floor, judged_by, tape=measured, contacts=contacts, **others)
@@ -214,13 +213,27 @@ def fit_fmu(
 
 def _read(recordings: "Sequence[Path]", held_out: Path | None) -> "tuple[list[Drive], Drive]":
     """Return the drives to fit, and the one to judge by: the last third of the first where none is given."""
-    from hil.identify.recorded import read_drive, split
+    from hil.identify.recorded import split
 
-    drives = [read_drive(path) for path in recordings]
+    drives = [_drive(path) for path in recordings]
     if held_out is not None:
-        return drives, read_drive(held_out)
+        return drives, _drive(held_out)
     first, judged_by = split(drives[0])
     return [first, *drives[1:]], judged_by
+
+
+def _drive(recording: Path) -> "Drive":
+    """Read a drive, and say how much of it is not used."""
+    from hil.identify.recorded import read_drive
+
+    drive = read_drive(recording)
+    if drive.unused_s > drive.period_s:
+        whole_s = drive.time_s[-1] - drive.time_s[0] + drive.unused_s
+        say_on_stderr(
+            f"hil: note: {recording}: {drive.unused_s:.3g} s of {whole_s:.3g} s are not used, only its longest stretch "
+            "without a gap in the feedback"
+        )
+    return drive
 
 
 _HEAD = ("value", "", "95 % from", "to", "", "")

@@ -58,6 +58,7 @@ class Drive:
         yaw_rate_rad_s: (n,) gyro; NaN where the robot has none.
         fixes: (k, 4) pose fixes in the order of their stamps: stamp [s], x, y [m], heading [rad].
         truth: (n, 3) true poses; NaN without a source of them.
+        unused_s: how much longer the recorded feedback is, because of gaps in it.
     """
 
     path: Path
@@ -71,6 +72,7 @@ class Drive:
     yaw_rate_rad_s: Array
     fixes: Array
     truth: Array
+    unused_s: float = 0.0
 
     @property
     def speed_rad_s(self) -> Array:
@@ -116,7 +118,8 @@ def drive_of(path: Path, values: Mapping[str, Any], signals: Mapping[str, Array]
         return np.stack([signals.get(name, nothing) for name in names], axis=1)
 
     time_s = signals["robot.time_s"]
-    rows = _whole_rows(path, time_s, np.asarray(np.isfinite(table(WHEEL_SPEEDS)).all(axis=1), dtype=np.bool_))
+    is_known = np.isfinite(table(WHEEL_SPEEDS)).all(axis=1) & np.isfinite(time_s)
+    rows = _whole_rows(path, time_s, np.asarray(is_known, dtype=np.bool_))
     period_s = float(np.median(np.diff(time_s[rows])))
     span_s = float(time_s[rows[-1]] - time_s[rows[0]])
     if span_s < _LEAST_S:
@@ -144,6 +147,7 @@ def drive_of(path: Path, values: Mapping[str, Any], signals: Mapping[str, Array]
         whole(signals.get("robot.yaw_rate_rad_s", nothing)),
         fixes[np.argsort(fixes[:, 0], kind="stable")],
         whole(table(TRUE_POSE)),
+        float(np.ptp(time_s[is_known])) - span_s,
     )
 
 
@@ -166,7 +170,7 @@ def split(drive: Drive, share: float = 2 / 3) -> tuple[Drive, Drive]:
 
 def _whole_rows(path: Path, time_s: Array, is_known: npt.NDArray[np.bool_]) -> npt.NDArray[np.intp]:
     """Return the places of the longest run of rows that each came one period after the one before, or a few more."""
-    places = np.flatnonzero(is_known & np.isfinite(time_s))
+    places = np.flatnonzero(is_known)
     # A tick without new feedback repeats the feedback before it.
     places = places[np.concatenate([[True], np.diff(time_s[places]) > 0.0])] if len(places) else places
     if len(places) < 2:

@@ -112,6 +112,11 @@ def figures(run: RecordedRun) -> dict[str, Any]:
         result["rejected"], result["unmatched"] = rejected_and_unmatched(result["frames"]["rejected"])
     if run.summary is None:
         result["expect"] = _outcomes(run, result, cut_s)
+        if left_out := len(table_rows(scenario_of(run), "expect")) - len(result["expect"]):
+            result["notes"].append(
+                f"{left_out} of its expectations cannot be judged: the recording lacks their figures, signals or "
+                "baseline, or another version made it"
+            )
     result["lost_rows"] = lost = (run.rows_dropped or 0) + run.rows_missing
     if summary.get("lost_rows", lost) != lost:
         set_lost_rows(result, _tables(run, AllowTable, "allow")[0], lost)

@@ -32,6 +32,9 @@ class _ShortError(Exception):
 
 
 class _Form(Protocol):
+    name: str
+    """Of the form, in words."""
+
     def read(self, line: str, *, ended: bool) -> TracedFrame | LeftOut | None:
         """Return what is in a line; None for a part of the header or footer.
 
@@ -57,8 +60,8 @@ def read_text(path: Path) -> Iterator[TracedFrame | LeftOut]:
             try:
                 content = form.read(line, ended=ended)
             except (_CutError, _ShortError, ValueError, LookupError) as error:
-                why = f"line {number} is not a line of a {path.suffix} file, the file is damaged there"
-                if not ended:
+                why = f"line {number} is not a line of {form.name}; the file is damaged there, or has another form"
+                if not ended and number > 1:
                     why = f"it is cut within line {number}, which is not read"
                 elif isinstance(error, _ShortError):
                     why = f"line {number} says {error}, it is cut or damaged"
@@ -89,6 +92,7 @@ _GERMAN = {"mär": "mar", "mrz": "mar", "mai": "may", "okt": "oct", "dez": "dec"
 class _Asc:
     """Vector's text: times count from a date in the header, or, with ``timestamps relative``, from the line before."""
 
+    name = "Vector's .asc"
     _STAMP = r"(?P<t>-?\d{1,15}\.\d{1,15})\s+"
     _CLASSIC = re.compile(
         _STAMP + r"(?P<channel>\d+)\s+(?P<id>\S+)\s+(?P<dir>[TR]x\w*)\s+(?P<kind>[dr])(?:\s+(?P<code>[\da-f]+))?"
@@ -203,6 +207,7 @@ class _Asc:
 class _Candump:
     """A line of ``candump -L``, also with its options -8, -e and -x."""
 
+    name = "a log of candump -L"
     _LINE = re.compile(
         r"\((?P<t>\d{1,15}\.\d{1,15})\)\s+(?P<channel>\S+)\s+(?P<id>[\da-f]{3}|[0-3][\da-f]{7})"
         r"#(?:(?P<remote>r[\da-f]?)|(?P<fd>\#[\da-f])?(?P<data>(?:[\da-f]{2}){,64}))(?P<code>_[\da-f])?(?:\s+(?P<dir>[rt]))?",
@@ -243,6 +248,7 @@ class _Candump:
 class _Trc:
     """PEAK's rows, whose columns follow from the file's version, or are named in its header from version 2 on."""
 
+    name = "PEAK's .trc"
     _COLUMNS: ClassVar = {"1.0": "NOILD", "1.1": "NOTILD", "1.2": "NOBTILD", "1.3": "NOBTIRLD"}
     _ROW = re.compile(r"\d+\)?\s+-?\d{1,15}(?:\.\d{1,15})?\s+\S.*", re.ASCII)
     _TYPE = re.compile(r"[a-z][a-z0-9]{1,7}", re.IGNORECASE | re.ASCII)
