@@ -24,6 +24,7 @@ from hil.core.options import options_of
 from hil.drivers.registry import OUR_DRIVER, dialect, driver_names
 from hil.runtime.assembly import check_scenario
 from hil.scenario import load
+from hil.scenario.motors import make_driver
 from tests.examples import share_of_examples
 from tests.plugin_suites import run as run_suite
 from tests.processes import HIL, ROOT, environment
@@ -107,6 +108,13 @@ def test_what_it_writes_for_a_driver_passes_or_it_says_why_not(tmp_path: Path, d
         assert not folder.exists()
         return
     init(folder, driver=driver, defaults=True)
+    written = load(folder / SCENARIO_FILE)
+    sensors = {"gyro"} if driver == OUR_DRIVER else make_driver(written).capabilities.sensors
+    assert ("gyro" in (folder / SCENARIO_FILE).read_text("utf-8")) == ("gyro" in sensors)
+    rows = (folder / ROBOT_FILE).read_text("utf-8").partition("[device.motors]")[2].partition("[link]")[0]
+    assert re.findall(r"(?m)^#? ?(\w+) = ", rows) == [option.name for option in required]
+    if required:
+        assert written.device.settings == dialect(driver).settings()
     assert hil.run(folder / SCENARIO_FILE).passed
     assert hil.run(folder / "bad_day.hil.toml").passed
 

@@ -14,8 +14,8 @@ import hil
 from hil.core.errors import BadInputError
 from hil.core.options import OptionsError, Range, build
 from hil.scenario import load
-from hil.scenario.check import beyond_the_end
 from hil.scenario.trial import ExpectTable, FaultTable
+from hil.scenario.unreached import beyond_the_end, without_effect
 from tests.processes import hil as command
 
 BASE = load("circle_speed")
@@ -100,3 +100,57 @@ def test_an_angle_of_somebody_elses_options_may_be_of_many_turns() -> None:
     assert build(Own, {"lead_rad": 100.0}).lead_rad == 100.0
     with pytest.raises(OptionsError, match=r"if you mean millimetres, write 0\.3"):
         build(Own, {"size_m": 300.0})
+
+
+WITHOUT_EFFECT = {
+    "estimator.filter.start_sigma_m=0.5": {"estimator.source": "fused"},
+    "estimator.simulated_fix.sigma_m=0.5": {"estimator.source": "fused"},
+    "estimator.slip_threshold_m_s=1e-4": {"estimator.source": "fused", "plant.start.gyro_noise_rad_s": 0.5},
+    "limiter.slip_m_s=1e-4": {"controller.command": "torque", "plant.start.contact": "slip"},
+    "plant.start.grip_coefficient=0.01": {"plant.start.contact": "slip"},
+    "plant.start.wheel.fl.grip_factor=0.01": {"plant.start.contact": "slip"},
+    "plant.start.roller_friction_coefficient=0.5": {"plant.start.contact": "slip"},
+    "plant.start.current_limit_a=0.01": {"plant.start.drive": "current"},
+    "plant.start.motor_inductance_h=0.1": {"plant.start.drive": "voltage"},
+    "plant.start.slope_direction_rad=1.0": {"plant.start.slope_rad": 0.2},
+    "plant.start.seed=7": {"plant.start.gyro_noise_rad_s": 0.1},
+    "realtime.priority=1": None,
+    "device.guardian_s=0.5": None,
+    "plant.timeout_s=1.0": None,
+}
+"""What nothing reads in circle_speed, and what makes it count in a short run."""
+
+
+@pytest.mark.parametrize("text", WITHOUT_EFFECT)
+def test_a_value_that_is_told_as_without_effect_has_none_and_others_have(text: str) -> None:
+    def signals(*sets: str) -> list[bytes]:
+        run = hil.run("circle_speed", set=["loop.duration_s=0.2", "plant.start.start_y_m=0.1", *sets], lenient=True)
+        return [run.signals[name].tobytes() for name in run.signals if name.startswith(("pose.", "robot.", "wheel."))]
+
+    key, counts = text.partition("=")[0], WITHOUT_EFFECT[text]
+    assert [told for told, _ in without_effect(load("circle_speed", set=[text]))] == [key]
+    assert signals(text) == signals()
+    if counts is not None:
+        more = [f"{name}={value}" for name, value in counts.items()]
+        assert not [told for told, _ in without_effect(load("circle_speed", set=[text, *more])) if told == key]
+        assert signals(text, *more) != signals(*more)
+
+
+@pytest.mark.parametrize(
+    ("name", "driver", "is_refused"),
+    [
+        ("gyro_noise_rad_s", "odrive", True),
+        ("gyro_bias_z_rad_s", "c620", True),
+        ("accelerometer_noise_m_s2", "moteus", True),
+        ("gyro_noise_rad_s", "rosmaster", False),
+        ("gyro_noise_rad_s", "stm32", False),
+    ],
+)
+def test_the_noise_of_a_sensor_that_a_robot_lacks_is_refused(name: str, driver: str, is_refused: bool) -> None:
+    sets = {f"plant.start.{name}": 0.01, "device.driver": driver, "loop.rate_hz": 20}
+    if not is_refused:
+        assert load("circle_speed", set=sets).plant.start[name] == 0.01
+        return
+    with pytest.raises(BadInputError, match=rf"plant\.start\.{name} = 0\.01; .* has no (gyro|accelerometer)"):
+        load("circle_speed", set=sets)
+    assert load("circle_speed", set=sets | {f"plant.start.{name}": 0.0})

@@ -36,23 +36,27 @@ def check(
     from hil.runtime.assembly import check_scenario
     from hil.scenario import load
     from hil.scenario.baseline import without_baselines
-    from hil.scenario.check import beyond_the_end
+    from hil.scenario.unreached import beyond_the_end, without_effect
 
     found, lines, feasible = [], [], True
     names = without_baselines(scenarios)
     for name in names:
         resolved = load(name, set=sets or [], robot=robot, mode=mode, link=link, seed=seed)
         feasibility = check_scenario(resolved)
-        late = [f"{resolved.provenance[key]}: {key}: {words}" for key, words in beyond_the_end(resolved)]
+        late, unread = (
+            [f"{resolved.provenance[key]}: {key}: {words}" for key, words in rows_of(resolved)]
+            for rows_of in (beyond_the_end, without_effect)
+        )
         feasible &= not feasibility.sentences and not late
         baseline = baseline_words(resolved)
         reference = {"kind": resolved.reference.kind, **feasibility.figures()}
         loop = _speed_loop(resolved)
         one = {"scenario": resolved.name, "reference": reference, "baseline": baseline, "speed_loop": loop}
-        found.append(one | {"beyond_the_end": late})
+        found.append(one | {"beyond_the_end": late, "without_effect": unread})
         lines += [name] if len(names) > 1 else []
         more = [*([("speed loop", loop)] if loop else []), ("baseline", baseline)]
-        lines += rows([*_rows(feasibility), *(("after the end", sentence) for sentence in late), *more])
+        told = [("after the end", sentence) for sentence in late] + [("no effect", sentence) for sentence in unread]
+        lines += rows([*_rows(feasibility), *told, *more])
     print_result(as_json, found[0] if len(names) == 1 else {"scenarios": found}, lines)
     raise typer.Exit(0 if feasible else 1)
 

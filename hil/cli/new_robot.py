@@ -3,7 +3,9 @@
 Proposed answers come from the paper's robot and from earlier answers. In the files each value has a comment.
 """
 
+import inspect
 import math
+import textwrap
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import MISSING
 from typing import Any, NamedTuple
@@ -15,6 +17,7 @@ from hil.drivers.port import Found
 from hil.drivers.registry import OUR_DRIVER, dialect, driver_names
 from hil.faults.kinds import BATTERY_V, BATTERY_VARIABLE
 from hil.scenario import BASE, format_value, load
+from hil.scenario.motors import make_driver
 from hil.scenario.tables import Tables
 
 Value = float | int | str
@@ -35,6 +38,7 @@ _LOOP_RAD_S = 33.0
 _INTEGRAL_1_S = 11.0
 _OVERSPEED = 2.0
 _COMMENT_COLUMN = 40
+_WIDEST_COMMENT = 116
 _BATTERY_LIMITS = ("battery_low_v", "battery_high_v")
 """Settings of a driver whose motors are switched off outside."""
 
@@ -109,17 +113,19 @@ def _rounded(value: float) -> float:
 def _fastest(driver: str) -> int:
     """Return the highest of the usual rates that a driver can hold [Hz]. Raises BadInputError if it can hold none."""
     for rate_hz in _RATES_HZ:
-        watchdog_s = min(max(5.0 / rate_hz, 0.02), 0.1)  # as the first circle has by default
         try:
-            load(
-                BASE,
-                set={"device.driver": driver, "loop.rate_hz": rate_hz, "firmware.watchdog_s": watchdog_s},
-            )
+            load(BASE, set=_of_driver(driver, rate_hz))
         except BadInputError as error:
             problem = error
         else:
             return rate_hz
     raise problem
+
+
+def _of_driver(driver: str, rate_hz: int) -> dict[str, object]:
+    """Return what a first circle with a driver sets; the watchdog is as it has by default."""
+    watchdog_s = min(max(5.0 / rate_hz, 0.02), 0.1)
+    return {"device.driver": driver, "loop.rate_hz": rate_hz, "firmware.watchdog_s": watchdog_s}
 
 
 def option_of(key: str) -> Option:
@@ -141,7 +147,9 @@ def problem_with(question: Question, value: Value) -> str | None:
 
 
 def _settings(driver: str) -> Mapping[str, Option]:
-    """Return the options of [device.motors] for another maker's driver, by name."""
+    """Return the options of [device.motors] by name; our firmware has none."""
+    if driver == OUR_DRIVER:
+        return {}
     kind: Any = dialect(driver).settings
     return options_of(kind)
 
@@ -163,8 +171,6 @@ def _problem_with_driver(name: str) -> str | None:
 
 def _battery_text(driver: str) -> str:
     """Return a line with the plant's battery, if the driver's motors stand no such voltage as it has by default."""
-    if driver == OUR_DRIVER:
-        return ""
     settings = _settings(driver)
     low_v, high_v = (settings[name].default if name in settings else None for name in _BATTERY_LIMITS)
     if low_v is None or high_v is None or low_v < BATTERY_V < high_v:
@@ -178,10 +184,12 @@ def robot_text(answers: Answers, driver: str | None = None, found: Found | None 
     ``driver`` and ``found`` describe motor controllers from a probe; the file then marks what was not measured.
     """
     speed_kp = min(100.0, _rounded(_LOOP_RAD_S * _inertia_at_a_wheel(answers)))
+    motors = _settings(driver or str(answers.get("device.driver", OUR_DRIVER)))
+    gains = {"kp_n_m_s_rad": speed_kp, "ki_n_m_rad": _rounded(_INTEGRAL_1_S * speed_kp)}
     more: dict[str, Value | list[str]] = {
         "firmware.torque_limit_n_m": answers["robot.torque_limit_n_m"],
-        "firmware.speed_kp_n_m_s_rad": speed_kp,
-        "firmware.speed_ki_n_m_rad": _rounded(_INTEGRAL_1_S * speed_kp),
+        # A driver that closes the loops itself has the gains among its settings.
+        **{f"firmware.speed_{name}": value for name, value in gains.items() if name not in motors},
         "firmware.overspeed_rad_s": max(1.0, _OVERSPEED * float(answers["robot.speed_limit_rad_s"])),
         **({} if driver is None else {"device.driver": driver}),
         "device.wheels": ["fl", "fr", "rr", "rl"],
@@ -193,17 +201,40 @@ def robot_text(answers: Answers, driver: str | None = None, found: Found | None 
         {} if found is None else {name: _not_reported(name, found) for name in ("robot", "firmware", "device.motors")}
     )
     tables = [_table(name, values, notes.get(name, ())) for name in ("robot", "firmware", "device", "link")]
-    if found is not None and (found.motors or notes["device.motors"]):
+    if found is None and motors:
+        tables.insert(-1, _motors_text(str(answers["device.driver"]), motors))
+    elif found is not None and (found.motors or notes["device.motors"]):
         tables.insert(-1, "\n" + _head("device.motors", notes["device.motors"]))
         tables[-1:-1] = [f"{name} = {format_value(value)}\n" for name, value in (found.motors or {}).items()]
     return head + "".join(tables)
 
 
+def _motors_text(driver: str, settings: Mapping[str, Option]) -> str:
+    """Return [device.motors] with the default of each setting, below what the driver says of them."""
+    kind: Any = dialect(driver).settings
+    said = " ".join((inspect.getdoc(kind) or "").replace("``[device.motors]``", dialect(driver).title).split())
+    notes = textwrap.wrap(said.replace("``", ""), _WIDEST_COMMENT, break_long_words=False)
+    rows = [
+        f"{'' if one.default or isinstance(one.default, int | float) else '# '}{name} = {format_value(one.default)}\n"
+        for name, one in settings.items()
+    ]
+    return "".join(["\n", _head("device.motors", notes), *rows])
+
+
+def _has_gyro(answers: Answers) -> bool:
+    driver = str(answers["device.driver"])
+    if driver == OUR_DRIVER:
+        return True
+    rate_hz = answers["loop.rate_hz"]
+    return "gyro" in make_driver(load(BASE, set=_of_driver(driver, int(rate_hz)))).capabilities.sensors
+
+
 def scenario_text(answers: Answers, slowness: float) -> str:
     """Return a scenario with a circle; with ``slowness`` 1 it should be well within the robot's limits."""
     period_s = math.ceil(_period_s(answers) * slowness * 2) / 2
+    sensors = "the wheels and the gyro" if _has_gyro(answers) else "the wheels"
     return f"""\
-# A first circle: from {_OFF_M:g} m beside it, by the wheels and the gyro alone, as a real robot begins
+# A first circle: from {_OFF_M:g} m beside it, by {sensors} alone, as a real robot begins
 
 extends = "robot.toml"
 

@@ -24,8 +24,6 @@ from hil.scenario.trial import REALTIME_ALLOW, span_s
 WATCHDOG_PERIODS = 5
 _WATCHDOG_RULE = f"default: {WATCHDOG_PERIODS} command periods, within 0.02 to 0.1 s"
 _ALLOW_RULE = "default in real time"
-_TICK_SHARE = 1e-6
-"""Of a tick: a time that is nearer to one is that tick's."""
 
 
 def derived(tree: Tree) -> Tree:
@@ -158,38 +156,6 @@ def _unknown_signals(tables: Tables, directory: FilePath) -> Iterator[tuple[str,
     for key, name in named.items():
         if name not in known:
             yield key, f"expected the name of a signal{nearest(name, known, SEE_SIGNALS)}"
-
-
-def beyond_the_end(tables: Tables) -> Iterator[tuple[str, str]]:
-    """Yield key and message of each row that no tick of the run reaches: a run fails by it, or never does it.
-
-    It is no error of the tables: a run may be shortened to look at its beginning.
-    """
-    ticks = math.ceil(tables.loop.duration_s * tables.loop.rate_hz - _TICK_SHARE)
-    ends = f"the run ends at loop.duration_s = {tables.loop.duration_s:g}"
-    for i, row in enumerate(tables.expect, start=1):
-        if row.figure is not None:
-            continue
-        key = f"expect.{i}.from_s" if row.after_fault is None else f"expect.{i}.within_s"
-        try:
-            from_s, to_s = span_s(row, tables.fault)
-        except ValueError:  # refused by ``check``
-            continue
-        first = math.ceil(from_s * tables.loop.rate_hz - _TICK_SHARE)
-        if first >= ticks:
-            yield key, f"it is judged from {from_s:g} s on, but {ends}; expected an earlier time, or a longer run"
-        elif row.is_of_signals and first > to_s * tables.loop.rate_hz + _TICK_SHARE:
-            yield f"expect.{i}.to_s", f"no tick of {tables.loop.rate_hz} Hz is from {from_s:g} s to {to_s:g} s"
-    for i, fault in enumerate(tables.fault, start=1):
-        if fault.start_s * tables.loop.rate_hz > ticks - 1 + _TICK_SHARE:
-            yield f"fault.{i}.start_s", f"{ends}, so that it would never act; expected an earlier time, or a longer run"
-    estimator, fix = tables.estimator, tables.estimator.simulated_fix
-    is_simulated = estimator.source == "fused" and estimator.fix == "simulated"
-    if is_simulated and fix.gap_end_s > fix.gap_start_s >= tables.loop.duration_s:
-        yield "estimator.simulated_fix.gap_start_s", f"{ends}, before this gap; expected an earlier time"
-    rest_s = tables.reference.options.get("rest_s", 0.0)
-    if isinstance(rest_s, int | float) and rest_s >= tables.loop.duration_s:
-        yield "reference.rest_s", f"{ends}, so that the robot would never move; expected less"
 
 
 def _implausible(tables: Tables) -> Iterator[tuple[str, str]]:

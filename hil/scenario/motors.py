@@ -28,6 +28,8 @@ _SENSOR_OF: Mapping[str, Sensor] = {
     "battery.current_a": "battery_current",
 }
 """The sensor behind each signal that not every robot measures."""
+_NOISE_OF: Mapping[str, Sensor] = {"gyro_": "gyro", "accelerometer_": "accelerometer"}
+"""The sensor of the plant's parameters that begin so: its noise and bias."""
 
 
 def robot_facts(tables: Tables) -> RobotFacts:
@@ -70,6 +72,10 @@ def contradictions(tables: Tables) -> Iterator[tuple[str, str]]:
     if can.feedback_hz * tables.firmware.watchdog_s <= 1.0:
         gap = f"the {1.0 / can.feedback_hz:g} s between two feedbacks of {title}"
         yield "firmware.watchdog_s", f"expected more than {gap}, or the robot would always be held"
+    for begins, sensor in _NOISE_OF.items():
+        for name, value in tables.plant.start.items() if sensor not in can.sensors else ():
+            if name.startswith(begins) and value:
+                yield f"plant.start.{name}", f"{title} as it is set up has no {sensor}; remove the row"
     signals = {}
     for i, fault in enumerate(tables.fault, start=1):
         if fault.row.acts_on == "signal":
