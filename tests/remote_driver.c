@@ -46,10 +46,15 @@ static int serve(const remote_pipes *pipes) {
     remote_request request;
     while (remote_next(pipes, &request) == 0) {
         const uint32_t tick = request.drive.tick;
-        remote_reply reply = {.status = REMOTE_DONE, .sense.tick = tick + 1, .time_ns = tick};
+        remote_reply reply = {
+            .begin = REMOTE_MARK, .status = REMOTE_DONE, .sense.tick = tick + 1, .time_ns = tick};
+        reply.end = REMOTE_MARK;
         memset(reply.text, 'x', sizeof reply.text); /* never ended */
         if (tick == REFUSED_TICK || tick == FAILED_TICK) {
             reply.status = tick == REFUSED_TICK ? REMOTE_REFUSED : REMOTE_FAILED;
+        }
+        if (request.kind == REMOTE_WIRE) {
+            reply.end = 0; /* bytes of somebody else */
         }
         if (request.kind == REMOTE_RESET) {
             write_in_pieces((int)pipes->write_end, &reply, sizeof reply / 2);
@@ -76,9 +81,13 @@ static int ask(remote_plant *plant) {
     CHECK(remote_exchange(plant, NULL, &sense) == 1);
     CHECK(plant->asked == FAILED_TICK + 1); /* a plant that failed is not asked again */
     plant->failed = 0;
+    const remote_request wire = {.kind = REMOTE_WIRE};
+    CHECK(remote_ask(plant, &wire) == 1);
+    CHECK(plant->failed && plant->foreign && !plant->lost);
+    plant->failed = 0;
     const remote_request reset = {.kind = REMOTE_RESET};
     CHECK(remote_ask(plant, &reset) == 1);
-    CHECK(plant->failed && plant->lost && plant->asked == plant->answered);
+    CHECK(plant->failed && plant->lost && !plant->foreign && plant->asked == plant->answered);
     plant->failed = 0;
     CHECK(remote_ask(plant, &reset) == 1); /* nobody is there to take it */
     CHECK(plant->lost);

@@ -197,7 +197,8 @@ class ChildProcess:
     def _has_ended(self) -> bool:
         """Return whether it has ended; on Linux its number stays taken until ``Popen.wait``, for ``kill``."""
         if sys.platform == "linux" and self._process.returncode is None:
-            return os.waitid(os.P_PID, self.pid, os.WEXITED | os.WNOHANG | os.WNOWAIT) is not None
+            with contextlib.suppress(ChildProcessError):  # another thread has just waited for it
+                return os.waitid(os.P_PID, self.pid, os.WEXITED | os.WNOHANG | os.WNOWAIT) is not None
         return self._process.poll() is not None
 
     def _read_output(self) -> None:

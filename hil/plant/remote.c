@@ -106,7 +106,8 @@ int remote_next(const remote_pipes *pipes, remote_request *request) {
     return read_whole(pipes->read_end, request, sizeof *request);
 }
 
-int remote_answer(const remote_pipes *pipes, const remote_reply *reply) {
+int remote_answer(const remote_pipes *pipes, remote_reply *reply) {
+    reply->begin = reply->end = REMOTE_MARK;
     return write_whole(pipes->write_end, reply, sizeof *reply);
 }
 

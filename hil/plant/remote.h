@@ -78,10 +78,11 @@ int remote_exchange(void *context, const wheel_drive *drive, wheel_sense *sense)
 /* Sets one of the child's settable variables; the context is a remote_plant. Returns like remote_ask. */
 int remote_set(void *context, size_t place, double value);
 
-/* The child's side: waits for the next request; gives a reply. They return 0, or 1 when the parent is gone.
+/* The child's side: waits for the next request; gives a reply, which it marks. They return 0, or 1 when the
+ * parent is gone.
  */
 int remote_next(const remote_pipes *pipes, remote_request *request);
-int remote_answer(const remote_pipes *pipes, const remote_reply *reply);
+int remote_answer(const remote_pipes *pipes, remote_reply *reply);
 
 /* Makes C's stdout give each line at once, so that a crash loses no words. */
 void remote_flush_lines(void);

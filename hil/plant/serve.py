@@ -32,7 +32,6 @@ def main() -> None:
     parent.send(open=True, lacks=sorted(plant.lacks), settable=plant.settable, notices=plant.notices)
     to_parent = ffi.new("remote_pipes *", pipes(parent.requests, parent.replies))
     request, reply = ffi.new("remote_request *"), ffi.new("remote_reply *")
-    reply.begin = reply.end = lib.REMOTE_MARK
     exchange = ffi.cast("wheel_plant_exchange", plant.exchange_address)
     context = ffi.cast("void *", plant.context_address)
     while lib.remote_next(to_parent, request) == 0:
