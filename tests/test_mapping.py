@@ -52,7 +52,7 @@ def test_bridge_value_is_sign_scale_fmu_value_plus_offset(
 ) -> None:
     """The shipped FMU as a foreign one: its torques are the inverse of the equation, its pose the equation."""
     names = [*(f"wheel.{wheel}.torque_n_m" for wheel in WHEEL_NAMES), "pose.x_m"]
-    mapping = SignalMap({name: Row(name, *row) for name, row in zip(names, rows, strict=True)})
+    mapping = SignalMap({name: Row(name, *row, "") for name, row in zip(names, rows, strict=True)})
     given_to_fmu = [
         (value - offset) / (sign * scale) for value, (scale, offset, sign) in zip(torque, rows[:4], strict=True)
     ]

@@ -52,7 +52,7 @@ def test_the_motor_constant_is_at_the_shaft_the_firmwares_at_the_wheel(sets: lis
 
 def test_the_map_carries_what_the_missing_signals_follow_from() -> None:
     mapping = signal_map(load("paper_circle", set={"plant.map": {"pose.x_m": {"name": "x", "sign": -1}}}))
-    assert mapping.rows == {"pose.x_m": Row("x", 1.0, 0.0, -1)}
+    assert mapping.rows == {"pose.x_m": Row("x", None, 0.0, -1)}
     assert (mapping.counts_per_revolution, mapping.torque_constant_n_m_a) == (4096.0, 1.25)
 
 

@@ -43,9 +43,9 @@ def rows(loaded: Scenario) -> dict[str, tuple[object, ...]]:
 def test_a_row_is_a_name_or_a_table() -> None:
     loaded = scenario()
     assert rows(loaded) == {
-        "wheel.fl.torque_n_m": ("tau1", 1.0, 0.0, 1),
+        "wheel.fl.torque_n_m": ("tau1", None, 0.0, 1),
         "wheel.fl.angle_rad": ("phi1", 0.5, 0.25, -1),
-        "pose.x_m": ("x", 1.0, 0.0, 1),
+        "pose.x_m": ("x", None, 0.0, 1),
     }
     assert loaded.plant.timeout_s == 0.5
 
@@ -54,7 +54,7 @@ def test_every_value_of_a_row_is_shown_with_its_origin() -> None:
     shown = {key: (value, where) for key, value, where in resolved(scenario())}
     assert shown["plant.map.wheel.fl.torque_n_m.name"] == ("tau1", "my.toml:7")
     assert shown["plant.map.wheel.fl.angle_rad.sign"] == (-1, "my.toml:8")
-    assert shown["plant.map.pose.x_m.scale"] == (1.0, "default")
+    assert shown["plant.map.pose.x_m.sign"] == (1, "default")
 
 
 def test_start_values_are_numbers_truths_and_texts() -> None:
@@ -65,8 +65,8 @@ def test_start_values_are_numbers_truths_and_texts() -> None:
 
 def test_a_row_that_names_a_variable_replaces_the_row_before() -> None:
     renamed = scenario(set=["plant.map.wheel.fl.angle_rad=other", "plant.map.pose.y_m=y"])
-    assert rows(renamed)["wheel.fl.angle_rad"] == ("other", 1.0, 0.0, 1)
-    assert rows(renamed)["pose.y_m"] == ("y", 1.0, 0.0, 1)
+    assert rows(renamed)["wheel.fl.angle_rad"] == ("other", None, 0.0, 1)
+    assert rows(renamed)["pose.y_m"] == ("y", None, 0.0, 1)
     scaled = scenario(set=["plant.map.wheel.fl.angle_rad.scale=2"])
     assert rows(scaled)["wheel.fl.angle_rad"] == ("phi1", 2.0, 0.25, -1)
 

@@ -6,7 +6,7 @@ import io
 import itertools
 import re
 import xml.etree.ElementTree as ET
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -16,6 +16,7 @@ from hil.plant import archive
 from hil.plant.child_output import one_line
 from hil.plant.communication import communication_step
 from hil.plant.start import Value, start_of, start_values
+from hil.plant.units import misfit
 from plant_fmu import SHIPPED
 
 _MOST_WRONG = 20
@@ -136,18 +137,37 @@ def check_start(fmu: Path, start: Mapping[str, Value]) -> None:
     start_values(start, fmu, _variables(fmu))
 
 
+def check_units(fmu: Path, names: Collection[str]) -> None:
+    """Raise BadInputError with a line for each parameter of ours that the FMU has in another unit."""
+    units = {unit.name: unit for unit in _description(fmu).unitDefinitions}
+    variables = _variables(fmu)
+    problems = [(name, words) for name in names if (words := misfit(name, variables[name], units)) is not None]
+    if problems:
+        raise BadInputError(
+            "\n".join(
+                f"plant.start.{name}: this parameter of {fmu.name} {words}, in which [robot] and [firmware] have it; "
+                "give its value there in the FMU's own unit"
+                for name, words in problems
+            )
+        )
+
+
 def _variables(fmu: Path) -> dict[str, Any]:
+    return variables_of(_description(fmu))
+
+
+def _description(fmu: Path) -> Any:
     try:
         now = fmu.stat()
     except OSError as error:
         raise BadInputError(f"FMU {fmu} cannot be read ({error.strerror}); give the path of an .fmu file") from error
-    return _variables_in(fmu, (now.st_mtime_ns, now.st_size))
+    return _description_in(fmu, (now.st_mtime_ns, now.st_size))
 
 
 @functools.lru_cache
-def _variables_in(fmu: Path, _state: tuple[int, int]) -> dict[str, Any]:
-    """Return the variables, cached until the file changes: a process that makes many robots reads it once."""
-    return variables_of(read_description(fmu))
+def _description_in(fmu: Path, _state: tuple[int, int]) -> Any:
+    """Return the description, cached until the file changes: a process that makes many robots reads it once."""
+    return read_description(fmu)
 
 
 @dataclass(frozen=True)

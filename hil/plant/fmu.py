@@ -18,7 +18,7 @@ from hil.core.types import Wheels
 from hil.plant import archive, shim
 from hil.plant.communication import communication_step
 from hil.plant.instance import Instance
-from hil.plant.mapping import SignalMap, resolve
+from hil.plant.mapping import SignalMap, Wiring, resolve
 from hil.plant.signals import OUTPUTS, SENSORS
 from hil.plant.start import Settable, Value, limits, resize, settable_variables, start_values
 
@@ -77,9 +77,10 @@ class FmuPlant(shim.PlantPort):
             self._fmu = fmu
             step = communication_step(fmu, instance.description, wanted_s=mapping.step_s, tick_ns=tick_ns)
             self._context.step_ns = step.size_ns
-            self.notices = tuple(notice for notice in (step.notice,) if notice)
             self._start = start_values(start, fmu, instance.variables)
-            self._wiring_memory = self._connect(fmu, mapping)
+            wiring = self._wired(fmu, mapping)
+            self.notices = (*((step.notice,) if step.notice else ()), *wiring.notices)
+            self._wiring_memory = shim.connect(self._context, wiring, instance.access)
             instance.instantiate()
             resources.callback(instance.free)
             self._initialise()
@@ -155,12 +156,12 @@ class FmuPlant(shim.PlantPort):
         """Free the instance, unload the library and remove the unpacked files. Closing twice is allowed."""
         self._resources.close()
 
-    def _connect(self, fmu: Path, mapping: SignalMap) -> list[object]:
-        """Pass the FMU's addresses and variables to the C shim; return the objects that must live as long as it."""
+    def _wired(self, fmu: Path, mapping: SignalMap) -> Wiring:
+        """Find the FMU's variables, and note what it lacks."""
         instance, context = self.instance, self._context
         resize(self._start, instance.variables)
         try:
-            wiring = resolve(mapping, fmu, instance.variables)
+            wiring = resolve(mapping, fmu, instance.variables, instance.units)
         except BadInputError as error:
             if not instance.is_model_exchange:
                 raise
@@ -170,7 +171,7 @@ class FmuPlant(shim.PlantPort):
         self.lacks = frozenset(name for name, signals in SENSORS.items() if missing & set(signals))
         context.counts_per_revolution = mapping.counts_per_revolution or 0.0
         context.torque_constant_n_m_a = mapping.torque_constant_n_m_a or 0.0
-        return shim.connect(context, wiring, instance.access)
+        return wiring
 
     def _offer_variables(self) -> dict[str, Settable]:
         """Pass the variables that may be set between ticks to the C shim; return them with their index there."""

@@ -66,6 +66,8 @@ class Instance:
         context.fmi_version = self.version
         self.variables = variables_of(self.description)
         """FMPy's variables by name, and by alias."""
+        self.units = {unit.name: unit for unit in self.description.unitDefinitions}
+        """FMPy's unit definitions by name."""
         if not self.is_model_exchange:
             context.do_step = self.function(f"fmi{self.version}DoStep")
             if self.version == 2:

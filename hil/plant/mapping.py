@@ -21,6 +21,7 @@ from typing import Any, NamedTuple
 from hil.core.errors import BadInputError, nearest
 from hil.core.printable import command
 from hil.plant.signals import ANGLES, COUNTS, CURRENTS, DERIVABLE, DUTIES, ENABLED, INPUTS, OUTPUTS, SPEEDS, TORQUES
+from hil.plant.units import conversion
 
 FLOATS = frozenset({"Real", "Float64", "Float32"})
 INTEGERS = frozenset({"Integer", *(f"{sign}Int{bits}" for sign in ("", "U") for bits in (8, 16, 32, 64))})
@@ -33,14 +34,16 @@ Variables = Mapping[str, Any]  # FMPy's ModelVariable by name
 class Row(NamedTuple):
     """The variable of one signal: bridge value = sign * scale * FMU value + offset.
 
-    ``scale`` is positive, ``sign`` is 1 or -1. ``name[2]`` is the second element of an FMI 3.0 array, ``name[2,1]`` one
-    of a matrix; they are counted from 1.
+    ``scale`` is positive, ``sign`` is 1 or -1. Where ``scale`` is None, it follows from ``unit``, which is by default
+    the one that the FMU declares; an empty one is compared with nothing. ``name[2]`` is the second element of an FMI
+    3.0 array, ``name[2,1]`` one of a matrix; they are counted from 1.
     """
 
     name: str
-    scale: float = 1.0
+    scale: float | None = None
     offset: float = 0.0
     sign: int = 1
+    unit: str | None = None
 
 
 @dataclass(frozen=True)
@@ -67,19 +70,23 @@ class Connection(NamedTuple):
 
 
 class Wiring(NamedTuple):
-    """A map applied to an FMU. ``derived`` are the indices in OUTPUTS of the signals derived from others."""
+    """A map applied to an FMU. ``derived`` are the indices in OUTPUTS of the signals derived from others.
+
+    ``notices`` tell how units were converted.
+    """
 
     inputs: tuple[Connection, ...]
     outputs: tuple[Connection, ...]
     derived: frozenset[int]
+    notices: tuple[str, ...]
 
 
-def resolve(signal_map: SignalMap, fmu: Path, variables: Variables) -> Wiring:
-    """Find the variable of every signal.
+def resolve(signal_map: SignalMap, fmu: Path, variables: Variables, units: Mapping[str, Any]) -> Wiring:
+    """Find the variable of every signal. ``units`` are FMPy's definitions of the FMU's units, by name.
 
     Raises BadInputError with a line for each row and each signal that does not fit.
     """
-    return _Resolver(signal_map, fmu, variables).wiring()
+    return _Resolver(signal_map, fmu, variables, units).wiring()
 
 
 class _Direction(NamedTuple):
@@ -105,11 +112,13 @@ _OUTPUT = _Direction(OUTPUTS, ("output", "local"), FLOATS | INTEGERS, "an output
 class _Resolver:
     """Applies one map; collects all problems instead of stopping at the first."""
 
-    def __init__(self, signal_map: SignalMap, fmu: Path, variables: Variables) -> None:
+    def __init__(self, signal_map: SignalMap, fmu: Path, variables: Variables, units: Mapping[str, Any]) -> None:
         self._map = signal_map
         self._fmu = fmu
         self._variables = variables
+        self._units = units
         self._problems: list[str] = []
+        self._notices: list[str] = []
 
     def wiring(self) -> Wiring:
         inputs, outputs = self._connections(_INPUT), self._connections(_OUTPUT)
@@ -124,6 +133,7 @@ class _Resolver:
             tuple(inputs.values()),
             tuple(connection for signal, connection in outputs.items() if signal not in unused),
             frozenset(map(OUTPUTS.index, derived)),
+            tuple(self._notices),
         )
 
     def _connections(self, direction: _Direction) -> dict[str, Connection]:
@@ -134,10 +144,12 @@ class _Resolver:
                 continue
             try:
                 variable, element = self._find(row.name, direction)
+                became = conversion(signal, row, variable, self._units)
             except BadInputError as error:
                 self._problems.append(f'plant.map."{signal}": {error}')
             else:
-                found[signal] = Connection(place, variable, element, row.sign * row.scale, row.offset)
+                self._notices += [became.notice] if became.notice else []
+                found[signal] = Connection(place, variable, element, row.sign * became.factor, became.offset)
         return found
 
     def _find(self, name: str, direction: _Direction) -> tuple[Any, int]:

@@ -14,7 +14,7 @@ from hil.core.types import Pose
 from hil.drivers.registry import dialect, emulated
 from hil.estimation.choice import EstimatorOptions
 from hil.plant import archive
-from hil.plant.description import check_start
+from hil.plant.description import check_start, check_units
 from hil.plant.mapping import Row, SignalMap
 from hil.robot.faults import Body
 from hil.robot.virtual import MakeNode, VirtualPlant, VirtualRobot
@@ -70,14 +70,27 @@ def plant_start(scenario: Scenario, known: Collection[str]) -> dict[str, StartVa
 def check_plant_start(scenario: Scenario) -> None:
     """Raise BadInputError if the scenario's FMU rejects the start values; the FMU is not opened."""
     fmu = archive.locate(scenario.plant.fmu, scenario.directory)
-    check_start(fmu, plant_start(scenario, archive.read_header(fmu).parameters))
+    known = archive.read_header(fmu).parameters
+    check_start(fmu, plant_start(scenario, known))
+    _check_units(scenario, fmu, known)
+
+
+def _check_units(scenario: Scenario, fmu: Path, known: Collection[str]) -> None:
+    """Raise BadInputError if a foreign FMU has a value of [robot] or [firmware] in another unit."""
+    passed_on = plant_start(scenario, known).keys() - scenario.plant.start.keys()
+    names = passed_on - {"counts_per_revolution"}  # which may be a number or one a turn
+    if names and not archive.is_ours(fmu):
+        check_units(fmu, sorted(names))
 
 
 def signal_map(scenario: Scenario) -> SignalMap:
     """Return [plant.map], with the constants that replace signals the FMU lacks."""
     firmware = scenario.firmware
     return SignalMap(
-        {signal: Row(row.name, row.scale, row.offset, row.sign) for signal, row in scenario.plant.map.items()},
+        {
+            signal: Row(row.name, row.scale, row.offset, row.sign, row.unit)
+            for signal, row in scenario.plant.map.items()
+        },
         float(firmware.counts_per_revolution),
         firmware.torque_constant_n_m_a,
         scenario.plant.step_s,
@@ -101,6 +114,7 @@ def virtual_robot(scenario: Scenario) -> VirtualRobot:
     fmu = archive.locate(scenario.plant.fmu, scenario.directory)
     known = archive.read_header(fmu).parameters
     start = plant_start(scenario, known)
+    _check_units(scenario, fmu, known)
     return VirtualRobot(
         VirtualPlant(fmu, start, signal_map(scenario), scenario.plant.timeout_s, scenario.plant.memory_limit_mb),
         firmware_values(scenario),

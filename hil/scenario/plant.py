@@ -35,9 +35,12 @@ class MapRow:
     """A row of ``[plant.map]``: the FMU's variable of a signal; signal = sign * scale * variable + offset."""
 
     name: Annotated[Text, "name of the FMU's variable; by default that of the signal"] = ""
-    scale: Annotated[float, Range(gt=0), "units of the signal per unit of the variable"] = 1.0
+    scale: Annotated[
+        float | None, Range(gt=0), "units of the signal per unit of the variable; by default its unit says it"
+    ] = None
     offset: Annotated[float, "value of the signal when the variable is 0"] = 0.0
     sign: Annotated[Literal[1, -1], "-1 if the FMU counts in the other direction"] = 1
+    unit: Annotated[str | None, "the variable's unit in place of the FMU's; empty where none is to be compared"] = None
 
 
 @dataclass(frozen=True)

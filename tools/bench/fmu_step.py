@@ -27,7 +27,7 @@ from hil.core.errors import HilError
 from hil.core.types import Wheels
 from hil.plant import shim
 from hil.plant.fmu import FmuPlant
-from hil.plant.mapping import SignalMap, Wiring, resolve
+from hil.plant.mapping import SignalMap, resolve
 from hil.plant.signals import COUNTS, DUTIES, ENABLED, INPUTS, OUTPUTS, POSE, SPEEDS, TORQUES
 from hil.plant.start import Value
 from tools.build.compiler import compile_shared
@@ -106,9 +106,9 @@ def references_of(plant: FmuPlant, outputs: Sequence[str]) -> tuple[list[int], l
 
 def importer(plant: FmuPlant, fmu: Path, outputs: Sequence[str]) -> Way:
     """Return the bridge's importer, reading no more than these outputs, stepped as the firmware steps it."""
-    wiring = resolve(SignalMap(), fmu, plant.instance.variables)
+    wiring = resolve(SignalMap(), fmu, plant.instance.variables, plant.instance.units)
     chosen = tuple(c for c in wiring.outputs if OUTPUTS[c.signal] in outputs)
-    memory = shim.connect(plant.context, Wiring(wiring.inputs, chosen, frozenset()), plant.instance.access)
+    memory = shim.connect(plant.context, wiring._replace(outputs=chosen, derived=frozenset()), plant.instance.access)
 
     def run(steps: int) -> None:
         assert memory, "the shim uses it"
