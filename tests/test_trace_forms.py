@@ -169,9 +169,10 @@ CASES = {
     "requests.asc": ("0.1 1 123 TxRq d 1 01\n0.2 1 123 Tx d 1 01\n", ["01", "01"], (), ()),
     "events.asc": (
         "0.1 1  Statistic: D 0 R 0\n0.2 CAN 1 Status:chip status error active\n0.3 Li 60 Rx 8 00 00\n0.4 1 123 Rx d 0\n"
-        "0.5 1  J1939TP FEE3p 6 0 0 - Rx d 3 01 02 03\n0.6 2 ErrorFrame ECC: 10100010\n0.7 1  Statistic: D 1 R 0\n",
+        "0.5 1  J1939TP FEE3p 6 0 0 - Rx d 3 01 02 03\n0.55 0 16777215 0 1 GMGroup: here GMMarker: x\n"
+        "0.6 2 ErrorFrame ECC: 10100010\n0.7 1  Statistic: D 1 R 0\n",
         ["", None],
-        ("Statistic lines: 2", "Status lines: 1", "Li lines: 1", "J1939TP lines: 1"),
+        ("Statistic lines: 2", "Status lines: 1", "Li lines: 1", "J1939TP lines: 1", "markers: 1"),
         (),
     ),
     "errors.log": (
@@ -286,9 +287,9 @@ def an_object(kind, content, *, length=None, stamp_ns=0):
     return raw + bytes(whole % 4)
 
 
-def a_blf(path, *pieces):
-    """Write a file of containers, whatever is in them."""
-    blocks = b""
+def a_blf(path, *pieces, loose=b""):
+    """Write a file of containers, whatever is in them, after objects without one."""
+    blocks = loose
     for piece in pieces:
         packed = blf.LOG_CONTAINER_STRUCT.pack(blf.ZLIB_DEFLATE, len(piece)) + zlib.compress(piece)
         size = blf.OBJ_HEADER_BASE_STRUCT.size + len(packed)
@@ -317,10 +318,13 @@ def test_blf_objects_of_all_kinds_are_shown_or_counted(tmp_path):
     request = an_object(blf.CAN_MESSAGE2, blf.CAN_MSG_STRUCT.pack(1, 2, 1, 0x123, bytes(8)) + bytes(8))
     errors = [an_object(kind, struct.pack("<HH", 3, 0) + bytes(60)) for kind in (2, blf.CAN_ERROR_EXT, 104)]
     others = [an_object(kind, bytes(20)) for kind in (4, 65, 65, 200)]
-    stream = b"".join([DATA, request, *errors, *others, DATA])
-    path = a_blf(tmp_path / "bus.blf", stream[:50], stream[50:130], stream[130:])  # objects go on in the next container
+    others.append(bytes(30))  # more padding than there should be
+    stream = b"".join([DATA, request, *errors, DATA, *others])
+    # Objects go on in the next container, and some tools put them into none.
+    path = a_blf(tmp_path / "bus.blf", stream[:50], stream[50:130], stream[130:], loose=request)
     done = hil("decode", path)
     assert [line.split()[1:4] for line in done.stdout.splitlines()] == [
+        ["1", "Tx", "request"],
         ["2", "Rx", "foreign"],
         ["1", "Tx", "request"],
         *[["3", "Rx", "error"]] * 3,
@@ -330,4 +334,4 @@ def test_blf_objects_of_all_kinds_are_shown_or_counted(tmp_path):
         done.stderr
         == f"hil: note: {path}: left out, not readable as CAN frames: texts: 2, statistics: 1, objects of type 200: 1\n"
     )
-    assert "its last object is cut" in hil("decode", a_blf(tmp_path / "cut.blf", stream[:-20])).stderr
+    assert "its last object is cut" in hil("decode", a_blf(tmp_path / "cut.blf", stream[:-50])).stderr

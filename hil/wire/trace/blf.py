@@ -120,6 +120,8 @@ def _objects(data: bytes, at: int, start_s: float) -> Generator[TracedFrame | Le
     while True:
         place = data.find(_LOCATOR, end, end + _PADDING + 1 + len(_LOCATOR))
         if place < 0:
+            if not any(data[end:]):  # padding, of which some tools write more
+                return len(data)
             if len(data) - end > _PADDING + len(_LOCATOR):
                 raise DamagedError(f"the file is damaged in the block at byte {at}")
             return end

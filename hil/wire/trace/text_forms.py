@@ -112,6 +112,7 @@ class _Asc:
         _STAMP + r"(?:(?:CAN|CANFD)\s+)?(?:\d+\s+(?![\da-f]+x?\s))?(?P<word>(?!(?:[TR]x|CANFD)\b)[a-z]\w*)(?P<rest>.*)",
         re.IGNORECASE | re.ASCII,
     )
+    _MARKER = re.compile(_STAMP + r"(?:\d+\s+)+GMGroup:.*", re.ASCII)
     _HEAD = re.compile(r"//|(?:date|base|version|previous log|(?:no\s+)?internal\s+events)\b", re.IGNORECASE)
     _BASE = re.compile(r"base\s+(hex|dec)(?:\s+timestamps\s+(absolute|relative))?", re.IGNORECASE)
     _DATE = re.compile(
@@ -136,6 +137,9 @@ class _Asc:
             self._unix_s(found)
             is_start = found["word"].lower() == "start" and found["rest"].strip().lower() == "of measurement"
             return None if is_start else LeftOut(f"{found['word']} lines")
+        if (found := self._MARKER.fullmatch(line)) is not None:
+            self._unix_s(found)
+            return LeftOut("markers")
         if self._END.match(line):
             self._is_open = False
             return None
