@@ -1,12 +1,17 @@
 """Where signals lie in a recording, and how series are thinned."""
 
 import json
+import re
 import subprocess
 import sys
+from pathlib import Path
+from typing import Any
 
 import numpy as np
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from PIL import Image
 
 import hil
 from hil.core.signals import SIGNAL_NAMES, unit_of
@@ -17,6 +22,7 @@ from hil.record.layout import layout
 from hil.record.properties import page
 from hil.runtime.provenance import properties
 
+PICTURES = Path(__file__).parents[1] / "tools" / "pictures"
 AXES = ("x", "y", "heading")
 
 
@@ -63,6 +69,23 @@ def test_thinning_keeps_the_first_row_of_each_period_however_it_is_cut(periods: 
     for time in t_s:
         first.setdefault(int(time * 1e9 + 0.5) // 10_000_000, time)
     assert kept == list(first.values())
+
+
+@pytest.mark.parametrize(
+    "picture", [*PICTURES.glob("viewer_*.png"), *PICTURES.glob("paper_*.png")], ids=lambda path: path.stem
+)
+def test_a_picture_of_the_viewer_has_the_tabs_of_the_layout(picture: Path) -> None:
+    from hil.record.blueprint import blueprint
+    from hil.record.course import Course, windows
+    from tools.screenshot import TABS
+
+    course = Course(0.0, 15.0, ("/ctrl/error/position",), None, windows(0.0, 15.0, None, []), 0, 1)
+    laid_out: Any = blueprint(layout(SIGNAL_NAMES), limits={}, shape=None, live=False, course=course).root_container
+    with Image.open(picture) as image:
+        shown = image.info.get(TABS, "").split(", ")
+    # Their numbers, and whether there are shadows, hang on the run.
+    names = [re.sub(r"^(Transients) \d+$", r"\1", name) for name in shown if not name.startswith("Shadow ")]
+    assert [*dict.fromkeys(names)] == [tab.name for tab in laid_out.contents], "take it again: make picture"
 
 
 def test_the_run_s_side_imports_nothing_heavy() -> None:

@@ -12,12 +12,13 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 from PIL import Image
+from PIL.PngImagePlugin import PngInfo
 from rerun.experimental import View, ViewerClient
 
 from hil.core.errors import HilError
@@ -39,6 +40,8 @@ EXAMPLES: Mapping[str, tuple[str, str | None]] = {
     "shadowed": ("shadowed", "Shadow profile"),
 }
 _COLOURS = 200
+TABS = "Tabs"
+"""Keyword of the text in a picture that has the names of the tabs, for a test that compares them with the layout's."""
 
 
 class ScreenshotError(Exception):
@@ -113,8 +116,7 @@ def take_examples(folder: Path) -> None:
                 Window(int(viewer.url.split(":")[2].split("/")[0])).point_at_violation(is_open=lambda: True)
                 settle(viewer, picture, NOTICES_FADE_S)
             with Image.open(picture) as image:
-                small = image.convert("RGB").quantize(_COLOURS)
-            small.save(picture, optimize=True)
+                _save(image.convert("RGB").quantize(_COLOURS), picture, image.info[TABS])
             print(f"{picture}: {picture.stat().st_size / 1000:.0f} kB")
 
 
@@ -169,16 +171,22 @@ def settle(viewer: ViewerClient, picture: Path, at_least_s: float) -> None:
                 continue
             now = shot.read_bytes()
             if now == before and time.monotonic() >= earliest and not viewer.get_state().loading:
-                _without_bar(shot, picture)
+                _without_bar(shot, picture, _tabs(viewer.get_blueprint().blueprint)[1])
                 return
             before = now
     raise ScreenshotError(f"no two of {MOST_SHOTS} shots were alike: the viewer is still drawing")
 
 
-def _without_bar(shot: Path, picture: Path) -> None:
-    """Write the shot without the window's own bar, which says nothing about the run."""
+def _without_bar(shot: Path, picture: Path, names: Iterable[str]) -> None:
+    """Write the shot without the window's own bar, which says nothing about the run, and with the tabs' names."""
     with Image.open(shot) as image:
-        image.crop((0, BAR_PX, image.width, image.height)).save(picture, optimize=True)
+        _save(image.crop((0, BAR_PX, image.width, image.height)), picture, ", ".join(names))
+
+
+def _save(image: Image.Image, picture: Path, names: str) -> None:
+    text = PngInfo()
+    text.add_text(TABS, names)
+    image.save(picture, optimize=True, pnginfo=text)
 
 
 def main() -> int:
