@@ -45,9 +45,15 @@ def _read(folder: Path) -> Any:
     from fmpy import read_model_description
 
     try:
-        return read_model_description(folder, validate=False)
+        description = read_model_description(folder, validate=False)
     except Exception as error:  # FMPy raises whatever its parser meets, down to plain Exception
         raise _UnusableError(one_line(str(error)) or type(error).__name__) from error
+    unsigned = {v.name: v for v in description.modelVariables if v.type.startswith("UInt")}
+    if unsigned:  # FMPy reads no ranges of theirs
+        for element in ET.parse(folder / archive.DESCRIPTIONS[0]).iterfind("ModelVariables/*"):
+            if (variable := unsigned.get(element.get("name", ""))) is not None:
+                variable.min, variable.max = element.get("min"), element.get("max")
+    return description
 
 
 def _read_the_rest(fmu: Path) -> tuple[Any, tuple[str, ...]]:

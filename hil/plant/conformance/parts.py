@@ -72,7 +72,7 @@ def version(model: Model) -> Iterator[Finding]:
 
 def debug_logging(model: Model) -> Iterator[Finding]:
     """Logging is switched on for all categories of the description, and off: FMI 2.0 section 2.1.5, 3.0 2.3.1."""
-    categories = [category.name for category in model.description.logCategories]
+    categories = [category.name for category in model.description.logCategories if category.name]
     with model.instance(initialised=False) as slave:
         slave.fmu.setDebugLogging(True, categories)
         slave.initialise()
