@@ -16,7 +16,7 @@ from hil.plant.built import PLANT_PORT
 from hil.plant.built import SOURCES as SHIM_SOURCES
 from hil.plant.fmu import FmuPlant
 from hil.plant.mapping import Row
-from tests.foreign_fmu import FAULTS, SOURCES, foreign_fmu, foreign_map, variables3
+from tests.foreign_fmu import FAULTS, SOURCES, Var, foreign_fmu, foreign_map, variables2, variables3
 from tools.build.compiler import compile_shared, compiler
 
 TICK_S = 1e-3
@@ -418,3 +418,78 @@ def test_the_shim_passes_the_sanitizers_over_a_foreign_fmu(tmp_path: Path) -> No
     assert compiled.returncode == 0, compiled.stderr
     done = subprocess.run([program], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
+
+
+IGNORED = {  # what an importer may leave unused: the FMU's C code refuses each
+    2: (
+        *("canInterpolateInputs", "canRunAsynchronuously", "canNotUseMemoryManagementFunctions"),
+        *("canGetAndSetFMUstate", "canSerializeFMUstate", "providesDirectionalDerivative", "needsExecutionTool"),
+    ),
+    3: (
+        *("hasEventMode", "mightReturnEarlyFromDoStep", "canReturnEarlyAfterIntermediateUpdate"),
+        *("providesIntermediateUpdate", "providesDirectionalDerivatives", "providesAdjointDerivatives"),
+        *("canGetAndSetFMUState", "canSerializeFMUState", "providesPerElementDependencies", "needsExecutionTool"),
+    ),
+}
+
+
+@pytest.mark.parametrize("version", [2, 3])
+def test_what_need_not_be_used_changes_nothing(version: int, tmp_path: Path) -> None:
+    poses = set()
+    experiment = '<DefaultExperiment startTime="5" stopTime="6" tolerance="1e-3"/>'
+    more = {"nominal": "3", "displayUnit": "x", "quantity": "Q", "unbounded": "true", "intermediateUpdate": "true"}
+    default = variables2() if version == 2 else variables3()
+    decorated = [v._replace(more={**v.more, **more}) if "Real" in v.kind or "Float" in v.kind else v for v in default]
+    declared = [({name: "true"}, "", default) for name in IGNORED[version]]
+    for attributes, text, variables in [({}, "", default), ({}, experiment, default), ({}, "", decorated), *declared]:
+        fmu = foreign_fmu(tmp_path, version, variables=variables, more=text, **attributes)
+        with FmuPlant(fmu, {}, foreign_map(version)) as plant:
+            plant.step(TORQUE, 20)
+            poses.add(plant.truth())
+            assert plant.notices == ()
+    assert len(poses) == 1
+
+
+def changed(version: int, name: str, **more: str) -> list[Var]:
+    """Return the foreign robot's variables, one of them with further attributes."""
+    variables = variables2() if version == 2 else variables3()
+    return [v._replace(more={**v.more, **more}) if v.name == name else v for v in variables]
+
+
+@pytest.mark.parametrize("more", [{"min": "-5", "max": "5"}, {"max": "5"}, {"min": "-5"}])
+@pytest.mark.parametrize("version", [2, 3])
+def test_an_input_outside_its_range_ends_the_run(version: int, more: dict[str, str], tmp_path: Path) -> None:
+    """The range is in N cm; the FMU's second wheel turns the other way round, which turns its range round."""
+    name = "tau2" if version == 2 else "tau"
+    fmu = foreign_fmu(tmp_path, version, variables=changed(version, name, **more))
+    with FmuPlant(fmu, {}, foreign_map(version)) as plant:
+        for torque_n_m in (0.05, -0.05):
+            plant.step(Wheels(0.0, torque_n_m, 0.0, 0.0), 5)
+        for torque_n_m, is_refused in ((0.051, "min" in more), (-0.051, "max" in more)):
+            if is_refused:
+                low, high = -0.05 if "max" in more else -math.inf, 0.05 if "min" in more else math.inf
+                words = (
+                    rf"wheel\.fr\.torque_n_m \({name} in the FMU\) is {torque_n_m}; the range .* {low:g} to {high:g}"
+                )
+                with pytest.raises(DeviceError, match=words):
+                    plant.step(Wheels(0.0, torque_n_m, 0.0, 0.0))
+                plant.reset()
+            else:
+                plant.step(Wheels(0.0, torque_n_m, 0.0, 0.0))
+
+
+@pytest.mark.parametrize(
+    ("version", "name", "more", "words"),
+    [
+        (2, "x", {"variability": "constant", "start": "1"}, r"'x' of wheels2\.fmu is constant, so it never moves"),
+        (3, "phi", {"variability": "constant", "start": "1"}, r"'phi\[1,1\]' of wheels3\.fmu is constant"),
+        (3, "tau", {"clocks": "36"}, r"'tau\[1\]' of wheels3\.fmu is clocked, and can be used in event mode only"),
+        (3, "psi", {"clocks": "36"}, r'plant\.map\."pose\.heading_rad": \'psi\' of wheels3\.fmu is clocked'),
+    ],
+)
+def test_a_variable_that_cannot_carry_its_signal_is_refused(
+    version: int, name: str, more: dict[str, str], words: str, tmp_path: Path
+) -> None:
+    fmu = foreign_fmu(tmp_path, version, variables=changed(version, name, **more))
+    with pytest.raises(BadInputError, match=words):
+        FmuPlant(fmu, {}, foreign_map(version))

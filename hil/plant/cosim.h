@@ -92,7 +92,11 @@ typedef struct {
     cosim_group output[COSIM_TYPES];
     size_t inputs;
     size_t outputs;
-    const char *name[COSIM_SIGNALS]; /* for messages */
+    const char *name[COSIM_SIGNALS];      /* for messages */
+    const char *input_name[COSIM_INPUTS]; /* likewise */
+    int is_bounded;                       /* whether any input has a range */
+    double low[COSIM_INPUTS];             /* of an input, in the bridge's unit */
+    double high[COSIM_INPUTS];
 
     const cosim_variable *settable;
     size_t settables;

@@ -20,13 +20,26 @@ from typing import Any, NamedTuple
 
 from hil.core.errors import BadInputError, nearest
 from hil.core.printable import command
-from hil.plant.signals import ANGLES, COUNTS, CURRENTS, DERIVABLE, DUTIES, ENABLED, INPUTS, OUTPUTS, SPEEDS, TORQUES
+from hil.plant.signals import (
+    ANGLES,
+    COUNTS,
+    CURRENTS,
+    DERIVABLE,
+    DUTIES,
+    ENABLED,
+    INPUTS,
+    OUTPUTS,
+    POSE,
+    SPEEDS,
+    TORQUES,
+)
 from hil.plant.units import conversion
 
 FLOATS = frozenset({"Real", "Float64", "Float32"})
 INTEGERS = frozenset({"Integer", *(f"{sign}Int{bits}" for sign in ("", "U") for bits in (8, 16, 32, 64))})
 _ELEMENT = re.compile(r"(?P<array>.+)\[(?P<places>\d+(?:,\d+)*)\]")
 _LONGEST_LIST = 60
+_MOVING = frozenset({*POSE, *SPEEDS, *COUNTS, *ANGLES})
 
 Variables = Mapping[str, Any]  # FMPy's ModelVariable by name
 
@@ -100,6 +113,8 @@ class _Direction(NamedTuple):
 
     def misfit(self, variable: Any) -> str | None:
         """Return why a variable does not fit, as the end of a sentence; None if it does."""
+        if variable.clocks:
+            return "is clocked, and can be used in event mode only, which is not used here; expected one without clocks"
         if variable.causality not in self.causalities:
             return f"is of causality {variable.causality}; expected {self.expected_causality}"
         return None if variable.type in self.types else f"is of type {variable.type}; expected {self.expected_type}"
@@ -144,6 +159,10 @@ class _Resolver:
                 continue
             try:
                 variable, element = self._find(row.name, direction)
+                if signal in _MOVING and variable.variability in ("constant", "fixed", "tunable"):
+                    raise BadInputError(
+                        f"{row.name!r} of {self._fmu.name} is {variable.variability}, so it never moves; name another"
+                    )
                 became = conversion(signal, row, variable, self._units)
             except BadInputError as error:
                 self._problems.append(f'plant.map."{signal}": {error}')

@@ -1,8 +1,10 @@
 """Access to the C shim cosim.[ch] through cffi, and the layout of a wiring for it: one group of variables per type."""
 
 import functools
+import itertools
+import math
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, ClassVar, Self
 
 from firmware_protocol.built import BuildError
@@ -12,9 +14,11 @@ from hil.core.errors import BadInputError, DeviceError, nearest
 from hil.core.types import Pose, PoseFix, Twist
 from hil.plant.built import COSIM, HEADERS
 from hil.plant.mapping import Connection, Wiring
-from hil.plant.signals import OUTPUTS
-from hil.plant.start import Settable, count, elements_at_start
+from hil.plant.signals import INPUTS, OUTPUTS
+from hil.plant.start import Settable, count, elements_at_start, limits
 
+_NO_RANGE = (-math.inf, math.inf)
+_ROUNDING = 1e-6
 _FMI2_TYPES = {"Real": "Float64", "Integer": "Int32"}
 _C_TYPES = {"Float64": "double", "Float32": "float"}
 
@@ -113,7 +117,6 @@ def connect(context: Any, wiring: Wiring, access: Callable[[str, str], Any]) -> 
 
     ``access`` gives a getter or setter of the FMU: that of ("Set", "Real") for example.
     """
-    ffi, _ = load()
     kept: list[object] = []
     sides = (("input", "Set", context.input_value, wiring.inputs), ("output", "Get", context.fresh, wiring.outputs))
     for direction, call, signals, connections in sides:
@@ -124,15 +127,31 @@ def connect(context: Any, wiring: Wiring, access: Callable[[str, str], Any]) -> 
             group.call = access(call, kind)
             _leave_in_place(group, signals, chosen)
         setattr(context, f"{direction}s", len(types))
-    names = [ffi.new("char[]", signal.encode()) for signal in OUTPUTS]
-    for connection in wiring.outputs:
-        signal, variable = OUTPUTS[connection.signal], connection.variable.name
-        if signal != variable:
-            names[connection.signal] = ffi.new("char[]", f"{signal} ({variable} in the FMU)".encode())
-    context.name = names
+    names, input_names = _names(OUTPUTS, wiring.outputs), _names(INPUTS, wiring.inputs)
+    context.name, context.input_name = names, input_names
+    ranges = {connection.signal: _range(connection) for connection in wiring.inputs}
+    context.is_bounded = any(map(math.isfinite, itertools.chain(*ranges.values())))
+    context.low, context.high = zip(*(ranges.get(place, _NO_RANGE) for place in range(len(INPUTS))), strict=True)
     context.derives = bool(wiring.derived)
     context.derived = [place in wiring.derived for place in range(len(OUTPUTS))]
-    return [*kept, *names]
+    return [*kept, *names, *input_names]
+
+
+def _names(signals: Sequence[str], connections: Sequence[Connection]) -> list[Any]:
+    """Return the signals' names for messages, with the FMU's own where it is another."""
+    names = list(signals)
+    for connection in connections:
+        signal, variable = signals[connection.signal], connection.variable.name
+        if signal != variable:
+            names[connection.signal] = f"{signal} ({variable} in the FMU)"
+    return [load()[0].new("char[]", name.encode()) for name in names]
+
+
+def _range(connection: Connection) -> tuple[float, float]:
+    """Return the range of an input in the bridge's unit, with room for the rounding of single precision."""
+    ends = (connection.factor * end + connection.offset for end in limits(connection.variable))
+    low, high = sorted(ends)
+    return low - _ROUNDING * abs(low), high + _ROUNDING * abs(high)
 
 
 def setter(access: Callable[[str, str], Any], kind: str) -> tuple[int, Any]:
