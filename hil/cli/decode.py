@@ -18,9 +18,11 @@ def decode(
     message: Annotated[list[str] | None, Option(metavar="NAME", help="only this message; repeatable")] = None,
     channel: Annotated[list[str] | None, Option(metavar="NAME", help="only this bus; repeatable")] = None,
     from_s: Annotated[
-        float, Option("--from", metavar="S", help="seconds after the first frame; by default all")
+        float, Option("--from", metavar="S", show_default=False, help="seconds after the first frame; by default all")
     ] = -math.inf,
-    to_s: Annotated[float, Option("--to", metavar="S", help="the last second; by default the end")] = math.inf,
+    to_s: Annotated[
+        float, Option("--to", metavar="S", show_default=False, help="the last second; by default the end")
+    ] = math.inf,
     counts: Annotated[bool, Option("--counts", help="how many frames of each message instead")] = False,
     raw: Annotated[bool, Option("--raw", help="decode no frame: they are of other makers' motors")] = False,
     as_json: Annotated[bool, Option("--json", help="one JSON object a line: for each frame, or for all")] = False,
