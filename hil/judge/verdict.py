@@ -83,7 +83,8 @@ def verdict_word(metrics: Mapping[str, Any]) -> str:
     A run that passed though its recording lacks something, as with ``--lenient``, is PASSED, INCOMPLETE.
     """
     word, recorded = _VERDICTS[metrics.get("passed")], metrics.get("recorded")
-    lacks = metrics.get("lost_rows") or (recorded is not None and why_incomplete(recorded) is not None)
+    lacks = metrics.get("lost_rows") or metrics.get("damaged")
+    lacks = lacks or (recorded is not None and why_incomplete(recorded) is not None)
     return f"{word}, INCOMPLETE" if metrics.get("passed") and lacks else word
 
 

@@ -201,7 +201,7 @@ def set_lost_rows(metrics: dict[str, Any], allow: AllowTable, lost: int) -> None
     """Set how many rows the recording of a run lacks, and judge the run anew."""
     metrics["lost_rows"] = lost
     row = allow_figures(allow, {"lost_rows": Count(lost, lost)}, metrics["ticks"])
-    metrics["allow"] = [one for one in metrics["allow"] if one["name"] != "lost_rows"] + row
+    metrics["allow"] = [one for one in metrics["allow"] or () if one["name"] != "lost_rows"] + row
     judged(metrics)
 
 

@@ -34,12 +34,22 @@ Times = npt.NDArray[np.float64]
 
 def seconds_index(t_s: npt.NDArray[np.float64]) -> rr.TimeColumn:
     """Return rerun's timeline ``t`` [s since the first ACTIVE tick], for times of shape (n,)."""
-    return rr.TimeColumn("t", duration=np.rint(t_s * 1e9).astype("timedelta64[ns]"))
+    return rr.TimeColumn("t", duration=nanoseconds(t_s).astype("timedelta64[ns]"))
+
+
+def nanoseconds(t_s: npt.NDArray[np.float64]) -> npt.NDArray[np.int64]:
+    """Return times as rerun stores them."""
+    return np.rint(t_s * 1e9).astype(np.int64)
+
+
+def whole_times(times: Times) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
+    """Return time [ns] and tick of each row as rerun stores them."""
+    return nanoseconds(times[:, 0]), np.rint(times[:, 1]).astype(np.int64)
 
 
 def indexes(times: Times) -> list[rr.TimeColumn]:
     """Return both timelines: ``t``, and the number of the tick."""
-    return [seconds_index(times[:, 0]), rr.TimeColumn("tick", sequence=np.rint(times[:, 1]).astype(np.int64))]
+    return [seconds_index(times[:, 0]), rr.TimeColumn("tick", sequence=whole_times(times)[1])]
 
 
 _GAP_S = 0.1

@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 from mcap.writer import CompressionType, Writer
 
+from hil.record.checks import NUMBERS, with_check
 from hil.record.frames import RobotFrames
 from hil.record.properties import (
     APPLICATION,
@@ -65,20 +66,22 @@ class McapFile:
         *,
         signals: Sequence[str],
         properties: Mapping[str, str],
-        part: Mapping[str, object],
+        part: Mapping[str, Any],
     ) -> None:
         self._file = path.open("wb")
         self._zero_unix_ns = zero_unix_ns
-        self._t_column, self._tick_column = signals.index("loop.t_s"), signals.index("loop.tick")
+        self._t_column = signals.index("loop.t_s")
+        self._next_row, self._next_event = (int(part.get(name, 0)) for name in ("first_row", "first_event"))
+        self._holds: list[str] = []
         self._last_ns = zero_unix_ns
         tree = _tree(signals)
         self._order = _leaves(tree)
-        self._writer: Any = Writer(self._file, compression=CompressionType.ZSTD)
+        self._writer: Any = Writer(self._file, compression=CompressionType.ZSTD, enable_data_crcs=True)
         self._writer.start(library=APPLICATION)
-        self._writer.add_metadata(RUN_PROPERTY, dict(properties))
+        self._property(RUN_PROPERTY, properties)
         held = {SIGNALS_TOPIC: [signals[i] for i in self._order]}
-        self._writer.add_metadata(SIGNALS_PROPERTY, {"json": json.dumps(held), ZERO_KEY: str(zero_unix_ns)})
-        self._writer.add_metadata(PART_PROPERTY, {"json": json.dumps(part)})
+        self._property(SIGNALS_PROPERTY, {"json": json.dumps(held), ZERO_KEY: str(zero_unix_ns)})
+        self._property(PART_PROPERTY, {"json": json.dumps(part)})
         self._rows = self._channel(SIGNALS_TOPIC, Definition("hil/Row", _definition(tree)))
         log = self._writer.register_schema("foxglove.Log", "jsonschema", json.dumps(_LOG_SCHEMA).encode())
         self._events = self._writer.register_channel(EVENTS_TOPIC, "json", log)
@@ -89,15 +92,19 @@ class McapFile:
             self._writer.add_message(robot, zero_unix_ns, message, zero_unix_ns)
         self.flush()
 
-    def rows(self, rows: Rows) -> None:
-        """Write rows of shape (n, signals) as they are."""
+    def rows(self, rows: Rows, first: int | None = None) -> None:
+        """Write rows of shape (n, signals) as they are; ``first`` is the number of the first of them in the run.
+
+        None if it follows the last one. The number of a row is its message's sequence number.
+        """
+        first = self._next_row if first is None else first
+        self._next_row = first + len(rows)
         values = rows[:, self._order].astype("<f8")
         data, width = values.tobytes(), 8 * values.shape[1]
-        for i, (t_s, tick) in enumerate(rows[:, [self._t_column, self._tick_column]].tolist()):
+        for i, t_s in enumerate(rows[:, self._t_column].tolist()):
             stamp_ns = self._last_ns = self._stamp_ns(t_s)
             message = CDR_HEADER + data[i * width : (i + 1) * width]
-            sequence = int(tick) & 0xFFFFFFFF if np.isfinite(tick) else 0
-            self._writer.add_message(self._rows, stamp_ns, message, stamp_ns, sequence)
+            self._writer.add_message(self._rows, stamp_ns, message, stamp_ns, (first + i) % NUMBERS)
         if self._robot is not None:
             self._writer.flush()  # as before an event
             for stamp_ns, message in self._robot.messages(rows, self._zero_unix_ns):
@@ -112,15 +119,17 @@ class McapFile:
         sec, nsec = divmod(stamp_ns, 1_000_000_000)
         log = {"timestamp": {"sec": sec, "nsec": nsec}, "level": LEVELS.get(level, LEVELS["info"]), "message": text}
         log |= {"name": APPLICATION, "file": "", "line": 0}
-        self._writer.add_message(self._events, stamp_ns, json.dumps(log).encode(), stamp_ns)
+        self._writer.add_message(self._events, stamp_ns, json.dumps(log).encode(), stamp_ns, self._next_event % NUMBERS)
+        self._next_event += 1
         self._writer.flush()
 
     def finish(self, summary: Mapping[str, object] | None, recorder: Mapping[str, int]) -> None:
         """Write the run's summary, when there is one, and last the recorder's counts: a file with these is complete."""
         self._writer.flush()
         if summary is not None:
-            self._writer.add_metadata(SUMMARY_PROPERTY, {"json": json.dumps(summary)})
-        self._writer.add_metadata(RECORDER_PROPERTY, {"json": json.dumps(recorder)})
+            self._property(SUMMARY_PROPERTY, {"json": json.dumps(summary)})
+        end = {"rows_until": self._next_row, "events_until": self._next_event, "holds": self._holds}
+        self._property(RECORDER_PROPERTY, {"json": json.dumps({**end, **recorder})})
 
     def flush(self) -> None:
         """Close the chunk and hand everything to the operating system."""
@@ -130,6 +139,11 @@ class McapFile:
         """Write the index, and close the file."""
         self._writer.finish()
         self._file.close()
+
+    def _property(self, name: str, texts: Mapping[str, str]) -> None:
+        """Write a property with its check value: MCAP has none for a metadata record."""
+        self._writer.add_metadata(name, with_check(name, texts))
+        self._holds.append(name)
 
     def _channel(self, topic: str, of: Definition) -> int:
         """Open a topic for messages of ROS 2 and return its channel."""

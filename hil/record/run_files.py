@@ -10,7 +10,7 @@ import shutil
 import time
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -30,8 +30,8 @@ _LOOK_EVERY_S = 0.5  # after the room in the folder
 class RunFile(Protocol):
     """A file of a recording. Its methods raise RuntimeError or OSError when it cannot be written."""
 
-    def rows(self, rows: Rows) -> None:
-        """Write rows of shape (n, signals)."""
+    def rows(self, rows: Rows, first: int) -> None:
+        """Write rows of shape (n, signals); ``first`` is the number of the first of them in the run."""
 
     def event(self, t_s: float, level: str, text: str) -> None:
         """Write a line of the event log."""
@@ -105,7 +105,7 @@ class RunFiles:
         while (start := self._ring.tail) < stop:
             rows = self._of_one_file(self._ring.rows(start, min(stop, start + BATCH_ROWS)))
             end = start + len(rows)
-            if self._write(lambda file, rows=rows: file.rows(rows)):  # type: ignore[misc]
+            if self._write(lambda file, rows=rows, start=start: file.rows(rows, start)):  # type: ignore[misc]
                 self._ring.release(end)
                 if (size_bytes := self._rotation.size_bytes) is not None and _size_bytes(self._file_path) >= size_bytes:
                     self._end()
@@ -163,6 +163,7 @@ class RunFiles:
             "rows_dropped": ring.dropped,
             "rows_lost": ring.tail - (ring.saved if self._keeping.removes else written),
             "rows_in_part": kept[max(kept)].rows,
+            "rows_until": ring.tail,
         }
         return counts if next_number is None else {**counts, "next_part": next_number}
 
@@ -282,7 +283,7 @@ def _size_bytes(path: Path) -> int:
         return 0
 
 
-def _open_file(path: Path, config: Record, part: Mapping[str, object]) -> RunFile:
+def _open_file(path: Path, config: Record, part: Mapping[str, Any]) -> RunFile:
     columns = {name: config[name] for name in ("signals", "properties")}
     if path.suffix == ".mcap":
         from hil.record.mcap_file import McapFile
@@ -294,4 +295,5 @@ def _open_file(path: Path, config: Record, part: Mapping[str, object]) -> RunFil
     from hil.record.stream import Stream
 
     rr.set_strict_mode(True)
-    return Stream(rr.FileSink(path), recording_id=config["recording_id"], live=False, part=part, **columns)
+    identity = {"recording_id": config["recording_id"], "part": part}
+    return Stream(rr.FileSink(path), path=path, live=False, **identity, **columns)

@@ -6,6 +6,8 @@ each other when no viewer listens.) This module and the drawings that it calls w
 
 import json
 from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import rerun as rr
@@ -13,10 +15,11 @@ import rerun.blueprint as rrb
 
 from hil.core.printable import printable
 from hil.record.blueprint import blueprint, first_blueprint
+from hil.record.checks import WORDS, Words, WrittenBytes, event_check, numbered, row_crcs, with_check
 from hil.record.claims import ClaimWatch, claims
 from hil.record.course import Course, moments, windows
 from hil.record.curves import Curves
-from hil.record.drawings import RowTimes, Scene, Trails, indexes, seconds_index
+from hil.record.drawings import RowTimes, Scene, Trails, indexes, nanoseconds, seconds_index, whole_times
 from hil.record.layout import layout
 from hil.record.limits import limits
 from hil.record.properties import (
@@ -54,6 +57,7 @@ class Stream:
             faults; what is missing there is not drawn.
         live: for live viewers, which get only the signals that are drawn, and views of the last seconds.
         part: which file of the run it is (see ``hil.record.properties``); None for a run in one file.
+        path: the file of the sink, so that its end can tell its bytes' CRC-32; None for a sink without a file.
     """
 
     def __init__(
@@ -64,7 +68,8 @@ class Stream:
         signals: Sequence[str],
         properties: Mapping[str, str],
         live: bool,
-        part: Mapping[str, object] | None = None,
+        part: Mapping[str, Any] | None = None,
+        path: Path | None = None,
     ) -> None:
         self._column = {name: i for i, name in enumerate(signals)}
         self._layout = layout(signals)
@@ -89,18 +94,28 @@ class Stream:
         if self._shape is not None:
             torque_constant_n_m_a = values.get("firmware.torque_constant_n_m_a")
             self._drawings.append(Scene(self._rerun, self._column, self._shape, torque_constant_n_m_a))
+        about = part or {}
+        self._next_row, self._next_event = (int(about.get(name, 0)) for name in ("first_row", "first_event"))
+        self._holds: list[str] = []
+        self._written = None if path is None else WrittenBytes(path)
         if part is not None:
-            self._rerun.send_property(PART_PROPERTY, rr.AnyValues(json=json.dumps(part)))
+            self._property(PART_PROPERTY, {"json": json.dumps(part)})
         self._describe()
         self.flush()
 
-    def rows(self, rows: Rows) -> None:
+    def rows(self, rows: Rows, first: int | None = None) -> None:
         """Write rows of shape (n, signals), unchanged, to the one entity from which they are read back.
 
+        ``first`` is the number of the first of them in the run; None if it follows the last one.
         The views get them later, about ``_DRAWN_AT_ONCE`` rows at once: few large pieces need less disk, and each piece
         takes 2.8 kB in a reader's index.
         """
-        self._rerun.send_columns(SIGNALS_PATH, indexes(self._times(rows)), rr.Scalars.columns(scalars=rows))
+        first = self._next_row if first is None else first
+        self._next_row = first + len(rows)
+        times = self._times(rows)
+        words = numbered(np.arange(first, self._next_row), row_crcs(*whole_times(times), rows))
+        columns = [*rr.Scalars.columns(scalars=rows), *_words(words)]
+        self._rerun.send_columns(SIGNALS_PATH, indexes(times), columns)
         self._undrawn.append(rows)
         if sum(map(len, self._undrawn)) >= _DRAWN_AT_ONCE:
             self._draw_rest()
@@ -128,7 +143,10 @@ class Stream:
         """Write a line of the event log at scenario time ``t_s``."""
         index = [seconds_index(np.array([t_s]))]
         level, text = _LEVELS.get(level, "INFO"), printable(text)
-        self._rerun.send_columns("/events", index, rr.TextLog.columns(text=[text], level=[level]))
+        word = event_check(self._next_event, int(nanoseconds(np.array([t_s]))[0]), level, text)
+        self._next_event += 1
+        checks = _words(np.array([word], np.uint64))
+        self._rerun.send_columns("/events", index, [*rr.TextLog.columns(text=[text], level=[level]), *checks])
         timed = rr.TextLog.columns(text=[f"{t_s:.3f} s  {text}"], level=[level])
         self._rerun.send_columns(LOG, index, timed)
         if level == "ERROR":
@@ -152,7 +170,7 @@ class Stream:
         )
         self._tell(said)
         if summary is not None:
-            self._rerun.send_property(SUMMARY_PROPERTY, rr.AnyValues(json=json.dumps(summary)))
+            self._property(SUMMARY_PROPERTY, {"json": json.dumps(summary)})
             self._page(summary)
         if self._span_s is not None:
             happened = moments(self._watches, self._states.begun, summary, end_s)
@@ -161,17 +179,25 @@ class Stream:
             course = Course(begin_s, end_s, violated, first, found, self._states.count, lines)
             self._rerun.send_blueprint(self._views(course))
         # A reader takes a file without these for one that was cut off.
-        self._rerun.send_property(RECORDER_PROPERTY, rr.AnyValues(json=json.dumps(recorder)))
+        end: dict[str, object] = {"rows_until": self._next_row, "events_until": self._next_event, "holds": self._holds}
+        if self._written is not None:
+            self.flush()
+            end |= {"bytes": self._written.count, "crc32": self._written.crc32}
+        self._property(RECORDER_PROPERTY, {"json": json.dumps({**end, **recorder})})
 
     def flush(self) -> None:
         """Hand everything to the operating system. Raises RuntimeError when that fails (a full disk)."""
         # Without a limit, rerun 0.41 now and then waits for ever for a file whose writer has failed.
         self._rerun.flush(timeout_sec=_FLUSH_TIMEOUT_S)
+        if self._written is not None:
+            self._written.read()
 
     def close(self) -> None:
         """Flush, and close the sink: a file gets its footer. Raises RuntimeError when the flush fails."""
         self.flush()
         self._rerun.disconnect()
+        if self._written is not None:
+            self._written.close()
 
     def _views(self, course: Course | None) -> rrb.Blueprint:
         shadows = {law: self._shadows.rms(law) for law in self._shadows.laws}
@@ -184,7 +210,7 @@ class Stream:
         # This tells a reader where each signal is.
         self._say_where({} if self._live else {SIGNALS_PATH: list(self._column)})
         if self._properties:
-            self._rerun.send_property(RUN_PROPERTY, rr.AnyValues(drop_untyped_nones=True, **self._properties))
+            self._property(RUN_PROPERTY, self._properties)
         if "scenario_name" in self._properties:
             self._rerun.send_recording_name(self._properties["scenario_name"])
         for drawing in self._drawings:
@@ -193,7 +219,13 @@ class Stream:
         self._tell(running(self._properties, ()))
 
     def _say_where(self, held: Mapping[str, Sequence[str]]) -> None:
-        self._rerun.send_property(SIGNALS_PROPERTY, rr.AnyValues(json=json.dumps(held)))
+        self._property(SIGNALS_PROPERTY, {"json": json.dumps(held)})
+
+    def _property(self, name: str, texts: Mapping[str, str]) -> None:
+        """Write a property with its check value."""
+        self._rerun.send_property(name, rr.AnyValues(drop_untyped_nones=True, **with_check(name, texts)))
+        if name not in self._holds:
+            self._holds.append(name)
 
     def _tell(self, text: str) -> None:
         """Show a text as the verdict."""
@@ -210,3 +242,7 @@ class Stream:
             rows = np.concatenate(self._undrawn)
             self._undrawn.clear()
             self.draw(rows)
+
+
+def _words(words: Words) -> rr.ComponentColumnList:
+    return rr.AnyValues.columns(drop_untyped_nones=True, **{WORDS: words})

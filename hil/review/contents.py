@@ -1,19 +1,32 @@
-"""The contents of a recording's file, in either format, and a check that its rows are plausible."""
+"""The contents of a recording's file, in either format, and checks that they are plausible and all that was written."""
 
 import json
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from hil.core.signals import SIGNAL_NAMES
-from hil.record.properties import APPLICATION
+from hil.record.checks import CHECK, NUMBERS, property_check
+from hil.record.properties import (
+    APPLICATION,
+    PART_PROPERTY,
+    RECORDER_PROPERTY,
+    RUN_PROPERTY,
+    SIGNALS_PROPERTY,
+    SUMMARY_PROPERTY,
+)
 
 Series = npt.NDArray[np.float64]
 Selection = Collection[str] | None
 """Names of the signals to read; None for all."""
 
+Numbers = npt.NDArray[np.int64]
+NumberedEvent = tuple[int | None, tuple[float, str, str]]
+"""The number of an event in the run, None in older recordings, and the event."""
+
+NO_INDEX = "its index cannot be read; every row was read without it"
 CUT_BEFORE_ROWS = "cut before its first rows"
 
 
@@ -30,8 +43,11 @@ class Contents(NamedTuple):
         properties: the texts of each property.
         cut_bytes: None for a file with a proper end; otherwise the number of bytes that were left out at its end: a
             message or record that was cut short.
-        damage: a sentence for each damaged piece in the middle that could not be read.
+        damage: a sentence for each piece that is damaged or missing.
         lost_rows: how many rows these pieces had, as far as that is known.
+        lost_events: how many events are missing in it.
+        numbers: the number of each row in the run, ascending; None in older recordings.
+        remarks: other sentences on the file.
     """
 
     signals: dict[str, Series]
@@ -40,6 +56,123 @@ class Contents(NamedTuple):
     cut_bytes: int | None
     damage: tuple[str, ...] = ()
     lost_rows: int = 0
+    lost_events: int = 0
+    numbers: Numbers | None = None
+    remarks: tuple[str, ...] = ()
+
+
+class Properties(dict[str, dict[str, str]]):
+    """Properties of a file by name. One that differs from its check value is left out, and told in ``damage``.
+
+    Attributes:
+        has_checks: whether any property has a check value: then all of them must have one.
+        damaged: the names of those that were left out.
+    """
+
+    _OURS = (RUN_PROPERTY, SIGNALS_PROPERTY, SUMMARY_PROPERTY, PART_PROPERTY, RECORDER_PROPERTY)
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.has_checks = False
+        self.damaged: set[str] = set()
+        self._unchecked: set[str] = set()
+
+    def read(self, name: str, texts: Mapping[str, str]) -> None:
+        """Add a property as it was read from the file; the newest of one name is kept."""
+        own = {key: text for key, text in texts.items() if key != CHECK}
+        self.damaged.discard(name)
+        if CHECK in texts:
+            self.has_checks = True
+            if property_check(name, own) != texts[CHECK]:
+                self.damaged.add(name)
+                self.pop(name, None)
+                return
+        elif name in self._OURS:
+            self._unchecked.add(name)
+        self[name] = own
+
+    def damage(self) -> list[str]:
+        """Return a sentence for each property that is damaged or missing. Raises DamagedError for ``signals``."""
+        if self.has_checks:
+            self.damaged |= self._unchecked
+            for name in self._unchecked:
+                self.pop(name, None)
+        if SIGNALS_PROPERTY in self.damaged:
+            raise DamagedError("damaged: its property 'signals' differs from its check value")
+        end = json_property(self, RECORDER_PROPERTY) or {}
+        missing = [name for name in end.get("holds", ()) if name not in self and name not in self.damaged]
+        return [
+            *(f"its property {name!r} differs from its check value and is left out" for name in sorted(self.damaged)),
+            *(f"its property {name!r} is missing" for name in missing),
+        ]
+
+
+def unwrapped(
+    numbers: npt.NDArray[np.unsignedinteger[Any]], properties: dict[str, dict[str, str]], key: str
+) -> Numbers:
+    """Return numbers of rows or events, which are stored modulo 2^32, as those next to the first of this part."""
+    first = (json_property(properties, PART_PROPERTY) or {}).get(key, 0)
+    half = NUMBERS // 2
+    near: Numbers = (numbers.astype(np.int64) - first + half) % NUMBERS - half + first
+    return near
+
+
+_TOLD_GAPS = 8
+
+
+def gaps(numbers: Numbers, properties: dict[str, dict[str, str]], what: str) -> list[tuple[int, int]]:
+    """Return which numbers of rows or events (``what``) a file lacks: the first and the last of each gap.
+
+    ``numbers`` has shape (n,) and ascends. A file begins with the first one of its part, or before it if it was merged
+    from several parts, and it ends as its recorder says.
+    """
+    begin = (json_property(properties, PART_PROPERTY) or {}).get(f"first_{what}", 0)
+    end = (json_property(properties, RECORDER_PROPERTY) or {}).get(f"{what}s_until", 0)
+    begin, end = (min(begin, numbers[0]), max(end, numbers[-1] + 1)) if len(numbers) else (begin, end)
+    edges = np.concatenate([[begin - 1], numbers, [end]])
+    places = np.flatnonzero(np.diff(edges) > 1)
+    return [(int(edges[place]) + 1, int(edges[place + 1]) - 1) for place in places]
+
+
+def lost_rows(numbers: Numbers, properties: dict[str, dict[str, str]], t_s: Series) -> tuple[int, list[str], list[str]]:
+    """Return how many rows a file lacks, and sentences on each gap, of at most eight: damage, and remarks.
+
+    A gap is a remark if the recorder itself lost as many rows. ``t_s`` has the times [s] of the rows that are there.
+    """
+    found = gaps(numbers, properties, "row")
+    lost = sum(last - first + 1 for first, last in found)
+    end = json_property(properties, RECORDER_PROPERTY) or {}
+    begin = (json_property(properties, PART_PROPERTY) or {}).get("first_row", 0)
+    was_told = lost > 0 and end.get("rows_until", 0) - begin - end.get("rows_in_part", 0) == lost
+    what = "were lost when the run was recorded" if was_told else "cannot be read and are left out"
+    words = []
+    for first, last in found[:_TOLD_GAPS]:
+        place = int(np.searchsorted(numbers, first))
+        after = f"after t = {t_s[place - 1]:.6g} s" if place else ""
+        before = f"before t = {t_s[place]:.6g} s" if place < len(t_s) else ""
+        where = " and ".join(filter(None, (after, before)))
+        rows = f"1 row ({first})" if first == last else f"{last - first + 1} rows ({first} to {last})"
+        words.append(f"{rows}{', ' * bool(where)}{where}, {what}")
+    if more := found[_TOLD_GAPS:]:
+        words.append(f"{sum(last - first + 1 for first, last in more)} rows in {len(more)} more places {what}")
+    return (lost, [], words) if was_told else (lost, words, [])
+
+
+def numbered_events(
+    read: list[NumberedEvent], properties: dict[str, dict[str, str]]
+) -> tuple[list[tuple[float, str, str]], int]:
+    """Return the events in their order, each once, and how many are damaged or missing."""
+    by_number = {number: event for number, event in read if number is not None}
+    numbers = np.array(sorted(by_number), np.int64)
+    lost = sum(last - first + 1 for first, last in gaps(numbers, properties, "event"))
+    if not lost and not by_number:
+        return [event for _, event in read], 0
+    return [by_number[number] for number in numbers], lost
+
+
+def event_words(lost: int) -> list[str]:
+    """Return the sentence on events that are damaged or missing, if there are any."""
+    return [f"{lost} event{'s' * (lost > 1)} cannot be read and {'are' if lost > 1 else 'is'} left out"] * (lost > 0)
 
 
 def why_nothing(programs: Collection[str], cut_bytes: int | None) -> str:

@@ -22,6 +22,7 @@ from hil.record.started_process import refuse_pandas
 from hil.review.contents import (
     CLOCK,
     CUT_BEFORE_ROWS,
+    NO_INDEX,
     Contents,
     DamagedError,
     Selection,
@@ -43,9 +44,13 @@ def decode(path: Path, selection: Selection = None) -> tuple[dict[str, Any], dic
     first, last = parts[0], parts[-1]
     about = [json_property(contents.properties, PART_PROPERTY) or {} for contents in parts]
     lengths = [_length(contents) + contents.lost_rows for contents in parts]
-    spans, missing = _spans([one.get("first_row") for one in about], lengths)
+    row_starts = [one.get("first_row") for one in about]
+    spans, missing = _spans(row_starts, lengths)
+    for i, start in enumerate(row_starts[1:]):
+        if start is not None and (numbers := parts[i].numbers) is not None:
+            spans[i] = int(np.searchsorted(numbers, start))
     starts = [one.get("first_event") for one in about]
-    event_spans, events_missing = _spans(starts, [len(contents.events) for contents in parts])
+    event_spans, events_missing = _spans(starts, [len(contents.events) + contents.lost_events for contents in parts])
     for count, what in ((missing, "rows"), (events_missing, "events")):
         if count:
             notes.append(f"{count} {what} between its parts were lost")
@@ -61,6 +66,7 @@ def decode(path: Path, selection: Selection = None) -> tuple[dict[str, Any], dic
             raise DamagedError("damaged: none of its rows can be read")
         if recorder is None:
             raise DamagedError(CUT_BEFORE_ROWS)
+    notes.extend(f"{file.name}: {sentence}" for file, contents in files for sentence in contents.remarks)
     notes.extend(note for part in files if (note := _cut(*part, is_last=part is files[-1])))
     next_number = (recorder or {}).get("next_part")
     if next_number is not None:
@@ -74,6 +80,7 @@ def decode(path: Path, selection: Selection = None) -> tuple[dict[str, Any], dic
         summary=json_property(last.properties, SUMMARY_PROPERTY),
         rows_dropped=None if recorder is None else recorder.get("rows_dropped"),
         rows_missing=missing + sum(contents.lost_rows for contents in parts),
+        is_damaged=any(set(contents.damage) - {NO_INDEX} for contents in parts),
         is_continued=next_number is not None,
         parts=[str(one) for one, _ in files],
         notes=notes,
@@ -157,12 +164,15 @@ def _spans(starts: list[int | None], lengths: list[int]) -> tuple[list[int], int
 
 
 def _read(path: Path, selection: Selection) -> Contents:
+    clocked = None if selection is None else CLOCK.union(selection)
     if check_is_recording(path) == ".mcap":
         from hil.review.decode_mcap import decode_mcap
 
-        return decode_mcap(path, selection)
-    contents = decode_rrd(path, None if selection is None else CLOCK.union(selection))
-    check_plausible(contents.signals)
+        contents = decode_mcap(path, clocked)
+    else:
+        contents = decode_rrd(path, clocked)
+        if contents.numbers is None:
+            check_plausible(contents.signals)
     kept = contents.signals.keys() if selection is None else selection
     return contents._replace(signals={name: series for name, series in contents.signals.items() if name in kept})
 

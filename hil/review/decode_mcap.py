@@ -3,10 +3,13 @@
 import json
 import os
 import struct
+import zlib
+from collections.abc import Iterator
 from pathlib import Path
 from typing import BinaryIO
 
 import numpy as np
+import numpy.typing as npt
 import zstandard
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
@@ -16,13 +19,29 @@ from mcap.stream_reader import CRCValidationError, StreamReader, breakup_chunk, 
 from hil.record.mcap_file import EVENTS_TOPIC, LEVELS, SIGNALS_TOPIC, ZERO_KEY
 from hil.record.properties import SIGNALS_PROPERTY
 from hil.record.ros_messages import CDR_HEADER
-from hil.review.contents import Contents, DamagedError, Selection, Series, json_property, why_nothing
+from hil.review.contents import (
+    Contents,
+    DamagedError,
+    NumberedEvent,
+    Numbers,
+    Properties,
+    Selection,
+    Series,
+    event_words,
+    json_property,
+    lost_rows,
+    numbered_events,
+    unwrapped,
+    why_nothing,
+)
 
 _LEVEL_NAMES = {number: {"warning": "WARN"}.get(name, name.upper()) for name, number in LEVELS.items()}
 _LONGEST_RECORD_BYTES = 256 << 20
 _UNREADABLE = (McapError, CRCValidationError, zstandard.ZstdError, struct.error, ValueError, KeyError)
 # Raised by lz4, and for lengths that make no sense.
 _SENSELESS = (RuntimeError, MemoryError, OverflowError)
+_KNOWN = frozenset(Opcode)
+_COPY_BYTES = 1 << 20
 _MAGIC = b"\x89MCAP0\r\n"  # a file begins and ends with it; between are records of (opcode u8, length u64, content)
 _RECORD = struct.Struct("<BQ")
 
@@ -35,6 +54,7 @@ def decode_mcap(path: Path, selection: Selection = None) -> Contents:
     reader = _Reader(selection)
     with path.open("rb") as file:
         end, cut_bytes = _end_of_records(file)
+        reader.compare(file, end)
         file.seek(0)
         stream = StreamReader(file, emit_chunks=True, record_size_limit=_LONGEST_RECORD_BYTES)
         try:
@@ -63,23 +83,70 @@ def _end_of_records(file: BinaryIO) -> tuple[int, int | None]:
     return end, None if file.read() == _MAGIC else size - end
 
 
+def _records(file: BinaryIO, end: int) -> Iterator[tuple[int, int, int]]:
+    """Yield where each record begins, its kind and the length of its content, at which the file then is."""
+    place = len(_MAGIC)
+    while place < end:
+        file.seek(place)
+        opcode, length = _RECORD.unpack(file.read(_RECORD.size))
+        yield place, opcode, length
+        place += _RECORD.size + length
+
+
+def _sums(file: BinaryIO, end: int) -> Iterator[tuple[str, int, int]]:
+    """Yield which part of the file it is, its CRC-32, and that of the format: of the records, and of the index."""
+    data_end = None
+    for place, opcode, length in _records(file, end):
+        if opcode == Opcode.DATA_END:
+            stored = int.from_bytes(file.read(4), "little")
+            yield "records", _crc32(file, 0, place), stored
+            data_end = place + _RECORD.size + length
+        elif opcode == Opcode.FOOTER and data_end is not None:
+            until = place + _RECORD.size + length - 4
+            file.seek(until)
+            stored = int.from_bytes(file.read(4), "little")
+            yield "parts of its index", _crc32(file, data_end, until), stored
+
+
+def _crc32(file: BinaryIO, begin: int, end: int) -> int:
+    file.seek(begin)
+    crc = 0
+    for place in range(begin, end, _COPY_BYTES):
+        crc = zlib.crc32(file.read(min(_COPY_BYTES, end - place)), crc)
+    return crc
+
+
 class _Reader:
     def __init__(self, selection: Selection) -> None:
         self._selection = selection
-        self._properties: dict[str, dict[str, str]] = {}
-        self._events: list[tuple[float, str, str]] = []
+        self._properties = Properties()
+        self._events: list[NumberedEvent] = []
         self._topics: dict[int, str] = {}
         self._programs: list[str] = []
         self._pieces: list[Series] = []
+        self._numbers: list[npt.NDArray[np.uint32]] = []
         self._names: list[str] | None = None
         self._zero_ns = 0
         self._damage: list[str] = []
+        self._rows_damage: list[str] = []
         self._lost_rows = 0
+        self._other: list[str] = []
+
+    def compare(self, file: BinaryIO, end: int) -> None:
+        """Compare the file with the two CRC-32 of its format, of the records before the index and of the index."""
+        for place, opcode, length in _records(file, end):
+            begin = file.read(6)  # of a message index: its channel and the size of its entries
+            fits = opcode != Opcode.MESSAGE_INDEX or length == 6 + int.from_bytes(begin[2:], "little")
+            if opcode not in _KNOWN or not fits:
+                self._damage.append(f"{length} bytes from byte {place} on cannot be read and are left out")
+        for record, summed, stored in _sums(file, end):
+            if stored and stored != summed:
+                self._other.append(f"{record} that are not read here differ from their check value (CRC-32)")
 
     def add(self, record: object) -> None:
         """Add a record of the file."""
         if isinstance(record, Metadata):
-            self._properties[record.name] = record.metadata
+            self._properties.read(record.name, record.metadata)
             if record.name == SIGNALS_PROPERTY:
                 self._begin()
         elif isinstance(record, Header):
@@ -93,12 +160,29 @@ class _Reader:
 
     def contents(self, cut_bytes: int | None) -> Contents:
         """Return what was added. Raises DamagedError for a file that holds no run."""
+        damage = self._properties.damage()
         if self._names is None:
             raise DamagedError(why_nothing(self._programs, cut_bytes))
         table = np.concatenate([np.empty((0, len(self._columns))), *self._pieces])
         self._pieces.clear()
+        numbers: Numbers | None = None
+        if self._properties.has_checks:
+            read = np.concatenate([np.empty(0, np.uint32), *self._numbers])
+            numbers, places = np.unique(unwrapped(read, self._properties, "first_row"), return_index=True)
+            table = table[places]
         signals = {self._names[column]: table[:, i] for i, column in enumerate(self._columns)}
-        return Contents(signals, self._events, self._properties, cut_bytes, tuple(self._damage), self._lost_rows)
+        damage += self._damage
+        if numbers is None:
+            damage += self._rows_damage or self._other
+            events = [event for _, event in self._events]
+            old = ("a version without check values recorded it: damage of its properties cannot be noticed",)
+            return Contents(signals, events, self._properties, cut_bytes, tuple(damage), self._lost_rows, remarks=old)
+        events, lost_events = numbered_events(self._events, self._properties)
+        t_s = signals.get("loop.t_s", np.full(len(numbers), np.nan))
+        lost, words, remarks = lost_rows(numbers, self._properties, t_s)
+        damage = [*damage, *event_words(lost_events), *words] or self._other
+        told = tuple(damage), lost, lost_events, numbers, tuple(remarks)
+        return Contents(signals, events, self._properties, cut_bytes, *told)
 
     def _begin(self) -> None:
         held = json_property(self._properties, SIGNALS_PROPERTY)
@@ -111,7 +195,8 @@ class _Reader:
             ("opcode", "u1"),
             ("length", "<u8"),
             ("channel", "<u2"),
-            ("stamps", "V20"),
+            ("sequence", "<u4"),
+            ("stamps", "V16"),
             ("header", f"V{len(CDR_HEADER)}"),
         ]
         self._row = np.dtype([*head, ("values", "<f8", (len(self._names),))])
@@ -134,7 +219,8 @@ class _Reader:
         self._lost_rows += int(rows) if are_rows else 0
         what = f"{int(rows)} rows" if are_rows else "what was recorded"
         why = str(error).partition("\n")[0] or type(error).__name__
-        self._damage.append(f"{what} from t = {begin_s:.6g} s to {end_s:.6g} s cannot be read and are left out: {why}")
+        kind = self._rows_damage if are_rows else self._damage
+        kind.append(f"{what} from t = {begin_s:.6g} s to {end_s:.6g} s cannot be read and are left out: {why}")
 
     def _rows_alone(self, chunk: Chunk) -> bool:
         """Add all rows of a chunk at once if it holds nothing else; return whether it did."""
@@ -150,13 +236,16 @@ class _Reader:
         if {self._topics.get(int(number)) for number in np.unique(rows["channel"])} - {SIGNALS_TOPIC, None}:
             return False  # None: the chunk that names this topic may be lost
         self._pieces.append(rows["values"][:, self._columns])
+        self._numbers.append(rows["sequence"])
         return True
 
     def _message(self, message: Message) -> None:
         topic = self._topics.get(message.channel_id)
         if topic == EVENTS_TOPIC:
             log, t_s = json.loads(message.data), (message.log_time - self._zero_ns) / 1e9
-            self._events.append((t_s, _LEVEL_NAMES.get(log["level"], "INFO"), log["message"]))
+            event = (t_s, _LEVEL_NAMES.get(log["level"], "INFO"), log["message"])
+            self._events.append((message.sequence if self._properties.has_checks else None, event))
         elif topic == SIGNALS_TOPIC and self._names is not None:
             values = np.frombuffer(message.data, "<f8", count=len(self._names), offset=len(CDR_HEADER))
             self._pieces.append(values[None, self._columns])
+            self._numbers.append(np.array([message.sequence], np.uint32))

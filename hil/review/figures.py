@@ -101,6 +101,7 @@ def figures(run: RecordedRun) -> dict[str, Any]:
         **found,
         **{name: run.properties[name] for name in _MUTANT if name in run.properties},
         "recording": str(run.path),
+        "damaged": run.is_damaged,
         "notes": [*run.notes, *_other_version(run), *_judged_before(run), *_late_begin(run)],
         "made": {name: text for name, text in run.properties.items() if name in _MADE},
         "events": [event._asdict() for event in run.events],
@@ -118,7 +119,7 @@ def figures(run: RecordedRun) -> dict[str, Any]:
                 "baseline, or another version made it"
             )
     result["lost_rows"] = lost = (run.rows_dropped or 0) + run.rows_missing
-    if summary.get("lost_rows", lost) != lost:
+    if run.summary is not None and summary.get("lost_rows", 0) != lost:
         set_lost_rows(result, _tables(run, AllowTable, "allow")[0], lost)
     return result
 

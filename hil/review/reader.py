@@ -42,6 +42,7 @@ class RecordedRun:
         rows_dropped: rows that the run dropped because the recorder was too slow; None when the recorder did not
             finish.
         rows_missing: rows that are in none of its files.
+        is_damaged: whether something of it could not be read; ``notes`` tell what.
         is_continued: whether the run continued in a file that was not read.
         parts: the files, in order.
         held: the names of all signals of the recording, read or not.
@@ -55,6 +56,7 @@ class RecordedRun:
     summary: dict[str, Any] | None
     rows_dropped: int | None
     rows_missing: int = 0
+    is_damaged: bool = False
     is_continued: bool = False
     parts: tuple[Path, ...] = ()
     held: tuple[str, ...] = ()

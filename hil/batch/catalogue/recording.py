@@ -38,7 +38,12 @@ class RecordingHere:
         self._rows = array.array("d")
         self._width = len(signals)
         self._stream = Stream(
-            rr.FileSink(self.path), recording_id=str(uuid.uuid4()), signals=signals, properties=properties, live=False
+            rr.FileSink(self.path),
+            recording_id=str(uuid.uuid4()),
+            signals=signals,
+            properties=properties,
+            live=False,
+            path=self.path,
         )
 
     def put(self, row: bytes) -> None:
