@@ -356,8 +356,12 @@ def test_another_campaigns_folder_or_a_damaged_one_is_a_sentence_and_stays_as_it
     spoilt[40] ^= 1  # in a page, of which the checksum tells
     for data in (b"", whole[:500], bytes(spoilt)):
         part.write_bytes(data)
-        for arguments in ((plan, "--out", out), (plan, "--out", out, "--dry-run"), ("report", out)):
+        for arguments in ((plan, "--out", out), (plan, "--out", out, "--dry-run")):
             assert f"file {part}: it is damaged" in refused(*arguments)
+        [sentence] = judge(out).damaged
+        assert sentence.startswith(f"file {part}: it is damaged")
+        assert sentence.endswith("left out")
+        assert sentence in judge(out).sentences()
         assert part.read_bytes() == data
     part.write_bytes(whole)
     for name in ("plan.parquet", "campaign.json"):

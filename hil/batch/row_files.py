@@ -61,6 +61,19 @@ def read_table(file: Path, remedy: str = _REDO) -> pa.Table:
         return pq.read_table(file, page_checksum_verification=True)
 
 
+def damage_of(file: Path) -> str | None:
+    """Return a sentence on a file that cannot be read, with the number of its rows if that is known; else None."""
+    rows = "its rows are"
+    try:
+        with _sound(file, "remove it, and 'hil campaign' does its runs again"):
+            count = pq.read_metadata(file).num_rows
+            rows = "its row is" if count == 1 else f"its {count} rows are"
+            pq.read_table(file, page_checksum_verification=True)
+    except BadInputError as error:
+        return f"{error}; {rows} left out"
+    return None
+
+
 @contextlib.contextmanager
 def _sound(file: Path, remedy: str = _REDO) -> Iterator[None]:
     """Raise BadInputError, with the remedy, for a damaged file."""

@@ -27,6 +27,7 @@ from hil.batch.row_files import (
     REPLACES,
     UNFINISHED,
     concatenated,
+    damage_of,
     joined,
     keys_of,
     merged_into,
@@ -252,10 +253,11 @@ def read_plan(folder: Path) -> list[dict[str, Any]]:
     return list(read_table(file, _ANEW).to_pylist())
 
 
-def read_rows(folder: Path, rows: str = ROWS) -> pa.Table:
+def read_rows(folder: Path, rows: str = ROWS, damaged: list[str] | None = None) -> pa.Table:
     """Return all rows in a folder, one for each key, also while a process adds to them.
 
-    ``rows`` is ``OTHER_ROWS`` for those of runs that the plan no longer has.
+    ``rows`` is ``OTHER_ROWS`` for those of runs that the plan no longer has. With a list ``damaged`` a damaged file is
+    left out, and a sentence on it is added there.
 
     Raises BadInputError when there is no batch, or a file of it is damaged.
     """
@@ -265,6 +267,9 @@ def read_rows(folder: Path, rows: str = ROWS) -> pa.Table:
     for _ in range(_ATTEMPTS):
         files = row_files(place)
         try:
+            if damaged is not None:
+                told = {file: sentence for file in files if (sentence := damage_of(file)) is not None}
+                files, damaged[:] = [file for file in files if file not in told], told.values()
             merged = {name for file in files for name in merged_into(file)}
             return concatenated([file for file in files if file.name not in merged])
         except FileNotFoundError:

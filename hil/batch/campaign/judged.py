@@ -74,9 +74,18 @@ class Judged:
     """A campaign's results: its plan and the rows of the runs that are done, each a mapping of columns.
 
     ``by`` is the figure by which runs are worst. Samples are drawn independently, or without random axes the seeds.
+    ``damaged`` has a sentence on each file whose rows are left out.
     """
 
-    def __init__(self, folder: Path, about: Mapping[str, Any], plan: Sequence[Row], rows: Sequence[Row]) -> None:
+    def __init__(
+        self,
+        folder: Path,
+        about: Mapping[str, Any],
+        plan: Sequence[Row],
+        rows: Sequence[Row],
+        damaged: Sequence[str] = (),
+    ) -> None:
+        self.damaged = damaged
         self.folder = folder
         self.about = about
         self.plan = plan
@@ -196,9 +205,11 @@ class Judged:
     def sentences(self) -> Iterator[str]:
         """Yield the sentences that head a report."""
         total = self.about["runs"]
-        missing = f" ({total - len(self.rows)} of {total} are not done yet)" if len(self.rows) < total else ""
+        why = "are not done yet, or are in damaged files" if self.damaged else "are not done yet"
+        missing = f" ({total - len(self.rows)} of {total} {why})" if len(self.rows) < total else ""
         counts = ", ".join(f"{count} {outcome}" for outcome, count in self.outcomes.items()) or "none"
         yield f"{len(self.rows)} runs: {counts}{missing}"
+        yield from self.damaged
         if self.rows:
             yield f"pass rate {percent(self.rates[0])}"
         for duel in self.duels:
@@ -212,6 +223,7 @@ class Judged:
             "runs": len(self.rows),
             "passed": bool(self.rows) and self.outcomes.get(PASSED, 0) == self.about["runs"],
             "outcomes": self.outcomes,
+            "damaged": list(self.damaged),
             "reasons": [dict(zip(("outcome", "reason", "runs"), one, strict=True)) for one in self.reasons],
             "rates": [rate._asdict() | {"share": rate.share._asdict()} for rate in self.rates],
             "figures": [spread._asdict() for spread in self.spreads()],
@@ -228,12 +240,17 @@ class Judged:
 
 
 def judge(folder: Path) -> Judged:
-    """Return the results of a campaign from its folder alone. Raises BadInputError when there is no campaign."""
-    done = {row[KEY]: row for row in read_rows(folder).to_pylist()}
+    """Return the results of a campaign from its folder alone, without files of rows that are damaged.
+
+    Raises BadInputError when there is no campaign.
+    """
+    damaged: list[str] = []
+    done = {row[KEY]: row for row in read_rows(folder, damaged=damaged).to_pylist()}
     about, plan = read_about(folder), read_plan(folder)
     # A row may be older than a law's name or an axis, so the plan's columns replace the row's. The order is the plan's,
     # so that a report does not depend on which run was done first.
-    return Judged(folder, about, plan, [as_judged(done[row[KEY]]) | row for row in plan if row[KEY] in done])
+    rows = [as_judged(done[row[KEY]]) | row for row in plan if row[KEY] in done]
+    return Judged(folder, about, plan, rows, damaged)
 
 
 def percent(rate: Rate) -> str:
