@@ -17,7 +17,7 @@ from mcap.records import Channel, Chunk, Header, Message, Metadata
 from mcap.stream_reader import CRCValidationError, StreamReader, breakup_chunk, get_chunk_data_stream
 
 from hil.record.mcap_file import EVENTS_TOPIC, LEVELS, SIGNALS_TOPIC, ZERO_KEY
-from hil.record.properties import SIGNALS_PROPERTY
+from hil.record.properties import RECORDER_PROPERTY, SIGNALS_PROPERTY
 from hil.record.ros_messages import CDR_HEADER
 from hil.review.contents import (
     Contents,
@@ -129,6 +129,7 @@ class _Reader:
         self._zero_ns = 0
         self._damage: list[str] = []
         self._rows_damage: list[str] = []
+        self._left_s: list[float] = []  # when the rows of each of these begin
         self._lost_rows = 0
         self._other: list[str] = []
 
@@ -180,6 +181,9 @@ class _Reader:
         events, lost_events = numbered_events(self._events, self._properties)
         t_s = signals.get("loop.t_s", np.full(len(numbers), np.nan))
         lost, words, remarks = lost_rows(numbers, self._properties, t_s)
+        last_s = t_s[-1] if len(t_s) else -np.inf
+        if RECORDER_PROPERTY not in self._properties:  # then no number tells that the last rows are missing
+            words += [one for one, at_s in zip(self._rows_damage, self._left_s, strict=True) if not at_s <= last_s]
         damage = [*damage, *event_words(lost_events), *words] or self._other
         told = tuple(damage), lost, lost_events, numbers, tuple(remarks)
         return Contents(signals, events, self._properties, cut_bytes, *told)
@@ -220,6 +224,7 @@ class _Reader:
         what = f"{int(rows)} rows" if are_rows else "what was recorded"
         why = str(error).partition("\n")[0] or type(error).__name__
         kind = self._rows_damage if are_rows else self._damage
+        self._left_s.extend([begin_s] * are_rows)
         kind.append(f"{what} from t = {begin_s:.6g} s to {end_s:.6g} s cannot be read and are left out: {why}")
 
     def _rows_alone(self, chunk: Chunk) -> bool:

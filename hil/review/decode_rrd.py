@@ -85,19 +85,19 @@ class _Pieces:
 
     def __init__(self, width: int) -> None:
         self._grown = _nothing(width)
-        self._rows = 0
+        self.rows = 0
 
     def append(self, piece: _Piece) -> None:
         """Add a copy of the next piece."""
-        start, self._rows = self._rows, self._rows + len(piece.values)
+        start, self.rows = self.rows, self.rows + len(piece.values)
         for grown, own in zip(self._grown, piece, strict=True):
-            if self._rows > len(grown):
-                grown.resize((self._rows + _GROWN_ROWS, *grown.shape[1:]), refcheck=False)
-            grown[start : self._rows] = own
+            if self.rows > len(grown):
+                grown.resize((self.rows + _GROWN_ROWS, *grown.shape[1:]), refcheck=False)
+            grown[start : self.rows] = own
 
     def in_order(self) -> _Piece:
         """Return all rows in the order of writing."""
-        read = self._grown.select(slice(self._rows))
+        read = self._grown.select(slice(self.rows))
         return read.select(_order(read.row_ids))
 
 
@@ -136,8 +136,8 @@ class _Entities:
         texts = [texts for _, texts in sorted(names.items()) if "json" in texts] if names else []
         return json_property({SIGNALS_PROPERTY: texts[-1]}, SIGNALS_PROPERTY) if texts else None
 
-    def numbered_events(self) -> list[NumberedEvent]:
-        """Return the events in the order of writing, without those that differ from their check values."""
+    def numbered_events(self) -> tuple[list[NumberedEvent], int]:
+        """Return the events in the order of writing, and how many differ from their check values and are not there."""
         found: list[NumberedEvent] = []
         for _, event in sorted(self.events.items()):
             if not {"t_ns", "level", "text"} <= event.keys():
@@ -148,7 +148,7 @@ class _Entities:
                 if event_check(number, event["t_ns"], event["level"], event["text"]) != word:
                     continue
             found.append((number, (event["t_ns"] / 1e9, event["level"], event["text"])))
-        return found
+        return found, len(self.events) - len(found)
 
 
 def decode_rrd(path: Path, selection: Selection) -> Contents:
@@ -220,7 +220,9 @@ def _compared(path: Path, entities: _Entities, held: dict[str, list[str]], cut_b
         if not properties.has_checks:  # nothing would tell what is missing
             raise DamagedError(f"damaged: {senseless}: {entities.senseless[0]}")
         damage.insert(0, f"{senseless} and are left out")
-    events, lost_events = numbered_events(entities.numbered_events(), properties)
+    read, differ = entities.numbered_events()
+    events, lost_events = numbered_events(read, properties)
+    lost_events = max(lost_events, differ)
     damage += event_words(lost_events)
     if not properties.has_checks:
         old = "a version without check values recorded it: damage that changes its values cannot be noticed"
@@ -237,6 +239,9 @@ def _compared(path: Path, entities: _Entities, held: dict[str, list[str]], cut_b
     t_s = signals.get(_TIME, np.full(len(numbers), np.nan))
     lost, words, remarks = lost_rows(numbers, properties, t_s)
     damage += words
+    if (more := (0 if pieces is None else pieces.rows) - len(stored) - lost) > 0:  # at an end that no number tells
+        damage.append(f"{more} rows differ from their check values and are left out")
+        lost += more
     if not damage and not _has_its_bytes(path, properties):
         remarks.append(_OTHER_BYTES)
     told = tuple(damage), lost, lost_events, numbers, tuple(remarks)
