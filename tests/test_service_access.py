@@ -1,19 +1,20 @@
 """Who may do what over the API, and what the audit log has of it, through real processes."""
 
-import collections
+import contextlib
 import itertools
 import json
 import os
 import signal
 import stat
 import sys
+from collections import Counter, deque
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 from urllib.parse import urlsplit
 
 import pytest
-from websockets.exceptions import ConnectionClosed
+from websockets.exceptions import ConnectionClosed, InvalidStatus
 
 from hil.core.errors import BadInputError
 from hil.service.api.access import NEEDED, OWNER, TOO_MANY, Access, Client, Role, read_clients
@@ -98,7 +99,7 @@ def test_a_changed_clients_file_is_read_again_and_a_token_that_is_gone_ends(tmp_
             clients.write_text(f"other read {TOKENS[Role.READ]}\n")
             wait_for(lambda: give(side, Role.DRIVE, Action.ARM) == 401)
             with pytest.raises(ConnectionClosed, match="its token is not valid any more"):
-                collections.deque(iter(lambda: live.recv(timeout=30.0), None), 0)
+                deque(iter(lambda: live.recv(timeout=30.0), None), 0)
         assert side.request("GET", "/v1/status", headers={"Authorization": f"Bearer {TOKENS[Role.READ]}"}).is_success
         assert side.request("GET", "/v1/status").is_success, "the service's own token stays"
 
@@ -139,6 +140,22 @@ def test_too_many_orders_are_refused_but_none_that_stops(of_many: ControlSide) -
         wait_for(lambda: TOO_MANY in refusals())
     assert [give(of_many, Role.DRIVE, action) for action in (Action.ESTOP, Action.STOP, Action.DISARM)] == 3 * [200]
     assert give(of_many, Role.ADMINISTER, Action.TWIST) == 200, "another client's"
+
+
+def test_a_token_that_may_only_read_takes_no_more_than_its_share(of_many: ControlSide) -> None:
+    of_many.forget()
+    reads = {"Authorization": f"Bearer {TOKENS[Role.READ]}"}
+    with contextlib.ExitStack() as opened:
+        for _ in range(16):
+            opened.enter_context(of_many.live(reads))
+        with pytest.raises(InvalidStatus, match="503"), of_many.live(reads):
+            pass
+        with of_many.live() as owner:
+            owner.recv(timeout=30.0)
+    statuses = Counter(of_many.request("GET", "/metrics", headers=reads).status_code for _ in range(100))
+    assert statuses[200] >= 20, "those that scrape stay far below"
+    assert statuses[429]
+    assert of_many.request("GET", "/metrics").status_code == 200
 
 
 def test_every_order_is_in_the_audit_log_with_who_gave_it_and_what_came_of_it(tmp_path: Path) -> None:

@@ -22,27 +22,22 @@ from hil.service.api.audit import Audit
 from hil.service.discovery import Service, running
 from hil.service.messages import HOST, ApiConfig, Limits
 
+LONGEST_QUEUE = 4096
+"""Connections that the system keeps until they are accepted."""
+
 
 def main() -> int:
     """Serve until the control process ends, and return 0. Return 2 when the API cannot be served as configured."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the control process handles it
-    writer = LineWriter(os.dup(1))
-    os.dup2(2, 1)  # a library's prints must not mix with the orders
-    lines = LineReader(0)
-    record = lines.read()
-    if record is None:
+    if (begun := begin("api")) is None:
         return 0
-    values: Any = record["config"]
-    config = ApiConfig(**{**values, "limits": Limits(**values["limits"])})
-    logs.configure(config.log, "api")
+    config, lines, writer = begun
     try:
-        listener = _listen(config)
+        listener = listen(config.port)
         port = listener.getsockname()[1]
         services = running()
         clear_tokens("services", [service.port for service in services])
         path = _token_file(config, port, services)
-        clients = None if config.clients_file is None else ClientsFile(Path(config.clients_file))
-        access = Access(read_token(path), {} if clients is None else clients.others)
+        clients, access = known(config, path)
         audit_file = state_folder("audit") / f"{port}.jsonl" if config.audit is None else Path(config.audit).absolute()
         audit = Audit(audit_file)
     except BadInputError as error:
@@ -56,13 +51,37 @@ def main() -> int:
     return 0
 
 
-def _listen(config: ApiConfig) -> socket.socket:
+def begin(process: str) -> tuple[ApiConfig, LineReader, LineWriter] | None:
+    """Return the config and the pipes of a process that takes orders; None where the control process has ended.
+
+    ``process`` is its name in the log.
+    """
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the control process handles it
+    writer = LineWriter(os.dup(1))
+    os.dup2(2, 1)  # a library's prints must not mix with the orders
+    lines = LineReader(0)
+    if (record := lines.read()) is None:
+        return None
+    values: Any = record["config"]
+    config = ApiConfig(**{**values, "limits": Limits(**values["limits"])})
+    logs.configure(config.log, process)
+    return config, lines, writer
+
+
+def known(config: ApiConfig, token: Path) -> tuple[ClientsFile | None, Access]:
+    """Return the file of further clients, and who has access. Raises BadInputError."""
+    clients = None if config.clients_file is None else ClientsFile(Path(config.clients_file))
+    return clients, Access(read_token(token), {} if clients is None else clients.others)
+
+
+def listen(port: int) -> socket.socket:
+    """Return a listening socket at a port of the loopback address; 0 picks one. Raises BadInputError."""
     try:
-        listener = socket.create_server((HOST, config.port))
+        listener = socket.create_server((HOST, port))
     except OSError as error:
         why = os.strerror(error.errno or 0)  # without the address, which Python's message repeats
         raise BadInputError(
-            f"the API cannot listen on {HOST}:{config.port} ({why}); end the program that uses it, or choose "
+            f"the API cannot listen on {HOST}:{port} ({why}); end the program that uses it, or choose "
             "another port in service.port"
         ) from error
     # Connections inherit it. Without it an answer's body waits 40 ms, until the client acknowledges its header; asyncio

@@ -27,7 +27,7 @@ def check_service(status: Mapping[str, Any], metrics: Mapping[str, float]) -> It
             yield note(name, sentence.removeprefix(f"{name}: "), "hil doctor says how to have it granted")
     yield from _link(status)
     yield _recording(status)
-    yield from _door(metrics)
+    yield from _clients(metrics)
 
 
 def _phase(status: Mapping[str, Any]) -> Finding:
@@ -65,7 +65,7 @@ def _recording(status: Mapping[str, Any]) -> Finding:
     return ok("recording", sentence)
 
 
-def _door(metrics: Mapping[str, float]) -> Iterator[Finding]:
+def _clients(metrics: Mapping[str, float]) -> Iterator[Finding]:
     if failures := metrics.get("hil_api_audit_failures_total"):
         yield problem("audit log", f"{failures:.0f} lines could not be written", "free space on its disk")
     else:

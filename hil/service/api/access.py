@@ -1,5 +1,6 @@
 """Who may use the API, and for what: clients are known by their token, which has a name and roles."""
 
+import asyncio
 import re
 import secrets
 import time
@@ -21,6 +22,10 @@ OWNER = "owner"
 
 _ORDERS_PER_S = 200.0  # of one token: ten clients that drive by twist
 _AT_ONCE = 200.0
+_READS_PER_S = 100.0
+_COST_OF_LONG = 10.0  # of a request for metrics or the document, in those for the status
+_FRAMES_PER_S = 2000.0
+_REFRESH_S = 1.0
 _NAME = re.compile(r"[A-Za-z0-9_.-]{1,40}")
 
 
@@ -60,6 +65,34 @@ class Client(NamedTuple):
         return needed in self.roles or needed is Role.READ or Role.ADMINISTER in self.roles
 
 
+class Rate:
+    """A limit of ``per_s`` on average, and of ``at_once`` after a pause (a token bucket)."""
+
+    def __init__(self, per_s: float, at_once: float) -> None:
+        self._per_s, self._at_once = per_s, at_once
+        self._left = at_once
+        self._filled_s = time.monotonic()
+
+    def take(self, number: float = 1.0) -> bool:
+        """Take so many; return False, and take none, where there are fewer."""
+        now_s = time.monotonic()
+        self._left = min(self._at_once, self._left + (now_s - self._filled_s) * self._per_s)
+        self._filled_s = now_s
+        if self._left < number:
+            return False
+        self._left -= number
+        return True
+
+
+class Rates:
+    """How fast one token may be used: orders, other requests, and frames on all its WebSockets."""
+
+    def __init__(self) -> None:
+        self.orders = Rate(_ORDERS_PER_S, _AT_ONCE)
+        self.reads = Rate(_READS_PER_S, _AT_ONCE)
+        self.frames = Rate(_FRAMES_PER_S, 2 * _FRAMES_PER_S)
+
+
 class Access:
     """Knows the tokens. ``owner`` is the service's own; ``others`` are clients by their tokens.
 
@@ -68,8 +101,7 @@ class Access:
 
     def __init__(self, owner: str, others: Mapping[str, Client]) -> None:
         self._owner = owner
-        self._left: dict[str, float] = {}
-        self._filled_s = time.monotonic()
+        self._rates: dict[str, Rates] = {}
         self.replace(others)
 
     def replace(self, others: Mapping[str, Client]) -> None:
@@ -81,7 +113,7 @@ class Access:
             )
         tokens = {owner: Client(OWNER, frozenset(Role)), **others}
         self._clients = [(f"Bearer {token}".encode(), client) for token, client in tokens.items()]
-        self._left = {client.name: self._left.get(client.name, _AT_ONCE) for client in tokens.values()}
+        self._rates = {client.name: self._rates.get(client.name) or Rates() for client in tokens.values()}
 
     def client(self, headers: Headers) -> Client | None:
         """Return whose token is in the headers of a request, or None."""
@@ -92,21 +124,19 @@ class Access:
                 found = client
         return found
 
-    def is_known(self, headers: Headers) -> bool:
-        """Return whether the headers of a request have a token."""
-        return self.client(headers) is not None
+    def rates(self, client: Client) -> "Rates":
+        """Return how fast a client's token may be used."""
+        return self._rates.get(client.name) or Rates()  # its token may have been withdrawn a moment ago
 
     def is_in_time(self, client: Client, action: Action) -> bool:
         """Count an order; return False when the client's token has given too many a second."""
-        if action in UNLIMITED:
+        return action in UNLIMITED or self.rates(client).orders.take()
+
+    def may_read(self, client: Client, path: str) -> bool:
+        """Count a request that is no order; return False when the client's token has made too many a second."""
+        if client.name == OWNER:
             return True
-        now_s = time.monotonic()
-        more, self._filled_s = (now_s - self._filled_s) * _ORDERS_PER_S, now_s
-        self._left = {name: min(_AT_ONCE, left + more) for name, left in self._left.items()}
-        if self._left[client.name] < 1.0:
-            return False
-        self._left[client.name] -= 1.0
-        return True
+        return self.rates(client).reads.take(1.0 if path == "/v1/status" else _COST_OF_LONG)
 
 
 class ClientsFile:
@@ -121,7 +151,13 @@ class ClientsFile:
         self._seen = self._state()
         self.others = read_clients(path)
 
-    def refresh(self, access: Access) -> None:
+    async def keep(self, access: Access) -> None:
+        """Look once a second whether the file has changed, until cancelled."""
+        while True:
+            await asyncio.sleep(_REFRESH_S)
+            self._refresh(access)
+
+    def _refresh(self, access: Access) -> None:
         """Look whether the file has changed, and read it then."""
         state = self._state()
         if state == self._seen:
@@ -143,6 +179,10 @@ class ClientsFile:
 
 
 TOO_MANY = f"more than {_ORDERS_PER_S:g} orders a second were given with this token; stop, disarm and estop still pass"
+TOO_MANY_READS = (
+    f"more than {_READS_PER_S:g} requests a second came with this token (metrics count for {_COST_OF_LONG:g}); "
+    "the WebSocket sends the status by itself"
+)
 
 
 def read_clients(path: Path) -> dict[str, Client]:

@@ -53,7 +53,7 @@ class ServiceMetrics(Collector):
         dropped = CounterMetricFamily(
             "hil_api_connections_dropped", "Connections that were dropped, by cause.", labels=("cause",)
         )
-        for cause in ("late", "crowded", "unknown", "not_accepted"):
+        for cause in ("late", "crowded", "flood", "unknown", "not_accepted"):
             dropped.add_metric((cause,), self._dropped.get(cause, 0))
         yield dropped
         documentation = "Lines that the audit log could not take."

@@ -16,27 +16,28 @@ from starlette.types import ASGIApp, Receive, Scope, Send
 
 from hil.core.json_lines import LineReader, LineWriter
 from hil.service import logs
-from hil.service.api.access import TOO_MANY, Access, Client, ClientsFile, Headers, values_of
+from hil.service.api.access import OWNER, TOO_MANY, TOO_MANY_READS, Access, Client, ClientsFile, Headers, values_of
 from hil.service.api.audit import Audit
+from hil.service.api.connections import BATCH, ConnectionPools
 from hil.service.api.control import Control
-from hil.service.api.door import BATCH, Door
 from hil.service.api.routes import make_app
+from hil.service.api_process import LONGEST_QUEUE
 from hil.service.messages import HOST, ORDERS, Action, ApiConfig
 
 _PING_S = 5.0
 _LONGEST_BYTES = 64 * 1024  # of a body or a WebSocket message
 _LAST_ANSWERS_S = 1
-_REFRESH_S = 1.0
 _MOST_LIVE = 64
+_MOST_LIVE_OF_ONE = 16
 _TOO_MANY_STATUS = 429
 _TOO_MANY_PAUSE_S = 0.1
-_LONGEST_QUEUE = 4096  # connections that the system keeps until they are accepted
 
 
 class Gate:
     """An ASGI application in front of another one: it refuses requests without the token or with a foreign Host header.
 
-    It also refuses a body of more than 64 KiB before reading it, and a WebSocket beyond ``_MOST_LIVE``. Whoever is
+    It also refuses a body of more than 64 KiB before reading it, and a WebSocket beyond ``_MOST_LIVE``, or beyond
+    ``_MOST_LIVE_OF_ONE`` of one token that is not the service's own. Whoever is
     refused is disconnected: the body may be unread. ``dropped`` counts those without the token as ``unknown``.
     """
 
@@ -48,6 +49,7 @@ class Gate:
         self._access = access
         self._hosts = hosts
         self._control = control
+        self._live: Counter[str] = Counter()  # clients on the WebSocket, by the name of their token
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Refuse a request or a handshake, or pass it on."""
@@ -62,7 +64,14 @@ class Gate:
         if refusal is not None and refusal.status_code == _TOO_MANY_STATUS:
             # The connection is not read meanwhile, so that a flood leaves time for other clients.
             await asyncio.sleep(_TOO_MANY_PAUSE_S)
-        await (refusal or self._app)(scope, receive, send)
+        if refusal is not None or client is None or scope["type"] == "http":
+            await (refusal or self._app)(scope, receive, send)
+            return
+        self._live[client.name] += 1
+        try:
+            await self._app(scope, receive, send)
+        finally:
+            self._live[client.name] -= 1
 
     def _refusal(self, scope: Scope, client: Client | None) -> JSONResponse | None:
         headers: Headers = scope["headers"]
@@ -79,6 +88,10 @@ class Gate:
         if scope["type"] != "http":
             if len(self._control.watchers) >= _MOST_LIVE:
                 return _refuse(503, f"{_MOST_LIVE} clients are on the WebSocket; end one of them")
+            if self._live[client.name] >= _MOST_LIVE_OF_ONE and client.name != OWNER:
+                return _refuse(
+                    503, f"{_MOST_LIVE_OF_ONE} clients are on the WebSocket with this token; end one of them"
+                )
             return None
         if encoding:
             return _refuse(411, "send the body with a Content-Length")
@@ -88,6 +101,8 @@ class Gate:
         action = _action(scope)
         if action is not None and not self._access.is_in_time(client, action):
             return JSONResponse({"detail": TOO_MANY}, _TOO_MANY_STATUS, {"retry-after": "1"})
+        if action is None and not self._access.may_read(client, scope["path"]):
+            return JSONResponse({"detail": TOO_MANY_READS}, _TOO_MANY_STATUS, {"retry-after": "1"})
         return None
 
 
@@ -122,18 +137,18 @@ async def serve(
     class Server(uvicorn.Server):
         async def startup(self, sockets: list[socket.socket] | None = None) -> None:
             await super().startup(sockets)
-            listener.listen(_LONGEST_QUEUE)  # asyncio accepts as many in one turn as its queue is long
+            listener.listen(LONGEST_QUEUE)  # asyncio accepts as many in one turn as its queue is long
             writer.send({"ready": ready})
 
-    door = Door(access.is_known)
-    http, websocket = door.protocols()
-    gate = Gate(make_app(config, control, access, door.dropped), access, hosts, control, door.dropped)
+    pools = ConnectionPools(access)
+    http, websocket = pools.protocols()
+    gate = Gate(make_app(config, control, access, pools.dropped), access, hosts, control, pools.dropped)
     server = Server(
         uvicorn.Config(
             gate,
             http=http,
             backlog=BATCH,
-            timeout_keep_alive=10,  # the door's time for a client that has shown a token
+            timeout_keep_alive=10,  # the pool's time for a client that has shown a token
             ws=websocket,
             loop="asyncio",
             lifespan="off",
@@ -153,16 +168,12 @@ async def serve(
         await control.gone.wait()
         server.should_exit = True
 
-    async def refresh() -> None:
-        while clients is not None:
-            await asyncio.sleep(_REFRESH_S)
-            clients.refresh(access)
-
     def on_end(task: asyncio.Task[None]) -> None:
         if not task.cancelled() and task.exception() is not None:
             server.should_exit = True
 
-    beside = [asyncio.create_task(task) for task in (control.live(), door.sweep(), audit.keep(), refresh(), end())]
+    keeping = [] if clients is None else [clients.keep(access)]
+    beside = [asyncio.create_task(task) for task in (control.live(), pools.sweep(), audit.keep(), end(), *keeping)]
     for task in beside:
         task.add_done_callback(on_end)
     await server.serve([listener])

@@ -8,6 +8,7 @@ import socket
 import subprocess
 import sys
 import time
+from collections import deque
 from collections.abc import Iterator
 from http.client import HTTPConnection
 from pathlib import Path
@@ -19,8 +20,10 @@ import pytest
 import uvicorn
 from uvicorn.protocols.utils import ClientDisconnected
 from uvicorn.server import ServerState
+from websockets.exceptions import ConnectionClosed
 
-from hil.service.api.door import Connection, Door
+from hil.service.api.access import Access
+from hil.service.api.connections import ConnectionPools, HttpConnection
 from hil.service.messages import Action
 from tests.processes import own_state, wait_for
 from tests.service_testbed import ControlSide, served
@@ -28,7 +31,7 @@ from tests.service_testbed import ControlSide, served
 if sys.platform != "win32":
     import resource
 
-SOON_S = 0.5
+SOON_S = 5.0  # on a busy machine; tools.bench.estop measures
 HALF_A_HEADER = b"POST /v1/estop HTTP/1.1\r\nHost: 127.0.0.1\r\nX-Half: "
 
 HANDSHAKE = (
@@ -157,10 +160,10 @@ def test_whole_requests_of_strangers_crowd_out_no_request_with_the_token() -> No
         def abort(self) -> None:
             self.aborted = True
 
-    door = Door(lambda headers: True)
+    pools = ConnectionPools(Access("t" * 16, {}))
     known, strangers = One(is_known=True), [One(is_known=False) for _ in range(400)]
     for one in (known, *strangers):
-        door.enter(cast(Connection, one), is_served=True)
+        pools.place(cast(HttpConnection, one), in_request=True)
     assert not known.aborted
     assert sum(one.aborted for one in strangers) == 400 - 256
 
@@ -170,12 +173,49 @@ def test_a_websocket_that_was_closed_for_want_of_pongs_is_a_client_that_has_gone
 
     async def send() -> None:
         config = uvicorn.Config(lambda *_: None, log_config=None)
-        live = Door(lambda headers: True).protocols()[1](config, ServerState(), {})
+        live = ConnectionPools(Access("t" * 16, {})).protocols()[1](config, ServerState(), {})
         live.close_sent = True
         await live.send({"type": "websocket.send", "text": "{}"})
 
     with pytest.raises(ClientDisconnected):
         asyncio.run(send())
+
+
+PING, PONG, TEXT, BEGIN, ON = (
+    b"\x89\x81\0\0\0\0x",
+    b"\x8a\x80\0\0\0\0",
+    b"\x81\x82\0\0\0\0{}",
+    b"\1\x80\0\0\0\0",
+    b"\0\x80\0\0\0\0",
+)
+LONG = b"\x82\xfe\xff\xff\0\0\0\0" + bytes(0xFFFF)
+
+
+@pytest.mark.parametrize(
+    ("sent", "why"),
+    [
+        (2000 * PING, "frames a second"),
+        (2000 * PONG, "frames a second"),
+        (2000 * TEXT, "frames a second"),
+        (BEGIN + 500 * ON, "fragments"),
+        (20 * LONG, "bytes a second"),
+    ],
+)
+def test_a_websocket_that_sends_too_fast_is_closed_and_counted(side: ControlSide, sent: bytes, why: str) -> None:
+    def floods() -> float:
+        return float(re.findall(r'dropped_total\{cause="flood"\} (\S+)', side.request("GET", "/metrics").text)[0])
+
+    before = floods()
+    with side.live() as live, side.live() as other:
+        with contextlib.suppress(OSError):
+            live.socket.sendall(sent)
+        with pytest.raises(ConnectionClosed) as closed:
+            deque(iter(lambda: live.recv(timeout=30.0), None), 0)
+        assert closed.value.rcvd is not None
+        assert closed.value.rcvd.code == 1008
+        assert why in closed.value.rcvd.reason
+        assert floods() == before + 1
+        other.recv(timeout=30.0)
 
 
 def test_the_websocket_has_room_for_64_and_others_are_told(side: ControlSide) -> None:
