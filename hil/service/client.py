@@ -4,8 +4,8 @@ import contextlib
 import itertools
 import json
 import time
-from collections import defaultdict
-from collections.abc import Iterator, Mapping
+from collections import defaultdict, deque
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +13,7 @@ import httpx
 from websockets.exceptions import ConnectionClosed, InvalidStatus, WebSocketException
 from websockets.sync.client import ClientConnection, connect
 
-from hil.core.errors import BadInputError, DeviceError, LinkError, RunInterruptedError
+from hil.core.errors import BadInputError, DeviceError, HilError, LinkError, RunInterruptedError
 from hil.core.tokens import read_token
 from hil.service.discovery import Service, running
 from hil.service.messages import HOST, LONG, Action, route
@@ -24,6 +24,7 @@ STOP_UNANSWERED = "the service did not answer that it stops the robot; it does s
 # Longer than the API process's own timeouts for short and for long orders.
 _TIMEOUT_S = 5.0
 _LONG_TIMEOUT_S = 35.0
+_ESTOP_TIMEOUT_S = 1.5  # then the API is asked
 _NONE_RUNS = "no service of yours runs on this machine; start one with 'hil serve CONFIG', or name one with --url"
 
 
@@ -33,14 +34,14 @@ def find(url: str | None = None, port: int | None = None, token_file: Path | Non
     Raises LinkError when none runs, BadInputError when several do or the token cannot be read.
     """
     url = None if url is None else url.rstrip("/").replace("//localhost:", f"//{HOST}:")
-    if url is not None and token_file is not None:
-        return Client(url, token_file)
     services = running()
     found = [
         service for service in services if (service.url == url if url is not None else port in (None, service.port))
     ]
     if len(found) == 1:
-        return Client(found[0].url, token_file or Path(found[0].token_file))
+        return Client(found[0].url, token_file or Path(found[0].token_file), found[0].estop_url)
+    if url is not None and token_file is not None:
+        return Client(url, token_file)
     if url is not None:
         raise BadInputError(f"service {url}: it is not one of yours; give the file with its token by --token-file")
     if found:
@@ -54,12 +55,16 @@ def _listed(services: list[Service]) -> str:
 
 
 class Client:
-    """A client of one service. Every method raises the errors of ``_checked``."""
+    """A client of one service. Every method raises the errors of ``_checked``.
 
-    def __init__(self, url: str, token_file: Path) -> None:
+    ``estop_url`` is that of the service's port for emergency stops; by default the API takes them.
+    """
+
+    def __init__(self, url: str, token_file: Path, estop_url: str = "") -> None:
         if not url.startswith("http://") or not url.rpartition(":")[2].isdecimal():
             raise BadInputError(f"service {url!r}: expected http://127.0.0.1:PORT")
         self._url = url
+        self._estop_url = estop_url
         self._token_file = token_file
         self._headers = {"Authorization": f"Bearer {read_token(token_file)}"}
 
@@ -79,10 +84,21 @@ class Client:
 
     def order(self, action: Action, arguments: Mapping[str, Any] | None = None) -> dict[str, Any]:
         """Give an order; return its result when it is done, or for a motion when it has begun."""
+        if action is Action.ESTOP and (stopped := self._stop_at_once()) is not None:
+            return stopped
         method, path = route(action)
         timeout_s = _LONG_TIMEOUT_S if action in LONG else _TIMEOUT_S
         result: dict[str, Any] = self._request(method, path, arguments, timeout_s)["result"]
         return result
+
+    def _stop_at_once(self) -> dict[str, Any] | None:
+        """Give an emergency stop by its own port, and return its result; None where the API has to be asked."""
+        if not self._estop_url:
+            return None
+        with contextlib.suppress(HilError):
+            response = self._response("POST", "/v1/estop", None, _ESTOP_TIMEOUT_S, self._estop_url)
+            return dict(self._checked(response.status_code, response.content)["result"])
+        return None
 
     def watch(self) -> Iterator[dict[str, Any]]:
         """Yield the status as it comes. Raises LinkError when the service ends."""
@@ -113,11 +129,13 @@ class Client:
         response = self._response(method, path, body, timeout_s)
         return self._checked(response.status_code, response.content)
 
-    def _response(self, method: str, path: str, body: Any = None, timeout_s: float = _TIMEOUT_S) -> httpx.Response:
+    def _response(
+        self, method: str, path: str, body: Any = None, timeout_s: float = _TIMEOUT_S, url: str | None = None
+    ) -> httpx.Response:
         try:
             # No proxy from the environment on this machine; without TLS there are no certificates to load (0.1 s).
             with httpx.Client(trust_env=False, verify=False, timeout=timeout_s) as http:
-                return http.request(method, self._url + path, headers=self._headers, json=body)
+                return http.request(method, (url or self._url) + path, headers=self._headers, json=body)
         except httpx.TimeoutException:
             raise LinkError(f"service {self._url}: no answer within {timeout_s:g} s; see its log") from None
         except httpx.HTTPError as error:
@@ -153,7 +171,7 @@ class Client:
         address = "ws" + self._url.removeprefix("http") + "/v1/live"
         try:
             with connect(address, additional_headers=self._headers, proxy=None, open_timeout=_TIMEOUT_S) as socket:
-                yield Live(socket)
+                yield Live(socket, self._stop_at_once)
         except InvalidStatus as error:
             self._checked(error.response.status_code, error.response.body or b"")
         except ConnectionClosed as error:
@@ -164,15 +182,23 @@ class Client:
 
 
 class Live:
-    """A WebSocket to a service: sends orders, receives answers and statuses. ``Client.live`` makes it."""
+    """A WebSocket to a service: sends orders, receives answers and statuses. ``Client.live`` makes it.
 
-    def __init__(self, socket: ClientConnection) -> None:
+    ``stop_at_once`` gives an emergency stop by a quicker way; where it returns None, the WebSocket takes it.
+    """
+
+    def __init__(self, socket: ClientConnection, stop_at_once: Callable[[], dict[str, Any] | None]) -> None:
         self._socket = socket
+        self._stop_at_once = stop_at_once
+        self._stopped: deque[dict[str, Any]] = deque()
         self._numbers = itertools.count()
 
     def order(self, action: Action, arguments: Mapping[str, Any] | None = None) -> int:
         """Send an order; return the number that its answer will have."""
         number = next(self._numbers)
+        if action is Action.ESTOP and (stopped := self._stop_at_once()) is not None:
+            self._stopped.append({"answer": {"number": number, "refused": None, "result": stopped}})
+            return number
         order = {"number": number, "action": action.value, "arguments": dict(arguments or {})}
         self._socket.send(json.dumps({"order": order}))
         return number
@@ -186,6 +212,8 @@ class Live:
 
         A ``timeout_s`` of None waits for ever.
         """
+        if self._stopped:
+            return self._stopped.popleft()
         try:
             message: dict[str, Any] = json.loads(self._socket.recv(timeout=timeout_s))
         except TimeoutError:

@@ -9,13 +9,17 @@ from hil.core.tokens import state_folder
 
 @dataclasses.dataclass(frozen=True, slots=True)
 class Service:
-    """A running service: its URL, its control process, what it drives, and the file with its token."""
+    """A running service: its URL, its control process, what it drives, the file with its token.
+
+    ``estop_url`` is that of its port for emergency stops.
+    """
 
     url: str
     pid: int
     title: str
     device: str
     token_file: str
+    estop_url: str = ""
 
     @property
     def port(self) -> int:

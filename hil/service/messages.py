@@ -1,4 +1,4 @@
-"""Messages between the two processes of a service, one JSON text per line: orders one way, answers and status back.
+"""Messages between the processes of a service, one JSON text per line: orders one way, answers and status back.
 
 The API process checks the form of an order. Only the control process knows whether it is possible now, and refuses it
 with a sentence if not.

@@ -25,6 +25,7 @@ _ROLES = {
     "hil.record.recorder": "recorder",
     "hil.service.api_child": "api",
     "hil.service.api_process": "api",
+    "hil.service.estop_process": "estop",
     "hil.drivers.guardian_process": "guardian",
 }
 
@@ -155,7 +156,7 @@ class World:
             return None
         self._served = found[0].pid
         try:
-            return Client(found[0].url, Path(found[0].token_file))
+            return Client(found[0].url, Path(found[0].token_file), found[0].estop_url)
         except HilError:  # it is gone
             return None
 

@@ -73,6 +73,9 @@ class ServedRobot:
 
     def order(self, action: Action, arguments: Mapping[str, Any], answered: Answered) -> None:
         """As ``Robot``."""
+        if action is Action.ESTOP:  # it needs no WebSocket
+            threading.Thread(target=self._estop, args=(answered,), name="e-stop", daemon=True).start()
+            return
         with self._lock:
             if self._live is not None:
                 try:
@@ -82,6 +85,14 @@ class ServedRobot:
                 else:
                     return
         answered(self._why)
+
+    def _estop(self, answered: Answered) -> None:
+        try:
+            self._client.order(Action.ESTOP)
+        except HilError as error:
+            answered(str(error))
+        else:
+            answered(None)
 
     def failure(self) -> HilError | None:
         """As ``Robot``."""
@@ -161,7 +172,7 @@ class OwnService:
                 raise failure
             for service in running():
                 if service.pid == self._process.pid:
-                    return Client(service.url, self._token_file)
+                    return Client(service.url, self._token_file, service.estop_url)
             time.sleep(_POLL_S)
         raise LinkError(f"the service was not ready within {_READY_S:g} s; see its log above")
 
