@@ -81,7 +81,9 @@ def test_counts_radius_and_lever_are_found_by_pushing_and_written_with_the_rest(
     assert robot["half_length_m"] + robot["half_width_m"] == pytest.approx(0.5, rel=0.01)
     assert written["commission"]["lateral_scale"] == pytest.approx(1.0, abs=0.005)
     comments = re.findall(r"# .*", before)
-    assert re.findall(r"# .*", text) == comments  # the user's own
+    assert re.findall(r"# .*", text) == [*comments, "# measured; nothing uses it yet"]  # the user's own, and one
+    checked = run_hil("check", "circle_speed", "--robot", file)
+    assert "commission.lateral_scale: it was measured, and nothing uses it yet" in " ".join(checked.stdout.split())
     assert load("circle_speed", robot=file).device.imu == ("-y", "x", "z")
     with pytest.raises(BadInputError, match=r"this robot is commissioned .*--anew"):
         commission(file)

@@ -10,6 +10,7 @@ from hil.commission.pulses import StepError
 from hil.commission.session import Session
 from hil.core.kinematics import body_twist
 from hil.core.types import CommandMode
+from hil.scenario.commission import UNUSED
 
 _MOST_SCALE = 0.15
 
@@ -42,7 +43,8 @@ def push(session: Session, person: Person, findings: Findings, say: Callable[[st
     if (left := _pushed(session, person, findings, "left", 1)) is not None:
         lateral = left[1] * factor / left[0] / scale
         findings.lateral(_rounded(lateral))
-        say(f"to the left the robot goes {lateral:.3f} times as far as its wheels say")
+        say(f"to the left the robot goes {lateral:.3f} times as far as its wheels say (commission.lateral_scale):")
+        say(f"  {UNUSED}")
     if (turn := _pushed(session, person, findings, "turns", 2)) is not None:
         lever = turn[0] * scale / factor / (turn[1] * math.tau)
         if abs(lever - 1.0) > _MOST_SCALE:

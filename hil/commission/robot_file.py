@@ -10,6 +10,7 @@ from hil.core.outputs import write_whole
 from hil.scenario.toml_text import key_lines, parse
 
 _HEADER = re.compile(r"\s*\[")
+_COMMENTS = {("commission", "lateral_scale"): "  # measured; nothing uses it yet"}
 
 
 def changed(text: str, values: Mapping[str, object], name: str = "file") -> str:
@@ -38,24 +39,24 @@ def write(path: Path, values: Mapping[str, object]) -> None:
 
 
 def _with(text: str, table: str, key: str, value: object) -> str:
-    lines = text.split("\n")
+    lines, ours = text.split("\n"), _COMMENTS.get((table, key), "")
     at = key_lines(text).get((table, key))
     if at is not None:
         end = at
         while end < len(lines) and not _is_whole("\n".join(lines[at - 1 : end])):
             end += 1
         comment = re.search(r"(\s+#[^\"'\]]*)$", lines[end - 1])
-        new = [] if value is None else [f"{key} = {format_value(value)}{comment.group(1) if comment else ''}"]
+        new = [] if value is None else [f"{key} = {format_value(value)}{comment.group(1) if comment else ours}"]
         return "\n".join([*lines[: at - 1], *new, *lines[end:]])
     if value is None:
         return text
     header = next((n for n, line in enumerate(lines) if re.match(rf"\s*\[\s*{re.escape(table)}\s*\]", line)), None)
     if header is None:
-        return f"{text.rstrip()}\n\n[{table}]\n{key} = {format_value(value)}\n"
+        return f"{text.rstrip()}\n\n[{table}]\n{key} = {format_value(value)}{ours}\n"
     end = next((n for n in range(header + 1, len(lines)) if _HEADER.match(lines[n])), len(lines))
     while (end > header + 1 and not lines[end - 1].strip()) or lines[end - 1].lstrip().startswith("#"):
         end -= 1
-    return "\n".join([*lines[:end], f"{key} = {format_value(value)}", *lines[end:]])
+    return "\n".join([*lines[:end], f"{key} = {format_value(value)}{ours}", *lines[end:]])
 
 
 def _is_whole(statement: str) -> bool:

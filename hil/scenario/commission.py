@@ -10,6 +10,9 @@ from hil.scenario.values import Text, Wheel
 State = Literal["none", "begun", "rewire", "done"]
 Way = Literal["forward", "backward"]
 
+UNUSED = "it was measured, and nothing uses it yet: odometry and laws believe the wheels"
+"""What ``commission.lateral_scale`` is for."""
+
 
 @dataclass(frozen=True)
 class CommissionTable:
@@ -27,7 +30,7 @@ class CommissionTable:
     first_way: Annotated[Way | None, "how a positive torque turned it"] = None
     rollers: Annotated[Literal["x", "o"] | None, "how the wheels are mounted, as seen from above"] = None
     lateral_scale: Annotated[
-        float | None, Range(gt=0), "true way to the left over that of the wheels; no other key has it"
+        float | None, Range(gt=0), "true way to the left over that of the wheels; nothing uses it yet"
     ] = None
 
 

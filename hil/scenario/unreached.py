@@ -4,6 +4,7 @@ import math
 from collections.abc import Iterator, Mapping
 
 from hil.core.types import WHEEL_NAMES
+from hil.scenario.commission import UNUSED
 from hil.scenario.plant import SHIPPED_FMUS
 from hil.scenario.run import Scenario
 from hil.scenario.tables import Tables
@@ -63,6 +64,7 @@ def _unread(tables: Tables) -> Iterator[tuple[str, str]]:
         yield from ((f"estimator.{one}", 'estimator.source = "fused" alone reads it') for one in ("filter.", "fix"))
     if estimator.source != "fused" or estimator.fix != "simulated":
         yield "estimator.simulated_fix.", "only simulated fixes of a fused estimator read it"
+    yield "commission.lateral_scale", UNUSED
     if estimator.source == "truth":
         yield "estimator.slip_threshold_m_s", "the true pose is not estimated"
     if not tables.device.is_makers:
