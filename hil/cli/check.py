@@ -9,6 +9,7 @@ from typer import Argument
 
 from hil.cli.options import Json, LinkUrl, Mode, RobotFile, ScenarioName, Seed, Sets
 from hil.cli.output import print_result, rows, table
+from hil.core.errors import apart
 
 if TYPE_CHECKING:
     from hil.core.model import RobotModel
@@ -86,8 +87,8 @@ def show(
 def _rows(feasibility: "Feasibility") -> Iterator[tuple[str, str]]:
     """Yield the wheel speed and torque that a reference needs, and why it is not feasible, if it is not."""
     for label, needed in (("wheel speed", feasibility.speed), ("wheel torque", feasibility.torque)):
-        most = f"at most {needed.worst:.3g} {needed.unit}, of wheel {needed.worst_wheel} at t = {needed.worst_s:.3g} s"
-        yield label, f"{most}; the limit is {needed.limit:g} {needed.unit}"
+        most = f"at most {apart(needed.worst, needed.limit)} {needed.unit}, of wheel {needed.worst_wheel}"
+        yield label, f"{most} at t = {needed.worst_s:.3g} s; the limit is {needed.limit:g} {needed.unit}"
     yield from (("not feasible", sentence) for sentence in feasibility.sentences)
     yield from (("note", sentence) for sentence in feasibility.notes)
 

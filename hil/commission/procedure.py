@@ -15,6 +15,7 @@ from hil.commission.record import Array, Encoders
 from hil.commission.session import Session
 from hil.commission.wirings import (
     DIRECTIONS,
+    FITS,
     PLAIN,
     TRIED,
     Decision,
@@ -28,6 +29,7 @@ from hil.commission.wirings import (
     telling,
     turned_axes,
 )
+from hil.core.errors import apart
 from hil.core.model import GRAVITY_M_S2
 from hil.core.types import WHEEL_NAMES, CommandMode
 from hil.robot.wheel_map import ImuMount
@@ -229,9 +231,9 @@ class Procedure:
                     "accelerometer is, or the wheel that moved first was the one diagonally opposite to that answered"
                 )
             raise StepError(
-                f"no wiring explains what the sensors saw (the best scores {decision.score:.2f}): look whether the "
-                "robot stands free, whether all four wheels are Mecanum wheels, and whether [robot] has its mass and "
-                "size"
+                f"no wiring explains what the sensors saw (the best scores {apart(decision.score, FITS)}, expected at "
+                f"least {FITS:g}): look whether the robot stands free, whether all four wheels are Mecanum wheels, and "
+                "whether [robot] has its mass and size"
             )
         other = decision.rivals[0]
         raise StepError(

@@ -135,6 +135,23 @@ def remedy(error: OSError, otherwise: str) -> str:
     return f"make room, or {otherwise}" if error.errno in (errno.ENOSPC, errno.EDQUOT) else otherwise
 
 
+def apart(value: float, *bounds: float, digits: int = 3) -> str:
+    """Return a number in so many digits, or in as many more as it takes to be on its own side of each bound.
+
+    For sentences that say that a value is beyond a limit: both rounded to the same text would deny it. What is apart in
+    the 13th digit only is the rounding of a sum, and is shown as equal.
+
+    >>> apart(0.8496, 0.85, digits=2)
+    '0.8496'
+    """
+
+    def sides(number: float) -> list[tuple[bool, bool]]:
+        return [(number < bound, number > bound) for bound in bounds]
+
+    texts = [f"{value:.{count}g}" for count in range(digits, 13)]
+    return next((text for text in texts if sides(float(text)) == sides(value)), texts[0])
+
+
 SEE_SIGNALS = "; `hil list signals` prints them all"
 """For ``nearest`` of a signal: the names of all are too long for a sentence."""
 

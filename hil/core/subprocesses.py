@@ -170,9 +170,11 @@ def resident_bytes(process: int | str = "self") -> int:
 def excess(process: int, limit_mb: float) -> str | None:
     """Return an error message if a process uses more memory than its limit, else None."""
     used_mb = resident_bytes(process) / _BYTES_A_MB
-    return (
-        None if used_mb <= limit_mb else f"it took {used_mb:.0f} MB of memory, more than the limit of {limit_mb:g} MB"
-    )
+    if used_mb <= limit_mb:
+        return None
+    from hil.core.errors import apart  # not above: as a program this file has no packages
+
+    return f"it took {apart(used_mb, limit_mb)} MB of memory, more than the limit of {limit_mb:g} MB"
 
 
 if sys.platform != "win32" and __name__ == "__main__":  # for start_program

@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hil.core.errors import BadInputError
+from hil.core.errors import BadInputError, apart
 from hil.core.types import WHEEL_NAMES
 from hil.identify.recorded import Array, Drive
 from hil.identify.robust import regression
@@ -62,9 +62,10 @@ def fit_blocks(drive: Drive, torque_constant_n_m_a: float) -> BlocksFit:
     used = same & (least > _SLOWEST_RAD_S)
     for wheel, count in zip(WHEEL_NAMES, used.sum(axis=0), strict=True):
         if count < _LEAST_BINS:
+            least_s = _LEAST_BINS * span_s
             raise BadInputError(
-                f"{drive.path}: wheel {wheel} turned for {count * span_s:.1f} s; expected at least "
-                f"{_LEAST_BINS * span_s:g} s on blocks, faster than {_SLOWEST_RAD_S:g} rad/s"
+                f"{drive.path}: wheel {wheel} turned for {apart(count * span_s, least_s)} s; expected at least "
+                f"{least_s:g} s on blocks, faster than {_SLOWEST_RAD_S:g} rad/s"
             )
     bins, wheels = np.nonzero(used)
     columns = np.stack([change[used], turned[used], np.sign(turned[used]) * span_s, np.full(len(bins), span_s)])

@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hil.core.errors import BadInputError
+from hil.core.errors import BadInputError, apart
 from hil.identify.floor import NUISANCES, Parameter
 from hil.identify.gauss_newton import Knowledge, information_of
 from hil.identify.linearised import Experiment
@@ -93,9 +93,9 @@ def check_excitation(drive: Drive) -> None:
     for change, (axis, (least, unit, parameter)) in zip(usual, _LEAST_CHANGE.items(), strict=True):
         if change < least:
             raise BadInputError(
-                f"{drive.path}: the {axis} speed usually changes by {change:.2g} {unit}; expected at least {least:g} "
-                f"{unit}, or the recording cannot tell {parameter}: a circle or a line at one speed does not, drive on "
-                "all axes at once (hil identify drive)"
+                f"{drive.path}: the {axis} speed usually changes by {apart(change, least, digits=2)} {unit}; expected "
+                f"at least {least:g} {unit}, or the recording cannot tell {parameter}: a circle or a line at one "
+                "speed does not, drive on all axes at once (hil identify drive)"
             )
 
 

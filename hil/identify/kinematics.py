@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hil.core.errors import BadInputError
+from hil.core.errors import BadInputError, apart
 from hil.core.model import RobotModel
 from hil.identify import robust
 from hil.identify.gauss_newton import Knowledge, Solution, inverted, solve
@@ -76,8 +76,8 @@ def fit_kinematics(drive: Drive, tape: Tape | None = None) -> Kinematics:
             way_m = np.hypot(*rolled(drive, robot, bias)[-1, :2])
             if way_m < 0.5:
                 raise BadInputError(
-                    f"{drive.path}: by its wheels the robot ended {way_m:.2f} m from where it began; expected at "
-                    "least 0.5 m to compare with the tape"
+                    f"{drive.path}: by its wheels the robot ended {apart(way_m, 0.5)} m from where it began; "
+                    "expected at least 0.5 m to compare with the tape"
                 )
             radius, of_radius = radius * tape.way_m / float(way_m), (tape.sigma_m / tape.way_m) ** 2
     variance += of_radius  # the lever follows from the radius

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from hil.core.errors import BadInputError
+from hil.core.errors import BadInputError, apart
 from hil.core.model import RobotModel
 from hil.core.signals import TRUE_POSE, WHEEL_SPEEDS
 from hil.core.types import WHEEL_NAMES
@@ -124,8 +124,8 @@ def drive_of(path: Path, values: Mapping[str, Any], signals: Mapping[str, Array]
     span_s = float(time_s[rows[-1]] - time_s[rows[0]])
     if span_s < _LEAST_S:
         raise BadInputError(
-            f"{path}: its longest stretch without a gap in the feedback is {span_s:.2g} s; expected at least "
-            f"{_LEAST_S:g} s"
+            f"{path}: its longest stretch without a gap in the feedback is {apart(span_s, _LEAST_S, digits=2)} s; "
+            f"expected at least {_LEAST_S:g} s"
         )
     places = np.round((time_s[rows] - time_s[rows[0]]) / period_s)
 

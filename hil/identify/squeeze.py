@@ -18,6 +18,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from hil.core.errors import apart
 from hil.core.kinematics import body_twist
 from hil.core.model import GRAVITY_M_S2, RobotModel
 from hil.core.types import Wheels
@@ -53,15 +54,16 @@ def grip_of(drive: Drive, robot: RobotModel, values: Mapping[str, float], torque
         least = math.sqrt(2.0) * push / (4.0 * _load_shares(values, robot).min())
         return Squeeze(
             None,
-            f"{drive.path.name}: the wheels slid for {count * drive.period_s:.1f} s; expected {_LEAST_S:g} s. The "
-            f"grip is more than {least:.2f}, as far as the torque went; it was not found",
+            f"{drive.path.name}: the wheels slid for {apart(count * drive.period_s, _LEAST_S)} s; expected "
+            f"{_LEAST_S:g} s. The grip is more than {least:.2f}, as far as the torque went; it was not found",
         )
     fastest = float(np.abs(drive.speed_rad_s).max())
     if fastest > _FASTEST_RAD_S:
         return Squeeze(
             None,
-            f"{drive.path.name}: the wheels swung at up to {fastest:.1f} rad/s; expected at most {_FASTEST_RAD_S:g}. "
-            "Lower firmware.speed_kp_n_m_s_rad and speed_ki_n_m_rad for the squeeze; the grip was not found",
+            f"{drive.path.name}: the wheels swung at up to {apart(fastest, _FASTEST_RAD_S)} rad/s; expected at most "
+            f"{_FASTEST_RAD_S:g}. Lower firmware.speed_kp_n_m_s_rad and speed_ki_n_m_rad for the squeeze; the grip "
+            "was not found",
         )
     grip = _grip(drive, sliding, robot, values, torque_constant_n_m_a)
     if grip <= _LEAST_GRIP:

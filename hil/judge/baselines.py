@@ -103,12 +103,23 @@ def moved(baseline: Baseline, metrics: Mapping[str, Any]) -> list[Moved]:
             continue
         if value is None and (why := why_none(figure, metrics)) == NO_TRUTH:
             continue
-        text = f"{key}: no value ({why})" if value is None else f"{key}: {value:.6g}"
-        text += f" in place of {band.value:.6g} ± {band.band:.3g}"
+        shown, accepted = outside(value, band.value, band.band, 6)
+        text = f"{key}: no value ({why})" if value is None else f"{key}: {shown}"
+        text += f" in place of {accepted}"
         if value is not None and band.value:
             text += f", {100.0 * (value / band.value - 1.0):+.3g} %"
         found.append(Moved(key, band.value, value, band.band, text))
     return found
+
+
+def outside(value: float | None, centre: float, band: float, digits: int) -> tuple[str, str]:
+    """Return a figure and its band as texts, in so many digits, or in as many more as show that it is outside."""
+    for more in range(17):
+        found = "no value" if value is None else f"{value:.{digits + more}g}"
+        middle, width = f"{centre:.{digits + more}g}", f"{band:.{digits // 2 + more}g}"
+        if value is None or abs(float(found) - float(middle)) > float(width):
+            break
+    return found, f"{middle} ± {width}"
 
 
 def against_baseline(scenario: Scenario, metrics: Mapping[str, Any], *, is_cut: bool) -> dict[str, Any] | None:

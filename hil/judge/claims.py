@@ -4,11 +4,12 @@ No side effects. A run adds sample by sample, and so reports a failure at once; 
 """
 
 import math
+import re
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from typing import NamedTuple
 
-from hil.core.errors import UnknownSignalError
+from hil.core.errors import UnknownSignalError, apart
 from hil.core.model import RobotModel
 from hil.core.signals import TRUE_POSE, WHEEL_SPEEDS, unit_of
 from hil.judge.measure import Series
@@ -119,6 +120,17 @@ def _difference(expect: ExpectTable) -> Callable[[float, Sequence[float]], float
     """Return the value of a comparison: the difference, of two headings the shorter way around."""
     is_heading = unit_of(str(expect.signal)) == "rad"
     return lambda _t_s, values: _wrapped(values[0] - values[1]) if is_heading else values[0] - values[1]
+
+
+_NUMBER = re.compile(r"(?<![\w.])([-+]?[\d.]+(?:e[-+]?\d+)?)(?: ± ([\d.]+(?:e[-+]?\d+)?))?")
+
+
+def against(value: float, claim: str, digits: int) -> str:
+    """Return a value in as many digits as tell it from the numbers in the text of a claim."""
+    bounds = []
+    for centre, tolerance in _NUMBER.findall(claim):
+        bounds += [float(centre) - float(tolerance or 0.0), float(centre) + float(tolerance or 0.0)]
+    return apart(value, *bounds, digits=digits)
 
 
 def claim_of(expect: ExpectTable) -> Claim:
@@ -244,16 +256,16 @@ class Watch:
         claim = f"{self.expect.subject} {self._claim.text} from {self.from_s:g} s{after} {until}"
         if self._first is not None and not self._settles:
             violated_s = self._violated_s + (0.0 if self._held else self._last[0] - self._since_s)
-            text = f"{claim}: failed, {_found(self._first)}"
+            text = f"{claim}: failed, {_found(self._first, self._claim.text)}"
             if self._violations > 1:
-                text += f"; worst {_found(self._worst)}; {violated_s:.4g} s in all"
+                text += f"; worst {_found(self._worst, self._claim.text)}; {violated_s:.4g} s in all"
             return Outcome(False, text, *self._first, *self._worst, violated_s)
         if cut_s is not None and self.to_s > cut_s:
             return Outcome(None, f"{claim}: not judged, the run ended at t = {cut_s:.6g} s{self._until()}")
         if not self._samples:
             return Outcome(False, f"{claim}: failed, the run has no samples there")
         if not self._held:
-            return Outcome(False, f"{claim}: failed at the end, {_found(self._last)}", *self._last)
+            return Outcome(False, f"{claim}: failed at the end, {_found(self._last, self._claim.text)}", *self._last)
         if self._settles:
             text = f"{claim}: settled at t = {self._held_since_s:.6g} s, over {self._held} samples"
             return Outcome(True, text, settled_s=self._held_since_s)
@@ -269,9 +281,9 @@ class Watch:
         return f"; {verb} over {self._held} samples until then"
 
 
-def _found(sample: tuple[float, float]) -> str:
+def _found(sample: tuple[float, float], claim: str) -> str:
     t_s, value = sample
-    return f"{'no value' if math.isnan(value) else f'{value:.6g}'} at t = {t_s:.6g} s"
+    return f"{'no value' if math.isnan(value) else against(value, claim, 6)} at t = {t_s:.6g} s"
 
 
 def check_expectation(

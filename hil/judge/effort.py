@@ -5,6 +5,7 @@ from functools import reduce
 
 import numpy as np
 
+from hil.core.errors import apart
 from hil.core.types import WHEEL_NAMES
 from hil.judge.measure import RESOLUTION_M, Figure, Measure, NoFigureError, RunSetup, Series, TruthGaps, since_start
 
@@ -49,8 +50,9 @@ class Overshoot(Measure):
         """Return the overshoot. Raises NoFigureError where it is not defined."""
         self._gaps.require_truth()
         if self._initial_m is not None and self._initial_m < RESOLUTION_M:
+            began_mm = apart(self._initial_m * 1e3, RESOLUTION_M * 1e3)
             raise NoFigureError(
-                f"the run began {self._initial_m * 1e3:.3g} mm from the reference: less than {RESOLUTION_M * 1e3:g} mm "
+                f"the run began {began_mm} mm from the reference: less than {RESOLUTION_M * 1e3:g} mm "
                 "has no direction in which it could go past it"
             )
         return self._overshoot_m

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 from hil.core.errors import BadInputError, nearest
 from hil.core.options import options_of
-from hil.judge.claims import WITHOUT_VALUE, Outcome, claim_of, margin
+from hil.judge.claims import WITHOUT_VALUE, Outcome, against, claim_of, margin
 from hil.judge.figures import figures, number
 from hil.judge.measure import Figure
 from hil.scenario import Scenario
@@ -73,8 +73,8 @@ def figure_outcome(
         return Outcome(False, text, margin=WITHOUT_VALUE)
     found = margin(expect, value, value)
     if claim.holds(value):
-        return Outcome(True, f"{subject}: held, {value:.6g}", margin=found)
-    return Outcome(False, f"{subject}: failed, {value:.6g}", worst_value=value, margin=found)
+        return Outcome(True, f"{subject}: held, {against(value, claim.text, 6)}", margin=found)
+    return Outcome(False, f"{subject}: failed, {against(value, claim.text, 6)}", worst_value=value, margin=found)
 
 
 def stop_outcome(

@@ -5,6 +5,7 @@ from statistics import median
 
 import numpy as np
 
+from hil.core.errors import apart
 from hil.judge.measure import (
     NO_TRUTH,
     RESOLUTION_M,
@@ -97,8 +98,9 @@ class Tracking(Measure):
     def _tracked(self) -> float:
         self._gaps.require_truth()
         if self._initial_m < RESOLUTION_M:
+            began_mm = apart(self._initial_m * 1e3, RESOLUTION_M * 1e3)
             raise NoFigureError(
-                f"the run began {self._initial_m * 1e3:.3g} mm from the reference: 2 % of less than "
+                f"the run began {began_mm} mm from the reference: 2 % of less than "
                 f"{RESOLUTION_M * 1e3:g} mm is not a usable limit"
             )
         return self._settled(self._ratio)
@@ -106,9 +108,10 @@ class Tracking(Measure):
     def _settled(self, settling: _Settling) -> float:
         self._gaps.require_truth()
         if settling.since_s is None:
+            limit_mm, last_mm = f"{settling.limit_m * 1e3:.3g}", self._tail[-1][1][-1] * 1e3
             raise NoFigureError(
-                f"the planar error did not stay below {settling.limit_m * 1e3:.3g} mm: it was "
-                f"{self._tail[-1][1][-1] * 1e3:.3g} mm at the end"
+                f"the planar error did not stay below {limit_mm} mm: it was {apart(last_mm, float(limit_mm))} mm at "
+                "the end"
             )
         return settling.since_s - self._first_s
 
@@ -123,7 +126,8 @@ class Tracking(Measure):
         period_s = median(np.diff(t_s).tolist())  # NumPy's median imports numpy.ma
         covered_s = float(t_s[-1] - self._first_s) + period_s
         if covered_s < STEADY_WINDOW_S - period_s / 2:
-            raise NoFigureError(f"the run lasted {covered_s:.3g} s, less than the window of {STEADY_WINDOW_S:g} s")
+            lasted = apart(covered_s, STEADY_WINDOW_S)
+            raise NoFigureError(f"the run lasted {lasted} s, less than the window of {STEADY_WINDOW_S:g} s")
         start = int(np.searchsorted(t_s, t_s[-1] - STEADY_WINDOW_S + period_s / 2))
         window = TruthGaps()
         window.add(t_s[start:], planar_m[start:])

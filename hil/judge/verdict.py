@@ -13,6 +13,8 @@ from typing import Any, NamedTuple
 
 from hil.core.printable import printable
 from hil.core.signals import unit_of
+from hil.judge.baselines import outside
+from hil.judge.claims import against
 from hil.judge.course import course_words
 from hil.judge.shadows import difference_words
 from hil.judge.state import STATE_BEGINS
@@ -146,12 +148,12 @@ def failed_words(row: Mapping[str, Any]) -> str:
     if row.get("violated_s") is None or row.get("worst_s") is None:
         return f"{claim}: {rest.lstrip(', ')}"
     unit = "" if row.get("signal") is None else unit_of(row["signal"])
-    first = f"first {_value(row['violation_value'], unit)} at {row['violation_s']:.6g} s"
+    first = f"first {_value(row['violation_value'], unit, claim)} at {row['violation_s']:.6g} s"
     if row["worst_s"] == row["violation_s"] and not row["violated_s"]:
         return f"{claim}: {first}, once"
     if row["violation_s"] > 0.0 and f" from {row['violation_s']:g} s" in claim:
         first += ", already when its time began"
-    worst = f"worst {_value(row['worst_value'], unit)} at {row['worst_s']:.6g} s"
+    worst = f"worst {_value(row['worst_value'], unit, claim)} at {row['worst_s']:.6g} s"
     return f"{claim}: {first}, {worst}, {row['violated_s']:.4g} s in all"
 
 
@@ -185,8 +187,8 @@ def _end(t_s: float | None) -> float:
     return math.inf if t_s is None else t_s
 
 
-def _value(value: float | None, unit: str) -> str:
-    return "no value" if value is None or math.isnan(value) else f"{value:.4g} {unit}".rstrip()
+def _value(value: float | None, unit: str, claim: str) -> str:
+    return "no value" if value is None or math.isnan(value) else f"{against(value, claim, 4)} {unit}".rstrip()
 
 
 def _given(metrics: Mapping[str, Any]) -> str:
@@ -222,11 +224,10 @@ def _moved(metrics: Mapping[str, Any], most: int) -> Iterator[Happening]:
 
 def _moved_words(row: Mapping[str, Any]) -> str:
     """Return a figure that is not where the baseline has it, in a line."""
-    accepted = f"accepted {row['baseline']:.4g} ± {row['band']:.2g}"
-    if row["value"] is None:
-        return f"{row['key']}: no value, {accepted}"
-    share = f" ({100.0 * (row['value'] / row['baseline'] - 1.0):+.3g} %)" if row["baseline"] else ""
-    return f"{row['key']}: {row['value']:.4g}, {accepted}{share}"
+    value, baseline = row["value"], row["baseline"]
+    found, accepted = outside(value, baseline, row["band"], 4)
+    share = "" if value is None or not baseline else f" ({100.0 * (value / baseline - 1.0):+.3g} %)"
+    return f"{row['key']}: {found}, accepted {accepted}{share}"
 
 
 def _logged(metrics: Mapping[str, Any], found: Sequence[Happening]) -> Iterator[Happening]:

@@ -9,6 +9,8 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import NamedTuple
 
+from hil.core.errors import apart
+
 _SUFFIXES = (".rrd", ".mcap")
 _MOST_OF_A_PART_BYTES = 1_000_000_000
 _PARTS = 8  # that a quota has room for at least, so that little is removed at once
@@ -72,9 +74,10 @@ class Keeping(NamedTuple):
             used -= one.size_bytes
         if self._is_over(used):
             assert self.quota_bytes is not None
+            quota_gb = self.quota_bytes / 1e9
             raise NoRoomError(
                 errno.EDQUOT,
-                f"the recordings in {folder} take {used / 1e9:.3g} GB, and {self.quota_bytes / 1e9:g} GB are allowed; "
+                f"the recordings in {folder} take {apart(used / 1e9, quota_gb)} GB, and {quota_gb:g} GB are allowed; "
                 "remove some, or allow more",
             )
 

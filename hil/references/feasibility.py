@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from hil.core.errors import apart
 from hil.core.model import RobotModel
 from hil.core.types import WHEEL_NAMES, FourWheels
 from hil.references.motion import ReferenceSource
@@ -39,7 +40,7 @@ class Requirement(NamedTuple):
         """The warning for the user; None where the limit is kept."""
         if self.first is None:
             return None
-        first, most, unit = f"{self.first:.3g}", f"{self.worst:.3g}", self.unit
+        first, most, unit = apart(self.first, self.limit), apart(self.worst, self.limit), self.unit
         worst = f"; at most wheel {self.worst_wheel} {most} {unit} at t = {self.worst_s:.3g} s" * (most != first)
         return (
             f"wheel {self.first_wheel} would need {first} {unit} at t = {self.first_s:.3g} s, its limit is "

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
-from hil.core.errors import BadInputError, nearest
+from hil.core.errors import BadInputError, apart, nearest
 from hil.core.printable import command
 
 LARGEST_BYTES = 50_000_000
@@ -43,7 +43,9 @@ def read_table(directory: Path, file: str, form: Format) -> list[tuple[int, tupl
         if not path.is_file():
             raise BadInputError(f"{name}: there is no file {str(path)!r}; its path starts from the scenario's folder")
         if (size := path.stat().st_size) > LARGEST_BYTES:
-            raise BadInputError(f"{name}: {size / 1e6:.0f} MB; expected at most {LARGEST_BYTES / 1e6:.0f} MB")
+            raise BadInputError(
+                f"{name}: {apart(size / 1e6, LARGEST_BYTES / 1e6)} MB; expected at most {LARGEST_BYTES / 1e6:g} MB"
+            )
         lines = path.read_text("utf-8-sig").splitlines()
     except OSError as error:
         raise BadInputError(f"{name}: {str(path)!r} cannot be read: {error.strerror}") from error

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal
 
-from hil.core.errors import BadInputError
+from hil.core.errors import BadInputError, apart
 from hil.core.options import POSITIVE
 from hil.references.double_s import Limits
 from hil.references.motion import ReferenceSource
@@ -58,8 +58,8 @@ class Waypoints:
                 )
             if before is not None and 0.0 < (gap_m := math.dist(before[:2], waypoint[:2])) < NEAREST_M:
                 raise BadInputError(
-                    f"{where}: {gap_m:.2g} m from the row before; expected at least {NEAREST_M:g} m, or the same place "
-                    "to turn on the spot"
+                    f"{where}: {apart(gap_m, NEAREST_M, digits=2)} m from the row before; expected at least "
+                    f"{NEAREST_M:g} m, or the same place to turn on the spot"
                 )
         limits = Limits(self.max_speed_m_s, self.max_acceleration_m_s2, self.max_jerk_m_s3)
         yaw = Limits(self.max_yaw_rate_rad_s, self.max_yaw_acceleration_rad_s2, self.max_yaw_jerk_rad_s3)

@@ -5,7 +5,7 @@ Time is the service's own, in seconds; it never decreases.
 
 import math
 
-from hil.core.errors import BadInputError
+from hil.core.errors import BadInputError, apart
 from hil.core.kinematics import BodyTwist, to_body, to_world, wrap_angle
 from hil.core.types import Acceleration, Pose, Reference, Twist
 from hil.references import ReferenceSource
@@ -196,6 +196,6 @@ def check_path(path: ReferenceSource, options: ServiceTable) -> None:
     for (unit, name, limit), (value, t_s) in zip(limits, worst, strict=True):
         if value > limit * (1.0 + _ROUNDING):
             raise BadInputError(
-                f"the path reaches {value:.3g} {unit} at t = {t_s:.3g} s, and service.{name} is {limit:g}; "
-                "make it slower"
+                f"the path reaches {apart(value, limit)} {unit} at t = {t_s:.3g} s, and service.{name} is "
+                f"{limit:g}; make it slower"
             )

@@ -17,7 +17,7 @@ from rclpy.clock import Clock, ClockType
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from std_msgs.msg import Float64MultiArray
 
-from hil.core.errors import BadInputError
+from hil.core.errors import BadInputError, apart
 from hil.core.scratch import scratch_folder
 from hil.core.tokens import read_token, token_file
 from hil.core.types import Pose
@@ -150,8 +150,11 @@ class Commands:
         twist = message
         if self._settings.use_stamped_vel:
             age_s, twist = self._age_s(message.header.stamp), message.twist
-            if age_s > self._settings.command_timeout_s:
-                self._drop(f"cmd_vel is {age_s:.3f} s old, more than command_timeout_s; it was dropped")
+            if age_s > (limit_s := self._settings.command_timeout_s):
+                self._drop(
+                    f"cmd_vel is {apart(age_s, limit_s)} s old, more than command_timeout_s = {limit_s:g}; it was "
+                    "dropped"
+                )
                 return
         service = self._scenario.service
         try:
