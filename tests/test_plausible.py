@@ -79,6 +79,7 @@ WRONG_UNITS = {
     "reference.heading_rad=90": "90 rad? if you mean degrees, write 1.5708",
     "plant.start.start_heading_rad=-90": "-90 rad? if you mean degrees, write -1.5708",
     "plant.start.wheel_radius_m=76": "76 m? if you mean millimetres, write 0.076",
+    "fault=[{kind='delay', target='command', value=25}]": "25 s? if you mean milliseconds, write 0.025",
     "expect=[{signal='error.heading_rad', below=5}]": "5 rad? if you mean degrees, write 0.087266",
     "expect=[{signal='error.heading_rad', within=[-5, 5]}]": "-5 rad? if you mean degrees, write -0.087266",
 }

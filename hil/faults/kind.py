@@ -8,6 +8,7 @@ from typing import Any, NamedTuple, TypeAlias
 from firmware_protocol.framing import Frame
 from firmware_protocol.generated.messages import State
 from hil.core.errors import nearest
+from hil.core.options import Range, in_another_unit
 from hil.core.signals import SIGNAL_NAMES
 
 NS_PER_S = 1_000_000_000
@@ -185,7 +186,8 @@ class Kind(NamedTuple):
                     raise ValueError(f"{name} = {value:g}: {self.name} takes no {name}; remove it")
             elif value is not None and not quantity.holds(value):
                 unit = f" {quantity.unit}" if quantity.unit else ""
-                raise ValueError(f"{name} = {value:g}: expected {quantity.range}{unit}, the {quantity.meaning}")
+                hint = in_another_unit(f"value_{quantity.unit}", value, Range(ge=quantity.low, le=quantity.high))
+                raise ValueError(f"{name} = {value:g}: expected {quantity.range}{unit}, the {quantity.meaning}{hint}")
         if self.value is not None and given["value"] is None:
             raise ValueError(f"value is missing: {self.value.meaning}, {self.value.range} {self.value.unit}".rstrip())
         further = [quantity.name for quantity in self.further]
