@@ -53,10 +53,12 @@ def test_each_case_equals_the_plant_stepped_alone(fmi: int, contact: str) -> Non
     assert np.ptp(found[[0, 3]], axis=0).max() > 0.01, "the start values matter"
 
 
-@pytest.mark.parametrize("version", [2, 3])
-def test_an_fmu_of_another_maker_by_its_map(version: int, tmp_path: Path) -> None:
-    fmu, mapping = foreign_fmu(tmp_path, version), foreign_map(version)
-    shared: dict[str, Value] = {"gear": "geared", "reversed": True, "label": "a robot"}
+@pytest.mark.parametrize(("version", "grain_s"), [(2, 0.001), (3, 0.001), (2, 0.005), (3, 0.00025)])
+def test_an_fmu_of_another_maker_by_its_map(version: int, grain_s: float, tmp_path: Path) -> None:
+    """Also one that takes no other communication step than its own."""
+    fmu = foreign_fmu(tmp_path, version, more=f'<DefaultExperiment stepSize="{grain_s}"/>')
+    mapping = foreign_map(version)
+    shared: dict[str, Value] = {"gear": "geared", "reversed": True, "label": "a robot", "grain": grain_s}
     torque = windows(1)
     with WindowStepper(fmu, shared, mapping, varied=("J",), outputs=SEEN, steps_a_row=STEPS) as stepper:
         found = stepper.run(torque, [0, 0], [[0.02], [0.05]])
