@@ -302,6 +302,34 @@ def test_a_damaged_dbc_is_refused_or_read_but_never_a_traceback(damaged: Path, d
     assert driver.sample is None or len(driver.sample.speed_rad_s) == 4
 
 
+def test_a_file_of_any_length_is_no_wait_for_ever(tmp_path: Path) -> None:
+    """cantools reads a megabyte a second, and /dev/zero never ends."""
+    file = tmp_path / "huge.dbc"
+    with file.open("wb") as opened:
+        opened.truncate(32_000_001)
+    for name in (str(file), *(["/dev/zero"] if Path("/dev/zero").exists() else [])):
+        assert "has more than 32 MB, which takes long to read; give one that has only the" in refusal({"file": name})
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "sentence"),
+    [
+        (
+            "BO_ 2566848768 ",
+            "BO_ 419365120 ",
+            "more than 11 bits .*; a DBC has 2147483648 added to an identifier of 29",
+        ),
+        (
+            "VERSION",
+            'VAL_ 7 Nothing 0 "off" ;\nVERSION',
+            "unused VAL_ entries in DBC: VAL_ 7 Nothing.*; remove these lines",
+        ),
+    ],
+)
+def test_what_cantools_refuses_has_a_remedy(old: str, new: str, sentence: str, tmp_path: Path) -> None:
+    assert re.search(sentence, refusal({"file": edited_dbc(tmp_path, "twist_base", (old, new))}, "twist_base"))
+
+
 def test_cantools_is_asked_for_when_it_is_not_there(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setitem(sys.modules, "cantools", None)
     message = refusal({"file": edited_dbc(tmp_path, "wheel_drives")})

@@ -243,6 +243,7 @@ def test_bytes_that_arrive_and_are_no_frames_are_the_reason(built: Any) -> None:
     ("changes", "sentence"),
     [
         ({"link": "serial:pty"}, "expected for RoboMaster C620 and C610 a CAN bus"),
+        ({"device.imu": ("-y", "x", "z")}, "C610 as it is set up has no gyro and no accelerometer"),
         ({"driver": "c260"}, "expected the name of a driver; did you mean 'c620'"),
         (
             {"device.motors.gear_ration": 3.0},

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, NamedTuple
 import typer
 from typer import Argument
 
-from hil.cli.options import Json, LinkUrl, Mode, RobotFile, ScenarioName, Seed, Sets
+from hil.cli.options import Json, LinkUrl, Mode, RobotFile, ScenarioName, Seed, Sets, load_scenario
 from hil.cli.output import print_result, rows, table
 from hil.core.errors import apart
 
@@ -35,14 +35,13 @@ def check(
     """Check scenarios without running them: their values, laws, and whether the robot can follow the reference."""
     from hil.judge.baselines import baseline_words
     from hil.runtime.assembly import check_scenario
-    from hil.scenario import load
     from hil.scenario.baseline import without_baselines
     from hil.scenario.unreached import beyond_the_end, without_effect
 
     found, lines, feasible = [], [], True
     names = without_baselines(scenarios)
     for name in names:
-        resolved = load(name, set=sets or [], robot=robot, mode=mode, link=link, seed=seed)
+        resolved = load_scenario(name, set=sets or [], robot=robot, mode=mode, link=link, seed=seed)
         feasibility = check_scenario(resolved)
         late, unread = (
             [f"{resolved.provenance[key]}: {key}: {words}" for key, words in rows_of(resolved)]
@@ -72,10 +71,10 @@ def show(
     as_json: Json = False,
 ) -> None:
     """Print every value of a scenario and where it came from."""
-    from hil.scenario import format_value, load
+    from hil.scenario import format_value
     from hil.scenario import resolved as resolved_values
 
-    values = resolved_values(load(scenario, set=sets or [], robot=robot, mode=mode, link=link, seed=seed))
+    values = resolved_values(load_scenario(scenario, set=sets or [], robot=robot, mode=mode, link=link, seed=seed))
     found = {key: {"value": value, "from": where} for key, value, where in values}
     print_result(
         as_json,

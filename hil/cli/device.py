@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 
 from typer import Option
 
-from hil.cli.options import Force, LinkUrl, Mode, RobotFile, ScenarioName, Seed, Sets, TraceFile
+from hil.cli.options import Force, LinkUrl, Mode, RobotFile, ScenarioName, Seed, Sets, TraceFile, load_scenario
 from hil.cli.output import end_in_order, say
 from hil.core.clock import TICK_NS
 from hil.core.errors import BadInputError
@@ -51,10 +51,9 @@ def device(
     end_in_order()  # until the robot is served
     from hil.record import check_output_path
     from hil.runtime.robots import open_trace
-    from hil.scenario import load
 
     changes = [*(sets or []), *([] if driver is None else [f"device.driver={driver}"])]
-    resolved = load(scenario, set=changes, robot=robot, mode=mode, link=link, seed=seed)
+    resolved = load_scenario(scenario, set=changes, robot=robot, mode=mode, link=link, seed=seed)
     existing = existing_files(force=force)
     if trace is not None:
         check_output_path("trace", trace, existing)

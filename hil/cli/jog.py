@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, NamedTuple
 import typer
 from typer import Argument, Option
 
-from hil.cli.options import Json, LinkUrl, RobotFile, ScenarioName, Sets
+from hil.cli.options import Json, LinkUrl, RobotFile, ScenarioName, Sets, load_scenario
 from hil.cli.output import end_in_order, print_result, warn
 from hil.core.errors import BadInputError, DeviceError, RunInterruptedError
 from hil.core.types import WHEEL_NAMES, ZERO_WHEELS, CommandMode, WheelCommand, Wheels
@@ -42,16 +42,15 @@ def jog(
     Put the robot on blocks, so that no wheel touches the ground. The exit code is 1 where the wheels' sensors saw
     something else than this wheel turning this way.
     """
-    from hil.scenario import load
     from hil.wire.device_lock import device_held
     from hil.wire.url import parse_link
 
     end_in_order()
     changes = [*(sets or []), "controller.command=speed", "controller.law=pid", "fault=[]", "expect=[]"]
     changes.append("estimator.source=odometry")  # the pose does not matter
-    resolved = load(scenario, set=changes, robot=robot, link=link)
+    resolved = load_scenario(scenario, set=changes, robot=robot, link=link)
     if not parse_link(resolved.link.url).is_within_process:
-        resolved = load(scenario, set=changes, robot=robot, link=link, mode="realtime")
+        resolved = load_scenario(scenario, set=changes, robot=robot, link=link, mode="realtime")
     check(resolved, wheel, speed_rad_s, seconds)
     way = "forward" if speed_rad_s > 0 else "backward"
     print(

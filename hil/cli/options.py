@@ -1,9 +1,14 @@
-"""Options that several commands share."""
+"""Options that several commands share, and the scenario that they make."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 from typer import Argument, Option
+
+from hil.cli.output import slowly
+
+if TYPE_CHECKING:
+    from hil.scenario import Scenario
 
 LAW = "LAW[,KEY=VALUE...]"
 LAW_HELP = "one of hil list laws, MODULE:CLASS or FILE.py:CLASS, with changed gains"
@@ -43,3 +48,11 @@ Jobs = Annotated[int | None, Option(metavar="N", help="processes; by default one
 Limit = Annotated[float, Option("--limit", metavar="S", help="a longer run ends as hung", min=1)]
 PictureFormat = Annotated[str, Option("--pictures", metavar="png|svg|pdf", help="format of the pictures")]
 Json = Annotated[bool, Option("--json", help="print one JSON object and nothing else")]
+
+
+def load_scenario(name: str, **given: Any) -> "Scenario":
+    """Return a scenario as ``hil.scenario.load``. If that takes long, as with a large DBC, tell so on the terminal."""
+    from hil.scenario import load
+
+    with slowly(f"reading {Path(name).name} and the files that it names"):
+        return load(name, **given)

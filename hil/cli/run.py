@@ -65,9 +65,8 @@ def run(
     from hil.core.outputs import existing_files
     from hil.record.files import new_in_runs
     from hil.runtime.assembly import RunOptions, run_scenario
-    from hil.scenario import load
 
-    resolved = load(scenario, set=sets or [], robot=robot, mode=mode, link=link, seed=seed)
+    resolved = o.load_scenario(scenario, set=sets or [], robot=robot, mode=mode, link=link, seed=seed)
     parts = rotation(rotate)
     if record is None:
         path: Path | None = new_in_runs(resolved.name, ".rrd", "name a file with --record, or --record none")

@@ -6,7 +6,17 @@ from typing import Annotated, Literal
 
 from typer import Option
 
-from hil.cli.options import LIVE_PORT, AllowMotion, LinkUrl, LivePort, RobotFile, ScenarioName, Sets, TruthUrl
+from hil.cli.options import (
+    LIVE_PORT,
+    AllowMotion,
+    LinkUrl,
+    LivePort,
+    RobotFile,
+    ScenarioName,
+    Sets,
+    TruthUrl,
+    load_scenario,
+)
 from hil.core.extras import need
 
 
@@ -50,13 +60,13 @@ def serve(
         print(unit(config, _without_print_unit(sys.argv, config)), end="")
         return
     need("service", "hil serve")
-    from hil.scenario import Scenario, load
+    from hil.scenario import Scenario
     from hil.service import logs
     from hil.service.serve import Options
     from hil.service.serve import serve as run
 
     def loaded() -> Scenario:
-        return load(config, set=sets or [], robot=robot, mode="realtime", link=link)
+        return load_scenario(config, set=sets or [], robot=robot, mode="realtime", link=link)
 
     logs.configure(log, "control")
     token, others, trail = (None if file is None else str(file.absolute()) for file in (token_file, clients, audit))

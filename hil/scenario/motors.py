@@ -7,6 +7,7 @@ from hil.drivers import registry
 from hil.drivers.port import Driver, RobotFacts, Sensor, Wire
 from hil.drivers.registry import dialect
 from hil.faults.kinds import MESSAGES
+from hil.robot.wheel_map import IMU_AXES
 from hil.scenario.tables import Tables
 from hil.wire.link import LinkUrl
 from hil.wire.url import parse_link
@@ -76,6 +77,8 @@ def contradictions(tables: Tables) -> Iterator[tuple[str, str]]:
         for name, value in tables.plant.start.items() if sensor not in can.sensors else ():
             if name.startswith(begins) and value:
                 yield f"plant.start.{name}", f"{title} as it is set up has no {sensor}; remove the row"
+    if device.imu != IMU_AXES and not can.sensors & {"gyro", "accelerometer"}:
+        yield "device.imu", f"{title} as it is set up has no gyro and no accelerometer; remove the key"
     signals = {}
     for i, fault in enumerate(tables.fault, start=1):
         if fault.row.acts_on == "signal":

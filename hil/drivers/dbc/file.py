@@ -13,6 +13,12 @@ from hil.core.extras import need
 from hil.drivers.port import EXTENDED, clamp
 
 _CLASSIC_BYTES = 8
+_MOST_BYTES = 32_000_000
+"""Of a file. cantools reads a megabyte a second; those of whole cars have up to eight."""
+_REMEDIES = {
+    "more than 11 bits": "; a DBC has 2147483648 added to an identifier of 29 bits",
+    "unused ": "; remove these lines",
+}
 _FLOATS = {16: "<e", 32: "<f", 64: "<d"}
 _FLOAT_HIGHEST = {16: 65504.0, 32: 3.4028234663852886e38, 64: 1.7976931348623157e308}
 
@@ -166,11 +172,17 @@ class Dbc:
 def load(file: str) -> Dbc:
     """Return a DBC file, parsed. Raises ValueError if it is missing, unreadable or no DBC, or without cantools."""
     try:
-        data = Path(file).read_bytes()
+        with Path(file).open("rb") as opened:
+            data = opened.read(_MOST_BYTES + 1)
     except FileNotFoundError:
         raise ValueError(f"file = {file!r}: there is no such file") from None
     except (OSError, ValueError) as error:  # ValueError: a zero byte in the path
         raise ValueError(f"file = {file!r} cannot be read: {error}") from error
+    if len(data) > _MOST_BYTES:
+        raise ValueError(
+            f"file = {file!r} has more than {_MOST_BYTES / 1e6:.0f} MB, which takes long to read; give one that has "
+            "only the messages named here"
+        )
     return _parse(file, data)
 
 
@@ -187,7 +199,8 @@ def _parse(file: str, data: bytes) -> Dbc:
         # Not strict: an error in a message that is not used does not matter.
         return Dbc(Path(file).name, cantools.database.load_string(text, database_format="dbc", strict=False))
     except cantools.Error as error:
-        raise ValueError(f"file = {file!r} is no DBC that can be read: {_one_line(error)}") from error
+        remedy = next((words for part, words in _REMEDIES.items() if part in str(error)), "")
+        raise ValueError(f"file = {file!r} is no DBC that can be read: {_one_line(error)}{remedy}") from error
 
 
 def _refusal(message: Any) -> str | None:
