@@ -3,6 +3,7 @@
 import dataclasses
 import itertools
 import sys
+import traceback
 from pathlib import Path
 from textwrap import dedent
 
@@ -15,6 +16,7 @@ from hil.laws.afdsc import Afdsc
 from hil.laws.dsc import Dsc
 from hil.laws.registry import SHIPPED, laws, load_law, make_controller
 from tests.closed_loop import AT_REST, PAPER_CIRCLE, PAPER_ROBOT
+from tests.processes import hil
 
 HERE = Path()
 REFERENCE = PAPER_CIRCLE.at(0.0)
@@ -184,14 +186,24 @@ def test_the_nearest_class_is_named(write):
 @pytest.mark.parametrize(
     ("text", "place_and_error"),
     [
-        ("import json\n\nvalue = 1 / 0\n", "my_law.py:3: ZeroDivisionError: division by zero"),
+        ("import json\n\nvalue = 1 / 0\n", "my_law.py:3 (value = 1 / 0): ZeroDivisionError: division by zero"),
         ("class Law:\n    def update(self:\n", "my_law.py:2: SyntaxError: '(' was never closed"),
         (
             "import not_installed_here\n",
-            "my_law.py:1: ModuleNotFoundError: No module named 'not_installed_here'",
+            "my_law.py:1 (import not_installed_here): ModuleNotFoundError: No module named 'not_installed_here'",
         ),
-        ("import sys\nsys.exit('no')\n", "my_law.py:2: SystemExit: no"),
-        ("import json\njson.loads('{')\n", "JSONDecodeError: Expecting property name"),
+        ("import sys\nsys.exit('no')\n", "my_law.py:2 (sys.exit('no')): SystemExit: no"),
+        ("import json\njson.loads('{')\n", "my_law.py:2 (json.loads('{')): JSONDecodeError: Expecting property name"),
+        ("import numpy\nnumpy.ones(2).reshape(3)\n", "my_law.py:2 (numpy.ones(2).reshape(3)): ValueError: cannot resh"),
+        ("import numpy\nnumpy.linalg.inv([[0.0]])\n", "my_law.py:2 (numpy.linalg.inv([[0.0]])): LinAlgError: Singular"),
+        (
+            "import functools\n\ndef add(a, b):\n    return a / b\n\nfunctools.reduce(add, [1, 0])\n",
+            "my_law.py:4 (return a / b): ZeroDivisionError",
+        ),
+        (
+            "from hil.core.kinematics import body_twist\nbody_twist((1.0, 2.0), 0.1, 0.2)\n",
+            "my_law.py:2 (body_twist((1.0, 2.0), 0.1, 0.2)): ",
+        ),
     ],
 )
 def test_a_file_that_fails_on_import(write, text, place_and_error):
@@ -266,10 +278,18 @@ def test_a_constructor_that_takes_something_else(write):
     [
         (
             {"constructor": "def __init__(self): raise KeyError('x')"},
-            "making it failed at {file}:2: KeyError: 'x'",
+            "making it failed at {file}:2 (def __init__(self): raise KeyError('x')): KeyError: 'x'",
         ),
-        ({"reset": "self.a"}, "reset failed at {file}:3: AttributeError: 'Law' object has no attribute 'a'"),
-        ({"update": "return 1 / 0"}, "update failed at {file}:4: ZeroDivisionError: division by zero"),
+        (
+            {"reset": "self.a"},
+            "reset failed at {file}:3 (def reset(self, state, reference): self.a): "
+            "AttributeError: 'Law' object has no attribute 'a'",
+        ),
+        (
+            {"update": "return 1 / 0"},
+            "update failed at {file}:4 (def update(self, reference, state, applied, dt_s): return 1 / 0): "
+            "ZeroDivisionError: division by zero",
+        ),
         ({"update": "pass"}, "update returned None, expected a WheelCommand"),
         (
             {"update": "return applied.command"},
@@ -287,6 +307,25 @@ def test_a_law_that_fails_while_it_runs(write, parts, message):
 
     expected = "controller.law = 'my_law.py:Law': " + message.format(file=base / "my_law.py")
     assert message_of(run) == expected
+
+
+def test_the_line_of_a_failure_is_the_users_and_the_traceback_is_in_the_log_and_after_traceback(write, caplog):
+    """numpy's own lines, below that of the law, tell nobody what to mend; they are there for who asks."""
+    folder = write("import numpy\nnumpy.linalg.inv([[0.0]])\n")
+    message = message_of(load_law, "my_law.py:Law", folder)
+    assert "linalg" not in message.partition(" (")[0]
+    [record] = caplog.records
+    assert record.exc_info is not None
+    lines = [frame.filename for frame in traceback.extract_tb(record.exc_info[2])]
+    assert any("numpy" in Path(line).parts for line in lines)
+    run = ["check", "circle_speed", "--set", f"controller.law={folder / 'my_law.py'}:Law"]
+    told, asked = hil(*run), hil("--traceback", *run)
+    assert (told.returncode, asked.returncode) == (2, 2)
+    assert "Traceback" not in told.stderr
+    assert asked.stderr.startswith("code of others failed\nTraceback (most recent call last):\n")
+    assert "_raise_linalgerror_singular" in asked.stderr
+    assert asked.stderr.endswith(told.stderr)
+    assert hil(*run).stderr == told.stderr  # it is of one command
 
 
 @pytest.mark.parametrize(

@@ -285,7 +285,8 @@ def test_a_law_that_fails_ends_in_a_disarmed_robot_that_can_be_armed_again(tmp_p
         served.pilot.use(Laws(broken, None))
         served.order(Action.GO, x_m=1.0, y_m=0.0, heading_rad=0.0)
         served.run_until(Phase.DISARMED)
-        assert "the law or the path failed: ZeroDivisionError" in str(served.pilot.why)
+        assert "the law or the path: a tick failed at " in str(served.pilot.why)
+        assert ": ZeroDivisionError" in str(served.pilot.why)
         served.pilot.use(served.made.laws)
         served.armed()
 

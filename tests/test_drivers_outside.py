@@ -204,7 +204,9 @@ def test_a_failure_during_a_run_names_the_package_and_stops_the_motors(member: s
     result = run_scenario(scenario(**{"device.driver": "failing", "device.motors.fails": member}))
     assert result.exit_code == 3
     begin = f"device.driver = 'failing', of the package outside-package: {member} failed at "
-    assert re.search(re.escape(begin) + r".*outside_package\.py:\d+: KeyError: 'a defect'", str(result.failure))
+    assert re.search(
+        re.escape(begin) + r".*outside_package\.py:\d+ \(raise KeyError.*\): KeyError: 'a defect'", str(result.failure)
+    )
     (motors,) = importlib.import_module("outside_package").EmulatedTiny.made
     assert motors.was_driving
     assert not motors.is_driving

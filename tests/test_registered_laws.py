@@ -94,7 +94,7 @@ def test_a_registered_name_is_among_the_nearest(install):
         (STAND_STILL, "lazy_laws:Missing", "no class 'Missing' in lazy_laws; known: StandStill"),
         (STAND_STILL, "not_there:Law", "no module 'not_there'; install it, or name a file as in './my_law.py:MyLaw'"),
         (STAND_STILL, "lazy_laws", "registered as 'lazy_laws', expected 'package.module:Class'"),
-        ("\n1 / 0", "lazy_laws:Law", "importing it failed at {file}:2: ZeroDivisionError: division by zero"),
+        ("\n1 / 0", "lazy_laws:Law", "importing it failed at {file}:2 (1 / 0): ZeroDivisionError: division by zero"),
         ("class Law: pass", "lazy_laws:Law", "the class has no reset; expected reset(self, state, reference)"),
     ],
 )

@@ -102,14 +102,14 @@ def test_a_name_nearby_is_proposed(install):
     ("text", "value", "message"),
     [
         (SWAY, "outside_package:Missing", "'outside_package:Missing' cannot be loaded: AttributeError"),
-        ("1 / 0", "outside_package:Sway", "cannot be loaded: ZeroDivisionError"),
+        ("1 / 0", "outside_package:Sway", "ZeroDivisionError: division by zero, at {file}:1 (1 / 0)"),
         ("raise SystemExit('gone')", "outside_package:Sway", "cannot be loaded: SystemExit: gone"),
         ("Sway = 3", "outside_package:Sway", "3 is no class; expected ends, span_s and at(t_s)"),
         (SWAY.replace("def at(", "def on("), "outside_package:Sway", "Sway has no at; expected ends, span_s and at"),
         (
             SWAY.replace("return math.tau", "return 1 / 0"),
             "outside_package:Sway",
-            "ends and span_s failed at {file}:22: ZeroDivisionError",
+            "ends and span_s failed at {file}:22 (return 1 / 0 / self.rate_rad_s): ZeroDivisionError",
         ),
     ],
 )

@@ -94,7 +94,9 @@ def test_a_shadow_that_raises_is_dropped_with_a_sentence_and_the_run_goes_on(tmp
     assert dsc["dropped"] is None
     assert broken["asked"] == 19
     assert broken["dropped"].startswith("shadow Broken dropped at t = 0.095 s: controller.shadow.2 = ")
-    assert broken["dropped"].endswith(f"update failed at {path}:14: ZeroDivisionError: division by zero")
+    assert broken["dropped"].endswith(
+        f"update failed at {path}:14 (1 / self.left): ZeroDivisionError: division by zero"
+    )
     assert np.isnan(commands(result, "shadow.Broken.")[0]).tolist() == [False] * 19 + [True] * 81
     assert np.isfinite(commands(result, "shadow.dsc.")).all()
     told = [event for event in read(record).events if event.text == broken["dropped"]]

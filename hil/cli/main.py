@@ -16,6 +16,7 @@ from hil import __version__
 from hil.cli.commands import Commands
 from hil.cli.output import WIDEST, drop_output, flush_output, say_on_stderr
 from hil.core.errors import BadInputError, HilError
+from hil.core.extensions import tracebacks_shown
 from hil.core.printable import PrintableStream
 from hil.core.strangers import refuse_code
 from hil.core.subprocesses import one_thread_a_process
@@ -37,14 +38,20 @@ def _print_version(asked: bool) -> None:
 
 @app.callback()
 def hil(
+    context: typer.Context,
     version: Annotated[
         bool, Option("--version", help="print the version and end", callback=_print_version, is_eager=True)
     ] = False,
     no_code: Annotated[bool, Option("--no-code", help="refuse laws in Python files and FMUs of others")] = False,
+    show_traceback: Annotated[
+        bool, Option("--traceback", help="print the whole traceback where a law or other code of yours fails")
+    ] = False,
 ) -> None:
     """Test a Mecanum robot's controller against a plant FMU before the wheels touch the ground."""
     if no_code:
         refuse_code()
+    if show_traceback:
+        context.with_resource(tracebacks_shown())
 
 
 _GC_THRESHOLD = 100_000

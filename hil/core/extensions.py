@@ -9,16 +9,19 @@ Another package cannot replace a shipped name. An entry point is imported only w
 """
 
 import sys
+import sysconfig
 import traceback
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cache
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from hil.core.errors import BadInputError, nearest
 
 if TYPE_CHECKING:
+    import logging
     from importlib.metadata import EntryPoint
 
 OUR_PACKAGE = "mecanum-hil"
@@ -87,7 +90,9 @@ class Extensions:
             return point.load()
         except (Exception, SystemExit) as error:  # someone else's code may raise anything
             begin = f"{from_package(subject, point)}: {point.value!r} cannot be loaded"
-            raise BadInputError(f"{begin}: {type(error).__name__}: {error}") from error
+            _log(error)
+            where = f", at {_place(error)}" if _root(_frames(error)) else ""
+            raise BadInputError(f"{begin}: {type(error).__name__}: {error}{where}") from error
 
     def load_all(self, kind: str) -> Iterator[tuple[str, "EntryPoint", Any]]:
         """Import every registered object, and yield (subject for messages, entry point, object). Raises as ``load``.
@@ -142,12 +147,76 @@ def failures_of(where: str, activity: str) -> Iterator[None]:
 
 
 def failure(where: str, activity: str, error: BaseException) -> BadInputError:
-    """Return a BadInputError with the text ``where: activity failed at FILE:LINE: ...`` for another package's error."""
+    """Return a BadInputError with the text ``where: activity failed at FILE:LINE (source): ...`` for another's error.
+
+    The line is the last of that code, not of a library which it calls. The whole traceback goes to the log.
+    """
+    _log(error)
     return BadInputError(f"{where}: {activity} failed at {_place(error)}: {type(error).__name__}: {error}")
 
 
+def _log(error: BaseException) -> None:
+    _logger().error("code of others failed", exc_info=error)
+
+
+@contextmanager
+def tracebacks_shown() -> Iterator[None]:
+    """Write the tracebacks of failures to stderr."""
+    import logging
+
+    handler = logging.StreamHandler()
+    _logger().addHandler(handler)
+    try:
+        yield
+    finally:
+        _logger().removeHandler(handler)
+
+
+def _logger() -> "logging.Logger":
+    import logging  # not at the top: most runs log nothing
+
+    logger = logging.getLogger("hil.extensions")
+    if not logger.handlers:
+        logger.addHandler(logging.NullHandler())  # without any, Python would write to stderr
+    return logger
+
+
+_MOST_SOURCE = 100  # characters
+_OURS = Path(__file__).parents[1]
+_LIBRARIES = ("site-packages", "dist-packages")
+
+
 def _place(error: BaseException) -> str:
+    """Return file, line and source of the last line of the code that we called."""
     if isinstance(error, SyntaxError) and error.filename:
         return f"{error.filename}:{error.lineno}"
-    frames = [f for f in traceback.extract_tb(error.__traceback__) if not f.filename.startswith("<frozen")]
-    return f"{frames[-1].filename}:{frames[-1].lineno}" if frames else "an unknown place"
+    frames = _frames(error)
+    if not frames:
+        return "an unknown place"
+    frame = ([f for f in frames if _is_below(_root(frames), f)] or frames)[-1]
+    source = (frame.line or "")[:_MOST_SOURCE]
+    return f"{frame.filename}:{frame.lineno}" + (f" ({source})" if source else "")
+
+
+def _frames(error: BaseException) -> list[traceback.FrameSummary]:
+    return [f for f in traceback.extract_tb(error.__traceback__) if not f.filename.startswith("<")]
+
+
+def _root(frames: "Sequence[traceback.FrameSummary]") -> Path | None:
+    """Return the folder of the code that we called: of an installed package its own, of a file the one around it."""
+    standard = Path(sysconfig.get_path("stdlib"))
+    for file in (Path(frame.filename) for frame in frames):
+        libraries = [i for i, part in enumerate(file.parts) if part in _LIBRARIES]
+        if libraries:
+            return Path(*file.parts[: libraries[-1] + 2])
+        if _OURS not in file.parents and standard not in file.parents:
+            return file.parent
+    return None
+
+
+def _is_below(root: Path | None, frame: traceback.FrameSummary) -> bool:
+    """Return whether a frame is of the code below this folder, and of no library in a folder of its own there."""
+    file = Path(frame.filename)
+    if root is None or _OURS in file.parents or not (root == file or root in file.parents):
+        return False
+    return not any(part in _LIBRARIES for part in file.relative_to(root).parts)

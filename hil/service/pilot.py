@@ -10,6 +10,7 @@ from collections.abc import Callable
 
 from firmware_protocol.generated.messages import State as RobotState
 from hil.core.errors import BadInputError, DeviceError, HilError, LinkError, OverdueError, RobotStoppedError
+from hil.core.extensions import failure
 from hil.core.motion_limits import BodyLimits
 from hil.core.ports import Controller
 from hil.core.signals import LoopSignals
@@ -219,8 +220,8 @@ class Pilot:
             error = raised
         except TickOverdue as overdue:
             error = BadInputError(str(overdue))
-        except (ArithmeticError, ValueError) as failure:  # raised by a law or a path, for example an overflow
-            error = BadInputError(f"the law or the path failed: {type(failure).__name__}: {failure}")
+        except (ArithmeticError, ValueError) as raised:  # by a law or a path, for example an overflow
+            error = failure("the law or the path", "a tick", raised)
         if isinstance(error, BadInputError):
             self._law_failed = True
             self._tick.use(without_law(self._parts))
