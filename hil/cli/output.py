@@ -225,7 +225,7 @@ def slowly(text: str) -> Iterator[Callable[[str], None]]:
         while not ended.wait(wait_s):
             wait_s = 1.0
             line = f"{now[0]}, {time.monotonic() - began_s:.0f} s"[: terminal_width(sys.stderr)]
-            print("\r", f"{line:<{width}}", sep="", end="", file=sys.stderr, flush=True)
+            print(f"\r{line:<{width}}", end="", file=sys.stderr, flush=True)
             width = len(line)
 
     thread = threading.Thread(target=show, name="progress", daemon=True)
@@ -236,7 +236,7 @@ def slowly(text: str) -> Iterator[Callable[[str], None]]:
         ended.set()
         thread.join()
         if width:  # what is printed next begins on an empty line
-            print("\r", " " * width, "\r", sep="", end="", file=sys.stderr, flush=True)
+            print(f"\r{' ' * width}\r", end="", file=sys.stderr, flush=True)
 
 
 def duration_words(seconds: float) -> str:
