@@ -13,6 +13,7 @@ from typer.main import get_group
 
 from hil.core.errors import BadInputError
 from hil.core.extensions import Extensions
+from hil.core.interrupts import ends_at_once
 
 GROUPS = {
     "Run": {
@@ -135,7 +136,8 @@ class Commands(TyperGroup):
 def shipped_command(name: str) -> Any:
     """Import a shipped command: a function or a ``typer.Typer``."""
     module, _, attribute = _PLACES.get(name, f"{name}:{name}").partition(":")
-    return getattr(import_module(f"hil.cli.{module}"), attribute)
+    with ends_at_once():
+        return getattr(import_module(f"hil.cli.{module}"), attribute)
 
 
 def _command(name: str, found: Any) -> Any:

@@ -6,7 +6,10 @@ does not return, 130 interrupted.
 
 import errno
 import gc
+import io
+import os
 import sys
+from pathlib import Path
 from typing import Annotated, TextIO, cast
 
 import typer
@@ -17,6 +20,7 @@ from hil.cli.commands import Commands
 from hil.cli.output import WIDEST, drop_output, flush_output, say_on_stderr
 from hil.core.errors import BadInputError, HilError
 from hil.core.extensions import tracebacks_shown
+from hil.core.interrupts import INTERRUPTED
 from hil.core.printable import PrintableStream
 from hil.core.strangers import refuse_code
 from hil.core.subprocesses import one_thread_a_process
@@ -60,9 +64,40 @@ _GC_THRESHOLD = 100_000
 _SHOWN = 40  # characters of a name that is too long
 
 
+_HELP = {
+    errno.EFBIG: "raise the limit of the size of files (ulimit -f)",
+    errno.EMFILE: "raise the limit of open files (ulimit -n)",
+    errno.ENFILE: "end other programs: this system has too many open files",
+    errno.ENOMEM: "end other programs, or raise the limit of memory (ulimit -v)",
+    errno.EAGAIN: "end other programs, or raise the limit of processes (ulimit -u)",
+    errno.EDQUOT: "make room in your quota",
+    errno.EROFS: "choose another place, or make this one writable",
+    errno.EACCES: "choose another place, or make this one accessible",
+}
+"""What helps against the limits of a machine, of which any command may hit one anywhere."""
+
+
+def _open_standard_streams() -> None:
+    """Open what the caller has closed (``>&-``) to the null device: else the next file that is opened takes its place.
+
+    Letters that an encoding lacks (LANG=C) are written as escapes.
+    """
+    for number, name in enumerate(("stdin", "stdout", "stderr")):
+        if getattr(sys, name) is None:
+            try:
+                os.fstat(number)
+            except OSError:
+                os.open(os.devnull, os.O_RDWR)  # takes the lowest number, which is this one
+            setattr(sys, name, Path(os.devnull).open("w" if number else "r", encoding="utf-8"))  # noqa: SIM115
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="backslashreplace")
+
+
 def main() -> None:
     """Entry point. A HilError is printed as one sentence on stderr, and gives the exit code."""
     gc.set_threshold(_GC_THRESHOLD)
+    _open_standard_streams()
     sys.stdout, sys.stderr = (cast("TextIO", PrintableStream(stream)) for stream in (sys.stdout, sys.stderr))
     one_thread_a_process()
     try:
@@ -74,6 +109,14 @@ def main() -> None:
     except HilError as error:
         say_on_stderr(f"hil: {error}")
         sys.exit(error.exit_code)
+    except KeyboardInterrupt:
+        sys.exit(INTERRUPTED)
+    except RecursionError:
+        say_on_stderr("hil: a file or an option is nested too deeply to be read; give one with fewer levels")
+        sys.exit(BadInputError.exit_code)
+    except MemoryError:
+        say_on_stderr("hil: there is too little memory; end other programs, or raise the limit of this one (ulimit -v)")
+        sys.exit(BadInputError.exit_code)
     except OSError as error:
         if error.errno == errno.ENOSPC:
             drop_output()
@@ -81,6 +124,9 @@ def main() -> None:
         elif error.errno == errno.ENAMETOOLONG:  # each command has names, and all end here
             name = str(error.filename)
             sentence = f"{name[:_SHOWN]!r}...: a file's name of {len(name)} characters is too long; give a shorter one"
+        elif error.errno in _HELP:
+            what = f"{error.filename}: " if error.filename else ""
+            sentence = f"{what}{error.strerror}; {_HELP[error.errno]}"
         else:
             raise
         say_on_stderr(f"hil: {sentence}")

@@ -7,17 +7,27 @@ from typing import Any
 from hil.core.errors import BadInputError
 from hil.scenario.layers import Path
 
+_DEEPEST = 50
+
 
 def parse(text: str, name: str) -> dict[str, Any]:
     """Return the parsed document. Raises BadInputError with its name, the line and what is wrong."""
     try:
-        return tomllib.loads(text)
+        document = tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
         last_line = text.rstrip().count("\n") + 1
         what = str(error).replace("at end of document", f"at line {last_line}, the end of the document")
         raise BadInputError(f"{name}: not valid TOML: {what}") from error
     except RecursionError:
-        raise BadInputError(f"{name}: not readable: arrays or tables are nested too deeply") from None
+        document = None
+    # A key of many parts, a.b.c, nests without recursion of the parser.
+    level: list[Any] = [document]
+    for _ in range(_DEEPEST):
+        inner = (one.values() if isinstance(one, dict) else one for one in level if isinstance(one, dict | list))
+        level = [one for children in inner for one in children]
+    if level or document is None:
+        raise BadInputError(f"{name}: not readable: arrays or tables are nested more than {_DEEPEST} deep")
+    return document
 
 
 def parse_value(text: str) -> object:
