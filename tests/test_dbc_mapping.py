@@ -151,12 +151,26 @@ CHANGED = [
     ("SG_ TargetSpeed : 8|16@1- (0.5,0)", "SG_ TargetSpeed : 8|16@1- (0,0)", "has in TargetSpeed a factor"),
     ("SG_ TargetSpeed : 8|16@1-", "SG_ TargetSpeed : 60|16@1-", "does not fit"),
     ("SG_ TargetSpeed : 8|16@1-", "SG_ TargetSpeed : 0|16@1-", "overlapping"),
+    ("VAL_ 256", "SIG_VALTYPE_ 288 Current : 1;\nVAL_ 256", "has in Current a float of 12 bits"),
+    ("BO_ 288 5;", "BO_ 288 -5;", "has a cycle time (GenMsgCycleTime) of -5; expected milliseconds"),
+    ("BO_ 288 5;", "BO_ 288 99999999999;", "has a cycle time (GenMsgCycleTime) of 99999999999"),
+    ('INT 0 10000;\nBA_DEF_DEF_ "GenMsgCycleTime" 0', 'ENUM "a","b";\nBA_DEF_DEF_ "GenMsgCycleTime" "a"', "of 'a'"),
+    (
+        "BO_ 256 DRIVES_CONTROL",
+        'BO_ 700 STATUS_FL: 8 DRIVES\n SG_ Speed : 0|16@1- (1,0) [0|0] "rpm" HOST\n\nBO_ 256 DRIVES_CONTROL',
+        "wheel_drives.dbc has 'STATUS_FL' 2 times, 0x2bc and 0x120; rename one",
+    ),
 ]
 
 
 @pytest.mark.parametrize(("old", "new", "sentence"), CHANGED, ids=[sentence for _, _, sentence in CHANGED])
 def test_a_dbc_that_cannot_be_driven_by_is_refused(old: str, new: str, sentence: str, tmp_path: Path) -> None:
     assert sentence in refusal({"file": edited_dbc(tmp_path, "wheel_drives", (old, new))})
+
+
+def test_limits_beyond_all_numbers_are_no_limits(tmp_path: Path) -> None:
+    file = edited_dbc(tmp_path, "wheel_drives", ("(0.5,0) [-16000|16000]", "(0.5,0) [-1e308|1e308]"))
+    assert not settings_of("wheel_drives", {"file": file}).plan.measured[0].has_limits
 
 
 def test_a_flaw_in_a_message_that_nobody_uses_is_no_matter(tmp_path: Path) -> None:

@@ -1,5 +1,6 @@
 """Reads a user's DBC file with cantools, and keeps its messages as plain data."""
 
+import logging
 import math
 import struct
 from collections.abc import Iterable
@@ -19,6 +20,7 @@ _REMEDIES = {
     "more than 11 bits": "; a DBC has 2147483648 added to an identifier of 29 bits",
     "unused ": "; remove these lines",
 }
+_LONGEST_MS = 86_400_000
 _FLOATS = {16: "<e", 32: "<f", 64: "<d"}
 _FLOAT_HIGHEST = {16: 65504.0, 32: 3.4028234663852886e38, 64: 1.7976931348623157e308}
 
@@ -59,6 +61,7 @@ class Signal:
         if len(given) == 2:
             least, most = sorted((limit - self.offset) / self.factor for limit in given)
             if not self.is_float:  # move a limit between two steps inwards, with a tolerance for rounding
+                least, most = (clamp(raw, high + 1, low - 1) for raw in (least, most))  # no integer equals infinity
                 least, most = math.ceil(least - 1e-6), math.floor(most + 1e-6)
             if max(low, least) <= min(high, most):  # ignore limits outside the range of the bits
                 return max(low, least), min(high, most)
@@ -138,17 +141,20 @@ class Dbc:
     def __init__(self, name: str, database: Any) -> None:
         self.name = name
         self._found = {message.name: message for message in database.messages}
+        self._numbers = [(message.name, message.frame_id) for message in database.messages]
         self._messages: dict[str, Message] = {}
 
     def message(self, name: str) -> Message:
         """Return a message.
 
-        Raises ValueError if there is none of this name, if classic CAN cannot carry it, or if it is multiplexed.
+        Raises ValueError if there is none of this name or more than one, or if this driver does not support it.
         """
         if name not in self._messages:
             if name not in self._found:
                 raise ValueError(f"{self.name} has no message {name!r}{nearest(name, self._found)}")
             message = self._found[name]
+            if len(numbers := [f"{number:#x}" for one, number in self._numbers if one == name]) > 1:
+                raise ValueError(f"{self.name} has {name!r} {len(numbers)} times, {' and '.join(numbers)}; rename one")
             if (refusal := _refusal(message)) is not None:
                 raise ValueError(f"the message {name} of {self.name} {refusal}")
             self._messages[name] = Message(message)
@@ -191,6 +197,8 @@ def _parse(file: str, data: bytes) -> Dbc:
     need("dbc", "a DBC file")
     import cantools  # not at the top: its import takes 0.2 s
 
+    # It warns of names and identifiers that are there twice. Those that a mapping uses are refused.
+    logging.getLogger("cantools").setLevel(logging.ERROR)
     try:
         text = data.decode("utf-8-sig")
     except UnicodeDecodeError:
@@ -211,10 +219,15 @@ def _refusal(message: Any) -> str | None:
         return f"has {message.length} bytes and is for CAN FD; this driver speaks classic CAN, of up to 8 bytes"
     if message.is_multiplexed():
         return "is multiplexed; this driver takes messages whose signals are the same in every frame"
+    cycle_time = message.cycle_time
+    if cycle_time and not (isinstance(cycle_time, int | float) and 0 < cycle_time <= _LONGEST_MS):
+        return f"has a cycle time (GenMsgCycleTime) of {cycle_time!r}; expected milliseconds, correct the DBC"
     for signal in message.signals:
         scale, offset = signal.conversion.scale, signal.conversion.offset
         if scale == 0 or not math.isfinite(scale) or not math.isfinite(offset):
             return f"has in {signal.name} a factor or an offset that is no number, or a factor of 0; correct the DBC"
+        if signal.conversion.is_float and signal.length not in _FLOATS:
+            return f"has in {signal.name} a float of {signal.length} bits; expected 16, 32 or 64, correct the DBC"
     try:
         message.refresh(strict=True)
     except cantools.Error as error:
