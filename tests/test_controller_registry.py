@@ -245,9 +245,10 @@ ARGUMENTS = ("reference", "state", "applied", "dt_s")
         (("ref", "state_now", "applied_last", "dt"), {0, 1, 2, 3}),
         (("r", "s", "a", "h"), {0, 1}),
         (("a: 'Reference'", "b: 'types.State'", "c: 'Applied'", "d: float"), {0, 1, 2}),
-        (("desired_state", "measured_state", "u", "dt"), {3}),  # the same word twice tells nothing
+        (("old_state", "new_state", "u", "dt"), {3}),  # the same word twice tells nothing
+        (("desired_state", "measurement", "u", "dt"), {3}),  # nor do two in one name
     ],
-    ids=["own", "similar", "letters", "types", "twice"],
+    ids=["own", "similar", "letters", "types", "twice", "both"],
 )
 @pytest.mark.parametrize("order", [*itertools.permutations(range(4))], ids=str)
 def test_arguments_in_another_order_are_noticed_at_load(write, names, told, order):
@@ -259,6 +260,11 @@ def test_arguments_in_another_order_are_noticed_at_load(write, names, told, orde
         assert "put them in this order" in message
     else:
         assert load_law("my_law.py:Law", base)
+
+
+def test_a_method_of_compiled_code_may_not_tell_its_arguments(write):
+    base = write("class Law:\n    def reset(self, state, reference): ...\n    update = max")
+    assert load_law("my_law.py:Law", base)
 
 
 @pytest.mark.parametrize("constructor", ["mode, model", "m: 'CommandMode', model"])

@@ -27,7 +27,7 @@ _OF_TYPE = {
     "CommandMode": "mode",
     "Options": "options",
 }
-_OF_WORD = {"ref": "reference", "dt": "dt_s"}
+_OF_WORD = {"dt": "dt_s"} | dict.fromkeys(("ref", "des", "desired", "goal", "target", "wanted"), "reference")
 _OF_LETTER = {"r": "reference", "s": "state"}
 """Arguments of the protocol, for the types and the parts of names by which a law's parameters are recognized."""
 _SIGNAL = re.compile(r"[a-z][a-z0-9_]*(\.[a-z0-9_]+)+")
@@ -58,7 +58,7 @@ def check_class(law: type, named: str) -> type:
         function = getattr(law, method, None)
         if not callable(function):
             raise BadInputError(f"{named}: the class has no {method}; expected {expected}")
-        found = f"{method}{inspect.signature(function)}"
+        found = f"{method}{_signature(function)}"
         if not _accepts(function, arguments):
             raise BadInputError(f"{named}: found {found}, expected {expected}")
         _check_order(named, found, function, arguments, expected)
@@ -70,7 +70,7 @@ def _check_order(named: str, found: str, function: Any, arguments: Sequence[str]
 
     Arguments are given by their place, so names are the user's own: two that have the same word tell nothing.
     """
-    parameters = list(inspect.signature(function).parameters.values())[: len(arguments)]
+    parameters = list(_signature(function).parameters.values())[: len(arguments)]
     meant = [_argument(one, arguments) for one in parameters]
     for place, (parameter, word) in enumerate(zip(parameters, meant, strict=True)):
         if word is not None and meant.count(word) == 1 and arguments.index(word) != place:
@@ -227,15 +227,23 @@ def _constructor_arguments(named: str, law: type, choices: list[tuple[object, ..
     for arguments in choices:
         if _accepts(law, arguments):
             given = ("model", "mode", "options")[: len(arguments)]
-            _check_order(named, f"{law.__name__}{inspect.signature(law)}", law, given, f"__init__({names})")
+            _check_order(named, f"{law.__name__}{_signature(law)}", law, given, f"__init__({names})")
             return arguments
     hint = "" if len(choices[0]) == 3 else "; for options, define a dataclass Options in the class"
-    raise BadInputError(f"{named}: found {law.__name__}{inspect.signature(law)}, expected __init__({names}){hint}")
+    raise BadInputError(f"{named}: found {law.__name__}{_signature(law)}, expected __init__({names}){hint}")
+
+
+def _signature(function: Any) -> inspect.Signature:
+    """Return the signature of a function; any arguments for one of compiled code, which may not tell it."""
+    try:
+        return inspect.signature(function)
+    except ValueError:
+        return inspect.signature(lambda *_: None)
 
 
 def _accepts(function: Any, arguments: tuple[object, ...]) -> bool:
     try:
-        inspect.signature(function).bind(*arguments)
+        _signature(function).bind(*arguments)
     except TypeError:
         return False
     return True
