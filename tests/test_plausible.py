@@ -92,6 +92,13 @@ def test_a_number_in_another_unit_is_refused_with_the_right_one(text: str) -> No
     assert WRONG_UNITS[text] in str(refused.value)
 
 
+def test_a_turn_may_be_rounded_up() -> None:
+    load(
+        "paper_circle",
+        set=["reference.heading_rad=6.284", "expect=[{signal='error.heading_rad', within=[-3.142, 3.142]}]"],
+    )
+
+
 def test_an_angle_of_somebody_elses_options_may_be_of_many_turns() -> None:
     @dataclass
     class Own:

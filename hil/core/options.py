@@ -96,8 +96,8 @@ def _unit_of(name: str) -> str:
 
 
 def plausible(name: str, turns: int = 1) -> Range:
-    """Return the range of an option that gives no bounds: an angle is at most so many turns."""
-    return Range(ge=-turns * math.tau, le=turns * math.tau) if _unit_of(name) == "rad" else Range()
+    """Return the range of an option that gives no bounds: an angle is at most so many turns, rounded up."""
+    return Range(ge=-turns * 6.3, le=turns * 6.3) if _unit_of(name) == "rad" else Range()
 
 
 def in_another_unit(name: str, value: float, within: Range) -> str:

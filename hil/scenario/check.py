@@ -1,6 +1,5 @@
 """Checks a stacked scenario: each table by itself, then the tables against each other. Words the messages."""
 
-import math
 import re
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
@@ -170,7 +169,7 @@ def _implausible(tables: Tables) -> Iterator[tuple[str, str]]:
         for key in ("below", "above", "within", "equals", "settles_to", "tolerance") if is_wrapped else ():
             given = getattr(row, key)
             for value in given if isinstance(given, tuple) else (given,) if given is not None else ():
-                if hint := in_another_unit("difference_rad", value, Range(ge=-math.pi, le=math.pi)):
+                if hint := in_another_unit("difference_rad", value, Range(ge=-3.15, le=3.15)):  # rounded up
                     yield f"expect.{i}.{key}", f"a difference of headings is at most half a turn{hint}"
 
 
