@@ -19,7 +19,7 @@ from hil.core.errors import BadInputError
 from hil.core.types import Wheels
 from hil.plant.fmu import FmuPlant
 from hil.plant.mapping import Row
-from hil.plant.units import conversion
+from hil.plant.units import conversion, misfit
 from hil.runtime.robots import check_plant_start
 from hil.scenario import load
 from tests.foreign_fmu import Var, foreign_fmu, foreign_map, variables2, variables3
@@ -34,6 +34,7 @@ DEFINED = {
     "N.cm": BaseUnit(kg=1, m=2, s=-2, factor=1e-2),
     "Hz": BaseUnit(s=-1),
     "rad/s": BaseUnit(s=-1),  # of a tool to which rad is 1
+    "rpm": BaseUnit(s=-1, factor=0.10472),  # likewise, and rounded
     "degF": BaseUnit(K=1, factor=5 / 9, offset=459.67 * 5 / 9),
     "K": BaseUnit(K=1),
     "per cent": BaseUnit(factor=0.01),
@@ -73,6 +74,7 @@ CASES = [  # signal, unit of the variable, row, and factor and offset, or words 
     (HEADING, "9^9^9^9", {}, (1.0, 0.0), "no unit that is known"),
     (SPEED, "rev/min", {}, (math.tau / 60, 0.0), "which is in rev/min"),
     (SPEED, "rad/s", {}, (1.0, 0.0), ""),
+    (SPEED, "rpm", {}, (math.tau / 60, 0.0), "which is in rpm"),
     (SPEED, "rad.s-1", {}, (1.0, 0.0), ""),
     (SPEED, "Hz", {}, "'v' is in Hz; expected a unit of the dimension of rad/s", ""),
     (SPEED, "1/min", {}, "'v' is in 1/min", ""),
@@ -184,6 +186,13 @@ def test_a_map_without_scales_is_the_map_with_them(version: int, more: str, tmp_
         assert other.notices == ()
     with pytest.raises(BadInputError, match=r'plant\.map\."pose\.heading_rad": scale = 1, but \'psi\' is in deg'):
         FmuPlant(fmu, {}, wrong)
+
+
+@pytest.mark.parametrize(
+    ("unit", "is_refused"), [("", False), ("1", False), ("1/rev", False), ("count/rev", False), ("m", True)]
+)
+def test_counts_per_revolution_may_be_in_a_unit_of_turns(unit: str, is_refused: bool) -> None:
+    assert (misfit("counts_per_revolution", variable(unit), {}) is not None) is is_refused
 
 
 @pytest.mark.parametrize(("unit", "is_refused"), [("kg.m2", False), ("g.cm2", True), ("kg", True), ("foo", False)])

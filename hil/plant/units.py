@@ -1,4 +1,4 @@
-"""Compares the unit that an FMU declares for a variable with that of the signal which it carries.
+"""Compares the unit that an FMU declares for a variable with the unit of its signal.
 
 What FMI itself has suffices where the FMU defines the unit: exponents of the base units, factor and offset (FMI 2.0.5
 section 2.2.2, FMI 3.0 section 2.4.3). A unit that is a name alone is looked up by pint, which is imported only then.
@@ -55,7 +55,7 @@ _NAMED = {  # by the end of the name of a signal or a parameter; the first that 
 
 
 class Conversion(NamedTuple):
-    """Signal = factor * variable + offset, but for the sign; ``notice`` says what is worth telling, or is empty."""
+    """Signal = factor * variable + offset, but for the sign; ``notice`` tells of a conversion, or is empty."""
 
     factor: float
     offset: float
@@ -110,12 +110,14 @@ def conversion(signal: str, row: Any, variable: Any, definitions: Mapping[str, A
 def misfit(name: str, variable: Any, definitions: Mapping[str, Any]) -> str | None:
     """Return the end of a sentence where the FMU's variable is in another unit than our name for it ends in, else None.
 
-    An angle in it counts for nothing: a motor's N·m/A are V·s/rad, too.
+    An angle in it counts for nothing: a motor's N·m/A are V·s/rad, too, and counts per revolution may be in 1/rev.
     """
     declared = one_line(_unit_name(variable))[:_LONGEST]
     label, here = _named(name)
     unit = _unit(declared, definitions, here) if declared else None
-    if unit is None or (unit.exponents[:-1] == here.exponents[:-1] and math.isclose(unit.factor, here.factor)):
+    if unit is None or (here == _si() and unit.exponents[-1]):
+        return None
+    if unit.exponents[:-1] == here.exponents[:-1] and math.isclose(unit.factor, here.factor):
         return None
     return f"is in {declared}, not in {label}"
 
@@ -147,7 +149,8 @@ def _unit(name: str, definitions: Mapping[str, Any], expected: Unit) -> Unit | N
         return _meant_by(name)
     if defined.exponents[:-1] == expected.exponents[:-1] and expected.exponents[-1] and not defined.exponents[-1]:
         meant = _meant_by(name)
-        if meant and meant == Unit(expected.exponents, *defined[1:]):
+        is_same = meant and math.isclose(meant.factor, defined.factor, rel_tol=_ROUNDING)
+        if meant and is_same and meant.exponents == expected.exponents:
             return meant
     return defined
 
