@@ -465,7 +465,7 @@ def test_an_input_outside_its_range_ends_the_run(version: int, more: dict[str, s
     with FmuPlant(fmu, {}, foreign_map(version)) as plant:
         for torque_n_m in (0.05, -0.05):
             plant.step(Wheels(0.0, torque_n_m, 0.0, 0.0), 5)
-        for torque_n_m, is_refused in ((0.051, "min" in more), (-0.051, "max" in more)):
+        for torque_n_m, is_refused in ((0.050001, "min" in more), (-0.050001, "max" in more)):
             if is_refused:
                 low, high = -0.05 if "max" in more else -math.inf, 0.05 if "min" in more else math.inf
                 words = (

@@ -11,6 +11,7 @@
 enum { FMI2_TERMINATED = 3 }; /* fmi2StatusKind */
 
 static const double TIME_TOLERANCE = 1e-9; /* relative, at least to 1 s: an FMU may accumulate its time */
+static const double INPUT_ROUNDING = 1e-6; /* relative, of single precision */
 static const double LARGEST_COUNT = 9007199254740992.0; /* 2^53: a double tells no further counts apart */
 
 /* Keeps our own reason, and the FMU's words with it. */
@@ -54,10 +55,10 @@ static double seconds(uint64_t ns) {
 /* An FMU need not refuse what its model was not made for. */
 static int check_inputs(cosim *c) {
     for (size_t i = 0; c->is_bounded && i < COSIM_INPUTS; i++) {
-        const double value = c->input_value[i];
-        if (value < c->low[i] || value > c->high[i]) {
-            return fail(c, "%s is %.4g; the range that the FMU declares for it is %.4g to %.4g",
-                        c->input_name[i], value, c->low[i], c->high[i]);
+        const double value = c->input_value[i], low = c->low[i], high = c->high[i];
+        if (value < low - INPUT_ROUNDING * fabs(low) || value > high + INPUT_ROUNDING * fabs(high)) {
+            return fail(c, "%s is %.7g; the range that the FMU declares for it is %.7g to %.7g",
+                        c->input_name[i], value, low, high);
         }
     }
     return 0;

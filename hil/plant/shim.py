@@ -18,7 +18,6 @@ from hil.plant.signals import INPUTS, OUTPUTS
 from hil.plant.start import Settable, count, elements_at_start, limits
 
 _NO_RANGE = (-math.inf, math.inf)
-_ROUNDING = 1e-6
 _FMI2_TYPES = {"Real": "Float64", "Integer": "Int32"}
 _C_TYPES = {"Float64": "double", "Float32": "float"}
 
@@ -129,7 +128,10 @@ def connect(context: Any, wiring: Wiring, access: Callable[[str, str], Any]) -> 
         setattr(context, f"{direction}s", len(types))
     names, input_names = _names(OUTPUTS, wiring.outputs), _names(INPUTS, wiring.inputs)
     context.name, context.input_name = names, input_names
-    ranges = {connection.signal: _range(connection) for connection in wiring.inputs}
+    ranges = {
+        signal: sorted(factor * end + offset for end in limits(variable))
+        for signal, variable, _, factor, offset in wiring.inputs
+    }
     context.is_bounded = any(map(math.isfinite, itertools.chain(*ranges.values())))
     context.low, context.high = zip(*(ranges.get(place, _NO_RANGE) for place in range(len(INPUTS))), strict=True)
     context.derives = bool(wiring.derived)
@@ -145,13 +147,6 @@ def _names(signals: Sequence[str], connections: Sequence[Connection]) -> list[An
         if signal != variable:
             names[connection.signal] = f"{signal} ({variable} in the FMU)"
     return [load()[0].new("char[]", name.encode()) for name in names]
-
-
-def _range(connection: Connection) -> tuple[float, float]:
-    """Return the range of an input in the bridge's unit, with room for the rounding of single precision."""
-    ends = (connection.factor * end + connection.offset for end in limits(connection.variable))
-    low, high = sorted(ends)
-    return low - _ROUNDING * abs(low), high + _ROUNDING * abs(high)
 
 
 def setter(access: Callable[[str, str], Any], kind: str) -> tuple[int, Any]:
