@@ -127,7 +127,7 @@ NOT_AN_FMU: list[tuple[str, Make, str]] = [
     ("in a folder", inside("robot/modelDescription.xml"), "it has 'robot/modelDescription.xml'; expected 'modelDes"),
     ("below a dot", inside("./modelDescription.xml"), "it has './modelDescription.xml'; expected 'modelDescription"),
     ("a pointer", lambda path: path.write_text("version https://git-lfs.github.com/spec/v1"), "run git lfs pull"),
-    ("cut", lambda path: path.write_bytes(pack(path, 2).read_bytes()[:-9]), "a zip archive without its end; copy it"),
+    ("cut", lambda path: path.write_bytes(pack(path, 2).read_bytes()[:-9]), "a damaged zip archive; copy it again"),
     ("a link", altered(link), "its entry 'resources/link' is a symbolic link"),
     ("encrypted", altered(lambda p: written(p, 8, 6, b"\1\0")), "its entry 'resources/last' is encrypted"),
     ("bzip2", altered(lambda p: written(p, 10, 8, b"\x0c\0")), "is packed by method 12; expected 0 (stored) or 8"),

@@ -47,7 +47,7 @@ def opened(fmu: Path) -> Iterator[zipfile.ZipFile]:
     except OSError as error:
         raise BadInputError(f"FMU {fmu}: it cannot be read ({error.strerror or error})") from error
     except _DAMAGED as error:
-        raise BadInputError(f"FMU {fmu}: {_what_instead(fmu)} ({error}), so it is no FMU") from error
+        raise BadInputError(f"FMU {fmu}: {_what_instead(fmu)} ({error})") from error
     with archive:
         if problem := _unsafe(archive.infolist()):
             raise BadInputError(f"FMU {fmu}: {problem}; it is not opened")
@@ -58,8 +58,10 @@ def _what_instead(fmu: Path) -> str:
     with fmu.open("rb") as file:
         begin = file.read(len(_LFS))
     if begin == _LFS:
-        return "a pointer of Git LFS, not the file itself; run git lfs pull"
-    return "a zip archive without its end; copy it again" if begin.startswith(b"PK\3\4") else "not a zip archive"
+        return "not the file itself but a pointer of Git LFS; run git lfs pull"
+    return (
+        "a damaged zip archive; copy it again" if begin.startswith(b"PK\3\4") else "not a zip archive, so it is no FMU"
+    )
 
 
 def odd_names(fmu: Path) -> list[str]:
