@@ -1,4 +1,4 @@
-"""Decides by which communication step a co-simulation FMU is stepped, from what it declares.
+"""Chooses the communication step of a co-simulation FMU from its declarations.
 
 The bridge ticks once a millisecond. An FMU with a ``fixedInternalStepSize`` (FMI 3.0) takes multiples of that. One that
 does not claim ``canHandleVariableCommunicationStepSize`` is stepped by the ``stepSize`` of its DefaultExperiment, which
@@ -13,15 +13,15 @@ from hil.core.clock import TICK_NS
 from hil.core.errors import BadInputError
 
 LONGEST_STEP_S = 0.02  # in it a wheel at 157 rad/s turns by half a turn, which a wrapped angle still tells
-_MOST_STEPS = 1000  # a tick
+_MOST_STEPS = 1000  # in a tick
 _ROUNDING = 1e-6  # relative: a step size may have been a number in single precision
 
 
 class CommunicationStep(NamedTuple):
     """A communication step: a whole number of ticks, or a tick divided by a whole number.
 
-    ``notice`` says what is worth telling: another step than the tick with the latency that it adds, or a preference
-    that is not followed; empty where there is nothing.
+    ``notice`` is a sentence about a step other than the tick, with its latency, or about a preference that is not
+    followed; empty otherwise.
     """
 
     size_ns: int
@@ -31,7 +31,7 @@ class CommunicationStep(NamedTuple):
 def communication_step(
     fmu: Path, description: Any, *, wanted_s: float | None = None, tick_ns: int = TICK_NS
 ) -> CommunicationStep:
-    """Return the communication step of an FMU (FMPy's description), which a solver of ours needs not: then the tick.
+    """Return the communication step of an FMU, from FMPy's description of it; for model exchange the tick.
 
     ``wanted_s`` is ``plant.step_s``. Raises BadInputError with both sizes when there is no step that fits the tick.
     """
@@ -62,7 +62,8 @@ def communication_step(
     if ticks is None and (steps is None or steps > _MOST_STEPS or tick_ns % steps):
         raise BadInputError(
             f"FMU {fmu}: its communication step is {size_s:g} s ({why}), and the bridge's tick {tick_s:g} s; expected "
-            f"a whole number of ticks, or a tick divided by a whole number: {_way_out(fixed_s, tick_s)}"
+            f"a whole number of ticks, or a tick divided into at most {_MOST_STEPS} steps of whole "
+            f"nanoseconds: {_way_out(fixed_s, tick_s)}"
         )
     if ticks is not None and ticks > 1 and size_s > LONGEST_STEP_S * (1 + _ROUNDING):
         raise BadInputError(
