@@ -65,27 +65,22 @@ def check(fmu: Path, longest_s: float = _LONGEST_CALL_S, say: Callable[[str], ob
     shim.load()  # the child needs it: raise here what is missing
     archive.check_may_load(fmu)
     say("archive")
-    library: archive.Library | archive.BrokenFmuError
+    broken = []
     try:
         library = archive.library_of(fmu)
-    except archive.BrokenFmuError as error:
-        library = error
-    else:
         if library.interface != "co_simulation":
             raise BadInputError(
                 f"FMU {fmu}: it is for model exchange only; a check runs co-simulation, export it for that"
             )
+        read_description(fmu)
+    except archive.BrokenFmuError as error:
+        broken.append(violation(str(error)))
     with archive.extract(fmu) as folder:
         say("model description")
         description = _validated(folder)
-        if not isinstance(library, archive.BrokenFmuError):
-            try:
-                read_description(fmu)
-            except archive.BrokenFmuError as error:
-                library = error
-        if isinstance(library, archive.BrokenFmuError):
+        if broken:
             rest = [Part(title(part), skipped=_NOT_RUN.format("archive")) for part in PARTS]
-            return CheckResult((Part("archive", (violation(str(library)),)), description, *rest))
+            return CheckResult((Part("archive", tuple(broken)), description, *rest))
         job = {
             "fmu": str(fmu.absolute()),
             "library": str(folder / library.member),
