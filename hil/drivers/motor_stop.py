@@ -59,8 +59,6 @@ class MotorLine:
         info: the controllers' identity; None before all have answered. It stays after ``restart``.
     """
 
-    _unused: dict[tuple[int, str], tuple[int, int]]
-
     def __init__(self, link: ConditionedLink, driver: Driver, poll_age: PollAge, *, is_lockstep: bool) -> None:
         self.link, self._driver, self._poll_age, self._is_lockstep = link, driver, poll_age, is_lockstep
         self.hash = WireHash()
@@ -68,7 +66,8 @@ class MotorLine:
         self._ask_again_ns = 0
         self.info: MotorsInfo | None = None
         self.sent = self.received = 0
-        self._unused = {}  # how many frames of an identifier were not used for a reason, and when the newest came
+        # How many frames of an identifier were not used for a reason, and when the newest came.
+        self._unused: dict[tuple[int, str], tuple[int, int]] = {}
 
     def restart(self, now_ns: int) -> None:
         """Ask for the identity again."""

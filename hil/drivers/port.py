@@ -286,9 +286,9 @@ def clamp(value: _Number, most: _Number, least: _Number | None = None) -> _Numbe
     return min(max(value, -most if least is None else least), most)
 
 
-def expected_length(frame: Frame, length: int) -> str | None:
-    """Return for ``Driver.feed`` that a frame has another length; None if it has this one."""
-    return None if len(frame.payload) == length else f"{len(frame.payload)} bytes, expected {length}"
+def expected_length(payload: bytes, length: int) -> str | None:
+    """Return for ``Driver.feed`` that a payload has another length; None if it has this one."""
+    return None if len(payload) == length else f"{len(payload)} bytes, expected {length}"
 
 
 def four_ids(low: int, high: int) -> Callable[[tuple[int, ...]], tuple[int, ...]]:

@@ -213,7 +213,7 @@ class C620(FourMotors[Settings, _Channel]):
         channel = self._by_id.get(frame.id - _FEEDBACK_BASE)
         if channel is None:
             return ""
-        if (why := expected_length(frame, 8)) is None:
+        if (why := expected_length(frame.payload, 8)) is None:
             channel.feed(frame.payload, stamp_ns)
         return why
 

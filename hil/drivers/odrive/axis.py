@@ -8,7 +8,7 @@ from hil.core.types import NAN
 from hil.drivers.four_motors import Channel
 from hil.drivers.odrive import tables as can
 from hil.drivers.odrive.tables import FIRMWARE_05, FIRMWARE_06, Endpoint, ErrorField, Firmware, Setup
-from hil.drivers.port import REMOTE
+from hil.drivers.port import REMOTE, expected_length
 
 _SILENT_NS = 1_000_000_000
 _STATE_NS = 500_000_000  # heartbeats, which carry the state, come at 10 Hz by default
@@ -105,8 +105,8 @@ class Axis(Channel):
         if command == can.READ_SDO:
             if len(payload) > can.SDO.size and self.firmware is FIRMWARE_06:
                 self._feed_sdo(payload)
-        elif len(payload) != 8:
-            return f"{len(payload)} bytes, expected 8"
+        elif (why := expected_length(payload, 8)) is not None:
+            return why
         elif command == can.GET_ESTIMATES:
             position, speed = can.TWO_FLOATS.unpack(payload)
             if not (math.isfinite(position) and math.isfinite(speed)):

@@ -83,7 +83,7 @@ class Identity:
         """Take a frame. It changes nothing unless it answers one of the questions. Return as ``Driver.feed``."""
         if frame.id not in (VERSION, CAR_TYPE):
             return ""
-        if (why := expected_length(frame, 2)) is not None:
+        if (why := expected_length(frame.payload, 2)) is not None:
             return why
         if frame.id == VERSION:
             self.version = frame.payload[0], frame.payload[1]

@@ -155,7 +155,7 @@ class Rosmaster(TwistBase):
 
     def feed(self, frame: Frame, stamp_ns: int) -> str | None:
         number, payload = frame
-        if number in _REPORT_BYTES and (why := expected_length(frame, _REPORT_BYTES[number])) is not None:
+        if number in _REPORT_BYTES and (why := expected_length(payload, _REPORT_BYTES[number])) is not None:
             return why
         if number == TWIST_REPORT:
             x, y, turn, battery = _TWIST.unpack(payload)

@@ -5,7 +5,7 @@ from collections.abc import Iterable, Mapping
 
 from hil.core.types import NAN
 from hil.drivers import four_motors
-from hil.drivers.port import RobotFacts, clamp
+from hil.drivers.port import RobotFacts, clamp, expected_length
 from hil.drivers.vesc import frames
 
 _MAX_UNANSWERED = 2  # questions for a timeout; two for each of four VESCs fit into the time that a start waits
@@ -83,7 +83,7 @@ class Channel(four_motors.Channel):
             self._feed_tachometer(steps, stamp_ns)
             self.supply_v = voltage * 0.1
         elif command in frames.STATUS_BYTES:
-            return f"{len(payload)} bytes, expected {frames.STATUS_BYTES[command]}"
+            return expected_length(payload, frames.STATUS_BYTES[command])
         else:
             return ""
         return None

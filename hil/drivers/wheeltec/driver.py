@@ -183,8 +183,8 @@ class Wheeltec(TwistBase):
         if self._report.feed(frame, stamp_ns):
             self._is_armed = self._is_armed and not self._report.is_stopped
         elif frame.id == REPORTS[-1]:
-            return expected_length(frame, 8) or "the end of a report that is not whole, or has a wrong checksum"
-        return expected_length(frame, 8)
+            return expected_length(frame.payload, 8) or "the end of a report that is not whole, or has a wrong checksum"
+        return expected_length(frame.payload, 8)
 
     @property
     def sample(self) -> Sample | None:
