@@ -33,6 +33,7 @@ _OTHERS = {
     96: "markers",
     115: "restore points",
 }
+_HEADERS = {1: blf.OBJ_HEADER_V1_STRUCT, 2: blf.OBJ_HEADER_V2_STRUCT}
 _LOCATOR = b"LOBJ"
 _PADDING = 3
 _MOST_INFLATED = 1 << 26  # Vector's tools and python-can inflate to 128 KiB
@@ -142,12 +143,10 @@ def _objects(data: bytes, at: int, start_s: float) -> Generator[TracedFrame | Le
 
 def _object(kind: int, version: int, raw: bytes, start_s: float) -> TracedFrame | LeftOut:
     base = blf.OBJ_HEADER_BASE_STRUCT.size
-    if version == 1:
-        head, (flags, _, _, stamp) = blf.OBJ_HEADER_V1_STRUCT, blf.OBJ_HEADER_V1_STRUCT.unpack_from(raw, base)
-    elif version == 2:
-        head, (flags, _, _, stamp) = blf.OBJ_HEADER_V2_STRUCT, blf.OBJ_HEADER_V2_STRUCT.unpack_from(raw, base)
-    else:
+    head = _HEADERS.get(version)
+    if head is None:
         return LeftOut(f"objects with a header of version {version}")
+    flags, _, _, stamp = head.unpack_from(raw, base)
     unix_s, at = start_s + stamp / (1e5 if flags == blf.TIME_TEN_MICS else 1e9), base + head.size
     if kind in _CLASSIC:
         channel, flags, code, number, data = blf.CAN_MSG_STRUCT.unpack_from(raw, at)

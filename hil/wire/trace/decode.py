@@ -276,10 +276,8 @@ class Tally(NamedTuple):
 
     def texts(self) -> tuple[str, str, str, str, str]:
         """Return the row of a table."""
-        identifier, rate = (
-            "" if self.id is None else f"{self.id:03X}",
-            "" if self.per_s is None else f"{self.per_s:.4g}",
-        )
+        identifier = "" if self.id is None else f"{self.id:03X}"
+        rate = "" if self.per_s is None else f"{self.per_s:.4g}"
         return self.message, identifier, str(self.frames), rate, self.channel or "-"
 
 
