@@ -230,7 +230,7 @@ def _meant(path: Path, shipped: Iterable[str] = ()) -> str:
 
     Returns an empty text where none is similar.
     """
-    if path.is_dir():
+    if os.path.isdir(path):  # noqa: PTH112 - Path.is_dir raises in a folder that may not be read
         within = [command(_from_here(file)) for file in sorted(path.glob(f"*{TEST_SUFFIX}"))]
         return f"; this is a folder, which has {', '.join(within)}" if within else ""
     files = {_stem(file): file for file in path.parent.glob(f"*{_SUFFIX}") if not is_baseline(file)}

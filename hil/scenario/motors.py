@@ -76,7 +76,7 @@ def contradictions(tables: Tables) -> Iterator[tuple[str, str]]:
     for begins, sensor in _NOISE_OF.items():
         for name, value in tables.plant.start.items() if sensor not in can.sensors else ():
             if name.startswith(begins) and value:
-                yield f"plant.start.{name}", f"{title} as it is set up has no {sensor}; remove the row"
+                yield f"plant.start.{name}", f"{title} as it is set up has no {sensor}; remove the row, or give 0"
     if device.imu != IMU_AXES and not can.sensors & {"gyro", "accelerometer"}:
         yield "device.imu", f"{title} as it is set up has no gyro and no accelerometer; remove the key"
     signals = {}
