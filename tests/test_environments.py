@@ -35,6 +35,12 @@ def done(line: str, folder: Path, **environment: str) -> "subprocess.CompletedPr
         (f"{HIL} list signals", {"LANG": "C", "LC_ALL": "C", "PYTHONIOENCODING": "ascii"}, 0, ""),
         (f"env -u TERM -u HOME {HIL} list signals", {}, 0, ""),
         (f"env HOME=/nonexistent {HIL} list signals", {}, 0, ""),
+        (
+            f"mkdir gone; cd gone; rmdir ../gone; {HIL} run circle_speed",
+            {},
+            2,
+            "the folder in which you are has been removed",
+        ),
         (f"{HIL} check deep.hil.toml", {}, 2, "nested more than 50 deep"),
         (f"{HIL} run circle_speed --record none --robot deep.toml", {}, 2, "nested more than 50 deep"),
         (f"{HIL} campaign deep.toml --dry-run", {}, 2, "nested more than 50 deep"),

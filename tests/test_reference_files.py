@@ -51,6 +51,7 @@ def made(folder: Path, kind: str, text: str, **options: object):
         ("waypoints", HEAD + "0,0,0\n1,,0\n", ", line 3: y_m = ''; expected a number"),
         ("waypoints", HEAD + "0,0,nan\n1,0,0\n", ", line 2: heading_rad = 'nan'; expected a number"),
         ("waypoints", HEAD + "0,0,0\n-inf,0,0\n", ", line 3: x_m = '-inf'; expected a number"),
+        ("waypoints", HEAD + "0,0,0\n1_0,0,0\n", ", line 3: x_m = '1_0'; expected a number between ±1000000"),
         ("waypoints", HEAD + "0,0,0\n1e7,0,0\n", ", line 3: x_m = '1e7'; expected a number between"),
         ("waypoints", HEAD + "0,0,0\n1,0\n", ", line 3: 2 values; expected 3, one for each column"),
         ("waypoints", HEAD + '0,0,0\n1,"0,0\n', ", line 3: it cannot be read as values separated by commas"),

@@ -296,6 +296,7 @@ def test_an_option_that_is_wrong() -> None:
         ("[loop]\nrate_hz = 100", "--robot r.toml: 'loop' cannot be in a robot's file"),
         ("[frimware]\nramp_s = 1", "did you mean 'firmware'?"),
         ("[robot", "--robot r.toml: not valid TOML"),
+        ("# cut", "--robot r.toml: it holds nothing; expected the tables of a robot"),
     ],
 )
 def test_a_robots_file_that_is_wrong(text: str, sentence: str) -> None:

@@ -127,6 +127,8 @@ def main() -> None:
         elif error.errno in _HELP:
             what = f"{error.filename}: " if error.filename else ""
             sentence = f"{what}{error.strerror}; {_HELP[error.errno]}"
+        elif error.errno == errno.ENOENT and error.filename is None:  # os.getcwd, which names no file
+            sentence = "the folder in which you are has been removed; go to another one"
         else:
             raise
         say_on_stderr(f"hil: {sentence}")

@@ -102,7 +102,7 @@ def _values(cells: Sequence[str], where: str, header: Sequence[str], form: Forma
             values.append(form.optional[column])
             continue
         try:
-            values.append(float(cell))
+            values.append(math.nan if "_" in cell else float(cell))  # Python reads 1_0 as ten
         except ValueError:
             values.append(math.nan)
         if not abs(values[-1]) <= LARGEST_NUMBER:

@@ -268,6 +268,8 @@ def _chain(scenario: _File) -> list[_File]:
 
 def _robot_layer(path: Path) -> Tree:
     file = _read(path, f"--robot {path}", f"--robot {path}")
+    if not file.document:
+        raise BadInputError(f"{file.display}: it holds nothing; expected the tables of a robot, such as [robot]")
     for key in file.document:
         if key not in ROBOT_TABLES:
             tables = ", ".join(f"[{table}]" for table in ROBOT_TABLES)
