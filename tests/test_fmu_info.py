@@ -58,6 +58,14 @@ def test_a_name_is_that_variable_and_only_star_and_question_mark_are_patterns(
     assert [v.name for v in info(fmu, "m*r?2?.t*").variables] == ["motor[2].tau"]
 
 
+@pytest.mark.parametrize("fmi", [2, 3])
+def test_a_description_that_is_wrong_beside_its_variables_is_refused(fmi: int, tmp_path: Path) -> None:
+    unit = b'<UnitDefinitions><Unit name="x"><BaseUnit kg="abc"/></Unit></UnitDefinitions><ModelVariables>'
+    fmu = pack(tmp_path / "a.fmu", fmi, lambda _, data: data.replace(b"<ModelVariables>", unit))
+    with pytest.raises(BadInputError, match=r"cannot be used .*'abc'"):
+        info(fmu)
+
+
 WRONG = [
     (2, 'valueReference="1"', 'valueReference="one"', ["u"], "invalid literal for int()"),
     (3, 'Type="shape" start="1"', 'Type="no" start="1"', ["shape"], 'has declaredType="no" which has not been defined'),

@@ -56,21 +56,28 @@ def _read(folder: Path) -> Any:
     return description
 
 
-def _read_the_rest(fmu: Path) -> tuple[Any, tuple[str, ...]]:
-    """Return FMPy's model description without what cannot be read of it, and a sentence for each variable left out.
+def _read_with_errors(fmu: Path) -> tuple[Any, tuple[str, ...]]:
+    """Return FMPy's model description without the variables that cannot be read, and a sentence for each of them.
 
-    Raises BadInputError as ``read_description`` does, when that is more than some variables.
+    Raises BadInputError as ``read_description`` does, when something else is wrong, or more than some variables.
     """
     try:
         return read_description(fmu), ()
     except archive.BrokenFmuError as error:
-        whole = error
+        try:
+            return _read_the_rest(fmu, str(error))
+        except _UnusableError:
+            raise error from None
+
+
+def _read_the_rest(fmu: Path, why: str) -> tuple[Any, tuple[str, ...]]:
+    """Return as ``_read_with_errors``, of a description that cannot be read because of ``why``."""
     with archive.extract(fmu, only=archive.DESCRIPTIONS.__contains__) as folder:
         file = folder / archive.DESCRIPTIONS[0]
         tree = ET.parse(file)
         variables, structure = (tree.getroot().find(name) for name in ("ModelVariables", "ModelStructure"))
         if variables is None:
-            raise whole
+            raise _UnusableError
         every = list(variables)
         # What refers to other variables: these may be among those left out.
         if structure is not None:
@@ -95,15 +102,16 @@ def _read_the_rest(fmu: Path) -> tuple[Any, tuple[str, ...]]:
                 yield from wrong(some[:middle], beside)
                 yield from wrong(some[middle:], beside)
 
+        read([])
         sizes = [one for one in every if one.get("causality") == "structuralParameter"]  # of the others' arrays
         bad = dict(wrong(sizes)) if sizes else {}
         sizes = [one for one in sizes if one not in bad]
         others = [one for one in every if one.get("causality") != "structuralParameter"]
         bad |= dict(itertools.islice(wrong(others, sizes), _MOST_WRONG + 1)) if others else {}
         if len(bad) > _MOST_WRONG:
-            raise whole
+            raise _UnusableError
         sentences = [f"the variable {one.get('name')!r} is left out: {reason}" for one, reason in bad.items()]
-        return read([one for one in every if one not in bad]), tuple(sentences or [str(whole)])
+        return read([one for one in every if one not in bad]), tuple(sentences or [why])
 
 
 def import_fmpy() -> None:
@@ -229,7 +237,7 @@ def info(fmu: Path, names: str = "*") -> FmuInfo:
     """
     header = archive.read_header(fmu)
     digest = archive.sha256(fmu)
-    description, wrong = _read_the_rest(fmu)
+    description, wrong = _read_with_errors(fmu)
     variables = description.modelVariables
     pattern = re.compile(re.escape(names).replace(r"\*", ".*").replace(r"\?", "."), re.DOTALL)
     exact = [v for v in variables if v.name == names]  # brackets are those of an array's element
