@@ -65,7 +65,8 @@ def _typed(variable: Any, attribute: str, text: str | None) -> Any:
     except (KeyError, ValueError):
         expected = {"Boolean": "true or false"}.get(kind, "a number" if kind in FLOATS else "a whole number")
         raise BadInputError(
-            f"its modelDescription.xml gives {variable.name} of type {kind} {attribute} = {text!r}; expected {expected}"
+            f"the FMU's modelDescription.xml gives {variable.name} of type {kind} {attribute} = {text!r}; expected "
+            f"{expected}"
         ) from None
 
 
