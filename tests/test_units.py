@@ -19,7 +19,7 @@ from hil.core.errors import BadInputError
 from hil.core.types import Wheels
 from hil.plant.fmu import FmuPlant
 from hil.plant.mapping import Row
-from hil.plant.units import conversion, misfit
+from hil.plant.units import conversion
 from hil.runtime.robots import check_plant_start
 from hil.scenario import load
 from tests.foreign_fmu import Var, foreign_fmu, foreign_map, variables2, variables3
@@ -186,13 +186,6 @@ def test_a_map_without_scales_is_the_map_with_them(version: int, more: str, tmp_
         assert other.notices == ()
     with pytest.raises(BadInputError, match=r'plant\.map\."pose\.heading_rad": scale = 1, but \'psi\' is in deg'):
         FmuPlant(fmu, {}, wrong)
-
-
-@pytest.mark.parametrize(
-    ("unit", "is_refused"), [("", False), ("1", False), ("1/rev", False), ("count/rev", False), ("m", True)]
-)
-def test_counts_per_revolution_may_be_in_a_unit_of_turns(unit: str, is_refused: bool) -> None:
-    assert (misfit("counts_per_revolution", variable(unit), {}) is not None) is is_refused
 
 
 @pytest.mark.parametrize(("unit", "is_refused"), [("kg.m2", False), ("g.cm2", True), ("kg", True), ("foo", False)])

@@ -110,14 +110,12 @@ def conversion(signal: str, row: Any, variable: Any, definitions: Mapping[str, A
 def misfit(name: str, variable: Any, definitions: Mapping[str, Any]) -> str | None:
     """Return the end of a sentence where the FMU's variable is in another unit than our name for it ends in, else None.
 
-    An angle in it counts for nothing: a motor's N·m/A are V·s/rad, too, and counts per revolution may be in 1/rev.
+    An angle in it counts for nothing: a motor's N·m/A are V·s/rad, too.
     """
     declared = one_line(_unit_name(variable))[:_LONGEST]
     label, here = _named(name)
     unit = _unit(declared, definitions, here) if declared else None
-    if unit is None or (here == _si() and unit.exponents[-1]):
-        return None
-    if unit.exponents[:-1] == here.exponents[:-1] and math.isclose(unit.factor, here.factor):
+    if unit is None or (unit.exponents[:-1] == here.exponents[:-1] and math.isclose(unit.factor, here.factor)):
         return None
     return f"is in {declared}, not in {label}"
 
