@@ -296,9 +296,26 @@ def test_a_client_with_the_services_own_token_is_refused() -> None:
     own = "0123456789abcdef"
     with pytest.raises(BadInputError, match="'panel' has the service's own token"):
         Access(own, {own: PANEL})
-    found = Access(own, {"another-0123456789": PANEL}).client([(b"authorization", f"Bearer {own}".encode())])
-    assert found is not None
-    assert found.name == OWNER
+
+
+@pytest.mark.parametrize(
+    ("shown", "name"),
+    [
+        ([b"Bearer 0123456789abcdef"], OWNER),
+        ([b"bearer 0123456789abcdef"], OWNER),  # as RFC 9110 has it: the scheme has no case
+        ([b"BEARER another-0123456789"], PANEL.name),
+        ([b"Bearer 0123456789ABCDEF"], None),
+        ([b"Basic 0123456789abcdef"], None),
+        ([b"Bearer0123456789abcdef"], None),
+        ([b"Bearer "], None),
+        ([b"Bearer 0123456789abcdef", b"Basic x"], None),
+        ([], None),
+    ],
+)
+def test_a_token_is_shown_once_with_the_scheme_in_any_case(shown: list[bytes], name: str | None) -> None:
+    access = Access("0123456789abcdef", {"another-0123456789": PANEL})
+    found = access.client([(b"authorization", value) for value in shown])
+    assert (found and found.name) == name
 
 
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="Windows has no such pipes")

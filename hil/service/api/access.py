@@ -112,15 +112,16 @@ class Access:
                 f"clients file: {others[owner].name!r} has the service's own token; give it one of its own"
             )
         tokens = {owner: Client(OWNER, frozenset(Role)), **others}
-        self._clients = [(f"Bearer {token}".encode(), client) for token, client in tokens.items()]
+        self._clients = [(token.encode(), client) for token, client in tokens.items()]
         self._rates = {client.name: self._rates.get(client.name) or Rates() for client in tokens.values()}
 
     def client(self, headers: Headers) -> Client | None:
         """Return whose token is in the headers of a request, or None."""
-        shown = values_of(headers, b"authorization")
+        shown = [value.partition(b" ") for value in values_of(headers, b"authorization")]
+        tokens = [token for scheme, _, token in shown if scheme.lower() == b"bearer"]  # HTTP's schemes have no case
         found = None
         for expected, client in self._clients:  # all of them, so that the time tells nothing
-            if len(shown) == 1 and secrets.compare_digest(shown[0], expected):
+            if len(shown) == len(tokens) == 1 and secrets.compare_digest(tokens[0], expected):
                 found = client
         return found
 
