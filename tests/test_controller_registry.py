@@ -9,6 +9,7 @@ from textwrap import dedent
 
 import pytest
 
+from hil.core import extensions
 from hil.core.errors import BadInputError
 from hil.core.types import NO_GAINS, CommandMode, Pose, State, Twist
 from hil.laws import registry
@@ -332,6 +333,12 @@ def test_the_line_of_a_failure_is_the_users_and_the_traceback_is_in_the_log_and_
     assert "_raise_linalgerror_singular" in asked.stderr
     assert asked.stderr.endswith(told.stderr)
     assert hil(*run).stderr == told.stderr  # it is of one command
+
+
+def test_the_line_of_a_failure_is_the_users_where_this_package_is_installed(write, monkeypatch):
+    monkeypatch.setattr(extensions, "_LIBRARIES", ("site-packages", Path(extensions.__file__).parents[2].name))
+    folder = write("import numpy\nnumpy.linalg.inv([[0.0]])\n")
+    assert "my_law.py:2 (numpy.linalg.inv" in message_of(load_law, "my_law.py:Law", folder)
 
 
 @pytest.mark.parametrize(

@@ -206,10 +206,12 @@ def _root(frames: "Sequence[traceback.FrameSummary]") -> Path | None:
     """Return the folder of the code that we called: of an installed package its own, of a file the one around it."""
     standard = Path(sysconfig.get_path("stdlib"))
     for file in (Path(frame.filename) for frame in frames):
+        if _OURS in file.parents:  # which may be in a folder of libraries too
+            continue
         libraries = [i for i, part in enumerate(file.parts) if part in _LIBRARIES]
         if libraries:
             return Path(*file.parts[: libraries[-1] + 2])
-        if _OURS not in file.parents and standard not in file.parents:
+        if standard not in file.parents:
             return file.parent
     return None
 
