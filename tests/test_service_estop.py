@@ -120,6 +120,20 @@ def test_whatever_comes_is_no_order_and_the_next_estop_is_done(side: ControlSide
     assert (side.actions, side.child.estop_pid) == ([Action.ESTOP], pid)
 
 
+@pytest.mark.skipif(sys.platform == "win32", reason="Windows has no SIGSTOP")
+def test_a_request_that_ended_while_the_process_stalled_is_done(side: ControlSide) -> None:
+    assert side.child.estop_pid is not None
+    whole = request(side)
+    with socket.create_connection(("127.0.0.1", port(side)), 30.0) as one:
+        one.sendall(whole[:10])
+        time.sleep(0.05)  # so that it is accepted; if not, the test shows less
+        os.kill(side.child.estop_pid, signal.SIGSTOP)
+        one.sendall(whole[10:])
+        time.sleep(1.2)  # longer than a request may take
+        os.kill(side.child.estop_pid, signal.SIGCONT)
+        assert one.recv(4096).startswith(b"HTTP/1.1 200")
+
+
 def test_estops_of_both_ways_are_in_the_audit_log_with_who_gave_them(tmp_path: Path) -> None:
     clients, audit = tmp_path / "clients", tmp_path / "audit.jsonl"
     clients.touch(0o600)

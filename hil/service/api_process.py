@@ -9,9 +9,9 @@ import os
 import signal
 import socket
 import sys
-from collections.abc import Sequence
+from collections.abc import Coroutine, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from hil.core.errors import BadInputError
 from hil.core.json_lines import LineReader, LineWriter
@@ -19,6 +19,7 @@ from hil.core.tokens import clear_tokens, make_token, read_token, state_folder, 
 from hil.service import logs
 from hil.service.api.access import Access, ClientsFile
 from hil.service.api.audit import Audit
+from hil.service.api.control import Control
 from hil.service.discovery import Service, running
 from hil.service.messages import HOST, ApiConfig, Limits
 
@@ -30,16 +31,15 @@ def main() -> int:
     """Serve until the control process ends, and return 0. Return 2 when the API cannot be served as configured."""
     if (begun := begin("api")) is None:
         return 0
-    config, lines, writer = begun
+    config, _, writer = begun
     try:
         listener = listen(config.port)
         port = listener.getsockname()[1]
         services = running()
         clear_tokens("services", [service.port for service in services])
         path = _token_file(config, port, services)
-        clients, access = known(config, path)
         audit_file = state_folder("audit") / f"{port}.jsonl" if config.audit is None else Path(config.audit).absolute()
-        audit = Audit(audit_file)
+        taken = OrderPort(*begun, listener, *known(config, path), Audit(audit_file))
     except BadInputError as error:
         writer.send({"refused": str(error)})
         return error.exit_code
@@ -47,8 +47,37 @@ def main() -> int:
     from hil.service.api.server import serve
 
     ready = {"url": f"http://{HOST}:{port}", "token_file": str(path), "audit": str(audit_file)}
-    asyncio.run(serve(config, listener, access, clients, audit, lines, writer, ready))
+    asyncio.run(serve(taken, ready))
     return 0
+
+
+class OrderPort(NamedTuple):
+    """A port that takes orders: its pipes to the control process, its socket, who has access, and the audit log.
+
+    ``clients`` keeps ``access`` as the file of further clients says; None without such a file.
+    """
+
+    config: ApiConfig
+    lines: LineReader
+    writer: LineWriter
+    listener: socket.socket
+    access: Access
+    clients: ClientsFile | None
+    audit: Audit
+
+    @property
+    def number(self) -> int:
+        """The port's number."""
+        return int(self.listener.getsockname()[1])
+
+    def control(self) -> Control:
+        """Return the way to the control process, for the running event loop."""
+        return Control(self.lines, self.writer, self.config.limits.twist_timeout_s, self.audit)
+
+    def tasks(self, control: Control) -> list[Coroutine[Any, Any, None]]:
+        """Return what has to run beside the server, until cancelled."""
+        keeping = [] if self.clients is None else [self.clients.keep(self.access)]
+        return [control.live(), self.audit.keep(), *keeping]
 
 
 def begin(process: str) -> tuple[ApiConfig, LineReader, LineWriter] | None:
@@ -68,10 +97,10 @@ def begin(process: str) -> tuple[ApiConfig, LineReader, LineWriter] | None:
     return config, lines, writer
 
 
-def known(config: ApiConfig, token: Path) -> tuple[ClientsFile | None, Access]:
-    """Return the file of further clients, and who has access. Raises BadInputError."""
+def known(config: ApiConfig, token: Path) -> tuple[Access, ClientsFile | None]:
+    """Return who has access, and the file of further clients. Raises BadInputError."""
     clients = None if config.clients_file is None else ClientsFile(Path(config.clients_file))
-    return clients, Access(read_token(token), {} if clients is None else clients.others)
+    return Access(read_token(token), {} if clients is None else clients.others), clients
 
 
 def listen(port: int) -> socket.socket:
@@ -81,7 +110,7 @@ def listen(port: int) -> socket.socket:
     except OSError as error:
         why = os.strerror(error.errno or 0)  # without the address, which Python's message repeats
         raise BadInputError(
-            f"the API cannot listen on {HOST}:{port} ({why}); end the program that uses it, or choose "
+            f"the service cannot listen on {HOST}:{port} ({why}); end the program that uses it, or choose "
             "another port in service.port"
         ) from error
     # Connections inherit it. Without it an answer's body waits 40 ms, until the client acknowledges its header; asyncio

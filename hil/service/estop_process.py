@@ -17,12 +17,11 @@ from pathlib import Path
 from typing import NamedTuple
 
 from hil.core.errors import BadInputError
-from hil.core.json_lines import LineReader, LineWriter
 from hil.service import logs
-from hil.service.api.access import Access, Client, ClientsFile, values_of
+from hil.service.api.access import NO_TOKEN, Access, Client, misdirected
 from hil.service.api.audit import Audit
 from hil.service.api.control import Control, NotDoneError
-from hil.service.api_process import LONGEST_QUEUE, begin, known, listen
+from hil.service.api_process import LONGEST_QUEUE, OrderPort, begin, known, listen
 from hil.service.messages import HOST, Action
 
 _LONGEST_BYTES = 4096  # of a request's header
@@ -39,17 +38,14 @@ class _Refused(NamedTuple):
     detail: str
 
 
-class _Port:
+class _Connections:
     """The listening socket and its connections, for the tasks of one event loop."""
 
     def __init__(self, listener: socket.socket, access: Access, control: Control) -> None:
         self._loop = asyncio.get_running_loop()
         self._listener = listener
         self._access, self._control = access, control
-        port = listener.getsockname()[1]
-        self._hosts = [[f"{name}:{port}".encode()] for name in (HOST, "localhost")]
-        self._headers: dict[socket.socket, bytes] = {}  # incomplete ones, oldest first
-        self._until_s: dict[socket.socket, float] = {}
+        self._headers: dict[socket.socket, tuple[bytes, float]] = {}  # incomplete, and until when; oldest first
         self._is_reading = False
         self._waiting: list[tuple[socket.socket, Client]] = []
         self._asked = asyncio.Event()
@@ -67,8 +63,7 @@ class _Port:
                 self._drop_oldest()
                 break
             connection.setblocking(False)
-            self._headers[connection] = b""
-            self._until_s[connection] = time.monotonic() + _DEADLINE_S
+            self._headers[connection] = b"", time.monotonic() + _DEADLINE_S
             self._read(connection)  # mostly the whole request has come already
             if len(self._headers) > _MOST:
                 self._drop_oldest()
@@ -79,11 +74,10 @@ class _Port:
     def _read_on(self) -> None:
         """Read what has come of incomplete headers. A flood costs less so than if the loop watched each connection."""
         now_s = time.monotonic()
-        for connection, until_s in list(self._until_s.items()):
-            if now_s > until_s:
+        for connection, (_, until_s) in list(self._headers.items()):
+            self._read(connection)  # also of an overdue one: after a stall of this process its request may be there
+            if now_s > until_s and connection in self._headers:
                 self._drop(connection)
-            else:
-                self._read(connection)
         self._is_reading = bool(self._headers)
         if self._is_reading:
             self._loop.call_later(_READ_S, self._read_on)
@@ -94,11 +88,8 @@ class _Port:
 
     def _drop(self, connection: socket.socket) -> None:
         self._dropped += 1
-        self._forget(connection)
+        del self._headers[connection]
         connection.close()
-
-    def _forget(self, connection: socket.socket) -> None:
-        del self._headers[connection], self._until_s[connection]
 
     def _read(self, connection: socket.socket) -> None:
         try:
@@ -107,11 +98,13 @@ class _Port:
             return
         except OSError:
             data = b""
-        self._headers[connection] = header = self._headers[connection] + data
+        header, until_s = self._headers[connection]
+        header += data
+        self._headers[connection] = header, until_s
         if not data:
             self._drop(connection)
         elif b"\r\n\r\n" in header:
-            self._forget(connection)
+            del self._headers[connection]
             found = self._caller(header.partition(b"\r\n\r\n")[0], connection)
             if isinstance(found, Client):
                 self._wait(connection, found)
@@ -136,12 +129,10 @@ class _Port:
         pairs = [(name.lower(), value.strip()) for name, _, value in (line.partition(b":") for line in lines)]
         if first.split(b" ")[:2] != [b"POST", b"/v1/estop"]:
             return _Refused(HTTPStatus.NOT_FOUND, "this port takes POST /v1/estop alone; the API has a port of its own")
-        if values_of(pairs, b"host") not in self._hosts:
-            hosts = " or ".join(host.decode() for [host] in self._hosts)
-            return _Refused(HTTPStatus.MISDIRECTED_REQUEST, f"this port answers for {hosts} only")
+        if (elsewhere := misdirected(pairs, self._listener.getsockname()[1])) is not None:
+            return _Refused(HTTPStatus.MISDIRECTED_REQUEST, elsewhere)
         if (client := self._access.client(pairs)) is None:
-            why = "the header 'Authorization: Bearer TOKEN' with a valid token is missing or wrong"
-            return _Refused(HTTPStatus.UNAUTHORIZED, why)
+            return _Refused(HTTPStatus.UNAUTHORIZED, NO_TOKEN)
         with contextlib.suppress(OSError):  # it has gone, and wants its emergency stop nevertheless
             client = client._replace(address=":".join(map(str, connection.getpeername())))
         return client
@@ -187,47 +178,36 @@ def _answer(connection: socket.socket, status: HTTPStatus, body: object) -> None
         connection.recv(65536)
 
 
-async def _serve(
-    listener: socket.socket,
-    access: Access,
-    clients: ClientsFile | None,
-    audit: Audit,
-    lines: LineReader,
-    writer: LineWriter,
-    twist_timeout_s: float,
-) -> None:
+async def _serve(port: OrderPort) -> None:
     """Serve until the control process has ended. An error of a task is raised: the control process starts another."""
-    control = Control(lines, writer, twist_timeout_s, audit)
-    port = _Port(listener, access, control)
-    writer.send({"ready": {"url": f"http://{HOST}:{listener.getsockname()[1]}"}})
-    keeping = [] if clients is None else [clients.keep(access)]
-    tasks = (control.gone.wait(), control.live(), port.carry_out(), port.report(), audit.keep(), *keeping)
+    control = port.control()
+    connections = _Connections(port.listener, port.access, control)
+    port.writer.send({"ready": {"url": f"http://{HOST}:{port.number}"}})
+    tasks = (control.gone.wait(), connections.carry_out(), connections.report(), *port.tasks(control))
     try:
         ended, _ = await asyncio.wait(map(asyncio.ensure_future, tasks), return_when=asyncio.FIRST_COMPLETED)
         for one in ended:
             one.result()
     finally:
-        audit.close()
+        port.audit.close()
 
 
 def main() -> int:
     """Serve until the control process ends, and return 0. Return 2 when that is impossible as configured."""
     if (begun := begin("estop")) is None:
         return 0
-    config, lines, writer = begun
+    config, _, writer = begun
     assert config.token_file is not None
     assert config.audit is not None
     try:
-        listener = listen(config.port)
-        clients, access = known(config, Path(config.token_file))
-        audit = Audit(Path(config.audit), longest_bytes=sys.maxsize)
+        listener, who = listen(config.port), known(config, Path(config.token_file))
+        port = OrderPort(*begun, listener, *who, Audit(Path(config.audit), longest_bytes=sys.maxsize))
     except BadInputError as error:
         writer.send({"refused": str(error)})
         return error.exit_code
     listener.listen(LONGEST_QUEUE)
     with asyncio.Runner(loop_factory=asyncio.SelectorEventLoop) as runner:  # that of Windows knows no add_reader
-        timeout_s = config.limits.twist_timeout_s
-        runner.run(_serve(listener, access, clients, audit, lines, writer, timeout_s))
+        runner.run(_serve(port))
     return 0
 
 

@@ -13,7 +13,7 @@ from hil.core.errors import BadInputError, nearest
 from hil.core.private_files import read_private
 from hil.core.tokens import SHORTEST
 from hil.service import logs
-from hil.service.messages import Action
+from hil.service.messages import HOST, Action
 
 Headers = Sequence[tuple[bytes, bytes]]
 
@@ -214,6 +214,17 @@ def read_clients(path: Path) -> dict[str, Client]:
             )
         clients[token] = Client(name, frozenset(map(Role, roles.split(","))))
     return clients
+
+
+NO_TOKEN = "the header 'Authorization: Bearer TOKEN' with a valid token is missing or wrong"
+
+
+def misdirected(headers: Headers, port: int) -> str | None:
+    """Return a sentence if the Host header does not name this port of this machine, as after DNS rebinding; or None."""
+    hosts = [f"{name}:{port}" for name in (HOST, "localhost")]
+    if values_of(headers, b"host") in [[host.encode()] for host in hosts]:
+        return None
+    return f"this port answers for {' or '.join(hosts)} only, and the Host header names another"
 
 
 def values_of(headers: Headers, name: bytes) -> list[bytes]:

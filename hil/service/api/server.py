@@ -14,15 +14,23 @@ import uvicorn
 from fastapi.responses import JSONResponse
 from starlette.types import ASGIApp, Receive, Scope, Send
 
-from hil.core.json_lines import LineReader, LineWriter
 from hil.service import logs
-from hil.service.api.access import OWNER, TOO_MANY, TOO_MANY_READS, Access, Client, ClientsFile, Headers, values_of
-from hil.service.api.audit import Audit
+from hil.service.api.access import (
+    NO_TOKEN,
+    OWNER,
+    TOO_MANY,
+    TOO_MANY_READS,
+    Access,
+    Client,
+    Headers,
+    misdirected,
+    values_of,
+)
 from hil.service.api.connections import BATCH, ConnectionPools
 from hil.service.api.control import Control
 from hil.service.api.routes import make_app
-from hil.service.api_process import LONGEST_QUEUE
-from hil.service.messages import HOST, ORDERS, Action, ApiConfig
+from hil.service.api_process import LONGEST_QUEUE, OrderPort
+from hil.service.messages import ORDERS, Action
 
 _PING_S = 5.0
 _LONGEST_BYTES = 64 * 1024  # of a body or a WebSocket message
@@ -37,17 +45,15 @@ class Gate:
     """An ASGI application in front of another one: it refuses requests without the token or with a foreign Host header.
 
     It also refuses a body of more than 64 KiB before reading it, and a WebSocket beyond ``_MOST_LIVE``, or beyond
-    ``_MOST_LIVE_OF_ONE`` of one token that is not the service's own. Whoever is
-    refused is disconnected: the body may be unread. ``dropped`` counts those without the token as ``unknown``.
+    ``_MOST_LIVE_OF_ONE`` of one token that is not the service's own. Whoever is refused is disconnected: the body may
+    be unread. ``dropped`` counts those without the token as ``unknown``.
     """
 
-    def __init__(
-        self, app: ASGIApp, access: Access, hosts: frozenset[bytes], control: Control, dropped: Counter[str]
-    ) -> None:
+    def __init__(self, app: ASGIApp, access: Access, port: int, control: Control, dropped: Counter[str]) -> None:
         self._app = app
         self._dropped = dropped
         self._access = access
-        self._hosts = hosts
+        self._port = port
         self._control = control
         self._live: Counter[str] = Counter()  # clients on the WebSocket, by the name of their token
 
@@ -78,13 +84,11 @@ class Gate:
         length, encoding = values_of(headers, b"content-length"), values_of(headers, b"transfer-encoding")
         if length and encoding:  # a proxy may take the one and this server the other (RFC 9112, 6.3)
             return _refuse(400, "a request has a Content-Length or a Transfer-Encoding, and this one has both")
-        if values_of(headers, b"host") not in [[host] for host in self._hosts]:
-            hosts = " or ".join(sorted(host.decode() for host in self._hosts))
-            return _refuse(421, f"this service answers for {hosts} only, and the Host header names another")
+        if (elsewhere := misdirected(headers, self._port)) is not None:
+            return _refuse(421, elsewhere)
         if client is None:
             self._dropped["unknown"] += 1
-            sentence = "the header 'Authorization: Bearer TOKEN' with the token of this start is missing or wrong"
-            return _refuse(401, sentence, {"www-authenticate": "Bearer"})
+            return _refuse(401, NO_TOKEN, {"www-authenticate": "Bearer"})
         if scope["type"] != "http":
             if len(self._control.watchers) >= _MOST_LIVE:
                 return _refuse(503, f"{_MOST_LIVE} clients are on the WebSocket; end one of them")
@@ -114,35 +118,23 @@ def _refuse(status: int, sentence: str, headers: Mapping[str, str] | None = None
     return JSONResponse({"detail": sentence}, status, {"connection": "close"} | dict(headers or {}))
 
 
-async def serve(
-    config: ApiConfig,
-    listener: socket.socket,
-    access: Access,
-    clients: ClientsFile | None,
-    audit: Audit,
-    lines: LineReader,
-    writer: LineWriter,
-    ready: dict[str, str],
-) -> None:
-    """Serve the API on a listening socket until the control process has ended or this process gets a signal.
+async def serve(port: OrderPort, ready: dict[str, str]) -> None:
+    """Serve the API on a port until the control process has ended or this process gets a signal.
 
-    ``access`` knows the clients, ``clients`` keeps it as their file says, and ``audit`` notes their orders. ``ready``
-    is sent to the control process when the server listens. An error of what runs beside the server ends it and is
-    raised: the control process starts another.
+    ``ready`` is sent to the control process when the server listens. An error of what runs beside the server ends it
+    and is raised: the control process starts another.
     """
-    control = Control(lines, writer, config.limits.twist_timeout_s, audit)
-    port = listener.getsockname()[1]
-    hosts = frozenset(f"{name}:{port}".encode() for name in (HOST, "localhost"))
+    control, access = port.control(), port.access
 
     class Server(uvicorn.Server):
         async def startup(self, sockets: list[socket.socket] | None = None) -> None:
             await super().startup(sockets)
-            listener.listen(LONGEST_QUEUE)  # asyncio accepts as many in one turn as its queue is long
-            writer.send({"ready": ready})
+            port.listener.listen(LONGEST_QUEUE)  # asyncio accepts as many in one turn as its queue is long
+            port.writer.send({"ready": ready})
 
     pools = ConnectionPools(access)
     http, websocket = pools.protocols()
-    gate = Gate(make_app(config, control, access, pools.dropped), access, hosts, control, pools.dropped)
+    gate = Gate(make_app(port.config, control, access, pools.dropped), access, port.number, control, pools.dropped)
     server = Server(
         uvicorn.Config(
             gate,
@@ -172,15 +164,14 @@ async def serve(
         if not task.cancelled() and task.exception() is not None:
             server.should_exit = True
 
-    keeping = [] if clients is None else [clients.keep(access)]
-    beside = [asyncio.create_task(task) for task in (control.live(), pools.sweep(), audit.keep(), end(), *keeping)]
+    beside = [asyncio.create_task(task) for task in (*port.tasks(control), pools.sweep(), end())]
     for task in beside:
         task.add_done_callback(on_end)
-    await server.serve([listener])
+    await server.serve([port.listener])
     for task in beside:
         task.cancel()
     ends = await asyncio.gather(*beside, return_exceptions=True)
-    audit.close()
+    port.audit.close()
     for one in ends:
         if isinstance(one, Exception):
             logs.error("API ends because of an error", why=repr(one))
