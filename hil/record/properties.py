@@ -20,6 +20,8 @@ PART_PROPERTY = "part"
 The last two count the run's rows and events from 0. A row is in two files if a recorder was killed before it could
 count the row as written; a reader then takes it from the later file.
 """
+OF_A_RUN = (RUN_PROPERTY, SIGNALS_PROPERTY, SUMMARY_PROPERTY, PART_PROPERTY, RECORDER_PROPERTY)
+"""The properties that a recorder writes with a check value."""
 
 PROPERTY_WORDS = {
     "scenario_name": "scenario",

@@ -9,21 +9,16 @@ import numpy.typing as npt
 
 from hil.core.signals import SIGNAL_NAMES
 from hil.record.checks import CHECK, NUMBERS, property_check
-from hil.record.properties import (
-    APPLICATION,
-    PART_PROPERTY,
-    RECORDER_PROPERTY,
-    RUN_PROPERTY,
-    SIGNALS_PROPERTY,
-    SUMMARY_PROPERTY,
-)
+from hil.record.properties import APPLICATION, OF_A_RUN, PART_PROPERTY, RECORDER_PROPERTY, SIGNALS_PROPERTY
 
 Series = npt.NDArray[np.float64]
 Selection = Collection[str] | None
 """Names of the signals to read; None for all."""
 
 Numbers = npt.NDArray[np.int64]
-NumberedEvent = tuple[int | None, tuple[float, str, str]]
+Event = tuple[float, str, str]
+"""Time [s], level and text."""
+NumberedEvent = tuple[int | None, Event]
 """The number of an event in the run, None in older recordings, and the event."""
 
 NO_INDEX = "its index cannot be read; every row was read without it"
@@ -39,7 +34,7 @@ class Contents(NamedTuple):
 
     Attributes:
         signals: by name, each of shape (rows,).
-        events: time [s], level and text of each.
+        events: in the order of writing.
         properties: the texts of each property.
         cut_bytes: None for a file with a proper end; otherwise the number of bytes that were left out at its end: a
             message or record that was cut short.
@@ -51,8 +46,8 @@ class Contents(NamedTuple):
     """
 
     signals: dict[str, Series]
-    events: list[tuple[float, str, str]]
-    properties: dict[str, dict[str, str]]
+    events: list[Event]
+    properties: "Properties"
     cut_bytes: int | None
     damage: tuple[str, ...] = ()
     lost_rows: int = 0
@@ -69,13 +64,21 @@ class Properties(dict[str, dict[str, str]]):
         damaged: the names of those that were left out.
     """
 
-    _OURS = (RUN_PROPERTY, SIGNALS_PROPERTY, SUMMARY_PROPERTY, PART_PROPERTY, RECORDER_PROPERTY)
-
     def __init__(self) -> None:
         super().__init__()
         self.has_checks = False
         self.damaged: set[str] = set()
         self._unchecked: set[str] = set()
+
+    @property
+    def part(self) -> dict[str, Any]:
+        """Which part of the run the file is; empty if that is not known."""
+        return json_property(self, PART_PROPERTY) or {}
+
+    @property
+    def end(self) -> dict[str, Any]:
+        """What the recorder wrote at the file's end; empty if it did not."""
+        return json_property(self, RECORDER_PROPERTY) or {}
 
     def read(self, name: str, texts: Mapping[str, str]) -> None:
         """Add a property as it was read from the file; the newest of one name is kept."""
@@ -87,7 +90,7 @@ class Properties(dict[str, dict[str, str]]):
                 self.damaged.add(name)
                 self.pop(name, None)
                 return
-        elif name in self._OURS:
+        elif name in OF_A_RUN:
             self._unchecked.add(name)
         self[name] = own
 
@@ -99,50 +102,69 @@ class Properties(dict[str, dict[str, str]]):
                 self.pop(name, None)
         if SIGNALS_PROPERTY in self.damaged:
             raise DamagedError("damaged: its property 'signals' differs from its check value")
-        end = json_property(self, RECORDER_PROPERTY) or {}
-        missing = [name for name in end.get("holds", ()) if name not in self and name not in self.damaged]
+        missing = [name for name in self.end.get("holds", ()) if name not in self and name not in self.damaged]
         return [
             *(f"its property {name!r} differs from its check value and is left out" for name in sorted(self.damaged)),
             *(f"its property {name!r} is missing" for name in missing),
         ]
 
 
-def unwrapped(
-    numbers: npt.NDArray[np.unsignedinteger[Any]], properties: dict[str, dict[str, str]], key: str
-) -> Numbers:
-    """Return numbers of rows or events, which are stored modulo 2^32, as those next to the first of this part."""
-    first = (json_property(properties, PART_PROPERTY) or {}).get(key, 0)
-    half = NUMBERS // 2
-    near: Numbers = (numbers.astype(np.int64) - first + half) % NUMBERS - half + first
-    return near
+class NumberedRows(NamedTuple):
+    """The rows of a file, each once, in their order.
+
+    Attributes:
+        signals: by name, each of shape (n,).
+        numbers: of the rows in the run, of shape (n,).
+        last_s: the time of the last one [s]; -inf if there is none, NaN if it is not known.
+        lost: how many rows the file lacks.
+        damage: sentences on these.
+        remarks: sentences on them if the recorder itself lost as many.
+    """
+
+    signals: dict[str, Series]
+    numbers: Numbers
+    last_s: float
+    lost: int
+    damage: list[str]
+    remarks: list[str]
+
+
+def numbered_rows(
+    stored: npt.NDArray[np.unsignedinteger[Any]], values: Series, names: Collection[str], properties: Properties
+) -> NumberedRows:
+    """Return the rows with their numbers ``stored`` modulo 2^32 (n,), and their values (n, m) of the named signals."""
+    first, half = properties.part.get("first_row", 0), NUMBERS // 2
+    near: Numbers = (stored.astype(np.int64) - first + half) % NUMBERS - half + first  # to the first of this part
+    numbers, places = np.unique(near, return_index=True)
+    signals = {name: values[places, i] for i, name in enumerate(names)}
+    t_s = signals.get("loop.t_s", np.full(len(numbers), np.nan))
+    return NumberedRows(signals, numbers, t_s[-1] if len(t_s) else -np.inf, *_lost_rows(numbers, properties, t_s))
 
 
 _TOLD_GAPS = 8
 
 
-def gaps(numbers: Numbers, properties: dict[str, dict[str, str]], what: str) -> list[tuple[int, int]]:
+def _gaps(numbers: Numbers, properties: Properties, what: str) -> list[tuple[int, int]]:
     """Return which numbers of rows or events (``what``) a file lacks: the first and the last of each gap.
 
     ``numbers`` has shape (n,) and ascends. A file begins with the first one of its part, or before it if it was merged
     from several parts, and it ends as its recorder says.
     """
-    begin = (json_property(properties, PART_PROPERTY) or {}).get(f"first_{what}", 0)
-    end = (json_property(properties, RECORDER_PROPERTY) or {}).get(f"{what}s_until", 0)
+    begin, end = properties.part.get(f"first_{what}", 0), properties.end.get(f"{what}s_until", 0)
     begin, end = (min(begin, numbers[0]), max(end, numbers[-1] + 1)) if len(numbers) else (begin, end)
     edges = np.concatenate([[begin - 1], numbers, [end]])
     places = np.flatnonzero(np.diff(edges) > 1)
     return [(int(edges[place]) + 1, int(edges[place + 1]) - 1) for place in places]
 
 
-def lost_rows(numbers: Numbers, properties: dict[str, dict[str, str]], t_s: Series) -> tuple[int, list[str], list[str]]:
+def _lost_rows(numbers: Numbers, properties: Properties, t_s: Series) -> tuple[int, list[str], list[str]]:
     """Return how many rows a file lacks, and sentences on each gap, of at most eight: damage, and remarks.
 
     A gap is a remark if the recorder itself lost as many rows. ``t_s`` has the times [s] of the rows that are there.
     """
-    found = gaps(numbers, properties, "row")
+    found = _gaps(numbers, properties, "row")
     lost = sum(last - first + 1 for first, last in found)
-    end = json_property(properties, RECORDER_PROPERTY) or {}
-    begin = (json_property(properties, PART_PROPERTY) or {}).get("first_row", 0)
+    end, begin = properties.end, properties.part.get("first_row", 0)
     was_told = lost > 0 and end.get("rows_until", 0) - begin - end.get("rows_in_part", 0) == lost
     what = "were lost when the run was recorded" if was_told else "cannot be read and are left out"
     words = []
@@ -159,20 +181,19 @@ def lost_rows(numbers: Numbers, properties: dict[str, dict[str, str]], t_s: Seri
 
 
 def numbered_events(
-    read: list[NumberedEvent], properties: dict[str, dict[str, str]]
-) -> tuple[list[tuple[float, str, str]], int]:
-    """Return the events in their order, each once, and how many are damaged or missing."""
+    read: list[NumberedEvent], properties: Properties, differ: int = 0
+) -> tuple[list[Event], int, list[str]]:
+    """Return the events in their order, each once, how many are damaged or missing, and the sentence on these.
+
+    ``differ`` is how many were read that differ from their check values.
+    """
     by_number = {number: event for number, event in read if number is not None}
     numbers = np.array(sorted(by_number), np.int64)
-    lost = sum(last - first + 1 for first, last in gaps(numbers, properties, "event"))
-    if not lost and not by_number:
-        return [event for _, event in read], 0
-    return [by_number[number] for number in numbers], lost
-
-
-def event_words(lost: int) -> list[str]:
-    """Return the sentence on events that are damaged or missing, if there are any."""
-    return [f"{lost} event{'s' * (lost > 1)} cannot be read and {'are' if lost > 1 else 'is'} left out"] * (lost > 0)
+    missing = sum(last - first + 1 for first, last in _gaps(numbers, properties, "event"))
+    events = [by_number[number] for number in numbers] if missing or by_number else [event for _, event in read]
+    lost = max(missing, differ)
+    words = f"{lost} event{'s' * (lost > 1)} cannot be read and {'are' if lost > 1 else 'is'} left out"
+    return events, lost, [words] * (lost > 0)
 
 
 def why_nothing(programs: Collection[str], cut_bytes: int | None) -> str:

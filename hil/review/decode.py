@@ -42,7 +42,7 @@ def decode(path: Path, selection: Selection = None) -> tuple[dict[str, Any], dic
     files, notes = _files(path, selection)
     parts = [contents for _, contents in files]
     first, last = parts[0], parts[-1]
-    about = [json_property(contents.properties, PART_PROPERTY) or {} for contents in parts]
+    about = [contents.properties.part for contents in parts]
     lengths = [_length(contents) + contents.lost_rows for contents in parts]
     row_starts = [one.get("first_row") for one in about]
     spans, missing = _spans(row_starts, lengths)
@@ -126,7 +126,7 @@ def _files(path: Path, selection: Selection) -> tuple[list[tuple[Path, Contents]
 
 def _is_later_file(part: dict[str, Any], contents: Contents) -> bool:
     """Whether the file is a single later file of its run. A file merged by rerun has the properties of the last."""
-    in_part = (json_property(contents.properties, RECORDER_PROPERTY) or {}).get("rows_in_part")
+    in_part = contents.properties.end.get("rows_in_part")
     return bool(part["number"] > 1 and (in_part is None or not contents.signals or _length(contents) <= in_part))
 
 

@@ -23,15 +23,12 @@ from hil.review.contents import (
     Contents,
     DamagedError,
     NumberedEvent,
-    Numbers,
     Properties,
     Selection,
     Series,
-    event_words,
     json_property,
-    lost_rows,
     numbered_events,
-    unwrapped,
+    numbered_rows,
     why_nothing,
 )
 
@@ -54,7 +51,7 @@ def decode_mcap(path: Path, selection: Selection = None) -> Contents:
     reader = _Reader(selection)
     with path.open("rb") as file:
         end, cut_bytes = _end_of_records(file)
-        reader.compare(file, end)
+        reader.compare(file)
         file.seek(0)
         stream = StreamReader(file, emit_chunks=True, record_size_limit=_LONGEST_RECORD_BYTES)
         try:
@@ -68,35 +65,31 @@ def decode_mcap(path: Path, selection: Selection = None) -> Contents:
 
 def _end_of_records(file: BinaryIO) -> tuple[int, int | None]:
     """Return the end of the last whole record, and the number of bytes after it; None if the file was not cut."""
+    place, opcode, length = [(len(_MAGIC) - _RECORD.size, None, 0), *_records(file)][-1]
+    end = place + _RECORD.size + length
     size = file.seek(0, os.SEEK_END)
-    end, opcode = len(_MAGIC), None
-    while opcode != Opcode.FOOTER:
-        file.seek(end)
-        head = file.read(_RECORD.size)
-        if len(head) < _RECORD.size:
-            return end, size - end
-        opcode, length = _RECORD.unpack(head)
-        if end + _RECORD.size + length > size:
-            return end, size - end
-        end += _RECORD.size + length
     file.seek(end)
-    return end, None if file.read() == _MAGIC else size - end
+    is_whole = opcode == Opcode.FOOTER and file.read() == _MAGIC
+    return end, None if is_whole else size - end
 
 
-def _records(file: BinaryIO, end: int) -> Iterator[tuple[int, int, int]]:
-    """Yield where each record begins, its kind and the length of its content, at which the file then is."""
-    place = len(_MAGIC)
-    while place < end:
+def _records(file: BinaryIO) -> Iterator[tuple[int, int, int]]:
+    """Yield where each whole record begins, its kind and the length of its content, at which the file then is."""
+    size = file.seek(0, os.SEEK_END)
+    place, opcode = len(_MAGIC), None
+    while opcode != Opcode.FOOTER and place + _RECORD.size <= size:
         file.seek(place)
         opcode, length = _RECORD.unpack(file.read(_RECORD.size))
+        if place + _RECORD.size + length > size:
+            return
         yield place, opcode, length
         place += _RECORD.size + length
 
 
-def _sums(file: BinaryIO, end: int) -> Iterator[tuple[str, int, int]]:
+def _sums(file: BinaryIO) -> Iterator[tuple[str, int, int]]:
     """Yield which part of the file it is, its CRC-32, and that of the format: of the records, and of the index."""
     data_end = None
-    for place, opcode, length in _records(file, end):
+    for place, opcode, length in _records(file):
         if opcode == Opcode.DATA_END:
             stored = int.from_bytes(file.read(4), "little")
             yield "records", _crc32(file, 0, place), stored
@@ -133,14 +126,14 @@ class _Reader:
         self._lost_rows = 0
         self._other: list[str] = []
 
-    def compare(self, file: BinaryIO, end: int) -> None:
+    def compare(self, file: BinaryIO) -> None:
         """Compare the file with the two CRC-32 of its format, of the records before the index and of the index."""
-        for place, opcode, length in _records(file, end):
+        for place, opcode, length in _records(file):
             begin = file.read(6)  # of a message index: its channel and the size of its entries
             fits = opcode != Opcode.MESSAGE_INDEX or length == 6 + int.from_bytes(begin[2:], "little")
             if opcode not in _KNOWN or not fits:
                 self._damage.append(f"{length} bytes from byte {place} on cannot be read and are left out")
-        for record, summed, stored in _sums(file, end):
+        for record, summed, stored in _sums(file):
             if stored and stored != summed:
                 self._other.append(f"{record} that are not read here differ from their check value (CRC-32)")
 
@@ -164,29 +157,25 @@ class _Reader:
         damage = self._properties.damage()
         if self._names is None:
             raise DamagedError(why_nothing(self._programs, cut_bytes))
-        table = np.concatenate([np.empty((0, len(self._columns))), *self._pieces])
+        names = [self._names[column] for column in self._columns]
+        table = np.concatenate([np.empty((0, len(names))), *self._pieces])
         self._pieces.clear()
-        numbers: Numbers | None = None
-        if self._properties.has_checks:
-            read = np.concatenate([np.empty(0, np.uint32), *self._numbers])
-            numbers, places = np.unique(unwrapped(read, self._properties, "first_row"), return_index=True)
-            table = table[places]
-        signals = {self._names[column]: table[:, i] for i, column in enumerate(self._columns)}
         damage += self._damage
-        if numbers is None:
+        if not self._properties.has_checks:
+            signals = {name: table[:, i] for i, name in enumerate(names)}
             damage += self._rows_damage or self._other
             events = [event for _, event in self._events]
             old = ("a version without check values recorded it: damage of its properties cannot be noticed",)
             return Contents(signals, events, self._properties, cut_bytes, tuple(damage), self._lost_rows, remarks=old)
-        events, lost_events = numbered_events(self._events, self._properties)
-        t_s = signals.get("loop.t_s", np.full(len(numbers), np.nan))
-        lost, words, remarks = lost_rows(numbers, self._properties, t_s)
-        last_s = t_s[-1] if len(t_s) else -np.inf
+        events, lost_events, of_events = numbered_events(self._events, self._properties)
+        stored = np.concatenate([np.empty(0, np.uint32), *self._numbers])
+        rows = numbered_rows(stored, table, names, self._properties)
+        damage += of_events + rows.damage
         if RECORDER_PROPERTY not in self._properties:  # then no number tells that the last rows are missing
-            words += [one for one, at_s in zip(self._rows_damage, self._left_s, strict=True) if not at_s <= last_s]
-        damage = [*damage, *event_words(lost_events), *words] or self._other
-        told = tuple(damage), lost, lost_events, numbers, tuple(remarks)
-        return Contents(signals, events, self._properties, cut_bytes, *told)
+            left = zip(self._rows_damage, self._left_s, strict=True)
+            damage += [one for one, at_s in left if not at_s <= rows.last_s]
+        told = tuple(damage or self._other), rows.lost, lost_events, rows.numbers, tuple(rows.remarks)
+        return Contents(rows.signals, events, self._properties, cut_bytes, *told)
 
     def _begin(self) -> None:
         held = json_property(self._properties, SIGNALS_PROPERTY)

@@ -16,7 +16,7 @@ import numpy.typing as npt
 
 from hil.record.checks import WORDS, Words, WrittenBytes, event_check, numbered, row_crcs
 from hil.record.files import has_end
-from hil.record.properties import OVERLAY_PROPERTY, RECORDER_PROPERTY, SIGNALS_PATH, SIGNALS_PROPERTY
+from hil.record.properties import OVERLAY_PROPERTY, SIGNALS_PATH, SIGNALS_PROPERTY
 from hil.review.contents import (
     NO_INDEX,
     Contents,
@@ -25,11 +25,9 @@ from hil.review.contents import (
     Properties,
     Selection,
     Series,
-    event_words,
     json_property,
-    lost_rows,
     numbered_events,
-    unwrapped,
+    numbered_rows,
     why_nothing,
 )
 
@@ -122,6 +120,11 @@ class _Entities:
         self.properties: dict[str, dict[bytes, dict[str, str]]] = {}  # by name and row id
         self.events: dict[bytes, dict[str, Any]] = {}  # by row id
         self.senseless: list[str] = []
+
+    def rows(self, path: str, width: int) -> _Piece:
+        """Return the rows of an entity that holds so many of the selected signals, in the order of writing."""
+        pieces = self.pieces.get(path)
+        return _nothing(width) if pieces is None else pieces.in_order()
 
     def newest(self) -> Properties:
         """Return the newest texts of each property."""
@@ -221,9 +224,8 @@ def _compared(path: Path, entities: _Entities, held: dict[str, list[str]], cut_b
             raise DamagedError(f"damaged: {senseless}: {entities.senseless[0]}")
         damage.insert(0, f"{senseless} and are left out")
     read, differ = entities.numbered_events()
-    events, lost_events = numbered_events(read, properties)
-    lost_events = max(lost_events, differ)
-    damage += event_words(lost_events)
+    events, lost_events, of_events = numbered_events(read, properties, differ)
+    damage += of_events
     if not properties.has_checks:
         old = "a version without check values recorded it: damage that changes its values cannot be noticed"
         return Contents(_signals(held, entities), events, properties, cut_bytes, tuple(damage), remarks=(old,))
@@ -232,20 +234,16 @@ def _compared(path: Path, entities: _Entities, held: dict[str, list[str]], cut_b
         signals = _signals(held, entities)
         return Contents(signals, events, properties, cut_bytes, tuple(damage), 0, lost_events, remarks=(live,))
     names = [held[SIGNALS_PATH][i] for i in _columns(held[SIGNALS_PATH], entities.selection)]
-    pieces = entities.pieces.get(SIGNALS_PATH)
-    stored, whole = _whole_rows(_nothing(len(names)) if pieces is None else pieces.in_order(), entities.words)
-    numbers, places = np.unique(unwrapped(stored, properties, "first_row"), return_index=True)
-    signals = {name: whole.values[places, i] for i, name in enumerate(names)}
-    t_s = signals.get(_TIME, np.full(len(numbers), np.nan))
-    lost, words, remarks = lost_rows(numbers, properties, t_s)
-    damage += words
-    if (more := (0 if pieces is None else pieces.rows) - len(stored) - lost) > 0:  # at an end that no number tells
+    written = entities.rows(SIGNALS_PATH, len(names))
+    stored, whole = _whole_rows(written, entities.words)
+    rows = numbered_rows(stored, whole.values, names, properties)
+    damage += rows.damage
+    if (more := max(0, len(written.ticks) - len(stored) - rows.lost)) > 0:  # at an end that no number tells
         damage.append(f"{more} rows differ from their check values and are left out")
-        lost += more
     if not damage and not _has_its_bytes(path, properties):
-        remarks.append(_OTHER_BYTES)
-    told = tuple(damage), lost, lost_events, numbers, tuple(remarks)
-    return Contents(signals, events, properties, cut_bytes, *told)
+        rows.remarks.append(_OTHER_BYTES)
+    told = tuple(damage), rows.lost + more, lost_events, rows.numbers, tuple(rows.remarks)
+    return Contents(rows.signals, events, properties, cut_bytes, *told)
 
 
 def _whole_rows(rows: _Piece, words: list[tuple[npt.NDArray[np.uint64], Words]]) -> tuple[Words, _Piece]:
@@ -266,7 +264,7 @@ def _whole_rows(rows: _Piece, words: list[tuple[npt.NDArray[np.uint64], Words]])
 
 def _has_its_bytes(path: Path, properties: Properties) -> bool:
     """Whether the file has the bytes that its recorder wrote before its end, or none are known."""
-    end = json_property(properties, RECORDER_PROPERTY) or {}
+    end = properties.end
     if "bytes" not in end:
         return True
     written = WrittenBytes(path)
@@ -279,10 +277,10 @@ def _rescued(path: Path, selection: Selection, damage: DamagedError, *, has_inde
     """Return the contents of the messages that rerun can read. Raises ``damage`` if that is no recording."""
     with path.open("rb") as file, tempfile.TemporaryDirectory() as directory:
         copy = Path(directory) / "part.rrd"
-        messages = list(_messages(file, file.seek(0, os.SEEK_END)))
+        messages = list(_messages(file))
         # rerun reads nothing of a store before the message that introduces it.
         stores = [(0, _HEADER_BYTES), *(span for kind, span in messages if kind == _STORE_MESSAGE)]
-        spans = [span for kind, span in messages if kind != _STORE_MESSAGE]
+        spans = [span for kind, span in messages if kind not in (_STORE_MESSAGE, _END_MESSAGE)]
 
         def write(chosen: list[tuple[int, int]]) -> None:
             with copy.open("wb") as target:
@@ -402,9 +400,7 @@ def _signals(held: dict[str, list[str]], entities: _Entities) -> dict[str, Serie
     for path, names in held.items():
         kept = [names[i] for i in _columns(names, entities.selection)]
         if kept:
-            pieces = entities.pieces.get(path)
-            part = _nothing(len(kept)) if pieces is None else pieces.in_order()
-            joined[path] = kept, part
+            joined[path] = kept, entities.rows(path, len(kept))
     clock = next((part for names, part in joined.values() if _TIME in names), None)
     if clock is not None:
         joined = {path: (names, part.from_first(clock.ticks)) for path, (names, part) in joined.items()}
@@ -443,14 +439,15 @@ def _whole_messages(path: Path, *, has_index: bool) -> Iterator[tuple[Path, int 
             yield copy, size - end
 
 
-def _messages(file: BinaryIO, size: int) -> Iterator[tuple[int, tuple[int, int]]]:
-    """Yield the kind of each whole message before the index, and where it begins and ends."""
-    begin = _HEADER_BYTES
-    while begin + _MESSAGE.size <= size:
+def _messages(file: BinaryIO) -> Iterator[tuple[int, tuple[int, int]]]:
+    """Yield the kind of each whole message, and where it begins and ends. The last is that of the index, if it came."""
+    size = file.seek(0, os.SEEK_END)
+    begin, kind = _HEADER_BYTES, None
+    while kind != _END_MESSAGE and begin + _MESSAGE.size <= size:
         file.seek(begin)
         kind, length = _MESSAGE.unpack(file.read(_MESSAGE.size))
         end = begin + _MESSAGE.size + length
-        if kind == _END_MESSAGE or end > size:
+        if end > size:
             return
         yield kind, (begin, end)
         begin = end
@@ -458,15 +455,5 @@ def _messages(file: BinaryIO, size: int) -> Iterator[tuple[int, tuple[int, int]]
 
 def _end_of_messages(file: BinaryIO, size: int, *, has_index: bool) -> int:
     """Return where the last whole message ends; the size of the file when nothing was cut."""
-    end = _HEADER_BYTES
-    while True:
-        file.seek(end)
-        header = file.read(_MESSAGE.size)
-        if len(header) < _MESSAGE.size:
-            return min(end, size)
-        kind, length = _MESSAGE.unpack(header)
-        if end + _MESSAGE.size + length > size:
-            return end
-        end += _MESSAGE.size + length
-        if kind == _END_MESSAGE:
-            return size if has_index else end  # what follows the index is not a message
+    kind, (_, end) = [(None, (0, min(_HEADER_BYTES, size))), *_messages(file)][-1]
+    return size if has_index and kind == _END_MESSAGE else end  # what follows the index is not a message
