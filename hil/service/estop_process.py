@@ -1,8 +1,9 @@
 """The process that takes emergency stops for a service, and nothing else; ``hil.service.api_child`` starts it.
 
 It has a port and a pipe to the control process of its own, so no client of the API can delay an emergency stop by a
-flood, or by making the API hang. A thread of the API would wait for its interpreter, and end with it. A connection is one request, ``POST /v1/estop`` with any valid token; a body is not read. Tokens, Host header
-and audit log are as in the API. The API alone renames the audit log when it is full.
+flood, or by making the API hang. A thread of the API would wait for its interpreter, and end with it. A connection is
+one request, ``POST /v1/estop`` with any valid token; a body is not read. Tokens, Host header and audit log are as in
+the API. The API alone renames the audit log when it is full.
 """
 
 import asyncio
