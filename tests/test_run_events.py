@@ -1,5 +1,8 @@
 """The event log is written while the run goes on: what happens is told at the tick at which it happens."""
 
+import struct
+import sys
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -9,7 +12,9 @@ from hil.judge.state import STATE_BEGINS
 from hil.review import read
 from hil.review.result import RunResult
 from hil.runtime.assembly import RunOptions, run_scenario
+from hil.runtime.events import RunEvents
 from hil.scenario import load
+from hil.scenario.trial import ExpectTable
 
 TICKS_A_S = 200
 SHORT = ["loop.rate_hz=200", "loop.duration_s=2.0", "plant.start={ contact = 'rigid' }"]
@@ -78,3 +83,26 @@ def test_a_loss_and_a_recovery_are_told_when_they_happen(tmp_path: Path) -> None
     back = events[f"ACTIVE again after {recovery['armed_s'] - recovery['lost_s']:.3f} s: {recovery['why']}"]
     assert lost == (100, pytest.approx(0.5), "warning")
     assert back == (round(recovery["armed_s"] * TICKS_A_S), pytest.approx(recovery["armed_s"]), "info")
+
+
+def test_the_work_grows_as_the_number_of_claims_and_not_as_its_square() -> None:
+    base, names = load("circle_speed"), (*RunEvents.needs, "pose.x_m")
+
+    def calls(count: int) -> int:
+        claims = tuple(ExpectTable(signal="pose.x_m", below=1.0 + i) for i in range(count))
+        events = RunEvents(replace(base, expect=claims, fault=()), names, lambda *_: None, lambda: None)
+        made, before = [0], sys.getprofile()
+
+        def one_more(_frame: object, event: str, _argument: object) -> None:
+            made[0] += event == "call"
+
+        sys.setprofile(one_more)
+        try:
+            events.put(struct.pack(f"{len(names)}d", *[0.0] * len(names)))
+            assert len(events.finish(0.0, is_cut=False)) == count
+        finally:
+            sys.setprofile(before)
+        return made[0]
+
+    few, many = calls(100), calls(200)
+    assert many < 2.1 * few

@@ -47,8 +47,8 @@ class RunEvents:
         self._watches = {
             i: Watch(row, scenario.fault, scenario.robot) for i, row in enumerate(self._expect) if row.is_of_signals
         }
-        self._open: tuple[tuple[tuple[int, ...], Watch], ...] = ()
-        self._undecided = list(self._watches.values())
+        self._open: dict[Watch, tuple[int, ...]] = {}
+        self._undecided = dict.fromkeys(self._watches.values())
         self._noted: dict[int, str] = {}  # what was logged when an expectation failed
         self._in_force: list[str] = []
         edges: list[tuple[float, Callable[[], None]]] = []
@@ -71,7 +71,7 @@ class RunEvents:
             self._cross(t_s)
         if self._output is not None and self._output:
             log_lines(self._output.new_lines(), t_s, self._note)
-        for places, watch in self._open:
+        for watch, places in self._open.items():
             if watch.add(t_s, [_value_at(row, at)[0] for at in places]):
                 self._note_failure(watch)
 
@@ -106,7 +106,7 @@ class RunEvents:
         self._note(at_s, "info", f"fault ends: {words}")
 
     def _watch(self, watch: Watch) -> None:
-        self._open += ((tuple(self._places[name] for name in watch.signals), watch),)
+        self._open[watch] = tuple(self._places[name] for name in watch.signals)
 
     def _note_failure(self, watch: Watch) -> None:
         """Log at once that an expectation has failed. The worst value is logged when its time window ends."""
@@ -125,8 +125,8 @@ class RunEvents:
         self._note(t_s, "info", state_words({name: _value_at(row, at)[0] for name, at in self._places.items()}))
 
     def _decide(self, watch: Watch, t_s: float, cut_s: float | None) -> None:
-        self._open = tuple(one for one in self._open if one[1] is not watch)
-        self._undecided.remove(watch)
+        self._open.pop(watch, None)
+        del self._undecided[watch]
         outcome = watch.outcome(cut_s)
         noted = self._noted.get(id(watch))
         if outcome.text == noted:
