@@ -1,4 +1,4 @@
-"""What is recorded as MCAP, read by the decoder of ROS 2 messages that MCAP's own authors ship."""
+"""What is recorded as MCAP, read by the decoder of ROS 2 messages that MCAP's own authors ship, and by rosbags."""
 
 import re
 from pathlib import Path
@@ -6,14 +6,19 @@ from xml.etree import ElementTree
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 import hil
 from hil.core.types import WHEEL_NAMES
 from hil.record.robot_model import WHEEL_JOINTS
+from hil.record.ros_messages import LOG_LEVELS, log_fields, log_message
 from hil.review import read
 from hil.review.export import write_export
 
 ros2 = pytest.importorskip("mcap_ros2.reader", reason="pip install mcap-ros2-support")
+
+_ROSBAGS = "pip install rosbags"
 
 
 @pytest.fixture(scope="module")
@@ -95,15 +100,55 @@ def test_the_robot_in_a_file_moves_as_its_rows_say(recording: Path, exported: bo
 
 
 def test_definitions_are_those_of_ros_2(recording: Path) -> None:
-    rosbags = pytest.importorskip("rosbags.typesys", reason="pip install rosbags")
+    rosbags = pytest.importorskip("rosbags.typesys", reason=_ROSBAGS)
     from mcap.reader import make_reader
 
     ours = rosbags.get_types_from_msg
     store = rosbags.get_typestore(rosbags.Stores.ROS2_JAZZY)
     with recording.open("rb") as file:
-        schemas = [schema for schema in make_reader(file).get_summary().schemas.values() if "/msg/" in schema.name]
-    assert {schema.name for schema in schemas} == {"std_msgs/msg/String", "tf2_msgs/msg/TFMessage"}
+        schemas = [schema for schema in make_reader(file).get_summary().schemas.values() if "hil/" not in schema.name]
+    assert {schema.name for schema in schemas} == {
+        "rcl_interfaces/msg/Log",
+        "std_msgs/msg/String",
+        "tf2_msgs/msg/TFMessage",
+    }
     for schema in schemas:
         text = re.sub(r"(?m)^MSG: (\w+)/", r"MSG: \1/msg/", schema.data.decode())
         for name, (_, fields) in ours(text, schema.name).items():
             assert fields == store.fielddefs[name][1], name
+
+
+def test_rosbags_reads_the_rows_and_the_events_that_we_read(recording: Path) -> None:
+    highlevel = pytest.importorskip("rosbags.highlevel", reason=_ROSBAGS)
+    run = read(recording)
+    poses, events = [], []
+    with highlevel.AnyReader([recording]) as bag:
+        for connection, stamp_ns, data in bag.messages():
+            message = bag.deserialize(data, connection.msgtype)
+            if connection.topic == "/hil":
+                poses.append((message.pose.x_m, message.pose.y_m, message.pose.heading_rad))
+            elif connection.topic == "/events":
+                assert message.stamp.sec * 10**9 + message.stamp.nanosec == stamp_ns
+                events.append((message.level, message.msg))
+    ours = np.stack([run.signals[f"pose.{name}"] for name in ("x_m", "y_m", "heading_rad")], axis=-1)
+    assert np.array_equal(poses, ours, equal_nan=True)
+    assert events == [(LOG_LEVELS[event.severity], event.text) for event in run.events]
+    assert events
+
+
+@given(st.integers(0, 2**31 * 10**9 - 1), st.sampled_from(list(LOG_LEVELS.values())), st.text(), st.text())
+def test_an_event_of_any_text_is_a_log_of_ros_2(stamp_ns: int, level: int, name: str, text: str) -> None:
+    rosbags = pytest.importorskip("rosbags.typesys", reason=_ROSBAGS)
+    data = log_message(stamp_ns, level, name, text)
+    log = rosbags.get_typestore(rosbags.Stores.ROS2_JAZZY).deserialize_cdr(data, "rcl_interfaces/msg/Log")
+    assert (log.stamp.sec * 10**9 + log.stamp.nanosec, log.level, log.name, log.msg) == (stamp_ns, level, name, text)
+    assert log_fields(data) == (level, text)
+
+
+def test_events_of_a_recording_that_has_them_as_json_are_read() -> None:
+    run = read(Path(__file__).parent / "recordings" / "circle_speed_1edb5dc.mcap")
+    assert [(event.t_s, event.severity, event.text[:11]) for event in run.events] == [
+        (0.0, "info", "robot: firm"),
+        (0.0, "info", "link: memor"),
+    ]
+    assert not run.is_damaged

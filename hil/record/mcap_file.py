@@ -1,10 +1,11 @@
 """A recording as an MCAP file, which Foxglove and PlotJuggler open; needs no rerun.
 
 Each row is one message on ``/hil``, of a ROS 2 message definition that holds the signals by their names, as in
-``/hil.wheel.fl.speed_rad_s``, encoded as CDR: floats of 64 bits one after the other. Events are ``foxglove.Log`` on
-``/events``. The robot is there as ROS has it, for Foxglove and RViz to draw: its URDF on ``/robot_description``, its
-frames on ``/tf``. The properties and the summary are metadata records with the names of an .rrd file's properties. A
-chunk is closed whenever the recorder flushes, so a file that was cut off keeps everything that was flushed.
+``/hil.wheel.fl.speed_rad_s``, encoded as CDR: floats of 64 bits one after the other. Events are
+``rcl_interfaces/msg/Log`` on ``/events``. The robot is there as ROS has it, for Foxglove and RViz to draw: its URDF on
+``/robot_description``, its frames on ``/tf``. As all messages are ROS 2's, so is the profile. The properties and the
+summary are metadata records with the names of an .rrd file's properties. A chunk is closed whenever the recorder
+flushes, so a file that was cut off keeps everything that was flushed.
 """
 
 import json
@@ -28,25 +29,21 @@ from hil.record.properties import (
     scenario_values,
 )
 from hil.record.ring import Rows
-from hil.record.ros_messages import CDR_HEADER, STRING, TF_MESSAGE, Definition, string_message
+from hil.record.ros_messages import (
+    CDR_HEADER,
+    LOG,
+    LOG_LEVELS,
+    STRING,
+    TF_MESSAGE,
+    Definition,
+    log_message,
+    string_message,
+)
 
 SIGNALS_TOPIC = "/hil"
 EVENTS_TOPIC = "/events"
 ROBOT_TOPIC, FRAMES_TOPIC = "/robot_description", "/tf"
 ZERO_KEY = "zero_unix_ns"
-LEVELS = {"debug": 1, "info": 2, "warning": 3, "error": 4}
-"""The numbers of the levels in ``foxglove.Log``."""
-_INTEGER, _STRING = {"type": "integer"}, {"type": "string"}
-_LOG_SCHEMA = {
-    "title": "foxglove.Log",
-    "type": "object",
-    "properties": {
-        "timestamp": {"type": "object", "title": "time", "properties": {"sec": _INTEGER, "nsec": _INTEGER}},
-        "level": {"type": "integer", "enum": [0, 1, 2, 3, 4, 5]},
-        **dict.fromkeys(("message", "name", "file"), _STRING),
-        "line": _INTEGER,
-    },
-}
 
 
 class McapFile:
@@ -77,14 +74,13 @@ class McapFile:
         tree = _tree(signals)
         self._order = _leaves(tree)
         self._writer: Any = Writer(self._file, compression=CompressionType.ZSTD, enable_data_crcs=True)
-        self._writer.start(library=APPLICATION)
+        self._writer.start(profile="ros2", library=APPLICATION)
         self._property(RUN_PROPERTY, properties)
         held = {SIGNALS_TOPIC: [signals[i] for i in self._order]}
         self._property(SIGNALS_PROPERTY, {"json": json.dumps(held), ZERO_KEY: str(zero_unix_ns)})
         self._property(PART_PROPERTY, {"json": json.dumps(part)})
-        self._rows = self._channel(SIGNALS_TOPIC, Definition("hil/Row", _definition(tree)))
-        log = self._writer.register_schema("foxglove.Log", "jsonschema", json.dumps(_LOG_SCHEMA).encode())
-        self._events = self._writer.register_channel(EVENTS_TOPIC, "json", log)
+        self._rows = self._channel(SIGNALS_TOPIC, Definition("hil/msg/Row", _definition(tree)))
+        self._events = self._channel(EVENTS_TOPIC, LOG)
         self._robot = RobotFrames.of(signals, scenario_values(properties))
         if self._robot is not None:
             self._frames = self._channel(FRAMES_TOPIC, TF_MESSAGE)
@@ -116,10 +112,8 @@ class McapFile:
         # In a chunk of its own: chunks of rows alone are read back faster.
         self._writer.flush()
         stamp_ns = self._stamp_ns(t_s)
-        sec, nsec = divmod(stamp_ns, 1_000_000_000)
-        log = {"timestamp": {"sec": sec, "nsec": nsec}, "level": LEVELS.get(level, LEVELS["info"]), "message": text}
-        log |= {"name": APPLICATION, "file": "", "line": 0}
-        self._writer.add_message(self._events, stamp_ns, json.dumps(log).encode(), stamp_ns, self._next_event % NUMBERS)
+        log = log_message(stamp_ns, LOG_LEVELS.get(level, LOG_LEVELS["info"]), APPLICATION, text)
+        self._writer.add_message(self._events, stamp_ns, log, stamp_ns, self._next_event % NUMBERS)
         self._next_event += 1
         self._writer.flush()
 

@@ -1,7 +1,7 @@
 """Messages of ROS 2 as MCAP holds them: their definitions, and their bytes as CDR. Needs no ROS.
 
 Foxglove draws a robot by them: ``std_msgs/msg/String`` with its URDF, and ``tf2_msgs/msg/TFMessage`` with where its
-links are.
+links are. It lists ``rcl_interfaces/msg/Log`` as a log.
 """
 
 import struct
@@ -9,7 +9,10 @@ from collections.abc import Iterable, Sequence
 from typing import NamedTuple
 
 CDR_HEADER = b"\0\1\0\0"  # little-endian
+LOG_LEVELS = {"debug": 10, "info": 20, "warning": 30, "error": 40}
+"""The numbers of the levels in ``rcl_interfaces/msg/Log``."""
 _LENGTH, _STAMP, _TRANSFORM = struct.Struct("<I"), struct.Struct("<iI"), struct.Struct("<7d")
+_LEVEL_AT = 8
 
 
 class Definition(NamedTuple):
@@ -25,7 +28,14 @@ def definition(name: str, *others: tuple[str, str], fields: str) -> Definition:
     return Definition(name, ("=" * 80 + "\n").join(parts))
 
 
+_TIME = ("builtin_interfaces/Time", "int32 sec\nuint32 nanosec")
 STRING = definition("std_msgs/msg/String", fields="string data")
+LOG = definition(
+    "rcl_interfaces/msg/Log",
+    _TIME,
+    fields="builtin_interfaces/Time stamp\nuint8 level\nstring name\nstring msg\nstring file\nstring function\n"
+    "uint32 line",
+)
 TF_MESSAGE = definition(
     "tf2_msgs/msg/TFMessage",
     (
@@ -33,7 +43,7 @@ TF_MESSAGE = definition(
         "std_msgs/Header header\nstring child_frame_id\ngeometry_msgs/Transform transform",
     ),
     ("std_msgs/Header", "builtin_interfaces/Time stamp\nstring frame_id"),
-    ("builtin_interfaces/Time", "int32 sec\nuint32 nanosec"),
+    _TIME,
     ("geometry_msgs/Transform", "geometry_msgs/Vector3 translation\ngeometry_msgs/Quaternion rotation"),
     ("geometry_msgs/Vector3", "float64 x\nfloat64 y\nfloat64 z"),
     ("geometry_msgs/Quaternion", "float64 x\nfloat64 y\nfloat64 z\nfloat64 w"),
@@ -44,6 +54,28 @@ TF_MESSAGE = definition(
 def string_message(text: str) -> bytes:
     """Return a ``std_msgs/msg/String``."""
     return CDR_HEADER + _string(text)
+
+
+def log_message(stamp_ns: int, level: int, name: str, text: str) -> bytes:
+    """Return a ``rcl_interfaces/msg/Log`` at a Unix time, without a place in a source file."""
+    body = bytearray(_STAMP.pack(*divmod(stamp_ns, 1_000_000_000)) + bytes([level]))
+    for one in (name, text, "", ""):  # the last two: file, function
+        _grown(body, 4, 0)
+        body += _string(one)
+    _grown(body, 4, 4)  # line
+    return CDR_HEADER + bytes(body)
+
+
+def log_fields(message: bytes) -> tuple[int, str]:
+    """Return the level and the text of a ``rcl_interfaces/msg/Log``. Raises struct.error or ValueError for damage."""
+    body = message[len(CDR_HEADER) :]
+    at = _LEVEL_AT + 4
+    (size,) = _LENGTH.unpack_from(body, at)
+    at += _LENGTH.size + size
+    at += -at % 4
+    (size,) = _LENGTH.unpack_from(body, at)
+    at += _LENGTH.size
+    return body[_LEVEL_AT], body[at : at + size - 1].decode()
 
 
 class TransformMessages:
@@ -78,7 +110,7 @@ class TransformMessages:
 
 
 def _string(text: str) -> bytes:
-    data = text.encode() + b"\0"
+    data = text.encode(errors="backslashreplace") + b"\0"
     return _LENGTH.pack(len(data)) + data
 
 

@@ -16,9 +16,9 @@ from mcap.opcode import Opcode
 from mcap.records import Channel, Chunk, Header, Message, Metadata
 from mcap.stream_reader import CRCValidationError, StreamReader, breakup_chunk, get_chunk_data_stream
 
-from hil.record.mcap_file import EVENTS_TOPIC, LEVELS, SIGNALS_TOPIC, ZERO_KEY
+from hil.record.mcap_file import EVENTS_TOPIC, SIGNALS_TOPIC, ZERO_KEY
 from hil.record.properties import RECORDER_PROPERTY, SIGNALS_PROPERTY
-from hil.record.ros_messages import CDR_HEADER
+from hil.record.ros_messages import CDR_HEADER, LOG_LEVELS, log_fields
 from hil.review.contents import (
     Contents,
     DamagedError,
@@ -32,7 +32,7 @@ from hil.review.contents import (
     why_nothing,
 )
 
-_LEVEL_NAMES = {number: {"warning": "WARN"}.get(name, name.upper()) for name, number in LEVELS.items()}
+_LEVEL_NAMES = {number: {"warning": "WARN"}.get(name, name.upper()) for name, number in LOG_LEVELS.items()}
 _LONGEST_RECORD_BYTES = 256 << 20
 _UNREADABLE = (McapError, CRCValidationError, zstandard.ZstdError, struct.error, ValueError, KeyError)
 # Raised by lz4, and for lengths that make no sense.
@@ -236,10 +236,18 @@ class _Reader:
     def _message(self, message: Message) -> None:
         topic = self._topics.get(message.channel_id)
         if topic == EVENTS_TOPIC:
-            log, t_s = json.loads(message.data), (message.log_time - self._zero_ns) / 1e9
-            event = (t_s, _LEVEL_NAMES.get(log["level"], "INFO"), log["message"])
+            level, text = _log(message.data)
+            event = ((message.log_time - self._zero_ns) / 1e9, _LEVEL_NAMES.get(level, "INFO"), text)
             self._events.append((message.sequence if self._properties.has_checks else None, event))
         elif topic == SIGNALS_TOPIC and self._names is not None:
             values = np.frombuffer(message.data, "<f8", count=len(self._names), offset=len(CDR_HEADER))
             self._pieces.append(values[None, self._columns])
             self._numbers.append(np.array([message.sequence], np.uint32))
+
+
+def _log(data: bytes) -> tuple[int, str]:
+    """Return the level, as ROS 2 counts it, and the text of an event; older versions wrote ``foxglove.Log`` in JSON."""
+    if data.startswith(CDR_HEADER):
+        return log_fields(data)
+    log = json.loads(data)
+    return 10 * log["level"], log["message"]
