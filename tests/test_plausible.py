@@ -162,3 +162,34 @@ def test_the_noise_of_a_sensor_that_a_robot_lacks_is_refused(name: str, driver: 
     with pytest.raises(BadInputError, match=rf"plant\.start\.{name} = 0\.01; .* has no (gyro|accelerometer)"):
         load("circle_speed", set=sets)
     assert load("circle_speed", set=sets | {f"plant.start.{name}": 0.0})
+
+
+SIZES = [
+    "reference.radius_m",
+    "reference.period_s",
+    "plant.start.start_x_m",
+    "robot.mass_kg",
+    "controller.gains.k1_1_s",
+    "estimator.filter.start_sigma_m",
+    "expect=[{ signal = 'pose.x_m', below = V }]",
+    "fault=[{ kind = 'override', target = 'error.planar_m', value = V }]",
+    "loop.duration_s",
+]
+
+
+@pytest.mark.parametrize("where", SIZES)
+@pytest.mark.parametrize("value", ["1e308", "1.1e30", "-1e308", "1e-308", "0.9e-30"])
+def test_a_size_that_overflows_when_squared_is_refused(where: str, value: str) -> None:
+    text = where.replace("V", value) if "V" in where else f"{where}={value}"
+    with pytest.raises(BadInputError, match="expected"):
+        load("circle_speed", set=[text])
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize(
+    "text", ["reference.radius_m=1e30", "reference.period_s=1e-30", "plant.start.start_x_m=-1e30", "reference.blend_m"]
+)
+def test_the_largest_and_smallest_sizes_are_calculated_with(text: str) -> None:
+    name, text = ("waypoints", f"{text}=1e-30") if "blend" in text else ("circle_speed", text)
+    set_ = [text, "loop.duration_s=5.5", "loop.rate_hz=50", "expect=[]"]
+    list(hil.run(name, set=set_, lenient=True).lines())

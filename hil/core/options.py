@@ -58,6 +58,13 @@ class Range:
         return ""
 
 
+def size_words(number: float) -> str | None:
+    """Return the expected size if a number is so large or small that its powers overflow or become 0; else None."""
+    if abs(number) > _MOST:
+        return f"a size of at most {_MOST:g}"
+    return f"0, or a size of at least {_LEAST:g}" if 0.0 < abs(number) < _LEAST else None
+
+
 class Expected(str):
     """In ``Annotated``: the words after "expected" in messages, in place of those derived from the type."""
 
@@ -65,6 +72,7 @@ class Expected(str):
 
 
 POSITIVE, NOT_NEGATIVE = Range(gt=0), Range(ge=0)
+_LEAST, _MOST = 1e-30, 1e30
 RATE = Range(gt=0, le=1000)
 """A gain [1/s] or a bandwidth [rad/s] of a loop with ticks of 1 ms and more: above it nothing is stable."""
 
@@ -349,6 +357,8 @@ def _float(option: Option, value: object) -> float:
         raise ValueError(option.expected.replace("a number", "a finite number"))
     if not option.range.holds(number):
         raise ValueError(option.expected + in_another_unit(option.name, number, option.range))
+    if math.isfinite(number) and (words := size_words(number)) is not None:
+        raise ValueError(f"expected {words}")
     return number
 
 

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 from hil.core.errors import BadInputError, apart
-from hil.core.options import POSITIVE
+from hil.core.options import POSITIVE, Range
 from hil.references.double_s import Limits
 from hil.references.motion import ReferenceSource
 from hil.references.route import Waypoint, plan
@@ -30,10 +30,10 @@ class Waypoints:
     file: str
     corners: Literal["stop", "blend"] = "stop"
     blend_m: Annotated[float, POSITIVE] = 0.2
-    max_speed_m_s: Annotated[float, POSITIVE] = 0.5
+    max_speed_m_s: Annotated[float, Range(gt=0, le=1000)] = 0.5
     max_acceleration_m_s2: Annotated[float, POSITIVE] = 0.5
     max_jerk_m_s3: Annotated[float, POSITIVE] = 2.0
-    max_yaw_rate_rad_s: Annotated[float, POSITIVE] = 1.0
+    max_yaw_rate_rad_s: Annotated[float, Range(gt=0, le=1000)] = 1.0
     max_yaw_acceleration_rad_s2: Annotated[float, POSITIVE] = 2.0
     max_yaw_jerk_rad_s3: Annotated[float, POSITIVE] = 10.0
 

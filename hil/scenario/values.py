@@ -7,6 +7,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path, PurePath
 from typing import Annotated, Any, Literal
 
+from hil.core.options import size_words
 from hil.core.types import WHEEL_NAMES
 from hil.robot.wheel_map import ImuMount
 
@@ -43,9 +44,16 @@ def _option(value: object) -> OptionValue:
 
 
 def _scalar(value: object) -> Scalar:
-    if isinstance(value, str | int) or (isinstance(value, float) and math.isfinite(value)):
+    if isinstance(value, str | int) or (isinstance(value, float) and _is_usable(value)):
         return value
     raise ValueError("expected a finite number, text, true or false, or an array of these")
+
+
+def _is_usable(number: float) -> bool:
+    """Return whether a number is finite. Raises ValueError for a size that nothing has."""
+    if math.isfinite(number) and (words := size_words(number)) is not None:
+        raise ValueError(f"expected {words}")
+    return math.isfinite(number)
 
 
 def _start(value: object) -> StartValue:
@@ -54,7 +62,7 @@ def _start(value: object) -> StartValue:
         return value
     if isinstance(value, int) and -(2**63) <= value < 2**64:
         return float(value) if abs(value) <= 2**53 else value  # 24 and 24.0 give the same scenario
-    if isinstance(value, float) and math.isfinite(value):
+    if isinstance(value, float) and _is_usable(value):
         return value
     raise ValueError("expected a finite number, a whole one within 64 bits, true or false, or text")
 
