@@ -5,8 +5,13 @@ The undamaged file, as it was read before, is what is compared with.
 
 import random
 import subprocess
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager
+from multiprocessing import get_context
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -47,6 +52,27 @@ def optimized(path: Path) -> Path:
     return path
 
 
+@contextmanager
+def decoding() -> Iterator[Callable[[Path], tuple[dict[str, Any], dict[str, Any]]]]:
+    """Yield ``decode``, done in another process, which rerun's reader aborts on some damage: that is a DamagedError."""
+    pools: list[ProcessPoolExecutor] = []
+
+    def apart(path: Path) -> tuple[dict[str, Any], dict[str, Any]]:
+        if not pools:
+            pools.append(ProcessPoolExecutor(1, mp_context=get_context("spawn")))
+        try:
+            return pools[0].submit(decode, path).result()
+        except BrokenProcessPool:
+            pools.pop().shutdown()
+            raise DamagedError("rerun's reader ended its process") from None
+
+    try:
+        yield apart
+    finally:
+        for pool in pools:
+            pool.shutdown()
+
+
 @pytest.mark.parametrize("flips", [8, 1000])
 @pytest.mark.parametrize(
     ("kind", "make", "every"),
@@ -66,26 +92,27 @@ def test_no_flipped_bit_goes_unnoticed(
     whole, (told, signals) = path.read_bytes(), decode(path)
     chance = random.Random(flips)
     noticed = 0
-    for bit in chance.choices(range(8 * len(whole)), k=flips):
-        content = bytearray(whole)
-        content[bit // 8] ^= 1 << bit % 8
-        path.write_bytes(content)
-        try:
-            found, left = decode(path)
-        except DamagedError:
-            noticed += 1
-            continue
-        noticed += found["notes"] != told["notes"]
-        assert not every or found["notes"] != told["notes"], bit
-        same = {name: told[name] == found[name] for name in ("events", "properties", "summary", "rows")}
-        assert all(same.values()) or found["notes"] != told["notes"], (bit, same)
-        if not same["rows"]:
-            # Nothing tells how many rows the end of a file has that was cut off.
-            assert not every or found["rows_missing"] == ROWS - found["rows"] or found["rows_dropped"] is None, bit
-        places = np.searchsorted(signals["loop.tick"], left["loop.tick"])
-        assert all(left[name].tobytes() == signals[name][places].tobytes() for name in signals), bit
-        assert all(event in told["events"] for event in found["events"]), bit
-        assert found["summary"] in (told["summary"], None), bit
+    with decoding() as apart:
+        for bit in chance.choices(range(8 * len(whole)), k=flips):
+            content = bytearray(whole)
+            content[bit // 8] ^= 1 << bit % 8
+            path.write_bytes(content)
+            try:
+                found, left = apart(path)
+            except DamagedError:
+                noticed += 1
+                continue
+            noticed += found["notes"] != told["notes"]
+            assert not every or found["notes"] != told["notes"], bit
+            same = {name: told[name] == found[name] for name in ("events", "properties", "summary", "rows")}
+            assert all(same.values()) or found["notes"] != told["notes"], (bit, same)
+            if not same["rows"]:
+                # Nothing tells how many rows the end of a file has that was cut off.
+                assert not every or found["rows_missing"] == ROWS - found["rows"] or found["rows_dropped"] is None, bit
+            places = np.searchsorted(signals["loop.tick"], left["loop.tick"])
+            assert all(left[name].tobytes() == signals[name][places].tobytes() for name in signals), bit
+            assert all(event in told["events"] for event in found["events"]), bit
+            assert found["summary"] in (told["summary"], None), bit
     assert noticed or not every
 
 
