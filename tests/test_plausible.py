@@ -164,6 +164,19 @@ def test_the_noise_of_a_sensor_that_a_robot_lacks_is_refused(name: str, driver: 
     assert load("circle_speed", set=sets | {f"plant.start.{name}": 0.0})
 
 
+@pytest.mark.parametrize("driver", ["c620", "moteus", "odrive", "rosmaster", "vesc", "wheeltec"])
+def test_parameters_that_only_our_firmware_reads_are_told_for_other_controllers(driver: str) -> None:
+    changes = {"firmware.current_limit_a": 0.01, "firmware.encoder_fault_s": 0.02, "firmware.undervoltage_v": 200.0}
+    suite = Path(hil.__file__).parent / "scenario" / "shipped" / "suite"
+    short = {"loop.duration_s": 0.3, "fault": [], "expect": []}
+    plain, changed = (
+        hil.run(suite / f"driver_{driver}.toml", set=short | more, lenient=True) for more in ({}, changes)
+    )
+    assert changed.scenario is not None
+    assert {key for key, _ in without_effect(changed.scenario)} >= set(changes)
+    assert plain.metrics["wire_sha256"] == changed.metrics["wire_sha256"] is not None
+
+
 SIZES = [
     "reference.radius_m",
     "reference.period_s",

@@ -69,6 +69,9 @@ def _unread(tables: Tables) -> Iterator[tuple[str, str]]:
         yield "estimator.slip_threshold_m_s", "the true pose is not estimated"
     if not tables.device.is_makers:
         yield "device.guardian_s", "our firmware has a watchdog of its own, and no guardian"
+    else:
+        for name in ("current_limit_a", "encoder_fault_s", "undervoltage_v"):
+            yield f"firmware.{name}", "only our firmware reads it: other motor controllers are set with their tools"
     if tables.loop.mode == "lockstep":
         yield "realtime.", 'loop.mode = "realtime" alone reads it'
     if tables.controller.command == "speed":
