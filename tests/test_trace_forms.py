@@ -1,5 +1,6 @@
 """``hil decode`` shows or counts everything in a trace, whichever tool wrote it."""
 
+import gzip
 import json
 import math
 import re
@@ -240,6 +241,27 @@ def test_every_line_is_shown_counted_or_named_as_the_end(tmp_path, name):
     assert (done.returncode, done.stderr.count("\n")) == (2 if trouble else 0, bool(note) + bool(trouble))
     counted = json.loads(hil("decode", "--raw", "--counts", "--json", path).stdout or "[]")
     assert sum(row["frames"] for row in counted) == len(payloads)
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "word"),
+    [
+        ("a.log", gzip.compress(b"(1.0) can0 123#00\n", mtime=0), "gzip"),
+        ("a.blf", gzip.compress(b"LOGG", mtime=0), "gzip"),
+        ("b.asc", "0.1 1 123 Rx d 0\n".encode("utf-16"), "UTF-16"),
+        ("c.log", b"LOGG" + bytes(140), "a .blf by its content"),
+        ("c.blf", b"LOGG", "it is not a .blf file"),
+        ("d.log", TRC.encode(), "a .trc by its content"),
+        ("e.blf", b"MDF     4.10    asammdf", "MDF"),
+        ("f.log", b"\xd4\xc3\xb2\xa1" + bytes(40), "pcap"),
+        ("g.log", b"Chn Identifier Flg   DLC  D0...1...2\n", "Kvaser"),
+        ("h.log", b"Time Stamp,ID,Extended,Dir,Bus,LEN,D1\n", "SavvyCAN"),
+    ],
+)
+def test_a_file_of_another_form_is_called_that(tmp_path, name, content, word):
+    (tmp_path / name).write_bytes(content)
+    [why] = hil("decode", tmp_path / name).stderr.splitlines()
+    assert word in why
 
 
 def test_frames_stamped_before_the_first_are_shown(tmp_path):

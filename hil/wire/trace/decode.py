@@ -20,6 +20,24 @@ FOREIGN, ERROR, REQUEST = "foreign", "error", "request"
 _KINDS = (*NAMES.values(), FOREIGN, ERROR, REQUEST)
 _SIGNS = {"us": "µs", "N.m": "N·m", "m/s2": "m/s²", "degC": "°C"}
 _CAUSES_TOLD = 8
+_TEXTS = "log with candump -L, or export it as .asc"
+# How files of other forms begin.
+_FORMS_OF_OTHERS = {
+    b"\x1f\x8b": "it is compressed with gzip; unpack it first",
+    b"PK\x03\x04": "it is a zip archive; unpack it first",
+    b"\xff\xfe": "it is text in UTF-16; save it as UTF-8",
+    b"\xfe\xff": "it is text in UTF-16; save it as UTF-8",
+    b"LOGG": "it is a .blf by its content; name it so",
+    b";$FILEVERSION": "it is a .trc by its content; name it so",
+    b"MDF  ": f"it is an MDF (.mf4); {_TEXTS}",
+    b"SQLite format 3": f"it is a database of SQLite; {_TEXTS}",
+    b"\xd4\xc3\xb2\xa1": f"it is a capture of packets (pcap); {_TEXTS}",
+    b"\xa1\xb2\xc3\xd4": f"it is a capture of packets (pcap); {_TEXTS}",
+    b"\n\r\r\n": f"it is a capture of packets (pcapng); {_TEXTS}",
+    b"***BUSMASTER": f"it is a log of BUSMASTER; {_TEXTS}",
+    b"Chn Identifier": f"it is a log of Kvaser's CanKing; {_TEXTS}",
+    b"Time Stamp,ID,Extended": f"it is a table of SavvyCAN; {_TEXTS}",
+}
 
 
 class Selection(NamedTuple):
@@ -186,7 +204,7 @@ class Reading:
                     self.frames += 1
                     yield content
         except DamagedError as damage:
-            self._break_off(str(damage))
+            self._break_off(str(damage) if self.frames else self._other_form() or str(damage))
         else:
             if not self.frames:
                 suffix = self._path.suffix
@@ -198,6 +216,13 @@ class Reading:
         from hil.wire.trace.blf import read_blf
 
         return read_blf(self._path)
+
+    def _other_form(self) -> str | None:
+        with self._path.open("rb") as file:
+            begin = file.read(32)
+        suffix = self._path.suffix.lower()
+        forms = (why for magic, why in _FORMS_OF_OTHERS.items() if begin.startswith(magic))
+        return next((why for why in forms if f"a {suffix} by its content" not in why), None)
 
     def _break_off(self, why: str) -> None:
         self.trouble = f"{self._path}: {self.frames or 'no'} frames could be read; {why}"

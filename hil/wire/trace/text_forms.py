@@ -228,8 +228,6 @@ class _Candump:
         if found is None:
             if self._SCREEN.match(line):
                 raise DamagedError("it is of the form that candump prints on the screen; log with candump -L")
-            if "BUSMASTER" in line:
-                raise DamagedError("it is a log of BUSMASTER; convert it there to .asc, or log with candump -L")
             if self._XL.fullmatch(line):
                 return LeftOut("CAN XL frames")
             raise ValueError
