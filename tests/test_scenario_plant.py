@@ -4,7 +4,9 @@ import json
 from pathlib import Path
 
 import pytest
+from typer.testing import CliRunner
 
+from hil.cli.main import app
 from hil.core.errors import BadInputError
 from hil.runtime.provenance import properties
 from hil.scenario import Scenario, load, resolved
@@ -165,3 +167,21 @@ def test_a_start_value_of_64_bits_keeps_them_and_a_longer_one_is_refused() -> No
     assert load("paper_circle", set=[f"plant.start.n={2**63 + 1}"]).plant.start["n"] == 2**63 + 1
     with pytest.raises(BadInputError, match="within 64 bits"):
         load("paper_circle", set=[f"plant.start.n={10**400}"])
+
+
+@pytest.mark.parametrize(
+    ("key", "sentence"),
+    [
+        ("plant.fmu=nope.fmu", "does not exist"),
+        ("plant.fmu=my.toml", "not a zip archive"),
+        ("plant.map.wheel.fl.angle_rad=nix", "'nix'"),
+        ("plant.start.mass=3", "has no such variable; did you mean 'mass_kg'?"),
+    ],
+)
+def test_check_looks_at_the_plant_without_running_it(key: str, sentence: str) -> None:
+    Path("my.toml").write_text('extends = "paper_circle"\n', "utf-8")
+    done = CliRunner().invoke(app, ["check", "my.toml", "--set", key])
+    assert isinstance(done.exception, BadInputError)
+    assert sentence in str(done.exception)
+    elsewhere = CliRunner().invoke(app, ["check", "my.toml", "--set", key, "--link", "serial:/dev/ttyACM0"])
+    assert elsewhere.exit_code == 0

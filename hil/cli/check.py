@@ -32,9 +32,10 @@ def check(
     sets: Sets = None,
     as_json: Json = False,
 ) -> None:
-    """Check scenarios without running them: their values, laws, and whether the robot can follow the reference."""
+    """Check scenarios without running them: their values, laws, FMU, and whether the robot can follow the reference."""
     from hil.judge.baselines import baseline_words
     from hil.runtime.assembly import check_scenario
+    from hil.runtime.robots import check_plant
     from hil.scenario.baseline import without_baselines
     from hil.scenario.unreached import beyond_the_end, without_effect
 
@@ -43,6 +44,7 @@ def check(
     for name in names:
         resolved = load_scenario(name, set=sets or [], robot=robot, mode=mode, link=link, seed=seed)
         feasibility = check_scenario(resolved)
+        check_plant(resolved)
         late, unread = (
             [f"{resolved.provenance[key]}: {key}: {words}" for key, words in rows_of(resolved)]
             for rows_of in (beyond_the_end, without_effect)

@@ -18,8 +18,8 @@ from hil.core.interrupts import ends_at_once
 GROUPS = {
     "Run": {
         "run": "Run a scenario and judge it.",
-        "check": "Check scenarios without running them: their values, laws, and whether the robot can follow "
-        "the reference.",
+        "check": "Check scenarios without running them: their values, laws, FMU, and whether the robot can "
+        "follow the reference.",
         "show": "Print every value of a scenario and where it came from.",
         "baseline": "Write the figures of a scenario's runs beside it, for later runs to be compared with.",
     },

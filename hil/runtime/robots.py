@@ -14,8 +14,8 @@ from hil.core.types import Pose
 from hil.drivers.registry import dialect, emulated
 from hil.estimation.choice import EstimatorOptions
 from hil.plant import archive
-from hil.plant.description import check_start, check_units
-from hil.plant.mapping import Row, SignalMap
+from hil.plant.description import check_start, check_units, read_description, variables_of
+from hil.plant.mapping import Row, SignalMap, resolve
 from hil.robot.faults import Body
 from hil.robot.virtual import MakeNode, VirtualPlant, VirtualRobot
 from hil.robot.wheel_map import ImuMount, WheelMap, Wiring
@@ -73,6 +73,16 @@ def check_plant_start(scenario: Scenario) -> None:
     known = archive.read_header(fmu).parameters
     check_start(fmu, plant_start(scenario, known))
     _check_units(scenario, fmu, known)
+
+
+def check_plant(scenario: Scenario) -> None:
+    """Raise BadInputError if the scenario's own plant is no FMU, or has not what [plant] names; none of it is run."""
+    if link_of(scenario).is_within_process:
+        check_plant_start(scenario)
+        fmu = archive.locate(scenario.plant.fmu, scenario.directory)
+        description = read_description(fmu)
+        units = {unit.name: unit for unit in description.unitDefinitions}
+        resolve(signal_map(scenario), fmu, variables_of(description), units)
 
 
 def _check_units(scenario: Scenario, fmu: Path, known: Collection[str]) -> None:
