@@ -175,6 +175,7 @@ def test_a_start_value_of_64_bits_keeps_them_and_a_longer_one_is_refused() -> No
         ("plant.fmu=nope.fmu", "does not exist"),
         ("plant.fmu=my.toml", "not a zip archive"),
         ("plant.map.wheel.fl.angle_rad=nix", "'nix'"),
+        ('plant.map."wheel.fl.angle_rad".name=nix', "'nix'"),
         ("plant.start.mass=3", "has no such variable; did you mean 'mass_kg'?"),
     ],
 )

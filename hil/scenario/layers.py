@@ -86,7 +86,7 @@ def assign(tree: Tree, key: str, value: object, where: str) -> Tree:
 
     Raises BadInputError when the key is malformed or names a row that is not there.
     """
-    path = tuple(key.split("."))
+    path = tuple(key.replace('"', "").split("."))  # a message quotes a signal as TOML does, which nests it no other way
     if not all(path):
         raise BadInputError(f"{where} {key!r}: expected a dotted key such as robot.mass_kg")
     rows = tree.get(path[0])
