@@ -17,7 +17,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from hil.service.client import find
-from hil.service.messages import Action
+from hil.service.messages import HOST, Action
 from tests.processes import ROOT, hil, own_state, wait_for
 from tests.service_testbed import ControlSide, served
 from tools.bench.estop import FLOODS, Target
@@ -73,6 +73,8 @@ def test_a_process_that_fails_is_started_again_and_meanwhile_the_api_takes_the_e
         pid, client = side.child.estop_pid, find()
         assert pid is not None
         os.kill(pid, getattr(signal, how))
+        with pytest.raises(OSError, match="Address already in use"):  # by nobody who would answer "stopped"
+            socket.create_server((HOST, int(side.child.estop_url.rpartition(":")[2])), reuse_port=False)
         client.order(Action.ESTOP)
         monkeypatch.setattr("hil.service.api_child._HUNG_S", 0.2)
         wait_for(lambda: side.child.estop_pid not in (None, pid))

@@ -5,7 +5,9 @@ meanwhile. One that is silent for ``_HUNG_S`` is killed, because an emergency st
 """
 
 import os
+import socket
 import subprocess
+import sys
 import threading
 import time
 from dataclasses import asdict, replace
@@ -18,7 +20,7 @@ from hil.core.process_lock import ProcessLock
 from hil.core.subprocesses import away_from_terminal, child_environment, module_command, start_children_as_ordinary
 from hil.service import logs
 from hil.service.discovery import Service, announce
-from hil.service.messages import SILENT_S, Action, Answer, ApiConfig, Motion, Order, Status, to_line
+from hil.service.messages import HOST, SILENT_S, Action, Answer, ApiConfig, Motion, Order, Status, to_line
 from hil.wire.reopening import BackOff
 
 _READY_S = 60.0
@@ -44,13 +46,16 @@ class ApiChild:
         self._claim: ProcessLock | None = None
         self._estop: _Child | None = None
         self._of_estop: set[int] = set()  # numbers of orders that came by its port, and are not answered
+        # Listens until the service ends, so that nobody else takes the port while its process is started again. An
+        # emergency stop may come late; the API's port does not wait so, because its orders may not.
+        self._estop_socket = None if sys.platform == "win32" else socket.create_server((HOST, 0))
         self.token_file: Path | None = None
         self._api = _Child("hil.service.api_process", "API", config)
         try:
             ready = self._api.wait_until_ready()
             self.url, self.token_file = ready["url"], Path(ready["token_file"])
             beside = replace(config, port=0, token_file=ready["token_file"], audit=ready["audit"])
-            self._estop = _Child("hil.service.estop_process", "e-stop", beside)
+            self._estop = _Child("hil.service.estop_process", "e-stop", beside, self._estop_socket)
             self.estop_url: str = self._estop.wait_until_ready()["url"]
             self._claim = announce(
                 Service(self.url, os.getpid(), config.title, config.device, ready["token_file"], self.estop_url)
@@ -110,16 +115,19 @@ class ApiChild:
         for child in (self._estop, self._api):
             if child is not None:
                 child.close()
+        if self._estop_socket is not None:
+            self._estop_socket.close()
         if self._own_token and self.token_file is not None:
             self.token_file.unlink(missing_ok=True)
 
 
 class _Child:
-    """A process that takes orders, with its pipes. ``name`` is its name in the log."""
+    """A process that takes orders, with its pipes. ``name`` is its name in the log; it inherits the ``listener``."""
 
-    def __init__(self, module: str, name: str, config: ApiConfig) -> None:
+    def __init__(self, module: str, name: str, config: ApiConfig, listener: socket.socket | None = None) -> None:
         self._module, self._name = module, name
         self._config = config
+        self._inherited = () if listener is None else (listener.fileno(),)
         # The ticks may be pinned to a core later; the process must not share that core.
         self._cores = os.sched_getaffinity(0) if hasattr(os, "sched_getaffinity") else None
         self._closing = threading.Event()
@@ -181,11 +189,12 @@ class _Child:
     def _start(self) -> None:
         """Start a process and give it its config. Raises OSError."""
         self._process = subprocess.Popen(
-            module_command(self._module),
+            module_command(self._module, *map(str, self._inherited)),
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             bufsize=0,
             env=child_environment(),
+            pass_fds=self._inherited,
             **away_from_terminal(),
         )
         assert self._process.stdin is not None

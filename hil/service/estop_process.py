@@ -200,7 +200,9 @@ def main() -> int:
     assert config.token_file is not None
     assert config.audit is not None
     try:
-        listener, who = listen(config.port), known(config, Path(config.token_file))
+        # Where sockets are inherited, the control process holds this one, and its number is the argument.
+        listener = socket.socket(fileno=int(sys.argv[1])) if sys.argv[1:] else listen(config.port)
+        who = known(config, Path(config.token_file))
         port = OrderPort(*begun, listener, *who, Audit(Path(config.audit), longest_bytes=sys.maxsize))
     except BadInputError as error:
         writer.send({"refused": str(error)})
