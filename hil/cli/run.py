@@ -11,7 +11,7 @@ import typer
 from typer import Option
 
 from hil.cli import options as o
-from hil.cli.output import end_in_order, flush_output, next_command, print_json, print_result, warn
+from hil.cli.output import end_in_order, flush_output, next_command, print_json, print_result, slowly, warn
 from hil.core.errors import DeviceError, LinkError, RunInterruptedError
 
 if TYPE_CHECKING:
@@ -73,6 +73,7 @@ def run(
     else:
         path = None if record == "none" else Path(record)
     is_watched = sys.stderr.isatty() and not as_json
+    ending = context.with_resource(contextlib.ExitStack())
     if live:
         _announce_live(live_port)
     try:
@@ -88,7 +89,7 @@ def run(
                 stream=stream,
                 allow_motion=allow_motion,
                 lenient=lenient,
-                watch=_progress(resolved.loop.duration_s) if is_watched else None,
+                watch=_progress(resolved.loop.duration_s, None if live else ending) if is_watched else None,
                 warn=warn,
                 linger=_linger if live and is_watched else None,
                 on_stuck=_print_stuck if as_json else None,
@@ -96,7 +97,9 @@ def run(
                 keep_signals=False,
             ),
         )
+        ending.close()
     except KeyboardInterrupt:
+        ending.close()
         kept = f"; recorded until then: {path}" if path is not None and path.exists() else ""
         raise RunInterruptedError(f"interrupted; the robot was told to stop{kept}") from None
     except (LinkError, DeviceError) as error:
@@ -122,8 +125,8 @@ def _print_stuck(sentence: str) -> None:
     flush_output()
 
 
-def _progress(duration_s: float) -> "Watch":
-    """Return a context manager that shows a progress bar on stderr during a run."""
+def _progress(duration_s: float, ending: contextlib.ExitStack | None) -> "Watch":
+    """Return a context manager that shows a progress bar on stderr during a run, and then, in ``ending``, its end."""
     from rich.console import Console
     from rich.live import Live
     from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
@@ -143,6 +146,8 @@ def _progress(duration_s: float) -> "Watch":
         console = Console(file=raw_stream(sys.stderr))
         with Live(get_renderable=updated, console=console, transient=True, refresh_per_second=_REFRESH_HZ):
             yield
+        if ending is not None:
+            ending.enter_context(slowly("judging the run and finishing its recording"))
 
     return watch
 
