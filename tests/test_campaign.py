@@ -270,7 +270,7 @@ def test_what_is_wrong_with_a_plan_is_a_sentence_with_its_line_before_anything_r
     for more, tables, sentence in (
         ("", axes.format("robot.mas_kg = { grid = [1] }"), "plan.toml:9: unknown key robot.mas_kg; did you mean"),
         ("", axes.format('"robot.mass_kg" = { grid = [20, -3] }'), "plan.toml:9: robot.mass_kg = -3"),
-        ("", axes.format('"robot.mass_kg" = { gird = [20] }'), "did you mean 'grid'?"),
+        ("", axes.format('"robot.mass_kg" = { gird = [20] }'), "did you mean 'axes.robot.mass_kg.grid'?"),
         ("", axes.format('"robot.mass_kg" = { uniform = [20, 3] }\n'), "expected [low, high] with low < high"),
         ("", axes.format('"robot.mass_kg" = { uniform = [3, 20] }\n'), "say with samples = N how often to draw"),
         ("", axes.format('"robot.mass_kg" = { grid = [3, 3] }\n'), "plan.toml:9: axes.robot.mass_kg: grid: a value is"),

@@ -132,7 +132,7 @@ def test_a_law_that_refuses_fails_or_kills_its_process_is_a_row_with_its_reason(
     assert refused.runs[0].refused == "SpeedOnly: it gives speeds; set controller.command = speed"
     assert refused.runs[0].failed is None
     assert motors[1].runs[0].figures is not None
-    assert "laws.py:31: ZeroDivisionError: no gain" in raises.runs[0].failed
+    assert 'laws.py:31 (raise ZeroDivisionError("no gain")): ZeroDivisionError: no gain' in raises.runs[0].failed
     assert "were not finite" in no_number.runs[0].failed
     assert dies.runs[0].failed == "crashed: exit code 7"
     assert found.has_failed

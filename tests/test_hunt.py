@@ -116,9 +116,9 @@ def test_a_hunt_that_was_killed_goes_on_and_finds_the_same(tmp_path: Path) -> No
         ("plant.start.mass_kg", "plant.start.mas_kg", "mass_kg"),
         ("plant.start.mass_kg", "plant.strat.mass_kg", "start"),
         ('"dead_motor"', '"dead_moter"', "dead_motor"),
-        ("log_uniform", "log_unifrom", "did you mean 'log_uniform'?"),
+        ("log_uniform", "log_unifrom", "did you mean 'range.plant.start.friction_coefficient.log_uniform'?"),
         ("[16, 24]", "[24, 16]", "expected [low, high] with low < high"),
-        ("duration_s = [0.02", "durations = [0.02", "did you mean 'duration_s'?"),
+        ("duration_s = [0.02", "durations = [0.02", "did you mean 'fault.1.duration_s'?"),
         ('"rr"]', '"rear"]', "rear"),
     ],
 )

@@ -236,8 +236,10 @@ def test_an_old_recording_is_read_and_what_it_lacks_is_said() -> None:
     assert found["ticks"] == 40
     assert found["made"]["commit"] == "ca92b7a90e78"
     assert found["tracked_s"] is None
-    assert "it lacks " in found["notes"][0]
-    assert "estimator.sigma_position_m" in found["notes"][0]
+    unchecked, lacking = found["notes"][:2]
+    assert "a version without check values recorded it" in unchecked
+    assert "it lacks " in lacking
+    assert "estimator.sigma_position_m" in lacking
     assert read(OLD).signals["loop.t_s"][-1] == pytest.approx(0.195)
 
 

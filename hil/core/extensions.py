@@ -206,7 +206,8 @@ def _root(frames: "Sequence[traceback.FrameSummary]") -> Path | None:
     """Return the folder of the code that we called: of an installed package its own, of a file the one around it."""
     standard = Path(sysconfig.get_path("stdlib"))
     for file in (Path(frame.filename) for frame in frames):
-        if _OURS in file.parents:  # which may be in a folder of libraries too
+        # Ours may be in a folder of libraries too, and so is the one that takes the place of importlib.metadata.
+        if _OURS in file.parents or file.parent.name == "importlib_metadata":
             continue
         libraries = [i for i, part in enumerate(file.parts) if part in _LIBRARIES]
         if libraries:

@@ -13,7 +13,7 @@ from hil.scenario.plant import SHIPPED_FMUS
 from hil.scenario.tables import Tables
 from hil.scenario.values import sha256_of
 
-HASH_FORMAT = 3
+HASH_FORMAT = 4
 """Version of the hash, so that two versions of this package do not agree by chance."""
 _ARRAYS_OF_TABLES = ("fault", "expect")
 
@@ -44,6 +44,7 @@ class Scenario(Tables):
                 "fmu": self.fmu_sha256 or PurePath(self.plant.fmu).name,
                 "map": plain(self.plant.map),
                 "start": self.plant.start,
+                "step_s": self.plant.step_s,
             },
             "firmware": plain(self.firmware),
             "device": {"wheels": self.device.wheels, "reversed": sorted(self.device.reversed)} | self._motors(),
