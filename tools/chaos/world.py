@@ -16,6 +16,8 @@ from typing import Any, NamedTuple, Self
 import psutil
 
 from hil.core.errors import HilError
+from hil.core.process_lock import held
+from hil.core.tokens import state_folder
 from hil.service.client import Client
 from hil.service.discovery import running
 from tools.chaos.line import Line
@@ -206,7 +208,9 @@ class World:
             self.kill()
         left = sorted(path.name for path in (self.folder / "tmp").iterdir())
         trouble += [f"left behind in the folder for temporary files: {name}" for name in left]
-        # Locks of ended processes are files without content, and the audit log stays.
+        # A killed service leaves its record of a pseudo-terminal that the next robot did not get again; who looks
+        # removes it. Locks of ended processes are files without content, and the audit log stays.
+        trouble += [f"a lock is held: {record}" for record in held(state_folder("locks"))]
         left = sorted(str(path) for kind in ("*.token*", "*.json*") for path in (self.folder / "state").rglob(kind))
         return trouble + [f"left behind in the state folder: {name}" for name in left if not name.endswith(".jsonl")]
 
