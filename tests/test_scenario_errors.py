@@ -221,7 +221,7 @@ def test_a_scenario_that_is_not_there(name: str, sentence: str) -> None:
         ("first-circl", "this name; did you mean the file first_circle.hil.toml?"),
         ("frist_circle.hil.toml", "did you mean the file first_circle.hil.toml?"),
         ("my robot/bad_dya.toml", "did you mean the file 'my robot/bad_day.hil.toml'?"),
-        ("my robot", "this is a folder, which has 'my robot/bad_day.hil.toml';"),
+        ("my robot", "this is a folder, which has 'my robot/bad_day.hil.toml'"),
         ("my robot/", "this is a folder, which has 'my robot/bad_day.hil.toml'"),
     ],
 )

@@ -214,10 +214,9 @@ def _open_scenario(name: str | Path, extended_by: _File | None) -> _File:
         known = shipped_scenarios() | suite_scenarios()
         if name not in known:
             folder = Path.cwd() if extended_by is None else extended_by.path.parent
-            hint = _meant(folder / name, known) or nearest(name, shipped_scenarios())
-            raise BadInputError(
-                f"{prefix}: no shipped scenario has this name{hint}; the path of a file ends in {_SUFFIX}"
-            )
+            hint = _meant(folder / name, known)
+            hint = hint or f"{nearest(name, shipped_scenarios())}; the path of a file ends in {_SUFFIX}"
+            raise BadInputError(f"{prefix}: no shipped scenario has this name{hint}")
         folder = SHIPPED_DIRECTORY if name in shipped_scenarios() else SUITE_DIRECTORY
         return _read(folder / f"{name}{_SUFFIX}", f"{name}{_SUFFIX}", prefix)
     if extended_by is None:
