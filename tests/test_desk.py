@@ -224,7 +224,7 @@ def test_an_emergency_stop_that_waited_is_done() -> None:
         (
             Action.TRACK,
             {"here": True, "reference": {"kind": "rounded_square", "side_m": 1e308}},
-            "no finite pose at some time",
+            "expected a size of at most 1e+30",
         ),
         (
             Action.TRACK,
