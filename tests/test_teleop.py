@@ -65,7 +65,9 @@ class Robot:
 
     def lose_its_api(self) -> None:
         """Kill the service's API process; its control process starts another one."""
-        shown = subprocess.run(["pgrep", "-P", str(self._pid)], capture_output=True, text=True, check=True)
+        shown = subprocess.run(
+            ["pgrep", "-P", str(self._pid), "-f", "hil.service.api_process"], capture_output=True, text=True, check=True
+        )
         os.kill(int(shown.stdout), signal.SIGKILL)
 
     def _watch(self) -> None:
