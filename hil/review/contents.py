@@ -231,8 +231,9 @@ _TOLERANCE = 0.01  # of a period; t_s is the tick times the period, except for r
 def check_plausible(signals: dict[str, Series]) -> None:
     """Raise DamagedError, with the time, when the clock of the rows or a value makes no sense.
 
-    An .rrd file has no checksums, so damaged bytes decode to numbers too. Signals have shape (n,). Each tick must take
-    one period, and ticks must ascend. Rows may be missing; in a file merged from several some may be there twice.
+    Rows without check values need this, as those of an .rrd file of an earlier version: damaged bytes decode to numbers
+    too. Signals have shape (n,). Each tick must take one period, and ticks must ascend. Rows may be missing; in a file
+    merged from several some may be there twice.
     """
     if not signals.keys() >= CLOCK or not len(signals["loop.t_s"]):
         return

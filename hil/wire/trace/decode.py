@@ -27,8 +27,6 @@ _FORMS_OF_OTHERS = {
     b"PK\x03\x04": "it is a zip archive; unpack it first",
     b"\xff\xfe": "it is text in UTF-16; save it as UTF-8",
     b"\xfe\xff": "it is text in UTF-16; save it as UTF-8",
-    b"LOGG": "it is a .blf by its content; name it so",
-    b";$FILEVERSION": "it is a .trc by its content; name it so",
     b"MDF  ": f"it is an MDF (.mf4); {_TEXTS}",
     b"SQLite format 3": f"it is a database of SQLite; {_TEXTS}",
     b"\xd4\xc3\xb2\xa1": f"it is a capture of packets (pcap); {_TEXTS}",
@@ -38,6 +36,8 @@ _FORMS_OF_OTHERS = {
     b"Chn Identifier": f"it is a log of Kvaser's CanKing; {_TEXTS}",
     b"Time Stamp,ID,Extended": f"it is a table of SavvyCAN; {_TEXTS}",
 }
+# How files begin that can be read under another extension.
+_FORMS_OF_OURS = {b"LOGG": ".blf", b";$FILEVERSION": ".trc"}
 
 
 class Selection(NamedTuple):
@@ -220,9 +220,10 @@ class Reading:
     def _other_form(self) -> str | None:
         with self._path.open("rb") as file:
             begin = file.read(32)
-        suffix = self._path.suffix.lower()
-        forms = (why for magic, why in _FORMS_OF_OTHERS.items() if begin.startswith(magic))
-        return next((why for why in forms if f"a {suffix} by its content" not in why), None)
+        for magic, suffix in _FORMS_OF_OURS.items():
+            if begin.startswith(magic) and suffix != self._path.suffix.lower():
+                return f"it is a {suffix} by its content; name it so"
+        return next((why for magic, why in _FORMS_OF_OTHERS.items() if begin.startswith(magic)), None)
 
     def _break_off(self, why: str) -> None:
         self.trouble = f"{self._path}: {self.frames or 'no'} frames could be read; {why}"
