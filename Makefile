@@ -13,10 +13,10 @@ PYTEST := $(BIN)/python -m pytest
 BESIDE := --numprocesses auto --maxprocesses 8 --dist worksteal
 # Tests of real time mostly wait: three at once disturb each other little.
 PAIRWISE := --numprocesses 3 --dist worksteal
-ALONE_TESTS := $(shell grep -l 'pytest\.mark\.alone' tests/test_*.py)
-SOCKETCAN_TESTS := tests/test_socketcan_*.py
+ALONE_TESTS := $(shell grep -rl --include='test_*.py' 'pytest\.mark\.alone' tests)
+SOCKETCAN_TESTS := $(wildcard tests/*/test_socketcan_*.py)
 
-.PHONY: help demo test test-rest test-all test-socketcan catalogue check proof chaos bench nightly docs picture format native fmu release ros clean setup
+.PHONY: help demo test test-rest test-all test-socketcan catalogue check proof chaos without bench nightly docs picture format native fmu release ros clean setup
 
 ## what make can do here
 help:
@@ -36,12 +36,10 @@ test-rest: setup .venv/for-tests
 	$(PYTEST) $(BESIDE) -m 'slow and not alone' $(ARGS)
 	$(REAL_TIME)
 
-# Other mutants for each commit. Of 16, where the suite notices 95 %, fewer than 80 % are noticed once in 140 times.
-## run all tests, each once, and a sample of the known defects that hil verify puts in
+## run all tests, each once
 test-all: setup .venv/for-tests
 	$(PYTEST) $(BESIDE) -m 'not alone' --durations 15 --durations-min 8 $(ARGS)
 	$(REAL_TIME)
-	$(BIN)/hil verify --sample 16 --seed $$(git rev-list --count HEAD 2>/dev/null || echo 0) --healthy 16 --least 80 --out build/verify
 
 # Real time comes after all else, and SocketCAN, whose kernel is a process that needs a processor, by itself.
 define REAL_TIME
@@ -77,20 +75,27 @@ check: setup .venv/for-tests
 	$(BIN)/python -m plant_fmu.generate --check
 	$(BIN)/python -m plant_fmu.reference --check
 	$(BIN)/python -m tools.rules --check
-	$(BIN)/python -m hil.faults.page --check
-	$(BIN)/python -m hil.batch.reproduction.page --check
+	$(BIN)/python -m tools.unquoted --check
 
 # Lines run, and wrong checks noticed, of which make nightly tries all.
-## show what the tests of the firmware are worth
+## show what the tests of the C are worth, and of the Python changed last
 proof: setup .venv/for-tests
 	$(BIN)/python -m tools.coverage_firmware
 	$(BIN)/python -m tools.mutate --sample 12 $(foreach file,states receive supervise node,--file $(file).c)
+	$(BIN)/python -m tools.mutate --sample 14 --within 45 --near --jobs 1
+	$(BIN)/python -m tools.mutate_python --since HEAD~8 --within 45 --near --jobs 1
 
 # CHAOS goes to tools.chaos. Seldom busy for long, so that it can go on beside other things.
 CHAOS ?= --minutes 2
 ## kill, stop and starve a service and its robot at random, and judge by the robot's truth
 chaos: setup .venv/for-tests
 	$(BIN)/python -m tools.chaos $(CHAOS)
+
+# WITHOUT goes to tools.without_addon. One processor for a minute for each add-on; make nightly runs all tests of the core.
+WITHOUT ?= --quick
+## remove each add-on in turn and run the demo and quick tests of the core
+without: setup .venv/for-tests
+	$(BIN)/python -m tools.without_addon $(WITHOUT)
 
 # ARGS goes to tools.bench, as in make bench ARGS=--short.
 ## measure what a run costs, against named peers
@@ -109,6 +114,7 @@ docs: setup .venv/for-tests
 
 ## draw the pictures of the README, of a recording and of a review's page anew
 picture: setup .venv/for-tests
+	@mkdir -p runs
 	$(BIN)/hil run paper_circle --record runs/picture.rrd --force
 	$(BIN)/python -m tools.screenshot runs/picture.rrd tools/pictures/paper_circle.png --at 0.5
 	$(BIN)/python -m tools.screenshot runs/picture.rrd tools/pictures/paper_circle_law.png --tab Law
@@ -126,13 +132,10 @@ setup: .venv/installed native
 
 # A target that needs the tools installs them with the rest, which is quicker than one after the other.
 TOOLS := [dev,ros2]
-test test-rest test-all test-socketcan check proof chaos bench nightly docs picture format fmu release: EXTRAS := $(TOOLS)
+test test-rest test-all test-socketcan check proof chaos without bench nightly docs picture format fmu release: EXTRAS := $(TOOLS)
 
 # The pip that comes with Python may be old and slow. Bytecode is made for what is imported, when it is imported.
 PIP_INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check --no-compile
-
-# Messages of ROS 2 that have no wheel are compiled once, into the user's cache.
-MESSAGES := $(BIN)/python -m hil.service.ros2.installation
 
 .venv/installed: pyproject.toml tools/hatch_build.py
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "Python 3.11 or newer is needed; set PYTHON")'
@@ -142,12 +145,11 @@ MESSAGES := $(BIN)/python -m hil.service.ros2.installation
 	@[ ! -f .venv/tools ] || rm .venv/tools  # an earlier name of .venv/for-tests; a wheel of ROS 2 has a folder there
 	$(PIP_INSTALL) --editable '.$(EXTRAS)'
 	@touch $@ .venv/native
-	@$(if $(EXTRAS),$(MESSAGES) && touch .venv/for-tests)
+	@$(if $(EXTRAS),touch .venv/for-tests)
 
 # Packages for tests, checks and the FMUs of all platforms.
 .venv/for-tests: .venv/installed
 	@[ -e $@ ] && [ ! $< -nt $@ ] || { set -x; $(PIP_INSTALL) --editable '.$(TOOLS)'; }
-	@$(MESSAGES)
 	@touch $@
 
 native: .venv/native

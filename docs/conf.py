@@ -17,7 +17,7 @@ from tools import reference_pages  # noqa: E402
 project = "mecanum-hil"
 version = release = __version__
 root_doc = "docs/index"
-include_patterns = ["docs/**", "*.md", "tests/*.md", "hil/**/*.md", "firmware_protocol/*.md", "plant_fmu/*.md"]
+include_patterns = ["docs/**", "*.md", "tests/**/*.md", "hil/**/*.md", "firmware_protocol/*.md", "plant_fmu/*.md"]
 include_patterns += ["firmware_protocol/port/*.md", "plant_fmu/*/*.md"]
 exclude_patterns = ["docs/examples/runs"]
 extensions = ["myst_nb", "sphinx.ext.autodoc", "sphinx.ext.napoleon", "sphinx_copybutton"]

@@ -65,7 +65,7 @@ class Client:
         self._ask: Callable[[int], bool] = call("ask")
 
     def wire(self, wheel_of_channel: Sequence[int], sign_of_channel: Sequence[int]) -> None:
-        """Set which wheel each of the robot's channels drives, and in which direction; ``view`` is then of wheels.
+        """Set which wheel each robot channel drives, and its direction; the values in ``view`` are then per wheel.
 
         Raises ValueError unless that is a permutation of 0 to 3 with signs 1 and -1.
         """

@@ -6,7 +6,8 @@ The messages are the classes of ``firmware_protocol.generated.messages``, in the
 from typing import Literal
 
 from firmware_protocol.framing import Frame
-from firmware_protocol.generated.messages import DECODERS, LENGTHS, MESSAGES, NAMES, Message
+from firmware_protocol.generated.messages import LENGTHS, MESSAGES, NAMES
+from firmware_protocol.message import Message
 
 __all__ = ["LENGTHS", "MESSAGES", "NAMES", "Message", "Refusal", "decode", "encode", "refusal"]
 
@@ -25,8 +26,8 @@ def encode(message: Message) -> Frame:
 def decode(frame: Frame) -> Message | None:
     """Return the message of a frame, or None if it is not a message; ``refusal`` then returns why. Never raises."""
     number, payload = frame
-    decoder = DECODERS.get(number)
-    return None if decoder is None else decoder(payload)
+    kind = MESSAGES.get(number)
+    return None if kind is None else kind.decode(payload)
 
 
 def refusal(frame: Frame) -> Refusal:

@@ -68,10 +68,10 @@ class RowLayout:
     """Makes rows of numbers from nested tuples, in the host library.
 
     ``names`` are the columns of a row, in order. ``objects`` has the form of the arguments of ``row``: nested tuples
-    with a column's name at the place of each number, or None for what is left out, as is a name that is no column of
-    these rows: a tuple without any is not looked at, and may be None. ``difference`` names three columns,
-    each the first of a group: two poses A and B (x, y, heading), and A minus B, computed here (x, y, heading in
-    [-π, π], distance). A column that no argument has is NaN. Raises BuildError when the library cannot be loaded.
+    with a column's name at the place of each number. None stands for a number that is left out; so does a name that is
+    no column of these rows. A tuple without columns is not looked at, and may be None. ``difference`` names three
+    columns, each the first of a group: two poses A and B (x, y, heading), and A minus B, computed here (x, y, heading
+    in [-π, π], distance). A column that no argument has is NaN. Raises BuildError when the library cannot be loaded.
 
     Attributes:
         row: the function that makes a row: doubles, as bytes.

@@ -20,8 +20,8 @@ class Tables:
     Attributes:
         look_up: takes a tuple of the first input of each table, then of the second; returns one of the first results,
             then of the second. NaN counts as the beginning of a table.
-        nearest: returns four numbers a table, of the newest look-up: both places, from -2 to 2; the nearest corner, 5
-            times its row plus its column; and the product of the shares that it has of both, 0.25 to 1. NaN before it.
+        nearest: returns four numbers a table for the newest look-up: both places, from -2 to 2; the nearest corner, 5
+            times its row plus its column; and the product of its shares in both, 0.25 to 1. NaN before it.
     """
 
     def __init__(self, tables: Sequence[Table]) -> None:

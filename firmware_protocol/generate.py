@@ -1,5 +1,7 @@
 """Writes the codecs and the tables of PROTOCOL.md from wheel.dbc and parameters.toml.
 
+The fields of each message go to the documentation site (``message_page``).
+
 ``python -m firmware_protocol.generate`` writes them; with ``--check`` it writes nothing, names the stale files, and
 exits 1. The output contains no time stamp and no tool version.
 """
@@ -48,13 +50,19 @@ def _document(document: str, schema: Schema) -> str:
 def _tables(schema: Schema) -> Iterator[str]:
     yield f"Protocol version {schema.version}, schema hash `0x{schema.hash():08X}`."
     yield ""
-    yield "| id | message | from | bytes | rate | meaning |"
-    yield "|---|---|---|---|---|---|"
+    yield "| id | message | from | bytes | rate |"
+    yield "|---|---|---|---|---|"
     for m in schema.messages:
-        yield f"| `{m.id:03X}` | {m.name} | {m.sender} | {m.length} | {m.rate} | {m.comment} |"
-    for m in schema.messages:
-        yield ""
-        yield from _message_table(m)
+        yield f"| `{m.id:03X}` | {m.name} | {m.sender} | {m.length} | {m.rate} |"
+
+
+def message_page(schema: Schema) -> str:
+    """Return the page of docs/reference with the fields of every message."""
+    text = (
+        "# Messages\n\nThe fields of every message of [`wheel.dbc`](../../firmware_protocol/wheel.dbc). "
+        "[PROTOCOL.md](../../firmware_protocol/PROTOCOL.md) has the rules.\n"
+    )
+    return text + "".join("\n" + "\n".join(_message_table(m)) + "\n" for m in schema.messages)
 
 
 def _parameter_table(schema: Schema) -> Iterator[str]:
@@ -97,7 +105,9 @@ def _load_table(schema: Schema) -> Iterator[str]:
 
 
 def _message_table(m: Message) -> Iterator[str]:
-    yield f"### `{m.id:03X}` {m.name}"
+    yield f"## {m.name}"
+    yield ""
+    yield f"Id `{m.id:03X}`, {m.length} bytes, from {m.sender}. {m.comment}"
     yield ""
     yield "| bits | signal | step | range | unit | meaning |"
     yield "|---|---|---|---|---|---|"

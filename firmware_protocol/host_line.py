@@ -1,4 +1,4 @@
-"""The host's end of a serial line, in the firmware's C: takes a fifth of the time of ``firmware_protocol.framing``."""
+"""The host's end of a serial line, in the firmware's C: takes a fifth of the time of ``framer``."""
 
 import functools
 from collections.abc import Callable, Iterator, Sequence
@@ -75,8 +75,8 @@ class HostLine:
     as this object.
 
     Attributes:
-        receive_for: as ``feed``, for the client at an address, which takes the frames of the bytes that arrived at a
-            time [ns], and then adds what is due (``Client.poll``). Returns the number of frames. If the client needs
+        receive_for: as ``feed``, for the client at an address: it takes the frames of the bytes that arrived at a time
+            [ns], then adds the frames that are due (``Client.poll``). Returns the number of frames. If the client needs
             attention (see its ``view``), it returns the packed frames, and how far the client took them.
         noise: returns how many pieces were no frame: the sum of ``rejected`` but for lost frames.
         encode_for: returns what waits in the client at an address as bytes for the wire.
@@ -136,8 +136,8 @@ class HostLine:
 
     @property
     def rejected(self) -> dict[str, int]:
-        """How many pieces were no frame, by cause (``CAUSES``); ``lost`` are frames that the other side counted and
-        that did not arrive whole, but not 128 and more in a row.
+        """How many pieces were no frame, by cause (``CAUSES``). ``lost`` counts frames that the other side counted and
+        that did not arrive whole, except losses of 128 or more in a row.
         """
         counts = self._counts
         self._count(self.handle, counts)

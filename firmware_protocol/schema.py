@@ -25,7 +25,7 @@ MAX_PAYLOAD = 8  # classic CAN
 MAX_ID = 0x7FF  # 11-bit identifiers
 MAX_WHOLE = 1 << 24  # whole numbers up to here are binary32 too
 
-# Layouts that never change, so that a host and a robot of any two versions can find out that they differ.
+# Fixed layouts: with them a host and a robot of any two versions can find out that they differ.
 FROZEN = {
     0x700: [("protocol_version", 0, 8)],
     0x701: [("protocol_version", 0, 8), ("pages", 8, 8), ("capabilities", 16, 16), ("schema_hash", 32, 32)],
@@ -85,11 +85,6 @@ class Signal:
     @property
     def mask(self) -> int:
         return (1 << self.length) - 1
-
-    @property
-    def byte_aligned(self) -> bool:
-        """True for 8, 16 or 32 bits that begin with a byte."""
-        return self.start % 8 == 0 and self.length in (8, 16, 32)
 
 
 @dataclass(frozen=True, slots=True)
@@ -153,7 +148,7 @@ class Schema:
         return "".join(f"parameter {i} {p.name} {p.type} {p.wire(p.minimum)} {p.wire(p.maximum)}\n" for i, p in rows)
 
     def hash(self) -> int:
-        """Return the hash by which a host and a robot check that they use the same schema."""
+        """Return the hash of a schema; a host and a robot compare theirs."""
         return _first_bits(self.canonical())
 
     def parameter_table_hash(self) -> int:

@@ -9,20 +9,14 @@
 Nothing heavy is imported until it is needed.
 """
 
-import os
 from typing import TYPE_CHECKING, Any
-
-if "HIL_MUTANT" in os.environ:  # only in processes that hil verify has started
-    from hil.core import mutant as _mutant
-
-    _mutant.install()
 
 __version__ = "0.2.0"
 __all__ = ["RunResult", "__version__", "load", "run"]
 
 if TYPE_CHECKING:
-    from hil.review.load import load
-    from hil.review.result import RunResult
+    from hil.judge.recorded import load
+    from hil.judge.result import RunResult
     from hil.runtime.assembly import run
 
 
@@ -32,7 +26,7 @@ def __getattr__(name: str) -> Any:
 
         return getattr(assembly, name)
     if name == "load":
-        from hil.review import load as module
+        from hil.judge.recorded import load
 
-        return module.load
+        return load
     raise AttributeError(f"module 'hil' has no attribute {name!r}")

@@ -156,8 +156,8 @@ def _add_structure(structure: ET.Element, definition: Definition, fmi: int) -> N
 
     FMI 2.0 section 2.2.8, where indices count the variables from 1; FMI 3.0 section 2.4.8, by value reference. At a
     communication point an output without dependencies follows from the states alone: it has no direct feedthrough.
-    Initially the states may depend on any parameter. The other inputs are not listed, so that importers do not see an
-    algebraic loop where there is none.
+    Initially the states may depend on any parameter. The other inputs are not listed, so that importers see no false
+    algebraic loop.
     """
     parameters = tuple(variable.name for variable in definition.variables if variable.causality == "parameter")
     index = {name: str(reference + (fmi == 2)) for name, reference in definition.references.items()}

@@ -37,12 +37,12 @@ def render(definition: Definition) -> dict[Path, str]:
         GENERATED / "fmi3" / "terminalsAndIcons.xml": description.terminals(definition),
         GENERATED / manifest.NAME: manifest.manifest(),
         GENERATED / "mecanum_variables.h": c_header.c_header(definition, token),
-        **{HERE / name: text for name, text in tables.documents(definition).items()},
+        HERE / tables.DOCUMENT: tables.document(definition),
     }
 
 
 def stale(definition: Definition | None = None) -> dict[Path, str]:
-    """Return the files that differ from what variables.toml gives, each with the content that it should have."""
+    """Return the files that differ from variables.toml, each with its correct content."""
     made = render(definition or read())
     return {path: text for path, text in made.items() if not path.exists() or path.read_text("utf-8") != text}
 

@@ -52,8 +52,8 @@ def members(fmi: int, model_identifier: str, libraries: Mapping[str, bytes]) -> 
     """Return the members of an archive under ``binaries/``, for libraries by platform tuple.
 
     FMI 3.0 has a folder per tuple. FMI 2.0 has the standard's names, and two additions for importers that use only the
-    word size: ``darwin64`` is a universal binary; and if a system has no x86-64 library, its old name holds the library
-    that exists, so that an FMU built on an ARM machine for itself loads there.
+    word size. ``darwin64`` is a universal binary. If a system has no x86-64 library, its old name holds the existing
+    library, so that an FMU built on an ARM machine for itself loads there.
     """
     made: dict[str, bytes] = {}
     if fmi == 2:

@@ -1,30 +1,29 @@
-"""Generates the tables of variables in README.md and documentation/index.html; the four wheels share one row."""
+"""Generates the tables of variables: documentation/index.html of the FMU, and a page of docs/reference."""
 
 import html
-from collections.abc import Callable
 
 from plant_fmu.variables import HERE, Definition, DefinitionError, Variable
 
+DOCUMENT = "documentation/index.html"
 _BEGIN, _END = "<!-- variables: begin -->", "<!-- variables: end -->"
 _HEADS = ("variable", "causality", "unit", "start", "range", "meaning")
 
 
-def documents(definition: Definition) -> dict[str, str]:
-    """Return the documents that hold a table, by their path in this folder, with the table renewed.
-
-    Raises DefinitionError when a document lacks the marks.
-    """
-    makers: dict[str, Callable[[Definition], str]] = {
-        "README.md": _markdown_table,
-        "documentation/index.html": html_tables,
-    }
-    return {name: _between_marks(name, make(definition)) for name, make in makers.items()}
+def document(definition: Definition) -> str:
+    """Return documentation/index.html with its table renewed. Raises DefinitionError when it lacks the marks."""
+    text = (HERE / DOCUMENT).read_text(encoding="utf-8")
+    if _BEGIN not in text or _END not in text:
+        raise DefinitionError(f"{DOCUMENT}: the marks {_BEGIN} and {_END} are missing")
+    head, rest = text.split(_BEGIN, 1)
+    return f"{head}{_BEGIN}\n{html_tables(definition)}\n{_END}{rest.split(_END, 1)[1]}"
 
 
-def _markdown_table(definition: Definition) -> str:
-    lines = ["| " + " | ".join(_HEADS) + " |", "|" + "---|" * len(_HEADS)]
+def page(definition: Definition) -> str:
+    """Return the page of docs/reference with all variables."""
+    lines = ["# Variables of the plant", "", "In SI units. `*` stands for each wheel: `fl`, `fr`, `rr`, `rl`.", ""]
+    lines += ["| " + " | ".join(_HEADS) + " |", "|" + "---|" * len(_HEADS)]
     lines += ["| " + " | ".join([f"`{row[0]}`", *row[1:]]) + " |" for row in _rows(definition)]
-    return "\n".join(lines)
+    return "\n".join(lines) + "\n"
 
 
 def html_tables(definition: Definition) -> str:
@@ -65,11 +64,3 @@ def _row(definition: Definition, variable: Variable) -> tuple[str, ...]:
 def _items(definition: Definition, variable: Variable) -> list[dict[str, str]]:
     items: list[dict[str, str]] = definition.enumerations[variable.name]["items"]
     return items
-
-
-def _between_marks(name: str, table: str) -> str:
-    text = (HERE / name).read_text(encoding="utf-8")
-    if _BEGIN not in text or _END not in text:
-        raise DefinitionError(f"{name}: the marks {_BEGIN} and {_END} are missing")
-    head, rest = text.split(_BEGIN, 1)
-    return f"{head}{_BEGIN}\n{table}\n{_END}{rest.split(_END, 1)[1]}"

@@ -1,20 +1,26 @@
-"""In CI a skipped test is a failure, unless .ci/run names it; on a user's machine it says what to install."""
+"""In CI a skipped test is a failure, unless .ci/run names it; on a user's machine it says what to install.
+
+``HIL_SLOW_PART=7/4``: of the files of slow tests only each fourth, others for the numbers 8, 9 and 10.
+"""
 
 import os
 import signal
 import sys
+import tomllib
 from collections.abc import Iterator
+from importlib.metadata import distribution
 from pathlib import Path
 from typing import TYPE_CHECKING
+from zlib import crc32
 
 import pytest
 
-from tests import examples, once, processes, socketcan_runner
-from tests.plugin_suites import suite
-from tests.slow import is_slow
+from tests.support import examples, once, processes, socketcan_runner
+from tests.support.plugin_suites import suite
+from tests.support.slow import is_slow
 
 if TYPE_CHECKING:
-    from tests.service_testbed import ControlSide
+    from tests.support.service_testbed import ControlSide
 
 __all__ = ["suite"]
 
@@ -24,6 +30,7 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
 if sys.platform != "win32" and signal.getsignal(signal.SIGHUP) is signal.SIG_IGN:
     signal.signal(signal.SIGHUP, signal.SIG_DFL)
+_HANDLERS = processes.signal_handlers()
 examples.load_profile()
 
 # They begin first, so that no process is left with one of them when the others have ended.
@@ -31,23 +38,56 @@ _LONGEST = ("test_install.py", "test_fmu_platforms.py")
 _MAY_SKIP = tuple(filter(None, os.environ.get("HIL_CI_MAY_SKIP", "").split()))
 
 
+def pytest_report_header() -> str | None:
+    return f"HIL_SEED={os.environ['HIL_SEED']}: other examples for each seed" if os.environ.get("HIL_SEED") else None
+
+
 @pytest.hookimpl(tryfirst=True)  # before -m
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
     for item in items:
         if item.get_closest_marker(socketcan_runner.MARKER) is not None:
             if not item.path.name.startswith("test_socketcan_"):
-                raise pytest.UsageError(f"{item.nodeid}: make runs socketcan tests in tests/test_socketcan_*.py alone")
+                raise pytest.UsageError(f"{item.nodeid}: make runs socketcan tests in test_socketcan_*.py alone")
             item.add_marker(pytest.mark.alone)
         elif item.get_closest_marker("alone") and "pytest.mark.alone" not in item.path.read_text(encoding="utf-8"):
             raise pytest.UsageError(f"{item.nodeid}: make looks for alone tests in files with pytest.mark.alone")
         if is_slow(item.path.name, item.name):
             item.add_marker(pytest.mark.slow)
+    if part := os.environ.get("HIL_SLOW_PART"):
+        number, parts = map(int, part.split("/"))
+        # Without // 16 the longest are in one part.
+        others = [
+            one
+            for one in items
+            if one.get_closest_marker("slow") and crc32(one.path.name.encode()) // 16 % parts != number % parts
+        ]
+        config.hook.pytest_deselected(items=others)
+        left_out = set(others)
+        items[:] = [one for one in items if one not in left_out]
+    if os.environ.get("HIL_ORDER") == "shuffled":
+        # Files, and the tests of each: what a file has made for all its tests is made once.
+        chance = examples.chance()
+        files = sorted({item.path for item in items})
+        chance.shuffle(files)
+        places = {path: place for place, path in enumerate(files)}
+        chance.shuffle(items)
+        items.sort(key=lambda item: places[item.path])
     if "PYTEST_XDIST_WORKER" in os.environ:
         items.sort(key=lambda item: item.path.name not in _LONGEST)
 
 
 def pytest_configure(config: pytest.Config) -> None:
+    _check_entry_points()
     config.pluginmanager.register(socketcan_runner.plugin(config))
+
+
+def _check_entry_points() -> None:
+    """Raise UsageError if this package registers other entry points than those installed: parts would be missing."""
+    project = tomllib.loads((Path(__file__).parents[1] / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    wanted = {(group, *point) for group, points in project["entry-points"].items() for point in points.items()}
+    found = {(point.group, point.name, point.value) for point in distribution(project["name"]).entry_points}
+    if wanted - found:
+        raise pytest.UsageError("pyproject.toml has new entry points; run: pip install --no-deps --editable .")
 
 
 @pytest.hookimpl(trylast=True)
@@ -75,7 +115,7 @@ def _unwanted(reporter: pytest.TerminalReporter) -> list[str]:
 
 @pytest.fixture(scope="session", autouse=True)
 def _made_once(tmp_path_factory: pytest.TempPathFactory) -> None:
-    """Let tests.once work; the folder of a worker of xdist is in that of the session."""
+    """Let tests.support.once work; the folder of a worker of xdist is in that of the session."""
     folder = tmp_path_factory.getbasetemp()
     once.share(folder.parent if "PYTEST_XDIST_WORKER" in os.environ else folder)
 
@@ -90,6 +130,13 @@ def _own_state(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
         yield
 
 
+@pytest.fixture(autouse=True)
+def _handlers_of_signals() -> Iterator[None]:
+    """Give each test the handlers of a new process: a command that ran in this one may have left its own."""
+    yield
+    processes.set_signal_handlers(_HANDLERS)
+
+
 @pytest.fixture
 def state_home(tmp_path: Path) -> Iterator[None]:
     """Keep tokens and locks of a test in its folder, for all its processes."""
@@ -100,7 +147,7 @@ def state_home(tmp_path: Path) -> Iterator[None]:
 @pytest.fixture(scope="module")
 def service(tmp_path_factory: pytest.TempPathFactory) -> "Iterator[ControlSide]":
     """A real API process, for all tests of a module."""
-    from tests.service_testbed import served  # most tests do without what it imports
+    from tests.support.service_testbed import served  # most tests do without what it imports
 
     with processes.own_state(tmp_path_factory.mktemp("state")), served() as side:
         yield side

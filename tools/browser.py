@@ -45,8 +45,8 @@ def chromium() -> str | None:
 class Page:
     """A page of the browser.
 
-    ``errors`` are what it and its frames wrote to the console as errors: exceptions that nobody caught, what the
-    browser itself reports (with the address that it is about), and ``console.error``.
+    ``errors`` are the errors that it and its frames wrote to the console: uncaught exceptions, the browser's own
+    reports (each with its address), and ``console.error``.
     """
 
     def __init__(self, process: "subprocess.Popen[bytes]", commands: int, answers: int) -> None:

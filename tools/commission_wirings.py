@@ -18,13 +18,13 @@ from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from hil.cli.init import ROBOT_FILE, begin
-from hil.cli.new_robot import PROJECT_QUESTIONS, Value
-from hil.commission.commission import commission
+from hil.addons.identify.commission.commissioning import commission
+from hil.addons.init.init_command import ROBOT_FILE, begin
+from hil.addons.init.new_robot import PROJECT_QUESTIONS, Value
 from hil.core.errors import HilError
 from hil.core.options import format_value
 from hil.core.types import WHEEL_NAMES
-from hil.robot.wheel_map import IMU_AXES, ImuMount
+from hil.core.wheel_map import IMU_AXES, ImuMount
 
 DRIVERS = ("stm32", "odrive", "c620")
 PLANTS: dict[str, dict[str, object]] = {
@@ -52,7 +52,7 @@ class Hidden(NamedTuple):
 
 
 class Outcome(NamedTuple):
-    """What came out for one robot: ``problem`` is None where everything was found as it is."""
+    """The result for one robot: ``problem`` is None if everything was found correctly."""
 
     problem: str | None
     furthest_m: float
@@ -92,7 +92,7 @@ def robot_file(folder: Path) -> Path:
 
 
 def found_right(wired: Hidden, values: dict[str, object], table: Any) -> str | None:
-    """Return what differs between a wiring and what was found of it; None where nothing does."""
+    """Return the differences between a wiring and the found one; None without any."""
     inputs = tuple(wired.encoders.index(wheel) + 1 for wheel in wired.wheels)
     signs = tuple(-1 if wheel in wired.encoders_reversed else 1 for wheel in wired.wheels)
     pairs: list[tuple[str, object, object]] = [

@@ -5,10 +5,10 @@ library aside, runs the tests of the core on it, and prints a row a file. It fai
 run, or a branch was not taken that ``unreached_branches.toml`` does not explain.
 
 Neither gcc 12 nor clang 14 measures MC/DC (modified condition/decision coverage; gcc 14 and clang 18 do). Branches
-stand for it: here each condition of a decision has a jump of its own, and where no condition is reached in two ways,
-every jump taken both ways is MC/DC (Comar et al., "Formalization and comparison of MCDC and object branch coverage
-criteria", ERTS 2012). So the tool reads the decisions of the sources, and fails for one in which a condition is reached
-in two ways, as c is in ``(a || b) && c``.
+stand for it: here each condition of a decision has a jump of its own. If no condition is reached in two ways, every
+jump taken both ways is MC/DC (Comar et al., "Formalization and comparison of MCDC and object branch coverage criteria",
+ERTS 2012). So the tool reads the decisions of the sources, and fails for one in which a condition is reached in two
+ways, as c is in ``(a || b) && c``.
 """
 
 import argparse
@@ -32,29 +32,29 @@ from tools.build.compiler import compiler
 ROOT = Path(__file__).parent.parent
 CORE = tuple(source for source in SOURCES if source.parent.name in ("firmware", "client") or source.name == "direct.c")
 TESTS = (
-    "tests/test_node.py",
-    "tests/test_node_faults.py",
-    "tests/test_node_feedback.py",
-    "tests/test_node_means.py",
-    "tests/test_node_replay.py",
-    "tests/test_node_sessions.py",
-    "tests/test_node_states.py",
-    "tests/test_node_thresholds.py",
-    "tests/test_wheel_loops.py",
-    "tests/test_client.py",
-    "tests/test_client_frames.py",
-    "tests/test_freshness.py",
-    "tests/test_wheel_timing.py",
-    "tests/test_wheel_motion.py",
-    "tests/test_statistics.py",
-    "tests/test_latency.py",
-    "tests/test_direct.py",
-    "tests/test_line_of_the_library.py",
-    "tests/test_parameters.py",
-    "tests/test_stored_parameters.py",
-    "tests/test_protocol_rules.py",
-    "tests/test_snapshot.py",
-    "tests/test_snapshot_twin.py",
+    "tests/firmware_protocol/test_node.py",
+    "tests/firmware_protocol/test_node_faults.py",
+    "tests/firmware_protocol/test_node_feedback.py",
+    "tests/firmware_protocol/test_node_means.py",
+    "tests/firmware_protocol/test_node_replay.py",
+    "tests/firmware_protocol/test_node_sessions.py",
+    "tests/firmware_protocol/test_node_states.py",
+    "tests/firmware_protocol/test_node_thresholds.py",
+    "tests/firmware_protocol/test_wheel_loops.py",
+    "tests/firmware_protocol/test_client.py",
+    "tests/firmware_protocol/test_client_frames.py",
+    "tests/robot/test_freshness.py",
+    "tests/firmware_protocol/test_wheel_timing.py",
+    "tests/firmware_protocol/test_wheel_motion.py",
+    "tests/wire/test_statistics.py",
+    "tests/robot/test_latency.py",
+    "tests/robot/test_direct.py",
+    "tests/firmware_protocol/test_line_of_the_library.py",
+    "tests/firmware_protocol/test_parameters.py",
+    "tests/firmware_protocol/test_stored_parameters.py",
+    "tests/firmware_protocol/test_protocol_rules.py",
+    "tests/robot/test_snapshot.py",
+    "tests/firmware_protocol/test_snapshot_twin.py",
 )
 UNREACHED = Path(__file__).parent / "unreached_branches.toml"
 # Each condition of a decision keeps its own jump, and each line its own counter.
@@ -117,7 +117,8 @@ def measure() -> list[Coverage]:
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         library = build_instrumented(folder)
-        environment = os.environ | {"WHEEL_HOST_LIBRARY": str(library), "HIL_CI": "1"}  # the same examples each time
+        environment = os.environ | {"WHEEL_HOST_LIBRARY": str(library), "HIL_CI": "1"}
+        environment["HIL_SEED"] = ""  # the same examples each time
         subprocess.run([sys.executable, "-m", "pytest", *TESTS], check=True, env=environment, cwd=ROOT)
         return read_counts(folder)
 

@@ -24,7 +24,6 @@ RUNS: Mapping[str, tuple[str, tuple[str, ...]]] = {
             '{kind="push",target="force_y_n",value=100.0,start_s=11.0,end_s=11.3}]',
         ),
     ),
-    "shadowed": ("paper_circle", ('controller.shadow=["dsc", "profile"]', "loop.duration_s=5")),
     "other law": ("circle_speed", ("controller.law=afdsc",)),
 }
 """Each run by its name: a shipped scenario, and what is set in it."""

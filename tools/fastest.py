@@ -1,6 +1,6 @@
 """The least time to the reference that torque and wheel speeds allow, and the time that ``profile`` takes.
 
-``python -m tools.fastest`` prints a table; with ``--write`` it puts it into ``hil/laws/PROFILE.md``. The optimum is
+``python -m tools.fastest`` prints a table; with ``--write`` it puts it into ``docs/results/laws.md``. The optimum is
 that of compare_circle's robot with its heading free on the way: no friction, no latency, wheels at most at 20 rad/s,
 the error below 10 mm from T on, and 0.2 s later with the reference, its heading within 5 mrad. For a time T a sequence
 of linear programs (SciPy, HiGHS) looks for torques that get there, each linearised about the motion that the torques of
@@ -26,14 +26,14 @@ from scipy.optimize import linprog
 from scipy.sparse import lil_matrix
 
 import hil
-from hil.batch.output import markdown_table
+from hil.addons.batch.results_page import markdown_table
 from hil.core.model import RobotModel
 from hil.references import ReferenceSource, make_reference
 from hil.scenario import load
 
 Array = npt.NDArray[np.float64]
 SCENARIO = "compare_circle"
-PAGE = Path("hil/laws/PROFILE.md")
+PAGE = Path("docs/results/laws.md")
 OPTIMA = Path("tools/fastest_optima.jsonl")
 BEGIN, END = "<!-- fastest begin -->\n", "<!-- fastest end -->\n"
 MASSES_KG, TORQUES_N_M = (16.0, 20.0, 24.0), (5.0, 1.8)

@@ -1,8 +1,8 @@
 """How far the fused estimate is from the truth: ``python -m tools.fused_errors --page``.
 
 Each row of the table is one condition, driven in closed loop over the wire once for each seed. ``--page`` writes the
-table into hil/estimation/ESTIMATORS.md, beside what no causal filter can do better (the filter's own covariance when
-it knows all noises) and a smoother that knows the whole run (Rauch, Tung and Striebel).
+table into docs/results/estimation.md. It also has the best result of any causal filter (the filter's own covariance
+when it knows all noises) and that of a smoother that knows the whole run (Rauch, Tung and Striebel).
 """
 
 import argparse
@@ -20,19 +20,18 @@ import numpy.typing as npt
 from hil.core.model import RobotModel
 from hil.core.outputs import write_whole
 from hil.core.types import MeasuredPose, Pose, PoseFix, State
-from hil.estimation.belief import Belief, Step, moved, start
-from hil.estimation.choice import EstimatorOptions
-from hil.estimation.correction import Acceptance, corrected, gate_of
-from hil.estimation.fused import FilterOptions, FusedEstimator
+from hil.estimation.estimators import EstimatorOptions, FilterOptions
+from hil.estimation.fused import FusedEstimator
+from hil.estimation.kalman import Acceptance, Belief, Step, corrected, gate_of, moved, start
 from hil.estimation.measurement import Measurement
-from hil.estimation.motion import MotionReader
-from hil.runtime import parts
+from hil.estimation.wheel_motion import MotionReader
+from hil.runtime import run_parts
 from hil.runtime.assembly import RunOptions, run_scenario
 from hil.scenario import load
 
 Array = npt.NDArray[np.float64]
 
-PAGE = Path(__file__).parents[1] / "hil" / "estimation" / "ESTIMATORS.md"
+PAGE = Path(__file__).parents[1] / "docs" / "results" / "estimation.md"
 BEGIN, END = "<!-- fused errors: begin -->", "<!-- fused errors: end -->"
 SETTLED_S = 5.0
 ORACLE_SEEDS = 5
@@ -92,7 +91,7 @@ def conditions() -> Iterator[Condition]:
 
 
 class Kept(FusedEstimator):
-    """A fused estimator that keeps what it was given, and what it believed after each update."""
+    """A fused estimator that keeps its inputs, and its belief after each update."""
 
     def __init__(self, model: RobotModel, start_pose: Pose, counts: int, slip_m_s: float, options: FilterOptions):
         super().__init__(model, start_pose, counts, slip_m_s, options)
@@ -131,7 +130,7 @@ def outcome(condition: Condition, seed: int) -> Outcome:
 
     sets = {**SENSORS, "estimator.source": "fused", **condition.sets}
     scenario = replace(load(condition.scenario, set=sets, seed=seed), expect=())
-    with patch.object(parts, "make_estimator", make):
+    with patch.object(run_parts, "make_estimator", make):
         result = run_scenario(scenario, RunOptions(lenient=True))
     if result.failure is not None:
         raise result.failure
@@ -289,7 +288,7 @@ def main() -> None:
     """Drive all conditions and print the table, or write it into the page."""
     parser = argparse.ArgumentParser(prog="tools.fused_errors", description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("--seeds", type=int, default=20, help="runs of each condition")
-    parser.add_argument("--page", action="store_true", help="write the table into hil/estimation/ESTIMATORS.md")
+    parser.add_argument("--page", action="store_true", help="write the table into docs/results/estimation.md")
     options = parser.parse_args()
     lines = HEAD.split("\n")
     print(HEAD)

@@ -1,10 +1,11 @@
 """Fuzzes the C decoder, both halves of the protocol, together too, the serial line, and times, under ASan and UBSan.
 
-``python -m tools.fuzz --runs 10000000`` runs each target so often. The targets, what they check after every call, and
-the mutator that gets past CRC and COBS are in ``tests/fuzz``. An input that breaks a check is kept and named.
+``python -m tools.fuzz --runs 10000000`` runs each target so often. ``tests/firmware_protocol/fuzz`` has the targets,
+their checks after every call, and the mutator that gets past CRC and COBS. An input that breaks a check is kept and
+named.
 
 The target ``python`` is what CPython calls of the library as its own. It needs CPython for that, and hypothesis makes
-the calls (``tests/fuzz/python_calls.py``). That is slower by far: it makes one sequence of calls for 10,000 runs.
+the calls (``python_calls.py``). That is slower by far: it makes one sequence of calls for 10,000 runs.
 """
 
 import argparse
@@ -24,7 +25,7 @@ from firmware_protocol.built import FIRMWARE_FLAGS, SOURCES
 from tools.build.compiler import compiler
 
 ROOT = Path(__file__).parent.parent
-HARNESSES = ROOT / "tests" / "fuzz"
+HARNESSES = ROOT / "tests" / "firmware_protocol" / "fuzz"
 FRAMES = ROOT / "tests" / "vectors" / "frames.csv"
 TARGETS = ("decoder", "line", "client", "node", "direct", "timing")
 COMPILERS = ("clang", *(f"clang-{version}" for version in range(22, 13, -1)))
@@ -157,7 +158,15 @@ def fuzz_python(sequences: int, seed: int, library: Path) -> Outcome:
     # Without CPython's own allocator each object has its own memory, whose bounds ASan knows. CPython leaks by design.
     sanitised = {"WHEEL_HOST_LIBRARY": str(library), "LD_PRELOAD": str(_runtime()), "PYTHONMALLOC": "malloc"}
     environment = os.environ | sanitised | {"ASAN_OPTIONS": "detect_leaks=0"}
-    command = [sys.executable, "-m", "tests.fuzz.python_calls", "--runs", str(sequences), "--seed", str(seed)]
+    command = [
+        sys.executable,
+        "-m",
+        "tests.firmware_protocol.fuzz.python_calls",
+        "--runs",
+        str(sequences),
+        "--seed",
+        str(seed),
+    ]
     began = time.monotonic()
     done = subprocess.run(command, cwd=ROOT, env=environment, capture_output=True, text=True, check=False)
     seconds = time.monotonic() - began

@@ -2,10 +2,10 @@
 
 Each robot is random and never a default one. It is driven over the wire as ``hil identify drive`` does, with noise of
 the gyro, encoders of 4096 counts and late, noisy pose fixes; the recorded currents get noise, offsets and gains, which
-the plant does not have. It is weighed, and fitted as ``hil identify fit`` does, with ``--contact rigid`` where nothing
+the plant does not have. It is weighed, and fitted as ``hil identify fit`` does, without a model with slip where nothing
 slips. Prints errors, how many true values are within their intervals, the prediction of a held-out drive, and the time
-of the fit. A file of outcomes is continued where it ended. ``--page`` writes the table into hil/identify/METHOD.md. The
-exit code is 1 when a figure falls short of what is aimed at: ``REACH``, ``PREDICTED_MM`` and ``COVERAGE``.
+of the fit. A file of outcomes is continued where it ended. ``--page`` writes the table into
+docs/results/identification.md. The exit code is 1 when a figure misses ``REACH``, ``PREDICTED_MM`` or ``COVERAGE``.
 """
 
 import argparse
@@ -23,17 +23,17 @@ from rich.console import Console
 from rich.progress import track
 from scipy.stats import binom
 
+from hil.addons.identify.drives import Drive, drive_of
+from hil.addons.identify.estimates import Estimate, estimates
+from hil.addons.identify.excitation import STEPS, Plan, plan_step
+from hil.addons.identify.fit import fit
 from hil.core.errors import HilError
 from hil.core.outputs import write_whole
-from hil.identify.drive import STEPS, Plan, plan_step
-from hil.identify.estimates import Estimate, estimates
-from hil.identify.fit import fit
-from hil.identify.recorded import Drive, drive_of
 from hil.runtime.assembly import RunOptions, run_scenario
 from hil.scenario import resolved
-from tests.hidden_robots import Hidden, hidden_robot, write_scenario
+from tests.support.hidden_robots import Hidden, hidden_robot, write_scenario
 
-PAGE = Path(__file__).parents[1] / "hil" / "identify" / "METHOD.md"
+PAGE = Path(__file__).parents[1] / "docs" / "results" / "identification.md"
 BEGIN, END = "<!-- robots: begin -->", "<!-- robots: end -->"
 CURRENT_NOISE_A, CURRENT_OFFSET_A, CURRENT_GAIN = 0.03, 0.003, 0.01
 """Standard deviations of the current sensors: of a reading, of an offset, and of the logarithm of a gain."""
@@ -79,7 +79,7 @@ def outcome(seed: int, plant: str) -> dict[str, Any]:
         drives = dict(_drives(Path(folder), robot, seed, plant))
     begin = time.process_time()
     contacts, squeeze = (("rigid",), None) if plant == "rigid" else (("rigid", "slip"), drives["squeeze"])
-    result = fit([drives["floor"]], drives["held_out"], blocks=drives["blocks"], contacts=contacts, squeeze=squeeze)
+    result = fit(drives["floor"], drives["held_out"], blocks=drives["blocks"], contacts=contacts, squeeze=squeeze)
     fit_s = time.process_time() - begin
     true = robot.true | {
         "lever_m": robot.true["half_length_m"] + robot.true["half_width_m"],
@@ -179,7 +179,7 @@ def table(rows: Sequence[Mapping[str, Any]]) -> Iterator[str]:
 
 
 def shortfalls(rows: Sequence[Mapping[str, Any]]) -> Iterator[str]:
-    """Yield a sentence on each figure that is not what is aimed at.
+    """Yield a sentence on each figure that misses its target.
 
     So few robots tell a coverage roughly: it falls short where chance alone would hardly have brought it there.
     """
@@ -220,7 +220,7 @@ def main() -> None:
     parser.add_argument("--plants", nargs="+", choices=list(PLANTS), default=["rigid", "slip"])
     parser.add_argument("--seed", type=int, default=1001, help="of the first robot")
     parser.add_argument("--outcomes", type=Path, default=Path("build/identify_robots.jsonl"), help="continued if begun")
-    parser.add_argument("--page", action="store_true", help="write the table into hil/identify/METHOD.md")
+    parser.add_argument("--page", action="store_true", help="write the table into docs/results/identification.md")
     options = parser.parse_args()
     options.outcomes.parent.mkdir(parents=True, exist_ok=True)
     lines = options.outcomes.read_text().splitlines() if options.outcomes.exists() else []

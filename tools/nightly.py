@@ -17,10 +17,11 @@ from typing import NamedTuple
 
 ROOT = Path(__file__).parents[1]
 PYTHON = sys.executable
+_SUITE = map(str, sorted((ROOT / "tests" / "suite").glob("*.toml")))
 
 
 class Step(NamedTuple):
-    """A command, the words for it, and what it has in its environment."""
+    """A command, a text on it, and its environment; the date is the seed of tests."""
 
     words: str
     command: tuple[str, ...]
@@ -29,12 +30,31 @@ class Step(NamedTuple):
 
 STEPS = {
     "tests": Step(
-        "all tests side by side, each property with twenty times the examples, others each time; and Windows FMUs",
+        "all tests side by side in random order, each property with twenty times the examples; and Windows FMUs",
         (PYTHON, "-m", "pytest", "-n", "auto", "--dist", "worksteal", "-m", "not alone"),
-        {"HIL_EXAMPLES": "thorough"},
+        {"HIL_EXAMPLES": "thorough", "HIL_ORDER": "shuffled"},
     ),
     "alone": Step("the tests of real time", (PYTHON, "-m", "pytest", "-m", "alone")),
-    "mutation": Step("every mutant of the firmware's checks and of the host's half", (PYTHON, "-m", "tools.mutate")),
+    "without": Step(
+        "the core's tests and the demo without each add-on in turn",
+        (PYTHON, "-m", "tools.without_addon"),
+    ),
+    "mutation": Step(
+        "every mutant of the firmware",
+        (PYTHON, "-m", "tools.mutate", "--room", "firmware_protocol/firmware"),
+    ),
+    "c": Step(
+        "1000 mutants of all our C by rule, as many from each folder",
+        (PYTHON, "-m", "tools.mutate", "--sample", "1000"),
+    ),
+    "covered": Step(
+        "which tests call which function, for the mutants of the Python",
+        (PYTHON, "-m", "tools.covered_functions"),
+    ),
+    "python": Step(
+        "1000 mutants of the Python by rule, as many from each room",
+        (PYTHON, "-m", "tools.mutate_python", "--sample", "1000"),
+    ),
     "fuzz": Step(
         "fuzzing of the firmware, of the decoder, of the host's line and of its calls from Python",
         (PYTHON, "-m", "tools.fuzz", "--runs", "10000000"),
@@ -43,8 +63,8 @@ STEPS = {
         "every fault, and all pairs of faults", (PYTHON, "-m", "hil", "catalogue", "--pairs", "--realtime")
     ),
     "verify": Step(
-        "every known defect put into the shipped scenarios, and 3000 healthy runs",
-        (PYTHON, "-m", "hil", "verify", "--healthy", "3000", "--out", "{out}/verify"),
+        "every known defect of hil verify put into the suite, and 3000 healthy runs",
+        (PYTHON, "-m", "hil", "verify", *_SUITE, "--least", "90", "--healthy", "3000", "--out", "{out}/verify"),
     ),
     "hunt": Step(
         "runs until a planted defect is found, by a hunt and at random",
@@ -102,7 +122,8 @@ def run(steps: Mapping[str, Step], out: Path, commit: str) -> int:
     worst = 0
     for name, step in steps.items():
         command = [word.format(out=out) for word in step.command]
-        shown = " ".join([*(f"{key}={value}" for key, value in step.environment.items()), *command])
+        environment = {"HIL_SEED": f"{_now():%Y%m%d}"} | dict(step.environment)
+        shown = " ".join([*(f"{key}={value}" for key, value in environment.items()), *command])
         head = (
             f"commit   {commit}\ndate     {_now():%Y-%m-%dT%H:%M:%SZ}\n"
             f"machine  {platform.platform()}, {os.cpu_count()} processors\n"
@@ -114,7 +135,7 @@ def run(steps: Mapping[str, Step], out: Path, commit: str) -> int:
             file.write(f"{step.words}\n\n{head}command  {shown}\n\n")
             file.flush()
             code = subprocess.run(
-                command, cwd=ROOT, env=os.environ | step.environment, stdout=file, stderr=subprocess.STDOUT, check=False
+                command, cwd=ROOT, env=os.environ | environment, stdout=file, stderr=subprocess.STDOUT, check=False
             ).returncode
             ended = f"exit code {code} after {time.monotonic() - begin_s:.0f} s"
             file.seek(0, os.SEEK_END)

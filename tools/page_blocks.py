@@ -4,8 +4,8 @@
 all pages that have such blocks. The language of a block says what it is:
 
 - ``console``: a line that begins with ``$`` is a command for bash; the lines below it must be among its output, in this
-  order. ``…`` stands for anything, within a line or as one. A command that ends in ``&`` goes on beside the others once
-  it has printed what is shown.
+  order. ``…`` stands for anything, within a line or as one. A command that ends in ``&`` goes on while the others run,
+  once it has printed the shown output.
 - ``sh``: each line is a command, which must end well. ``python`` is run as a program.
 - a block with ``:caption: NAME`` is the file NAME, and is written.
 
@@ -155,7 +155,7 @@ class _Shell:
         )  # fmt: skip
 
     def run(self, words: str, shown: str = "") -> tuple[str, int]:
-        """Return what a command printed, and its exit code; of one that goes on, what it printed so far."""
+        """Return a command's output and exit code; of one that goes on, its output so far."""
         assert self._bash.stdin is not None
         assert self._bash.stdout is not None
         printed: list[str] = []
@@ -188,7 +188,7 @@ def runs(page: Path, word: str = "") -> bool:
 
 
 def other_pages() -> list[Path]:
-    """Return the pages with commands that teach nothing step by step: how to use a thing, and what it is."""
+    """Return the pages with commands that are no tutorials: guides and reference."""
     listed = subprocess.run(("git", "ls-files", "*.md"), cwd=ROOT, capture_output=True, text=True, check=True)
     pages = [ROOT / name for name in listed.stdout.splitlines() if name != "docs/start.md"]
     return [page for page in pages if page.parent.name != "tutorials" and (runs(page) or runs(page, "minutes"))]
@@ -208,7 +208,7 @@ def run_among_examples(page: Path, home: Path, reasons: Container[str] = REASONS
 
 
 def main() -> int:
-    """Run the pages that are named, or all that have blocks that take minutes, with these."""
+    """Run the named pages, or all with blocks that take minutes, with these."""
     parser = argparse.ArgumentParser(prog="tools.page_blocks", description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("pages", nargs="*", type=Path, metavar="PAGE", help="by default all with blocks of minutes")
     named = [page.resolve() for page in parser.parse_args().pages]

@@ -1,7 +1,7 @@
 """Take the pictures of a review's page that the documents show: ``python -m tools.page_pictures FOLDER``.
 
-Makes a run of each kind (passed, failed, ended early, with faults, with shadows), reviews it, and takes what a real
-browser shows of its page at 1280 pixels; of the failed one also at 390 pixels, as on a phone, and as it is printed.
+Makes a run of each kind (passed, failed, ended early, with faults), reviews it, and takes its page in a
+real browser at 1280 pixels. The page of the failed run is also taken at 390 pixels, as on a phone, and as printed.
 """
 
 import argparse
@@ -14,25 +14,24 @@ from pathlib import Path
 import pypdfium2
 from PIL import Image
 
-from hil.review.alignment import Aligned, Asked, aligned
-from hil.review.figures import figures
-from hil.review.html_page import write_document
-from hil.review.page import page
-from hil.review.panels import read_for_page
+from hil.addons.report.difference import signal_differences
+from hil.addons.report.panels import read_for_page
+from hil.addons.report.review_page import page
+from hil.judge.recorded import judged_run
+from hil.pages.html_page import write_document
 from tools.browser import BrowserError, Page, browser
 from tools.example_runs import make_runs
 
 DRAWN = "document.body.dataset.drawn === 'yes'"
 _WIDE, _PHONE = (1280, 860), (390, 844)
 _COLOURS = 256
-_SHADOWS = "[...document.querySelectorAll('h2')].find((one) => one.textContent === 'Shadows').scrollIntoView()"
 
 
-def write_page(recordings: Sequence[Path], file: Path, asked: Sequence[Asked] = ()) -> None:
+def write_page(recordings: Sequence[Path], file: Path, asked: Sequence[str] = ()) -> None:
     """Write the page of one recording, or of two with the signals to compare."""
     runs = [read_for_page(path) for path in recordings]
-    together: Aligned | None = aligned(runs, "t", asked) if len(runs) == 2 else None
-    write_document(file, page(runs, [figures(run) for run in runs], together))
+    signals = signal_differences(runs[0], runs[1], asked) if len(runs) == 2 else None
+    write_document(file, page(runs, [judged_run(run) for run in runs], signals))
 
 
 def take(view: Page, file: Path) -> Iterator[tuple[str, bytes]]:
@@ -41,8 +40,6 @@ def take(view: Page, file: Path) -> Iterator[tuple[str, bytes]]:
     view.resize(*_WIDE)
     view.open(file.as_uri())
     view.wait_until(DRAWN, 60.0)
-    if file.stem == "shadowed":
-        view.value(_SHADOWS)
     yield "", view.picture()
     if file.stem == "failed":
         yield "printed", _first_page(view.printed())
@@ -69,7 +66,7 @@ def main() -> int:
             pages["pair"] = [recordings["passed"], recordings["other law"]]
             for name, paths in pages.items():
                 html = Path(scratch) / f"{name}.html"
-                write_page(paths, html, [Asked("error.planar_m", 0.005)] if name == "pair" else ())
+                write_page(paths, html, ["error.planar_m"] if name == "pair" else ())
                 for kind, png in take(view, html):
                     file = folder / f"page_{'_'.join(filter(None, (name, kind)))}.png"
                     with Image.open(BytesIO(png)) as image:

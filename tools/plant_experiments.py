@@ -57,7 +57,7 @@ def _body(fix: PoseFix) -> BodyTwist:
 
 
 def rolling_ratio(start: Start, geometry: Geometry, direction: str, speed_rad_s: float) -> float:
-    """Return the mean speed of a robot whose wheels turn steadily, over that of rollers that do not slip."""
+    """Return the mean speed of a robot with steadily turning wheels, over that of rollers without slip."""
     signs = DIRECTIONS[direction]
     moved = rolled = 0.0
     with start({}) as plant:
@@ -90,7 +90,7 @@ def acceleration(start: Start, direction: str, torque_n_m: float) -> float:
 def slip_onset_n_m(start: Start, direction: str, *, highest_n_m: float, resolution_n_m: float = 0.02) -> float | None:
     """Return the least torque on all wheels of which 3 % of the acceleration are missing; None up to ``highest_n_m``.
 
-    Missing of what a torque gives that is sure not to slip, in proportion. Found by bisection.
+    Missing in proportion to the acceleration of a small torque, which does not slip. Found by bisection.
     """
     rolling = acceleration(start, direction, _ROLLING_TORQUE_N_M) / _ROLLING_TORQUE_N_M
 

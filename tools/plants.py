@@ -1,4 +1,4 @@
-"""Writes the tables of plant_fmu/PLANTS.md: what the three plants make of the same torques, speeds and controllers.
+"""Writes the tables of docs/results/plants.md: what the three plants make of the same torques, speeds and controllers.
 
 ``python -m tools.plants`` runs the experiments, which takes about a minute, and writes the tables between the marks;
 with ``--check`` it writes nothing and exits 1 when the page says something else.
@@ -22,7 +22,7 @@ from tools.plant_experiments import (
     slip_onset_n_m,
 )
 
-PAGE = Path(plant_fmu.__file__).parent / "PLANTS.md"
+PAGE = Path(plant_fmu.__file__).parents[1] / "docs" / "results" / "plants.md"
 BEGIN, END = "<!-- plants: begin -->", "<!-- plants: end -->"
 GEOMETRY = Geometry(wheel_radius_m=0.075, lever_m=0.6)
 # What a scenario sets to have each plant, and the same as start values of the FMU.

@@ -8,21 +8,23 @@ from dataclasses import MISSING, is_dataclass
 from pathlib import Path
 from typing import Any, get_args
 
-import cantools.database
 import typer
-from cantools.database.can import Database, Message
 from typer.core import TyperGroup
 from typer.main import get_group
 
-from hil.cli.commands import GROUPS
+from firmware_protocol.generate import message_page
+from firmware_protocol.schema import read_schema
+from hil import references
+from hil.cli.commands import by_task
 from hil.cli.list import listing
 from hil.cli.main import app
 from hil.core.options import Option, format_value, options_of
-from hil.drivers.registry import SHIPPED as DRIVERS
-from hil.drivers.registry import dialect
-from hil.laws import registry as laws
-from hil.references import registry as references
+from hil.laws import law_registry as laws
+from hil.robot.driver_registry import EXTENSIONS as DRIVERS
+from hil.robot.driver_registry import dialect
 from hil.scenario.tables import Tables
+from plant_fmu import tables, variables
+from tools import fault_pages, reproduction_page, rules
 
 DBC = Path(__file__).parents[1] / "firmware_protocol" / "wheel.dbc"
 _LISTS = {
@@ -31,10 +33,9 @@ _LISTS = {
     "laws": "`controller.law`. Equations and gains are in [the laws' page](../../hil/laws/LAWS.md).",
     "references": "`reference.kind`. More is in [the references' page](../../hil/references/REFERENCES.md).",
     "links": "`link.url`. What each takes is in [the links' page](../../hil/wire/LINKS.md).",
-    "faults": "`[[fault]]`. Each kind with an example is in [the faults' page](../../hil/faults/FAULTS.md).",
-    "drivers": "`device.driver`. Each maker has a page, listed in [the drivers' page](../../hil/drivers/DRIVERS.md).",
+    "faults": "`[[fault]]`. What all kinds share is in [the faults' page](../../hil/faults/FAULTS.md).",
+    "drivers": "`device.driver`. Each maker has a page; see [the drivers' page](../../hil/addons/motors/DRIVERS.md).",
     "scenarios": "What `hil run` and `extends` take by name.",
-    "suite": "The scenarios that `hil verify` and `hil run suite` use, each for one corner of robot, wire or law.",
 }
 _API = {
     "hil": "Runs and recordings",
@@ -49,7 +50,10 @@ def write(folder: Path) -> None:
     """Write all pages of the reference into a folder."""
     folder.mkdir(exist_ok=True)
     pages = {name: _list_page(name, words) for name, words in _LISTS.items()}
-    pages |= {"commands": _commands(), "keys": _keys(), "messages": _messages(), "api": _api()}
+    pages["faults"] += fault_pages.sections()
+    pages |= {"commands": _commands(), "keys": _keys(), "api": _api(), "rules": rules.page()}
+    pages |= {"messages": message_page(read_schema(DBC)), "plant": tables.page(variables.read())}
+    pages["reproduction"] = reproduction_page.page()
     for name, text in pages.items():
         path = folder / f"{name}.md"
         if not path.exists() or path.read_text(encoding="utf-8") != text:  # Sphinx reads again what is newer
@@ -73,7 +77,7 @@ def _commands() -> str:
     text = "# Commands\n\nThe help of every command, as `hil COMMAND -h` prints it.\n"
     program = get_group(app)
     context = typer.Context(program, info_name="hil", terminal_width=100)
-    for group, names in GROUPS.items():
+    for group, names in by_task().items():
         text += f"\n## {group}\n" + "".join(_help(program, name, context) for name in names)
     return text
 
@@ -88,18 +92,18 @@ def _help(group: TyperGroup, name: str, above: typer.Context) -> str:
 
 
 def _keys() -> str:
-    """Return every key of a scenario with its default, what it may be and what it means."""
+    """Return every key of a scenario with its default, its allowed values and its meaning."""
     text = (
         "# Keys of a scenario\n\nA key without a default has to be given, by the file or by the scenario it extends.\n"
     )
     for name, option in options_of(Tables).items():
         text += _section(name, option)
     text += "\n## Gains of each law\n\nIn `[controller.gains]`.\n"
-    text += "".join(_options(getattr(law, "Options"), f"### {name}", "") for name, law in laws.SHIPPED.items())  # noqa: B009
+    text += "".join(_options(getattr(law, "Options"), f"### {name}", "") for name, law in laws.shipped_laws().items())  # noqa: B009
     text += "\n## Keys of each reference\n\nIn `[reference]`, beside `kind`.\n"
-    text += "".join(_options(kind, f"### {name}", "") for name, kind in references.SHIPPED.items())
+    text += "".join(_options(kind, f"### {name}", "") for name, kind in references.shipped_references().items())
     text += "\n## Settings of each maker's driver\n\nIn `[device.motors]`.\n"
-    text += "".join(_options(dialect(name).settings, f"### {name}", "") for name in DRIVERS)
+    text += "".join(_options(dialect(name).settings, f"### {name}", "") for name in DRIVERS.ours)
     return text
 
 
@@ -123,35 +127,6 @@ def _options(kind: Any, heading: str, name: str) -> str:
             default = "" if each.default in (MISSING, None) else f"`{format_value(each.default)}`"
             rows.append((f"`{key}`", default, each.expected.removeprefix("expected "), each.meaning))
     return f"\n{heading}\n\n{_table(('key', 'default', 'value', 'meaning'), rows)}{below}"
-
-
-def _messages() -> str:
-    """Return every message of the wheel-command protocol, from its DBC file."""
-    database = cantools.database.load_file(DBC, strict=False)
-    assert isinstance(database, Database)
-    text = (
-        "# Messages\n\nThe messages of the wheel-command protocol, from "
-        "[`wheel.dbc`](../../firmware_protocol/wheel.dbc). When they are sent, and what they do, is in "
-        "[PROTOCOL.md](../../firmware_protocol/PROTOCOL.md).\n"
-    )
-    return text + "".join(map(_message, sorted(database.messages, key=lambda one: one.frame_id)))
-
-
-def _message(message: Message) -> str:
-    sender = ", ".join(message.senders)
-    head = f"\n## {message.name}\n\nIdentifier 0x{message.frame_id:03X}, {message.length} bytes, from {sender}. "
-    rows = [
-        (
-            f"`{one.name}`",
-            one.start,
-            one.length,
-            f"{one.scale:g}",
-            one.unit or "",
-            " ".join((one.comment or "").split()),
-        )
-        for one in message.signals
-    ]
-    return f"{head}{message.comment or ''}\n\n{_table(('signal', 'bit', 'bits', 'scale', 'unit', 'meaning'), rows)}"
 
 
 def _api() -> str:

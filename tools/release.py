@@ -1,6 +1,6 @@
 """``python -m tools.release`` makes what a release gives away, into ``dist/``: see ``make release``.
 
-That is a wheel for each platform, each for all Pythons; a source distribution; the FMUs; a list of what they need
+That is a wheel for each platform, each for all Pythons; a source distribution; the FMUs; a list of their dependencies
 (``sbom.cdx.json``, CycloneDX 1.6); the changes (``CHANGES.md``); and the checksums of all of it (``SHA256SUMS``). Each
 wheel is checked: the format of its libraries, the machine they are for, and what they export.
 """
@@ -51,7 +51,7 @@ def build(out: Path, platforms: tuple[str, ...] = tuple(WHEEL_TAGS)) -> list[Pat
 
 
 def faults(wheel: Path, platform: str) -> Iterator[str]:
-    """Yield what is wrong with a wheel: its name, its libraries, or that it holds those of another platform."""
+    """Yield the errors of a wheel: its name, its libraries, or libraries of another platform."""
     if not wheel.name.endswith(f"-py3-none-{WHEEL_TAGS[platform]}.whl"):
         yield f"its name does not end in py3-none-{WHEEL_TAGS[platform]}"
     machine, system = platform.split("-")

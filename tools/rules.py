@@ -1,10 +1,9 @@
 """Lists for each rule of PROTOCOL.md the tests, faults and mutants that prove it: ``python -m tools.rules``.
 
 A rule is a sentence or a row of a table that begins with an id in brackets. A test names rules with the marker
-``proves``, a case of the fault catalogue and a mutant of ``hil verify`` in ``rules``, and a function of the firmware
-whose mutants are tried in ``mutated_rules.toml``. The list goes to ``firmware_protocol/RULES.md``. With ``--check``
-nothing is written: it fails when the list is out of date, a rule has no test, or anything names a rule that does not
-exist.
+``proves``, a case of the fault catalogue in ``rules``, and a function of the firmware whose mutants are tried in
+``mutated_rules.toml``. The list is printed, and ``make docs`` makes a page of it. With ``--check`` nothing is printed:
+it fails when a rule has no test, or anything names a rule that does not exist.
 """
 
 import ast
@@ -14,13 +13,11 @@ import tomllib
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 
-from hil.batch.verify.catalogue import read_catalogue
-from hil.faults.cases import CASES
-from tools.mutate import FILES, functions
+from hil.addons.batch.catalogue.fault_cases import CASES
+from tools.mutants_of_c import RULED, functions
 
 ROOT = Path(__file__).parents[1]
 PROTOCOL = ROOT / "firmware_protocol" / "PROTOCOL.md"
-PAGE = ROOT / "firmware_protocol" / "RULES.md"
 MUTATED = ROOT / "tools" / "mutated_rules.toml"
 
 _NO_PROSE = re.compile(r"<!-- generated -->.*?<!-- /generated -->|^```.*?^```", re.DOTALL | re.MULTILINE)
@@ -60,7 +57,7 @@ def read_rules(text: str) -> tuple[dict[str, str], list[str]]:
 def of_tests(folder: Path) -> Proofs:
     """Return the tests that name each rule, without running or importing them."""
     found: Proofs = {}
-    for path in sorted(folder.glob("test_*.py")):
+    for path in sorted(folder.rglob("test_*.py"), key=lambda path: path.name):
         for node in ast.parse(path.read_text(encoding="utf-8")).body:
             if not isinstance(node, ast.FunctionDef) or not node.name.startswith("test_"):
                 continue
@@ -77,10 +74,9 @@ def of_faults() -> Proofs:
 
 
 def of_mutants() -> Proofs:
-    """Return the functions whose mutants are tried, and the mutants of ``hil verify``, that name each rule."""
+    """Return the functions whose mutants are tried, by the rules that they carry out."""
     tables = tomllib.loads(MUTATED.read_text(encoding="utf-8"))
     rows = [(f"{file}: {name}", rules) for file, table in tables.items() for name, rules in table.items()]
-    rows += [(entry.id.replace(".", ": ", 1), entry.rules) for entry in read_catalogue().mutants]
     return _inverse(rows)
 
 
@@ -96,26 +92,30 @@ def unlisted_functions() -> list[str]:
     """Return what is wrong with the list of mutated functions."""
     tables = tomllib.loads(MUTATED.read_text(encoding="utf-8"))
     listed = {(file, name) for file, table in tables.items() for name in table}
-    there = {(file, name) for file in FILES for name in functions(file)}
+    there = {(file, name) for file in RULED for name in functions(file)}
     return [f"{MUTATED.name} lacks {file}: {name}" for file, name in sorted(there - listed)] + [
         f"{MUTATED.name} has {file}: {name}, which is not mutated" for file, name in sorted(listed - there)
     ]
 
 
-def page(rules: Mapping[str, str], tests: Proofs, faults: Proofs, mutants: Proofs) -> str:
-    """Return the page."""
+def page() -> str:
+    """Return the list of rules and of what proves each as a page of docs/reference."""
+    rules, _ = read_rules(PROTOCOL.read_text(encoding="utf-8"))
+    return _page(rules, of_tests(ROOT / "tests"), of_faults(), of_mutants())
+
+
+def _page(rules: Mapping[str, str], tests: Proofs, faults: Proofs, mutants: Proofs) -> str:
     rows = [
-        "# What proves the rules of the protocol",
+        "# Rules of the protocol",
         "",
-        "Made by `python -m tools.rules` from the markers; do not edit. A rule is a sentence of",
-        "[PROTOCOL.md](PROTOCOL.md). A test proves it when it names it (`@pytest.mark.proves`), a case of the fault",
-        "catalogue and a mutant of `hil verify` by their `rules`. A mutant is listed behind its room, such as `wire`.",
-        "A function, listed behind its file, stands for all of its mutants, which `python -m tools.mutate` tries;",
-        "`tools/mutated_rules.toml` says which rules each function carries out.",
+        "Each rule is a sentence of [PROTOCOL.md](../../firmware_protocol/PROTOCOL.md). A test that proves it",
+        "has its id (`@pytest.mark.proves`). A case of the fault catalogue has it in `rules`. A function, listed after",
+        "its file, stands for all of its mutants, which `python -m tools.mutate` tries; `tools/mutated_rules.toml`",
+        "lists the rules of each function.",
         "",
         f"{len(rules)} rules, {len({test for some in tests.values() for test in some})} tests.",
         "",
-        "| rule | what it says | tests | faults | mutants |",
+        "| rule | text | tests | faults | mutants |",
         "|---|---|---|---|---|",
     ]
     for rule, said in rules.items():
@@ -143,18 +143,14 @@ def problems(rules: Mapping[str, str], tests: Proofs, faults: Proofs, mutants: P
 
 
 def main(arguments: list[str]) -> int:
-    """Write the page, or with ``--check`` compare it; return the exit code."""
+    """Print the list, or with ``--check`` only the errors; return the exit code."""
     if arguments not in ([], ["--check"]):
         print("usage: python -m tools.rules [--check]", file=sys.stderr)
         return 2
     rules, wrong = read_rules(PROTOCOL.read_text(encoding="utf-8"))
-    proofs = of_tests(ROOT / "tests"), of_faults(), of_mutants()
-    wrong += problems(rules, *proofs) + unlisted_functions()
-    text = page(rules, *proofs)
+    wrong += problems(rules, of_tests(ROOT / "tests"), of_faults(), of_mutants()) + unlisted_functions()
     if not arguments:
-        PAGE.write_text(text, encoding="utf-8")
-    elif not PAGE.is_file() or PAGE.read_text(encoding="utf-8") != text:
-        wrong.append(f"{PAGE.name} is out of date; run: python -m tools.rules")
+        print(page(), end="")
     print(*wrong, sep="\n", end="\n" * bool(wrong), file=sys.stderr)
     return int(bool(wrong))
 

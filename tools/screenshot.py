@@ -21,8 +21,15 @@ from PIL import Image
 from PIL.PngImagePlugin import PngInfo
 from rerun.experimental import View, ViewerClient
 
+from hil.addons.report.viewer import (
+    Window,
+    free_port,
+    live_address,
+    viewer_command,
+    viewer_environment,
+    wait_until_listening,
+)
 from hil.core.errors import HilError
-from hil.record.viewer import Window, free_port, live_address, viewer_command, viewer_environment, wait_until_listening
 from tools.example_runs import make_runs
 
 MOST_SHOTS = 100
@@ -37,7 +44,6 @@ EXAMPLES: Mapping[str, tuple[str, str | None]] = {
     "ended": ("ended", None),
     "faulty": ("faulty", None),
     "faulty_transients": ("faulty", "Transients 1"),
-    "shadowed": ("shadowed", "Shadow profile"),
 }
 _COLOURS = 200
 TABS = "Tabs"

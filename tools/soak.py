@@ -20,9 +20,9 @@ from typing import Any
 
 import psutil
 
+from hil.addons.service.client import Client, find
+from hil.addons.service.messages import Action
 from hil.core.errors import HilError
-from hil.service.client import Client, find
-from hil.service.messages import Action
 
 SERVE = ("serve", "circle_speed", "--set", "loop.rate_hz=100", "--set", "service.port=0", "--log", "json")
 MEMORY_GROWTH = 0.1
@@ -44,7 +44,7 @@ def main() -> int:
 
 
 def soak(folder: Path, minutes: float, track_s: float) -> dict[str, Any]:
-    """Drive a new service for so long; ``trouble`` of what is returned lists what went wrong."""
+    """Drive a new service for that long; ``trouble`` of the result lists the errors."""
     os.environ["XDG_STATE_HOME"] = str(folder / "state")  # where it leaves its token, and we find it
     log = folder / "log.jsonl"
     with log.open("w", encoding="utf-8") as errors:

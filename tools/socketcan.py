@@ -42,8 +42,8 @@ _XSTATE = Path(__file__).with_name("socketcan_xstate.c")
 _MEMORY_MB = 1024
 _PROBE_S = 20.0
 # Runs the rest as a process group, which is killed when stdin ends: when we close it, or die. Nothing of the guest may
-# stay behind, and a kernel that is killed alone leaves its helpers. The folder, $0, goes last.
-# Real time must pass inside, so it has precedence where that is allowed, which is to root.
+# stay behind, and a kernel that is killed alone leaves its helpers. The folder, $0, goes last. Real time must pass
+# inside, so it has precedence if root runs it.
 _DEADMAN = """
 { echo -15 >/proc/self/autogroup; renice -n -15 $$; } >/dev/null 2>&1
 set -m; "$@" </dev/null & exec >&- 2>&-
@@ -133,7 +133,7 @@ class Inside:
         return [*one, *self._preloaded(), _KERNEL, f"mem={_MEMORY_MB}M", "quiet", *root, *lines, f"init={script}"]
 
     def _preloaded(self) -> list[str]:
-        """Return what goes before the kernel where ``socketcan_xstate.c`` says why; that is compiled for it."""
+        """Return the prefix of the kernel's command, if ``socketcan_xstate.c`` is needed; that is compiled for it."""
         if not _has_amx():
             return []
         library = self._folder / "xstate.so"

@@ -54,7 +54,7 @@ def main() -> None:
 
 
 def _boot(folder: Path) -> Path:
-    """Mount what a Linux process expects, and return where the folder may be written to."""
+    """Mount the file systems that a Linux process expects, and return the writable path of the folder."""
     os.environ["PATH"] = "/usr/local/bin:/usr/bin:/bin:/usr/sbin:/sbin"
     console = os.open(CONSOLE, os.O_WRONLY | os.O_NOCTTY)
     tty.setraw(console)

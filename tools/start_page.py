@@ -1,7 +1,7 @@
 """Types the start page into an empty Debian: ``python -m tools.start_page`` as root, in some minutes.
 
-It makes a Debian in a temporary folder with what the page's first paragraph asks for, puts a wheel into ``dist``,
-and types each command of ``docs/start.md`` into a shell whose root is that folder. What the page shows has to appear.
+It makes a Debian in a temporary folder with the packages of the page's first paragraph, and puts a wheel into ``dist``.
+It types each command of ``docs/start.md`` into a shell whose root is that folder. What the page shows has to appear.
 Python's packages come from where this machine's pip takes them; ``--bind`` shows it a folder that pip's settings name.
 """
 

@@ -1,4 +1,5 @@
-"""The user interface: a file for each command of `hil`, the tables they print, and the pytest plugin.
+"""The user interface: a file for each command of the core, and the tables they print.
 
-May import: every package. To add a command: one file here, and its row in `commands.py`.
+May import: every package but add-ons, which have their commands. To add one: one file here, and its row in
+`commands.py`.
 """

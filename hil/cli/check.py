@@ -1,8 +1,7 @@
 """``hil check`` and ``hil show``: a scenario is checked and printed without running it."""
 
-import math
 from collections.abc import Iterator
-from typing import TYPE_CHECKING, Annotated, NamedTuple
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 from typer import Argument
@@ -12,15 +11,7 @@ from hil.cli.output import print_result, rows, table
 from hil.core.errors import apart
 
 if TYPE_CHECKING:
-    from hil.core.model import RobotModel
     from hil.references import Feasibility
-    from hil.scenario import Scenario
-    from hil.scenario.tables import FirmwareTable
-
-_DELAY_S = 1.5e-3
-"""A tick of 1 ms until the torque acts, and half a tick that it is held."""
-LEAST_MARGIN_RAD = math.radians(3.0)
-"""Below it only friction keeps the loop from a limit cycle; the defaults have 6 degrees."""
 
 
 def check(
@@ -52,13 +43,11 @@ def check(
         feasible &= not feasibility.sentences and not late
         baseline = baseline_words(resolved)
         reference = {"kind": resolved.reference.kind, **feasibility.figures()}
-        loop = _speed_loop(resolved)
-        one = {"scenario": resolved.name, "reference": reference, "baseline": baseline, "speed_loop": loop}
+        one = {"scenario": resolved.name, "reference": reference, "baseline": baseline}
         found.append(one | {"beyond_the_end": late, "without_effect": unread})
         lines += [name] if len(names) > 1 else []
-        more = [*([("speed loop", loop)] if loop else []), ("baseline", baseline)]
         told = [("after the end", sentence) for sentence in late] + [("no effect", sentence) for sentence in unread]
-        lines += rows([*_rows(feasibility), *told, *more])
+        lines += rows([*_rows(feasibility), *told, ("baseline", baseline)])
     print_result(as_json, found[0] if len(names) == 1 else {"scenarios": found}, lines)
     raise typer.Exit(0 if feasible else 1)
 
@@ -92,47 +81,3 @@ def _rows(feasibility: "Feasibility") -> Iterator[tuple[str, str]]:
         yield label, f"{most} at t = {needed.worst_s:.3g} s; the limit is {needed.limit:g} {needed.unit}"
     yield from (("not feasible", sentence) for sentence in feasibility.sentences)
     yield from (("note", sentence) for sentence in feasibility.notes)
-
-
-def _speed_loop(scenario: "Scenario") -> str | None:
-    """Return how near our firmware's speed loop is to a limit cycle; None where a scenario does not use it."""
-    from hil.core.types import CommandMode
-    from hil.drivers.registry import OUR_DRIVER
-
-    if scenario.controller.mode is not CommandMode.SPEED or scenario.device.driver != OUR_DRIVER:
-        return None
-    margin = yaw_margin(scenario.robot, scenario.firmware)
-    words = f"around yaw {math.degrees(margin.phase_rad):.1f}° of phase are left at {margin.crossover_rad_s:.0f} rad/s"
-    if margin.phase_rad < LEAST_MARGIN_RAD:
-        words += (
-            "; only friction keeps it from a limit cycle: lower firmware.speed_ki_n_m_rad = "
-            f"{scenario.firmware.speed_ki_n_m_rad:g}, or firmware.speed_kp_n_m_s_rad too"
-        )
-    return words
-
-
-class Margin(NamedTuple):
-    """Where our firmware's speed loop crosses over [rad/s], and how much phase is left there [rad]."""
-
-    crossover_rad_s: float
-    phase_rad: float
-
-
-def yaw_margin(robot: "RobotModel", firmware: "FirmwareTable") -> Margin:
-    """Return the margin around yaw, where a wheel has least to accelerate, from the gains and the robot alone.
-
-    The open loop is (kp + ki / s) / (J s) · b² / (s + b)² · exp(-s 1.5 ms), with the filter's bandwidth b and
-    J = r² (I + k L²) / (4 L²). Its gain falls with the frequency, so there is one crossover.
-    """
-    inertia = robot.effective_inertia_kg_m2 * (robot.wheel_radius_m / (2.0 * robot.lever_m)) ** 2
-    kp, ki, band = firmware.speed_kp_n_m_s_rad, firmware.speed_ki_n_m_rad, firmware.tracking_bandwidth_rad_s
-
-    def gain(w: float) -> float:
-        return math.hypot(kp, ki / w) / (inertia * w * (1.0 + (w / band) ** 2))
-
-    low, high = 1e-6, 1e6
-    for _ in range(100):
-        middle = math.sqrt(low * high)
-        low, high = (middle, high) if gain(middle) > 1.0 else (low, middle)
-    phase = 0.5 * math.pi - math.atan2(ki, kp * low) - 2.0 * math.atan(low / band) - _DELAY_S * low
-    return Margin(low, phase)

@@ -1,10 +1,11 @@
-"""The commands of ``hil`` by name: shipped ones, and those of other packages. A command is imported when it is called.
+"""The commands of ``hil`` by name: the core's, the add-ons', and those of other packages.
 
-To add a shipped one, write a file with a function of the command's name, and a row of ``GROUPS``. Another package
-registers a function or a ``typer.Typer`` under the entry point group ``hil.commands``.
+A command is imported when it is called. To add one, write a function and a row of ``CORE``, or of ``COMMANDS`` of its
+add-on. Another package registers a function or a ``typer.Typer`` under the entry point group ``hil.commands``.
 """
 
-from importlib import import_module
+from collections.abc import Mapping
+from pkgutil import resolve_name
 from typing import Any
 
 import typer
@@ -12,72 +13,49 @@ from typer.core import TyperCommand, TyperGroup
 from typer.main import get_group
 
 from hil.core.errors import BadInputError
-from hil.core.extensions import Extensions
+from hil.core.extensions import Command, Extensions, addon_commands
 from hil.core.interrupts import ends_at_once
 
-GROUPS = {
-    "Run": {
-        "run": "Run a scenario and judge it.",
-        "check": "Check scenarios without running them: their values, laws, FMU, and whether the robot can "
-        "follow the reference.",
-        "show": "Print every value of a scenario and where it came from.",
-        "baseline": "Write the figures of a scenario's runs beside it, for later runs to be compared with.",
-    },
-    "Look": {
-        "review": "Report from its recording alone how a run went and why; with two runs, which figures became "
-        "better or worse.",
-        "view": "Open a recording in the rerun viewer.",
-        "live": "Open the rerun viewer on a run or service under way, and on each one after it; start it before "
-        "or after those.",
-        "replay": "Open loop: feed a recording's states and references to another law, and show how its "
-        "commands differ.",
-        "decode": "Print a trace of the bus in the terms of the wheel-command protocol.",
-    },
-    "Compare and repeat": {
-        "compare": "Run laws under the same conditions and print one table for each; exit 1 when a run failed.",
-        "campaign": "Run a scenario thousands of times, over axes, laws, faults and seeds, and judge it on one page.",
-        "hunt": "Search for a run that breaks an expectation, make it as small as possible and save it; exit 1 "
-        "when found.",
-        "catalogue": "Run the fault catalogue and judge every run for safety; exit 1 when one is not as it should be.",
-        "verify": "Put known defects into a suite of tests, one at a time, and say which it notices; exit 1 "
-        "when one survives.",
-        "reproduce": "Run section IV of the paper and say which of its figures come out, which do not, and why.",
-    },
-    "Connect and drive": {
-        "device": "Run the scenario's virtual robot in a process of its own; print one line when ready.",
-        "serve": "Serve a robot: armed, driven and recorded by `hil ctl` or over HTTP, until SIGTERM.",
-        "ctl": "Drive the robot that hil serve runs; an order returns when accepted.",
-        "ros2": "Be a ROS 2 node for a robot or its simulation: cmd_vel in; odometry, tf, joint states and more out.",
-        "teleop": "Drive the robot that hil serve runs, by hand: it moves while a key or the gamepad's button is held.",
-    },
-    "Your robot": {
-        "init": "Write what tests your robot: its file, a law, scenarios, tests, a baseline and a CI workflow.",
-        "commission": "Find out, step by step, how a robot is wired, on blocks and on the floor, and write it "
-        "into its file.",
-        "identify": "Drive your robot so that it shows what it is made of, and fit a plant to the recordings.",
-        "probe": "Find the motor controllers on a bus or a port, and print a robot file for them.",
-        "jog": "Turn one wheel slowly, with its name typed first, to check order and direction of the motors.",
-        "params": "Show and change the parameters of a robot's firmware; it must be in IDLE to change. All are "
-        "checked first.",
-    },
-    "Tools": {
-        "list": "Print signals, figures, laws, references, scenarios, those of the suite, links, faults or drivers.",
-        "doctor": "Check this machine and print remedies; exit 1 when there is a problem.",
-        "fmu": "The plant: build, look at and check FMUs.",
-        "export": "Write a robot for other programs: its description as a URDF.",
-        "fuzzy": "Draw both gain surfaces of AFDSC's fuzzy block.",
-    },
+TASKS = ("Run", "Look", "Compare and repeat", "Connect and drive", "Your robot", "Tools")
+"""The headings of ``hil --help``."""
+CORE: Mapping[str, Command] = {
+    "run": Command("Run", "hil.cli.run:run", "Run a scenario and judge it."),
+    "check": Command(
+        "Run",
+        "hil.cli.check:check",
+        "Check scenarios without running them: their values, laws, FMU, and whether the robot can follow the "
+        "reference.",
+    ),
+    "show": Command("Run", "hil.cli.check:show", "Print every value of a scenario and where it came from."),
+    "device": Command(
+        "Connect and drive",
+        "hil.cli.device:device",
+        "Run the scenario's virtual robot in a process of its own; print one line when ready.",
+    ),
+    "params": Command(
+        "Your robot",
+        "hil.cli.params:params",
+        "Show and change the parameters of a robot's firmware; it must be in IDLE to change. All are checked first.",
+    ),
+    "list": Command(
+        "Tools", "hil.cli.list:list_", "Print signals, figures, laws, references, scenarios, links, faults or drivers."
+    ),
 }
-"""The shipped commands by task: the first paragraph of the help of each, by name."""
-SHIPPED = {name: text for group in GROUPS.values() for name, text in group.items()}
-_PLACES = {
-    "show": "check:show", "list": "list:list_", "live": "view:live",
-    "campaign": "campaign:app", "ctl": "ctl:app", "export": "export:app", "fmu": "fmu:app", "identify": "identify:app",
-}  # fmt: skip
-"""Module and name of each command that is not simply ``hil.cli.NAME:NAME``."""
+"""The commands of the core by name."""
 
-_EXTENSIONS = Extensions("hil.commands", SHIPPED)
-_LONGEST = max(map(len, SHIPPED))
+
+def shipped() -> Mapping[str, Command]:
+    """Return the commands of the core and of the add-ons that are installed, by name."""
+    return {**CORE, **addon_commands()}
+
+
+def by_task() -> Mapping[str, Mapping[str, str]]:
+    """Return the text of each shipped command by name, below each task."""
+    return {task: {name: c.text for name, c in shipped().items() if c.task == task} for task in TASKS}
+
+
+def _extensions() -> Extensions:
+    return Extensions("hil.commands", shipped())
 
 
 class Group(TyperGroup):
@@ -91,13 +69,13 @@ class Group(TyperGroup):
 
 
 class Commands(TyperGroup):
-    """The group ``hil``. Its help prints the rows of ``SHIPPED``, then other packages' commands; it imports none."""
+    """The group ``hil``. Its help prints the shipped commands, then those of other packages; it imports none."""
 
     _completes = False
 
     def list_commands(self, ctx: Any) -> list[str]:
         """Return the names of all commands, shipped ones first."""
-        return _EXTENSIONS.names()
+        return _extensions().names()
 
     def shell_complete(self, ctx: Any, incomplete: str) -> Any:
         """Return what completes a command's name, for a shell. No command is imported."""
@@ -109,11 +87,12 @@ class Commands(TyperGroup):
 
     def get_command(self, ctx: Any, cmd_name: str) -> Any:
         """Import a command. Raises BadInputError for an unknown one, and for a broken one of another package."""
+        ours = shipped().get(cmd_name)
         if self._completes:
-            return TyperCommand(cmd_name, help=SHIPPED.get(cmd_name))
-        if cmd_name in SHIPPED:
+            return TyperCommand(cmd_name, help=None if ours is None else ours.text)
+        if ours is not None:
             return _command(cmd_name, shipped_command(cmd_name))
-        found = _EXTENSIONS.load(cmd_name, f"command {cmd_name!r}")
+        found = _extensions().load(cmd_name, f"command {cmd_name!r}")
         try:
             return _command(cmd_name, found)
         except Exception as error:
@@ -124,20 +103,21 @@ class Commands(TyperGroup):
 
     def format_commands(self, ctx: Any, formatter: Any) -> None:
         """Write a row for each command, wrapped to the width of the terminal."""
-        for task, rows in GROUPS.items():
-            with formatter.section(task):
-                # As wide as the longest name, so that the texts of all groups are one column.
-                formatter.write_dl([(f"{name:<{_LONGEST}}", text) for name, text in rows.items()])
-        if others := _EXTENSIONS.lines():
+        longest = max(map(len, shipped()))
+        for task, rows in by_task().items():
+            if rows:
+                with formatter.section(task):
+                    # As wide as the longest name, so that the texts of all groups are one column.
+                    formatter.write_dl([(f"{name:<{longest}}", text) for name, text in rows.items()])
+        if others := _extensions().lines():
             with formatter.section("Commands of other packages"):
                 formatter.write_dl([(name, f"{package}: {text}") for name, package, text in others])
 
 
 def shipped_command(name: str) -> Any:
     """Import a shipped command: a function or a ``typer.Typer``."""
-    module, _, attribute = _PLACES.get(name, f"{name}:{name}").partition(":")
     with ends_at_once():
-        return getattr(import_module(f"hil.cli.{module}"), attribute)
+        return resolve_name(shipped()[name].place)
 
 
 def _command(name: str, found: Any) -> Any:

@@ -2,28 +2,23 @@
 
 import pkgutil
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import MISSING
-from typing import TYPE_CHECKING, Annotated, Any
+from dataclasses import replace
+from typing import TYPE_CHECKING, Annotated
 
 from typer import Argument
 
 from hil.cli.options import Json
 from hil.cli.output import print_result, table
 from hil.core.errors import BadInputError, nearest
-from hil.core.options import options_of
+from hil.core.options import OptionsError
 from hil.core.types import CommandMode
 
 if TYPE_CHECKING:
-    from hil.drivers.port import Capabilities, Dialect, RobotFacts
+    from hil.scenario import Scenario
 
 Row = tuple[str, ...]
 
-DRIVER_COLUMNS = ("driver", "wires", "commands", "feedback", "sensors", "watchdog", "e-stop", "what")
-
-_RATE_HZ = 200
-_WATCHDOG = {"set": "set and read back", "fixed": "of its own", "none": "none"}
-_OURS = ("can, can_fd, serial", "speed with torque, torque", "loop.rate_hz", "as the board has", "in the firmware")
-_AS_MAPPED = ("as its file says",) * 5
+DRIVER_COLUMNS = ("driver", "wires", "commands", "sensors", "what")
 
 
 def fault_rows() -> Iterable[Row]:
@@ -47,66 +42,44 @@ def driver_rows() -> Sequence[tuple[str, ...]]:
 
     For a driver that cannot be loaded the last column says why, and the other columns are empty.
     """
-    from hil.drivers.registry import EXTENSIONS, OUR_DRIVER, SHIPPED
+    from hil.robot.driver_registry import EXTENSIONS, OUR_DRIVER, dialect
     from hil.scenario import BASE, load
-    from hil.scenario.motors import robot_facts
 
-    facts = robot_facts(load(BASE, set={"device.driver": next(iter(SHIPPED)), "loop.rate_hz": _RATE_HZ}))
-    rows: list[tuple[str, ...]] = [(OUR_DRIVER, *_OURS, "latched", "our own firmware")]
-    rows += [(name, *_abilities(name, facts), what) for name, what in SHIPPED.items()]
+    base = load(BASE)
+    ours = ("can, can_fd, serial", "speed with torque, torque", "as the board has", "our own firmware")
+    rows: list[tuple[str, ...]] = [(OUR_DRIVER, *ours)]
+    shipped = ((name, dialect(name)) for name in EXTENSIONS.ours)
+    rows += [(name, *_abilities(name, base), made.description or made.title) for name, made in shipped]
     for name, package, line in EXTENSIONS.lines():
         try:
-            abilities = ("",) * 6 if name in EXTENSIONS.shipped else _abilities(name, facts)
+            abilities = ("",) * 3 if EXTENSIONS.is_shipped(name) else _abilities(name, base)
         except BadInputError as error:
-            abilities, line = ("",) * 6, str(error)
+            abilities, line = ("",) * 3, str(error)
         rows.append((name, *abilities, f"{line} ({package})"))
     return rows
 
 
-def _abilities(name: str, facts: "RobotFacts") -> tuple[str, ...]:
-    from hil.drivers.registry import dialect
+def _abilities(name: str, base: "Scenario") -> tuple[str, ...]:
+    from hil.robot.driver_registry import dialect
+    from hil.scenario import DeviceTable
+    from hil.scenario.motor_checks import make_driver
 
-    made = dialect(name)
-    settings: Any = made.settings
-    needs_settings = any(option.default is MISSING for option in options_of(settings).values())
-    return (", ".join(sorted(made.wires)), *(_AS_MAPPED if needs_settings else _words(name, made, facts)))
-
-
-def _words(name: str, made: "Dialect", facts: "RobotFacts") -> tuple[str, ...]:
-    from hil.drivers.registry import make_driver, make_settings
-
-    settings = make_settings(name, {}, "device.motors")
-    rates = {}
-    for wire in sorted(made.wires):
-        at = facts._replace(wire=wire)
-        can = make_driver(name, settings, at).capabilities
-        slower = make_driver(name, settings, at._replace(period_s=2.0 * at.period_s)).capabilities
-        follows = f" at loop.rate_hz = {_RATE_HZ}" if slower.feedback_hz != can.feedback_hz else ""
-        rates[wire] = f"{can.feedback_hz:.4g} Hz{follows}"
-    same = len(set(rates.values())) == 1
-    return (
-        _commands(can),
-        rates[wire] if same else ", ".join(f"{wire}: {rate}" for wire, rate in rates.items()),
-        ", ".join(sorted(can.sensors)) or "none",
-        _WATCHDOG[can.watchdog] + (f" without {made.watchdog_setting}" if made.watchdog_setting else ""),
-        "latched" if can.latches_estop else "not latched",
-    )
-
-
-def _commands(can: "Capabilities") -> str:
-    if can.is_twist:
-        return "velocity of the body"
+    wires = ", ".join(sorted(dialect(name).wires))
+    try:
+        can = make_driver(replace(base, device=DeviceTable(name))).capabilities
+    except OptionsError:  # it needs settings
+        return wires, "as its file says", "as its file says"
     speed = "speed with torque" if can.adds_torque else "speed"
-    return ", ".join(speed if mode is CommandMode.SPEED else "torque" for mode in sorted(can.modes))
+    modes = ", ".join(speed if mode is CommandMode.SPEED else "torque" for mode in sorted(can.modes))
+    return wires, "velocity of the body" if can.is_twist else modes, ", ".join(sorted(can.sensors)) or "none"
 
 
 _LISTS = {
     "signals": (("name", "unit", "meaning"), "hil.core.signals:SIGNALS"),
     "figures": (("figure", "unit", "meaning"), "hil.cli.list:figure_rows"),
-    "laws": (("law", "package", "meaning"), "hil.laws.registry:laws"),
+    "laws": (("law", "package", "meaning"), "hil.laws.law_registry:laws"),
     "references": (("reference", "package", "meaning"), "hil.references:references"),
     "scenarios": (("scenario", "meaning"), "hil.scenario:shipped_scenarios"),
-    "suite": (("scenario", "meaning"), "hil.scenario:suite_scenarios"),
     "links": (("link", "meaning"), "hil.wire.url:link_forms"),
     "faults": (("kind", "acts on", "target", "value", "meaning"), "hil.cli.list:fault_rows"),
     "drivers": (DRIVER_COLUMNS, "hil.cli.list:driver_rows"),
@@ -114,15 +87,11 @@ _LISTS = {
 """Column names of each list, and where its rows are, or the function that makes them: imported when it is called."""
 
 
-def _complete(incomplete: str) -> list[str]:
-    return [name for name in _LISTS if name.startswith(incomplete)]
-
-
 def list_(
-    what: Annotated[str, Argument(metavar="WHAT", help=", ".join(_LISTS), autocompletion=_complete)],
+    what: Annotated[str, Argument(metavar="WHAT", help=", ".join(_LISTS))],
     as_json: Json = False,
 ) -> None:
-    """Print signals, figures, laws, references, scenarios, those of the suite, links, faults or drivers."""
+    """Print signals, figures, laws, references, scenarios, links, faults or drivers."""
     header, rows = listing(what)
     print_result(as_json, [dict(zip(header, row, strict=True)) for row in rows], table([header, *rows]))
 

@@ -19,10 +19,9 @@ from hil import __version__
 from hil.cli.commands import Commands
 from hil.cli.output import WIDEST, drop_output, flush_output, say_on_stderr
 from hil.core.errors import BadInputError, HilError
-from hil.core.extensions import tracebacks_shown
+from hil.core.extensions import refuse_code, tracebacks_shown
 from hil.core.interrupts import INTERRUPTED
 from hil.core.printable import PrintableStream
-from hil.core.strangers import refuse_code
 from hil.core.subprocesses import one_thread_a_process
 
 app = typer.Typer(
@@ -78,7 +77,7 @@ _HELP = {
 
 
 def _open_standard_streams() -> None:
-    """Open what the caller has closed (``>&-``) to the null device: else the next file that is opened takes its place.
+    """Open streams that the caller closed (``>&-``) to the null device: else the next opened file takes their place.
 
     Letters that an encoding lacks (LANG=C) are written as escapes.
     """

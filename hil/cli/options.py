@@ -5,8 +5,6 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from typer import Argument, Option
 
-from hil.cli.output import slowly
-
 if TYPE_CHECKING:
     from hil.scenario import Scenario
 
@@ -14,18 +12,7 @@ LAW = "LAW[,KEY=VALUE...]"
 LAW_HELP = "one of hil list laws, MODULE:CLASS or FILE.py:CLASS, with changed gains"
 
 
-def complete_scenario(incomplete: str) -> list[str]:
-    """Return the scenarios that begin so, for a shell: shipped names, and files here."""
-    from hil.scenario import shipped_scenarios
-
-    files = (str(path) for path in Path().glob(f"{incomplete}*") if path.suffix == ".toml" or path.is_dir())
-    return [*(name for name in shipped_scenarios() if name.startswith(incomplete)), *files]
-
-
-ScenarioName = Annotated[
-    str,
-    Argument(metavar="SCENARIO", help="a shipped name or a path to a .toml file", autocompletion=complete_scenario),
-]
+ScenarioName = Annotated[str, Argument(metavar="SCENARIO", help="a shipped name or a path to a .toml file")]
 Sets = Annotated[list[str] | None, Option("--set", metavar="KEY=VALUE", help="override a key, as in robot.mass_kg=24")]
 RobotFile = Annotated[Path | None, Option(metavar="FILE", help="merge a robot's own file")]
 Mode = Annotated[str | None, Option(metavar="lockstep|realtime", help="as fast as possible, or by the clock")]
@@ -51,8 +38,7 @@ Json = Annotated[bool, Option("--json", help="print one JSON object and nothing 
 
 
 def load_scenario(name: str, **given: Any) -> "Scenario":
-    """Return a scenario as ``hil.scenario.load``. If that takes long, as with a large DBC, tell so on the terminal."""
+    """Return a scenario as ``hil.scenario.load``, which is imported only now."""
     from hil.scenario import load
 
-    with slowly(f"reading {Path(name).name} and the files that it names"):
-        return load(name, **given)
+    return load(name, **given)

@@ -8,7 +8,6 @@ import re
 import shutil
 import sys
 import textwrap
-import threading
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path, PurePath
@@ -17,7 +16,7 @@ from typing import Any, TextIO
 
 from hil.core.errors import RunInterruptedError
 from hil.core.json_lines import json_safe
-from hil.core.printable import command
+from hil.core.printable import command, raw_stream
 from hil.core.subprocesses import on_signals
 
 WIDEST = 120
@@ -205,38 +204,19 @@ def batch(*, as_json: bool) -> Iterator[RunsProgress | None]:
             progress.end()
 
 
-_SILENT_S = 2.0
-
-
 @contextlib.contextmanager
 def slowly(text: str) -> Iterator[Callable[[str], None]]:
-    """Tell on the terminal of stderr what a command does, once it has taken 2 s: a line that is overwritten.
+    """Show the present step of a command that takes long, on a line of stderr's terminal that goes again.
 
     Yield a function that changes the text. Where stderr is no terminal nothing is printed.
     """
     if not sys.stderr.isatty():
         yield lambda _: None
         return
-    now, ended, width, began_s = [text], threading.Event(), 0, time.monotonic()
+    from rich.console import Console
 
-    def show() -> None:
-        nonlocal width
-        wait_s = _SILENT_S
-        while not ended.wait(wait_s):
-            wait_s = 1.0
-            line = f"{now[0]}, {time.monotonic() - began_s:.0f} s"[: terminal_width(sys.stderr)]
-            print(f"\r{line:<{width}}", end="", file=sys.stderr, flush=True)
-            width = len(line)
-
-    thread = threading.Thread(target=show, name="progress", daemon=True)
-    thread.start()
-    try:
-        yield lambda new: now.__setitem__(0, new)
-    finally:
-        ended.set()
-        thread.join()
-        if width:  # what is printed next begins on an empty line
-            print(f"\r{' ' * width}\r", end="", file=sys.stderr, flush=True)
+    with Console(file=raw_stream(sys.stderr)).status(text) as shown:
+        yield shown.update
 
 
 def duration_words(seconds: float) -> str:

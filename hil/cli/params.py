@@ -1,7 +1,6 @@
 """``hil params``: the parameters that a robot's firmware holds."""
 
 import contextlib
-from dataclasses import MISSING
 from pathlib import Path
 from typing import Annotated
 
@@ -10,7 +9,6 @@ from typer import Argument, Option
 from hil.cli.options import Json, PortOrBus, RobotFile
 from hil.cli.output import print_result, table
 from hil.core.errors import BadInputError
-from hil.core.options import options_of
 
 
 def params(
@@ -44,16 +42,9 @@ def params(
             client.store()
         held = client.read()
         info = client.greet()
-    head = ("parameter", "type", "value", "range", "default of a scenario")
+    head = ("parameter", "type", "value", "range")
     rows = [
-        (
-            row.name,
-            row.type.name.lower(),
-            f"{row.value:.7g}",
-            f"{row.minimum:.7g} to {row.maximum:.7g}",
-            _default(row.name),
-        )
-        for row in held
+        (row.name, row.type.name.lower(), f"{row.value:.7g}", f"{row.minimum:.7g} to {row.maximum:.7g}") for row in held
     ]
     lines = [*table([head, *rows]), info.describe()]
     print_result(as_json, {row.name: row.value for row in held}, lines)
@@ -67,15 +58,3 @@ def _of_scenario(scenario: str | None, robot: Path | None) -> dict[str, float]:
     from hil.scenario import BASE, load
 
     return dict(firmware_values(load(scenario or BASE, robot=robot)))
-
-
-def _default(parameter: str) -> str:
-    """Return the default of a parameter in a scenario; "-" if the scenario must give a value."""
-    from hil.scenario import FirmwareTable
-    from hil.scenario.check import WATCHDOG_PERIODS
-
-    follows = {"watchdog_s": f"{WATCHDOG_PERIODS} command periods", "feedback_period_s": "1 command period"}
-    if parameter in follows:
-        return follows[parameter]
-    option = options_of(FirmwareTable).get(parameter)
-    return "-" if option is None or option.default is MISSING else f"{option.default:.7g}"

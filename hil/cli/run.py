@@ -15,9 +15,9 @@ from hil.cli.output import end_in_order, flush_output, next_command, print_json,
 from hil.core.errors import DeviceError, LinkError, RunInterruptedError
 
 if TYPE_CHECKING:
-    from hil.review.result import RunResult
+    from hil.judge.result import RunResult
     from hil.runtime.loop import Loop
-    from hil.runtime.options import Watch
+    from hil.runtime.run_options import Watch
 
 _REFRESH_HZ = 10
 
@@ -33,20 +33,11 @@ def run(
         str | None, Option(metavar="FILE|none", help="recording (.rrd, .mcap); by default runs/SCENARIO-TIME.rrd")
     ] = None,
     rotate: Annotated[
-        str,
-        Option(metavar="SIZE|TIME|none", help="begin a new file after this size or time: 1GB, 10min or '1GB|10min'"),
+        str, Option(metavar="SIZE|TIME|none", help="begin a new file after this size or time: 1GB or 10min")
     ] = "none",
     trace: o.TraceFile = None,
     live: Annotated[bool, Option("--live", help="serve live viewers on 127.0.0.1 while it runs")] = False,
     live_port: o.LivePort = o.LIVE_PORT,
-    stream: Annotated[
-        str | None,
-        Option(
-            metavar="udp://127.0.0.1:PORT",
-            help="send JSON at 100 Hz, for PlotJuggler's UDP server; stays on this machine unless another's address "
-            "is given",
-        ),
-    ] = None,
     seed: o.Seed = None,
     sets: o.Sets = None,
     force: o.Force = False,
@@ -55,15 +46,17 @@ def run(
     as_json: o.Json = False,
 ) -> None:
     """Run a scenario and judge it."""
-    from hil.record import early_recorder, rotation
-
     end_in_order()
     suffix = ".rrd" if record is None else None if record == "none" else Path(record).suffix
     # First, because the recorder process takes as long to import its modules as this one.
-    make_recording = context.with_resource(early_recorder(suffix, live=live))
+    make_recording = None
+    if live or suffix is not None:
+        from hil.record.recording import early_recorder
+
+        make_recording = context.with_resource(early_recorder(suffix, live=live))
 
     from hil.core.outputs import existing_files
-    from hil.record.files import new_in_runs
+    from hil.record.files import new_in_runs, rotation
     from hil.runtime.assembly import RunOptions, run_scenario
 
     resolved = o.load_scenario(scenario, set=sets or [], robot=robot, mode=mode, link=link, seed=seed)
@@ -86,13 +79,12 @@ def run(
                 trace=trace,
                 existing="number" if record is None and not force else existing_files(force=force),
                 live_port=live_port if live else None,
-                stream=stream,
                 allow_motion=allow_motion,
                 lenient=lenient,
                 watch=_progress(resolved.loop.duration_s, None if live else ending) if is_watched else None,
                 warn=warn,
                 linger=_linger if live and is_watched else None,
-                on_stuck=_print_stuck if as_json else None,
+                on_stuck=_print_failure if as_json else None,
                 make_recording=make_recording,
                 keep_signals=False,
             ),
@@ -113,16 +105,10 @@ def run(
 
 
 def _print_failure(sentence: str) -> None:
-    """Print the JSON of a run that could not begin."""
-    from hil.judge.words import SCHEMA
+    from hil.judge.run_json import SCHEMA
 
     print_json({"schema": SCHEMA, "passed": False, "failure": sentence})
-
-
-def _print_stuck(sentence: str) -> None:
-    """Print the JSON of a run before its stuck law ends this process."""
-    _print_failure(sentence)
-    flush_output()
+    flush_output()  # a law that is stuck ends this process
 
 
 def _progress(duration_s: float, ending: contextlib.ExitStack | None) -> "Watch":
@@ -154,11 +140,11 @@ def _progress(duration_s: float, ending: contextlib.ExitStack | None) -> "Watch"
 
 def _announce_live(port: int) -> None:
     """Print on stderr how to open a viewer; open one if stderr is a terminal and there is a display."""
-    from hil.record.viewer import live_hint, show_live
+    from hil.record.viewing import live_hint, part
 
     print(live_hint(port), file=sys.stderr)
-    if sys.stderr.isatty():
-        show_live(port)
+    if sys.stderr.isatty() and (show := part("window")) is not None:
+        show(port)
 
 
 def _linger() -> None:
@@ -170,15 +156,15 @@ def _linger() -> None:
 
 def _lines(result: "RunResult") -> Iterator[str]:
     """Yield how a run went, and the next commands to use."""
-    from hil.judge.words import recorded_at
+    from hil.core.extensions import addon_commands
 
     yield from result.lines()
-    scenario = result.metrics["scenario"] if result.scenario is None else result.scenario.path or result.scenario.name
+    run = result.run
+    scenario = str(run.identity.scenario) if result.scenario is None else result.scenario.path or result.scenario.name
     hints = [next_command("hil", "show", scenario)]
-    recorded = result.metrics.get("recorded")
-    path = None if recorded is None else recorded_at(recorded, result.metrics["recording"])
+    path = None if run.recorded is None else run.recorded.first_file(run.recording)
     if path is not None:
-        hints.insert(0, next_command("hil", "review", Path(path)))
-        if path.endswith(".rrd"):
-            hints.insert(0, next_command("hil", "view", Path(path)))
+        commands = ["review", *(["view"] if path.endswith(".rrd") else [])]
+        for name in filter(addon_commands().__contains__, commands):
+            hints.insert(0, next_command("hil", name, Path(path)))
     yield from ("", "Next:", *(f"  {hint}" for hint in hints))

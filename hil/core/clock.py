@@ -4,6 +4,7 @@ import time
 from collections.abc import Callable
 
 TICK_NS = 1_000_000  # the firmware's tick
+LONGEST_STEP_S = 0.02  # of a plant: in it a wheel at 157 rad/s turns by half a turn, which a wrapped angle still tells
 
 
 class WallClock:
@@ -24,9 +25,7 @@ class WallClock:
 class LockstepClock:
     """Time in lockstep: it advances only while ``wait_until`` runs the robot, so it is never late.
 
-    Attributes:
-        step: runs the robot for a number of firmware ticks and returns when the robot has answered; set by who makes
-            the robot's session, before time passes.
+    ``step`` runs the robot for a number of firmware ticks; who makes the robot's session sets it before time passes.
     """
 
     step: Callable[[int], None]

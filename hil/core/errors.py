@@ -1,12 +1,12 @@
 """One error tree. Each class carries the exit code that the command line gives for it.
 
-A message names the thing, the value, what was expected and what to do; it is shown to the user as it is,
-without a traceback.
+A message names the thing, the value, the expected value and the remedy. The user sees it unchanged, without
+a traceback.
 """
 
 import difflib
 import errno
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 
 
 class HilError(Exception):
@@ -67,15 +67,7 @@ def kind_of(error: HilError) -> str:
 
 def error_of(kind: str | None, sentence: str) -> HilError:
     """Return an error by the name of its class, as ``kind_of`` gives it; a DeviceError where the name is not known."""
-    kinds = (
-        LinkError,
-        RobotStoppedError,
-        RobotLatchedError,
-        OverdueError,
-        RunInterruptedError,
-        BadInputError,
-        HilError,
-    )
+    kinds = HilError, BadInputError, LinkError, OverdueError, RobotLatchedError, RobotStoppedError, RunInterruptedError
     return next((one for one in kinds if one.__name__ == kind), DeviceError)(sentence)
 
 
@@ -87,8 +79,7 @@ def near(word: str, known: Iterable[str]) -> list[str]:
     """Return the known words that are similar to ``word``: at most three, or an empty list.
 
     Case is ignored, a hyphen equals an underscore, and a part of a known word matches it. Otherwise the similarity of
-    the letters decides, without a common prefix such as ``wheel.fl.``, by which all signals of a wheel are similar; and
-    where none is similar, the first word after that prefix.
+    the letters decides. A common prefix such as ``wheel.fl.`` does not count, because all signals of a wheel share it.
     """
     folded = {one: _folded(one) for one in known}
     meant = _folded(word)
@@ -99,15 +90,8 @@ def near(word: str, known: Iterable[str]) -> list[str]:
         return parts
     likeness = {one: _likeness(meant, fold) for one, fold in folded.items()}
     most = max((_NEAR, *likeness.values()))
-    best = [one for one, value in likeness.items() if value == most] or _of_same_quantity(meant, folded)
+    best = [one for one, value in likeness.items() if value == most]
     return best if len(best) <= _MOST_NAMED else []
-
-
-def _of_same_quantity(word: str, folded: Mapping[str, str]) -> list[str]:
-    """Return the known dotted words that have the group and the first word of the name: wheel.fl.torque_..."""
-    group, dot, name = word.rpartition(".")
-    quantity = name.partition("_")[0]
-    return [one for one, fold in folded.items() if dot and fold.startswith(f"{group}.{quantity}_")]
 
 
 def _is_part(word: str, known: str) -> bool:
@@ -131,14 +115,14 @@ def _likeness(word: str, known: str) -> float:
 
 
 def remedy(error: OSError, otherwise: str) -> str:
-    """Return what helps where a file cannot be written: on a full disk to make room, else what ``otherwise`` says."""
+    """Return the remedy for a file that cannot be written: on a full disk to make room, else ``otherwise``."""
     return f"make room, or {otherwise}" if error.errno in (errno.ENOSPC, errno.EDQUOT) else otherwise
 
 
 def apart(value: float, *bounds: float, digits: int = 3) -> str:
-    """Return a number in so many digits, or in as many more as it takes to be on its own side of each bound.
+    """Return a number in ``digits`` digits, or in more if it needs them to be on its own side of each bound.
 
-    For sentences that say that a value is beyond a limit: both rounded to the same text would deny it. What is apart in
+    For sentences that say that a value is beyond a limit: both rounded to the same text would deny it. A difference in
     the 13th digit only is the rounding of a sum, and is shown as equal.
 
     >>> apart(0.8496, 0.85, digits=2)

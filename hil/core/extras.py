@@ -7,12 +7,11 @@ from pathlib import Path
 
 from hil.core.errors import BadInputError
 from hil.core.extensions import OUR_PACKAGE
-from hil.core.printable import command
+from hil.core.printable import command, seen_from_here
 
 EXTRAS = {
     "service": ("fastapi", "httpx", "prometheus_client", "pydantic", "uvicorn", "websockets"),
     "plots": ("matplotlib", "pandas", "plotly"),
-    "campaign": ("distributed",),
     "hunt": ("optuna",),
     "dbc": ("cantools",),
     "teleop": ("sdl2",),
@@ -43,9 +42,5 @@ def missing_of(extra: str) -> list[str]:
 def install_command(extra: str) -> str:
     """Return the command that adds an extra to this installation. No index has to know our package: it is there."""
     python = Path(sys.executable)
-    pip = ["pip"] if os.environ.get("VIRTUAL_ENV") == sys.prefix else [str(_seen_from_here(python)), "-m", "pip"]
+    pip = ["pip"] if os.environ.get("VIRTUAL_ENV") == sys.prefix else [str(seen_from_here(python)), "-m", "pip"]
     return command(*pip, "install", f"{OUR_PACKAGE}[{extra}]")
-
-
-def _seen_from_here(path: Path) -> Path:
-    return path.relative_to(Path.cwd()) if path.is_relative_to(Path.cwd()) else path

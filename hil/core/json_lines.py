@@ -3,10 +3,7 @@
 import json
 import math
 import os
-import select
 import sys
-import threading
-from collections import deque
 from collections.abc import Mapping
 from typing import Any
 
@@ -16,8 +13,8 @@ KEPT_BACK_BYTES = 256 * 1024
 class LineWriter:
     """Writes lines to another process without waiting for it to read.
 
-    What does not fit into the pipe is kept in a buffer of ``KEPT_BACK_BYTES`` and written before the next line.
-    A line that does not fit into the buffer, or that is for a process that has ended, is counted in ``lost``.
+    Bytes that do not fit into the pipe are kept in a buffer of ``KEPT_BACK_BYTES`` and written before the next line.
+    ``lost`` counts the lines that did not fit into the buffer or came after the end of the process.
     (On Windows, Python before 3.12 cannot write to a pipe without waiting: a full pipe then blocks.)
     """
 
@@ -59,10 +56,8 @@ class LineWriter:
 
 
 class LineReader:
-    """Reads records from a file descriptor.
-
-    It uses ``os.read``, not a buffered file: a thread that waits in a buffered read holds a lock, which is fatal
-    when the interpreter ends.
+    """Reads records from a file descriptor, without a buffered file: a thread that waits in one holds a lock, which is
+    fatal when the interpreter ends.
     """
 
     def __init__(self, fd: int) -> None:
@@ -79,57 +74,6 @@ class LineReader:
         line, _, self._buffer = self._buffer.partition(b"\n")
         record: dict[str, object] = json.loads(line)
         return record
-
-
-class LinePoll:
-    """Reads the records that have arrived, without waiting; for the control loop (0.6 µs if none has).
-
-    ``ended`` is true once the pipe has ended and all its records were returned. (Windows cannot poll a pipe
-    without waiting: there a thread reads.)
-    """
-
-    ended = False
-
-    if sys.platform == "win32":
-
-        def __init__(self, fd: int) -> None:
-            self._arrived: deque[dict[str, object] | None] = deque()
-            threading.Thread(target=self._read, args=(LineReader(fd),), name="lines", daemon=True).start()
-
-        def _read(self, lines: LineReader) -> None:
-            record: dict[str, object] | None = {}
-            while record is not None:
-                record = lines.read()
-                self._arrived.append(record)
-
-        def receive(self) -> list[dict[str, object]]:
-            """Return the records that have arrived, oldest first."""
-            records = []
-            while self._arrived:
-                record = self._arrived.popleft()
-                if record is None:
-                    self.ended = True
-                else:
-                    records.append(record)
-            return records
-
-    else:
-
-        def __init__(self, fd: int) -> None:
-            self._fd = fd
-            self._buffer = b""
-            # poll takes half the time of a non-blocking read, which raises BlockingIOError if there is no data.
-            self._poll = select.poll()
-            self._poll.register(fd, select.POLLIN)
-
-        def receive(self) -> list[dict[str, object]]:
-            """Return the records that have arrived, oldest first."""
-            if not self._poll.poll(0):
-                return []
-            data = os.read(self._fd, 65536)
-            self.ended = not data
-            *lines, self._buffer = (self._buffer + data).split(b"\n")
-            return [json.loads(line) for line in lines]
 
 
 def json_safe(value: Any) -> Any:

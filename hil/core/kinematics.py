@@ -1,8 +1,8 @@
 """Kinematics and statics of four Mecanum wheels: wheels <-> body <-> world. Pure functions of plain floats.
 
-With H = [[1, -1, -L], [1, 1, L], [1, -1, L], [1, 1, -L]] for FL, FR, RR, RL and L = ``lever_m``, half the
-length plus half the width between the wheel centres (Nguyen Minh et al. 2023, AFDSC, equations 3 to 9; the
-third row of equation 7 is printed with an entry missing, it is (-1, 1, 1, -1) / L):
+H = [[1, -1, -L], [1, 1, L], [1, -1, L], [1, 1, -L]] has a row for each of FL, FR, RR, RL. L = ``lever_m`` is half the
+length plus half the width between the wheel centres. (Nguyen Minh et al. 2023, AFDSC, equations 3 to 9. The third row
+of equation 7 is printed with an entry missing. It is (-1, 1, 1, -1) / L.)
 
 - wheel speeds    ω = H v / r                     v = (r / 4) diag(1, 1, 1 / L²) Hᵀ ω
 - wheel torques   τ = (r / 4) H diag(1, 1, 1 / L²) F    F = Hᵀ τ / r

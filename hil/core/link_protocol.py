@@ -1,4 +1,4 @@
-"""What a link needs to know of its protocol: framing, names and lengths of messages, and which side sends each."""
+"""The part of a protocol that a link needs: framing, names and lengths of messages, and the sender of each."""
 
 from collections.abc import Callable, Mapping
 from types import MappingProxyType

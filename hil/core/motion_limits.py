@@ -1,15 +1,15 @@
 """Limits on how fast torques may make a moving robot: of its wheels, of their slip, and of its body. Pure.
 
-A torque is faded, from all of it at the beginning of a band to none at the end, while it drives something faster that
-is near its limit: a wheel by itself, which may spin, and the body, which all wheels drive together. What brakes or
-steers passes as it is. A speed counts as near its limit by what it will be when the command acts: the measured speed,
-plus its present rate of change times the sum of latency, tick and lag of the measurement. A wheel that rolls gains
-little in that time. One without grip has nothing but its own inertia to gain against, and is faded tens of rad/s before
-its limit. It gets its torque back slowly: what was commanded during the last latency and lag is not in its measured
-speed yet, and would make it spin again.
+A torque that drives something faster is faded near the limit: all of it is left at the beginning of a band, none at
+the end. This holds for each wheel, which may spin, and for the body, which all wheels drive together. Torques that
+brake or steer are unchanged. The speed that is compared is the one when the command acts: the measured speed plus its
+present rate of change times the sum of latency, tick and lag of the measurement. A wheel that rolls gains little in
+that time. A wheel without grip accelerates only its own inertia, and is faded tens of rad/s before its limit. It gets
+its torque back slowly: commands of the last latency and lag do not show in its measured speed yet, and would make it
+spin again.
 
-What the wheels do and will do, and how much they slip, has to be known in each tick and is worked out in C
-(``client/wheel_motion.h``); what follows for the torques is here.
+Motion and slip of the wheels are needed in each tick and are worked out in C (``client/wheel_motion.h``). The torques
+that follow from them are worked out here.
 """
 
 import math
@@ -47,7 +47,7 @@ class BodyLimits(NamedTuple):
 
 
 class _Seen(NamedTuple):
-    """What the wheels do, and will do when a command acts [rad/s]; ``ahead`` is that time, in measurements."""
+    """Wheel speeds and slip, now and when a command acts [rad/s]; ``ahead`` is the time until then, in measurements."""
 
     speed: Wheels
     coming: Wheels
@@ -57,7 +57,7 @@ class _Seen(NamedTuple):
 
 
 class MotionLimits:
-    """What a ``Guard`` does beyond scaling set points to what a wheel may have.
+    """The part of a ``Guard`` beyond scaling set points to the limits of a wheel.
 
     ``body`` are the limits of the body, if any; in SPEED mode they scale the set points. ``slip_m_s`` is how much
     faster than the floor a rim may move. ``torque_speed`` is which wheel speed torques keep below: one at which
@@ -65,17 +65,13 @@ class MotionLimits:
     BadInputError when the host library cannot be loaded.
 
     Attributes:
-        is_near: takes each tick's measured wheel speeds, the robot's time of the measurement [ns], the robot's state as
-            far as known, the latency of a command [s], and by how much the oldest of the four speeds is older than the
-            state [s], 0 if all are of its time; returns whether ``faded`` has to be called.
+        is_near: returns whether ``faded`` has to be called. It takes each tick's measured wheel speeds, their robot
+            time [ns], the robot's state as far as known, the latency of a command [s], and the age of the oldest of the
+            four speeds at the time of the state [s].
     """
 
     def __init__(
-        self,
-        model: RobotModel,
-        period_s: float,
-        slip_m_s: float = math.inf,
-        torque_speed: TorqueSpeed = "protection",
+        self, model: RobotModel, period_s: float, slip_m_s: float = math.inf, torque_speed: TorqueSpeed = "protection"
     ) -> None:
         self._model = model
         self._torque_speed = torque_speed
@@ -88,7 +84,6 @@ class MotionLimits:
         self._set_near()
 
     def _begin(self, ahead_s: float) -> None:
-        """Set up what C works out."""
         try:
             ffi, _ = library()
         except BuildError as error:
@@ -121,9 +116,9 @@ class MotionLimits:
         self._set_near()
 
     def limit_to(self, accepted_rad_s: float, overspeed_rad_s: float) -> None:
-        """Apply what the robot reports: the speed that it accepts as a command, and the one at which it stops itself.
+        """Apply two limits of the robot: the largest speed that it accepts, and the speed at which it stops itself.
 
-        Both are infinity where it reports none.
+        Both are infinity if it does not report them.
         """
         begin, end = math.inf, math.inf
         if self._torque_speed != "off":
@@ -172,7 +167,7 @@ class MotionLimits:
         return Wheels(*(share * one for share, one in zip(gripped, torque, strict=True)))
 
     def _fade_body(self, torque: Wheels, coming: Wheels) -> Wheels:
-        """Take away from the force what pushes the way that the robot moves, and from the torque what turns it on.
+        """Fade the part of the force along the robot's motion, and the part of the torque along its turn.
 
         Wheels that roll are driven by each other: to fade the fastest alone would let the other three drive it on. And
         a robot that turns needs no force to make a wheel faster: it moves along that wheel's direction a little later.
@@ -229,7 +224,7 @@ def _shares(torque: Wheels, now: Wheels, coming: Wheels, begin: float, end: floa
 
 
 def _risen(shares: tuple[float, ...], before: tuple[float, ...], ahead: float) -> tuple[float, ...]:
-    """Return shares of which each falls at once, and rises slowly from what it was before."""
+    """Return the new shares: each falls at once, and rises slowly from its value before."""
     more = 1.0 / (_BACK * ahead) if ahead else 0.0
     return tuple(min(share, last + more) for share, last in zip(shares, before, strict=True))
 

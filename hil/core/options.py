@@ -1,7 +1,7 @@
 """Options: a frozen dataclass defines a table of a scenario, or the options of a law or a reference.
 
-Its fields give the names, types and defaults. ``Annotated`` adds, in any order: a ``Range``, a text that explains the
-option, ``Expected`` words for messages, and functions that return the checked value or raise ValueError:
+Its fields give the names, types and defaults. ``Annotated`` adds, in any order: a ``Range``, an explanation of the
+option, an ``Expected`` text for messages, and functions that return the checked value or raise ValueError:
 
     @dataclass(frozen=True)
     class Options:
@@ -65,10 +65,10 @@ def size_words(number: float) -> str | None:
     return f"0, or a size of at least {_LEAST:g}" if 0.0 < abs(number) < _LEAST else None
 
 
-class Expected(str):
-    """In ``Annotated``: the words after "expected" in messages, in place of those derived from the type."""
+class Expected(NamedTuple):
+    """In ``Annotated``: the words after "expected" in messages, or what returns them, in place of those by the type."""
 
-    __slots__ = ()
+    words: str | Callable[[], str]
 
 
 POSITIVE, NOT_NEGATIVE = Range(gt=0), Range(ge=0)
@@ -104,7 +104,7 @@ def _unit_of(name: str) -> str:
 
 
 def plausible(name: str, turns: int = 1) -> Range:
-    """Return the range of an option that gives no bounds: an angle is at most so many turns, rounded up."""
+    """Return the range of an option that gives no bounds: an angle is at most ``turns`` turns, rounded up."""
     return Range(ge=-turns * 6.3, le=turns * 6.3) if _unit_of(name) == "rad" else Range()
 
 
@@ -131,17 +131,18 @@ class Option(NamedTuple):
     checks: tuple[Callable[[Any], Any], ...]
     meaning: str
     accepts_others: bool
-    words: str
+    given: Expected
     default: Any = MISSING
 
     @property
     def expected(self) -> str:
         """Which values are valid, for example ``expected a number from 0 to 1``."""
-        return f"expected {self.words or _words(self)}"
+        words = self.given.words
+        return f"expected {(words() if callable(words) else words) or _words(self)}"
 
 
 class Problem(NamedTuple):
-    """One wrong, missing or unknown value: the keys that lead to it, and what was expected."""
+    """One wrong, missing or unknown value: the keys that lead to it, and a text on the expected value."""
 
     path: Path
     kind: Literal["unknown", "missing", "value"]
@@ -256,7 +257,7 @@ def _parsed(annotation: Any, name: str = "") -> Option:
         tuple(one for one in extras if callable(one)),
         next((one for one in extras if type(one) is str), ""),
         OTHERS in extras,
-        next((one for one in extras if isinstance(one, Expected)), ""),
+        next((one for one in extras if isinstance(one, Expected)), Expected("")),
     )
 
 

@@ -10,11 +10,8 @@ from typing import Literal
 from hil.core.errors import BadInputError, remedy
 
 Existing = Literal["refuse", "number", "replace"]
-"""What to do when the file exists already.
-
-``refuse`` raises BadInputError, ``number`` uses the next free name (``run_2.rrd`` after ``run.rrd``), and ``replace``
-(``--force``) replaces the file.
-"""
+"""What to do when the file exists already: raise BadInputError, use the next free name (``run_2.rrd`` after
+``run.rrd``), or replace the file (``--force``)."""
 
 
 def existing_files(*, force: bool) -> Existing:

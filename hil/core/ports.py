@@ -82,6 +82,25 @@ class PackedLink(Link, Protocol):
         """Send frames, which must be messages of ours, in order. Raises LinkError when the link is lost."""
 
 
+class Node(Protocol):
+    """A firmware's end of the wire: it takes and gives bytes of a serial line, or CAN frames."""
+
+    def feed(self, data: bytes) -> None:
+        """Take bytes of a serial line."""
+
+    def receive(self, frame: Frame) -> None:
+        """Take one CAN frame."""
+
+    def take_bytes(self) -> bytes:
+        """Return all waiting output, as bytes of a serial line."""
+
+    def take_frames(self) -> list[Frame]:
+        """Return all waiting output, as frames."""
+
+    def count_unsent(self, frames: int) -> None:
+        """Count a number of frames that could not be sent."""
+
+
 class Controller(Protocol):
     """A control law. It has no access to the clock, the link or the plant."""
 
@@ -150,3 +169,11 @@ class Sink(Protocol):
 Note = Callable[[float, str, str], None]
 """Adds a line to a run's event log, without waiting: called with the scenario's time [s], the level (debug, info,
 warning or error) and the text."""
+
+
+class Event(NamedTuple):
+    """A line of the event log; the level is DEBUG, INFO, WARN or ERROR, as rerun names it."""
+
+    t_s: float
+    level: str
+    text: str

@@ -1,8 +1,8 @@
 """Text from elsewhere (a device, a recording, a law, a file's name) made harmless where it leaves this program.
 
-A terminal obeys control characters: it moves its cursor, changes its title, or types what it was told. Each door by
-which text leaves calls ``printable``: the streams of a command, the log of a service, pages, and what a viewer shows.
-A shell obeys more characters: a command that is shown to be typed comes from ``command``.
+A terminal obeys control characters: it moves its cursor, changes its title, or types a text. All output passes
+``printable``: the streams of a command, the log of a service, pages, and the texts of a viewer.
+A shell obeys more characters: ``command`` makes each command line that a user is to type.
 """
 
 import re
@@ -10,7 +10,7 @@ import shlex
 import subprocess
 import sys
 from collections.abc import Iterable
-from pathlib import PurePath
+from pathlib import Path, PurePath
 from typing import TextIO
 
 # Control characters but tab and line feed; marks that turn the direction of text (all that Unicode has, Bidi_Control)
@@ -31,7 +31,7 @@ _PLAIN_ON_WINDOWS = re.compile(r"[\w\-+./\\:=@~]+")
 
 
 def command(*words: str | PurePath) -> str:
-    """Return a command line whose words a shell reads as they are: sh and its kin, on Windows cmd and PowerShell.
+    """Return a command line with its arguments quoted for a shell: sh and similar, on Windows cmd and PowerShell.
 
     A path that begins with a hyphen is written so that no program takes it for an option.
 
@@ -46,12 +46,13 @@ def command(*words: str | PurePath) -> str:
     return " ".join(word if word != text or _PLAIN_ON_WINDOWS.fullmatch(text) else f'"{text}"' for text, word in quoted)
 
 
-class PrintableStream:
-    """A text stream that writes ``printable`` text. A carriage return that is written alone passes: it is ours.
+def seen_from_here(path: Path) -> Path:
+    """Return a path relative to the current folder, if it is below that."""
+    return path.relative_to(Path.cwd()) if path.is_relative_to(Path.cwd()) else path
 
-    Attributes:
-        raw: the stream itself, for who writes control sequences of our own.
-    """
+
+class PrintableStream:
+    """A text stream that writes ``printable`` text to ``raw``. A carriage return that is written alone is ours."""
 
     def __init__(self, raw: TextIO) -> None:
         self.raw = raw

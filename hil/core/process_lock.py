@@ -1,13 +1,10 @@
 """A lock that one process of a user holds until it ends, with a record that describes the holder.
 
-The lock is a file that the operating system locks (``flock``, on Windows ``LockFileEx``); the record is a JSON file
-beside it. The operating system releases the lock however the process ends, so no cleanup is needed. Both are in a
-``private_folder``: in a folder that others may write to, they could remove the lock, hold it, or put a symbolic link in
-its place.
+The lock is a file that the operating system locks, and releases however the process ends; the record is a JSON file
+next to it. Both are in a ``private_folder``, where no other user can remove or hold the lock or replace it by a link.
 """
 
 import json
-import sys
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
@@ -67,31 +64,6 @@ def held(folder: Path) -> Iterator[dict[str, Any]]:
             continue
         record.unlink(missing_ok=True)
         lock.release()
-
-
-def free_locks(folder: Path) -> Iterator[Path]:
-    """Yield the lock files in a folder that no process holds."""
-    for path in sorted(folder.glob("*.lock")):
-        lock = _lock(folder, path.stem)
-        try:
-            lock.acquire(blocking=False)
-        except Timeout:
-            continue
-        lock.release()
-        yield path
-
-
-def remove_lock(path: Path) -> None:
-    """Remove a lock file, unless a process holds it. Who waits for it opens a new one: filelock sees to it."""
-    lock = _lock(path.parent, path.stem)
-    try:
-        lock.acquire(blocking=False)
-    except Timeout:
-        return
-    if sys.platform == "win32":  # where an open file stays
-        lock.release()
-    path.unlink(missing_ok=True)
-    lock.release()
 
 
 def _lock(folder: Path, name: str) -> FileLock:

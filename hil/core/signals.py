@@ -6,10 +6,21 @@ groups below, so each signal is defined once; its name ends with the unit. A run
 """
 
 from array import array
-from collections.abc import Iterable
-from typing import NamedTuple
+from collections.abc import Iterable, Iterator, Mapping
+from typing import TYPE_CHECKING, NamedTuple, TypeAlias
 
-from hil.core.types import WHEEL_NAMES, Gains, Pose, Twist, Wheels
+from hil.core.errors import UnknownSignalError
+from hil.core.types import WHEEL_NAMES, CommandMode, Gains, Pose, Twist, Wheels
+
+if TYPE_CHECKING:
+    import numpy as np
+    import numpy.typing as npt
+
+Series: TypeAlias = "npt.NDArray[np.float64]"
+"""A signal over time."""
+
+QUANTITY = {CommandMode.SPEED: "speed_command_rad_s", CommandMode.TORQUE: "torque_command_n_m"}
+"""The last word of the signals of set points."""
 
 
 class LoopSignals(NamedTuple):
@@ -225,3 +236,26 @@ INDEX: dict[str, int] = {name: i for i, name in enumerate(SIGNAL_NAMES)}
 GROUPS: frozenset[str] = frozenset(name.partition(".")[0] for name in SIGNAL_NAMES)
 WHEEL_SPEEDS: tuple[str, ...] = tuple(f"wheel.{wheel}.speed_rad_s" for wheel in WHEEL_NAMES)
 TRUE_POSE: tuple[str, ...] = tuple(f"truth.{name}" for name in Pose._fields)
+
+
+class Signals(Mapping[str, Series]):
+    """The signals of a run by name, each of shape (ticks,); a wrong name raises UnknownSignalError with near ones."""
+
+    def __init__(self, series: Mapping[str, Series]) -> None:
+        self._series = series
+
+    def __getitem__(self, name: str) -> Series:
+        try:
+            return self._series[name]
+        except KeyError:
+            raise UnknownSignalError(name, self._series) from None
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._series)
+
+    def __len__(self) -> int:
+        return len(self._series)
+
+    def __repr__(self) -> str:
+        ticks = len(next(iter(self._series.values()), ()))
+        return f"<{len(self)} signals of {ticks} ticks>"

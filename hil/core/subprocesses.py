@@ -5,7 +5,6 @@ import os
 import signal
 import subprocess
 import sys
-import threading
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from types import FrameType
@@ -122,8 +121,8 @@ def wait_for_end(descriptor: int) -> None:
 def on_signals(handler: Callable[[int, FrameType | None], None], *names: str) -> None:
     """Handle these signals; one that is ignored, as SIGHUP under nohup, stays ignored.
 
-    SIGHUP comes when a terminal's window is closed. It is handled once, because kernel and shell both send it, and
-    output that would go to a terminal that is gone is dropped from then on: to write there is an error.
+    SIGHUP comes when a terminal's window is closed. It is handled once, because kernel and shell both send it. From
+    then on output to that terminal is dropped: to write there is an error.
     """
 
     def hung_up(number: int, frame: FrameType | None) -> None:
@@ -139,16 +138,6 @@ def on_signals(handler: Callable[[int, FrameType | None], None], *names: str) ->
         number = getattr(signal, name, None)  # Windows has no SIGHUP
         if number is not None and signal.getsignal(number) is not signal.SIG_IGN:
             signal.signal(number, hung_up if name == "SIGHUP" else handler)
-
-
-def terminate_at_end(descriptor: int) -> None:
-    """Send this process SIGTERM when a pipe ends, so that it ends in order. Returns at once."""
-
-    def terminate() -> None:
-        wait_for_end(descriptor)
-        os.kill(os.getpid(), signal.SIGTERM)
-
-    threading.Thread(target=terminate, name="lifeline", daemon=True).start()
 
 
 _PROCESSES = Path("/proc")

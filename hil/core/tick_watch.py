@@ -18,7 +18,6 @@ _GRACE_S = 1.0  # from the exception in the tick to the end of the process
 _LAST_WORDS_S = 15.0  # time that ``last_words`` has before that end
 _PRINT_S = 2.0
 _FRAMES = 8  # innermost stack frames that are printed: the law's, and its callers'
-_DEBUGGERS = ("bdb", "pdb", "pydevd", "debugpy")
 
 
 class TickOverdue(BaseException):
@@ -33,17 +32,15 @@ class TickOverdue(BaseException):
 class TickWatch:
     """Ends a tick that takes longer than ``limit_s`` of wall-clock time; 0 or infinity means none. A context manager.
 
-    The thread that enters the context does the ticks. It adds 1 to ``turn`` when a tick begins and 1 when it ends, so
-    ``turn`` is odd during a tick; this is the only cost of a tick. A background thread looks at ``turn`` at intervals.
-    When a tick is overdue, it raises TickOverdue in the thread that entered the context, which has to catch it. When
-    the tick is stuck where no exception can reach it (in a sleep or in C code), the watch ends the process. It first
-    calls ``last_words`` with a sentence that says what was overdue. Then it prints the innermost frames of the stuck
-    thread's stack and the sentence, and exits with the exit code of OverdueError.
+    The thread that enters the context adds 1 to ``turn`` when a tick begins and 1 when it ends, which is the only cost
+    of a tick. A background thread looks at ``turn``. When a tick is overdue, it raises TickOverdue in the first thread,
+    which has to catch it. Where no exception can reach the tick (in a sleep or in C code), the watch calls
+    ``last_words`` with a sentence, prints the innermost frames of the stack and the sentence, and ends the process with
+    the exit code of OverdueError.
 
     The time between two ticks is not watched: waiting for robot and plant has limits of its own. Time in which this
-    process did not run, because it was stopped or the machine suspended, is not counted. A tick that is paused in a
-    debugger is not ended. While a call into C holds Python's lock (the GIL) the watch cannot run either; most long
-    calls release it.
+    process did not run, because it was stopped or the machine suspended, is not counted. While a call into C holds
+    Python's lock (the GIL) the watch cannot run either; most long calls release it.
     """
 
     def __init__(self, limit_s: float, t_s: Callable[[], float], last_words: Callable[[str], None]) -> None:
@@ -80,9 +77,7 @@ class TickWatch:
             if stood_s <= self._limit_s:
                 continue
             frame = sys._current_frames().get(self._ident)
-            if _is_debugged(frame):
-                stood_s = 0.0
-            elif not sentence:
+            if not sentence:
                 sentence = self._sentence(frame)
                 self._raise(sentence)
             elif stood_s > self._limit_s + _GRACE_S:
@@ -113,12 +108,3 @@ def _say(words: Callable[[], None], limit_s: float) -> None:
     thread = threading.Thread(target=words, name="last words", daemon=True)
     thread.start()
     thread.join(limit_s)
-
-
-def _is_debugged(frame: FrameType | None) -> bool:
-    """Return whether a debugger's code is on the stack: the thread then waits for the user."""
-    while frame is not None:
-        if str(frame.f_globals.get("__name__")).partition(".")[0].startswith(_DEBUGGERS):
-            return True
-        frame = frame.f_back
-    return False

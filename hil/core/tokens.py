@@ -1,7 +1,7 @@
 """Tokens by which our processes know each other over sockets of this machine: secrets in files of one user.
 
-Every user of a machine can connect to its loopback sockets. So each server of ours has a token, which only those know
-who may read its file. A client of the same user finds the file by the server's port.
+Every user of a machine can connect to its loopback sockets. So each of our servers has a token in a file that only its
+own user can read. A client of that user finds the file by the server's port.
 
 One state folder may serve several machines, or several network namespaces of one, as where containers share a home. A
 port is one of a namespace. So each token begins with a mark of where its server runs, and a server judges only those
@@ -13,7 +13,7 @@ import hashlib
 import platform
 import secrets
 import socket
-from collections.abc import Collection, Iterator
+from collections.abc import Collection
 from pathlib import Path
 
 from platformdirs import user_state_path
@@ -53,15 +53,9 @@ def clear_tokens(kind: str, kept: Collection[int] = ()) -> None:
     ports that are left alone, as of a service whose API is being started again. A server listens before it makes its
     token. Raises as ``state_folder``.
     """
-    for path in left_tokens(kind, kept):
-        path.unlink(missing_ok=True)
-
-
-def left_tokens(kind: str, kept: Collection[int] = ()) -> Iterator[Path]:
-    """Yield the files that ``clear_tokens`` removes. Raises as ``state_folder``."""
     for path in state_folder(kind).glob("*.token"):
         if path.stem.isdecimal() and (port := int(path.stem)) not in kept and _is_ours(path) and not _listens(port):
-            yield path
+            path.unlink(missing_ok=True)
 
 
 def is_of_elsewhere(path: Path) -> bool:
@@ -78,7 +72,7 @@ def _is_ours(path: Path) -> bool:
 
 @functools.cache
 def _mark() -> str:
-    """Return what the tokens begin with that are made on this machine and in this network namespace."""
+    """Return the beginning of all tokens that are made on this machine and in this network namespace."""
     try:
         namespace = str(Path("/proc/self/ns/net").readlink())
     except OSError:  # not Linux

@@ -1,6 +1,6 @@
 """Makes the named tuples of a tick in the host library: a reference in an eighth of the time of calling its classes.
 
-Only what is made in each tick is made so; elsewhere call the class. Where the library cannot be built or loaded, each
+It is only for tuples that are made in each tick; elsewhere call the class. If the library cannot be loaded, each
 call raises BadInputError with the reason: what needs no run, such as ``hil doctor``, works without it.
 """
 

@@ -1,23 +1,111 @@
 """The pose by wheels, gyro and pose fixes, which may be late, out of order, wrong or missing."""
 
 import math
+from bisect import bisect_left, insort
+from collections import deque
 from collections.abc import Sequence
-from dataclasses import dataclass
-from functools import partial
-from typing import Annotated, Literal
+from dataclasses import dataclass, field
 
 from hil.core.kinematics import BodyTwist, to_world
 from hil.core.model import RobotModel
-from hil.core.options import Range
 from hil.core.signals import EstimatorSignals
 from hil.core.types import NAN, Axes, MeasuredPose, Pose, PoseFix, State
-from hil.estimation.belief import Belief, Step, position_sigma_m, start, start_unknown
-from hil.estimation.correction import Acceptance, corrected, gate_of
-from hil.estimation.history import History
+from hil.estimation.estimators import FilterOptions
 from hil.estimation.inertial import Inertial, Travel
+from hil.estimation.kalman import (
+    Acceptance,
+    Belief,
+    Step,
+    corrected,
+    gate_of,
+    moved,
+    position_sigma_m,
+    start,
+    start_unknown,
+)
 from hil.estimation.measurement import DEGRADED, GOOD, LOST, NO_STATUS, Estimator, Measurement, measured_twist
-from hil.estimation.motion import Motion, MotionReader
 from hil.estimation.slip import SlipDetector
+from hil.estimation.wheel_motion import Motion, MotionReader
+
+
+@dataclass(slots=True)
+class _Node:
+    """The belief at a measurement, with the step that leads to it and the fixes within that step, in order."""
+
+    belief: Belief
+    step: Step | None
+    fixes: list[MeasuredPose] = field(default_factory=list)
+
+
+class History:
+    """Beliefs at the measurements of the last ``length_ns``, in order.
+
+    A fix is applied at its own instant, within the step that contains it. The result is exactly that of fixes without
+    delay and in order. The cost is to recompute the steps since that instant, at most those of ``length_ns``.
+    """
+
+    def __init__(self, first: Belief, length_ns: int, acceptance: Acceptance) -> None:
+        self._length_ns = length_ns
+        self._acceptance = acceptance
+        self._nodes = deque([_Node(first, None)])
+
+    @property
+    def newest(self) -> Belief:
+        """The belief at the newest measurement."""
+        return self._nodes[-1].belief
+
+    @property
+    def begin_ns(self) -> int:
+        """Fixes must be later than this instant."""
+        return self._nodes[0].belief.time_ns
+
+    def append(self, step: Step, time_ns: int) -> None:
+        """Add one step and drop steps older than ``length_ns``."""
+        self._nodes.append(_Node(moved(self.newest, step, time_ns), step))
+        while self._nodes[1].belief.time_ns <= time_ns - self._length_ns:
+            self._nodes.popleft()
+
+    def replace(self, steps: Sequence[Step]) -> None:
+        """Put these steps in place of the newest, in order; those before the first node do not matter any more."""
+        first = max(1, len(self._nodes) - len(steps))
+        for index in range(first, len(self._nodes)):
+            self._nodes[index].step = steps[index - len(self._nodes)]
+            self._recompute(self._nodes[index - 1].belief, self._nodes[index])
+
+    def insert(self, fixes: list[MeasuredPose]) -> int:
+        """Apply fixes later than ``begin_ns`` and not later than the newest measurement, in any order.
+
+        Returns the number of duplicates, which are not applied twice.
+        """
+        earliest, doubles = len(self._nodes), 0
+        for fix in fixes:
+            index = len(self._nodes) - 1
+            while self._nodes[index - 1].belief.time_ns >= fix.time_ns:
+                index -= 1
+            held = self._nodes[index].fixes
+            place = bisect_left(held, fix)
+            if place < len(held) and held[place] == fix:
+                doubles += 1
+                continue
+            # Ordered by all their numbers, so that fixes of one instant have a fixed order too.
+            insort(held, fix)
+            earliest = min(earliest, index)
+        for index in range(earliest, len(self._nodes)):
+            self._recompute(self._nodes[index - 1].belief, self._nodes[index])
+        return doubles
+
+    def _recompute(self, belief: Belief, node: _Node) -> None:
+        assert node.step is not None, "the first node has no step, and no fix is before it"
+        begin_ns, end_ns = belief.time_ns, node.belief.time_ns
+        for fix in node.fixes:
+            if fix.time_ns > belief.time_ns:
+                share = (fix.time_ns - belief.time_ns) / (end_ns - begin_ns)
+                belief = moved(belief, node.step, fix.time_ns, share)
+            belief = corrected(belief, fix, self._acceptance)
+        if end_ns > belief.time_ns:
+            belief = moved(belief, node.step, end_ns, (end_ns - belief.time_ns) / (end_ns - begin_ns))
+        node.belief = belief
+
 
 _NONE = (0.0, 0.0, 0.0)
 _NO_FIX = (NAN, NAN, NAN, NAN)
@@ -46,7 +134,7 @@ class Release:
         y += after.y_m - before.y_m
         heading += after.heading_rad - before.heading_rad
         # One factor for all three, so that the reported pose lies between both poses.
-        share = min(1.0, _MOST_M / max(math.hypot(x, y), 1e-9), _MOST_RAD / max(abs(heading), 1e-9))
+        share = 1.0 / max(1.0, math.hypot(x, y) / _MOST_M, abs(heading) / _MOST_RAD)
         self._held = share * x, share * y, share * heading
 
     def advance(self, dt_s: float) -> None:
@@ -68,42 +156,14 @@ _WAITING_AT_MOST = 32
 # Unmeasured motion around a reset of the robot: the shipped ramp of 0.2 s, from 1.5 m/s and 2 rad/s.
 _UNSEEN_M = 0.15
 _UNSEEN_RAD = 0.2
-# Fixes that are all rejected for so long refute the inertial sensors; one may be an outlier.
+# If all fixes are rejected for this time, they refute the inertial sensors; one alone may be an outlier.
 _REFUTED_NS = 250_000_000
 # Slip keeps its direction for about this time: within it errors add up, beyond it their variances do.
 _SLIP_LASTS_S = 0.2
 
 
-@dataclass(frozen=True)
-class FilterOptions:
-    """``[estimator.filter]``: the filter of source "fused". Sigmas are standard deviations."""
-
-    begin: Annotated[Literal["start", "fix"], "at the scenario's start pose, or unknown"] = "start"
-    start_sigma_m: Annotated[float, Range(ge=0, le=100), "of the start pose, each axis"] = 0.01
-    start_sigma_rad: Annotated[float, Range(ge=0, le=10), "of the start pose's heading"] = 0.01
-    wheels_sigma_m: Annotated[float, Range(gt=0, le=10), "of each axis after 1 m rolled"] = 0.0003
-    wheels_scale_sigma: Annotated[float, Range(ge=0, le=0.5), "of the wheels' true size over the believed one"] = 0.005
-    wheels_sigma_rad: Annotated[float, Range(gt=0, le=10), "of the heading after 1 m, without gyro"] = 0.02
-    gyro_noise_rad_s: Annotated[float, Range(gt=0, le=10), "of one sample of the gyro"] = 0.01
-    gyro_bias_sigma_rad_s: Annotated[float, Range(ge=0, le=10), "of the gyro's bias at the start"] = 0.02
-    gyro_bias_walk_rad_s: Annotated[float, Range(ge=0, le=10), "of the bias's random walk in 1 s"] = 3e-4
-    gate_probability: Annotated[float, Range(ge=0.5, le=0.999999), "of a right fix to be accepted"] = 0.999
-    restart_after: Annotated[int, Range(ge=2, le=1000), "rejected fixes in a row that agree, to be believed"] = 10
-    fix_noise_most: Annotated[
-        float, Range(ge=1, le=100), "how many times noisier than they tell fixes may prove; 1: as they tell"
-    ] = 4.0
-    fix_timeout_s: Annotated[float, Range(gt=0, le=3600), "age of the newest fix that counts as degraded"] = 0.5
-    lost_sigma_m: Annotated[float, Range(gt=0, le=1000), "of the position, beyond which the robot is held at rest"] = (
-        0.25
-    )
-    history_s: Annotated[float, Range(ge=0.01, le=10), "how late a fix may come"] = 1.0
-    release_s: Annotated[
-        float, Range(ge=0, le=10), "time constant with which the pose follows a correction; 0: it jumps"
-    ] = 0.2
-
-
 class FusedEstimator(Estimator):
-    """An error-state Kalman filter on odometry (``belief``), with its recent past (``history``).
+    """An error-state Kalman filter on odometry (``kalman``), with its recent past (``History``).
 
     Between fixes the pose follows wheels and gyro, and the covariance grows with the distance, and with the speed of
     detected slip. A fix may have a stamp up to 0.1 s ahead of the newest measurement, because of the robot's clock and
@@ -195,7 +255,7 @@ class FusedEstimator(Estimator):
         else:
             sigmas = options.start_sigma_m, options.start_sigma_rad, options.gyro_bias_sigma_rad_s
             first = start(time_ns, self._start_pose, *sigmas, options.wheels_scale_sigma)
-        return History(first, round(options.history_s * _NS), partial(corrected, acceptance=self._acceptance))
+        return History(first, round(options.history_s * _NS), self._acceptance)
 
     def _move(self, history: History, motion: Motion, time_ns: int) -> None:
         bias_rad_s = history.newest.bias_rad_s

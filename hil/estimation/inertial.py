@@ -5,21 +5,21 @@ from collections import deque
 from collections.abc import Iterator
 from typing import NamedTuple
 
-from hil.estimation.motion import Motion
+from hil.estimation.wheel_motion import Motion
 
 _Velocity = tuple[float, float]
 
 # Wheels are believed at times longer than this, the accelerometer at shorter ones. Counts are noisy below it.
 _CROSSOVER_S = 0.1
-# For so long the accelerometer must differ from rolling wheels until that is its bias.
+# The accelerometer must differ from rolling wheels for this time until the difference is its bias.
 _BIAS_S = 2.0
-# So long wheels slip before slip is told.
+# Wheels slip for this time before slip is reported.
 _REACH_S = 0.1
-# Standard deviation of the inertial velocity: at the beginning of slip, and how fast it grows, by what is left of
-# the accelerometer's bias (a floor that leans by 0.6 degrees).
+# Standard deviation of the inertial velocity at the beginning of slip, and its growth. It grows by the rest of the
+# accelerometer's bias (as on a floor that leans by 0.6 degrees).
 _BEGIN_M_S = 0.02
 _GROWS_M_S2 = 0.1
-# Wheels whose speed is further from the inertial one than so many deviations of that still slip.
+# Wheels still slip while their speed is more than this number of deviations from the inertial one.
 _APART = 3.0
 
 
@@ -51,18 +51,18 @@ class Inertial:
         v = w + κ (u - w)                     while they roll, κ = exp(-dt / 0.1 s),
         b = b + (v - w) dt / (0.1 s · 2 s)    so that what differs for longer than 2 s is the bias
 
-    Slip is told about 0.1 s after it began, and until then the wheels spoilt v. So the last 0.1 s are done again, from
-    the v and b before them. Where gyro or accelerometer is missing, the wheels are all there is.
+    Slip is reported about 0.1 s after it began, and until then the wheels spoilt v. So the last 0.1 s are done again,
+    from the v and b before them. Without gyro or accelerometer only the wheels are used.
 
-    Wheels that spin at a constant speed contradict no sensor of accelerations, so slip that is told no more goes on
-    until the wheels' speed, as a mean over 0.1 s, is within three deviations of v. The deviation grows, so it ends.
+    Wheels that spin at a constant speed contradict no acceleration sensor. So slip that is no longer reported goes on
+    until the wheels' mean speed over 0.1 s is within three deviations of v. The deviation grows, so it ends.
 
-    An accelerometer that is suddenly wrong, or a ramp, contradicts wheels that roll. What fixes refute is not believed
-    until slip is told no more, and until then the difference is learnt as the bias.
+    An accelerometer that is suddenly wrong, or a ramp, contradicts wheels that roll. If fixes refute the slip, the
+    wheels are believed until it is no longer reported, and meanwhile the difference is learnt as the bias.
 
     Attributes:
         velocity: forward and left [m/s], mean over the newest motion.
-        bias_m_s2: what the accelerometer says too much, forward and left [m/s²].
+        bias_m_s2: how much the accelerometer measures too much, forward and left [m/s²].
         is_inertial: whether the newest motion is the inertial sensors'.
     """
 
@@ -81,7 +81,7 @@ class Inertial:
         self._recent_s = 0.0
 
     def update(self, motion: Motion, bias_rad_s: float, slip_m_s: float) -> list[Travel]:
-        """Return the travel of a motion, and before it anew those of the last 0.1 s if slip has just been told.
+        """Return the travel of a motion; if slip was just reported, first those of the last 0.1 s again.
 
         ``bias_rad_s`` is the gyro's, and ``slip_m_s`` the speed of the slip, 0 without slip.
         """
@@ -100,7 +100,7 @@ class Inertial:
         return [Travel(motion, is_rolled=True, sigma_m_s=slip_m_s)]
 
     def refute(self) -> None:
-        """Believe the wheels until slip is told no more: fixes agree that the inertial sensors are wrong."""
+        """Believe the wheels until slip is no longer reported: fixes agree that the inertial sensors are wrong."""
         self._is_refuted = True
 
     @property

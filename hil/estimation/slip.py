@@ -2,7 +2,7 @@
 
 import math
 
-from hil.estimation.motion import Motion
+from hil.estimation.wheel_motion import Motion
 
 # One count within 1 ms is 0.1 m/s, so faster measurements are combined to 200 Hz, the rate of GYRO.
 _SHORTEST_S = 0.0049
@@ -10,7 +10,7 @@ _WINDOW_S = 0.1
 _ACCELEROMETER_WINDOW_S = 0.2
 # A contradiction of the accelerometer up to this many times its usual size is noise.
 _USUAL_TIMES = 4.0
-# What is usual is learnt over this time.
+# The usual contradiction is learnt over this time.
 _USUAL_S = 5.0
 # A contradiction counts as at most this many times the usual one, so lasting slip raises the usual one only slowly.
 _MOST_UNUSUAL = 2.0

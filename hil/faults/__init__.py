@@ -1,5 +1,6 @@
-"""Kinds of faults as data, typical cases, and their page (FAULTS.md).
+"""Kinds of faults (FAULTS.md).
 
-May import: `core`.
-To add a kind: its row in `kinds.py`, with its effect where it acts on signals or frames, and a case in `cases.py`.
+May import: `core`, `firmware_protocol`.
+To add a kind: its row in `kinds.py` with its effect, in `link_faults.py` a class if it does more to a link than change
+frames, and a case in `hil/addons/batch/catalogue/fault_cases.py`.
 """

@@ -1,10 +1,9 @@
 """A run against its scenario's baseline, and a baseline from runs. No side effects."""
 
 from collections.abc import Mapping, Sequence
-from typing import Any, NamedTuple
 
-from hil.judge.expectations import figures_by_key, why_none
-from hil.judge.figures import number
+from hil.judge.expectations import figures_by_key
+from hil.judge.judged_run import BaselineResult, FramesResult, JudgedRun, MovedFigure
 from hil.judge.measure import NO_TRUTH, Figure
 from hil.scenario import Scenario
 from hil.scenario.baseline import Band, Baseline, asked_sha256, is_asked, this_platform
@@ -33,26 +32,25 @@ def baseline_figures() -> dict[str, Figure]:
     return {key: figure for key, figure in figures_by_key().items() if not figure.of_machine}
 
 
-def baseline_of(scenario: Scenario, runs: Mapping[int, Mapping[str, Any]]) -> Baseline:
-    """Return the baseline of a scenario; ``runs`` has the JSON of a run for each seed, first the scenario's own.
+def baseline_of(scenario: Scenario, runs: Mapping[int, JudgedRun]) -> Baseline:
+    """Return the baseline of a scenario; ``runs`` has the run of each seed, first the scenario's own.
 
-    A figure that one of the runs does not have is left out, and so is a time whose band goes on to the end of the run:
-    a run that has not come there in time has no such figure, and is within the band.
+    A figure that one of the runs lacks is left out. So is a time whose band goes on to the end of the run: a run that
+    ends before the event lacks the figure, but is within the band.
     """
     known = baseline_figures()
-    values = {key: [number(metrics, figure.name) for metrics in runs.values()] for key, figure in known.items()}
+    values = {key: [run.number(figure.name) for run in runs.values()] for key, figure in known.items()}
     whole = {key: [one for one in row if one is not None] for key, row in values.items() if None not in row}
     is_random = any(max(row) != min(row) for row in whole.values())
     tick_s = 1.0 / scenario.loop.rate_hz if is_random else 0.0
     bands = {key: band_of(known[key], row, tick_s) for key, row in whole.items()}
     figures = {key: band for key, band in bands.items() if not _is_any_time(known[key], band, scenario.loop.duration_s)}
-    wire_sha256 = next(iter(runs.values()))["wire_sha256"] if scenario.loop.mode == "lockstep" else ""
+    wire_sha256 = next(iter(runs.values())).wire_sha256 or "" if scenario.loop.mode == "lockstep" else ""
     asked, mode = asked_sha256(scenario), scenario.loop.mode
     return Baseline(scenario.name, asked, mode, this_platform(), tuple(runs), wire_sha256, figures)
 
 
 def _is_any_time(figure: Figure, band: Band, end_s: float) -> bool:
-    """Return whether a band permits every time up to the end of a run."""
     return figure.of_end and figure.unit == "s" and band.value + band.band >= end_s
 
 
@@ -78,18 +76,8 @@ def baseline_words(scenario: Scenario) -> str:
     return f"{baseline.file}, {len(baseline.figure)} figures" if why is None else f"not judged against it: {why}"
 
 
-class Moved(NamedTuple):
-    """A figure of a run that is not where its baseline has it; a value is None where there is none."""
-
-    key: str
-    baseline: float | None
-    value: float | None
-    band: float
-    text: str
-
-
-def moved(baseline: Baseline, metrics: Mapping[str, Any]) -> list[Moved]:
-    """Return the figures of a run, from its JSON, that are outside their bands.
+def moved(baseline: Baseline, run: JudgedRun) -> list[MovedFigure]:
+    """Return the figures of a run that are outside their bands.
 
     One that needs the ground truth is left out where the run has none.
     """
@@ -98,22 +86,22 @@ def moved(baseline: Baseline, metrics: Mapping[str, Any]) -> list[Moved]:
     for key, band in baseline.figure.items():
         if (figure := known.get(key)) is None:
             continue
-        value = number(metrics, figure.name)
+        value = run.number(figure.name)
         if value is not None and abs(value - band.value) <= band.band:
             continue
-        if value is None and (why := why_none(figure, metrics)) == NO_TRUTH:
+        if value is None and (why := run.why_none(figure.name)) == NO_TRUTH:
             continue
         shown, accepted = outside(value, band.value, band.band, 6)
         text = f"{key}: no value ({why})" if value is None else f"{key}: {shown}"
         text += f" in place of {accepted}"
         if value is not None and band.value:
             text += f", {100.0 * (value / band.value - 1.0):+.3g} %"
-        found.append(Moved(key, band.value, value, band.band, text))
+        found.append(MovedFigure(key, band.value, value, band.band, text))
     return found
 
 
 def outside(value: float | None, centre: float, band: float, digits: int) -> tuple[str, str]:
-    """Return a figure and its band as texts, in so many digits, or in as many more as show that it is outside."""
+    """Return a figure and its band as texts, in ``digits`` digits, or in more if only these show that it is outside."""
     for more in range(17):
         found = "no value" if value is None else f"{value:.{digits + more}g}"
         middle, width = f"{centre:.{digits + more}g}", f"{band:.{digits // 2 + more}g}"
@@ -122,10 +110,10 @@ def outside(value: float | None, centre: float, band: float, digits: int) -> tup
     return found, f"{middle} ± {width}"
 
 
-def against_baseline(scenario: Scenario, metrics: Mapping[str, Any], *, is_cut: bool) -> dict[str, Any] | None:
-    """Return the outcome of a run against its scenario's baseline, as its JSON has it; None without a baseline.
+def against_baseline(scenario: Scenario, run: JudgedRun, *, is_cut: bool) -> BaselineResult | None:
+    """Return the outcome of a run against its scenario's baseline; None without a baseline.
 
-    A figure for which the scenario has an expectation relative to the baseline is judged by that. The frames (their
+    A figure with an expectation relative to the baseline is judged by that expectation. The frames (their
     hash) are judged only on the platform of the baseline and with its first seed.
     """
     baseline = scenario.baseline
@@ -134,23 +122,22 @@ def against_baseline(scenario: Scenario, metrics: Mapping[str, Any], *, is_cut: 
     why = why_not_judged(scenario, baseline)
     if why is None and is_cut:
         why = "the run ended early"
-    found: dict[str, Any] = {"file": baseline.file, "why": why, "judged": 0, "figures": [], "frames": None}
     if why is not None:
-        return found
+        return BaselineResult(baseline.file, why)
     own = {row.figure for row in scenario.expect if row.baseline is not None}
-    rows = [one._asdict() for one in moved(baseline, metrics) if one.key not in own]
-    found |= {"judged": len(baseline.figure.keys() - own), "figures": rows}
-    if baseline.wire_sha256 and scenario.loop.seed == baseline.seeds[0] and metrics["wire_sha256"] is not None:
-        found["frames"] = _frames(baseline, metrics["wire_sha256"])
-    return found
+    rows = [one for one in moved(baseline, run) if one.key not in own]
+    frames = None
+    if baseline.wire_sha256 and scenario.loop.seed == baseline.seeds[0] and run.wire_sha256 is not None:
+        frames = _frames(baseline, run.wire_sha256)
+    return BaselineResult(baseline.file, None, len(baseline.figure.keys() - own), rows, frames)
 
 
-def _frames(baseline: Baseline, wire_sha256: str) -> dict[str, Any]:
+def _frames(baseline: Baseline, wire_sha256: str) -> FramesResult:
     """Return whether the frames on the wire were the same; on another platform ``passed`` is None if they were not."""
     if wire_sha256 == baseline.wire_sha256:
-        return {"passed": True, "text": "the frames on the wire are the same"}
+        return FramesResult(True, "the frames on the wire are the same")
     here = this_platform()
     hashes = f"wire_sha256 is {wire_sha256[:12]}, not {baseline.wire_sha256[:12]}"
     if here == baseline.platform:
-        return {"passed": False, "text": f"the frames on the wire are others: {hashes}"}
-    return {"passed": None, "text": f"{hashes}; not judged: made on {baseline.platform}, and this is {here}"}
+        return FramesResult(False, f"the frames on the wire are others: {hashes}")
+    return FramesResult(None, f"{hashes}; not judged: made on {baseline.platform}, and this is {here}")

@@ -7,44 +7,15 @@ import math
 import re
 import sys
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from typing import NamedTuple
 
 from hil.core.errors import UnknownSignalError, apart
 from hil.core.model import RobotModel
 from hil.core.signals import TRUE_POSE, WHEEL_SPEEDS, unit_of
+from hil.judge.judged_run import ExpectationResult
 from hil.judge.measure import Series
 from hil.scenario.trial import ExpectTable, FaultTable, span_s
-
-
-class Outcome(NamedTuple):
-    """The outcome of an expectation.
-
-    Attributes:
-        passed: whether it held. False also without any sample; None when it is not judged: the run ended early, without
-            a violation until then.
-        violation_s: time of the first violation, or None. For a ``settles_to`` that did not settle, the last sample's.
-        violation_value: the signal's value there (NaN for a gap), or None.
-        worst_s: time of the worst violation, the value farthest from the claim, or None. None also for a ``settles_to``
-            that did not settle: being outside at first is not a violation.
-        worst_value: the signal's value there.
-        violated_s: total time of violation [s]: each violation lasts from its first sample to the next good one, or to
-            the last sample. None where ``worst_s`` is None.
-        settled_s: of ``settles_to``: the first time from which it stayed within the tolerance.
-        margin: how far inside the claim the run was, as ``margin`` defines it; negative where it is broken, None when
-            it is not judged.
-        text: a sentence for the user with all of this.
-    """
-
-    passed: bool | None
-    text: str
-    violation_s: float | None = None
-    violation_value: float | None = None
-    worst_s: float | None = None
-    worst_value: float | None = None
-    violated_s: float | None = None
-    settled_s: float | None = None
-    margin: float | None = None
-
 
 WITHOUT_VALUE = -1.0
 """The margin of a gap, and of no sample at all."""
@@ -54,9 +25,9 @@ _LARGEST = 1e6
 def margin(expect: ExpectTable, lowest: float, highest: float) -> float:
     """Return how far values from ``lowest`` to ``highest`` are inside a claim; negative: how far outside.
 
-    It is a share of what the claim permits, so that claims about different signals compare: 1 stands for half the width
-    of the permitted interval; with a single limit for its size, or for 1 if the limit is 0. It is continuous in the
-    values, but for values that must be met exactly: 1 where they are. It is never 0.
+    It is a share of the permitted interval, so that claims about different signals compare: 1 is half the interval's
+    width. With a single limit 1 is the limit's size, or 1 if the limit is 0. It is continuous in the values, except
+    for values that must be met exactly: 1 if they are. It is never 0.
     """
     above, below = expect.within or (expect.above, expect.below)
     centre = expect.equals if expect.settles_to is None else expect.settles_to
@@ -81,6 +52,17 @@ class Claim(NamedTuple):
     holds: Callable[[float], bool]
     distance: Callable[[float], float]
     text: str
+
+
+def result_of(
+    expect: ExpectTable,
+    passed: bool | None,
+    text: str,
+    violation: tuple[float | None, float | None] = (None, None),
+    **more: float | None,
+) -> ExpectationResult:
+    """Return the outcome of an expectation: its first violation as time and value, and further fields by name."""
+    return ExpectationResult(expect.signal, expect.figure, expect.stops, passed, *violation, text=text, **more)
 
 
 def signals_of(expect: ExpectTable) -> tuple[str, ...]:
@@ -223,13 +205,13 @@ class Watch:
         self._first = self._first or self._last
         return is_first and not self._settles
 
-    def outcome(self, cut_s: float | None = None) -> Outcome:
+    def result(self, cut_s: float | None = None) -> ExpectationResult:
         """Return the outcome for the samples so far.
 
         ``cut_s`` is the time at which the run ended early; None for a complete run.
         """
-        outcome = self._outcome(cut_s)
-        return outcome if outcome.passed is None else outcome._replace(margin=self._margin())
+        found = self._result(cut_s)
+        return found if found.passed is None else found._replace(margin=self._margin())
 
     def _margin(self) -> float:
         """Return the margin of the samples so far.
@@ -249,39 +231,33 @@ class Watch:
         found = margin(self.expect, self._lowest, self._highest)
         return min(found, WITHOUT_VALUE) if self._gaps else found
 
-    def _outcome(self, cut_s: float | None) -> Outcome:
+    def _result(self, cut_s: float | None) -> ExpectationResult:
+        result = partial(result_of, self.expect)
         until = "to the end" if math.isinf(self.to_s) else f"to {self.to_s:g} s"
         which = self.expect.after_fault
         after = "" if which is None else f" ({self.expect.within_s:g} s after the fault {which})"
         claim = f"{self.expect.subject} {self._claim.text} from {self.from_s:g} s{after} {until}"
         if self._first is not None and not self._settles:
             violated_s = self._violated_s + (0.0 if self._held else self._last[0] - self._since_s)
-            text = f"{claim}: failed, {_found(self._first, self._claim.text)}"
+            text = f"{claim}: failed, {_sample_text(self._first, self._claim.text)}"
             if self._violations > 1:
-                text += f"; worst {_found(self._worst, self._claim.text)}; {violated_s:.4g} s in all"
-            return Outcome(False, text, *self._first, *self._worst, violated_s)
+                text += f"; worst {_sample_text(self._worst, self._claim.text)}; {violated_s:.4g} s in all"
+            worst_s, worst = self._worst
+            return result(False, text, self._first, worst_s=worst_s, worst_value=worst, violated_s=violated_s)
         if cut_s is not None and self.to_s > cut_s:
-            return Outcome(None, f"{claim}: not judged, the run ended at t = {cut_s:.6g} s{self._until()}")
+            return result(None, f"{claim}: not judged, the run ended at t = {cut_s:.6g} s")
         if not self._samples:
-            return Outcome(False, f"{claim}: failed, the run has no samples there")
+            return result(False, f"{claim}: failed, the run has no samples there")
         if not self._held:
-            return Outcome(False, f"{claim}: failed at the end, {_found(self._last, self._claim.text)}", *self._last)
+            text = f"{claim}: failed at the end, {_sample_text(self._last, self._claim.text)}"
+            return result(False, text, self._last)
         if self._settles:
             text = f"{claim}: settled at t = {self._held_since_s:.6g} s, over {self._held} samples"
-            return Outcome(True, text, settled_s=self._held_since_s)
-        return Outcome(True, f"{claim}: held over {self._samples} samples")
-
-    def _until(self) -> str:
-        """Return a phrase on how the claim stood when the run ended early."""
-        if not self._samples:
-            return ", before there was a sample of it"
-        if not self._held:
-            return ", and it had not settled until then"
-        verb = f"settled since t = {self._held_since_s:.6g} s" if self._settles else "held"
-        return f"; {verb} over {self._held} samples until then"
+            return result(True, text, settled_s=self._held_since_s)
+        return result(True, f"{claim}: held over {self._samples} samples")
 
 
-def _found(sample: tuple[float, float], claim: str) -> str:
+def _sample_text(sample: tuple[float, float], claim: str) -> str:
     t_s, value = sample
     return f"{'no value' if math.isnan(value) else against(value, claim, 6)} at t = {t_s:.6g} s"
 
@@ -292,7 +268,7 @@ def check_expectation(
     cut_s: float | None = None,
     faults: Sequence[FaultTable] = (),
     robot: RobotModel | None = None,
-) -> Outcome:
+) -> ExpectationResult:
     """Check one expectation about signals against those of a run, ``loop.t_s`` among them.
 
     ``cut_s`` is the time at which the run ended early, or None; the rest is as for ``Watch``. Raises
@@ -307,4 +283,4 @@ def check_expectation(
     columns = (signals[name][inside].tolist() for name in watch.signals)
     for at_s, *values in zip(t_s[inside].tolist(), *columns, strict=True):
         watch.add(at_s, values)
-    return watch.outcome(cut_s)
+    return watch.result(cut_s)

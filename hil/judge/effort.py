@@ -33,7 +33,6 @@ class Overshoot(Measure):
         self._overshoot_m = 0.0
 
     def add(self, signals: Mapping[str, Series]) -> None:
-        """Add rows; those before t = 0 do not count."""
         begun = since_start(signals)
         t_s = begun["loop.t_s"]
         if not len(t_s):
@@ -47,7 +46,6 @@ class Overshoot(Measure):
         self._overshoot_m = max(self._overshoot_m, float(np.max(-error_m @ self._direction)))
 
     def value(self, _name: str) -> float:
-        """Return the overshoot. Raises NoFigureError where it is not defined."""
         self._gaps.require_truth()
         if self._initial_m is not None and self._initial_m < RESOLUTION_M:
             began_mm = apart(self._initial_m * 1e3, RESOLUTION_M * 1e3)
@@ -114,7 +112,6 @@ class Effort(Measure):
         self._slewed_s = 0.0
 
     def add(self, signals: Mapping[str, Series]) -> None:
-        """Add rows; those before t = 0 do not count."""
         begun = since_start(signals)
         t_s = begun["loop.t_s"]
         if not len(t_s) or self._torque_constant_n_m_a is None:
@@ -137,7 +134,6 @@ class Effort(Measure):
         self._slewed_s += float(held_s[there].sum())
 
     def value(self, name: str) -> float:
-        """Return one of the figures. Raises NoFigureError where it is not defined."""
         if self._torque_constant_n_m_a is None:
             raise NoFigureError("the torque constant of the motors is not known")
         self._held.require_spans()
@@ -174,14 +170,12 @@ class Saturation(Measure):
         self._saturation_s = 0.0
 
     def add(self, signals: Mapping[str, Series]) -> None:
-        """Add rows; those before t = 0 do not count."""
         begun = since_start(signals)
         if len(begun["loop.t_s"]):
             held_s, at_limit = self._held.add(begun["loop.t_s"], self._at_limit(begun))
             self._saturation_s += float(held_s @ at_limit[:-1])
 
     def value(self, _name: str) -> float:
-        """Return the time. Raises NoFigureError for a run of fewer than two rows."""
         self._held.require_spans()
         return self._saturation_s
 

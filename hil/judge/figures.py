@@ -1,17 +1,14 @@
 """Every figure of a run in one place: what it is called, how it is computed, and how it is shown.
 
-``SHIPPED`` holds the measures that compute figures from the recorded rows, so that a run and a review of its recording
-have the same figures. Other packages add theirs by entry points of the group ``hil.figures``. ``_OF_RUNS`` holds the
+``MEASURES`` holds the measures that compute figures from the recorded rows, so that a run and a review of its recording
+have the same figures. ``_OF_RUNS`` holds the
 figures that only the run itself knows.
 """
 
 import math
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
-from contextlib import contextmanager
-from typing import Any
+from collections.abc import Callable, Collection, Iterator, Mapping
+from typing import Any, ClassVar
 
-from hil.core.errors import BadInputError, nearest
-from hil.core.extensions import Extensions
 from hil.core.percentiles import Reservoir
 from hil.judge.effort import Effort, Overshoot, Saturation
 from hil.judge.measure import Figure, Measure, NoFigureError, RunSetup, Series, since_start
@@ -31,15 +28,25 @@ class Ticks(Measure):
         self._ticks = 0
 
     def add(self, signals: Mapping[str, Series]) -> None:
-        """Count rows."""
         self._ticks += len(signals["loop.t_s"])
 
     def value(self, _name: str) -> int:
-        """Return the number."""
         return self._ticks
 
 
-class TickTime(Measure):
+class _Percentiles(Measure):
+    _few: ClassVar[str]
+
+    def __init__(self, _setup: RunSetup) -> None:
+        self._values = Reservoir()
+
+    def value(self, _name: str) -> dict[str, float]:
+        if (percentiles := self._values.percentiles()) is None:
+            raise NoFigureError(self._few)
+        return percentiles._asdict()
+
+
+class TickTime(_Percentiles):
     """How long the work of a tick took."""
 
     figures = (
@@ -47,24 +54,14 @@ class TickTime(Measure):
         Figure("tick_us.p99", "tick p99", "µs", 1.0, "work of a tick, 99th percentile", printed=False, of_machine=True),
     )  # fmt: skip
     signals = ("loop.tick_us",)
-
-    def __init__(self, _setup: RunSetup) -> None:
-        self._tick_us = Reservoir()
+    _few = "the run has fewer than two ticks"
 
     def add(self, signals: Mapping[str, Series]) -> None:
-        """Add rows."""
-        self._tick_us.extend(signals["loop.tick_us"])
-
-    def value(self, _name: str) -> dict[str, float]:
-        """Return the percentiles. Raises NoFigureError for a run of fewer than two ticks."""
-        percentiles = self._tick_us.percentiles()
-        if percentiles is None:
-            raise NoFigureError("the run has fewer than two ticks")
-        return percentiles._asdict()
+        self._values.extend(signals["loop.tick_us"])
 
 
-class Latency(Measure):
-    """The latency of the loop, as the law is told it; over the ticks from t = 0 on that have one."""
+class Latency(_Percentiles):
+    """The latency of the loop, as passed to the law; over the ticks from t = 0 on that have one."""
 
     figures = (
         Figure("latency_ms.p50", "latency p50", "ms", 1.0, "from sampling to the tick that uses the command, median",
@@ -73,20 +70,10 @@ class Latency(Measure):
                printed=False, resolution=0.1),
     )  # fmt: skip
     signals = ("loop.t_s", "link.latency_ms")
-
-    def __init__(self, _setup: RunSetup) -> None:
-        self._latency_ms = Reservoir()
+    _few = "the run has fewer than two ticks with a latency"
 
     def add(self, signals: Mapping[str, Series]) -> None:
-        """Add rows; those before t = 0 do not count."""
-        self._latency_ms.extend(since_start(signals)["link.latency_ms"])
-
-    def value(self, _name: str) -> dict[str, float]:
-        """Return the percentiles. Raises NoFigureError for a run of fewer than two ticks."""
-        percentiles = self._latency_ms.percentiles()
-        if percentiles is None:
-            raise NoFigureError("the run has fewer than two ticks with a latency")
-        return percentiles._asdict()
+        self._values.extend(since_start(signals)["link.latency_ms"])
 
 
 class DeadlineMisses(Measure):
@@ -101,16 +88,15 @@ class DeadlineMisses(Measure):
         self._misses = 0
 
     def add(self, signals: Mapping[str, Series]) -> None:
-        """Take the newest count."""
         misses = signals["loop.deadline_misses"]
-        self._misses = int(misses[-1]) if len(misses) else self._misses
+        if len(misses) and math.isfinite(misses[-1]):  # a damaged one of an earlier version may be anything
+            self._misses = int(misses[-1])
 
     def value(self, _name: str) -> int:
-        """Return the count."""
         return self._misses
 
 
-SHIPPED: tuple[type[Measure], ...] = (
+MEASURES: tuple[type[Measure], ...] = (
     Tracking,
     Overshoot,
     Effort,
@@ -149,66 +135,23 @@ _OF_RUNS = (
 )  # fmt: skip
 """Figures that do not follow from the rows."""
 
-_EXTENSIONS = Extensions("hil.figures", [figure.name for measure in SHIPPED for figure in measure.figures])
-
-
-def measures() -> Sequence[type[Measure]]:
-    """Return the classes that compute figures: the shipped ones, then those of other packages.
-
-    Raises BadInputError when another package's class cannot be loaded, does not have what ``Measure`` requires, or has
-    a figure whose name is already in use.
-    """
-    found = list(SHIPPED)
-    taken = {_key(figure.name) for figure in (*_OF_RUNS, *(one for measure in SHIPPED for one in measure.figures))}
-    for named, point, measure in _EXTENSIONS.load_all("figure"):
-        if missing := [name for name in ("figures", "signals", "add", "value") if not hasattr(measure, name)]:
-            expected = "expected a class as hil.judge.measure.Measure describes it"
-            raise BadInputError(f"{named}: {point.value!r} has no {missing[0]}; {expected}")
-        for name in (_key(figure.name) for figure in measure.figures):
-            if name in taken:
-                raise BadInputError(f"{named}: the name {name!r} is already in use; choose another")
-        taken |= {_key(figure.name) for figure in measure.figures}
-        found.append(measure)
-    return found
-
 
 def figures() -> list[Figure]:
-    """Return every figure, those that reports print on a line of their own first. Raises as ``measures``."""
-    found = [*(figure for measure in measures() for figure in measure.figures), *_OF_RUNS]
+    """Return every figure, those that reports print on a line of their own first."""
+    found = [*(figure for measure in MEASURES for figure in measure.figures), *_OF_RUNS]
     return sorted(found, key=lambda figure: not figure.printed)
 
 
 def table_figures() -> dict[str, Figure]:
-    """Return the figures that tables of many runs hold, by the names of their columns. Raises as ``measures``."""
+    """Return the figures that tables of many runs hold, by the names of their columns."""
     return {figure.column: figure for figure in figures() if figure.column is not None}
-
-
-def check_figure(name: str, where: str, known: Collection[str]) -> None:
-    """Raise BadInputError, which begins with ``where``, for a name that is not known, with the nearest one."""
-    if name not in known:
-        raise BadInputError(f"{where}: unknown figure {name!r}{nearest(name, known)}")
-
-
-def number(metrics: Mapping[str, Any], name: str) -> float | None:
-    """Return a figure of a run from its JSON by its name, None where the run has none.
-
-    A table of counts gives their sum, expectations how many failed, other rows (such as recoveries) how many there are.
-    """
-    value: Any = metrics
-    for part in name.split("."):
-        value = value.get(part) if isinstance(value, Mapping) else None
-    if isinstance(value, Mapping):
-        return sum(value.values())
-    if isinstance(value, list):
-        return sum(row.get("passed", False) is False for row in value)
-    return value if isinstance(value, int | float) and math.isfinite(value) else None
 
 
 class RunFigures:
     """Computes the figures of a run that follow from its rows, block by block, in bounded memory.
 
     ``names`` are the run's signals. ``lacks`` takes the name of a missing signal, and returns the reason to give for
-    each figure that needs it and is None. Raises BadInputError as ``measures`` does.
+    each figure that needs it and is None.
 
     Attributes:
         signals: those that ``add`` needs.
@@ -222,24 +165,19 @@ class RunFigures:
     ) -> None:
         needed = figure_signals()
         self.signals = [name for name in names if name in needed]
-        self._made: list[tuple[type[Measure], Measure | None]] = []
-        self._reasons: dict[type[Measure], str] = {}  # why a measure has no figures
-        for kind in measures():
-            measure = None
+        self._made: list[Measure] = []
+        self._lacking: dict[type[Measure], str] = {}  # why there is none of a class
+        for kind in MEASURES:
             if missing := [name for name in kind.signals if name not in names]:
-                self._reasons[kind] = lacks(missing[0])
+                self._lacking[kind] = lacks(missing[0])
             else:
-                with self._contained(kind):
-                    measure = kind(setup)
-            self._made.append((kind, measure))
+                self._made.append(kind(setup))
 
     def add(self, signals: Mapping[str, Series]) -> Iterator[None]:
         """Add the next rows, each signal by name of shape (n,), in a few steps of about equal length."""
-        for kind, measure in self._made:
-            if measure is not None and kind not in self._reasons:
-                with self._contained(kind):
-                    measure.add(signals)
-                yield
+        for measure in self._made:
+            measure.add(signals)
+            yield
 
     def figures(self, cut: str | None = None) -> tuple[dict[str, Any], dict[str, str]]:
         """Return the figures by their keys in a run's JSON, and the reason for each that is None.
@@ -248,30 +186,20 @@ class RunFigures:
         """
         found: dict[str, Any] = {}
         reasons: dict[str, str] = {}
-        for kind, measure in self._made:
-            for name, of_end in {_key(figure.name): figure.of_end for figure in kind.figures}.items():
+        made = {type(measure): measure for measure in self._made}
+        for kind in MEASURES:
+            for name, of_end in {figure.name.partition(".")[0]: figure.of_end for figure in kind.figures}.items():
                 found[name] = None
-                try:
-                    if cut is not None and of_end:
-                        raise NoFigureError(cut)
-                    if measure is not None and kind not in self._reasons:
-                        with self._contained(kind):
-                            found[name] = measure.value(name)
-                    if kind in self._reasons:
-                        raise NoFigureError(self._reasons[kind])
-                except NoFigureError as no_figure:
-                    reasons[name] = str(no_figure)
+                if cut is not None and of_end:
+                    reasons[name] = cut
+                elif kind in self._lacking:
+                    reasons[name] = self._lacking[kind]
+                else:
+                    try:
+                        found[name] = made[kind].value(name)
+                    except NoFigureError as no_figure:
+                        reasons[name] = str(no_figure)
         return found, reasons
-
-    @contextmanager
-    def _contained(self, kind: type[Measure]) -> Iterator[None]:
-        """Make an error in a measure the reason why it has no figures; it must not end a run that drives a robot."""
-        try:
-            yield
-        except NoFigureError:
-            raise
-        except Exception as error:  # noqa: BLE001 - another package's code may raise anything
-            self._reasons[kind] = f"{kind.__module__}:{kind.__qualname__} failed: {type(error).__name__}: {error}"
 
 
 def signal_figures(
@@ -289,15 +217,11 @@ def signal_figures(
 
 
 def figure_signals() -> frozenset[str]:
-    """Return the names of all signals from which figures are computed. Raises BadInputError as ``measures``."""
-    return frozenset(name for measure in measures() for name in measure.signals)
+    """Return the names of all signals from which figures are computed."""
+    return frozenset(name for measure in MEASURES for name in measure.signals)
 
 
 def cut_words(t_s: float, duration_s: float | None) -> str:
     """Return the reason why a run that ended early at ``t_s`` has no figures of its end; ``duration_s`` may be None."""
     whole = "" if duration_s is None else f" of {duration_s:g} s"
     return f"there is nothing after t = {t_s:.6g} s{whole}, and this is a figure of the run's end"
-
-
-def _key(name: str) -> str:
-    return name.partition(".")[0]

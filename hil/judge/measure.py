@@ -24,7 +24,7 @@ class Figure(NamedTuple):
         column: its column in tables of many runs (campaigns, comparisons); None if it has none there.
         of_end: whether it describes the run's end; a run that ended early then lacks the figure.
         printed: whether reports print it on a line of its own.
-        resolution: the smallest difference that says something, in the unit in which it is stored.
+        resolution: the smallest meaningful difference, in the stored unit.
         resolution_ticks: the same where chance matters, in periods of the loop, for a time that is found tick by tick.
         of_machine: whether it depends on how fast this machine is, so that no baseline has it.
     """
@@ -70,8 +70,7 @@ class RunSetup(NamedTuple):
 class Measure(Protocol):
     """Computes one figure, or several that share their work, from a run's rows in bounded memory.
 
-    An instance is made for each run, as ``Class(setup)``. If the run lacks one of the ``signals``, or the measure
-    raises, its figures are None and the exception is the reason.
+    An instance is made for each run, as ``Class(setup)``. If a run lacks one of the ``signals``, its figures are None.
     """
 
     figures: ClassVar[tuple[Figure, ...]]

@@ -25,8 +25,6 @@ _MORE_THAN_WINDOW_S = 6.0
 
 
 class _Settling:
-    """Finds the first time from which the error stays below a limit."""
-
     def __init__(self, limit_m: float) -> None:
         self.limit_m = limit_m
         self.since_s: float | None = None
@@ -68,7 +66,6 @@ class Tracking(Measure):
         self._tail: list[tuple[Series, Series]] = []  # the newest blocks, of 6 s at least
 
     def add(self, signals: Mapping[str, Series]) -> None:
-        """Add rows; those before t = 0 do not count."""
         begun = since_start(signals)
         t_s, planar_m = begun["loop.t_s"], begun["error.planar_m"]
         if not len(t_s):
@@ -84,7 +81,6 @@ class Tracking(Measure):
             del self._tail[0]
 
     def value(self, name: str) -> float:
-        """Return one of the figures. Raises NoFigureError where it is not defined."""
         match name:
             case "tracked_s":
                 return self._tracked()
@@ -116,7 +112,6 @@ class Tracking(Measure):
         return settling.since_s - self._first_s
 
     def _steady(self) -> Series:
-        """Return the errors of the last 5 s."""
         if sum(len(t_s) for t_s, _ in self._tail) < 2:
             raise NoFigureError("the run has fewer than two samples")
         t_s, planar_m = (np.concatenate(column) for column in zip(*self._tail, strict=True))
@@ -161,7 +156,6 @@ class EstimationError(Measure):
         self._square_rad2 = 0.0
 
     def add(self, signals: Mapping[str, Series]) -> None:
-        """Add rows; those before t = 0 do not count."""
         x_m, y_m, heading_rad = (
             signals[f"pose.{name}"] - signals[f"truth.{name}"] for name in ("x_m", "y_m", "heading_rad")
         )
@@ -176,7 +170,6 @@ class EstimationError(Measure):
             self._square_rad2 += float((heading_rad[there] ** 2).sum())
 
     def value(self, _name: str) -> dict[str, float]:
-        """Return the three figures. Raises NoFigureError where no tick has both poses."""
         if not self._ticks:
             raise NoFigureError("there is no tick with both an estimated and a true pose" if self._truths else NO_TRUTH)
         return {

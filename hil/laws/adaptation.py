@@ -4,12 +4,12 @@ Over a window the measured velocity changes by Δv and the commands that acted a
 
     Δv = s Δu - f Δs
 
-with the share s = believed mass / true mass, and an unknown friction f [m/s²], Δs being what a friction of 1 m/s² would
-do to the velocity in the window's time: it rubs at wheels, so against what each pair of them does and not against the
-motion of the whole, which has it √2 times where both pairs move. Sums over a window need no derivative, and the noise
-of a velocity enters only at its two ends. Recursive least squares (K. J. Åström and B. Wittenmark, Adaptive Control,
-2nd ed. 1995, section 2.2) with forgetting, and with what is believed as the prior, which it returns where nothing was
-learnt.
+with the share s = believed mass / true mass and an unknown friction f [m/s²]. Δs is the effect of a friction of 1 m/s²
+on the velocity over the window. Friction acts at the wheels, so against the motion of each pair of them. The motion of
+the body has it √2 times where both pairs move. Sums over a window need no derivative, and the noise of a velocity
+enters only at its two ends. The method is recursive least squares with forgetting (K. J. Åström and B. Wittenmark,
+Adaptive Control, 2nd ed. 1995, section 2.2). The prior is the believed mass and friction. It is returned until
+something was learnt.
 """
 
 import math
@@ -30,9 +30,9 @@ class AccelerationShare:
     took torque away since the reset.
 
     ``largest`` is the believed acceleration at full torque [m/s² or rad/s²]. Windows with less than a sixth
-    of ``largest`` teach nothing: what they show may be friction, a slope or noise. Once a limiter took torque away, as
-    from wheels that slip, a window teaches only that a robot is lighter, and that it is heavier is forgotten: it may
-    have had less force than the torque stands for, before and after too, but not more.
+    of ``largest`` teach nothing: their change may be friction, a slope or noise. Once a limiter took torque away, as
+    from wheels that slip, a window can only show a lighter robot, and a heavier share is forgotten. The robot may have
+    had less force than the torque stands for, before and after too, but not more.
     """
 
     __slots__ = ("_believed", "_scale", "_sums", "_window", "friction", "is_known", "share", "was_limited")

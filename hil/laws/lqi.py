@@ -1,25 +1,22 @@
 """LQI: linear-quadratic control with the integral of the error as a state, on the model's feedforward."""
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
+
+import numpy as np
+from numpy.typing import NDArray
 
 from hil.core.errors import BadInputError
 from hil.core.model import RobotModel
 from hil.core.options import Range
 from hil.core.types import NO_GAINS, Applied, Axes, CommandMode, Reference, State, WheelCommand
-from hil.laws.prediction import DelayPredictor, Prediction, extrapolate, speed_command
+from hil.laws.prediction import DelayPredictor, extrapolate, speed_command
 
-if TYPE_CHECKING:
-    import numpy as np
-    from numpy.typing import NDArray
-
-
+Array = NDArray[np.float64]
 _DOUBLINGS = 60
 
 
-def lqr_cost(
-    a: "NDArray[np.float64]", b: "NDArray[np.float64]", q: "NDArray[np.float64]", r: "NDArray[np.float64]"
-) -> "NDArray[np.float64]":
+def lqr_cost(a: Array, b: Array, q: Array, r: Array) -> Array:
     """Return S of xᵀ S x, the least sum of xᵀ Q x + uᵀ R u over all ticks of x⁺ = A x + B u.
 
     ``a`` is n by n, ``b`` n by m, ``q`` n by n, ``r`` m by m and invertible; S is n by n. The Riccati equation is
@@ -27,10 +24,8 @@ def lqr_cost(
     preserving doubling algorithm for periodic discrete-time algebraic Riccati equations", Int. J. Control 77,
     2004). Raises ValueError where it does not converge: the pair (A, B) cannot be stabilised.
     """
-    import numpy as np
-
     identity = np.eye(len(a))
-    # Of k ticks: A the transition, G what the inputs reach, and H the cost, which tends to the solution.
+    # Over k ticks: A is the transition, G the reach of the inputs, and H the cost, which tends to the solution.
     transition, reached, cost = a, b @ np.linalg.solve(r, b.T), q
     with np.errstate(over="ignore", invalid="ignore"):
         for _ in range(_DOUBLINGS):
@@ -48,12 +43,8 @@ def lqr_cost(
     raise ValueError("the Riccati equation has no stabilising solution for these weights")
 
 
-def lqr_gain(
-    a: "NDArray[np.float64]", b: "NDArray[np.float64]", q: "NDArray[np.float64]", r: "NDArray[np.float64]"
-) -> "NDArray[np.float64]":
+def lqr_gain(a: Array, b: Array, q: Array, r: Array) -> Array:
     """Return K, m by n, of the input u = -K x that has the cost of ``lqr_cost``. Raises as that does."""
-    import numpy as np
-
     cost = lqr_cost(a, b, q, r)
     return np.asarray(np.linalg.solve(r + b.T @ cost @ b, b.T @ cost @ a), dtype=np.float64)
 
@@ -106,8 +97,10 @@ class Lqi:
         else:
             predicted = extrapolate(reference, state, applied.latency_s)
             _, _, (ax, ay, ah), _ = predicted
-        ix, iy, ih = self._integrated(predicted, applied, dt_s)
+        ix, iy, ih = self._integral
         (x, y, heading, vx, vy, yaw_rate), *_ = predicted
+        if not applied.saturated:
+            self._integral = ix + dt_s * x, iy + dt_s * y, ih + dt_s * heading
         desired = (
             ax - ki * ix - kp * x - kd * vx,
             ay - ki * iy - kp * y - kd * vy,
@@ -117,20 +110,9 @@ class Lqi:
             return self._predictor.command(desired, predicted)
         return speed_command(self._model, desired, predicted, reference.acceleration)
 
-    def _integrated(self, predicted: Prediction, applied: Applied, dt_s: float) -> Axes:
-        """Return the integral of the error until now, and advance it unless the guard limits the command."""
-        integral = self._integral
-        if not applied.saturated:
-            ix, iy, ih = integral
-            (x, y, heading, _, _, _), *_ = predicted
-            self._integral = ix + dt_s * x, iy + dt_s * y, ih + dt_s * heading
-        return integral
-
 
 def _feedback(options: Lqi.Options, torque: bool, dt_s: float) -> tuple[float, ...]:
     """Return the gains of ∫e, e and ė for ticks of ``dt_s`` [s] with zero-order hold; that of ė is 0 in SPEED mode."""
-    import numpy as np
-
     t = dt_s
     if torque:
         a = np.array([[1.0, t, t * t / 2], [0.0, 1.0, t], [0.0, 0.0, 1.0]])

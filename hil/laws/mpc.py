@@ -16,29 +16,17 @@ quadratic program (B. Stellato et al., "OSQP: an operator splitting solver for q
 
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
+
+import numpy as np
 
 from hil.core.extras import need
 from hil.core.kinematics import BodyTwist, to_body, to_world
 from hil.core.model import RobotModel
 from hil.core.options import RATE, Range
-from hil.core.types import (
-    NO_GAINS,
-    Applied,
-    CommandMode,
-    FourWheels,
-    Pairs,
-    Reference,
-    State,
-    Twist,
-    WheelCommand,
-)
-from hil.laws.lqi import lqr_cost, lqr_gain
+from hil.core.types import NO_GAINS, Applied, CommandMode, FourWheels, Pairs, Reference, State, Twist, WheelCommand
+from hil.laws.lqi import Array, lqr_cost, lqr_gain
 from hil.laws.prediction import DelayPredictor, ExtendedStateObserver, require_torque
-
-if TYPE_CHECKING:
-    import numpy as np
-    from numpy.typing import NDArray
 
 _DISTURBANCE_LIMITS = (3.0, 3.0, 10.0)  # [m/s², m/s², rad/s²]
 # Cost of 1 (rad/s)² above the speed limit: tenths of 1 rad/s are left in a rush from half a metre.
@@ -118,8 +106,6 @@ class _Plans:
     """
 
     def __init__(self, model: RobotModel, options: Mpc.Options, dt_s: float) -> None:
-        import numpy as np
-
         self._options = options
         h = max(options.horizon_s / options.steps, dt_s)
         one, none = np.eye(3), np.zeros((3, 3))
@@ -154,12 +140,10 @@ class _Plans:
 
         ``start`` is (e, ė) in these axes; torque and speed are those of the wheels for u = 0 and for ė = 0.
         """
-        import numpy as np
-
         x, known = np.array(start), np.array([*torque_n_m, *speed_rad_s])
         low, high = -self._limits - known, self._limits - known
         reached = self._reached @ x
-        # A state that is no number breaks no limit, and what comes of it is no number either.
+        # A state that is NaN breaks no limit, and its result is NaN too.
         if not ((reached < low) | (reached > high)).any():
             return BodyTwist(*(-self._gain @ x).tolist()), 0
         steps = self._options.steps
@@ -171,8 +155,7 @@ class _Plans:
         result = self._solver.solve(raise_error=False)
         return BodyTwist(*result.x[:3].tolist()), int(result.info.iter)
 
-    def _new_solver(self, low: "NDArray[np.float64]", high: "NDArray[np.float64]") -> Any:
-        import numpy as np
+    def _new_solver(self, low: Array, high: Array) -> Any:
         import osqp
         from scipy.sparse import csc_matrix
 

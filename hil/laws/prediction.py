@@ -15,18 +15,43 @@ from hil.core.errors import BadInputError
 from hil.core.kinematics import body_wrench
 from hil.core.model import RobotModel
 from hil.core.tuples import make_speed_command, make_torque_command
-from hil.core.types import (
-    ZERO_WHEELS,
-    Applied,
-    Axes,
-    CommandMode,
-    Pairs,
-    Reference,
-    State,
-    Twist,
-    WheelCommand,
-    Wheels,
-)
+from hil.core.types import ZERO_WHEELS, Applied, Axes, CommandMode, Pairs, Reference, State, Twist, WheelCommand, Wheels
+
+Prediction = tuple[Pairs, float, Axes, Axes]
+"""The predicted robot and reference at the time when the command takes effect, a plain tuple.
+
+In order: error, which is state minus reference in the world frame [m, rad], and its rate; heading [rad]; twist of the
+reference, and of the robot, in the world frame.
+"""
+
+
+def require_torque(law: str, mode: CommandMode, other: str) -> None:
+    """Raise BadInputError for SPEED mode with a law that computes torques; the ``other`` law has speed commands."""
+    if mode is not CommandMode.TORQUE:
+        raise BadInputError(
+            f"controller.law = {law!r}: it computes torques, which controller.command = 'speed' does not carry; set "
+            f"controller.command = 'torque', or take a law that has speed commands, such as {other!r}"
+        )
+
+
+def torque_command(model: RobotModel, acceleration: Axes, predicted: Prediction) -> WheelCommand:
+    """Return the torques for a world acceleration: τ = B⁺ (M u + C) + ξ (the paper's equation 18 with the model's C).
+
+    Friction is computed at the reference's twist and not at the measured one, so measurement noise does not enter.
+    """
+    _, heading_rad, reference_twist, twist = predicted
+    return make_torque_command(*model.wheel_torques(acceleration, twist, heading_rad, reference_twist))
+
+
+def speed_command(model: RobotModel, desired: Axes, predicted: Prediction, acceleration: Axes) -> WheelCommand:
+    """Return the set points of the firmware's speed loop for a world twist: ω = H Rᵀ x̄2 / r.
+
+    ``desired`` is the twist [m/s, m/s, rad/s]. The reference's twist and ``acceleration`` give the torque feedforward.
+    """
+    _, heading_rad, twist, _ = predicted
+    feedforward = model.wheel_torques(acceleration, twist, heading_rad, twist)
+    return make_speed_command(*model.wheel_speeds(desired, heading_rad), *feedforward)
+
 
 # A member of an enumeration takes longer to look up than a global name.
 _SPEED, _TORQUE = CommandMode.SPEED, CommandMode.TORQUE
@@ -35,7 +60,7 @@ _SPEED, _TORQUE = CommandMode.SPEED, CommandMode.TORQUE
 class ExtendedStateObserver:
     """Estimates position, rate, and the acceleration that no command explains, of one axis in m or rad.
 
-    The axis is ẍ = u + d with a commanded acceleration u that is known and a disturbance d that changes slowly:
+    The axis is ẍ = u + d with a known commanded acceleration u and a disturbance d that changes slowly:
     friction, a wrong mass, a force from outside. The observer uses the measured x alone, so late or noisy wheel speeds
     do not disturb it. It predicts exactly for a piecewise constant u and a constant d, and then corrects its
     estimates by the innovation ε = x - x̂:
@@ -185,48 +210,12 @@ def acceleration_of(
     )
 
 
-Prediction = tuple[Pairs, float, Axes, Axes]
-"""The predicted robot and reference at the time when the command takes effect, a plain tuple.
-
-In order: error, which is state minus reference in the world frame [m, rad], and its rate; heading [rad]; twist of the
-reference, and of the robot, in the world frame.
-"""
-
-
-def require_torque(law: str, mode: CommandMode, other: str) -> None:
-    """Raise BadInputError for SPEED mode with a law that computes torques; the ``other`` law has speed commands."""
-    if mode is not CommandMode.TORQUE:
-        raise BadInputError(
-            f"controller.law = {law!r}: it computes torques, which controller.command = 'speed' does not carry; set "
-            f"controller.command = 'torque', or take a law that has speed commands, such as {other!r}"
-        )
-
-
-def torque_command(model: RobotModel, acceleration: Axes, predicted: Prediction) -> WheelCommand:
-    """Return the torques for a world acceleration: τ = B⁺ (M u + C) + ξ (the paper's equation 18 with the model's C).
-
-    Friction is computed at the reference's twist and not at the measured one, so measurement noise does not enter.
-    """
-    _, heading_rad, reference_twist, twist = predicted
-    return make_torque_command(*model.wheel_torques(acceleration, twist, heading_rad, reference_twist))
-
-
-def speed_command(model: RobotModel, desired: Axes, predicted: Prediction, acceleration: Axes) -> WheelCommand:
-    """Return the set points of the firmware's speed loop for a world twist: ω = H Rᵀ x̄2 / r.
-
-    ``desired`` is the twist [m/s, m/s, rad/s]. The reference's twist and ``acceleration`` give the torque feedforward.
-    """
-    _, heading_rad, twist, _ = predicted
-    feedforward = model.wheel_torques(acceleration, twist, heading_rad, twist)
-    return make_speed_command(*model.wheel_speeds(desired, heading_rad), *feedforward)
-
-
 def extrapolate(reference: Reference, state: State, latency_s: float, *, in_speed_mode: bool = True) -> Prediction:
     """Return both ``latency_s`` [s] later, if the robot accelerates as the reference does. Needs no model.
 
     In SPEED mode it is taken to turn as the reference does, too. The measured yaw rate would close a second loop around
-    that of the firmware, which has little damping there: against yaw a wheel has a fifth of the inertia that it has
-    against a push.
+    the firmware's. That loop has little damping there: a wheel has a fifth as much inertia against yaw as against a
+    push.
     """
     if in_speed_mode:
         pose, (vx, vy, _) = state

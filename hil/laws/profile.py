@@ -1,7 +1,7 @@
 """Time-optimal square-root profile with observer and delay prediction, one axis for each diagonal pair of wheels.
 
-PROFILE.md beside this file has the derivation, the options and figures. ``pairs.py`` has the pairs, ``approach.py`` the
-way to a reference that is far.
+PROFILE.md beside this file has the derivation, the options and figures. ``approach.py`` has
+the pairs, and the way to a reference that is far.
 """
 
 import math
@@ -23,8 +23,7 @@ from hil.core.types import (
     WheelCommand,
 )
 from hil.laws.adaptation import AccelerationShare
-from hil.laws.approach import even_turn, friction_share, profile, time_to_go
-from hil.laws.pairs import SQRT2, allocate, directions, within
+from hil.laws.approach import SQRT2, allocate, directions, even_turn, friction_share, profile, time_to_go, within
 from hil.laws.prediction import DelayPredictor, ExtendedStateObserver, Prediction, extrapolate, speed_command
 
 # Share of the largest yaw acceleration and yaw rate that the profile plans with. Pushing has priority, so little torque
@@ -32,18 +31,18 @@ from hil.laws.prediction import DelayPredictor, ExtendedStateObserver, Predictio
 _TURNING_SHARE = 0.3
 # Share of the wheels' speed that turning leaves for the way, and the share that it has in any case near the reference.
 _KEPT_SHARE, _LEAST_TURNING_SHARE = 0.9, 0.05
-# The reference is far from the first distance on until the second is reached [m]; K1 is so many times larger then, as
-# an axis may go on to brake with all of its torque to its last few millimetres.
+# The reference is far from the first distance on until the second is reached [m]. Then K1 is larger by this factor,
+# because an axis may go on to brake with all of its torque to its last few millimetres.
 _FAR_M, _NEAR_M, _FAR_K1 = 0.1, 0.012, 2.0
-# Largest yaw rate on the way [rad/s]. The share of the turn that torque and time allow which is made: the first axis
-# to reach its largest speed should find no turn there that takes a part of it.
+# Largest yaw rate on the way [rad/s], and the share that is made of the turn that torque and time allow. A full turn
+# would still take a part of the speed when the first axis reaches its largest one.
 _SWING_RAD_S, _SWING_SHARE = 2.0, 0.7
-# The most that the yaw rate changes by, in units of what the profile brakes with: measured wheel speeds are late, and a
-# wheel that changes its speed faster looks to the limiter like one that slips.
+# Largest change of the yaw rate, in units of the profile's braking. Measured wheel speeds are late: if a wheel changes
+# its speed faster, the limiter sees slip.
 _SWING_BRAKING = 1.2
 # By how much one pair must be there earlier, so that turning has priority over its push [s].
 _SPARE_S = 0.095
-# Share of the believed friction that may be there in addition, as the prior of what is learnt.
+# Share of the believed friction that may be there in addition: the prior of the learnt friction.
 _UNKNOWN_FRICTION = 0.5
 # Least share of the torque to brake with, whatever reference and friction need of it.
 _LEAST_BRAKING_SHARE = 0.2
@@ -220,7 +219,7 @@ class Profile:
         return (known_m_s2 + slope) / share + k2 * (rate - now) / max(share, 1.0)
 
     def _turning(self, error_rad: float, rate_rad_s: float, k1: float, k2: float, most_rad_s: float) -> float:
-        """Return the yaw acceleration [rad/s²] that takes away this error and rate, beside the reference's."""
+        """Return the yaw acceleration [rad/s²] that takes away this error and rate, in addition to the reference's."""
         turn, slope = profile(error_rad, rate_rad_s, k1, self._turn_braking_rad_s2, -most_rad_s, most_rad_s)
         turning = slope + k2 * (turn - rate_rad_s)
         return within(turning, _SWING_BRAKING * self._turn_braking_rad_s2) if self._is_far else turning
@@ -292,8 +291,8 @@ class Profile:
     def _turn_speed_rad_s(self, used_m_s: float, yaw_rate_rad_s: float, most_rad_s: float) -> float:
         """Return the limit of the yaw rate towards a reference with this yaw rate, at most ``most_rad_s``.
 
-        ``used_m_s`` is what the way takes of the wheels' speed at the rim: far away the robot's own, and near what the
-        reference takes at whatever heading. It has priority: a robot that turns back and loses the reference for it
+        ``used_m_s`` is the part of the wheels' rim speed that the way takes: far away for the robot's own motion, near
+        for the reference's at any heading. It has priority: a robot that turns back and thereby loses the reference
         would be far away again.
         """
         lever_m, rim_m_s = self._model.lever_m, self._rim_speed_m_s
@@ -314,7 +313,7 @@ class Profile:
 
 
 def _pair_to_spare(first: _Axis, second: _Axis) -> int:
-    """Return which pair would be there so much earlier that turning may have its torque, 1 or 2; 0 for none."""
+    """Return the pair, 1 or 2, that would be there early enough to give turning its torque; 0 for none."""
     away, now, _, braking, low, high = first
     later_s = time_to_go(away, now, braking, low, high)
     away, now, _, braking, low, high = second

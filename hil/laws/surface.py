@@ -1,38 +1,22 @@
-"""Dynamic surface control of the robot's pose: the base of DSC and AFDSC, each with and without observer.
+"""DSC, dynamic surface control of the robot's pose, the baseline in Nguyen Minh et al. 2023, and the base of AFDSC.
 
-With S1 = q - q_d, the virtual control x̄2 = q̇_d - K1 S1, its first-order filter ς ẋ2d + x2d = x̄2 and
-S2 = q̇ - x2d, the commanded acceleration is u = ẋ2d - K2 S2 (Nguyen Minh et al. 2023, AFDSC, equations 16 to
-18; the paper never states x̄2, and prints x2 for it in u). K1 and K2 are diagonal: one gain per axis.
+With S1 = q - q_d, the virtual control is x̄2 = q̇_d - K1 S1. Its first-order filter is ς ẋ2d + x2d = x̄2.
+With S2 = q̇ - x2d, the commanded acceleration is u = ẋ2d - K2 S2 (Nguyen Minh et al. 2023, AFDSC, equations 16
+to 18). The paper never states x̄2, and prints x2 for it in u. K1 and K2 are diagonal: one gain per axis.
 
 The filter makes the robot lag: on a circle of radius r0 at rate ω the steady error is ς ω² r0 / K1.
 """
 
 import math
 from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Annotated
 
 from hil.core.model import RobotModel
+from hil.core.options import RATE, Range
 from hil.core.tuples import difference
-from hil.core.types import (
-    NAN,
-    NO_GAINS,
-    Applied,
-    Axes,
-    CommandMode,
-    Pairs,
-    Reference,
-    State,
-    WheelCommand,
-)
-from hil.laws.prediction import (
-    DelayPredictor,
-    ExtendedStateObserver,
-    Prediction,
-    extrapolate,
-    speed_command,
-    torque_command,
-)
-
-_DISTURBANCE_LIMITS = (3.0, 3.0, 10.0)  # [m/s², m/s², rad/s²]
+from hil.core.types import NAN, NO_GAINS, Applied, Axes, CommandMode, Pairs, Reference, State, WheelCommand
+from hil.laws.prediction import Prediction, speed_command, torque_command
 
 
 class FirstOrderFilter:
@@ -90,7 +74,7 @@ class SurfaceLaw:
         """Start the filter at rest on its input for this state and reference: x2d(0) = x̄2(0) (equation 17)."""
         error, _, twist_d, _ = difference(state, reference)
         self._gains = self._gains_at(error)
-        self._filter.value = _virtual_control(twist_d, error, self._gains)
+        self._filter.value = virtual_control(twist_d, error, self._gains)
 
     def update(self, reference: Reference, state: State, applied: Applied, dt_s: float) -> WheelCommand:
         """Return the command of this tick, not limited; ``dt_s`` [s] is the time since the last tick."""
@@ -100,7 +84,7 @@ class SurfaceLaw:
         self._gains = gains = gains_at(error)
         if self._torque:
             return self._torque_command(reference, predicted, dt_s)
-        desired = _virtual_control(twist_d, error, gains)
+        desired = virtual_control(twist_d, error, gains)
         return speed_command(self._model, desired, predicted, reference.acceleration)
 
     def _predict(self, reference: Reference, state: State, applied: Applied, dt_s: float) -> Prediction:
@@ -110,7 +94,7 @@ class SurfaceLaw:
     def _torque_command(self, reference: Reference, predicted: Prediction, dt_s: float) -> WheelCommand:
         error, _, twist_d, (vx, vy, yaw_rate) = predicted
         x, y, heading = self._filter.value
-        desired = _virtual_control(twist_d, error, self._gains)
+        desired = virtual_control(twist_d, error, self._gains)
         slope_x, slope_y, slope_heading = self._filter.step(desired, dt_s)
         _, _, _, k2_x, k2_y, k2_heading = self._gains
         commanded = (
@@ -121,58 +105,32 @@ class SurfaceLaw:
         return torque_command(self._model, commanded, predicted)
 
 
-class ObservedSurfaceLaw(SurfaceLaw):
-    """Dynamic surface control without its lag: the feedforward bypasses the filter, an observer removes steady errors.
-
-    The paper filters all of x̄2 = q̇_d - K1 e, so it delays the reference's own speed too. That causes the steady error
-    ς ω² r0 / K1. Here the filter acts on the feedback -K1 e alone: ς ẋ + x = -K1 e. The commanded acceleration is
-
-        u = q̈_d + ẋ - K2 (ė - x) - ẑ
-
-    An extended state observer of bandwidth ``observer_rad_s`` estimates the disturbance ẑ: the acceleration that the
-    commands do not explain, for example from friction or a wrong mass. All values are predicted for the time when the
-    command takes effect. SPEED mode does not use the observer, because only the firmware knows the torques there.
-    """
-
-    def __init__(
-        self, model: RobotModel, mode: CommandMode, filter_s: float, observer_rad_s: float, gains: Pairs = NO_GAINS
-    ) -> None:
-        super().__init__(model, mode, filter_s, gains)
-        observers = tuple(ExtendedStateObserver(observer_rad_s, limit) for limit in _DISTURBANCE_LIMITS)
-        self._predictor = DelayPredictor(model, observers)
-
-    def reset(self, state: State, reference: Reference) -> None:
-        """Start the filter at rest on its input, and the observer at this state."""
-        error, *_ = difference(state, reference)
-        self._gains = self._gains_at(error)
-        self._filter.value = _virtual_control((0.0, 0.0, 0.0), error, self._gains)
-        self._predictor.reset(state)
-
-    def _predict(self, reference: Reference, state: State, applied: Applied, dt_s: float) -> Prediction:
-        if self._torque:
-            return self._predictor.predict(reference, state, applied, dt_s)
-        return extrapolate(reference, state, applied.latency_s)
-
-    def _torque_command(self, reference: Reference, predicted: Prediction, dt_s: float) -> WheelCommand:
-        error, *_ = predicted
-        _, _, _, vx, vy, yaw_rate = error
-        _, _, _, k2_x, k2_y, k2_heading = self._gains
-        x, y, heading = self._filter.value
-        feedback = _virtual_control((0.0, 0.0, 0.0), error, self._gains)
-        slope_x, slope_y, slope_heading = self._filter.step(feedback, dt_s)
-        ax, ay, ah = reference.acceleration
-        zx, zy, zh = self._predictor.disturbance
-        commanded = (
-            ax + slope_x - k2_x * (vx - x) - zx,
-            ay + slope_y - k2_y * (vy - y) - zy,
-            ah + slope_heading - k2_heading * (yaw_rate - heading) - zh,
-        )
-        return self._predictor.command(commanded, predicted)
-
-
-def _virtual_control(reference_twist: Axes, error: Pairs, gains: Pairs) -> Axes:
+def virtual_control(reference_twist: Axes, error: Pairs, gains: Pairs) -> Axes:
     """Return x̄2 = q̇_d - K1 S1; with a reference at rest, the feedback -K1 S1."""
     x, y, heading, _, _, _ = error
     vx, vy, yaw_rate = reference_twist
     k1_x, k1_y, k1_heading, _, _, _ = gains
     return vx - k1_x * x, vy - k1_y * y, yaw_rate - k1_heading * heading
+
+
+class Dsc(SurfaceLaw):
+    """Dynamic surface control with constant gains. In SPEED mode only K1 is in force.
+
+    The default K1 of 15 1/s is the paper's, for torque at 1 kHz, in both modes. A scenario in SPEED mode has to set the
+    gain that its rate and latency allow: 8 1/s at 200 Hz and 5 ms.
+    """
+
+    @dataclass(frozen=True, slots=True)
+    class Options:
+        """Gains of all three axes [1/s] (table V), and the filter's time constant ς [s].
+
+        ς is not in the paper; 0.0675 s follows from its steady error of 0.79 mm.
+        """
+
+        k1_1_s: Annotated[float, RATE] = 15.0
+        k2_1_s: Annotated[float, RATE] = 40.0
+        filter_s: Annotated[float, Range(gt=0, le=10)] = 0.0675
+
+    def __init__(self, model: RobotModel, mode: CommandMode, options: Options) -> None:
+        k1, k2 = options.k1_1_s, options.k2_1_s
+        super().__init__(model, mode, options.filter_s, (k1, k1, k1, k2, k2, k2))

@@ -16,22 +16,11 @@ from hil.core.extensions import failure, failures_of
 from hil.core.signals import GROUPS
 from hil.core.tuples import make_command, make_wheels
 from hil.core.types import NO_GAINS, Applied, CommandMode, Gains, Reference, State, WheelCommand
+from hil.laws.law_registry import law_file
 
 _METHODS = {"reset": ("self", "state", "reference"), "update": ("self", "reference", "state", "applied", "dt_s")}
-_BY_PLACE = (inspect.Parameter.POSITIONAL_ONLY, inspect.Parameter.POSITIONAL_OR_KEYWORD)
-_OF_TYPE = {
-    "State": "state",
-    "Reference": "reference",
-    "Applied": "applied",
-    "RobotModel": "model",
-    "CommandMode": "mode",
-    "Options": "options",
-}
-_OF_WORD = {"dt": "dt_s"} | dict.fromkeys(("ref", "des", "desired", "goal", "target", "wanted"), "reference")
-_OF_LETTER = {"r": "reference", "s": "state"}
-"""Arguments of the protocol, for the types and the parts of names by which a law's parameters are recognized."""
 _SIGNAL = re.compile(r"[a-z][a-z0-9_]*(\.[a-z0-9_]+)+")
-_RESERVED = GROUPS | {"shadow", "replay", "timestamp", "sequence"}
+_RESERVED = GROUPS | {"replay", "timestamp", "sequence"}
 
 
 def find_class(spec: str, base: Path, named: str) -> type:
@@ -41,8 +30,8 @@ def find_class(spec: str, base: Path, named: str) -> type:
     import fails (with file and line), and when the class lacks ``reset`` or ``update`` or they have other arguments.
     """
     location, _, name = spec.rpartition(":")
-    is_file = location.endswith(".py")
-    module = _import_file(named, base / location) if is_file else _import_module(named, location)
+    file = law_file(spec)
+    module = _import_file(named, base / file) if file else _import_module(named, location)
     law = getattr(module, name, None)
     if not isinstance(law, type):
         own = [v for v in vars(module).values() if isinstance(v, type) and v.__module__ == module.__name__]
@@ -58,33 +47,9 @@ def check_class(law: type, named: str) -> type:
         function = getattr(law, method, None)
         if not callable(function):
             raise BadInputError(f"{named}: the class has no {method}; expected {expected}")
-        found = f"{method}{_signature(function)}"
         if not _accepts(function, arguments):
-            raise BadInputError(f"{named}: found {found}, expected {expected}")
-        _check_order(named, found, function, arguments, expected)
+            raise BadInputError(f"{named}: found {method}{_signature(function)}, expected {expected}")
     return law
-
-
-def _check_order(named: str, found: str, function: Any, arguments: Sequence[str], expected: str) -> None:
-    """Raise BadInputError where a parameter, by its type or a word in its name, is an argument of another place.
-
-    Arguments are given by their place, so names are the user's own: two that have the same word tell nothing.
-    """
-    parameters = list(_signature(function).parameters.values())[: len(arguments)]
-    meant = [_argument(one, arguments) for one in parameters]
-    for place, (parameter, word) in enumerate(zip(parameters, meant, strict=True)):
-        if word is not None and meant.count(word) == 1 and arguments.index(word) != place:
-            there = f"{parameter.name!r} stands where {arguments[place]} is given"
-            raise BadInputError(f"{named}: found {found}, expected {expected}: {there}; put them in this order")
-
-
-def _argument(parameter: inspect.Parameter, arguments: Sequence[str]) -> str | None:
-    """Return which of the arguments a parameter is meant for; None where neither its type nor its name tells."""
-    type_name = getattr(parameter.annotation, "__name__", str(parameter.annotation)).rpartition(".")[2]
-    name = parameter.name.lower()
-    parts = {_OF_WORD.get(part, part) for part in name.split("_")} if len(name) > 1 else {_OF_LETTER.get(name)}
-    words = {_OF_TYPE.get(type_name)} & {*arguments} or parts & {*arguments}
-    return words.pop() if len(words) == 1 and parameter.kind in _BY_PLACE else None
 
 
 class UserLaw:
@@ -93,7 +58,8 @@ class UserLaw:
     The law is made with the first of the argument lists ``choices`` that its constructor accepts. It need not have
     ``gains``, nor ``signals`` and ``telemetry`` (``hil.core.ports.OwnSignals``). Error messages begin with ``named``.
     Raises BadInputError, with file and line, for every exception of the law, and when its update does not return a
-    command in the mode of the run. ``has_gains`` says whether the law has gains.
+    command in the mode of the run. ``signals_may_fail`` says whether the law has gains or signals of its own, whose
+    code may fail too.
     """
 
     def __init__(self, named: str, law: type, mode: CommandMode, choices: list[tuple[object, ...]]) -> None:
@@ -102,13 +68,14 @@ class UserLaw:
         arguments = _constructor_arguments(named, law, choices)
         with failures_of(named, "making it"):
             self._law: Any = law(*arguments)
-        self.has_gains = inspect.getattr_static(self._law, "gains", None) is not None
+        self._has_gains = inspect.getattr_static(self._law, "gains", None) is not None
         self.signals = self._own_names()
+        self.signals_may_fail = self._has_gains or bool(self.signals)
 
     @property
     def gains(self) -> Gains:
         """The law's gains, or NO_GAINS."""
-        if not self.has_gains:
+        if not self._has_gains:
             return NO_GAINS
         with failures_of(self._named, "gains"):
             return Gains(*map(float, self._law.gains))
@@ -170,7 +137,7 @@ def _check_names(named: str, names: Sequence[object]) -> tuple[str, ...]:
     """Check and return the names of a law's own signals; error messages begin with ``named``.
 
     Raises BadInputError for a name that is not dotted lower case, is repeated, is a group of another (``a.b`` and
-    ``a.b.c``), or whose first word is reserved, such as that of a built-in signal group.
+    ``a.b.c``), or begins with a reserved group, such as a built-in one.
     """
     checked: list[str] = []
     for name in names:
@@ -226,15 +193,13 @@ def _constructor_arguments(named: str, law: type, choices: list[tuple[object, ..
     names = ", ".join(("self", "model", "mode", "options")[: 1 + len(choices[0])])
     for arguments in choices:
         if _accepts(law, arguments):
-            given = ("model", "mode", "options")[: len(arguments)]
-            _check_order(named, f"{law.__name__}{_signature(law)}", law, given, f"__init__({names})")
             return arguments
     hint = "" if len(choices[0]) == 3 else "; for options, define a dataclass Options in the class"
     raise BadInputError(f"{named}: found {law.__name__}{_signature(law)}, expected __init__({names}){hint}")
 
 
 def _signature(function: Any) -> inspect.Signature:
-    """Return the signature of a function; any arguments for one of compiled code, which may not tell it."""
+    """Return the signature of a function; any arguments for one of compiled code, which may not have it."""
     try:
         return inspect.signature(function)
     except ValueError:

@@ -10,7 +10,7 @@ _LOGGED_TROUBLE = ("log (warning)", "log (discard)", "log (error)", "log (fatal)
 _FIRST_LINES = 100
 _NEWEST_LINES = 20
 _LONGEST_LINE = 300  # characters that are kept of a line
-_KEPT_BYTES = 8192  # of a line that has not ended, and of the newest lines
+_KEPT_BYTES = 8192  # of a line
 
 
 class ChildOutput:
@@ -24,31 +24,31 @@ class ChildOutput:
         self._lock = threading.Lock()  # never held for longer than a few lines take
         self._waiting: deque[str] = deque()
         self._begun = b""  # a line that has not ended
-        self._newest = b""
-        self._lines = 0
-        self._passed_on = 0
+        self._first = self._left_out = 0
+        self._newest: deque[bytes] = deque(maxlen=_NEWEST_LINES)  # of those that were left out
+        self._last = b""  # that is not blank
 
     def feed(self, printed: bytes) -> None:
-        """Add bytes that the process has printed."""
         with self._lock:
-            self._newest = (self._newest + printed)[-_KEPT_BYTES:]
-            self._lines += printed.count(b"\n")
-            if self._passed_on >= _FIRST_LINES:
-                return
             *lines, rest = (self._begun + printed).split(b"\n")
             self._begun = rest[:_KEPT_BYTES]
-            for line in lines[: _FIRST_LINES - self._passed_on]:
-                self._passed_on += 1
-                self._waiting.append(_words(line))
+            for line in lines:
+                self._last = line[:_KEPT_BYTES] if line.strip() else self._last
+                if self._first < _FIRST_LINES:
+                    self._first += 1
+                    self._waiting.append(_words(line))
+                else:
+                    self._left_out += 1
+                    self._newest.append(line[:_KEPT_BYTES])
 
     def __bool__(self) -> bool:
         """Return whether ``new_lines`` has lines to return."""
         return bool(self._waiting)
 
     def forget_newest(self) -> None:
-        """Discard the newest lines, because another process prints from now on."""
+        """Forget the last line, because another process prints from now on."""
         with self._lock:
-            self._newest = b""
+            self._last = self._begun = b""
 
     def new_lines(self) -> list[str]:
         """Return the lines since the last call, as long as the limit of first lines is not reached."""
@@ -58,22 +58,17 @@ class ChildOutput:
     def end(self) -> list[str]:
         """Return a summary at the end: the number of omitted lines, and the newest lines."""
         with self._lock:
-            *whole, unfinished = self._newest.split(b"\n")
-            rest = self._lines - self._passed_on
-            newest = whole[-min(rest, _NEWEST_LINES, len(whole)) :] if rest else []
-            self._passed_on = self._lines
-            self._begun = b""
-            left_out = rest - len(newest)
+            left_out = self._left_out - len(self._newest)
             note = [f"{left_out} lines are left out here"] if left_out else []
-            lines = [*map(_words, newest), _words(unfinished)]
+            lines = [*map(_words, self._newest), _words(self._begun)]
+            self._newest.clear()
+            self._begun, self._left_out = b"", 0
             return self.new_lines() + note + [line for line in lines if line]
 
     def last(self) -> str:
         """Return the last line that is not blank; empty when there is none."""
         with self._lock:
-            newest = self._newest
-        lines = (_words(line) for line in reversed(newest.split(b"\n")))
-        return next((line for line in lines if line), "")
+            return _words(self._begun) or _words(self._last)
 
 
 def log_lines(lines: Iterable[str], t_s: float, note: Note) -> None:

@@ -9,10 +9,9 @@ import math
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from hil.core.clock import TICK_NS
+from hil.core.clock import LONGEST_STEP_S, TICK_NS
 from hil.core.errors import BadInputError
 
-LONGEST_STEP_S = 0.02  # in it a wheel at 157 rad/s turns by half a turn, which a wrapped angle still tells
 _MOST_STEPS = 1000  # in a tick
 _ROUNDING = 1e-6  # relative: a step size may have been a number in single precision
 
@@ -31,15 +30,11 @@ class CommunicationStep(NamedTuple):
 def communication_step(
     fmu: Path, description: Any, *, wanted_s: float | None = None, tick_ns: int = TICK_NS
 ) -> CommunicationStep:
-    """Return the communication step of an FMU, from FMPy's description of it; for model exchange the tick.
+    """Return the communication step of an FMU for co-simulation, from FMPy's description of it.
 
     ``wanted_s`` is ``plant.step_s``. Raises BadInputError with both sizes when there is no step that fits the tick.
     """
     interface, experiment = description.coSimulation, description.defaultExperiment
-    if interface is None:
-        if wanted_s is not None:
-            raise BadInputError(f"plant.step_s = {wanted_s:g}; FMU {fmu} is for model exchange, leave it out")
-        return CommunicationStep(tick_ns)
     fixed_s = _size(fmu, "fixedInternalStepSize", interface.fixedInternalStepSize)
     preferred_s = _size(fmu, "DefaultExperiment stepSize", experiment and experiment.stepSize)
     tick_s = tick_ns / 1e9
@@ -59,16 +54,16 @@ def communication_step(
     else:
         size_s, why = tick_s, ""
     ticks, steps = _times(size_s, tick_s), _times(tick_s, size_s)
-    if ticks is None and (steps is None or steps > _MOST_STEPS or tick_ns % steps):
+    if ticks is None:
+        fits = steps is not None and steps <= _MOST_STEPS and tick_ns % steps == 0
+    else:
+        fits = ticks == 1 or size_s <= LONGEST_STEP_S * (1 + _ROUNDING)
+    if not fits:
         raise BadInputError(
             f"FMU {fmu}: its communication step is {size_s:g} s ({why}), and the bridge's tick {tick_s:g} s; expected "
-            f"a whole number of ticks, or a tick divided into at most {_MOST_STEPS} steps of whole "
-            f"nanoseconds: {_way_out(fixed_s, tick_s)}"
-        )
-    if ticks is not None and ticks > 1 and size_s > LONGEST_STEP_S * (1 + _ROUNDING):
-        raise BadInputError(
-            f"FMU {fmu}: its communication step is {size_s:g} s ({why}), and the bridge's tick {tick_s:g} s; expected "
-            f"at most {LONGEST_STEP_S:g} s, in which no wheel turns by half a turn: {_way_out(fixed_s, tick_s)}"
+            f"a whole number of ticks up to {LONGEST_STEP_S:g} s, in which no wheel turns by half a turn, or a tick "
+            f"divided into at most {_MOST_STEPS} steps of whole nanoseconds: export it so, or set plant.step_s if it "
+            "keeps another constant step"
         )
     return CommunicationStep(
         ticks * tick_ns if ticks is not None else tick_ns // (steps or 1),
@@ -93,26 +88,14 @@ def _ignored(preferred_s: float | None, tick_s: float, wanted_s: float | None) -
     return f"stepped by the tick of {tick_s:g} s{why}; its DefaultExperiment prefers {preferred_s:g} s"
 
 
-def _way_out(fixed_s: float | None, tick_s: float) -> str:
-    if fixed_s is None:
-        return (
-            "export it so, or set plant.step_s if it keeps another constant step (the standard leaves the size to the "
-            "importer)"
-        )
-    most = round(LONGEST_STEP_S / tick_s)
-    common = next((n * tick_s for n in range(1, most + 1) if _times(n * tick_s, fixed_s) is not None), None)
-    return "export it so" if common is None else f"export it so, or set plant.step_s = {common:g}, a multiple of both"
-
-
 def _times(whole_s: float, part_s: float) -> int | None:
     """Return how many times a part is in a whole; None unless that is a whole number."""
     ratio = whole_s / part_s
     times = round(ratio)
-    return times if times >= 1 and abs(ratio - times) <= _ROUNDING * times else None
+    return times if abs(ratio - times) <= _ROUNDING * times else None
 
 
 def _size(fmu: Path, name: str, declared: object) -> float | None:
-    """Return a declared step size [s], None where there is none. Raises BadInputError unless it is positive."""
     if declared is None:
         return None
     try:

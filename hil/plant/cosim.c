@@ -174,10 +174,6 @@ static int step3(cosim *c, uint64_t from_ns) {
 static int step(cosim *c) {
     const uint64_t held_ns = c->step_ns > c->tick_ns ? c->step_ns : c->tick_ns;
     const uint64_t begin_ns = c->ticks * c->tick_ns, end_ns = begin_ns + held_ns;
-    if (c->solve != NULL) {
-        c->failed = c->solve(seconds(begin_ns), seconds(end_ns));
-        return c->failed;
-    }
     for (uint64_t at_ns = begin_ns; at_ns < end_ns; at_ns += c->step_ns) {
         if ((c->fmi_version == 2 ? step2(c, at_ns) : step3(c, at_ns)) != 0) {
             return 1;

@@ -85,8 +85,6 @@ typedef struct {
     int fmi_version; /* 2 or 3 */
     cosim_function do_step;
     cosim_function get_boolean_status; /* fmi2GetBooleanStatus, NULL with FMI 3.0 */
-    /* Takes the place of do_step where the FMU has no solver; writes into `text` when it fails. */
-    int (*solve)(double from_s, double to_s);
 
     cosim_group input[COSIM_TYPES];
     cosim_group output[COSIM_TYPES];

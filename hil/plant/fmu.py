@@ -14,12 +14,12 @@ from typing import Any
 from firmware_protocol.fast_tuples import fields_of
 from hil.core.clock import TICK_NS
 from hil.core.errors import BadInputError, DeviceError
+from hil.core.plant_signals import OUTPUTS, SENSORS
 from hil.core.types import Wheels
 from hil.plant import archive, shim
 from hil.plant.communication import communication_step
 from hil.plant.instance import Instance
 from hil.plant.mapping import SignalMap, Wiring, resolve
-from hil.plant.signals import OUTPUTS, SENSORS
 from hil.plant.start import Settable, Value, limits, resize, settable_variables, start_values
 
 
@@ -29,13 +29,7 @@ class FmuPlant(shim.PlantPort):
     ``start`` gives start values of variables by name, in the FMU's units; the others keep the FMU's defaults.
     ``mapping`` gives the variable of each signal for which the names differ.
 
-    ``settable`` are the variables that may be set between two ticks, by name.
-
     With ``prints_log`` every log message of the FMU is printed on stderr, one per line. A tick lasts ``tick_ns``.
-
-    ``lacks`` names the sensors (keys of ``signals.SENSORS``) that the FMU does not have. ``notices`` say how the FMU is
-    used where that is worth telling.
-
     The FMU's code runs in this process: if it crashes or hangs, so does this process.
 
     Raises BadInputError when the file is not an FMU that can run here, when a name is unknown or a value out of its
@@ -64,7 +58,6 @@ class FmuPlant(shim.PlantPort):
         self._read_truth(ticks._replace(factor=tick_ns), pose, field("signal", self._lib.COSIM_TWIST, 3))
         self._torque = self._ffi.new("float[4]")
         self._speeds = self._context.signal + self._lib.COSIM_WHEEL_SPEED
-        self._solve: Any = None  # the solver as a C function, for model exchange
         self.wire((0, 1, 2, 3), (1, 1, 1, 1))
         with contextlib.ExitStack() as resources:
             archive.check_may_load(fmu)
@@ -94,14 +87,9 @@ class FmuPlant(shim.PlantPort):
 
     @property
     def pose_address(self) -> int:
-        """Address of the newest pose: three doubles."""
         return int(self._ffi.cast("uintptr_t", self._context.signal))
 
     def wire(self, wheel_of_channel: Sequence[int], sign_of_channel: Sequence[int]) -> None:
-        """Set which wheel (0 to 3: FL, FR, RR, RL) each channel of the plant port drives, and in which direction.
-
-        Raises BadInputError unless that is a permutation with signs 1 and -1.
-        """
         if sorted(wheel_of_channel) != [0, 1, 2, 3] or [abs(sign) for sign in sign_of_channel] != [1] * 4:
             raise BadInputError(
                 f"wheels {tuple(wheel_of_channel)} with signs {tuple(sign_of_channel)} on the channels; "
@@ -111,25 +99,18 @@ class FmuPlant(shim.PlantPort):
         self._context.sign_of_channel = list(sign_of_channel)
 
     def step(self, torque_n_m: Wheels, ticks: int = 1) -> None:
-        """Apply the torques of the channels, in single precision as on the plant port, for a number of ticks.
-
-        Raises DeviceError when the FMU fails.
-        """
         self._torque[0:4] = torque_n_m
         if self._run(self._context, self._torque, ticks) != 0:
             raise DeviceError(f"the plant stopped at {self.truth().time_ns / 1e9:g} s: {self.message}")
 
     def wheel_speeds(self) -> Wheels:
-        """Return the true wheel speeds [rad/s]."""
         return Wheels(*self._ffi.unpack(self._speeds, 4))
 
     @property
     def message(self) -> str:
-        """Why the last exchange failed, with the FMU's message if there is one; empty if it did not fail."""
         return self.instance.message
 
     def reset(self) -> None:
-        """Return to the start state, also after a failure. Raises DeviceError when the plant is closed or cannot."""
         if self._context.component == self._ffi.NULL:
             raise DeviceError("the plant is closed; make a new one")
         self.instance.reset()
@@ -153,19 +134,12 @@ class FmuPlant(shim.PlantPort):
         self.settable = {name: row._replace(start=value) for (name, row), value in rows}
 
     def close(self) -> None:
-        """Free the instance, unload the library and remove the unpacked files. Closing twice is allowed."""
         self._resources.close()
 
     def _wired(self, fmu: Path, mapping: SignalMap) -> Wiring:
-        """Find the FMU's variables, and note what it lacks."""
         instance, context = self.instance, self._context
         resize(self._start, instance.variables)
-        try:
-            wiring = resolve(mapping, fmu, instance.variables, instance.units)
-        except BadInputError as error:
-            if not instance.is_model_exchange:
-                raise
-            raise BadInputError(f"{error}; it is an FMU for model exchange only, which is integrated here") from error
+        wiring = resolve(mapping, fmu, instance.variables, instance.units)
         self._driven = {connection.variable.name for connection in wiring.inputs}
         missing = {OUTPUTS[place] for place in wiring.derived}
         self.lacks = frozenset(name for name, signals in SENSORS.items() if missing & set(signals))
@@ -175,8 +149,6 @@ class FmuPlant(shim.PlantPort):
 
     def _offer_variables(self) -> dict[str, Settable]:
         """Pass the variables that may be set between ticks to the C shim; return them with their index there."""
-        if self.instance.is_model_exchange:  # it would be set in event mode alone, which the solver does not enter
-            return {}
         offered = settable_variables(self.instance.variables, self._driven)
         rows = [(v.valueReference, *shim.setter(self.instance.access, v.type)) for v in offered.values()]
         memory = self._ffi.new("cosim_variable[]", rows)
@@ -190,9 +162,6 @@ class FmuPlant(shim.PlantPort):
 
     def _initialise(self) -> None:
         self.instance.initialise(self._start)
-        if self.instance.is_model_exchange and self._solve is None:
-            self._solve = self._ffi.callback("int(double, double)", self.instance.solver(), error=1)
-            self._context.solve = self._solve
         if self._lib.cosim_start(self._context) != 0:
             raise DeviceError(f"the plant has no outputs at its start: {self.message}")
 

@@ -7,46 +7,32 @@ import contextlib
 import ctypes
 import os
 import re
-import sys
 import threading
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
 from hil.core.errors import BadInputError, DeviceError, HilError
-from hil.plant import archive
 from hil.plant.archive import Library
 from hil.plant.child_output import one_line
 from hil.plant.description import import_fmpy, read_description, variables_of
 from hil.plant.shim import address, load
-from hil.plant.solver import Solver
 from hil.plant.start import Start
 
 _LOADING = threading.Lock()  # FMPy changes the working directory while it loads
 _ALIVE: set[str] = set()  # GUIDs of those FMUs of which a process may hold but one instance
 _NAME = "plant"
 _FATAL = 4  # fmi2Fatal and fmi3Fatal: no function of the FMU may be called any more
-_LONGEST_TEXT = 511  # of cosim.text
-
-
-_LACKING = (  # as the loaders of glibc, musl and macOS say it
-    (r"([^/\s:]+): cannot open shared object file", "which is not on this machine; install it"),
-    (r"Error loading shared library ([^/\s:]+): No such file", "which is not on this machine; install it"),
-    (r"Library not loaded: (\S+)", "which is not on this machine; install it"),
-    (r"version `([A-Z]+_[\d.]+)' not found", "which is newer than this machine's; export the FMU on an older system"),
+_LACKING = re.compile(  # as the loaders of glibc, musl and macOS say it
+    r"(\S+): cannot open shared object file|Error loading shared library (\S+):|Library not loaded: (\S+)"
 )
 
 
 def lacking_here(error: OSError, library: Path) -> str | None:
     """Return what this machine lacks for a library that cannot be loaded; None when the fault is the library's own."""
-    for pattern, end in _LACKING:
-        if (found := re.search(pattern, str(error))) and found[1] != library.name:
-            if (library.parent / found[1]).exists():
-                end = "which lies beside it, where the system does not look; link it with the run path $ORIGIN"
-            return f"its library needs {found[1]}, {end}"
-    if sys.platform == "win32" and "or one of its dependencies" in str(error):
-        return "its library needs another one that is not on this machine; install it"
-    return None
+    found = _LACKING.search(str(error))
+    name = Path(next(filter(None, found.groups()))).name if found else library.name
+    return None if name == library.name else f"its library needs {name}, which the system does not find; install it"
 
 
 class Instance:
@@ -57,21 +43,19 @@ class Instance:
 
     def __init__(self, fmu: Path, folder: Path, library: Library, context: Any) -> None:
         self._file, self._folder, self._context, self._library = fmu, folder, context, library
-        self.is_model_exchange = library.interface == "model_exchange"
         self._is_running = False
         self.description = read_description(fmu)
         self.version = int(library.fmi_version[0])
-        self._interface = self.description.modelExchange if self.is_model_exchange else self.description.coSimulation
+        self._interface = self.description.coSimulation
         self.fmu = self._load(library)
         context.fmi_version = self.version
         self.variables = variables_of(self.description)
         """FMPy's variables by name, and by alias."""
         self.units = {unit.name: unit for unit in self.description.unitDefinitions}
         """FMPy's unit definitions by name."""
-        if not self.is_model_exchange:
-            context.do_step = self.function(f"fmi{self.version}DoStep")
-            if self.version == 2:
-                context.get_boolean_status = self.function("fmi2GetBooleanStatus")
+        context.do_step = self.function(f"fmi{self.version}DoStep")
+        if self.version == 2:
+            context.get_boolean_status = self.function("fmi2GetBooleanStatus")
 
     @property
     def message(self) -> str:
@@ -113,19 +97,8 @@ class Instance:
             _ALIVE.discard(self.description.guid)
             maker = one_line(self.description.generationTool or "the tool that made it")
             tool = f", it needs {maker}" if self._interface.needsExecutionTool else ""
-            raise BadInputError(f"FMU {self._file}: it made no instance{tool}: {self.message or self._guess()}")
+            raise BadInputError(f"FMU {self._file}: it made no instance{tool}: {self.message or 'it did not say why'}")
         self._context.component = load()[0].cast("void *", self.fmu.component)
-
-    def _guess(self) -> str:
-        """Return the likely cause if the FMU made no instance and gave no reason."""
-        guid = self.description.guid
-        if archive.holds(self._file, self._library.member, guid.encode()):
-            return "it did not say why"
-        name = "GUID" if self.version == 2 else "instantiationToken"
-        return (
-            f"it did not say why; the {name} {one_line(guid)} of its modelDescription.xml is not in its library, so "
-            "they may be of two builds: export it anew"
-        )
 
     def initialise(self, starts: Sequence[Start]) -> None:
         """Set the start values of a new or reset instance and initialise it, so that it can be stepped.
@@ -146,21 +119,6 @@ class Instance:
                 self.fmu.enterInitializationMode(startTime=0.0)
             self.fmu.exitInitializationMode()
         self._is_running = True
-
-    def solver(self) -> Callable[[float, float], int]:
-        """Return the ``solve`` of the shim for an initialised FMU for model exchange."""
-        solver = Solver(self.fmu, self.description, self.version)
-
-        def solve(from_s: float, to_s: float) -> int:
-            try:
-                solver.step(from_s, to_s)
-            except Exception as error:  # noqa: BLE001 - called from C; the shim fails with this message
-                self._context.fatal = getattr(error, "status", None) == _FATAL
-                self._context.text = (self.message or str(error)).encode()[:_LONGEST_TEXT]
-                return 1
-            return 0
-
-        return solve
 
     def reset(self) -> None:
         """Reset the instance to its state after ``instantiate``. Raises DeviceError when the FMU cannot."""
@@ -227,8 +185,8 @@ class Instance:
     def _load(self, library: Library) -> Any:
         import_fmpy()
         from fmpy import freeLibrary
-        from fmpy.fmi2 import FMU2Model, FMU2Slave
-        from fmpy.fmi3 import FMU3Model, FMU3Slave
+        from fmpy.fmi2 import FMU2Slave
+        from fmpy.fmi3 import FMU3Slave
 
         path = str(self._folder / library.member)
         try:
@@ -236,10 +194,10 @@ class Instance:
         except OSError as error:
             why = lacking_here(error, Path(path)) or f"its library cannot be loaded ({error}); export the FMU again"
             raise BadInputError(f"FMU {self._file}: {why}") from error
-        classes = (FMU2Slave, FMU2Model) if self.version == 2 else (FMU3Slave, FMU3Model)
+        slave = FMU2Slave if self.version == 2 else FMU3Slave
         try:
             with _LOADING:
-                return classes[self.is_model_exchange](
+                return slave(
                     guid=self.description.guid,
                     unzipDirectory=str(self._folder),
                     modelIdentifier=library.model_identifier,
@@ -263,9 +221,8 @@ class Instance:
         callbacks.freeMemory = ctypes.cast(address("cosim_free"), fmi2.fmi2CallbackFreeMemoryTYPE)
         callbacks.componentEnvironment = self._environment
         self.fmu.callbacks = callbacks  # must live as long as the instance
-        kind = fmi2.fmi2ModelExchange if self.is_model_exchange else fmi2.fmi2CoSimulation
         resources = (self._folder / "resources").as_uri().encode()
-        named = (_NAME.encode(), kind, self.description.guid.encode(), resources)
+        named = (_NAME.encode(), fmi2.fmi2CoSimulation, self.description.guid.encode(), resources)
         self.fmu.component = self.fmu.fmi2Instantiate(*named, ctypes.byref(callbacks), fmi2.fmi2False, fmi2.fmi2True)
 
     def _instantiate3(self) -> None:
@@ -276,13 +233,10 @@ class Instance:
         path = (str(resources) + os.sep).encode() if resources.is_dir() else None
         named = (_NAME.encode(), self.description.guid.encode(), path, False, True)
         logger = ctypes.cast(address("cosim_log3"), fmi3.fmi3LogMessageCallback)
-        if self.is_model_exchange:
-            self.fmu.component = self.fmu.fmi3InstantiateModelExchange(*named, self._environment, logger)
-        else:
-            # No event mode, no early return, no intermediate update: the shim needs none of them.
-            modes = (False, False, None, 0)
-            update = fmi3.fmi3IntermediateUpdateCallback()
-            self.fmu.component = self.fmu.fmi3InstantiateCoSimulation(*named, *modes, self._environment, logger, update)
+        # No event mode, no early return, no intermediate update: the shim needs none of them.
+        modes = (False, False, None, 0)
+        update = fmi3.fmi3IntermediateUpdateCallback()
+        self.fmu.component = self.fmu.fmi3InstantiateCoSimulation(*named, *modes, self._environment, logger, update)
 
     @property
     def _environment(self) -> int:

@@ -8,8 +8,8 @@ for outputs; the value of an input is computed from the same equation. A signal 
 the same name. plant_fmu/FOREIGN.md lists what is required and how a missing signal is derived (in ``derive.c``).
 Without accelerometer, battery or temperatures the firmware reports that it has no such sensor.
 
-There are no patterns for names: a third-party FMU rarely calls its wheels fl, fr, rr and rl, and some of them turn the
-other way round, so each wheel needs its own row.
+There are no patterns for names: a third-party FMU rarely calls its wheels fl, fr, rr and rl, and some of them turn in
+the opposite direction. So each wheel needs its own row.
 """
 
 import re
@@ -19,8 +19,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from hil.core.errors import BadInputError, nearest
-from hil.core.printable import command
-from hil.plant.signals import (
+from hil.core.plant_signals import (
     ANGLES,
     COUNTS,
     CURRENTS,
@@ -33,6 +32,7 @@ from hil.plant.signals import (
     SPEEDS,
     TORQUES,
 )
+from hil.core.printable import command
 from hil.plant.units import conversion
 
 FLOATS = frozenset({"Real", "Float64", "Float32"})
@@ -47,9 +47,9 @@ Variables = Mapping[str, Any]  # FMPy's ModelVariable by name
 class Row(NamedTuple):
     """The variable of one signal: bridge value = sign * scale * FMU value + offset.
 
-    ``scale`` is positive, ``sign`` is 1 or -1. Where ``scale`` is None, it follows from ``unit``, which is by default
-    the one that the FMU declares; an empty one is compared with nothing. ``name[2]`` is the second element of an FMI
-    3.0 array, ``name[2,1]`` one of a matrix; they are counted from 1.
+    ``scale`` is positive, ``sign`` is 1 or -1. If ``scale`` is None, it follows from ``unit``, by default the FMU's own
+    unit of the variable. An empty ``unit`` is not compared. ``name[2]`` is the second element of an FMI 3.0 array,
+    ``name[2,1]`` one of a matrix; they are counted from 1.
     """
 
     name: str
@@ -85,7 +85,7 @@ class Connection(NamedTuple):
 class Wiring(NamedTuple):
     """A map applied to an FMU. ``derived`` are the indices in OUTPUTS of the signals derived from others.
 
-    ``notices`` tell how units were converted.
+    ``notices`` report how units were converted.
     """
 
     inputs: tuple[Connection, ...]
@@ -103,7 +103,7 @@ def resolve(signal_map: SignalMap, fmu: Path, variables: Variables, units: Mappi
 
 
 class _Direction(NamedTuple):
-    """The variables that may carry the ``signals`` of one direction, and the words for what is expected."""
+    """The variables that may carry the ``signals`` of one direction, and how messages describe them."""
 
     signals: tuple[str, ...]
     causalities: tuple[str, ...]

@@ -32,7 +32,7 @@ class Watch:
     It also calls ``look`` several times in that time, at least every tenth of a second.
 
     ``pending`` returns a token of the request that waits for its reply, a different one for each request, or None.
-    The watch counts its rounds in place of time, so that a program that was suspended is not taken for one that hangs.
+    The watch counts its rounds in place of time, so that a suspended program is not taken for one that hangs.
     It may be late by a twentieth of the first ``limit_s``, and by 0.1 s at most.
     """
 
@@ -57,7 +57,6 @@ class Watch:
                 self._expire(limit_s)
 
     def stop(self) -> None:
-        """Stop watching."""
         self._stopped.set()
 
 
@@ -146,8 +145,8 @@ class ChildProcess:
     def limit_memory(self, limit_mb: float, setting: str = "") -> None:
         """Kill the process if it uses more memory than the limit. No effect if the system does not report memory.
 
-        ``setting`` names the option that sets the limit, for the message. Whatever a process that has ended by itself
-        left running is killed: it holds the pipes open, so that nobody else would notice its end.
+        ``setting`` names the option that sets the limit, for the message. If the process has ended on its own, its
+        child processes are killed: they hold the pipes open, so nobody else would notice its end.
         """
         if self._is_left_behind():
             return
@@ -155,7 +154,7 @@ class ChildProcess:
             self._end_because(f"{words}{setting and f' ({setting})'}, and was ended")
 
     def _is_left_behind(self) -> bool:
-        """Return whether the process has ended by itself, and kill what it has started."""
+        """Return whether the process has ended on its own, and kill its child processes."""
         if sys.platform != "linux" or self._why_ended is not None or not self._has_ended():
             return False  # elsewhere it would lose its number by being asked
         self.kill()
@@ -181,7 +180,7 @@ class ChildProcess:
         return f"; its last words: {words[-_LAST_WORDS:]!r}" if words else ""
 
     def close(self, patience_s: float) -> None:
-        """Let the process end by itself; kill it after ``patience_s``. Closing twice is allowed."""
+        """Let the process end on its own; kill it after ``patience_s``. Closing twice is allowed."""
         self._stdin.close()
         self._end(patience_s)
         self._stdout.close()
@@ -220,7 +219,6 @@ def pipes(read_end: int, write_end: int) -> dict[str, int]:
 
 
 def _how(status: int) -> str:
-    """Return how a process ended in words, from the status that Popen gives."""
     if status < 0:
         number = -status
         # Of the real-time signals Python names only the first and the last.
@@ -271,7 +269,7 @@ class Parent:
             self.end()
 
     def end(self) -> NoReturn:
-        """End without what the FMU registered for the end of its process, which may hang; leave no file behind."""
+        """End without the FMU's own exit handlers, which may hang; leave no file behind."""
         shutil.rmtree(self.scratch, ignore_errors=True)
         os._exit(0)
 

@@ -35,6 +35,7 @@ class RemotePlant(shim.PlantPort):
     """
 
     _functions = "remote"
+    output: ChildOutput
 
     def __init__(
         self,
@@ -61,14 +62,13 @@ class RemotePlant(shim.PlantPort):
         self._open()
 
     def _open(self) -> None:
-        """Start the child process and make it open the FMU."""
         self._text = ""
         with contextlib.ExitStack() as resources:
             scratch = resources.enter_context(
                 scratch_folder("plant")
             )  # of this process: a child that crashes removes none
             self.output.forget_newest()
-            self._child = child = ChildProcess("hil.plant.serve", scratch, output=self.output)
+            self._child = child = ChildProcess("hil.plant.fmu_child", scratch, output=self.output)
             resources.callback(child.close, self._timeout_s)
             self._context[0] = self._ffi.new("remote_plant *", {"pipes": child.pipes})[0]
             resources.callback(setattr, self._context, "failed", 1)
@@ -102,41 +102,29 @@ class RemotePlant(shim.PlantPort):
 
     @property
     def pid(self) -> int:
-        """Process id of the child."""
         return self._child.pid
 
     @property
     def pose_address(self) -> int:
-        """Address of the newest pose: three doubles."""
         return int(self._ffi.cast("uintptr_t", self._context.newest.pose))
 
     def wire(self, wheel_of_channel: Sequence[int], sign_of_channel: Sequence[int]) -> None:
-        """Set which wheel (0 to 3: FL, FR, RR, RL) each channel of the plant port drives, and in which direction.
-
-        Raises BadInputError unless that is a permutation with signs 1 and -1, DeviceError when the FMU fails.
-        """
         self._request(
             {"kind": self._lib.REMOTE_WIRE, "wheel_of_channel": wheel_of_channel, "sign_of_channel": sign_of_channel}
         )
         self._wiring = (tuple(wheel_of_channel), tuple(sign_of_channel))
 
     def step(self, torque_n_m: Wheels, ticks: int = 1) -> None:
-        """Run the plant for a number of ticks under these torques of the channels, in single precision as on the wire.
-
-        Raises DeviceError when the FMU fails.
-        """
         first = self.truth().time_ns // TICK_NS
         drive = {"enabled": 1, "torque_n_m": list(torque_n_m)}
         for tick in range(first, first + ticks):
             self._request({"kind": self._lib.REMOTE_TICK, "drive": drive | {"tick": tick}})
 
     def wheel_speeds(self) -> Wheels:
-        """Return the true wheel speeds [rad/s]."""
         return Wheels(*self._ffi.unpack(self._context.newest.wheel_speed, 4))
 
     @property
     def message(self) -> str:
-        """Why the plant failed: the FMU's message, or how its process ended; empty while it has not failed."""
         if not self._context.failed:
             return ""
         if not self._text:
@@ -147,10 +135,7 @@ class RemotePlant(shim.PlantPort):
         return self._text
 
     def reset(self) -> None:
-        """Return to the start state; in a new process after a failure, or if the FMU cannot be reset.
-
-        Raises DeviceError when the plant is closed, or when the FMU cannot be opened again.
-        """
+        """As the base class does; in a new process after a failure, or if the FMU cannot be reset."""
         if self._closed:
             raise DeviceError("the plant is closed; make a new one")
         with self._waiting(self._timeout_s * _OPENING_STEPS):
@@ -161,7 +146,6 @@ class RemotePlant(shim.PlantPort):
         self._open()
 
     def close(self) -> None:
-        """Free the FMU and end its process. Closing twice is allowed."""
         if not self._closed:
             self._closed = True
             self._resources.close()
@@ -200,6 +184,5 @@ class RemotePlant(shim.PlantPort):
             self._watch.limit_s = self._timeout_s
 
     def _pending(self) -> int | None:
-        """Return the number of the request that waits for its reply, None when all have theirs."""
         asked = int(self._context.asked)
         return None if asked == self._context.answered else asked

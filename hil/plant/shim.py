@@ -11,10 +11,11 @@ from firmware_protocol.built import BuildError
 from firmware_protocol.fast_tuples import Number, Tuple, tuple_constructor
 from firmware_protocol.host import Loaded, load_library
 from hil.core.errors import BadInputError, DeviceError, nearest
-from hil.core.types import Pose, PoseFix, Twist
+from hil.core.plant_signals import INPUTS, OUTPUTS
+from hil.core.types import Pose, PoseFix, Twist, Wheels
 from hil.plant.built import COSIM, HEADERS
+from hil.plant.child_output import ChildOutput
 from hil.plant.mapping import Connection, Wiring
-from hil.plant.signals import INPUTS, OUTPUTS
 from hil.plant.start import Settable, count, elements_at_start, limits
 
 _NO_RANGE = (-math.inf, math.inf)
@@ -32,7 +33,7 @@ def load() -> tuple[Any, Any]:
 
 @functools.cache
 def loaded() -> Loaded:
-    """Return what ``load`` does, and what was loaded. Raises as ``load``."""
+    """Return the result of ``load``, and the library that it loaded. Raises as ``load``."""
     try:
         COSIM.make_current()
     except BuildError as error:
@@ -41,7 +42,6 @@ def loaded() -> Loaded:
 
 
 def address(name: str) -> int:
-    """Return the address of a C function of the shim."""
     ffi, library = load()
     return int(ffi.cast("uintptr_t", ffi.addressof(library, name)))
 
@@ -52,7 +52,11 @@ class PlantPort(ABC):
     The addresses hold as long as the object lives; the functions fail after ``close``. A context manager.
 
     Attributes:
+        settable: the variables that may be set between two ticks, by name.
         truth: returns pose and twist, world frame, with the time since the start.
+        output: what the plant's own process prints; None for a plant in this process.
+        lacks: the sensors (keys of ``plant_signals.SENSORS``) that the FMU does not have.
+        notices: remarks for the user on how the FMU is used.
     """
 
     _functions: ClassVar[str]
@@ -60,6 +64,9 @@ class PlantPort(ABC):
     _context: Any
     settable: Mapping[str, Settable]
     truth: Callable[[], PoseFix]
+    output: ChildOutput | None = None
+    lacks: frozenset[str]
+    notices: tuple[str, ...]
 
     @property
     def exchange_address(self) -> int:
@@ -77,7 +84,6 @@ class PlantPort(ABC):
         return int(load()[0].cast("uintptr_t", self._context))
 
     def _read_truth(self, time_ns: Number, pose: tuple[Number, ...], twist: tuple[Number, ...]) -> None:
-        """Set the places of the context that ``truth`` reads."""
         motion = Tuple(Pose, pose), Tuple(Twist, twist)
         self.truth = tuple_constructor(Tuple(PoseFix, (time_ns, *motion)), self._context)
 
@@ -97,8 +103,35 @@ class PlantPort(ABC):
 
     @property
     @abstractmethod
+    def pose_address(self) -> int:
+        """Address of the newest pose: three doubles."""
+
+    @abstractmethod
+    def wire(self, wheel_of_channel: Sequence[int], sign_of_channel: Sequence[int]) -> None:
+        """Set the wheel (0 to 3: FL, FR, RR, RL) and the direction that each channel of the plant port drives.
+
+        Raises BadInputError unless that is a permutation with signs 1 and -1, DeviceError when the FMU fails.
+        """
+
+    @abstractmethod
+    def step(self, torque_n_m: Wheels, ticks: int = 1) -> None:
+        """Apply the torques of the channels, in single precision as on the plant port, for a number of ticks.
+
+        Raises DeviceError when the FMU fails.
+        """
+
+    @abstractmethod
+    def wheel_speeds(self) -> Wheels:
+        """Return the true wheel speeds [rad/s]."""
+
+    @property
+    @abstractmethod
     def message(self) -> str:
-        """Why the last exchange failed; empty if it did not fail."""
+        """Why the plant failed, with the FMU's message if there is one; empty while it has not failed."""
+
+    @abstractmethod
+    def reset(self) -> None:
+        """Return to the start state, also after a failure. Raises DeviceError when the plant is closed or cannot."""
 
     @abstractmethod
     def close(self) -> None:
@@ -112,7 +145,7 @@ class PlantPort(ABC):
 
 
 def connect(context: Any, wiring: Wiring, access: Callable[[str, str], Any]) -> list[object]:
-    """Write a wiring into a ``cosim``; return what must live as long as that.
+    """Write a wiring into a ``cosim``; return the objects that must live as long as it.
 
     ``access`` gives a getter or setter of the FMU: that of ("Set", "Real") for example.
     """
@@ -140,7 +173,6 @@ def connect(context: Any, wiring: Wiring, access: Callable[[str, str], Any]) -> 
 
 
 def _names(signals: Sequence[str], connections: Sequence[Connection]) -> list[Any]:
-    """Return the signals' names for messages, with the FMU's own where it is another."""
     names = list(signals)
     for connection in connections:
         signal, variable = signals[connection.signal], connection.variable.name
@@ -155,7 +187,6 @@ def setter(access: Callable[[str, str], Any], kind: str) -> tuple[int, Any]:
 
 
 def c_type(kind: str) -> str:
-    """Return the C type of a number's FMI type."""
     name = _FMI2_TYPES.get(kind, kind)
     return _C_TYPES.get(name, f"{name.lower()}_t")
 

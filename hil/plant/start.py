@@ -133,7 +133,6 @@ def _checked(name: str, value: Value, fmu: Path, variables: Variables) -> Start:
 
 
 def _converted(given: str, value: Value, variable: Any) -> Value:
-    """Return the value in the type of the variable; ``given`` begins the message when it is not one."""
     kind = variable.type
     if kind in ("Boolean", "String"):
         if not isinstance(value, bool if kind == "Boolean" else str):

@@ -55,7 +55,7 @@ _NAMED = {  # by the end of the name of a signal or a parameter; the first that 
 
 
 class Conversion(NamedTuple):
-    """Signal = factor * variable + offset, but for the sign; ``notice`` tells of a conversion, or is empty."""
+    """Signal = factor * variable + offset, except for the sign; ``notice`` reports a conversion, or is empty."""
 
     factor: float
     offset: float
@@ -125,7 +125,6 @@ def _named(name: str) -> tuple[str, Unit]:
 
 
 def _unit_name(variable: Any) -> str:
-    """Return the name of a variable's unit, its own or its type's; empty without one."""
     return variable.unit or getattr(variable.declaredType, "unit", None) or ""
 
 

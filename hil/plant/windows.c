@@ -80,7 +80,7 @@ static int run_case(cosim *c, const cosim_windows *w, size_t number) {
     }
     place = keep(c, w, place);
     for (size_t row = 0; row < w->rows; row++, torque_n_m += 4) {
-        if (cosim_run(c, torque_n_m, w->steps_a_row) != 0) {
+        if (cosim_run(c, torque_n_m, 1) != 0) {
             return 1;
         }
         place = keep(c, w, place);

@@ -29,7 +29,6 @@ typedef struct {
     const size_t *output; /* of the enumeration of signals */
     size_t outputs;
     size_t rows; /* of every window */
-    uint32_t steps_a_row;
 
     const float *torque_n_m; /* windows x rows x 4, FL, FR, RR, RL */
     const size_t *window;    /* of each case */

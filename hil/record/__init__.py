@@ -1,19 +1,6 @@
-"""Recordings: rows through shared memory to a process that writes .rrd or .mcap, live viewers, layout (RECORDING.md).
+"""One run recorded and read back: rows through shared memory to a process that writes .rrd or .mcap (RECORDING.md).
 
-May import: `faults`, `estimation`, `core`. `recording.py` is the run's side, `recorder.py` the process.
-To add a view: `blueprint.py`; a format: a class as `RunFile` in `run_files.py` describes it.
+May import: `core`. `recording.py` is the run's side, `recorder.py` the process, `reader.py`
+reads a recording back. What viewers show of it besides the data is an add-on's (`viewing.py`).
+To add a format: a class with the methods of `McapFile`, in `RunFile` of `run_files.py`.
 """
-
-from hil.record.files import Rotation, check_is_recording, check_output_path, rotation
-from hil.record.recording import Recording, RecordingReport, RunRecording, early_recorder
-
-__all__ = [
-    "Recording",
-    "RecordingReport",
-    "Rotation",
-    "RunRecording",
-    "check_is_recording",
-    "check_output_path",
-    "early_recorder",
-    "rotation",
-]

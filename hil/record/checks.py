@@ -1,8 +1,7 @@
 """Check values of a recording: a CRC-32 for each row, event and property, with which a reader compares their content.
 
-They are data of the recording, so they outlive tools that write the file again. A row or event has a 64-bit word: its
-number in the run, modulo 2^32, and below it its CRC-32, XORed with the low 32 bits of 2654435761 times the number. So
-the numbers are checked too, and tell what is missing.
+They outlive tools that write the file again. A row or event has a 64-bit word: its number in the run, modulo 2^32, and
+below it its CRC-32, XORed with the low 32 bits of 2654435761 times the number. The numbers tell what is missing.
 """
 
 import json
@@ -55,18 +54,39 @@ def property_check(name: str, texts: Mapping[str, str]) -> str:
     return f"{zlib.crc32(json.dumps([name, dict(texts)], sort_keys=True).encode()):08x}"
 
 
-def with_check(name: str, texts: Mapping[str, str]) -> dict[str, str]:
-    """Return the texts of a property with its check value."""
-    return {**texts, CHECK: property_check(name, texts)}
+class Contained:
+    """Counts the contents of a file of a recording for the record at its end: rows, events and properties.
+
+    Rows and events are counted over the whole run; ``part`` has the numbers of the file's first ones.
+    """
+
+    def __init__(self, part: Mapping[str, Any]) -> None:
+        self._next_row, self._next_event = (int(part.get(name, 0)) for name in ("first_row", "first_event"))
+        self._properties: dict[str, None] = {}
+
+    def add_rows(self, count: int, first: int | None = None) -> int:
+        """Count these rows, and return the number of the first: ``first``, or that after the last one."""
+        first = self._next_row if first is None else first
+        self._next_row = first + count
+        return first
+
+    def add_event(self) -> int:
+        """Count an event and return its number."""
+        self._next_event += 1
+        return self._next_event - 1
+
+    def checked(self, name: str, texts: Mapping[str, str]) -> dict[str, str]:
+        """Return the texts of a property with its check value."""
+        self._properties[name] = None
+        return {**texts, CHECK: property_check(name, texts)}
+
+    def end(self) -> dict[str, Any]:
+        """Return the counts and names for the end of the file."""
+        return {"rows_until": self._next_row, "events_until": self._next_event, "holds": list(self._properties)}
 
 
 class WrittenBytes:
-    """Reads back, piece by piece, what was written to a file.
-
-    Attributes:
-        count: how many bytes were read.
-        crc32: of these bytes.
-    """
+    """Reads back, piece by piece, what was written to a file: ``count`` bytes, with their ``crc32``."""
 
     def __init__(self, path: Path) -> None:
         self._file = path.open("rb")

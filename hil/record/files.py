@@ -1,5 +1,6 @@
-"""Output files of a run: their names, and checks before the start that they can be written."""
+"""Output files of a run: their names, checks that they can be written, when they continue, and their quota."""
 
+import contextlib
 import errno
 import os
 import re
@@ -8,28 +9,24 @@ from datetime import datetime
 from pathlib import Path
 from typing import NamedTuple
 
-from hil.core.errors import BadInputError
+from hil.core.errors import BadInputError, apart
 from hil.core.outputs import Existing, check_free, free_name
-from hil.record.keeping import NoRoomError
 
 EXPECTED_FILE = "an .rrd or .mcap file made by 'hil run --record'"
 OUTPUTS = {
     "recording": (".rrd", ".mcap"),
     "trace": (".blf", ".asc", ".log"),
     "page": (".html",),
-    "overlay": (".rrd",),
-    "export": (".csv", ".parquet", ".mcap"),
-    "trajectory": (".csv",),
+    "export": (".csv", ".parquet"),
     "urdf": (".urdf",),
 }
-"""The kinds of output file of a run, its review or its robot, each with the extensions that it may have.
-
-A trace has Vector's binary or text format, or that of ``candump -L``.
-"""
+"""The kinds of output file, each with its extensions. A trace has Vector's formats, or that of ``candump -L``."""
 _MAGICS = {".rrd": b"RRF2", ".mcap": b"\x89MCAP0\r\n"}
 _ENDS = {".rrd": (b"RRF2FOOT", 4), ".mcap": (b"\x89MCAP0\r\n", 0)}  # and the bytes after it
 _BEGINNING_BYTES = 1 << 18  # larger than what a recording writes first
 _PROBE_BYTES = 1 << 20
+ROOM_BYTES = 16 << 20
+"""A new part of a recording is begun on a disk that has this much room."""
 _SMALLEST_BYTES = 1_000_000
 
 
@@ -72,6 +69,29 @@ def _first_file(path: Path) -> Path | None:
         return None
     first = path.with_name(name[1] + path.suffix)
     return first if first.exists() else None
+
+
+class NoRoomError(OSError):
+    """A quota is used up. Its ``strerror`` is a sentence for the user, with the remedy."""
+
+
+def check_quota(folder: Path, quota_bytes: int | None) -> None:
+    """Raise NoRoomError when the files ``.rrd`` and ``.mcap`` in a folder take more than a quota; None is no limit."""
+    if quota_bytes is None:
+        return
+    used_bytes = 0
+    with os.scandir(folder) as entries:
+        for entry in entries:
+            if entry.name.endswith(tuple(_MAGICS)) and entry.is_file(follow_symlinks=False):
+                with contextlib.suppress(FileNotFoundError):  # removed meanwhile
+                    used_bytes += entry.stat(follow_symlinks=False).st_size
+    if used_bytes > quota_bytes:
+        quota_gb = quota_bytes / 1e9
+        raise NoRoomError(
+            errno.EDQUOT,
+            f"the recordings in {folder} take {apart(used_bytes / 1e9, quota_gb)} GB, and {quota_gb:g} GB are allowed; "
+            "remove some, or allow more",
+        )
 
 
 def check_writable(folder: Path, size_bytes: int = _BEGINNING_BYTES) -> None:
@@ -141,61 +161,12 @@ def later_files(path: Path) -> list[Path]:
     return [found[number] for number in sorted(found) if number > 1]
 
 
-class Rotation(NamedTuple):
-    """When a recording continues in the next file: at a size, after a scenario time, or at the first of both."""
-
-    size_bytes: int | None = None
-    duration_s: float | None = None
-
-
-def rotation(text: str) -> Rotation:
-    """Read a rotation as a user writes it: ``1GB``, ``10min``, both as ``1GB|10min``, or ``none``.
-
-    Raises BadInputError for anything else, and for parts of less than 1 MB or 1 s.
-    """
-    sizes, times = {"kb": 1e3, "mb": 1e6, "gb": 1e9}, {"s": 1.0, "min": 60.0, "h": 3600.0}
-    found: dict[str, float] = {}
-    for part in () if text == "none" else text.split("|"):
-        match = re.fullmatch(r"\s*(\d+(?:\.\d+)?)\s*([a-z]+)\s*", part.lower())
-        unit = match[2] if match else ""
-        kind = "size" if unit in sizes else "time" if unit in times else ""
-        if match is None or not kind or kind in found:
-            raise BadInputError(
-                f"rotate {text!r}: expected a size, a time or both, or none, as in 1GB, 10min or 1GB|10min"
-            )
-        found[kind] = float(match[1]) * (sizes | times)[unit]
-    if found.get("size", _SMALLEST_BYTES) < _SMALLEST_BYTES or found.get("time", 1.0) < 1.0:
-        raise BadInputError(f"rotate {text!r}: expected at least 1MB or 1s for a part")
-    return Rotation(round(found["size"]) if "size" in found else None, found.get("time"))
-
-
 RUNS = Path("runs")
 """The folder of recordings for which no other is named."""
-_LONGEST_NAME = 200  # bytes; a file's name may have 255, and that of a later part is longer
-# All of ASCII that a shell leaves alone, and the letters of all scripts.
-_PLAIN_NAME = re.compile(r"[^\x00-/:-@\[-^`{-\x7f][^\x00-*/:-<>?\[-^`{-\x7f]*")
 
 
-def named_in(folder: Path, name: str) -> Path:
-    """Return the path of a recording ``name`` in a service's folder, which is made if missing.
-
-    Clients choose the name, and scripts of whoever looks after the folder meet it: one that a shell or a command takes
-    for more than a file's name is refused.
-
-    Raises BadInputError for a name that is not plain or too long, and when the folder cannot be made.
-    """
-    is_plain = _PLAIN_NAME.fullmatch(name) is not None and name.isprintable()  # no space is, but the one of ASCII
-    if not is_plain or len(name.encode()) > _LONGEST_NAME:
-        raise BadInputError(
-            f"recording {name[:_LONGEST_NAME]!r}: expected a file's name of at most {_LONGEST_NAME} bytes that begins "
-            "with a letter, a digit or _ and has only these and . , - + = @ in it; this service records to "
-            f"{folder} (service.recordings)"
-        )
-    _make(folder, "set service.recordings")
-    return folder / name
-
-
-def _make(folder: Path, remedy: str) -> None:
+def make_folder(folder: Path, remedy: str) -> None:
+    """Make a folder of recordings, if it is missing. Raises BadInputError, whose message ends with ``remedy``."""
     try:
         folder.mkdir(exist_ok=True)
     except OSError as error:
@@ -209,5 +180,29 @@ def new_in_runs(name: str, suffix: str, remedy: str, folder: Path = RUNS) -> Pat
 
     Raises BadInputError, whose message ends with ``remedy``, when the folder cannot be made.
     """
-    _make(folder, remedy)
+    make_folder(folder, remedy)
     return free_name(folder / f"{name}-{datetime.now():%Y%m%d-%H%M%S-%f}{suffix}")  # noqa: DTZ005 - the user's own time
+
+
+class Rotation(NamedTuple):
+    """When a recording continues in the next file: at a size, or after a scenario time."""
+
+    size_bytes: int | None = None
+    duration_s: float | None = None
+
+
+def rotation(text: str) -> Rotation:
+    """Read a rotation as a user writes it: ``1GB``, ``10min``, or ``none``.
+
+    Raises BadInputError for anything else, and for parts of less than 1 MB or 1 s.
+    """
+    sizes, times = {"kb": 1e3, "mb": 1e6, "gb": 1e9}, {"s": 1.0, "min": 60.0, "h": 3600.0}
+    if text == "none":
+        return Rotation()
+    match = re.fullmatch(r"\s*(\d+(?:\.\d+)?)\s*([a-z]+)\s*", text.lower())
+    if match is None or match[2] not in sizes | times:
+        raise BadInputError(f"rotate {text!r}: expected a size or a time, as in 1GB or 10min, or none")
+    most = float(match[1]) * (sizes | times)[match[2]]
+    if most < (_SMALLEST_BYTES if match[2] in sizes else 1.0):
+        raise BadInputError(f"rotate {text!r}: expected at least 1MB or 1s for a part")
+    return Rotation(size_bytes=round(most)) if match[2] in sizes else Rotation(duration_s=most)

@@ -1,24 +1,23 @@
-"""A recording as an MCAP file, which Foxglove and PlotJuggler open; needs no rerun.
+"""A recording as an MCAP file, which Foxglove and PlotJuggler open; needs no rerun and no ROS.
 
 Each row is one message on ``/hil``, of a ROS 2 message definition that holds the signals by their names, as in
 ``/hil.wheel.fl.speed_rad_s``, encoded as CDR: floats of 64 bits one after the other. Events are
-``rcl_interfaces/msg/Log`` on ``/events``. The robot is there as ROS has it, for Foxglove and RViz to draw: its URDF on
-``/robot_description``, its frames on ``/tf``. As all messages are ROS 2's, so is the profile. The properties and the
-summary are metadata records with the names of an .rrd file's properties. A chunk is closed whenever the recorder
-flushes, so a file that was cut off keeps everything that was flushed.
+``rcl_interfaces/msg/Log`` on ``/events``, which Foxglove lists as a log. All messages are of ROS 2, and so is the
+profile. The properties and the summary are metadata records with the names of an .rrd file's properties. A chunk is
+closed whenever the recorder flushes, so a file that was cut off keeps everything that was flushed.
 """
 
 import json
 import re
+import struct
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from mcap.writer import CompressionType, Writer
 
-from hil.record.checks import NUMBERS, with_check
-from hil.record.frames import RobotFrames
+from hil.record.checks import NUMBERS, Contained
 from hil.record.properties import (
     APPLICATION,
     PART_PROPERTY,
@@ -29,21 +28,38 @@ from hil.record.properties import (
     scenario_values,
 )
 from hil.record.ring import Rows
-from hil.record.ros_messages import (
-    CDR_HEADER,
-    LOG,
-    LOG_LEVELS,
-    STRING,
-    TF_MESSAGE,
-    Definition,
-    log_message,
-    string_message,
-)
+from hil.record.viewing import MakeFrames
 
 SIGNALS_TOPIC = "/hil"
 EVENTS_TOPIC = "/events"
-ROBOT_TOPIC, FRAMES_TOPIC = "/robot_description", "/tf"
 ZERO_KEY = "zero_unix_ns"
+CDR_HEADER = b"\0\1\0\0"  # little-endian
+LOG_LEVELS = {"debug": 10, "info": 20, "warning": 30, "error": 40}
+"""The numbers of the levels in ``rcl_interfaces/msg/Log``."""
+LENGTH, STAMP = struct.Struct("<I"), struct.Struct("<iI")
+_LEVEL_AT = 8
+
+
+class Definition(NamedTuple):
+    """A type of message, with the definitions of the types that it uses after its own."""
+
+    name: str
+    text: str
+
+
+def definition(name: str, *others: tuple[str, str], fields: str) -> Definition:
+    """Return a definition in the form that MCAP calls ``ros2msg``; ``others`` are the types used, with their fields."""
+    parts = [f"{fields}\n", *(f"MSG: {other}\n{inner}\n" for other, inner in others)]
+    return Definition(name, ("=" * 80 + "\n").join(parts))
+
+
+TIME = ("builtin_interfaces/Time", "int32 sec\nuint32 nanosec")
+LOG = definition(
+    "rcl_interfaces/msg/Log",
+    TIME,
+    fields="builtin_interfaces/Time stamp\nuint8 level\nstring name\nstring msg\nstring file\nstring function\n"
+    "uint32 line",
+)
 
 
 class McapFile:
@@ -51,9 +67,9 @@ class McapFile:
 
     Args:
         zero_unix_ns: Unix time at the run's t = 0 [ns], for the time stamps.
-        signals: names of the columns of every row.
-        properties: facts about the run, as texts by name.
+        signals: names of the columns of every row. properties: facts about the run, as texts by name.
         part: which file of the run it is (see ``hil.record.properties``).
+        make_frames: makes the messages by which viewers draw the robot (see ``hil.record.viewing``), or None.
     """
 
     def __init__(
@@ -64,12 +80,12 @@ class McapFile:
         signals: Sequence[str],
         properties: Mapping[str, str],
         part: Mapping[str, Any],
+        make_frames: MakeFrames | None,
     ) -> None:
         self._file = path.open("wb")
         self._zero_unix_ns = zero_unix_ns
         self._t_column = signals.index("loop.t_s")
-        self._next_row, self._next_event = (int(part.get(name, 0)) for name in ("first_row", "first_event"))
-        self._holds: list[str] = []
+        self._contained = Contained(part)
         self._last_ns = zero_unix_ns
         tree = _tree(signals)
         self._order = _leaves(tree)
@@ -81,11 +97,12 @@ class McapFile:
         self._property(PART_PROPERTY, {"json": json.dumps(part)})
         self._rows = self._channel(SIGNALS_TOPIC, Definition("hil/msg/Row", _definition(tree)))
         self._events = self._channel(EVENTS_TOPIC, LOG)
-        self._robot = RobotFrames.of(signals, scenario_values(properties))
-        if self._robot is not None:
-            self._frames = self._channel(FRAMES_TOPIC, TF_MESSAGE)
-            robot, message = self._channel(ROBOT_TOPIC, STRING), string_message(self._robot.urdf)
-            self._writer.add_message(robot, zero_unix_ns, message, zero_unix_ns)
+        self._frames = None if make_frames is None else make_frames(signals, scenario_values(properties))
+        self._topics: dict[str, int] = {}
+        if self._frames is not None:
+            self._topics = {topic: self._channel(topic, of) for topic, of in self._frames.topics.items()}
+            for topic, stamp_ns, message in self._frames.begin(zero_unix_ns):
+                self._writer.add_message(self._topics[topic], stamp_ns, message, stamp_ns)
         self.flush()
 
     def rows(self, rows: Rows, first: int | None = None) -> None:
@@ -93,18 +110,17 @@ class McapFile:
 
         None if it follows the last one. The number of a row is its message's sequence number.
         """
-        first = self._next_row if first is None else first
-        self._next_row = first + len(rows)
+        first = self._contained.add_rows(len(rows), first)
         values = rows[:, self._order].astype("<f8")
         data, width = values.tobytes(), 8 * values.shape[1]
         for i, t_s in enumerate(rows[:, self._t_column].tolist()):
             stamp_ns = self._last_ns = self._stamp_ns(t_s)
             message = CDR_HEADER + data[i * width : (i + 1) * width]
             self._writer.add_message(self._rows, stamp_ns, message, stamp_ns, (first + i) % NUMBERS)
-        if self._robot is not None:
+        if self._frames is not None:
             self._writer.flush()  # as before an event
-            for stamp_ns, message in self._robot.messages(rows, self._zero_unix_ns):
-                self._writer.add_message(self._frames, stamp_ns, message, stamp_ns)
+            for topic, stamp_ns, message in self._frames.messages(rows, self._zero_unix_ns):
+                self._writer.add_message(self._topics[topic], stamp_ns, message, stamp_ns)
             self._writer.flush()
 
     def event(self, t_s: float, level: str, text: str) -> None:
@@ -113,8 +129,7 @@ class McapFile:
         self._writer.flush()
         stamp_ns = self._stamp_ns(t_s)
         log = log_message(stamp_ns, LOG_LEVELS.get(level, LOG_LEVELS["info"]), APPLICATION, text)
-        self._writer.add_message(self._events, stamp_ns, log, stamp_ns, self._next_event % NUMBERS)
-        self._next_event += 1
+        self._writer.add_message(self._events, stamp_ns, log, stamp_ns, self._contained.add_event() % NUMBERS)
         self._writer.flush()
 
     def finish(self, summary: Mapping[str, object] | None, recorder: Mapping[str, int]) -> None:
@@ -122,8 +137,7 @@ class McapFile:
         self._writer.flush()
         if summary is not None:
             self._property(SUMMARY_PROPERTY, {"json": json.dumps(summary)})
-        end = {"rows_until": self._next_row, "events_until": self._next_event, "holds": self._holds}
-        self._property(RECORDER_PROPERTY, {"json": json.dumps({**end, **recorder})})
+        self._property(RECORDER_PROPERTY, {"json": json.dumps({**self._contained.end(), **recorder})})
 
     def flush(self) -> None:
         """Close the chunk and hand everything to the operating system."""
@@ -136,11 +150,9 @@ class McapFile:
 
     def _property(self, name: str, texts: Mapping[str, str]) -> None:
         """Write a property with its check value: MCAP has none for a metadata record."""
-        self._writer.add_metadata(name, with_check(name, texts))
-        self._holds.append(name)
+        self._writer.add_metadata(name, self._contained.checked(name, texts))
 
     def _channel(self, topic: str, of: Definition) -> int:
-        """Open a topic for messages of ROS 2 and return its channel."""
         schema = self._writer.register_schema(of.name, "ros2msg", of.text.encode())
         channel: int = self._writer.register_channel(topic, "cdr", schema)
         return channel
@@ -185,3 +197,38 @@ def _definition(tree: Mapping[str, Any]) -> str:
 
     define(tree, "Row")
     return ("=" * 80 + "\n").join(texts)
+
+
+def log_message(stamp_ns: int, level: int, name: str, text: str) -> bytes:
+    """Return a ``rcl_interfaces/msg/Log`` at a Unix time, without a place in a source file."""
+    body = bytearray(STAMP.pack(*divmod(stamp_ns, 1_000_000_000)) + bytes([level]))
+    for one in (name, text, "", ""):  # the last two: file, function
+        cdr_grown(body, 4, 0)
+        body += cdr_string(one)
+    cdr_grown(body, 4, 4)  # line
+    return CDR_HEADER + bytes(body)
+
+
+def log_fields(message: bytes) -> tuple[int, str]:
+    """Return the level and the text of a ``rcl_interfaces/msg/Log``. Raises struct.error or ValueError for damage."""
+    body = message[len(CDR_HEADER) :]
+    at = _LEVEL_AT + 4
+    (size,) = LENGTH.unpack_from(body, at)
+    at += LENGTH.size + size
+    at += -at % 4
+    (size,) = LENGTH.unpack_from(body, at)
+    at += LENGTH.size
+    return body[_LEVEL_AT], body[at : at + size - 1].decode()
+
+
+def cdr_string(text: str) -> bytes:
+    data = text.encode(errors="backslashreplace") + b"\0"
+    return LENGTH.pack(len(data)) + data
+
+
+def cdr_grown(body: bytearray, alignment: int, size: int) -> int:
+    """Align the end of a body (CDR aligns a number to its size), add ``size`` bytes and return where they begin."""
+    body += bytes(-len(body) % alignment)
+    at = len(body)
+    body += bytes(size)
+    return at

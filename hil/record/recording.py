@@ -12,8 +12,8 @@ from typing import Any, Protocol
 from hil.core.errors import HilError
 from hil.core.outputs import Existing, claim, release
 from hil.core.signals import SIGNAL_NAMES
+from hil.record import viewing
 from hil.record.files import Rotation, check_output_path, numbered_path
-from hil.record.keeping import Keeping
 from hil.record.ring import Kept
 from hil.record.ring_process import RingProcess
 from hil.record.started_process import WITH_RERUN, StartedProcess, rerun_environment
@@ -25,8 +25,7 @@ class RecordingReport:
 
     Attributes:
         path: the file, or None if there was only a live view.
-        rows_put: rows that the run passed to ``put``.
-        rows_written: rows that are safe in the files.
+        rows_put: rows that the run passed to ``put``; rows_written: those that are safe in the files.
         rows_dropped: rows that were discarded because the ring was full.
         rows_lost: rows that entered the ring but are not known to be in a file: the recorder ended, or could not write.
         events_lost: events that are not known to be in a file.
@@ -76,7 +75,9 @@ class RunRecording(AbstractContextManager["RunRecording"], Protocol):
 
 
 def _start_recorder(suffix: str | None, *, live: bool) -> StartedProcess:
-    arguments = [WITH_RERUN] if live or suffix == ".rrd" else []
+    arguments = []
+    if live or suffix == ".rrd":
+        arguments = [WITH_RERUN, *(place for name, place in viewing.places().items() if name == "drawing")]
     return StartedProcess("hil.record.recorder", rerun_environment(), *arguments)
 
 
@@ -84,12 +85,9 @@ def _start_recorder(suffix: str | None, *, live: bool) -> StartedProcess:
 def early_recorder(suffix: str | None, *, live: bool = False) -> Iterator[Callable[..., "Recording"]]:
     """Start the recorder process now, so that it imports its libraries while the run gets ready.
 
-    Yields a callable that makes the Recording. ``suffix`` is the file's, None for no file; with neither file nor live
-    viewers no process is started. One that no Recording uses ends with the context. Raises OSError if it cannot start.
+    Yields a callable that makes the Recording. ``suffix`` is the file's, None for live viewers alone. A process that no
+    Recording uses ends with the context. Raises OSError if it cannot start.
     """
-    if suffix is None and not live:
-        yield Recording
-        return
     with _start_recorder(suffix, live=live) as started:
         yield partial(Recording, started=started)
 
@@ -98,31 +96,22 @@ class Recording(RingProcess):
     """A sink that records in a separate process; a context manager.
 
     The recorder is ready after half a second, or sooner if it was ``started`` before. If the run dies, the recorder
-    finishes the file by itself. If the recorder dies, the run goes on: a new recorder continues in the next file
+    finishes the file on its own. If the recorder dies, the run goes on: a new recorder continues in the next file
     (``RUN-2.rrd``), beginning with the rows that were not safe yet. See RECORDING.md.
+
+    Raises BadInputError for a path or port that cannot be used, DeviceError when the recorder did not start.
 
     Args:
         path: the ``.rrd`` or ``.mcap`` file, or None if there is only a live view.
         properties: facts about the run, as texts by name (see ``hil.runtime.provenance``).
-        blocking: ``put`` waits while the ring is full (for lockstep); otherwise it drops the row and counts it.
         live_port: serve live viewers on this port of 127.0.0.1.
         capacity: rows that the ring holds.
-        signals: the names of a row's values; they must include ``loop.t_s``, ``loop.tick`` and the signals that are
-            drawn.
+        signals: the names of a row's values, with ``loop.t_s``, ``loop.tick`` and the signals that are drawn.
         rotation: when the recording continues in the next file.
-        keeping: what the folder of the file may hold. Where it lets older files go, parts that are gone are not lost.
+        quota_bytes: what the recordings in the folder of the file may take; None for no limit.
         existing: what to do if the file exists; attribute ``path`` has the name that was chosen.
         started: a recorder process that is already running (see ``early_recorder``); by default one is started now.
-        wait: return when the recorder is ready. Otherwise return at once, for a run in lockstep: its rows wait in the
-            ring, and what the recorder refuses is raised by ``put`` when the ring is full, or by ``finish``.
-
-    Raises:
-        BadInputError: the path cannot be written, or the port cannot be used.
-        DeviceError: the recorder process did not start.
-
-    Attributes:
-        path: the file, or None if there is only a live view.
-        put: takes one row in the order of the signals; raises ValueError when its length is wrong.
+        blocking, wait: as of ``RingProcess``.
     """
 
     def __init__(
@@ -135,17 +124,18 @@ class Recording(RingProcess):
         capacity: int = 16384,
         signals: Sequence[str] = SIGNAL_NAMES,
         rotation: Rotation = Rotation(),  # noqa: B008 -- immutable
-        keeping: Keeping = Keeping(),  # noqa: B008 -- immutable
+        quota_bytes: int | None = None,
         existing: Existing = "refuse",
         started: StartedProcess | None = None,
         wait: bool = True,
     ) -> None:
+        if live_port is not None:
+            viewing.check_live(live_port)
         if path is not None:
             check_output_path("recording", path, existing)
             path = claim("recording", path, existing)
         self.path = path
         self._existing = existing
-        self._keeping = keeping
         self._live_port = live_port
         self._result: RecordingReport | None = None
         config = {
@@ -156,7 +146,8 @@ class Recording(RingProcess):
             "recording_id": str(uuid.uuid4()),
             "zero_unix_ns": time.time_ns(),
             "rotate": list(rotation),
-            "keep": list(keeping),
+            "quota_bytes": quota_bytes,
+            "viewer": viewing.places(),
         }
         try:
             super().__init__(
@@ -165,9 +156,6 @@ class Recording(RingProcess):
                 width=len(signals),
                 capacity=capacity,
                 blocking=blocking,
-                name="the recorder",
-                remedy="run without a recording to go on",
-                restart=True,
                 wait=wait,
             )
         except BaseException:
@@ -228,8 +216,6 @@ class Recording(RingProcess):
         gone = [number for number, path in paths.items() if not path.exists()]
         rows_gone, events_gone = sum(kept[number].rows for number in gone), sum(kept[number].lines for number in gone)
         written = self.ring.saved - rows_gone
-        if self._keeping.removes:  # they have given way to newer ones
-            rows_gone = events_gone = 0
         lost = 0 if self.path is None else self.ring.head - self.ring.saved + rows_gone
         events_lost = self.lines_lost + events_gone
         troubles = [f"the recorder ended: {trouble}" for trouble in self.troubles]

@@ -37,14 +37,11 @@ _HEADER_BYTES = 8 * (_TABLE + 2 * MOST_FILES)
 class SharedBlock:
     """A block of zeroed memory that a child process maps too; it is gone with the last process that maps it.
 
-    It has no name in the file system: on POSIX the child inherits a descriptor, on Windows the kernel counts the
-    handles. (A block of ``multiprocessing.shared_memory`` has a name, outlives a SIGKILL, and is unlinked by the
-    resource tracker of whichever process ends first.)
+    It has no name in the file system, unlike one of ``multiprocessing.shared_memory``, which outlives a SIGKILL: on
+    POSIX the child inherits a descriptor, on Windows the kernel counts the handles.
 
-    Attributes:
-        buffer: the bytes, writable by both sides; empty before ``allocate``.
-        token: ``"fd:N"`` or ``"tag:NAME"``, which the child gives to ``attach``.
-        pass_fds: descriptors that ``subprocess.Popen`` has to hand on (empty on Windows).
+    ``buffer`` has the bytes, none before ``allocate``. ``token``, ``"fd:N"`` or ``"tag:NAME"``, is for ``attach``.
+    ``pass_fds`` are descriptors that ``subprocess.Popen`` has to hand on (none on Windows).
     """
 
     def __init__(self, token: str, fd: int | None) -> None:
@@ -173,9 +170,8 @@ class _Counts:
 class RingWriter(_Counts):
     """The producer's side. Raises ValueError for a capacity or width below one.
 
-    Attributes:
-        try_put: stores one row and returns True. When the ring is full, it stores nothing and returns
-            ``when_full(row)``. Raises ValueError for a row of the wrong width.
+    ``try_put`` stores one row and returns True; when the ring is full, it stores nothing and returns
+    ``when_full(row)``. It raises ValueError for a row of the wrong width.
     """
 
     def __init__(
@@ -266,7 +262,7 @@ class RingReader(_Counts):
         self._words[_TAIL] = stop
 
     def add_lines_saved(self, count: int) -> None:
-        """Count so many more lines as safe in a file."""
+        """Count ``count`` more lines as safe in a file."""
         self._words[_LINES] += count
 
     def begin_file(self, number: int) -> None:

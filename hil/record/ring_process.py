@@ -1,8 +1,8 @@
-"""A separate process that writes or sends a run's data: rows go to it through a ring, lines through a pipe.
+"""The recorder process as the run sees it: rows go to it through a ring, lines through a pipe.
 
-If the run dies, the process finishes its file by itself. If the process dies, the run goes on, and with ``restart`` a
-new process replaces it: unsaved rows are still in the ring, and unsaved lines are sent again. ``hil.record.ring_child``
-is the other side.
+If the run dies, the recorder finishes its file on its own. If it dies, the run goes on and another one is started, at
+most six times in a row, after a pause of 0.1 s that doubles each time: unsaved rows are still in the ring, and unsaved
+lines are sent again. ``hil.record.recorder`` is the other side.
 """
 
 import os
@@ -28,20 +28,13 @@ _LONG_LIFE_S = 60.0  # after a longer life the starts are counted from one again
 
 
 class RingProcess:
-    """Sends rows and lines to a ``StartedProcess`` and receives its report; a context manager.
-
-    Without ``blocking`` the process cannot delay a tick.
+    """Sends rows and lines to a ``StartedProcess``, receives its report; a context manager. Raises as ``wait_ready``.
 
     Args:
         config: settings of the process, as JSON values.
         blocking: ``put`` waits while the ring is full (for lockstep); otherwise it drops the row and counts it.
-        name: the process's name in messages. remedy: what the messages advise the user to do.
-        restart: start another process when this one dies, at most six times in a row, after a pause of 0.1 s that
-            doubles each time; its config then has ``restarts`` above 0.
         wait: return when the process is ready. Otherwise return at once: rows wait in the ring, and ``put`` calls
             ``wait_ready`` when the ring is full, ``end`` in any case.
-
-    Raises as ``wait_ready``.
 
     Attributes:
         put: takes one row; raises ValueError when its width is wrong.
@@ -58,15 +51,10 @@ class RingProcess:
         width: int,
         capacity: int,
         blocking: bool,
-        name: str,
-        remedy: str,
-        restart: bool = False,
-        wait: bool = True,
+        wait: bool,
     ) -> None:
-        self._name = name
-        self._remedy = remedy
         self._waits = blocking
-        self._restart = restart
+        self._restart = True
         self._child = started
         size = ring_bytes(capacity, width)
         self.ring = RingWriter(started.block.allocate(size), capacity, width, self._put_later)
@@ -110,9 +98,9 @@ class RingProcess:
 
     @property
     def failing(self) -> str | None:
-        """Why the process cannot write at present, as it says itself, or why there is none any more; else None."""
+        """Why the process cannot write at present, as it reports, or why it has ended; else None."""
         if self._gone.is_set() and not self._closing.is_set() and self.troubles:
-            return f"{self._name} ended: {self.troubles[-1]}"
+            return f"the recorder ended: {self.troubles[-1]}"
         return self._failing
 
     def wait_ready(self) -> None:
@@ -125,7 +113,7 @@ class RingProcess:
         if "refused" in self._first_reply:
             raise BadInputError(str(self._first_reply["refused"]))
         if not self._first_reply:
-            raise DeviceError(f"{self._name} did not start: {self.troubles[-1]}; {self._remedy}")
+            raise DeviceError(f"the recorder did not start: {self.troubles[-1]}; run without a recording to go on")
 
     def send(self, record: Mapping[str, object]) -> None:
         """Send a line. Never waits, neither for the process nor for its restart."""
@@ -144,7 +132,7 @@ class RingProcess:
             self._last_line = {"finish": dict(summary), "keep_live": keep_live}
             if self._takes_lines:
                 self._child.lines.send(self._last_line, always=True)
-        return self._report() or {"error": f"{self._name} ended before the run: {self.troubles[-1]}"}
+        return self._report() or {"error": f"the recorder ended before the run: {self.troubles[-1]}"}
 
     def close(self) -> None:
         """End the process, with or without a report, and free everything. Closing twice is allowed."""
@@ -216,7 +204,7 @@ class RingProcess:
         self._gone.set()
 
     def _start_next(self) -> bool:
-        """Start a process that replaces the one that ended; False when that fails, or the run is over."""
+        """Replace the process that ended by a new one; False when that fails, or the run is over."""
         with self._swap:
             if self._closing.is_set():
                 return False
@@ -225,7 +213,7 @@ class RingProcess:
             try:
                 self._child = self._child.again()
             except OSError as error:
-                self.troubles.append(f"{self._name} could not be started again: {error}")
+                self.troubles.append(f"the recorder could not be started again: {error}")
                 return False
             self.restarts += 1
             self._failing = None

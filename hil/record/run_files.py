@@ -10,40 +10,41 @@ import shutil
 import time
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 
 from hil.core.errors import remedy
 from hil.core.outputs import release
-from hil.record.files import Rotation, check_writable, has_end, numbered_path, why_not_written
-from hil.record.keeping import ROOM_BYTES, Keeping, NoRoomError
+from hil.record import viewing
+from hil.record.files import (
+    ROOM_BYTES,
+    NoRoomError,
+    Rotation,
+    check_quota,
+    check_writable,
+    has_end,
+    numbered_path,
+    why_not_written,
+)
 from hil.record.ring import MOST_FILES, RingReader, Rows
-from hil.record.ring_child import Record, RefusedError
+
+if TYPE_CHECKING:
+    from hil.record.mcap_file import McapFile
+    from hil.record.stream import Stream
 
 BATCH_ROWS = 1000
+Record = dict[str, Any]
 _FIRST_BACK_OFF_S = 0.5
 _LONGEST_BACK_OFF_S = 8.0
 _LOOK_EVERY_S = 0.5  # after the room in the folder
 
 
-class RunFile(Protocol):
-    """A file of a recording. Its methods raise RuntimeError or OSError when it cannot be written."""
+class RefusedError(Exception):
+    """The recorder cannot do what its config asks for; the text is a sentence for the user."""
 
-    def rows(self, rows: Rows, first: int) -> None:
-        """Write rows of shape (n, signals); ``first`` is the number of the first of them in the run."""
 
-    def event(self, t_s: float, level: str, text: str) -> None:
-        """Write a line of the event log."""
-
-    def finish(self, summary: Mapping[str, object] | None, recorder: Mapping[str, int]) -> None:
-        """Write the recorder's counts for this file and, unless it is None, the run's summary."""
-
-    def flush(self) -> None:
-        """Hand everything to the operating system."""
-
-    def close(self) -> None:
-        """Write the file's end."""
+RunFile: TypeAlias = "McapFile | Stream"
 
 
 class RunFiles:
@@ -52,9 +53,8 @@ class RunFiles:
     Raises RefusedError when the first file of a run cannot be opened.
 
     Attributes:
-        trouble: the newest reason why a file could not be written, or None.
-        failing: why nothing can be written at present, or None.
-        summary_trouble: why the run's summary is in none of the files, or None.
+        trouble: the newest reason why a file could not be written; failing: why nothing can be written at present.
+        summary_trouble: why the run's summary is in none of the files. Each is None if there is no reason.
     """
 
     def __init__(self, config: Record, ring: RingReader) -> None:
@@ -63,9 +63,7 @@ class RunFiles:
         self.summary_trouble: str | None = None
         self._config = config
         self._path = Path(config["path"])
-        size_bytes, duration_s = config["rotate"]
-        self._keeping = Keeping(*config["keep"])
-        self._rotation = Rotation(self._keeping.part_bytes(size_bytes), duration_s)
+        self._rotation = Rotation(*config["rotate"])
         self._is_held = False  # because the quota is used up; the file stays open
         self._look_s = 0.0
         self._ring = ring
@@ -75,8 +73,8 @@ class RunFiles:
         self._file_path = self._path
         self._identity: tuple[int, int] | None = None
         self._begun_s: float | None = None
-        # Files that could not be written are kept and never closed: rerun may wait for ever to close one whose disk is
-        # full. rerun's error holds a file that was opened only in part.
+        # Files that could not be written are kept and never closed: rerun may wait forever to close one on a full disk.
+        # If a file was opened only in part, rerun's error holds it.
         self._abandoned: list[object] = []
         self._next_try_s = self._back_off_s = 0.0
         try:
@@ -133,7 +131,7 @@ class RunFiles:
     def _look_after_room(self) -> None:
         """Write nothing while the quota is used up; rows wait in the ring meanwhile."""
         try:
-            self._keeping.make_room(self._file_path)
+            check_quota(self._file_path.parent, self._config["quota_bytes"])
         except NoRoomError as error:
             self._is_held = True
             self.failing = self.trouble = why_not_written(self._file_path, error)
@@ -161,7 +159,7 @@ class RunFiles:
         counts = {
             "rows_written": written,
             "rows_dropped": ring.dropped,
-            "rows_lost": ring.tail - (ring.saved if self._keeping.removes else written),
+            "rows_lost": ring.tail - written,
             "rows_in_part": kept[max(kept)].rows,
             "rows_until": ring.tail,
         }
@@ -195,7 +193,7 @@ class RunFiles:
         path = numbered_path(self._path, number)
         if number > 1:
             path.parent.mkdir(parents=True, exist_ok=True)
-        self._keeping.make_room(path)
+        check_quota(path.parent, self._config["quota_bytes"])
         if number > 1 and shutil.disk_usage(path.parent).free < ROOM_BYTES:
             raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
         # rerun may wait for ever for a file of which it cannot write the beginning.
@@ -268,7 +266,6 @@ class RunFiles:
 
 
 def _identity(path: Path) -> tuple[int, int] | None:
-    """Return device and inode number of the file; None when there is none."""
     try:
         status = path.stat()
     except OSError:
@@ -288,7 +285,8 @@ def _open_file(path: Path, config: Record, part: Mapping[str, Any]) -> RunFile:
     if path.suffix == ".mcap":
         from hil.record.mcap_file import McapFile
 
-        return McapFile(path, int(config["zero_unix_ns"]), part=part, **columns)
+        frames = viewing.part("frames", config["viewer"])
+        return McapFile(path, int(config["zero_unix_ns"]), part=part, make_frames=frames, **columns)
     # Only here, and for live viewers: a machine for which there is no rerun records to .mcap.
     import rerun as rr
 
@@ -296,4 +294,5 @@ def _open_file(path: Path, config: Record, part: Mapping[str, Any]) -> RunFile:
 
     rr.set_strict_mode(True)
     identity = {"recording_id": config["recording_id"], "part": part}
-    return Stream(rr.FileSink(path), path=path, live=False, **identity, **columns)
+    drawing = viewing.part("drawing", config["viewer"])
+    return Stream(rr.FileSink(path), path=path, make_drawing=drawing, **identity, **columns)

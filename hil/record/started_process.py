@@ -14,7 +14,7 @@ from hil.record.ring import SharedBlock
 _WAIT_S = 0.0005
 
 WITH_RERUN = "rerun"
-"""Argument of the recorder process: import rerun at once, before the config comes."""
+"""Argument of the recorder process: import rerun, and the places that follow, at once, before the config comes."""
 
 
 def rerun_environment() -> dict[str, str]:
@@ -65,18 +65,11 @@ class StartedProcess:
     """``python -m module`` with its pipes and the block that it shares; a context manager that leaves nothing behind.
 
     It is started before its task is known, because importing its libraries takes as long as everything else before a
-    run's first tick. It then waits for its config. Give it to one ``RingProcess``, which sends the config and ends the
-    process. Without one it does nothing, and ends with the context.
+    run's first tick. It then waits for the config of a ``RingProcess``. Without one it ends with the context.
+    ``arguments`` are those that the module needs before. ``block`` is the shared memory of the process that it
+    replaces; by default a new one, not allocated yet. Raises OSError when the process cannot be started.
 
-    Args:
-        arguments: command-line arguments that the module needs before its config.
-        block: the shared memory of the process that it replaces; by default a new block, not allocated yet.
-
-    Raises OSError when the process cannot be started.
-
-    Attributes:
-        lines, replies: what is written to the process and read from it.
-        started_s: when it was started, on the monotonic clock.
+    ``lines`` and ``replies`` are written to and read from it; ``started_s`` is its start on the monotonic clock.
     """
 
     def __init__(

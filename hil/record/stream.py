@@ -1,7 +1,7 @@
-"""Recordings and live views in rerun's format: rows, events and properties become columns of a stream.
+"""Recordings in rerun's format: rows, events and properties become columns of a stream.
 
 A stream has one sink: a file, or a server that live viewers pull from. (A file and a pushing sink in one stream stall
-each other when no viewer listens.) This module and the drawings that it calls write with rerun.
+each other when no viewer listens.)
 """
 
 import json
@@ -10,18 +10,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 import rerun as rr
-import rerun.blueprint as rrb
 
 from hil.core.printable import printable
-from hil.record.blueprint import blueprint, first_blueprint
-from hil.record.checks import WORDS, Words, WrittenBytes, event_check, numbered, row_crcs, with_check
-from hil.record.claims import ClaimWatch, claims
-from hil.record.course import Course, moments, windows
-from hil.record.curves import Curves
-from hil.record.drawings import RowTimes, Scene, Trails, indexes, nanoseconds, seconds_index, whole_times
-from hil.record.layout import layout
-from hil.record.limits import limits
+from hil.record.checks import WORDS, Contained, Words, WrittenBytes, event_check, numbered, row_crcs
 from hil.record.properties import (
     APPLICATION,
     PART_PROPERTY,
@@ -30,32 +23,63 @@ from hil.record.properties import (
     SIGNALS_PATH,
     SIGNALS_PROPERTY,
     SUMMARY_PROPERTY,
-    page,
-    scenario_values,
 )
 from hil.record.ring import Rows
-from hil.record.robot_model import RobotShape
-from hil.record.shadow_curves import ShadowCurves
-from hil.record.states import States
-from hil.record.verdict import running, verdict
-from hil.record.views import LOG, VERDICT
+from hil.record.viewing import MakeDrawing
 
 _DRAWN_AT_ONCE = 2000
 _LEVELS = {"debug": "DEBUG", "info": "INFO", "warning": "WARN", "error": "ERROR"}
 _FLUSH_TIMEOUT_S = 10.0
-_SETTLED_S = 5.0
+
+Times = npt.NDArray[np.float64]
+"""Scenario time [s] and tick of each row, shape (n, 2)."""
+
+
+def seconds_index(t_s: npt.NDArray[np.float64]) -> rr.TimeColumn:
+    """Return rerun's timeline ``t`` [s since the first ACTIVE tick], for times of shape (n,)."""
+    return rr.TimeColumn("t", duration=nanoseconds(t_s).astype("timedelta64[ns]"))
+
+
+def nanoseconds(t_s: npt.NDArray[np.float64]) -> npt.NDArray[np.int64]:
+    """Return times as rerun stores them."""
+    return np.rint(t_s * 1e9).astype(np.int64)
+
+
+def whole_times(times: Times) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
+    """Return time [ns] and tick of each row as rerun stores them."""
+    return nanoseconds(times[:, 0]), np.rint(times[:, 1]).astype(np.int64)
+
+
+def indexes(times: Times) -> list[rr.TimeColumn]:
+    """Return both timelines: ``t``, and the number of the tick."""
+    return [seconds_index(times[:, 0]), rr.TimeColumn("tick", sequence=whole_times(times)[1])]
+
+
+class RowTimes:
+    """Returns time and tick of each row; a value that is not finite becomes the last finite one of any call."""
+
+    def __init__(self, column: Mapping[str, int]) -> None:
+        self._columns = [column["loop.t_s"], column["loop.tick"]]
+        self._last = np.zeros(2)
+
+    def __call__(self, rows: Rows) -> Times:
+        """Return the times of rows of shape (n, signals)."""
+        times = np.vstack([self._last, rows[:, self._columns]])
+        finite = np.isfinite(times)
+        newest = np.maximum.accumulate(np.where(finite, np.arange(len(times))[:, None], 0), axis=0)
+        times = np.take_along_axis(times, newest, axis=0)
+        self._last = times[-1]
+        return times[1:]
 
 
 class Stream:
     """A rerun stream into one sink. Raises RuntimeError (from rerun) when the sink cannot be opened.
 
     Args:
-        sink: ``rr.FileSink`` or ``rr.GrpcServerSink``.
         recording_id: the same for the file and the live stream of a run: viewers merge them.
-        signals: names of the columns of every row.
-        properties: facts about the run, as texts by name. Its ``scenario`` gives the robot's size, the limits and the
-            faults; what is missing there is not drawn.
-        live: for live viewers, which get only the signals that are drawn, and views of the last seconds.
+        signals: names of the columns of every row. properties: facts about the run, as texts by name.
+        make_drawing: makes what viewers show (see ``hil.record.viewing``); None for rows, events and properties alone.
+        live: for live viewers, which get the drawing and no rows.
         part: which file of the run it is (see ``hil.record.properties``); None for a run in one file.
         path: the file of the sink, so that its end can tell its bytes' CRC-32; None for a sink without a file.
     """
@@ -67,40 +91,29 @@ class Stream:
         recording_id: str,
         signals: Sequence[str],
         properties: Mapping[str, str],
-        live: bool,
+        make_drawing: MakeDrawing | None,
+        live: bool = False,
         part: Mapping[str, Any] | None = None,
         path: Path | None = None,
     ) -> None:
-        self._column = {name: i for i, name in enumerate(signals)}
-        self._layout = layout(signals)
-        self._properties = dict(properties)
-        self._live = live
-        values = scenario_values(properties)
-        self._shape = RobotShape.of(values)
-        claimed = claims(values)
-        self._watches = [ClaimWatch(claim, self._column, values) for claim in claimed]
-        self._times = RowTimes(self._column)
-        self._drawn_times = RowTimes(self._column)
+        self._times = RowTimes({name: i for i, name in enumerate(signals)})
         self._undrawn: list[Rows] = []
-        self._span_s: tuple[float, float] | None = None  # of the rows that were drawn
-        self._troubles: list[str] = []
+        self._contained = Contained(part or {})
         self._rerun = rr.RecordingStream(APPLICATION, recording_id=recording_id)
-        self._states = States(self._rerun, self._column, values, claimed, live=live)
-        self._curves = Curves(self._rerun, self._layout, self._column, limits(values, claimed, self._layout), live=live)
-        self._shadows = ShadowCurves(self._rerun, self._layout, self._column)
-        views = first_blueprint(self._layout, limits=self._curves.limits, shape=self._shape, live=live)
+        self._drawing = None if make_drawing is None else make_drawing(self._rerun, signals, properties, live)
+        views = None if self._drawing is None else self._drawing.blueprint
         self._rerun.set_sinks(sink, default_blueprint=views)
-        self._drawings: list[Trails | Scene | ShadowCurves] = [Trails(self._rerun, self._column), self._shadows]
-        if self._shape is not None:
-            torque_constant_n_m_a = values.get("firmware.torque_constant_n_m_a")
-            self._drawings.append(Scene(self._rerun, self._column, self._shape, torque_constant_n_m_a))
-        about = part or {}
-        self._next_row, self._next_event = (int(about.get(name, 0)) for name in ("first_row", "first_event"))
-        self._holds: list[str] = []
         self._written = None if path is None else WrittenBytes(path)
         if part is not None:
             self._property(PART_PROPERTY, {"json": json.dumps(part)})
-        self._describe()
+        held = {} if live else {SIGNALS_PATH: list(signals)}
+        self._property(SIGNALS_PROPERTY, {"json": json.dumps(held)})
+        if properties:
+            self._property(RUN_PROPERTY, properties)
+        if "scenario_name" in properties:
+            self._rerun.send_recording_name(properties["scenario_name"])
+        if self._drawing is not None:
+            self._drawing.describe()
         self.flush()
 
     def rows(self, rows: Rows, first: int | None = None) -> None:
@@ -110,76 +123,40 @@ class Stream:
         The views get them later, about ``_DRAWN_AT_ONCE`` rows at once: few large pieces need less disk, and each piece
         takes 2.8 kB in a reader's index.
         """
-        first = self._next_row if first is None else first
-        self._next_row = first + len(rows)
+        first = self._contained.add_rows(len(rows), first)
         times = self._times(rows)
-        words = numbered(np.arange(first, self._next_row), row_crcs(*whole_times(times), rows))
+        words = numbered(np.arange(first, first + len(rows)), row_crcs(*whole_times(times), rows))
         columns = [*rr.Scalars.columns(scalars=rows), *_words(words)]
         self._rerun.send_columns(SIGNALS_PATH, indexes(times), columns)
-        self._undrawn.append(rows)
-        if sum(map(len, self._undrawn)) >= _DRAWN_AT_ONCE:
-            self._draw_rest()
+        if self._drawing is not None:
+            self._undrawn.append(rows)
+            if sum(map(len, self._undrawn)) >= _DRAWN_AT_ONCE:
+                self._draw_rest()
 
     def draw(self, rows: Rows) -> None:
-        """Write what the views show of rows of shape (n, signals): signals, states, bounds, trails and the robot."""
-        if not len(rows):
-            return
-        times = self._drawn_times(rows)
-        self._span_s = (times[0, 0] if self._span_s is None else self._span_s[0], times[-1, 0])
-        checked = [(watch.claim, watch(rows)) for watch in self._watches]
-        self._states.rows(rows, times, checked)
-        drawn = len(self._curves.drawn)
-        self._curves.rows(rows, times, checked)
-        for drawing in self._drawings:
-            drawing.rows(rows, times)
-        if self._live and len(self._curves.drawn) != drawn:
-            # Live viewers get only what is drawn, and show no plot that would be empty. A new layout takes back what
-            # the user has changed in it, so it comes at the beginning alone.
-            self._say_where({entity.path: [one.signal for one in entity.series] for entity in self._curves.drawn})
-            if self._span_s[1] - self._span_s[0] < _SETTLED_S:
-                self._rerun.send_blueprint(self._views(None))
+        """Write what the views show of rows of shape (n, signals)."""
+        if self._drawing is not None and len(rows):
+            self._drawing.rows(rows)
 
     def event(self, t_s: float, level: str, text: str) -> None:
         """Write a line of the event log at scenario time ``t_s``."""
-        index = [seconds_index(np.array([t_s]))]
         level, text = _LEVELS.get(level, "INFO"), printable(text)
-        word = event_check(self._next_event, int(nanoseconds(np.array([t_s]))[0]), level, text)
-        self._next_event += 1
-        checks = _words(np.array([word], np.uint64))
+        number, t_ns = self._contained.add_event(), int(nanoseconds(np.array([t_s]))[0])
+        checks = _words(np.array([event_check(number, t_ns, level, text)], np.uint64))
+        index = [seconds_index(np.array([t_s]))]
         self._rerun.send_columns("/events", index, [*rr.TextLog.columns(text=[text], level=[level]), *checks])
-        timed = rr.TextLog.columns(text=[f"{t_s:.3f} s  {text}"], level=[level])
-        self._rerun.send_columns(LOG, index, timed)
-        if level == "ERROR":
-            self._troubles.append(text)
-            self._tell(running(self._properties, self._troubles))
+        if self._drawing is not None:
+            self._drawing.event(t_s, level, text)
 
     def finish(self, summary: Mapping[str, object] | None, recorder: Mapping[str, int]) -> None:
-        """Write the run's summary, also to the page, unless it is None; then the recorder's counts.
-
-        The layout becomes that of a review: by now it is known what the run has, and where to look.
-        """
+        """Write the run's summary, unless it is None; then the recorder's counts."""
         self._draw_rest()
-        begin_s, end_s = self._span_s or (0.0, 0.0)
-        violations = [watch.violation_s for watch in self._watches if watch.violation_s is not None]
-        first = min(violations, default=None)
-        failed_s = None if first is None else first[0]
-        self._states.finish(summary, end_s, failed_s)
-        next_part, troubles = recorder.get("next_part"), self._troubles
-        said = verdict(
-            self._properties, summary, end_s=end_s, failed_s=failed_s, next_part=next_part, troubles=troubles
-        )
-        self._tell(said)
         if summary is not None:
             self._property(SUMMARY_PROPERTY, {"json": json.dumps(summary)})
-            self._page(summary)
-        if self._span_s is not None:
-            happened = moments(self._watches, self._states.begun, summary, end_s)
-            found = windows(begin_s, end_s, summary, happened)
-            violated, lines = tuple(self._curves.violated), said.count("\n- ") + 1
-            course = Course(begin_s, end_s, violated, first, found, self._states.count, lines)
-            self._rerun.send_blueprint(self._views(course))
+        if self._drawing is not None:
+            self._drawing.finish(summary, recorder.get("next_part"))
         # A reader takes a file without these for one that was cut off.
-        end: dict[str, object] = {"rows_until": self._next_row, "events_until": self._next_event, "holds": self._holds}
+        end = self._contained.end()
         if self._written is not None:
             self.flush()
             end |= {"bytes": self._written.count, "crc32": self._written.crc32}
@@ -199,45 +176,10 @@ class Stream:
         if self._written is not None:
             self._written.close()
 
-    def _views(self, course: Course | None) -> rrb.Blueprint:
-        shadows = {law: self._shadows.rms(law) for law in self._shadows.laws}
-        is_live = self._live and course is None
-        limited = self._curves.limits
-        entities = self._curves.drawn
-        return blueprint(entities, limits=limited, shape=self._shape, live=is_live, shadows=shadows, course=course)
-
-    def _describe(self) -> None:
-        # This tells a reader where each signal is.
-        self._say_where({} if self._live else {SIGNALS_PATH: list(self._column)})
-        if self._properties:
-            self._property(RUN_PROPERTY, self._properties)
-        if "scenario_name" in self._properties:
-            self._rerun.send_recording_name(self._properties["scenario_name"])
-        for drawing in self._drawings:
-            drawing.describe()
-        self._page(None)
-        self._tell(running(self._properties, ()))
-
-    def _say_where(self, held: Mapping[str, Sequence[str]]) -> None:
-        self._property(SIGNALS_PROPERTY, {"json": json.dumps(held)})
-
     def _property(self, name: str, texts: Mapping[str, str]) -> None:
-        """Write a property with its check value."""
-        self._rerun.send_property(name, rr.AnyValues(drop_untyped_nones=True, **with_check(name, texts)))
-        if name not in self._holds:
-            self._holds.append(name)
-
-    def _tell(self, text: str) -> None:
-        """Show a text as the verdict."""
-        self._rerun.log(VERDICT, rr.TextDocument(printable(text), media_type=rr.MediaType.MARKDOWN), static=True)
-
-    def _page(self, summary: Mapping[str, object] | None) -> None:
-        """Log the page: the run's properties and, at the end, its figures."""
-        text = rr.TextDocument(printable(page(self._properties, summary)), media_type=rr.MediaType.MARKDOWN)
-        self._rerun.log("/run", text, static=True)
+        self._rerun.send_property(name, rr.AnyValues(drop_untyped_nones=True, **self._contained.checked(name, texts)))
 
     def _draw_rest(self) -> None:
-        """Draw the rows that were written and not drawn yet."""
         if self._undrawn:
             rows = np.concatenate(self._undrawn)
             self._undrawn.clear()

@@ -11,13 +11,12 @@ import numpy as np
 import numpy.typing as npt
 
 from hil.core.types import Axes
-from hil.references.motion import Point
+from hil.references.source import Point
 
 Series = npt.NDArray[np.float64]
 Complexes = npt.NDArray[np.complex128]
 
-Plane = tuple[float, float, float, float, float, float]
-"""x, y, x', y', x'', y''."""
+Plane = tuple[float, float, float, float, float, float]  # x, y, x', y', x'', y''
 
 
 class Line(NamedTuple):

@@ -10,8 +10,7 @@ import math
 from collections.abc import Callable
 from typing import NamedTuple
 
-_HALVINGS = 60
-"""Bisection steps of a search for a speed; they suffice for the precision of a float."""
+_HALVINGS = 60  # bisection steps of a search for a speed; they suffice for the precision of a float
 
 
 class Limits(NamedTuple):

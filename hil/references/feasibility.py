@@ -11,7 +11,7 @@ import numpy as np
 from hil.core.errors import apart
 from hil.core.model import RobotModel
 from hil.core.types import WHEEL_NAMES, FourWheels
-from hil.references.motion import ReferenceSource
+from hil.references.source import ReferenceSource
 
 FINEST_S = 0.01
 MOST_SAMPLES = 20_000
@@ -71,12 +71,12 @@ class Feasibility(NamedTuple):
 
     @property
     def sentences(self) -> tuple[str, ...]:
-        """Warnings about what the robot cannot follow; empty where it can follow the reference."""
+        """Warnings about the parts that the robot cannot follow; empty if it can follow the reference."""
         return tuple(sentence for sentence in (self.speed.sentence, self.torque.sentence) if sentence is not None)
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """Remarks on what may not be intended: a reference that ends later or earlier than the run."""
+        """Remarks on a possible mistake: a reference that ends later or earlier than the run."""
         if self.ends_s is None or abs(self.ends_s - self.duration_s) < FINEST_S:
             return ()
         lasts = f"the reference ends at t = {self.ends_s:.4g} s, the run at {self.duration_s:.4g} s"
@@ -91,7 +91,7 @@ def feasibility(source: ReferenceSource, model: RobotModel, duration_s: float, p
 
     It is sampled at the loop's period ``period_s`` [s], but at least every 10 ms and at most 20,000 times. A periodic
     reference is sampled over its start and one period. A jump of the reference does not count, such as that of a circle
-    without a ramp at t = 0: a robot that starts away from the reference has to catch up in any case.
+    without a ramp at t = 0. A robot that starts away from the reference has to catch up in any case.
 
     The newest results are cached, because many runs of a process have the same reference and robot.
     """

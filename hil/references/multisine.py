@@ -1,6 +1,6 @@
-"""A motion that shows what a robot is made of: sines of many frequencies on all three axes at once.
+"""A motion that shows all parameters of a robot: sines of many frequencies on all three axes at once.
 
-One axis at a time tells less: inertia came out four times worse (hil/identify/METHOD.md).
+One axis at a time tells less: inertia came out four times worse (hil/addons/identify/METHOD.md).
 """
 
 import functools
@@ -14,7 +14,7 @@ import numpy.typing as npt
 from hil.core.errors import BadInputError
 from hil.core.options import NOT_NEGATIVE, POSITIVE, Range
 from hil.core.types import Axes, Pose, Reference
-from hil.references.motion import Phase, at_rest, motion_through, ramped
+from hil.references.source import Phase, at_rest, motion_through, ramped
 
 _SAMPLED_S = 120.0
 _SAMPLE_S = 0.01
@@ -27,10 +27,10 @@ class Multisine:
     """Sines of many frequencies on x, y and heading at once, within a room and limits of its own: for hil identify.
 
     The speed of a tone falls with the root of its frequency; the frequencies ascend by a constant factor from
-    ``lowest_hz`` to ``highest_hz``, those of the three axes in turn. Phases are random, by ``seed``; but tones below
-    0.1 Hz begin at their fastest, so that they swing about the start and use the room. x and y are scaled by one
-    factor, so that the first of three limits is met: ``speed_m_s``, ``acceleration_m_s2``, and ``room_m``, the side of
-    the square in which the robot's centre stays, with the start in its middle. The heading is scaled by
+    ``lowest_hz`` to ``highest_hz``, those of the three axes in turn. Phases are random, by ``seed``. Only tones below
+    0.1 Hz begin at their fastest, so that they swing about the start and use the room. One factor scales x and y, so
+    that the first of three limits is met: ``speed_m_s``, ``acceleration_m_s2`` and ``room_m``. The last is the side of
+    a square around the start; the robot's centre stays in it. The heading is scaled by
     ``yaw_rate_rad_s`` and ``yaw_acceleration_rad_s2``. Limits hold for the first two minutes. The robot rests for
     ``rest_s``, and then begins within ``ramp_s``.
     """

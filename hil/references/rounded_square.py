@@ -4,16 +4,16 @@ import bisect
 import math
 from dataclasses import dataclass, field
 from itertools import accumulate
-from typing import Annotated, ClassVar, Literal
+from typing import Annotated, Literal
 
 from hil.core.options import NOT_NEGATIVE, POSITIVE
 from hil.core.types import Reference
 from hil.references.curves import Bend, Line, Linear, Section
-from hil.references.motion import motion_through, ramped
+from hil.references.source import Lap, motion_through, ramped
 
 
 @dataclass(frozen=True, slots=True)
-class RoundedSquare:
+class RoundedSquare(Lap):
     """A square at constant speed from the middle of its right side, with corners whose curvature has no jump.
 
     A corner takes ``corner_m`` of either side. With ``heading = "path"`` the robot looks where it goes,
@@ -32,8 +32,6 @@ class RoundedSquare:
     _sections: tuple[Section, ...] = field(init=False, repr=False, compare=False)
     _starts: tuple[float, ...] = field(init=False, repr=False, compare=False)
     """Way from the middle of the right side to where each section begins [m], and around."""
-
-    ends: ClassVar[bool] = False
 
     def __post_init__(self) -> None:
         half, straight = 0.5 * self.side_m, 0.5 * self.side_m - self.corner_m
@@ -58,11 +56,6 @@ class RoundedSquare:
                 x, y = x + self.corner_m * (c - s), y + self.corner_m * (s + c)
         object.__setattr__(self, "_sections", tuple(sections))
         object.__setattr__(self, "_starts", tuple(accumulate(lengths, initial=0.0)))
-
-    @property
-    def span_s(self) -> float:
-        """The ramp and one lap [s]."""
-        return self.ramp_s + self.period_s
 
     def at(self, t_s: float) -> Reference:
         """Return the reference at ``t_s``."""

@@ -3,7 +3,7 @@
 On lines the speed follows the double-S profile. A bend is driven at one speed v; with its curvature κ the acceleration
 is κ v² across the path, and the jerk is (κ² v³, κ' v³). The heading of a leg that begins and ends at rest changes
 linearly with the distance. On any other leg the heading θ is eased from the middle of one bend to the middle of the
-next. θ', θ'' and its third derivative by the distance give, with speed v, acceleration a and jerk j of the robot:
+next. Its derivatives θ', θ'' and θ''' by the distance give, with speed v, acceleration a and jerk j of the robot:
 
     yaw rate = θ' v,   yaw acceleration = θ'' v² + θ' a,   yaw jerk = θ''' v³ + 3 θ'' v a + θ' j
 
@@ -22,13 +22,11 @@ from hil.core.kinematics import wrap_angle
 from hil.core.types import Pose, Reference
 from hil.references.curves import EASED_PEAKS, Bend, Eased, HeadingLaw, Line, Linear, Section
 from hil.references.double_s import Limits, Phase, after, profile, reachable_speed
-from hil.references.motion import at_rest, motion_through
+from hil.references.source import at_rest, motion_through
 
-SHARPEST_RAD = math.radians(150.0)
-"""The robot stops at a corner that turns by more than this."""
+SHARPEST_RAD = math.radians(150.0)  # the robot stops at a corner that turns by more than this
 
-Segment = tuple[Section, Phase]
-"""A phase of constant jerk on a section."""
+Segment = tuple[Section, Phase]  # a phase of constant jerk on a section
 
 
 class Waypoint(NamedTuple):

@@ -7,11 +7,9 @@ from pathlib import Path
 from typing import NamedTuple
 
 from hil.core.errors import BadInputError, apart, nearest
-from hil.core.printable import command
 
 LARGEST_BYTES = 50_000_000
-LARGEST_NUMBER = 1e6
-"""A larger number is in the wrong unit, or its square loses too many digits."""
+LARGEST_NUMBER = 1e6  # a larger number is in the wrong unit, or its square loses too many digits
 
 
 class Format(NamedTuple):
@@ -36,8 +34,7 @@ def read_table(directory: Path, file: str, form: Format) -> list[tuple[int, tupl
     name = f"reference.file = {file!r}"
     path = directory / file
     if path.suffix.lower() != ".csv":
-        written = command("hil", "review", path, "--trajectory", "FILE.csv")
-        hint = f"; write its poses first: {written}" if path.suffix == ".rrd" else ""
+        hint = "; REFERENCES.md says how to write a recording's poses" if path.suffix == ".rrd" else ""
         raise BadInputError(f"{name}: expected a file that ends in .csv{hint}")
     try:
         if not path.is_file():

@@ -8,8 +8,8 @@ from typing import Annotated, Literal
 from hil.core.errors import BadInputError, apart
 from hil.core.options import POSITIVE, Range
 from hil.references.double_s import Limits
-from hil.references.motion import ReferenceSource
 from hil.references.route import Waypoint, plan
+from hil.references.source import ReferenceSource
 from hil.references.table import Format, read_table
 
 _OPTIONAL = {"speed_m_s": math.inf, "dwell_s": 0.0}

@@ -1,4 +1,7 @@
-"""Connects the client in C with a link: sends what it holds, gives it what arrives, makes feedback of snapshots."""
+"""Connects the client in C with a link: sends its frames, gives it received ones, makes feedback of snapshots.
+
+``open_channel`` chooses the class of channel for a link, once.
+"""
 
 import time
 from collections.abc import Callable
@@ -22,48 +25,27 @@ from hil.robot.snapshot import Feedback
 from hil.wire.conditions import ConditionedLink
 from hil.wire.framed import StreamLink
 
-_MOST_FRAMES = 200  # that one call takes; a robot sends at most some ten a tick
-_FULL = 512  # bytes of frames that may wait for a step
-_STEP_AWAITED, _STEP_ELSEWHERE = 1, 3
+_MOST_FRAMES = 200  # that one call takes; a robot sends some ten a tick at most
+_FULL = 512  # bytes of waiting frames, from which on ``PlainDirectChannel`` sends them before the next step
+_STEP_AWAITED, _STEP_ELSEWHERE = 1, 3  # WHEEL_STEP_... of wheel_client.h
 
 
 class Channel:
-    """Exchanges frames between ``client`` and the robot at the other end of ``link``.
+    """Exchanges frames between ``client`` and the robot at the other end of ``link``, whatever that is.
 
     ``on_message`` gets every message that is not part of a snapshot, with its time of arrival.
 
     Attributes:
-        feedback: returns the newest snapshot; None before the first, and until the next when the robot was left.
-        step: lockstep: runs the robot for a number of ticks, and takes all that it sends; 0 only asks for its tick.
-            Raises RobotStoppedError when it does not answer within 2 s of wall-clock time, or is at another tick,
-            ValueError for more than 1000 ticks.
-        is_carried: whether the next step carries what is sent, as it is, so that ``flush`` is not needed.
-        receive: real time: takes what has arrived, and sends what is then due. Returns the time at which nothing was
-            left to be read. None if there may be more: it is read in the next tick, because a host that is slower than
-            its robot would never finish.
+        feedback: returns the newest snapshot; None before the first, and after a loss until the next.
+        is_carried: whether the next step carries waiting frames, so that ``flush`` is not needed.
     """
+
+    is_carried = False
 
     def __init__(self, link: ConditionedLink, client: Client, on_message: Callable[[Message, int], None]) -> None:
         self._link = link
         self._client = client
         self._on_message = on_message
-        # To a robot in this thread a step without conditions is one call into the library.
-        self._direct = link.transport if isinstance(link.transport, DirectLink) else None
-        if self._direct is not None:
-            self._direct.serve(client, self._take_rest)
-        self._is_plain = link.is_plain
-        self.is_carried = self._is_plain and self._direct is not None
-        self.step: Callable[[int], None] = self._step_on_link
-        if self._direct is not None:
-            self.step = partial(self._step_under_conditions, self._direct)
-        if self._direct is not None and self._is_plain:
-            self.step = self._direct.step
-        # A line without conditions passes bytes between stream and client, in the library.
-        self._line = line = link.transport if self._is_plain and isinstance(link.transport, StreamLink) else None
-        self.receive: Callable[[], int | None] = self._receive
-        if line is not None:
-            line.serve(client, link.clock, self._attend_from)
-            self.receive = line.receive_waiting
         self.feedback = feedback_reader(client)
         self._round_trips_seen = 0
         self._round_trip = RoundTrip()
@@ -73,44 +55,28 @@ class Channel:
     def flush(self, *, everything: bool = False) -> None:
         """Send what waits in the client. Raises LinkError when the link is lost; what waited is then forgotten.
 
-        To a robot in this thread the next step carries it, unless there are conditions, much waits, or ``everything``.
+        If the next step carries frames (``is_carried``) they stay there, unless many wait or ``everything`` is true.
         """
         client = self._client
         view = client.view
         try:
-            if self._line is not None:
-                self._line.send_waiting()
-            elif view.out_bytes and not self._may_wait(everything):
+            if view.out_bytes:
                 self._link.send_all(client.out())
                 client.sent()
         except BaseException:
             client.unsent()
             raise
-        if view.log_is_due and not view.out_bytes:  # what waits may still be unsent
-            self._empty_log()
+        self._empty_log_if_due()
 
-    def _may_wait(self, everything: bool) -> bool:
-        """Return whether the next step may carry what waits."""
-        return self.is_carried and not everything and self._client.view.out_bytes < _FULL
+    def step(self, ticks: int) -> None:
+        """Lockstep: run the robot for a number of ticks, and take all that it sends; 0 only asks for its tick.
 
-    def _step_on_link(self, ticks: int) -> None:
+        Raises RobotStoppedError when it does not answer within 2 s of wall-clock time, or is at another tick,
+        ValueError for more than 1000 ticks.
+        """
         self._client.step(ticks)
         self.flush()
         self._await_step()
-
-    def _take_rest(self, answer: Any, rest: Received) -> None:
-        """Go on with the answer to a step where the client has stopped."""
-        self._attend(answer, rest.stamp_ns)
-        self.take(rest)
-        self._await_step()
-
-    def _step_under_conditions(self, direct: DirectLink, ticks: int) -> None:
-        ready = self._link.exchange(direct, ticks)
-        view = self._client.view
-        while ready and view.step == _STEP_AWAITED:
-            self.take(ready.popleft())
-        if view.step == _STEP_AWAITED:
-            self._await_step()
 
     def _await_step(self) -> None:
         view = self._client.view
@@ -129,6 +95,21 @@ class Channel:
 
     # What arrives
 
+    def receive(self) -> int | None:
+        """Real time: take received frames, then send those that are due.
+
+        Return the time at which nothing was left to read. None if there may be more, which is read in the next tick: a
+        host that is slower than its robot would never finish.
+        """
+        taken = 0
+        while taken < _MOST_FRAMES and (received := self._link.receive(0)) is not None:
+            self.take(received)
+            taken += len(received.frames)
+        now_ns = self._link.clock.now_ns()
+        if self._client.poll(now_ns):
+            self.flush()
+        return now_ns if taken < _MOST_FRAMES else None
+
     def take(self, received: Received) -> None:
         """Process frames that arrived together. Raises RobotStoppedError for a step that ended at a wrong tick."""
         frames, stamp_ns = received
@@ -139,26 +120,8 @@ class Channel:
             at = self._client.take(packed, at, stamp_ns)
             self._attend(packed, stamp_ns)
 
-    def _receive(self) -> int | None:
-        taken = 0
-        while taken < _MOST_FRAMES and (received := self._link.receive(0)) is not None:
-            self.take(received)
-            taken += len(received.frames)
-        now_ns = self._link.clock.now_ns()
-        if self._client.poll(now_ns):
-            self.flush()
-        return now_ns if taken < _MOST_FRAMES else None
-
-    def _attend_from(self, packed: bytes, at: int, stamp_ns: int) -> None:
-        """Go on where the client has stopped in packed frames; at 0 it has not begun."""
-        if at:
-            self._attend(packed, stamp_ns)
-        self._take_from(packed, at, stamp_ns)
-        self._client.poll(stamp_ns)
-        self.flush()
-
     def _attend(self, packed: Any, stamp_ns: int) -> None:
-        """Do what the client's view asks for after it has taken frames."""
+        """Do what the client in C leaves to Python: hash a full log, pass on a message, report a wrong tick."""
         view = self._client.view
         if view.log_is_due:
             self._empty_log()
@@ -172,7 +135,11 @@ class Channel:
                 "or is stepped by another host"
             )
 
-    # Counters
+    # The client's log of frames, and counters
+
+    def _empty_log_if_due(self) -> None:
+        if self._client.view.log_is_due and not self._client.view.out_bytes:  # what waits may still be unsent
+            self._empty_log()
 
     def _empty_log(self) -> None:
         """Hash the client's log, and note its round trips before they are overwritten."""
@@ -185,7 +152,6 @@ class Channel:
 
     @property
     def round_trip(self) -> RoundTrip:
-        """All round trips of commands."""
         self._note_round_trips()
         return self._round_trip
 
@@ -193,6 +159,81 @@ class Channel:
         """Return the number of received frames that this side dropped, by cause."""
         view = self._client.view
         return self._link.rejected() | {"range": view.out_of_range, "incomplete_snapshot": view.incomplete}
+
+
+class LineChannel(Channel):
+    """Over a serial line without conditions: bytes pass between stream and client within the C library."""
+
+    def __init__(self, link: ConditionedLink, client: Client, on_message: Callable[[Message, int], None]) -> None:
+        super().__init__(link, client, on_message)
+        assert isinstance(link.transport, StreamLink)
+        self._line = link.transport
+        self._line.serve(client, link.clock, self._attend_from)
+
+    def flush(self, *, everything: bool = False) -> None:
+        try:
+            self._line.send_waiting()
+        except BaseException:
+            self._client.unsent()
+            raise
+        self._empty_log_if_due()
+
+    def receive(self) -> int | None:
+        return self._line.receive_waiting()
+
+    def _attend_from(self, packed: bytes, at: int, stamp_ns: int) -> None:
+        if at:
+            self._attend(packed, stamp_ns)
+        self._take_from(packed, at, stamp_ns)
+        self._client.poll(stamp_ns)
+        self.flush()
+
+
+class DirectChannel(Channel):
+    """To a robot in this thread, over a link that may have conditions."""
+
+    def __init__(self, link: ConditionedLink, client: Client, on_message: Callable[[Message, int], None]) -> None:
+        super().__init__(link, client, on_message)
+        assert isinstance(link.transport, DirectLink)
+        self._direct = link.transport
+        self._direct.serve(client)
+
+    def step(self, ticks: int) -> None:
+        ready = self._link.exchange(self._direct, ticks)
+        view = self._client.view
+        while ready and view.step == _STEP_AWAITED:
+            self.take(ready.popleft())
+        if view.step == _STEP_AWAITED:
+            self._await_step()
+
+
+class PlainDirectChannel(DirectChannel):
+    """To a robot in this thread without conditions: a step is one call into the C library, with the waiting frames."""
+
+    is_carried = True
+
+    def flush(self, *, everything: bool = False) -> None:
+        if everything or self._client.view.out_bytes >= _FULL:
+            super().flush()
+        else:
+            self._empty_log_if_due()
+
+    def step(self, ticks: int) -> None:
+        direct = self._direct
+        rest = direct.step(ticks)
+        if rest is not None:  # go on where the client has stopped
+            self._attend(direct.answer, rest.stamp_ns)
+            self.take(rest)
+            self._await_step()
+
+
+def open_channel(link: ConditionedLink, client: Client, on_message: Callable[[Message, int], None]) -> Channel:
+    kind: type[Channel] = Channel
+    if isinstance(link.transport, DirectLink):
+        kind = PlainDirectChannel if link.is_plain else DirectChannel
+    elif isinstance(link.transport, StreamLink) and link.is_plain:
+        kind = LineChannel
+    return kind(link, client, on_message)
 
 
 def feedback_reader(client: Client) -> Callable[[], Feedback | None]:

@@ -3,7 +3,7 @@
 import time
 from collections import Counter
 from collections.abc import Callable
-from typing import Any, Protocol, cast
+from typing import Protocol, cast
 
 from firmware_protocol.client import MOST_TICKS, Client
 from firmware_protocol.fast_calls import fast_call
@@ -65,9 +65,7 @@ class DirectLink:
         byte_counts: returns the bytes sent and received since ``begin_byte_counts``.
     """
 
-    counts_frames = True
     _client: Client
-    _take_rest: Callable[[Any, Received], None]
 
     def __init__(self, robot: LibraryRobot, stream: DirectStream, *, may_hang: bool = True) -> None:
         ffi, _ = library()
@@ -77,7 +75,6 @@ class DirectLink:
         self._direct = ffi.new("wheel_direct *", {"there": self._there.handle, "may_hang": may_hang})
         self.answer = ffi.buffer(self._direct.answer)
         self._earlier: Counter[str] = Counter()  # rejected before the link was reopened
-        self._earlier_noise = 0
         self._begin_line()
         self._view = self._direct.waiting = ffi.new("wheel_view *")  # of no client: nothing waits
         self._is_open = True
@@ -110,13 +107,9 @@ class DirectLink:
         answer = self._exchange(self._robot.node.address, _NO_CLIENT, 0)
         return Received(PackedFrames(answer), self.now_ns()) if answer else None
 
-    def serve(self, client: Client, take_rest: Callable[[Any, Received], None]) -> None:
-        """Set the client whose frames ``step`` and ``exchange`` send.
-
-        Where the client stops early in the answer to a step, ``take_rest`` is called with all of the answer, and the
-        rest. It must give the client the rest. ``client.view`` says why the client has stopped.
-        """
-        self._client, self._take_rest = client, take_rest
+    def serve(self, client: Client) -> None:
+        """Set the client whose frames ``step`` and ``exchange`` send."""
+        self._client = client
         self._view = self._direct.waiting = client.view
 
     def exchange(self, ticks: int) -> PackedFrames:
@@ -131,21 +124,22 @@ class DirectLink:
             raise _unsendable_step(ticks)
         return PackedFrames(answer)
 
-    def step(self, ticks: int) -> None:
+    def step(self, ticks: int) -> Received | None:
         """Send what waits in the client, and a STEP; the client takes the answer.
 
-        Raises ValueError for more than 1000 ticks; nothing is sent then.
+        Return None, or where the client has stopped early the rest of the answer, which it must be given; its view says
+        why it has stopped. Raises ValueError for more than 1000 ticks; nothing is sent then.
         """
         if not self._is_open:
             raise closed()
         read_ns, step = self.now_ns, self._step
         now_ns = read_ns()
-        if not step(self._robot.node.address, self._client.address, ticks, now_ns):
-            direct = self._direct
-            if not direct.stepped_bytes:  # the client refused it: a step that was made is never empty
-                raise _unsendable_step(ticks)
-            rest = PackedFrames(self.answer[direct.answer_at : direct.answer_bytes], 0)
-            self._take_rest(self.answer, Received(rest, now_ns))
+        if step(self._robot.node.address, self._client.address, ticks, now_ns):
+            return None
+        direct = self._direct
+        if not direct.stepped_bytes:  # the client refused it: a step that was made is never empty
+            raise _unsendable_step(ticks)
+        return Received(PackedFrames(self.answer[direct.answer_at : direct.answer_bytes], 0), now_ns)
 
     # The counters; what waits in the client counts as sent.
 
@@ -164,17 +158,11 @@ class DirectLink:
         direct.received_bytes_before += received
 
     def rejected(self) -> dict[str, int]:
-        counts = {cause: count + self._earlier[cause] for cause, count in self._here.rejected.items()}
-        return counts | {"unread_bytes": 0}
-
-    def noise(self) -> int:
-        """Return how many pieces of what was received were no frame."""
-        return self._here.noise() + self._earlier_noise
+        return {cause: count + self._earlier[cause] for cause, count in self._here.rejected.items()}
 
     def reopen(self) -> None:
         self._stream.reopen()
         # A partial frame and the gap in the running number belong to the line that was lost.
-        self._earlier_noise = self.noise()
         self._earlier = Counter(self.rejected())
         self._begin_line()
 

@@ -3,19 +3,21 @@
 The shim also wires encoders and IMU.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
-from typing import Any, NamedTuple
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from hil.core.clock import TICK_NS
 from hil.core.errors import BadInputError, nearest
 from hil.core.types import WHEEL_NAMES
-from hil.faults.kind import FaultRow
-from hil.faults.kinds import BATTERY_VARIABLE, GRIP_VARIABLES, PUSHES
+from hil.core.wheel_map import Wiring
+from hil.faults.rows import FaultRow
 from hil.plant import shim
-from hil.plant.fmu import FmuPlant
-from hil.plant.remote import RemotePlant
 from hil.plant.start import Settable
-from hil.robot.wheel_map import Wiring
+
+if TYPE_CHECKING:
+    from hil.faults.kinds import ShimRows
+    from hil.plant.fmu import FmuPlant
+    from hil.plant.remote import RemotePlant
 
 
 class Body(NamedTuple):
@@ -40,10 +42,10 @@ class RobotFaults:
     Attributes:
         can_reset: whether a fault may switch the firmware off.
         has_switch: whether the firmware can be switched off from here at all.
-        ahead: ticks by which the firmware's count is ahead of the plant's: 0 where both are switched on together.
+        ahead: the firmware's count of ticks minus the plant's: 0 where both are switched on together.
     """
 
-    def __init__(self, plant: FmuPlant | RemotePlant, body: Body) -> None:
+    def __init__(self, plant: "FmuPlant | RemotePlant", body: Body) -> None:
         self._plant = plant
         self._body = body
         self._ffi, self._lib = shim.load()
@@ -55,12 +57,10 @@ class RobotFaults:
 
     @property
     def exchange_address(self) -> int:
-        """Address of the C function of the type ``wheel_plant_exchange``."""
         return shim.address("robot_faults_exchange")
 
     @property
     def context_address(self) -> int:
-        """Address of the context argument for ``exchange_address``."""
         return int(self._ffi.cast("uintptr_t", self._faults))
 
     def clear(self) -> None:
@@ -77,7 +77,6 @@ class RobotFaults:
         self._wire(self._body.wiring)
 
     def _wire(self, wiring: Wiring) -> None:
-        """Set what each encoder input counts, and how the IMU is mounted."""
         there, imu = self._faults.wiring, wiring.imu
         there.encoder_channel, there.encoder_sign = wiring.encoder_channels, wiring.encoder_signs
         there.imu_axis, there.imu_sign = imu.axis, imu.sign
@@ -89,19 +88,24 @@ class RobotFaults:
 
         Raises BadInputError with one line for each fault that this robot or its plant does not support.
         """
+        from hil.faults.kinds import find
+
         found: list[dict[str, object]] = []
         problems = []
         for account, row in enumerate(rows):
+            effect = find(row.kind, row.target).on_robot
             times = {"first": row.start_ns // TICK_NS, "end": -(-row.end_ns // TICK_NS), "account": account}
             try:
-                found += [dict(part) | times for part in self._parts(row)]
+                if effect is None:
+                    raise BadInputError("a virtual robot does not support it")
+                found += [dict(part) | times for part in effect(self, row)]
             except BadInputError as error:
                 problems.append(f"fault {row.kind} {row.target}: {error}")
         if problems:
             raise BadInputError("\n".join(problems))
         row_memory = self._ffi.new("robot_fault[]", found)
         accounts = self._ffi.new("robot_fault_account[]", len(rows))
-        self.can_reset = any(row.kind == "reset" for row in rows)
+        self.can_reset = any(part["kind"] == self._lib.ROBOT_FAULT_RESET for part in found)
         self._memory, self._accounts = (row_memory, accounts), len(rows)
         self._faults.account, self._faults.row, self._faults.rows = accounts, row_memory, len(found)
 
@@ -124,60 +128,45 @@ class RobotFaults:
         return int(self._faults.extra_ticks)
 
     def applied(self) -> list[int]:
-        """Return how often each fault was applied so far."""
         return [int(self._memory[1][i].applied) for i in range(self._accounts)]
 
-    def _parts(self, row: FaultRow) -> Iterator[Mapping[str, object]]:
-        """Yield the shim's rows for one fault, without times."""
-        lib = self._lib
-        match row.kind:
-            case "reset":
-                if not self.has_switch:
-                    raise BadInputError("nothing here can reset a real board; leave the fault out")
-                yield {"kind": lib.ROBOT_FAULT_RESET}
-            case "gyro_bias":
-                yield {"kind": lib.ROBOT_FAULT_GYRO_BIAS, "value": row.value}
-            case "slow_clock":
-                yield {"kind": lib.ROBOT_FAULT_SLOW_CLOCK, "value": row.value}
-            case "stuck_encoder" | "dead_motor":
-                kind = lib.ROBOT_FAULT_STUCK_ENCODER if row.kind == "stuck_encoder" else lib.ROBOT_FAULT_DEAD_MOTOR
-                is_motor, wiring = row.kind == "dead_motor", self._body.wiring
-                motors = wiring.motors.wheel_of_channel
-                channel = (
-                    motors.index(WHEEL_NAMES.index(row.target)) if is_motor else wiring.encoder_wheels.index(row.target)
-                )
-                yield {"kind": kind, "place": channel}
-            case "low_battery":
-                yield self._setting(BATTERY_VARIABLE, row.value)
-            case "push":
-                yield self._setting(f"push.{row.target}", row.value)
-            case "parameter":
-                yield self._setting(row.target, row.value)
-            case "slip_patch":
-                yield from self._patch(row)
-            case _:
-                raise BadInputError("a virtual robot does not support it")
+    # The effects of kinds, as rows of the shim (``FaultyRobot``)
 
-    def _patch(self, row: FaultRow) -> Iterator[Mapping[str, object]]:
+    def reset(self) -> "ShimRows":
+        if not self.has_switch:
+            raise BadInputError("nothing here can reset a real board; leave the fault out")
+        return ({"kind": self._lib.ROBOT_FAULT_RESET},)
+
+    def add_to_gyro(self, bias_rad_s: float) -> "ShimRows":
+        return ({"kind": self._lib.ROBOT_FAULT_GYRO_BIAS, "value": bias_rad_s},)
+
+    def slow_clock(self, ppm: float) -> "ShimRows":
+        return ({"kind": self._lib.ROBOT_FAULT_SLOW_CLOCK, "value": ppm},)
+
+    def stop_encoder(self, wheel: str) -> "ShimRows":
+        return ({"kind": self._lib.ROBOT_FAULT_STUCK_ENCODER, "place": self._body.wiring.encoder_wheels.index(wheel)},)
+
+    def stop_motor(self, wheel: str) -> "ShimRows":
+        channel = self._body.wiring.motors.wheel_of_channel.index(WHEEL_NAMES.index(wheel))
+        return ({"kind": self._lib.ROBOT_FAULT_DEAD_MOTOR, "place": channel},)
+
+    def scale_grip(self, row: FaultRow) -> "ShimRows":
         if self._body.has_rigid_contact:
             raise BadInputError('wheels with rigid contact never slip; add plant.start.contact = "slip"')
+        from hil.faults.kinds import GRIP_VARIABLES
+
         circle = {"radius_m": row.radius_m, "x_m": row.x_m, "y_m": row.y_m}
         for name, (forward_m, left_m) in zip(GRIP_VARIABLES, self._body.wheel_centres_m(), strict=True):
-            start = self._find(name).start
-            yield self._setting(name, start * row.value) | circle | {"forward_m": forward_m, "left_m": left_m}
+            (part,) = self.set(name, self._find(name).start * row.value)
+            yield part | circle | {"forward_m": forward_m, "left_m": left_m}
 
-    def _setting(self, name: str, value: float) -> dict[str, object]:
-        variable = self._find(name)
-        if not variable.low <= value <= variable.high:
+    def set(self, variable: str, value: float) -> tuple[dict[str, object]]:
+        found = self._find(variable)
+        if not found.low <= value <= found.high:
             raise BadInputError(
-                f"{name} = {value:g} is out of the FMU's range; expected {variable.low:g} to {variable.high:g}"
+                f"{variable} = {value:g} is out of the FMU's range; expected {found.low:g} to {found.high:g}"
             )
-        return {
-            "kind": self._lib.ROBOT_FAULT_SET,
-            "place": variable.place,
-            "value": value,
-            "base": variable.start,
-        }
+        return ({"kind": self._lib.ROBOT_FAULT_SET, "place": found.place, "value": value, "base": found.start},)
 
     def _find(self, name: str) -> Settable:
         settable = self._plant.settable
@@ -185,6 +174,8 @@ class RobotFaults:
             return settable[name]
         if not settable:
             raise BadInputError("the FMU has no variable that can change in a run; use another FMU, or remove the row")
+        from hil.faults.kinds import PUSHES
+
         inputs = {f"push.{push}" for push in PUSHES}
         hint = nearest(name, settable.keys() - inputs) if name not in inputs else "; the FMU has no such input"
         raise BadInputError(f"the FMU has no tunable parameter or free input {name!r}{hint}")

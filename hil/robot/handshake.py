@@ -52,7 +52,6 @@ class RobotInfo(NamedTuple):
         return bool(self.capabilities & Capability.POWER_STAGE)
 
     def describe(self) -> str:
-        """Return a description for the user."""
         return (
             f"firmware {self.firmware} (build {self.build:08x}), capabilities {self.capabilities:#06x}, parameters "
             f"{self.parameter_hash:08x}, watchdog {self.watchdog_ms} ms, wheels of "
@@ -104,7 +103,6 @@ class Greeting:
 
     @property
     def frames(self) -> list[Frame]:
-        """The pages so far."""
         return [codec.encode(page) for page in self._pages.values()]
 
     def feed(self, message: codec.Message | None) -> RobotInfo | None:
@@ -177,12 +175,12 @@ def _why_silent(received_frames: int, rejected: Mapping[str, int]) -> str:
     """Return the likely cause of a failed handshake, judged by the traffic, and what to do."""
     bus_errors = sum(count for cause, count in rejected.items() if cause.startswith("error_"))
     noise = rejected.get("cobs", 0) + rejected.get("crc", 0) + rejected.get("overrun", 0)
-    strangers = rejected.get("foreign", 0) + rejected.get("unknown_id", 0)
+    foreign = rejected.get("foreign", 0) + rejected.get("unknown_id", 0)
     if received_frames:
         return f"{received_frames} frames of a robot came, but not its HELLO; reset the robot and try again"
     if rejected.get("error_acknowledgement") and bus_errors == rejected["error_acknowledgement"]:
         return "no device on the bus acknowledges our frames; check the robot's power, the cable and the bit rate"
-    if bus_errors and not strangers:
+    if bus_errors and not foreign:
         return (
             f"{bus_errors} error frames came and no valid one: the bit rate is wrong, or a terminator is missing; "
             "set bitrate= in the link to the robot's"
@@ -192,8 +190,8 @@ def _why_silent(received_frames: int, rejected: Mapping[str, int]) -> str:
             f"bytes came, but {noise} frames were damaged: set baud= in the link to the robot's rate, and close any "
             "other program that reads the port"
         )
-    if strangers:
-        return f"{strangers} frames of other devices came, so the bus works; check that the robot is on and on this bus"
+    if foreign:
+        return f"{foreign} frames of other devices came, so the bus works; check that the robot is on and on this bus"
     return (
         "check that it is powered, that the link is the right one, that no other program uses it, and the baud or "
         "bit rate"

@@ -36,7 +36,6 @@ class RoundTrip:
         self._all_ms = Reservoir()
 
     def add(self, took_ns: Sequence[int]) -> None:
-        """Add round trips."""
         self._all_ms.extend(np.array(took_ns) * 1e-6)
 
     def figures(self) -> dict[str, Any] | None:
@@ -68,7 +67,6 @@ class CommandLatency:
 
     @property
     def s(self) -> float:
-        """The latency [s]."""
         return float(self._latency.median_s)
 
     def restart(self) -> None:

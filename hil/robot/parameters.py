@@ -23,22 +23,17 @@ _WHY_NOT = {
 }
 
 
-def assignment(text: str) -> tuple[str, float]:
-    """Return name and value of ``name=value``. Raises BadInputError."""
-    name, equals, number = text.partition("=")
-    try:
-        value = float(number)
-    except ValueError:
-        value = math.nan
-    if not (name and equals and math.isfinite(value)):
-        raise BadInputError(f"{text!r}: expected NAME=NUMBER, for example speed_kp_n_m_s_rad=1.2")
-    return name, value
-
-
 def assignments(texts: Iterable[str]) -> dict[str, float]:
     """Return the values of texts like ``name=value``, by name. Raises BadInputError, also for a repeated name."""
     values: dict[str, float] = {}
-    for name, value in map(assignment, texts):
+    for text in texts:
+        name, _, number = text.partition("=")
+        try:
+            value = float(number)
+        except ValueError:
+            value = math.nan
+        if not name or not math.isfinite(value):
+            raise BadInputError(f"{text!r}: expected NAME=NUMBER, for example speed_kp_n_m_s_rad=1.2")
         if name in values:
             raise BadInputError(f"{name} is given twice, as {values[name]:g} and as {value:g}; keep one of them")
         values[name] = value
@@ -143,7 +138,6 @@ class ParameterClient:
         self._changed.append("all to those of the build")
 
     def _order(self, number: int, operation: m.Operation, value: int = 0) -> m.ParameterResponse:
-        """Send a request that changes something. Raises DeviceError or LinkError, naming the changes made before."""
         try:
             return self._request(number, operation, value)
         except (DeviceError, LinkError) as error:

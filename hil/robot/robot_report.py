@@ -5,7 +5,7 @@ from typing import NamedTuple
 from firmware_protocol.codec import Message
 from firmware_protocol.generated import messages as m
 from hil.core.types import NAN, NAN_WHEELS, WHEEL_NAMES, Wheels
-from hil.robot.wheel_map import WheelMap
+from hil.core.wheel_map import WheelMap
 
 _WORDS = {
     m.ResetCause.UNKNOWN: "the cause is unknown",
@@ -18,27 +18,7 @@ _WORDS = {
     m.ResetCause.PROCESSOR_FAULT: "its processor had a fault",
 }
 
-# ARMv7-M architecture reference manual, B3.2.15.
-_CFSR = {
-    0: "instruction fetch at a forbidden address",
-    1: "data access at a forbidden address",
-    3: "memory management fault on leaving an exception",
-    4: "memory management fault on entering an exception: has the stack overflowed?",
-    5: "memory management fault while floating-point registers were saved",
-    8: "bus fault on fetching an instruction",
-    9: "bus fault on reading or writing",
-    10: "bus fault on a write some instructions before",
-    11: "bus fault on leaving an exception",
-    12: "bus fault on entering an exception: has the stack overflowed?",
-    13: "bus fault while floating-point registers were saved",
-    16: "undefined instruction",
-    17: "invalid instruction set state",
-    18: "invalid return from an exception",
-    19: "coprocessor that is off or missing",
-    24: "unaligned access",
-    25: "division by zero",
-}
-_MMFAR_HOLDS, _BFAR_HOLDS = 1 << 7, 1 << 15
+_MMFAR_HOLDS, _BFAR_HOLDS = 1 << 7, 1 << 15  # of CFSR; ARMv7-M architecture reference manual, B3.2.15
 
 
 class ProcessorFault(NamedTuple):
@@ -53,12 +33,10 @@ class ProcessorFault(NamedTuple):
 
     def describe(self) -> str:
         """Return a description. Its addresses can be looked up in the ELF file of this build (addr2line)."""
-        kinds = [words for bit, words in _CFSR.items() if self.cfsr >> bit & 1]
         where = [f"at {self.pc:#010x}, called from {self.lr:#010x}"] if self.pc or self.lr else []
         where += [f"for address {self.mmfar:#010x}"] if self.cfsr & _MMFAR_HOLDS else []
         where += [f"for address {self.bfar:#010x}"] if self.cfsr & _BFAR_HOLDS else []
-        registers = f"(CFSR {self.cfsr:08x}, HFSR {self.hfsr:08x})"
-        return " ".join([" and ".join(kinds) or "a fault without a cause in CFSR", *where, registers])
+        return " ".join([*where, f"(CFSR {self.cfsr:08x}, HFSR {self.hfsr:08x})"])
 
 
 NO_FAULT = ProcessorFault()
@@ -122,7 +100,6 @@ class RobotReport:
         return f"{reason} ({fault})" if fault else reason
 
     def _fault(self) -> str:
-        """Return the fault in STATUS, with the wheel if it concerns one; empty without a fault."""
         if self.status is None or not self.status.fault:
             return ""
         fault = m.Fault(self.status.fault).name
@@ -147,7 +124,7 @@ class RobotReport:
 
     @property
     def trouble(self) -> str | None:
-        """Always None: our firmware stops by itself when its host is silent."""
+        """Always None: our firmware stops on its own when its host is silent."""
         return None
 
     def why_not_active(self, state: m.State | None) -> str:

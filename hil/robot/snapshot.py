@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 from firmware_protocol.generated.messages import State
 from hil.core.types import Wheels
-from hil.robot.wheel_map import ImuMount
+from hil.core.wheel_map import ImuMount
 
 
 class Feedback(NamedTuple):

@@ -18,26 +18,29 @@ from firmware_protocol.host_line import packed_of
 from hil.core.errors import BadInputError, DeviceError, HilError, RobotStoppedError
 from hil.core.ports import Clock
 from hil.core.types import CommandMode, WheelCommand
+from hil.core.wheel_map import ImuMount, WheelMap
 from hil.robot import handshake
-from hil.robot.channel import Channel
+from hil.robot.channel import open_channel
 from hil.robot.handshake import Expected, Greeting, RobotInfo
 from hil.robot.link_times import SYNC_PERIOD_NS, RoundTrip
-from hil.robot.port import LinkedDevice
+from hil.robot.port import Device
 from hil.robot.robot_report import RobotReport
 from hil.robot.snapshot import Feedback, mounted
-from hil.robot.wheel_map import ImuMount, WheelMap
 from hil.wire.conditions import ConditionedLink
 
 _AT_REST = (m.State.IDLE, m.State.FAULT, m.State.ESTOP)
 _ARMING_DONE, _ARMING_NEW_NONCE, _ARMING_REFUSED, _ARMING_LATCHED = 0, 4, 6, 7
 
 
-class Stm32(LinkedDevice):
-    """A robot with the protocol of wheel.dbc, at the other end of a link. See ``hil.robot.port.Device``.
+class Stm32(Device):
+    """A robot with the protocol of wheel.dbc, at the other end of a link.
 
     ``nonces`` are the session nonces to use, in order. Raises DeviceError when the robot does not answer, refuses
     or stops; BadInputError when it does not match the scenario, or the host library cannot be loaded.
     """
+
+    report: RobotReport
+    keeps_counts = True
 
     def __init__(
         self,
@@ -60,7 +63,7 @@ class Stm32(LinkedDevice):
             raise BadInputError(str(error)) from error
         self._client.wire(wheel_map.wheel_of_channel, wheel_map.sign_of_channel)
         self.link_figures = self._client.link_figures
-        self._channel = channel = Channel(link, self._client, self._on_message)
+        self._channel = channel = open_channel(link, self._client, self._on_message)
         self.step = channel.step
         self._feedback = (
             channel.feedback if imu is None or imu.is_identity else partial(_mounted, channel.feedback, imu)
@@ -74,7 +77,6 @@ class Stm32(LinkedDevice):
     # Connecting
 
     def connect(self) -> RobotInfo:
-        """Request HELLO and check the answer against the scenario."""
         greeting = Greeting()
         self._accept(handshake.greet(self._link, greeting))
         for page in greeting.frames:
@@ -100,12 +102,10 @@ class Stm32(LinkedDevice):
 
     @property
     def speed_limit_rad_s(self) -> float:
-        """The robot's limit of commanded speeds (DBC HELLO_LIMITS); infinity before HELLO."""
         return math.inf if self.info is None else self.info.limits.speed_limit_rad_s
 
     @property
     def overspeed_rad_s(self) -> float:
-        """The wheel speed that the robot takes for a fault (DBC HELLO_LIMITS); infinity before HELLO."""
         return math.inf if self.info is None else self.info.limits.overspeed_rad_s
 
     @property
@@ -118,16 +118,6 @@ class Stm32(LinkedDevice):
         return self.info.warnings(cause, ours_rad_s)
 
     # Reconnection after a loss, in steps that do not wait, because the control loop keeps running
-
-    @property
-    def acknowledges(self) -> bool:
-        """True: TICK has the sequence number and the age of the command."""
-        return True
-
-    @property
-    def keeps_counts(self) -> bool:
-        """True: the encoders keep counting while the link is lost, unless the robot is reset."""
-        return True
 
     def leave(self) -> None:
         self._is_accepted = False
@@ -145,7 +135,6 @@ class Stm32(LinkedDevice):
         self._synchronise_tick()
 
     def greeted(self) -> bool:
-        """Request HELLO when it is due; return whether the robot has answered."""
         self.poll()
         return self._greeting is None
 
@@ -272,7 +261,6 @@ class Stm32(LinkedDevice):
     # Messages
 
     def _synchronise_tick(self) -> None:
-        """Lockstep: ask for the robot's current firmware tick."""
         if self._is_lockstep:
             self.step(0)
 
@@ -330,6 +318,5 @@ def _no_time() -> int:
 
 
 def _mounted(read: Callable[[], Feedback | None], imu: ImuMount) -> Feedback | None:
-    """Return the feedback that ``read`` returns, of an IMU that is mounted so."""
     feedback = read()
     return None if feedback is None else mounted(feedback, imu)

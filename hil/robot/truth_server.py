@@ -1,4 +1,4 @@
-"""The robot's side of the true pose: serves the protocol of ``hil.robot.truth`` on loopback."""
+"""The robot's side of the true pose: serves the protocol of ``hil.robot.truth_client`` on loopback."""
 
 import contextlib
 import json
@@ -14,9 +14,9 @@ from firmware_protocol.host import View
 from hil.core.errors import BadInputError, DeviceError, HilError
 from hil.core.tokens import clear_tokens, is_of_elsewhere, make_token, read_token, token_file
 from hil.core.types import PoseFix
-from hil.faults.kind import FaultRow
+from hil.faults.rows import FaultRow
 from hil.robot.faults import RobotFaults
-from hil.robot.truth import ANSWER_S, KIND, LONGEST_ANSWER, NO_TOKEN, RECORD
+from hil.robot.truth_client import ANSWER_S, KIND, LONGEST_ANSWER, NO_TOKEN, RECORD
 
 _HOST = "127.0.0.1"
 _MOST_SILENT = 64
@@ -48,8 +48,6 @@ class _Client:
 
 
 class _Request(NamedTuple):
-    """The first line of a client."""
-
     token: str
     scenario: str
     reset: bool
@@ -72,7 +70,7 @@ Answer = TypeVar("Answer")
 
 
 def _await(start: Callable[[Callable[[Answer], None]], None]) -> Answer:
-    """Pass a request to the robot's thread and wait for the answer. Raises DeviceError when none comes within 2 s."""
+    """Return the answer of the robot's thread. Raises DeviceError without one in 2 s."""
     answers: queue.Queue[Answer] = queue.Queue()
     start(answers.put)
     try:

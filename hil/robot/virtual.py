@@ -3,22 +3,25 @@
 import contextlib
 import functools
 import operator
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager
 from pathlib import Path
-from typing import NamedTuple, Protocol
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, runtime_checkable
 
 from firmware_protocol.built import BuildError
 from firmware_protocol.capabilities import Capability
 from firmware_protocol.host import HostNode, View
 from hil.core.errors import BadInputError, DeviceError
+from hil.core.ports import Node
+from hil.core.types import FourWheels
 from hil.plant import archive
 from hil.plant.child_output import ChildOutput
 from hil.plant.fmu import FmuPlant
 from hil.plant.mapping import SignalMap
-from hil.plant.remote import RemotePlant
 from hil.robot.faults import Body, RobotFaults
-from hil.wire.robot_end import Node
+
+if TYPE_CHECKING:
+    from hil.plant.remote import RemotePlant
 
 _SENSORS = {
     "accelerometer": Capability.ACCELEROMETER,
@@ -28,7 +31,7 @@ _SENSORS = {
 
 
 class RobotNode(Node, Protocol):
-    """What ``HostNode`` and the boards of ``hil.robot.targets`` have in common."""
+    """A robot's firmware or motor controllers, on this machine: ``HostNode``, an emulated board, emulated devices."""
 
     def run(self, ticks: int) -> None:
         """Run a number of 1 ms ticks."""
@@ -59,11 +62,34 @@ class VirtualRobot(NamedTuple):
     body: Body
 
 
+@runtime_checkable
 class ClockedNode(RobotNode, Protocol):
     """A firmware that can run in real time: its clock can be set between two ticks."""
 
     def set_clock(self, now_us: int) -> None:
         """Set the robot's clock [µs], which gives the times of received and sent frames."""
+
+
+class EmulatedShaft(Protocol):
+    """One wheel's shaft, as an emulated controller measures it."""
+
+    speed_rad_s: float
+
+
+class EmulatedDevice(ClockedNode, Protocol):
+    """Emulated motor controllers of one maker, connected to a plant.
+
+    Attributes:
+        torque_n_m: what the drives gave in the newest tick.
+        on_tick: called with this object after each tick.
+    """
+
+    torque_n_m: FourWheels
+    on_tick: Callable[[Any], None]
+
+    @property
+    def shafts(self) -> Sequence[EmulatedShaft]:
+        """The shafts of the four channels."""
 
 
 MakeNode = Callable[..., ClockedNode]
@@ -98,9 +124,10 @@ class VirtualStm32:
             resources.pop_all()
 
     def _tell(self) -> None:
-        """Put the plant's notices before its output."""
         plant = self.plant
-        self.output = plant.output if isinstance(plant, RemotePlant) else ChildOutput() if plant.notices else None
+        self.output = plant.output
+        if self.output is None and plant.notices:  # an empty output is false
+            self.output = ChildOutput()
         if self.output is not None:
             self.output.feed("".join(f"{notice}\n" for notice in plant.notices).encode())
             self.output.forget_newest()
@@ -148,8 +175,8 @@ class VirtualStm32:
     def can_become(self, made_of: VirtualRobot) -> bool:
         """Whether ``remake`` can turn this robot into that one.
 
-        It cannot if the FMU is another one, if its start values differ and it runs in its own process, or if the FMU is
-        not one of ours: its reset may then be incomplete, so it is opened again.
+        It cannot if the FMU is another one, or if its start values differ and it runs in its own process. A foreign FMU
+        is opened again too, because its reset may be incomplete.
         """
         here, there = self._made_of.plant, made_of.plant
         if isinstance(self.plant, FmuPlant):
@@ -179,7 +206,6 @@ class VirtualStm32:
         return DeviceError(f"the plant {self._made_of.plant.fmu.name} failed at {at_s:g} s: {self.plant.message}")
 
     def close(self) -> None:
-        """Free the plant."""
         self.plant.close()
 
 
@@ -216,15 +242,16 @@ class KeptRobot:
         self._robot = robot
 
     def close(self) -> None:
-        """Close the robot that is kept."""
         if self._robot is not None:
             self._robot.close()
             self._robot = None
 
 
-def _open(plant: VirtualPlant) -> FmuPlant | RemotePlant:
+def _open(plant: VirtualPlant) -> "FmuPlant | RemotePlant":
     if archive.is_shipped(plant.fmu):
         return FmuPlant(plant.fmu, plant.start, mapping=plant.mapping)
+    from hil.plant.remote import RemotePlant  # only for a foreign FMU
+
     return RemotePlant(
         plant.fmu,
         plant.start,

@@ -10,9 +10,7 @@ from firmware_protocol.framing import Frame
 from firmware_protocol.generated.messages import State
 from firmware_protocol.host import View
 from hil.core.clock import TICK_NS
-from hil.core.errors import HilError
 from hil.core.types import PoseFix
-from hil.robot.faults import RobotFaults
 from hil.robot.virtual import ClockedNode, RobotNode, VirtualStm32
 from hil.wire.robot_end import Wire
 
@@ -92,9 +90,9 @@ class VirtualServer:
         """
         self._reset = answer
 
-    def run_on_faults(self, action: Callable[[RobotFaults], None]) -> None:
-        """Run a function on the robot's faults before the next exchange, in the serving thread."""
-        self._requests.put(lambda: action(self._robot.faults))
+    def run_between_exchanges(self, action: Callable[[], None]) -> None:
+        """Run a function before the next exchange, in the serving thread."""
+        self._requests.put(action)
 
     def serve(self) -> None:
         """Serve until ``stop``. Raises LinkError when the link is lost, DeviceError when the plant fails."""
@@ -118,7 +116,7 @@ class VirtualServer:
             self._serve_real_time()
 
     def advance(self, ticks: int) -> None:
-        """Lockstep with a robot whose protocol has no STEP: read what was sent, and run a number of ticks."""
+        """Lockstep with a robot whose protocol has no STEP: read the sent messages, and run a number of ticks."""
         self._handle_requests()
         # Read until nothing is left: one message may arrive in several pieces.
         while self._wire.receive_into(self._robot.node, 0):
@@ -198,34 +196,7 @@ class LocalTruth:
         self._fix = fix
 
     def poll(self) -> PoseFix | None:
-        """Return the newest true pose."""
         return self._fix
 
     def close(self) -> None:
         """Nothing to release."""
-
-
-class ServerThread:
-    """A thread that runs a virtual robot in the controller's process. ``failure`` is the error that ended it early."""
-
-    def __init__(self, server: VirtualServer) -> None:
-        self._server = server
-        self.failure: HilError | None = None
-        self._thread = threading.Thread(target=self._run, name="virtual-stm32", daemon=True)
-        self._thread.start()
-
-    def _run(self) -> None:
-        try:
-            self._server.serve()
-        except HilError as error:
-            self.failure = error
-
-    @property
-    def native_id(self) -> int | None:
-        """The thread's id in the operating system; None if it has ended."""
-        return self._thread.native_id if self._thread.is_alive() else None
-
-    def close(self) -> None:
-        """Stop the robot and wait for its thread."""
-        self._server.stop()
-        self._thread.join()

@@ -4,30 +4,24 @@ import contextlib
 import random
 import time
 from collections.abc import Iterator, Sequence
-from typing import Self
+from typing import TYPE_CHECKING, Protocol, Self
 
 from firmware_protocol.host import parameter_hash
 from hil.core.clock import TICK_NS, LockstepClock, WallClock
 from hil.core.errors import BadInputError, HilError, LinkError
-from hil.core.guard import Brake, Guard
-from hil.core.ports import Clock, FixSource, Link, PoseSource
+from hil.core.extensions import Extensions
+from hil.core.ports import Clock, Link, PoseSource
 from hil.core.signals import SIGNAL_NAMES
 from hil.core.types import Pose
-from hil.drivers.host_watch import HostWatch, watch_over
-from hil.drivers.makers import MakersRobot
-from hil.drivers.motor_stop import Terms
-from hil.drivers.registry import dialect
-from hil.estimation.localisation import SimulatedFixes, UdpFixes
+from hil.core.wheel_map import ImuMount
+from hil.estimation.estimators import make_fixes
 from hil.plant.child_output import ChildOutput
 from hil.robot.handshake import Expected
 from hil.robot.port import Device, Identity
 from hil.robot.stm32 import Stm32
-from hil.robot.truth import TruthClient
 from hil.robot.virtual import MakeNode, MakeRobot, new_robot
-from hil.robot.wheel_map import ImuMount
 from hil.runtime.fault_injection import RunFaults
 from hil.runtime.local_robot import LocalRobot
-from hil.runtime.mutation.mutation import mutation
 from hil.runtime.robots import (
     firmware_values,
     link_of,
@@ -37,15 +31,38 @@ from hil.runtime.robots import (
     start_pose,
     wheel_map,
 )
+from hil.runtime.run_options import Instrument
 from hil.scenario import Scenario
 from hil.scenario.commission import require_commissioned
-from hil.scenario.motors import make_driver
 from hil.scenario.plant import WiringTable
 from hil.wire.conditions import ConditionedLink
-from hil.wire.statistics import observe
-from hil.wire.trace import Trace
+from hil.wire.link_statistics import observe
+
+if TYPE_CHECKING:
+    from hil.wire.trace import Trace
 
 NS = 1_000_000_000
+
+_SESSIONS = Extensions("hil.sessions")
+
+
+class OpenSession(Protocol):
+    """Opens the session with third-party motor controllers; registered as ``makers`` in the group ``hil.sessions``.
+
+    ``local`` is the robot if it is in this process. What watches over one elsewhere is ended by ``guarding``, which is
+    closed after the link.
+    """
+
+    def __call__(
+        self,
+        scenario: Scenario,
+        link: ConditionedLink,
+        clock: Clock,
+        local: LocalRobot | None,
+        guarding: contextlib.ExitStack,
+        *,
+        allow_motion: bool,
+    ) -> Device: ...
 
 
 class Bench:
@@ -53,9 +70,9 @@ class Bench:
 
     If the link is within this process, the virtual robot is made here too. Otherwise the robot is elsewhere, and
     ``truth`` is the URL of its truth socket, if it has one. ``trace`` records the frames on the wire. ``make_robot``
-    makes a robot in this process, ``make_node`` its firmware. ``signals`` are the names of the run's signals.
-    ``wiring_is_unknown`` is for what finds out how a robot is wired: anything else may not move one whose commissioning
-    was begun and is not done.
+    makes a robot in this process, ``make_node`` its firmware. ``instrument`` changes the link. ``signals`` names the
+    run's signals. ``wiring_is_unknown`` is for what finds out how a robot is wired: anything else may not move one
+    whose commissioning was begun and is not done.
 
     Raises BadInputError, LinkError or DeviceError when a part cannot be opened.
 
@@ -74,9 +91,10 @@ class Bench:
         *,
         allow_motion: bool,
         wiring_is_unknown: bool = False,
-        trace: Trace | None = None,
+        trace: "Trace | None" = None,
         make_node: MakeNode | None = None,
         make_robot: MakeRobot = new_robot,
+        instrument: Instrument | None = None,
         signals: Sequence[str] = SIGNAL_NAMES,
     ) -> None:
         self._scenario = scenario
@@ -91,7 +109,7 @@ class Bench:
         rows = [table.row for table in scenario.fault]
         self.faults = RunFaults(rows, scenario.loop.seed, self.clock, signals, self._protocol)
         with contextlib.ExitStack() as resources:
-            self.fixes = _fix_source(scenario)
+            self.fixes = make_fixes(scenario.estimator, scenario.loop.seed, scenario.link.feedback_latency_ns)
             if self.fixes is not None:
                 resources.callback(self.fixes.close)
             guarding = contextlib.ExitStack()
@@ -100,18 +118,20 @@ class Bench:
                 self.local = local = LocalRobot(scenario, self.faults, make_node, make_robot, resources)
                 self.truth, link = local.truth, local.link
             else:
-                if allow_motion:
-                    mutation().refuse_motion()
                 if allow_motion and not wiring_is_unknown:
                     self._uncommissioned = require_commissioned(scenario.commission)
                 self._open_truth(truth, resources)
                 resources.enter_context(guarding)  # released only after the link was closed
                 link = link_of(scenario).open_host(self.faults.line, self._protocol)
                 resources.callback(link.close)
-            conditioned = self._conditioned(link, trace)
+            conditioned = self._conditioned(link, trace, instrument)
             resources.callback(conditioned.close)
             if scenario.device.is_makers:
-                self.device = self._makers_robot(conditioned, guarding, allow_motion=allow_motion)
+                subject = f"device.driver = {scenario.device.driver!r}"
+                open_session: OpenSession = _SESSIONS.load("makers", subject)
+                self.device = open_session(
+                    scenario, conditioned, self.clock, self.local, guarding, allow_motion=allow_motion
+                )
             else:
                 self.device = self._stm32(conditioned, allow_motion=allow_motion)
             if isinstance(self.clock, LockstepClock):
@@ -127,12 +147,13 @@ class Bench:
             )
 
     def _open_truth(self, truth: str | None, resources: contextlib.ExitStack) -> None:
-        """Open the truth socket of a robot in another process, if given, and send the robot its faults."""
         scenario = self._scenario
         if self._is_lockstep and scenario.device.is_makers:
             raise no_lockstep(scenario.device.driver)
-        client: TruthClient | None = None
+        client = None
         if truth is not None:
+            from hil.robot.truth_client import TruthClient
+
             not_before = (lambda: self.device.tick * TICK_NS) if self._is_lockstep else None
             client = TruthClient(truth, scenario.hash, reset=True, not_before=not_before)
             resources.callback(client.close)
@@ -144,14 +165,14 @@ class Bench:
         self.truth = client
         self.faults.arm(client)
 
-    def _conditioned(self, link: Link, trace: Trace | None) -> ConditionedLink:
+    def _conditioned(self, link: Link, trace: "Trace | None", instrument: Instrument | None) -> ConditionedLink:
         """Wrap the link with its latencies, faults and statistics; the trace gets its frames from the statistics."""
         url, latency = link_of(self._scenario), self._scenario.link
         if trace is not None:
             trace.begin(time.time_ns() - self.clock.now_ns())
         self.wire = observe(link, url, self.clock, trace)
         return ConditionedLink(
-            mutation().link(link),
+            link if instrument is None else instrument.link(link),
             self.clock,
             command_latency_ns=latency.command_latency_ns,
             feedback_latency_ns=latency.feedback_latency_ns,
@@ -162,35 +183,7 @@ class Bench:
             protocol=self._protocol,
         )
 
-    def _makers_robot(
-        self, link: ConditionedLink, guarding: contextlib.ExitStack, *, allow_motion: bool
-    ) -> MakersRobot:
-        """Return the session with third-party motor controllers. A watchdog guards those in another process."""
-        scenario, local = self._scenario, self.local
-        firmware, mode, driver = scenario.firmware, scenario.controller.mode, make_driver(scenario)
-        watch = HostWatch()
-        if local is None:
-            made, device = dialect(scenario.device.driver), scenario.device
-            watch = watch_over(made, driver, link_of(scenario), device.guardian_s, scenario.realtime.priority)
-            guarding.callback(watch.release)
-        torque_limit_n_m = min(firmware.torque_limit_n_m, scenario.robot.torque_limit_n_m)
-        guard = Guard(scenario.robot.speed_limit_rad_s, torque_limit_n_m)
-        terms = Terms(
-            mode,
-            firmware.ramp_s,
-            firmware.watchdog_s,
-            Brake(mode, guard, firmware.speed_kp_n_m_s_rad),
-            firmware.counts_per_revolution,
-            allow_motion or local is not None,
-            scenario.loop.rearm,
-            local.advance if local is not None else None,
-        )
-        return MakersRobot(
-            link, self.clock, driver, (wheel_map(scenario.device), ImuMount(scenario.device.imu)), terms, watch
-        )
-
     def _stm32(self, link: ConditionedLink, *, allow_motion: bool) -> Stm32:
-        """Return the session with this project's firmware."""
         scenario = self._scenario
         expected = Expected(
             parameter_hash(firmware_values(scenario)),
@@ -219,7 +212,7 @@ class Bench:
         with contextlib.suppress(LinkError):  # a lost link is found lost by the first tick, which handles that
             feedback = self.device.poll()
         if not self._is_lockstep:
-            if isinstance(self.device, MakersRobot):  # its feedback is stamped with this process's clock
+            if self._scenario.device.is_makers:  # its feedback is stamped with this process's clock
                 fix = self.truth.poll() if self.truth is not None else None
                 tick = fix.time_ns // TICK_NS if fix is not None else tick
             elif feedback is not None:
@@ -230,7 +223,7 @@ class Bench:
     def connect(self) -> Identity:
         """Shake hands with the robot.
 
-        Raises BadInputError for [plant.wiring] where the robot is real: its wiring is what it is.
+        Raises BadInputError for [plant.wiring] where the robot is real: its wiring is fixed.
         """
         identity = self.device.connect()
         if self.local is None and self.truth is None and identity.has_power_stage and self._has_hidden_wiring:
@@ -251,7 +244,7 @@ class Bench:
 
     def robot_failure(self) -> HilError | None:
         """Return the error that ended the thread of the robot in this process, or None."""
-        return self.local.thread_failure() if self.local is not None else None
+        return self.local.failure if self.local is not None else None
 
     def stop_robot(self) -> HilError | None:
         """Stop the robot in this process at the end of the run. Return the error that ended it earlier, or None."""
@@ -281,16 +274,6 @@ class Bench:
 
     def __exit__(self, *_: object) -> None:
         self.close()
-
-
-def _fix_source(scenario: Scenario) -> FixSource | None:
-    """Open the source of pose fixes; None if the estimator uses none."""
-    estimator = scenario.estimator
-    if estimator.source != "fused":
-        return None
-    if estimator.fix == "simulated":
-        return SimulatedFixes(estimator.simulated_fix, scenario.loop.seed, scenario.link.feedback_latency_ns)
-    return UdpFixes(estimator.fix, estimator.filter.history_s)
 
 
 def _nonces(seed: int | None) -> Iterator[int]:

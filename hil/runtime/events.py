@@ -1,21 +1,40 @@
-"""Writes the event log of a run: begin and end of faults, and the outcome of expectations."""
+"""The event log of a run, and what writes begin and end of faults and the outcome of expectations into it."""
 
 import math
 import struct
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
-from typing import Any
 
-from hil.core.ports import Note
-from hil.faults.kinds import find
+from hil.core.ports import Event, Note
+from hil.core.types import WHEEL_NAMES
 from hil.judge.claims import Watch
-from hil.judge.expectations import outcome_figures
-from hil.judge.state import STATE_SIGNALS, state_words
+from hil.judge.judged_run import STATE_BEGINS, ExpectationResult
 from hil.plant.child_output import ChildOutput, log_lines
 from hil.scenario import Scenario
 
 _value_at = struct.Struct("d").unpack_from  # at an offset in a row
+_WHEELS = ("speed_command_rad_s", "torque_command_n_m", "speed_rad_s", "current_a")
+_STATE_SIGNALS = (
+    *("error.x_m", "error.y_m", "error.heading_rad", "error.planar_m", "guard.held"),
+    *(f"wheel.{wheel}.{quantity}" for quantity in _WHEELS for wheel in WHEEL_NAMES),
+)
+_EVENTS_KEPT = 10_000
 _LEVELS = {True: "info", None: "warning", False: "error"}
+
+
+class EventLog:
+    """The events of a run, the first 10,000 of them, each passed on to the next log, such as that of a recording."""
+
+    def __init__(self, following: Note | None) -> None:
+        self.events: list[Event] = []
+        self._following = following
+
+    def note(self, t_s: float, level: str, text: str) -> None:
+        """Add an event; the level is debug, info, warning or error."""
+        if len(self.events) < _EVENTS_KEPT:
+            self.events.append(Event(t_s, "WARN" if level == "warning" else level.upper(), text))
+        if self._following is not None:
+            self._following(t_s, level, text)
 
 
 class RunEvents:
@@ -27,7 +46,7 @@ class RunEvents:
     nothing to look for, and ``put`` need not be called.
     """
 
-    needs = ("loop.t_s", *STATE_SIGNALS)
+    needs = ("loop.t_s", *_STATE_SIGNALS)
 
     def __init__(
         self,
@@ -54,7 +73,7 @@ class RunEvents:
         edges: list[tuple[float, Callable[[], None]]] = []
         for fault in scenario.fault:
             edges.append((fault.start_s, partial(self._begin, fault.start_s, fault.words)))
-            if not find(fault.kind, fault.target).is_instant:
+            if not fault.is_instant:
                 edges.append((fault.end_s, partial(self._end, fault.end_s, fault.words)))
         for watch in self._undecided:
             edges.append((watch.from_s, partial(self._watch, watch)))
@@ -65,7 +84,6 @@ class RunEvents:
         self.needs_rows = bool(edges) or output is not None
 
     def put(self, row: bytes) -> None:
-        """Process the row of a tick."""
         (t_s,) = _value_at(row, self._t_at)
         if t_s >= self._next_s:
             self._cross(t_s)
@@ -75,7 +93,7 @@ class RunEvents:
             if watch.add(t_s, [_value_at(row, at)[0] for at in places]):
                 self._note_failure(watch)
 
-    def finish(self, t_s: float, *, is_cut: bool) -> dict[int, dict[str, Any]]:
+    def finish(self, t_s: float, *, is_cut: bool) -> dict[int, ExpectationResult]:
         """End the log after the last tick, at ``t_s``; return the outcomes of the expectations about signals.
 
         They are by their place in the scenario. ``is_cut``: the run ended before its planned duration.
@@ -89,7 +107,7 @@ class RunEvents:
         cut_s = t_s if is_cut else None
         for watch in tuple(self._undecided):
             self._decide(watch, t_s, cut_s)
-        return {i: outcome_figures(watch.expect, watch.outcome(cut_s)) for i, watch in self._watches.items()}
+        return {i: watch.result(cut_s) for i, watch in self._watches.items()}
 
     def _cross(self, t_s: float) -> None:
         """Run the actions that are due at a tick. Those at infinity never are."""
@@ -110,26 +128,48 @@ class RunEvents:
 
     def _note_failure(self, watch: Watch) -> None:
         """Log at once that an expectation has failed. The worst value is logged when its time window ends."""
-        outcome = watch.outcome()
+        outcome = watch.result()
         assert outcome.violation_s is not None, "it was violated"
         self._noted[id(watch)] = outcome.text
         self._note(outcome.violation_s, "error", outcome.text)
         self._note_state(outcome.violation_s)
 
     def _note_state(self, t_s: float) -> None:
-        """Log how the robot was, when a run has failed for the first time."""
         row = self._newest()
         if row is None or self._is_state_noted:
             return
         self._is_state_noted = True
-        self._note(t_s, "info", state_words({name: _value_at(row, at)[0] for name, at in self._places.items()}))
+        self._note(t_s, "info", _state_text({name: _value_at(row, at)[0] for name, at in self._places.items()}))
 
     def _decide(self, watch: Watch, t_s: float, cut_s: float | None) -> None:
         self._open.pop(watch, None)
         del self._undecided[watch]
-        outcome = watch.outcome(cut_s)
+        outcome = watch.result(cut_s)
         noted = self._noted.get(id(watch))
         if outcome.text == noted:
             return
         at_s = t_s if outcome.violation_s is None or noted is not None else outcome.violation_s
         self._note(at_s, _LEVELS[outcome.passed], outcome.text)
+
+
+def _state_text(row: Mapping[str, float]) -> str:
+    def wheels(quantity: str, digits: int) -> str:
+        values = [row[f"wheel.{wheel}.{quantity}"] for wheel in WHEEL_NAMES]
+        return "" if all(map(math.isnan, values)) else ", ".join(_number(one, digits) for one in values)
+
+    parts = []
+    if not math.isnan(row["error.planar_m"]):
+        x_mm, y_mm, heading_mrad = (_number(1e3 * row[f"error.{name}"], 1) for name in ("x_m", "y_m", "heading_rad"))
+        parts.append(f"off by x {x_mm} mm, y {y_mm} mm, heading {heading_mrad} mrad")
+    if row["guard.held"]:
+        parts.append("held at rest, because its state was unknown or old")
+    asked = [("speed_command_rad_s", 1, "rad/s"), ("torque_command_n_m", 2, "N·m")]
+    words = [f"asked for {values} {unit}" for name, digits, unit in asked if (values := wheels(name, digits))][:1]
+    words += [f"turned at {values} rad/s" for values in [wheels("speed_rad_s", 1)] if values]
+    words += [f"drew {values} A" for values in [wheels("current_a", 2)] if values]
+    parts += [f"wheels {', '.join(name.upper() for name in WHEEL_NAMES)} {'; '.join(words)}"] if words else []
+    return STATE_BEGINS + "; ".join(parts)
+
+
+def _number(value: float, digits: int) -> str:
+    return f"{round(value, digits) + 0.0:.{digits}f}"

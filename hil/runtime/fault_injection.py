@@ -2,17 +2,19 @@
 
 import contextlib
 from collections.abc import Sequence
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol
 
 from hil.core.errors import BadInputError, HilError
 from hil.core.link_protocol import WHEEL_DBC, LinkProtocol
 from hil.core.ports import Clock
-from hil.faults.kind import FaultRow
-from hil.runtime.signal_faults import SignalFaults
-from hil.wire.faults import BYTE_KINDS, BusFaults, ScenarioTime, link_faults
-from hil.wire.line_faults import FaultLine
-from hil.wire.link import LinkUrl
+from hil.faults.rows import FaultRow, ScenarioTime
 from hil.wire.streams import HostStream
+
+if TYPE_CHECKING:
+    from hil.faults.link_faults import ByteFault, LinkFault
+    from hil.runtime.signal_faults import SignalFaults
+    from hil.wire.byte_faults import BusFaults
+    from hil.wire.link import LinkUrl
 
 
 class RobotWithFaults(Protocol):
@@ -39,6 +41,11 @@ class RunFaults:
         signals: the rows that act on signals, or None.
     """
 
+    of_frames: "list[LinkFault]"
+    signals: "SignalFaults | None"
+    _of_link: "list[LinkFault]"
+    _of_bytes: "list[ByteFault]"
+
     def __init__(
         self,
         rows: Sequence[FaultRow],
@@ -50,31 +57,46 @@ class RunFaults:
         self._rows = rows
         self._robot: RobotWithFaults | None = None
         self._of_robot = [row for row in rows if row.acts_on in ("device", "plant")]
-        self._of_link = link_faults([row for row in rows if row.acts_on == "link"], seed, protocol)
-        self.of_frames = [fault for fault in self._of_link if fault.kind not in BYTE_KINDS]
-        self._of_bytes = [fault for fault in self._of_link if fault.kind in BYTE_KINDS]
+        self._of_link, self.of_frames, self._of_bytes = [], [], []
+        if of_link := [row for row in rows if row.acts_on == "link"]:
+            from hil.faults.kinds import link_faults
+            from hil.faults.link_faults import ByteFault
+
+            self._of_link = link_faults(of_link, seed, protocol)
+            self.of_frames = [fault for fault in self._of_link if not isinstance(fault, ByteFault)]
+            self._of_bytes = [fault for fault in self._of_link if isinstance(fault, ByteFault)]
         self._protocol = protocol
         of_signals = [row for row in rows if row.acts_on == "signal"]
         self.time = ScenarioTime(clock)
-        self.signals = SignalFaults(of_signals, names, seed) if of_signals else None
+        self.signals = None
+        if of_signals:
+            from hil.runtime.signal_faults import SignalFaults
+
+            self.signals = SignalFaults(of_signals, names, seed)
 
     def line(self, stream: HostStream) -> HostStream:
         """Return the host's end of a serial line, wrapped with the faults of its bytes if there are any."""
-        return FaultLine(stream, self.time, self._of_bytes, self._protocol) if self._of_bytes else stream
+        if not self._of_bytes:
+            return stream
+        from hil.wire.byte_faults import FaultLine
 
-    def bus(self, url: LinkUrl) -> BusFaults | None:
+        return FaultLine(stream, self.time, self._of_bytes, self._protocol)
+
+    def bus(self, url: "LinkUrl") -> "BusFaults | None":
         """Return the faults of a link's bus; None for a link that is no bus, or without such faults.
 
-        Raises BadInputError for frames in memory, which have no bits, LinkError when no babbling node can be opened.
+        Raises BadInputError for frames in memory, which have no bits, LinkError when the node of another sender cannot
+        be opened.
         """
         if not self._of_bytes or not (url.is_bus or self._protocol.make_framing is None):
             return None
         if not url.is_bus:
             row = self._of_bytes[0].row
             raise BadInputError(f"fault {row.kind}: a bus in memory has no bits; use --link can:virtual/NAME for it")
-        babbles = any(fault.kind == "babble" for fault in self._of_bytes)
-        babbler = url.open_host(protocol=self._protocol) if babbles else None
-        return BusFaults(self._of_bytes, babbler, self._protocol)
+        from hil.wire.byte_faults import BusFaults
+
+        needs_node = any(fault.is_sender for fault in self._of_bytes)
+        return BusFaults(self._of_bytes, url.open_host(protocol=self._protocol) if needs_node else None)
 
     def arm(self, robot: RobotWithFaults | None) -> None:
         """Give the robot the faults of the robot and its plant.

@@ -4,6 +4,7 @@
 """
 
 from collections.abc import Callable
+from typing import TYPE_CHECKING
 
 from firmware_protocol.fast_calls import fast_call
 from firmware_protocol.generated.messages import State as RobotState
@@ -14,7 +15,9 @@ from hil.core.types import PoseFix
 from hil.robot.port import Device
 from hil.robot.snapshot import Feedback
 from hil.runtime.sampling import Timing
-from hil.runtime.signal_faults import SignalFaults
+
+if TYPE_CHECKING:
+    from hil.runtime.signal_faults import SignalFaults
 
 # Tolerance between a robot's clock and its expected time, beyond which it counts as reset: feedback in transit, and the
 # HSI oscillator's accuracy.
@@ -33,7 +36,7 @@ class Freshness:
             truth is too old by its time stamp, or if no new one came for that long.
     """
 
-    def __init__(self, clock: Clock, device: Device, faults: SignalFaults | None, timing: Timing) -> None:
+    def __init__(self, clock: Clock, device: Device, faults: "SignalFaults | None", timing: Timing) -> None:
         ffi, self._lib = library()
         self._clock = clock
         self._device = device
@@ -71,7 +74,6 @@ class Freshness:
         return feedback
 
     def _problem(self, result: int, state: RobotState, age_ns: int, t_s: float, active: bool) -> HilError:
-        """Return the error for a robot that cannot be driven, by ``WHEEL_FRESHNESS_...``."""
         if result == self._lib.WHEEL_FRESHNESS_STATE:
             return self._stop(state, t_s)
         if result == self._lib.WHEEL_FRESHNESS_RESET:
@@ -132,9 +134,8 @@ class Freshness:
         return robot_passed_ns < 0 or abs(robot_passed_ns - passed_ns) > apart_ns
 
     def _stop(self, state: RobotState, t_s: float) -> RobotLatchedError | RobotStoppedError:
-        """Return the error for a robot that is not ACTIVE."""
         report = self._device.report
-        # A robot that stopped by itself passes through STOPPING and reports the reason; one that was reset knows none.
+        # A robot that stopped on its own passes through STOPPING and reports the reason; after a reset it knows none.
         was_reset = state in (RobotState.BOOT, RobotState.IDLE) and report.knows_no_reason
         reset = f"it was reset ({report.last_reset})" if report.last_reset else "it was reset"
         why = reset if was_reset else f"it is {state.name} because of {report.stop_reason()}"

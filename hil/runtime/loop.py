@@ -3,38 +3,62 @@
 import contextlib
 from collections.abc import Callable, Sequence
 from time import perf_counter
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from hil.core.errors import DeviceError, HilError, LinkError, OverdueError, RobotLatchedError, RobotStoppedError
 from hil.core.tick_watch import TickOverdue, TickWatch
 from hil.core.tuples import make_loop_signals
 from hil.core.types import NAN, CommandMode
-from hil.faults.kind import FaultRow
+from hil.faults.rows import FaultRow
 from hil.judge.expectations import Count, Stop
+from hil.judge.judged_run import Recovered
+from hil.robot.port import Device
 from hil.runtime.lateness import Lateness
-from hil.runtime.recovery import Recovered, Recovery, Warned
 from hil.runtime.sampling import Sampling, Timing
 from hil.runtime.tick import Tick, TickParts
-from hil.runtime.undriven import Undriven
+from hil.runtime.unexplained import NotDriven
 
 _STOP_LIMIT_NS = 5_000_000_000
+
+if TYPE_CHECKING:
+    from hil.runtime.recovery import Recovery
+
+
+class Warned:
+    """Passes on each warning of a device once, and again if it is new after a reconnection.
+
+    ``reported`` are warnings that were passed on before.
+    """
+
+    def __init__(self, device: Device, report: Callable[[str], None], reported: Sequence[str] = ()) -> None:
+        self._device = device
+        self._report = report
+        self._reported = reported
+
+    def __call__(self) -> None:
+        """Pass on new warnings; call it after the device has answered."""
+        warnings = tuple(self._device.warnings)
+        for sentence in warnings:
+            if sentence not in self._reported:
+                self._report(sentence)
+        self._reported = warnings
 
 
 class Report(NamedTuple):
     """The result of the loop.
 
     Attributes:
-        undriven: number of ticks that were not driven, by the keys of ``[allow]``.
+        not_driven: number of ticks that were not driven, by the keys of ``[allow]``.
         robot_s, wall_s: the duration in robot time and in wall-clock time.
         stopped: whether the robot came to rest at the end.
         failure: what ended the loop early, or None.
         recoveries: the losses that it recovered from.
-        stops: each time that the robot left ACTIVE by itself.
+        stops: each time that the robot left ACTIVE on its own.
     """
 
     ticks: int
     deadline_misses: int
-    undriven: dict[str, Count]
+    not_driven: dict[str, Count]
     robot_s: float
     wall_s: float
     stopped: bool
@@ -52,10 +76,10 @@ class Loop:
 
     With ``rearm`` a lost link or a stopped robot does not end the run. The robot is brought back while the ticks go
     on without commands; then the law is reset at the reference of the present ``t``. With ``watches`` a robot that
-    stops by itself does not end the run: unless ``rearm`` brings it back, the ticks go on without commands, to the
-    end. A lost link ends such a run as ever. ``warn`` is called with each new warning of the device. ``faults`` are
-    the scenario's faults, which may explain undriven ticks. A tick that takes longer than ``tick_limit_s`` of wall-
-    clock time ends the run (``TickWatch``; 0 for no limit).
+    stops on its own does not end the run: unless ``rearm`` brings it back, the ticks go on without commands, to the
+    end. A lost link still ends the run. ``warn`` is called with each new warning of the device. ``faults`` are
+    the scenario's faults, which may explain ticks that are not driven. A tick of more than ``tick_limit_s`` of
+    wall-clock time ends the run (``TickWatch``; 0 for no limit).
     """
 
     def __init__(
@@ -81,7 +105,7 @@ class Loop:
         self._sampling = Sampling(parts.clock, parts.device, parts.truth, timing)
         self._warn = warn
         self._warned = Warned(parts.device, self._on_warning, reported=tuple(parts.device.warnings))
-        self._undriven = Undriven(faults, timing)
+        self._not_driven = NotDriven(faults, timing)
         self._recovery: Recovery | None = None
         self._recoveries: list[Recovered] = []
         self._watches = watches
@@ -131,9 +155,9 @@ class Loop:
             self.lateness.add(0, ticks)
         robot_s = self.t_s + self._timing.period_ns * 1e-9 if ticks else 0.0
         recoveries = tuple(self._recoveries)
-        undriven = self._undriven.counts(ticks)
+        not_driven = self._not_driven.counts(ticks)
         stops = tuple(self._stops)
-        return Report(ticks, self._misses, undriven, robot_s, wall_s, stopped, failure, recoveries, stops)
+        return Report(ticks, self._misses, not_driven, robot_s, wall_s, stopped, failure, recoveries, stops)
 
     @property
     def commands_refused(self) -> int:
@@ -197,8 +221,8 @@ class Loop:
             if is_stopped in in_vain:
                 # It failed twice in the same way, so no queued command is the cause: STEP itself is lost, and robot
                 # time stands still.
-                recovery.revive()
-            elif is_stopped:
+                raise error
+            if is_stopped:
                 # After a reset the robot counts its ticks from 0: ask it for the present one.
                 recovery.begin_now()
         in_vain.add(is_stopped)
@@ -244,9 +268,9 @@ class Loop:
             self._come_back(self._recovery)
             ticker.record_away(now, fix, reference_at(t_s))
         if ticker.is_held and not self._is_watching:
-            self._undriven.hold(t_ns, is_stale=ticker.is_stale)
-        elif self._undriven.is_explained:
-            self._undriven.drive()
+            self._not_driven.hold(t_ns, is_stale=ticker.is_stale)
+        elif self._not_driven.is_explained:
+            self._not_driven.drive()
         watch.turn += 1
         self._tick_us = (perf_counter() - begin_s) * 1e6
 
@@ -264,12 +288,14 @@ class Loop:
             raise error
         self._lose(error)
 
-    def _lose(self, error: HilError) -> Recovery:
+    def _lose(self, error: HilError) -> "Recovery":
         """Begin the recovery of the robot, or restart it; without ``rearm`` raise the error, which ends the run."""
         self._ticker.raise_robot_failure()
         if not self._rearm:
             raise type(error)(f"{error}; to reconnect and arm anew in such a case, set loop.rearm = true") from error
         if self._recovery is None:
+            from hil.runtime.recovery import Recovery  # only for a robot that was lost
+
             self._recovery = Recovery(self._parts.device, self._parts.clock, error, self.t_s, self._warned)
             self._parts.note(self.t_s, "warning", f"{error}; it is being brought back")
         else:
@@ -281,7 +307,7 @@ class Loop:
         if self._warn is not None:
             self._warn(sentence)
 
-    def _come_back(self, recovery: Recovery) -> None:
+    def _come_back(self, recovery: "Recovery") -> None:
         self._ticker.raise_robot_failure()
         if not recovery.advance():
             return

@@ -23,11 +23,10 @@ def ingredients(scenario: "Scenario") -> dict[str, str]:
 
     Call it when the parts of the run are made: files may change before a recording begins. Adds to ``law_ingredients``:
     ``commit`` if the code runs from a checkout; ``map_sha256`` of ``[plant.map]``; ``reference_file_sha256`` and
-    ``motors_file_sha256`` of files that the scenario names; ``reference_sha256`` and ``driver_sha256`` of the code of
-    another package's reference and driver; ``fmu_sha256`` of the FMU if it is on this machine; ``wheel_host_sha256``
-    and ``cosim_sha256`` of the native libraries that this process has loaded; ``wheel_host_sources_sha256`` and
-    ``cosim_sources_sha256`` of the sources they were built from, which are the same on every machine. A key without a
-    value is left out.
+    ``motors_file_sha256`` of files that the scenario names. The code of another package's reference and driver gives
+    ``reference_sha256`` and ``driver_sha256``, an FMU on this machine ``fmu_sha256``. The native libraries that this
+    process has loaded give ``wheel_host_sha256`` and ``cosim_sha256``. Their sources, the same on every machine, give
+    ``wheel_host_sources_sha256`` and ``cosim_sources_sha256``. A key without a value is left out.
 
     Raises BadInputError as ``law_ingredients``, and for an FMU or a native library that cannot be used.
     """
@@ -38,9 +37,9 @@ def ingredients(scenario: "Scenario") -> dict[str, str]:
 
 
 def _hashes(scenario: "Scenario") -> dict[str, str | None]:
-    from hil.drivers.registry import driver_module
     from hil.laws.code import code_of_module
     from hil.references import reference_module
+    from hil.robot.driver_registry import driver_module
 
     directory = scenario.directory
     files = {"reference_file": scenario.reference.options, "motors_file": scenario.device.motors}
@@ -54,29 +53,25 @@ def _hashes(scenario: "Scenario") -> dict[str, str | None]:
 
 
 def law_ingredients(scenario: "Scenario") -> dict[str, str]:
-    """Return the part of ``ingredients`` that concerns the laws.
+    """Return the part of ``ingredients`` that concerns the law.
 
     ``gains``: a JSON object of all options of the law, including defaults. ``law_sha256``: hash of the law's code
-    (``hil.laws.code``). ``shadow_laws_sha256``: a JSON object of the shadow laws' hashes. Raises BadInputError as
-    ``gains_in_force``.
+    (``hil.laws.code``). Raises BadInputError as ``gains_in_force``.
     """
-    from hil.laws.registry import gains_in_force, law_sha256
+    from hil.laws.law_registry import gains_in_force, law_sha256
 
     law, directory = scenario.controller, scenario.directory
     found = {"gains": json.dumps(gains_in_force(law.law, directory, law.gains))}
     if (code := law_sha256(law.law, directory)) is not None:
         found["law_sha256"] = code
-    if law.shadow:
-        shadows = {name: law_sha256(spec, directory) for name, spec in zip(law.shadow_names, law.shadow, strict=True)}
-        found["shadow_laws_sha256"] = json.dumps(shadows)
     return found
 
 
 def properties(scenario: "Scenario", made_of: Mapping[str, str] | None = None) -> dict[str, str]:
     """Return a recording's properties. ``made_of`` are its ``ingredients``; by default they are computed now.
 
-    ``scenario`` is a JSON object of every resolved value by its dotted key, ``scenario_sources`` one of where each was
-    given; ``scenario_sha256`` is the hash that a controller and a device compare.
+    ``scenario`` is a JSON object of every resolved value by its dotted key, ``scenario_sources`` one of their sources.
+    ``scenario_sha256`` is the hash that a controller and a device compare.
     """
     from hil.scenario import resolved
 
@@ -99,7 +94,6 @@ def properties(scenario: "Scenario", made_of: Mapping[str, str] | None = None) -
 
 
 def _plant_and_libraries(scenario: "Scenario") -> dict[str, str | None]:
-    """Return the hashes of the FMU, and of the native libraries that a run uses in this process."""
     from firmware_protocol import host
     from firmware_protocol.built import BuildError
     from hil.plant import archive, shim

@@ -37,11 +37,10 @@ class Setting(NamedTuple):
     sentence: str
 
 
-class RealTime:
+class RealTime(NamedTuple):
     """The real-time settings of a process during a run: ``settings`` has the answer to each request."""
 
-    def __init__(self, settings: Sequence[Setting]) -> None:
-        self.settings = tuple(settings)
+    settings: Sequence[Setting]
 
     def figures(self) -> dict[str, dict[str, str]]:
         """Return two dicts of sentences by setting, under ``granted`` and ``refused``."""
@@ -155,7 +154,7 @@ def _stay_awake(undo: contextlib.ExitStack) -> str:
 
 
 def isolated_cpus() -> tuple[int, ...]:
-    """Return the processors on which the kernel schedules nothing by itself (isolcpus=)."""
+    """Return the processors on which the kernel schedules nothing on its own (isolcpus=)."""
     try:
         return parse_cpus(ISOLATED.read_text("ascii"))
     except OSError:
@@ -266,7 +265,6 @@ def has_capability(bit: int) -> bool:
 
 
 def _status(key: str) -> str | None:
-    """Return a value of /proc/self/status; None if the file or the key is missing."""
     try:
         text = Path("/proc/self/status").read_text("utf-8")
     except OSError:

@@ -1,46 +1,15 @@
 """Recovers a robot that was lost or stopped: reopen the link, repeat the handshake, arm again. One step per tick."""
 
-import time
-from collections.abc import Callable, Sequence
-from typing import NamedTuple
+from collections.abc import Callable
 
 from hil.core.errors import HilError, LinkError, RobotStoppedError
 from hil.core.ports import Clock
 from hil.robot.port import Device
+from hil.runtime.loop import Warned
 from hil.wire.reopening import BackOff
 
 _GREETING_LIMIT_NS = 2_000_000_000
 _ARMING_LIMIT_NS = 4_000_000_000
-# In lockstep robot time stands still without the robot; this is how long the host waits for it, in wall-clock time.
-_STANDSTILL_LIMIT_NS = 60_000_000_000
-
-
-class Recovered(NamedTuple):
-    """A successful recovery: scenario time of the loss and of the return to ACTIVE [s], and the cause."""
-
-    lost_s: float
-    armed_s: float
-    why: str
-
-
-class Warned:
-    """Passes on each warning of a device once, and again if it is new after a reconnection.
-
-    ``reported`` are warnings that were passed on before.
-    """
-
-    def __init__(self, device: Device, report: Callable[[str], None], reported: Sequence[str] = ()) -> None:
-        self._device = device
-        self._report = report
-        self._reported = reported
-
-    def __call__(self) -> None:
-        """Pass on new warnings; call it after the device has answered."""
-        warnings = tuple(self._device.warnings)
-        for sentence in warnings:
-            if sentence not in self._reported:
-                self._report(sentence)
-        self._reported = warnings
 
 
 class Recovery:
@@ -65,7 +34,6 @@ class Recovery:
         self.problem = self.why
         self._waits = BackOff()
         self._due_ns = 0
-        self._standstill_ns: int | None = None  # wall-clock time at which robot time stopped
         self._step: Callable[[], bool] = self._reopen
         self._last_step = self._arm if arm else self._await_feedback
         device.leave()
@@ -79,7 +47,6 @@ class Recovery:
 
         Raises DeviceError when the robot refuses to arm or is in FAULT or ESTOP, BadInputError for another robot.
         """
-        self._standstill_ns = None
         try:
             return self._step()
         except (LinkError, RobotStoppedError) as error:
@@ -95,28 +62,9 @@ class Recovery:
         self.advance()
 
     def fail(self, error: HilError) -> None:
-        """Start again from the link."""
         self.problem = str(error)
         self._device.leave()
         self._back_off()
-
-    def revive(self) -> None:
-        """Lockstep: bring the robot back in wall-clock time, because without it robot time stands still.
-
-        Raises LinkError after 60 s.
-        """
-        if self._standstill_ns is None:
-            self._standstill_ns = time.monotonic_ns()
-        while time.monotonic_ns() < self._standstill_ns + _STANDSTILL_LIMIT_NS:
-            time.sleep(self._waits.wait_ns * 1e-9)
-            try:
-                self._device.reopen()
-                self._begin()
-            except (LinkError, RobotStoppedError) as error:
-                self.fail(error)
-            else:
-                return
-        raise LinkError(f"the robot did not come back within 60 s: {self.problem}")
 
     def _back_off(self) -> None:
         self._step = self._reopen

@@ -1,25 +1,38 @@
-"""Computes the figures of a finished run, and finishes its recording."""
+"""Judges a finished run, and finishes its recording."""
 
 import contextlib
 import math
 from collections.abc import Mapping, Sequence
-from typing import Any
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
 
 from hil.core.errors import HilError, kind_of
 from hil.core.percentiles import Percentiles
 from hil.judge.baselines import against_baseline
-from hil.judge.claims import Outcome
-from hil.judge.expectations import Count, allow_figures, figure_outcome, outcome_figures, stop_outcome
+from hil.judge.expectations import Count, figure_result, limit_results, stop_result, with_lost_rows
 from hil.judge.figures import cut_words
-from hil.judge.results import MemorySink
-from hil.judge.words import SCHEMA, applied_words, judged, set_lost_rows, why_not_passed, with_page
-from hil.record import RunRecording
+from hil.judge.judged_run import (
+    CauseKind,
+    Counts,
+    ExpectationResult,
+    Failure,
+    FaultResult,
+    Identity,
+    JudgedRun,
+    Recorded,
+    decided,
+)
+from hil.judge.memory_sink import MemorySink
 from hil.runtime.bench import Bench
 from hil.runtime.loop import Loop, Report
+from hil.runtime.robots import link_of
 from hil.scenario import Scenario
 from hil.scenario.load import given
-from hil.scenario.run import values
-from hil.scenario.trial import AllowTable, ExpectTable
+from hil.scenario.scenario import values
+from hil.scenario.trial import AllowTable, ExpectTable, FaultTable
+
+if TYPE_CHECKING:
+    from hil.record.recording import RunRecording
 
 _NO_VALUE = {
     "load": "a link in memory has no bit rate",
@@ -32,82 +45,79 @@ _NO_VALUE = {
 }
 
 
-def run_figures(
+def judge(
     scenario: Scenario,
     bench: Bench,
     memory: MemorySink,
     loop: Loop,
     report: Report,
-    outcomes: Mapping[int, dict[str, Any]],
+    results: Mapping[int, ExpectationResult],
     rejections: Mapping[str, Count],
     *,
     lenient: bool = False,
-) -> dict[str, Any]:
-    """Return the figures of a run by name.
+) -> JudgedRun:
+    """Return a run with its figures and its verdict.
 
-    ``outcomes`` are those of the expectations about signals, by their place in the scenario. ``lenient``: the run is
+    ``results`` are those of the expectations about signals, by their place in the scenario. ``lenient``: the run is
     judged by its expectations alone.
     """
     failure, duration_s = report.failure, scenario.loop.duration_s
     cut_s = loop.t_s if is_cut(scenario, loop, report) else None
     figures, reasons = memory.figures(None if cut_s is None else cut_words(cut_s, duration_s))
-    applied: list[dict[str, Any]] = [
-        {"kind": row.kind, "target": row.target, "text": row.words, "applied": count, "counts": row.counts}
-        | {"start_s": row.start_s, "end_s": row.end_s if math.isfinite(row.end_s) else None, "value": row.value}
-        for row, count in zip(scenario.fault, bench.faults.applied(), strict=True)
-    ]
     refused = {"refused": Count(loop.commands_refused, loop.commands_refused)}
-    counts = {**report.undriven, **rejections, **refused, "lost_rows": Count(0, 0)}
+    counts = {**report.not_driven, **rejections, **refused, "lost_rows": Count(0, 0)}
     if not report.ticks:
         reasons["realtime_factor"] = "the run has no ticks"
     pose_fixes = loop.pose_fixes()
     if pose_fixes is None:
         reasons["pose_fixes"] = f"{scenario.estimator.source!r} takes none"
     device = bench.device
-    metrics: dict[str, Any] = {
-        "schema": SCHEMA,
-        "passed": None,
-        "lenient": lenient,
-        "scenario": scenario.name,
-        "law": scenario.controller.law,
-        "mode": scenario.loop.mode,
-        "command": scenario.controller.command,
-        "link": scenario.link.url,
-        "seed": scenario.loop.seed,
-        "given": given(dict(values(scenario)), scenario.provenance),
-        **figures,
-        "lateness_us": loop.lateness.figures(),
-        "deadline_misses": report.deadline_misses,  # the rows miss those after the last row
-        "realtime_factor": report.robot_s / report.wall_s if report.ticks else None,
-        "frames": {"sent": device.sent, "received": device.received, "rejected": device.rejected()},
-        "link_statistics": _link_statistics(bench, memory.feedback_age_ms()),
-        "pose_fixes": pose_fixes,
-        "wire_sha256": device.wire_sha256(),
-        "stopped": report.stopped,
-        "commands_refused": loop.commands_refused,
-        **{name: count.all for name, count in counts.items() if name != "refused"},
-        "allow": allow_figures(scenario.allow, counts, report.ticks),
-        "recoveries": [recovered._asdict() for recovered in report.recoveries],
-        "robot_slipped_ticks": bench.slipped_ticks,
-        "expect": [],
-        "fault": applied,
-        "failure": str(failure) if failure is not None else None,
-        "failure_kind": None if failure is None else kind_of(failure),
-        "failure_s": None if failure is None else loop.t_s,
-        "recording": None,
-        "reasons": reasons | {"recording": "no recording was asked for"},
-    }
-    metrics["baseline"] = against_baseline(scenario, metrics, is_cut=cut_s is not None)
+    run = JudgedRun(
+        identity=Identity(
+            scenario.name,
+            scenario.controller.law,
+            scenario.loop.mode,
+            scenario.controller.command,
+            scenario.link.url,
+            scenario.loop.seed,
+            given(dict(values(scenario)), scenario.provenance),
+        ),
+        lenient=lenient,
+        figures={
+            **figures,
+            "lateness_us": loop.lateness.figures(),
+            "deadline_misses": report.deadline_misses,  # the rows miss those after the last row
+            "realtime_factor": report.robot_s / report.wall_s if report.ticks else None,
+            "frames": {"sent": device.sent, "received": device.received, "rejected": device.rejected()},
+            "link_statistics": _link_statistics(scenario, bench, memory.feedback_age_ms()),
+            "pose_fixes": pose_fixes,
+        },
+        reasons=reasons | {"recording": "no recording was asked for"},
+        wire_sha256=device.wire_sha256(),
+        stopped=report.stopped,
+        counts=Counts(loop.commands_refused, **{name: one.all for name, one in counts.items() if name != "refused"}),
+        robot_slipped_ticks=bench.slipped_ticks,
+        allow=limit_results(scenario.allow, counts, report.ticks),
+        recoveries=report.recoveries,
+        faults=[
+            FaultResult(row.kind, row.target, row.words, applied, row.counts, row.start_s, _end_s(row), row.value)
+            for row, applied in zip(scenario.fault, bench.faults.applied(), strict=True)
+        ],
+        failure=None if failure is None else Failure(str(failure), kind_of(failure), loop.t_s),
+    )
+    run = replace(run, baseline=against_baseline(scenario, run, is_cut=cut_s is not None))
 
-    def outcome(row: ExpectTable) -> Outcome:
+    def result(row: ExpectTable) -> ExpectationResult:
         if row.stops is not None:
-            return stop_outcome(row, report.stops, cut_s, scenario.fault)
-        return figure_outcome(row, metrics, cut_s, scenario.baseline)
+            return stop_result(row, report.stops, cut_s, scenario.fault)
+        return figure_result(row, run, cut_s, scenario.baseline)
 
-    metrics["expect"] = [
-        outcomes[i] if i in outcomes else outcome_figures(row, outcome(row)) for i, row in enumerate(scenario.expect)
-    ]
-    return judged(metrics)
+    expect = [results[i] if i in results else result(row) for i, row in enumerate(scenario.expect)]
+    return decided(replace(run, expect=expect))
+
+
+def _end_s(row: FaultTable) -> float | None:
+    return row.end_s if math.isfinite(row.end_s) else None
 
 
 def is_cut(scenario: Scenario, loop: Loop, report: Report) -> bool:
@@ -115,11 +125,11 @@ def is_cut(scenario: Scenario, loop: Loop, report: Report) -> bool:
     return report.failure is not None and loop.t_s < scenario.loop.duration_s - 2.0 / scenario.loop.rate_hz
 
 
-def _link_statistics(bench: Bench, age_ms: Percentiles | None) -> dict[str, Any]:
+def _link_statistics(scenario: Scenario, bench: Bench, age_ms: Percentiles | None) -> dict[str, Any]:
     """Return the figures of the link (hil/wire/STATISTICS.md); ``reasons`` explains each that is None."""
     device, wire = bench.device, bench.wire
     rejected = device.rejected()
-    counts_frames = wire.counts_frames
+    counts_frames = not (scenario.device.is_makers or link_of(scenario).is_bus)  # ours, on a line, are numbered
     lost = {
         "snapshots": device.snapshots_lost,
         "frames_to_host": rejected.pop("lost", 0) if counts_frames else None,
@@ -138,50 +148,57 @@ def _link_statistics(bench: Bench, age_ms: Percentiles | None) -> dict[str, Any]
 
 
 def close_recording(
-    recording: RunRecording, t_s: float, allow: AllowTable, metrics: dict[str, Any], *, keep_live: bool
-) -> None:
-    """Finish the recording at ``t_s`` with the figures in it, and add the recorder's report to the figures.
+    recording: "RunRecording", t_s: float, allow: AllowTable, run: JudgedRun, *, keep_live: bool
+) -> JudgedRun:
+    """Finish the recording at ``t_s`` with the run in it, and return the run with what the recorder reports.
 
     The event log gets what is known only at the end; events of the run are in it already.
     """
-    set_lost_rows(metrics, allow, recording.rows_dropped)
-    for row in metrics["expect"]:
-        if row["figure"] is not None or row["stops"] is not None:
-            recording.event(t_s, "error" if row["passed"] is False else "info", row["text"])
-    for kind, text in why_not_passed(metrics):
-        if kind == "baseline":
+    from hil.judge.run_text import applied_text, why_not_passed, with_page  # only for a run that is recorded
+
+    run = with_lost_rows(run, allow, recording.rows_dropped)
+    for row in run.expect:
+        if row.figure is not None or row.stops is not None:
+            recording.event(t_s, "error" if row.passed is False else "info", row.text)
+    for kind, text in why_not_passed(run):
+        if kind == CauseKind.BASELINE:
             recording.event(t_s, "error", f"baseline: {text}")
-    for row in metrics["fault"]:
-        recording.event(t_s, "info" if row["applied"] else "error", f"fault: {applied_words(row)}")
-    if (trace := metrics.get("trace")) is not None and trace["trouble"] is not None:
-        recording.event(t_s, "warning", trace["trouble"])
-    if metrics["failure"] is not None:
-        recording.event(t_s, "error", metrics["failure"])
+    for fault in run.faults:
+        recording.event(t_s, "info" if fault.applied else "error", f"fault: {applied_text(fault)}")
+    if run.trace is not None and run.trace["trouble"] is not None:
+        recording.event(t_s, "warning", run.trace["trouble"])
+    if run.failure is not None:
+        recording.event(t_s, "error", run.failure.text)
     if recording.path is not None:
-        metrics["recording"] = str(recording.path)
-        del metrics["reasons"]["recording"]
-    report = recording.finish(with_page(metrics), keep_live=keep_live)
-    set_lost_rows(metrics, allow, report.rows_dropped + report.rows_lost)
-    metrics["recorded"] = {
-        "rows": report.rows_written,
-        "dropped": report.rows_dropped,
-        "lost": report.rows_lost,
-        "events_lost": report.events_lost,
-        "error": report.error,
-        "restarts": report.restarts,
-        "troubles": list(report.troubles),
-        "parts": [str(path) for path in report.parts],
-    }
+        reasons = {name: reason for name, reason in run.reasons.items() if name != "recording"}
+        run = replace(run, recording=str(recording.path), reasons=reasons)
+    report = recording.finish(with_page(run), keep_live=keep_live)
+    recorded = Recorded(
+        report.rows_written,
+        report.rows_dropped,
+        report.rows_lost,
+        report.events_lost,
+        report.error,
+        report.restarts,
+        report.troubles,
+        [str(path) for path in report.parts],
+    )
+    return replace(with_lost_rows(run, allow, report.rows_dropped + report.rows_lost), recorded=recorded)
 
 
 def close_unfinished(
-    recording: RunRecording, t_s: float, failure: HilError, outcomes: Sequence[Mapping[str, Any]] = ()
+    recording: "RunRecording", t_s: float, failure: HilError, results: Sequence[ExpectationResult] = ()
 ) -> None:
     """Finish the recording of a run that has no figures: it could not begin, or its law did not return.
 
-    ``outcomes`` are those of its expectations. A recording that cannot be written is no error here: the failure counts.
+    ``results`` are those of its expectations. A recording that cannot be written is no error here: the failure counts.
     """
+    from hil.judge.run_text import with_page
+
     recording.event(t_s, "error", str(failure))
-    summary = {"passed": False, "failure": str(failure), "failure_kind": kind_of(failure), "failure_s": t_s}
+    run = decided(JudgedRun(failure=Failure(str(failure), kind_of(failure), t_s), expect=results))
+    found = with_page(run)
+    known = ("passed", "failure", "failure_kind", "failure_s", "expect", "page")
+    why = [(CauseKind.FAILURE.value, str(failure))]  # an expectation that failed before is not what ended it
     with contextlib.suppress(HilError):
-        recording.finish(with_page({**summary, "expect": outcomes}))
+        recording.finish({name: found[name] for name in known} | {"why": why})

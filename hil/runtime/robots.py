@@ -9,20 +9,18 @@ from firmware_protocol.host import HostNode, parameters
 from hil.core.errors import BadInputError
 from hil.core.link_protocol import WHEEL_DBC, LinkProtocol
 from hil.core.options import plain
-from hil.core.outputs import Existing
 from hil.core.types import Pose
-from hil.drivers.registry import dialect, emulated
-from hil.estimation.choice import EstimatorOptions
+from hil.core.wheel_map import ImuMount, WheelMap, Wiring
+from hil.estimation.estimators import EstimatorOptions
 from hil.plant import archive
 from hil.plant.description import check_start, check_units, read_description, variables_of
 from hil.plant.mapping import Row, SignalMap, resolve
+from hil.robot.driver_registry import dialect, emulated
 from hil.robot.faults import Body
 from hil.robot.virtual import MakeNode, VirtualPlant, VirtualRobot
-from hil.robot.wheel_map import ImuMount, WheelMap, Wiring
 from hil.scenario import SHIPPED_FMUS, DeviceTable, Scenario, StartValue
-from hil.wire.link import LinkUrl
-from hil.wire.trace import Trace
-from hil.wire.url import DEFAULT_BAUD, parse_link
+from hil.wire.link import DEFAULT_BAUD, LinkUrl
+from hil.wire.url import parse_link
 
 _NS = 1_000_000_000
 
@@ -86,7 +84,6 @@ def check_plant(scenario: Scenario) -> None:
 
 
 def _check_units(scenario: Scenario, fmu: Path, known: Collection[str]) -> None:
-    """Raise BadInputError if a foreign FMU has a value of [robot] or [firmware] in another unit."""
     passed_on = plant_start(scenario, known).keys() - scenario.plant.start.keys()
     names = passed_on - {"counts_per_revolution"}  # which may be a number or one a turn
     if names and not archive.is_ours(fmu):
@@ -134,7 +131,6 @@ def virtual_robot(scenario: Scenario) -> VirtualRobot:
 
 
 def _body(scenario: Scenario, start: Mapping[str, StartValue], known: Collection[str]) -> Body:
-    """Return what faults need to know about the robot as the plant has it."""
     robot = scenario.robot
     given = (start.get("half_length_m", robot.half_length_m), start.get("half_width_m", robot.half_width_m))
     half_length_m, half_width_m = (float(length) for length in given)
@@ -143,7 +139,6 @@ def _body(scenario: Scenario, start: Mapping[str, StartValue], known: Collection
 
 
 def wheel_map(device: DeviceTable) -> WheelMap:
-    """Return which wheel is on which channel, and which are reversed."""
     return WheelMap(device.wheels, device.reversed)
 
 
@@ -156,7 +151,6 @@ def wiring(scenario: Scenario) -> Wiring:
 
 
 def protocol_of(device: DeviceTable) -> LinkProtocol:
-    """Return the protocol of the robot's link."""
     return LinkProtocol(dialect(device.driver).make_framing) if device.is_makers else WHEEL_DBC
 
 
@@ -184,10 +178,3 @@ def no_lockstep(driver: str) -> BadInputError:
         f"the protocol of {driver!r} has no STEP, so that its time cannot be advanced from outside; "
         "add --mode realtime, or run it within one process with --link memory:"
     )
-
-
-def open_trace(scenario: Scenario, path: Path, existing: Existing = "refuse") -> Trace:
-    """Start a trace of the scenario's link; ``existing`` and the errors raised are those of ``Trace``."""
-    url = link_of(scenario)
-    blocking, fd = scenario.loop.mode == "lockstep", url.wire == "can_fd"
-    return Trace(path, blocking=blocking, fd=fd, switched=url.is_switched, existing=existing)

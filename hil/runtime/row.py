@@ -1,6 +1,7 @@
 """The row of a tick: one number for each signal, for the recording and for the judge."""
 
 from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from firmware_protocol.fast_calls import Objects, RowLayout, Scaled
 from hil.core.ports import Controller, OwnSignals, Sink
@@ -16,11 +17,14 @@ from hil.core.types import (
     Reference,
     State,
     Twist,
+    WheelCommand,
 )
 from hil.robot.port import Device
 from hil.robot.snapshot import Feedback
-from hil.runtime.signal_faults import SignalFaults
-from hil.wire.statistics import LinkStatistics
+from hil.wire.link_statistics import LinkStatistics
+
+if TYPE_CHECKING:
+    from hil.runtime.signal_faults import SignalFaults
 
 _NO_STATE = State(NAN_POSE, Twist(NAN, NAN, NAN))
 _NO_FIX = (NAN, NAN_POSE, NAN)
@@ -39,17 +43,41 @@ def _wheels(quantity: str) -> tuple[str, ...]:
 _REFERENCE, _TRUTH, _ERROR = _group("reference"), _group("truth"), _group("error")
 DIFFERENCE_SIGNALS = (*_TRUTH, *_REFERENCE[:3], *_ERROR)
 """What every row has: the true pose, the reference's, and their difference."""
-_FEEDBACK = (
-    Scaled("robot.time_s", 1e-9),
-    "robot.state",
-    None,
-    "robot.command_age_ms",
-    None,
-    _wheels("speed_rad_s"),
-    _wheels("current_a"),
-    tuple(f"robot.acceleration_{axis}_m_s2" for axis in "xyz"),
-    "robot.yaw_rate_rad_s",
-)
+
+
+class _Row(NamedTuple):
+    """The arguments of ``RowLayout.row``, in their order: of each the signals, or their columns."""
+
+    tick: Any
+    reference: Any
+    state: Any
+    truth: Any
+    applied: Any
+    feedback: Any
+    estimator: Any
+    is_held: Any
+    feedback_age_ns: Any
+    standing: Any
+
+
+class _Standing(NamedTuple):
+    """Gains, link statistics and the like, which parts of the run keep between ticks; only recorded rows have them."""
+
+    gains: Any
+    health: Any
+    link: Any
+    byte_counts: Any
+    load_percent: Any
+    rejected: Any
+    clock_offset_us: Any
+    clock_drift_ppm: Any
+    extra: Any
+
+
+def _columns(kind: type[NamedTuple], **columns: Objects | str | Scaled) -> Objects:
+    """Return the columns of a tuple's members in the order of its fields, None for a member that is not named."""
+    assert columns.keys() <= set(kind._fields), columns
+    return tuple(columns.get(name) for name in kind._fields)
 
 
 class RowWriter:
@@ -69,7 +97,7 @@ class RowWriter:
         extra: Sequence[OwnSignals],
         sinks: Sequence[Sink],
         feedback_latency_ns: int,
-        faults: SignalFaults | None = None,
+        faults: "SignalFaults | None" = None,
     ) -> None:
         self._device = device
         self._wire = wire
@@ -79,30 +107,47 @@ class RowWriter:
         self._feedback_latency_ns = feedback_latency_ns
         self._faults = faults
         self._rejected = 0
-        speed_command = _wheels("speed_command_rad_s") if mode is CommandMode.SPEED else None
-        # Kept by their owners between two ticks, and of no use to who only judges a run.
-        standing = (
-            _group("gain"),
-            ("battery.voltage_v", "battery.current_a", _wheels("temperature_degc")),
-            ("link.sent", "link.received", "link.lost", "link.rtt_ms"),
-            ("link.sent_bytes", "link.received_bytes"),
-            "link.load_percent",
-            "link.rejected",
-            "link.clock_offset_us",
-            "link.clock_drift_ppm",
-            tuple(own.signals for own in extra),
+        commands = {"torque_n_m": _wheels("torque_command_n_m")}
+        if mode is CommandMode.SPEED:
+            commands["speed_rad_s"] = _wheels("speed_command_rad_s")
+        standing = _columns(
+            _Standing,
+            gains=_group("gain"),
+            health=("battery.voltage_v", "battery.current_a", _wheels("temperature_degc")),
+            link=("link.sent", "link.received", "link.lost", "link.rtt_ms"),
+            byte_counts=("link.sent_bytes", "link.received_bytes"),
+            load_percent="link.load_percent",
+            rejected="link.rejected",
+            clock_offset_us="link.clock_offset_us",
+            clock_drift_ppm="link.clock_drift_ppm",
+            extra=tuple(own.signals for own in extra),
         )
-        objects = (
-            _group("loop"),
-            (_REFERENCE[:3], _REFERENCE[3:6], _REFERENCE[6:]),
-            (_group("pose"), _group("twist")),
-            (None, _TRUTH, None),
-            ((None, speed_command, _wheels("torque_command_n_m")), "guard.saturated", Scaled("link.latency_ms", 1e3)),
-            _FEEDBACK,
-            _group("estimator"),
-            "guard.held",
-            Scaled("link.feedback_age_ms", 1e-6),
-            standing,
+        objects = _columns(
+            _Row,
+            tick=_group("loop"),
+            reference=_columns(Reference, pose=_REFERENCE[:3], twist=_REFERENCE[3:6], acceleration=_REFERENCE[6:]),
+            state=_columns(State, pose=_group("pose"), twist=_group("twist")),
+            truth=_columns(PoseFix, pose=_TRUTH),
+            applied=_columns(
+                Applied,
+                command=_columns(WheelCommand, **commands),
+                saturated="guard.saturated",
+                latency_s=Scaled("link.latency_ms", 1e3),
+            ),
+            feedback=_columns(
+                Feedback,
+                robot_time_ns=Scaled("robot.time_s", 1e-9),
+                state="robot.state",
+                command_age_ms="robot.command_age_ms",
+                speed_rad_s=_wheels("speed_rad_s"),
+                current_a=_wheels("current_a"),
+                acceleration_m_s2=tuple(f"robot.acceleration_{axis}_m_s2" for axis in "xyz"),
+                yaw_rate_rad_s="robot.yaw_rate_rad_s",
+            ),
+            estimator=_group("estimator"),
+            is_held="guard.held",
+            feedback_age_ns=Scaled("link.feedback_age_ms", 1e-6),
+            standing=standing,
         )
         self._layout = RowLayout(names, objects, ("truth.x_m", "reference.x_m", "error.x_m"))
         self._row = self._layout.row
@@ -147,7 +192,6 @@ class RowWriter:
             put(row)
 
     def _standing(self, tick: int) -> tuple[object, ...]:
-        """Return what the law, the device, the link and the extra parts have now."""
         device, wire, extra = self._device, self._wire, self._extra
         byte_counts = wire.byte_counts()
         if tick % _REJECTED_EVERY == 0:

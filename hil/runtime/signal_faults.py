@@ -12,8 +12,8 @@ from typing import TypeVar
 from firmware_protocol.generated.messages import State as RobotState
 from hil.core.signals import SIGNAL_NAMES, ReferenceSignals, pack_row
 from hil.core.types import WHEEL_NAMES, Acceleration, Pose, PoseFix, Reference, State, Twist, WheelCommand, Wheels
-from hil.faults.kind import FaultRow, generators
 from hil.faults.kinds import find
+from hil.faults.rows import FaultRow, generators
 from hil.robot.snapshot import Feedback
 
 _PER_WHEEL = {
@@ -30,17 +30,15 @@ _NS = 1e9
 
 
 class _Fault:
-    """A row, its effect, and how often it was applied."""
-
     def __init__(self, row: FaultRow, chance: random.Random) -> None:
         self.row = row
         make = find(row.kind, row.target).on_signal
         self._effect = None if make is None else make(row, chance)
+        self.ends_others = make is None  # of kind reset
         self.applied = 0
         self.is_over = False  # ended by a reset
 
     def changed(self, value: float, t_ns: int) -> float:
-        """Return the value with the fault applied."""
         assert self._effect is not None, "a kind of signal that happens in a window"
         new = self._effect(value, t_ns)
         self.applied += new != value and not (new != new and value != value)
@@ -48,7 +46,6 @@ class _Fault:
 
 
 def _place(signal: str, names: Sequence[str]) -> tuple[str, int]:
-    """Return the group in which a signal is faulted, and its index in that group."""
     group, *wheel, name = signal.split(".")
     if wheel and name in _PER_WHEEL:
         return _PER_WHEEL[name], WHEEL_NAMES.index(wheel[0])
@@ -83,24 +80,22 @@ class SignalFaults:
         self._faults = [_Fault(*one) for one in zip(rows, generators(rows, seed), strict=True)]
         self._groups: dict[str, list[tuple[int, _Fault]]] = {}
         for fault in self._faults:
-            if fault.row.kind != "reset":
+            if not fault.ends_others:
                 group, index = _place(fault.row.target, names)
                 self._groups.setdefault(group, []).append((index, fault))
-        self._resets = sorted((f for f in self._faults if f.row.kind == "reset"), key=lambda f: f.row.start_ns)
+        self._resets = sorted((f for f in self._faults if f.ends_others), key=lambda f: f.row.start_ns)
         self._t_ns = 0
 
     def applied(self) -> list[int]:
-        """Return how often each row was applied so far."""
         return [fault.applied for fault in self._faults]
 
     def at(self, t_ns: int) -> None:
-        """Begin the tick at this time."""
         self._t_ns = t_ns
         while self._resets and self._resets[0].row.start_ns <= t_ns:
             reset = self._resets.pop(0)
             for fault in self._faults:
                 row = fault.row
-                if row.kind == "reset" or row.target != reset.row.target or row.start_ns >= reset.row.start_ns:
+                if fault.ends_others or row.target != reset.row.target or row.start_ns >= reset.row.start_ns:
                     continue
                 reset.applied += not fault.is_over and row.is_in_force(reset.row.start_ns)
                 fault.is_over = True
@@ -130,7 +125,6 @@ class SignalFaults:
         )
 
     def truth(self, fix: PoseFix | None) -> PoseFix | None:
-        """Return the truth with its faults."""
         if fix is None or "truth" not in self._groups:
             return fix
         return fix._replace(pose=self._passed("truth", fix.pose, Pose._make))

@@ -20,7 +20,7 @@ from hil.scenario.toml_text import key_lines, parse
 from hil.scenario.values import sha256_of
 
 if TYPE_CHECKING:
-    from hil.scenario.run import Scenario
+    from hil.scenario.scenario import Scenario
 
 SUFFIX = ".baseline.toml"
 FORMAT = 2
@@ -47,8 +47,8 @@ class Band:
 class Baseline:
     """The content of a baseline.
 
-    ``scenario_sha256`` is that of ``asked``. ``seeds`` are those that made it, first the one of ``wire_sha256``, which
-    is that of all frames in lockstep, and empty in real time.
+    ``scenario_sha256`` is that of ``asked``. ``seeds`` are those that made it. ``wire_sha256`` is the hash of all
+    frames in lockstep with the first seed; empty in real time, and where the figures alone are judged.
     """
 
     scenario: str
@@ -88,7 +88,7 @@ def is_baseline(path: str | Path) -> bool:
 
 
 def without_baselines(names: Sequence[str]) -> list[str]:
-    """Return the scenarios that are named, without the baselines among them that stand beside one of them.
+    """Return the named scenarios, without the baselines of other named ones.
 
     A shell's ``suite/*.toml`` names both.
     """
@@ -130,20 +130,19 @@ def _key(name: str) -> str:
 
 
 def asked(scenario: "Scenario") -> dict[str, Any]:
-    """Return what a scenario asks of the system that it tests, as plain values.
+    """Return the demands of a scenario on the system under test, as plain values.
 
-    That is the controller with its model, the reference, the estimator, the faults, the rate and duration, and the
-    latencies of the link. What stands on the other side of the wire is not part of it ([plant], [firmware], [device],
-    the URL of the link), nor the code of the law: a baseline is there to notice when that changes. The seed is not
-    either, nor how the run is judged. A value that equals its key's default is left out: a key that comes new, or a
-    default that changes, leaves a baseline to judge what that does to the run.
+    The other side of the wire is not part of it ([plant], [firmware], [device], the URL of the link), nor is the code
+    of the law: a baseline is there to notice their changes. The seed and the judgement of the run are not either. A
+    value that equals its key's default is left out. So a baseline stays valid when a key is added or a default changes,
+    and judges the effect on the run.
     """
     loop, link, controller = scenario.loop, scenario.link, _unusual(scenario.controller)
     reference = _unusual(scenario.reference)
     if isinstance(file := reference.get("file"), str):
         reference["file"] = sha256_of(scenario.directory / file) or file
     controller["law"] = _last_part(scenario.controller.law)
-    controller["shadow"] = [_last_part(law) for law in scenario.controller.shadow]
+    controller["shadow"] = []  # of earlier versions: it keeps the hash of baselines
     return {
         "format": FORMAT,
         "limiter": _unusual(scenario.limiter),

@@ -10,9 +10,6 @@ from hil.scenario.values import Text, Wheel
 State = Literal["none", "begun", "rewire", "done"]
 Way = Literal["forward", "backward"]
 
-UNUSED = "it was measured, and nothing uses it yet: odometry and laws believe the wheels"
-"""What ``commission.lateral_scale`` is for."""
-
 
 @dataclass(frozen=True)
 class CommissionTable:
@@ -43,7 +40,7 @@ def require_commissioned(table: CommissionTable) -> str | None:
         rehearsed = ", only a virtual one in its place" if table.virtual else ""
         return (
             f"nobody has commissioned this robot{rehearsed}: a wheel that is wired to another place, or the wrong way "
-            "round, would drive it anywhere; `hil commission ROBOT` finds out how it is wired"
+            "round, would drive it anywhere; `hil commission ROBOT` finds out how it is wired, or says who knows"
         )
     if table.state == "done":
         return None

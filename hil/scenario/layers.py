@@ -2,9 +2,9 @@
 
 Tables merge key by key, the later layer wins. Everything else, arrays of tables too, is replaced as a whole. A layer
 that names another ``controller.law``, ``reference.kind`` or ``device.driver`` drops the options of the layers below,
-because they belong to the other law, kind or driver. A change to or from an FMU that is not shipped drops
-``plant.start`` and ``plant.map`` in the same way; a change between shipped FMUs keeps the start values that the new one
-knows. A row of ``plant.map`` that names a variable replaces the row of the layer below.
+because they belong to the other. A change to or from an FMU that is not shipped drops ``plant.start`` and
+``plant.map`` in the same way. A change between shipped FMUs keeps the start values that the new one knows. A row of
+``plant.map`` that names a variable replaces the row of the layer below.
 """
 
 from collections.abc import Iterator, Mapping
@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 from hil.core.errors import BadInputError
 from hil.core.options import options_of
-from hil.drivers.registry import OUR_DRIVER
+from hil.robot.driver_registry import OUR_DRIVER
 from hil.scenario.plant import PLANT_SIGNALS, SHIPPED_FMUS, MapRow, PlantTable
 from plant_fmu.shipped import variable_names
 
@@ -34,7 +34,7 @@ Tree = dict[str, Node]
 _NO_LINES: Mapping[Path, int] = MappingProxyType({})
 # table, the key that chooses, and the keys that do not belong to the choice
 _CHOICES = (
-    ("controller", "law", ("command", "shadow", "shadow_gains")),
+    ("controller", "law", ("command",)),
     ("reference", "kind", ()),
     ("plant", "fmu", ("timeout_s", "memory_limit_mb", "wiring")),
     ("device", "driver", ("wheels", "reversed", "imu")),

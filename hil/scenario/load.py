@@ -14,24 +14,22 @@ from typing import Any, NamedTuple, cast
 
 from hil.core import TEST_SUFFIX
 from hil.core.errors import BadInputError, near, nearest
-from hil.core.model import RobotModel
-from hil.core.options import OptionsError, build, format_value
-from hil.core.printable import command
-from hil.laws.registry import give_law
+from hil.core.options import build, format_value
+from hil.core.printable import command, seen_from_here
+from hil.laws.law_registry import give_law
 from hil.scenario import layers
 from hil.scenario.baseline import find as find_baseline
 from hil.scenario.baseline import is_baseline
-from hil.scenario.check import check, derived, describe
 from hil.scenario.layers import Given, Tree
-from hil.scenario.run import Scenario, values
+from hil.scenario.scenario import Scenario, values
 from hil.scenario.tables import Tables
 from hil.scenario.toml_text import key_lines, parse, parse_value
+from hil.scenario.validation import check, derived
 from hil.scenario.values import is_path
 
 BASE = "circle_speed"
 """The scenario that lends what a robot's own file does not have, where a command needs a whole one."""
 SHIPPED_DIRECTORY = Path(__file__).parent / "shipped"
-SUITE_DIRECTORY = SHIPPED_DIRECTORY / "suite"
 """Short scenarios that go where defects are: what ``hil verify`` runs."""
 ROBOT_TABLES = ("robot", "firmware", "device", "link", "realtime", "commission")
 """Tables that a robot's own file may hold, so that any scenario runs on it."""
@@ -57,20 +55,15 @@ class _File(NamedTuple):
 
 
 def shipped_scenarios() -> dict[str, str]:
-    """Return the shipped scenarios by name, each with the first comment line of its file; without the suite's."""
-    return dict(_titles(SHIPPED_DIRECTORY))
-
-
-def suite_scenarios() -> dict[str, str]:
-    """Return the scenarios of the shipped suite, as ``shipped``."""
-    return dict(_titles(SUITE_DIRECTORY))
+    """Return the shipped scenarios by name, each with the first comment line of its file."""
+    return dict(_titles())
 
 
 @functools.cache
-def _titles(folder: Path) -> dict[str, str]:
+def _titles() -> dict[str, str]:
     return {
         path.stem: path.read_text("utf-8").partition("\n")[0].lstrip("# ").rstrip()
-        for path in sorted(folder.glob(f"*{_SUFFIX}"))
+        for path in sorted(SHIPPED_DIRECTORY.glob(f"*{_SUFFIX}"))
         if not is_baseline(path)
     }
 
@@ -97,19 +90,6 @@ def load(
 def with_baseline(scenario: Scenario) -> Scenario:
     """Return a scenario with its baseline, if there is one. Raises BadInputError for a baseline that is wrong."""
     return replace(scenario, baseline=find_baseline(scenario.name, scenario.path, scenario.directory))
-
-
-def robot_model(name_or_path: str | Path, robot: str | Path | None = None) -> RobotModel:
-    """Return the ``[robot]`` of a scenario, or of a robot's own file. Raises BadInputError as ``load`` does."""
-    sources = read(name_or_path, robot=robot)
-    if not sources.tree.keys() <= set(ROBOT_TABLES):
-        return sources.scenario().robot
-    try:
-        given = cast("Mapping[str, Mapping[str, object]]", layers.plain(sources.tree))
-        return build(RobotModel, given.get("robot", {}), "robot")
-    except OptionsError as error:
-        where = f"robot file {sources.file.display}"
-        raise BadInputError("\n".join(describe(error.problems, sources.tree, where))) from None
 
 
 class Sources(NamedTuple):
@@ -144,7 +124,7 @@ class Sources(NamedTuple):
         return Scenario(
             **vars(tables),
             name=_stem(self.file.path),
-            path=None if directory in (SHIPPED_DIRECTORY, SUITE_DIRECTORY) else self.file.path,
+            path=None if directory == SHIPPED_DIRECTORY else self.file.path,
             directory=directory,
             provenance={key: where.get(key, "default") for key, _ in values(tables)},
         )
@@ -162,12 +142,12 @@ def read(name_or_path: str | Path, *, robot: str | Path | None = None) -> Source
 
 
 def given(values: Mapping[str, object], sources: Mapping[str, str]) -> dict[str, dict[str, str]]:
-    """Return what a user gave for a run: the values that come from no shipped scenario and are no defaults.
+    """Return a user's own values for a run: those that come from no shipped scenario and are no defaults.
 
     Both arguments go by dotted key, ``sources`` as the provenance of a Scenario. Each value is a text, with where it is
     ``from``. Faults and expectations are left out, and of a scenario that extends no shipped one all files are.
     """
-    ours = {f"{name}{_SUFFIX}" for name in shipped_scenarios() | suite_scenarios()}
+    ours = {f"{name}{_SUFFIX}" for name in shipped_scenarios()}
     of_file = {key: where.rpartition(":")[0] for key, where in sources.items()}
     extends = any(file in ours for file in of_file.values())
     return {
@@ -187,6 +167,8 @@ def from_values(name: str, given: Mapping[str, object], sources: Mapping[str, st
     """
     document: dict[str, Any] = {}
     for key, value in given.items():
+        if key.startswith(("controller.shadow", "service.recordings_days")):  # of earlier versions: they drove no robot
+            continue
         *above, last = key.split(".")
         table = document
         for part in above:
@@ -211,14 +193,13 @@ def _open_scenario(name: str | Path, extended_by: _File | None) -> _File:
     text = str(name)
     prefix = f"scenario {text}" if extended_by is None else _extends(extended_by, text)
     if isinstance(name, str) and not is_path(name):
-        known = shipped_scenarios() | suite_scenarios()
+        known = shipped_scenarios()
         if name not in known:
             folder = Path.cwd() if extended_by is None else extended_by.path.parent
             hint = _meant(folder / name, known)
-            hint = hint or f"{nearest(name, shipped_scenarios())}; the path of a file ends in {_SUFFIX}"
+            hint = hint or f"{nearest(name, known)}; the path of a file ends in {_SUFFIX}"
             raise BadInputError(f"{prefix}: no shipped scenario has this name{hint}")
-        folder = SHIPPED_DIRECTORY if name in shipped_scenarios() else SUITE_DIRECTORY
-        return _read(folder / f"{name}{_SUFFIX}", f"{name}{_SUFFIX}", prefix)
+        return _read(SHIPPED_DIRECTORY / f"{name}{_SUFFIX}", f"{name}{_SUFFIX}", prefix)
     if extended_by is None:
         return _read(Path.cwd() / text, text, prefix)
     return _read(extended_by.path.parent / text, str(Path(extended_by.display).parent / text), prefix)
@@ -230,20 +211,16 @@ def _meant(path: Path, shipped: Iterable[str] = ()) -> str:
     Returns an empty text where none is similar.
     """
     if os.path.isdir(path):  # noqa: PTH112 - Path.is_dir raises in a folder that may not be read
-        within = [command(_from_here(file)) for file in sorted(path.glob(f"*{TEST_SUFFIX}"))]
+        within = [command(seen_from_here(file)) for file in sorted(path.glob(f"*{TEST_SUFFIX}"))]
         return f"; this is a folder, which has {', '.join(within)}" if within else ""
     files = {_stem(file): file for file in path.parent.glob(f"*{_SUFFIX}") if not is_baseline(file)}
     found = near(_stem(path), [*files, *shipped])
-    named = [f"the file {command(_from_here(files[one]))}" if one in files else repr(one) for one in found]
+    named = [f"the file {command(seen_from_here(files[one]))}" if one in files else repr(one) for one in found]
     return f"; did you mean {' or '.join(named)}?" if named else ""
 
 
 def _stem(path: Path) -> str:
     return path.name.removesuffix(_SUFFIX).removesuffix(TEST_SUFFIX.removesuffix(_SUFFIX))
-
-
-def _from_here(path: Path) -> Path:
-    return path.relative_to(Path.cwd()) if path.is_relative_to(Path.cwd()) else path
 
 
 def _extends(file: _File, name: object) -> str:
@@ -252,7 +229,6 @@ def _extends(file: _File, name: object) -> str:
 
 
 def _chain(scenario: _File) -> list[_File]:
-    """Return the scenario's file and all that it extends, the base first."""
     chain = [scenario]
     while (extends := chain[-1].document.get("extends")) is not None:
         if not isinstance(extends, str) or not extends:
@@ -279,7 +255,6 @@ def _robot_layer(path: Path) -> Tree:
 
 
 def _read(path: Path, display: str, prefix: str) -> _File:
-    """Read and parse one file; ``prefix`` begins the message when that fails."""
     if is_baseline(path):
         raise BadInputError(f"{prefix}: this is the baseline of a scenario; name the scenario that stands beside it")
     try:
@@ -342,15 +317,12 @@ def _rebase(tree: Tree, source: Path, target: Path, only: str | None = None) -> 
     for table, key, rebase in (
         ("plant", "fmu", _rebased_file),
         ("controller", "law", _rebased_law),
-        ("controller", "shadow", _rebased_law),
         ("reference", "file", _rebased_file),
     ):
         node = tree.get(table)
         given = node.get(key) if isinstance(node, dict) else None
         if isinstance(given, Given) and only in (None, given.where):
-            value = given.value
-            moved = [rebase(one, source) for one in value] if isinstance(value, list) else rebase(value, source)
-            tree = layers.merge(tree, {table: {key: Given(moved, given.where)}})
+            tree = layers.merge(tree, {table: {key: Given(rebase(given.value, source), given.where)}})
     return tree
 
 

@@ -5,10 +5,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Annotated, Literal
 
+from hil.core.clock import LONGEST_STEP_S
 from hil.core.errors import nearest
 from hil.core.options import Range
-from hil.plant.communication import LONGEST_STEP_S
-from hil.plant.signals import INPUTS, OUTPUTS
+from hil.core.plant_signals import INPUTS, OUTPUTS
 from hil.scenario.values import Axes3, Start, Text, Wheel, at_most_once, each_once, is_path, right_handed
 from plant_fmu import SHIPPED
 
@@ -45,7 +45,7 @@ class MapRow:
 
 @dataclass(frozen=True)
 class WiringTable:
-    """``[plant.wiring]``: how the virtual robot is wired where that differs from [device]; the bridge is not told.
+    """``[plant.wiring]``: how the virtual robot is wired where that differs from [device]; the bridge does not know.
 
     Counts and rollers that differ are ``counts_per_revolution`` and ``rollers`` of [plant.start].
     """

@@ -1,8 +1,7 @@
 """The tables of a scenario: each key with the unit in its name, its range, default and meaning.
 
-A table that only one package uses is defined there: [robot] in ``hil.core.model``, [estimator] in ``hil.estimation``. A
-key without a default must be given: facts about the robot, its firmware and the run are never guessed. Ranges refuse
-values in a wrong unit: a wheel radius of 75 is in millimetres.
+[robot] is in ``hil.core.model``, [estimator] in ``hil.estimation``. A key without a default must be given: facts about
+the robot and the run are never guessed. Ranges refuse values in a wrong unit: a wheel radius of 75 is in millimetres.
 """
 
 import math
@@ -10,17 +9,15 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Annotated, Any, Literal
 
-from hil.core.errors import BadInputError, nearest
+from hil.core.errors import BadInputError
 from hil.core.model import RobotModel
 from hil.core.motion_limits import SLIP_M_S, TorqueSpeed
 from hil.core.options import OTHERS, OptionsError, Problem, Range
 from hil.core.types import WHEEL_NAMES, CommandMode
-from hil.drivers.registry import OUR_DRIVER, driver_names, make_settings
-from hil.estimation.choice import EstimatorOptions
-from hil.laws.shadows import short_name
-from hil.record.files import Rotation, rotation
-from hil.record.keeping import Keeping
-from hil.robot.wheel_map import IMU_AXES
+from hil.core.wheel_map import IMU_AXES
+from hil.estimation.estimators import EstimatorOptions
+from hil.robot.driver_registry import EXTENSIONS as DRIVERS
+from hil.robot.driver_registry import OUR_DRIVER, make_settings
 from hil.scenario.commission import CommissionTable
 from hil.scenario.plant import PlantTable
 from hil.scenario.trial import AllowTable, ExpectTable, FaultTable
@@ -47,8 +44,8 @@ PRIORITY = 40
 
 
 def _driver(driver: str) -> str:
-    if driver not in driver_names():
-        raise ValueError(f"expected the name of a driver{nearest(driver, driver_names())}")
+    if driver not in DRIVERS:
+        raise ValueError(DRIVERS.unknown(driver, "expected the name of a driver"))
     return driver
 
 
@@ -67,6 +64,8 @@ _tick_limit = check(
 
 
 def _rotate(text: str) -> str:
+    from hil.record.files import rotation  # only for a service
+
     try:
         rotation(text)
     except BadInputError as error:
@@ -173,15 +172,6 @@ class ControllerTable:
     law: Annotated[Text, "a shipped name, ./my_law.py:MyLaw or package.module:Class"]
     command: Annotated[Literal["speed", "torque"], "the command of the wheels; fixed at arming"] = "speed"
     gains: Annotated[Mapping[Text, AnyOption], "the parameters of the law"] = field(default_factory=dict)
-    shadow: Annotated[tuple[Text, ...], "laws that are computed in each tick, but do not drive the robot"] = ()
-    shadow_gains: Annotated[
-        Mapping[Text, Mapping[Text, AnyOption]], "gains of each shadow, by its name without the file"
-    ] = field(default_factory=dict)
-
-    @property
-    def shadow_names(self) -> tuple[str, ...]:
-        """The names of the shadows in their signals and gains."""
-        return tuple(short_name(spec) for spec in self.shadow)
 
     @property
     def mode(self) -> CommandMode:
@@ -247,24 +237,11 @@ class ServiceTable:
     yaw_acceleration_rad_s2: Annotated[float, Range(gt=0, le=500), "of the heading"] = 3.0
     yaw_jerk_rad_s3: Annotated[float, Range(gt=0, le=10_000), "of the heading, on the way to a pose"] = 15.0
     recordings: Annotated[Text, "folder of all its recordings, as seen from where the service is started"] = "runs"
-    rotate: Annotated[Text, _rotate, "size or time at which a recording continues in the next file: '1GB|1h'"] = "none"
+    rotate: Annotated[Text, _rotate, "size or time at which a recording continues in the next file: 1GB or 1h"] = "none"
     recordings_gb: Annotated[float, Range(ge=0), "that the recordings in the folder may take; 0 for no limit"] = 0.0
-    recordings_days: Annotated[float, Range(ge=0), "after which a recording is removed; 0 for never"] = 0.0
     when_full: Annotated[
-        Literal["stop_recording", "keep_newest", "stop_robot"],
-        "when the disk is full, the limit is reached or the recorder fails; keep_newest removes the oldest recordings",
+        Literal["stop_recording", "stop_robot"], "when the disk is full, the limit is reached or the recorder fails"
     ] = "stop_recording"
-
-    @property
-    def rotation(self) -> Rotation:
-        """``rotate`` as the recorder takes it."""
-        return rotation(self.rotate)
-
-    @property
-    def keeping(self) -> Keeping:
-        """What the folder of recordings may hold."""
-        quota, days = round(self.recordings_gb * 1e9), self.recordings_days
-        return Keeping(quota or None, days * 86_400.0 if days else None, self.when_full == "keep_newest")
 
 
 @dataclass(frozen=True)
@@ -281,20 +258,9 @@ class LimiterTable:
     def most_slip_m_s(self, source: str) -> float:
         """Return the limit of slip [m/s] with an estimate of this ``estimator.source``.
 
-        Odometry takes the wheels' word for the floor's speed: what is left between them is lag, and is not limited.
+        Odometry trusts the wheels' speed: a difference from the floor's speed is then only lag, and is not limited.
         """
         return math.inf if source == "odometry" else self.slip_m_s
-
-    @property
-    def words(self) -> str:
-        """What the limiter keeps in TORQUE mode, and where it is off, as a sentence for tables and pages."""
-        kept = {
-            "protection": "torques fade before the robot's overspeed",
-            "limit": "torques fade before robot.speed_limit_rad_s",
-            "off": "no wheel speed is kept (limiter.torque_speed is off)",
-        }[self.torque_speed]
-        slip = f"wheels slip at most {self.slip_m_s:g} m/s" if math.isfinite(self.slip_m_s) else "slip is not limited"
-        return f"The limiter between law and wheels: {kept}, and {slip}."
 
 
 @dataclass(frozen=True, kw_only=True)

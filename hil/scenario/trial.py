@@ -5,22 +5,30 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from fractions import Fraction
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 from hil.core.options import Expected, OptionsError, Problem, Range, plain
-from hil.faults.kind import NEVER_NS, NS_PER_S, REST_RAD_S, FaultRow, claimed_span_s
-from hil.faults.kinds import find, names
+from hil.faults.rows import NEVER_NS, NS_PER_S, REST_RAD_S, FaultRow, claimed_span_s
 from hil.scenario.values import Text
+
+if TYPE_CHECKING:
+    from hil.faults.kinds import Kind
 
 _NUMBERS = ("value", "burst_frames", "x_m", "y_m", "radius_m")
 _SHARE = re.compile(r"(\d+(?:\.\d+)?) ?%")
+
+
+def _kinds() -> str:
+    from hil.faults.kinds import names
+
+    return f"a kind of fault, one of {', '.join(names())}"
 
 
 @dataclass(frozen=True)
 class FaultTable:
     """``[[fault]]``: one fault in start_s <= t < end_s of the scenario's time; hil/faults/FAULTS.md has every kind."""
 
-    kind: Annotated[Text, Expected(f"a kind of fault, one of {', '.join(names())}"), "`hil list faults` prints all"]
+    kind: Annotated[Text, Expected(_kinds), "`hil list faults` prints all"]
     target: Annotated[Text, "what it acts on; may be left out if the kind has only one target"] = ""
     start_s: Annotated[float, Range(ge=0, le=1000000.0)] = 0.0
     end_s: Annotated[float, Range(gt=0, infinite=True)] = math.inf
@@ -33,6 +41,8 @@ class FaultTable:
 
     def __post_init__(self) -> None:
         """Fill in the defaults of the kind; raise ValueError for values that the kind does not take."""
+        from hil.faults.kinds import find  # only for a scenario with faults
+
         kind = find(self.kind, self.target or None)
         defaults: dict[str, Any] = {
             quantity.name: quantity.default for quantity in (kind.value, *kind.further) if quantity is not None
@@ -46,8 +56,7 @@ class FaultTable:
             expected = f"expected what {self.kind} acts on: {kind.target_words.replace('`', '')}"
             raise OptionsError([Problem(("target",), "missing", expected)])
         kind = find(self.kind, self.target)
-        kind.check_target(self.target, self.value)
-        kind.check_numbers({name: getattr(self, name) for name in _NUMBERS})
+        kind.check(self.target, {name: getattr(self, name) for name in _NUMBERS})
         if kind.is_instant and self.end_s != math.inf:
             raise ValueError(f"end_s = {self.end_s}: {kind.name} happens at start_s and has no end; remove end_s")
         if self.end_s <= self.start_s:
@@ -58,7 +67,7 @@ class FaultTable:
         """The row as numbers, for the code that applies it."""
         return FaultRow(
             self.kind,
-            find(self.kind, self.target).acts_on,
+            self._of_kind.acts_on,
             self.target,
             round(self.start_s * NS_PER_S),
             NEVER_NS if self.end_s > 1e9 else round(self.end_s * NS_PER_S),
@@ -66,9 +75,20 @@ class FaultTable:
         )
 
     @property
+    def _of_kind(self) -> "Kind":
+        from hil.faults.kinds import find
+
+        return find(self.kind, self.target)
+
+    @property
     def counts(self) -> str:
         """The unit of the count of this fault in a report."""
-        return find(self.kind, self.target).counts
+        return self._of_kind.counts
+
+    @property
+    def is_instant(self) -> bool:
+        """Whether it only happens, at its start."""
+        return self._of_kind.is_instant
 
     @property
     def words(self) -> str:
@@ -104,19 +124,15 @@ _CLAIMS = ("within", "equals", "settles_to", "baseline")
 class ExpectTable:
     """``[[expect]]``: a claim about a signal in from_s <= t <= to_s of the run, a figure of it, rest, or a stop.
 
-    A signal: one of ``below`` or ``above`` or both; ``within`` = [low, high], both included; ``equals`` with a
-    ``tolerance``; ``settles_to`` with a ``tolerance``: from some time on it stays within it, until to_s. With ``of``
-    the claim is about the signal minus that one.
+    A signal: ``below``, ``above`` or both; ``within`` = [low, high], both included; ``equals`` with a ``tolerance``;
+    ``settles_to``: from some time on it stays within the ``tolerance``. With ``of``: the signal minus that one.
 
-    A figure of the whole run: the same claims but ``settles_to``; or ``baseline``, how far it may be from the value in
-    the scenario's baseline.
+    A figure of the whole run: the same claims but ``settles_to``; or ``baseline``, how far it may be from that value.
 
-    ``at_rest``: no wheel turns faster than ``below``, and the robot's true pose does not move faster than such wheels
-    would move it, where either is known.
+    ``at_rest``: no wheel turns faster than ``below``, and the true pose does not move faster than such wheels would
+    move it, where either is known. ``stops``: the robot stops on its own, for this reason; the run goes on.
 
-    ``stops``: the robot stops by itself, for the reason that is named. The run goes on without commands.
-
-    ``after_fault`` with ``within_s`` is in place of ``from_s``: the claim begins so long after that fault has begun.
+    ``after_fault`` with ``within_s`` replaces ``from_s``: the claim begins ``within_s`` after that fault has begun.
     ``at_rest`` ends with the fault, if that still lasts then. ``stops`` is within this time of the fault's begin.
     """
 
@@ -204,7 +220,7 @@ class ExpectTable:
 
     @property
     def subject(self) -> str:
-        """What the claim is about, in a few words."""
+        """The signal, difference or figure that the claim is about."""
         if self.of is not None:
             return f"{self.signal} - {self.of}"
         return self.signal or self.figure or "the robot"

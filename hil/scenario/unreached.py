@@ -1,12 +1,12 @@
-"""What a scenario says and no run of it does: rows after its end, and values that nothing reads."""
+"""Finds the parts of a scenario without effect: rows after its end, and values that nothing reads."""
 
 import math
 from collections.abc import Iterator, Mapping
 
 from hil.core.types import WHEEL_NAMES
-from hil.scenario.commission import UNUSED
+from hil.faults.kinds import find
 from hil.scenario.plant import SHIPPED_FMUS
-from hil.scenario.run import Scenario
+from hil.scenario.scenario import Scenario
 from hil.scenario.tables import Tables
 from hil.scenario.trial import span_s
 from hil.scenario.values import StartValue
@@ -58,13 +58,13 @@ def without_effect(scenario: Scenario) -> Iterator[tuple[str, str]]:
 
 
 def _unread(tables: Tables) -> Iterator[tuple[str, str]]:
-    """Yield the beginning of the keys that nothing reads, and why; tests/test_plausible.py changes each."""
+    """Yield the beginning of the keys that nothing reads, and why; tests/scenario/test_plausible.py changes each."""
     estimator = tables.estimator
     if estimator.source != "fused":
         yield from ((f"estimator.{one}", 'estimator.source = "fused" alone reads it') for one in ("filter.", "fix"))
     if estimator.source != "fused" or estimator.fix != "simulated":
         yield "estimator.simulated_fix.", "only simulated fixes of a fused estimator read it"
-    yield "commission.lateral_scale", UNUSED
+    yield "commission.lateral_scale", "it was measured, and nothing uses it yet: odometry and laws believe the wheels"
     if estimator.source == "truth":
         yield "estimator.slip_threshold_m_s", "the true pose is not estimated"
     if not tables.device.is_makers:
@@ -79,7 +79,8 @@ def _unread(tables: Tables) -> Iterator[tuple[str, str]]:
     if tables.plant.fmu in SHIPPED_FMUS:
         for key in ("timeout_s", "memory_limit_mb"):
             yield f"plant.{key}", "a shipped FMU runs in the robot's own process"
-    if tables.plant.fmu in _OURS and not any(row.kind == "parameter" for row in tables.fault):
+    # A fault whose targets are not listed sets any variable of the FMU, and so one that makes it read the others.
+    if tables.plant.fmu in _OURS and all(find(row.kind, row.target).targets for row in tables.fault):
         yield from _unread_by_our_plant(tables.plant.start)
 
 

@@ -9,7 +9,7 @@ from typing import Annotated, Any, Literal
 
 from hil.core.options import size_words
 from hil.core.types import WHEEL_NAMES
-from hil.robot.wheel_map import ImuMount
+from hil.core.wheel_map import ImuMount
 
 Scalar = float | int | bool | str
 OptionValue = Scalar | tuple[Scalar, ...]

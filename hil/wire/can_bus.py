@@ -1,41 +1,183 @@
-"""A CAN bus through any interface of python-can, classic or FD."""
+"""A CAN bus through any interface of python-can, classic or FD.
 
+``CanLink`` is the link. An open bus below it receives messages as ``raw`` objects, and converts them to frames or
+``can.Message`` on request; it raises errors as python-can does.
+"""
+
+import contextlib
 import errno
 import logging
+import select
+import socket
+import struct
 import time
-from collections.abc import Callable, Iterable, Iterator
-from itertools import combinations
+from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 from firmware_protocol.framing import Frame
 from hil.core.errors import BadInputError, LinkError, nearest
 from hil.core.link_protocol import WHEEL_DBC, LinkProtocol, Side
-from hil.core.ports import Received
+from hil.core.ports import EXTENDED, REMOTE, Received
 from hil.wire.can_errors import BUS_OFF, CAUSES, causes_of, failure, failures
-from hil.wire.can_ports import PythonCan, SocketCan
+from hil.wire.can_url import CanUrl
 from hil.wire.device_lock import claim_file
-from hil.wire.url import CanUrl
 
 _QUEUE_FULL_S = 0.05  # at 1 Mbit/s and full load a queue of 100 frames is empty after 13 ms
 _QUEUE_RETRY_S = 0.0005
-_MOST_FILTERS = 8
-_IDENTIFIER_BITS = 11
 # Interfaces with filters in the kernel or the driver, which pass error frames on. python-can would filter the others in
 # Python, and drop error frames too; ``receive`` filters there at no further cost.
 _FILTERING_INTERFACES = ("socketcan", "ixxat")
+# Interfaces on which select is used: python-can's own wait polls (slcan), or ends early after a message that is no
+# frame (both). They buffer no received frame, which select would not see.
+_SELECTABLE_INTERFACES = ("slcan", "udp_multicast")
+# Interfaces of text lines that python-can parses. It raises ``_NO_FRAME`` for a line that is cut or garbled.
+_TEXT_INTERFACES = ("slcan",)
+_NO_FRAME = (IndexError, ValueError)
+_WRITE_TIMEOUT_S = 1.0  # as for a serial line: one that accepts no byte for that long is lost
+
+# struct can_frame, struct canfd_frame and the flags of their identifier, include/uapi/linux/can.h
+_CLASSIC, _FD, _HEADER = struct.Struct("=IBB2x8s"), struct.Struct("=IBB2x64s"), struct.Struct("=IBB")
+_ERROR = 0x20000000
+_EXTENDED_IDS, _STANDARD_IDS = 0x1FFFFFFF, 0x7FF
+_SWITCHED, _ERROR_STATE, _IS_FD = 0x01, 0x02, 0x04
+
+
+class PythonCan:
+    """Any bus of python-can. Counts each line of text that is no frame in ``rejected``, as ``garbled``."""
+
+    def __init__(self, can: Any, bus: Any, url: CanUrl, rejected: dict[str, int]) -> None:
+        self._can = can
+        self._bus = bus
+        self._url = url
+        self._rejected = rejected
+        self._failures = failures()
+        self._descriptor = self._find_descriptor()
+        # Without it an adapter that accepts no more bytes would block the sender for ever.
+        self._send_timeout_s = _WRITE_TIMEOUT_S if url.interface in _TEXT_INTERFACES else None
+
+    def _find_descriptor(self) -> int | None:
+        """Return the file descriptor for select; None if python-can has to wait itself."""
+        if self._url.interface not in _SELECTABLE_INTERFACES:
+            return None
+        try:
+            return int(self._bus.fileno())
+        except failures(NotImplementedError):
+            return None  # slcan over a URL, or on Windows
+
+    def send(self, frame: Frame) -> None:
+        message = self._can.Message(
+            arbitration_id=frame.id & ~(EXTENDED | REMOTE),
+            data=frame.payload,
+            is_extended_id=frame.id >= EXTENDED,
+            is_remote_frame=bool(frame.id & REMOTE),
+            is_fd=self._url.fd,
+            bitrate_switch=self._url.fd and self._url.data_bitrate is not None,
+        )
+        try:
+            self._bus.send(message, self._send_timeout_s)
+        except self._failures:
+            if self._url.interface in _TEXT_INTERFACES:
+                # Otherwise closing the port would wait for ever for the bytes that the adapter has not accepted.
+                with contextlib.suppress(*self._failures):
+                    self._bus.serialPortOrig.reset_output_buffer()
+            raise
+
+    def receive(self, timeout_ns: int) -> Any:
+        """Return the next raw message, or None after the timeout; 0 never waits."""
+        if self._descriptor is None:
+            return self._recv(max(0, timeout_ns) * 1e-9)
+        deadline_ns = time.monotonic_ns() + timeout_ns
+        while select.select([self._descriptor], [], [], max(0, timeout_ns) * 1e-9)[0]:
+            if (message := self._recv(0)) is not None:
+                return message
+            # What came was no frame, for example an adapter's reply: wait for the rest of the time.
+            timeout_ns = deadline_ns - time.monotonic_ns()
+        return None
+
+    def _recv(self, timeout_s: float) -> Any:
+        """Return python-can's next frame; None if there is none, or if what came was no frame."""
+        try:
+            return self._bus.recv(timeout_s)
+        except failures(IndexError) as error:
+            is_not_text = isinstance(error.__cause__, UnicodeDecodeError)
+            if self._url.interface not in _TEXT_INTERFACES or not (is_not_text or isinstance(error, _NO_FRAME)):
+                raise
+            if is_not_text:
+                self._bus.flush()  # otherwise python-can would decode the same bytes again with the next line
+            self._rejected["garbled"] += 1
+            return None
+
+    def frame_of(self, raw: Any) -> Frame | None:
+        """Return the raw message as a frame, its id flagged with EXTENDED and REMOTE; None for an error frame."""
+        if raw.is_error_frame:
+            return None
+        flags = EXTENDED * raw.is_extended_id | REMOTE * raw.is_remote_frame
+        return Frame(raw.arbitration_id | flags, bytes(raw.data))
+
+    def message_of(self, raw: Any) -> Any:
+        return raw
+
+
+class SocketCan:
+    """The raw socket of python-can's socketcan bus, with the methods of ``PythonCan``; the bus opens and closes it.
+
+    One system call per frame, where python-can makes six.
+    """
+
+    def __init__(self, can: Any, bus: Any, url: CanUrl) -> None:
+        self._can = can
+        self._socket: socket.socket = bus.socket
+        self._layout = _FD if url.fd else _CLASSIC
+        self._flags = (_IS_FD | _SWITCHED if url.data_bitrate is not None else _IS_FD) if url.fd else 0
+
+    def send(self, frame: Frame) -> None:
+        data = self._layout.pack(frame.id, len(frame.payload), self._flags, frame.payload)
+        try:
+            self._socket.send(data, socket.MSG_DONTWAIT)
+        except BlockingIOError as error:  # the socket's own queue is full, not the interface's
+            raise OSError(errno.ENOBUFS, "No buffer space available") from error
+
+    def receive(self, timeout_ns: int) -> bytes | None:
+        if timeout_ns > 0 and not select.select([self._socket], [], [], timeout_ns * 1e-9)[0]:
+            return None
+        try:
+            return self._socket.recv(_FD.size, socket.MSG_DONTWAIT)
+        except BlockingIOError:
+            return None
+
+    def frame_of(self, raw: bytes) -> Frame | None:
+        number, length, _ = _HEADER.unpack_from(raw)
+        if number & _ERROR:
+            return None
+        return Frame(number, b"" if number & REMOTE else raw[8 : 8 + length])
+
+    def message_of(self, raw: bytes) -> Any:
+        number, length, flags = _HEADER.unpack_from(raw)
+        is_fd = len(raw) == _FD.size
+        is_extended, is_remote = bool(number & EXTENDED), bool(number & REMOTE)
+        return self._can.Message(
+            arbitration_id=number & (_EXTENDED_IDS if is_extended else _STANDARD_IDS),
+            is_extended_id=is_extended,
+            is_remote_frame=is_remote,
+            is_error_frame=bool(number & _ERROR),
+            is_fd=is_fd,
+            bitrate_switch=is_fd and bool(flags & _SWITCHED),
+            error_state_indicator=is_fd and bool(flags & _ERROR_STATE),
+            dlc=length,
+            data=None if is_remote else raw[8 : 8 + length],
+        )
 
 
 class CanLink:
     """Frames over a CAN bus. ``sender`` is the remote side, whose frames are received; this end is the other.
 
-    Frames that are not of the ``protocol`` are dropped and counted: ``foreign`` (in this project's protocol: extended
-    or remote), ``garbled`` (an slcan line that is no frame), error frames by their class (``error_bus_off``,
-    ``error_passive``, ...) and, for a host that receives from the robot, ``unknown_id`` and ``length``. A robot
-    receives all standard data frames that pass the filters, and its firmware counts the wrong ones. This side's own
-    messages, which some buses echo (python-can's ``udp_multicast``, without a mark), are dropped and not counted. After
-    a bus-off the link is lost and must be reopened. While a bus is open, a host in another process, of whichever user,
-    is refused it, where the interface has a file to lock (socketcan, slcan).
+    Frames that are not of the ``protocol`` are dropped. Counts are ``foreign`` (in this project's protocol: extended
+    or remote), ``garbled`` (an slcan line that is no frame), and error frames by their class. A host also counts
+    ``unknown_id`` and ``length``; a robot's firmware counts the wrong frames itself. This side's own messages, which
+    some buses echo without a mark, are dropped and not counted. After a bus-off the link is lost and must be reopened.
+    While a bus is open, a host in another process, of whichever user, is refused it, where the interface has a file to
+    lock (socketcan, slcan).
 
     Raises BadInputError for an interface or option that python-can does not know, LinkError when the bus cannot be
     opened.
@@ -69,7 +211,6 @@ class CanLink:
         self.reopen()
 
     def reopen(self) -> None:
-        """Close the bus and open it again. Raises LinkError when that fails."""
         self.close()
         options = dict(self._options())
         if (file := self._file_to_claim()) is not None:
@@ -111,12 +252,9 @@ class CanLink:
             yield "protocol", self._can.CanProtocol.CAN_FD
         if url.interface in _FILTERING_INTERFACES and (senders := self._protocol.senders) is not None:
             accepted_ids = [number for number, sender in senders.items() if sender == self._sender]
-            filters = filters_for(accepted_ids, _MOST_FILTERS)
-            yield "can_filters", [{"can_id": f.identifier, "can_mask": f.mask, "extended": False} for f in filters]
-        if url.interface == "socketcand":
-            yield from _socketcand(url)
-        else:
-            yield "channel", url.channel
+            filters = [{"can_id": number, "can_mask": _STANDARD_IDS, "extended": False} for number in accepted_ids]
+            yield "can_filters", filters
+        yield "channel", url.channel
 
     def send(self, frame: Frame) -> None:
         port, deadline = self._open_port(), 0.0
@@ -197,53 +335,3 @@ class CanLink:
 def _is_queue_full(error: Exception) -> bool:
     number = getattr(error, "error_code", None) or getattr(error, "errno", None)
     return number == errno.ENOBUFS or "buffer full" in str(error).lower() or "No buffer space" in str(error)
-
-
-def _socketcand(url: CanUrl) -> Iterator[tuple[str, Any]]:
-    """Yield python-can's options for a socketcand channel HOST:PORT/CHANNEL. Raises BadInputError."""
-    server, _, channel = url.channel.rpartition("/")
-    host, _, port = server.rpartition(":")
-    if not (host and channel and port.isdecimal()):
-        raise BadInputError(
-            f"link {str(url)!r}: expected can:socketcand/HOST:PORT/CHANNEL, such as "
-            "can:socketcand/192.168.1.10:29536/can0"
-        )
-    yield from (("host", host), ("port", int(port)), ("channel", channel))
-
-
-class Filter(NamedTuple):
-    """Passes an identifier when it equals ``identifier`` in the bits that are 1 in ``mask``."""
-
-    identifier: int
-    mask: int
-
-    def passes(self, identifier: int) -> bool:
-        """Whether a frame with the identifier passes."""
-        return not (identifier ^ self.identifier) & self.mask
-
-    def joined(self, other: "Filter") -> "Filter":
-        """Return the narrowest filter that passes what either passes."""
-        mask = self.mask & other.mask & ~(self.identifier ^ other.identifier)
-        return Filter(self.identifier & mask, mask)
-
-    @property
-    def width(self) -> int:
-        """Number of identifiers that pass."""
-        return 1 << (_IDENTIFIER_BITS - self.mask.bit_count())
-
-
-def filters_for(identifiers: Iterable[int], most: int) -> list[Filter]:
-    """Return at most ``most`` filters that pass all of these 11-bit identifiers.
-
-    Starts with one exact filter each. Joins the two whose union passes the fewest further identifiers, until there are
-    few enough filters; then goes on as long as a union passes no further identifier.
-    """
-    filters = [Filter(identifier, (1 << _IDENTIFIER_BITS) - 1) for identifier in sorted(set(identifiers))]
-    while len(filters) > 1:
-        pairs = combinations(filters, 2)
-        cost, one, other = min((one.joined(two).width - one.width - two.width, one, two) for one, two in pairs)
-        if cost > 0 and len(filters) <= most:
-            break
-        union = one.joined(other)
-        filters = sorted([union] + [f for f in filters if f.joined(union) != union])
-    return filters

@@ -8,8 +8,8 @@ import re
 from collections.abc import Iterator
 
 from hil.core.errors import LinkError
-from hil.wire.serial_failures import LIST_PORTS, PORT_ERRORS, SHARED, is_gone, is_shared, opening_problem, words_of
-from hil.wire.url import CanUrl
+from hil.wire.can_url import CanUrl
+from hil.wire.serial_failures import GONE, LIST_PORTS, PORT_ERRORS, is_gone, opening_problem, words_of
 
 # Classes are bits of the identifier, details bits of data bytes.
 _CLASSES = {
@@ -55,13 +55,6 @@ _LIBRARIES = {
     "kvaser": "Kvaser's CANlib (linuxcan on Linux, the Kvaser drivers on Windows)" + _INSTEAD,
     "vector": "Vector's XL Driver Library, which exists for Windows only" + _INSTEAD,
     "ixxat": "IXXAT's VCI driver, which exists for Windows only" + _INSTEAD,
-    "nican": "National Instruments' NI-CAN driver, which exists for Windows only" + _INSTEAD,
-    "systec": "SYS TEC's USB-CANmodul driver, which exists for Windows only" + _INSTEAD,
-    "neovi": "Intrepid's library: pip install 'python-can[neovi]'" + _INSTEAD,
-    "gs_usb": "the gs_usb package: pip install 'python-can[gs-usb]'" + _INSTEAD,
-    "cantact": "the cantact package: pip install 'python-can[cantact]'" + _INSTEAD,
-    "canalystii": "the canalystii package: pip install 'python-can[canalystii]'",
-    "udp_multicast": "msgpack: pip install 'python-can[multicast]'",
 }
 # Error numbers in the messages of the system and of python-can, to be removed.
 _NUMBERS = re.compile(r"\[(Errno|Error Code) -?\d+\] ?")
@@ -79,7 +72,6 @@ def failures(*others: type[Exception]) -> tuple[type[Exception], ...]:
 
 
 def failure(url: CanUrl, error: Exception) -> LinkError:
-    """Return the error for an exception of python-can: what is wrong, and what to do."""
     where = f"CAN interface {url.interface!r}, channel {url.channel!r}"
     number, text = _number(error), " ".join(_NUMBERS.sub("", str(error)).split())
     if url.interface in _SERIAL_INTERFACES and "bitrate" not in text:
@@ -93,35 +85,26 @@ def failure(url: CanUrl, error: Exception) -> LinkError:
         return LinkError(f"{where}: this system's kernel has no CAN; load it with: modprobe can_raw")
     if number == errno.ENOBUFS or "No buffer space" in text or "buffer full" in text.lower():
         return LinkError(f"{where}: the transmit queue stays full; no node acknowledges, check bit rate and cable")
-    if number == errno.ENETUNREACH:
-        return LinkError(
-            f"{where}: no network reaches the multicast group; add a route to it, such as: "
-            "ip route add 224.0.0.0/4 dev lo"
-        )
     if _lacks_library(error, text):
         needs = _LIBRARIES.get(url.interface, f"its manufacturer's software, which python-can asks for: {text}")
         return LinkError(f"{where} cannot be used: install {needs}")
     if "bitrate" in text:
         return LinkError(f"{where} cannot run at {url.bitrate} bit/s ({text}); set bitrate= to one of these")
-    if url.interface == "socketcand":
-        return LinkError(f"{where} failed ({text}); start socketcand on that host, with the channel in its list")
-    return LinkError(f"{where} failed ({text}); check that the adapter is plugged in and used by no other program")
+    why = words_of(error)
+    return LinkError(f"{where} failed ({why}); check that the adapter is plugged in and used by no other program")
 
 
 def _of_serial_adapter(where: str, url: CanUrl, error: Exception) -> LinkError:
     if "Write timeout" in str(error.__cause__):
         return LinkError(f"{where} takes no bytes any more; unplug the adapter and plug it in again")
-    if is_shared(url.channel.partition("@")[0], error):
-        return LinkError(f"{where} {SHARED}")
     if is_gone(error):
-        return LinkError(f"{where} was lost (it is gone); plug the adapter in again, and check its cable")
+        return LinkError(f"{where} was lost ({GONE}); plug the adapter in again, and check its cable")
     if (problem := opening_problem(error)) is not None:
         return LinkError(f"{where} {problem}")
     return LinkError(f"{where} failed ({words_of(error)}); check that the adapter is plugged in and free; {LIST_PORTS}")
 
 
 def _number(error: BaseException) -> int | None:
-    """Return the system's error number, which python-can may have wrapped."""
     cause: BaseException | None = error
     while cause is not None:
         number = getattr(cause, "error_code", None) or getattr(cause, "errno", None)

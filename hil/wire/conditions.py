@@ -7,25 +7,28 @@ Each direction (``direction.py``) has one queue of delayed frames. An observer s
 import time
 from collections import deque
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 from firmware_protocol.framing import Frame
 from firmware_protocol.host_line import PackedFrames
 from hil.core.errors import LinkError
 from hil.core.link_protocol import WHEEL_DBC, LinkProtocol
 from hil.core.ports import Clock, Link, PackedLink, Received
-from hil.faults.kind import NEVER_NS
-from hil.wire.direction import LATENCY, Direction
-from hil.wire.faults import BusFaults, LinkFault, ScenarioTime
+from hil.faults.rows import NEVER_NS, ScenarioTime
+from hil.wire.direction import Direction, Stage
 from hil.wire.link import DirectTransport
-from hil.wire.statistics import LinkStatistics
+from hil.wire.link_statistics import LinkStatistics
+
+if TYPE_CHECKING:
+    from hil.faults.link_faults import LinkFault
+    from hil.wire.byte_faults import BusFaults
 
 
 class ConditionedLink:
     """A link with its conditions. Latency always acts; fault rows act only once the scenario's time has begun.
 
     Conditions do not apply to the frames of lockstep (``LinkProtocol.exempt_from``). ``service`` sends the commands
-    that are due; ``next_due_ns`` says when to call it again. For a direction without conditions and observer, ``send``
-    or ``receive`` is the transport's own method.
+    that are due; ``next_due_ns`` says when to call it again.
 
     Attributes:
         transport: the link below.
@@ -41,13 +44,13 @@ class ConditionedLink:
         *,
         command_latency_ns: int = 0,
         feedback_latency_ns: int = 0,
-        faults: Sequence[LinkFault] = (),
+        faults: "Sequence[LinkFault]" = (),
         scenario_time: ScenarioTime | None = None,
-        bus: BusFaults | None = None,
+        bus: "BusFaults | None" = None,
         observer: LinkStatistics | None = None,
         protocol: LinkProtocol = WHEEL_DBC,
     ) -> None:
-        self._link = link
+        self.transport = link
         self.clock = clock
         self._time = scenario_time or ScenarioTime(clock)
         self._command_latency_ns = command_latency_ns
@@ -55,9 +58,9 @@ class ConditionedLink:
         self._bus = bus
         self._observer = observer
         self._exempt_from = protocol.exempt_from
-        self._disconnects = [fault for fault in faults if fault.kind == "disconnect"]
+        self._cutting = [fault for fault in faults if fault.cuts]
         self._cut: LinkFault | None = None  # the row that cut the link
-        rows = [fault for fault in faults if fault.kind != "disconnect"]
+        rows = [fault for fault in faults if not fault.cuts]
         self._has_rows = bool(faults)
         self._is_timed = self._has_rows or bus is not None  # whether anything depends on the scenario's time
         self._out = Direction("command", rows, self._time, protocol.exempt_from)
@@ -66,16 +69,10 @@ class ConditionedLink:
         acts_out, acts_in = (any(fault.acts_on(name) for fault in faults) for name in ("command", "feedback"))
         self.may_hold = acts_out or command_latency_ns > 0
         self._changes_feedback = acts_in or bus is not None or feedback_latency_ns > 0
-        is_bare = observer is None and bus is None
-        self.transport = link
-        self.is_plain = is_bare and not self.may_hold and not self._changes_feedback
+        self.is_plain = not (observer or bus or self.may_hold or self._changes_feedback)
         self._send_packed = link.send_packed if isinstance(link, PackedLink) and bus is None else None
-        self._receive_now = link.receive if observer is None else self._receive_from_wire
-        self.send = self._send if self.may_hold or not is_bare else link.send
-        self.receive = self._receive if self._changes_feedback else self._receive_now
 
     def _put(self, frames: Sequence[Frame]) -> None:
-        """Put frames on the wire."""
         if type(frames) is PackedFrames and self._send_packed is not None:
             self._send_packed(frames)
             if self._observer is not None:
@@ -83,26 +80,26 @@ class ConditionedLink:
             return
         for frame in frames:
             if self._bus is not None:
-                frame = self._spoilt(self._bus, frame)
-            self._link.send(frame)
+                frame = self._sent_over(self._bus, frame)
+            self.transport.send(frame)
             if self._observer is not None:
                 self._observer.sent((frame,))
 
-    def _spoilt(self, bus: BusFaults, frame: Frame) -> Frame:
-        """Return a command as it arrives over a bus with faults."""
+    def _sent_over(self, bus: "BusFaults", frame: Frame) -> Frame:
         t_ns = self._time.now_ns()
-        bus.babble(t_ns)
+        bus.send_foreign(t_ns)
         return frame if t_ns is None or frame.id >= self._exempt_from else bus.sent(frame, t_ns)
 
     def _receive_from_wire(self, timeout_ns: int) -> Received | None:
-        received = self._link.receive(timeout_ns)
+        received = self.transport.receive(timeout_ns)
         if self._observer is not None:
             self._observer.received(received)
         return received
 
     # Commands
 
-    def _send(self, frame: Frame) -> None:
+    def send(self, frame: Frame) -> None:
+        """Send a frame. Raises LinkError when the link is lost."""
         self.send_all((frame,))
 
     def send_all(self, frames: Sequence[Frame]) -> None:
@@ -118,7 +115,7 @@ class ConditionedLink:
             for frame in frames:  # in their order
                 self.send_all((frame,))
         elif self._command_latency_ns:
-            self._out.hold(frames, self.clock.now_ns() + self._command_latency_ns, LATENCY)
+            self._out.hold(frames, self.clock.now_ns() + self._command_latency_ns, Stage.LATENCY_BEFORE_ROWS)
         else:
             self.service()
             self._enter(frames)
@@ -133,18 +130,18 @@ class ConditionedLink:
     def service(self, *, everything: bool = False) -> None:
         """Send the commands that are due, or with ``everything`` all that wait."""
         now_ns, way = self.clock.now_ns(), self._out
-        if way.due_ns > now_ns and not (everything or self._disconnects):
+        if way.due_ns > now_ns and not (everything or self._cutting):
             return
         t_ns = self._time.at(now_ns) if self._is_timed else None
         if t_ns is not None and self._is_cut(t_ns):
             way.forget(but_latency=True)
         until_ns = NEVER_NS - 1 if everything else now_ns
         while way.due_ns <= until_ns:
-            _, place, _, frames = way.pop_first(t_ns)
-            if place == LATENCY and self._has_rows:
-                self._enter(frames)
+            first = way.pop_first(t_ns)
+            if first.stage is Stage.LATENCY_BEFORE_ROWS and self._has_rows:
+                self._enter(first.frames)
             else:
-                self._put(frames)
+                self._put(first.frames)
 
     def next_due_ns(self) -> int | None:
         """Return the clock time at which the next command is due, or None when none waits."""
@@ -155,7 +152,7 @@ class ConditionedLink:
 
         In lockstep a command that is due within the last tick before ``t_ns`` is sent at ``t_ns``.
         """
-        if self._disconnects:
+        if self._cutting:
             self.service()
         while self._out.due_ns < t_ns:
             before_ns = clock.now_ns()
@@ -185,7 +182,10 @@ class ConditionedLink:
             self._admit(answer, now_ns, now_ns)
         return self._ready
 
-    def _receive(self, timeout_ns: int) -> Received | None:
+    def receive(self, timeout_ns: int) -> Received | None:
+        """Return frames that arrived together, waiting at most ``timeout_ns`` for them. Raises LinkError when lost."""
+        if not self._changes_feedback:
+            return self._receive_from_wire(timeout_ns)
         deadline_ns = time.monotonic_ns() + timeout_ns if timeout_ns > 0 else 0
         while True:
             now_ns = self.clock.now_ns()
@@ -193,14 +193,13 @@ class ConditionedLink:
                 self._let_in(now_ns)
             if self._ready:
                 return self._ready.popleft()
-            received = self._receive_now(timeout_ns)
+            received = self._receive_from_wire(timeout_ns)
             if received is None:
                 return None
             self._admit(*received, self.clock.now_ns())
             timeout_ns = max(0, deadline_ns - time.monotonic_ns())
 
     def _admit(self, frames: Sequence[Frame], stamp_ns: int, now_ns: int) -> None:
-        """Apply the conditions to what came from the wire."""
         t_ns = self._time.at(now_ns) if self._is_timed else None
         if self._bus is not None:
             frames = self._undamaged(self._bus, frames, t_ns)
@@ -208,7 +207,7 @@ class ConditionedLink:
                 return
         late: Sequence[Frame] | None = None
         at_once: Sequence[Frame] | None = frames
-        is_cut = bool(self._disconnects) and t_ns is not None and self._is_cut(t_ns)
+        is_cut = bool(self._cutting) and t_ns is not None and self._is_cut(t_ns)
         if self._feedback_latency_ns or is_cut:
             late, at_once = self._in.apart(frames)
         if is_cut:
@@ -221,7 +220,7 @@ class ConditionedLink:
         if at_once is not None:
             self._add_ready(at_once, stamp_ns)
         if late is not None:
-            self._in.hold(late, now_ns + self._feedback_latency_ns, self._in.latency_behind_rows)
+            self._in.hold(late, now_ns + self._feedback_latency_ns, Stage.LATENCY_BEHIND_ROWS)
 
     def _add_ready(self, frames: Sequence[Frame], stamp_ns: int) -> None:
         """Make frames available, together with those of the same time before them."""
@@ -234,9 +233,8 @@ class ConditionedLink:
                 frames = [*before, *frames]
         ready.append(Received(frames, stamp_ns))
 
-    def _undamaged(self, bus: BusFaults, frames: Sequence[Frame], t_ns: int | None) -> Sequence[Frame]:
-        """Return the frames that arrive over a bus with faults."""
-        bus.babble(t_ns)
+    def _undamaged(self, bus: "BusFaults", frames: Sequence[Frame], t_ns: int | None) -> Sequence[Frame]:
+        bus.send_foreign(t_ns)
         return [one for one in frames if t_ns is None or one.id >= self._exempt_from or bus.arrives(one, t_ns)]
 
     def _let_in(self, now_ns: int) -> None:
@@ -244,22 +242,22 @@ class ConditionedLink:
         latency_ns, way = self._feedback_latency_ns, self._in
         t_ns = self._time.at(now_ns) if self._is_timed else None
         while way.due_ns <= now_ns:
-            due_ns, place, _, frames = way.pop_first(t_ns)
-            if place == way.latency_behind_rows:
-                self._ready.append(Received(frames, due_ns))
-            elif not frames:  # they wait again
+            first = way.pop_first(t_ns)
+            if first.stage is Stage.LATENCY_BEHIND_ROWS:
+                self._ready.append(Received(first.frames, first.due_ns))
+            elif not first.frames:  # they wait again
                 continue
             elif latency_ns:
-                way.hold(frames, now_ns + latency_ns, way.latency_behind_rows)
+                way.hold(first.frames, now_ns + latency_ns, Stage.LATENCY_BEHIND_ROWS)
             else:
-                self._ready.append(Received(frames, now_ns))
+                self._ready.append(Received(first.frames, now_ns))
 
     # The link itself
 
     def _is_cut(self, t_ns: int) -> bool:
         """Whether the link is lost. It stays so until it is reopened, even after the fault's window."""
-        if self._disconnects and self._cut is None:
-            self._cut = next((fault for fault in self._disconnects if fault.row.is_in_force(t_ns)), None)
+        if self._cutting and self._cut is None:
+            self._cut = next((fault for fault in self._cutting if fault.row.is_in_force(t_ns)), None)
         return self._cut is not None
 
     def _refuse_if_cut(self, t_ns: int) -> None:
@@ -274,27 +272,25 @@ class ConditionedLink:
         self._ready.clear()
 
     def reopen(self) -> None:
-        """Reopen the link after it was lost, and discard what was on its way. Raises LinkError while it is cut."""
+        """Reopen the link after it was lost, and discard the frames on their way. Raises LinkError while it is cut."""
         self.discard()
         self._cut = None
         if (t_ns := self._time.now_ns()) is not None:
             self._refuse_if_cut(t_ns)
-        self._link.reopen()
+        self.transport.reopen()
         if self._bus is not None:
             self._bus.reopen()
 
     def rejected(self) -> dict[str, int]:
         """Return the number of received frames dropped so far, by cause."""
-        causes = self._link.rejected()
-        own = {} if self._bus is None else self._bus.rejected
+        causes = self.transport.rejected()
+        own = {} if self._bus is None else self._bus.rejected()
         return causes | {cause: causes.get(cause, 0) + count for cause, count in own.items()}
 
     def describe(self) -> str:
-        """Return a description of the link, for a person."""
-        return self._link.describe()
+        return self.transport.describe()
 
     def close(self) -> None:
-        """Release the link. Closing twice is allowed."""
         if self._bus is not None:
             self._bus.close()
-        self._link.close()
+        self.transport.close()

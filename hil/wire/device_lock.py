@@ -1,8 +1,8 @@
 """One process per device: who drives a robot holds a lock named after the device, however its URL is spelt.
 
 There are two locks. ``device_held`` is for the processes of one user: it is held for as long as they drive, also while
-the link is lost, and tells them who holds it. ``claim_file`` locks an open device itself, not a file that stands for it
-and that others could hold or remove: it keeps out every other user who may use the device. A serial port is locked
+the link is lost, and names its holder to them. ``claim_file`` locks an open device itself, because others could hold or
+remove a lock file. It keeps out all other users of the device. A serial port is locked
 likewise by pyserial when it is opened. A CAN interface of Linux has no file of its own: its ``type`` under /sys stands
 for it, which every user may lock, as every user may send on it too.
 """
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 @contextlib.contextmanager
 def device_held(url: LinkUrl, command: str) -> Iterator[None]:
-    """Hold this user's lock on a link's device for the body of a ``with``; others are told ``command`` as its holder.
+    """Hold this user's lock on a link's device for the body of a ``with``; others see ``command`` as its holder.
 
     Raises LinkError with the holder's name and process id when another process of this user holds it.
     """

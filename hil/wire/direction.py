@@ -1,97 +1,89 @@
-"""One direction of a link under conditions: its fault rows, and one queue of delayed frames by the time of the clock.
+"""One direction of a link under conditions: its fault rows, and one queue of delayed frames, ordered by clock time.
 
 Frames that are sent or arrive together stay together as long as no row that acts on them is in force.
 """
 
 import heapq
 from collections.abc import Sequence
-from typing import NamedTuple
+from enum import IntEnum, auto
+from typing import TYPE_CHECKING, NamedTuple
 
 from firmware_protocol.framing import Frame
 from firmware_protocol.host_line import PackedFrames, split
-from hil.faults.kind import NEVER_NS
-from hil.wire.faults import LinkFault, ScenarioTime
+from hil.faults.rows import NEVER_NS, ScenarioTime
 
-LATENCY = -1
-"""The place of frames that wait for the latency before the rows."""
+if TYPE_CHECKING:
+    from hil.faults.link_faults import LinkFault
+
+
+class Stage(IntEnum):
+    """Why frames wait, in the order in which they pass. Of frames due together those of the earlier stage go first."""
+
+    LATENCY_BEFORE_ROWS = auto()  # of commands
+    HELD_BY_ROW = auto()  # of kind reorder: until another frame has overtaken them, or the row's window ends
+    DELAYED_BY_ROWS = auto()  # by the sum of the delays of all rows
+    LATENCY_BEHIND_ROWS = auto()  # of feedback
 
 
 class Waiting(NamedTuple):
     """Frames in the queue of a direction, in the order in which they continue.
 
-    ``place`` is the stage at which they wait: the latency before the rows, the row of that number (only ``reorder``
-    holds frames), the delay of all rows, or the latency behind them. ``number`` is a running number in the queue.
+    ``row`` is the number of the row that holds them (stage HELD_BY_ROW). ``number`` counts what entered the queue.
     """
 
     due_ns: int
-    place: int
+    stage: Stage
+    row: int
     number: int
     frames: Sequence[Frame]
 
 
 class _AtWork(NamedTuple):
-    """A fault row that acts on frames, or takes note of them before its window."""
+    """A fault row in its window, or one that remembers frames before it (``LinkFault.remembers``), and its number."""
 
-    place: int
-    fault: LinkFault
+    number: int
+    fault: "LinkFault"
     is_in_force: bool
 
 
 class Direction:
     """One direction of a link, "command" or "feedback", with its fault rows and delayed frames.
 
+    Rows and latency do not apply to frames with an id from ``exempt_from`` on (``LinkProtocol.exempt_from``).
+
     Attributes:
         due_ns: clock time at which the next queued frames are due; NEVER_NS when the queue is empty.
     """
 
-    def __init__(self, name: str, rows: Sequence[LinkFault], time: ScenarioTime, exempt_from: int) -> None:
+    def __init__(self, name: str, rows: "Sequence[LinkFault]", time: ScenarioTime, exempt_from: int) -> None:
         self.name = name
         self.rows = rows
-        self.behind_rows = len(rows)
-        self.latency_behind_rows = len(rows) + 1
         self.due_ns = NEVER_NS
         self._time = time
         self._exempt_from = exempt_from
         self._queue: list[Waiting] = []
         self._count = 0
-        self._delayed = 0  # items in the queue that wait for the delay of all rows
-        self._last_ns = 0  # when the last of them is due, and its frames
-        self._last: list[Frame] = []
+        self._delayed = 0  # number of items of the queue in the stage DELAYED_BY_ROWS
+        self._last_ns = 0  # when the last of these items is due
+        self._last: list[Frame] = []  # its frames
         self._has_message_rows = any(fault.is_of_one_message for fault in rows)
         # The rows that are at work from one edge of the rows' windows to the next.
         self._from_ns = self._until_ns = 0
         self._at_work: Sequence[_AtWork] = ()
         self._only_delay = False
 
-    def hold(self, frames: Sequence[Frame], due_ns: int, place: int) -> None:
-        """Delay frames until a time of the clock."""
+    def hold(self, frames: Sequence[Frame], due_ns: int, stage: Stage, row: int = 0) -> None:
+        """Queue frames until a time of the clock."""
         self._count += 1
-        if place == self.behind_rows:
-            self._delayed += 1
-            self._last_ns = due_ns
-        heapq.heappush(self._queue, Waiting(due_ns, place, self._count, frames))
+        heapq.heappush(self._queue, Waiting(due_ns, stage, row, self._count, frames))
         self.due_ns = self._queue[0].due_ns
 
     def apart(self, frames: Sequence[Frame]) -> tuple[Sequence[Frame] | None, Sequence[Frame] | None]:
-        """Return the frames that conditions apply to, and those that are exempt, in their order; None for none."""
+        """Split frames into those that conditions apply to and those that are exempt; None where there are none."""
         limit = self._exempt_from
         if type(frames) is PackedFrames:
             return split(frames, limit)
         return [one for one in frames if one.id < limit] or None, [one for one in frames if one.id >= limit] or None
-
-    def _rows_at(self, t_ns: int) -> Sequence[_AtWork]:
-        """Return the rows that are at work at a time of the scenario."""
-        if not self._from_ns <= t_ns < self._until_ns:
-            edges = [edge for fault in self.rows for edge in (fault.row.start_ns, fault.row.end_ns)]
-            self._from_ns = max((edge for edge in edges if edge <= t_ns), default=-NEVER_NS)
-            self._until_ns = min((edge for edge in edges if edge > t_ns), default=NEVER_NS)
-            self._at_work = [
-                _AtWork(place, fault, fault.row.is_in_force(t_ns))
-                for place, fault in enumerate(self.rows)
-                if fault.acts_on(self.name) and fault.is_at_work(t_ns)
-            ]
-            self._only_delay = not self._has_message_rows and all(one.fault.delays for one in self._at_work)
-        return self._at_work
 
     def pass_rows(self, frames: Sequence[Frame], t_ns: int) -> Sequence[Frame]:
         """Apply the rows to frames, at a time of the scenario. Return what continues at once; the rest is queued.
@@ -118,25 +110,60 @@ class Direction:
             at_once += passed
         return at_once if is_changed else frames
 
+    def pop_first(self, t_ns: int | None) -> Waiting:
+        """Remove the first frames of the queue and return them, at a time of the scenario.
+
+        Frames that a row held first pass the rows behind it; ``frames`` is empty if these hold, delay or lose them.
+        """
+        first = heapq.heappop(self._queue)
+        self.due_ns = self._queue[0].due_ns if self._queue else NEVER_NS
+        if first.stage is Stage.DELAYED_BY_ROWS:
+            self._delayed -= 1
+        elif first.stage is Stage.HELD_BY_ROW and t_ns is not None:  # nothing overtook them in the row's window
+            left_ns = min(t_ns, self.rows[first.row].row.end_ns)
+            at_once = self._pass(list(first.frames), left_ns, _behind(self._rows_at(left_ns), first.row))
+            return first._replace(frames=at_once)
+        return first
+
+    def forget(self, *, but_latency: bool = False) -> None:
+        """Discard the queue; ``but_latency`` keeps commands in their latency, which have not reached the rows yet."""
+        self._queue = [one for one in self._queue if but_latency and one.stage is Stage.LATENCY_BEFORE_ROWS]
+        self._delayed = 0
+        self.due_ns = self._queue[0].due_ns if self._queue else NEVER_NS
+
+    def _rows_at(self, t_ns: int) -> Sequence[_AtWork]:
+        """Return the rows that are at work at a time of the scenario."""
+        if not self._from_ns <= t_ns < self._until_ns:
+            edges = [edge for fault in self.rows for edge in (fault.row.start_ns, fault.row.end_ns)]
+            self._from_ns = max((edge for edge in edges if edge <= t_ns), default=-NEVER_NS)
+            self._until_ns = min((edge for edge in edges if edge > t_ns), default=NEVER_NS)
+            self._at_work = [
+                _AtWork(number, fault, fault.row.is_in_force(t_ns))
+                for number, fault in enumerate(self.rows)
+                if fault.acts_on(self.name) and fault.is_at_work(t_ns)
+            ]
+            self._only_delay = not self._has_message_rows and all(one.fault.delays for one in self._at_work)
+        return self._at_work
+
     def _pass(self, frames: list[Frame], t_ns: int, rows: Sequence[_AtWork], delay_ns: int = 0) -> list[Frame]:
         """Apply rows to a frame and its copies. Return what continues at once; that is ``frames`` if none acted."""
-        for place, fault, is_in_force in rows:
+        for number, fault, is_in_force in rows:
             if fault.is_of_one_message and not fault.concerns(self.name, frames[0].id):
                 continue
             if not is_in_force:
-                fault.note(self.name, frames[0])
+                fault.remember(self.name, frames[0])
             elif fault.delays:
                 delay_ns += fault.delay_ns()
-            elif fault.kind != "reorder":
+            elif not fault.holds:
                 frames = fault.changed(self.name, frames)
                 if not frames:
                     return frames
-            elif (overtaken := self._remove_overtaken(place)) is not None:
+            elif (overtaken := self._take_held(number)) is not None:
                 fault.applied += 1
-                behind = _behind(rows, place)
+                behind = _behind(rows, number)
                 return self._pass(frames, t_ns, behind, delay_ns) + self._pass(overtaken, t_ns, behind, delay_ns)
             elif fault.chance.random() < fault.row.value:
-                self.hold(frames, fault.row.end_ns + self._time.offset_ns, place)
+                self.hold(frames, fault.row.end_ns + self._time.offset_ns, Stage.HELD_BY_ROW, number)
                 return []
         if not (delay_ns or self._delayed):
             return frames
@@ -162,16 +189,16 @@ class Direction:
         return at_once
 
     def _wait(self, frames: list[Frame], due_ns: int) -> None:
-        """Queue frames behind the rows. Nothing overtakes frames that already wait there."""
+        """Queue frames for the delay of the rows. Nothing overtakes frames that already wait there."""
         if self._delayed and due_ns <= self._last_ns:
             self._last += frames
-        else:
-            self._last = frames
-            self.hold(frames, due_ns, self.behind_rows)
+            return
+        self._last, self._last_ns = frames, due_ns
+        self._delayed += 1
+        self.hold(frames, due_ns, Stage.DELAYED_BY_ROWS)
 
-    def _remove_overtaken(self, place: int) -> list[Frame] | None:
-        """Return the frames that the row of this number holds, and remove them from the queue."""
-        held = next((one for one in self._queue if one.place == place), None)
+    def _take_held(self, row: int) -> list[Frame] | None:
+        held = next((one for one in self._queue if one.stage is Stage.HELD_BY_ROW and one.row == row), None)
         if held is None:
             return None
         self._queue.remove(held)
@@ -179,29 +206,6 @@ class Direction:
         self.due_ns = self._queue[0].due_ns if self._queue else NEVER_NS
         return list(held.frames)
 
-    def pop_first(self, t_ns: int | None) -> Waiting:
-        """Remove the first frames of the queue and return them, at a time of the scenario.
 
-        Their ``frames`` are empty if rows, which they enter again, hold them.
-        """
-        one = heapq.heappop(self._queue)
-        place = one.place
-        self.due_ns = self._queue[0].due_ns if self._queue else NEVER_NS
-        if place == self.behind_rows:
-            self._delayed -= 1
-        elif t_ns is not None and 0 <= place < self.behind_rows:  # nothing overtook it in the row's window
-            left_ns = min(t_ns, self.rows[place].row.end_ns)
-            at_once = self._pass(list(one.frames), left_ns, _behind(self._rows_at(left_ns), place))
-            return Waiting(one.due_ns, self.behind_rows, one.number, at_once)
-        return one
-
-    def forget(self, *, but_latency: bool = False) -> None:
-        """Discard the queue; ``but_latency`` keeps what has not reached the rows yet."""
-        self._queue = [one for one in self._queue if but_latency and one.place == LATENCY]
-        self._delayed = 0
-        self.due_ns = self._queue[0].due_ns if self._queue else NEVER_NS
-
-
-def _behind(rows: Sequence[_AtWork], place: int) -> Sequence[_AtWork]:
-    """Return the rows behind that of a number."""
-    return [one for one in rows if one.place > place]
+def _behind(rows: Sequence[_AtWork], number: int) -> Sequence[_AtWork]:
+    return [one for one in rows if one.number > number]

@@ -23,13 +23,6 @@ _SHORT = 2048  # bytes; a read of fewer has emptied the line (HostStream)
 _MOST_NOISE = 65536  # bytes without a frame in one call: more than any buffer of a line holds
 
 
-def noise_of(framing: Framing) -> int:
-    """Return how many pieces were no frame: the sum of ``rejected`` without lost frames."""
-    if isinstance(framing, HostLine):
-        return framing.noise()  # the same, faster
-    return sum(count for cause, count in framing.rejected.items() if cause != "lost")
-
-
 def _own(framing: Framing) -> HostLine:
     assert isinstance(framing, HostLine), "a client speaks our own protocol"
     return framing
@@ -58,7 +51,6 @@ class StreamLink:
         self._framing = protocol.make_framing()  # for received bytes
         self._sender = protocol.make_framing()  # kept over ``reopen``: the running number continues
         self._earlier: Counter[str] = Counter()  # rejected before the link was reopened
-        self._earlier_noise = 0
         self._waiting: tuple[Sequence[Frame], int] | None = None
         self.now_ns: Callable[[], int] = time.monotonic_ns
         self.sent_frames = 0
@@ -71,11 +63,11 @@ class StreamLink:
         self._write(self._sender.encode(frame), 1)
 
     def serve(self, client: Client, clock: Clock, attend: Callable[[bytes, int, int], None]) -> None:
-        """Set the client whose frames ``send_waiting`` sends and to which ``receive_waiting`` gives what arrives.
+        """Set the client: ``send_waiting`` sends its frames, ``receive_waiting`` gives it the bytes that arrive.
 
         Call it before either. ``clock`` is that of the run. Where the client stops, as its view says, ``attend`` is
-        called with packed frames, the byte of the first that the client has not taken, and the time of their arrival
-        [ns]. It must give the client that frame and all after it.
+        called with packed frames, the offset of the first one not taken, and their time of arrival [ns]. It must give
+        the client that frame and all after it.
         """
         self._client, self._clock, self._attend = client, clock, attend
         self._encode, self._take = _own(self._sender).encode_for, _own(self._framing).receive_for
@@ -90,7 +82,7 @@ class StreamLink:
             self.sent_bytes += len(data)
 
     def receive_waiting(self) -> int | None:
-        """Have the client take what has arrived, without waiting, and queue what is due.
+        """Give the client the bytes that have arrived, without waiting; it queues its replies.
 
         Return the time [ns] just after the read that emptied the line; None if there may be more. Raises LinkError when
         the link is lost.
@@ -156,30 +148,18 @@ class StreamLink:
         sent_before, received_before = self._bytes_before
         return self.sent_bytes - sent_before, self.received_bytes - received_before
 
-    @property
-    def counts_frames(self) -> bool:
-        """Whether frames carry a running number by which lost ones are noticed."""
-        return "lost" in self._framing.rejected
-
     def _batch_of(self, frames: Sequence[Frame], stamp_ns: int) -> Received:
-        """Return the first of many frames; the others wait for the next calls."""
         part, rest = frames[:_MOST_AT_ONCE], frames[_MOST_AT_ONCE:]
         self._waiting = (rest, stamp_ns) if rest else None
         self.received_frames += len(part)
         return Received(part, stamp_ns)
 
     def rejected(self) -> dict[str, int]:
-        counts = {cause: count + self._earlier[cause] for cause, count in self._framing.rejected.items()}
-        return counts | {"unread_bytes": self._stream.unread_bytes()}
-
-    def noise(self) -> int:
-        """Return how many pieces of what was received were no frame."""
-        return noise_of(self._framing) + self._earlier_noise
+        return {cause: count + self._earlier[cause] for cause, count in self._framing.rejected.items()}
 
     def reopen(self) -> None:
         self._stream.reopen()
         # A new framing: a partial frame and the gap in the running number belong to the line that was lost.
-        self._earlier_noise = self.noise()
         self._earlier = Counter(self.rejected())
         self._framing = self._make_framing()
         if isinstance(self._framing, HostLine):

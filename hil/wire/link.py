@@ -1,12 +1,13 @@
 """The base class of all kinds of link: the URL that names a link, its properties, and how its two ends are opened.
 
-A new kind is a frozen subclass of ``LinkUrl`` that overrides what differs from a serial line. A shipped one has a line
-in ``SHIPPED`` of ``hil.wire.url``; another package's is an entry point of the group ``hil.links``, named like the
-scheme of its URLs.
+A new kind is a frozen subclass of ``LinkUrl`` that overrides the differences from a serial line. Its entry point in the
+group ``hil.links`` is named like the scheme of its URLs.
 """
 
 import contextlib
+import os
 import re
+import sys
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping
 from typing import TYPE_CHECKING, Any, ClassVar, Literal, NamedTuple, Protocol, Self
@@ -17,9 +18,14 @@ from hil.core.ports import Link
 
 if TYPE_CHECKING:
     from firmware_protocol.host_line import PackedFrames
-    from hil.wire.meters import Meter
+    from hil.wire.link_statistics import Meter
     from hil.wire.robot_end import Wire
     from hil.wire.streams import HostStream
+
+DEFAULT_BAUD = 921_600
+"""Bit rate of the serial line of this project's firmware."""
+EXAMPLE, CAN_EXAMPLE = "serial:/dev/ttyACM0", "can:socketcan/can0"
+"""URLs of a serial line and of a CAN bus, for messages."""
 
 Line = Callable[["HostStream"], "HostStream"]
 """Wraps a link's byte stream at the host's end with faults of the line, or returns it unchanged."""
@@ -127,7 +133,7 @@ class LinkUrl(ABC):
 
     def meter(self, link: Any) -> "Meter":
         """Return the counter of traffic for a link that was opened from this URL."""
-        from hil.wire.meters import LineMeter
+        from hil.wire.link_statistics import LineMeter
 
         return LineMeter(link, None)
 
@@ -163,7 +169,6 @@ def flag(settings: Mapping[str, str], key: str) -> bool:
 
 
 def check_range(name: str, value: int, low: int, high: int) -> None:
-    """Raise BadInputError for a number outside its range."""
     if not low <= value <= high:
         raise BadInputError(f"{name} = {value}; expected {low} to {high}")
 
@@ -208,3 +213,19 @@ def unescape(text: str) -> str:
     data = text.encode("utf-8", "surrogateescape")
     data = re.sub(rb"%(..)", lambda match: bytes.fromhex(match.group(1).decode("ascii")), data)
     return data.decode("utf-8", "surrogateescape")
+
+
+def port_name(port: str) -> str:
+    """Return the real path of a serial port: ``/dev/serial/by-id/...`` becomes ``/dev/ttyACM0``."""
+    if "://" in port:
+        return port
+    if sys.platform == "win32":
+        return port.upper().removeprefix("\\\\.\\")
+    return os.path.realpath(port)
+
+
+def check_text(name: str, text: str) -> None:
+    if not text:
+        raise BadInputError(f"{name} is missing; write a link such as {EXAMPLE} or {CAN_EXAMPLE}")
+    if re.search(r"[\x00-\x1f\x7f]", text):
+        raise BadInputError(f"{name} = {text!r}; remove the control character")

@@ -3,7 +3,6 @@
 import os
 import re
 import select
-import time
 import tty
 from pathlib import Path
 
@@ -14,29 +13,7 @@ from hil.wire.serial_failures import PORT_ERRORS, words_of
 _CHUNK = 65536
 _PATIENCE_S = 2.0
 _WAITS = 40
-_AHEAD_S = 0.05  # bytes of this time may come in a burst: a robot that stalled may catch up by this much
-_BITS_PER_BYTE = 10  # start, eight data bits, stop
 _PSEUDO_TERMINAL = re.compile(r"/dev/(pts/|ttys)\d+")  # on Linux, and on macOS; one that has gone is a name only
-
-
-class _Pace:
-    """The number of bytes that a line of a bit rate can have carried by now."""
-
-    def __init__(self, baud: int) -> None:
-        self._per_s = baud / _BITS_PER_BYTE
-        self._left = self._most = max(1.0, _AHEAD_S * self._per_s)
-        self._at_s = time.monotonic()
-
-    def left(self) -> int:
-        """Return how many bytes may be taken now."""
-        now_s = time.monotonic()
-        self._left = min(self._most, self._left + (now_s - self._at_s) * self._per_s)
-        self._at_s = now_s
-        return int(self._left)
-
-    def use(self, count: int) -> None:
-        """Record that ``count`` bytes were taken."""
-        self._left -= count
 
 
 def _not_replaced(symlink: Path, why: str) -> BadInputError:
@@ -49,22 +26,14 @@ class PtyStream:
     When the buffer is full, further frames are dropped whole and counted in ``lost_frames``; a frame that has begun is
     finished first. A frame ends with the protocol's delimiter; if it has none, each call of ``write`` is one frame.
 
-    With ``waits`` (for lockstep, where time stands still until the host has read) a write waits for the reader, and
-    drops only after 2 s in which no byte was read. With ``baud`` bytes from the other side are read no faster than that
-    bit rate, except for a burst of up to 50 ms' worth; the rest stays in the buffer. With ``symlink`` the port also has
-    a fixed name; a symlink to a pseudo-terminal, which an earlier process left, is replaced, and nothing else.
+    With ``waits`` (for lockstep: time stands still until the host has read) a write waits for the reader, and drops
+    only if no byte was read for 2 s. With ``symlink`` the port also has a fixed name; a symlink to a pseudo-terminal,
+    which an earlier process left, is replaced, and nothing else.
 
     Raises BadInputError when the symlink cannot be made, LinkError when the system has no pseudo-terminal left.
     """
 
-    def __init__(
-        self,
-        symlink: Path | None = None,
-        *,
-        waits: bool = False,
-        baud: int | None = None,
-        protocol: LinkProtocol = WHEEL_DBC,
-    ) -> None:
+    def __init__(self, symlink: Path | None = None, *, waits: bool = False, protocol: LinkProtocol = WHEEL_DBC) -> None:
         try:
             self._master, slave = os.openpty()
             # Held open, so that the line stays up when a client closes it.
@@ -79,7 +48,6 @@ class PtyStream:
             ) from error
         self.lost_frames = 0
         self._waits = waits
-        self._pace = _Pace(baud) if baud is not None else None
         self._delimiter = protocol.delimiter
         self._begun = b""  # the rest of a frame whose beginning is on the line
         self._symlink: Path | None = None
@@ -138,21 +106,14 @@ class PtyStream:
         return any(select.select([], [self._master], [], _PATIENCE_S / _WAITS)[1] for _ in range(_WAITS))
 
     def read(self, timeout_ns: int) -> bytes:
-        most = _CHUNK if self._pace is None else min(_CHUNK, self._pace.left())
-        if most == 0:  # by the bit rate, the waiting bytes have not arrived yet
-            time.sleep(max(0, timeout_ns) * 1e-9)
-            return b""
         if timeout_ns > 0:
             select.select([self._master], [], [], timeout_ns * 1e-9)
         try:
-            data = os.read(self._master, most)
+            return os.read(self._master, _CHUNK)
         except BlockingIOError:
             return b""
         except OSError as error:
             raise LinkError(f"pseudo-terminal {self.port!r} was lost: {error.strerror}") from error
-        if self._pace is not None:
-            self._pace.use(len(data))
-        return data
 
     def close(self) -> None:
         if self._master < 0:

@@ -42,10 +42,10 @@ class OpeningBeside(Generic[T]):
             self._future.set_exception(error)
 
     def result(self, within_s: float) -> T | None:
-        """Return what was opened; None if that takes longer than ``within_s``. Raises what ``opened`` raised."""
+        """Return the result of ``opened``; None if it takes longer than ``within_s``. Raises as ``opened``."""
         result: T | None = self._future.result() if wait([self._future], within_s).done else None
         return result
 
     def abandon(self) -> None:
-        """Close what was opened: now, or as soon as it is open."""
+        """Close the result: now, or as soon as it is open."""
         self._future.add_done_callback(lambda done: done.exception() or done.result().close())

@@ -5,30 +5,10 @@ from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
 from typing import Protocol
 
-from firmware_protocol.framing import Frame
 from hil.core.errors import LinkError
-from hil.core.ports import Link
+from hil.core.ports import Link, Node
 from hil.wire.reopening import BackOff
 from hil.wire.streams import ByteStream
-
-
-class Node(Protocol):
-    """A firmware's end of the wire: it takes and gives bytes of a serial line, or CAN frames."""
-
-    def feed(self, data: bytes) -> None:
-        """Take bytes of a serial line."""
-
-    def receive(self, frame: Frame) -> None:
-        """Take one CAN frame."""
-
-    def take_bytes(self) -> bytes:
-        """Return all waiting output, as bytes of a serial line."""
-
-    def take_frames(self) -> list[Frame]:
-        """Return all waiting output, as frames."""
-
-    def count_unsent(self, frames: int) -> None:
-        """Count a number of frames that could not be sent."""
 
 
 class Wire(Protocol):
@@ -45,11 +25,11 @@ class Wire(Protocol):
 
 
 class SerialWire:
-    """A byte stream; the firmware does the framing and counts errors. It is told how many frames nobody read."""
+    """A byte stream; the firmware does the framing and counts errors. It gets the number of frames nobody read."""
 
     def __init__(self, stream: ByteStream) -> None:
         self._stream = stream
-        self._lost = 0  # lost frames that the firmware was told of
+        self._lost = 0  # lost frames that were reported to the firmware
 
     def receive_into(self, node: Node, timeout_ns: int) -> bool:
         data = self._stream.read(timeout_ns)
@@ -93,7 +73,6 @@ class CanWire:
             self._link.send(frame)
 
     def drop_from(self, node: Node) -> None:
-        """Discard the robot's waiting output, because the transport is lost."""
         node.take_frames()
 
     def close(self) -> None:
@@ -164,5 +143,5 @@ class ReopeningWire:
         return True
 
     def close(self) -> None:
-        self._opener.shutdown()  # waits for a running attempt, so that what it opens is closed too
+        self._opener.shutdown()  # waits for a running attempt, so that its link is closed too
         self._wire.close()

@@ -1,4 +1,4 @@
-"""Failures of serial ports as sentences on what is wrong and what to do; CAN adapters use such ports too."""
+"""Failures of serial ports as sentences with cause and remedy; CAN adapters use such ports too."""
 
 import errno
 import os
@@ -15,16 +15,13 @@ PORT_ERRORS: tuple[type[Exception], ...] = (OSError, *_TERMIOS_ERROR)
 """What a port raises, besides pyserial's own exceptions (an OSError, mostly without a number)."""
 
 LIST_PORTS = "list the ports with: python -m serial.tools.list_ports"
-SHARED = "is busy: another program reads it too, and takes bytes meant for this one; close that program"
-"""The problem of a port that ``is_shared``, to follow its name in a sentence."""
-
 BUSY = "is busy: another program holds it; close that program"
 """The problem of a device that another program has locked, to follow its name in a sentence."""
 
+GONE = "it is gone, or another program reads it too and takes bytes meant for this one"
+"""Why a port ``is_gone``: pyserial has the same words for both."""
+
 _GONE = (errno.EIO, errno.ENODEV, errno.ENXIO, errno.EBADF)
-# pyserial's words on POSIX when a port was readable but had no bytes: the device has hung up, or another program has
-# read them first.
-_NOTHING_LEFT = "multiple access on port"
 # The words of pyserial (on reading, and on Windows) and of python-can for a device that is gone.
 _GONE_WORDS = ("disconnected", "ClearCommError failed", "Could not read from serial", "Could not write to serial")
 
@@ -62,26 +59,6 @@ def opening_problem(error: Exception) -> str | None:
     if number in (errno.ENOTTY, errno.EISDIR):
         return "is not a serial port; expected a device such as /dev/ttyACM0 or COM3"
     return None
-
-
-def is_shared(port: str, error: Exception) -> bool:
-    """Whether another program reads the port too: bytes had arrived and were gone when read, but the port still exists.
-
-    pyserial uses the same words for a port that was unplugged.
-    """
-    cause: BaseException | None = error
-    while cause is not None and _NOTHING_LEFT not in str(cause):
-        cause = cause.__cause__
-    if cause is None or sys.platform == "win32":
-        return False
-    try:
-        descriptor = os.open(port, os.O_RDONLY | os.O_NOCTTY | os.O_NONBLOCK)
-    except OSError:
-        return False
-    try:
-        return os.isatty(descriptor)
-    finally:
-        os.close(descriptor)
 
 
 def is_gone(error: Exception) -> bool:

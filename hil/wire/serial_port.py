@@ -1,27 +1,25 @@
 """Serial ports by pyserial: device files, COM ports and pyserial's own URLs (``socket://``, ``rfc2217://``)."""
 
-import array
 import contextlib
 import re
 import select
-import sys
 import threading
-from typing import TYPE_CHECKING, Any
+import time
+from collections.abc import Callable
+from typing import Any
 
 import serial
 
-from hil.core.errors import LinkError, nearest
+from firmware_protocol.built import BuildError
+from firmware_protocol.fast_calls import fast_call
+from hil.core.errors import BadInputError, LinkError
 from hil.wire.reopening import OpeningBeside
-from hil.wire.serial_failures import LIST_PORTS, PORT_ERRORS, SHARED, is_gone, is_shared, opening_problem, words_of
-
-if TYPE_CHECKING:
-    from hil.wire.terminal import Terminal
+from hil.wire.serial_failures import GONE, LIST_PORTS, PORT_ERRORS, is_gone, opening_problem, words_of
 
 _CHUNK = 65536
 _READ_S = 0.05  # how long one read of a Reader blocks, which is also how long it takes to stop
-_LONGEST = 1 << 20  # bytes kept for a host that does not read; older ones are dropped
+_LONGEST = 1 << 20  # bytes kept for a host that does not read
 _WRITE_TIMEOUT_S = 1.0  # a line that accepts no byte for that long is lost
-_OUTPUT_SPEED = 10  # c_ospeed of Linux' struct termios2, in ints
 # re.error: from hwgrep://, which takes a pattern.
 _OPENING_FAILURES: tuple[type[Exception], ...] = (
     serial.SerialException,
@@ -33,15 +31,50 @@ _OPENING_FAILURES: tuple[type[Exception], ...] = (
 _LOSSES: tuple[type[Exception], ...] = (serial.SerialException, TypeError, *PORT_ERRORS)
 _SERVERS = ("socket:", "rfc2217:")
 _CONNECTING_S = 0.1  # enough for a server that answers; limits how long a service's tick waits
-_URL_HANDLERS = ("socket", "rfc2217", "loop", "spy", "hwgrep", "alt")
+
+_QUIET_NS = 20_000_000
+
+
+class Terminal:
+    """Reads and writes a non-blocking terminal device with few system calls; pyserial does what that leaves.
+
+    While there is nothing to read, ``select`` and ``read`` wait for a thread of the kernel without real-time priority,
+    on a busy machine for milliseconds. So this asks first whether there is, in the host library, without waiting.
+
+    Raises BadInputError when the library cannot be loaded.
+    """
+
+    def __init__(self, descriptor: int) -> None:
+        self._descriptor = descriptor
+        try:
+            self._read: Callable[[int], bytes | None] = fast_call("terminal_read")
+            self._write: Callable[[int, bytes], int] = fast_call("terminal_write")
+        except BuildError as error:
+            raise BadInputError(str(error)) from error
+        self._quiet_until_ns = 0
+
+    def write(self, data: bytes) -> int:
+        """Return how many bytes were written; 0 when the line is full or lost."""
+        return self._write(self._descriptor, data)
+
+    def read(self) -> bytes | None:
+        """Return the bytes that arrived; None after 20 ms of silence or on a lost line: pyserial's read shows which."""
+        data = self._read(self._descriptor)
+        if data:
+            self._quiet_until_ns = 0
+            return data
+        now_ns = time.monotonic_ns()
+        if not self._quiet_until_ns:
+            self._quiet_until_ns = now_ns + _QUIET_NS
+        return data if now_ns < self._quiet_until_ns else None
 
 
 class Reader:
     """A thread that blocks in the port's own read, so that ``read`` can wait for any time.
 
     It is for ports that select cannot wait on: COM ports, and pyserial's URLs without a file descriptor. The port's
-    timeout is set once: for RFC 2217 each change of it is a negotiation over the network. ``unread_bytes`` counts bytes
-    that were dropped because nobody read them.
+    timeout is set once: for RFC 2217 each change of it is a negotiation over the network. A port whose bytes nobody
+    reads is lost.
     """
 
     def __init__(self, port: Any) -> None:
@@ -50,7 +83,6 @@ class Reader:
         self._received = bytearray()
         self._failure: Exception | None = None
         self._stopping = False
-        self.unread_bytes = 0
         port.timeout = _READ_S
         self._thread = threading.Thread(target=self._run, name="serial reader", daemon=True)
         self._thread.start()
@@ -64,9 +96,9 @@ class Reader:
                     data += self._port.read(self._port.in_waiting)
                     with self._arrived:
                         self._received += data
-                        self.unread_bytes += max(0, len(self._received) - _LONGEST)
-                        del self._received[:-_LONGEST]
                         self._arrived.notify()
+                        if len(self._received) > _LONGEST:
+                            raise OSError(f"{len(self._received)} bytes were not read")
         except Exception as error:  # noqa: BLE001 - read() raises it in the caller's thread
             with self._arrived:
                 self._failure = error
@@ -93,13 +125,13 @@ class Reader:
 
 
 def _open_failure(port: str, baud: int, error: Exception) -> LinkError:
-    """Return the error for a port that cannot be opened: what is wrong, and what to do."""
     text = str(error)
     scheme, is_url, _ = port.partition("://")
-    if is_url and "protocol" in text and "not known" in text:
-        return LinkError(f"serial URL {port!r}: pyserial knows no {scheme!r}{nearest(scheme, _URL_HANDLERS)}")
     if "baudrate" in text or "baud rate" in text:
-        return _baud_refused(port, baud)
+        return LinkError(
+            f"serial port {port!r} refuses {baud} baud; common rates are 115200, 921600, 1000000 and 2000000: set "
+            "baud= in the link, and the same rate in the robot"
+        )
     if is_url and scheme in ("socket", "rfc2217"):
         reason = "its port number is missing" if "NoneType" in text else words_of(error)
         return LinkError(
@@ -109,29 +141,6 @@ def _open_failure(port: str, baud: int, error: Exception) -> LinkError:
     if (problem := opening_problem(error)) is not None:
         return LinkError(f"serial port {port!r} {problem}")
     return LinkError(f"serial port {port!r} could not be opened: {words_of(error)}; {LIST_PORTS}")
-
-
-def _baud_refused(port: str, baud: int, alternative: int | None = None) -> LinkError:
-    hint = f"it offers {alternative}" if alternative else "common rates are 115200, 921600, 1000000 and 2000000"
-    return LinkError(
-        f"serial port {port!r} refuses {baud} baud; {hint}: set baud= in the link, and the same rate in the robot"
-    )
-
-
-def _rate_of(port: Any) -> int | None:
-    """Return the rate that the driver set; None if it cannot be read (only Linux reports it)."""
-    if sys.platform != "linux":
-        return None
-    import fcntl
-
-    from serial.serialposix import TCGETS2
-
-    termios2 = array.array("i", [0] * 64)
-    try:
-        fcntl.ioctl(port.fileno(), TCGETS2, termios2)
-    except (AttributeError, OSError, ValueError):
-        return None  # a URL without a terminal
-    return termios2[_OUTPUT_SPEED] or None
 
 
 class SerialStream:
@@ -153,7 +162,6 @@ class SerialStream:
         self._reader: Reader | None = None
         self._terminal: Terminal | None = None
         self._low_latency = False
-        self._unread_bytes = 0  # of earlier readers
         self._opening: OpeningBeside[Any] | None = None
         self._use(self._opened())
 
@@ -175,7 +183,6 @@ class SerialStream:
         self._use(port)
 
     def _opened(self) -> Any:
-        """Open the port and return it. Raises LinkError."""
         port: Any = None
         try:
             port = serial.serial_for_url(self._name, baudrate=self._baud, timeout=0, do_not_open=True)
@@ -195,20 +202,12 @@ class SerialStream:
         try:
             # Bytes sent before the port was opened are not for this run.
             port.reset_input_buffer()
-            self._check_baud()
             self._reader = None if has_descriptor else Reader(port)
         except _OPENING_FAILURES as error:
             self._release()
             raise _open_failure(self._name, self._baud, error) from error
-        self._terminal = _terminal(self._port) if has_descriptor and "://" not in self._name else None
+        self._terminal = Terminal(self._port.fileno()) if has_descriptor and "://" not in self._name else None
         self._low_latency = self._set_low_latency()
-
-    def _check_baud(self) -> None:
-        """Compare the driver's rate with the requested one: a driver may silently set another. Raises LinkError."""
-        taken = _rate_of(self._port)
-        if taken is not None and abs(taken - self._baud) > 0.03 * self._baud:
-            self._release()
-            raise _baud_refused(self._name, self._baud, taken)
 
     def _has_descriptor(self) -> bool:
         try:
@@ -254,17 +253,12 @@ class SerialStream:
             raise self._lost(error) from error
 
     def _lost(self, error: Exception) -> LinkError:
-        if is_shared(self._name, error):
-            return LinkError(f"serial port {self._name!r} {SHARED} (fuser -v {self._name} names it)")
-        why = "it is gone" if is_gone(error) else words_of(error)
+        why = GONE if is_gone(error) else words_of(error)
         return LinkError(f"serial port {self._name!r} was lost ({why}); check the cable and the robot's power")
 
     def describe(self) -> str:
         latency = "set" if self._low_latency else "not offered by its driver"
         return f"serial port {self._name} at {self._baud} baud, low latency {latency}"
-
-    def unread_bytes(self) -> int:
-        return self._unread_bytes + (self._reader.unread_bytes if self._reader is not None else 0)
 
     def close(self) -> None:
         if self._opening is not None:
@@ -279,14 +273,7 @@ class SerialStream:
         _close(self._port)
         if self._reader is not None:
             self._reader.join()
-            self._unread_bytes = self.unread_bytes()
             self._reader = None
-
-
-def _terminal(port: Any) -> "Terminal":
-    from hil.wire.terminal import Terminal  # POSIX only
-
-    return Terminal(port.fileno())
 
 
 def _close(port: Any) -> None:

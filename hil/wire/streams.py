@@ -44,9 +44,6 @@ class HostStream(Protocol):
     def read(self, timeout_ns: int) -> bytes: ...
     def close(self) -> None: ...
 
-    def unread_bytes(self) -> int:
-        """Return how many bytes were dropped because nobody read them; reopening does not reset the count."""
-
     def reopen(self) -> None:
         """Close the line and open it again, without the bytes that had arrived. Raises LinkError when that fails."""
 
@@ -55,7 +52,6 @@ class HostStream(Protocol):
 
 
 def closed() -> LinkError:
-    """Return the error for sending on a memory link that was closed."""
     return LinkError("the memory link was closed; open a new one")
 
 
@@ -84,9 +80,6 @@ class DirectStream:
     def reopen(self) -> None:
         """Do nothing: everything that the robot sent was read."""
 
-    def unread_bytes(self) -> int:
-        return 0
-
     def describe(self) -> str:
         return "memory, both sides in one process"
 
@@ -104,17 +97,12 @@ class _End(Generic[T]):
         self._received: queue.SimpleQueue[T] = queue.SimpleQueue()
         self._peer: Self | None = None
 
-    def connect(self, peer: Self) -> None:
-        """Make ``peer`` the other end."""
-        self._peer = peer
-
     def _put(self, item: T) -> None:
         if self._peer is None:
             raise closed()
         self._peer._received.put(item)
 
     def _receive(self, timeout_ns: int) -> list[T]:
-        """Return everything that has arrived, waiting at most ``timeout_ns`` for the first item."""
         try:
             items = [self._received.get(timeout_ns > 0, max(0, timeout_ns) * 1e-9)]
         except queue.Empty:
@@ -141,9 +129,6 @@ class MemoryStream(_End[bytes]):
     def read(self, timeout_ns: int) -> bytes:
         return b"".join(self._receive(timeout_ns))
 
-    def unread_bytes(self) -> int:
-        return 0
-
     def describe(self) -> str:
         return "memory, both sides in one process"
 
@@ -155,8 +140,6 @@ class MemoryBus(_End[Frame]):
         now_ns: the clock that stamps received frames.
         sent_frames, sent_bytes, received_frames, received_bytes: numbers so far.
     """
-
-    counts_frames = False
 
     def __init__(self) -> None:
         super().__init__()
@@ -181,27 +164,21 @@ class MemoryBus(_End[Frame]):
         self._bytes_before = self.sent_bytes, self.received_bytes
 
     def byte_counts(self) -> tuple[float, float]:
-        """Return the bytes sent and received since ``begin_byte_counts``."""
         sent_before, received_before = self._bytes_before
         return self.sent_bytes - sent_before, self.received_bytes - received_before
 
     def rejected(self) -> dict[str, int]:
         return {}
 
-    def noise(self) -> int:
-        return 0
-
     def describe(self) -> str:
         return "a bus in memory, with no bit rate"
 
 
 def memory_pair() -> tuple[MemoryStream, MemoryStream]:
-    """Return the two ends of a line within this process."""
     return _connected(MemoryStream(), MemoryStream())
 
 
 def memory_bus() -> tuple[MemoryBus, MemoryBus]:
-    """Return the two ends of a bus within this process."""
     return _connected(MemoryBus(), MemoryBus())
 
 
@@ -209,6 +186,5 @@ End = TypeVar("End", MemoryStream, MemoryBus)
 
 
 def _connected(one: End, other: End) -> tuple[End, End]:
-    one.connect(other)
-    other.connect(one)
+    one._peer, other._peer = other, one
     return one, other

@@ -90,7 +90,7 @@ def frames(before: str) -> str:
 
 
 def rejected() -> str:
-    """Return the text of rejected.csv: lines that a receiver drops, and by which cause it counts them."""
+    """Return the text of rejected.csv: lines that a receiver drops, and the cause that it counts for each."""
     seven = b"\x07"  # the sequence of all
     step_done = (0x301).to_bytes(2, "little") + seven
     good = checked(step_done + bytes([1, 2, 3, 4]))

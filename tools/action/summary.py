@@ -23,7 +23,7 @@ def rows(junit: Path) -> Iterator[tuple[str, str, str, str]]:
 
 
 def page(recording: Path) -> str:
-    """Write the page of a recording beside it, and return how to find it, or why there is none."""
+    """Write the page of a recording next to it, and return its link, or the reason for its absence."""
     html = recording.with_suffix(".html")
     command = [sys.executable, "-m", "hil", "review", str(recording), "--html", str(html), "--force"]
     done = subprocess.run(command, capture_output=True, text=True, check=False)

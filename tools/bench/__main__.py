@@ -151,7 +151,7 @@ def main() -> None:
 
 
 def judge(row: Row, figures: Mapping[str, Any], *, short: bool) -> tuple[float, str, bool]:
-    """Return a ratio from the figures of its bench, what was expected of it in words, and whether it is so."""
+    """Return a ratio from the figures of its bench, a text on its expected value, and whether it is met."""
     value: Any = figures
     for key in row.place:
         value = value[key]

@@ -26,10 +26,10 @@ from rich.console import Console
 from rich.table import Table
 
 import hil
-from hil.batch import pool
-from hil.batch.campaign.campaign import Campaign, Place
-from hil.batch.job import Job, Outcome, plain
-from hil.batch.pool import MODULE, READY, Runner
+from hil.addons.batch import pool
+from hil.addons.batch.campaign.campaign import Campaign
+from hil.addons.batch.job import Job, Outcome, plain
+from hil.addons.batch.pool import MODULE, READY, Runner
 from hil.scenario import from_plain
 
 PLAN = """
@@ -117,7 +117,7 @@ def coordinator(folder: Path) -> dict[str, float]:
     prepared_s = time.process_time()
     pool.MODULE = THIS
     try:
-        for _ in campaign.perform(folder / "answers" / "out", Place(None, 2, LIMIT_S)):
+        for _ in campaign.perform(folder / "answers" / "out", 2, LIMIT_S):
             pass
     finally:
         pool.MODULE = MODULE
@@ -143,7 +143,7 @@ def of_campaign(folder: Path, runs: int, seconds: float, workers: int) -> float:
     campaign = _campaign(folder, "paper_circle", runs, seconds)
 
     def done() -> Iterator[int]:
-        for rows in campaign.perform(folder / "out", Place(None, workers, LIMIT_S)):
+        for rows in campaign.perform(folder / "out", workers, LIMIT_S):
             failed = [row["reason"] for row in rows if row["outcome"] != "passed"]
             if failed:
                 raise SystemExit(f"a run failed, and its time means nothing: {failed[0]}")

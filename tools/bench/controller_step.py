@@ -25,9 +25,8 @@ from rich.table import Table
 from hil.core.errors import BadInputError
 from hil.core.model import FRICTION_SPEED_RAD_S, RobotModel
 from hil.core.types import ZERO_WHEELS, Applied, CommandMode, Pose, Reference, State, Twist, WheelCommand
-from hil.laws.afdsc import Afdsc
-from hil.laws.fuzzy import K1_1_S, K2_1_S, RULES
-from hil.laws.registry import SHIPPED
+from hil.laws.afdsc import K1_1_S, K2_1_S, RULES, Afdsc
+from hil.laws.law_registry import shipped_laws
 from hil.references import make_reference
 
 Array = NDArray[np.float64]
@@ -113,7 +112,7 @@ class NumpyAfdsc:
 
 
 class Nothing:
-    """A law that always gives the same: going round with it is what the bench itself takes."""
+    """A law that always gives the same command: its time is the bench's own."""
 
     @dataclass(frozen=True)
     class Options:
@@ -187,7 +186,7 @@ def main() -> None:
     options = parser.parse_args()
     references, states = motion()
     ways = {("AFDSC in NumPy", "torque"): of_numpy(references, states)}
-    for (name, law), mode in itertools.product(SHIPPED.items(), CommandMode):
+    for (name, law), mode in itertools.product(shipped_laws().items(), CommandMode):
         try:
             ways[name, mode.name.lower()] = of_law(law, mode, references, states)
         except BadInputError:

@@ -236,7 +236,7 @@ def _served(folder: Path) -> Iterator[Served]:
             cwd=folder,
         )
         try:
-            from hil.service.discovery import running
+            from hil.addons.service.discovery import running
 
             while not (found := [one for one in running() if one.pid == process.pid]):
                 if process.poll() is not None:

@@ -24,11 +24,11 @@ from rich.table import Table
 import plant_fmu
 from firmware_protocol.built import SUFFIX, BuildError
 from hil.core.errors import HilError
+from hil.core.plant_signals import COUNTS, DUTIES, ENABLED, INPUTS, OUTPUTS, POSE, SPEEDS, TORQUES
 from hil.core.types import Wheels
 from hil.plant import shim
 from hil.plant.fmu import FmuPlant
 from hil.plant.mapping import SignalMap, resolve
-from hil.plant.signals import COUNTS, DUTIES, ENABLED, INPUTS, OUTPUTS, POSE, SPEEDS, TORQUES
 from hil.plant.start import Value
 from tools.build.compiler import compile_shared
 
@@ -175,7 +175,7 @@ def compare(
         ]
         floor, *others = microseconds(ways, (20_000, 20_000, 2_000, 1_000), repeats)
         version = new[0].instance.version
-    # What a way adds is taken within a repeat, so that a slow moment of the machine counts on both sides.
+    # The cost of a way is taken within a repeat, so that a slow moment of the machine counts on both sides.
     added = [statistics.median(map(float.__sub__, times, floor)) for times in others]
     title = f"FMI {version}, {len(outputs)} outputs read"
     figures[title] = {way.name: more / added[-1] for way, more in zip(ways[1:], added, strict=True)}

@@ -11,8 +11,8 @@ random runs, serve all defects with a condition: where one is met the run is don
 it then breaks something. If it does not, the defect is hunted for by itself. Of conditions that are known before a run,
 random search does only the runs that meet them.
 
-By default this is one short hunt, a minute of processor time. HUNT.md has ``--random 4000 --hunts 3 --cap 700 --page
-hil/batch/hunt/HUNT.md``, which takes ten.
+By default this is one short hunt, a minute of processor time. ``--random 4000 --hunts 3 --cap 700 --page
+docs/results/hunts.md`` takes ten.
 """
 
 import argparse
@@ -28,13 +28,12 @@ from typing import Any
 
 import numpy as np
 
-from hil.batch.hunt.hunt import Hunt
-from hil.batch.hunt.space import Case
-from hil.batch.job import PASSED, Job, Outcome
-from hil.batch.keys import make_job
-from hil.batch.output import markdown_table
-from hil.batch.plan import run_jobs
-from hil.batch.run import run
+from hil.addons.batch.hunt.hunt import Hunt
+from hil.addons.batch.job import PASSED, Job, Outcome
+from hil.addons.batch.keys import make_job
+from hil.addons.batch.pool import run_jobs
+from hil.addons.batch.results_page import markdown_table
+from hil.addons.batch.run import run
 from hil.scenario import Scenario, from_plain, load
 from tools.bench.planted import DEFECTS, HEALTHY, Defect, Drawn, hunt_of
 from tools.bench.planted_law import MET
@@ -74,7 +73,7 @@ def planted(job: Job, defect: Defect) -> Job:
 
 def breaks(hunt: Hunt, outcome: Outcome) -> bool:
     """Return whether a run of a hunt breaks something."""
-    return bool(hunt.verdict(Case(), outcome).broken)
+    return bool(hunt.verdict(outcome).broken)
 
 
 def hunted_together(defects: Sequence[Defect], folder: Path, runs: int, seed: int) -> dict[str, int | None]:
@@ -128,7 +127,7 @@ def broken_at_random(defects: Sequence[Defect], folder: Path, runs: int, seed: i
 
 
 def groups(defects: Sequence[Defect]) -> list[list[Defect]]:
-    """Return the defects that one set of random runs serves: conditions on what the law sees, on the run, and keys."""
+    """Return the defects that one set of random runs serves: conditions on the law's inputs, on the run, and keys."""
     seen = [one for one in defects if one.is_seen]
     drawn = [one for one in defects if one.when is not None]
     return [some for some in (seen, drawn, *([one] for one in defects if one.keys)) if some]
@@ -206,13 +205,11 @@ def row_of(defect: Defect, rate: Mapping[str, int], hunts: Sequence[int | None])
 
 
 def page(rows: Sequence[Mapping[str, Any]], ratio: float) -> str:
-    """Return the table for HUNT.md."""
-    head = ["defect", "where", "what is wrong", "met at random in", "runs, random", "runs, hunts", "ratio"]
+    """Return the table for docs/results/hunts.md."""
+    head = ["defect", "met at random in", "runs, random", "runs, hunts", "ratio"]
     lines = [
         [
             row["defect"],
-            row["where"],
-            row["wrong"],
             f"{100.0 * row['share']:.2f} %",
             f"{row['random_mean']:.0f}",
             ", ".join("not found" if after is None else str(after) for after in row["hunts"]),

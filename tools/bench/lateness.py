@@ -3,7 +3,7 @@
 Controller and virtual robot are two processes, with what ``[realtime]`` is granted, recorded. In turns with them runs
 cyclictest (Debian: apt install rt-tests), whose thread only sleeps: what it is late by is the machine's. The reaction
 is from the stamp of the newest feedback to the command that goes out next, as a trace has them. With ``--vcan`` all of
-it runs inside ``tools.socketcan``. ``--page hil/runtime/LIMITS.md`` writes the row of this machine into the page's
+it runs inside ``tools.socketcan``. ``--page docs/results/realtime.md`` writes the row of this machine into the page's
 table.
 """
 
@@ -28,7 +28,7 @@ from rich.console import Console
 from rich.table import Table
 
 from firmware_protocol.generated.messages import Tick, TorqueCommand, WheelCommand
-from hil.cli.checks import realtime
+from hil.addons.doctor import checks
 from hil.runtime.lateness import Lateness
 from hil.scenario.tables import PRIORITY
 from tools import socketcan
@@ -230,7 +230,7 @@ def _figures(wanted: Wanted, turns: list[Turn], ours: Lateness, sleeper: Latenes
 
 def _kernel() -> str:
     """Return the kernel's name and version, also of one that is itself a process: there the processor says so."""
-    said = [finding.sentence.partition(":")[0] for finding in realtime.check_kernel() if finding.subject == "kernel"]
+    said = [finding.sentence.partition(":")[0] for finding in checks.check_kernel() if finding.subject == "kernel"]
     if not said:
         return platform.platform()
     is_process = "User Mode Linux" in Path("/proc/cpuinfo").read_text("utf-8")

@@ -2,8 +2,8 @@
 
 FMPy's class over the shipped FMU, cantools with wheel.dbc on both sides of a ``virtual`` bus of python-can, AFDSC in
 NumPy, and one ``rr.log`` a signal. On the bus are the frames that the bridge has on its wire in a tick: command, STEP,
-feedback, STEP_DONE. The robot's side has no firmware: it puts the torques that it received on the FMU and sends what it
-measured. So there is less to do than in the bridge, and nothing is made slow on purpose.
+feedback, STEP_DONE. The robot's side has no firmware: it puts the received torques on the FMU and sends its
+measurements. So there is less to do than in the bridge, and nothing is made slow on purpose.
 """
 
 import math

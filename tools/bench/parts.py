@@ -17,11 +17,11 @@ from rich.console import Console
 from rich.table import Table
 
 from hil.core.guard import Guard
-from hil.estimation.truth import TruthEstimator
-from hil.judge.results import MemorySink
+from hil.estimation.estimators import TruthEstimator
+from hil.judge.memory_sink import MemorySink
+from hil.judge.result import RunResult
 from hil.laws.surface import SurfaceLaw
-from hil.references.circle import Circle
-from hil.review.result import RunResult
+from hil.references.shapes import Circle
 from hil.robot.direct import DirectLink
 from hil.robot.stm32 import Stm32
 from hil.runtime.assembly import RunOptions, run_scenario
@@ -33,8 +33,8 @@ from hil.runtime.sampling import Sampling
 from hil.runtime.tick import Tick
 from hil.scenario import load
 from hil.wire.framed import StreamLink
+from hil.wire.link_statistics import LinkStatistics
 from hil.wire.serial_port import SerialStream
-from hil.wire.statistics import LinkStatistics
 from tools.bench.lateness import Robot, device
 
 SCENARIO = "paper_circle"
@@ -42,7 +42,7 @@ FIRST = 600  # calls that do not count
 
 
 class Part(NamedTuple):
-    """A part of a tick: what it does, the method that does it, and how deep it is contained in others."""
+    """A part of a tick: a text on it, its method, and how deep it is contained in others."""
 
     what: str
     kind: type
@@ -111,7 +111,7 @@ def main() -> None:
 
 
 def took_of(part: Part, seconds: float, *, is_realtime: bool) -> Took:
-    """Return what a part took in one run, without what the timer takes."""
+    """Return the time of a part in one run, without the timer's own."""
     plain: Callable[..., Any] = getattr(part.kind, part.method)
     taken_ns: list[int] = []
     now_ns = time.perf_counter_ns

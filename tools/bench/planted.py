@@ -1,10 +1,10 @@
-"""The defects that ``tools.bench.hunt`` plants, and the scenario and the space in which they are looked for.
+"""The defects that ``tools.bench.hunt`` plants, and the scenario and the space of the search.
 
 All share one scenario, a robot that drives by odometry onto a circle for 0.8 s, its expectations, and ranges of start
-states, plant parameters, latency and faults. The expectations hold there without a defect. The defects are of three
-ways: keys of the scenario (their margin shrinks before they break anything), a condition on what the law sees, and a
-condition on values and faults of the run that the law does not see. Of those with a condition nothing shows before it
-is met, other than that expectations are nearer to breaking there, or not.
+states, plant parameters, latency and faults. The expectations hold there without a defect. There are three kinds of
+defects: keys of the scenario (their margin shrinks before they break anything), a condition on the law's inputs, and a
+condition on values and faults of the run that are no input of the law. Of those with a condition nothing shows before
+it is met, other than that expectations are nearer to breaking there, or not.
 """
 
 import json
@@ -12,8 +12,8 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from hil.batch.hunt.cases import Request
-from hil.batch.hunt.hunt import Hunt
+from hil.addons.batch.hunt.hunt import Hunt
+from hil.addons.batch.hunt.hunt_file import Request
 from tools.bench.planted_law import CONDITIONS, WATCH
 
 SCENARIO = """
@@ -163,7 +163,7 @@ class Defect(NamedTuple):
 
     Attributes:
         name: also the condition of ``planted_law.CONDITIONS``, if it has one there. where: the room it would be in.
-        words: what is wrong. then: what the law does once the condition is met. when: a condition on the run.
+        words: a text on the defect. then: the law's action once the condition is met. when: a condition on the run.
         keys: the keys of the scenario that plant it; such a defect has no condition.
     """
 

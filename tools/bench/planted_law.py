@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 from hil.core.model import RobotModel
 from hil.core.types import ZERO_WHEELS, Applied, CommandMode, Pose, Reference, State, Twist, WheelCommand, Wheels
-from hil.laws.dsc import Dsc
+from hil.laws.surface import Dsc
 
 WATCH = "watch"
 """In place of a defect: no defect acts, and the law's signal ``MET`` says whose conditions were met."""
@@ -24,9 +24,9 @@ SPIN = Wheels(-20.0, 20.0, 20.0, -20.0)
 class Seen(NamedTuple):
     """What a law sees in a tick: errors along x, y and heading, twist, reference, and the command it would give.
 
-    ``wound_rad_s`` is the integral of the heading's error, ``silent`` in how many ticks the state did not change, and
-    ``jump_rad_s`` and ``drop_rad_s`` how much the yaw rate changed and the set point of the wheel FR fell since the
-    last tick.
+    ``wound_rad_s`` is the integral of the heading's error, ``silent`` the number of ticks without a change of the
+    state. ``jump_rad_s`` and ``drop_rad_s`` are how much the yaw rate changed and the set point of the wheel FR fell
+    since the last tick.
     """
 
     x_m: float

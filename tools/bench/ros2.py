@@ -3,7 +3,7 @@
     python -m tools.bench.ros2 loop [--turns 4 --seconds 15]    lateness with and without the node, in turns
     python -m tools.bench.ros2 circle                            the direct run, and through topics
 
-Prints tables in Markdown, which hil/service/ros2/ROS2.md shows, and with --json one object.
+Prints tables in Markdown, which hil/addons/ros2/ROS2.md shows, and with --json one object.
 """
 
 import argparse
@@ -23,11 +23,11 @@ from typing import Any
 import numpy as np
 
 import hil
+from hil.addons.service.client import Client, find
+from hil.addons.service.discovery import running
+from hil.addons.service.messages import Action
 from hil.core.errors import LinkError
 from hil.core.subprocesses import child_environment, module_command
-from hil.service.client import Client, find
-from hil.service.discovery import running
-from hil.service.messages import Action
 
 SCENARIO = "paper_circle"
 RATE_HZ = 200

@@ -2,12 +2,9 @@
 
 import signal
 
-from hil.service.ros2.installation import require_ros
-
 
 def main() -> None:
     """Drive in a circle."""
-    require_ros()
     import rclpy
     from geometry_msgs.msg import Twist
     from nav_msgs.msg import Odometry

@@ -17,8 +17,6 @@ from hil.core.types import ZERO_WHEELS, Applied, CommandMode, Pose, State, Wheel
 from hil.references import make_reference
 from hil.scenario import Scenario, load
 from hil.scenario.laws import make_laws
-from hil.service.ros2.convert import heading
-from hil.service.ros2.installation import require_ros
 
 _STEADY_S = 10.0
 _LIMIT_S = 600.0
@@ -61,7 +59,7 @@ class LawNode:
         self._now_ns = now_ns = stamp.sec * 1_000_000_000 + stamp.nanosec
         if not self.is_armed or self.is_done:
             return
-        yaw = heading(pose.orientation)
+        yaw = 2.0 * math.atan2(pose.orientation.z, pose.orientation.w)  # about the vertical axis
         world = to_world(BodyTwist(twist.linear.x, twist.linear.y, twist.angular.z), yaw)
         state = State(Pose(pose.position.x, pose.position.y, yaw), world)
         if self._begin_ns is None:
@@ -100,7 +98,6 @@ def main() -> None:
     parser.add_argument("--set", action="append", default=[])
     parser.add_argument("--latency-s", type=float, default=0.0)
     asked = parser.parse_args()
-    require_ros()
     import rclpy
     from std_srvs.srv import Trigger
 

@@ -27,13 +27,13 @@ from typing import NamedTuple
 import numpy as np
 
 import hil
+from hil.addons.report.viewer import free_port, live_address, viewer_executable
 from hil.core.errors import BadInputError
 from hil.core.signals import SIGNAL_NAMES, pack_row
 from hil.core.types import WHEEL_NAMES
-from hil.record import Recording
-from hil.record.viewer import free_port, live_address, viewer_executable
-from hil.review.contents import DamagedError
-from hil.review.decode import decode
+from hil.record.contents import DamagedError
+from hil.record.decode import decode
+from hil.record.recording import Recording
 from hil.runtime.provenance import properties
 from hil.runtime.realtime import RealTime, real_time
 from hil.scenario import load
@@ -109,7 +109,7 @@ def main() -> int:
 
 
 class _Bench:
-    """What is measured: recordings into a folder, of rows that a run has given."""
+    """The measurement: recordings into a folder, of rows from a run."""
 
     def __init__(self, folder: Path, told: dict[str, str], signals: object) -> None:
         self._folder = folder
@@ -233,7 +233,7 @@ class _Bench:
 _REVIEW = """
 import resource, sys
 from pathlib import Path
-from hil.review import review
+from hil.judge.recorded import review
 ticks = review(Path(sys.argv[1]))["ticks"]
 peaks = [resource.getrusage(who).ru_maxrss / 1e3 for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]
 print(ticks, sum(peaks))

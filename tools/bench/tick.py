@@ -135,7 +135,7 @@ def ours(seconds: float, record: Path | None, trace: Path | None = None, changes
     end = result.metrics["expect"][0]
     if result.failure is not None or not end["passed"]:  # a fault that was not applied also fails a run
         raise SystemExit(f"the run failed: {result.failure or end['text']}")
-    # What follows is the stop, in which no law is asked.
+    # The rest is the stop, without calls of the law.
     return _turn(stamps_ns[: round(seconds * scenario.loop.rate_hz)])
 
 

@@ -1,8 +1,9 @@
 """What stepping an FMU through many windows costs, beside the FMU alone.
 
 ``python -m tools.bench.window_stepper`` steps the shipped FMU through windows of half a second with
-``hil.plant.windows``, each from its own start values, and as many steps in a C loop over the FMU's own functions, which
-neither resets nor sets a start. Both take turns; the numbers are medians of CPU time. Needs a C compiler.
+``hil.plant.window_stepper``, each from its own start values, and as many steps in a C loop over the FMU's own
+functions, which neither resets nor sets a start. Both take turns; the numbers are medians of CPU time. Needs a C
+compiler.
 """
 
 import argparse
@@ -22,10 +23,10 @@ from rich.table import Table
 import plant_fmu
 from firmware_protocol.built import BuildError
 from hil.core.errors import HilError
+from hil.core.plant_signals import OUTPUTS
 from hil.plant.fmu import FmuPlant
-from hil.plant.signals import OUTPUTS
 from hil.plant.start import Value
-from hil.plant.windows import WindowStepper
+from hil.plant.window_stepper import WindowStepper
 from tools.bench.fmu_step import EVERY, TORQUE, RawLoop
 
 READ = OUTPUTS[:21]  # those that the bridge reads of a plant that has them all

@@ -2,8 +2,8 @@
 
 The order is ``$CC``; cc, gcc, clang; zig. Zig comes as a Python package (``ziglang``), brings a C library for every
 target, and is what a machine without a compiler builds with. On Windows zig comes before the others: a gcc or clang
-that happens to be on the PATH there may miss its headers, or make code for another word size. Zig keeps what it
-made in a cache of its own, in the user's cache folder or where ``ZIG_GLOBAL_CACHE_DIR`` says.
+that happens to be on the PATH there may miss its headers, or make code for another word size. Zig keeps its results in
+a cache of its own, in the user's cache folder or in ``ZIG_GLOBAL_CACHE_DIR``.
 
 ``python -m tools.build.compiler`` prints the version of the compiler that a build would use.
 """
@@ -59,7 +59,7 @@ def zig() -> list[str]:
 
 
 def version(command: Sequence[str]) -> str:
-    """Return what the compiler says of itself. Raises BuildError when it cannot be run."""
+    """Return the compiler's description of itself. Raises BuildError when it cannot be run."""
     return _run([*command, "--version"]).splitlines()[0]
 
 

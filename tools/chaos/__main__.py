@@ -52,7 +52,7 @@ def main() -> int:
 
 
 def chaos(kind: str, folder: Path, rng: random.Random, seconds: float) -> dict[str, Any]:
-    """Let things happen in one world for so long; ``trouble`` of what is returned lists what went wrong."""
+    """Let events happen in one world for that long; ``trouble`` of the result lists the errors."""
     begin_s = time.monotonic()
     with World(KINDS[kind], folder, rng) as world:
         judge = Judge(world)

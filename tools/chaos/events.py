@@ -1,4 +1,4 @@
-"""What can happen: each is a function that does it, waits, and undoes it, and says in a few words what it was."""
+"""Possible events: each is a function that does it, waits, undoes it, and returns a short text on it."""
 
 import contextlib
 import http.client
@@ -14,11 +14,12 @@ from typing import Any
 
 import psutil
 
-from firmware_protocol.framing import Frame, Framer
+from firmware_protocol.framer import Framer
+from firmware_protocol.framing import Frame
 from firmware_protocol.generated.messages import LENGTHS
+from hil.addons.service.discovery import running
+from hil.addons.service.messages import Action
 from hil.core.errors import HilError
-from hil.service.discovery import running
-from hil.service.messages import Action
 from tools.chaos.judge import Judge
 from tools.chaos.world import World
 

@@ -8,7 +8,7 @@ from typing import Any
 from firmware_protocol.generated.messages import State
 from hil.core.errors import HilError
 from hil.core.kinematics import BodyTwist
-from hil.robot.truth import TruthClient
+from hil.robot.truth_client import TruthClient
 from hil.scenario import load
 from tools.chaos.world import World
 
@@ -99,7 +99,7 @@ class Judge:
                 self._say("it moved though its host was dead or stopped")
 
     def _watch_status(self) -> None:
-        """Compare what the service says with the truth; a service that says nothing is not a liar."""
+        """Compare the service's reports with the truth; a silent service is not a liar."""
         since_s, said = 0.0, ""
         while not self._ends.wait(_POLL_S):
             status = self.status()
@@ -114,7 +114,7 @@ class Judge:
                 self._say(f"the service says {status['phase']} and the robot {lie}")
 
     def _lie(self, phase: str) -> str:
-        """Return what the robot does that the service's words do not fit, or nothing."""
+        """Return the robot's action that contradicts the service's report, or nothing."""
         state = self._state
         if self.robot_sleeps or state is None:
             return ""

@@ -14,7 +14,7 @@ _LATEST_S = 0.1
 
 
 class Line:
-    """Passes bytes between one host, at ``url``, and the robot at ``robot``, and spoils what it is told to.
+    """Passes bytes between one host, at ``url``, and the robot at ``robot``, and spoils them as configured.
 
     The attributes may be changed at any time: ``loss`` is the share of chunks that vanish, ``late_s`` by how much each
     chunk is delayed at most, ``is_cut`` drops the host and takes no other one.

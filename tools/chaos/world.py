@@ -15,20 +15,20 @@ from typing import Any, NamedTuple, Self
 
 import psutil
 
+from hil.addons.service.client import Client
+from hil.addons.service.discovery import running
 from hil.core.errors import HilError
 from hil.core.process_lock import held
 from hil.core.tokens import state_folder
-from hil.service.client import Client
-from hil.service.discovery import running
 from tools.chaos.line import Line
 
 WAIT_S = 40.0
 _ROLES = {
     "hil.record.recorder": "recorder",
-    "hil.service.api_child": "api",
-    "hil.service.api_process": "api",
-    "hil.service.estop_process": "estop",
-    "hil.drivers.guardian_process": "guardian",
+    "hil.addons.service.api_child": "api",
+    "hil.addons.service.api_process": "api",
+    "hil.addons.service.estop_process": "estop",
+    "hil.addons.motors.guardian_process": "guardian",
 }
 
 
@@ -106,7 +106,7 @@ class World:
         return self.service
 
     def restart_service(self) -> str | None:
-        """Start a service that has ended by itself again; return what was wrong with its end.
+        """Restart a service that ended on its own; return the error of its end.
 
         One that could not start, as its recorder was killed (3) or the disk was full (2), may say so and end.
         """
@@ -136,6 +136,8 @@ class World:
     def kill_robot(self) -> None:
         """Kill the robot's process, as when a board is unplugged. The truth of the next one is at another address."""
         self.truth = ""
+        # First: the terminal's number is free afterwards, and the line would open a terminal of some other robot.
+        (self.folder / "robot").unlink(missing_ok=True)
         self.robot.kill()
         self.robot.communicate()
 
@@ -185,7 +187,7 @@ class World:
         return "other"
 
     def end(self) -> list[str]:
-        """End everything in order, as a user does. Return what went wrong, and what was left behind."""
+        """End everything in order, as a user does. Return the errors, and the leftovers."""
         trouble = []
         self.kill_viewer()
         for name, process in (("service", self.service), ("robot", self.robot)):

@@ -63,7 +63,7 @@ class Image:
         return {**kept, "PIP_BREAK_SYSTEM_PACKAGES": "1", "PATH": path, "HOME": home, **self.environment}
 
     def run(self, command: Sequence[str]) -> str:
-        """Run a command to its end and return what it printed; one that fails ends the tool."""
+        """Run a command to its end and return its output; a failed command ends the tool."""
         done = subprocess.run(self.argv(command), env=self.environ(), capture_output=True, text=True, check=False)
         if done.returncode != 0:
             raise SystemExit(f"{' '.join(command)}: exit code {done.returncode}\n{done.stdout}{done.stderr}")

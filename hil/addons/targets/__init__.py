@@ -1,0 +1,1 @@
+"""Boards that run the firmware as an ARM binary in front of the plant, in an emulator or for real; see README.md."""

@@ -1,0 +1,210 @@
+"""``hil doctor``: on this machine as it is, and on trees as other machines have them."""
+
+import json
+import os
+import re
+import sys
+from pathlib import Path
+from types import SimpleNamespace
+
+import pytest
+from packaging.requirements import Requirement
+
+from firmware_protocol.built import WHEEL_HOST
+from hil.addons.doctor import checks
+from hil.addons.doctor.doctor_command import lines as lines_of
+from hil.core.findings import Finding, Level
+from hil.runtime.lateness import Lateness
+from tests.support.processes import hil
+
+linux = pytest.mark.skipif(sys.platform != "linux", reason="the trees are Linux's")
+
+
+def _verdicts(findings: list[Finding]) -> dict[str, Level]:
+    return {finding.subject: finding.verdict for finding in findings}
+
+
+def _tree(root: Path, files: dict[str, str]) -> Path:
+    for name, text in files.items():
+        file = root / name
+        file.parent.mkdir(parents=True, exist_ok=True)
+        file.write_text(text)
+    return root
+
+
+def test_this_machine_is_examined_and_all_but_what_is_ok_has_a_remedy(tmp_path: Path) -> None:
+    done = hil("doctor", "--json", "--folder", tmp_path / "not" / "yet")
+    findings = json.loads(done.stdout)
+    assert done.returncode == any(found["verdict"] == "problem" for found in findings), done.stderr
+    subjects = {found["subject"] for found in findings}
+    assert subjects >= {"Python", "packages", "native library", "plant", "lateness", "disk", "viewer"}
+    assert all(bool(found["remedy"]) is (found["verdict"] != "ok") for found in findings)
+    assert not (tmp_path / "not").exists()
+
+
+def test_findings_are_printed_with_what_to_do_below(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("CC", "no-such-compiler")
+    lines = list(lines_of(list(checks.check_native())))
+    (place,) = [number for number, line in enumerate(lines) if "no-such-compiler" in line]
+    assert lines[place].startswith("note     C compiler")
+    assert lines[place + 1].strip().startswith("-> sudo apt install gcc")
+
+
+@linux
+def test_a_machine_that_was_set_up_for_real_time_is_ok(tmp_path: Path) -> None:
+    cpus = "sys/devices/system/cpu"
+    files = {
+        "sys/kernel/realtime": "1\n",
+        f"{cpus}/cpu0/cpufreq/scaling_governor": "performance\n",
+        f"{cpus}/isolated": "2-3\n",
+    }
+    found = list(checks.check_kernel(_tree(tmp_path, files)))
+    assert set(_verdicts(found).values()) == {Level.OK}
+    assert "isolated: 2, 3" in found[-1].sentence
+
+
+@linux
+def test_a_machine_that_was_not_gets_the_commands(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("os.cpu_count", lambda: 8)
+    monkeypatch.setattr("platform.version", lambda: "#1 SMP PREEMPT_DYNAMIC")
+    monkeypatch.setattr("platform.release", lambda: "6.1.0")
+    governors = {f"sys/devices/system/cpu/cpu{n}/cpufreq/scaling_governor": "powersave\n" for n in range(8)}
+    found = list(checks.check_kernel(_tree(tmp_path, governors)))
+    assert set(_verdicts(found)) == {"kernel", "frequency", "processors"}
+    assert set(_verdicts(found).values()) == {Level.NOTE}
+    remedies = " ".join(one.remedy for one in found)
+    assert "cpupower frequency-set -g performance" in remedies
+    assert "isolcpus=7 nohz_full=7" in remedies
+
+
+@linux
+def test_can_interfaces_are_those_of_the_kernels_type(tmp_path: Path) -> None:
+    files = {
+        "eth0/type": "1\n",
+        "no-such-can0/type": "280\n",
+        "no-such-can0/flags": "0x40080\n",
+        "no-such-can1/type": "280\n",
+        "no-such-can1/flags": "0x400c1\n",
+    }
+    down, up = (one for one in checks.check_can(_tree(tmp_path, files)) if one.subject == "CAN interface")
+    assert (down.verdict, up.verdict) == (Level.NOTE, Level.OK)
+    assert down.remedy == "sudo ip link set no-such-can0 up type can bitrate 1000000"
+    assert "can:socketcan/no-such-can1" in up.sentence
+
+
+@linux
+def test_a_folder_that_takes_no_recording_is_a_problem() -> None:
+    (found,) = checks.check_disk(Path("/proc/self"))
+    assert found.verdict is Level.PROBLEM
+    assert found.sentence.startswith("/proc/self: a recording cannot be written")
+
+
+def test_a_package_of_another_version_is_a_problem() -> None:
+    assert checks._unmet(Requirement("numpy>=1")) is None
+    wrong, missing = checks._unmet(Requirement("numpy<1")), checks._unmet(Requirement("no-such-package"))
+    assert wrong is not None
+    assert missing is not None
+    assert wrong.remedy == "pip install 'numpy<1'"
+    assert missing.sentence == "no-such-package is not installed, any version is needed"
+
+
+def test_a_library_not_built_from_its_sources_is_a_problem(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    there = tmp_path / "libold.so"
+    there.touch()
+    native = (
+        WHEEL_HOST._replace(path=there),
+        WHEEL_HOST._replace(path=tmp_path / "libgone.so", module="b.build"),
+        WHEEL_HOST,
+    )
+    monkeypatch.setattr(checks, "_NATIVE", native)
+    old, gone, own = (one for one in checks.check_native() if one.subject == "native library")
+    assert (old.verdict, old.remedy) == (Level.PROBLEM, "python -m tools.build.wheel_host")
+    assert old.sentence == "libold.so was not built from the present sources"
+    assert (gone.sentence, gone.remedy) == ("libgone.so is not built", "python -m b.build")
+    assert own.verdict is Level.OK
+
+
+@pytest.mark.parametrize(
+    ("free_bytes", "verdict", "words"),
+    [(2_510_000_000, Level.NOTE, "2.5 GB free, about 1 h"), (25_300_000_000, Level.OK, "25.3 GB free, about 10 h")],
+)
+def test_a_disk_must_hold_an_hour_of_recording(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, free_bytes: int, verdict: Level, words: str
+) -> None:
+    monkeypatch.setattr("shutil.disk_usage", lambda _: SimpleNamespace(free=free_bytes))
+    (found,) = checks.check_disk(tmp_path / "not" / "yet")
+    assert found.verdict is verdict
+    assert found.sentence == f"{tmp_path}: {words} of recording at 1 kHz"
+
+
+@pytest.mark.parametrize(("late_us", "verdict"), [(100, Level.OK), (2000, Level.NOTE)])
+def test_sleeps_that_end_late_are_told_in_microseconds(
+    monkeypatch: pytest.MonkeyPatch, late_us: int, verdict: Level
+) -> None:
+    late = Lateness()
+    late.add(10_000, ticks=195)
+    late.add(late_us * 1000, ticks=5)
+    monkeypatch.setattr(checks, "_lateness", lambda: late)
+    (found,) = checks.check_lateness()
+    percentiles = late.percentiles_us()
+    assert found.verdict is verdict
+    assert re.match(r"200 sleeps of 1 ms, with(out)? real-time priority: late by ", found.sentence)
+    assert found.sentence.endswith(f"{percentiles['p50']:.0f} µs p50, {percentiles['p99']:.0f} µs p99")
+    assert percentiles["p50"] < 20.0 < percentiles["p99"]
+
+
+@linux
+@pytest.mark.parametrize(
+    ("limit", "capable", "memory_bytes", "verdicts"),
+    [
+        (39, False, 65_536, (Level.NOTE, Level.NOTE)),
+        (40, False, None, (Level.OK, Level.OK)),
+        (0, True, 65_536, (Level.OK, Level.OK)),
+    ],
+)
+def test_permissions_are_those_that_a_run_asks_for(
+    monkeypatch: pytest.MonkeyPatch, limit: int, capable: bool, memory_bytes: int | None, verdicts: tuple[Level, Level]
+) -> None:
+    monkeypatch.setattr(checks.realtime, "has_capability", lambda _: capable)
+    monkeypatch.setattr(checks.realtime, "priority_limit", lambda: limit)
+    monkeypatch.setattr(checks.realtime, "memory_limit_bytes", lambda: memory_bytes)
+    priority, memory, *_ = checks.check_permissions()
+    assert (priority.verdict, memory.verdict) == verdicts
+    assert priority.sentence.startswith(f"real-time priority up to {99 if capable else limit}")
+    if verdicts[0] is Level.NOTE:
+        assert priority.sentence.endswith(", where a run asks for 40: other programs make ticks late")
+        assert " - rtprio 40' | sudo tee -a " in priority.remedy
+        assert memory.sentence.startswith("only 64 KiB may be locked")
+        assert " - memlock unlimited' | sudo tee -a " in memory.remedy
+
+
+@linux
+def test_few_processors_are_not_asked_to_be_isolated(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    for count, subjects in ((2, {"kernel"}), (3, {"kernel", "processors"})):
+        monkeypatch.setattr("os.cpu_count", lambda count=count: count)
+        assert {found.subject for found in checks.check_kernel(tmp_path)} == subjects
+
+
+@linux
+def test_a_serial_port_is_judged_by_who_may_open_it_and_by_its_latency(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(checks, "_USB_SERIAL", _tree(tmp_path, {"a/latency_timer": "16\n", "b/latency_timer": "1\n"}))
+
+    def port(name: str, vid: int | None = 1, hwid: str = "USB") -> SimpleNamespace:
+        return SimpleNamespace(device=f"/dev/{name}", description=f"port {name}", vid=vid, hwid=hwid)
+
+    ports = [port("a"), port("b"), port("c"), port("closed"), port("closed_board", None), port("none", hwid="n/a")]
+    monkeypatch.setattr("serial.tools.list_ports.comports", lambda: ports)
+    monkeypatch.setattr("os.access", lambda device, mode: "closed" not in device and mode == os.R_OK | os.W_OK)
+    found = list(checks.check_serial())
+    assert [one.verdict for one in found] == [Level.NOTE, Level.OK, Level.OK, Level.PROBLEM, Level.NOTE]
+    held = "its driver holds bytes back for 16 ms until a run sets it to low latency"
+    assert found[0].sentence == f"/dev/a: port a; {held}"
+    assert found[1].sentence == "/dev/b: port b; low latency, 1 ms"
+    assert found[2].sentence == "/dev/c: port c"
+    assert found[3].sentence == "/dev/closed: port closed; this user may not open it"
+    assert found[3].remedy == "sudo usermod -aG dialout $USER, and log in again"
+    monkeypatch.setattr("serial.tools.list_ports.comports", lambda: ports[-1:])
+    (none,) = checks.check_serial()
+    assert (none.verdict, none.sentence) == (Level.OK, "none is plugged in")
