@@ -126,13 +126,6 @@ def test_what_python_cannot_do_is_one_sentence_and_exit_code_2(
     assert capsys.readouterr().err == f"{sentence}\n"
 
 
-def test_firmware_of_ours_is_no_robot_with_motor_controllers_of_others() -> None:
-    words = ["device", "circle_speed", "--set", "device.driver='vesc'", "--target", "unicorn", "--link", "serial:pty"]
-    with pytest.raises(BadInputError) as refused:
-        CliRunner().invoke(program.app, words, catch_exceptions=False)
-    assert str(refused.value) == "--target unicorn runs this project's firmware, not 'vesc'; leave --target out"
-
-
 def test_a_recording_that_has_no_folder_is_refused_with_the_option_for_another(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

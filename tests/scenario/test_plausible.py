@@ -164,7 +164,6 @@ def test_a_value_that_is_told_as_without_effect_has_none_and_others_have(text: s
         (["estimator.simulated_fix.sigma_m=0.5"], "only simulated fixes of a fused estimator read it"),
         (["estimator.filter.begin='fix'"], 'estimator.source = "fused" alone reads it'),
         (["device.guardian_s=0.5"], "our firmware has a watchdog of its own, and no guardian"),
-        (["firmware.undervoltage_v=9", "device.driver='vesc'"], "other motor controllers are set with their tools"),
         (["realtime.priority=1"], 'loop.mode = "realtime" alone reads it'),
         (["limiter.slip_m_s=1"], 'controller.command = "torque" alone is limited so'),
         (["plant.memory_limit_mb=500"], "a shipped FMU runs in the robot's own process"),

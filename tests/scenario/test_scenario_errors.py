@@ -291,25 +291,6 @@ def test_an_assignment_that_is_wrong(assignment: str, sentence: str) -> None:
             ["estimator.source='fused'", "estimator.fix='udp://127.0.0.1:5000'"],
             ['; expected "simulated" in lockstep: no other program follows its time; or give loop.mode = "realtime"'],
         ),
-        (
-            ["device.driver='wheeltec'", "firmware.watchdog_s=0.05"],
-            ["expected more than the 0.05 s between two feedbacks of WHEELTEC C50X, or the robot would always be held"],
-        ),
-        (
-            [
-                *(
-                    "device.driver='vesc'",
-                    "plant.start.gyro_noise_rad_s=0.1",
-                    "plant.start.accelerometer_bias_x_m_s2=1",
-                ),
-                "fault=[{kind='gyro_bias',target='gyro',value=1}]",
-            ],
-            [
-                "plant.start.gyro_noise_rad_s = 0.1; VESC as it is set up has no gyro; remove the row, or give 0",
-                "bias_x_m_s2 = 1.0; VESC as it is set up has no accelerometer; remove the row, or give 0",
-                'fault.1.kind = "gyro_bias"; VESC as it is set up has no gyro to act on; remove the row',
-            ],
-        ),
     ],
 )
 def test_what_a_scenario_or_its_robot_has_not(sets: list[str], sentences: list[str]) -> None:

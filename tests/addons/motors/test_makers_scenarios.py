@@ -3,8 +3,10 @@
 from pathlib import Path
 
 import pytest
+from typer.testing import CliRunner
 
 import hil
+from hil.cli import main as program
 from hil.core.errors import BadInputError
 from hil.scenario import load
 from hil.scenario.unreached import without_effect
@@ -55,6 +57,44 @@ def test_the_noise_of_a_sensor_that_a_robot_lacks_is_refused(name: str, driver: 
     assert load("circle_speed", set=sets | {f"plant.start.{name}": 0.0})
 
 
+@pytest.mark.parametrize(
+    ("sets", "sentences"),
+    [
+        (
+            ["device.driver='wheeltec'", "firmware.watchdog_s=0.05"],
+            ["expected more than the 0.05 s between two feedbacks of WHEELTEC C50X, or the robot would always be held"],
+        ),
+        (
+            [
+                *(
+                    "device.driver='vesc'",
+                    "plant.start.gyro_noise_rad_s=0.1",
+                    "plant.start.accelerometer_bias_x_m_s2=1",
+                ),
+                "fault=[{kind='gyro_bias',target='gyro',value=1}]",
+            ],
+            [
+                "plant.start.gyro_noise_rad_s = 0.1; VESC as it is set up has no gyro; remove the row, or give 0",
+                "bias_x_m_s2 = 1.0; VESC as it is set up has no accelerometer; remove the row, or give 0",
+                'fault.1.kind = "gyro_bias"; VESC as it is set up has no gyro to act on; remove the row',
+            ],
+        ),
+    ],
+)
+def test_a_value_that_its_motor_controllers_contradict_is_refused(sets: list[str], sentences: list[str]) -> None:
+    told = message("circle_speed", set=sets).splitlines()
+    assert len(told) == len(sentences)
+    for line, sentence in zip(told, sentences, strict=True):
+        assert line.endswith(sentence)
+
+
+def test_firmware_of_ours_is_no_robot_with_motor_controllers_of_others() -> None:
+    words = ["device", "circle_speed", "--set", "device.driver='vesc'", "--target", "unicorn", "--link", "serial:pty"]
+    with pytest.raises(BadInputError) as refused:
+        CliRunner().invoke(program.app, words, catch_exceptions=False)
+    assert str(refused.value) == "--target unicorn runs this project's firmware, not 'vesc'; leave --target out"
+
+
 @pytest.mark.parametrize("driver", ["c620", "moteus", "odrive", "rosmaster", "vesc", "wheeltec"])
 def test_parameters_that_only_our_firmware_reads_are_told_for_other_controllers(driver: str) -> None:
     changes = {"firmware.current_limit_a": 0.01, "firmware.encoder_fault_s": 0.02, "firmware.undervoltage_v": 200.0}
@@ -63,7 +103,9 @@ def test_parameters_that_only_our_firmware_reads_are_told_for_other_controllers(
         hil.run(SUITE / f"driver_{driver}.toml", set=short | more, lenient=True) for more in ({}, changes)
     )
     assert changed.scenario is not None
-    assert {key for key, _ in without_effect(changed.scenario)} >= set(changes)
+    reasons = dict(without_effect(changed.scenario))
+    assert set(reasons) >= set(changes)
+    assert reasons["firmware.undervoltage_v"].endswith("other motor controllers are set with their tools")
     assert plain.metrics["wire_sha256"] == changed.metrics["wire_sha256"] is not None
 
 
