@@ -53,7 +53,7 @@ def copy_without(names: Sequence[str], folder: Path) -> None:
 
 
 def pytest_ignore_collect(collection_path: Path) -> bool | None:
-    """Leave out a test file that needs the removed add-ons by itself, or through a helper or tool.
+    """Leave out a test file that needs the removed add-ons by itself, or through a helper, a tool or other tests.
 
     This module is a plugin of the pytest in the copy, and of its workers.
     """
@@ -89,8 +89,9 @@ def _needs_it(file: Path) -> bool:
     if re.search(os.environ[NEEDS], text):
         return True
     helpers = set()
-    for package, module, names in re.findall(r"from (tests\.support|tools)(?:\.(\w+))? import ([\w, ]+)", text):
-        helpers |= {Path(*package.split("."), f"{name}.py") for name in ([module] if module else names.split(", "))}
+    for place, names in re.findall(r"from ((?:tests|tools)(?:\.\w+)*) import (?:\(|([\w, ]+))", text):
+        path = Path(*place.split("."))
+        helpers |= {path.with_suffix(".py"), *(path / f"{name}.py" for name in names.split(", "))}
     return any(_needs_it(path) for path in helpers if path.exists() and path.absolute() != file.absolute())
 
 

@@ -17,8 +17,7 @@ from hil.record.recorder import BATCH_AGE_S, Recorder
 from hil.record.ring import RingReader, RingWriter, SharedBlock, ring_bytes
 from hil.record.run_files import RunFiles
 from hil.record.started_process import StallTimeout
-from tests.record.test_telemetry_losses import Memory
-from tests.support.recorded_circle import circle_rows
+from tests.support.recorded_circle import Memory, circle_rows
 
 
 class Clock:

@@ -8,30 +8,28 @@ import sys
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 
 from hil.addons.report.viewer import viewer_executable
 from hil.core.errors import BadInputError
-from hil.core.signals import SIGNAL_NAMES, pack_row
+from hil.core.signals import pack_row
 from hil.judge.judged_run import JudgedRun, Recorded
 from hil.judge.recorded import judged_run
 from hil.judge.run_json import to_json
 from hil.judge.run_text import outcome_rows
-from hil.record import ring_process, viewing
+from hil.record import ring_process
 from hil.record.decode import decode
 from hil.record.files import Rotation, check_output_path, has_end, numbered_path
 from hil.record.reader import RecordedRun, read
 from hil.record.recording import Recording, early_recorder
-from hil.record.ring import RingReader, RingWriter, SharedBlock, ring_bytes
-from hil.record.run_files import RefusedError, RunFiles
+from hil.record.run_files import RefusedError
 from hil.record.started_process import StallTimeout
 from hil.runtime.assembly import RunOptions, run_scenario
 from hil.scenario import load
 from tests.support.processes import wait_for
-from tests.support.recorded_circle import circle_rows
+from tests.support.recorded_circle import Memory, circle_rows
 
 posix_only = pytest.mark.skipif(os.name != "posix", reason="needs POSIX signals")
 linux_only = pytest.mark.skipif(sys.platform != "linux", reason="needs limits of a process")
@@ -52,33 +50,6 @@ def rotated(tmp_path_factory: pytest.TempPathFactory) -> Path:
     assert report.parts == (path, numbered_path(path, 2), numbered_path(path, 3))
     assert report.troubles == ()
     return path
-
-
-class Memory:
-    """What a run and its recorder share, without the processes."""
-
-    def __init__(self, path: Path) -> None:
-        width = len(SIGNAL_NAMES)
-        self._block = SharedBlock.reserve().allocate(ring_bytes(512, width))
-        self.writer = RingWriter(self._block, 512, width)
-        self.ring = RingReader(self._block)
-        self._config: dict[str, Any] = {"path": str(path), "properties": {}, "signals": list(SIGNAL_NAMES)}
-        self._config |= {"recording_id": "one", "zero_unix_ns": 0, "rotate": [None, None], "quota_bytes": None}
-        self._config["viewer"] = viewing.places()
-
-    def files(self, restarts: int = 0) -> RunFiles:
-        return RunFiles({**self._config, "restarts": restarts}, self.ring)
-
-    def copy(self) -> bytes:
-        return bytes(self._block.buffer)
-
-    def restore(self, content: bytes) -> None:
-        self._block.buffer[:] = content
-
-    def close(self) -> None:
-        self.ring.close()
-        self.writer.close()
-        self._block.close()
 
 
 @pytest.fixture

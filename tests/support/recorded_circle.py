@@ -6,6 +6,8 @@ The numbers are no robot's; they have all their bits in use, and gaps where a ru
 import math
 from collections.abc import Iterator
 from itertools import chain
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -24,6 +26,9 @@ from hil.core.signals import (
     Sample,
 )
 from hil.core.types import NAN, NAN_WHEELS, Gains, Pose, Twist, Wheels
+from hil.record import viewing
+from hil.record.ring import RingReader, RingWriter, SharedBlock, ring_bytes
+from hil.record.run_files import RunFiles
 
 PERIOD_S = 0.001
 ACTIVE, STOPPING = 3.0, 4.0
@@ -77,3 +82,30 @@ def _row(tick: int, t_s: float, state: float) -> tuple[float, ...]:
         LinkSignals(2.0 * tick, 5.0 * tick, 0.0, 1.0, 0.0, 28.0 * tick, 70.0 * tick, 40.0, 5.0, 6.0, 20e3 - t_s, -1.0),
     )
     return tuple(chain.from_iterable(sample))
+
+
+class Memory:
+    """What a run and its recorder share, without the processes."""
+
+    def __init__(self, path: Path) -> None:
+        width = len(SIGNAL_NAMES)
+        self._block = SharedBlock.reserve().allocate(ring_bytes(512, width))
+        self.writer = RingWriter(self._block, 512, width)
+        self.ring = RingReader(self._block)
+        self._config: dict[str, Any] = {"path": str(path), "properties": {}, "signals": list(SIGNAL_NAMES)}
+        self._config |= {"recording_id": "one", "zero_unix_ns": 0, "rotate": [None, None], "quota_bytes": None}
+        self._config["viewer"] = viewing.places()
+
+    def files(self, restarts: int = 0) -> RunFiles:
+        return RunFiles({**self._config, "restarts": restarts}, self.ring)
+
+    def copy(self) -> bytes:
+        return bytes(self._block.buffer)
+
+    def restore(self, content: bytes) -> None:
+        self._block.buffer[:] = content
+
+    def close(self) -> None:
+        self.ring.close()
+        self.writer.close()
+        self._block.close()
