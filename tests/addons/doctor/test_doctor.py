@@ -13,7 +13,7 @@ from packaging.requirements import Requirement
 from firmware_protocol.built import WHEEL_HOST
 from hil.addons.doctor import checks
 from hil.addons.doctor.doctor_command import lines as lines_of
-from hil.core.findings import Finding, Level
+from hil.core.findings import Finding, Level, ok
 from hil.runtime.lateness import Lateness
 from tests.support.processes import hil
 
@@ -72,6 +72,9 @@ def test_a_machine_that_was_not_gets_the_commands(tmp_path: Path, monkeypatch: p
     found = list(checks.check_kernel(_tree(tmp_path, governors)))
     assert set(_verdicts(found)) == {"kernel", "frequency", "processors"}
     assert set(_verdicts(found).values()) == {Level.NOTE}
+    kernel, _, processors = (one.sentence for one in found)
+    assert kernel == "Linux 6.1.0 without PREEMPT_RT: one of its longer sections can make a tick late"
+    assert processors == "none of 8 is isolated: other programs share the controller's"
     remedies = " ".join(one.remedy for one in found)
     assert "cpupower frequency-set -g performance" in remedies
     assert "isolcpus=7 nohz_full=7" in remedies
@@ -92,6 +95,14 @@ def test_can_interfaces_are_those_of_the_kernels_type(tmp_path: Path) -> None:
     assert "can:socketcan/no-such-can1" in up.sentence
 
 
+def test_a_machine_without_can_is_told_that_a_serial_line_needs_none(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("ctypes.util.find_library", lambda _: None)
+    (found,) = checks.check_can(tmp_path)
+    assert found == ok("CAN", "no interface and no manufacturer's driver; a serial line needs none")
+
+
 @linux
 def test_a_folder_that_takes_no_recording_is_a_problem() -> None:
     (found,) = checks.check_disk(Path("/proc/self"))
@@ -106,6 +117,13 @@ def test_a_package_of_another_version_is_a_problem() -> None:
     assert missing is not None
     assert wrong.remedy == "pip install 'numpy<1'"
     assert missing.sentence == "no-such-package is not installed, any version is needed"
+
+
+def test_requirements_of_a_package_that_is_not_installed_are_not_known(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(checks, "OUR_PACKAGE", "no-such-package")
+    (found,) = checks.check_versions()
+    assert (found.verdict, found.remedy) == (Level.PROBLEM, "pip install -e .")
+    assert found.sentence == "no-such-package is not installed, so its requirements are not known"
 
 
 def test_a_library_not_built_from_its_sources_is_a_problem(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -168,7 +186,11 @@ def test_permissions_are_those_that_a_run_asks_for(
     monkeypatch.setattr(checks.realtime, "has_capability", lambda _: capable)
     monkeypatch.setattr(checks.realtime, "priority_limit", lambda: limit)
     monkeypatch.setattr(checks.realtime, "memory_limit_bytes", lambda: memory_bytes)
-    priority, memory, *_ = checks.check_permissions()
+    monkeypatch.setattr(checks.realtime, "DMA_LATENCY", Path("/proc/version"))  # which nobody may write
+    monkeypatch.setattr("os.access", lambda path, mode: capable and (path, mode) == (Path("/proc/version"), os.W_OK))
+    priority, memory, idle = checks.check_permissions()
+    deep = "/proc/version may not be written: a processor may sleep so deep that it wakes late"
+    assert idle.sentence == ("a run can forbid deep ones" if capable else deep)
     assert (priority.verdict, memory.verdict) == verdicts
     assert priority.sentence.startswith(f"real-time priority up to {99 if capable else limit}")
     if verdicts[0] is Level.NOTE:

@@ -9,11 +9,11 @@ from typing import Any
 
 import pytest
 
-from hil.addons.ros2.robot import ServedRobot
+from hil.addons.ros2.robot import OwnService, ServedRobot
 from hil.addons.ros2.settings import Settings
 from hil.addons.ros2.simulation import Simulation
 from hil.addons.service.messages import Action
-from hil.core.errors import DeviceError, HilError, LinkError
+from hil.core.errors import BadInputError, DeviceError, HilError, LinkError
 from hil.scenario import load
 from tests.support.processes import hil, wait_for
 from tests.support.ros2_testbed import needs_ros
@@ -168,6 +168,24 @@ def test_a_simulation_that_cannot_begin_says_why() -> None:
     assert "mass_kg" in str(wait_for(simulated.simulation.failure))
     simulated.simulation.close()
     Simulated(QUICK).simulation.close()  # one that was never started
+
+
+def test_a_service_of_the_nodes_own_that_ends_or_is_never_ready_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("hil.addons.ros2.robot._END_S", 0.01)
+    command = ["sh", "-c", "exit 3"]
+    monkeypatch.setattr("hil.addons.ros2.robot.module_command", lambda *_: command)
+    with OwnService([]) as own, pytest.raises(DeviceError) as ended:
+        own.client()
+    assert str(ended.value) == "hil serve ended with exit code 3; what it said is above"
+    command[2] = "exit 2"
+    with OwnService([]) as own, pytest.raises(BadInputError, match="hil serve ended with exit code 2; what"):
+        own.client()
+    command[2] = "exec sleep 60"
+    monkeypatch.setattr("hil.addons.ros2.robot._READY_S", 0.02)
+    with pytest.raises(LinkError) as never, OwnService([]) as own:
+        own.client()
+    assert str(never.value) == "the service was not ready within 0.02 s; see its log above"
+    assert own.failure() is not None, "it is not left behind"
 
 
 class Own:
