@@ -63,7 +63,7 @@ def write(slave: Any, file: Path) -> None:
     call = slave.dll.mecanum_mujoco_save
     call.argtypes = [ctypes.c_void_p, ctypes.c_char_p]
     try:
-        file.touch()
+        file.open("ab").close()
     except OSError as error:
         raise ModelError(f"{file} cannot be written ({error.strerror}); choose another file") from error
     if call(slave.component, str(file).encode()) != 0:

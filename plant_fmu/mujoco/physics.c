@@ -266,7 +266,12 @@ int mecanum_mujoco_save(void *component, const char *filename) {
     if (done && text && mj_saveXML(spec, filename, error, sizeof error) != 0) {
         done = plant_fail(plant, "%s: %s", filename, error);
     } else if (done && !text) {
-        mj_saveModel(model, filename, NULL, 0);
+        mj_saveModel(model, filename, NULL, 0); /* it does not return whether it could */
+        FILE *const file = fopen(filename, "rb");
+        done = file != NULL && fseek(file, 0, SEEK_END) == 0 && ftell(file) == mj_sizeModel(model);
+        if (file != NULL) {
+            fclose(file);
+        }
     }
     mj_deleteModel(model);
     mj_deleteSpec(spec);

@@ -10,6 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from plant_fmu import generate, platforms, tables, variables
+from plant_fmu.mujoco import definition
 from tests.support.examples import share_of_examples
 from tools.build.fmu import BuildError, build
 
@@ -38,6 +39,11 @@ def test_a_stale_file_is_named(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) 
     [
         ('name = "mass_kg"', 'name = "inertia_kg_m2"', "'inertia_kg_m2' is defined twice"),
         ('unit = "kg"', 'unit = "lb"', r"mass_kg: unit 'lb' is not in \[units\]"),
+        (
+            'unit = "rad/s"\ndisplay_unit = "deg/s"\ndescription = "Yaw rate"',
+            'unit = "rad/s"\ndisplay_unit = "deg"\ndescription = "Yaw rate"',
+            r"twist\.yaw_rate_rad_s: display_unit 'deg' is not in \[display_units\] of its unit",
+        ),
         ("start = 20.0\n", "", "mass_kg: an input or a parameter needs a start value"),
         (
             'name = "mass_kg"\ncausality = "parameter"',
@@ -47,7 +53,7 @@ def test_a_stale_file_is_named(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) 
         (
             '"wheel.*.torque_n_m", "drive.enabled"]\ndescription = "Motor current',
             '"motor.*.torque_n_m", "drive.enabled"]\ndescription = "Motor current',
-            r"unknown 'motor\.fl\.torque_n_m'",
+            r"wheel\.fl\.current_a: depends_on names the unknown 'motor\.fl\.torque_n_m'",
         ),
     ],
 )
@@ -58,6 +64,22 @@ def test_a_wrong_definition_is_refused(tmp_path: Path, old: str, new: str, words
     path.write_text(text.replace(old, new), encoding="utf-8")
     with pytest.raises(variables.DefinitionError, match=words):
         variables.read(path)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "name"),
+    [('"pose.x_m"', '"pose.z_m"', "pose.z_m"), ('change."gyro.x_rad_s"', 'change."gyro_x"', "gyro_x")],
+)
+def test_mujocos_variables_are_those_of_the_rigid_plant(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, old: str, new: str, name: str
+) -> None:
+    text = definition.PARTS[1].read_text(encoding="utf-8")
+    (tmp_path / "own.toml").write_text(text.replace(old, new), encoding="utf-8")
+    monkeypatch.setattr(definition, "PARTS", (definition.PARTS[0], tmp_path / "own.toml"))
+    with pytest.raises(
+        variables.DefinitionError, match=rf"^mujoco/variables\.toml: '{name}' is not in \.\./variables\.toml$"
+    ):
+        definition.read()
 
 
 @pytest.mark.parametrize(

@@ -71,3 +71,22 @@ def test_parameters_that_are_no_robot_are_refused_by_name(
 ) -> None:
     with pytest.raises(model.ModelError, match=words):
         model.save(FMU, tmp_path / "robot.mjb", parameters)
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs /dev/full, as Linux has it")
+def test_a_file_that_is_no_model_or_cannot_be_written_is_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)  # MuJoCo writes MUJOCO_LOG.TXT where it is run
+    (tmp_path / "folder.mjb").mkdir()
+    for name in ("full.xml", "full.mjb"):
+        (tmp_path / name).symlink_to("/dev/full")
+    for name, words in (
+        ("robot.stl", "robot.stl: the name of a model ends in .xml or .mjb"),
+        ("folder.mjb", "folder.mjb cannot be written (Is a directory); choose another file"),
+        ("full.xml", "full.xml: the FMU could not write its model"),
+        ("full.mjb", "full.mjb: the FMU could not write its model"),
+    ):
+        with pytest.raises(model.ModelError) as refused:
+            model.save(FMU, tmp_path / name, {})
+        assert str(refused.value) == str(tmp_path / words)
