@@ -177,11 +177,10 @@ def read_schema(path: Path, parameters: Path = PARAMETERS) -> Schema:
 
 def _read_messages(path: Path) -> tuple[int, str, tuple[Message, ...]]:
     try:
-        database = cantools.database.load_file(path)
+        database = cantools.database.load_file(path, database_format="dbc")
     except cantools.Error as error:
         raise SchemaError(str(error)) from error
-    if not isinstance(database, Database):
-        raise SchemaError("expected a CAN database")
+    assert isinstance(database, Database)
     messages = tuple(_message(m) for m in sorted(database.messages, key=lambda m: m.frame_id))
     version = database.version or ""
     if not version.isdecimal() or not 0 < int(version) < 256:

@@ -144,6 +144,17 @@ def test_what_cannot_be_built_anew_is_refused_in_a_sentence() -> None:
         host.library()
 
 
+def test_a_script_that_builds_nothing_and_says_nothing_is_told_by_its_exit_code(tmp_path: Path) -> None:
+    (tmp_path / "quiet.py").write_text("raise SystemExit(3)", encoding="utf-8")
+    for name in ("pyproject.toml", "a.c"):
+        (tmp_path / name).touch()
+    built = Built(tmp_path / "liba.so", "quiet", (tmp_path / "a.c",), digest_in_library, tmp_path)
+    with pytest.raises(BuildError) as failed:
+        built.make_current()
+    said = "is not built, and python -m quiet could not build it: it ended with exit code 3"
+    assert str(failed.value) == f"{built.path} {said}"
+
+
 def test_an_installed_package_builds_no_fmu(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(native, "is_checkout", lambda: False)
     with pytest.raises(BadInputError, match="run hil fmu build in a checkout"):

@@ -364,3 +364,15 @@ def test_the_tick_of_a_robot_that_may_be_another_is_asked_for_as_the_first_time(
     assert client.view.step == NONE
     client.step(0)
     assert sent(client) == [m.Step(0, 0)]
+
+
+def test_what_the_protocol_does_not_have_is_not_sent() -> None:
+    client = new_client()
+    for call, said in (
+        (lambda: client.add(m.Step.ID, b"123"), "message 0x300 of 3 bytes cannot be sent"),
+        (lambda: client.add(0x7FF, bytes(9)), "message 0x7ff of 9 bytes cannot be sent"),
+        (lambda: client.step(1001), "STEP of 1001 ticks cannot be sent; expected at most 1000"),
+    ):
+        with pytest.raises(ValueError, match=f"^{said}$"):
+            call()
+    assert sent(client) == []

@@ -1,5 +1,7 @@
 """The firmware core: what makes it move, and above all what does not."""
 
+import re
+
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -8,7 +10,7 @@ from firmware_protocol import codec
 from firmware_protocol.framer import Framer
 from firmware_protocol.framing import Frame
 from firmware_protocol.generated import messages as m
-from firmware_protocol.host import HostNode, library, parameter_hash, parameters
+from firmware_protocol.host import HostNode, library, parameter_hash, parameters, stored_size
 from tests.support.client_rig import feed, new_client
 from tests.support.examples import share_of_examples
 from tests.support.wheel_rig import PARAMETERS, REST_TICKS, WheelRig
@@ -479,8 +481,16 @@ def test_parameters_are_checked_and_named(name):
         WheelRig(**{name: row.maximum * 2 + 1})
     with pytest.raises(ValueError, match=name):
         WheelRig(**{name: float("nan")})
-    with pytest.raises(ValueError, match=name):
-        HostNode({k: v for k, v in PARAMETERS.items() if k != name}, 0, 0, lockstep=False)
+    others = {k: v for k, v in PARAMETERS.items() if k != name} | {"colour": 1.0}
+    names = re.escape(str(sorted({name, "colour"})))
+    with pytest.raises(ValueError, match=f"^firmware parameters {names} are missing or unknown$"):
+        HostNode(others, 0, 0, lockstep=False)
+
+
+def test_what_another_length_was_stored_with_is_refused():
+    length = stored_size()
+    with pytest.raises(ValueError, match=f"^{length - 1} stored bytes; expected {length}$"):
+        WheelRig(stored=bytes(length - 1))
 
 
 def test_parameters_match_their_structure():

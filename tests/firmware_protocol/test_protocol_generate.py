@@ -12,6 +12,7 @@ from tests.support.protocol_cases import PROTOCOL, vectors
 
 DBC = (PROTOCOL / "wheel.dbc").read_text(encoding="utf-8")
 FL = 'SG_ fl_rad_s : 0|13@1- (0.015625,0) [-63.984375|63.984375] "rad/s" ROBOT'
+NEXT = "BO_ 64 WHEEL_COMMAND"
 
 
 def edited(tmp_path: Path, old: str, new: str) -> Path:
@@ -67,7 +68,8 @@ def test_what_is_not_supported_is_one_line_and_exit_2(
 
 def test_a_document_without_markers_is_refused(tmp_path: Path) -> None:
     (tmp_path / "PROTOCOL.md").write_text("no markers", encoding="utf-8")
-    with pytest.raises(SchemaError, match="<!-- generated -->"):
+    said = "expected <!-- generated --> and <!-- /generated --> around its load table, parameters, messages"
+    with pytest.raises(SchemaError, match=f"^PROTOCOL.md: {said}$"):
         generate.outputs(read_schema(PROTOCOL / "wheel.dbc"), tmp_path)
 
 
@@ -78,8 +80,12 @@ def test_a_document_without_markers_is_refused(tmp_path: Path) -> None:
         (FL, FL.replace("0.015625,0", "0.015625,1"), r"WHEEL_COMMAND.fl_rad_s: .*offset 0"),
         (FL, FL.replace("0.015625,0", "0.02,0"), r"WHEEL_COMMAND.fl_rad_s: scale 0.02 is not a power of two"),
         (FL, FL.replace("0.015625,0", "1,0"), r"WHEEL_COMMAND.fl_rad_s: expected an unsigned integer"),
-        (FL, FL.replace("0|13", "0|12"), r"WHEEL_COMMAND.fl_rad_s: limits .* 12 bits"),
-        (FL, FL.replace("[-63.984375|63.984375]", "[-64.1|63]"), r"fl_rad_s: limits \[-64.1\|63\]"),
+        (FL, FL.replace("0|13", "0|12"), r"fl_rad_s: limits \[-63.98.*\|63.98.*\] are not raw values of 12 bits"),
+        (FL, FL.replace("[-63.984375|63.984375]", "[-64.1|63]"), r"fl_rad_s: limits \[-64.1\|63\] are not raw .* 13 b"),
+        (FL, FL.replace("[-63.984375|63.984375]", "[0|0]"), r"fl_rad_s: give its limits as \[minimum\|maximum\]"),
+        (NEXT, f'BO_ 1 A: 4 HOST\n SG_ a : 0|25@1- (0.5,0) [0|1] "" ROBOT\n\n{NEXT}', r"A.a: 25 bits, at most 24 are"),
+        (NEXT, f'BO_ 1 A: 5 HOST\n SG_ a : 0|33@1+ (1,0) [0|1] "" ROBOT\n\n{NEXT}', r"A.a: 33 bits, at most 32 are"),
+        (NEXT, "BU_ 64 WHEEL_COMMAND", r'wheel.dbc: DBC: "Invalid syntax at line \d+, column 5'),
         (FL, FL.replace("fl_rad_s", "count"), r"WHEEL_COMMAND.count: the name is taken"),
         (FL, FL.replace("fl_rad_s", "double"), r"WHEEL_COMMAND.double: the name is taken"),
         ("SG_ substeps : 32|16", "SG_ substeps : 31|16", r"overlapping in message STEP"),
@@ -90,7 +96,8 @@ def test_a_document_without_markers_is_refused(tmp_path: Path) -> None:
         ('VAL_ 128 state 0 "BOOT"', 'VAL_ 128 state 0 "START"', r"STATUS.state: its VAL_ table differs"),
         ('VAL_ 32 request 0 "IDLE"', "VAL_ 32 request", r"request: VAL_ must name every value"),
         ("SG_ pages : 8|8", "SG_ page_count : 8|8", r"id 0x701: its layout is frozen"),
-        ('VERSION "2"', 'VERSION ""', r"VERSION"),
+        ('VERSION "2"', 'VERSION ""', r'VERSION "": expected a number from 1 to 255'),
+        ('VERSION "2"', 'VERSION "256"', r'VERSION "256": expected a number from 1 to 255'),
     ],
 )  # fmt: skip
 def test_what_the_codecs_do_not_support_is_refused(tmp_path: Path, old: str, new: str, message: str) -> None:
