@@ -101,7 +101,7 @@ def quoted() -> set[str]:
         if path.suffix == ".py":
             for _, parts in texts(ast.parse(path.read_text(encoding="utf-8"))):
                 found.update(*map(runs, parts))
-        elif path.suffix in (".toml", ".xml"):
+        elif path.suffix in (".toml", ".xml", ".txt"):
             found |= runs(path.read_text(encoding="utf-8"))
     for path in (*ROOT.glob("*.md"), *(one for top in ("docs", *_PACKAGES) for one in (ROOT / top).rglob("*.md"))):
         found.update(*(runs(block.text) for block in blocks(path.read_text(encoding="utf-8")) if block.language in RUN))

@@ -334,7 +334,7 @@ def _viewer_version() -> Finding:
     try:
         executable = viewer_executable()
         output = subprocess.run(
-            [executable, "--version"],
+            [str(executable), "--version"],
             capture_output=True,
             text=True,
             check=True,

@@ -94,7 +94,7 @@ def test_given_gains_go_over_the_recorded_ones_and_the_figures_are_what_they_say
     [
         ("dcs", "--law = 'dcs': unknown"),
         ("dsc,k1=3", "unknown key --law dsc.k1; did you mean 'k1_1_s'?"),
-        ("dsc,k1_1_s", "'k1_1_s' is not a gain; expected key=value"),
+        ("dsc,k1_1_s", "--law dsc,k1_1_s: 'k1_1_s' is not a gain; expected key=value, as in dsc,k1_1_s=8"),
         ("./no.py:Law", "no file"),
     ],
 )
@@ -122,11 +122,15 @@ def test_a_law_that_refuses_the_mode_of_the_recording_is_refused(by_speed, tmp_p
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        (lambda run: {"signals": {k: v for k, v in run.signals.items() if k != "reference.ax_m_s2"}}, "no signal"),
+        (
+            lambda run: {"signals": {k: v for k, v in run.signals.items() if k != "reference.ax_m_s2"}},
+            "run.rrd: it has no signal 'reference.ax_m_s2', which a law needs; record the run again",
+        ),
         (lambda run: {"properties": {}}, "it does not hold the scenario of its run"),
         (lambda run: {"properties": {"scenario": "[]"}}, "it does not hold the scenario of its run"),
         (lambda run: changed(run, "controller.command", "banana"), "it does not hold the scenario of its run"),
-        (lambda run: changed(run, "loop.rate_hz", 0), "it does not hold the scenario of its run"),
+        (lambda run: changed(run, "loop.rate_hz", 0), "loop.rate_hz and firmware.watchdog_s are more than 0"),
+        (lambda run: changed(run, "firmware.watchdog_s", 0.0), "loop.rate_hz and firmware.watchdog_s are more than 0"),
         (lambda run: changed(run, "robot.wings_m", 1.0), "or that of another version"),
         (lambda run: changed(run, "robot.mass_kg", "heavy"), "or that of another version"),
         (lambda run: {"signals": {k: v[:0] for k, v in run.signals.items()}}, "the law was called in no tick"),
@@ -143,6 +147,7 @@ def test_the_command_prints_a_table_and_json_and_says_open_loop(recorded):
     assert processes.hil(*command).stdout.count("open loop") == 2
     figures = json.loads(processes.hil(*command, "--json").stdout)
     assert figures["open_loop"] is True
+    assert figures["label"] == "open loop: computed afterwards from the recorded states; it never drove the robot"
     assert figures["gains"] == {"k1_1_s": 9}
     assert set(figures["difference"]) == {f"wheel.{wheel}.torque_command_n_m" for wheel in WHEEL_NAMES}
     bad = processes.hil("replay", recorded.path.parent, "--law", "dsc")

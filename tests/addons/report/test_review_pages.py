@@ -257,6 +257,7 @@ def test_a_figure_whose_signal_is_missing_has_that_for_a_reason() -> None:
         ([OLD, "--export", "x.csv"], "it is for one run"),
         (["--export", "x.xlsx"], "must end in .csv or .parquet"),
         (["--html", "missing/x.html"], "there is no folder"),
+        (["--html", OLD], f"page {OLD}: this is one of the reviewed recordings; choose another name"),
     ],
 )
 def test_what_a_review_cannot_do_is_one_sentence(options: list[str | Path], problem: str) -> None:

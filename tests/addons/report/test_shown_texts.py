@@ -150,6 +150,18 @@ def test_of_much_that_happened_a_page_shows_the_first_twelve(monkeypatch: pytest
             assert f"{more} more are below." in text
 
 
+@pytest.mark.parametrize(
+    ("expect", "held"), [(3, "INCOMPLETE: 2 of 3 expectations held"), (0, "INCOMPLETE: nothing was expected of it")]
+)
+def test_a_page_of_a_run_that_passed_begins_with_what_held(
+    expect: int, held: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(charts_module, "_plotly", lambda: "")
+    run, judged = made_runs()[1]
+    rows = [row._replace(passed=number > 0) for number, row in enumerate(judged.expect)][:expect]
+    assert f", {held}</p>" in page([run], [replace(judged, expect=tuple(rows))])
+
+
 def test_a_page_of_a_long_run_says_how_much_one_point_stands_for(monkeypatch: pytest.MonkeyPatch) -> None:
     made, _ = made_runs()
     signals = {name: np.resize(values, 6002) for name, values in made.run.signals.items()}

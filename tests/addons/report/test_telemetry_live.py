@@ -154,8 +154,9 @@ def test_without_a_display_the_browser_is_named(tmp_path: Path, monkeypatch: pyt
     path.write_bytes(b"RRF2")
     assert not has_display()
     assert not show_live(9876)
-    with pytest.raises(BadInputError, match="--web"):
+    with pytest.raises(BadInputError) as refusal:
         view(path, web=False)
+    assert str(refusal.value) == f"no display to show {path} on; use hil view {path} --web and a browser"
 
 
 def test_what_is_no_recording_is_not_opened(tmp_path: Path) -> None:

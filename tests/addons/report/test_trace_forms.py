@@ -234,12 +234,21 @@ def a_blf(path, *pieces, loose=b""):
 DATA = an_object(blf.CAN_MESSAGE, blf.CAN_MSG_STRUCT.pack(2, 0, 1, 0x123, b"\1" + bytes(7)))
 
 
-@pytest.mark.parametrize("length", [0, 1, 15, 17, 40])
-def test_a_blf_object_of_no_sensible_size_is_damage(tmp_path, length):
+@pytest.mark.parametrize(
+    ("length", "what"),
+    [
+        (0, "by an object of 0 bytes"),
+        (1, "by an object of 1 bytes"),
+        (15, "by an object of 15 bytes"),
+        (17, "by an object that is too short"),
+        (40, "by an object that is too short"),
+    ],
+)
+def test_a_blf_object_of_no_sensible_size_is_damage(tmp_path, length, what):
     path = a_blf(tmp_path / "bus.blf", DATA + an_object(blf.CAN_MESSAGE, bytes(16), length=length))
     done = hil("decode", path)
     assert (done.returncode, len(done.stdout.splitlines())) == (2, 1)
-    assert "1 frames could be read; the file is damaged in the block at byte 144" in done.stderr
+    assert f"1 frames could be read; the file is damaged in the block at byte 144, {what}" in done.stderr
 
 
 def test_blf_objects_of_all_kinds_are_shown_or_counted(tmp_path):
