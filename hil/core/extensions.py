@@ -257,10 +257,7 @@ def _place(error: BaseException) -> str:
     """Return file, line and source of the last line of the code that we called."""
     if isinstance(error, SyntaxError) and error.filename:
         return f"{error.filename}:{error.lineno}"
-    frames = _frames(error)
-    if not frames:
-        return "an unknown place"
-    frame = (_theirs(error) or frames)[-1]
+    frame = (_theirs(error) or _frames(error))[-1]
     source = (frame.line or "")[:_MOST_SOURCE]
     return f"{frame.filename}:{frame.lineno}" + (f" ({source})" if source else "")
 

@@ -107,7 +107,7 @@ class StreamLink:
         return None
 
     def send_packed(self, frames: PackedFrames) -> None:
-        assert isinstance(self._sender, HostLine), "frames of another protocol are not packed"
+        assert isinstance(self._sender, HostLine)  # frames of another protocol are not packed
         self._write(self._sender.encode_packed(frames.packed), len(frames))
 
     def _write(self, data: bytes, frames: int) -> None:

@@ -4,15 +4,18 @@ import contextlib
 import json
 import os
 import re
+import signal
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import can
 import pytest
 
 from hil.cli.commands import shipped
 from hil.record.reader import read
+from hil.robot import virtual_server
 from tests.support.processes import HIL, ROOT, environment, hil, hil_process, run_json
 
 FIGURES = {
@@ -161,6 +164,19 @@ def test_device_needs_a_link_that_reaches_another_process():
         done = hil("device", "paper_circle", "--link", link)
         assert done.returncode == 2
         assert "--link serial:pty" in done.stderr
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="pseudo-terminals need a POSIX system")
+def test_a_device_tells_at_its_end_how_much_time_its_robot_lost(monkeypatch: pytest.MonkeyPatch):
+    def stalled_for_80_ms() -> int:
+        signal.raise_signal(signal.SIGTERM)
+        return 80_000_000
+
+    times = iter((lambda: 0, stalled_for_80_ms))
+    monkeypatch.setattr(virtual_server, "time", SimpleNamespace(monotonic_ns=lambda: next(times)()))
+    done = hil("device", "paper_circle", "--link", "serial:pty", "--mode", "realtime")
+    assert (done.returncode, done.stderr) == (0, "")
+    assert done.stdout.splitlines()[-1] == "this machine stalled: the robot lost 30 ms of its time"
 
 
 def test_json_says_why_a_robot_could_not_be_reached():

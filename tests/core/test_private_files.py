@@ -10,7 +10,7 @@ import pytest
 from hil.core.errors import BadInputError
 from hil.core.private_files import private_folder, read_private, write_private
 from hil.core.process_lock import LockHeldError, ProcessLock, held
-from hil.core.tokens import make_token, read_token
+from hil.core.tokens import make_token, read_token, state_folder
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="Windows has no such modes")
 
@@ -45,8 +45,12 @@ def test_a_secret_that_others_may_use_is_refused(file: Path, mode: int) -> None:
 
 
 def test_a_secret_that_cannot_be_read_says_why(file: Path) -> None:
-    with pytest.raises(BadInputError, match=r"key .*gone: it cannot be read \(No such file or directory\); name one"):
-        read_private(file.with_name("gone"), "key")
+    gone = file.with_name("gone")
+    with pytest.raises(BadInputError) as refused:
+        read_private(gone, "key")
+    assert str(refused.value) == (
+        f"key {gone}: it cannot be read (No such file or directory); name one that you may read"
+    )
     file.write_bytes(b"\xe4")
     with pytest.raises(BadInputError, match=r"it cannot be read \(it is not ASCII\)"):
         read_private(file, "key")
@@ -64,6 +68,18 @@ def test_a_folder_into_which_others_may_write_is_none(tmp_path: Path, mode: int)
     (tmp_path / "link").symlink_to(tmp_path / "a")
     with pytest.raises(OSError, match="no folder that this user alone"):
         private_folder(tmp_path / "link")
+
+
+def test_a_state_folder_into_which_others_may_write_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path))
+    folder = state_folder("services")
+    folder.chmod(0o777)
+    with pytest.raises(BadInputError) as refused:
+        state_folder("services")
+    assert str(refused.value) == (
+        f"folder {folder}: it cannot be used (it is no folder that this user alone may write to); "
+        "make it yourself, with mode 0700"
+    )
 
 
 @pytest.mark.parametrize(

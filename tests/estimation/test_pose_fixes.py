@@ -269,7 +269,11 @@ def test_addresses(text: str, address: tuple[str, int]) -> None:
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        ("simulatd", "no address"),
+        (
+            "simulatd",
+            "estimator.fix = 'simulatd': no address; "
+            'expected "simulated" or udp://127.0.0.1:PORT with a port from 1 to 65535',
+        ),
         ("tcp://127.0.0.1:5005", "no address"),
         ("udp://127.0.0.1", "no address"),
         ("udp://127.0.0.1:0", "no address"),

@@ -88,7 +88,7 @@ def test_defaults_are_filled_in_and_shown(tmp_path) -> None:
         ({"kind": "reset", "target": "robot", "end_s": 1.0}, "has no end; remove end_s"),
         ({"kind": "dead_motor", "target": "front left"}, "is not a target of dead_motor"),
         ({"kind": "dead_motor", "target": "fll"}, "did you mean 'fl'?"),
-        ({"kind": "slip_patch", "value": 0.2, "x_m": 1.0}, "x_m, y_m, radius_m belong together"),
+        ({"kind": "slip_patch", "value": 0.2, "x_m": 1.0}, "x_m, y_m, radius_m belong together; give all or none"),
         ({"kind": "push", "target": "force_x", "value": 1.0}, "did you mean 'force_x_n'?"),
         ({"kind": "bias", "target": "truth.xm", "value": 1.0}, "did you mean 'truth.x_m'?"),
         ({"kind": "bias", "target": "loop.t_s", "value": 1.0}, "is not a target of bias"),

@@ -157,6 +157,14 @@ def test_what_contradicts_itself_is_refused_in_one_sentence(tmp_path: Path, row:
     assert "wrong.toml:" in str(error.value)
 
 
+def test_a_claim_after_a_fault_needs_one(tmp_path: Path) -> None:
+    path = tmp_path / "wrong.toml"
+    path.write_text('extends = "paper_circle"\n[[expect]]\nat_rest = true\nwithin_s = 1\nafter_fault = 1\n')
+    words = r"wrong.toml:5: .*; the scenario has no fault; add a row of \[\[fault\]\], or give from_s"
+    with pytest.raises(BadInputError, match=words):
+        load(str(path))
+
+
 # Differences of signals
 
 SERIES = st.lists(st.tuples(NUMBER, NUMBER), min_size=1, max_size=20)

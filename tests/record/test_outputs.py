@@ -190,6 +190,23 @@ def test_a_file_that_cannot_be_replaced_stays(tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == [path]
 
 
+def test_what_cannot_be_written_to_its_end_is_told_and_leaves_what_was_there(tmp_path: Path) -> None:
+    resource = pytest.importorskip("resource", reason="limits of files need a POSIX system")
+    path, limits = tmp_path / "page.html", resource.getrlimit(resource.RLIMIT_FSIZE)
+    path.write_bytes(KEPT)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (100, limits[1]))
+    try:
+        with pytest.raises(BadInputError) as refused:
+            write_whole(path, bytes(101), "page", "replace")
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+    assert str(refused.value) == (
+        f"page {path}: it cannot be written (File too large); choose a folder that exists, is writable and has free "
+        "space"
+    )
+    assert [(one, one.read_bytes()) for one in tmp_path.iterdir()] == [(path, KEPT)]
+
+
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="this system has no named pipes")
 def test_what_is_no_file_is_refused_with_force_too(tmp_path: Path) -> None:
     pipe = tmp_path / "run.rrd"

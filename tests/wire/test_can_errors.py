@@ -184,6 +184,8 @@ def caused(error: Exception, cause: Exception) -> Exception:
          ": the transmit queue stays full; no node acknowledges, check bit rate and cable"),
         (CAN0, NotImplementedError("[Error Code 7] no  driver"),
          " cannot be used: install its manufacturer's software, which python-can asks for: no driver"),
+        (CAN0, OSError("Address family not supported by protocol"), ": this system's kernel has no CAN; load it with"),
+        (CAN0, can.CanError("canlib32.dll could not be loaded"), "python-can asks for: canlib32.dll could not be"),
         (CAN0, can.CanError("the library not found"), " cannot be used: install its manufacturer's software"),
         (CAN0, ValueError("bitrate 250000 of 3"),
          " cannot run at 250000 bit/s (bitrate 250000 of 3); set bitrate= to one of these"),
@@ -207,6 +209,19 @@ def test_a_failure_of_a_bus_is_one_sentence_with_its_remedy(url, error, says):
 def test_an_interface_without_can_fd_is_refused():
     with pytest.raises(BadInputError, match=r"has no CAN FD in python-can; remove fd=1"):
         parse_link("can:slcan/loop:%2F%2F?fd=1").open_host()
+
+
+def test_a_bus_that_cannot_be_shut_down_is_noted_and_closed_all_the_same(monkeypatch, caplog):
+    from can.interfaces.virtual import VirtualBus
+
+    def unplugged(_: VirtualBus) -> None:
+        raise can.CanError("no such device")
+
+    caplog.set_level("INFO")
+    with host_and_stranger("unplugged") as (host, _), monkeypatch.context() as patch:
+        patch.setattr(VirtualBus, "shutdown", unplugged)
+        host.close()
+    assert "CAN interface virtual, channel unplugged, 1000000 bit/s: closing failed: no such device" in caplog.messages
 
 
 def test_a_closed_bus_is_a_lost_link():

@@ -1,6 +1,7 @@
 """Link URLs: reading and writing are inverse, escapes are defined, and every mistake has its own sentence."""
 
 import string
+import sys
 
 import pytest
 from hypothesis import given
@@ -131,6 +132,15 @@ def test_mistakes(url: str, sentence: str) -> None:
     assert sentence in str(caught.value)
 
 
+def test_a_system_without_pseudo_terminals_is_told_what_to_use(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "hil.wire.pty", None)
+    with pytest.raises(BadInputError) as refused:
+        run("circle_speed", link="serial:pty")
+    assert str(refused.value) == (
+        "serial:pty needs a POSIX system; on Windows use memory:, or a pair of virtual COM ports"
+    )
+
+
 PIPE = """
     from dataclasses import dataclass
 
@@ -160,12 +170,19 @@ PIPE = """
             host, robot = memory_pair()
             return Pair(StreamLink(line(host), protocol), SerialWire(robot))
 
+    class HalfUrl(PipeUrl):
+        open_pair = LinkUrl.open_pair
+
+        def __str__(self):
+            return "half:"
+
     NO_LINK = 3
 """
 
 
 def test_another_package_s_link_is_one_class_and_a_run_goes_over_it(tmp_path, monkeypatch) -> None:
     points = {"pipe": "outside_package:PipeUrl", "memory": "outside_package:PipeUrl", "no": "outside_package:NO_LINK"}
+    points["half"] = "outside_package:HalfUrl"
     outside_package(tmp_path, monkeypatch, PIPE, {"hil.links": points})
     assert str(parse_link("pipe:?name=x")) == "pipe:?name=x"
     assert parse_link("memory:") == MemoryUrl(), "a shipped kind keeps its name"
@@ -184,6 +201,8 @@ def test_another_package_s_link_is_one_class_and_a_run_goes_over_it(tmp_path, mo
         parse_link("pipe:?name=x").open_host()
     with pytest.raises(BadInputError, match=r"^pipe:\?name=x does not reach another process; use --link serial:pty"):
         parse_link("pipe:?name=x").open_robot(print, lockstep=True)
+    with pytest.raises(BadInputError, match=r"^half: does not stay within this process$"):
+        run("circle_speed", link="half:")
     error = {"kind": "bit_errors", "target": "command", "value": 0.0005}
     options = {"loop.duration_s": 0.3, "expect": [], "fault": [error]}
     over_memory, over_it = (run("circle_speed", set=options, link=link).metrics for link in ("memory:", "pipe:"))

@@ -85,7 +85,7 @@ def test_a_reopening_that_takes_long_does_not_hold_the_firmware_up():
     node.run(100)
     wire.send_from(node)
     assert not wire.receive_into(node, 0)
-    assert len(said) == 1
+    assert said == ["link lost, reopening: the memory link was closed; open a new one"]
     may_end.set()
     wait_for(lambda: wire.receive_into(node, 0) or len(said) == 2)
     assert said[1] == "link reopened"
@@ -301,8 +301,11 @@ def test_what_a_robot_sends_comes_back_over_multicast_and_is_not_counted():
 
 
 def test_unknown_can_interface_names_the_nearest():
-    with pytest.raises(BadInputError, match="did you mean 'socketcan'"):
+    with pytest.raises(BadInputError) as refused:
         parse_link("can:socketcna/can0").open_host()
+    assert str(refused.value) == (
+        "link 'can:socketcna/can0': unknown CAN interface 'socketcna'; did you mean 'socketcan'?"
+    )
 
 
 def test_can_interface_that_is_not_there():

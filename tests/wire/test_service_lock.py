@@ -258,6 +258,14 @@ def test_a_folder_that_is_not_this_user_s_alone_is_not_used_for_locks(
     monkeypatch.setattr("hil.wire.device_lock._folders", lambda: iter([*folders, last]))
     with device_held(SerialUrl(str(port)), "hil run"):
         assert len(list(last.iterdir())) == 2
+    monkeypatch.setattr("hil.wire.device_lock._folders", lambda: iter(folders[:2]))
+    with pytest.raises(LinkError) as refused, device_held(SerialUrl(str(port)), "hil run"):
+        pass
+    why = "it is no folder that this user alone may write to"
+    assert str(refused.value) == (
+        f"link 'serial:{port}': the lock that keeps other processes from the device cannot be taken ({link}: {why}; "
+        f"{open_to_all}: {why}); make one of these folders yours alone, with mode 0700"
+    )
     monkeypatch.setattr("hil.wire.device_lock._folders", lambda: iter(folders))
     with pytest.raises(LinkError, match=rf"{link}: it is no folder .* with mode 0700"):
         device_held(SerialUrl(str(port)), "hil run").__enter__()

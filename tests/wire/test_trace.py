@@ -3,6 +3,7 @@
 import itertools
 import signal
 import subprocess
+import threading
 import time
 from collections import Counter
 from collections.abc import Iterable
@@ -159,6 +160,25 @@ def test_a_writer_that_fails_in_any_way_ends_the_trace_and_holds_no_run_up(tmp_p
         report = trace.finish()
     assert (report["frames"], report["lost"]) == (0, 20_000)
     assert "is incomplete" in report["trouble"]
+
+
+def test_a_writer_that_is_too_slow_for_real_time_drops_frames_and_says_how_many(tmp_path, monkeypatch):
+    frame, path = codec.encode(m.TimeSyncRequest(1)), tmp_path / "bus.log"
+    begun, may_go_on = threading.Event(), threading.Event()
+    with Trace(path, blocking=False) as trace:
+        slow = lambda _: (begun.set(), may_go_on.wait(10.0))  # noqa: E731
+        monkeypatch.setattr(trace._file, "on_message_received", slow)
+        trace.frames(0, [frame], sent=True)
+        assert begun.wait(10.0)
+        for number in range(16_384):
+            trace.frames(number, [frame], sent=True)
+        for number in range(7):
+            trace.frames(number, [frame, frame], sent=True)
+        may_go_on.set()
+        report = trace.finish()
+    assert report["trouble"] == (
+        f"trace {path} is incomplete: the writer was too slow; 14 frames were dropped and 0 lost, 16385 are safe in it"
+    )
 
 
 def test_on_can_a_trace_shows_what_faults_left_on_the_bus(tmp_path):
