@@ -162,8 +162,8 @@ def _import_file(named: str, path: Path) -> ModuleType:
     # A unique name: a user's file called random.py or dsc.py must not replace another module.
     name = f"_law_{path.stem}_{zlib.crc32(str(path.resolve()).encode()):08x}"
     description = importlib.util.spec_from_file_location(name, path)
-    if description is None or description.loader is None:
-        raise BadInputError(f"{named}: {path} is not a Python file")
+    assert description is not None  # because its name ends in .py
+    assert description.loader is not None
     module = importlib.util.module_from_spec(description)
     # Dataclasses look up their module there during the import.
     sys.modules[name] = module

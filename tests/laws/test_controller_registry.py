@@ -178,9 +178,10 @@ def test_a_law_that_is_not_there(spec, message):
 
 
 def test_a_file_that_is_not_there(tmp_path):
-    message = message_of(load_law, "./laws/mine.py:Law", tmp_path)
-    assert str(tmp_path / "laws" / "mine.py") in message
-    assert "no file" in message
+    assert message_of(load_law, "./laws/mine.py:Law", tmp_path) == (
+        f"controller.law = './laws/mine.py:Law': no file {tmp_path / 'laws' / 'mine.py'} (relative to the scenario's "
+        "folder)"
+    )
 
 
 def test_the_nearest_class_is_named(write):
@@ -274,6 +275,11 @@ def test_a_constructor_that_takes_something_else(write):
         (
             {"update": "return applied.command"},
             "update returned a command of mode TORQUE, expected SPEED, the mode that it was made with",
+        ),
+        (
+            {"update": "return type(applied.command)(0, (1, 2, 3), None)"},
+            "update returned WheelCommand(mode=0, speed_rad_s=(1, 2, 3), torque_n_m=None), expected four numbers in "
+            "speed_rad_s and four in torque_n_m (not enough values to unpack (expected 4, got 3))",
         ),
     ],
 )

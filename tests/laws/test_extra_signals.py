@@ -176,7 +176,7 @@ def test_a_signal_that_the_run_does_not_have_is_told_with_the_nearest_one(rows, 
         ('("my.x", "my.x")', "(1, 2)", "'my.x' twice"),
         ('("my.x", "my.x.y")', "(1, 2)", "neither may be a group of the other"),
         ('"my.x"', "(1,)", "expected a tuple of names"),
-        ("None", "(1,)", "it has telemetry alone"),
+        ("None", "(1,)", "it has telemetry alone; signals of its own take signals and telemetry"),
     ],
 )
 def test_bad_names_are_refused_before_the_run(tmp_path, signals, telemetry, message):
