@@ -120,6 +120,7 @@ def test_what_is_there_is_current_until_a_source_changes(built: Built, tmp_path)
 @pytest.fixture
 def installed_with_other_sources(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     """Have every native part be one that was not built from the sources beside it, outside a checkout."""
+    hil.run("circle_speed", set={"loop.duration_s": 0.1, "expect": []})  # functions that imports make stay
     monkeypatch.setattr(native, "is_checkout", lambda _: False)
     others = [built._replace(flags=("another",)) for built in ALL]
     monkeypatch.setattr(host, "WHEEL_HOST", others[0])
