@@ -189,12 +189,13 @@ def test_a_reset_that_the_firmware_asks_for_starts_it_anew(tmp_path: Path):
 @pytest.mark.parametrize(
     ("body", "said"),
     [
-        ("REGISTER(0x40012000);", "read 0x40012000, which this machine does not model"),
+        ("REGISTER(0x40012000);", "the firmware read 0x40012000, which this machine does not model"),
         ("REGISTER(0x40011040) = 1;", "USART1 has no register at offset 0x040"),
+        ("*(volatile uint16_t *)0x40011002 = 1;", "wrote 2 bytes at 0x40011002; registers are written as words; at"),
         ("REGISTER(0x60000000) = 1;", "wrote 4 bytes at 0x60000000, where nothing answers"),
         ("REGISTER(0x08000000) = 1;", "wrote 4 bytes at 0x08000000, where nothing answers"),
-        ('__asm volatile("udf #1");', "Invalid instruction"),
-        ('__asm volatile("bkpt 0");', "took a breakpoint"),
+        ('__asm volatile("udf #1");', "the firmware crashed: Invalid instruction (UC_ERR_INSN_INVALID); at"),
+        ('__asm volatile("bkpt 0");', "the firmware took a breakpoint; at"),
     ],
 )
 def test_what_a_board_would_crash_at_is_told_with_its_place(tmp_path: Path, body: str, said: str):

@@ -9,6 +9,7 @@ import threading
 import traceback
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
@@ -281,8 +282,15 @@ def test_without_qemu_it_is_said_what_to_install(monkeypatch: pytest.MonkeyPatch
 
 
 def test_the_machine_has_no_can():
-    with open_board() as board, pytest.raises(DeviceError, match="no CAN controller"):
+    said = "^QEMU's netduinoplus2 has no CAN controller; use a serial link, or --target unicorn$"
+    with open_board() as board, pytest.raises(DeviceError, match=said):
         board.take_frames()
+
+
+def test_windows_is_told_of_the_other_target(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(qemu_board, "sys", SimpleNamespace(platform="win32"))
+    with pytest.raises(BadInputError, match=r"^--target qemu needs a POSIX system; use --target unicorn$"):
+        qemu_board.QemuProcess(tmp_path / "program.elf", b"")
 
 
 def _failure(board: QemuBoard) -> DeviceError | None:

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import pytest
 
+from hil.addons.targets import emulated_stm32
 from tests.addons.targets.test_qemu import has_gone, on_linux, qemu_of
 from tests.support.emulated_boards import needs_compiler, needs_qemu, needs_unicorn
 from tests.support.processes import device, hil, run_json, wait_for
@@ -154,7 +155,10 @@ def test_a_device_whose_cache_cannot_be_written_starts_and_takes_qemu_with_it(tm
     [
         (("--target", "qmu", *LOCKSTEP), "did you mean 'qemu'?"),
         (("--target", "unicorn", "--mode", "realtime"), "its robot time comes from STEP; add --mode lockstep"),
-        (("--target", "qemu", *LOCKSTEP, "--link", "can:slcan//dev/ttyX"), "has no CAN controller"),
+        (
+            ("--target", "qemu", *LOCKSTEP, "--link", "can:slcan//dev/ttyX"),
+            "--target qemu has no CAN controller; use --link serial:..., or --target unicorn\n",
+        ),
     ],
 )
 def test_what_a_target_cannot_do_is_refused_before_anything_starts(options: tuple[str, ...], said: str):
@@ -171,3 +175,15 @@ def test_without_the_tools_it_is_said_what_to_install(monkeypatch: pytest.Monkey
     assert refused.returncode == 2
     assert "install" in refused.stderr
     assert "Traceback" not in refused.stderr
+
+
+def test_without_a_compiler_it_is_said_what_to_install(monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setenv("PATH", "")
+    monkeypatch.setitem(sys.modules, "ziglang", None)
+    emulated_stm32._build.cache_clear()  # of a test that had a compiler
+    refused = hil("device", "paper_circle", *LOCKSTEP, "--link", "serial:pty", "--target", "qemu")
+    assert (refused.returncode, refused.stderr) == (
+        2,
+        "hil: the firmware for the emulated target was not built: no C compiler for ARM is installed: install "
+        "arm-none-eabi-gcc (on Debian: gcc-arm-none-eabi), or ziglang with pip\n",
+    )
