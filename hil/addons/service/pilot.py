@@ -360,10 +360,10 @@ class _NoLaw:
     gains = NO_GAINS
 
     def reset(self, state: State, reference: Reference) -> None:
-        raise AssertionError("nothing is driven without a law")
+        raise AssertionError
 
     def update(self, reference: Reference, state: State, applied: Applied, dt_s: float) -> WheelCommand:
-        raise AssertionError("nothing is driven without a law")
+        raise AssertionError
 
 
 class _NoSignals(NamedTuple):

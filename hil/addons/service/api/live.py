@@ -131,11 +131,6 @@ class LiveClient:
             return
         task = asyncio.create_task(self._carry_out(order))
         self._pending.add(task)
-        task.add_done_callback(self._carried_out)
-
-    def _carried_out(self, task: asyncio.Task[None]) -> None:
-        if not task.cancelled() and (error := task.exception()) is not None:
-            logs.error("order on the WebSocket failed", why=repr(error))
 
     async def _carry_out(self, order: _Order) -> None:
         try:
