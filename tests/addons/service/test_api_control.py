@@ -3,17 +3,23 @@
 import asyncio
 import json
 import os
+import sys
 import time
+from collections.abc import Coroutine
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from hil.addons.service.api import control as control_module
-from hil.addons.service.api.access import OWNER, Access, Client, Role
+from hil.addons.service.api.access import OWNER, Access, Client, ClientsFile, Role
 from hil.addons.service.api.audit import Audit
 from hil.addons.service.api.control import Control, NotDoneError
 from hil.addons.service.messages import Action
 from hil.core.json_lines import LineReader, LineWriter
+
+if sys.platform != "win32":
+    import resource
 
 PANEL = Client("panel", frozenset({Role.DRIVE}), "127.0.0.1:4711")
 STALLED = "the API stalled while this order waited; give it again"
@@ -46,7 +52,8 @@ def test_after_a_stall_nothing_moves_before_the_orders_that_waited_have_come(
             for _ in range(10):
                 await asyncio.sleep(0.0)
         assert heard == {STALLED}
-        assert "has not answered go" in await refusal(Action.GO), "only a twist is out of date so soon"
+        late = "the control process has not answered go within 0.01 s; it may still carry it out"
+        assert await refusal(Action.GO) == late, "only a twist is out of date so soon"
         while await refusal() == STALLED:
             await asyncio.sleep(0.02)
         living.cancel()
@@ -56,6 +63,75 @@ def test_after_a_stall_nothing_moves_before_the_orders_that_waited_have_come(
     asyncio.run(scenario())
     for end in (own_read, own_write, other_read):
         os.close(end)
+
+
+def test_an_order_is_refused_that_waits_while_the_service_ends_or_comes_later(tmp_path: Path) -> None:
+    (own_read, other_write), (other_read, own_write) = os.pipe(), os.pipe()
+
+    async def refusals() -> list[str]:
+        lines, writer = LineReader(own_read), LineWriter(own_write)
+        control = Control(lines, writer, TWIST_TIMEOUT_S, Audit(tmp_path / "audit.jsonl"))
+        waits = asyncio.create_task(control.order(Action.DISARM, {}, PANEL))
+        await asyncio.sleep(0.0)
+        os.close(other_write)
+        await control.gone.wait()
+        comes_later = control.order(Action.DISARM, {}, PANEL)
+        return [str(refused) for refused in await asyncio.gather(waits, comes_later, return_exceptions=True)]
+
+    assert asyncio.run(refusals()) == ["the service has ended", "the service is ending"]
+    for end in (own_read, own_write, other_read):
+        os.close(end)
+
+
+async def until_logged(caplog: pytest.LogCaptureFixture, keeps: Coroutine[Any, Any, None]) -> dict[str, Any]:
+    """Return what the first line of the log says while a task of the API runs, its event and its fields."""
+    task = asyncio.create_task(keeps)
+    while not caplog.records:
+        await asyncio.sleep(0.001)
+    task.cancel()
+    return {"event": caplog.messages[0], **vars(caplog.records[0])["fields"]}
+
+
+def test_a_clients_file_that_cannot_be_used_any_more_is_told_and_changes_nothing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    monkeypatch.setattr("hil.addons.service.api.access._REFRESH_S", 0.001)
+    path = tmp_path / "clients"
+    path.touch(0o600)
+    path.write_text("panel drive another-0123456789\n")
+    clients = ClientsFile(path)
+    access = Access("0123456789abcdef", clients.others)
+    path.unlink()
+    said = asyncio.run(until_logged(caplog, clients.keep(access)))
+    assert said["event"] == "clients file cannot be used; the clients from before stay"
+    assert said["why"].startswith(f"clients file {path}: ")
+    assert access.client([(b"authorization", b"Bearer another-0123456789")]) is not None
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="Windows has no RLIMIT_NOFILE")
+def test_an_audit_log_that_is_not_on_the_disk_for_want_of_descriptors_is_told_and_gets_there_later(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    monkeypatch.setattr("hil.addons.service.api.audit._SYNC_S", 0.001)
+    synced: list[int] = []
+    monkeypatch.setattr("hil.addons.service.api.audit._sync", synced.extend)
+    audit = Audit(tmp_path / "audit.jsonl")
+    audit.note(PANEL, Action.ARM, "given")
+    before = resource.getrlimit(resource.RLIMIT_NOFILE)
+
+    async def kept() -> dict[str, Any]:
+        resource.setrlimit(resource.RLIMIT_NOFILE, (1, before[1]))
+        said = await until_logged(caplog, audit.keep())
+        resource.setrlimit(resource.RLIMIT_NOFILE, before)
+        keeps = asyncio.create_task(audit.keep())
+        while not synced:
+            await asyncio.sleep(0.001)
+        keeps.cancel()
+        return said
+
+    said = {"event": "audit log is not on the disk", "path": tmp_path / "audit.jsonl", "why": "Too many open files"}
+    assert asyncio.run(kept()) == said
+    os.close(*synced)
 
 
 def test_tokens_have_their_own_rates_and_what_stops_or_the_owner_reads_has_none(

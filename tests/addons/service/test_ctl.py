@@ -11,11 +11,13 @@ import threading
 from dataclasses import replace
 from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 from typer.testing import CliRunner
 from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import ClientConnection
+from websockets.sync.server import serve
 
 from hil.addons.service.client import Client, find
 from hil.addons.service.ctl_command import app
@@ -53,12 +55,13 @@ def test_a_command_is_an_order(side: ControlSide, command: str, action: Action, 
 @pytest.mark.parametrize(
     ("command", "sentence"),
     [
-        ("gains kp=inf", "'kp=inf': expected a finite number"),
+        ("gains kp=inf", "'kp=inf': expected a finite number, true, false, a text or a list of them"),
         ("gains kp", "'kp': expected NAME=VALUE"),
         ("track --set radius_m=1", "--set is for a KIND of its own"),
         ("twist 9 0 0", "vx_m_s = 9.0: it should be less than or equal to 2"),
         ("twist 9 0 0 --for 1", "vx_m_s = 9.0: it should be less than or equal to 2"),
         ("record a.txt", "it should match pattern"),
+        ("--url 127.0.0.1:1 --token-file none status", "service '127.0.0.1:1': expected http://127.0.0.1:PORT"),
         ("--url http://127.0.0.1:1 status", "service http://127.0.0.1:1: it is not one of yours; give the file"),
     ],
 )
@@ -169,17 +172,46 @@ def test_on_a_terminal_the_status_is_watched_until_ctrl_c(side: ControlSide) -> 
     os.close(terminal)
     seen = bytearray()
 
-    def shows(text: bytes) -> bool:
+    def shows(text: str) -> bool:
         seen.extend(os.read(ours, 65536))
-        return text in seen
+        return text.encode() in seen
 
-    wait_for(lambda: shows(b"active, hold"))
+    wait_for(lambda: shows("active, hold"))
     side.status = replace(STATUS, phase=Phase.FAULT, task=None, why="encoder fl stands still")
-    wait_for(lambda: shows(b"encoder fl stands still"))
+    wait_for(lambda: shows("encoder fl stands still"))
     watcher.send_signal(signal.SIGINT)
-    wait_for(lambda: shows(b"interrupted; the service goes on"))
+    wait_for(lambda: shows("interrupted; the service goes on"))
     assert watcher.wait(timeout=60) == 130
     os.close(ours)
+
+
+@pytest.mark.parametrize(
+    ("platform", "why"),
+    [
+        ("win32", "teleop needs a terminal of Linux or macOS; on Windows, run it in WSL"),
+        ("linux", "teleop needs a terminal for keys and screen; start it in one, without pipes"),
+    ],
+)
+def test_teleop_is_refused_without_a_terminal(
+    side: ControlSide, monkeypatch: pytest.MonkeyPatch, platform: str, why: str
+) -> None:
+    monkeypatch.setattr("hil.addons.service.ctl_command.sys", SimpleNamespace(platform=platform))
+    done = hil("teleop", "--url", side.child.url)
+    assert (done.returncode, done.stderr) == (2, f"hil: {why}\n")
+
+
+def test_a_connection_that_breaks_is_told(tmp_path: Path) -> None:
+    token = tmp_path / "token"
+    token.write_text("a-token-of-enough-length")
+    token.chmod(0o600)
+    with serve(lambda live: live.socket.shutdown(socket.SHUT_RDWR), "127.0.0.1", 0) as server:
+        thread = threading.Thread(target=server.serve_forever)
+        thread.start()
+        url = f"http://127.0.0.1:{server.socket.getsockname()[1]}"
+        with pytest.raises(LinkError) as lost:
+            next(Client(url, token).watch())
+    thread.join()
+    assert str(lost.value) == f"service {url}: the connection was lost"
 
 
 def read_on(live: ClientConnection) -> None:
@@ -235,6 +267,9 @@ def test_the_service_is_found_or_the_error_names_the_reason(tmp_path: Path, side
     with pytest.raises(LinkError, match="it may be restarting"):
         find(port=port).status()
     claim.release()
+    with pytest.raises(BadInputError) as refused:
+        announce(mine)  # as one with a token file of its own does in another network namespace
+    assert str(refused.value) == f"port {mine.port}: process {os.getpid()} serves there; choose another port"
     assert side.actions == [Action.ARM] * 3
 
 

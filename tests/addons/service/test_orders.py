@@ -4,6 +4,7 @@ import itertools
 import json
 from collections.abc import Callable
 from concurrent.futures import Executor, Future
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -163,10 +164,15 @@ def test_a_recording_is_a_new_file_of_the_service_s_own_folder(
         number = served.order(Action.RECORD, name=name)
         served.finish()
         refusal = served.refusal(number)
+    if name in (*ELSEWHERE, *NO_NAMES):
+        assert refusal == (
+            f"recording {name[:200]!r}: expected a file's name of at most 200 bytes that begins with a letter, a digit "
+            "or _ and has only these and . , - + = @ in it; this service records to runs (service.recordings)"
+        )
+    else:
+        there = str(Path("runs", name))
+        assert refusal == f"recording {there!r}: the file exists, and a service replaces none; choose another name"
     assert refusal.isprintable()
-    assert len(refusal) < 500
-    assert "OSError" not in refusal
-    assert "--force" not in refusal, "no order has it"
     assert sorted(path.name for path in tmp_path.rglob("*")) == ["link.mcap", "runs", "there.mcap"]
     assert (runs / "there.mcap").read_text() == "evidence"
 
@@ -231,6 +237,11 @@ def test_an_emergency_stop_that_waited_is_done() -> None:
             "the path reaches 314 m/s at t = 0 s, and service.speed_m_s is 0.5; make it slower",
         ),
         (Action.TRACK, {"here": True, "reference": {"kind": "waypoints", "file": "none.csv"}}, "none.csv"),
+        (
+            Action.WHEELS,
+            {"command": "torque", "values": [1.0, 1.0, 1.0, 1.0], "sequence": 1},
+            "command = 'torque': this service commands speed; it is fixed by its scenario",
+        ),
     ],
 )
 def test_an_order_that_cannot_be_carried_out_is_refused_and_the_robot_goes_on(
@@ -256,6 +267,30 @@ def test_gains_are_changed_one_order_at_a_time() -> None:
         again = served.order(Action.GAINS, gains={"filter_s": 0.02})
         served.finish()
         assert served.answers[again].result["gains"].items() >= {"k1_1_s": 5.0, "filter_s": 0.02}.items()
+
+
+_RECORDS_MORE = """
+class Law:
+    signals, telemetry = ("own.number",), (1.0,)
+
+    def reset(self, state, reference):
+        pass
+
+    def update(self, reference, state, applied, dt_s):
+        pass
+"""
+
+
+def test_gains_that_change_what_the_law_records_are_refused(tmp_path: Path) -> None:
+    with Served() as served:
+        law = tmp_path / "law.py"
+        law.write_text(_RECORDS_MORE)  # changed since the service began
+        table = replace(served.config.controller, law=f"{law}:Law", gains={})
+        served.handler.scenario = replace(served.config, controller=table)
+        number = served.order(Action.GAINS, gains={})
+        served.finish()
+        why = "these gains change what the law records; restart the service to use them"
+        assert served.refusal(number) == why
 
 
 class Broken:

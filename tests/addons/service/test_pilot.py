@@ -6,11 +6,15 @@ from collections.abc import Callable, Iterator
 from dataclasses import replace
 from itertools import count
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any, cast
 
 import pytest
 
 from firmware_protocol.generated.messages import State as RobotState
+from hil.addons.service.control_process import ServeOptions, _Service
 from hil.addons.service.messages import Phase, Task
+from hil.addons.service.records import Records
 from hil.core.errors import BadInputError, DeviceError, HilError, LinkError, RobotStoppedError
 from hil.core.kinematics import BodyTwist
 from hil.core.types import Pose
@@ -401,3 +405,16 @@ def test_each_tick_has_one_row_when_the_law_fails_in_its_own_signals(tmp_path: P
         assert "telemetry failed" in str(bench.pilot.why), "what follows does not take the place of the cause"
         bench.run_until(Phase.DISARMED)
         assert bench.series("loop.tick") == list(range(len(bench.rows)))
+
+
+def test_a_service_waits_seven_seconds_for_its_robot_to_come_to_rest_and_then_ends(
+    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    clock, unused = SimpleNamespace(monotonic=count().__next__), cast(Any, None)
+    monkeypatch.setattr("hil.addons.service.control_process.time", clock)
+    with armed_pilot() as bench:
+        parts, ending = (unused, ServeOptions(), bench.made, Records(None)), cast(Any, SimpleNamespace(requests=1))
+        service = _Service(load("circle_speed"), *parts, unused, unused, ending)
+        assert len(list(service._until_stopped(bench.pilot, unused))) == 7
+        assert bench.pilot.phase is Phase.STOPPING, "it was told to disarm, and no tick came"
+    assert caplog.messages == ["robot did not come to rest in time; its watchdog stops it"]

@@ -238,6 +238,10 @@ def test_a_device_has_one_service_which_has_it_also_while_it_is_unplugged(tmp_pa
         assert "hil ctl" in run.stderr
         robot.process.kill()
         robot.process.wait()
+        lost = service.line("note", text=f"truth '{robot.truth}' was ", level="error")["text"]
+        assert lost.endswith(
+            "; a state estimate that uses it is unknown from now on: restart the service to have it again"
+        )
         away = service.until(phase="away")
         assert away["pose"] is None
         with pytest.raises(DeviceError, match="refused: the robot is away"):
@@ -283,12 +287,14 @@ def test_a_robot_with_other_parameters_is_never_armed(tmp_path: Path) -> None:
 
 def test_a_service_waits_for_a_robot_that_is_not_there_yet(tmp_path: Path) -> None:
     port = tmp_path / "robot"
-    with serving(tmp_path, "--link", f"serial:{port}", "--set", "estimator.source=odometry") as service:
+    link = ("--link", f"serial:{port}", "--set", "estimator.source=odometry", "--allow-motion")
+    with serving(tmp_path, *link) as service:
+        assert str(port) in service.line("link cannot be opened")["why"]
         wait_for(lambda: str(port) in str(service.until(phase="away")["why"]))
         with pytest.raises(DeviceError, match="refused: the robot is away"):
             service.client.order(Action.ARM)
         with device("circle_speed", *OVERRIDES, "--mode", "realtime", "--link", f"serial:pty?symlink={port}"):
-            service.until(phase="disarmed")
+            service.line("robot not commissioned", why="nobody has commissioned this robot: a wheel")
             service.drive()
         service.process.send_signal(signal.SIGINT)
         assert service.exit_code() == 0

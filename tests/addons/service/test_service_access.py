@@ -323,8 +323,12 @@ def test_an_audit_log_that_is_no_file_is_refused_and_left_as_it_is(tmp_path: Pat
     pipe = tmp_path / "pipe"
     os.mkfifo(pipe, 0o622)
     mode = stat.S_IMODE(pipe.stat().st_mode)
-    with pytest.raises(BadInputError, match="cannot be written"):
+    reader = os.open(pipe, os.O_RDONLY | os.O_NONBLOCK)  # without one the system itself refuses
+    with pytest.raises(BadInputError) as refused:
         Audit(pipe)
+    os.close(reader)
+    why = "it cannot be written (it is no regular file); name another by --audit"
+    assert str(refused.value) == f"audit log {pipe}: {why}"
     assert stat.S_IMODE(pipe.stat().st_mode) == mode
 
 

@@ -236,9 +236,37 @@ def test_any_bytes_under_any_content_type_are_answered_and_in_the_audit_log(tmp_
     assert sum((Counter({one["action"]: one.get("count", 1)}) for one in ended), Counter()) == given_orders
 
 
+def test_the_document_says_what_each_refusal_means(side: ControlSide) -> None:
+    side.refuse("the robot is not armed; arm it first")
+    as_json = side.headers | {"Content-Type": "application/json"}
+    requests = [
+        {"content": UNREAD[0], "headers": as_json},
+        {"headers": {}},
+        {"json": BODIES["/v1/go"]},
+        {"content": json.dumps(BODIES["/v1/go"])},
+        {"json": {"x_m": "far"}},
+    ]
+    codes = [side.request("POST", "/v1/go", **request).status_code for request in requests]
+    told = side.request("GET", "/openapi.json").json()["paths"]["/v1/go"]["post"]["responses"]
+    assert [told.pop(str(code))["description"] for code in codes] == [
+        "The body cannot be read",
+        "The token is missing or wrong",
+        "The control process refuses: the order is not possible now",
+        "The body was not sent as JSON",
+        "The body is not valid",
+    ]
+    assert {code: one["description"] for code, one in told.items() if code != "200"} == {  # sent in other tests
+        "403": "The token lacks the role that the order needs",
+        "429": "Too many orders a second were given with this token",
+        "503": "The control process has too many orders to answer, or is ending",
+        "504": "The control process does not answer in time",
+    }
+
+
 def test_a_body_that_is_too_long_or_of_unknown_length_is_refused_unread(side: ControlSide) -> None:
     long = side.request("POST", "/v1/gains", content=b"x" * 70_000)
-    assert long.status_code == 413
+    why = "a body of 70000 bytes is too long; expected at most 65536"
+    assert (long.status_code, long.json()) == (413, {"detail": why})
     chunked = side.request("POST", "/v1/gains", content=iter([b"{}"]))
     assert chunked.status_code == 411
     assert side.orders == []

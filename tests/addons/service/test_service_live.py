@@ -15,9 +15,9 @@ import pytest
 from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import ClientConnection
 
-from hil.addons.service.api_child import ApiChild
+from hil.addons.service.api_child import ApiChild, OrderProcess
 from hil.addons.service.messages import Action, Answer, ApiConfig, Motion, Phase
-from hil.core.errors import BadInputError
+from hil.core.errors import BadInputError, DeviceError
 from hil.core.subprocesses import module_command
 from tests.support.processes import environment, is_running, own_state, wait_for
 from tests.support.service_testbed import LIMITS, STATUS, ControlSide, served
@@ -82,6 +82,7 @@ def test_websocket_orders_come_in_order_and_answers_by_the_clients_numbers(side:
         ('{"order": {"number": 3, "action": "arm", "arguments": {"now": true}}}', 3, "now: unknown name"),
         ('{"order": {"number": 3, "action": "dance"}}', -1, "order.action = 'dance'"),
         ("hello", -1, "not an order"),
+        ("{}", -1, "this is not an order: the body: expected order or motion"),
     ],
 )
 def test_a_message_that_is_no_order_is_answered_with_a_sentence_and_the_client_stays(
@@ -350,6 +351,36 @@ def test_a_token_file_that_others_may_read_or_without_a_token_is_refused(tmp_pat
         with own_state(tmp_path), pytest.raises(BadInputError, match=match):
             ApiChild(replace(CONFIG, token_file=str(path)))
         path.chmod(0o600)
+
+
+def test_a_process_that_does_not_start_is_told_with_a_remedy() -> None:
+    process = OrderProcess("hil.addons.service.no_such_process", "API", CONFIG)
+    with pytest.raises(DeviceError) as refused:
+        process.wait_until_ready()
+    process.close()
+    remedy = "'pip install --force-reinstall fastapi uvicorn' helps where a package of it is broken"
+    assert str(refused.value) == f"the API process did not start; its output is above, and {remedy}"
+
+
+def test_a_process_that_cannot_come_back_is_told_at_each_attempt(
+    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    ready = """echo '{"ready": {"url": "http://127.0.0.1:1"}}'"""
+    refused = """echo '{"refused": "the port is taken"}'; exec sleep 60"""
+    commands = iter([["sh", "-c", ready], ["./no-such-program"], ["sh", "-c", refused]])
+    monkeypatch.setattr("hil.addons.service.api_child.module_command", lambda *_: next(commands))
+    monkeypatch.setattr("hil.wire.reopening._FIRST_NS", 1_000_000)
+    process = OrderProcess("not used", "API", CONFIG)
+    process.wait_until_ready()
+    wait_for(lambda: process.orders() or len(caplog.records) == 3)
+    process._process.kill()  # type: ignore[union-attr]
+    process.close()
+    ended, away, cannot = ({"event": line.getMessage(), **vars(line)["fields"]} for line in caplog.records)
+    assert ended == {"event": "process ended", "which": "API", "exit_status": 0, "again_in_s": 0.001}
+    assert away["event"] == "process could not be started"
+    assert (away["which"], away["again_in_s"]) == ("API", 0.002)
+    assert "'./no-such-program'" in away["why"]
+    assert cannot == {"event": "process cannot start again", "which": "API", "why": "the port is taken"}
 
 
 def test_an_api_process_without_a_control_process_ends_at_once() -> None:

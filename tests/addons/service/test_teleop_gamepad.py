@@ -1,5 +1,6 @@
 """Teleop with a gamepad that SDL makes: held, let go and unplugged, through SDL's own path from device to layout."""
 
+import sys
 from collections.abc import Iterator
 
 import pytest
@@ -7,6 +8,8 @@ import pytest
 sdl2 = pytest.importorskip("sdl2", reason="needs the extra 'teleop': pip install 'mecanum-hil[teleop]'")
 
 from hil.addons.service.teleop.gamepad import Direction, Gamepads, Pad  # noqa: E402
+from hil.core.errors import BadInputError  # noqa: E402
+from hil.core.extras import install_command  # noqa: E402
 from tests.support.virtual_pad import VirtualPad  # noqa: E402
 
 
@@ -15,6 +18,19 @@ def gamepads() -> Iterator[Gamepads]:
     pads = Gamepads()
     yield pads
     pads.close()
+
+
+def test_without_sdl_s_library_or_its_gamepads_there_is_none(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sdl2, "SDL_Init", lambda _: -1)
+    monkeypatch.setattr(sdl2, "SDL_GetError", lambda: b"no driver")
+    with pytest.raises(BadInputError, match="gamepads cannot be read: no driver"):
+        Gamepads()
+    monkeypatch.setattr("hil.addons.service.teleop.gamepad.need", lambda *_: None)  # the package is there
+    monkeypatch.setitem(sys.modules, "sdl2", None)
+    with pytest.raises(BadInputError) as refused:
+        Gamepads()
+    assert str(refused.value).startswith("a gamepad needs SDL, whose library is not found (import of sdl2 halted")
+    assert str(refused.value).endswith(f"); run: {install_command('teleop')}")
 
 
 def test_a_gamepad_is_found_read_and_lost(gamepads: Gamepads) -> None:

@@ -2,6 +2,9 @@
 
 import contextlib
 import math
+import os
+import pty
+import signal
 import sys
 from collections.abc import Iterator, Sequence
 from typing import Any
@@ -14,7 +17,8 @@ if sys.platform == "win32":
 from hil.addons.service.messages import Action
 from hil.addons.service.teleop import drive
 from hil.addons.service.teleop.operator import Speeds
-from hil.core.errors import LinkError
+from hil.addons.service.teleop.terminal import LostTerminalError, Terminal
+from hil.core.errors import LinkError, RunInterruptedError
 
 STATUS = {
     "phase": "active", "task": "twist", "why": "it was slow",
@@ -41,7 +45,8 @@ class Played:
         self.messages: list[Any] = []
         self.answers: dict[Action, str | None] = {}
         self.is_silent = False
-        self.left = 0
+        self.signals: set[int] = set()
+        self.left = self.forgot = 0
 
     def monotonic(self) -> float:
         return self.now_s
@@ -55,7 +60,13 @@ class Played:
     def wait(self, until_s: float, fd: int) -> bool:
         self._step += 1
         self.now_s = max(until_s, self.now_s) + self._takes_s.get(f"at_{self._step}", 0.0)
-        return False
+        return bool(self.signals)
+
+    def received(self) -> set[int]:
+        return self.signals
+
+    def forget(self) -> None:
+        self.forgot += 1
 
     def read(self) -> Sequence[str]:
         return next(self._keys, ["q"])
@@ -138,6 +149,39 @@ def test_a_service_that_does_not_answer_the_last_stop_is_an_error(monkeypatch: p
     with pytest.raises(LinkError, match="did not answer that it stops the robot"):
         played.play(monkeypatch)
     assert played.now_s == pytest.approx(100.0 + 1.0 / 30.0 + 2.0, abs=0.04)
+
+
+@pytest.mark.parametrize(
+    ("received", "error", "forgot", "why"),
+    [
+        (signal.SIGHUP, LostTerminalError, 1, "the terminal is gone; the robot was told to stop"),
+        (signal.SIGTERM, RunInterruptedError, 0, "interrupted; the robot was told to stop"),
+    ],
+)
+def test_a_signal_ends_it_with_a_stop(
+    monkeypatch: pytest.MonkeyPatch, received: int, error: type[Exception], forgot: int, why: str
+) -> None:
+    played = Played([])
+    played.signals = {received}
+    with pytest.raises(error) as ended:
+        played.play(monkeypatch)
+    assert (str(ended.value), played.forgot) == (why, forgot)
+    assert ordered(played) == [(0, "stop")]
+
+
+def test_whatever_is_done_with_a_terminal_that_was_closed_it_is_gone(monkeypatch: pytest.MonkeyPatch) -> None:
+    ours, inner = pty.openpty()
+    with open(inner, closefd=False) as end:
+        for name in ("stdin", "stdout", "stderr"):
+            monkeypatch.setattr(sys, name, end)
+        terminal = Terminal()
+    terminal.enter()
+    os.close(ours)
+    for do in (terminal.read, lambda: terminal.show(["a line"]), terminal.enter):
+        with pytest.raises(LostTerminalError, match="the terminal is gone"):
+            do()
+    terminal.leave()
+    os.close(inner)
 
 
 def test_the_screen_shows_what_was_asked_for_and_what_came_of_it(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -49,7 +49,7 @@ _REFUSALS: dict[int | str, dict[str, Any]] = {
     422: {"model": Refusal, "description": "The body is not valid"},
     429: {"model": Refusal, "description": "Too many orders a second were given with this token"},
     503: {"model": Refusal, "description": "The control process has too many orders to answer, or is ending"},
-    504: {"model": Refusal, "description": "The control process does not answer within a second"},
+    504: {"model": Refusal, "description": "The control process does not answer in time"},
 }
 
 
