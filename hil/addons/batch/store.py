@@ -127,8 +127,9 @@ def read_about(folder: Path) -> dict[str, Any]:
         if not isinstance(about, dict) or not about.keys() >= _ABOUT:
             raise ValueError("it has other content")
     except (OSError, ValueError) as error:
+        why = getattr(error, "strerror", None) or error
         raise BadInputError(
-            f"file {file}: it cannot be read ({error}); remove it if it is there, and give hil campaign with its plan "
+            f"file {file}: it cannot be read ({why}); remove it if it is there, and give hil campaign with its plan "
             "once more, which writes it anew"
         ) from error
     return about

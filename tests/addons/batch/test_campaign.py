@@ -268,10 +268,17 @@ def test_another_campaigns_folder_or_a_damaged_one_is_a_sentence_and_stays_as_it
         assert sentence.endswith("it is left out")
         assert sentence in Judged(out).sentences()
         assert rows.read_bytes() == data
+    assert next(Judged(out).sentences()) == "1 runs: 1 passed (1 of 2 are not done yet, or are damaged)"
     rows.write_bytes(whole)
-    for make in ((out / ABOUT).unlink, lambda: (out / ABOUT).write_bytes(b"{}")):
+    for make, why in (
+        ((out / ABOUT).unlink, "No such file or directory"),
+        (lambda: (out / ABOUT).write_bytes(b"{}"), "it has other content"),
+    ):
         make()
-        assert f"file {out / ABOUT}: it cannot be read" in refused("report", out)
+        assert refused("report", out) == (
+            f"file {out / ABOUT}: it cannot be read ({why}); remove it if it is there, and give hil campaign with its "
+            "plan once more, which writes it anew"
+        )
     (out / ABOUT).unlink()
     assert len(do(plan, out)) == 2  # which writes it anew
 

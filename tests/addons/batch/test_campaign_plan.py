@@ -21,7 +21,11 @@ def test_what_is_wrong_with_a_plan_is_a_sentence_with_its_line_before_anything_r
         ("", axes.format('"robot.mass_kg" = { uniform = [20, 3] }\n'), "expected [low, high] with low < high"),
         ("", axes.format('"robot.mass_kg" = { uniform = [3, 20] }\n'), "say with samples = N how often to draw"),
         ("", axes.format('"robot.mass_kg" = { grid = [3, 3] }\n'), "plan.toml:9: axes.robot.mass_kg: grid: a value is"),
-        ("", axes.format("a.b = { list = [1, 2] }\nc.d = { list = [1] }"), "but a.b has 2, c.d has 1"),
+        (
+            "",
+            axes.format("a.b = { list = [1, 2] }\nc.d = { list = [1] }"),
+            "lists go together in step and need one length, but a.b has 2, c.d has 1; give grid for each with each",
+        ),
         ("", axes.format('"loop.seed" = { grid = [1, 2] }'), "axes loop.seed: give seeds instead"),
         ("seeds = 0", "", "plan.toml:3: seeds = 0; expected how many, from 1 to"),
         ("sceds = 3", "", "plan.toml:3: unknown key sceds; did you mean 'seeds'?"),
@@ -110,7 +114,11 @@ def test_what_is_behind_a_link_is_asked_what_it_cannot_do_before_anything_runs(t
     makers = f'{url}{odometry}device.driver = "c620"\n'
     for tables, sentence in (
         (url, 'estimator.source = "truth", and of a robot behind a link no truth is known'),
-        (makers, "the protocol of 'c620' has no STEP"),
+        (
+            makers,
+            "link.url = 'can:socketcan/can0': the protocol of 'c620' has no STEP, so that nobody can let its time pass "
+            'from outside; give loop.mode = "realtime", or link.url = "memory:"',
+        ),
         (f'{makers}loop.mode = "realtime"', "real motors would move; add --allow-motion"),
     ):
         plan = write_plan(tmp_path, 'keep = "none"', tables)

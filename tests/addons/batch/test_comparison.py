@@ -218,10 +218,18 @@ def test_gains_of_the_scenario_that_are_not_the_laws_defaults_are_in_the_tables(
         ({"contacts": ["slop"]}, "--contact slop: unknown; did you mean 'slip'"),
         ({"torques_n_m": [5.0, 5.0]}, "--torque: one is named twice in 5.0, 5.0"),
         ({"torques_n_m": [50.0]}, "torque_limit_n_m = 50"),
-        ({"sets": ["robot.torque_limit_n_m=3"]}, "a comparison sets robot.torque_limit_n_m itself"),
+        (
+            {"sets": ["robot.torque_limit_n_m=3"]},
+            "--set robot.torque_limit_n_m=3: a comparison sets robot.torque_limit_n_m itself, under --torque, --drive, "
+            "--estimator and --contact",
+        ),
         ({"sets": ["controller.gains.k1_1_s=3"]}, "laws and gains are named together"),
         ({"sets": ["robot.mas_kg=3"]}, "mass_kg"),
-        ({"sets": ["plant.fmu=mecanum_mujoco"]}, "plant.fmu = 'mecanum_mujoco' has no drive"),
+        (
+            {"sets": ["plant.fmu=mecanum_mujoco"]},
+            "scenario circle_speed: plant.fmu = 'mecanum_mujoco' has no drive, which a comparison under 5 N·m, ideal "
+            "torque needs; use the plant 'mecanum'",
+        ),
     ],
     ids=lambda value: str(value)[:40],
 )

@@ -205,6 +205,14 @@ def test_the_limiter_is_told_with_its_values(table: LimiterTable, words: str) ->
     assert comparison._limiter_words(table) == f"The limiter between law and wheels: {words}"
 
 
+@pytest.mark.parametrize("sources", [[], ["truth"], ["odometry"], ["truth", "odometry"]])
+def test_it_is_told_that_slip_is_not_limited_with_odometry(sources: list[str], monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(comparison, "run_jobs", lambda jobs, *_: [Outcome(job.key, FAILED, "not run") for job in jobs])
+    request = Request(["dsc"], "circle_speed", [], None, [5.0], ["ideal"], quick=True, estimators=sources)
+    more = " With odometry, which takes the wheels' word, slip is not limited." if "odometry" in sources else ""
+    assert compare(request).limiter.endswith(f", and wheels slip at most 0.3 m/s.{more}")
+
+
 def test_a_law_among_sets_or_in_the_place_of_the_scenario_is_refused() -> None:
     for sets, words in ((["loop.mode=realtime"], "sets loop.mode itself; it runs in lockstep over memory"),
                         (["link.url=serial:pty"], "sets link.url itself"),

@@ -72,8 +72,11 @@ def test_what_is_found_is_made_small_and_fails_again_to_the_byte(tmp_path: Path)
     assert again.failure is None
     assert again.metrics["wire_sha256"] == result["wire_sha256"]
     refused = hil("hunt", "circle_speed", "--jobs", "1", cwd=tmp_path)
-    assert refused.returncode == 2
-    assert "--force" in refused.stderr
+    assert (refused.returncode, refused.stderr) == (
+        2,
+        f"hil: scenario {result['scenario']}: an earlier hunt found it; name another folder with --out, or replace it "
+        "with --force\n",
+    )
 
 
 def test_a_hunt_that_finds_nothing_says_what_came_nearest(tmp_path: Path) -> None:
@@ -119,6 +122,13 @@ def test_a_hunt_that_was_killed_goes_on_and_finds_the_same(tmp_path: Path) -> No
         ("[16, 24]", "[24, 16]", "expected [low, high] with low < high"),
         ("duration_s = [0.02", "durations = [0.02", "did you mean 'fault.1.duration_s'?"),
         ('"rr"]', '"rear"]', "rear"),
+        ("[16, 24]", "[16]", "expected [low, high], or one of { uniform = [low, high] }, log_uniform, one_of"),
+        ('["fl", "rr"]', "[]", "target = []; expected a target, or an array of targets"),
+        (
+            "loop.duration_s = 0.6",
+            'loop.mode = "realtime"',
+            'in real time no run comes twice; give loop.mode = "lockstep" in [set]',
+        ),
     ],
 )
 def test_what_is_wrong_in_the_file_is_refused_with_its_place(

@@ -8,6 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from hil.addons.batch.hunt import hunt as hunt_module
 from hil.addons.batch.hunt.hunt import Hunt
 from hil.addons.batch.hunt.hunt_file import Request
 from hil.addons.batch.hunt.search import search
@@ -276,6 +277,33 @@ def test_a_scenario_that_cannot_be_run_is_refused_with_why(tmp_path: Path) -> No
     (job,) = found.next_jobs([], 5)
     with pytest.raises(BadInputError, match="scenario circle_speed: no such thing"):
         found.next_jobs([outcome(job.key, status=REFUSED, reason="no such thing")], 5)
+
+
+def test_a_scenario_that_expects_nothing_is_refused(tmp_path: Path) -> None:
+    (file := tmp_path / "it.hunt.toml").write_text("set.expect = []\nrange.robot.mass_kg = [16, 24]\n")
+    with pytest.raises(BadInputError) as refused:
+        Hunt(Request("circle_speed", file))
+    assert str(refused.value) == "scenario circle_speed: it has no [[expect]], so that no run could break one"
+
+
+@pytest.mark.parametrize("wire_sha256", ["ab", "cd"])
+def test_what_was_found_is_run_again_from_its_file(
+    wire_sha256: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    found = hunt(tmp_path)
+    (job,) = found.next_jobs([], 5)
+    found.next_jobs([outcome(job.key, -1.0, 1.0, 1.0, status=FAILED)], 5)
+    again = {"wire_sha256": wire_sha256}
+    monkeypatch.setattr(
+        hunt_module, "run_jobs", lambda jobs, _: [outcome(job.key)._replace(figures=again) for job in jobs]
+    )
+    path = tmp_path / "circle_speed_found.toml"
+    if wire_sha256 == "ab":
+        assert found.save(tmp_path, force=False) == path
+        return
+    with pytest.raises(BadInputError) as refused:
+        found.save(tmp_path, force=False)
+    assert str(refused.value) == f"scenario {path}: its run is not the one that was found; please report this"
 
 
 def test_a_found_case_is_made_smaller_and_told_with_its_runs(tmp_path: Path) -> None:

@@ -248,6 +248,13 @@ def test_without_the_calm_run_an_oscillation_cannot_be_compared():
     assert (found.verdict, found.ours) == (claims.NO_NUMBER, None)
 
 
+def test_a_law_that_did_not_track_has_no_lead_to_tell():
+    claim = "the fuzzy tuner makes it sooner than its middle gains held constant, by"
+    found = made_up({"constant common together": {"tracked_s": None}})[claim]
+    assert (found.verdict, found.ours) == (claims.NO_NUMBER, None)
+    assert found.why.startswith("one of the two did not track; tracked: AFDSC 0.60 s, ")
+
+
 def test_what_a_quick_reproduction_leaves_out_has_no_verdict():
     results = [Result(case, {"tracked_s": 0.6, "heading_rad": None}, None) for case in cases(quick=True)]
     found = {verdict.claim: verdict for verdict in claims.judge(claims.CaseResults(results))}

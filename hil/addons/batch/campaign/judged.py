@@ -266,11 +266,7 @@ def share_of(units: Sequence[object], passed: Sequence[bool]) -> Interval:
 
     ``units`` names what was drawn once for several runs, as for ``paired_difference``: these repeat each other, so that
     the interval is rather too wide. Fewer than six units that several runs share have none.
-
-    Raises ValueError without runs.
     """
-    if not passed:
-        raise ValueError("a share of no runs")
     share, count = sum(passed) / len(passed), len(set(units))
     return wilson(share, count) if count == len(passed) or count >= _LEAST_DRAWS else Interval(share, None, None)
 
