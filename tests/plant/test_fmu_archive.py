@@ -118,6 +118,7 @@ NOT_AN_FMU: list[tuple[str, Make, str]] = [
     ("an absolute path", added("/etc/outside"), "its entry '/etc/outside' leads out"),
     ("a backslash", added("a\\..\\outside"), "leads out of the archive"),
     ("a drive", added("C:/outside"), "leads out of the archive"),
+    ("no name", added("."), "its entry '.' has no name; it is not opened"),
     ("a terminal's escape", added("resources/\x1b[2J"), "has a character in its name that cannot be printed"),
     ("twice, differently", lambda path: pack(path, 2, added=[("a", b"1"), ("a", b"2")]), "'a' is there twice, with"),
     ("FMUs", inside("a.fmu", "b.fmu"), "it has no modelDescription.xml, so it is no FMU"),

@@ -16,6 +16,7 @@ from hil.plant.built import PLANT_PORT
 from hil.plant.built import SOURCES as SHIM_SOURCES
 from hil.plant.fmu import FmuPlant
 from hil.plant.mapping import Row
+from hil.plant.window_stepper import WindowStepper
 from tests.support.foreign_fmu import FAULTS, SOURCES, Var, foreign_fmu, foreign_map, variables2, variables3
 from tools.build.compiler import compile_shared, compiler
 
@@ -347,6 +348,42 @@ def test_an_fmu_that_cannot_reset_says_so(tmp_path: Path) -> None:
             pytest.raises(DeviceError, match="failed to reset: wheel 1 fell off"),
         ):
             plant.reset()
+
+
+@pytest.mark.parametrize(
+    ("version", "name", "words"),
+    [
+        (2, "refuse_to_begin", "failed at its start"),
+        (3, "refuse_to_begin", "refused its configuration mode"),
+        (3, "stay_in_configuration", "failed to leave its configuration mode"),
+    ],
+)
+def test_an_fmu_that_cannot_begin_again_says_where(version: int, name: str, words: str, tmp_path: Path) -> None:
+    fmu = foreign_fmu(tmp_path, version)
+    start = fault(name) | ({"wheels": 4} if version == 3 else {})
+    with FmuPlant(fmu, start, mapping=foreign_map(version)) as plant, pytest.raises(DeviceError) as told:
+        plant.reset()
+    assert str(told.value).startswith(f"FMU {fmu} {words}: wheel 1 fell off")
+
+
+@pytest.mark.parametrize("version", [2, 3])
+def test_an_fmu_that_gives_nothing_at_its_start_is_no_plant(version: int, tmp_path: Path) -> None:
+    with pytest.raises(DeviceError) as told:
+        FmuPlant(foreign_fmu(tmp_path, version), fault("fail_to_read", at_s=0.0), mapping=foreign_map(version))
+    assert str(told.value) == (
+        "the plant has no outputs at its start: the FMU refused to give its outputs (status 3, error) and did not say "
+        "why"
+    )
+
+
+def test_what_shapes_an_fmu_is_given_where_it_is_opened(tmp_path: Path) -> None:
+    fmu, sized = foreign_fmu(tmp_path, 3), {"wheels": 4}
+    for start, again in (({}, sized), (sized, {})):
+        with FmuPlant(fmu, start, mapping=foreign_map(3)) as plant, pytest.raises(BadInputError) as refused:
+            plant.restart(again)
+        assert str(refused.value) == "plant.start.wheels shapes the FMU; open it anew"
+    with pytest.raises(BadInputError, match=r"^plant\.start\.wheels shapes the FMU; windows cannot set it$"):
+        WindowStepper(fmu, sized, foreign_map(3), varied=("J",), outputs=())
 
 
 def test_one_instance_a_process_where_the_fmu_says_so(tmp_path: Path) -> None:

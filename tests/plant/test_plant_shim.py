@@ -150,6 +150,14 @@ def test_a_failure_says_why_and_stays_until_reset(plant: FmuPlant) -> None:
     assert plant.truth() == good
 
 
+def test_a_value_that_the_fmu_refuses_between_two_ticks_is_told(plant: FmuPlant) -> None:
+    with pytest.raises(DeviceError) as told:
+        plant.set_variable("wheel.fl.grip_factor", -1.0)
+    assert str(told.value) == (
+        "the plant refused wheel.fl.grip_factor = -1: wheel.fl.grip_factor = -1; expected a number from 0 to 10"
+    )
+
+
 def test_a_state_that_overflows_is_a_failure(plant: FmuPlant) -> None:
     with pytest.raises(DeviceError, match=r"no longer finite|turns by"):
         plant.step(Wheels(3e38, -3e38, 3e38, -1e38), 200_000)

@@ -75,7 +75,7 @@ def test_a_start_that_is_not_of_its_type_is_refused_by_name(
     fmi: int, place: int | None, attributes: str, words: str, tmp_path: Path
 ) -> None:
     fmu = fmu_with(tmp_path, fmi, ("odd", "Boolean" if place is None else NAMES[fmi][place], attributes))
-    with pytest.raises(BadInputError, match=f"gives odd of type .* start {words}"):
+    with pytest.raises(BadInputError, match=f"^the FMU's modelDescription.xml gives odd of type .* start {words}$"):
         start_defaults(fmu)
 
 

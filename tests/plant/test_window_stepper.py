@@ -76,6 +76,16 @@ def test_a_failure_of_the_fmu_names_the_case_and_the_next_call_is_whole(tmp_path
         assert stepper.run(windows(1), [0], [[1e9]]).tolist() == whole.tolist()
 
 
+def test_an_fmu_that_has_reported_a_fatal_error_is_stepped_no_more(tmp_path: Path) -> None:
+    fmu, shared = foreign_fmu(tmp_path, 3), {"fault": FAULTS.index("say_fatal")}
+    with WindowStepper(fmu, shared, foreign_map(3), varied=("fault_time",), outputs=POSE) as stepper:
+        with pytest.raises(DeviceError, match=r"wheels3\.fmu failed with fault_time = 0\.01: wheel 1 fell off"):
+            stepper.run(windows(1), [0], [[0.01]])
+        with pytest.raises(DeviceError) as told:
+            stepper.run(windows(1), [0], [[1e9]])
+    assert str(told.value) == f"FMU {fmu} has reported a fatal error and cannot be stepped: wheel 1 fell off"
+
+
 def test_a_value_that_the_fmu_refuses_is_our_error() -> None:
     with WindowStepper(tools.build.fmu.build(), {}, varied=("mass_kg",), outputs=POSE) as stepper:
         with pytest.raises(DeviceError, match=r"failed with mass_kg = -1: .*mass_kg"):

@@ -33,6 +33,8 @@ FAULTS = (
     "fail_to_reset",
     "fail_to_read",
     "ask_for_event_mode",
+    "refuse_to_begin",
+    "stay_in_configuration",
 )
 
 

@@ -49,6 +49,8 @@ enum { /* fault */
        FAIL_TO_RESET,
        FAIL_TO_READ,
        ASK_FOR_EVENT_MODE,
+       REFUSE_TO_BEGIN, /* this one and the next show after a reset, which leaves them */
+       STAY_IN_CONFIGURATION,
 };
 
 typedef struct {
@@ -71,6 +73,12 @@ static inline void wheels_init(wheels *w) {
     w->inertia_kg_m2 = 0.02;
     w->fault_time_s = 1e9;
     w->gear = 1;
+}
+
+static inline void wheels_reset(wheels *w) {
+    const int fault = w->fault;
+    wheels_init(w);
+    w->fault = fault < REFUSE_TO_BEGIN ? NO_FAULT : fault;
 }
 
 static inline bool is_faulty(const wheels *w, int fault) {

@@ -47,8 +47,9 @@ EXPORT void fmi2FreeInstance(void *c) {
 EXPORT int fmi2SetupExperiment(void *c, int tolerance_defined, double tolerance, double start_s,
                                int stop_defined, double stop_s) {
     (void)tolerance_defined, (void)tolerance, (void)stop_defined, (void)stop_s;
-    ((slave *)c)->now.time_s = start_s;
-    return OK;
+    slave *const s = c;
+    s->now.time_s = start_s;
+    return s->now.fault == REFUSE_TO_BEGIN ? say(s, ERROR) : OK;
 }
 
 EXPORT int fmi2SetDebugLogging(void *c, int on, size_t count, const char *const categories[]) {
@@ -76,7 +77,7 @@ EXPORT int fmi2Reset(void *c) {
     if (s->now.fault == FAIL_TO_RESET) {
         return say(s, ERROR);
     }
-    wheels_init(&s->now);
+    wheels_reset(&s->now);
     return OK;
 }
 

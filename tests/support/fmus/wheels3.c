@@ -54,13 +54,15 @@ EXPORT void fmi3FreeInstance(void *c) {
 }
 
 EXPORT int fmi3EnterConfigurationMode(void *c) {
-    ((instance *)c)->configuring = true;
-    return OK;
+    instance *const s = c;
+    s->configuring = true;
+    return s->now.fault == REFUSE_TO_BEGIN ? say(s, ERROR) : OK;
 }
 
 EXPORT int fmi3ExitConfigurationMode(void *c) {
-    ((instance *)c)->configuring = false;
-    return OK;
+    instance *const s = c;
+    s->configuring = false;
+    return s->now.fault == STAY_IN_CONFIGURATION ? say(s, ERROR) : OK;
 }
 
 EXPORT int fmi3EnterInitializationMode(void *c, bool tolerance_defined, double tolerance, double start_s,
@@ -86,7 +88,7 @@ EXPORT int fmi3Reset(void *c) {
     if (s->now.fault == FAIL_TO_RESET) {
         return say(s, ERROR);
     }
-    wheels_init(&s->now);
+    wheels_reset(&s->now);
     return OK;
 }
 
