@@ -74,10 +74,7 @@ class SharedBlock:
     @classmethod
     def attach(cls, token: str, size: int) -> "SharedBlock":
         """Map, in the child process, the block that ``token`` names; the run must have allocated it."""
-        kind, _, where = token.partition(":")
-        if sys.platform != "win32" and kind != "fd":
-            raise ValueError(f"shared block {token!r}: expected 'fd:N' on this system")
-        block = cls(token, None if sys.platform == "win32" else int(where))
+        block = cls(token, None if sys.platform == "win32" else int(token.removeprefix("fd:")))
         block._map(size)
         return block
 

@@ -30,7 +30,7 @@ class _WithoutPandas:
     @staticmethod
     def find_spec(name: str, _path: object = None, _target: object = None) -> None:
         if name == "pandas":
-            raise ModuleNotFoundError("this process needs no pandas", name=name)
+            raise ModuleNotFoundError(name=name)
 
 
 def refuse_pandas() -> None:

@@ -117,11 +117,12 @@ def test_why_a_file_was_not_written_is_the_system_s_reason(tmp_path: Path) -> No
 
 
 def test_a_recording_is_known_by_its_first_bytes_and_its_end_by_its_last(tmp_path: Path) -> None:
-    path, expected = tmp_path / "run.rrd", "; expected an .rrd or .mcap file made by 'hil run --record'"
+    path, expected = tmp_path / "run.rrd", " an .rrd or .mcap file made by 'hil run --record'"
     for content, kind in ((b"RRF2", ".rrd"), (b"\x89MCAP0\r\n", ".mcap")):
         path.write_bytes(content)
         assert check_is_recording(path) == kind
-    for content, problem in ((b"", "the file is empty"), (b"RRF", "not a recording"), (b"xRRF2", "not a recording")):
+    empty, another = "the file is empty; expected", "not a recording; expected"
+    for content, problem in ((b"", empty), (b"RRF", another), (b"xRRF2", another)):
         path.write_bytes(content)
         with pytest.raises(BadInputError) as refused:
             check_is_recording(path)
@@ -137,7 +138,7 @@ def test_a_recording_is_known_by_its_first_bytes_and_its_end_by_its_last(tmp_pat
     with pytest.raises(BadInputError) as refused:
         check_is_recording(tmp_path / "gone.rrd")
     assert str(refused.value) == (
-        f"{tmp_path / 'gone.rrd'}: No such file or directory{expected}; there is {tmp_path / 'gone-2.rrd'}, "
+        f"{tmp_path / 'gone.rrd'}: No such file or directory; expected{expected}; there is {tmp_path / 'gone-2.rrd'}, "
         "a later part of it"
     )
 

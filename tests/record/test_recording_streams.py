@@ -1,5 +1,6 @@
 """Files of both formats, written and read in this process: what is damaged in them is told to the row and the byte."""
 
+import json
 import struct
 from collections.abc import Iterator
 from pathlib import Path
@@ -213,6 +214,58 @@ def test_a_record_that_is_too_long_to_be_read_is_damage(tmp_path: Path, monkeypa
         DamagedError, match=rf"^damaged: CHUNK record has length {longest} that exceeds limit {longest - 1}$"
     ):
         read(path)
+
+
+def of_rerun(path: Path, **properties: Any) -> Any:
+    """Return rerun's own stream into a file, with the JSON of these properties and without check values."""
+    import rerun as rr
+
+    stream = rr.RecordingStream("mecanum-hil", recording_id="one")
+    stream.set_sinks(rr.FileSink(path))
+    for name, content in properties.items():
+        stream.send_property(name, rr.AnyValues(json=json.dumps(content)))
+    return stream
+
+
+def test_an_overlay_of_an_older_version_is_no_recording(tmp_path: Path) -> None:
+    of_rerun(tmp_path / "two.rrd", overlay=["one", "another"]).disconnect()
+    with pytest.raises(DamagedError, match=r"^an overlay of two runs$"):
+        read(tmp_path / "two.rrd")
+
+
+def test_without_check_values_a_message_that_makes_no_sense_is_damage(tmp_path: Path) -> None:
+    import rerun as rr
+
+    stream = of_rerun(tmp_path / "run.rrd", signals={"/signals": ["a"]})
+    words = rr.AnyValues.columns(number_crc32=np.zeros(4, np.uint64)).partition([2, 2])
+    stream.send_columns("/signals", [rr.TimeColumn("tick", sequence=[0, 1])], words)
+    stream.disconnect()
+    with pytest.raises(DamagedError) as refused:
+        read(tmp_path / "run.rrd")
+    assert str(refused.value) == "damaged: 1 of its messages make no sense: /signals has 4 check values for 2 rows"
+
+
+def test_a_message_that_rerun_cannot_read_is_counted_and_left_out(tmp_path: Path) -> None:
+    path = written(tmp_path / "run.rrd")
+    with path.open("rb") as file:
+        begins = [begin for _, (begin, _) in decode_rrd._messages(file)]
+    flip(path, begins[-7] + 16, 0xFF)  # before index, counts, summary, event, rows and event
+    found = decode(path)[0]
+    assert found["notes"] == [
+        "run.rrd is damaged: 1 of its 12 messages cannot be read",
+        f"run.rrd is damaged: 5 rows (4 to 8), after t = 0.003 s and before t = 0.009 s, {LEFT_OUT}",
+    ]
+    assert (found["rows"], found["rows_missing"]) == (10, 5)
+
+
+def test_what_was_lost_behind_a_cut_is_told(path: Path) -> None:
+    why = "the recorder was killed or could not write it, or the file was cut, and what came after"
+    written(path, ends=False)
+    assert decode(path)[0]["notes"] == [f"{path.name} has no end: {why} is lost"]
+    path.write_bytes(path.read_bytes()[:-9])
+    cut = {".mcap": 37 - 9, ".rrd": 32 - 9}[path.suffix]  # what is left of the record at the end
+    why += f", with its last {cut} bytes, which were cut short,"
+    assert decode(path)[0]["notes"] == [f"{path.name} has no end: {why} is lost"]
 
 
 def test_the_views_get_rows_in_large_pieces_and_the_rest_at_the_end(

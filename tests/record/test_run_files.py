@@ -13,6 +13,7 @@ from hil.record import run_files, started_process
 from hil.record.decode import decode
 from hil.record.decode_mcap import decode_mcap
 from hil.record.files import numbered_path
+from hil.record.mcap_file import McapFile
 from hil.record.recorder import BATCH_AGE_S, Recorder
 from hil.record.ring import RingReader, RingWriter, SharedBlock, ring_bytes
 from hil.record.run_files import RunFiles
@@ -189,6 +190,15 @@ def test_what_cannot_be_finished_is_tried_once_more_and_then_told(
     assert files.summary_trouble == f"its summary could not be written: {gone}"
     assert (memory.ring.tail, memory.ring.saved) == (5, 0)
     assert list(tmp_path.iterdir()) == []
+
+
+def test_an_index_that_was_not_written_is_told(memory: Memory, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Closing fails without an error, as rerun's writer may."""
+    files = memory.files()
+    put(memory, 0, 5)
+    monkeypatch.setattr(McapFile, "close", lambda file: file._file.close())
+    files.finish({"passed": True})
+    assert (files.trouble, files.summary_trouble) == ("the index at the end of run.mcap could not be written", None)
 
 
 class Viewers:

@@ -1,5 +1,6 @@
 """What is lost of a recording is counted and said, and nothing is in it twice or written over."""
 
+import json
 import os
 import shutil
 import signal
@@ -19,7 +20,7 @@ from hil.judge.judged_run import JudgedRun, Recorded
 from hil.judge.recorded import judged_run
 from hil.judge.run_json import to_json
 from hil.judge.run_text import outcome_rows
-from hil.record import ring_process
+from hil.record import reader, ring_process
 from hil.record.decode import decode
 from hil.record.files import Rotation, check_output_path, has_end, numbered_path
 from hil.record.reader import RecordedRun, read
@@ -276,6 +277,15 @@ def test_a_decoder_that_aborts_leaves_no_copy_behind(
     with pytest.raises(BadInputError, match="its content makes no sense"):
         read(cut)
     assert list(temporary.iterdir()) == []
+
+
+def test_a_decoder_that_ends_amid_the_values_is_told(rotated: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    head = json.dumps({"signals": ["loop.t_s"], "rows": 2})
+    ends = [sys.executable, "-c", f"print({head!r}); print('7 bytes', end='')"]
+    monkeypatch.setattr(reader, "module_command", lambda *_: ends)
+    with pytest.raises(BadInputError) as told:
+        read(rotated)
+    assert str(told.value) == "decoding the recording ended too early; there may be too little memory"
 
 
 @posix_only

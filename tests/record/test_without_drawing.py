@@ -44,7 +44,7 @@ def test_a_run_says_so_once(tmp_path: Path) -> None:
     said: list[str] = []
     scenario = load("paper_circle", set={"loop.duration_s": 0.2, "expect": []})
     run_scenario(scenario, RunOptions(record=tmp_path / "run.mcap", warn=said.append))
-    assert said == [viewing.NO_DRAWING]
+    assert said == ["without the add-on hil.addons.report the recording has no layout: viewers choose their own"]
 
 
 def test_live_viewers_are_refused(tmp_path: Path) -> None:
