@@ -294,6 +294,16 @@ def test_an_abort_during_a_pulse_switches_the_drives_off(tmp_path: Path, monkeyp
     assert states[0].torque_n_m == (0.0, 0.0, 0.0, 0.0)
 
 
+def test_the_command_says_how_to_go_on_after_ctrl_c(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def interrupt(_: Session) -> None:
+        raise KeyboardInterrupt
+
+    before(monkeypatch, "blocks", interrupt)
+    ran = run_hil("commission", robot_file(tmp_path))
+    told = "hil: interrupted; the drives were told to switch off; go on with the same command\n"
+    assert (ran.returncode, ran.stderr) == (130, told)
+
+
 def test_nothing_of_the_firmware_closes_a_loop_meanwhile(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     held = []
 
@@ -409,6 +419,9 @@ def test_values_of_a_file_are_changed_and_everything_else_stays() -> None:
     assert changed(new, {"commission.state": None, "device.imu": None}).count("imu") == 0
     with pytest.raises(BadInputError, match="not valid TOML"):
         changed("[device", {"device.imu": ("x", "y", "z")})
+    with pytest.raises(BadInputError) as refused:
+        changed("note = '''\n[device]\n'''\n", {"device.imu": ("x", "y", "z")}, "mine.toml")
+    assert str(refused.value) == 'mine.toml: device.imu cannot be set to ["x", "y", "z"]; write it there yourself'
 
 
 def test_the_tool_says_what_was_found_wrong() -> None:

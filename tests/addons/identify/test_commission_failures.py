@@ -13,7 +13,7 @@ import pytest
 import hil.addons.identify.commission.commissioning
 from hil.addons.identify.commission.commission_session import Record, Session
 from hil.addons.identify.commission.commissioning import changed, commission
-from hil.addons.identify.commission.person import Person
+from hil.addons.identify.commission.person import Onlooker, Person
 from hil.addons.identify.commission.pulses import StepError
 from hil.core.errors import DeviceError, RunInterruptedError
 from hil.core.types import WHEEL_NAMES, Pose
@@ -116,7 +116,8 @@ def test_the_check_before_motion_refuses_a_robot_that_is_not_as_its_file_says(
     with pytest.raises(StepError, match=f"^driven {driven}, {what}: commission the robot anew$"):
         commission(file, sets=WIRED, say=said.append)
     passed = ("forward", "left", "turned left")[: ("forward", "left", "turned left").index(driven)]
-    assert said[2:] == [
+    assert said[1:] == [
+        "rest: nothing moves, the sensors are read for a second",
         "blocks: done before",
         "floor: done before",
         *(f"{direction}: all wheels turned as they should, and the IMU agrees" for direction in passed),
@@ -193,6 +194,49 @@ def test_what_the_sensors_show_in_a_step_is_named(
         commission(found_before(tmp_path, step), sets=[*WIRED, *sets])
 
 
+def test_wirings_that_nothing_tells_apart_are_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The wheels of a diagonal differ only in how they turn a robot, which is believed to turn hardly at all."""
+    let_sensors_show(monkeypatch, lambda seen: seen._replace(yaw_rate_rad_s=seen.yaw_rate_rad_s * np.nan))
+    with pytest.raises(StepError) as failed:
+        commission(found_before(tmp_path, "floor"), sets=[*WIRED, FREE, "robot.inertia_kg_m2=100"])
+    assert str(failed.value) == (
+        "the wiring cannot be decided: the wheels of the outputs are rl, fl, fr, rr; reversed: fl; rollers: X, or rl, "
+        "rr, fr, fl; reversed: rr; rollers: X; correct mass, inertia and size in [robot]"
+    )
+
+
+@pytest.mark.parametrize(
+    ("during", "words"),
+    [
+        (
+            "drive",
+            "the feedback is 105 ms old: the link was lost; the drives were told to switch off, but nothing confirms "
+            "it: cut the motors' power if a wheel turns",
+        ),
+        ("rest", "the robot did not come to rest within 5 s; cut the motors' power"),
+    ],
+)
+def test_feedback_that_ends_is_a_reason_to_cut_the_power(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, during: str, words: str
+) -> None:
+    def end_feedback(session: Session) -> None:
+        device, called = session.bench.device, getattr(session, during)
+
+        def calls(*arguments: Any, **options: Any) -> Any:
+            if during == "rest":
+                called()
+            newest = device.poll()
+            monkeypatch.setattr(device, "poll", lambda: newest)
+            return called(*arguments, **options) if during == "drive" else None
+
+        monkeypatch.setattr(session, during, calls)
+
+    before(monkeypatch, "floor", end_feedback)
+    with pytest.raises(DeviceError) as failed:
+        commission(found_before(tmp_path, "floor"), sets=WIRED)
+    assert str(failed.value) == words
+
+
 def test_an_imu_on_its_side_is_found_without_its_yaw_rate(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     before(monkeypatch, "push_forward", lambda _: stop())
     file, said = found_before(tmp_path, "floor", device__imu=("x", "y", "z")), list[str]()
@@ -213,6 +257,8 @@ def test_what_no_accelerometer_sees_is_settled_by_a_move_of_a_few_centimetres(
     """It speeds up by 0.5 m/s² for 0.25 s, and brakes for as long."""
     let_sensors_show(monkeypatch, without_acceleration)
     at: list[Pose] = []
+    asked: dict[str, str] = {}
+    monkeypatch.setattr(Onlooker, "confirm", lambda _, key, sentence: asked.update({key: sentence}))
 
     def look(session: Session) -> None:
         assert session.bench.truth is not None
@@ -224,8 +270,11 @@ def test_what_no_accelerometer_sees_is_settled_by_a_move_of_a_few_centimetres(
     before(monkeypatch, "move_1", look)
     before(monkeypatch, "check", lambda session: (look(session), stop()))
     file = found_before(tmp_path, "floor", device__wheels=("fl", "fr", "rr", "rl"), device__reversed=())
+    said: list[str] = []
     with pytest.raises(RunInterruptedError):
-        commission(file, sets=[*WIRED, FREE])
+        commission(file, sets=[*WIRED, FREE], say=said.append)
+    assert "no accelerometer: more questions will be asked" in said
+    assert asked["move_1"] == "The sensors alone cannot tell. The robot will move by a few centimetres; look where to."
     begin, end = at
     way_m = math.hypot(end.x_m - begin.x_m, end.y_m - begin.y_m)
     assert way_m + abs(end.heading_rad - begin.heading_rad) * 0.52 == pytest.approx(0.031, abs=0.006)

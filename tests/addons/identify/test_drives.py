@@ -7,10 +7,12 @@ from typing import Any
 import numpy as np
 import pytest
 
+from hil.addons.identify import drives
 from hil.addons.identify.drives import Drive, drive_of
 from hil.core.errors import BadInputError
 from hil.core.signals import TRUE_POSE, WHEEL_SPEEDS
 from hil.core.types import WHEEL_NAMES
+from hil.record.reader import RecordedRun
 
 PERIOD_S = 0.005
 VALUES: Mapping[str, Any] = {
@@ -136,6 +138,14 @@ def test_ticks_without_new_feedback_and_before_the_first_are_left_out() -> None:
     assert np.array_equal(found.time_s, rows["robot.time_s"])
     assert np.array_equal(found.angle_rad, read(rows).angle_rad)
     assert found.unused_s == pytest.approx(0.0, abs=1e-9)
+
+
+def test_a_recording_without_a_signal_is_refused_with_its_name(monkeypatch: pytest.MonkeyPatch) -> None:
+    rows = {name: series for name, series in signals().items() if name not in WHEEL_SPEEDS[1:]}
+    monkeypatch.setattr(drives, "read", lambda path, _: RecordedRun(path, rows, (), {}, None, 0))
+    told = f"floor.rrd: it lacks the signal {WHEEL_SPEEDS[1]}; expected a recording of hil run"
+    with pytest.raises(BadInputError, match=f"^{told}$"):
+        drives.read_drive(Path("floor.rrd"))
 
 
 def test_what_is_no_drive_is_refused_with_what_it_lacks() -> None:

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from hil.addons.identify import drives, identify_command
+from hil.addons.identify.drive_checks import Unknown
 from hil.addons.identify.drives import Drive
 from hil.addons.identify.estimates import Estimate, estimates
 from hil.addons.identify.fit import Fitted, Prediction, Result
@@ -233,3 +234,9 @@ def test_the_lines_tell_values_errors_and_what_was_written() -> None:
     less = list(_lines(result(kinematics=unknown), found, None))
     assert less[-1] == "The fit predicts no better than what was believed; nothing was written"
     assert not any("sideways" in line for line in less)
+    open_ones = (Unknown(("mass_kg",), 0.4, "weigh it"),)
+    assert list(_lines(result(unknown=open_ones), found, None))[:3] == [
+        "What these recordings cannot tell well:",
+        f"  {open_ones[0].sentence}",
+        "squeeze.rrd: the wheels slid",
+    ]

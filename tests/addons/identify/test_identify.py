@@ -2,6 +2,8 @@
 
 import functools
 import json
+import os
+import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -12,6 +14,7 @@ import pytest
 import hil as package
 import plant_fmu
 from hil.addons.identify import drives as recorded
+from hil.addons.identify import identify_command
 from hil.addons.identify.before import fit_blocks
 from hil.addons.identify.drives import Drive
 from hil.addons.identify.excitation import STEPS, Plan, perform, plan_step
@@ -201,7 +204,8 @@ def test_the_angles_of_the_wheels_have_no_delay(drives: Path) -> None:
 def test_drives_are_announced_and_wait_for_enter(tmp_path: Path) -> None:
     scenario = write_scenario(tmp_path, ROBOT, {}, SEED)
     done = hil("identify", "drive", scenario, "--out", tmp_path / "out", "--step", "squeeze")
-    assert (done.returncode, "--yes" in done.stderr) == (2, True)
+    told = "hil: stdin is not a terminal; --yes begins each drive without waiting for Enter\n"
+    assert (done.returncode, done.stderr) == (2, told)
     assert not (tmp_path / "out").exists()
     done = hil("identify", "drive", scenario, "--out", tmp_path / "out", "--step", "squeeze", "--yes")
     assert done.returncode == 0, done.stderr
@@ -213,6 +217,18 @@ def test_drives_are_announced_and_wait_for_enter(tmp_path: Path) -> None:
     assert isinstance(read_drive(tmp_path / "out" / "squeeze.rrd"), Drive)
     done = hil("identify", "drive", scenario, "--out", tmp_path / "out", "--step", "squeeze", "--yes")
     assert (done.returncode, "exists already" in done.stderr) == (2, True)
+
+
+@pytest.mark.skipif(os.name != "posix", reason="pseudo-terminals need a POSIX system")
+def test_a_terminal_whose_input_ends_begins_no_drive(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    scenario = write_scenario(tmp_path, ROBOT, {}, SEED)
+    keyboard, screen = os.openpty()
+    os.write(keyboard, b"\x04")  # Ctrl-D
+    with os.fdopen(keyboard, "wb"), os.fdopen(screen, encoding="utf-8") as stdin:
+        monkeypatch.setattr(sys, "stdin", stdin)
+        with pytest.raises(BadInputError, match=r"^the input ended; this drive and those after it were not driven$"):
+            identify_command.drive(str(scenario), out=tmp_path / "out", step=["squeeze"])
+    assert not list((tmp_path / "out").iterdir())
 
 
 @pytest.mark.parametrize(

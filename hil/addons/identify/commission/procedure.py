@@ -178,11 +178,8 @@ class Procedure:
         best = decision.best
         imu = None if self._upright is None else turned_axes(self._upright, best.quarter_turns)
         self._findings.decided(best, imu)
-        self._say(
-            f"wheels of the outputs: {', '.join(best.wheel_names)}; reversed: "
-            f"{', '.join(best.reversed_wheels) or 'none'}; rollers: {best.rollers.upper()}; IMU: "
-            f"{', '.join(imu) if imu else 'none'} (score {decision.score:.3f})"
-        )
+        mounted = ", ".join(imu) if imu else "none"
+        self._say(f"wheels of the outputs: {best.words}; IMU: {mounted} (score {decision.score:.3f})")
 
     def _look_for_slope(self) -> None:
         session = self._session
@@ -230,11 +227,9 @@ class Procedure:
                 f"least {FITS:g}): look whether the robot stands free, whether all four wheels are Mecanum wheels, and "
                 "whether [robot] has its mass and size"
             )
-        other = decision.rivals[0]
         raise StepError(
-            f"the wiring cannot be decided: {decision.best.wheel_names} reversed {decision.best.reversed_wheels} with "
-            f"rollers {decision.best.rollers.upper()} and {other.wheel_names} reversed {other.reversed_wheels} with "
-            f"{other.rollers.upper()} fit as well; correct [robot]"
+            f"the wiring cannot be decided: the wheels of the outputs are {decision.best.words}, or "
+            f"{decision.rivals[0].words}; correct mass, inertia and size in [robot]"
         )
 
     def _decided(self, seen: Responses, evidence: Sequence[Evidence]) -> Decision:

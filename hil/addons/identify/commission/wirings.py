@@ -53,6 +53,12 @@ class Candidate(NamedTuple):
         """The wheels whose motor direction is reversed."""
         return tuple(name for name, sign in zip(self.wheel_names, self.signs, strict=True) if sign < 0)
 
+    @property
+    def words(self) -> str:
+        """The wiring for a person, without the IMU."""
+        turned = ", ".join(self.reversed_wheels) or "none"
+        return f"{', '.join(self.wheel_names)}; reversed: {turned}; rollers: {self.rollers.upper()}"
+
 
 PLAIN = Candidate((0, 1, 2, 3), (1, 1, 1, 1), "x", 0)
 """Every output turns its own wheel forward."""
