@@ -76,8 +76,12 @@ def test_servers_in_two_network_namespaces_leave_the_tokens_of_each_other() -> N
         assert ours.token_file.exists()
         TruthServer("hash").close()
         assert token_file(KIND, theirs).exists(), "nobody listens there, here; and so it is for a living one"
-        with pytest.raises(BadInputError, match="in another network namespace"):
+        with pytest.raises(BadInputError) as refused:
             TruthServer("hash", theirs)
+        assert str(refused.value) == (
+            f"truth port {theirs}: {token_file(KIND, theirs)} has the token of a robot on another machine, or in "
+            "another network namespace (a container); choose another port, or remove the file when that has ended"
+        )
     finally:
         ours.close()
 

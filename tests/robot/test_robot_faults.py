@@ -18,6 +18,7 @@ from hil.plant.remote import RemotePlant
 from hil.plant.shim import load
 from hil.robot.faults import Body, RobotFaults
 from tests.support.examples import share_of_examples
+from tests.support.foreign_fmu import Var, foreign_fmu, foreign_map, variables2
 
 MS = 1_000_000
 BODY = Body(Wiring.of(WheelMap()), 0.3, 0.3, has_rigid_contact=False)
@@ -187,6 +188,7 @@ def test_a_patch_is_under_the_wheel_that_stands_there_whatever_the_heading(wheel
         (row("parameter", "friction_coeficient", value=0.1), "did you mean 'friction_coefficient'?"),
         (row("parameter", "wheel_radius_m", value=0.1), "no tunable parameter or free input 'wheel_radius_m'"),
         (row("parameter", "friction_coefficient", value=9.0), "out of the FMU's range; expected 0 to 2"),
+        (row("drop", "command"), "a virtual robot does not support it"),
     ],
 )
 def test_what_the_plant_has_not_is_refused(fault, words) -> None:
@@ -196,8 +198,22 @@ def test_what_the_plant_has_not_is_refused(fault, words) -> None:
 
 
 def test_a_patch_needs_wheels_that_can_slip() -> None:
-    with pytest.raises(BadInputError, match=r"plant\.start\.contact"):
+    with pytest.raises(BadInputError) as refused:
         Bridge(row("slip_patch", "floor", value=0.1), body=BODY._replace(has_rigid_contact=True), start={})
+    assert str(refused.value) == (
+        'fault slip_patch floor: wheels with rigid contact never slip; add plant.start.contact = "slip"'
+    )
+
+
+def test_an_fmu_of_others_may_lack_what_a_push_needs(tmp_path: Path) -> None:
+    tunable = Var("k", 11, "Real", "parameter", {"variability": "tunable", "initial": "exact", "start": "1"})
+    none = "the FMU has no variable that can change in a run; use another FMU, or remove the row"
+    another = "the FMU has no tunable parameter or free input 'push.force_y_n'; the FMU has no such input"
+    for more, words in (([], none), ([tunable], another)):
+        fmu = foreign_fmu(tmp_path, 2, [*variables2(), *more])
+        with FmuPlant(fmu, {}, foreign_map(2)) as plant, pytest.raises(BadInputError) as refused:
+            Bridge(row("push", "force_y_n", value=1.0), plant=plant)
+        assert str(refused.value) == f"fault push force_y_n: {words}"
 
 
 DEVICE_ROWS = st.one_of(

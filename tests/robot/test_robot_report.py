@@ -100,6 +100,21 @@ def test_battery_and_temperatures_stand_under_their_names_and_wheels() -> None:
 
 
 @pytest.mark.parametrize(
+    ("cause", "words"),
+    [
+        ("UNKNOWN", "the cause is unknown"),
+        ("POWER_ON", "it was powered on"),
+        ("BROWN_OUT", "its supply voltage was too low for the chip"),
+        ("SOFTWARE", "its firmware or a debugger requested it"),
+        ("WATCHDOG", "its watchdog expired because the firmware hung"),
+        ("LOW_POWER", "it entered a low-power mode"),
+    ],
+)
+def test_the_cause_of_a_reset_is_told_in_words(cause: str, words: str) -> None:
+    assert report(reset_cause=m.ResetCause[cause]).last_reset == words
+
+
+@pytest.mark.parametrize(
     ("fault", "words"),
     [
         ({}, ""),

@@ -318,6 +318,17 @@ def test_latched_states_are_said_with_what_to_do():
         device.start(clock, PERIOD_NS)
 
 
+def test_a_robot_that_refuses_to_arm_says_why() -> None:
+    """After the greeting a robot with other parameters takes the place of the first."""
+    line = Line(WheelRig(lockstep=True))
+    device, clock = driver(line._rig, line=line)
+    device.connect()
+    line._rig = WheelRig(lockstep=True, speed_kp_n_m_s_rad=1.0)
+    with pytest.raises(DeviceError) as refused:
+        device.start(clock, PERIOD_NS)
+    assert str(refused.value) == "the robot refused to arm: PARAMETERS; see the arming rules in PROTOCOL.md"
+
+
 def test_a_truth_socket_of_something_else():
     with socket.create_server(("127.0.0.1", 0)) as server:
 

@@ -146,6 +146,7 @@ def answering(text: bytes) -> tuple[socket.socket, str]:
         (b"[1, 2]\n", "something else listens there; use the URL of hil device"),
         (b"x" * 70_000, "something else listens there; use the URL of hil device"),
         (b'{"error": "it is asleep"}\n', "it is asleep"),
+        (b"", "nobody answers (the connection was closed); start hil device first"),
     ],
 )
 def test_what_is_no_robot_or_a_robot_that_refuses_is_told(text: bytes, words: str) -> None:
