@@ -49,7 +49,7 @@ class Lateness:
                 # Logarithmic like the buckets, except in the first one, which begins at 0.
                 return low_ns * (high_ns / low_ns) ** share if low_ns else high_ns * share
             passed += count
-        raise AssertionError("no bucket has the last tick")
+        raise AssertionError  # the last bucket ends with the last tick
 
     def _buckets(self) -> Iterator[tuple[float, float, int]]:
         """Yield each bucket's begin, end and count; ends are limited to the worst lateness."""

@@ -1,5 +1,7 @@
 """Requests of a process to the operating system for a run in real time, and that it gives all back."""
 
+import ctypes
+import errno
 import gc
 import json
 import os
@@ -9,6 +11,7 @@ import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
@@ -79,8 +82,33 @@ def test_a_refusal_is_a_sentence_that_says_what_to_do() -> None:
     assert policy == os.SCHED_OTHER
     assert refused["priority"].startswith("SCHED_FIFO 40: refused (Operation not permitted), the user's rtprio is 0; ")
     assert refused["memory"].startswith("memory: not locked, for only 64 KiB may be; give the user memlock unlimited")
-    assert refused["processors"].startswith("processors 4096: refused")
+    there = ", ".join(map(str, sorted(os.sched_getaffinity(0))))
+    assert refused["processors"] == (
+        f"processors 4096: refused (Invalid argument); this process has {there}: set realtime.cpus to some of these"
+    )
     assert set(figures["granted"]) >= {"garbage collector", "switch interval", "timer slack"}
+
+
+@linux
+def test_what_the_kernel_refuses_is_told_and_what_it_costs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A C library that refuses all, and a file that may not be written: it is a folder."""
+
+    def refuses(*_: object) -> int:
+        ctypes.set_errno(errno.EPERM)
+        return -1
+
+    monkeypatch.setattr(realtime, "_libc", lambda: SimpleNamespace(prctl=refuses, mlockall=refuses))
+    monkeypatch.setattr(realtime, "memory_limit_bytes", lambda: None)
+    monkeypatch.setattr(realtime, "DMA_LATENCY", tmp_path)
+    with real_time(RealtimeTable(0, (), True)) as granted:
+        assert granted.figures()["refused"] == {
+            "timer slack": "timer slack: refused (Operation not permitted); timers may be up to 50 µs late",
+            "idle states": (
+                f"idle states: {tmp_path} may not be written (Is a directory); give the user's group that right in a "
+                "udev rule, or wakes from idle are late"
+            ),
+            "memory": "memory: not locked (Operation not permitted); a page that was swapped out makes a tick late",
+        }
 
 
 @linux

@@ -33,6 +33,7 @@ def test_paper_circle_is_tracked_as_the_reproduction_says(circle):
     assert circle.metrics["ticks"] == 15_000
     assert circle.metrics["deadline_misses"] == 0
     assert circle.metrics["frames"]["rejected"] == {}
+    assert circle.metrics["reasons"] == {"pose_fixes": "'truth' takes none", "recording": "no recording was asked for"}
     assert circle.metrics["stopped"]
 
 
@@ -317,6 +318,12 @@ def test_a_rotation_that_cannot_be_read_is_refused_though_nothing_is_recorded(tm
 
 
 def test_truth_that_nobody_publishes():
+    with pytest.raises(BadInputError) as refused:
+        hil.run("paper_circle", link="serial:pty", truth="tcp://127.0.0.1:1")
+    assert str(refused.value) == (
+        "--truth tcp://127.0.0.1:1: the link serial:pty makes its robot in this process, which knows the truth; leave "
+        "--truth out, or give the link of hil device"
+    )
     with pytest.raises(DeviceError, match="start hil device first"):
         hil.run("paper_circle", link="serial:/dev/null", truth="tcp://127.0.0.1:1")
     with pytest.raises(BadInputError, match="expected tcp://"):

@@ -222,7 +222,12 @@ def test_in_lockstep_a_links_figures_repeat_and_the_frames_are_those_of_every_li
     assert serial["load"]["received"]["worst_100_ms_percent"] > serial["load"]["sent"]["worst_100_ms_percent"] > 0
     assert 0 < bus["load"]["bus"]["mean_percent"] <= bus["load"]["bus"]["worst_100_ms_percent"] < 100
     assert figures[0]["load"] is None
-    assert "load" in figures[0]["reasons"]
+    no_others, no_number = "a line between two ends has no other nodes", "frames carry no running number on this link"
+    assert [one["reasons"] for one in figures[1:]] == [
+        {"load": "a link in memory has no bit rate", "foreign": no_others},
+        {"foreign": no_others},
+        {"frames_to_host": no_number, "frames_to_robot": no_number},
+    ]
     for one in figures:
         assert all(name in one["reasons"] for name, value in (one | one["lost"]).items() if value is None)
 

@@ -160,6 +160,9 @@ def test_its_emulated_device_is_driven_in_lockstep() -> None:
     assert result.exit_code == 0, result
     assert run_scenario(scenario()).metrics["wire_sha256"] == result.metrics["wire_sha256"]
     assert "driver_sha256" in ingredients(scenario())
+    reasons = result.metrics["link_statistics"]["reasons"]
+    assert reasons["round_trip_ms"] == "no feedback said that a command of the run was in force"
+    assert reasons["clock"] == "the robot answered no TIME_SYNC_REQUEST"
 
 
 def test_its_settings_are_checked_as_ours() -> None:
