@@ -53,9 +53,9 @@ def run_tests(job: Job, _scenario: Scenario) -> Outcome:
         if done.returncode == 0:
             return Outcome(job.key, PASSED, None, dict(_hashes(ET.parse(report).getroot())))
         said = (done.stdout + done.stderr).strip().splitlines()
-        if done.returncode == 1 and report.is_file():
-            failed = (case for case in ET.parse(report).iter("testcase") if len(case) and case[0].tag != "skipped")
-            return Outcome(job.key, FAILED, next((_why(case) for case in failed), "a test failed"))
+        failed = map(_why, ET.parse(report).iter("testcase")) if done.returncode == 1 and report.is_file() else ()
+        if (why := next(filter(None, failed), None)) is not None:
+            return Outcome(job.key, FAILED, why)
         status = REFUSED if done.returncode in (2, 3, 4, _NO_TESTS) else FAILED
         return Outcome(job.key, status, f"pytest ended with {done.returncode}: {said[-1] if said else 'no word'}")
 
@@ -68,6 +68,8 @@ def _hashes(report: ET.Element) -> Iterator[tuple[str, str]]:
                 yield f"{case.attrib['name']} {name}", value
 
 
-def _why(case: ET.Element) -> str:
-    lines = (case[0].attrib.get("message") or case[0].text or "").strip().splitlines()
-    return f"{case.attrib['name']}: {lines[0] if lines else case[0].tag}"
+def _why(case: ET.Element) -> str | None:
+    for one in (one for one in case if one.tag in ("failure", "error")):
+        lines = (one.attrib.get("message") or one.text or "").strip().splitlines()
+        return f"{case.attrib['name']}: {lines[0] if lines else one.tag}"
+    return None

@@ -5,6 +5,7 @@ import re
 import signal
 import subprocess
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 
 import pytest
@@ -46,7 +47,10 @@ FAULTS = {
     "ERROR_IN_STEP": ("life cycle", "DoStep returns error (the lag says no, for once)"),
     "WRONG_START": ("start values", "gain reads 3.0 at the start; modelDescription.xml says 2.0"),
     "LOST_INPUT": ("variables", "input u reads -0.1 after it was set to -0.2"),
-    "NOT_A_NUMBER": ("variables", "output y is nan after 11 steps"),
+    "NOT_A_NUMBER": (
+        "variables",
+        "output y is nan after 11 steps; a run of this importer ends where one is not finite",
+    ),
     "STALE_OUTPUT": ("initialization", "output y is -0.4 after inputs were set twice; set once, they give -0.2"),
     "LATE_CLOCK": ("time", "the time time is 0.49 s; expected 0.5 s"),
     "WRONG_LAST_TIME": ("time", "doStep to 0.51 s gives the last successful time 0.5 s"),
@@ -109,13 +113,13 @@ NEEDS_A_CHILD = re.compile(
 )  # faults that end a process, or fill it
 
 
-def run_here(fmu: Path) -> CheckResult:
-    """Run the parts of ``check`` in this process: those that need no process of their own."""
+def run_here(fmu: Path, parts: Sequence[str] = tuple(map(title, PARTS))) -> CheckResult:
+    """Run parts of ``check`` in this process: those that need no process of their own."""
     progress = _Progress()
     with archive.extract(fmu) as folder:
         library = archive.library_of(fmu)
         model = Model(fmu, folder, folder / library.member, library.fmi_version, lambda **entry: progress.add(entry))
-        run_parts(model, [title(part) for part in PARTS], model.report)
+        run_parts(model, parts, model.report)
     return CheckResult(tuple(progress.parts))
 
 
@@ -206,14 +210,44 @@ def test_a_description_that_does_not_fit_the_library_is_found(
 def test_what_is_not_claimed_is_not_tested(fmi: int, tmp_path: Path) -> None:
     """Faults in what an FMU does not claim are no faults."""
     state = "state" if fmi == 2 else "State"
-    for fault, claim, part, needs in (
-        ("STATE_LOST", f"canGetAndSetFMU{state}", "saved state", []),
-        ("REFUSED_STEP", "canHandleVariableCommunicationStepSize", "step size", ["bridge step: stepped by 0.01 s, 10"]),
+    for fault, claim, part, why, needs in (
+        ("STATE_LOST", f"canGetAndSetFMU{state}", "saved state", "saved states are not claimed", []),
+        (
+            "REFUSED_STEP",
+            "canHandleVariableCommunicationStepSize",
+            "step size",
+            "variable communication step sizes are not claimed",
+            ["bridge step: stepped by 0.01 s, 10"],
+        ),
     ):
         result = check(lag(tmp_path, fmi, fault, text(f'{claim}="true"', "")))
         assert [one[:34] for one in found(result)] == needs
         assert result.violations == []
-        assert [p.name for p in result.parts if p.skipped] == [part]
+        assert [(p.name, p.skipped) for p in result.parts if p.skipped] == [(part, why)]
+
+
+def test_without_a_variable_for_the_time_no_clock_is_tested(tmp_path: Path) -> None:
+    unnamed = text('causality="independent"', 'causality="local"')
+    (part,) = run_here(lag(tmp_path, 2, "LATE_CLOCK", unnamed), ["time"]).parts
+    assert (part.findings, part.skipped) == ((), "no variable is the time")
+
+
+@pytest.mark.parametrize("fmi", [2, 3])
+def test_a_step_that_only_a_run_does_and_the_fmu_discards_is_a_need(fmi: int, tmp_path: Path) -> None:
+    fmu = lag(tmp_path, fmi, "DISCARDED_STEPS", text('canHandleVariableCommunicationStepSize="true"', ""))
+    result = run_here(fmu, ["bridge step"])
+    *_, told = found(result)
+    assert told == f"bridge step: a step of 0.01 s, which a run does, is not done: fmi{fmi}DoStep returns discard"
+    assert found(result) == result.texts(Kind.NEED)
+
+
+@pytest.mark.parametrize(("fmi", "function"), [(2, "fmi2Instantiate"), (3, "fmi3InstantiateCoSimulation")])
+def test_an_fmu_that_needs_its_tool_breaks_no_rule(fmi: int, function: str, tmp_path: Path) -> None:
+    tool = text('modelIdentifier="lag"', 'modelIdentifier="lag" needsExecutionTool="true"')
+    result = run_here(lag(tmp_path, fmi, "NO_INSTANCE", tool))
+    (told,) = result.texts(Kind.NEED)
+    assert told.startswith(f"life cycle: {function} returns no instance without its tool")
+    assert result.violations == []
 
 
 @pytest.mark.parametrize("fmi", [2, 3])

@@ -5,6 +5,8 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
 from tests.support.broken_fmu import lag, pack
 from tests.support.processes import environment, hil
 
@@ -73,6 +75,21 @@ def test_fmus_that_cannot_be_run_here_are_bad_input_alike(tmp_path: Path) -> Non
             done = hil(*command)
             assert (done.returncode, done.stdout) == (2, "")
             assert words in done.stderr
+
+
+@pytest.mark.parametrize(
+    ("options", "sentence"),
+    [
+        (
+            ["--all-platforms"],
+            "--all-platforms makes FMUs for other machines; name a folder for them with --out FOLDER",
+        ),
+        (["--all-platforms", "--mujoco"], "--mujoco is built for this machine only; leave out --all-platforms"),
+    ],
+)
+def test_what_cannot_be_built_is_said_before_anything_is(options: list[str], sentence: str) -> None:
+    done = hil("fmu", "build", *options)
+    assert (done.returncode, done.stdout, done.stderr) == (2, "", f"hil: {sentence}\n")
 
 
 def test_check_of_a_good_fmu_exits_with_0(tmp_path: Path) -> None:

@@ -97,6 +97,22 @@ def test_a_wrong_flag_is_answered_as_the_scenario_answers_it(tmp_path: Path) -> 
     assert list(tmp_path.iterdir()) == []
 
 
+def test_a_driver_that_is_not_there_is_said(tmp_path: Path) -> None:
+    with pytest.raises(BadInputError, match=r"^--driver: there is no driver 'odrve'; did you mean 'odrive'\?$"):
+        init(tmp_path, driver="odrve", defaults=True)
+
+
+def test_a_robot_that_is_too_weak_for_its_weight_gets_no_baseline(tmp_path: Path) -> None:
+    with pytest.raises(BadInputError) as failed:
+        init(tmp_path, mass_kg=1000.0, torque_limit_n_m=2.0, wheel_radius_m=0.05, rate_hz=20, defaults=True)
+    assert re.fullmatch(
+        rf"{re.escape(str(tmp_path / SCENARIO_FILE))}: the virtual robot does not pass it with seed 1: "
+        r"error\.planar_m below 0\.05 from 18\.75 s to the end: failed, .* s in all; check the limits",
+        str(failed.value),
+    )
+    assert not list(tmp_path.glob("*.baseline.toml"))
+
+
 @pytest.mark.parametrize("driver", driver_names())
 def test_what_it_writes_for_a_driver_passes_or_it_says_why_not(tmp_path: Path, driver: str) -> None:
     folder = tmp_path / "robot"

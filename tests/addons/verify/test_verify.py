@@ -11,12 +11,14 @@ from typing import Any
 import jsonschema
 import pytest
 
+from hil.addons.batch.job import FAILED, REFUSED
 from hil.addons.batch.pool import run_jobs
 from hil.addons.batch.store import ROWS, read_rows
 from hil.addons.verify import results
 from hil.addons.verify import verify as engine
 from hil.addons.verify.catalogue import Entry, read_catalogue
 from hil.addons.verify.mutation.mutant import Mutant
+from hil.addons.verify.run import run_tests
 from hil.addons.verify.suite import read_suite
 from hil.core.errors import BadInputError
 from hil.core.subprocesses import module_command
@@ -69,7 +71,9 @@ def request(suite: Path, **given: Any) -> engine.Request:
 
 
 def test_a_suite_is_measured_and_what_is_suggested_notices(suite: Path) -> None:
-    found = engine.verify(request(suite))
+    told: list[tuple[int, int, str | None, int]] = []
+    found = engine.verify(request(suite), lambda *now: told.append(now))
+    assert told[-1] == (4, 4, "plant.other_gain: nothing noticed that a gain of another law is halved", 3)
     verdicts = {one.entry.id.removeprefix("plant."): one for one in found.verdicts}
     assert {name: one.verdict for name, one in verdicts.items()} == {
         "heavy": "survived",
@@ -121,6 +125,8 @@ def test_a_verification_that_was_killed_goes_on(suite: Path) -> None:
 def test_a_file_of_tests_notices_a_mutant(tmp_path: Path) -> None:
     tests = tmp_path / "test_mine.py"
     tests.write_text(
+        "def test_that_holds(hil_run):\n"
+        '    hil_run("circle_speed", set={"loop.duration_s": 0.1, "expect": []}, record=False)\n\n'
         "def test_effort(hil_run):\n"
         '    result = hil_run("circle_speed", set={"loop.duration_s": 1.0, "expect": []}, record=False)\n'
         '    assert result.metrics["effort_n_m_s"] < 5.0\n',
@@ -134,6 +140,33 @@ def test_a_file_of_tests_notices_a_mutant(tmp_path: Path) -> None:
     assert (heavy.verdict, heavy.by) == ("noticed", str(tests))
     assert str(heavy.reason).startswith("test_effort: ")
     assert other.verdict == "unreached", "the bytes of its run are the same"
+
+
+@pytest.mark.parametrize(
+    ("code", "report", "said", "outcome"),
+    [
+        (5, "", "no tests ran in 0.01s\n", (REFUSED, "pytest ended with 5: no tests ran in 0.01s")),
+        (4, "", "", (REFUSED, "pytest ended with 4: no word")),
+        (-9, "", "", (FAILED, "pytest ended with -9: no word")),
+        (1, '<testcase name="test_one"/>', "1 passed\n", (FAILED, "pytest ended with 1: 1 passed")),
+        (1, '<testcase name="a"><skipped/></testcase><testcase name="b"><properties/><failure/></testcase>',
+         "", (FAILED, "b: failure")),
+        (1, '<testcase name="test_one"><error message="no&#10;way"/></testcase>', "", (FAILED, "test_one: no")),
+    ],
+)  # fmt: skip
+def test_why_a_file_of_tests_did_not_pass_is_what_pytest_says(
+    code: int, report: str, said: str, outcome: tuple[str, str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def ended(command: list[str], **_: object) -> "subprocess.CompletedProcess[str]":
+        if report:
+            (option,) = (word for word in command if word.startswith("--junitxml="))
+            Path(option.partition("=")[2]).write_text(f"<testsuites>{report}</testsuites>", encoding="utf-8")
+        return subprocess.CompletedProcess(command, code, said, "")
+
+    (tests := tmp_path / "test_mine.py").touch()
+    (member,) = read_suite([str(tests)])
+    monkeypatch.setattr(subprocess, "run", ended)
+    assert run_tests(member.job(), member.scenario)[1:3] == outcome
 
 
 def test_a_baseline_notices_other_bytes(tmp_path: Path) -> None:
@@ -191,12 +224,24 @@ def test_healthy_runs_that_fail_are_false_alarms(suite: Path) -> None:
     ("words", "said"),
     [
         (["--room=motor"], "--room motor: expected one of"),
-        (["--mutant=plant.mas_more"], "did you mean 'plant.mass_more'"),
+        (
+            ["--mutant=plant.mas_more"],
+            "--mutant plant.mas_more: the catalogue has no such mutant; did you mean 'plant.mass_more'",
+        ),
+        (["empty"], "suite empty: it has neither scenarios (*.toml) nor tests (test_*.py)"),
+        (
+            ["real.toml"],
+            "suite real.toml: its robot is behind serial:/dev/ttyACM0; mutants are put into a virtual robot, so give a "
+            "scenario with link.url = memory:",
+        ),
         ([], "no suite is named; give scenarios, pytest files, or folders of them"),
         (["no_such_scenario"], "no_such_scenario"),
     ],
 )
 def test_bad_input_is_refused_before_anything_starts(tmp_path: Path, words: list[str], said: str) -> None:
+    (tmp_path / "empty").mkdir()
+    real = 'extends = "circle_speed"\nlink.url = "serial:/dev/ttyACM0"\nestimator.source = "odometry"\n'
+    (tmp_path / "real.toml").write_text(real, encoding="utf-8")
     done = hil("verify", *words, "--out", tmp_path / "out", cwd=tmp_path)
     assert done.returncode == 2
     assert said in done.stderr
