@@ -55,8 +55,6 @@ class _Beside:
 
     def __init__(self, port: str) -> None:
         self._port = port
-        if sys.platform == "win32":
-            raise LinkError(f"serial port {port!r} cannot be opened a second time")
         try:
             self._descriptor = os.open(port, os.O_WRONLY | os.O_NOCTTY | os.O_NONBLOCK)
         except OSError as error:

@@ -67,6 +67,13 @@ def test_motors_that_were_not_heard_are_named() -> None:
     assert rig.driver.missing.startswith("no feedback of the motors 7;")
 
 
+def test_what_a_controller_may_do_when_commands_end_is_warned_of() -> None:
+    assert Rig("c620", {"controller": "c610"}).driver.warnings == (
+        "it is not known what a C610 does when commands end: keep an e-stop that cuts the motors' power within reach",
+        "a stopped C610 lets its wheel coast and does not brake it",
+    )
+
+
 def test_a_hot_motor_is_an_error_by_its_wheel() -> None:
     rig = Rig("c620")
     rig.step()

@@ -400,8 +400,9 @@ def test_a_device_of_another_version_is_refused() -> None:
 def test_what_was_not_heard_is_named_and_forgotten_with_the_link() -> None:
     rig = drives()
     assert rig.driver.identity is None
-    assert rig.driver.missing.startswith(
-        "nothing received of STATUS_FL (0x120), STATUS_FR (0x121), STATUS_RR (0x122), "
+    assert rig.driver.missing == (
+        "nothing received of STATUS_FL (0x120), STATUS_FR (0x121), STATUS_RR (0x122), STATUS_RL (0x123), DRIVES_INFO "
+        "(0x130); check power, wiring and bit rate, and the identifiers in wheel_drives.dbc"
     )
     armed(rig)
     assert rig.driver.missing == ""
@@ -465,9 +466,24 @@ def test_a_state_and_an_error_that_are_told_no_longer_stop_the_robot(table: str)
             rig.driver.feed(Frame(number, bytes.fromhex("0000000000200000")), end_ns + late_ns)
         assert rig.driver.is_armed is (table == "errors" or late_ns < 500_000_000)
     [error] = rig.driver.errors
-    assert error.startswith(
-        "nothing received of DRIVES_INFO (0x130), which reports errors or states, for more than 0.5 s (its period is"
+    assert error == (
+        "nothing received of DRIVES_INFO (0x130), which reports errors or states, for more than 0.5 s (its period is "
+        "GenMsgCycleTime in the DBC)"
     )
+
+
+def test_an_error_that_is_told_no_longer_and_has_no_period_is_too_old_after_a_quarter_of_a_second() -> None:
+    changes = {"errors": {"robot": "BASE_IMU.TurnRate"}, "feedback.yaw_rate": None}
+    driver = driver_of("twist_base", changes)
+    told(driver, MOTION, 0.0)
+    driver.feed(Frame(IMU, bytes(8)), 0)
+    told(driver, MOTION, 0.25)
+    assert driver.errors == []
+    told(driver, MOTION, 0.26)
+    assert driver.errors == [
+        "nothing received of BASE_IMU (0x18ff0300), which reports errors or states, for more than 0.25 s (the DBC "
+        "gives it no period: add GenMsgCycleTime, a long one if it is sent on changes alone)"
+    ]
 
 
 DRIVERS = {name: driver_of(name) for name in ("wheel_drives", "twist_base")}

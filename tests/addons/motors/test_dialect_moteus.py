@@ -255,6 +255,23 @@ def test_a_fault_of_one_is_told_by_its_wheel_and_ends_being_armed() -> None:
     assert rig.driver.errors == []
 
 
+def test_a_fault_is_told_in_the_makers_words() -> None:
+    rig = Rig("moteus")
+    for code, words in (
+        (32, "calibration fault: no magnet was seen by the encoder"),
+        (36, "motor not configured, run moteus_tool --calibrate"),
+        (39, "outside servopos.position_min and position_max, which a wheel should not have"),
+        (42, "no valid commutation encoder"),
+        (43, "no valid output encoder"),
+        (44, "the gate driver could not be enabled"),
+        (47, "servo.bemf_feedforward without an acceleration limit"),
+        (99, "see the fault codes of register 0x00f in the maker's reference"),
+    ):
+        rig.node.servos[0].fail(code)
+        rig.step(rig.driver.ask(), ticks=1)
+        assert rig.driver.errors == [f"moteus 1 of wheel fl has the fault {code}: {words}"]
+
+
 def test_a_battery_that_is_gone_is_the_makers_fault_of_under_voltage() -> None:
     rig = ready()
     rig.node.battery_v = 3.0

@@ -149,11 +149,23 @@ def test_the_watchdog_that_odrivetool_set_stops_the_wheels_of_0_5() -> None:
     assert rig.node.torque_n_m == STILL
 
 
-@pytest.mark.parametrize("firmware", ["0.5", "0.6"])
-def test_without_a_watchdog_the_wheels_turn_on_and_that_is_said_before(firmware: str) -> None:
+@pytest.mark.parametrize(
+    ("firmware", "remedy"),
+    [
+        (
+            "0.5",
+            "firmware 0.5 does not report it over CAN, set enable_watchdog and watchdog_timeout with odrivetool",
+        ),
+        ("0.6", "give device.motors.watchdog_endpoints, or set enable_watchdog with odrivetool"),
+    ],
+)
+def test_without_a_watchdog_the_wheels_turn_on_and_that_is_said_before(firmware: str, remedy: str) -> None:
     rig = armed({"firmware": firmware})
     assert rig.driver.capabilities.watchdog == "none"
-    assert any("the wheels turn on when this computer dies" in warning for warning in rig.driver.warnings)
+    assert rig.driver.warnings[1:] == [
+        "it is not known whether the ODrives have a watchdog; without one the wheels turn on when this computer dies: "
+        f"{remedy}"
+    ]
     rig.drive(0.5, ramp_to(FORWARD))
     rig.step(ticks=1000)
     assert_near(rig.speeds(), FORWARD, 0.1)
@@ -322,6 +334,23 @@ def test_an_axis_that_is_not_calibrated_refuses_closed_loop_and_says_so(firmware
     assert why in rig.driver.errors[0]
 
 
+def test_an_axis_that_another_host_drives_on_is_not_armed() -> None:
+    """It is asked three times to become idle, and stays in closed loop."""
+    rig = Rig("odrive")
+    rig.greet()
+    axis = emulated(rig).axes[1]
+    axis.control_mode = 2
+    axis.request(8, rig.node.ticks)
+    rig.step(ticks=100)
+    asked: list[Frame] = []
+    for _ in range(400):
+        frames = rig.driver.arm(rig.now_ns)
+        asked += [frame for frame in frames if frame.id == 0x027]
+        rig.step([frame for frame in frames if frame.id != 0x027])
+    assert rig.driver.errors == ["ODrive node 1 of wheel fr: does not become idle"]
+    assert asked == 3 * [Frame(0x027, b"\1" + bytes(7))]
+
+
 def test_an_axis_without_heartbeats_is_in_closed_loop_as_far_as_nobody_knows() -> None:
     rig = armed({})
     for frame in rig.driver.command(STILL, STILL, rig.now_ns + 1_200_000_000):
@@ -369,13 +398,12 @@ def test_a_lost_answer_to_get_version_does_not_make_0_6_a_0_5() -> None:
     assert "0.6.10" in rig.greet()
 
 
-@pytest.mark.parametrize(
-    ("firmware", "expected"), [((0, 7, 1), "node 0 has firmware 0.7.1: expected"), ((1, 0, 0), "has firmware 1.0.0")]
-)
+@pytest.mark.parametrize(("firmware", "expected"), [((0, 7, 1), "0.7.1"), ((1, 0, 0), "1.0.0")])
 def test_a_firmware_that_nobody_knows_is_refused(firmware: tuple[int, int, int], expected: str) -> None:
     rig = Rig("odrive")
     emulated(rig).firmware = firmware
-    with pytest.raises(BadInputError, match=expected):
+    said = f"^ODrive node 0 has firmware {expected}: expected 0.5 or 0.6; install one of these with odrivetool$"
+    with pytest.raises(BadInputError, match=said):
         rig.greet()
 
 
@@ -499,8 +527,9 @@ def test_estimates_are_taken_as_they_are_or_not_at_all(position: float, speed: f
     driver = RIGS[1].driver
     driver.restart()
     for node in range(4):
-        driver.feed(Frame(node << 5 | 0x09, struct.pack("<ff", position, speed)), 3)
+        refused = driver.feed(Frame(node << 5 | 0x09, struct.pack("<ff", position, speed)), 3)
     sample = driver.sample
+    assert refused == (None if speed - speed == 0.0 else "a position or speed that is not finite")
     if speed - speed != 0.0:
         assert sample is None
     else:

@@ -111,7 +111,10 @@ def test_wheels_reach_their_speeds_whatever_the_firmware_thinks_of_their_size(
 def test_wheels_turn_for_ever_when_commands_end_and_the_stop_ends_that() -> None:
     made = armed()
     assert made.driver.capabilities.watchdog == "none"
-    assert "nothing stops the robot" in made.driver.warnings[0]
+    assert made.driver.warnings[0] == (
+        "when commands end a Rosmaster drives on for ever with the last one: if this computer loses power, hangs, or "
+        "loses the cable, nothing stops the robot; keep its power switch within reach"
+    )
     made.drive(1.0, ramp_to(FORWARD, 0.3))
     made.step(ticks=3000)
     assert_near(made.speeds(), FORWARD, 0.1)
@@ -206,7 +209,12 @@ def test_a_battery_that_makes_the_board_switch_itself_off_is_told_before_it_does
 @pytest.mark.parametrize(
     ("version", "car_number", "words"),
     [
-        ((2, 4), 1, r"firmware 2\.4, and this driver knows 3\.x"),
+        (
+            (2, 4),
+            1,
+            r"^the Rosmaster board has firmware 2\.4, and this driver knows 3\.x; load that, as Yahboom's page of the "
+            "board says$",
+        ),
         ((3, 5), 2, r'set to X3 PLUS, and device.motors.car is .x3.; write device.motors.car = "x3_plus"'),
         ((3, 5), 5, "set to car of type 5"),
     ],

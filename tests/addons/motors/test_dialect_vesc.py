@@ -243,7 +243,11 @@ def test_who_does_not_answer_is_named_and_the_others_are_heard(wire: Wire) -> No
     for _ in range(60):
         rig.step(rig.driver.ask())
     assert rig.driver.identity is None
-    assert rig.driver.missing.startswith("no answer from the VESC 9;")
+    rate = "bit rate" if wire == "can" else "baud= in the link, 115200 as delivered"
+    assert rig.driver.missing == (
+        f"no answer from the VESC 9; check power, wiring and {rate}, and in VESC Tool App Settings > General: VESC ID "
+        "(device.motors.ids) and CAN Mode VESC"
+    )
 
 
 def test_who_sends_no_status_messages_is_told_where_to_switch_them_on() -> None:

@@ -92,8 +92,13 @@ def test_who_does_not_tell_its_timeout_holds_nobody_up_and_is_warned_of(wire: Wi
     assert calls == 9
     assert len(timeouts_asked_for(rig)) == 8
     [said] = warnings_of(rig)
-    assert said.startswith("the timeout of the VESC 1, 2, 3, 4 is not known")
-    assert ("if this program is killed" in said) is (wire == "can")
+    killed = "this program is killed, or " if wire == "can" else ""
+    assert said == (
+        "the timeout of the VESC 1, 2, 3, 4 is not known: when commands end its wheel turns on for that time (by "
+        "default 1 s, with 0 for ever), and then rolls if there is no brake current; so it does if "
+        f"{killed}this computer loses its power, hangs, or loses the cable; keep the robot's power switch within "
+        "reach, and set App Settings > General > Timeout in VESC Tool to 100 ms, with a Timeout Brake Current"
+    )
     assert rig.driver.capabilities.watchdog == "none"
     rig.driver.restart()
     for vesc in rig.node.vescs:

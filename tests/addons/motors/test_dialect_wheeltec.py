@@ -55,7 +55,7 @@ def driver_without_plant() -> Any:
 
 def armed(kind: type[Rig] = Rig, options: dict[str, Any] | None = None) -> Rig:
     made = kind("wheeltec", options)
-    made.greet()
+    assert made.greet() == "a WHEELTEC base (it reports no version)"
     made.arm()
     return made
 
@@ -99,7 +99,11 @@ def test_wheels_reach_their_speeds_over_both_wires(kind: type[Rig], target: Four
 def test_wheels_turn_for_ever_when_commands_end_as_the_firmware_is_by_default() -> None:
     made = armed()
     assert made.driver.capabilities.watchdog == "none"
-    assert any("nothing stops the robot" in warning for warning in made.driver.warnings)
+    assert made.driver.warnings[1] == (
+        "when commands end a WHEELTEC base drives on for ever with the last one, unless its firmware was built with "
+        "SecurityLevel 0: if this computer loses power, hangs, or loses the cable, nothing stops the robot; keep its "
+        "emergency stop within reach"
+    )
     made.drive(1.0, ramp_to(FORWARD, 0.3))
     made.step(ticks=2500)
     assert_near(made.speeds(), FORWARD, 0.1)

@@ -446,13 +446,31 @@ def test_what_is_not_covered_is_one_sentence(link: str, words: str) -> None:
     ("python", "words"),
     [
         ("/no/such/python", "could not be started"),
-        (shutil.which("false") or "false", r"did not start \(exit status 1\)"),
+        (
+            shutil.which("false") or "false",
+            r"^the guardian of serial port 'any' did not start \(exit status 1\); without it nothing would stop the "
+            "robot if this process is killed$",
+        ),
     ],
 )
 def test_one_that_does_not_start_is_an_error(monkeypatch: pytest.MonkeyPatch, python: str, words: str) -> None:
     monkeypatch.setattr(sys, "executable", python)
     with pytest.raises(DeviceError, match=words):
         Guardian("any", 115200, b"stop", silence_s=1.0)
+
+
+def test_one_that_heard_no_command_in_time_ends_the_drive_although_they_went_out(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """As when the pipe between them was full."""
+    deaf = "import sys; print('ready\\nwatching 1\\nstopped 1', flush=True); sys.stdin.read()"
+    monkeypatch.setattr("hil.addons.motors.guardian.module_command", lambda _: [sys.executable, "-c", deaf])
+    with guarded("any", 30.0) as guardian:
+        wait_for(guardian.begin)
+        assert wait_for(lambda: guardian.failure) == (
+            "no command reached the guardian in time, and it stopped the robot after 30 s of silence "
+            "(device.guardian_s)"
+        )
 
 
 def test_one_that_hangs_at_its_start_is_not_waited_for_for_ever(monkeypatch: pytest.MonkeyPatch) -> None:
