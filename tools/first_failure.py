@@ -18,7 +18,12 @@ def pytest_configure(config: pytest.Config) -> None:
     phases = (hypothesis.Phase.explicit, hypothesis.Phase.generate)
     hypothesis.settings.register_profile("first failure", deadline=None, derandomize=True, phases=phases)
     hypothesis.settings.load_profile("first failure")
-    if limit_s := os.environ.get(PROCESSOR_S):
+    limit_processor(os.environ.get(PROCESSOR_S))
+
+
+def limit_processor(limit_s: str | None) -> None:
+    """End this process after seconds of the processor, if any are given and the system knows such a limit."""
+    if limit_s:
         with contextlib.suppress(ImportError):
             import resource
 

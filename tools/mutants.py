@@ -24,6 +24,7 @@ from typing import NamedTuple
 
 from tools.covered_functions import NOTES
 from tools.first_failure import PROCESSOR_S
+from tools.test_server import NEW_PROCESS
 from tools.without_addon import copy_without
 
 ROOT = Path(__file__).parents[1]
@@ -113,7 +114,7 @@ class Copy:
         self._server = subprocess.Popen(
             command, cwd=folder, env=variables, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
         )
-        self._passes: dict[str, bool] = {}
+        self._passes: dict[tuple[str, bool], bool] = {}
         self._times = count(1)
 
     def close(self) -> None:
@@ -143,37 +144,47 @@ class Copy:
         every: Iterable[Tests] = self._tests_of(mutant)
         if near:
             every = takewhile(lambda tests: not tests.slow, islice(every, _NEAR))
+        every = list(every)
+        if mutant.file.endswith(".py"):
+            for tests in takewhile(lambda tests: tests.names is not None, every):
+                self._ask(tests, collect=True)
+                if failed := self._failure(mutant, tests, in_place=True):
+                    if failed == NEW_PROCESS:
+                        break
+                    return failed
         for tests in every:
-            while True:
-                with self.changed(mutant):
-                    failed = self._first_failure(tests)
-                # A test that fails in this copy without a mutant notices nothing.
-                if not failed or self._is_sound(failed):
-                    break
-            if failed:
+            if failed := self._failure(mutant, tests):
                 return failed
         return None
 
-    def _is_sound(self, test: str) -> bool:
-        if "::" not in test:
-            return True
-        if test not in self._passes:
-            self._passes[test] = (
-                self._first_failure(Tests([test.partition("::")[0]], [test], NEAR_S, slow=True)) is None
-            )
-        return self._passes[test]
+    def _failure(self, mutant: Mutant, tests: Tests, *, in_place: bool = False) -> str | None:
+        """Return which of these tests fails first, of those that pass without the mutant."""
+        module = self.folder / mutant.file
+        place = {"module": str(module), "was": module.read_text(encoding="utf-8")} if in_place else {}
+        while True:
+            without = [test for (test, where), passes in self._passes.items() if where == in_place and not passes]
+            with self.changed(mutant):
+                failed = self._ask(tests, without=without, **place)
+            if failed is None or "::" not in failed:
+                return failed
+            if (failed, in_place) not in self._passes:
+                alone = Tests([failed.partition("::")[0]], [failed], NEAR_S, slow=True)
+                self._passes[failed, in_place] = self._ask(alone, **place) is None
+            if self._passes[failed, in_place]:
+                return failed
 
-    def _first_failure(self, tests: Tests) -> str | None:
+    def _ask(self, tests: Tests, **more: object) -> str | None:
         """Run tests, and return the one that fails first. An endless loop fails by the processor's time."""
         assert self._server.stdin is not None
         assert self._server.stdout is not None
         request = {
             "files": tests.files,
             "tests": tests.names,
-            "without": [test for test, passes in self._passes.items() if not passes],
+            "without": [],
             "slow": tests.slow,
             "limit_s": _LIMIT_S + 10 * tests.takes_s,
             PROCESSOR_S: str(round(min(_LIMIT_S, 30 + 5 * tests.takes_s))),
+            **more,
         }
         print(json.dumps(request), file=self._server.stdin, flush=True)
         answer = json.loads(self._server.stdout.readline())

@@ -1,6 +1,7 @@
 """The rules by which Python is mutated: each gives other code that compiles, and changes no words."""
 
 import ast
+import importlib
 import inspect
 import json
 import random
@@ -16,6 +17,7 @@ from tests.support import examples
 from tools.covered_functions import CoveredFunctions
 from tools.mutants import ROOT, Mutant, equivalent, sample, table
 from tools.mutate_python import chosen_tests, keys, mutants
+from tools.test_server import take_over
 
 
 def changed(text: str, rule: str) -> set[str]:
@@ -168,3 +170,67 @@ def test_the_server_names_what_fails_first_and_ends_what_hangs(tmp_path) -> None
         [sys.executable, "-m", "tools.test_server"], input=lines, capture_output=True, text=True, check=True, cwd=ROOT
     )
     assert [json.loads(line) for line in done.stdout.splitlines()] == [None, "test_bad.py::test_bad", None, "limit"]
+
+
+_MODULE = """
+from functools import cached_property, wraps
+
+LIMIT = 3
+
+def twice(function):
+    @wraps(function)
+    def both(x):
+        return 2 * function(x)
+    return both
+
+@twice
+def wrapped(x, least=4):
+    return x + 1
+
+def outer():
+    def inner(x):
+        return x - 1
+    return inner
+
+class Thing:
+    size: int = 5
+
+    @cached_property
+    def half(self):
+        return self.size / 2
+
+ROWS = {"row": lambda x: x * x}
+made = outer()
+"""
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "use", "value"),
+    [
+        ("x + 1", "x - 1", "wrapped(1)", 0),
+        ("2 * function(x)", "3 * function(x)", "wrapped(1)", 6),
+        ("return x - 1", "return x", "made(1)", 1),
+        ("return inner", "return 0", "outer()", 0),
+        ("self.size / 2", "self.size * 2", "Thing().half", 10),
+        ("x * x", "x / x", 'ROWS["row"](3)', 1.0),
+        ("LIMIT = 3", "LIMIT = 4", "LIMIT", None),
+        ("least=4", "least=5", "wrapped(1)", None),
+        ("size: int = 5", "size: int = 6", "Thing().size", None),
+    ],
+)
+def test_functions_take_over_what_was_changed_and_nothing_else_can_be(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, before: str, after: str, use: str, value: object
+) -> None:
+    """None: a change that needs a new process."""
+    path = tmp_path / "changed_in_place.py"
+    path.write_text(_MODULE, "utf-8")
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.delitem(sys.modules, "changed_in_place", raising=False)
+    module = importlib.import_module("changed_in_place")
+    path.write_text(_MODULE.replace(before, after), "utf-8")
+    if value is None:
+        with pytest.raises(ValueError, match=r"^$"):
+            take_over(path, _MODULE)
+    else:
+        take_over(path, _MODULE)
+        assert eval(use, vars(module)) == value
