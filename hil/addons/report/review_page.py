@@ -121,7 +121,10 @@ def _outcomes(run: JudgedRun) -> Iterator[str]:
     """Yield the expectations in the order of ``in_order``, then the faults, then everything else that happened."""
     if rows := in_order(run.expect):
         yield "<h2>Expectations</h2>"
-        cells = [(mark(_OUTCOMES[row.passed], row.passed is not False), escape(row.text)) for row in rows]
+        cells = [
+            (_OUTCOMES[row.passed] if row.passed is None else mark(_OUTCOMES[row.passed], row.passed), escape(row.text))
+            for row in rows
+        ]
         yield from table(("", "expectation"), cells)
     if run.faults:
         yield "<h2>Faults</h2>"
