@@ -47,7 +47,7 @@ class _Notes:
 
     @pytest.hookimpl(wrapper=True)
     def pytest_runtest_protocol(self, item: pytest.Item) -> Iterator[None]:
-        called: set[CodeType] = set()
+        called: set[CodeType] = set()  # threads that outlive the test go on adding
 
         def trace(frame: FrameType, event: str, argument: object) -> None:
             called.add(frame.f_code)
@@ -58,7 +58,7 @@ class _Notes:
         result = yield
         sys.settrace(None)
         threading.settrace(None)
-        self._tests[item.nodeid] = time.perf_counter() - begin_s, {one for one in called if _is_ours(one)}
+        self._tests[item.nodeid] = time.perf_counter() - begin_s, {one for one in called.copy() if _is_ours(one)}
         return result
 
     def pytest_sessionfinish(self) -> None:

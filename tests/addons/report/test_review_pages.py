@@ -108,7 +108,7 @@ def test_an_expectation_of_a_run_that_was_cut_off_is_checked_over_what_there_is(
 def test_a_page_gives_an_expectation_that_was_not_judged_no_colour(failed: Path) -> None:
     run = read_for_page(failed)
     judged = judged_run(run)
-    ended = replace(judged, expect=[replace(row, passed=None) for row in judged.expect])
+    ended = replace(judged, expect=[row._replace(passed=None) for row in judged.expect])
     assert page([run], [ended]).count('<td class="t">not judged</td>') == len(judged.expect) == 2
 
 
