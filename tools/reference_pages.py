@@ -51,7 +51,7 @@ def write(folder: Path) -> None:
     folder.mkdir(exist_ok=True)
     pages = {name: _list_page(name, words) for name, words in _LISTS.items()}
     pages["faults"] += fault_pages.sections()
-    pages |= {"commands": _commands(), "keys": _keys(), "api": _api(), "rules": rules.page()}
+    pages |= {"commands": _commands(), "keys": keys(), "api": _api(), "rules": rules.page()}
     pages |= {"messages": message_page(read_schema(DBC)), "plant": tables.page(variables.read())}
     pages["reproduction"] = reproduction_page.page()
     for name, text in pages.items():
@@ -91,7 +91,7 @@ def _help(group: TyperGroup, name: str, above: typer.Context) -> str:
     return text + "".join(_help(command, one, context) for one in below)
 
 
-def _keys() -> str:
+def keys() -> str:
     """Return every key of a scenario with its default, its allowed values and its meaning."""
     text = (
         "# Keys of a scenario\n\nA key without a default has to be given, by the file or by the scenario it extends.\n"
