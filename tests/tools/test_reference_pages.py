@@ -1,4 +1,4 @@
-"""What a user may count on without reading a line of code: the default and the range of each key, and each figure's form."""
+"""The default and range of each key, and the form of each figure: users count on them without a look at the code."""
 
 import re
 from pathlib import Path
