@@ -136,15 +136,15 @@ class Copy:
             path.write_bytes(text)
             os.utime(path, ns=(times.st_atime_ns, times.st_mtime_ns))
 
-    def noticed_by(self, mutant: Mutant, *, near: bool) -> str | None:
-        """Return the test that notices the mutant first, or None; with ``near`` of those that are run first.
+    def noticed_by(self, mutant: Mutant, *, near: bool, quick: bool = False) -> str | None:
+        """Return the test that notices the mutant first, or None; of quick tests, or of those of chosen files.
 
         Raises NoMutantError.
         """
         every: Iterable[Tests] = self._tests_of(mutant)
         if near:
-            every = takewhile(lambda tests: not tests.slow, islice(every, _NEAR))
-        every = list(every)
+            every = takewhile(lambda tests: tests.files[0].endswith(".py"), islice(every, _NEAR))
+        every = [tests for tests in every if not (quick and tests.slow)]
         if mutant.file.endswith(".py"):
             for tests in takewhile(lambda tests: tests.names is not None, every):
                 self._ask(tests, collect=True)
@@ -201,6 +201,7 @@ def options(name: str, words: str | None) -> argparse.ArgumentParser:
     parser.add_argument("--since", metavar="COMMIT", help="only of the lines changed since this commit")
     parser.add_argument("--within", type=float, metavar="S", help="take no further mutant after this time")
     parser.add_argument("--near", action="store_true", help="run only the tests that are nearest to a mutant")
+    parser.add_argument("--quick", action="store_true", help="run no slow tests")
     covered_help = "notes of tools.covered_functions on which tests call which function, and how long each takes"
     parser.add_argument("--covered", type=Path, metavar="FOLDER", default=NOTES, help=covered_help)
     parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1, help="default: one a processor")
@@ -293,7 +294,7 @@ def try_all(some: Sequence[Mutant], copy: Callable[[Path], Copy], arguments: arg
                 return None
             one = copies.get()
             try:
-                return one.noticed_by(mutant, near=arguments.near) is None
+                return one.noticed_by(mutant, near=arguments.near, quick=arguments.quick) is None
             except NoMutantError:
                 return None
             finally:

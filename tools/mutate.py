@@ -140,8 +140,8 @@ class NativeCopy(Copy):
         if build is not None:
             build.put({})
 
-    def noticed_by(self, mutant: Mutant, *, near: bool) -> str | None:
-        noticed = super().noticed_by(mutant, near=near)
+    def noticed_by(self, mutant: Mutant, *, near: bool, quick: bool = False) -> str | None:
+        noticed = super().noticed_by(mutant, near=near, quick=quick)
         if noticed is None and (build := self._build(mutant)):
             name = Path(mutant.file).name
             before = build.code(name)

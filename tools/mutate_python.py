@@ -3,8 +3,8 @@
 ``python -m tools.mutate_python --sample 100`` takes 100 mutants at random, shared equally by the packages of ``hil``,
 ``firmware_protocol`` and ``plant_fmu`` (the rooms). Each is written into a copy of the checkout, where tests run until
 one fails: quick ones that call the function, if notes of ``tools.covered_functions`` are there, else those that name
-the module; then all of its room. It prints the survivors and a table of the rooms. Another ``--seed`` takes other
-mutants, so tests cannot be tuned to a sample.
+the module; then the quick ones of its room, then the slow ones. It prints the survivors and a table of the rooms.
+Another ``--seed`` takes other mutants, so tests cannot be tuned to a sample.
 
 ``--since COMMIT`` takes mutants of the lines changed since then, if there are any; ``--within S`` starts none after S
 seconds; ``--at FILE:LINE`` takes those of a line. A survivor that changes nothing that anyone could notice is listed in
@@ -195,7 +195,7 @@ _RULES: tuple[Callable[[_Source, ast.AST], Iterator[Mutant]], ...] = (
 
 
 def chosen_tests(mutant: Mutant, covered: CoveredFunctions) -> Iterator[Tests]:
-    """Yield the tests to run for a mutant, in turn: those that run its line, the quickest of its room first; the room.
+    """Yield the tests to run for a mutant: those that call its function, the quickest of its room first; then the room.
 
     Where no notes tell which these are, those of the room's files that name the module come first.
     """
@@ -205,6 +205,7 @@ def chosen_tests(mutant: Mutant, covered: CoveredFunctions) -> Iterator[Tests]:
     if not calling and named:
         yield Tests(named[:FIRST_FILES], None, NEAR_S)
     yield from batches(calling, covered.seconds)
+    yield Tests([room], None, _ROOM_S)
     yield Tests([room], None, _ROOM_S, slow=True)
 
 

@@ -114,9 +114,10 @@ def test_a_table_has_all_first_and_then_the_rooms() -> None:
 
 def test_without_notes_the_files_that_name_a_module_come_before_its_room(tmp_path) -> None:
     nothing = CoveredFunctions(tmp_path)
-    first, room = chosen_tests(Mutant("hil/wire/direction.py", 1, "sign", 0, 1, "+", "-"), nothing)
+    first, room, slow = chosen_tests(Mutant("hil/wire/direction.py", 1, "sign", 0, 1, "+", "-"), nothing)
     assert all(one.startswith("tests/wire/") and Path(ROOT, one).exists() for one in first.files)
-    assert room.files == ["tests/wire"]
+    assert room.files == slow.files == ["tests/wire"]
+    assert (room.slow, slow.slow) == (False, True)
     *_, last = chosen_tests(Mutant("hil/addons/batch/campaign/campaign.py", 1, "sign", 0, 1, "+", "-"), nothing)
     assert last.files == ["tests/addons/batch"]
 
@@ -130,7 +131,7 @@ def test_tests_that_call_the_function_come_first_those_of_the_room_before_others
     notes = {"hil/wire/some.py:10:20": list(seconds)[:2], "hil/wire/some.py:12:14": list(seconds)}
     (tmp_path / "1.json").write_text(json.dumps({"seconds": seconds, "tests": notes}))
     covered = CoveredFunctions(tmp_path)
-    first, _ = chosen_tests(Mutant("hil/wire/some.py", 13, "sign", 0, 1, "+", "-"), covered)
+    first, *_ = chosen_tests(Mutant("hil/wire/some.py", 13, "sign", 0, 1, "+", "-"), covered)
     assert first.names == ["tests/wire/test_b.py::c", "tests/wire/test_b.py::test_two", "tests/cli/test_a.py::test_one"]
     assert first.files == ["tests/wire/test_b.py", "tests/cli/test_a.py"]
     assert set(covered.tests("hil/wire/some.py", 20)) == set(notes["hil/wire/some.py:10:20"])
