@@ -23,6 +23,7 @@ from hil.record.contents import (
     numbered_rows,
     why_nothing,
 )
+from hil.record.decode_rrd import _order
 from hil.record.properties import APPLICATION, scenario_values, table_rows
 from tests.support.examples import share_of_examples
 
@@ -205,3 +206,9 @@ def test_tables_of_a_scenario_are_in_the_order_of_their_numbers() -> None:
     )
     assert table_rows(values, "fault") == [{"kind": "a", "x": 1}, {"kind": "b"}]
     assert scenario_values({}) == scenario_values({"scenario": "[]"}) == scenario_values({"scenario": "{"}) == {}
+
+
+def test_rows_of_a_file_that_was_written_again_are_in_the_order_of_their_whole_ids() -> None:
+    """The first half of an id is the time: the count in the second half may begin anew with another process."""
+    ids = np.array([[2, 1], [1, 5], [1, 3], [2, 0]], np.uint64)
+    assert ids[_order(ids)].tolist() == [[1, 3], [1, 5], [2, 0], [2, 1]]
