@@ -7,8 +7,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from hil.addons.report.claim_watch import ClaimWatch, claims
+from hil.addons.report.claim_watch import ClaimWatch, Standing, claims
 from hil.addons.report.lanes import States
+from hil.core.signals import TRUE_POSE, WHEEL_SPEEDS
 from tests.support.golden import assert_golden
 
 GOLDEN = Path(__file__).parent / "golden"
@@ -96,3 +97,16 @@ def test_the_lanes_of_a_run_change_so(live: bool) -> None:
 def test_they_change_alike_wherever_the_rows_are_cut(cut: int) -> None:
     expected = told(JUDGED | {"passed": True}, live=False)
     assert sorted(told(JUDGED | {"passed": True}, live=False, cut=cut).changes) == sorted(expected.changes)
+
+
+@pytest.mark.parametrize(("below", "last"), [(4.99, Standing.VIOLATED), (5.01, Standing.HOLDING)])
+def test_rest_is_judged_by_the_way_of_the_rims_from_one_piece_to_the_next(below: float, last: Standing) -> None:
+    """A turn on the spot by 1 rad/s moves the rims by 0.5 m/s, which are 5 rad/s of a wheel: the first one is twice."""
+    column = {name: place for place, name in enumerate(("loop.t_s", *WHEEL_SPEEDS, *TRUE_POSE))}
+    rows = np.zeros((4, len(column)))
+    rows[:, 0], rows[:, column["truth.heading_rad"]] = (0.0, 0.1, 0.2, 0.3), (0.0, 0.2, 0.3, 0.4)
+    sizes = {"robot.half_length_m": 0.3, "robot.half_width_m": 0.2, "robot.wheel_radius_m": 0.1}
+    values = {"expect.1.at_rest": True, "expect.1.below": below, **sizes}
+    watch = ClaimWatch(claims(values)[0], column, values)
+    standing = np.concatenate([watch(piece).standing for piece in np.split(rows, [2])])
+    assert standing.tolist() == [Standing.HOLDING, Standing.VIOLATED, last, last]
