@@ -166,6 +166,12 @@ def test_a_line_too_long_to_be_written_at_once_is_cut(pipe: tuple[int, Read]) ->
     read = configured("json", pipe)
     logs.error("bad frame", data="x" * 10_000)
     assert json.loads(read())["event"] == "bad frame… (cut)"
+    logs.error("bad frame", data="")
+    left = logs._LONGEST_LINE_BYTES - len(read())  # with the newline
+    logs.error("bad frame", data="x" * left)
+    assert json.loads(read())["event"] == "bad frame"
+    logs.error("bad frame", data="x" * (left + 1))
+    assert json.loads(read())["event"] == "bad frame… (cut)"
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="Windows has no such pipes")
