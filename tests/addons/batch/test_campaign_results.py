@@ -343,3 +343,9 @@ def test_a_seed_gives_the_same_draws_in_every_version(tmp_path: Path) -> None:
     runs = list(points(load_plan(write_plan(tmp_path, "samples = 2\nseed = 4", axes))))
     drawn = [tuple(round(one, 9) for one in run.axes.values()) for run in runs]
     assert drawn == [(17.749818352, 0.443752917), (19.927126288, 0.101472441)]
+
+
+def test_an_interval_does_not_depend_on_how_much_is_drawn_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    whole = paired_difference(range(12), np.arange(12.0) ** 2)
+    monkeypatch.setattr(judged, "_MOST_AT_ONCE", 700 * 12)  # as of a campaign with many draws
+    assert paired_difference(range(12), np.arange(12.0) ** 2) == whole
