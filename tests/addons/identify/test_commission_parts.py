@@ -19,7 +19,7 @@ from hil.addons.identify.commission import commissioning
 from hil.addons.identify.commission.commission_findings import Findings
 from hil.addons.identify.commission.commission_session import Encoders, Record, Session
 from hil.addons.identify.commission.person import Onlooker, Terminal
-from hil.addons.identify.commission.pulses import StepError, expected_rad_s2, shake
+from hil.addons.identify.commission.pulses import StepError, expected_rad_s2, move, shake
 from hil.addons.identify.commission.push import push
 from hil.addons.identify.commission.wirings import Candidate, WheelSeen, named_direction, response
 from hil.core.errors import RunInterruptedError
@@ -219,6 +219,22 @@ def test_a_pulse_grows_by_half_until_the_wheels_turn_or_the_limit_is_reached() -
     with pytest.raises(StepError, match=r"^the wheels do not turn with 2 N·m on the floor, the limit: look at robot"):
         shake(cast(Session, stuck), [1.0, 0.0, 0.0, 0.0], expected_rad_s2(session))
     assert stuck.torques[-1] == 2.0
+
+
+class Spinning(Mass):
+    """A robot with a wheel that does not touch the floor: each drive is cut before the robot has moved."""
+
+    def drive(self, command: Callable[..., Sequence[float]], seconds: float, **_: float) -> Record:
+        self.torques.append(max(command(0.0, SimpleNamespace(speed_rad_s=(0.0,) * 4))))
+        each = np.zeros((2, 4))
+        return Record(np.zeros(2), each, each, each, each, np.zeros((2, 3)), np.zeros(2), True)
+
+
+def test_a_robot_whose_wheels_spin_is_not_moved_with_more_torque() -> None:
+    spinning = Spinning(0)
+    with pytest.raises(StepError, match=r"^the robot does not move with 0\.14 N·m on each wheel"):
+        move(cast(Session, spinning), [1.0] * 4)
+    assert len(spinning.torques) == 1
 
 
 # What is kept
