@@ -142,14 +142,25 @@ def test_a_fix_waits_for_up_to_a_tenth_of_a_second():
     assert estimator.fix_figures()["accepted"] == 1
 
 
-def test_no_more_than_ten_milliradians_of_a_correction_are_held_back():
-    fix = MeasuredPose(TICK_NS, START._replace(heading_rad=1.0), PoseCovariance(1e-4, 0.0, 0.0, 1e-4, 0.0, 1e-6))
+@pytest.mark.parametrize("way", [1.0, -1.0])
+def test_no_more_than_ten_milliradians_of_a_correction_are_held_back(way):
+    turned = START._replace(heading_rad=START.heading_rad + 0.6 * way)
+    fix = MeasuredPose(TICK_NS, turned, PoseCovariance(1e-4, 0.0, 0.0, 1e-4, 0.0, 1e-6))
     told = []
     for release_s in (0.0, 0.2):
         estimator = fused(start_sigma_m=1e-3, start_sigma_rad=1.0, release_s=release_s)
         estimator.update(at(0), None)
         told.append(estimator.update(at(1), None, [fix]).pose)
-    assert np.subtract(*told) == pytest.approx([0.0, 0.0, 0.01], abs=1e-9)
+    assert np.subtract(*told) == pytest.approx([0.0, 0.0, 0.01 * way], abs=1e-9)
+
+
+def test_a_fix_that_waits_goes_with_the_clock_by_which_it_was_stamped():
+    estimator = fused()
+    estimator.update(at(0), None, [MeasuredPose(10**7, START, PoseCovariance(1e-4, 0.0, 0.0, 1e-4, 0.0, 1e-4))])
+    estimator.restart()
+    for tick in range(21):
+        estimator.update(at(tick), None)
+    assert not any(estimator.fix_figures().values())
 
 
 def test_odometry_goes_on_after_a_reset_from_where_it_was_without_slip():

@@ -57,6 +57,8 @@ def test_a_message_says_when_where_and_how_sure() -> None:
     assert client.age_s == 0.25
 
 
+# Of three sigmas of 20 mm and mrad: the two others leave 0.22 % of one's variance.
+BY_BOTH = 4e-4 * math.sqrt((1 - 0.0022) / 2)
 WRONG = [
     (b"", "malformed"),
     (b"\xff\xfe", "malformed"),
@@ -101,6 +103,9 @@ WRONG = [
     (encoded(covariance=[4e-4, 3.9975e-4, 0, 4e-4, 0, 1e-4]), "covariance"),
     (encoded(covariance=[1e9, 0, 0, 4e-4, 0, 1e-4]), "covariance"),
     (encoded(covariance=[1e-4, 0, 0, 4e-4, 4e-4 * math.sqrt(1 - 0.0024), 4e-4]), "covariance"),
+    (encoded(covariance=[4e-4, BY_BOTH, BY_BOTH, 4e-4, 0, 4e-4]), "covariance"),
+    (encoded(covariance=[4e-4, BY_BOTH, 0, 4e-4, BY_BOTH, 4e-4]), "covariance"),
+    (encoded(covariance=[4e-4, 0, BY_BOTH, 4e-4, BY_BOTH, 4e-4]), "covariance"),
     (encoded(covariance=[4e-4, 0, 0, 9e-11, 0, 1e-4]), "covariance"),
     (encoded(covariance=[4e-4, 0, 0, 4e-4, 0, 1.01e6]), "covariance"),
     (encoded().ljust(1025), "too_long"),
