@@ -271,6 +271,11 @@ def test_a_constructor_that_takes_something_else(write):
             "update failed at {file}:4 (def update(self, reference, state, applied, dt_s): return 1 / 0): "
             "ZeroDivisionError: division by zero",
         ),
+        (
+            {"update": "raise SystemExit('no')"},
+            "update failed at {file}:4 (def update(self, reference, state, applied, dt_s): raise SystemExit('no')): "
+            "SystemExit: no",
+        ),
         ({"update": "pass"}, "update returned None, expected a WheelCommand"),
         (
             {"update": "return applied.command"},

@@ -125,6 +125,18 @@ def test_from_observers_a_prediction_needs_no_measured_speed(from_observers):
         assert found == pytest.approx((truth[0] - latency_s * push_m_s2 * 60 * DT_S, push_m_s2 * latency_s), abs=1e-3)
 
 
+def test_a_robot_that_turns_beyond_half_a_turn_is_not_disturbed_by_that():
+    """Its heading goes on at -π, where nothing pushes it."""
+    prediction = DelayPredictor(PAPER_ROBOT, tuple(ExtendedStateObserver(60.0, 5.0) for _ in range(3)))
+    turning = Twist(0.0, 0.0, 1.0)
+    prediction.reset(State(Pose(0.0, 0.0, 3.1), turning))
+    for n in range(31):
+        state = State(Pose(0.0, 0.0, math.remainder(3.1 + n * DT_S, math.tau)), turning)
+        prediction.predict(Hold().at(0.0), state, AT_REST, DT_S)
+    assert state.pose.heading_rad < -3.0
+    assert prediction.disturbance == pytest.approx((0.0, 0.0, 0.0), abs=1e-6)
+
+
 def test_a_command_that_a_later_one_overtakes_never_acts():
     on_their_way = PendingCommands()
     late, early = Acceleration(1.0, 0.0, 0.0), Acceleration(0.0, 2.0, 0.0)
