@@ -49,6 +49,11 @@ def test_rows_act_in_order_and_a_reset_ends_what_began_before(rows, t_ns, expect
     assert passed(rows, t_ns) == expected
 
 
+def test_a_bias_of_what_nothing_measures_is_not_applied_and_an_override_is() -> None:
+    assert passed([row("bias", value=0.5)], 0, value=float("nan"))[1] == [0]
+    assert passed([row("bias", value=0.5), row("override", value=9.0)], 0, value=float("nan")) == (9.0, [0, 1])
+
+
 @given(st.sampled_from(SIGNAL_NAMES[1:]), st.floats(-1, 1))
 def test_every_signal_has_a_place(signal, value) -> None:
     faults = SignalFaults([row("override", value=value, target=signal)])
