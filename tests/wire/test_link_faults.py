@@ -344,6 +344,16 @@ def test_what_is_read_does_not_depend_on_how_the_bytes_come_in(seed, sizes) -> N
     assert read(sizes) == read([len(data)])
 
 
+def test_the_beginning_of_a_frame_is_gone_with_the_line_that_was_lost() -> None:
+    wire, faulty, _ = line(row("bit_errors", "feedback", start=MS, value=0.01))
+    data = Framer().encode(command(0))
+    wire.to_read = data[:5]
+    assert faulty.read(0) == b""
+    faulty.reopen()
+    wire.to_read = data
+    assert faulty.read(0) == data
+
+
 def test_the_bit_error_rate_is_what_it_says() -> None:
     wire, faulty, faults = line(row("bit_errors", start=0, value=0.01))
     framer = Framer()

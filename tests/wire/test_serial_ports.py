@@ -245,6 +245,8 @@ def test_a_replugged_port_is_reopened_and_counters_go_on(tmp_path: Path):
         host.reopen()
         exchange(host, StreamLink(second))
         assert host.rejected() == rejected
+        host.reopen()
+        assert host.rejected() == rejected
 
 
 def test_a_port_that_hangs_up_is_lost_and_so_is_a_read_of_one_that_another_program_reads_too(monkeypatch):
