@@ -1,6 +1,7 @@
 """Expectations: each claim against a naive oracle, and what fails because nothing was shown."""
 
 import math
+import sys
 from dataclasses import replace
 from typing import Any
 
@@ -123,6 +124,7 @@ def test_the_margin_is_continuous_and_does_not_depend_on_the_unit(values, claime
         (claim(within=(8.0, 8.0)), [10.0], -0.25),
         (claim(equals=5.0, tolerance=2.0), [4.0, 6.5], 0.25),
         (claim(equals=5.0, tolerance=2.0), [1.0, 6.5], -1.0),
+        (claim(equals=5.0, tolerance=2.0), [4.0, 7.0], sys.float_info.min),  # at the end of its tolerance it holds
         (claim(equals=8.0), [8.0], 1.0),
         (claim(equals=8.0), [6.0], -0.25),
         (claim(equals=0.0), [0.25], -0.25),

@@ -267,11 +267,11 @@ def test_signal_figures_of_a_run_of_one_tick_name_what_is_missing() -> None:
 
 
 def test_the_error_of_the_estimate_counts_ticks_of_the_run_with_both_poses() -> None:
-    """3-4-5: distances 5 mm and 10 mm; a heading one turn apart is the same; one tick has no truth, one is before 0."""
+    """3-4-5: distances 10 mm and 5 mm; a heading one turn apart is the same; one tick has no truth, one is before 0."""
     signals = {
         "loop.t_s": np.array([-0.1, 0.0, 0.1, 0.2]),
-        "pose.x_m": np.array([9.0, 0.503, -0.244, 9.0]),
-        "pose.y_m": np.array([9.0, -0.746, 0.258, 9.0]),
+        "pose.x_m": np.array([9.0, 0.506, -0.247, 9.0]),
+        "pose.y_m": np.array([9.0, -0.742, 0.254, 9.0]),
         "pose.heading_rad": np.array([0.0, 1.26, -3.01 + 2 * np.pi, 0.0]),
         "truth.x_m": np.array([0.0, 0.5, -0.25, NAN]),
         "truth.y_m": np.array([0.0, -0.75, 0.25, NAN]),
