@@ -43,7 +43,8 @@ class _Notes:
     def __init__(self, folder: Path) -> None:
         folder.mkdir(parents=True, exist_ok=True)
         self._path = folder / f"{os.getpid()}.json"
-        self._tests: dict[str, tuple[float, set[CodeType]]] = {}
+        self._seconds: dict[str, float] = {}
+        self._tests: dict[str, list[int]] = defaultdict(list)
 
     @pytest.hookimpl(wrapper=True)
     def pytest_runtest_protocol(self, item: pytest.Item) -> Iterator[None]:
@@ -58,23 +59,24 @@ class _Notes:
         result = yield
         sys.settrace(None)
         threading.settrace(None)
-        self._tests[item.nodeid] = time.perf_counter() - begin_s, {one for one in called.copy() if _is_ours(one)}
+        for code in called.copy():
+            if place := _place(code):
+                self._tests[place].append(len(self._seconds))
+        self._seconds[item.nodeid] = time.perf_counter() - begin_s
         return result
 
     def pytest_sessionfinish(self) -> None:
-        tests: dict[str, list[str]] = defaultdict(list)
-        for test, (_, called) in self._tests.items():
-            for code in called:
-                last = max(line for *_, line in code.co_lines() if line)
-                file = Path(code.co_filename).relative_to(ROOT).as_posix()
-                tests[f"{file}:{code.co_firstlineno}:{last}"].append(test)
-        seconds = {test: took_s for test, (took_s, _) in self._tests.items()}
-        self._path.write_text(json.dumps({"seconds": seconds, "tests": tests}), encoding="utf-8")
+        # Short, because xdist ends a worker that takes 10 s for this; so tests are numbers here.
+        self._path.write_text(json.dumps({"seconds": self._seconds, "tests": self._tests}), encoding="utf-8")
 
 
 @cache
-def _is_ours(code: CodeType) -> bool:
-    return code.co_filename.startswith(_PACKAGES) and code.co_name != "<module>"
+def _place(code: CodeType) -> str | None:
+    """Return file, first and last line of a function of ours."""
+    if not code.co_filename.startswith(_PACKAGES) or code.co_name == "<module>":
+        return None
+    last = max(line for *_, line in code.co_lines() if line)
+    return f"{Path(code.co_filename).relative_to(ROOT).as_posix()}:{code.co_firstlineno}:{last}"
 
 
 class _Function(NamedTuple):
@@ -92,8 +94,9 @@ class CoveredFunctions:
         for path in sorted(folder.glob("*.json")):
             notes = json.loads(path.read_text(encoding="utf-8"))
             self.seconds |= notes["seconds"]
+            names = list(notes["seconds"])
             for place, tests in notes["tests"].items():
-                together[place].update(tests)
+                together[place].update(names[number] for number in tests)
         self._functions: dict[str, list[_Function]] = defaultdict(list)
         for place, found in together.items():
             file, first, last = place.rsplit(":", 2)
