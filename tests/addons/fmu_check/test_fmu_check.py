@@ -1,10 +1,12 @@
 """``check`` finds nothing in good FMUs, and each fault of a broken one in its part and of its kind."""
 
+import functools
 import math
 import re
 import signal
 import subprocess
 import sys
+from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -18,7 +20,7 @@ from hil.addons.fmu_check import Kind
 from hil.addons.fmu_check.__main__ import run_parts
 from hil.addons.fmu_check.check import CheckResult, _Progress, check
 from hil.addons.fmu_check.parts import PARTS, title
-from hil.addons.fmu_check.slave import Model, close
+from hil.addons.fmu_check.slave import Model, Slave, close
 from hil.core.errors import BadInputError
 from hil.plant import archive
 from hil.plant.fmu import FmuPlant
@@ -136,6 +138,18 @@ def test_a_fault_is_found_by_its_part_and_is_of_its_kind(fmi: int, fault: str, t
     assert any(words in one for one in told), found(result)
     assert found(result) == told
     assert {one.split(":")[0] for one in told} == {part}
+
+
+def test_a_part_steps_as_often_as_it_needs_to_be_sure(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    fmu, steps, step = lag(tmp_path, 2), Counter[str](), Slave.step
+    for part in map(title, PARTS):
+        count = functools.partial(steps.update, [part])
+        monkeypatch.setattr(Slave, "step", lambda *at, count=count: (count(), step(*at))[1])
+        run_here(fmu, [part])
+    assert steps == {
+        "life cycle": 40, "debug logging": 1, "variables": 20, "time": 21, "step size": 6 + 10 + 2 * 20,
+        "saved state": 5 * 20, "termination": 20, "reset": 3 * 20, "two instances": 3 * 20,
+    }  # fmt: skip
 
 
 def test_every_fault_of_the_header_has_a_case() -> None:

@@ -1,18 +1,21 @@
 """How a mutant changes numbers and frames, tick by tick; what is suggested for a survivor, and how it is told."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
+from types import SimpleNamespace
 from typing import Any, cast
 
 import numpy as np
 import pytest
 
 from firmware_protocol.framing import Frame
+from firmware_protocol.host import library
 from hil.addons.batch.job import PASSED, Outcome
 from hil.addons.verify import results
 from hil.addons.verify.catalogue import Entry
 from hil.addons.verify.mutation.change import Change
 from hil.addons.verify.mutation.mutant import IDS, ChangedLink, Mutant, moved
+from hil.addons.verify.mutation.wrappers import DRIVE, SENSE, changed_node
 from hil.addons.verify.suggest import Suggestion, extremes, suggestion
 from hil.addons.verify.verify import NOTICED, SURVIVED, UNREACHED, Verdict, Verification
 from hil.core.ports import Link, Received
@@ -116,6 +119,44 @@ def test_a_bit_of_the_second_byte_is_flipped_in_it() -> None:
     link = ChangedLink(cast("Link", line), {"port": "link", "of": "sent", "id": "WheelCommand", "flip": 11})
     link.send(Frame(CHANGED, bytes([1, 2, 3])))
     assert line.sent == [Frame(CHANGED, bytes([1, 2 ^ 8, 3]))]
+
+
+SENSED: dict[str, Any] = {
+    "count": [65534, 0, 8, 100], "current_a": [1.5, -2.5, 3.0, 0.0], "gyro_rad_s": [0.5, -0.25, 0.125],
+    "acceleration_m_s2": [-1.5, 0.75, 9.5], "battery_v": 24.5, "battery_a": -3.5,
+    "temperature_degc": [20.5, 21.5, 22.5, 23.5],
+}  # fmt: skip
+DRIVEN: dict[str, Any] = {"torque_n_m": [0.5, -1.5, 2.5, 3.0], "duty": [0.5, 0.25, -0.125, 1.0], "enabled": 6}
+COUNTED = [([65534, 0, 8, 100], [32767, 0, 4, 50]), ([2, 65530, 8, 100], [32769, 65533, 4, 50])]  # over the wrap
+
+
+def fields(block: Any, names: Iterable[str]) -> dict[str, Any]:
+    return {name: value if isinstance(value := getattr(block, name), int | float) else list(value) for name in names}
+
+
+@pytest.mark.parametrize("of", [*DRIVE, *SENSE])
+def test_between_firmware_and_plant_one_field_is_halved_and_no_other(of: str) -> None:
+    ffi, _ = library()
+    driven: list[Any] = []
+
+    def plant(_context: object, drive: Any, sense: Any) -> int:
+        for name, value in {**SENSED, "count": COUNTED[len(driven)][0]}.items():
+            setattr(sense, name, value)
+        driven.append(drive if drive == ffi.NULL else fields(drive, DRIVEN))
+        return 6 + len(driven)
+
+    callback = ffi.callback("int(void *, const wheel_drive *, wheel_sense *)", plant)
+    make: Any = lambda _values, address, _context: SimpleNamespace(address=address)  # noqa: E731
+    node: Any = changed_node(make, {"of": of, "scale": 0.5})({}, int(ffi.cast("uintptr_t", callback)), 0)
+    exchange, drive = ffi.cast("wheel_plant_exchange", node.address), ffi.new("wheel_drive *", DRIVEN)
+    halves = {name: np.multiply(value, 0.5).tolist() for name, value in (SENSED | DRIVEN).items()}
+    for number, (count, half) in enumerate(COUNTED):
+        answer = exchange(ffi.NULL, drive if number else ffi.NULL, sense := ffi.new("wheel_sense *"))
+        halved = {**halves, "count": half}
+        expected = {name: halved[name] if name == of else value for name, value in {**SENSED, "count": count}.items()}
+        assert (answer, fields(sense, SENSED)) == (7 + number, expected)
+    assert fields(drive, DRIVEN) == DRIVEN, "the firmware's own block"
+    assert driven == [ffi.NULL, {name: halves[name] if name == of else value for name, value in DRIVEN.items()}]
 
 
 # What is suggested
