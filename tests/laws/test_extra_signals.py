@@ -19,6 +19,7 @@ from hil.runtime.assembly import RunOptions, run_scenario
 from hil.scenario import load
 from tests.laws.test_afdsc_tables import memberships
 from tests.support.closed_loop import AT_REST, PAPER_CIRCLE, PAPER_ROBOT, PAPER_START
+from tests.support.processes import hil as hil_command
 
 SHIPPED = shipped_laws()
 
@@ -133,6 +134,10 @@ def test_own_signals_are_asked_for_only_where_somebody_reads_them(tmp_path, monk
         name: value for name, value in kept.items() if name not in depends_on_the_wall_clock
     }
     assert ticks_asked(tmp_path / "run.mcap")[0] == 100
+    asked.clear()
+    words = [f"--set={key}={value}" for key, value in SHORT.items()]
+    assert hil_command("run", "paper_circle", "--record", "none", *words).returncode == 0
+    assert asked == [], "the command keeps none, so that its memory does not grow"
     (judged, figures), (faulty, _) = ticks_asked(expect=[degree]), ticks_asked(fault=[fault])
     assert (judged, faulty) == (100, 100)
     assert figures["expect"][0]["passed"]

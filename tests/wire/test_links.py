@@ -78,6 +78,8 @@ def test_a_reopening_that_takes_long_does_not_hold_the_firmware_up():
     rig = WheelRig()  # whose plant the node steps
     node = rig.node
     wire = ReopeningWire(SerialWire(robot), reopen, said.append)
+    host.write(b"\0")
+    assert wire.receive_into(node, 0)
     robot.close()
     node.run(5)
     wire.send_from(node)

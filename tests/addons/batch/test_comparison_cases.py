@@ -147,12 +147,14 @@ def test_the_command_prints_how_laws_held_and_what_repeats_the_rest(tmp_path: Pa
         "        return WheelCommand(self.mode, ZERO_WHEELS, ZERO_WHEELS)\n"
     )
     law = f"{tmp_path / 'laws.py'}:Rests"
-    words = ["compare", law, SCENARIO, "--robust", "2", "--set", SHORT, "--jobs", "1"]
+    words = ["compare", law, SCENARIO, "--robust", "2", "--set", SHORT, "--seed", "3", "--jobs", "1"]
     done = CliRunner().invoke(app, words)
     assert done.exit_code == 0, done.output
     _, head, *rows = done.stdout.splitlines()
     assert head.split()[:3] == ["law", "the", "wheels"]
     assert ", case 0" in done.stdout
+    repeats = [row for row in rows if row.startswith(f"  hil run {SCENARIO} --lenient --set {SHORT} --set ")]
+    assert [row.endswith(" --seed 3") for row in repeats] == [True, True]
     assert "diverged" in done.stdout
     assert shlex.quote(f'controller.law="{law}"') in done.stdout
     assert any(row.split()[0] == law for row in rows)

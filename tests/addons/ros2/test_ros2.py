@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from hil.addons.ros2 import convert
@@ -54,6 +54,8 @@ def test_a_twist_beyond_the_limits_keeps_its_direction(three: tuple[float, float
 
 
 @given(FOUR, st.none() | st.integers(0, 2**53))
+@example([0.0] * 4, 0)
+@example([0.0] * 4, 2**53)
 def test_wheel_commands_keep_their_ratio_and_their_sequence(wheels: list[float], sequence: int | None) -> None:
     given = wheels if sequence is None else [*wheels, float(sequence)]
     arguments = convert.wheel_arguments(given, "speed", 30.0)
