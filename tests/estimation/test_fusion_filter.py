@@ -361,6 +361,37 @@ def test_how_noisy_fixes_are_is_learnt_from_them(times):
         assert end.rejected < 30
 
 
+def squared_distance(last: MeasuredPose, then: Belief, fix: MeasuredPose, now: Belief) -> float:
+    """Return how far two fixes are apart, by the motion that is believed and all their noise, in matrices."""
+    angle = last.pose.heading_rad - then.heading_rad
+    c, s = math.cos(angle), math.sin(angle)
+    moved_by = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]]) @ (numbers(now) - numbers(then))[:3]
+    off = np.array(fix.pose) - np.array(last.pose) - moved_by
+    off[2] = math.remainder(off[2], math.tau)
+    turn = np.eye(3)  # how the new pose follows from the last fix
+    turn[:2, 2] = -moved_by[1], moved_by[0]
+    noise = matrix(fix.covariance, 3) + turn @ matrix(last.covariance, 3) @ turn.T
+    before, grown = (np.diag(matrix(one.covariance, STATES))[:3] for one in (then, now))
+    return float(off @ np.linalg.inv(now.noise * noise + np.diag(np.maximum(grown - before, 0.0))) @ off)
+
+
+def test_what_two_fixes_tell_of_their_noise_is_that_of_matrices():
+    world, chance = World(10), np.random.default_rng(10)
+    now, told = world.first, []
+    for tick, step in enumerate(world.steps, 1):
+        now = moved(now, step._replace(forward_m=0.2), tick * TICK_NS)
+        if tick % FIX_EVERY == 0:
+            root = chance.normal(0.0, 0.05, (3, 3))
+            pose = np.array([now.x_m, now.y_m, now.heading_rad]) + 1.5 * root @ chance.standard_normal(3)
+            fix = MeasuredPose(tick * TICK_NS, Pose(*pose), PoseCovariance(*(root @ root.T)[np.triu_indices(3)]))
+            after = corrected(now, fix, Acceptance(OPEN_GATE, 1000, 0.0, 16.0))
+            if now.last_fix is not None and now.last_belief is not None:
+                apart = squared_distance(now.last_fix, now.last_belief, fix, now)
+                told.append(math.log(after.noise / now.noise) * (20 + len(told)) - (apart / 3.0 - 1.0))
+            now = after
+    assert told == pytest.approx([0.0] * (TICKS // FIX_EVERY - 1), abs=1e-9)
+
+
 def test_outliers_do_not_make_fixes_look_noisy():
     world = World(8, ticks=120 * FIX_EVERY)
     world.fixes[10::5] = [fix._replace(pose=fix.pose._replace(x_m=fix.pose.x_m + 1.0)) for fix in world.fixes[10::5]]
