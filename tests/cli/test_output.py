@@ -94,6 +94,8 @@ def test_a_line_is_folded_below_its_text_and_a_command_stays_whole(monkeypatch: 
         "  label  a text that is longer than the",
         "         terminal",
     ]
+    for column, indent in ((20, 20), (21, 4)):  # half of the terminal
+        assert output.folded(f"{'  label':{column}}a text that is longer")[1] == " " * indent + "longer"
     output.print_result(True, {"a": float("nan")}, [])
     assert terminal.getvalue().splitlines()[-1] == '{"a": null}'
 

@@ -1,10 +1,14 @@
 """The text of a run, every figure of which is another: its labels, units and order, written down by hand."""
 
+import math
 import textwrap
 from dataclasses import replace
 
+import pytest
+
 from hil.core.ports import Event
 from hil.core.signals import Signals
+from hil.judge.figure_text import link_rows
 from hil.judge.judged_run import (
     BaselineResult,
     Counts,
@@ -185,6 +189,13 @@ def test_all_that_is_known_of_a_failed_run_is_told_with_its_units() -> None:
     }
     left_out = {line[2:24].strip() for line in set(TOLD.splitlines()) - set(short) if line[2] != " "}
     assert left_out == {"expectation", "times real time", "granted"}
+
+
+@pytest.mark.parametrize("drift_ppm", [None, math.nan])
+def test_a_drift_that_a_short_run_does_not_know_is_left_out(drift_ppm: float | None) -> None:
+    clock = {"offset_us": -1234.6, "drift_ppm": drift_ppm, "round_trip_us": {"p50": 311.0, "p99": 722.0}}
+    run = replace(FAILED, figures={"link_statistics": {"clock": clock}})
+    assert dict(link_rows(run))["robot's clock"] == "-1.235 ms"
 
 
 def test_a_green_run_leaves_out_the_machine_and_a_link_that_lost_nothing() -> None:

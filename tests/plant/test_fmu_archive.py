@@ -339,11 +339,13 @@ def test_an_entry_that_is_larger_than_it_says_is_not_unpacked_into_memory(name: 
 
 
 def test_extraction_gives_the_bytes_of_all_entries_or_of_those_asked_for(tmp_path: Path) -> None:
-    fmu = pack(tmp_path / "a.fmu", 3, added=[("resources/", b""), ("resources/deep/down/file", os.urandom(200_000))])
+    folders = [("resources/deep/", b""), ("resources/empty/folder/", b"")]
+    fmu = pack(tmp_path / "a.fmu", 3, added=[("resources/deep/down/file", os.urandom(200_000)), *folders])
     with zipfile.ZipFile(fmu) as packed:
         files = {name: packed.read(name) for name in packed.namelist() if not name.endswith("/")}
     with archive.extract(fmu) as folder:
         unpacked = {p.relative_to(folder).as_posix(): p.read_bytes() for p in folder.rglob("*") if p.is_file()}
+        assert (folder / "resources/empty/folder").is_dir()
     assert unpacked == files
     assert not folder.exists()
     with archive.extract(fmu, only=archive.DESCRIPTIONS.__contains__) as folder:

@@ -116,6 +116,8 @@ def test_every_field_of_a_record_arrives_under_its_name() -> None:
         assert client.newest == (fix, (1.0, 2.0, 3.0, 4.0), 7, State.STOPPING)
         with contextlib.closing(TruthClient(server.url, "a scenario", reset=False)) as late:
             assert wait_for(late.poll) == fix, "who comes later gets the newest"
+        with pytest.raises(DeviceError, match="was lost"):
+            late.poll()
 
 
 @pytest.mark.parametrize(

@@ -208,9 +208,11 @@ def test_a_flag_of_0_5_is_an_error_before_its_register_is_read_and_ends_with_the
     encoder, controller = "encoder error NO_RESPONSE", "controller error UNSTABLE_GAIN"
     for flags, command, name in (((0, 1, 0), 0x04, encoder), ((0, 0, 1), 0x1D, controller)):
         beat(driver, IDLE, 0, *flags, t_ms=4, axes=(3,))
+        assert driver.errors[0].endswith(f": {name.rpartition(' ')[0]}, not read yet")
         says(driver, command, "II", 4, 0, axes=(3,))
         assert name in driver.errors[0]
-        beat(driver, IDLE, t_ms=5, axes=(3,))
+        beat(driver, IDLE, 0, 0, 0, 0x80, t_ms=5, axes=(3,))
+        assert driver.errors == [], "a trajectory that is done is none"
 
 
 def test_an_odrive_that_is_silent_for_a_second_is_an_error_and_it_is_asked_in_turn() -> None:

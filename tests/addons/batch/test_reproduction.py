@@ -193,6 +193,8 @@ def test_a_run_that_agrees_comes_out():
         ("dsc common together", {"steady_rms_m": 0.00081}, "DSC steady error"),
         ("afdsc common together", {"steady_rms_m": 0.00119}, "AFDSC steady error"),
         ("afdsc common together", {"steady_rms_m": 0.0008}, "AFDSC's steady error is smaller than DSC's, by"),
+        ("afdsc common together", {"steady_rms_m": None}, "AFDSC's steady error is smaller than DSC's, by"),
+        ("dsc common together", {"steady_rms_m": None}, "AFDSC's steady error is smaller than DSC's, by"),
         ("afdsc short together", {"steady_rms_m": 0.0004}, "AFDSC steady error, with a filter of its own"),
         ("dsc common together", {"tracked_s": 0.5}, "AFDSC tracks sooner than DSC, by"),
         (

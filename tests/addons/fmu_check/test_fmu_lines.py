@@ -215,12 +215,16 @@ def test_a_call_that_failed_is_told_by_its_status(tmp_path: Path, status: int, w
 
 
 def test_numbers_are_close_and_times_near_but_for_rounding() -> None:
-    for one, other, is_close in ((1.0 + 9e-7, 1.0, True), (1.0 + 1.1e-6, 1.0, False), (100.00009, 100.0, True)):
+    for one, other, is_close in (
+        *((1.0 + 9e-7, 1.0, True), (1.0 + 1.1e-6, 1.0, False), (100.00009, 100.0, True)),
+        *((1e6 + 1.0, 1e6, True), (-1e6 - 1.0, -1e6, True), (1e6 + 1.001, 1e6, False)),
+    ):
         assert close([one], [other]) is is_close
     assert not close([1.0, 2.0], [1.0])
     assert not close([float("nan")], [float("nan")])
     assert close([True, 3], [True, 3])
     for time_s, expected_s, is_near in (
-        (0.9e-9, 0.0, True), (1.1e-9, 0.0, False), (100.0 + 0.9e-7, 100.0, True), (100.0 + 1.1e-7, 100.0, False)
+        (0.9e-9, 0.0, True), (1.1e-9, 0.0, False), (100.0 + 0.9e-7, 100.0, True), (100.0 + 1.1e-7, 100.0, False),
+        (1e9 + 1.0, 1e9, True),
     ):  # fmt: skip
         assert near(time_s, expected_s) is is_near

@@ -142,6 +142,7 @@ def test_a_logarithmic_axis_reads_half_a_second_and_not_a_power_of_ten(tmp_path,
     ]
     assert sum(low <= float(text) <= high for text in shown) >= 1, shown
     assert all("e" not in text for text in shown if 1e-4 <= float(text) < 1e5), shown
+    assert all(len(text.strip("0.")) == 1 for text in shown if "e" not in text), shown
 
 
 def test_an_unwritable_picture_is_a_sentence_and_one_that_failed_is_no_file(tmp_path) -> None:

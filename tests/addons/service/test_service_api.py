@@ -106,6 +106,7 @@ def test_no_route_lets_anybody_in_without_the_token_or_under_a_foreign_name(
     assert side.orders == []
     allowed = side.request(method, path, headers=side.headers | {"Host": f"localhost:{port}"}, **body(method, path))
     assert allowed.status_code == 200
+    assert "server" not in allowed.headers
 
 
 def test_the_websocket_lets_nobody_in_without_the_token_or_under_a_foreign_name(side: ControlSide) -> None:

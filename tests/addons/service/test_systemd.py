@@ -39,7 +39,9 @@ def heard(end: socket.socket) -> list[str]:
             return told
 
 
-def test_the_manager_hears_of_the_whole_life(manager: tuple[socket.socket, dict[str, str]]) -> None:
+def test_the_manager_hears_of_the_whole_life(
+    manager: tuple[socket.socket, dict[str, str]], recwarn: pytest.WarningsRecorder
+) -> None:
     end, environment = manager
     notifier = Notifier(environment)
     notifier.ready()
@@ -48,6 +50,7 @@ def test_the_manager_hears_of_the_whole_life(manager: tuple[socket.socket, dict[
     notifier.close()
     notifier.status("not any more")
     assert heard(end) == ["READY=1", "STATUS=disarmed on serial:/dev/ttyACM0", "STOPPING=1"]
+    assert not recwarn.list, "Python warns of a socket that nobody closed"
 
 
 def test_the_loop_beats_three_times_a_watchdog_period_however_often_it_turns(
