@@ -128,6 +128,7 @@ NOT_AN_FMU: list[tuple[str, Make, str]] = [
     ("cut", lambda path: path.write_bytes(pack(path, 2).read_bytes()[:-9]), "a damaged zip archive; copy it again"),
     ("a link", altered(link), "its entry 'resources/link' is a symbolic link"),
     ("encrypted", altered(lambda p: written(p, 8, 6, b"\1\0")), "its entry 'resources/last' is encrypted"),
+    ("encrypted strongly", altered(lambda p: written(p, 8, 6, b"\x40\0")), "its entry 'resources/last' is encrypted"),
     ("bzip2", altered(lambda p: written(p, 10, 8, b"\x0c\0")), "is packed by method 12; expected 0 (stored) or 8"),
     ("huge", altered(lambda p: written(p, 24, 22, struct.pack("<I", 0xF0000000))), "it unpacks to 40265"),
     ("many entries", altered(many), "entries; expected at most 20000"),

@@ -13,10 +13,11 @@ from packaging.requirements import Requirement
 from firmware_protocol.built import WHEEL_HOST
 from hil.addons.doctor import checks
 from hil.addons.doctor.doctor_command import lines as lines_of
-from hil.core.findings import Finding, Level, ok
+from hil.core.findings import Finding, Level, ok, problem
 from hil.runtime.lateness import Lateness
 from tests.support.processes import hil
 
+NEWER_PYTHON = "install a newer Python, and this package into it"
 linux = pytest.mark.skipif(sys.platform != "linux", reason="the trees are Linux's")
 
 
@@ -117,6 +118,31 @@ def test_a_package_of_another_version_is_a_problem() -> None:
     assert missing is not None
     assert wrong.remedy == "pip install 'numpy<1'"
     assert missing.sentence == "no-such-package is not installed, any version is needed"
+
+
+@pytest.mark.parametrize(
+    ("needed", "python"),
+    [
+        (">=3.12.0", ok("Python", "3.12.1rc1")),
+        (None, ok("Python", "3.12.1rc1")),
+        (">=3.12.1", problem("Python", "3.12.1rc1, where >=3.12.1 is needed", NEWER_PYTHON)),
+    ],
+)
+def test_versions_and_extras_are_told(monkeypatch: pytest.MonkeyPatch, needed: str | None, python: Finding) -> None:
+    monkeypatch.setattr("platform.python_version", lambda: "3.12.1rc1")
+    monkeypatch.setattr("importlib.metadata.metadata", lambda _: {"Requires-Python": needed})
+    monkeypatch.setattr("importlib.metadata.requires", lambda _: ["numpy>=1", 'no-such-package; extra == "more"'])
+    monkeypatch.setattr(checks, "EXTRAS", ("here", "there", "gone", "lost"))
+    monkeypatch.setattr(checks, "missing_of", lambda extra: extra in ("gone", "lost"))
+    packages, extras = "all 1 are installed, in suitable versions", "here, there; not installed: gone, lost"
+    assert list(checks.check_versions()) == [python, ok("packages", packages), ok("extras", extras)]
+    monkeypatch.setattr("importlib.metadata.requires", lambda _: ["numpy<1"])
+    monkeypatch.setattr(checks, "missing_of", lambda _: False)
+    _, numpy, everything = checks.check_versions()
+    assert (numpy.verdict, everything) == (Level.PROBLEM, ok("extras", "here, there, gone, lost"))
+    monkeypatch.setattr(checks, "missing_of", lambda _: True)
+    *_, nothing = checks.check_versions()
+    assert nothing.sentence == "none; not installed: here, there, gone, lost"
 
 
 def test_requirements_of_a_package_that_is_not_installed_are_not_known(monkeypatch: pytest.MonkeyPatch) -> None:
