@@ -67,7 +67,7 @@ def test_what_its_expectations_did_not_come_to_is_not_judged(ran: tuple[RunResul
     texts = [row["text"] for row in result.metrics["expect"]]
     assert "not judged, the run ended at t = 5.99" in texts[1]
     assert run_columns(result.run)["failed_expectation"] == texts[3]
-    assert "not judged</span>" in page([run], [judged_run(run)])
+    assert "not judged</td>" in page([run], [judged_run(run)])
 
 
 def test_expectations_that_a_killed_run_cannot_be_judged_by_are_counted(ran: tuple[RunResult, RecordedRun]) -> None:

@@ -105,13 +105,6 @@ def test_an_expectation_of_a_run_that_was_cut_off_is_checked_over_what_there_is(
     assert [row["signal"] for row in found["expect"]] == ["loop.t_s", "error.planar_m"]
 
 
-def test_a_page_gives_an_expectation_that_was_not_judged_no_colour(failed: Path) -> None:
-    run = read_for_page(failed)
-    judged = judged_run(run)
-    ended = replace(judged, expect=[row._replace(passed=None) for row in judged.expect])
-    assert page([run], [ended]).count('<td class="t">not judged</td>') == len(judged.expect) == 2
-
-
 def test_two_runs_side_by_side_say_what_is_better_and_what_was_different(failed: Path, other: Path) -> None:
     done = hil("review", failed, other, "--json")
     found = json.loads(done.stdout)
