@@ -88,15 +88,19 @@ class Tests(NamedTuple):
 
 
 def batches(names: Iterable[str], seconds: Mapping[str, float]) -> Iterator[Tests]:
-    """Yield tests in their order, some to run together: of few files, and for not too long."""
-    rest = list(names)
-    while rest:
-        some: list[str] = []
-        takes_s = 0.0
-        while rest and takes_s < NEAR_S and len({one.partition("::")[0] for one in some}) < FIRST_FILES:
-            some.append(rest.pop(0))
-            takes_s += seconds[some[-1]]
-        yield Tests(list(dict.fromkeys(test.partition("::")[0] for test in some)), some, takes_s)
+    """Yield tests to run together: all of the first files that they name, then of the next; not for too long."""
+    files: dict[str, list[str]] = {}
+    for name in names:
+        files.setdefault(name.partition("::")[0], []).append(name)
+    for begin in range(0, len(files), FIRST_FILES):
+        rest = [name for file in islice(files, begin, begin + FIRST_FILES) for name in files[file]]
+        while rest:
+            some: list[str] = []
+            takes_s = 0.0
+            while rest and takes_s < NEAR_S:
+                some.append(rest.pop(0))
+                takes_s += seconds[some[-1]]
+            yield Tests(list(dict.fromkeys(test.partition("::")[0] for test in some)), some, takes_s)
 
 
 class Copy:

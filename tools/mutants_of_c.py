@@ -185,7 +185,8 @@ def functions(name: str) -> list[str]:
 def near_tests(mutant: Mutant, seconds: Mapping[str, float]) -> Iterator[Tests]:
     """Yield the tests to run for a mutant, in turn: those of its file, the quickest first; then its room."""
     files = list(dict.fromkeys(_NEAR[Path(mutant.file).name]))
-    quickest = sorted((test for test in seconds if test.partition("::")[0] in files), key=seconds.__getitem__)
+    by_time = sorted(seconds, key=seconds.__getitem__)
+    quickest = [test for file in files for test in by_time if test.partition("::")[0] == file]
     yield from batches(quickest, seconds) if quickest else [Tests(files, None, NEAR_S)]
     room = {"hil/plant": "tests/plant", "plant_fmu/mujoco": "tests/plant_fmu"}.get(mutant.room)
     yield Tests([room or f"tests/{mutant.room.split('/')[0]}"], None, _ROOM_S, slow=True)
