@@ -137,6 +137,8 @@ def test_packets_of_a_rosmaster_are_found_and_checked() -> None:
     sent = framing.encode(Frame(0x12, b"\1\2"))
     assert sent[:7] == bytes((0xFF, 0xFC, 5, 0x12, 1, 2, (5 + 0x12 + 3) & 0xFF))
     assert len(sent) * 10 / 115_200 > 0.0015, "with its pause"
+    with pytest.raises(ValueError, match="a payload of 30 bytes: expected at most 29"):
+        framing.encode(Frame(0x12, bytes(30)))
 
 
 # WHEELTEC: 24 bytes of a report, big-endian, in three frames

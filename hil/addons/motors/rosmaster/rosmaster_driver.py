@@ -80,7 +80,10 @@ class RosmasterFraming(PacketFraming):
     causes = ("length", "checksum")
 
     def encode(self, frame: Frame) -> bytes:
-        body = bytes([_LEAST + len(frame.payload), frame.id]) + frame.payload
+        length = _LEAST + len(frame.payload)
+        if length > _MOST:
+            raise ValueError(f"a payload of {len(frame.payload)} bytes: expected at most {_MOST - _LEAST}")
+        body = bytes([length, frame.id]) + frame.payload
         return _TO_BOARD + body + bytes([sum(body) & 0xFF]) + PAUSE
 
     def _decode(self, data: bytes) -> tuple[int, list[Frame]] | str | None:
