@@ -14,6 +14,7 @@ as it was, so null proves nothing there. The answer is ``new process`` where mor
 
 import contextlib
 import gc
+import inspect
 import json
 import os
 import select
@@ -29,7 +30,9 @@ import pytest
 
 from tools.first_failure import PROCESSOR_S, limit_processor
 
-_OPTIONS = ("-x", "-q", "--tb=no", "-p", "no:cacheprovider", "-p", "no:xdist", "-p", "tools.first_failure")
+_OPTIONS = (
+    "-x", "-q", "--tb=no", "-m", "not alone", "-p", "no:cacheprovider", "-p", "no:xdist", "-p", "tools.first_failure",
+)  # fmt: skip
 NEW_PROCESS = "new process"
 _SHELL = (
     "co_code", "co_names", "co_varnames", "co_freevars", "co_cellvars", "co_argcount", "co_kwonlyargcount",
@@ -91,14 +94,18 @@ def changed_functions(before: CodeType, after: CodeType) -> Iterator[tuple[CodeT
         for code in (before, after)
     ]
     if rest[0] != rest[1]:
-        if not before.co_flags & 0x2 or before.co_freevars != after.co_freevars:  # CO_NEWLOCALS: no module or class
+        if not _is_function(before) or before.co_freevars != after.co_freevars:
             raise ValueError
         yield before, after
         return
     inner = [pair for one, two in pairs for pair in changed_functions(one, two)]
-    if inner and before.co_flags & 0x2:
+    if inner and _is_function(before):
         yield before, after
     yield from inner
+
+
+def _is_function(code: CodeType) -> bool:
+    return bool(code.co_flags & inspect.CO_NEWLOCALS)  # a module or class has none of its own
 
 
 def take_over(path: Path, text: str) -> None:
@@ -204,13 +211,12 @@ def _run(request: dict[str, Any], child_runs: Callable[[int], int]) -> str | Non
 def main() -> None:
     """Serve until stdin ends; or run one request, whose file and descriptor are given."""
     if len(sys.argv) == 1:
-        pytest.main([*_OPTIONS, "-m", "not alone"], [_Server()])
+        pytest.main([*_OPTIONS], [_Server()])
         return
     path, to = Path(sys.argv[1]), int(sys.argv[2])
     request = json.loads(path.read_text(encoding="utf-8"))
     path.unlink()
-    marked = "not alone" if request["slow"] else "not slow and not alone"
-    sys.exit(int(pytest.main([*_OPTIONS, "-m", marked, *request["files"]], [_FirstFailure(to), _Chosen(request)])))
+    sys.exit(int(pytest.main([*_OPTIONS, *request["files"]], [_FirstFailure(to), _Chosen(request)])))
 
 
 if __name__ == "__main__":
