@@ -1,9 +1,10 @@
 """Mutation testing of the Python: does a test notice when one place is a little wrong?
 
 ``python -m tools.mutate_python --sample 100`` takes 100 mutants at random, shared equally by the packages of ``hil``,
-``firmware_protocol`` and ``plant_fmu`` (the rooms). Each is written into a copy of the checkout, where tests run until
-one fails: quick ones that call the function, if notes of ``tools.covered_functions`` are there, else those that name
-the module; then the quick ones of its room, then the slow ones. It prints the survivors and a table of the rooms.
+``firmware_protocol`` and ``plant_fmu`` (the rooms). Each is written into a copy of the checkout. There tests run until
+one fails. First come the quick tests that call the function, by the notes of ``tools.covered_functions``; without notes
+those of files that name the module. Then come the quick tests of its room, then the slow ones. It prints the survivors
+and a table of the rooms.
 Another ``--seed`` takes other mutants, so tests cannot be tuned to a sample.
 
 ``--since COMMIT`` takes mutants of the lines changed since then, if there are any; ``--within S`` starts none after S

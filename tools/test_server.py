@@ -6,10 +6,10 @@ and optionally ``TOOLS_PROCESSOR_S``, which ``tools.first_failure`` reads. The a
 string: the first test that failed, or the first file that could not be imported; ``limit`` if the run was ended; null
 if all passed.
 
-A request with ``module``, the path of a file of Python, and ``was``, the text that this had, is quicker: its process
-is forked from this one, which collected the test files before (a request with ``collect`` does that alone). In it
-the functions that differ get their new code. What they had computed before, such as the parameters of a test, stays
-as it was, so null proves nothing there. The answer is ``new process`` where more than functions was changed.
+A request with ``module`` and ``was`` is quicker. ``module`` is the path of a changed Python file, ``was`` its text
+before the change. The process is forked from this one, which collected the test files earlier; a request with
+``collect`` does that alone. In the fork each changed function gets its new code. Results that are older, such as the
+parameters of a test, stay. So null is no proof there. The answer is ``new process`` if more than functions changed.
 """
 
 import contextlib
