@@ -62,8 +62,15 @@ def test_every_kind_is_here() -> None:
     assert set(ROWS) == {kind.name for kind in KINDS}
 
 
-@pytest.mark.parametrize("link", LINKS)
-@pytest.mark.parametrize("kind", ROWS)
+# Quick: of each kind one link, each link in turn.
+ON_LINKS = [
+    pytest.param(kind, link, marks=() if (place + turn) % len(LINKS) == 0 else pytest.mark.slow)
+    for place, kind in enumerate(ROWS)
+    for turn, link in enumerate(LINKS)
+]
+
+
+@pytest.mark.parametrize(("kind", "link"), ON_LINKS)
 def test_every_kind_is_applied_and_seen_on_every_link(kind, link) -> None:
     clean, faulty = result(None, link), result(kind, link)
     (count,) = applied(faulty)
@@ -80,6 +87,7 @@ def test_every_kind_is_applied_and_seen_on_every_link(kind, link) -> None:
     assert (clean.metrics["wire_sha256"] == faulty.metrics["wire_sha256"]) is unseen
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ROWS)
 def test_the_same_seed_gives_the_same_run_on_every_transport(kind) -> None:
     runs = [result(kind, link) for link in LINKS]

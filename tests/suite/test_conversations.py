@@ -7,6 +7,7 @@ tick and message by message, and the host against a model of a host, call by cal
 import random
 import struct
 import zlib
+from typing import Any
 
 import pytest
 
@@ -32,7 +33,12 @@ LACKS = (
 )
 
 
-@pytest.mark.parametrize("seed", range(len(LACKS)))
+def quick_and_slow(count: int, quick: int) -> list[Any]:
+    """Return so many seeds, of which only the first belong to ``make test``."""
+    return [pytest.param(seed, marks=() if seed < quick else pytest.mark.slow) for seed in range(count)]
+
+
+@pytest.mark.parametrize("seed", quick_and_slow(len(LACKS), quick=4))
 def test_a_robot_does_in_each_tick_what_the_protocol_says(seed: int) -> None:
     """In the middle it is reset, and begins with its stored data, unless they are damaged."""
     steps = (Capability.LOCKSTEP, Capability.LOCKSTEP, NOTHING, Capability.LOCKSTEP | Capability.POWER_STAGE)
@@ -108,7 +114,7 @@ def test_a_build_with_a_parameter_out_of_its_range_never_drives() -> None:
     assert lib.wheel_parameters_invalid(block) == INDEX["ramp_s"]
 
 
-@pytest.mark.parametrize("seed", range(10))
+@pytest.mark.parametrize("seed", quick_and_slow(10, quick=4))
 def test_a_host_does_with_each_call_what_the_protocol_says(seed: int) -> None:
     mode = m.Mode.TORQUE if seed % 4 == 3 else m.Mode.SPEED
     talk = HostTalk(HostBench(mode, 0x5A, 0x1230 + seed, logs=seed != 1), seed)

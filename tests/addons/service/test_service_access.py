@@ -143,6 +143,7 @@ def test_too_many_orders_are_refused_but_none_that_stops(of_many: ControlSide) -
     assert give(of_many, Role.ADMINISTER, Action.TWIST) == 200, "another client's"
 
 
+@pytest.mark.slow
 def test_a_token_that_may_only_read_takes_no_more_than_its_share(of_many: ControlSide) -> None:
     of_many.forget()
     reads = {"Authorization": f"Bearer {TOKENS[Role.READ]}"}
