@@ -134,7 +134,7 @@ SLOW = (
     "test_ctl.py::test_a_service_that_ends_informs_its_watchers_and_removes_its_files",
     "test_orders.py",
     "test_docs_examples.py",
-    "test_doctor.py",
+    "test_doctor.py::test_this_machine_is_examined_and_all_but_what_is_ok_has_a_remedy",
     "test_fmu_commands.py",
     "test_foreign_plant_runs.py::test_a_sound_foreign_fmu_gives_the_bytes_of_the_shipped_one",
     "test_foreign_plant_runs.py::test_the_example_of_the_page_runs_as_written",
