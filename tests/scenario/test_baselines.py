@@ -43,6 +43,7 @@ from hil.scenario.baseline import Band, Baseline, asked_sha256, find, place, tex
 from hil.scenario.load import SHIPPED_DIRECTORY
 from hil.scenario.trial import ExpectTable
 
+ALONE: dict[str, Any] = {"workers": 1, "limit_s": 60.0, "allow_motion": False, "on_progress": None}
 SCENARIO = """
 extends = "circle_speed"
 expect = []
@@ -263,11 +264,11 @@ def test_a_baseline_whose_hash_was_taken_out_judges_figures_and_stays_without(sc
     path = Path(scenario)
     accept(path, wire_sha256="")
     assert hil.run(scenario).metrics["baseline"]["frames"] is None
-    (made,) = make_baselines([load(scenario)], 1, workers=1)
+    (made,) = make_baselines([load(scenario)], 1, **ALONE)
     assert made.new is not None
     assert (made.has_moved, made.new.wire_sha256) == (False, "")
     path.with_name("mine.baseline.toml").unlink()
-    (made,) = make_baselines([load(scenario)], 1, workers=1)
+    (made,) = make_baselines([load(scenario)], 1, **ALONE)
     assert made.new is not None
     assert made.new.wire_sha256
 
@@ -434,7 +435,7 @@ def test_no_baseline_is_made_of_runs_that_did_not_pass(tmp_path: Path) -> None:
     path.write_text(
         SCENARIO.replace("1.0", "0.4").replace("expect = []", "") + '[[expect]]\nfigure = "ticks"\nbelow = 9\n'
     )
-    (made,) = make_baselines([load(str(path))], 2, workers=1)
+    (made,) = make_baselines([load(str(path))], 2, **ALONE)
     assert made.new is None
     assert [one.partition(":")[0] for one in made.failed] == ["seed 1", "seed 2"]
     assert "ticks below 9: failed, 80" in made.failed[0]

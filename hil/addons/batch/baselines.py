@@ -77,10 +77,10 @@ def make_baselines(
     scenarios: Sequence[Scenario],
     seeds: int,
     *,
-    workers: int | None = None,
-    limit_s: float = 120.0,
-    allow_motion: bool = False,
-    on_progress: OnProgress | None = None,
+    workers: int | None,
+    limit_s: float,
+    allow_motion: bool,
+    on_progress: OnProgress | None,
 ) -> list[Made]:
     """Run each scenario with so many seeds, from its own on, and return what came of it; nothing is written.
 

@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 
 import hil
+from hil.addons.batch import COMMANDS, pool
 from hil.addons.batch.job import FAILED, IF_FAILED, LOST, PASSED, Job, Outcome, plain
 from hil.addons.batch.keys import make_job
 from hil.addons.batch.pool import run_jobs, run_plan
@@ -17,6 +18,7 @@ from hil.addons.batch.store import Store, read_rows
 from hil.core.errors import LinkError
 from hil.core.subprocesses import LifeLine
 from hil.scenario import Scenario, load
+from tests.support.addon_commands import flags_that_are_on
 from tests.support.processes import is_running, wait_for
 
 SHORT = {"loop.duration_s": 0.2, "loop.rate_hz": 200, "expect": []}
@@ -102,7 +104,15 @@ def test_a_search_asks_for_its_next_job_by_what_came_back_and_goes_on_from_a_sto
     assert {outcome.status for outcome in outcomes} == {PASSED}
 
 
-def test_outcomes_are_in_the_order_of_the_jobs_and_equal_jobs_are_done_once() -> None:
+def test_outcomes_are_in_the_order_of_the_jobs_and_equal_jobs_are_done_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    workers: list[subprocess.Popen[bytes]] = []
+
+    class Noted(pool._Process):
+        def __init__(self, kind: str) -> None:
+            super().__init__(kind)
+            workers.append(self._process)
+
+    monkeypatch.setattr(pool, "_Process", Noted)
     masses_kg = (24.0, 16.0, 20.0, 16.0, 20.0)
     told: list[tuple[int, int]] = []
     jobs = [make_job(of_mass(mass_kg)) for mass_kg in masses_kg]
@@ -111,7 +121,38 @@ def test_outcomes_are_in_the_order_of_the_jobs_and_equal_jobs_are_done_once() ->
     efforts = [outcome.figures["effort_n_m_s"] for outcome in outcomes]
     assert efforts[1] == efforts[3] > efforts[2] == efforts[4] > efforts[0]
     assert told == [(1, 3), (2, 3), (3, 3)]
+    assert [worker.poll() for worker in workers] == [0, 0], "none is left behind"
     assert run_jobs([]) == []
+
+
+def test_a_job_of_another_kind_has_a_new_process_and_the_old_one_is_ended(monkeypatch: pytest.MonkeyPatch) -> None:
+    lives: list[list[str]] = []
+
+    class Process:
+        ended_why = None
+
+        def __init__(self, kind: str) -> None:
+            self.kind = kind
+            lives.append([kind])
+
+        def perform(self, job: Job) -> Outcome:
+            lives[-1].append(job.key)
+            return Outcome(job.key, PASSED, None)
+
+        def close(self) -> None:
+            lives[[life[0] for life in lives].index(self.kind)].append("closed")
+
+    monkeypatch.setattr(pool, "_Process", Process)
+    runner = pool.Runner()
+    job = make_job(of_mass(20.0))
+    for key, kind in (("1", "a"), ("2", "a"), ("3", "b")):
+        assert runner.run(job._replace(key=key, kind=kind)).key == key
+    runner.close()
+    assert lives == [["a", "1", "2", "closed"], ["b", "3", "closed"]]
+
+
+def test_no_flag_of_its_commands_is_on_by_itself() -> None:
+    assert flags_that_are_on(COMMANDS) == []
 
 
 def test_a_job_beyond_its_limit_or_with_an_error_in_a_thread_is_lost_and_the_next_is_done(tmp_path: Path) -> None:

@@ -10,6 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy import stats
 
+from hil.addons.batch.campaign import campaign as campaigns
 from hil.addons.batch.campaign.campaign import Campaign
 from hil.addons.batch.campaign.campaign_file import load_plan, points
 from hil.addons.batch.campaign.judged import (
@@ -19,6 +20,7 @@ from hil.addons.batch.campaign.judged import (
     wilson,
 )
 from hil.addons.batch.columns import KEY, MACHINE, run_columns
+from hil.addons.batch.job import PASSED, Job, Outcome
 from hil.addons.batch.keys import key_of
 from hil.addons.batch.run import run
 from hil.addons.batch.store import RECORDINGS, ROWS, Store, read_rows
@@ -62,6 +64,31 @@ def test_rows_of_a_campaign_are_added_to_those_of_its_scenario(tmp_path: Path) -
         {"signal": "truth.x_m", "from_s": 0.0, "below": 9.0},
         {"signal": "truth.x_m", "below": 9.0},
     ]
+
+
+def test_the_first_the_middle_and_the_last_run_are_timed_for_an_estimate(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    done: list[str] = []
+
+    class Timed:
+        def run(self, job: Job) -> Outcome:
+            done.append(job.key)
+            return Outcome(job.key, PASSED, None, wall_s=float(keys.index(job.key)) + 100.0 * (len(done) == 1))
+
+        def close(self) -> None:
+            done.append("closed")
+
+    monkeypatch.setattr(campaigns, "Runner", Timed)
+    masses = "[axes]\nrobot.mass_kg = { grid = [16, 17, 18, 19, 20, 21, 22, 23] }"
+    campaign = Campaign(write_plan(tmp_path, tables=masses))
+    keys = [run.key for run in campaign.runs]
+    assert campaign.estimate_s(7, 3) == (pytest.approx(10.0 / 3.0), pytest.approx(10.0))
+    assert done == [keys[0], keys[0], keys[3], keys[7], "closed"], "the first one also opens the FMU"
+    done.clear()
+    timed = write_plan(tmp_path, tables='loop.mode = "realtime"\n' + masses.replace(", 23", ""), name="real.toml")
+    assert Campaign(timed).estimate_s(7, 1) == (pytest.approx(1.2), pytest.approx(8.4))
+    assert done == [], "nothing moves for an estimate"
 
 
 def test_more_draws_and_another_axis_leave_the_draws_that_there_were(tmp_path: Path) -> None:
@@ -167,11 +194,16 @@ def test_of_rows_with_one_key_the_later_counts_and_what_was_not_finished_counts_
     whole = (tmp_path / ROWS).read_bytes()
     (tmp_path / ROWS).write_bytes(whole + b'{"key": "k0", "figure": 7')  # killed in the middle
     assert read_rows(tmp_path) == written
+    (older := tmp_path / RECORDINGS / "k1.rrd").touch()
     others = tmp_path / RECORDINGS / "mine.rrd"
     others.touch()
-    with Store(tmp_path):
+    with Store(tmp_path) as again:
         assert (tmp_path / ROWS).read_bytes() == whole
         assert others.exists()
+        assert again.without_recording("k1") == str(older)
+        assert others.exists()
+        assert not older.exists()
+        assert again.without_recording("k1") == str(older), "there need not be one"
     frame = pandas.read_json(tmp_path / ROWS, lines=True)  # as any other program reads them
     assert len(frame) == 80
 

@@ -9,7 +9,8 @@ import matplotlib.figure
 import numpy as np
 import pytest
 
-from hil.addons.batch.catalogue.fault_cases import CASES, Ending
+from hil.addons.batch.catalogue import trials as catalogue_trials
+from hil.addons.batch.catalogue.fault_cases import CASES, MOTORS_CASES, Ending
 from hil.addons.batch.catalogue.trial_run import _ending, _wrong
 from hil.addons.batch.catalogue.trials import JudgedTrial, Request, Trial, alone, check, in_pairs, results, scenarios
 from hil.addons.batch.job import ENDED, FAILED, LOST, PASSED, REFUSED, Outcome
@@ -93,6 +94,52 @@ def test_scenarios_of_trials_are_short_unjudged_and_of_the_mode_of_the_law() -> 
     (files, *_) = scenarios(asked(), trials)
     assert isinstance(files, Scenario)
     assert files.controller.gains
+
+
+@pytest.mark.parametrize(("watchdog", "sensors"), [("fixed", set()), ("set", set()), ("set", {"gyro"})])
+def test_for_motors_of_other_makers_a_fault_of_a_sensor_that_they_have_not_is_left_out(
+    monkeypatch: pytest.MonkeyPatch, watchdog: str, sensors: set[str]
+) -> None:
+    """A fixed watchdog may be longer than a fault."""
+    can = SimpleNamespace(is_twist=False, watchdog=watchdog, sensors=sensors)
+    monkeypatch.setattr(catalogue_trials, "make_driver", lambda _: SimpleNamespace(capabilities=can))
+    sets = ("device.driver=odrive",)
+    found = {one.fault: one for one in alone(asked(sets=sets))}
+    more = {Ending.GOES_ON} if watchdog == "fixed" else set()
+    names = {case.name: outcomes for case, outcomes in MOTORS_CASES}
+    for name in ("disconnect link", "drop command", "no feedback", "stuck_encoder fl"):
+        assert set(found[name].allowed) == {*names[name], *more}
+    assert (found["drop command"].link, found["drop command"].rearm) == ("can:virtual/catalogue", True)
+    assert ("gyro_bias gyro" in found) is bool(sensors)
+    if not sensors:
+        with pytest.raises(BadInputError, match="--kind gyro_bias: this fault cannot act on 'odrive' as it is set"):
+            alone(asked("gyro_bias", sets=sets))
+    can.watchdog = "none"
+    with pytest.raises(BadInputError, match="the catalogue cannot judge 'odrive' as it is set up"):
+        alone(asked(sets=sets))
+    can.watchdog, can.is_twist = "set", True
+    with pytest.raises(BadInputError, match="the catalogue cannot judge 'odrive' as it is set up"):
+        alone(asked(sets=sets))
+
+
+def test_what_runs_in_real_time_runs_alone_after_all_else(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    told: list[Any] = []
+
+    def run_trials(request: Request, some: list[Trial], workers: int, limit_s: float, on_progress: Any) -> list[Trial]:
+        told.append(({(one.mode, "+" in one.fault) for one in some}, workers, limit_s, on_progress))
+        return some
+
+    def progress(*_: object) -> None: ...
+
+    monkeypatch.setattr(catalogue_trials, "run_trials", run_trials)
+    request = Request("circle_speed", [], ["memory", "serial"], ["disconnect"], tmp_path / "to")
+    done = catalogue_trials.catalogue(request, pairs=True, realtime=True, workers=3, limit_s=7.0, on_progress=progress)
+    assert told == [
+        ({("lockstep", False), ("lockstep", True)}, 3, 7.0, progress),
+        ({("realtime", False)}, 1, 7.0, progress),
+    ]
+    assert done == [*alone(request), *in_pairs(request), *alone(request, "realtime")]
+    assert not (tmp_path / "to").exists(), "nothing is to be looked at"
 
 
 @pytest.mark.parametrize(

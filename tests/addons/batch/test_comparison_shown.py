@@ -7,9 +7,10 @@ from typing import Any
 import matplotlib.figure
 import numpy as np
 import pytest
+from typer.testing import CliRunner
 
 from hil.addons.batch.columns import shown_columns
-from hil.addons.batch.comparison import comparison
+from hil.addons.batch.comparison import comparison, comparison_page
 from hil.addons.batch.comparison.comparison import (
     Compared,
     Comparison,
@@ -26,6 +27,7 @@ from hil.addons.batch.comparison.comparison_page import results
 from hil.addons.batch.comparison.random_cases import RandomCase, Tried, cases
 from hil.addons.batch.comparison.random_cases import results as results_of_cases
 from hil.addons.batch.job import ENDED, FAILED, LOST, PASSED, REFUSED, Job, Outcome
+from hil.cli.main import app
 from hil.core.errors import BadInputError
 from hil.core.types import CommandMode
 from hil.references import make_reference
@@ -213,6 +215,51 @@ def test_it_is_told_that_slip_is_not_limited_with_odometry(sources: list[str], m
     assert compare(request).limiter.endswith(f", and wheels slip at most 0.3 m/s.{more}")
 
 
+def test_the_command_compares_what_is_asked_and_else_both_torques_and_drives(monkeypatch: pytest.MonkeyPatch) -> None:
+    told: list[tuple[Request, dict[str, Any]]] = []
+
+    def asked(request: Request, **options: Any) -> None:
+        told.append((request, options))
+        raise BadInputError("enough")
+
+    monkeypatch.setattr(comparison_page, "compare", asked)
+    runner = CliRunner()
+    for words in (
+        "",
+        "--torque 3 --drive ideal --estimator odometry --contact slip --quick --jobs 2 --limit 9 --seed 4",
+    ):
+        assert str(runner.invoke(app, ["compare", "dsc", "pid", "circle_speed", *words.split()]).exception) == "enough"
+    (own, _), (few, options) = told
+    assert (own.torques_n_m, own.drives, own.estimators, own.contacts) == ((5.0, 1.8), ["ideal", "motors"], [], [])
+    assert (own.laws, own.scenario, own.seed, own.quick, own.curves) == (
+        ["dsc", "pid"],
+        "circle_speed",
+        None,
+        False,
+        False,
+    )
+    assert (few.torques_n_m, few.drives, few.estimators, few.contacts) == ([3.0], ["ideal"], ["odometry"], ["slip"])
+    assert (few.seed, few.quick) == (4, True)
+    assert options == {"workers": 2, "limit_s": 9.0, "on_progress": None}
+
+
+def test_runs_of_a_comparison_have_the_workers_and_the_limit_that_are_asked_for(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    told: list[Any] = []
+
+    def run_jobs(jobs: list[Job], workers: int, on_progress: Any) -> list[Outcome]:
+        told.extend([{job.limit_s for job in jobs}, workers, on_progress])
+        return [Outcome(job.key, FAILED, "not run") for job in jobs]
+
+    def progress(*_: object) -> None: ...
+
+    monkeypatch.setattr(comparison, "run_jobs", run_jobs)
+    request = Request(["dsc"], "circle_speed", [], None, [5.0], ["ideal"], quick=True)
+    compare(request, workers=3, limit_s=7.0, on_progress=progress)
+    assert told == [{7.0}, 3, progress]
+
+
 def test_a_law_among_sets_or_in_the_place_of_the_scenario_is_refused() -> None:
     for sets, words in ((["loop.mode=realtime"], "sets loop.mode itself; it runs in lockstep over memory"),
                         (["link.url=serial:pty"], "sets link.url itself"),
@@ -290,8 +337,9 @@ OMEGA = 2.0 * math.pi / 3.0
 def test_a_case_can_be_followed_with_four_fifths_of_torque_or_grip(change: dict[str, Any], is_grip: bool) -> None:
     """A circle of 1 m in 3 s, whose torque is as in the formula of the acceleration; the wheels turn with it."""
 
-    def follows(mass_kg: float, torque_n_m: float) -> bool:
+    def follows(mass_kg: float, torque_n_m: float, **more: float) -> bool:
         own = {"reference": {"kind": "circle", "radius_m": 1.0, "period_s": 3.0}, "loop.duration_s": 1.0, **change}
+        own |= {f"plant.start.{name}": value for name, value in more.items()}
         own |= {"plant.start.mass_kg": mass_kg, "robot.torque_limit_n_m": torque_n_m, "robot.speed_limit_rad_s": 60.0}
         own |= {"firmware.torque_limit_n_m": torque_n_m, "plant.start.friction_coefficient": 0.0}
         (case,) = cases(load("compare_circle", set=own), 1, 1, GIVEN)
@@ -304,6 +352,10 @@ def test_a_case_can_be_followed_with_four_fifths_of_torque_or_grip(change: dict[
         needed = [math.sqrt(2.0) / 4.0 * radius_m * (mass + wheels_kg) * OMEGA**2 for mass in (20.0, 25.0)]
         holds = [0.8 * 0.5 * mass * 9.81 * radius_m / (4.0 * math.sqrt(2.0)) for mass in (20.0, 25.0)]
         assert [follows(mass, 15.0) for mass in (20.0, 25.0)] == [n <= h for n, h in zip(needed, holds, strict=True)]
+        for mass, n, h in zip((20.0, 25.0), needed, holds, strict=True):
+            grip = 0.5 * n / h
+            assert not follows(mass, 15.0, grip_coefficient=0.98 * grip)
+            assert follows(mass, 15.0, grip_coefficient=1.02 * grip)
         return
     needed_n_m = math.sqrt(2.0) / 4.0 * radius_m * (25.0 + wheels_kg) * OMEGA**2
     assert not follows(25.0, 0.98 * needed_n_m / 0.8)
@@ -320,6 +372,7 @@ def test_cases_are_drawn_all_over_their_ranges() -> None:
         return [case.sets[key] for case in drawn if key in case.sets]
 
     def is_all_over(values: list[float], low: float, high: float, digits: int) -> None:
+        assert any(round(value, digits - 1) != value for value in values)
         assert low <= min(values) < low + 0.11 * (high - low)
         assert high - 0.11 * (high - low) < max(values) <= high
         assert all(round(value, digits) == value for value in values)
@@ -345,6 +398,7 @@ def test_cases_are_drawn_all_over_their_ranges() -> None:
     assert set(every("loop.rate_hz")) == {100, 200, 250, 500, 1000}
     assert set(every("plant.start.drive")) == {"torque", "current", "voltage"}
     assert 0.4 * 150 < len(every("device.driver")) < 0.6 * 150
+    assert set(every("device.driver")) == {"odrive", "vesc"}, "our own is that of the scenario"
     far, apart_rad = [], []
     for case in drawn:
         options = dict(case.sets["reference"])

@@ -11,12 +11,19 @@ from hypothesis import strategies as st
 from hil.addons.batch.hunt import hunt as hunt_module
 from hil.addons.batch.hunt.hunt import Hunt
 from hil.addons.batch.hunt.hunt_file import Request
-from hil.addons.batch.hunt.search import search
+from hil.addons.batch.hunt.search import _least, search
 from hil.addons.batch.hunt.space import Change, Chosen, HuntTables, OfferTable, Space, SpanTable
 from hil.addons.batch.job import ENDED, FAILED, LOST, PASSED, REFUSED, Outcome
 from hil.core.errors import BadInputError
 
 LIMITS = st.tuples(st.floats(-1e3, 1e3), st.floats(0.01, 1e3)).map(lambda pair: (pair[0], pair[0] + pair[1]))
+
+
+def test_claims_that_never_vary_are_nearest_only_where_none_varies() -> None:
+    tried = [({}, {0: 0.5, 1: 0.9, 2: 0.2}), ({}, {0: 0.4, 1: 0.3, 2: 0.2})]
+    assert list(_least(tried).items()) == [(1, 0.3), (0, 0.4)], "the closest first"
+    assert list(_least(tried[:1]).items()) == [(2, 0.2), (0, 0.5), (1, 0.9)]
+    assert _least([]) == {0: 1.0}
 
 
 @given(LIMITS, st.floats(0.0, 1.0))

@@ -205,6 +205,9 @@ def test_a_run_that_agrees_comes_out():
         ("dsc common together", {"heading_rad": 0.02}, "the heading converges with both laws"),
         ("experiment", {"driven_s": 0.0}, "no control signal for"),
         ("experiment", {"transition_s": 2.1}, "the transition takes about"),
+        ("experiment", {"transition_s": 5.01}, "the transition takes about"),
+        ("experiment", {"driven_s": 8.01}, "no control signal for"),
+        ("experiment", {"steady_max_m": 0.01}, "then it stays on the reference"),
         ("experiment", {"steady_max_m": 0.011}, "then it stays on the reference"),
         ("afdsc torque 70 ms", {"amplitude_m": 0.002}, "a slight oscillation from the delay"),
     ],
@@ -236,13 +239,24 @@ def test_a_variant_that_failed_feeds_no_verdict() -> None:
 
 
 def test_the_command_fails_when_a_run_did(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A real worker is given one run that cannot begin."""
+    """A real worker is given one run that cannot begin; what an earlier reproduction recorded is gone."""
+    (stale := tmp_path / "dsc_common_together.rrd").touch()
     row = {"law": "dsc", "filter": "common", "limit": "together"}
-    planned = [PaperRun("dsc common together", "circle", row, "paper_circle_dsc", {"plant.start.no_such": 1.0})]
+    sets = {"plant.start.no_such": 1.0}
+    planned = [PaperRun("dsc common together", "circle", row, "paper_circle_dsc", sets, records=True)]
     monkeypatch.setattr("hil.addons.batch.reproduction.reproduction.cases", lambda *, quick: planned)
-    result = CliRunner().invoke(app, ["reproduce", "--json", "--out", str(tmp_path)])
+    result = CliRunner().invoke(app, ["reproduce", "--json", "--force", "--out", str(tmp_path)])
     assert result.exit_code == 1, result.output
+    assert json.loads(result.stdout)["recordings"] == []
+    assert not stale.exists()
     assert "plant.start.no_such" in json.loads(result.stdout)["circle"][0]["failure"]
+
+
+@pytest.mark.parametrize("figures", [{"transition_s": 3.0, "driven_s": 6.0}, {"transition_s": 5.0, "driven_s": 8.0}])
+def test_what_is_off_by_all_that_the_papers_digits_leave_open_comes_out(figures):
+    found = made_up({"experiment": figures})
+    assert found["the transition takes about"].verdict == claims.COMES_OUT
+    assert found["no control signal for"].verdict == claims.FITTED
 
 
 def test_without_the_calm_run_an_oscillation_cannot_be_compared():

@@ -10,7 +10,7 @@ import pytest
 from hil.addons.batch.reproduction import paper_claims as claims
 from hil.addons.batch.reproduction import section_iv_page as page
 from hil.addons.batch.reproduction.published import delay_margin
-from hil.addons.batch.reproduction.reproduction import signal_figures
+from hil.addons.batch.reproduction.reproduction import oscillation, signal_figures
 from hil.addons.batch.reproduction.section_iv import PaperRun, Result, assumptions, cases
 from hil.scenario import load
 
@@ -166,6 +166,11 @@ def test_what_the_paper_leaves_out_is_told_with_our_values() -> None:
     told = {(row["place"], row["what"]): row["value"] for row in assumptions()}
     assert told["IV.A", "the filter constant"] == "filter_s = 0.0675"
     assert told["IV.A", "the torque limit"] == "robot.torque_limit_n_m = 5.0"
+    limiter = {row["what"]: (row["value"], row["why"]) for row in assumptions()}[
+        "a limiter of the wheels' speed and slip"
+    ]
+    assert limiter[0] == 'off: limiter.torque_speed = "off", limiter.slip_m_s = inf'
+    assert limiter[1].startswith("ours would keep the robot from its overspeed and from slip")
     assert told["IV.A", "how the rules are weighed"].startswith("product and weighted average")
     assert told["IV.B", "what is commanded"] == 'controller.command = "torque"'
     experiment = load("paper_experiment")
@@ -199,6 +204,20 @@ def test_figures_of_signals_are_of_the_last_5_s_and_from_the_last_silence_on() -
     driven = signal_figures({**signals, "wheel.fl.torque_command_n_m": np.ones(len(t_s))}, 15.0)
     assert (driven["driven_s"], driven["from_m"]) == (0.0, 3.0)
     assert driven["amplitude_m"] is not None
+
+
+def test_an_oscillation_of_an_earlier_lap_is_none_of_the_last() -> None:
+    t_s = np.arange(0.0, 20.0, 0.02)
+    swing = 0.005 * np.sin(2.0 * math.pi * 3.0 * t_s)
+    zero = np.zeros_like(t_s)
+    signals = {"loop.t_s": t_s, "error.x_m": np.where(t_s < 9.9, swing, 0.0), "error.y_m": zero}
+    early = oscillation(signals, 10.0)
+    late = oscillation({**signals, "error.x_m": zero, "error.y_m": np.where(t_s < 9.9, 0.0, swing)}, 10.0)
+    assert early is not None
+    assert late is not None
+    assert early[0] < 1e-6
+    assert late == pytest.approx((0.005, 3.0), rel=0.05)
+    assert oscillation({name: one[:0] for name, one in signals.items()}, 10.0) is None
 
 
 def summary() -> dict[str, Any]:

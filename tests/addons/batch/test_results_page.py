@@ -66,6 +66,17 @@ def test_a_plot_is_on_the_page_in_its_proportions_and_beside_it_as_a_file(tmp_pa
     assert sorted(path.name for path in tmp_path.iterdir()) == ["more.txt", "one.svg", "other.html", "page.html"]
 
 
+def test_results_are_with_their_reader_before_a_picture_is_drawn(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    printed = []
+    with (tmp_path / "printed").open("w", encoding="utf-8") as stdout:  # buffered, as into a pipe
+        monkeypatch.setattr("sys.stdout", stdout)
+        plot = Plot("one", lambda _: printed.append((tmp_path / "printed").read_text(encoding="utf-8")))
+        finish(results(plot), Page(tmp_path / "page.html", "svg", "refuse"), as_json=False)
+    assert ["about two" in text for text in printed] == [True, True]
+
+
 def test_what_cannot_be_written_keeps_nothing_else_back_and_is_told_first(tmp_path: Path) -> None:
     for name in ("more.txt", "one.svg"):
         (tmp_path / name).mkdir()

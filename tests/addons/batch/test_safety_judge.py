@@ -126,6 +126,16 @@ def test_silence_ends_on_the_ramp_and_not_a_tick_later(driving) -> None:
     assert driving.judge.silent_rad_s == 0.0
 
 
+def test_after_the_ramp_nothing_is_left_to_be_driven(driving) -> None:
+    driving.hold(drive(SPEEDS), WATCHDOG - 1)
+    for n in range(1, RAMP):
+        driving.hold(drive(value * (1 - n / RAMP) for value in SPEEDS))
+    driving.hold(drive())
+    assert driving.is_sound
+    driving.hold(drive((0.01, 0.0, 0.0, 0.0)))  # less than the last step of the ramp
+    assert not driving.is_sound
+
+
 def test_a_set_point_that_outlives_watchdog_and_ramp_is_a_violation(driving) -> None:
     driving.hold(drive(SPEEDS), WATCHDOG)
     assert driving.is_sound
