@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from hil.record.checks import CHECK, NUMBERS, property_check
+from hil.record.checks import CHECK, property_check
 from hil.record.properties import APPLICATION, OF_A_RUN, PART_PROPERTY, RECORDER_PROPERTY, SIGNALS_PROPERTY
 
 Series = npt.NDArray[np.float64]
@@ -123,8 +123,8 @@ def numbered_rows(
     stored: npt.NDArray[np.unsignedinteger[Any]], values: Series, names: Collection[str], properties: Properties
 ) -> NumberedRows:
     """Return the rows with their numbers ``stored`` modulo 2^32 (n,), and their values (n, m) of the named signals."""
-    first, half = properties.part.get("first_row", 0), NUMBERS // 2
-    near: Numbers = (stored.astype(np.int64) - first + half) % NUMBERS - half + first  # to the first of this part
+    first = properties.part.get("first_row", 0)
+    near: Numbers = first + (stored.astype(np.int64) - first).astype(np.int32).astype(np.int64)  # to that of this part
     numbers, places = np.unique(near, return_index=True)
     signals = {name: values[places, i] for i, name in enumerate(names)}
     t_s = signals.get("loop.t_s", np.full(len(numbers), np.nan))

@@ -127,6 +127,7 @@ def test_the_margin_is_continuous_and_does_not_depend_on_the_unit(values, claime
         (claim(equals=5.0, tolerance=2.0), [4.0, 7.0], sys.float_info.min),  # at the end of its tolerance it holds
         (claim(equals=8.0), [8.0], 1.0),
         (claim(equals=8.0), [6.0], -0.25),
+        (claim(equals=8.0), [8.125], -0.015625),
         (claim(equals=0.0), [0.25], -0.25),
         (claim(settles_to=5.0, tolerance=2.0), [4.5, 4.5], 0.75),
         (claim(below=1e-9), [-9.0], 1e6),
@@ -139,7 +140,25 @@ def test_the_margin_is_continuous_and_does_not_depend_on_the_unit(values, claime
 def test_a_margin_is_a_share_of_half_the_interval_or_of_the_limit(
     row: ExpectTable, values: list[float], margin: float
 ) -> None:
-    assert check_expectation(row, signals(values)).margin == margin
+    outcome = check_expectation(row, signals(values))
+    assert (outcome.margin, outcome.passed) == (margin, margin > 0.0)
+
+
+@pytest.mark.parametrize(
+    ("signal", "of", "both", "value"),
+    [
+        ("truth.x_m", "pose.x_m", (5.0, -1.5), 6.5),
+        ("truth.heading_rad", "pose.heading_rad", (3.0, -2.5), 5.5 - 2.0 * math.pi),
+        ("truth.heading_rad", "pose.heading_rad", (-2.5, 3.0), 2.0 * math.pi - 5.5),
+        ("truth.heading_rad", "pose.heading_rad", (math.inf, 3.0), NAN),
+    ],
+)
+def test_a_comparison_is_the_first_minus_the_other_and_of_headings_the_shorter_way_around(
+    signal: str, of: str, both: tuple[float, float], value: float
+) -> None:
+    columns = {"loop.t_s": np.zeros(1), signal: np.array(both[:1]), of: np.array(both[1:])}
+    outcome = check_expectation(ExpectTable(signal=signal, of=of, equals=99.0), columns)
+    assert outcome.worst_value == pytest.approx(value, nan_ok=True)
 
 
 def test_a_claim_has_just_failed_at_its_first_violation_and_one_that_settles_never() -> None:

@@ -103,9 +103,11 @@ def test_a_figure_of_a_run_that_ended_early_is_not_judged() -> None:
 def test_an_unknown_figure_is_refused_with_its_place_and_near_names(tmp_path: Path) -> None:
     path = tmp_path / "wrong.toml"
     path.write_text('extends = "paper_circle"\n[[expect]]\nfigure = "steady_rms"\nbelow = 1\n')
-    words = r'wrong.toml:3: expect.1.figure = "steady_rms"; expected the name of a figure; did you mean .*_rms_m'
-    with pytest.raises(BadInputError, match=words):
+    words = r'expect.1.figure = "steady_rms"; expected the name of a figure; did you mean .*_rms_m'
+    with pytest.raises(BadInputError, match=rf"^scenario .*wrong.toml:3: {words}"):
         RunParts(load(str(path)))
+    with pytest.raises(BadInputError, match=rf"^--set: {words}"):
+        RunParts(load("paper_circle", set={"expect": [{"figure": "steady_rms", "below": 1}]}))
 
 
 @pytest.mark.parametrize(

@@ -147,6 +147,9 @@ def test_a_gap_spoils_only_the_figures_that_it_touches() -> None:
 
 def test_a_run_of_exactly_the_window_has_steady_figures() -> None:
     assert tracking_metrics(seconds(5000, 0.001), np.full(5000, 0.002)).steady_max_m == 0.002
+    assert tracking_metrics(np.array([0.0, 2.5]), np.array([0.003, 0.002])).steady_max_m == 0.003
+    # Each row comes in a block of its own; the window begins after the second.
+    assert tracking_metrics(np.array([0.0, 7.0, 14.0]), np.array([0.004, 0.003, 0.002])).steady_max_m == 0.002
 
 
 def test_percentiles_leave_gaps_out() -> None:

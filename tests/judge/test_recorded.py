@@ -11,7 +11,7 @@ from hil.core.errors import BadInputError
 from hil.core.options import options_of
 from hil.core.signals import SIGNAL_NAMES
 from hil.judge.judged_run import FaultResult, JudgedRun
-from hil.judge.recorded import fault_span_s, judged_run, load
+from hil.judge.recorded import fault_span_s, judged_run, load, read_for_figures
 from hil.record.reader import RecordedRun
 from hil.scenario.trial import AllowTable
 
@@ -87,6 +87,26 @@ def test_a_recording_without_a_summary_is_whole_if_its_rows_come_to_within_two_t
     assert judged_run(recorded(rows, summary=None, is_continued=True)).expect[1].passed is None
     ended = judged_run(recorded(rows, summary={**SUMMARY, "failure": "it left", "failure_s": 1.5}))
     assert ended.reasons["tracked_s"].startswith("there is nothing after") is not is_whole
+    late = recorded(rows, summary=None)
+    late.signals["loop.t_s"][-1] += 0.0625
+    assert judged_run(late).expect[1].passed is (True if is_whole else None)
+
+
+def test_the_signals_of_expectations_are_read_only_where_there_is_no_summary(monkeypatch: pytest.MonkeyPatch) -> None:
+    scenario = {**SCENARIO, "expect.3.signal": "robot.yaw_rate_rad_s"}
+    for values, summary, read_them in (
+        (scenario, None, [False, True]),
+        (SCENARIO, None, [False]),
+        (scenario, SUMMARY, [False]),
+    ):
+        run = recorded(summary=summary, properties={"scenario": json.dumps(values)})
+        asked: list[set[str]] = []
+        monkeypatch.setattr(
+            "hil.judge.recorded.read", lambda _path, names, run=run, to=asked: (to.append(set(names)), run)[1]
+        )
+        assert read_for_figures(Path("run.mcap"), ["link.own"]) is run
+        assert ["robot.yaw_rate_rad_s" in names for names in asked] == read_them
+        assert all({"link.own", "error.planar_m"} <= names for names in asked)
 
 
 def test_rows_that_are_in_no_file_count_as_ticks_and_as_lost() -> None:

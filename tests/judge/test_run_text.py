@@ -311,6 +311,11 @@ def test_of_many_alike_six_are_told_and_the_others_counted() -> None:
     assert told[0] == "f8: 2, accepted 1 ± 0.5 (+100 %)"
     assert told[1] == "f7: 1.875, accepted 1 ± 0.5 (+87.5 %)"
     assert (len(told), told[6]) == (7, "also f2, f1")
+    six = [one.text for one in timeline(replace(run, baseline=BaselineResult("a.toml", None, 9, moved[:6])))]
+    assert (len(six), six[5]) == (6, "f1: 1.125, accepted 1 ± 0.5 (+12.5 %)")
+    exact = MovedFigure("refused", 0.0, 12.3456789, 0.0, "")
+    few = [one.text for one in timeline(replace(run, baseline=BaselineResult("a.toml", None, 9, [moved[7], exact])))]
+    assert few == ["refused: 12.35, accepted 0 ± 0", "f8: 2, accepted 1 ± 0.5 (+100 %)"]
     beside = [one.text for one in timeline(replace(run, expect=[BROKEN])) if one.kind == "moved"]
     assert (len(beside), beside[3]) == (4, "also f5, f4, f3, f2, f1")
     gone = MovedFigure("t10_s", 1.0, None, 0.5, "")
