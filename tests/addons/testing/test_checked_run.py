@@ -1,5 +1,6 @@
 """What a test with a run tells of it: its problems, the next commands, and its entries in a report."""
 
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, cast
@@ -9,8 +10,11 @@ import pytest
 from hil.addons.testing.checked_run import CheckedRun
 from hil.addons.testing.overrides import Overrides
 from hil.core.errors import DeviceError, HilError, LinkError
+from hil.judge.judged_run import Recorded
 from hil.judge.result import RunResult
+from hil.judge.run_text import applied_text
 from hil.scenario import load
+from tests.support.made_runs import made_runs
 
 
 def metrics(**link: Any) -> dict[str, Any]:
@@ -89,3 +93,26 @@ def test_overrides_are_put_on_top_and_another_link_drops_the_truth() -> None:
     words = "--mode realtime --link serial:/dev/a --seed 9 --set loop.duration_s=1.0 --truth udp://1:2"
     assert base.command(load("circle_speed", seed=9)) == f"hil run circle_speed {words}"
     assert Overrides().command(load("circle_speed", seed=9)) == "hil run circle_speed --seed 9"
+
+
+def test_a_run_that_failed_tells_its_causes_then_its_claims_its_faults_and_what_its_recording_lacks() -> None:
+    run = made_runs()[0].judged
+    whole, gap = Recorded(200, 0, 0, 0, None), Recorded(200, 0, 0, 0, "a gap")
+    for recorded, more in ((whole, ""), (None, ""), (gap, ", incomplete: a gap")):
+        result = SimpleNamespace(passed=False, run=replace(run, recorded=recorded))
+        lines = checked(result, DeviceError("the link is gone"), Path("a.rrd")).text().splitlines()
+        empty = lines.index("")
+        assert lines[:2] == [
+            "the robot failed, not an expectation: the link is gone",
+            f"expectation: {run.expect[0].text}",
+        ]
+        assert not any(line.startswith("failure") for line in lines), "it is told once"
+        assert lines[2:empty] == [
+            "allow: stale ticks: 2, allowed 0",
+            "fault: estop command from 2.2 s: never applied, so the run shows nothing about it",
+        ]
+        rows = [(line[2:14].rstrip(), line[15:]) for line in lines[empty + 1 :]]
+        assert [text for label, text in rows if label == "expectation"] == [row.text for row in run.expect]
+        assert [text for label, text in rows if label == "fault"] == [applied_text(row) for row in run.faults]
+        assert ("recording", f"a.rrd{more}") in rows
+        assert rows[0] == ("scenario", "circle_speed, lockstep, memory:, seed 9")

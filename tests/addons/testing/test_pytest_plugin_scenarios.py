@@ -8,7 +8,6 @@ from pathlib import Path
 
 import pytest
 
-from hil.addons.testing.plugin import _places
 from hil.judge.recorded import review
 from hil.scenario.load import SHIPPED_DIRECTORY
 from tests.support.plugin_suites import (
@@ -229,11 +228,3 @@ def test_a_folder_for_recordings_that_cannot_be_made_is_a_sentence(suite: pytest
     done.stdout.fnmatch_lines(["--hil-record taken/here: *taken/here cannot be made (Not a directory)"])
     done = run(suite, "-p", "no:tmpdir")
     done.stdout.fnmatch_lines(["recordings need a folder: give --hil-record DIR*"])
-
-
-def test_recordings_of_two_tests_never_have_one_place():
-    names = ["a/b.py::t", "a/b_py::t", "../b.py::t", "b.py::t", "b.py::t[a/b]", "b.py::t[a%2Fb]", "b.py::t[a::b]"]
-    names += [f"b.py::t[{'x' * 300}{end}]" for end in "12"]
-    places = [_places(name) for name in names]
-    assert len(set(map(tuple, places))) == len(names)
-    assert not [place for place in places if ".." in place or max(map(len, place)) > 120]
